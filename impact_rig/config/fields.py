@@ -1,0 +1,179 @@
+"""Configuration fields that know their unit, range and origin, and refuse bad values by name.
+
+A section is a frozen attrs class whose fields are made by `quantity`, `choice`, `integer`, `switch` or `names`. Each field's metadata carries what
+parameter descriptors, `docs/interface.md` and error messages need, so none of them is written twice.
+"""
+
+from __future__ import annotations
+
+import enum
+import math
+from typing import Any  # attrs validators receive untyped instances
+
+import attrs
+
+from impact_rig.errors import ConfigError
+
+METADATA_KEY = "impact_rig"
+
+
+class Origin(enum.Enum):
+    """Where a default value comes from."""
+
+    PAPER = "paper"  # printed in the paper
+    DERIVED = "derived"  # computed from values of the paper
+    IDENTIFIED = "identified"  # chosen so that the paper's published statements hold
+    ASSUMED = "assumed"  # plausible catalogue value or a choice of this project
+
+
+@attrs.frozen
+class FieldInfo:
+    """What one configuration value means: unit, legal range, origin of its default, one sentence."""
+
+    doc: str
+    unit: str = "-"
+    origin: Origin = Origin.ASSUMED
+    low: float | None = None
+    high: float | None = None
+    low_open: bool = False
+    high_open: bool = False
+    choices: tuple[str, ...] = ()
+    read_only: bool = False
+
+    def range_text(self) -> str:
+        """Return the legal range in words, e.g. `> 0 and <= 1`."""
+        if self.choices:
+            return "one of " + ", ".join(self.choices)
+        parts = []
+        if self.low is not None:
+            parts.append(f"{'>' if self.low_open else '>='} {self.low:g}")
+        if self.high is not None:
+            parts.append(f"{'<' if self.high_open else '<='} {self.high:g}")
+        return " and ".join(parts) or "any finite number"
+
+
+def info(attribute: attrs.Attribute[Any]) -> FieldInfo:
+    """Return the `FieldInfo` of an attrs attribute made by this module."""
+    found = attribute.metadata[METADATA_KEY]
+    assert isinstance(found, FieldInfo)
+    return found
+
+
+def _wrong(attribute: attrs.Attribute[Any], rule: str, value: object) -> ConfigError:
+    unit = info(attribute).unit
+    return ConfigError(f"{attribute.name} must be {rule}, got {value!r}{'' if unit == '-' else f' {unit}'}")
+
+
+def _in_range(attribute: attrs.Attribute[Any], value: float) -> None:
+    about = info(attribute)
+    too_low = about.low is not None and (value < about.low or (about.low_open and value == about.low))
+    too_high = about.high is not None and (value > about.high or (about.high_open and value == about.high))
+    if not math.isfinite(value) or too_low or too_high:
+        raise _wrong(attribute, about.range_text(), value)
+
+
+def _check_float(instance: object, attribute: attrs.Attribute[Any], value: object) -> None:
+    if not isinstance(value, float):
+        raise _wrong(attribute, "a number", value)
+    _in_range(attribute, value)
+
+
+def _check_int(instance: object, attribute: attrs.Attribute[Any], value: object) -> None:
+    if not isinstance(value, int) or isinstance(value, bool):
+        raise _wrong(attribute, "an integer", value)
+    _in_range(attribute, value)
+
+
+def _check_choice(instance: object, attribute: attrs.Attribute[Any], value: object) -> None:
+    about = info(attribute)
+    if not isinstance(value, str) or value not in about.choices:
+        raise _wrong(attribute, about.range_text(), value)
+
+
+def _check_bool(instance: object, attribute: attrs.Attribute[Any], value: object) -> None:
+    if not isinstance(value, bool):
+        raise _wrong(attribute, "true or false", value)
+
+
+def _check_names(instance: object, attribute: attrs.Attribute[Any], value: object) -> None:
+    if not isinstance(value, tuple) or not all(isinstance(item, str) for item in value):
+        raise _wrong(attribute, "a list of texts", value)
+
+
+def _int_to_float(value: object) -> object:
+    """YAML and people write 6 where 6.0 is meant; anything else is left for the validator to refuse by name."""
+    try:
+        return float(value) if isinstance(value, int) and not isinstance(value, bool) else value
+    except OverflowError:
+        return math.inf
+
+
+def _list_to_names(value: object) -> object:
+    """ROS has no empty typed lists: `[""]` means none."""
+    return tuple(item for item in value if item != "") if isinstance(value, (list, tuple)) else value
+
+
+def quantity(
+    default: float,
+    unit: str,
+    doc: str,
+    origin: Origin = Origin.ASSUMED,
+    *,
+    above: float | None = None,
+    at_least: float | None = None,
+    below: float | None = None,
+    at_most: float | None = None,
+    read_only: bool = False,
+) -> Any:
+    """A finite float with a unit and a range; `above`/`below` are open bounds, `at_least`/`at_most` closed ones."""
+    about = FieldInfo(
+        doc,
+        unit,
+        origin,
+        low=above if above is not None else at_least,
+        high=below if below is not None else at_most,
+        low_open=above is not None,
+        high_open=below is not None,
+        read_only=read_only,
+    )
+    return attrs.field(default=default, converter=_int_to_float, validator=_check_float, metadata={METADATA_KEY: about})
+
+
+def integer(
+    default: int,
+    unit: str,
+    doc: str,
+    origin: Origin = Origin.ASSUMED,
+    *,
+    at_least: int | None = None,
+    at_most: int | None = None,
+    read_only: bool = False,
+) -> Any:
+    """An integer with a unit and a closed range."""
+    about = FieldInfo(doc, unit, origin, low=at_least, high=at_most, read_only=read_only)
+    return attrs.field(default=default, validator=_check_int, metadata={METADATA_KEY: about})
+
+
+def choice(
+    default: str, choices: tuple[str, ...], doc: str, origin: Origin = Origin.ASSUMED, *, read_only: bool = False
+) -> Any:
+    """One word out of `choices`."""
+    about = FieldInfo(doc, "-", origin, choices=choices, read_only=read_only)
+    return attrs.field(default=default, validator=_check_choice, metadata={METADATA_KEY: about})
+
+
+def switch(default: bool, doc: str, origin: Origin = Origin.ASSUMED, *, read_only: bool = False) -> Any:
+    """True or false."""
+    return attrs.field(
+        default=default,
+        validator=_check_bool,
+        metadata={METADATA_KEY: FieldInfo(doc, "-", origin, read_only=read_only)},
+    )
+
+
+def names(default: tuple[str, ...], doc: str, origin: Origin = Origin.ASSUMED, *, read_only: bool = False) -> Any:
+    """A tuple of words."""
+    about = FieldInfo(doc, "-", origin, read_only=read_only)
+    return attrs.field(
+        default=default, converter=_list_to_names, validator=_check_names, metadata={METADATA_KEY: about}
+    )

@@ -1,0 +1,171 @@
+"""Read and write configurations: YAML files, flat ROS parameters, plain mappings — all through one validator.
+
+A configuration file is a ROS 2 parameter file (`/**: ros__parameters: section: key: value`), so the same file works with `--ros-args --params-file`;
+the two outer keys may be left out. A parameter's name is `section.key`, e.g. `barriers.gap_m`.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+import attrs
+import yaml
+
+from impact_rig.config.fields import METADATA_KEY, FieldInfo, info
+from impact_rig.config.rig import RigConfig
+from impact_rig.errors import ConfigError
+
+MAX_FILE_BYTES = 1_000_000
+
+Value = bool | int | float | str | tuple[str, ...]
+
+
+def load(path: Path | str, overrides: Mapping[str, object] | None = None) -> RigConfig:
+    """Return the configuration in the YAML file `path`, flat `overrides` (`section.key` -> value) on top.
+
+    Raises:
+        ConfigError: the file cannot be read, is not YAML, or holds an unknown key or a bad value; the message names key, value, range and file.
+    """
+    path = Path(path)
+    try:
+        if path.stat().st_size > MAX_FILE_BYTES:
+            raise ConfigError(f"a configuration file must be below {MAX_FILE_BYTES} bytes ({path})")
+        document = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ConfigError(f"cannot read configuration: {error.strerror} ({path})") from error
+    except (yaml.YAMLError, UnicodeDecodeError, RecursionError, ValueError) as error:
+        if isinstance(error, ConfigError):
+            raise
+        raise ConfigError(f"not a YAML file: {' '.join(str(error).split())} ({path})") from error
+    try:
+        return from_flat(RigConfig(), {**flatten(_unwrap(document)), **(overrides or {})})
+    except ConfigError as error:
+        raise ConfigError(f"{error} ({path})") from error
+
+
+def from_flat(base: RigConfig, changes: Mapping[str, object]) -> RigConfig:
+    """Return `base` with the flat `changes` (`section.key` -> value) applied together: all of them, or an error and none.
+
+    Raises:
+        ConfigError: unknown key, bad value, or a combination that makes no sense.
+    """
+    tree = _Nested()
+    for name, value in changes.items():
+        if name not in _known():
+            raise ConfigError(f"unknown key {name!r}{_suggestion(name)}")
+        *sections, key = name.split(".")
+        node = tree
+        for section in sections:
+            child = node.setdefault(section, _Nested())
+            assert isinstance(child, _Nested)
+            node = child
+        node[key] = value
+    changed = _evolve(base, tree)
+    assert isinstance(changed, RigConfig)
+    return changed
+
+
+def to_flat(config: RigConfig) -> dict[str, Value]:
+    """Return every value of `config` by its dotted name: what a run's attachment and the node's parameters hold."""
+    return {name: _lookup(config, name) for name in _known()}
+
+
+def fields() -> Iterator[tuple[str, FieldInfo, Value]]:
+    """Yield (dotted name, what it means, default) of every configuration value, in order."""
+    default = RigConfig()
+    for name, about in _known().items():
+        yield name, about, _lookup(default, name)
+
+
+def dump(config: RigConfig) -> str:
+    """Return `config` as a ROS 2 parameter file, complete: `load` of it gives `config` again."""
+    tree: dict[str, object] = {}
+    for name, value in to_flat(config).items():
+        *path, key = name.split(".")
+        node = tree
+        for part in path:
+            child = node.setdefault(part, {})
+            assert isinstance(child, dict)
+            node = child
+        node[key] = list(value) if isinstance(value, tuple) else value
+    return yaml.safe_dump({"/**": {"ros__parameters": tree}}, sort_keys=False)
+
+
+def flatten(tree: object, prefix: str = "") -> dict[str, object]:
+    """Return a nested mapping as one level of dotted names.
+
+    Raises:
+        ConfigError: a key is not a text, or the top is not a mapping.
+    """
+    if not isinstance(tree, dict):
+        raise ConfigError(f"a configuration must be a mapping of sections, got {type(tree).__name__}")
+    flat: dict[str, object] = {}
+    for key, value in tree.items():
+        if not isinstance(key, str):
+            raise ConfigError(f"a key must be a text, got {key!r}")
+        name = f"{prefix}{key}"
+        if isinstance(value, dict) and value:
+            flat.update(flatten(value, f"{name}."))
+        else:
+            flat[name] = value
+    return flat
+
+
+def _unwrap(document: object) -> object:
+    if document is None:
+        return {}
+    if isinstance(document, dict) and len(document) == 1:
+        inner = next(iter(document.values()))
+        if isinstance(inner, dict) and set(inner) == {"ros__parameters"}:
+            return inner["ros__parameters"] or {}
+    return document
+
+
+def _walk(section: type, prefix: str) -> Iterator[tuple[str, FieldInfo]]:
+    for attribute in attrs.fields(attrs.resolve_types(section)):
+        name = f"{prefix}{attribute.name}"
+        if METADATA_KEY in attribute.metadata:
+            yield name, info(attribute)
+        else:
+            assert isinstance(attribute.type, type)
+            yield from _walk(attribute.type, f"{name}.")
+
+
+def _known() -> dict[str, FieldInfo]:
+    if not _KNOWN:
+        _KNOWN.update(_walk(RigConfig, ""))
+    return _KNOWN
+
+
+_KNOWN: dict[str, FieldInfo] = {}  # filled once on first use; the schema never changes
+
+
+def _lookup(config: RigConfig, name: str) -> Value:
+    value: object = config
+    for part in name.split("."):
+        value = getattr(value, part)
+    assert isinstance(value, (bool, int, float, str, tuple))
+    return value
+
+
+def _evolve(section: object, changes: Mapping[str, object], prefix: str = "") -> object:
+    """Rebuild `section` bottom-up with the nested `changes`, each section once: cross-checks see only the final combination."""
+    values = {
+        key: _evolve(getattr(section, key), value, f"{prefix}{key}.") if isinstance(value, _Nested) else value
+        for key, value in changes.items()
+    }
+    try:
+        return attrs.evolve(section, **values)  # type: ignore[type-var]  # every section is an attrs class
+    except ConfigError as error:
+        raise ConfigError(f"{prefix}{error}") from error
+
+
+class _Nested(dict[str, object]):
+    """Changes of a sub-section, as opposed to a value."""
+
+
+def _suggestion(name: str) -> str:
+    close = difflib.get_close_matches(name, _known(), n=1)
+    return f", did you mean {close[0]!r}?" if close else ""

@@ -1,0 +1,143 @@
+"""Configuration of the mechanics: structure, shaker, sphere, barriers, contact and drive.
+
+Defaults are the paper's rig; the paper leaves m1, k1, c1, amplitudes and the shaker's constants open, so each field says where its value comes from.
+"""
+
+from __future__ import annotations
+
+import attrs
+
+from impact_rig.config.fields import Origin, choice, quantity, switch
+
+CONTACT_LAWS = (
+    "flores",
+    "hertz",
+    "hunt_crossley",
+    "herbert_mcwhannell",
+    "lee_wang",
+    "lankarani_nikravesh",
+    "gonthier",
+    "zhiying_qishao",
+    "hu_guo",
+    "exact",
+    "kelvin_voigt",
+    "restitution",
+)
+
+
+@attrs.frozen(kw_only=True)
+class Structure:
+    """Superior base on its columns: one mode of mass m_1, k_1 = m_1 ω_n², c_1 = 2 ζ m_1 ω_n."""
+
+    mass_kg: float = quantity(0.13, "kg", "Equivalent mass m_1 of the superior base.", Origin.IDENTIFIED, above=0)
+    natural_frequency_hz: float = quantity(
+        9.105, "Hz", "Natural frequency; the paper prints 9.1.", Origin.IDENTIFIED, above=0
+    )
+    damping_ratio: float = quantity(
+        0.0044974,
+        "-",
+        "Damping ratio ζ = m / (1.8 m_1): only the product m_1 ζ is determined by the paper.",
+        Origin.IDENTIFIED,
+        at_least=1e-6,
+        below=1,
+    )
+
+
+@attrs.frozen(kw_only=True)
+class Shaker:
+    """Electromagnetic shaker that carries the inferior base (B&K 4808 class)."""
+
+    force_factor_n_a: float = quantity(
+        5.3, "N/A", "Force per coil current K_f (= back-EMF per velocity, V s/m).", above=0
+    )
+    suspension_stiffness_n_m: float = quantity(6300.0, "N/m", "Table suspension k_f.", above=0)
+    damping_n_s_m: float = quantity(90.0, "N s/m", "Table damping c_f.", Origin.IDENTIFIED, above=0)
+    armature_mass_kg: float = quantity(0.16, "kg", "Moving element m_a.", above=0)
+    base_mass_kg: float = quantity(1.84, "kg", "Inferior base m_b.", Origin.IDENTIFIED, above=0)
+    coil_resistance_ohm: float = quantity(1.6, "ohm", "Coil resistance (voltage drive only).", above=0)
+    coil_inductance_h: float = quantity(764e-6, "H", "Coil inductance (voltage drive only).", above=0)
+    travel_limit_m: float = quantity(
+        6.35e-3, "m", "Table travel limit, either side: beyond it the interlock trips.", above=0
+    )
+    current_limit_a_rms: float = quantity(15.0, "A", "Coil current limit, rms: larger commands are refused.", above=0)
+    frequency_min_hz: float = quantity(5.0, "Hz", "Lowest accepted frequency command.", above=0)
+    frequency_max_hz: float = quantity(200.0, "Hz", "Highest accepted frequency command.", above=0)
+    ramp_s: float = quantity(
+        0.1, "s", "Time in which the amplitude moves linearly to a new command.", at_least=0, at_most=60
+    )
+
+
+@attrs.frozen(kw_only=True)
+class Drive:
+    """What moves the base."""
+
+    kind: str = choice(
+        "current",
+        ("current", "prescribed", "voltage"),
+        "Constant-current shaker, prescribed base motion (paper's Eq. 3) or constant-voltage shaker.",
+    )
+    waveform: str = choice("sine", ("sine", "chirp", "random"), "Shape of the drive signal.")
+    frequency_hz: float = quantity(9.1, "Hz", "Frequency before the first command.", Origin.PAPER, above=0)
+    amplitude: float = quantity(
+        0.0,
+        "A, m or V",
+        "Amplitude before the first command, peak (rms for random): ampere, metre or volt by kind.",
+        at_least=0,
+    )
+    chirp_end_hz: float = quantity(12.0, "Hz", "Frequency at which a chirp ends and starts again.", above=0)
+    chirp_s: float = quantity(60.0, "s", "Duration of one linear chirp.", above=0)
+    random_low_hz: float = quantity(5.0, "Hz", "Lower edge of the random band.", above=0)
+    random_high_hz: float = quantity(20.0, "Hz", "Upper edge of the random band.", above=0)
+
+
+@attrs.frozen(kw_only=True)
+class Sphere:
+    """The loose steel sphere."""
+
+    present: bool = switch(True, "Whether the sphere is on the rig.", Origin.PAPER)
+    start: str = choice(
+        "left",
+        ("left", "centre", "right"),
+        "Where the sphere rests after a reset or a gap change: decides the attractor.",
+    )
+    diameter_m: float = quantity(6.35e-3, "m", "Diameter.", Origin.PAPER, above=0)
+    density_kg_m3: float = quantity(7850.0, "kg/m^3", "Density of steel: m = 1.052 g.", above=0)
+    young_modulus_pa: float = quantity(210e9, "Pa", "Young's modulus of steel.", above=0)
+    poisson_ratio: float = quantity(0.30, "-", "Poisson's ratio of steel.", at_least=0, at_most=0.5)
+    guide_friction: float = quantity(
+        0.0, "-", "Coulomb friction coefficient on the guide; the paper has none.", Origin.PAPER, at_least=0, at_most=2
+    )
+
+
+@attrs.frozen(kw_only=True)
+class Barriers:
+    """The two barriers on the superior base."""
+
+    gap_m: float = quantity(
+        6e-3, "m", "Total gap g: distance of the barriers less the sphere's diameter.", Origin.PAPER, above=0, at_most=1
+    )
+    young_modulus_pa: float = quantity(70e9, "Pa", "Young's modulus of aluminium.", above=0)
+    poisson_ratio: float = quantity(0.33, "-", "Poisson's ratio of aluminium.", at_least=0, at_most=0.5)
+
+
+@attrs.frozen(kw_only=True)
+class Contact:
+    """The contact between sphere and barrier."""
+
+    law: str = choice("flores", CONTACT_LAWS, "Contact law, by name.", Origin.PAPER)
+    restitution: float = quantity(
+        0.35, "-", "Coefficient of restitution e of the drop test.", Origin.PAPER, above=0, at_most=1
+    )
+    calibration: str = choice(
+        "nominal",
+        ("nominal", "exact"),
+        "nominal: e goes into the law as published; exact: the law is adjusted until it returns e.",
+        Origin.PAPER,
+    )
+    speed_floor_m_s: float = quantity(
+        1e-3, "m/s", "Floor of the approach speed in c = a K / v0, singular as v0 -> 0.", above=0
+    )
+    contact_time_s: float = quantity(45e-6, "s", "Contact time of the linear law kelvin_voigt.", above=0)
+    release: str = choice(
+        "position", ("position", "force"), "kelvin_voigt lets go at zero indentation, or already at zero force."
+    )

@@ -1,0 +1,46 @@
+"""`RigConfig`: everything that decides what a rig does, as one frozen value."""
+
+from __future__ import annotations
+
+import attrs
+
+from impact_rig.config.instruments import Instruments
+from impact_rig.config.mechanics import Barriers, Contact, Drive, Shaker, Sphere, Structure
+from impact_rig.config.operation import Daq, Output, Step, Time
+from impact_rig.errors import ConfigError
+
+
+@attrs.frozen(kw_only=True)
+class RigConfig:
+    """One section per part of the rig; the defaults are the paper's rig as identified (`config/nominal.yaml`).
+
+    Raises:
+        ConfigError: sections contradict each other; single values are checked by the sections.
+    """
+
+    structure: Structure = attrs.field(factory=Structure)
+    shaker: Shaker = attrs.field(factory=Shaker)
+    drive: Drive = attrs.field(factory=Drive)
+    sphere: Sphere = attrs.field(factory=Sphere)
+    barriers: Barriers = attrs.field(factory=Barriers)
+    contact: Contact = attrs.field(factory=Contact)
+    daq: Daq = attrs.field(factory=Daq)
+    instruments: Instruments = attrs.field(factory=Instruments)
+    time: Time = attrs.field(factory=Time)
+    step: Step = attrs.field(factory=Step)
+    output: Output = attrs.field(factory=Output)
+
+    def __attrs_post_init__(self) -> None:
+        shaker, drive = self.shaker, self.drive
+        if shaker.frequency_min_hz >= shaker.frequency_max_hz:
+            raise ConfigError(
+                f"shaker.frequency_min_hz must be < frequency_max_hz = {shaker.frequency_max_hz:g} Hz, got {shaker.frequency_min_hz:g}"
+            )
+        if drive.random_low_hz >= drive.random_high_hz:
+            raise ConfigError(
+                f"drive.random_low_hz must be < random_high_hz = {drive.random_high_hz:g} Hz, got {drive.random_low_hz:g}"
+            )
+        if not shaker.frequency_min_hz <= drive.frequency_hz <= shaker.frequency_max_hz:
+            raise ConfigError(
+                f"drive.frequency_hz must be within the shaker's {shaker.frequency_min_hz:g} to {shaker.frequency_max_hz:g} Hz, got {drive.frequency_hz:g}"
+            )

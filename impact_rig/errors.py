@@ -1,0 +1,25 @@
+"""The exceptions of impact_rig: one type per kind of mistake, each message naming what was wrong and what would be right."""
+
+
+class ImpactRigError(Exception):
+    """Base class: catch this to catch every error this package raises on purpose."""
+
+
+class ConfigError(ImpactRigError, ValueError):
+    """A configuration value, key or file is wrong; the message names key, value, range and file."""
+
+
+class CommandError(ImpactRigError, ValueError):
+    """A command was refused; the shaker keeps its last good state."""
+
+
+class CodecError(ImpactRigError, ValueError):
+    """Bytes are not the message they claim to be."""
+
+
+class RecordingError(ImpactRigError, OSError):
+    """A run cannot be written or read; what was already on disk is untouched."""
+
+
+class SimulationError(ImpactRigError, RuntimeError):
+    """The simulation cannot go on (a fault of the model or its tolerances, never of a user's command)."""
