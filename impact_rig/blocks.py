@@ -1,7 +1,8 @@
 """The tables that travel: one numpy dtype per table topic, and `Table`, a stamped structured array.
 
 Columns are named and typed; `time` is always seconds since the table's stamp; indices are f8 (exact to 2**53) because
-`sensor_msgs/PointField` has no 64-bit integers; text is UTF-8 in 32 bytes. `docs/interface.md` lists unit and meaning of every column.
+`sensor_msgs/PointField` has no 64-bit integers; text is UTF-8 in 32 bytes. `docs/interface.md` lists unit and meaning
+of every column.
 """
 
 from __future__ import annotations
@@ -14,7 +15,8 @@ TEXT = "S32"
 FRAME_DAQ = "daq"
 
 CHANNELS = ("accelerometer", "laser", "base", "current")
-"""DAQ channels in scan order: channel j is converted j conversion intervals after the scan clock; its bit in `status` is 1 << j."""
+"""DAQ channels in scan order: channel j is converted j conversion intervals after the scan clock; its bit in `status`
+is 1 << j."""
 
 SCAN = np.dtype([("time", "f8"), *[(name, "f8") for name in CHANNELS], ("status", "u1")])
 
@@ -55,7 +57,8 @@ IMPACTS = np.dtype(
 """`truth/impacts`: one row per contact; wall is -1 left, +1 right; speeds relative to the wall, both positive."""
 
 APPLIED = np.dtype([("time", "f8"), ("sample", "f8"), ("frequency", "f8"), ("current", "f8"), ("phase", "f8")])
-"""`shaker/applied`: one row per accepted change; `sample` is the first scan it acts on, `phase` [rad] the drive's phase there."""
+"""`shaker/applied`: one row per accepted change; `sample` is the first scan it acts on, `phase` [rad] the drive's phase
+there."""
 
 JOURNAL = np.dtype(
     [
@@ -99,9 +102,9 @@ DAQ_INFO = np.dtype(
         ("skew", "f8"),
     ]
 )
-"""`daq/info`, one row per channel: SI = (volt - offset) / sensitivity; sensitivity in V per unit, offset in V; range, resolution (1 LSB) and noise (rms)
-in the unit; u(sensitivity) relative and u(offset) in the unit, both standard uncertainties; lag: group delay of the sensor at low frequency [s];
-skew: conversion after the scan clock [s]."""
+"""`daq/info`, one row per channel: SI = (volt - offset) / sensitivity; sensitivity in V per unit, offset in V; range,
+resolution (1 LSB) and noise (rms) in the unit; u(sensitivity) relative and u(offset) in the unit, both standard
+uncertainties; lag: group delay of the sensor at low frequency [s]; skew: conversion after the scan clock [s]."""
 
 TRANSMISSIBILITY = np.dtype(
     [
@@ -125,10 +128,12 @@ TRANSMISSIBILITY = np.dtype(
     ]
     + [("regime", TEXT), ("status", TEXT)]
 )
-"""`transmissibility/table`, one row per measurement; phase [rad] of x_1 relative to x_b, negative = lagging; gap [m], 0 = no sphere, NaN = unknown."""
+"""`transmissibility/table`, one row per measurement; phase [rad] of x_1 relative to x_b, negative = lagging; gap [m],
+0 = no sphere, NaN = unknown."""
 
 DETECTED_IMPACTS = np.dtype([("time", "f8"), ("peak", "f8"), ("sign", "i1")])
-"""`impacts`: detected from the accelerometer alone; peak [m/s^2]; sign +1 when the structure is pushed to the right (the right wall is struck)."""
+"""`impacts`: detected from the accelerometer alone; peak [m/s^2]; sign +1 when the structure is pushed to the right
+(the right wall is struck)."""
 
 
 @attrs.frozen(eq=False)

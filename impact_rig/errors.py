@@ -1,4 +1,4 @@
-"""The exceptions of impact_rig: one type per kind of mistake, each message naming what was wrong and what would be right."""
+"""The exceptions of impact_rig: one type per kind of mistake; messages say what was wrong and what would be right."""
 
 
 class ImpactRigError(Exception):

@@ -1,4 +1,4 @@
-"""The rig's configuration: frozen sections with units, ranges and origins, and one validator for files, parameters and mappings."""
+"""The rig's configuration: frozen sections with units, ranges and origins; one validator for all ways in."""
 
 from impact_rig.config.fields import FieldInfo, Origin
 from impact_rig.config.load import dump, fields, from_flat, load, to_flat

@@ -1,7 +1,8 @@
 """Configuration fields that know their unit, range and origin, and refuse bad values by name.
 
-A section is a frozen attrs class whose fields are made by `quantity`, `choice`, `integer`, `switch` or `names`. Each field's metadata carries what
-parameter descriptors, `docs/interface.md` and error messages need, so none of them is written twice.
+A section is a frozen attrs class whose fields are made by `quantity`, `choice`, `integer`, `switch` or `names`. Each
+field's metadata carries what parameter descriptors, `docs/interface.md` and error messages need, so none of them is
+written twice.
 """
 
 from __future__ import annotations
@@ -72,30 +73,30 @@ def _in_range(attribute: attrs.Attribute[Any], value: float) -> None:
         raise _wrong(attribute, about.range_text(), value)
 
 
-def _check_float(instance: object, attribute: attrs.Attribute[Any], value: object) -> None:
+def _check_float(_instance: object, attribute: attrs.Attribute[Any], value: object) -> None:
     if not isinstance(value, float):
         raise _wrong(attribute, "a number", value)
     _in_range(attribute, value)
 
 
-def _check_int(instance: object, attribute: attrs.Attribute[Any], value: object) -> None:
+def _check_int(_instance: object, attribute: attrs.Attribute[Any], value: object) -> None:
     if not isinstance(value, int) or isinstance(value, bool):
         raise _wrong(attribute, "an integer", value)
     _in_range(attribute, value)
 
 
-def _check_choice(instance: object, attribute: attrs.Attribute[Any], value: object) -> None:
+def _check_choice(_instance: object, attribute: attrs.Attribute[Any], value: object) -> None:
     about = info(attribute)
     if not isinstance(value, str) or value not in about.choices:
         raise _wrong(attribute, about.range_text(), value)
 
 
-def _check_bool(instance: object, attribute: attrs.Attribute[Any], value: object) -> None:
+def _check_bool(_instance: object, attribute: attrs.Attribute[Any], value: object) -> None:
     if not isinstance(value, bool):
         raise _wrong(attribute, "true or false", value)
 
 
-def _check_names(instance: object, attribute: attrs.Attribute[Any], value: object) -> None:
+def _check_names(_instance: object, attribute: attrs.Attribute[Any], value: object) -> None:
     if not isinstance(value, tuple) or not all(isinstance(item, str) for item in value):
         raise _wrong(attribute, "a list of texts", value)
 

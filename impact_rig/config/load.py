@@ -1,7 +1,8 @@
 """Read and write configurations: YAML files, flat ROS parameters, plain mappings — all through one validator.
 
-A configuration file is a ROS 2 parameter file (`/**: ros__parameters: section: key: value`), so the same file works with `--ros-args --params-file`;
-the two outer keys may be left out. A parameter's name is `section.key`, e.g. `barriers.gap_m`.
+A configuration file is a ROS 2 parameter file (`/**: ros__parameters: section: key: value`), so the same file works
+with `--ros-args --params-file`; the two outer keys may be left out. A parameter's name is `section.key`, e.g.
+`barriers.gap_m`.
 """
 
 from __future__ import annotations
@@ -26,7 +27,8 @@ def load(path: Path | str, overrides: Mapping[str, object] | None = None) -> Rig
     """Return the configuration in the YAML file `path`, flat `overrides` (`section.key` -> value) on top.
 
     Raises:
-        ConfigError: the file cannot be read, is not YAML, or holds an unknown key or a bad value; the message names key, value, range and file.
+        ConfigError: the file cannot be read, is not YAML, or holds an unknown key or a bad value; the message names
+            key, value, range and file.
     """
     path = Path(path)
     try:
@@ -46,7 +48,7 @@ def load(path: Path | str, overrides: Mapping[str, object] | None = None) -> Rig
 
 
 def from_flat(base: RigConfig, changes: Mapping[str, object]) -> RigConfig:
-    """Return `base` with the flat `changes` (`section.key` -> value) applied together: all of them, or an error and none.
+    """Return `base` with the flat `changes` (`section.key` -> value) applied together: all of them, or none.
 
     Raises:
         ConfigError: unknown key, bad value, or a combination that makes no sense.
@@ -89,8 +91,9 @@ def dump(config: RigConfig) -> str:
             child = node.setdefault(part, {})
             assert isinstance(child, dict)
             node = child
-        node[key] = list(value) if isinstance(value, tuple) else value
-    return yaml.safe_dump({"/**": {"ros__parameters": tree}}, sort_keys=False)
+        node[key] = list(value or ("",)) if isinstance(value, tuple) else value  # ROS has no empty typed lists
+    text: str = yaml.safe_dump({"/**": {"ros__parameters": tree}}, sort_keys=False)
+    return text
 
 
 def flatten(tree: object, prefix: str = "") -> dict[str, object]:
@@ -150,14 +153,14 @@ def _lookup(config: RigConfig, name: str) -> Value:
     return value
 
 
-def _evolve(section: object, changes: Mapping[str, object], prefix: str = "") -> object:
-    """Rebuild `section` bottom-up with the nested `changes`, each section once: cross-checks see only the final combination."""
+def _evolve(section: attrs.AttrsInstance, changes: Mapping[str, object], prefix: str = "") -> attrs.AttrsInstance:
+    """Rebuild `section` bottom-up with the nested `changes`, each once: cross-checks see only the final combination."""
     values = {
         key: _evolve(getattr(section, key), value, f"{prefix}{key}.") if isinstance(value, _Nested) else value
         for key, value in changes.items()
     }
     try:
-        return attrs.evolve(section, **values)  # type: ignore[type-var]  # every section is an attrs class
+        return attrs.evolve(section, **values)  # type: ignore[misc]  # mypy's plugin wants one concrete attrs class
     except ConfigError as error:
         raise ConfigError(f"{prefix}{error}") from error
 

@@ -1,6 +1,7 @@
 """Configuration of the mechanics: structure, shaker, sphere, barriers, contact and drive.
 
-Defaults are the paper's rig; the paper leaves m1, k1, c1, amplitudes and the shaker's constants open, so each field says where its value comes from.
+Defaults are the paper's rig; the paper leaves m1, k1, c1, amplitudes and the shaker's constants open, so each field
+says where its value comes from.
 """
 
 from __future__ import annotations

@@ -34,13 +34,16 @@ class RigConfig:
         shaker, drive = self.shaker, self.drive
         if shaker.frequency_min_hz >= shaker.frequency_max_hz:
             raise ConfigError(
-                f"shaker.frequency_min_hz must be < frequency_max_hz = {shaker.frequency_max_hz:g} Hz, got {shaker.frequency_min_hz:g}"
+                f"shaker.frequency_min_hz must be < frequency_max_hz = {shaker.frequency_max_hz:g} Hz, "
+                f"got {shaker.frequency_min_hz:g}"
             )
         if drive.random_low_hz >= drive.random_high_hz:
             raise ConfigError(
-                f"drive.random_low_hz must be < random_high_hz = {drive.random_high_hz:g} Hz, got {drive.random_low_hz:g}"
+                f"drive.random_low_hz must be < random_high_hz = {drive.random_high_hz:g} Hz, "
+                f"got {drive.random_low_hz:g}"
             )
         if not shaker.frequency_min_hz <= drive.frequency_hz <= shaker.frequency_max_hz:
             raise ConfigError(
-                f"drive.frequency_hz must be within the shaker's {shaker.frequency_min_hz:g} to {shaker.frequency_max_hz:g} Hz, got {drive.frequency_hz:g}"
+                f"drive.frequency_hz must be within the shaker's {shaker.frequency_min_hz:g} to "
+                f"{shaker.frequency_max_hz:g} Hz, got {drive.frequency_hz:g}"
             )
