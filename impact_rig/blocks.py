@@ -124,12 +124,18 @@ TRANSMISSIBILITY = np.dtype(
             "settled",
             "cycles",
             "gap",
+            "frequency_deviation",
+            "spread",
+            "period",
+            "waited",
         )
     ]
-    + [("regime", TEXT), ("status", TEXT)]
+    + [("regime", TEXT), ("method", TEXT), ("status", TEXT)]
 )
 """`transmissibility/table`, one row per measurement; phase [rad] of x_1 relative to x_b, negative = lagging; gap [m],
-0 = no sphere, NaN = unknown."""
+0 = no sphere, NaN = unknown; frequency_deviation [Hz]: measured less commanded; spread: standard deviation of the
+transmissibility from cycle to cycle; period [drive cycles] of a periodic response, else NaN; waited [s] from the last
+change to the end of the measurement; regime, method and status are the words of `impact_rig.analysis.words`."""
 
 DETECTED_IMPACTS = np.dtype([("time", "f8"), ("peak", "f8"), ("sign", "i1")])
 """`impacts`: detected from the accelerometer alone; peak [m/s^2]; sign +1 when the structure is pushed to the right
