@@ -1,0 +1,31 @@
+"""Runs as MCAP files: written, read, checked, recovered and exported. CDR bytes in, CDR bytes out; no ROS needed."""
+
+from impact_rig.recording.contiguity import Contiguity, Gap, check_contiguity, scan_rate_hz
+from impact_rig.recording.provenance import CONFIGURATION, Attachment, Provenance
+from impact_rig.recording.reader import Message, RecordedTopic, Run, open_run
+from impact_rig.recording.recover import RecoverReport, recover
+from impact_rig.recording.salvage import Damage
+from impact_rig.recording.schema import schema_text
+from impact_rig.recording.topics import Qos, Topic
+from impact_rig.recording.writer import RunWriter
+
+__all__ = [
+    "CONFIGURATION",
+    "Attachment",
+    "Contiguity",
+    "Damage",
+    "Gap",
+    "Message",
+    "Provenance",
+    "Qos",
+    "RecordedTopic",
+    "RecoverReport",
+    "Run",
+    "RunWriter",
+    "Topic",
+    "check_contiguity",
+    "open_run",
+    "recover",
+    "scan_rate_hz",
+    "schema_text",
+]

@@ -1,0 +1,124 @@
+"""`metadata.yaml` of a run directory and the `rosbag2` metadata record of its files, as rosbag2 of Jazzy writes them.
+
+Version 9 has twelve keys under `rosbag2_bagfile_information`; QoS profiles are native YAML with policies as words; an
+empty `custom_data` is null; compression fields are empty because MCAP compresses its own chunks. Source: rosbag2 0.26,
+`rosbag2_storage/yaml.hpp`, `qos.cpp` and `rosbag2_cpp/writers/sequential_writer.cpp`.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import attrs
+
+from impact_rig.errors import RecordingError
+from impact_rig.recording.topics import INFINITE_NS, SERIALIZATION, Topic, dump_yaml
+
+VERSION = 9
+FILE_NAME = "metadata.yaml"
+TOP_KEY = "rosbag2_bagfile_information"
+RECORD_NAME = "rosbag2"
+RECORD_KEY = "serialized_metadata"
+
+Information = dict[str, object]
+
+
+@attrs.define
+class FileSpan:
+    """The messages of one file (or of all): how many, and from when to when in log time [ns]."""
+
+    path: str
+    count: int = 0
+    start_ns: int = INFINITE_NS
+    end_ns: int = 0
+
+    def add(self, log_time_ns: int) -> None:
+        """Count one message."""
+        self.count += 1
+        self.start_ns = min(self.start_ns, log_time_ns)
+        self.end_ns = max(self.end_ns, log_time_ns)
+
+    @property
+    def duration_ns(self) -> int:
+        """Time from the earliest to the latest message; 0 when there is none."""
+        return max(0, self.end_ns - self.start_ns)
+
+
+def information(
+    topics: Sequence[tuple[Topic, int]],
+    files: Sequence[FileSpan],
+    *,
+    ros_distro: str,
+    custom_data: Mapping[str, str] | None = None,
+) -> Information:
+    """Return the twelve keys under `rosbag2_bagfile_information`.
+
+    Args:
+        topics: each with its number of messages.
+        files: in the order they were written; at least one.
+        ros_distro: such as `jazzy`.
+        custom_data: free text for other tools.
+    """
+    start_ns, end_ns = min(file.start_ns for file in files), max(file.end_ns for file in files)
+    total = FileSpan("", sum(file.count for file in files), start_ns, end_ns)
+    return {
+        "version": VERSION,
+        "storage_identifier": "mcap",
+        "duration": {"nanoseconds": total.duration_ns},
+        "starting_time": {"nanoseconds_since_epoch": total.start_ns},
+        "message_count": total.count,
+        "topics_with_message_count": [
+            {
+                "topic_metadata": {
+                    "name": topic.name,
+                    "type": topic.type_name,
+                    "serialization_format": SERIALIZATION,
+                    "offered_qos_profiles": topic.offered_qos_yaml(),
+                    "type_description_hash": topic.type_hash,
+                },
+                "message_count": count,
+            }
+            for topic, count in topics
+        ],
+        "compression_format": "",
+        "compression_mode": "",
+        "relative_file_paths": [file.path for file in files],
+        "files": [
+            {
+                "path": file.path,
+                "starting_time": {"nanoseconds_since_epoch": file.start_ns},
+                "duration": {"nanoseconds": file.duration_ns},
+                "message_count": file.count,
+            }
+            for file in files
+        ],
+        "custom_data": dict(custom_data) if custom_data else None,
+        "ros_distro": ros_distro,
+    }
+
+
+def record(info: Information) -> dict[str, str]:
+    """Return the content of the `rosbag2` metadata record: the information without its top key."""
+    return {RECORD_KEY: dump_yaml(info)}
+
+
+def write(directory: Path, info: Information) -> Path:
+    """Write `metadata.yaml` whole or not at all: under another name first, then renamed.
+
+    Raises:
+        RecordingError: it cannot be written.
+    """
+    path = directory / FILE_NAME
+    partial = directory / f".{FILE_NAME}.partial"
+    try:
+        with partial.open("w", encoding="utf-8") as file:
+            file.write(dump_yaml({TOP_KEY: info}) + "\n")
+            file.flush()
+            os.fsync(file.fileno())
+        partial.replace(path)
+    except OSError as error:
+        partial.unlink(missing_ok=True)
+        raise RecordingError(f"{path} cannot be written: {error.strerror}") from error
+    return path

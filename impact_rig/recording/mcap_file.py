@@ -1,0 +1,199 @@
+"""One MCAP file being written: whole records or nothing on disk, and a stop before the disk or the file size limit.
+
+`mcap.writer.Writer` composes the records into memory, so that a failing disk never leaves it half way; `commit` moves
+what is complete to the file and cuts the file back to the last whole record if that fails.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+import resource
+from collections.abc import Mapping
+from pathlib import Path
+
+from mcap.writer import CompressionType, Writer
+
+from impact_rig.errors import RecordingError
+from impact_rig.recording import schema
+from impact_rig.recording.provenance import Attachment
+from impact_rig.recording.topics import SERIALIZATION, Topic
+
+PROFILE = "ros2"
+LIBRARY = "impact_rig"
+COMPRESSIONS: Mapping[str, CompressionType] = {
+    "none": CompressionType.NONE,
+    "lz4": CompressionType.LZ4,
+    "zstd": CompressionType.ZSTD,
+}
+
+MIN_FREE_BYTES = 8 * 2**20
+"""A recording stops when less is free: enough for its index and for whatever else the machine must still log."""
+_INDEX_BYTES_PER_CHUNK = 128  # a ChunkIndex record without its 10 bytes per channel
+_INDEX_BYTES_FIXED = 4096  # statistics, summary offsets, footer, metadata and attachment indexes
+
+
+class _Buffer(io.BytesIO):
+    """Memory that knows its place in the file."""
+
+    committed = 0
+
+    def tell(self) -> int:
+        return self.committed + super().tell()
+
+    def pending(self) -> int:
+        return super().tell()
+
+    def drain(self) -> None:
+        self.committed += super().tell()
+        self.seek(0)
+        self.truncate()
+
+
+class McapFile:
+    """An MCAP file of profile `ros2`, opened exclusively.
+
+    Args:
+        path: must not exist.
+        compression: `none`, `lz4` or `zstd`.
+        chunk_bytes: a chunk is closed when it holds more than this.
+
+    Raises:
+        RecordingError: the file exists or cannot be created, or the limits leave no room for a single chunk.
+    """
+
+    def __init__(self, path: Path, *, compression: str, chunk_bytes: int) -> None:
+        if compression not in COMPRESSIONS:
+            raise RecordingError(f"compression must be one of {', '.join(COMPRESSIONS)}, got {compression!r}")
+        self.path = path
+        self._chunk_bytes = chunk_bytes
+        self._largest_message = 0
+        self._chunks = 0
+        self._channels = 0
+        self._index_bytes = _INDEX_BYTES_FIXED
+        self.finished = False
+        self._fd = _create(path)
+        self._buffer = _Buffer()
+        self._writer = Writer(self._buffer, chunk_size=chunk_bytes, compression=COMPRESSIONS[compression])
+        try:
+            self._writer.start(PROFILE, LIBRARY)
+            self.commit()
+            self._refuse_shortage()
+        except RecordingError:
+            os.close(self._fd)
+            path.unlink()
+            raise
+
+    @property
+    def size(self) -> int:
+        """Bytes on disk."""
+        return self._buffer.committed
+
+    def add_schema(self, topic: Topic) -> int:
+        """Register the schema of `topic`'s type and return its id."""
+        data = topic.schema.encode()
+        self._index_bytes += len(data) + len(topic.type_name) + 64
+        return int(self._writer.register_schema(topic.type_name, schema.ENCODING, data))
+
+    def add_channel(self, topic: Topic, schema_id: int) -> int:
+        """Register `topic` and return its channel id."""
+        self._channels += 1
+        metadata = topic.channel_metadata()
+        self._index_bytes += len(topic.name) + sum(len(k) + len(v) for k, v in metadata.items()) + 64
+        return self._writer.register_channel(topic.name, SERIALIZATION, schema_id, metadata)
+
+    def add_message(self, channel: int, log_time: int, data: bytes, publish_time: int, sequence: int) -> bool:
+        """Add a message to the open chunk; return whether that closed the chunk (then it waits for `commit`)."""
+        self._largest_message = max(self._largest_message, len(data))
+        self._writer.add_message(channel, log_time, data, publish_time, sequence & 0xFFFFFFFF)
+        return self._buffer.pending() > 0
+
+    def add_metadata(self, name: str, record: Mapping[str, str]) -> None:
+        """Add a metadata record; it waits for `commit`."""
+        self._index_bytes += len(name) + 64
+        self._writer.add_metadata(name, dict(record))
+
+    def add_attachment(self, attachment: Attachment, log_time: int, create_time: int) -> None:
+        """Add an attachment; it waits for `commit`."""
+        self._index_bytes += len(attachment.name) + len(attachment.media_type) + 128
+        self._writer.add_attachment(create_time, log_time, attachment.name, attachment.media_type, attachment.data)
+
+    def close_chunk(self) -> None:
+        """End the open chunk, if it holds a message; it waits for `commit`."""
+        self._writer.flush()  # type: ignore[no-untyped-call]  # mcap annotates arguments, not results
+
+    def commit(self) -> None:
+        """Hand all complete records to the operating system.
+
+        Raises:
+            RecordingError: they cannot be written; the file ends with the last record that could.
+        """
+        if not self._buffer.pending():
+            return
+        self._chunks += 1
+        data = self._buffer.getbuffer()
+        try:
+            _write_all(self._fd, data)
+        except OSError as error:
+            os.ftruncate(self._fd, self._buffer.committed)
+            raise RecordingError(
+                f"{self.path} cannot be written: {error.strerror}; it ends with its last whole record"
+                f" ({self.size} bytes) and has no index yet: impact-rig recover completes it"
+            ) from error
+        finally:
+            data.release()
+        self._buffer.drain()
+
+    def shortage(self) -> str:
+        """Return why one more chunk and the index might not fit, or an empty string."""
+        needed = self._chunk_bytes + self._largest_message + self._reserve()
+        limit, _ = resource.getrlimit(resource.RLIMIT_FSIZE)
+        if limit != resource.RLIM_INFINITY and self.size + needed > limit:
+            return f"the file size limit of this process (RLIMIT_FSIZE, {limit} bytes) is reached"
+        space = os.fstatvfs(self._fd)
+        free = space.f_bavail * space.f_frsize
+        if free < needed + MIN_FREE_BYTES:
+            return f"only {free / 1e6:.0f} MB are free on its disk ({MIN_FREE_BYTES / 1e6:.0f} MB are left untouched)"
+        return ""
+
+    def finish(self) -> None:
+        """Write summary, index and statistics and close the file.
+
+        Raises:
+            RecordingError: there is no room for them; the records before them are whole.
+        """
+        try:
+            self._writer.finish()  # type: ignore[no-untyped-call]  # mcap annotates arguments, not results
+            self.commit()
+            self.finished = True
+        finally:
+            self.close()
+
+    def close(self) -> None:
+        """Close the file as it is."""
+        if self._fd >= 0:
+            os.close(self._fd)
+            self._fd = -1
+
+    def _refuse_shortage(self) -> None:
+        shortage = self.shortage()
+        if shortage:
+            raise RecordingError(f"{self.path} cannot be recorded: {shortage}")
+
+    def _reserve(self) -> int:
+        return self._index_bytes + (self._chunks + 2) * (_INDEX_BYTES_PER_CHUNK + 10 * self._channels)
+
+
+def _create(path: Path) -> int:
+    try:
+        return os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
+    except FileExistsError as error:
+        raise RecordingError(f"{path} exists already and is not overwritten") from error
+    except OSError as error:
+        raise RecordingError(f"{path} cannot be created: {error.strerror}") from error
+
+
+def _write_all(fd: int, data: memoryview) -> None:
+    done = 0
+    while done < len(data):
+        done += os.write(fd, data[done:])

@@ -1,0 +1,219 @@
+"""Gives back what is whole in a run that was cut short or damaged: a new run, index and statistics complete.
+
+Only messages whose chunk fits its checksum are handed out, only attachments that fit theirs, only metadata that carries
+one: everything in the result is as it was recorded. What is left out is listed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import attrs
+
+from impact_rig.errors import RecordingError
+from impact_rig.recording import bag_metadata, mcap_source, provenance, records
+from impact_rig.recording.provenance import Attachment, Provenance
+from impact_rig.recording.reader import run_files
+from impact_rig.recording.records import DamageError
+from impact_rig.recording.salvage import Damage, DamagedFile, Found
+from impact_rig.recording.topics import Topic
+from impact_rig.recording.writer import RunWriter
+
+_MAX_LISTED = 1000
+
+
+@attrs.define
+class RecoverReport:
+    """What `recover` found.
+
+    Attributes:
+        directory: the new run.
+        messages: messages given back.
+        chunks: whole chunks they came from.
+        expected_messages: how many there were, if an intact index tells; None otherwise.
+        damages: what is left out and why, in order (at most 1000 are listed).
+        damage_count: how many there are.
+    """
+
+    directory: Path
+    messages: int = 0
+    chunks: int = 0
+    expected_messages: int | None = 0
+    damages: list[Damage] = attrs.field(factory=list)
+    damage_count: int = 0
+
+    @property
+    def lost_bytes(self) -> int:
+        """Bytes of the listed damages."""
+        return sum(damage.length for damage in self.damages)
+
+    def note(self, damage: Damage) -> None:
+        """Count and list a damage."""
+        self.damage_count += 1
+        if len(self.damages) < _MAX_LISTED:
+            self.damages.append(damage)
+
+
+def recover(path: Path | str, out: Path | str, *, accept_unchecked: bool = False) -> RecoverReport:
+    """Write every whole chunk of a damaged or unfinished run to the new run directory `out`.
+
+    Args:
+        path: a run directory or an MCAP file; it is only read.
+        out: the new run directory; must not hold a recording.
+        accept_unchecked: also take chunks without a checksum, as rosbag2 writes them by default: they may be wrong.
+
+    Raises:
+        RecordingError: nothing whole was found (then nothing is written), `path` cannot be read or `out` written.
+    """
+    source, target = Path(path), Path(out)
+    files = _files(source)
+    report = RecoverReport(target)
+    salvages = [_Salvage(file, report, accept_unchecked=accept_unchecked) for file in files]
+    origin = next((salvage.provenance for salvage in salvages if salvage.provenance is not None), None)
+    attachments = {found.name: found for salvage in salvages for found in salvage.attachments}
+    largest = max(file.stat().st_size for file in files) if len(files) > 1 else 0
+    writer: RunWriter | None = None
+    try:
+        for salvage in salvages:
+            for topic, message in salvage.messages():
+                if writer is None:
+                    writer = RunWriter(
+                        target,
+                        provenance=origin,
+                        attachments=attachments.values(),
+                        clock=lambda: 0.0,  # chunks are closed by size only
+                        max_file_bytes=largest,
+                    )
+                try:
+                    writer.add_topic(topic)
+                except RecordingError as error:
+                    if writer.closed:
+                        raise
+                    report.note(Damage(salvage.path.name, 0, 0, str(error)))
+                    continue
+                writer.write_at(
+                    topic.name, bytes(message.data), message.log_time, message.publish_time, message.sequence
+                )
+                report.messages += 1
+    finally:
+        if writer is not None:
+            writer.finish()
+    if writer is None:
+        reasons = "; ".join(dict.fromkeys(damage.reason for damage in report.damages)) or "it holds no messages"
+        raise RecordingError(f"nothing can be recovered from {source}: {reasons}")
+    return report
+
+
+def _files(path: Path) -> list[Path]:
+    try:
+        return run_files(path)
+    except RecordingError:
+        # what metadata.yaml says of a damaged run may be damaged too: the files that are there count
+        files = sorted(path.glob("*.mcap"))
+        if not files:
+            raise
+        return files
+
+
+class _Salvage:
+    """One damaged file: first pass on construction (definitions, attachments, provenance), second for the messages."""
+
+    def __init__(self, path: Path, report: RecoverReport, *, accept_unchecked: bool) -> None:
+        self.path = path
+        self.attachments: list[Attachment] = []
+        self.provenance: Provenance | None = None
+        self._report = report
+        self._accept_unchecked = accept_unchecked
+        self._schemas: dict[int, records.Schema] = {}
+        self._topics: dict[int, Topic] = {}
+        with DamagedFile(path) as file:
+            self._read_summary(file)
+            for found in file.walk():
+                if isinstance(found, Damage):
+                    report.note(found)
+                elif found.opcode == records.ATTACHMENT:
+                    self._take_attachment(file, found)
+                elif found.opcode == records.METADATA:
+                    self._take_metadata(file, found)
+                elif found.opcode == records.MESSAGE:
+                    report.note(self._damage(found, "a message outside a chunk carries no checksum"))
+
+    def messages(self) -> Iterator[tuple[Topic, records.RawMessage]]:
+        """Yield the messages of all whole chunks in the order of the file."""
+        with DamagedFile(self.path) as file:
+            for found in file.walk():
+                if isinstance(found, Found) and found.opcode == records.CHUNK:
+                    yield from self._messages(file, found)
+
+    def _messages(self, file: DamagedFile, found: Found) -> Iterator[tuple[Topic, records.RawMessage]]:
+        try:
+            content = records.decompress(records.parse_chunk(file.content(found)), need_crc=not self._accept_unchecked)
+            for definition in records.definitions(content):
+                self._define(definition)
+            messages = list(records.messages(content, None))
+        except DamageError as error:
+            self._report.note(self._damage(found, str(error)))
+            return
+        self._report.chunks += 1
+        unknown = 0
+        for message in messages:
+            topic = self._topics.get(message.channel_id)
+            if topic is None:
+                unknown += 1
+            else:
+                yield topic, message
+        if unknown:
+            self._report.note(self._damage(found, f"{unknown} messages whose topic's definition is lost", length=0))
+
+    def _read_summary(self, file: DamagedFile) -> None:
+        try:
+            summary = mcap_source.read_summary(file.fd, file.size)
+            self._topics.update(mcap_source.topics_of(summary))
+        except DamageError:
+            self._report.expected_messages = None
+            return
+        self._schemas.update(summary.schemas)
+        if self._report.expected_messages is not None:
+            self._report.expected_messages += summary.statistics.message_count
+
+    def _define(self, definition: records.Schema | records.Channel) -> None:
+        if isinstance(definition, records.Schema):
+            self._schemas[definition.id] = definition
+            return
+        schema = self._schemas.get(definition.schema_id)
+        if schema is not None:
+            text = schema.data.decode("utf-8", errors="replace")
+            topic = Topic.from_channel(definition.topic, schema.name, text, definition.metadata)
+            self._topics[definition.id] = topic
+
+    def _take_attachment(self, file: DamagedFile, found: Found) -> None:
+        attachment = records.parse_attachment(file.content(found))
+        if attachment.intact:
+            self.attachments.append(Attachment(attachment.name, attachment.data, attachment.media_type))
+        else:
+            self._report.note(self._damage(found, f"the attachment {attachment.name!r} does not fit its checksum"))
+
+    def _take_metadata(self, file: DamagedFile, found: Found) -> None:
+        name, content = records.parse_metadata(file.content(found))
+        if name == bag_metadata.RECORD_NAME:
+            return  # written anew
+        verified = provenance.verify(content)
+        if verified is None:
+            self._report.note(
+                self._damage(found, f"the metadata record {name!r} does not fit its checksum or has none")
+            )
+        elif name == provenance.RECORD_NAME:
+            self.provenance = Provenance.from_record(verified)
+        elif name == provenance.TOPIC_RECORD_NAME:
+            self._take_topic(verified)
+
+    def _take_topic(self, record: dict[str, str]) -> None:
+        try:
+            topic = Topic.from_channel(record["name"], record["type_name"], record["schema"], record)
+            self._topics.setdefault(int(record["id"]), topic)
+        except (KeyError, ValueError):
+            return
+
+    def _damage(self, found: Found, reason: str, *, length: int | None = None) -> Damage:
+        return Damage(self.path.name, found.offset, found.length if length is None else length, reason)

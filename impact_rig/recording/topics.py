@@ -1,0 +1,141 @@
+"""What a recording says about a topic: its type, schema and the QoS its publishers offered, in the words of rosbag2."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import attrs
+import yaml
+
+from impact_rig.errors import RecordingError
+from impact_rig.simtime import NS_PER_S
+
+INFINITE_NS = 2**63 - 1
+"""A duration without end, as ROS writes it (RMW_DURATION_INFINITE: 9223372036 s 854775807 ns)."""
+
+SERIALIZATION = "cdr"
+POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
+SCAN_TOPIC = "daq/scan"
+
+QosYaml = dict[str, str | int | bool | dict[str, int]]
+
+
+@attrs.frozen(kw_only=True)
+class Qos:
+    """The quality of service one publisher offers; policies as rosbag2 spells them: `policy.name.lower()` of rclpy.
+
+    Fast DDS does not tell history and depth of a remote publisher: `unknown` and 0 are what rosbag2 records as well.
+    """
+
+    history: str = "unknown"
+    depth: int = 0
+    reliability: str = "reliable"
+    durability: str = "volatile"
+    deadline_ns: int = INFINITE_NS
+    lifespan_ns: int = INFINITE_NS
+    liveliness: str = "automatic"
+    liveliness_lease_ns: int = INFINITE_NS
+    avoid_ros_namespace_conventions: bool = False
+
+    def to_yaml(self) -> QosYaml:
+        """Return the mapping rosbag2 writes (metadata version 9: policies as words)."""
+        return {
+            "history": self.history,
+            "depth": self.depth,
+            "reliability": self.reliability,
+            "durability": self.durability,
+            "deadline": _time(self.deadline_ns),
+            "lifespan": _time(self.lifespan_ns),
+            "liveliness": self.liveliness,
+            "liveliness_lease_duration": _time(self.liveliness_lease_ns),
+            "avoid_ros_namespace_conventions": self.avoid_ros_namespace_conventions,
+        }
+
+
+@attrs.frozen(kw_only=True)
+class Topic:
+    """A recorded topic.
+
+    Attributes:
+        name: fully qualified.
+        type_name: `package/msg/Type`.
+        schema: `.msg` text with dependencies, see `schema_text`.
+        type_hash: RIHS01 hash of the type description; empty if unknown.
+        offered_qos: one entry per publisher; may be empty.
+        offered_qos_text: the YAML list as it stands in a file; filled by readers, derived from `offered_qos` otherwise.
+    """
+
+    name: str
+    type_name: str
+    schema: str
+    type_hash: str = ""
+    offered_qos: tuple[Qos, ...] = ()
+    offered_qos_text: str = attrs.field(
+        default=attrs.Factory(lambda self: dump_yaml([qos.to_yaml() for qos in self.offered_qos]), takes_self=True)
+    )
+
+    def offered_qos_yaml(self) -> list[QosYaml]:
+        """Return the offered profiles as `metadata.yaml` holds them; a text that is no YAML list counts as none."""
+        try:
+            profiles = yaml.safe_load(self.offered_qos_text)
+        except yaml.YAMLError:
+            return []
+        return profiles if isinstance(profiles, list) else []
+
+    def channel_metadata(self) -> dict[str, str]:
+        """Return the metadata of the topic's MCAP channel."""
+        return {"offered_qos_profiles": self.offered_qos_text, "topic_type_hash": self.type_hash}
+
+    @classmethod
+    def from_channel(cls, name: str, type_name: str, schema: str, metadata: Mapping[str, str]) -> Topic:
+        """Return the topic that a channel and its schema describe."""
+        return cls(
+            name=name,
+            type_name=type_name,
+            schema=schema,
+            type_hash=metadata.get("topic_type_hash", ""),
+            offered_qos_text=metadata.get("offered_qos_profiles", ""),
+        )
+
+
+def matches(name: str, wanted: str) -> bool:
+    """Return whether the fully qualified topic `name` is `wanted`, or ends with it after a namespace."""
+    relative = wanted.lstrip("/")
+    return name.lstrip("/") == relative or name.endswith("/" + relative)
+
+
+def resolve(wanted: str, names: list[str]) -> str:
+    """Return the one of `names` that `wanted` means: the name itself, or the only one ending with it.
+
+    Raises:
+        RecordingError: none or several of `names` match.
+    """
+    if wanted in names:
+        return wanted
+    found = [name for name in names if matches(name, wanted)]
+    if len(found) == 1:
+        return found[0]
+    if found:
+        raise RecordingError(f"topic {wanted!r} is ambiguous: {', '.join(sorted(found))}")
+    raise RecordingError(f"no topic {wanted!r} in this recording; there are: {', '.join(sorted(names)) or 'none'}")
+
+
+class _Dumper(yaml.SafeDumper):
+    """Block style without anchors, and `~` for nothing, as yaml-cpp writes it."""
+
+    def ignore_aliases(self, data: object) -> bool:  # noqa: ARG002  (signature of yaml.SafeDumper)
+        return True
+
+
+_Dumper.add_representer(type(None), lambda dumper, _: dumper.represent_scalar("tag:yaml.org,2002:null", "~"))
+
+
+def dump_yaml(value: object) -> str:
+    """Return `value` as block-style YAML in the order given."""
+    text: str = yaml.dump(value, Dumper=_Dumper, sort_keys=False, default_flow_style=False, allow_unicode=True)
+    return text.rstrip("\n")
+
+
+def _time(nanoseconds: int) -> dict[str, int]:
+    seconds, rest = divmod(nanoseconds, NS_PER_S)
+    return {"sec": seconds, "nsec": rest}

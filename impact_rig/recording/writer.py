@@ -1,0 +1,339 @@
+"""Writes a run: a directory with MCAP files any ROS 2 tool opens, and `metadata.yaml` as rosbag2 writes it.
+
+A chunk is closed when it is full or has been open for half a second of wall time, and handed to the operating system
+at once: a process killed at any instant loses the open chunk. `metadata.yaml` appears when the run is finished; a
+directory without it was cut short and is completed by `recover`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from types import TracebackType
+
+import attrs
+
+from impact_rig.errors import RecordingError
+from impact_rig.recording import bag_metadata
+from impact_rig.recording.bag_metadata import FileSpan
+from impact_rig.recording.log_time import LogTime
+from impact_rig.recording.mcap_file import McapFile
+from impact_rig.recording.provenance import RECORD_NAME, TOPIC_RECORD_NAME, Attachment, Provenance, protect
+from impact_rig.recording.schema import starts_with_header
+from impact_rig.recording.topics import SCAN_TOPIC, Topic, matches
+
+CHUNK_BYTES = 512 * 1024
+"""Uncompressed size at which a chunk is closed: 4 MiB stall the writer for 25 ms, a few hundred KiB for 1-3 ms."""
+CHUNK_OPEN_S = 0.5
+"""Wall time after which an open chunk is closed, however little it holds."""
+
+
+@attrs.define
+class _Channel:
+    """A topic of the run and its place in the current file."""
+
+    topic: Topic
+    has_header: bool
+    is_scan: bool
+    id: int = 0
+    count: int = 0
+
+
+class RunWriter:
+    """Records one run.
+
+    Args:
+        directory: the run directory, created with its parents; files are named after it. It may exist, but must hold
+            neither `*.mcap` nor `metadata.yaml`: nothing is ever overwritten.
+        provenance: goes into the `impact_rig` metadata record of every file; None: there is no such record.
+        attachments: go into every file.
+        clock: monotonic seconds of wall time; decides when an open chunk is due.
+        compression: `none`, `lz4` or `zstd`.
+        chunk_bytes: see `CHUNK_BYTES`.
+        max_file_bytes: begin a new file beyond this size; 0: one file.
+        max_file_duration_ns: begin a new file when a message is later than this after the file's first; 0: one file.
+        rig_start_ns: log time of header-less messages before any stamp is known; None: their publish time.
+        ros_distro: for `metadata.yaml`.
+
+    Raises:
+        RecordingError: the directory cannot be made, holds a recording already, or has no room.
+    """
+
+    def __init__(
+        self,
+        directory: Path,
+        *,
+        provenance: Provenance | None,
+        clock: Callable[[], float],
+        attachments: Iterable[Attachment] = (),
+        compression: str = "zstd",
+        chunk_bytes: int = CHUNK_BYTES,
+        max_file_bytes: int = 0,
+        max_file_duration_ns: int = 0,
+        rig_start_ns: int | None = None,
+        ros_distro: str = "jazzy",
+    ) -> None:
+        self.directory = directory
+        self._provenance = provenance
+        self._attachments = list(attachments)
+        self._clock = clock
+        self._compression = compression
+        self._chunk_bytes = chunk_bytes
+        self._max_file_bytes = max_file_bytes
+        self._max_file_duration_ns = max_file_duration_ns
+        self._ros_distro = ros_distro
+        self._log_time = LogTime(rig_start_ns)
+        self._channels: dict[str, _Channel] = {}
+        self._schema_ids: dict[str, int] = {}
+        self._spans: list[FileSpan] = []
+        self._bytes_before = 0
+        self._chunk_opened_s: float | None = None
+        self._closed = False
+        self._failure: RecordingError | None = None
+        self._stopping_on_error = _StopOnError(self)
+        _make_room(directory)
+        self._file = self._open_file()
+
+    @property
+    def closed(self) -> bool:
+        """Whether the run is over: finished, or stopped by an error."""
+        return self._closed
+
+    @property
+    def message_count(self) -> int:
+        """Messages accepted so far."""
+        return sum(span.count for span in self._spans)
+
+    @property
+    def bytes_written(self) -> int:
+        """Bytes on disk in all files of the run."""
+        return self._bytes_before + self._file.size
+
+    @property
+    def files(self) -> list[Path]:
+        """The MCAP files of the run, in order."""
+        return [self.directory / span.path for span in self._spans]
+
+    def add_topic(self, topic: Topic) -> None:
+        """Make a topic known; may be called at any time. Known with the same type: nothing happens.
+
+        Raises:
+            RecordingError: the topic is known with another type (the run goes on), or the file cannot be written.
+        """
+        self._refuse_if_closed()
+        known = self._channels.get(topic.name)
+        if known is None:
+            channel = _Channel(
+                topic, starts_with_header(topic.type_name, topic.schema), matches(topic.name, SCAN_TOPIC)
+            )
+            with self._stopping_on_error:
+                self._register(channel)
+                self._file.commit()
+            self._channels[topic.name] = channel
+        elif known.topic.type_name != topic.type_name:
+            raise RecordingError(
+                f"topic {topic.name} is recorded as {known.topic.type_name}: what is {topic.type_name} is ignored"
+            )
+
+    def write(self, topic_name: str, data: bytes, publish_time_ns: int, sequence: int = 0) -> None:
+        """Record one message.
+
+        Args:
+            topic_name: of a topic added before.
+            data: CDR bytes as received.
+            publish_time_ns: DDS source time.
+            sequence: publication sequence number of the publisher (its low 32 bits are kept).
+
+        Raises:
+            RecordingError: unknown topic (the run goes on); or the run had to stop, now or earlier: see `closed`.
+        """
+        channel = self._channels.get(topic_name)
+        if channel is None:
+            raise RecordingError(f"topic {topic_name} has not been added to the recording")
+        log_time = self._log_time.of(data, publish_time_ns, has_header=channel.has_header, is_scan=channel.is_scan)
+        self.write_at(topic_name, data, log_time, publish_time_ns, sequence)
+
+    def write_at(self, topic_name: str, data: bytes, log_time_ns: int, publish_time_ns: int, sequence: int = 0) -> None:
+        """Record one message at a log time that is known already; otherwise like `write`."""
+        self._refuse_if_closed()
+        channel = self._channels[topic_name]
+        with self._stopping_on_error:
+            if self._file_is_full(log_time_ns):
+                self._next_file()
+            if self._chunk_opened_s is None:
+                self._chunk_opened_s = self._clock()
+            channel.count += 1
+            self._spans[-1].add(log_time_ns)
+            if self._file.add_message(channel.id, log_time_ns, data, max(0, publish_time_ns), sequence):
+                self._commit()
+            else:
+                self._flush_if_due()
+
+    def flush_due(self) -> None:
+        """Close the open chunk if it has been open for `CHUNK_OPEN_S`; call this from a timer, at least every 0.25 s.
+
+        Raises:
+            RecordingError: the run had to stop.
+        """
+        if not self._closed:
+            with self._stopping_on_error:
+                self._flush_if_due()
+
+    def attach(self, attachment: Attachment) -> None:
+        """Keep a file inside the recording (and inside every further file of a split run).
+
+        Raises:
+            RecordingError: the run had to stop, now or earlier.
+        """
+        self._refuse_if_closed()
+        self._attachments.append(attachment)
+        with self._stopping_on_error:
+            self._write_attachment(attachment)
+            self._file.commit()
+
+    def finish(self) -> Path:
+        """Finish the run and return its directory; a second call, or one after an error, does nothing.
+
+        Raises:
+            RecordingError: there is no room for index or `metadata.yaml`; the messages on disk are whole.
+        """
+        if not self._closed:
+            self._closed = True
+            self._finish_file()
+            bag_metadata.write(self.directory, self._information())
+        return self.directory
+
+    def __enter__(self) -> RunWriter:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.finish()
+
+    # --- files
+
+    def _open_file(self) -> McapFile:
+        splitting = self._max_file_bytes > 0 or self._max_file_duration_ns > 0
+        stem = f"{self.directory.name}_{len(self._spans)}" if splitting else self.directory.name
+        path = self.directory / f"{stem}.mcap"
+        file = McapFile(path, compression=self._compression, chunk_bytes=self._chunk_bytes)
+        self._file = file
+        self._spans.append(FileSpan(path.name))
+        self._schema_ids.clear()
+        self._chunk_opened_s = None
+        file.add_metadata(bag_metadata.RECORD_NAME, bag_metadata.record(self._information()))
+        if self._provenance is not None:
+            file.add_metadata(RECORD_NAME, protect(self._provenance.to_record()))
+        for attachment in self._attachments:
+            self._write_attachment(attachment)
+        for channel in self._channels.values():
+            self._register(channel)
+        file.commit()
+        return file
+
+    def _register(self, channel: _Channel) -> None:
+        topic = channel.topic
+        if topic.type_name not in self._schema_ids:
+            self._schema_ids[topic.type_name] = self._file.add_schema(topic)
+        channel.id = self._file.add_channel(topic, self._schema_ids[topic.type_name])
+        repeated = {"id": str(channel.id), "name": topic.name, "type_name": topic.type_name, "schema": topic.schema}
+        self._file.add_metadata(TOPIC_RECORD_NAME, protect(repeated | topic.channel_metadata()))
+
+    def _write_attachment(self, attachment: Attachment) -> None:
+        span = self._spans[-1]
+        created_ns = 0 if self._provenance is None else self._provenance.wall_start_ns
+        self._file.add_attachment(attachment, span.end_ns, created_ns)
+
+    def _file_is_full(self, log_time_ns: int) -> bool:
+        span = self._spans[-1]
+        if span.count == 0:
+            return False
+        too_long = 0 < self._max_file_duration_ns < log_time_ns - span.start_ns
+        return too_long or 0 < self._max_file_bytes <= self._file.size
+
+    def _next_file(self) -> None:
+        self._finish_file()
+        self._bytes_before += self._file.size
+        self._open_file()
+
+    def _finish_file(self) -> None:
+        try:
+            self._file.close_chunk()
+            self._file.add_metadata(bag_metadata.RECORD_NAME, bag_metadata.record(self._information()))
+            self._file.finish()
+        finally:
+            self._file.close()
+
+    def _information(self) -> bag_metadata.Information:
+        topics = [(channel.topic, channel.count) for channel in self._channels.values()]
+        return bag_metadata.information(topics, self._spans, ros_distro=self._ros_distro)
+
+    # --- chunks
+
+    def _flush_if_due(self) -> None:
+        if self._chunk_opened_s is None:
+            return
+        open_for = self._clock() - self._chunk_opened_s
+        if not 0 <= open_for < CHUNK_OPEN_S:  # a clock that went back counts as due
+            self._file.close_chunk()
+            self._commit()
+
+    def _commit(self) -> None:
+        self._chunk_opened_s = None
+        self._file.commit()
+        shortage = self._file.shortage()
+        if shortage:
+            self.finish()
+            raise RecordingError(f"recording of {self.directory} stopped and finished: {shortage}")
+
+    # --- errors
+
+    def _refuse_if_closed(self) -> None:
+        if self._failure is not None:
+            raise self._failure
+        if self._closed:
+            raise RecordingError(f"the recording {self.directory} is finished")
+
+    def stop(self, error: RecordingError) -> None:
+        """End the run because of `error`, which every later call repeats.
+
+        Files that were finished before it stay a readable run; one that was being written is closed as it is.
+        """
+        self._failure = error
+        finished = self._file.finished and not self._closed
+        self._closed = True
+        self._file.close()
+        if finished:
+            with contextlib.suppress(RecordingError):
+                bag_metadata.write(self.directory, self._information())
+
+
+@attrs.frozen
+class _StopOnError:
+    """A run that failed to write is over: later calls repeat the error instead of damaging what is there."""
+
+    writer: RunWriter
+
+    def __enter__(self) -> None:
+        return None
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if isinstance(error, RecordingError):
+            self.writer.stop(error)
+
+
+def _make_room(directory: Path) -> None:
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+        present = sorted(path.name for path in directory.iterdir())
+    except FileExistsError as error:
+        raise RecordingError(f"{directory} is a file, not a directory to record into") from error
+    except OSError as error:
+        raise RecordingError(f"the run directory {directory} cannot be made: {error.strerror}") from error
+    for name in present:
+        if name.endswith(".mcap") or name == bag_metadata.FILE_NAME:
+            raise RecordingError(f"{directory} holds a recording already ({name}); nothing is overwritten")
