@@ -107,7 +107,8 @@ DAQ_INFO = np.dtype(
 """`daq/info`, one row per channel: SI = (volt - offset) / sensitivity; sensitivity in V per unit, offset in V; range,
 resolution (1 LSB) and noise (rms) in the unit; u(sensitivity) relative and u(offset) in the unit, both standard
 uncertainties; lag: group delay of the sensor at low frequency [s]; skew: conversion after the scan clock [s];
-lag_order 1: the sensor is a first-order lag 1 / (1 + jω lag), 0: a pure delay at the rig's frequencies; bandwidth: -3 dB corner of sensor and noise [Hz]."""
+lag_order 1: the sensor is a first-order lag 1 / (1 + jω lag), 0: a pure delay in the rig's band; bandwidth: -3 dB
+corner of the sensor and of its noise [Hz]."""
 
 TRANSMISSIBILITY = np.dtype(
     [
