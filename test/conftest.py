@@ -1,0 +1,145 @@
+"""What every test gets: its own ROS domain, strict message types, nothing left behind, one order after another."""
+
+from __future__ import annotations
+
+import ctypes
+import fcntl
+import os
+import random
+import select
+import signal
+import tempfile
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import IO
+
+import pytest
+from hypothesis import HealthCheck, settings
+
+REQUIRE_ROS = os.environ.get("IMPACT_RIG_REQUIRE_ROS") == "1"
+DOMAINS = range(50, 100)  # 0 to 101 are safe on Linux; people and `make demo` use low numbers
+GRACE_S = 5.0  # how long a thread or process may take to end after its test
+
+# before any module imports a message class or starts a node, and inherited by the processes that tests start
+os.environ["ROS_PYTHON_CHECK_FIELDS"] = "1"
+os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+os.environ.setdefault("MPLBACKEND", "agg")
+
+# derandomised: two runs of the suite see the same examples; `--hypothesis-profile=random` looks for new ones.
+# No deadline: the first example of a compiled function takes seconds, a ROS one waits for discovery.
+_COMMON = {"deadline": None, "suppress_health_check": [HealthCheck.too_slow]}
+settings.register_profile("repeatable", derandomize=True, database=None, **_COMMON)
+settings.register_profile("random", print_blob=True, **_COMMON)
+settings.load_profile("repeatable")
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--shuffle", type=int, metavar="SEED", help="run the tests in an order drawn with this seed")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    if REQUIRE_ROS and _why_no_ros():
+        raise pytest.UsageError(f"IMPACT_RIG_REQUIRE_ROS=1, but {_why_no_ros()}")
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    seed = config.getoption("--shuffle")
+    if seed is not None:
+        random.Random(seed).shuffle(items)
+    if not config.getoption("-m"):
+        kept = [item for item in items if not item.get_closest_marker("benchmark")]
+        config.hook.pytest_deselected(items=[item for item in items if item.get_closest_marker("benchmark")])
+        items[:] = kept
+
+
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    if item.get_closest_marker("ros") and _why_no_ros():
+        pytest.skip(_why_no_ros())
+
+
+def _why_no_ros() -> str:
+    try:
+        import rclpy  # noqa: F401  # asked for, not used
+    except ImportError as error:
+        return f"rclpy cannot be imported: {error}"
+    return ""
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _own_domain_and_logs(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Give this process (each xdist worker is one) a ROS domain that no other test run of this user has."""
+    os.environ["ROS_LOG_DIR"] = str(tmp_path_factory.mktemp("ros_log"))
+    domain, lock = _claim_domain()
+    os.environ["ROS_DOMAIN_ID"] = str(domain)
+    with lock:
+        yield
+
+
+def _claim_domain() -> tuple[int, IO[str]]:
+    """Return a free domain and the locked file that claims it; the claim ends with this process, however it ends."""
+    for domain in DOMAINS:
+        path = Path(tempfile.gettempdir(), f"impact_rig_domain_{os.getuid()}_{domain}.lock")
+        lock = path.open("w")  # open for as long as the claim holds
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            lock.close()
+        else:
+            return domain, lock
+    raise RuntimeError(f"no free ROS domain in {DOMAINS}: too many test runs at once")
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _adopt_orphans() -> None:
+    """Make this process the parent of orphaned descendants, so that a forgotten grandchild is seen as well."""
+    set_child_subreaper = 36  # <linux/prctl.h>
+    ctypes.CDLL(None).prctl(set_child_subreaper, 1, 0, 0, 0)
+
+
+@pytest.fixture(autouse=True)
+def _nothing_left_behind() -> Iterator[None]:
+    """Fail a test whose threads or processes outlive it."""
+    threads, processes = set(threading.enumerate()), _children()
+    yield
+    deadline = time.monotonic() + GRACE_S
+    for thread in set(threading.enumerate()) - threads:
+        thread.join(max(0.0, deadline - time.monotonic()))
+    left: list[object] = [thread for thread in threading.enumerate() if thread not in threads]
+    for process in _children() - processes:
+        if not _ended(process, deadline):
+            left.append(f"process {process}: {_command(process)}")
+            os.kill(process, signal.SIGKILL)
+    assert not left, f"still running {GRACE_S:g} s after the test: {left}"
+
+
+def _children() -> set[int]:
+    """Return the process ids of this process's children, those of its threads included."""
+    found: set[int] = set()
+    for task in Path("/proc/self/task").iterdir():
+        try:
+            found.update(map(int, (task / "children").read_text().split()))
+        except OSError:  # the thread has ended, or the kernel does not tell
+            continue
+    return found
+
+
+def _command(process: int) -> str:
+    try:
+        return Path(f"/proc/{process}/cmdline").read_bytes().replace(b"\0", b" ").decode(errors="replace").strip()
+    except OSError:
+        return "?"
+
+
+def _ended(process: int, deadline: float) -> bool:
+    """Wait until `process` has ended; an ended one that nobody waited for still counts as ended."""
+    try:
+        descriptor = os.pidfd_open(process)
+    except ProcessLookupError:
+        return True
+    try:
+        ready, _, _ = select.select([descriptor], [], [], max(0.0, deadline - time.monotonic()))
+        return bool(ready)
+    finally:
+        os.close(descriptor)
