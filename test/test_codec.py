@@ -29,9 +29,8 @@ dtypes = st.lists(st.tuples(words, st.sampled_from(COLUMN_TYPES)), min_size=1, m
 def tables(draw, max_rows=6):
     dtype = np.dtype(draw(dtypes))
     rows = draw(st.integers(0, max_rows))
-    data = draw(
-        st.binary(min_size=rows * dtype.itemsize, max_size=rows * dtype.itemsize)
-    )  # NaN and infinities included
+    size = rows * dtype.itemsize
+    data = draw(st.binary(min_size=size, max_size=size))  # any bits: NaN and infinities included
     frame = draw(st.one_of(st.just(""), words))
     return Table(draw(stamps), np.ndarray((rows,), dtype, data), frame)
 
@@ -175,6 +174,9 @@ class Message:
         return bytes(out + v["data"] + b"\0" + v.get("trailing", b""))
 
 
+MANY = (2**32 - 1) // 9  # rows of the largest table whose length fits its field
+
+
 def test_a_message_written_by_hand_is_read():
     table = decode(bytes(Message()))
     assert table.rows.dtype == np.dtype([("a", "<f8"), ("b", "u1")])
@@ -208,14 +210,11 @@ def test_padding_after_the_message_is_ignored(trailing):
         ({"big_endian": 1}, "big-endian data"),
         ({"row_step": 17}, "row_step 17 and length of data 18"),
         ({"data_length": 2**32 - 1}, "length of data 4294967295"),
-        ({"data_length": 2**32 - 9, "row_step": 2**32 - 9, "width": 477218587}, "data needs 4294967287 bytes"),
+        ({"width": MANY, "row_step": 9 * MANY, "data_length": 9 * MANY}, f"data needs {9 * MANY} bytes"),
         ({"trailing": bytes(4)}, "4 bytes follow the end"),
     ],
 )
 def test_a_message_that_lies_is_refused_with_the_reason(wrong, message):
-    if wrong.get("width") == 477218587:  # 9 bytes each: the largest table whose length fits u4, none of it there
-        wrong = wrong | {"data_length": 477218587 * 9, "row_step": 477218587 * 9}
-        message = "data needs 4294967283 bytes"
     with pytest.raises(CodecError, match=message):
         decode(bytes(Message(**wrong)))
 
@@ -263,8 +262,7 @@ def test_no_random_bytes_crash(raw):
 def _decode_or_refuse(raw):
     try:
         table = decode(raw)
-    except CodecError as error:
-        assert str(error)
+    except CodecError:
         return
     assert table.rows.nbytes <= len(raw)
     assert decode(encode(table)).rows.tobytes() == table.rows.tobytes()
