@@ -7,7 +7,6 @@ empty `custom_data` is null; compression fields are empty because MCAP compresse
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -115,8 +114,6 @@ def write(directory: Path, info: Information) -> Path:
     try:
         with partial.open("w", encoding="utf-8") as file:
             file.write(dump_yaml({TOP_KEY: info}) + "\n")
-            file.flush()
-            os.fsync(file.fileno())
         partial.replace(path)
     except OSError as error:
         partial.unlink(missing_ok=True)

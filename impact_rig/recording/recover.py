@@ -85,12 +85,9 @@ def recover(path: Path | str, out: Path | str, *, accept_unchecked: bool = False
                         clock=lambda: 0.0,  # chunks are closed by size only
                         max_file_bytes=largest,
                     )
-                try:
-                    writer.add_topic(topic)
-                except RecordingError as error:
-                    if writer.closed:
-                        raise
-                    report.note(Damage(salvage.path.name, 0, 0, str(error)))
+                    for known in salvages:
+                        known.introduce_topics(writer)
+                if not salvage.introduce(topic, writer):
                     continue
                 writer.write_at(
                     topic.name, bytes(message.data), message.log_time, message.publish_time, message.sequence
@@ -138,6 +135,22 @@ class _Salvage:
                     self._take_metadata(file, found)
                 elif found.opcode == records.MESSAGE:
                     report.note(self._damage(found, "a message outside a chunk carries no checksum"))
+
+    def introduce_topics(self, writer: RunWriter) -> None:
+        """Make all topics that are known so far known to `writer`, in the order they were registered."""
+        for _, topic in sorted(self._topics.items()):
+            self.introduce(topic, writer)
+
+    def introduce(self, topic: Topic, writer: RunWriter) -> bool:
+        """Make a topic known to `writer`; return False if it contradicts another of that name, which is noted."""
+        try:
+            writer.add_topic(topic)
+        except RecordingError as error:
+            if writer.closed:
+                raise
+            self._report.note(Damage(self.path.name, 0, 0, str(error)))
+            return False
+        return True
 
     def messages(self) -> Iterator[tuple[Topic, records.RawMessage]]:
         """Yield the messages of all whole chunks in the order of the file."""
