@@ -1,0 +1,54 @@
+"""A Trigger service that answers later, whatever executor runs it.
+
+rclpy wants a response from the callback, and its executors differ: the events executor takes no coroutines, the others
+resume them only when something else wakes them. All of them hand the returned response to `Service.send_response`
+together with the request's header. So the callback returns a marker, and the wrapped `send_response` keeps the header
+until `reply`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any  # rclpy handles
+
+from rclpy.node import Node
+from std_srvs.srv import Trigger
+
+
+class DeferredTrigger:
+    """A `std_srvs/Trigger` service whose requests are answered by `reply`.
+
+    Args:
+        node: owner.
+        name: service name.
+        accept: called for each request; returns None to defer the answer, or (success, message) to answer at once.
+    """
+
+    def __init__(self, node: Node, name: str, accept: Callable[[], tuple[bool, str] | None]) -> None:
+        self._accept = accept
+        self._waiting: list[Any] = []
+        self._service = node.create_service(Trigger, name, self._on_request)
+        self._send = self._service.send_response
+        self._service.send_response = self._send_or_keep
+        self._marker = Trigger.Response()
+
+    @property
+    def waiting(self) -> int:
+        """Requests not answered yet."""
+        return len(self._waiting)
+
+    def reply(self, success: bool, message: str) -> None:
+        """Answer every waiting request."""
+        waiting, self._waiting = self._waiting, []
+        for header in waiting:
+            self._send(Trigger.Response(success=success, message=message), header)
+
+    def _on_request(self, _request: Any, _response: Any) -> Any:
+        answer = self._accept()
+        return self._marker if answer is None else Trigger.Response(success=answer[0], message=answer[1])
+
+    def _send_or_keep(self, response: Any, header: Any) -> None:
+        if response is self._marker:
+            self._waiting.append(header)
+        else:
+            self._send(response, header)

@@ -1,0 +1,78 @@
+"""One guard for every callback of every node: an exception is reported, never fatal.
+
+A callback exception ends a plain rclpy process. Here it becomes an error in the log and in diagnostics, and the node
+goes on.
+"""
+
+from __future__ import annotations
+
+import functools
+import traceback
+from collections import Counter
+from collections.abc import Callable
+from typing import Any  # callbacks and service responses have no common type
+
+import attrs
+
+Report = Callable[[str, str], None]
+"""What to do with a failure: (where, message)."""
+
+
+@attrs.define
+class Refusals:
+    """Inputs that were refused: how often, by reason, and the last message of each reason."""
+
+    counts: Counter[str] = attrs.field(factory=Counter)
+    last: dict[str, str] = attrs.field(factory=dict)
+
+    def add(self, reason: str, message: str) -> None:
+        """Count one refusal."""
+        self.counts[reason] += 1
+        self.last[reason] = message
+
+    def total(self) -> int:
+        """Return the number of all refusals."""
+        return sum(self.counts.values())
+
+
+def guarded(callback: Callable[..., Any], report: Report) -> Callable[..., Any]:
+    """Return `callback` with its exceptions reported instead of raised; for timers and subscriptions."""
+
+    @functools.wraps(callback)
+    def safe(*args: Any) -> Any:
+        try:
+            return callback(*args)
+        except Exception as error:  # the whole point: nothing a callback raises may end the process
+            report(_name(callback), describe(error))
+            return None
+
+    return safe
+
+
+def guarded_service(callback: Callable[[Any, Any], Any], report: Report) -> Callable[[Any, Any], Any]:
+    """Return a service callback that always answers: an exception gives `success = False` with the message."""
+
+    @functools.wraps(callback)
+    def safe(request: Any, response: Any) -> Any:
+        try:
+            return callback(request, response)
+        except Exception as error:  # see `guarded`
+            message = describe(error)
+            report(_name(callback), message)
+            response.success = False
+            if hasattr(response, "message"):
+                response.message = message
+            return response
+
+    return safe
+
+
+def describe(error: BaseException) -> str:
+    """Return one line for people: type, message and where it was raised."""
+    frames = traceback.extract_tb(error.__traceback__)
+    where = f" ({frames[-1].filename.rsplit('/', 1)[-1]}:{frames[-1].lineno})" if frames else ""
+    return f"{type(error).__name__}: {error}{where}"
+
+
+def _name(callback: Callable[..., Any]) -> str:
+    return getattr(callback, "__name__", repr(callback)).lstrip("_")

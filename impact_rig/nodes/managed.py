@@ -1,0 +1,309 @@
+"""`ManagedNode`: the lifecycle node all nodes of the rig are made of.
+
+It configures and activates itself (`autostart`), survives invalid transition requests and callback exceptions (both end
+a plain Jazzy Python node), takes parameters through one validator, and reports at 1 Hz and on change. A subclass fills
+in what happens on configure, activate, deactivate and clean up.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from collections.abc import Callable
+from typing import Any, Generic, TypeVar  # rclpy is untyped
+
+from lifecycle_msgs.srv import ChangeState
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.clock import Clock, ClockType
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.parameter import Parameter
+from rclpy.publisher import Publisher
+from rclpy.qos_overriding_options import QoSOverridingOptions
+
+from impact_rig.errors import ConfigError, ImpactRigError
+from impact_rig.nodes import diagnostics, topics
+from impact_rig.nodes.diagnostics import CpuMeter, Level, Status
+from impact_rig.nodes.guard import Refusals, describe, guarded, guarded_service
+from impact_rig.nodes.parameters import Parameters, Schema, refusal
+
+S = TypeVar("S")
+
+DIAGNOSTICS_PERIOD_S = 1.0
+CHANGE_PERIOD_S = 0.1
+"""How soon a change of level or message is reported; also how often it may be."""
+ERROR_MEMORY_S = 5.0
+"""An exception of a callback is shown in diagnostics this long."""
+WARN_PERIOD_S = 1.0
+"""Least time between two warnings of one reason."""
+PARENT_VARIABLE = "IMPACT_RIG_EXIT_WITH"
+"""Environment: id of the process with which a node ends, however that one ended."""
+
+
+class ManagedNode(LifecycleNode, Generic[S]):
+    """A lifecycle node with guards, validated parameters and diagnostics.
+
+    Args:
+        name: node name.
+        schema: the node's parameters.
+        kwargs: passed to rclpy's Node (context, namespace, parameter_overrides, ...).
+    """
+
+    def __init__(self, name: str, schema: Schema[S], **kwargs: Any) -> None:
+        super().__init__(name, **kwargs)
+        self.steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.refusals = Refusals()
+        self.parameters = Parameters(self, schema, kwargs.get("cli_args") or sys.argv)
+        self.add_on_set_parameters_callback(self._on_set_parameters)
+        self._proposed: S | None = None
+        self._guard_transitions()
+        self._cpu = CpuMeter()
+        self._last_error: tuple[float, str] = (-ERROR_MEMORY_S, "")
+        self._warned: dict[str, float] = {}
+        self._reported: tuple[Level, str] = (Level.OK, "")
+        self._reported_at = -DIAGNOSTICS_PERIOD_S
+        self._diagnostics = self.create_publisher(
+            topics.DIAGNOSTICS.message_type(), topics.DIAGNOSTICS.name, topics.DIAGNOSTICS.qos.profile()
+        )
+        self._parent = int(os.environ.get(PARENT_VARIABLE, "0"))
+        self._reporter = self.steady_timer(CHANGE_PERIOD_S, self._report_when_due)
+        self._starter = self.steady_timer(0.001, self._start) if self.autostarts() else None
+
+    # What a subclass fills in
+
+    def configure(self) -> None:
+        """Build what the node needs and create its publishers; ImpactRigError refuses with its message."""
+
+    def activate(self) -> None:
+        """Begin to work."""
+
+    def deactivate(self) -> None:
+        """Stop working; configuration stays."""
+
+    def cleanup(self) -> None:
+        """Free what `configure` made; must not fail when that failed half-way."""
+
+    def settings_changed(self, settings: S, changes: dict[str, Any]) -> None:
+        """Take validated new settings; an exception refuses the set."""
+
+    def settings_in_force(self) -> None:
+        """Follow up once the new settings are in `self.settings`."""
+
+    def status(self) -> Status:
+        """Return the node's state for diagnostics, whatever lifecycle state it is in."""
+        return Status(Level.OK, self.state, {})
+
+    def autostarts(self) -> bool:
+        """Say whether the node configures and activates itself."""
+        return True
+
+    def rig_time_ns(self) -> int:
+        """Return the time that stamps diagnostics: rig time where the node knows it, else the node's clock."""
+        return int(self.get_clock().now().nanoseconds)
+
+    # Helpers for subclasses
+
+    @property
+    def settings(self) -> S:
+        """The parameters as one frozen value."""
+        return self.parameters.settings
+
+    @property
+    def state(self) -> str:
+        """Label of the lifecycle state."""
+        return str(self._state_machine.current_state[1])
+
+    @property
+    def active(self) -> bool:
+        """Whether the node is in the lifecycle state `active`."""
+        return self.state == "active"
+
+    def steady_timer(self, period_s: float, callback: Callable[[], None]) -> Any:
+        """Create a guarded timer on the monotonic clock: neither sim time nor a clock step moves it."""
+        return self.create_timer(period_s, guarded(callback, self.report_failure), clock=self.steady)
+
+    def publisher(self, topic: topics.Topic) -> Publisher:
+        """Create the publisher of a row of the topics table; `qos_overrides` parameters apply."""
+        return self.create_publisher(
+            topic.message_type(),
+            topic.name,
+            topic.qos.profile(),
+            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+        )
+
+    def subscribe(self, topic: topics.Topic, callback: Callable[..., None], raw: bool = False) -> Any:
+        """Create a guarded subscription to a row of the topics table; `raw` gives CDR bytes."""
+        return self.create_subscription(
+            topic.message_type(), topic.name, guarded(callback, self.report_failure), topic.qos.profile(), raw=raw
+        )
+
+    def service(self, service_type: Any, name: str, callback: Callable[[Any, Any], Any]) -> Any:
+        """Create a guarded service; private names (`~/name`) are the convention."""
+        return self.create_service(service_type, name, guarded_service(callback, self.report_failure))
+
+    def report_failure(self, where: str, message: str) -> None:
+        """Log an exception that a guard caught, and show it in diagnostics."""
+        self._last_error = (time.monotonic(), f"{where}: {message}")
+        self.refusals.add("exception", message)
+        self.warn_throttled(f"exception in {where}", f"exception in {where}: {message}", error=True)
+
+    def refuse(self, reason: str, message: str) -> None:
+        """Count a refused input and warn, at most once per second and reason."""
+        self.refusals.add(reason, message)
+        self.warn_throttled(reason, f"refused ({reason}): {message}")
+
+    def warn_throttled(self, key: str, message: str, error: bool = False) -> None:
+        """Log, at most once per second and key."""
+        now = time.monotonic()
+        if now - self._warned.get(key, -WARN_PERIOD_S) >= WARN_PERIOD_S:
+            self._warned[key] = now
+            logger = self.get_logger()
+            logger.error(message) if error else logger.warning(message)
+
+    # Lifecycle: every transition is guarded and says why it failed
+
+    def on_configure(self, _state: LifecycleState) -> TransitionCallbackReturn:
+        """Build the node's parts; FAILURE with the reason in the log if the parameters do not allow it."""
+        if self.parameters.refused is not None:
+            return self._failed("configure", self.parameters.refused)
+        self._last_error = (-ERROR_MEMORY_S, "")
+        return self._transition("configure", self.configure, undo=self.cleanup)
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Begin to work."""
+        done = self._transition("activate", self.activate, undo=self.deactivate)
+        return super().on_activate(state) if done == TransitionCallbackReturn.SUCCESS else done
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Stop working."""
+        self._transition("deactivate", self.deactivate)
+        return super().on_deactivate(state)
+
+    def on_cleanup(self, _state: LifecycleState) -> TransitionCallbackReturn:
+        """Free everything."""
+        return self._transition("clean up", self.cleanup)
+
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Stop and free everything, from any state."""
+        if state.label == "active":
+            self._transition("deactivate", self.deactivate)
+        return self._transition("clean up", self.cleanup)
+
+    def on_error(self, _state: LifecycleState) -> TransitionCallbackReturn:
+        """Free everything; the node is unconfigured and can be configured again."""
+        return self._transition("clean up", self.cleanup)
+
+    def close(self) -> None:
+        """Stop working before the process ends, without ROS if it is already down."""
+        if self.active:
+            self._transition("deactivate", self.deactivate)
+        self._transition("clean up", self.cleanup)
+
+    def _transition(
+        self, what: str, action: Callable[[], None], undo: Callable[[], None] | None = None
+    ) -> TransitionCallbackReturn:
+        try:
+            action()
+        except Exception as error:  # a transition must end in a lifecycle state, whatever happened
+            if undo is not None:
+                self._transition(f"undo {what}", undo)
+            return self._failed(what, error)
+        return TransitionCallbackReturn.SUCCESS
+
+    def _failed(self, what: str, error: Exception) -> TransitionCallbackReturn:
+        message = str(error) if isinstance(error, ImpactRigError) else describe(error)
+        self._last_error = (float("inf") if what == "configure" else time.monotonic(), f"cannot {what}: {message}")
+        self.get_logger().error(f"cannot {what}: {message}")
+        return TransitionCallbackReturn.FAILURE
+
+    def _guard_transitions(self) -> None:
+        """Answer an invalid transition request with `success = False`; rclpy would raise and end the process."""
+        service = self._service_change_state
+        original = service.callback
+
+        def on_change_state(request: ChangeState.Request, response: ChangeState.Response) -> ChangeState.Response:
+            try:
+                return original(request, response)
+            except Exception as error:  # rclpy raises RCLError, which is not exported
+                wanted = request.transition.label or str(request.transition.id)
+                self.refuse("transition", f"{wanted!r} is not possible in state {self.state!r} ({error})")
+                response.success = False
+                return response
+
+        service.callback = on_change_state
+
+    def _start(self) -> None:
+        assert self._starter is not None
+        self._starter.cancel()
+        if self.state != "unconfigured":
+            return
+        if self.trigger_configure() == TransitionCallbackReturn.SUCCESS:
+            self.trigger_activate()
+
+    # Parameters
+
+    def set_parameters_atomically(self, parameter_list: list[Parameter]) -> SetParametersResult:
+        """Set all or none, through the validator; the services and the in-process calls both come here."""
+        try:
+            stored, self._proposed = self.parameters.check(parameter_list)
+        except ConfigError as error:
+            self.refuse("parameter", str(error))
+            return refusal(error)
+        result = super().set_parameters_atomically(stored)
+        if result.successful:
+            self.parameters.settings = self._proposed
+            self.settings_in_force()
+        self._proposed = None
+        return result
+
+    def set_parameters(self, parameter_list: list[Parameter]) -> list[SetParametersResult]:
+        """Set one after the other, each through the validator."""
+        return [self.set_parameters_atomically([parameter]) for parameter in parameter_list]
+
+    def _on_set_parameters(self, _parameters: list[Parameter]) -> SetParametersResult:
+        if self._proposed is None:  # rclpy declares a parameter of its own (qos_overrides)
+            return SetParametersResult(successful=True)
+        try:
+            changes = self.parameters.changes(self._proposed)
+            if changes:
+                self.settings_changed(self._proposed, changes)
+        except Exception as error:  # a set is refused with its reason, never fatal
+            message = str(error) if isinstance(error, ImpactRigError) else describe(error)
+            self.refuse("parameter", message)
+            return SetParametersResult(successful=False, reason=message)
+        return SetParametersResult(successful=True)
+
+    # Diagnostics
+
+    def _report_when_due(self) -> None:
+        if self._parent and os.getppid() != self._parent:
+            self.get_logger().warning("the process that started this node is gone: ending")
+            self.context.try_shutdown()
+            return
+        level, message = self._judged(self.status())
+        now = time.monotonic()
+        if now - self._reported_at >= DIAGNOSTICS_PERIOD_S or (level, message) != self._reported:
+            self.report_now()
+
+    def report_now(self) -> None:
+        """Publish the present status."""
+        status = self.status()
+        level, message = self._judged(status)
+        self._reported, self._reported_at = (level, message), time.monotonic()
+        values = {
+            "state": self.state,
+            "cpu_percent": self._cpu.percent(),
+            **status.values,
+            **{f"refused.{reason}": count for reason, count in sorted(self.refusals.counts.items())},
+            **{f"last_refused.{reason}": text for reason, text in sorted(self.refusals.last.items())},
+        }
+        full = Status(level, message, values)
+        name = self.get_fully_qualified_name().lstrip("/")
+        self._diagnostics.publish(diagnostics.to_message(name, name, full, self.rig_time_ns()))
+
+    def _judged(self, status: Status) -> tuple[Level, str]:
+        """Return the node's own status, or the last error while it is fresh."""
+        at, message = self._last_error
+        if time.monotonic() - at < ERROR_MEMORY_S:
+            return diagnostics.worst((status.level, status.message), (Level.ERROR, message))
+        return status.level, status.message

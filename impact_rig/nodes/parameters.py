@@ -1,0 +1,227 @@
+"""ROS parameters made from configuration fields, and one validator for start-up files and run-time sets.
+
+rclpy would check types and ranges itself, with its own messages, before any callback. Here every change goes through
+the validator of `impact_rig.config` first, so a bad value is refused with the same words wherever it comes from; the
+descriptors tell tools unit and range.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+from typing import Generic, Protocol, TypeVar
+
+import attrs
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from impact_rig import config
+from impact_rig.config import FieldInfo, RigConfig
+from impact_rig.config.fields import METADATA_KEY, info
+from impact_rig.errors import ConfigError
+
+Value = bool | int | float | str | tuple[str, ...]
+S = TypeVar("S")
+
+_LARGEST = 1.7976931348623157e308
+_LARGEST_INTEGER = 2**63 - 1
+_FOREIGN = (
+    "use_sim_time",
+    "start_type_description_service",
+    "qos_overrides.",
+)  # overrides that belong to rclpy, not us
+
+
+class Schema(Protocol[S]):
+    """What a node's parameters are: names, meanings, defaults and the validator."""
+
+    def fields(self) -> Iterable[tuple[str, FieldInfo, Value]]:
+        """Yield (name, meaning, default)."""
+
+    def default(self) -> S:
+        """Return the settings with every value at its default."""
+
+    def changed(self, settings: S, changes: Mapping[str, object]) -> S:
+        """Return `settings` with `changes`; ConfigError names key, value and range."""
+
+    def flat(self, settings: S) -> Mapping[str, Value]:
+        """Return every value by name."""
+
+    def load(self, path: Path) -> S:
+        """Return the settings in a file; ConfigError names the file as well."""
+
+
+class RigSchema:
+    """The rig's parameters: one per value of `RigConfig`, named `section.key`."""
+
+    def fields(self) -> Iterable[tuple[str, FieldInfo, Value]]:
+        """Yield (name, meaning, default)."""
+        return config.fields()
+
+    def default(self) -> RigConfig:
+        """Return the paper's rig."""
+        return RigConfig()
+
+    def changed(self, settings: RigConfig, changes: Mapping[str, object]) -> RigConfig:
+        """Return `settings` with `changes`."""
+        return config.from_flat(settings, changes)
+
+    def flat(self, settings: RigConfig) -> Mapping[str, Value]:
+        """Return every value by name."""
+        return config.to_flat(settings)
+
+    def load(self, path: Path) -> RigConfig:
+        """Return the configuration in a file."""
+        return config.load(path)
+
+
+class SectionSchema(Generic[S]):
+    """The parameters of a node that are one flat section: an attrs class made of `impact_rig.config.fields`.
+
+    Args:
+        section: the class.
+    """
+
+    def __init__(self, section: Callable[[], S]) -> None:
+        self._section = section
+        assert isinstance(section, type)
+        self._infos = {a.name: info(a) for a in attrs.fields(section) if METADATA_KEY in a.metadata}
+
+    def fields(self) -> Iterable[tuple[str, FieldInfo, Value]]:
+        """Yield (name, meaning, default)."""
+        default = self._section()
+        for name, about in self._infos.items():
+            yield name, about, getattr(default, name)
+
+    def default(self) -> S:
+        """Return the section's defaults."""
+        return self._section()
+
+    def changed(self, settings: S, changes: Mapping[str, object]) -> S:
+        """Return `settings` with `changes`."""
+        for name in changes:
+            if name not in self._infos:
+                raise ConfigError(f"unknown key {name!r}, known are {', '.join(self._infos)}")
+        return attrs.evolve(settings, **changes)  # type: ignore[misc]  # S is an attrs class
+
+    def flat(self, settings: S) -> Mapping[str, Value]:
+        """Return every value by name."""
+        return {name: getattr(settings, name) for name in self._infos}
+
+    def load(self, path: Path) -> S:
+        """Refuse: these nodes take ROS parameter files only."""
+        raise ConfigError(f"this node has no config_file, got {path}")
+
+
+class Parameters(Generic[S]):
+    """The parameters of one node: declared from a schema, changed only through its validator.
+
+    Args:
+        node: owner; its `set_parameters_atomically` asks `check` first.
+        schema: names, meanings and validator.
+        arguments: command line, to name the parameter files in an error of the start-up values.
+    """
+
+    def __init__(self, node: Node, schema: Schema[S], arguments: Iterable[str] = ()) -> None:
+        self._schema = schema
+        self._infos = {name: about for name, about, _ in schema.fields()}
+        self.refused: ConfigError | None = None
+        """Why the values given at start were refused; the settings are then the defaults."""
+        # rclpy has no public accessor of the overrides, and declaring them one by one would stop at the first bad one
+        given = {name: parameter.value for name, parameter in node._parameter_overrides.items()}
+        self.settings = self._at_start(given, _files(arguments))
+        for name, value in schema.flat(self.settings).items():
+            found = descriptor(self._infos[name], value)
+            node.declare_parameter(name, _to_ros(value), found, ignore_override=True)
+        about = ParameterDescriptor(description="Configuration file to start from.", read_only=True)
+        node.declare_parameter(CONFIG_FILE, str(given.get(CONFIG_FILE, "")), about, ignore_override=True)
+
+    def _at_start(self, given: Mapping[str, object], files: str) -> S:
+        ours = {name: _from_ros(value) for name, value in given.items() if not name.startswith(_FOREIGN)}
+        try:
+            path = ours.pop(CONFIG_FILE, "")
+            base = self._schema.load(Path(str(path))) if path else self._schema.default()
+            return self._schema.changed(base, ours)
+        except ConfigError as error:
+            self.refused = ConfigError(f"{error}{files}")
+            return self._schema.default()
+
+    def check(self, wanted: list[Parameter]) -> tuple[list[Parameter], S]:
+        """Return the parameters as they will be stored, and the settings with them.
+
+        Raises:
+            ConfigError: unknown key, read-only, bad value or a combination that makes no sense; nothing is changed.
+        """
+        changes: dict[str, object] = {}
+        for parameter in wanted:
+            if parameter.name.startswith(_FOREIGN):
+                continue
+            about = self._infos.get(parameter.name)
+            if (about is not None and about.read_only) or parameter.name == CONFIG_FILE:
+                raise ConfigError(f"{parameter.name} can be set at start only (parameter file or -p), it is read-only")
+            changes[parameter.name] = _from_ros(parameter.value)
+        settings = self._schema.changed(self.settings, changes)
+        values = self._schema.flat(settings)
+        stored = [
+            Parameter(p.name, value=_to_ros(values[p.name])) if p.name in changes and values[p.name] != () else p
+            for p in wanted
+        ]
+        return stored, settings
+
+    def changes(self, settings: S) -> dict[str, Value]:
+        """Return what differs between the present settings and `settings`."""
+        before = self._schema.flat(self.settings)
+        return {name: value for name, value in self._schema.flat(settings).items() if value != before[name]}
+
+
+CONFIG_FILE = "config_file"
+"""Parameter: a configuration file to start from; other parameters go on top of it."""
+
+
+def refusal(error: Exception) -> SetParametersResult:
+    """Return the answer to a set that was refused."""
+    return SetParametersResult(successful=False, reason=str(error))
+
+
+def descriptor(about: FieldInfo, value: Value) -> ParameterDescriptor:
+    """Return what ROS tools show about a parameter: sentence, unit, range.
+
+    ROS ranges are closed; an open end is given in words, and the validator holds it.
+    """
+    unit = "" if about.unit == "-" else f" [{about.unit}]"
+    limited = bool(about.choices) or about.low is not None or about.high is not None
+    found = ParameterDescriptor(
+        description=f"{about.doc}{unit}",
+        read_only=about.read_only,
+        additional_constraints=about.range_text() if limited else "",
+    )
+    if isinstance(value, tuple):
+        found.type = Parameter.Type.STRING_ARRAY.value  # rclpy takes an empty list for bytes
+    if about.low is None and about.high is None:
+        return found
+    if isinstance(value, int):
+        low = -_LARGEST_INTEGER if about.low is None else int(about.low)
+        high = _LARGEST_INTEGER if about.high is None else int(about.high)
+        found.integer_range = [IntegerRange(from_value=low, to_value=high, step=0)]
+    else:
+        least = -_LARGEST if about.low is None else float(about.low)
+        most = _LARGEST if about.high is None else float(about.high)
+        found.floating_point_range = [FloatingPointRange(from_value=least, to_value=most, step=0.0)]
+    return found
+
+
+def _to_ros(value: Value) -> object:
+    """ROS has no empty typed lists: `[""]` means none."""
+    return (list(value) or [""]) if isinstance(value, tuple) else value
+
+
+def _from_ros(value: object) -> object:
+    return tuple(value) if isinstance(value, list) else value
+
+
+def _files(arguments: Iterable[str]) -> str:
+    words = list(arguments)
+    files = [after for word, after in itertools.pairwise(words) if word == "--params-file"]
+    return f" ({', '.join(files)})" if files else ""

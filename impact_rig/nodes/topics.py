@@ -1,0 +1,230 @@
+"""The one table of topics: name, type, quality of service, who publishes, what is in it.
+
+Publishers, subscribers, the recorder and `docs/interface.md` read this table; nothing about a topic is written twice.
+Names are relative: a launch file puts them under one namespace, except the two that are global by convention.
+"""
+
+from __future__ import annotations
+
+import enum
+import importlib
+from typing import Any  # message classes have no common base
+
+import attrs
+import numpy as np
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+
+from impact_rig import blocks
+
+DATA_DEPTH = 1000
+"""Messages a data topic keeps: 10 s of 10 ms blocks, 1 s of 1 ms blocks."""
+HISTORY_DEPTH = 5000
+"""Rows a late subscriber of the journal still gets; one with a gap in `sequence` is known to be incomplete."""
+
+
+class Qos(enum.Enum):
+    """The qualities of service in use; all are reliable, KEEP_LAST."""
+
+    DATA = (DATA_DEPTH, False)
+    STATE = (DATA_DEPTH, True)  # every change arrives, and whoever joins late still gets the last ones
+    HISTORY = (HISTORY_DEPTH, True)
+    LATCHED = (1, True)  # configuration and calibration
+    EVENT = (10, False)  # commands, remarks, diagnostics, clock
+
+    @property
+    def depth(self) -> int:
+        """Messages kept for a slow (or late) subscriber."""
+        return self.value[0]
+
+    @property
+    def transient_local(self) -> bool:
+        """Whether a late subscriber gets what was published before."""
+        return self.value[1]
+
+    def profile(self) -> QoSProfile:
+        """Return a fresh rclpy profile (rclpy writes overrides into it)."""
+        return QoSProfile(
+            history=HistoryPolicy.KEEP_LAST,
+            depth=self.depth,
+            reliability=ReliabilityPolicy.RELIABLE,
+            durability=DurabilityPolicy.TRANSIENT_LOCAL if self.transient_local else DurabilityPolicy.VOLATILE,
+        )
+
+
+@attrs.frozen
+class Topic:
+    """One row of the table.
+
+    Attributes:
+        name: relative topic name, or absolute where convention says so.
+        type_name: ROS interface, `package/msg/Type`.
+        qos: quality of service of publishers and subscribers.
+        publisher: node that publishes it, or `client`.
+        doc: what is in it.
+        columns: row type where the message is a table.
+        frame_id: frame of its header.
+    """
+
+    name: str
+    type_name: str
+    qos: Qos
+    publisher: str
+    doc: str
+    columns: np.dtype[np.void] | None = None
+    frame_id: str = ""
+
+    def message_type(self) -> Any:
+        """Import and return the message class."""
+        package, _, name = self.type_name.split("/")
+        return getattr(importlib.import_module(f"{package}.msg"), name)
+
+
+_TABLE = "sensor_msgs/msg/PointCloud2"
+
+
+def _table(
+    name: str, qos: Qos, publisher: str, columns: np.dtype[np.void], doc: str, frame_id: str = blocks.FRAME_DAQ
+) -> Topic:
+    return Topic(name, _TABLE, qos, publisher, doc, columns, frame_id)
+
+
+SCAN = _table("daq/scan", Qos.DATA, "rig", blocks.SCAN, "One block of scans; stamp = first scan.")
+INFO = _table(
+    "daq/info", Qos.LATCHED, "rig", blocks.DAQ_INFO, "Calibration, one row per channel; stamp = from when it holds."
+)
+ACCELEROMETER = Topic(
+    "accelerometer",
+    "sensor_msgs/msg/Imu",
+    Qos.DATA,
+    "rig",
+    "The accelerometer at monitor rate (x; REP-145: other quantities are marked as not measured).",
+    frame_id="superior_base",
+)
+LASER = Topic(
+    "laser",
+    "sensor_msgs/msg/Range",
+    Qos.DATA,
+    "rig",
+    "Distance of the superior base, 0.050 m - x_1, at monitor rate; out of range is -Inf or +Inf (REP-117).",
+    frame_id="laser",
+)
+BASE_DISPLACEMENT = Topic(
+    "base_displacement",
+    "geometry_msgs/msg/Vector3Stamped",
+    Qos.DATA,
+    "rig",
+    "Displacement of the inferior base (x) at monitor rate.",
+    frame_id="base_sensor",
+)
+APPLIED = _table(
+    "shaker/applied",
+    Qos.STATE,
+    "rig",
+    blocks.APPLIED,
+    "What the shaker does and since which sample; one row per accepted change, published on acceptance.",
+)
+JOURNAL = _table(
+    "rig/journal",
+    Qos.HISTORY,
+    "rig",
+    blocks.JOURNAL,
+    "Every state-changing input with its sample index, from the last `start` or `reset` on (sequence 0).",
+)
+CONFIGURATION = Topic(
+    "rig/configuration",
+    "std_msgs/msg/String",
+    Qos.LATCHED,
+    "rig",
+    "The configuration in force, complete, as a ROS 2 parameter file.",
+)
+JOINT_STATES = Topic(
+    "truth/joint_states",
+    "sensor_msgs/msg/JointState",
+    Qos.DATA,
+    "rig",
+    "True positions and velocities of base, structure and sphere at monitor rate; effort = contact force on it.",
+    frame_id="rig",
+)
+IMPACTS_TRUTH = _table(
+    "truth/impacts", Qos.DATA, "rig", blocks.IMPACTS, "The contacts that ended in a block; time = when they began."
+)
+TRUTH_SCAN = _table(
+    "truth/scan",
+    Qos.DATA,
+    "rig",
+    blocks.TRUTH_SCAN,
+    "The instants of daq/scan without instruments (output.truth_scan).",
+)
+FAULTS = _table("truth/faults", Qos.STATE, "rig", blocks.FAULTS, "Instrument faults as they start and end.")
+TRANSMISSIBILITY = Topic(
+    "transmissibility", "std_msgs/msg/Float64", Qos.DATA, "analysis", "Last settled transmissibility, for plotters."
+)
+TRANSMISSIBILITY_TABLE = _table(
+    "transmissibility/table", Qos.STATE, "analysis", blocks.TRANSMISSIBILITY, "One row per measurement."
+)
+IMPACTS = _table(
+    "impacts", Qos.DATA, "analysis", blocks.DETECTED_IMPACTS, "Impacts detected from the accelerometer alone."
+)
+FREQUENCY = Topic("shaker/frequency", "std_msgs/msg/Float64", Qos.EVENT, "client", "Command: drive frequency [Hz].")
+CURRENT = Topic(
+    "shaker/current",
+    "std_msgs/msg/Float64",
+    Qos.EVENT,
+    "client",
+    "Command: drive amplitude, peak (rms for random) [A; m or V by drive.kind].",
+)
+NOTES = Topic("notes", "std_msgs/msg/String", Qos.EVENT, "client", "Operator's remarks, recorded with the run.")
+ACK = Topic(
+    "daq/ack",
+    "std_msgs/msg/Header",
+    Qos.DATA,
+    "peers",
+    "A peer (frame_id) has processed daq/scan up to the block with this stamp.",
+)
+DIAGNOSTICS = Topic(
+    "/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", Qos.EVENT, "every node", "At 1 Hz and on change."
+)
+CLOCK = Topic(
+    "/clock",
+    "rosgraph_msgs/msg/Clock",
+    Qos.EVENT,
+    "rig",
+    "Rig time, by default whenever not in real time x 1 (time.publish_clock).",
+)
+
+TOPICS = (
+    SCAN,
+    INFO,
+    ACCELEROMETER,
+    LASER,
+    BASE_DISPLACEMENT,
+    APPLIED,
+    JOURNAL,
+    CONFIGURATION,
+    JOINT_STATES,
+    IMPACTS_TRUTH,
+    TRUTH_SCAN,
+    FAULTS,
+    TRANSMISSIBILITY,
+    TRANSMISSIBILITY_TABLE,
+    IMPACTS,
+    FREQUENCY,
+    CURRENT,
+    NOTES,
+    ACK,
+    DIAGNOSTICS,
+    CLOCK,
+)
+"""Every topic of the interface, in the order of the documentation."""
+
+
+def by_name(name: str) -> Topic:
+    """Return the topic of this (relative or absolute) name.
+
+    Raises:
+        KeyError: there is none.
+    """
+    return _BY_NAME[name]
+
+
+_BY_NAME = {topic.name: topic for topic in TOPICS}

@@ -1,0 +1,310 @@
+"""A client of the rig's graph: waits on conditions, commands, steps, sets parameters and collects topics.
+
+It spins in the caller's thread, only while it waits; no thread is started and nothing sleeps for a fixed time. Every
+wait has a deadline and names what it waited for; with `processes` given, a node process that dies ends the wait at once
+with its last words.
+"""
+
+from __future__ import annotations
+
+import functools
+import time
+from collections.abc import Callable, Mapping, Sequence
+from types import TracebackType
+from typing import Any, TypeVar  # rclpy handles; message classes have no common base
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticStatus
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState, GetState
+from rcl_interfaces.srv import GetParameters, SetParametersAtomically
+from rclpy.context import Context
+from rclpy.node import Node
+from rclpy.parameter import Parameter, parameter_value_to_python
+from rclpy.time import Time
+from std_msgs.msg import Float64, Header, String
+from std_srvs.srv import SetBool, Trigger
+
+from impact_rig import codec
+from impact_rig.errors import ConfigError, ImpactRigError
+from impact_rig.nodes import topics
+from impact_rig.nodes.process import make_executor
+from impact_rig.testing.collector import Collector, Received
+from impact_rig.testing.processes import ParameterValue, Processes
+
+T = TypeVar("T")
+
+DEFAULT_TIMEOUT_S = 10.0
+"""Discovery takes 0.2 to 2 s; compiled code may load in the first seconds of a node."""
+START_TIMEOUT_S = 120.0
+"""A node's first start on a machine compiles the physics."""
+SPIN_S = 0.1
+_TRANSITIONS = {
+    "configure": Transition.TRANSITION_CONFIGURE,
+    "cleanup": Transition.TRANSITION_CLEANUP,
+    "activate": Transition.TRANSITION_ACTIVATE,
+    "deactivate": Transition.TRANSITION_DEACTIVATE,
+}
+
+
+class WaitTimeoutError(ImpactRigError, TimeoutError):
+    """Something awaited did not happen in time."""
+
+
+class ServiceFailedError(ImpactRigError, RuntimeError):
+    """A service answered that it could not do what was asked."""
+
+
+class Client:
+    """One ROS node that plays the user.
+
+    Args:
+        domain_id: ROS domain.
+        namespace: namespace of the rig's nodes; topics and node names below are relative to it.
+        processes: watched during every wait.
+        name: node name, and the name in its acknowledgements.
+    """
+
+    def __init__(
+        self, domain_id: int, namespace: str = "", processes: Processes | None = None, name: str = "client"
+    ) -> None:
+        self._processes = processes
+        self.name = name
+        self.context = Context()
+        self.context.init(args=[], domain_id=domain_id)
+        self.executor = make_executor(self.context)
+        self.node = Node(
+            name, namespace=namespace, context=self.context, use_global_arguments=False, enable_rosout=False
+        )
+        self.executor.add_node(self.node)
+        self.diagnostics: dict[str, DiagnosticStatus] = {}
+        """Latest status of each node, by name relative to the namespace."""
+        self._hosted: list[Any] = []
+        self._publishers: dict[str, Any] = {}
+        self._clients: dict[tuple[str, Any], Any] = {}
+        self._subscribe(topics.DIAGNOSTICS, self._on_diagnostics)
+        self._applied = Collector(topics.APPLIED)
+        self._applied_subscription = self._subscribe(topics.APPLIED, self._applied.take, raw=True)
+
+    def __enter__(self) -> Client:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Destroy the node, the nodes it hosts and the context."""
+        for node in self._hosted:
+            node.close()
+        self.executor.shutdown()
+        for node in [*self._hosted, self.node]:
+            node.destroy_node()
+        self.context.try_shutdown()
+
+    # Waiting
+
+    def wait_until(self, condition: Callable[[], object], what: str, timeout_s: float = DEFAULT_TIMEOUT_S) -> None:
+        """Spin until `condition()` is true.
+
+        Raises:
+            WaitTimeoutError: it did not become true in time; names `what`.
+            ProcessDiedError: a watched process ended.
+        """
+        deadline = time.monotonic() + timeout_s
+        while not condition():
+            if self._processes is not None:
+                self._processes.check()
+            if time.monotonic() > deadline:
+                raise WaitTimeoutError(f"waited {timeout_s:g} s in vain for {what}{self._troubles()}")
+            self.executor.spin_once(timeout_sec=SPIN_S)
+
+    def spin_for(self, duration_s: float) -> None:
+        """Let things happen for a while of wall time: for benchmarks and demonstrations, not for tests."""
+        deadline = time.monotonic() + duration_s
+        while (left := deadline - time.monotonic()) > 0:
+            if self._processes is not None:
+                self._processes.check()
+            self.executor.spin_once(timeout_sec=min(left, SPIN_S))
+
+    def wait_active(self, *nodes: str, timeout_s: float = START_TIMEOUT_S) -> None:
+        """Wait until these nodes are in the lifecycle state `active`."""
+        for node in nodes:
+            is_active = functools.partial(self._is_in_state, node, "active", timeout_s)
+            self.wait_until(is_active, f"{node} to be active", timeout_s)
+
+    def host(self, make_node: Callable[..., Any], **kwargs: Any) -> Any:
+        """Run a node in this process, in this client's executor; `make_node` gets context and namespace.
+
+        No thread: the node works while the client waits.
+        """
+        node = make_node(
+            context=self.context, namespace=self.node.get_namespace(), use_global_arguments=False, **kwargs
+        )
+        self._hosted.append(node)
+        self.executor.add_node(node)
+        return node
+
+    # Commands
+
+    def command(
+        self,
+        frequency_hz: float | None = None,
+        current_a: float | None = None,
+        timeout_s: float = DEFAULT_TIMEOUT_S,
+    ) -> np.void:
+        """Command frequency and current (peak) and wait for the rig's rows in shaker/applied; return the last one.
+
+        Its `sample` is the first scan the commands act on.
+
+        Raises:
+            WaitTimeoutError: the rig did not accept; the message ends with the rig's last refusal.
+        """
+        row: np.void | None = None
+        for topic, column, value in (
+            (topics.FREQUENCY, "frequency", frequency_hz),
+            (topics.CURRENT, "current", current_a),
+        ):
+            if value is None:
+                continue
+            before = len(self._applied)
+            self.publish(topic, Float64(data=value))
+            row = self._await_applied(before, column, value, timeout_s)
+        assert row is not None, "command() needs a frequency or a current"
+        return row
+
+    def publish(self, topic: topics.Topic, message: Any, timeout_s: float = DEFAULT_TIMEOUT_S) -> None:
+        """Publish a message once somebody listens."""
+        publisher = self._publishers.get(topic.name)
+        if publisher is None:
+            publisher = self.node.create_publisher(topic.message_type(), topic.name, topic.qos.profile())
+            self._publishers[topic.name] = publisher
+        self.wait_until(publisher.get_subscription_count, f"a subscriber of {topic.name}", timeout_s)
+        publisher.publish(message)
+
+    def note(self, text: str) -> None:
+        """Publish an operator's remark; recorded with the run."""
+        self.publish(topics.NOTES, String(data=text))
+
+    def step(self, blocks: int | None = None, timeout_s: float = START_TIMEOUT_S) -> str:
+        """Advance a stepped rig and return when the last block is out and acknowledged."""
+        if blocks is not None:
+            self.set_parameters("rig", {"step.blocks": blocks})
+        return self.trigger("rig/step", timeout_s)
+
+    def pause(self, paused: bool = True) -> None:
+        """Pause the rig, or let it go on."""
+        response = self.call(SetBool, "rig/pause", SetBool.Request(data=paused))
+        if not response.success:
+            raise ServiceFailedError(f"rig/pause: {response.message}")
+
+    def trigger(self, name: str, timeout_s: float = DEFAULT_TIMEOUT_S) -> str:
+        """Call a Trigger service, e.g. `rig/reset`, `recorder/start`; return its message.
+
+        Raises:
+            ServiceFailedError: it answered `success = False`.
+        """
+        response = self.call(Trigger, name, Trigger.Request(), timeout_s)
+        if not response.success:
+            raise ServiceFailedError(f"{name}: {response.message}")
+        return str(response.message)
+
+    def call(self, service_type: Any, name: str, request: Any, timeout_s: float = DEFAULT_TIMEOUT_S) -> Any:
+        """Call any service and return its response."""
+        client = self._clients.get((name, service_type))
+        if client is None:
+            client = self._clients[name, service_type] = self.node.create_client(service_type, name)
+        self.wait_until(client.service_is_ready, f"service {name}", timeout_s)
+        future = client.call_async(request)
+        self.wait_until(future.done, f"an answer of {name}", timeout_s)
+        return future.result()
+
+    # Parameters and lifecycle
+
+    def set_parameters(self, node: str, values: Mapping[str, ParameterValue]) -> None:
+        """Set parameters, all or none.
+
+        Raises:
+            ConfigError: the node refused; its reason.
+        """
+        request = SetParametersAtomically.Request(
+            parameters=[
+                Parameter(
+                    name, value=value if isinstance(value, str) or not isinstance(value, Sequence) else list(value)
+                ).to_parameter_msg()
+                for name, value in values.items()
+            ]
+        )
+        result = self.call(SetParametersAtomically, f"{node}/set_parameters_atomically", request).result
+        if not result.successful:
+            raise ConfigError(result.reason)
+
+    def get_parameters(self, node: str, names: Sequence[str]) -> dict[str, Any]:
+        """Return parameter values by name."""
+        response = self.call(GetParameters, f"{node}/get_parameters", GetParameters.Request(names=list(names)))
+        return {name: parameter_value_to_python(value) for name, value in zip(names, response.values, strict=True)}
+
+    def state(self, node: str, timeout_s: float = DEFAULT_TIMEOUT_S) -> str:
+        """Return the label of a node's lifecycle state."""
+        return str(self.call(GetState, f"{node}/get_state", GetState.Request(), timeout_s).current_state.label)
+
+    def change_state(self, node: str, transition: str, timeout_s: float = START_TIMEOUT_S) -> bool:
+        """Request a lifecycle transition (`configure`, `activate`, `deactivate`, `cleanup`); return its success."""
+        request = ChangeState.Request(transition=Transition(id=_TRANSITIONS[transition]))
+        return bool(self.call(ChangeState, f"{node}/change_state", request, timeout_s).success)
+
+    # Topics
+
+    def collect(self, name: str, acknowledge: bool = False, timeout_s: float = DEFAULT_TIMEOUT_S) -> Collector:
+        """Subscribe to a topic of the table and keep everything that arrives; returns once a publisher is matched.
+
+        Args:
+            name: topic name as in the table, e.g. `daq/scan`.
+            acknowledge: answer every message with daq/ack, as a peer named like this client must.
+            timeout_s: how long to wait for a publisher.
+        """
+        topic = topics.by_name(name)
+        collector = Collector(topic, self._acknowledge if acknowledge else None)
+        if acknowledge:
+            self._publishers[topics.ACK.name] = self.node.create_publisher(
+                Header, topics.ACK.name, topics.ACK.qos.profile()
+            )
+        subscription = self._subscribe(topic, collector.take, raw=topic.columns is not None)
+        self.wait_until(subscription.get_publisher_count, f"a publisher of {name}", timeout_s)
+        return collector
+
+    def _subscribe(self, topic: topics.Topic, callback: Callable[..., None], raw: bool = False) -> Any:
+        return self.node.create_subscription(topic.message_type(), topic.name, callback, topic.qos.profile(), raw=raw)
+
+    def _acknowledge(self, message: Received) -> None:
+        stamp = Time(nanoseconds=codec.header_stamp_ns(message.data)).to_msg()
+        self._publishers[topics.ACK.name].publish(Header(stamp=stamp, frame_id=self.name))
+
+    def _is_in_state(self, node: str, state: str, timeout_s: float) -> bool:
+        return self.state(node, timeout_s) == state
+
+    def _await_applied(self, before: int, column: str, value: float, timeout_s: float) -> np.void:
+        what = f"{column} = {value:g} in shaker/applied"
+        self.wait_until(lambda: self._accepted(before, column, value) is not None, what, timeout_s)
+        row = self._accepted(before, column, value)
+        assert row is not None
+        return row
+
+    def _accepted(self, before: int, column: str, value: float) -> np.void | None:
+        for table in reversed(self._applied.tables()[before:]):
+            if table.rows[column][-1] == value:
+                last: np.void = table.rows[-1]
+                return last
+        return None
+
+    def _on_diagnostics(self, message: Any) -> None:
+        prefix = self.node.get_namespace().strip("/")
+        for status in message.status:
+            name = status.name.removeprefix(prefix).lstrip("/")
+            self.diagnostics[name] = status
+
+    def _troubles(self) -> str:
+        """Return what nodes that are not well say: most waits in vain have their reason there."""
+        bad = [f"{name}: {status.message}" for name, status in self.diagnostics.items() if status.level != b"\0"]
+        return f" ({'; '.join(bad)})" if bad else ""

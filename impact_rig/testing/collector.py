@@ -1,0 +1,80 @@
+"""What arrived on one topic, with what DDS knows about each message; tables as numpy arrays."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any  # message classes have no common base
+
+import attrs
+import numpy as np
+from numpy.typing import NDArray
+
+from impact_rig import codec
+from impact_rig.blocks import Table
+from impact_rig.nodes.topics import Topic
+
+
+@attrs.frozen(eq=False)
+class Received:
+    """One message.
+
+    Attributes:
+        data: the message; CDR bytes where the topic carries tables.
+        sequence: DDS publication sequence number: contiguous per publisher.
+        received_ns: monotonic clock at the callback [ns].
+        received_system_ns: system clock at the callback [ns], comparable with stamps in realtime.
+    """
+
+    data: Any
+    sequence: int
+    received_ns: int
+    received_system_ns: int
+
+
+class Collector:
+    """Keeps every message of one topic.
+
+    Args:
+        topic: row of the topics table.
+        on_message: called after a message is kept (the client acknowledges here).
+    """
+
+    def __init__(self, topic: Topic, on_message: Callable[[Received], None] | None = None) -> None:
+        self.topic = topic
+        self.received: list[Received] = []
+        self._on_message = on_message
+
+    def __len__(self) -> int:
+        return len(self.received)
+
+    def take(self, data: Any, info: dict[str, Any]) -> None:
+        """Keep one message; the subscription's callback."""
+        message = Received(data, int(info["publication_sequence_number"]), time.monotonic_ns(), time.time_ns())
+        self.received.append(message)
+        if self._on_message is not None:
+            self._on_message(message)
+
+    @property
+    def messages(self) -> list[Any]:
+        """The messages, or the CDR bytes of tables."""
+        return [message.data for message in self.received]
+
+    def tables(self) -> list[Table]:
+        """Return the decoded tables."""
+        return [codec.decode(message.data) for message in self.received]
+
+    def rows(self) -> NDArray[np.void]:
+        """Return the rows of all tables, one after the other; shape (n,)."""
+        assert self.topic.columns is not None, f"{self.topic.name} carries no tables"
+        parts = [table.rows for table in self.tables()]
+        return np.concatenate(parts) if parts else np.empty(0, self.topic.columns)
+
+    def lost(self) -> int:
+        """Return how many messages are missing between the first and the last, by DDS sequence number."""
+        numbers = [message.sequence for message in self.received]
+        return int(numbers[-1] - numbers[0] + 1 - len(set(numbers))) if numbers else 0
+
+    def clear(self) -> None:
+        """Forget what arrived so far."""
+        self.received.clear()

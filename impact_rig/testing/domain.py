@@ -1,0 +1,71 @@
+"""A ROS domain of one's own: nothing else on this machine or network hears or disturbs what runs in it."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from impact_rig.errors import ImpactRigError
+
+FIRST_DOMAIN, LAST_DOMAIN = 1, 100
+"""Above 101 the ports of a domain fall into Linux's ephemeral range; 0 is everybody's default."""
+DISCOVERY_VARIABLE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
+
+
+@contextmanager
+def isolated_domain() -> Iterator[int]:
+    """Reserve a domain id until the end of the block; discovery of this process and its children stays on this host.
+
+    Two test workers, or two users of one machine, never get the same id: each holds a lock file while it uses one.
+
+    Raises:
+        ImpactRigError: all ids are in use.
+    """
+    before = os.environ.get(DISCOVERY_VARIABLE)
+    for domain_id in _candidates():
+        handle = _lock(domain_id)
+        if handle is None:
+            continue
+        os.environ[DISCOVERY_VARIABLE] = "LOCALHOST"
+        try:
+            yield domain_id
+        finally:
+            os.close(handle)
+            if before is None:
+                del os.environ[DISCOVERY_VARIABLE]
+            else:
+                os.environ[DISCOVERY_VARIABLE] = before
+        return
+    raise ImpactRigError(
+        f"no free ROS domain id between {FIRST_DOMAIN} and {LAST_DOMAIN}: {_directory()} is full of locks"
+    )
+
+
+def _candidates() -> Iterator[int]:
+    count = LAST_DOMAIN - FIRST_DOMAIN + 1
+    start = os.getpid() % count  # spreads workers; the locks decide
+    for k in range(count):
+        yield FIRST_DOMAIN + (start + k) % count
+
+
+def _directory() -> Path:
+    return Path(tempfile.gettempdir()) / "impact_rig_domains"
+
+
+def _lock(domain_id: int) -> int | None:
+    directory = _directory()
+    directory.mkdir(exist_ok=True)
+    try:
+        handle = os.open(directory / f"{domain_id}.lock", os.O_RDWR | os.O_CREAT, 0o666)
+    except PermissionError:  # another user's lock file
+        return None
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        os.close(handle)
+        return None
+    return handle
