@@ -1,9 +1,11 @@
 """Runs as MCAP files: written, read, checked, recovered and exported. CDR bytes in, CDR bytes out; no ROS needed."""
 
 from impact_rig.recording.contiguity import Contiguity, Gap, check_contiguity, scan_rate_hz
+from impact_rig.recording.exports import export
 from impact_rig.recording.provenance import CONFIGURATION, Attachment, Provenance
 from impact_rig.recording.reader import Message, RecordedTopic, Run, open_run
-from impact_rig.recording.recover import RecoverReport, recover
+from impact_rig.recording.recovery import RecoverReport, recover
+from impact_rig.recording.run_info import RunInfo, TopicInfo, info
 from impact_rig.recording.salvage import Damage
 from impact_rig.recording.schema import schema_text
 from impact_rig.recording.topics import Qos, Topic
@@ -21,9 +23,13 @@ __all__ = [
     "RecordedTopic",
     "RecoverReport",
     "Run",
+    "RunInfo",
     "RunWriter",
     "Topic",
+    "TopicInfo",
     "check_contiguity",
+    "export",
+    "info",
     "open_run",
     "recover",
     "scan_rate_hz",

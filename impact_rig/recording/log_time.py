@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from impact_rig import codec
 from impact_rig.errors import CodecError
+from impact_rig.recording.topics import INFINITE_NS
 from impact_rig.simtime import NS_PER_S
+
+_LONGEST_BLOCK_S = 1e6  # a `time` beyond this (or none at all, or NaN) is no instant of a block
 
 
 class LogTime:
@@ -24,16 +27,22 @@ class LogTime:
         A stamp of zero is a header nobody filled in (or the first instant of a rig that starts at 0, where the fallback
         is zero as well), and bytes too short for a header have none: both are logged like header-less messages.
         """
-        stamp = _stamp(data) if has_header else 0
-        if is_scan:
-            self._newest_ns = _last_instant_ns(data, stamp)
+        block = _block(data) if is_scan else None
+        if block is not None:
+            stamp, self._newest_ns = block
             self._scans_seen = True
-            return max(0, stamp)
+            return _clamp(stamp)
+        stamp = _stamp(data) if has_header else 0
         if stamp > 0:
             if not self._scans_seen:
                 self._newest_ns = max(stamp, self._newest_ns or 0)
             return stamp
-        return max(0, publish_time_ns if self._newest_ns is None else self._newest_ns)
+        return _clamp(publish_time_ns if self._newest_ns is None else self._newest_ns)
+
+
+def _clamp(time_ns: int) -> int:
+    """Return what rosbag2 can read: its times are signed, MCAP's are not."""
+    return min(max(0, time_ns), INFINITE_NS)
 
 
 def _stamp(data: bytes) -> int:
@@ -43,12 +52,13 @@ def _stamp(data: bytes) -> int:
         return 0
 
 
-def _last_instant_ns(data: bytes, stamp_ns: int) -> int:
-    """Return the time of the last scan in a block; the block's stamp if it is no table with a `time` column."""
+def _block(data: bytes) -> tuple[int, int] | None:
+    """Return the times of a block's first and last scan, or None if it is no table with a sound `time` column."""
     try:
-        rows = codec.decode(data).rows
+        table = codec.decode(data)
     except CodecError:
-        return stamp_ns
-    if not len(rows) or rows.dtype.names is None or "time" not in rows.dtype.names:
-        return stamp_ns
-    return stamp_ns + round(float(rows["time"][-1]) * NS_PER_S)
+        return None
+    if not len(table.rows) or "time" not in (table.rows.dtype.names or ()):
+        return None
+    last_s = float(table.rows["time"][-1])
+    return (table.stamp_ns, table.stamp_ns + round(last_s * NS_PER_S)) if abs(last_s) < _LONGEST_BLOCK_S else None

@@ -21,7 +21,7 @@ from impact_rig.recording.log_time import LogTime
 from impact_rig.recording.mcap_file import McapFile
 from impact_rig.recording.provenance import RECORD_NAME, TOPIC_RECORD_NAME, Attachment, Provenance, protect
 from impact_rig.recording.schema import starts_with_header
-from impact_rig.recording.topics import SCAN_TOPIC, Topic, matches
+from impact_rig.recording.topics import INFINITE_NS, SCAN_TOPIC, Topic, matches
 
 CHUNK_BYTES = 512 * 1024
 """Uncompressed size at which a chunk is closed: 4 MiB stall the writer for 25 ms, a few hundred KiB for 1-3 ms."""
@@ -165,7 +165,9 @@ class RunWriter:
                 self._chunk_opened_s = self._clock()
             channel.count += 1
             self._spans[-1].add(log_time_ns)
-            if self._file.add_message(channel.id, log_time_ns, data, max(0, publish_time_ns), sequence):
+            if self._file.add_message(
+                channel.id, log_time_ns, data, min(max(0, publish_time_ns), INFINITE_NS), sequence
+            ):
                 self._commit()
             else:
                 self._flush_if_due()

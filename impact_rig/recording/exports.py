@@ -1,0 +1,126 @@
+"""Table topics as files other programs read: CSV, NumPy's NPZ and Parquet.
+
+Every row becomes one row, with the stamp of its message in front: `stamp_ns` is an exact integer, `time` counts from it
+in seconds. Numbers in CSV are written so that reading them back gives the same bits.
+"""
+
+from __future__ import annotations
+
+import csv
+import importlib
+import zipfile
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from impact_rig.errors import RecordingError
+from impact_rig.recording.reader import Run
+
+STAMP = "stamp_ns"
+_BATCH_ROWS = 100_000
+
+Columns = dict[str, NDArray[np.generic]]
+
+
+def export(run: Run, topic: str, target: Path) -> Path:
+    """Write a table topic to `target` and return it; the suffix says the format: .csv, .npz or .parquet.
+
+    NPZ is put together in memory, the others are written as they are read.
+
+    Raises:
+        RecordingError: unknown suffix, `target` exists or cannot be written, the topic carries no tables or changes
+            its columns, or pyarrow is missing for Parquet.
+    """
+    write = _WRITERS.get(target.suffix)
+    if write is None:
+        raise RecordingError(f"{target} must end in one of {', '.join(_WRITERS)}")
+    if target.exists():
+        raise RecordingError(f"{target} exists already and is not overwritten")
+    batches = _batches(run, topic)
+    partial = target.with_name(f".{target.name}.partial")
+    try:
+        write(partial, batches)
+        partial.replace(target)
+    except OSError as error:
+        if isinstance(error, RecordingError):
+            raise
+        raise RecordingError(f"{target} cannot be written: {error.strerror}") from error
+    finally:
+        partial.unlink(missing_ok=True)
+    return target
+
+
+def _batches(run: Run, topic: str) -> Iterator[Columns]:
+    """Yield the columns of many messages at a time; text as str. At least one batch, empty if there are no rows."""
+    dtype: np.dtype[np.void] | None = None
+    rows: list[NDArray[np.void]] = []
+    stamps: list[NDArray[np.int64]] = []
+    waiting = 0
+    for table in run.tables(topic):
+        if dtype is None:
+            dtype = table.rows.dtype
+        elif dtype != table.rows.dtype:
+            raise RecordingError(f"topic {topic} changes its columns at {table.stamp_ns} ns")
+        rows.append(table.rows)
+        stamps.append(np.full(len(table.rows), table.stamp_ns, np.int64))
+        waiting += len(table.rows)
+        if waiting >= _BATCH_ROWS:
+            yield _columns(rows, stamps)
+            rows, stamps, waiting = [], [], 0
+    if dtype is None:
+        raise RecordingError(f"topic {topic} holds no message, so its columns are not known")
+    if rows:
+        yield _columns(rows, stamps)
+
+
+def _columns(rows: list[NDArray[np.void]], stamps: list[NDArray[np.int64]]) -> Columns:
+    joined = np.concatenate(rows)
+    columns: Columns = {STAMP: np.concatenate(stamps)}
+    for name in joined.dtype.names or ():
+        column = joined[name]
+        columns[name] = np.char.decode(column, "utf-8", "replace") if column.dtype.kind == "S" else column
+    return columns
+
+
+def _write_csv(path: Path, batches: Iterator[Columns]) -> None:
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        for number, columns in enumerate(batches):
+            if number == 0:
+                writer.writerow(columns)
+            writer.writerows(zip(*(column.tolist() for column in columns.values()), strict=True))
+
+
+def _write_npz(path: Path, batches: Iterator[Columns]) -> None:
+    parts = list(batches)
+    columns = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    # np.savez would take columns called `file` or `allow_pickle` for its own arguments
+    with zipfile.ZipFile(path, "w") as archive:
+        for name, column in columns.items():
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as file:
+                np.lib.format.write_array(file, column, allow_pickle=False)
+
+
+def _write_parquet(path: Path, batches: Iterator[Columns]) -> None:
+    try:
+        arrow, parquet = importlib.import_module("pyarrow"), importlib.import_module("pyarrow.parquet")
+    except ImportError as error:
+        raise RecordingError("Parquet needs pyarrow, which is not installed: pip install pyarrow") from error
+    writer = None
+    try:
+        for columns in batches:
+            table = arrow.table({name: arrow.array(column) for name, column in columns.items()})
+            writer = writer or parquet.ParquetWriter(path, table.schema)
+            writer.write_table(table)
+    finally:
+        if writer is not None:
+            writer.close()
+
+
+_WRITERS: Mapping[str, Callable[[Path, Iterator[Columns]], None]] = {
+    ".csv": _write_csv,
+    ".npz": _write_npz,
+    ".parquet": _write_parquet,
+}

@@ -1,0 +1,190 @@
+"""What a run holds and whether it is whole, for one screen: every message is read, so every checksum is checked."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import attrs
+
+from impact_rig import codec
+from impact_rig.errors import CodecError
+from impact_rig.recording.contiguity import Contiguity, check_contiguity, scan_rate_hz
+from impact_rig.recording.provenance import CONFIGURATION
+from impact_rig.recording.reader import Message, Run, open_run
+from impact_rig.recording.records import DamageError
+from impact_rig.recording.topics import SCAN_TOPIC, matches
+from impact_rig.simtime import NS_PER_S
+
+
+@attrs.frozen
+class TopicInfo:
+    """A topic in figures.
+
+    Attributes:
+        name: of the topic.
+        type_name: of its messages.
+        count: messages read.
+        rate_hz: messages per second of rig time between its first and last; None with fewer than two instants.
+        first_ns: earliest log time; 0 without messages.
+        last_ns: latest log time; 0 without messages.
+        bytes: CDR bytes of all its messages.
+    """
+
+    name: str
+    type_name: str
+    count: int
+    rate_hz: float | None
+    first_ns: int
+    last_ns: int
+    bytes: int
+
+
+@attrs.frozen
+class RunInfo:
+    """A run in figures.
+
+    Attributes:
+        path: what was opened.
+        files: name and size [bytes] of every file.
+        start_ns: earliest log time.
+        end_ns: latest log time.
+        topics: in the order they were registered.
+        rate_hz: scans per second of `daq/scan`; None without it.
+        scans: whether its blocks follow each other; None without it.
+        provenance: version, seed, wall_start_ns, ...; empty for other recorders' files.
+        attachments: name and size [bytes].
+        configuration: text of the attached configuration; None if there is none.
+        intact: whether every checksum fits and no block is missing.
+        verdict: the same as a sentence.
+    """
+
+    path: Path
+    files: tuple[tuple[str, int], ...]
+    start_ns: int
+    end_ns: int
+    topics: tuple[TopicInfo, ...]
+    rate_hz: int | None
+    scans: Contiguity | None
+    provenance: Mapping[str, str]
+    attachments: Mapping[str, int]
+    configuration: str | None
+    intact: bool
+    verdict: str
+
+    @property
+    def duration_s(self) -> float:
+        """Rig time from the earliest to the latest message [s]."""
+        return (self.end_ns - self.start_ns) / NS_PER_S
+
+    @property
+    def messages(self) -> int:
+        """Messages read."""
+        return sum(topic.count for topic in self.topics)
+
+    @property
+    def bytes(self) -> int:
+        """Size of all files."""
+        return sum(size for _, size in self.files)
+
+
+def info(path: Path | str) -> RunInfo:
+    """Read a whole run and return what it holds.
+
+    Args:
+        path: a run directory or an MCAP file.
+
+    Raises:
+        RecordingError: there is no recording, it is not finished or its index is damaged. A damaged chunk does not
+            raise: the verdict names it, and the figures are of what comes before it.
+    """
+    with open_run(path) as run:
+        tally = _Tally(run)
+        problem = ""
+        provenance: Mapping[str, str] = {}
+        attachments: Mapping[str, bytes] = {}
+        try:
+            provenance = run.provenance
+            attachments = run.attachments()
+            for message in run.messages(recorded_order=True):
+                tally.add(message)
+        except DamageError as error:
+            problem = str(error)
+        scans = check_contiguity(tally.blocks, tally.rate_hz) if tally.rate_hz else None
+        configuration = attachments.get(CONFIGURATION)
+        return RunInfo(
+            path=run.path,
+            files=tuple((source.path.name, source.size) for source in run.sources),
+            start_ns=run.start_ns,
+            end_ns=run.end_ns,
+            topics=tally.topics(),
+            rate_hz=tally.rate_hz,
+            scans=scans,
+            provenance=provenance,
+            attachments={name: len(data) for name, data in attachments.items()},
+            configuration=None if configuration is None else configuration.decode("utf-8", errors="replace"),
+            intact=not problem and (scans is None or scans.whole),
+            verdict=problem or _verdict(scans),
+        )
+
+
+def _verdict(scans: Contiguity | None) -> str:
+    if scans is None:
+        return f"every checksum fits; there is no {SCAN_TOPIC}"
+    if scans.whole:
+        return f"whole: every checksum fits, {scans.blocks} blocks of {SCAN_TOPIC} without a gap"
+    parts = [f"every checksum fits, but {len(scans.gaps)} gaps in {SCAN_TOPIC}"]
+    if scans.lost_blocks:
+        parts.append(f"{scans.lost_blocks} blocks ({scans.lost_scans} scans) are missing")
+    if scans.restarts:
+        parts.append(f"the stamps go back {scans.restarts} times")
+    return "; ".join(parts)
+
+
+@attrs.define
+class _Count:
+    count: int = 0
+    bytes: int = 0
+    first_ns: int = 0
+    last_ns: int = 0
+
+
+class _Tally:
+    """Adds up the messages of a run."""
+
+    def __init__(self, run: Run) -> None:
+        self._types = {name: recorded.topic.type_name for name, recorded in run.topics.items()}
+        self._counts = {name: _Count() for name in run.topics}
+        self._scan_topics = {name for name in run.topics if matches(name, SCAN_TOPIC)}
+        self.blocks: list[tuple[int, int]] = []
+        self.rate_hz: int | None = None
+
+    def add(self, message: Message) -> None:
+        """Count one message; a block of scans is also noted with its stamp."""
+        count = self._counts[message.topic]
+        count.first_ns = message.log_time if not count.count else min(count.first_ns, message.log_time)
+        count.last_ns = max(count.last_ns, message.log_time)
+        count.count += 1
+        count.bytes += len(message.data)
+        if message.topic in self._scan_topics:
+            self._add_block(message)
+
+    def _add_block(self, message: Message) -> None:
+        try:
+            table = codec.decode(message.data)
+        except CodecError as error:
+            raise DamageError(f"{message.topic} at {message.log_time} ns is no table: {error}") from error
+        self.blocks.append((table.stamp_ns, len(table.rows)))
+        if self.rate_hz is None:
+            self.rate_hz = scan_rate_hz(table)
+
+    def topics(self) -> tuple[TopicInfo, ...]:
+        """Return the figures of every topic."""
+        found = []
+        for name, count in self._counts.items():
+            span_s = (count.last_ns - count.first_ns) / NS_PER_S
+            rate = (count.count - 1) / span_s if count.count > 1 and span_s > 0 else None
+            found.append(
+                TopicInfo(name, self._types[name], count.count, rate, count.first_ns, count.last_ns, count.bytes)
+            )
+        return tuple(found)
