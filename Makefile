@@ -1,0 +1,94 @@
+# The menu of the project: `make` alone prints it.
+#
+# Every target first makes what it needs, once: a virtual environment in .venv from the exact versions in requirements/.
+#   make PYTHON=python3.11 ...     use this interpreter instead of the first supported one
+
+VENV := .venv
+.DEFAULT_GOAL := help
+.DELETE_ON_ERROR:
+
+# --- Which ROS 2: a sourced Jazzy whose rclpy works, else the PyPI wheels --------------------------------------------
+ifeq ($(ROS_DISTRO),jazzy)
+# an rclpy inside somebody's activated virtual environment is not a sourced one
+SOURCED := $(shell $(or $(PYTHON),python3) -c 'import rclpy, sys; \
+    sys.exit(sys.prefix != sys.base_prefix and rclpy.__file__.startswith(sys.prefix))' 2>/dev/null && echo yes)
+endif
+
+ifeq ($(SOURCED),yes)
+ROS := sourced
+# an apt-installed ROS registers pytest plugins of its own, which need not fit our pytest
+export PYTEST_DISABLE_PLUGIN_AUTOLOAD := 1
+PYTEST_PLUGINS_USED := -p pytest_timeout -p xdist.plugin -p _hypothesis_pytestplugin
+else
+ROS := wheels
+export AMENT_PREFIX_PATH := $(CURDIR)/$(VENV)
+# of another environment, or of another ROS, that make was called from
+unexport PYTHONPATH PYTHONHOME RMW_IMPLEMENTATION CMAKE_PREFIX_PATH COLCON_PREFIX_PATH
+ifneq ($(_ROS_WHEELS_BOOTSTRAP_COMPLETE)$(ROS_DISTRO),)
+unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE LD_LIBRARY_PATH ROS_DISTRO
+endif
+endif
+unexport VIRTUAL_ENV
+
+# --- What everything that is started here sees ------------------------------------------------------------------------
+export ROS_AUTOMATIC_DISCOVERY_RANGE := LOCALHOST
+export ROS_DOMAIN_ID ?= 42
+export ROS_LOG_DIR ?= $(CURDIR)/build/log
+export MPLCONFIGDIR ?= $(CURDIR)/build/matplotlib
+
+# --- Environment ------------------------------------------------------------------------------------------------------
+# Two stamps: new versions need a new environment, a new version or script of this package only to be registered again.
+# A copied or moved checkout needs both, because an environment holds absolute paths.
+ENVIRONMENT := $(VENV)/ready-$(ROS)$(subst /,_,$(PYTHON))
+PACKAGE := $(VENV)/registered
+ifneq ($(file <$(VENV)/made-in),$(CURDIR))
+.PHONY: $(ENVIRONMENT)
+endif
+
+$(ENVIRONMENT): requirements/common.txt requirements/$(ROS).txt
+	@rm -rf $(VENV)
+	@PYTHON='$(PYTHON)' requirements/venv.sh $(ROS) $(VENV)
+	@printf '%s' '$(CURDIR)' > $(VENV)/made-in
+	@touch $(VENV)/ready-$(ROS) $@
+
+$(PACKAGE): $(ENVIRONMENT) setup.py setup.cfg package.xml
+	@$(VENV)/bin/python -m pip install --quiet --disable-pip-version-check --no-input \
+	    --no-deps --no-build-isolation --no-index --editable .
+	@mkdir -p build
+	@touch $@
+
+# --- Targets ----------------------------------------------------------------------------------------------------------
+.PHONY: help demo test lint format bench venv lock clean
+
+help: ## print this list
+	@echo 'impact_rig: make TARGET, where TARGET is one of'
+	@sed -nE 's/^([a-z]+):[^#]*## (.*)/  \1\t\2/p' $(firstword $(MAKEFILE_LIST)) | expand -t 12
+
+demo: $(PACKAGE) ## run the rig, measure the paper's five reductions through its topics, print and draw them
+	@$(VENV)/bin/impact-rig demo $(ARGS)
+
+test: $(PACKAGE) ## run all tests on real ROS 2; ARGS='-k codec' chooses, SHUFFLE=7 draws another order
+	@IMPACT_RIG_REQUIRE_ROS=1 $(VENV)/bin/python -m pytest $(PYTEST_PLUGINS_USED) -n 2 --dist loadfile \
+	    $(if $(SHUFFLE),--shuffle=$(SHUFFLE)) $(ARGS)
+
+lint: $(PACKAGE) ## check style, types and layers
+	@$(VENV)/bin/ruff check .
+	@$(VENV)/bin/ruff format --check .
+	@$(VENV)/bin/mypy
+	@$(VENV)/bin/lint-imports
+
+format: $(PACKAGE) ## bring the code into the one format
+	@$(VENV)/bin/ruff check --fix-only .
+	@$(VENV)/bin/ruff format .
+
+bench: $(PACKAGE) ## measure the figures of docs/ and write build/bench.json; ONLY=physics measures one part
+	@$(VENV)/bin/python -m benchmarks $(ONLY)
+
+venv: $(PACKAGE) ## only make the environment .venv
+
+lock: ## choose new versions: rewrite requirements/common.txt and wheels.txt
+	@$(or $(PYTHON),python3.11) requirements/lock.py
+
+clean: ## remove the environment, caches and everything in build/, never recorded runs elsewhere
+	@rm -rf $(VENV) build install log *.egg-info .hypothesis .import_linter_cache .mypy_cache .pytest_cache .ruff_cache
+	@find impact_rig test benchmarks launch requirements -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -1,0 +1,60 @@
+"""Build with colcon (`ament_python`) or pip; name, version, licence and description are those of package.xml."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from xml.etree import ElementTree
+
+from setuptools import find_packages, setup
+
+HERE = Path(__file__).parent
+PACKAGE = ElementTree.parse(HERE / "package.xml").getroot()  # noqa: S314  # our own file
+NAME = PACKAGE.findtext("name")
+MAINTAINER = PACKAGE.find("maintainer")
+ROS_WHEELS = ["ros-jazzy-rclpy[fastrtps]", "ros-jazzy-common-interfaces"]
+
+
+def files(pattern: str) -> list[str]:
+    """Return the files that match, relative to this one as setuptools wants them."""
+    return sorted(str(path.relative_to(HERE)) for path in HERE.glob(pattern))
+
+
+setup(
+    name=NAME,
+    version=PACKAGE.findtext("version"),
+    license=PACKAGE.findtext("license"),
+    description=" ".join(PACKAGE.findtext("description").split()),
+    maintainer=MAINTAINER.text,
+    maintainer_email=MAINTAINER.get("email"),
+    packages=find_packages(include=[NAME, f"{NAME}.*"]),
+    package_data={NAME: ["py.typed"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
+        (f"share/{NAME}", ["package.xml"]),
+        (f"share/{NAME}/config", files("config/*.yaml")),
+        (f"share/{NAME}/launch", files("launch/*.launch.py")),
+    ],
+    python_requires=">=3.11",
+    # the lowest versions are those of Ubuntu 24.04
+    install_requires=[
+        "attrs>=23.2",
+        "matplotlib>=3.6",
+        "mcap>=1.1",  # brings lz4 and zstandard
+        "numba>=0.58",
+        "numpy>=1.26",
+        "PyYAML>=6.0",
+        "rich>=13.7",
+        "scipy>=1.11",
+    ],
+    # for machines without an apt-installed ROS 2 only: never mix the two, so these are never a requirement
+    extras_require={"wheels": ROS_WHEELS},
+    zip_safe=False,
+    entry_points={
+        "console_scripts": [
+            "impact-rig = impact_rig.cli:main",
+            "rig_node = impact_rig.nodes.rig_node:main",
+            "analysis_node = impact_rig.nodes.analysis_node:main",
+            "recorder_node = impact_rig.nodes.recorder_node:main",
+        ],
+    },
+)
