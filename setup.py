@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from xml.etree import ElementTree
+from xml.etree import ElementTree as ET
 
 from setuptools import find_packages, setup
 
 HERE = Path(__file__).parent
-PACKAGE = ElementTree.parse(HERE / "package.xml").getroot()  # noqa: S314  # our own file
+PACKAGE = ET.parse(HERE / "package.xml").getroot()  # noqa: S314  # our own file
 NAME = PACKAGE.findtext("name")
 MAINTAINER = PACKAGE.find("maintainer")
 ROS_WHEELS = ["ros-jazzy-rclpy[fastrtps]", "ros-jazzy-common-interfaces"]
