@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
 import textwrap
@@ -96,7 +97,8 @@ def test_truncation_at_every_byte(tmp_path, compression, topics):
         report = recover(cut_file, out)
         assert report.messages == expected
         assert report.expected_messages is None
-        assert read_all(out) == (sent[:expected], attachments, provenance)
+        assert read_all(out / f"{out.name}.mcap") == (sent[:expected], attachments, provenance)
+        shutil.rmtree(out)
 
 
 def test_an_intact_run_is_given_back_whole(record, tmp_path):
@@ -142,7 +144,7 @@ def check_never_wrong(path, out, sent, attachments, provenance):
         if "nothing can be recovered" not in str(error):
             raise
         return 0
-    got, found, record = read_all(out)
+    got, found, record = read_all(out / f"{out.name}.mcap")
     assert not Counter(got) - Counter(sent)
     assert found.items() <= attachments.items()
     assert record in (provenance, {})
