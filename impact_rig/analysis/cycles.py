@@ -1,0 +1,263 @@
+"""Drive cycles: a constant-memory reduction of the scans, from which every measurement is made.
+
+Each whole cycle of the drive is reduced to sums; the least-squares fit of IEEE Std 1057 (offset and H harmonics of the
+known frequency) needs nothing else. Its normal matrix follows from the sample instants in closed form:
+
+    y_k = C + Re Σ_h Y_h e^{ihφ_k},   φ_k = 2π k f / rate,   Σ_k e^{ijφ_k} = e^{ij(φ_0+φ_{n−1})/2} sin(nj∆/2)/sin(j∆/2)
+
+Cycle m holds the samples k with m·rate/f <= k < (m+1)·rate/f, k counted from the last change of the drive, so neither
+the cycles nor their bits depend on how the stream was cut into blocks.
+"""
+
+from __future__ import annotations
+
+import math
+
+import attrs
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from impact_rig.analysis.calibration import Complex, Real
+
+RANGE_BIT = 256
+"""Bit in a cycle's flags for channel 0 outside its range or not finite; channel j uses RANGE_BIT << j."""
+MIN_SAMPLES_PER_CYCLE = 8
+
+
+@attrs.frozen(eq=False)
+class Cycles:
+    """n consecutive whole cycles of the drive, 4 channels in the order of `blocks.CHANNELS`, H harmonics.
+
+    Attributes:
+        first: index of each cycle's first scan, counted like `Accumulator.origin`, shape (n,).
+        samples: scans per cycle, shape (n,).
+        phasors: Y_h in the channel's unit, drive phase zero at the origin, shape (n, 4, H).
+        mean: mean per cycle, shape (n, 4).
+        variance: variance about the mean per cycle, shape (n, 4).
+        residual: residual sum of squares of the fit, shape (n, 4).
+        flags: status bits seen, and RANGE_BIT bits, shape (n,).
+        impacts: impacts detected per cycle, NaN where not counted, shape (n,).
+    """
+
+    first: NDArray[np.int64]
+    samples: NDArray[np.int64]
+    phasors: Complex
+    mean: Real
+    variance: Real
+    residual: Real
+    flags: NDArray[np.int64]
+    impacts: Real
+
+    def __len__(self) -> int:
+        return len(self.first)
+
+    @property
+    def degrees_of_freedom(self) -> int:
+        """Residual degrees of freedom of all fits together."""
+        return int(np.sum(self.samples - (2 * self.phasors.shape[2] + 1)))
+
+    def __getitem__(self, part: slice) -> Cycles:
+        return Cycles(*(getattr(self, field.name)[part] for field in attrs.fields(Cycles)))
+
+
+def concatenate(parts: list[Cycles]) -> Cycles:
+    """Return several runs of cycles as one."""
+    return Cycles(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in attrs.fields(Cycles)))
+
+
+def usable_harmonics(rate_hz: int, frequency_hz: float, wanted: int) -> int:
+    """Return how many of the wanted harmonics lie safely below half the rate (0: the frequency cannot be measured)."""
+    if not (math.isfinite(frequency_hz) and frequency_hz > 0) or rate_hz / frequency_hz < MIN_SAMPLES_PER_CYCLE:
+        return 0
+    return max(1, min(wanted, int(0.45 * rate_hz / frequency_hz)))
+
+
+class Accumulator:
+    """Reduces scans to cycles; the state is a few dozen numbers.
+
+    Args:
+        rate_hz: scans per second.
+        frequency_hz: of the drive.
+        harmonics: H >= 1, from `usable_harmonics`.
+        origin: index of the first scan: cycle 0 starts there.
+        low: values at or below it are flagged, shape (4,); high: values at or above it.
+    """
+
+    def __init__(
+        self, rate_hz: int, frequency_hz: float, harmonics: int, origin: int, low: Real, high: Real, capacity: int = 64
+    ) -> None:
+        self.origin = origin
+        self._period = rate_hz / frequency_hz
+        self._low, self._high = low, high
+        step = 2.0 * math.pi / self._period
+        self._rotor = np.array([1.0, 0.0, math.cos(step), math.sin(step)])
+        self._place = np.array([0, 0, math.ceil(self._period), 0], dtype=np.int64)
+        size = 2 * harmonics + 2
+        self._sums = np.zeros((4, size))
+        self._basis = np.ones(size - 1)
+        self._capacity = capacity
+        self._out = np.zeros((capacity, 4, size))
+        self._out_flags = np.zeros(capacity, dtype=np.int64)
+        self._done: list[tuple[NDArray[np.float64], NDArray[np.int64]]] = []
+        self._cycle = 0
+
+    @property
+    def pending_cycles(self) -> int:
+        """Whole cycles accumulated and not yet taken."""
+        return int(self._place[1]) - self._cycle
+
+    def add(self, samples: Real, status: NDArray[np.uint8], begin: int, end: int) -> None:
+        """Accumulate the scans begin <= i < end of a buffer; samples has shape (4, capacity), status (capacity,)."""
+        while begin < end:
+            done, begin = _accumulate(
+                samples,
+                status,
+                begin,
+                end,
+                self._low,
+                self._high,
+                self._period,
+                self._place,
+                self._rotor,
+                self._sums,
+                self._basis,
+                self._out,
+                self._out_flags,
+            )
+            if done:
+                self._done.append((self._out[:done].copy(), self._out_flags[:done].copy()))
+
+    def take(self, count: int) -> Cycles:
+        """Return and forget the oldest `count` whole cycles, fitted.
+
+        Raises:
+            ValueError: fewer cycles are complete.
+        """
+        if not 0 < count <= self.pending_cycles:
+            raise ValueError(f"count must be 1 to {self.pending_cycles}, got {count}")
+        sums = np.concatenate([part for part, _ in self._done])
+        flags = np.concatenate([part for _, part in self._done])
+        self._done = [(sums[count:], flags[count:])] if len(sums) > count else []
+        numbers = np.arange(self._cycle, self._cycle + count + 1)
+        self._cycle += count
+        edges = np.ceil(numbers * self._period).astype(np.int64)
+        return _solve(sums[:count], flags[:count], edges, numbers[:-1], self._period, self.origin)
+
+
+def _solve(
+    sums: Real,
+    flags: NDArray[np.int64],
+    edges: NDArray[np.int64],
+    numbers: NDArray[np.int64],
+    period: float,
+    origin: int,
+) -> Cycles:
+    """Fit every cycle from its sums: one small normal system per cycle, all at once."""
+    samples = np.diff(edges)
+    size = sums.shape[2] - 1
+    matrix = normal_matrix(
+        2.0 * np.pi * (edges[:-1] - numbers * period) / period, samples, 2.0 * np.pi / period, (size - 1) // 2
+    )
+    right = np.swapaxes(sums[:, :, :size], 1, 2)
+    with np.errstate(invalid="ignore", over="ignore"):
+        solution = np.linalg.solve(matrix, right)
+        explained = np.sum(solution * right, axis=1)
+        mean = sums[:, :, 0] / samples[:, None]
+        variance = np.maximum(sums[:, :, size] / samples[:, None] - mean**2, 0.0)
+        residual = np.maximum(sums[:, :, size] - explained, 0.0)
+    phasors = np.swapaxes(solution[:, 1::2] - 1j * solution[:, 2::2], 1, 2)
+    return Cycles(origin + edges[:-1], samples, phasors, mean, variance, residual, flags, np.full(len(samples), np.nan))
+
+
+def normal_matrix(phase: Real, samples: NDArray[np.int64], step: float, harmonics: int) -> Real:
+    """Return the normal matrices of [1, cos φ, sin φ, cos 2φ, sin 2φ, …] in closed form.
+
+    Args:
+        phase: φ of each run's first sample [rad], shape (n,).
+        samples: samples per run, shape (n,).
+        step: φ per sample [rad].
+        harmonics: H; 2 H step must stay below 2π.
+
+    Returns:
+        Array of shape (n, 2H+1, 2H+1).
+    """
+    order = np.arange(1, 2 * harmonics + 1)
+    count = samples[:, None]
+    middle = phase[:, None] + (count - 1) * step / 2.0
+    ratio = np.sin(count * order * step / 2.0) / np.sin(order * step / 2.0)
+    moments = np.concatenate([count.astype(np.complex128), ratio * np.exp(1j * order * middle)], axis=1)
+    cosine, sine = moments.real, moments.imag
+    a, b = np.meshgrid(np.arange(harmonics + 1), np.arange(harmonics + 1), indexing="ij")
+    difference, total, sign = np.abs(a - b), a + b, np.sign(b - a)
+    cos_cos = 0.5 * (cosine[:, difference] + cosine[:, total])
+    sin_sin = 0.5 * (cosine[:, difference] - cosine[:, total])
+    cos_sin = 0.5 * (sine[:, total] + sign * sine[:, difference])
+    matrix = np.empty((len(samples), 2 * harmonics + 1, 2 * harmonics + 1))
+    at_cos = np.concatenate([[0], np.arange(1, 2 * harmonics, 2)])
+    at_sin = np.arange(2, 2 * harmonics + 1, 2)
+    matrix[:, at_cos[:, None], at_cos] = cos_cos
+    matrix[:, at_sin[:, None], at_sin] = sin_sin[:, 1:, 1:]
+    matrix[:, at_cos[:, None], at_sin] = cos_sin[:, :, 1:]
+    matrix[:, at_sin[:, None], at_cos] = np.swapaxes(cos_sin[:, :, 1:], 1, 2)
+    return matrix
+
+
+@njit(cache=True, nogil=True)
+def _accumulate(
+    samples: Real,
+    status: NDArray[np.uint8],
+    begin: int,
+    end: int,
+    low: Real,
+    high: Real,
+    period: float,
+    place: NDArray[np.int64],
+    rotor: Real,
+    sums: Real,
+    basis: Real,
+    out: Real,
+    out_flags: NDArray[np.int64],
+) -> tuple[int, int]:
+    """Add scans to the running sums; stop early when `out` is full. Return (cycles completed, next scan).
+
+    place = [sample since the origin, cycle, first sample of the next cycle, flags],
+    rotor = [cos φ, sin φ, cos ∆, sin ∆], ∆ = φ per scan.
+    The rotation is renewed from the sample number at each cycle, so its rounding never grows beyond one cycle.
+    """
+    channels, size = sums.shape
+    harmonics = (size - 2) // 2
+    k, cycle, stop, flags = place
+    c, s, step_c, step_s = rotor
+    done = 0
+    i = begin
+    while i < end and done < len(out):
+        basis[1], basis[2] = c, s
+        ch, sh = c, s
+        for h in range(1, harmonics):
+            ch, sh = ch * c - sh * s, sh * c + ch * s
+            basis[2 * h + 1], basis[2 * h + 2] = ch, sh
+        flags |= status[i]
+        for j in range(channels):
+            value = samples[j, i]
+            if not low[j] < value < high[j]:  # NaN compares false
+                flags |= RANGE_BIT << j
+            for q in range(size - 1):
+                sums[j, q] += value * basis[q]
+            sums[j, size - 1] += value * value
+        c, s = c * step_c - s * step_s, s * step_c + c * step_s
+        i += 1
+        k += 1
+        if k >= stop:
+            out[done] = sums
+            out_flags[done] = flags
+            sums[:] = 0.0
+            done += 1
+            cycle += 1
+            flags = 0
+            stop = math.ceil((cycle + 1) * period)
+            angle = 2.0 * math.pi * (k - cycle * period) / period
+            c, s = math.cos(angle), math.sin(angle)
+    place[0], place[1], place[2], place[3] = k, cycle, stop, flags
+    rotor[0], rotor[1] = c, s
+    return done, i

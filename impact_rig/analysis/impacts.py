@@ -1,0 +1,198 @@
+"""Impacts from the accelerometer alone: causal, streaming, in constant memory.
+
+The vibration (up to 20 m/s² near 9 Hz) is removed by a second-order Butterworth high-pass; what is left of a contact of
+40 to 80 µs is a pulse, then the sensor's ringing (25 kHz behind a 10 kHz low-pass). An impact is a crossing of
+
+    threshold(t) = max(threshold_m_s2, noise_factor · rms,  ring_factor · peak · e^{−(t − t_last)/ring_time})
+
+with the rms of the quiet signal tracked, and peak and t_last those of the impact before. Its time is where the pulse
+passes ONSET of its peak, less the sensor's lag: within 10 µs of the first touch at 50 kS/s.
+"""
+
+from __future__ import annotations
+
+import math
+
+import attrs
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from scipy import signal
+
+from impact_rig.analysis.calibration import ACCELEROMETER, Calibration, Real
+from impact_rig.analysis.settings import ImpactSettings
+
+ONSET = 0.3
+LOOK_AHEAD_S = 150e-6
+"""The pulse's peak follows the crossing within this time."""
+BLANK_S = 0.01
+"""After a start or a gap the high-pass settles for this long."""
+RMS_TIME_S = 0.1
+RMS_CLIP = 9.0
+"""One sample may raise the tracked variance by at most this many times itself."""
+QUIET_RING_TIMES = 8.0
+"""The rms is tracked when this many ring times have passed since the last impact."""
+RING_SCANS = 8
+"""Below 20 kS/s the pulse itself falls between the scans and the high-pass rings longer than the sensor."""
+HISTORY = 64
+MIN_RATE_HZ = 2_000
+"""Below this rate contacts fall between the scans: nothing is detected."""
+
+
+@attrs.frozen(eq=False)
+class Impacts:
+    """Detected impacts, in order.
+
+    Attributes:
+        scan: instant of first touch in scans since scan 0, fractions included, shape (n,).
+        peak: of the high-passed acceleration [m/s²], positive, shape (n,).
+        sign: +1 where the structure is pushed to the right, i.e. the right wall is struck, shape (n,).
+    """
+
+    scan: Real
+    peak: Real
+    sign: NDArray[np.int8]
+
+
+class ImpactDetector:
+    """Finds impacts in a stream of acceleration; the result does not depend on how the stream is cut.
+
+    Args:
+        calibration: rate, noise and lag of the accelerometer.
+        settings: thresholds.
+    """
+
+    def __init__(self, calibration: Calibration, settings: ImpactSettings | None = None) -> None:
+        settings = settings or ImpactSettings()
+        rate = calibration.rate_hz
+        self._rate = rate
+        corner = min(settings.corner_hz, rate / 10.0)
+        ring_time = max(settings.ring_time_s, RING_SCANS / rate)
+        b, a = signal.butter(2, corner, "highpass", fs=rate)
+        self._filter = np.array([*b, a[1], a[2]])
+        self._noise = max(float(calibration.noise[ACCELEROMETER]), 1e-9)
+        self._limits = np.array(
+            [
+                settings.threshold_m_s2,
+                settings.noise_factor,
+                settings.ring_factor,
+                math.exp(-1.0 / (ring_time * rate)),
+                1.0 / (RMS_TIME_S * rate),
+            ]
+        )
+        self._times = np.array(
+            [
+                max(2, math.ceil(LOOK_AHEAD_S * rate)),
+                round(BLANK_S * rate),
+                round(QUIET_RING_TIMES * ring_time * rate),
+            ]
+        )
+        self._delay = (float(calibration.lag[ACCELEROMETER]) - float(calibration.skew[ACCELEROMETER])) * rate
+        self._history = np.zeros(HISTORY)
+        self._state = np.zeros(6)
+        self._place = np.zeros(6, dtype=np.int64)
+        self._out = np.zeros((256, 3))
+        self.restart(0)
+
+    def restart(self, scan: int) -> None:
+        """Forget the past; the next sample is that of scan `scan`: at the start and after a gap in the stream."""
+        self._state[:] = (0.0, 0.0, self._noise**2, 0.0, 0.0, 0.0)
+        self._place[:] = (scan, 0, 0, 1, 0, 0)
+        self._history[:] = 0.0
+
+    def feed(self, acceleration: Real) -> Impacts:
+        """Return the impacts found in the next samples [m/s²], shape (n,): each LOOK_AHEAD_S after it happened."""
+        if self._rate < MIN_RATE_HZ:
+            return NO_IMPACTS
+        found: list[Real] = []
+        begin = 0
+        while begin < len(acceleration):
+            count, begin = _detect(
+                acceleration,
+                begin,
+                self._filter,
+                self._limits,
+                self._times,
+                self._state,
+                self._place,
+                self._history,
+                self._out,
+            )
+            if count:
+                found.append(self._out[:count].copy())
+        if not found:
+            return NO_IMPACTS
+        rows = found[0] if len(found) == 1 else np.concatenate(found)
+        return Impacts(rows[:, 0] - self._delay, rows[:, 1], rows[:, 2].astype(np.int8))
+
+
+NO_IMPACTS = Impacts(np.empty(0), np.empty(0), np.empty(0, dtype=np.int8))
+
+
+@njit(cache=True, nogil=True)
+def _detect(
+    acceleration: Real,
+    begin: int,
+    coefficients: Real,
+    limits: Real,
+    times: NDArray[np.int64],
+    state: Real,
+    place: NDArray[np.int64],
+    history: Real,
+    out: Real,
+) -> tuple[int, int]:
+    """Filter and watch samples from `begin`; stop early when `out` is full. Return (impacts found, next sample).
+
+    state = [z1, z2, variance, ring envelope, peak, sign]; place = [scan, blank, hunting, fresh, scan of the peak, scans
+    since the last impact]. While `hunting` counts down, the largest value of the crossing's sign is the peak.
+    """
+    b0, b1, b2, a1, a2 = coefficients
+    floor, noise_factor, ring_factor, decay, forget = limits
+    look_ahead, blank_time, quiet_time = times
+    z1, z2, variance, ring, peak, sign = state
+    scan, blank, hunting, fresh, peak_at, since = place
+    count = 0
+    i = begin
+    while i < len(acceleration) and count < len(out):
+        x = acceleration[i]
+        i += 1
+        if not math.isfinite(x):
+            fresh, hunting = 1, 0
+            scan += 1
+            continue
+        if fresh:  # the filter starts in the steady state of the first value
+            fresh, blank = 0, blank_time
+            z1, z2 = -b0 * x, b2 * x
+        y = b0 * x + z1
+        z1 = b1 * x - a1 * y + z2
+        z2 = b2 * x - a2 * y
+        history[scan % HISTORY] = y
+        ring *= decay
+        since += 1
+        if hunting > 0:
+            if sign * y > peak:
+                peak, peak_at = sign * y, scan
+            hunting -= 1
+            if hunting == 0:
+                level = ONSET * peak
+                k = peak_at
+                while k > peak_at - look_ahead and sign * history[(k - 1) % HISTORY] > level:
+                    k -= 1
+                after, before = sign * history[k % HISTORY], sign * history[(k - 1) % HISTORY]
+                out[count, 0] = k - (after - level) / (after - before)
+                out[count, 1], out[count, 2] = peak, sign
+                count += 1
+                ring = ring_factor * peak * decay ** (scan - peak_at)
+                since = scan - peak_at
+        elif blank > 0:
+            blank -= 1
+        elif y * y > max(floor * floor, noise_factor * noise_factor * variance, ring * ring):
+            hunting = look_ahead
+            sign = 1.0 if y > 0.0 else -1.0
+            peak, peak_at = sign * y, scan
+        elif since > quiet_time:
+            variance += forget * (min(y * y, RMS_CLIP * variance) - variance)
+        scan += 1
+    state[0], state[1], state[2], state[3], state[4], state[5] = z1, z2, variance, ring, peak, sign
+    place[0], place[1], place[2], place[3], place[4], place[5] = scan, blank, hunting, fresh, peak_at, since
+    return count, i

@@ -1,0 +1,53 @@
+"""Measurements and impacts as the tables that are published."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from impact_rig.analysis.impacts import Impacts
+from impact_rig.analysis.transmissibility import Measurement
+from impact_rig.analysis.words import Status
+from impact_rig.blocks import DETECTED_IMPACTS, TRANSMISSIBILITY, Table
+from impact_rig.simtime import COMMAND_GRID_NS, COMMAND_GRID_S
+
+SETTLED = (Status.OK, Status.ACCELEROMETER_OVER_RANGE)
+
+
+def measurement_table(found: Measurement, stamp_ns: int, gap_m: float, waited_s: float) -> Table:
+    """Return one row of `transmissibility/table`; the stamp is that of the last scan in it."""
+    row = np.zeros(1, dtype=TRANSMISSIBILITY)
+    row["frequency"] = found.frequency_hz
+    row["transmissibility"] = found.transmissibility
+    row["phase"] = found.phase_rad
+    row["transmissibility_uncertainty"] = found.u_transmissibility
+    row["phase_uncertainty"] = found.u_phase_rad
+    row["laser_amplitude"] = found.laser_m
+    row["base_amplitude"] = found.base_m
+    row["current_amplitude"] = found.current_a
+    row["thd"] = found.thd
+    row["impacts_per_cycle"] = found.impacts_per_cycle
+    row["settled"] = found.status in SETTLED
+    row["cycles"] = found.cycles
+    row["gap"] = gap_m
+    row["frequency_deviation"] = found.frequency_deviation_hz
+    row["spread"] = found.spread
+    row["period"] = found.period
+    row["waited"] = waited_s
+    row["regime"] = found.regime.value
+    row["method"] = found.method.value
+    row["status"] = found.status.value
+    return Table(stamp_ns, row)
+
+
+def impact_tables(found: Impacts, rate_hz: int, start_ns: int) -> list[Table]:
+    """Return detected impacts as tables stamped on the command grid, so that no bit depends on the cut into blocks."""
+    seconds = found.scan / rate_hz
+    cells = np.floor(seconds / COMMAND_GRID_S).astype(np.int64)
+    tables = []
+    for cell in np.unique(cells):
+        chosen = cells == cell
+        rows = np.zeros(int(np.count_nonzero(chosen)), dtype=DETECTED_IMPACTS)
+        rows["time"] = seconds[chosen] - cell * COMMAND_GRID_S
+        rows["peak"], rows["sign"] = found.peak[chosen], found.sign[chosen]
+        tables.append(Table(start_ns + int(cell) * COMMAND_GRID_NS, rows))
+    return tables

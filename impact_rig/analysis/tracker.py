@@ -1,0 +1,323 @@
+"""`Tracker`: the transmissibility of a running rig, from its blocks, in constant memory.
+
+Feed it what the rig publishes; it measures when the response has settled and says by name why it does not. Whatever
+the cut into blocks, and in whatever order topics are delivered within `hold_s`, the rows are the same bit for bit:
+scans are held back, cycles and windows are counted from the last change of the drive, sums run scan by scan.
+"""
+
+from __future__ import annotations
+
+import bisect
+import math
+
+import attrs
+import numpy as np
+from numpy.typing import NDArray
+
+from impact_rig.analysis.calibration import Calibration, Real
+from impact_rig.analysis.cycles import Accumulator, Cycles, usable_harmonics
+from impact_rig.analysis.impacts import MIN_RATE_HZ, ImpactDetector, Impacts
+from impact_rig.analysis.judge import Judge, window_cycles
+from impact_rig.analysis.scan_buffer import ScanBuffer, first_scan_at, scan_index
+from impact_rig.analysis.settings import ImpactSettings, TrackerSettings
+from impact_rig.analysis.tables import impact_tables, measurement_table
+from impact_rig.analysis.transmissibility import Measurement
+from impact_rig.analysis.words import MEASURED, Status
+from impact_rig.blocks import Table
+from impact_rig.simtime import NS_PER_S, stamp_ns
+
+MIN_HOLD_SCANS = 16
+"""Impacts are known this many scans after they happened; cycles are closed no earlier."""
+
+
+@attrs.define
+class Counters:
+    """What a tracker has seen so far; for diagnostics."""
+
+    scans: int = 0
+    lost_scans: int = 0
+    duplicate_scans: int = 0
+    unconfigured_scans: int = 0
+    restarts: int = 0
+    late_events: int = 0
+    measurements: int = 0
+    refusals: int = 0
+    impacts: int = 0
+
+
+@attrs.frozen(eq=False)
+class Findings:
+    """What one call found: `transmissibility/table` tables of one row each, and tables of detected impacts."""
+
+    measurements: tuple[Table, ...] = ()
+    impacts: tuple[Table, ...] = ()
+
+
+@attrs.frozen
+class _Command:
+    frequency_hz: float
+    current: float
+
+
+@attrs.frozen
+class _Label:
+    gap_m: float
+
+
+@attrs.frozen(eq=False)
+class _Recalibration:
+    calibration: Calibration
+
+
+_Event = _Command | _Label | _Recalibration
+_NOTHING = Findings()
+
+
+class Tracker:
+    """Measures the transmissibility and detects impacts in a stream of scans.
+
+    Args:
+        settings: of the measurement.
+        impact_settings: of the impact detection.
+    """
+
+    def __init__(self, settings: TrackerSettings | None = None, impact_settings: ImpactSettings | None = None) -> None:
+        self.counters = Counters()
+        self._settings = settings or TrackerSettings()
+        self._impact_settings = impact_settings or ImpactSettings()
+        self._calibration: Calibration | None = None
+        self._info = b""
+        self._start_ns = 0
+        self._hold = 0
+        self._buffer = ScanBuffer()
+        self._started = False
+        self._last_block = -1
+        self._measured = 0  # index of the next scan to measure
+        self._changed = 0  # index of the last change of the drive
+        self._events: list[tuple[int, int, _Event]] = []
+        self._event_count = 0
+        self._command: _Command | None = None
+        self._gap_m = math.nan
+        self._accumulator: Accumulator | None = None
+        self._window = 0
+        self._impact_scans: list[Real] = []
+        self._rows: list[Table] = []
+
+    def configure(self, info: Table) -> None:
+        """Take `daq/info`: the first fixes the time base (stamped like scan 0), later ones act from their stamp on.
+
+        Raises:
+            ConfigError: the table does not describe the four channels.
+        """
+        calibration = Calibration.from_info(info.rows)
+        content = info.rows.tobytes()
+        if content == self._info:
+            return
+        self._info = content
+        if self._calibration is None or calibration.rate_hz != self._calibration.rate_hz:
+            self._start_ns = info.stamp_ns
+            self._started = False
+            self._calibration = calibration
+            self._hold = max(MIN_HOLD_SCANS, math.ceil(self._settings.hold_s * calibration.rate_hz))
+            self._detector = ImpactDetector(calibration, self._impact_settings)
+        else:
+            self._schedule(info.stamp_ns, _Recalibration(calibration))
+
+    def command(self, applied: Table) -> None:
+        """Take `shaker/applied`: each row acts from its stamp plus time."""
+        for row in applied.rows:
+            instant = applied.stamp_ns + round(float(row["time"]) * NS_PER_S)
+            self._schedule(instant, _Command(float(row["frequency"]), float(row["current"])))
+
+    def label(self, gap_m: float, stamp_ns: int) -> None:
+        """Take the operator's word for the gap [m] from an instant on: 0 = no sphere, NaN = unknown."""
+        self._schedule(stamp_ns, _Label(gap_m))
+
+    def feed(self, scan: Table) -> Findings:
+        """Take a block of `daq/scan`; blocks come in the order of their stamps."""
+        rows = scan.rows
+        if self._calibration is None:
+            self.counters.unconfigured_scans += len(rows)
+            return _NOTHING
+        if not len(rows):
+            return _NOTHING
+        rate = self._calibration.rate_hz
+        index = scan_index(scan.stamp_ns, rate, self._start_ns)
+        span = round(float(rows["time"][-1] - rows["time"][0]) * rate) + 1
+        if span != len(rows):
+            return self._feed_broken(scan)
+        impacts: list[Table] = []
+        if index != self._buffer.end or not self._started:
+            if self._started and index == self._last_block:
+                self.counters.duplicate_scans += len(rows)
+                return _NOTHING
+            self._resume(index)
+        self._last_block = index
+        buffer = self._buffer
+        buffer.append(rows, self._measured)
+        self.counters.scans += len(rows)
+        found = self._detector.feed(buffer.samples[0, buffer.column(index) : buffer.column(buffer.end)])
+        if len(found.scan):
+            impacts = self._impacts(found)
+        self._advance(buffer.end - self._hold)
+        if not self._rows and not impacts:
+            return _NOTHING
+        measurements, self._rows = tuple(self._rows), []
+        return Findings(measurements, tuple(impacts))
+
+    def flush(self) -> Findings:
+        """Measure what is still held back: at the end of a record."""
+        if self._started:
+            self._advance(self._buffer.end)
+        measurements, self._rows = tuple(self._rows), []
+        return Findings(measurements)
+
+    def _feed_broken(self, scan: Table) -> Findings:
+        """Feed a block with scans missing inside it as the whole runs it consists of."""
+        assert self._calibration is not None
+        rate = self._calibration.rate_hz
+        numbers = np.round(scan.rows["time"] * rate).astype(np.int64)
+        cuts = np.flatnonzero(np.diff(numbers) != 1) + 1
+        base = scan_index(scan.stamp_ns, rate, self._start_ns)
+        found = [
+            self.feed(Table(stamp_ns(base + int(number[0]), rate, self._start_ns), part))
+            for part, number in zip(np.split(scan.rows, cuts), np.split(numbers, cuts), strict=True)
+        ]
+        return Findings(
+            tuple(table for one in found for table in one.measurements),
+            tuple(table for one in found for table in one.impacts),
+        )
+
+    def _schedule(self, time_ns: int, event: _Event) -> None:
+        """Queue an event at the scan it acts on; before the time base is known the instant itself is kept."""
+        self._event_count += 1
+        bisect.insort(self._events, (time_ns, self._event_count, event), key=lambda entry: entry[:2])
+
+    def _resume(self, index: int) -> None:
+        """Start at a scan that does not follow the last one: the first of all, after lost blocks, or after a reset."""
+        if self._started:
+            self._advance(self._buffer.end)
+            back = index < self._buffer.end
+            if back:
+                self.counters.restarts += 1
+            else:
+                self.counters.lost_scans += index - self._buffer.end
+            self._refuse(Status.RESTARTED if back else Status.LOST_BLOCKS)
+        self._started = True
+        self._buffer.restart(index)
+        self._measured = index
+        self._detector.restart(index)
+        self._impact_scans.clear()
+        self._begin(index, changed=True)
+
+    def _advance(self, until: int) -> None:
+        """Measure the scans before `until`, events at their scans."""
+        assert self._calibration is not None
+        rate = self._calibration.rate_hz
+        while self._events:
+            at = first_scan_at(self._events[0][0], rate, self._start_ns)
+            if at > until:
+                break
+            if at < self._measured and self._measured > self._changed:
+                self.counters.late_events += 1
+            at = max(at, self._measured)
+            self._measure(at)
+            self._apply(self._events.pop(0)[2], at)
+        self._measure(until)
+
+    def _apply(self, event: _Event, index: int) -> None:
+        match event:
+            case _Command():
+                if event == self._command:
+                    return
+                self._interrupt(Status.COMMAND_CHANGED)
+                self._command = event
+            case _Label(gap_m):
+                if gap_m == self._gap_m or (math.isnan(gap_m) and math.isnan(self._gap_m)):
+                    return
+                self._interrupt(Status.LABEL_CHANGED)
+                self._gap_m = gap_m
+            case _Recalibration(calibration):
+                self._interrupt(Status.CALIBRATION_CHANGED)
+                self._calibration = calibration
+        self._begin(index, changed=True)
+
+    def _begin(self, index: int, *, changed: bool) -> None:
+        """Count cycles and windows anew from scan `index`."""
+        assert self._calibration is not None
+        rate, frequency = self._calibration.rate_hz, self._command.frequency_hz if self._command else 0.0
+        if changed:
+            self._changed = index
+        self._origin = index
+        harmonics = usable_harmonics(rate, frequency, self._settings.harmonics)
+        if not harmonics:
+            self._accumulator = None
+            return
+        self._window = window_cycles(frequency, self._settings)
+        low, high = self._calibration.low, self._calibration.high
+        self._accumulator = Accumulator(rate, frequency, harmonics, index, low, high)
+        self._judge = Judge(self._calibration, frequency, self._settings)
+
+    def _measure(self, until: int) -> None:
+        """Accumulate the scans before `until` and judge every window they complete."""
+        begin = self._measured
+        if until <= begin:
+            return
+        self._measured = until
+        accumulator = self._accumulator
+        if accumulator is None:
+            self._report_no_frequency(until)
+            return
+        buffer = self._buffer
+        accumulator.add(buffer.samples, buffer.status, buffer.column(begin), buffer.column(until))
+        while accumulator.pending_cycles >= self._window:
+            window = self._counted(accumulator.take(self._window))
+            found = self._judge.add(window)
+            if found:
+                self._emit(found, int(window.first[-1] + window.samples[-1]) - 1)
+
+    def _report_no_frequency(self, until: int) -> None:
+        assert self._calibration is not None
+        self._impact_scans.clear()
+        while until - self._origin >= self._calibration.rate_hz:
+            self._origin += self._calibration.rate_hz
+            frequency = self._command.frequency_hz if self._command else math.nan
+            self._emit(Measurement(status=Status.NO_FREQUENCY, frequency_hz=frequency), self._origin - 1)
+
+    def _counted(self, window: Cycles) -> Cycles:
+        """Return the window with its impacts counted per cycle."""
+        assert self._calibration is not None
+        if self._calibration.rate_hz < MIN_RATE_HZ:
+            return window
+        edges = np.append(window.first, window.first[-1] + window.samples[-1])
+        scans = np.concatenate(self._impact_scans) if self._impact_scans else np.empty(0)
+        counts: NDArray[np.int64] = np.diff(np.searchsorted(scans, edges))
+        later = scans[scans >= edges[-1]]
+        self._impact_scans = [later] if len(later) else []
+        return attrs.evolve(window, impacts=counts.astype(np.float64))
+
+    def _impacts(self, found: Impacts) -> list[Table]:
+        assert self._calibration is not None
+        self.counters.impacts += len(found.scan)
+        self._impact_scans.append(found.scan)
+        return impact_tables(found, self._calibration.rate_hz, self._start_ns)
+
+    def _interrupt(self, status: Status) -> None:
+        """Say that a measurement under way ends here without a result."""
+        if self._accumulator is not None and (self._accumulator.pending_cycles or self._judge.pending):
+            self._refuse(status)
+
+    def _refuse(self, status: Status) -> None:
+        frequency = self._command.frequency_hz if self._command else math.nan
+        self._emit(Measurement(status=status, frequency_hz=frequency), self._measured - 1)
+
+    def _emit(self, found: Measurement, last_scan: int) -> None:
+        assert self._calibration is not None
+        if found.status in MEASURED:
+            self.counters.measurements += 1
+        else:
+            self.counters.refusals += 1
+        rate = self._calibration.rate_hz
+        waited = (last_scan + 1 - self._changed) / rate
+        stamp = stamp_ns(last_scan, rate, self._start_ns)
+        self._rows.append(measurement_table(found, stamp, self._gap_m, waited))

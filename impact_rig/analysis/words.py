@@ -1,0 +1,46 @@
+"""The words the analysis publishes: status, regime and method of a measurement. `docs/analysis.md` explains each."""
+
+from __future__ import annotations
+
+import enum
+
+
+class Status(enum.StrEnum):
+    """What a row of `transmissibility/table` is. Only the first three carry numbers; the others have NaN instead."""
+
+    OK = "ok"
+    ACCELEROMETER_OVER_RANGE = "accelerometer_over_range"  # the displacements are sound, the impacts may not be
+    NOT_SETTLED = "not_settled"  # the bound of waiting was reached: numbers given, settled = 0
+    LOST_BLOCKS = "lost_blocks"
+    OVER_RANGE = "over_range"  # a displacement or the current at or beyond the range of its channel
+    COMMAND_CHANGED = "command_changed"  # frequency or current changed while a measurement was under way
+    LABEL_CHANGED = "label_changed"
+    CALIBRATION_CHANGED = "calibration_changed"
+    RESTARTED = "restarted"  # stamps jumped back
+    NOT_FINITE = "not_finite"
+    NO_FREQUENCY = "no_frequency"  # no, zero or unusable drive frequency
+    TOO_FEW_CYCLES = "too_few_cycles"
+    SILENCE = "silence"  # the base does not move measurably
+    CONSTANT = "constant"  # one displacement channel is stuck while the other moves
+    SWAPPED_CHANNELS = "swapped_channels"
+
+
+MEASURED = frozenset({Status.OK, Status.ACCELEROMETER_OVER_RANGE, Status.NOT_SETTLED})
+"""The statuses whose rows carry numbers."""
+
+
+class Regime(enum.StrEnum):
+    """What the response of the structure does from cycle to cycle."""
+
+    PERIODIC = "periodic"  # repeats after `period` drive cycles
+    MODULATED = "modulated"  # a few spectral lines beside the drive
+    CHAOTIC = "chaotic"  # a continuous spectrum
+    UNKNOWN = "unknown"
+
+
+class Method(enum.StrEnum):
+    """How the uncertainty of a row was found."""
+
+    GUM = "gum"  # noise and calibration, combined
+    BLOCK_BOOTSTRAP = "block_bootstrap"  # of a response that is not periodic, combined with the calibration
+    NONE = "none"
