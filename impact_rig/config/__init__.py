@@ -3,7 +3,7 @@
 from impact_rig.config.fields import FieldInfo, Origin
 from impact_rig.config.load import dump, fields, from_flat, load, to_flat
 from impact_rig.config.mechanics import CONTACT_LAWS, Barriers, Contact, Drive, Shaker, Sphere, Structure
-from impact_rig.config.operation import Daq, Output, Step, Time
+from impact_rig.config.operation import Daq, Output, Pluck, Step, Time
 from impact_rig.config.rig import RigConfig
 
 __all__ = [
@@ -15,6 +15,7 @@ __all__ = [
     "FieldInfo",
     "Origin",
     "Output",
+    "Pluck",
     "RigConfig",
     "Shaker",
     "Sphere",

@@ -52,6 +52,15 @@ class Step:
 
 
 @attrs.frozen(kw_only=True)
+class Pluck:
+    """What ~/pluck does."""
+
+    displacement_m: float = quantity(
+        2e-3, "m", "Displacement of the superior base from which it is released.", at_least=-0.1, at_most=0.1
+    )
+
+
+@attrs.frozen(kw_only=True)
 class Output:
     """What is published besides the scans."""
 

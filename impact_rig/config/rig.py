@@ -6,7 +6,7 @@ import attrs
 
 from impact_rig.config.instruments import Instruments
 from impact_rig.config.mechanics import Barriers, Contact, Drive, Shaker, Sphere, Structure
-from impact_rig.config.operation import Daq, Output, Step, Time
+from impact_rig.config.operation import Daq, Output, Pluck, Step, Time
 from impact_rig.errors import ConfigError
 
 
@@ -28,6 +28,7 @@ class RigConfig:
     instruments: Instruments = attrs.field(factory=Instruments)
     time: Time = attrs.field(factory=Time)
     step: Step = attrs.field(factory=Step)
+    pluck: Pluck = attrs.field(factory=Pluck)
     output: Output = attrs.field(factory=Output)
 
     def __attrs_post_init__(self) -> None:
