@@ -1,0 +1,11 @@
+"""The rig's mechanics: linear flights in closed form, contacts integrated in a variable without kinks, sampled afterwards.
+
+Never imports rclpy. `Simulation` advances by drive segments made by `FunctionGenerator` and returns a `Motion`, from which instruments sample.
+"""
+
+from impact_rig.physics.forcing import SEGMENT
+from impact_rig.physics.function_generator import FunctionGenerator
+from impact_rig.physics.motion import IMPACT, SAMPLE, Motion
+from impact_rig.physics.simulation import EnergyAccount, Simulation
+
+__all__ = ["IMPACT", "SAMPLE", "SEGMENT", "EnergyAccount", "FunctionGenerator", "Motion", "Simulation"]

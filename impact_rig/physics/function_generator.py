@@ -1,0 +1,134 @@
+"""The function generator: turns commands into drive segments, phase-continuous, with ramped amplitude.
+
+One segment per tick of the command grid. Phases are computed from the number of ticks since the last change, never added up, so they
+neither drift nor depend on how many segments are asked for at once.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import signal
+
+from impact_rig.config import Drive, Shaker
+from impact_rig.errors import CommandError
+from impact_rig.physics.forcing import SEGMENT
+from impact_rig.simtime import COMMAND_GRID_S
+
+_NOISE_CHUNK = 256  # ticks of noise made at once: fixed, so that chunks do not depend on the calls
+
+
+class FunctionGenerator:
+    """Sine with phase-continuous frequency changes, a chirp in steps of one tick, or seeded band-limited noise.
+
+    The amplitude moves linearly to a new command within `shaker.ramp_s`, rounded up to whole ticks. Random drive is Gaussian noise of unit rms,
+    band-passed and held to first order between ticks; its amplitude is an rms value.
+
+    Attributes:
+        frequency_hz: commanded frequency from the next tick on.
+        tick: number of ticks generated so far.
+    """
+
+    def __init__(self, drive: Drive, shaker: Shaker, rng: np.random.Generator, tick_s: float = COMMAND_GRID_S) -> None:
+        self._drive = drive
+        self._tick_s = tick_s
+        self._ramp_ticks = math.ceil(shaker.ramp_s / tick_s - 1e-9)
+        self._rng = rng
+        self.tick = 0
+        self.frequency_hz = drive.frequency_hz
+        self._anchor_tick, self._anchor_phase = 0, 0.0
+        self._ramp = (0, 0.0, drive.amplitude)  # first tick, amplitude there, target
+        if self._ramp_ticks == 0 or drive.amplitude == 0.0:
+            self._ramp = (0, drive.amplitude, drive.amplitude)
+        self._noise: NDArray[np.float64] = np.empty(0)
+        self._noise_start = 0
+        if drive.waveform == "random":
+            if drive.random_high_hz >= 0.45 / tick_s:
+                raise CommandError(
+                    f"drive.random_high_hz must be < {0.45 / tick_s:g} Hz, the band of a {tick_s:g} s grid, "
+                    f"got {drive.random_high_hz:g}"
+                )
+            band = (drive.random_low_hz, drive.random_high_hz)
+            self._filter = signal.butter(4, band, "bandpass", fs=1.0 / tick_s, output="sos")
+            self._filter_state = np.zeros((len(self._filter), 2))
+            _, response = signal.sosfreqz(self._filter, 8192)
+            self._noise_scale = 1.0 / math.sqrt(float(np.mean(np.abs(response) ** 2)))
+
+    @property
+    def phase_rad(self) -> float:
+        """Phase of the sine at the next tick, in [0, 2π)."""
+        turns = self.frequency_hz * self._tick_s * (self.tick - self._anchor_tick)
+        return math.fmod(self._anchor_phase + 2.0 * math.pi * math.fmod(turns, 1.0), 2.0 * math.pi)
+
+    @property
+    def amplitude(self) -> float:
+        """Amplitude at the next tick."""
+        return self._amplitude_at(self.tick)
+
+    @property
+    def target_amplitude(self) -> float:
+        """Amplitude that the ramp leads to."""
+        return self._ramp[2]
+
+    def set_frequency(self, frequency_hz: float) -> None:
+        """Go on with another frequency from the next tick, without a jump of phase."""
+        if not (math.isfinite(frequency_hz) and frequency_hz > 0.0):
+            raise CommandError(f"frequency must be > 0 Hz, got {frequency_hz!r}")
+        self._anchor_phase = self.phase_rad
+        self._anchor_tick = self.tick
+        self.frequency_hz = frequency_hz
+
+    def set_amplitude(self, amplitude: float) -> None:
+        """Ramp to another amplitude (A, m or V by drive; peak, or rms for random drive) from the next tick."""
+        if not (math.isfinite(amplitude) and amplitude >= 0.0):
+            raise CommandError(f"amplitude must be >= 0, got {amplitude!r}")
+        now = self.amplitude if self._ramp_ticks else amplitude
+        self._ramp = (self.tick, now, amplitude)
+
+    def segments(self, count: int) -> NDArray[np.void]:
+        """Return the next `count` drive segments, shape (count,), dtype `SEGMENT`."""
+        ticks = np.arange(self.tick, self.tick + count)
+        rows = np.zeros(count, SEGMENT)
+        rows["duration"] = self._tick_s
+        level = self._amplitude_at(np.append(ticks, self.tick + count))
+        if self._drive.waveform == "random":
+            level = level * self._noise_at(self.tick, count + 1)
+            rows["phase"] = math.pi / 2.0
+        elif self._drive.waveform == "chirp":
+            self._fill_chirp(rows)
+        else:
+            turns = self.frequency_hz * self._tick_s * (ticks - self._anchor_tick)
+            rows["omega"] = 2.0 * math.pi * self.frequency_hz
+            rows["phase"] = np.fmod(self._anchor_phase + 2.0 * math.pi * np.fmod(turns, 1.0), 2.0 * math.pi)
+        rows["amplitude"] = level[:-1]
+        rows["slope"] = np.diff(level) / self._tick_s
+        self.tick += count
+        return rows
+
+    def _fill_chirp(self, rows: NDArray[np.void]) -> None:
+        drive = self._drive
+        per_sweep = max(1, round(drive.chirp_s / self._tick_s))
+        for i in range(len(rows)):
+            place = ((self.tick + i) % per_sweep) / per_sweep
+            frequency = drive.frequency_hz + place * (drive.chirp_end_hz - drive.frequency_hz)
+            rows[i]["omega"], rows[i]["phase"] = 2.0 * math.pi * frequency, self._anchor_phase
+            self._anchor_phase = math.fmod(self._anchor_phase + 2.0 * math.pi * frequency * self._tick_s, 2.0 * math.pi)
+
+    def _amplitude_at(self, tick):  # type: ignore[no-untyped-def]  # int -> float, array -> array
+        first, start, target = self._ramp
+        if start == target or self._ramp_ticks == 0:
+            return target + 0.0 * tick
+        part = np.clip((tick - first) / self._ramp_ticks, 0.0, 1.0)
+        return start + (target - start) * part
+
+    def _noise_at(self, tick: int, count: int) -> NDArray[np.float64]:
+        while self._noise_start + len(self._noise) < tick + count:
+            white = self._rng.standard_normal(_NOISE_CHUNK) * self._noise_scale
+            made, self._filter_state = signal.sosfilt(self._filter, white, zi=self._filter_state)
+            kept = self._noise[max(0, tick - self._noise_start) :]
+            self._noise_start += len(self._noise) - len(kept)
+            self._noise = np.concatenate([kept, made])
+        start = tick - self._noise_start
+        return self._noise[start : start + count]

@@ -1,0 +1,105 @@
+"""`Motion`: what an advance of the simulation leaves behind, to be sampled at any instants."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from impact_rig.physics.event_loop import new_work
+from impact_rig.physics.model import Model
+from impact_rig.physics.sampling import QUANTITIES, TERMS, sample
+from impact_rig.physics.state import FREE, IMPACT_COLUMNS, PHASE, T
+
+IMPACT = np.dtype([(name, "i8" if name == "segment" else "i1" if name == "wall" else "f8") for name in IMPACT_COLUMNS])
+"""One row per finished contact: `segment` and `offset` [s] of its start; see `blocks.IMPACTS` for the rest."""
+
+SAMPLE = np.dtype([(name, "f8") for name in QUANTITIES])
+
+_ALL = np.arange(len(QUANTITIES))
+
+
+class Motion:
+    """The trajectory of consecutive drive segments, numbered from `first_segment`.
+
+    Times are (segment, offset into the segment): no value depends on how the run was cut into advances.
+
+    Attributes:
+        first_segment: number of the first segment, counted since the reset.
+        segments: the drive, shape (n,), dtype `forcing.SEGMENT`.
+        impacts: contacts that ended in this motion, dtype `IMPACT`; a contact may have begun in an earlier one.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        first_segment: int,
+        segments: NDArray[np.void],
+        knots: NDArray[np.float64],
+        first: NDArray[np.int64],
+        impacts: NDArray[np.void],
+    ) -> None:
+        self.first_segment = first_segment
+        self.segments = segments
+        self.impacts = impacts
+        self._model = model
+        self._knots = knots
+        self._first = first
+        self._work = new_work(len(model.loose.b0))
+
+    @property
+    def last_segment(self) -> int:
+        """Number of the last segment, inclusive."""
+        return self.first_segment + len(self.segments) - 1
+
+    def sample(self, segment: NDArray[np.int64], offset_s: NDArray[np.float64]) -> NDArray[np.void]:
+        """Return all quantities (dtype `SAMPLE`, SI) at the given instants, shape (n,); fastest when they are in order."""
+        out = self._evaluate(_ALL, segment, offset_s)
+        rows = np.empty(out.shape[1], SAMPLE)
+        for name, column in zip(QUANTITIES, out, strict=True):
+            rows[name] = column
+        return rows
+
+    def quantity(self, name: str, segment: NDArray[np.int64], offset_s: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return one quantity of `SAMPLE` at the given instants, shape (n,)."""
+        return self._evaluate(np.array([QUANTITIES.index(name)]), segment, offset_s)[0]
+
+    def breakpoints(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """Return (segment, offset) of the instants between which every quantity is smooth, in order.
+
+        These are the segments' starts, the contacts' starts and ends, and the integration steps inside contacts.
+        """
+        segment = self.first_segment + np.repeat(np.arange(len(self.segments)), np.diff(self._first))
+        return segment, self._knots[:, T].copy()
+
+    def in_contact(self) -> NDArray[np.bool_]:
+        """Return for every breakpoint whether the sphere touches a wall from there on."""
+        touching: NDArray[np.bool_] = self._knots[:, PHASE] != FREE
+        return touching
+
+    def _evaluate(
+        self, wanted: NDArray[np.int64], segment: NDArray[np.int64], offset_s: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        segment = np.ascontiguousarray(segment, np.int64)
+        offset_s = np.ascontiguousarray(offset_s, np.float64)
+        if segment.shape != offset_s.shape:
+            raise ValueError(f"segment and offset must have one shape, got {segment.shape} and {offset_s.shape}")
+        if len(segment) and (segment.min() < self.first_segment or segment.max() > self.last_segment):
+            raise ValueError(
+                f"this motion holds segments {self.first_segment} to {self.last_segment}, "
+                f"got {segment.min()} to {segment.max()}"
+            )
+        out = np.empty((len(wanted), len(segment)))
+        sample(
+            self._model,
+            self.segments,
+            self.first_segment,
+            self._knots,
+            self._first,
+            wanted,
+            segment,
+            offset_s,
+            self._work,
+            np.empty((len(wanted), TERMS)),
+            out,
+        )
+        return out

@@ -1,0 +1,40 @@
+"""What a contact law of the Hunt–Crossley form really returns, in closed form.
+
+For F = K δⁿ (1 + a δ'/v0) between two free bodies, whatever K, n, the masses and v0:
+
+    ln[(1 + a) / (1 − a e)] = a (1 + e),   e = [1 + W0(−(1 + a) exp(−(1 + a)))] / a      (W0: Lambert W)
+
+Integrate δ' dδ' = −(K/m)(1 + a δ'/v0) δⁿ dδ from v0 in and from −e v0 out; the δⁿ cancels.
+"""
+
+from __future__ import annotations
+
+import math
+
+from scipy.optimize import brentq
+from scipy.special import lambertw
+
+_SERIES_BELOW = (
+    1e-3  # the closed form loses digits as a -> 0, where the series e = 1 − 2a/3 + 4a²/9 − … is exact enough
+)
+
+
+def realised(hysteresis_factor: float) -> float:
+    """Return the restitution that the dimensionless damping factor `a` ≥ 0 gives."""
+    a = hysteresis_factor
+    if a < 0.0 or not math.isfinite(a):
+        raise ValueError(f"hysteresis factor must be >= 0, got {a!r}")
+    if a < _SERIES_BELOW:
+        return 1.0 - a * (2.0 / 3.0 - a * (4.0 / 9.0 - a * 44.0 / 135.0))
+    x = 1.0 + a
+    return float((1.0 + lambertw(-x * math.exp(-x)).real) / a)
+
+
+def factor_returning(restitution: float) -> float:
+    """Return the factor `a` whose realised restitution is `restitution` in (0, 1]."""
+    e = restitution
+    if not 0.0 < e <= 1.0:
+        raise ValueError(f"restitution must be > 0 and <= 1, got {e!r}")
+    if e == 1.0:
+        return 0.0
+    return float(brentq(lambda a: realised(a) - e, 0.0, 1.0 / e, xtol=1e-15, rtol=8.9e-16))
