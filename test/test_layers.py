@@ -6,6 +6,7 @@ import pkgutil
 import subprocess
 import sys
 from pathlib import Path
+from xml.etree import ElementTree as ET
 
 import pytest
 
@@ -54,3 +55,10 @@ def test_numerics_load_no_figures_and_no_tables():
 
 def test_importing_the_package_itself_is_cheap():
     assert _imported_by(["impact_rig"]).isdisjoint({"rclpy", "numba", "numpy", "scipy", "matplotlib", "rich"})
+
+
+def test_there_is_one_version():
+    """package.xml is what setup.py and ROS read; the package says the same, and the changelog knows it."""
+    in_package_xml = ET.parse(ROOT / "package.xml").findtext("version")
+    assert in_package_xml == impact_rig.__version__
+    assert f"\n{in_package_xml} (" in (ROOT / "CHANGELOG.rst").read_text(encoding="utf-8")

@@ -1,0 +1,57 @@
+"""Write the complete default configuration as a commented ROS 2 parameter file: what `config/nominal.yaml` is.
+
+python -m impact_rig.config.template > config/nominal.yaml
+"""
+
+from __future__ import annotations
+
+import sys
+
+import yaml
+
+from impact_rig.config.load import Value, fields
+
+COMMAND = "python -m impact_rig.config.template > config/nominal.yaml"
+HEADER = f"""\
+# The paper's rig, complete: every parameter at its default. Written by
+#   {COMMAND}
+#
+# Each line is `name: value  # unit; origin: meaning (range)`, where origin is one of
+#   paper       printed in the paper
+#   derived     computed from values of the paper
+#   identified  chosen so that the paper's published statements hold
+#   assumed     plausible catalogue value, or a choice of this project
+/**:
+  ros__parameters:
+"""
+
+
+def nominal() -> str:
+    """Return the text of `config/nominal.yaml`."""
+    lines: list[str] = []
+    above: list[str] = []
+    for name, about, default in fields():
+        *sections, key = name.split(".")
+        for depth, section in enumerate(sections):
+            if sections[: depth + 1] != above[: depth + 1]:
+                lines.append(f"{_indent(depth)}{section}:\n")
+        above = sections
+        limits = f" ({about.range_text()})" if about.choices or about.low is not None or about.high is not None else ""
+        comment = f"{about.unit}; {about.origin.value}: {about.doc}{limits}"
+        lines.append(f"{_indent(len(sections))}{key}: {_scalar(default)}  # {comment}\n")
+    return HEADER + "".join(lines)
+
+
+def _indent(depth: int) -> str:
+    return "  " * (depth + 2)
+
+
+def _scalar(value: Value) -> str:
+    """Return a value as YAML and ROS both read it: floats with a dot, `on` quoted, no empty list."""
+    plain = list(value or ("",)) if isinstance(value, tuple) else value
+    text: str = yaml.safe_dump(plain, default_flow_style=True, width=float("inf"))
+    return text.removesuffix("...\n").strip()
+
+
+if __name__ == "__main__":
+    sys.stdout.write(nominal())

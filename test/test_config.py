@@ -1,0 +1,224 @@
+"""One validator for every way in: what it accepts, what it refuses, and in which words."""
+
+from __future__ import annotations
+
+import math
+
+import attrs
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from impact_rig import config
+from impact_rig.config import RigConfig
+from impact_rig.errors import ConfigError
+
+FIELDS = {name: (about, default) for name, about, default in config.fields()}
+NUMBERS = [name for name, (_, default) in FIELDS.items() if type(default) is float]
+INTEGERS = [name for name, (_, default) in FIELDS.items() if type(default) is int]
+WORDS = [name for name, (about, _) in FIELDS.items() if about.choices]
+SWITCHES = [name for name, (_, default) in FIELDS.items() if type(default) is bool]
+
+anything = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=8) | st.binary(max_size=4),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=4), inner, max_size=3),
+    max_leaves=6,
+)
+
+
+def write(tmp_path, text):
+    path = tmp_path / "mine.yaml"
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    return path
+
+
+def test_every_value_says_what_it_is():
+    for name, (about, _) in FIELDS.items():
+        assert about.doc.endswith("."), name
+        assert about.unit, name
+        assert ";" not in about.unit, name
+
+
+def test_names_carry_their_unit():
+    """`gap_m` cannot be mistaken for millimetres."""
+    endings = {"m": "_m", "Hz": "_hz", "kg": "_kg", "Pa": "_pa", "N/m": "_n_m", "ppm": "_ppm", "ohm": "_ohm"}
+    for name, (about, _) in FIELDS.items():
+        assert name.removesuffix("_rms").endswith(endings.get(about.unit, "")), f"{name} [{about.unit}]"
+
+
+def test_flat_and_back_is_the_same():
+    assert config.from_flat(RigConfig(), config.to_flat(RigConfig())) == RigConfig()
+
+
+@given(gap=st.floats(1e-4, 0.05), law=st.sampled_from(config.CONTACT_LAWS), peers=st.lists(st.sampled_from("abc")))
+def test_what_is_dumped_loads_as_the_same(gap, law, peers, tmp_path_factory):
+    changed = config.from_flat(RigConfig(), {"barriers.gap_m": gap, "contact.law": law, "time.peers": peers})
+    path = tmp_path_factory.mktemp("dump") / "mine.yaml"
+    path.write_text(config.dump(changed), encoding="utf-8")
+    assert config.load(path) == changed
+
+
+def test_a_file_may_leave_out_the_outer_keys_and_most_values(tmp_path):
+    bare = config.load(write(tmp_path, "barriers: {gap_m: 0.004}\n"))
+    wrapped = config.load(write(tmp_path, "/**:\n  ros__parameters:\n    barriers:\n      gap_m: 0.004\n"))
+    assert bare == wrapped == config.from_flat(RigConfig(), {"barriers.gap_m": 0.004})
+    assert config.load(write(tmp_path, "")) == RigConfig()
+
+
+def test_overrides_go_on_top_of_the_file(tmp_path):
+    path = write(tmp_path, "barriers: {gap_m: 0.004}\n")
+    assert config.load(path, {"barriers.gap_m": 0.008}).barriers.gap_m == 0.008
+
+
+def test_an_integer_is_taken_where_a_number_is_meant():
+    changed = config.from_flat(RigConfig(), {"shaker.ramp_s": 1})
+    assert changed.shaker.ramp_s == 1.0
+    assert type(changed.shaker.ramp_s) is float
+
+
+@pytest.mark.parametrize("name", NUMBERS)
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, "1.0", True, None, [1.0], 10**400])
+def test_no_number_field_takes_anything_but_finite_numbers(name, value):
+    with pytest.raises(ConfigError, match=name.split(".")[-1]):
+        config.from_flat(RigConfig(), {name: value})
+
+
+@pytest.mark.parametrize("name", INTEGERS)
+@pytest.mark.parametrize("value", [1.5, math.nan, "1", True, None, 2**100])
+def test_no_integer_field_takes_anything_but_integers(name, value):
+    with pytest.raises(ConfigError, match=f"{name.split('.')[-1]} must be"):
+        config.from_flat(RigConfig(), {name: value})
+
+
+@pytest.mark.parametrize("name", WORDS)
+def test_a_word_must_be_one_of_the_choices(name):
+    about, _ = FIELDS[name]
+    with pytest.raises(ConfigError, match=f"must be one of {', '.join(about.choices)}, got 'nonsense'"):
+        config.from_flat(RigConfig(), {name: "nonsense"})
+
+
+@pytest.mark.parametrize("name", SWITCHES)
+@pytest.mark.parametrize("value", [0, 1, "true", None])
+def test_a_switch_is_true_or_false(name, value):
+    with pytest.raises(ConfigError, match="must be true or false"):
+        config.from_flat(RigConfig(), {name: value})
+
+
+@pytest.mark.parametrize("name", NUMBERS + INTEGERS)
+def test_limits_hold_on_both_sides(name):
+    about, default = FIELDS[name]
+    kind = type(default)
+    for limit, is_open, outside in ((about.low, about.low_open, -math.inf), (about.high, about.high_open, math.inf)):
+        if limit is None:
+            continue
+        beyond = int(limit) + (1 if outside > 0 else -1) if kind is int else math.nextafter(limit, outside)
+        with pytest.raises(ConfigError, match="must be"):
+            config.from_flat(RigConfig(), {name: kind(beyond)})
+        if is_open:
+            with pytest.raises(ConfigError, match="must be"):
+                config.from_flat(RigConfig(), {name: kind(limit)})
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"barriers.gap_m": -0.002}, "barriers.gap_m must be > 0 and <= 1, got -0.002 m"),
+        ({"barriers.gap_m": 6}, "barriers.gap_m must be > 0 and <= 1, got 6.0 m"),  # millimetres by mistake
+        ({"barriers.gap_m": 0}, "barriers.gap_m must be > 0 and <= 1, got 0.0 m"),  # no sphere is sphere.present
+        ({"barrier.gap_m": 0.002}, "unknown key 'barrier.gap_m', did you mean 'barriers.gap_m'?"),
+        ({"barriers": {"gap_m": 0.002}}, "unknown key 'barriers'"),
+        ({"barriers.gap_m.x": 1}, "unknown key 'barriers.gap_m.x'"),
+        ({"contact.law": "Flores"}, "contact.law must be one of flores, hertz"),
+        ({"time.peers": ["analysis", 3]}, "time.peers must be a list of texts"),
+        ({"time.peers": "analysis"}, "time.peers must be a list of texts"),
+        ({"shaker.frequency_min_hz": 300.0}, "shaker.frequency_min_hz must be < frequency_max_hz = 200 Hz, got 300"),
+        ({"drive.random_low_hz": 20.0}, "drive.random_low_hz must be < random_high_hz = 20 Hz, got 20"),
+        ({"drive.frequency_hz": 4.0}, "drive.frequency_hz must be within the shaker's 5 to 200 Hz, got 4"),
+    ],
+)
+def test_a_refusal_names_key_value_and_range(changes, message):
+    with pytest.raises(ConfigError) as refused:
+        config.from_flat(RigConfig(), changes)
+    assert message in str(refused.value)
+
+
+def test_changes_are_judged_together_not_one_by_one():
+    """Both limits above the old upper one: either order, one at a time, would be refused."""
+    changes = {"shaker.frequency_min_hz": 300.0, "shaker.frequency_max_hz": 400.0, "drive.frequency_hz": 350.0}
+    assert config.from_flat(RigConfig(), changes).drive.frequency_hz == 350.0
+
+
+def test_one_bad_change_refuses_all():
+    base = RigConfig()
+    with pytest.raises(ConfigError):
+        config.from_flat(base, {"barriers.gap_m": 0.004, "contact.restitution": 7.0})
+    assert base == RigConfig()
+
+
+def test_sections_are_frozen():
+    with pytest.raises(attrs.exceptions.FrozenInstanceError):
+        RigConfig().barriers.gap_m = 1.0
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("barriers: {gap_m: 6}", "barriers.gap_m must be > 0 and <= 1, got 6.0 m (PATH)"),
+        ("barriers: {gap: 6}", "unknown key 'barriers.gap', did you mean 'barriers.gap_m'? (PATH)"),
+        ("barriers: {gap_m: }", "barriers.gap_m must be a number, got None m (PATH)"),
+        ("barriers: 3", "unknown key 'barriers'"),
+        ("barriers: {}", "unknown key 'barriers'"),
+        ("- 1", "a configuration must be a mapping of sections, got list (PATH)"),
+        ("17", "a configuration must be a mapping of sections, got int (PATH)"),
+        ("1: {gap_m: 6}", "a key must be a text, got 1 (PATH)"),
+        ("a: [", "not a YAML file"),
+        ("a: 2024-13-99", "not a YAML file: month must be in 1..12 (PATH)"),
+        ("a: !!python/object/apply:os.system ['true']", "not a YAML file"),
+        (b"\xff\xfe\x00", "not a YAML file"),
+        ("? [a, b]\n: 1", "not a YAML file"),
+        ("[" * 3000, "not a YAML file"),
+        ("barriers: " * 50, "not a YAML file"),
+        ("#" * 1_000_001, "must be below 1000000 bytes"),
+    ],
+    ids=lambda value: repr(value)[:30],
+)
+def test_a_malformed_file_is_refused_with_its_name(tmp_path, text, message):
+    path = write(tmp_path, text)
+    with pytest.raises(ConfigError) as refused:
+        config.load(path)
+    assert message.replace("PATH", str(path)) in str(refused.value)
+    assert str(path) in str(refused.value)
+
+
+def test_a_file_that_is_not_there_is_refused_with_its_name(tmp_path):
+    with pytest.raises(ConfigError, match=r"cannot read configuration: No such file.*nowhere\.yaml"):
+        config.load(tmp_path / "nowhere.yaml")
+    with pytest.raises(ConfigError, match="cannot read configuration: Is a directory"):
+        config.load(tmp_path)
+
+
+@given(st.sampled_from(sorted(FIELDS)), anything)
+def test_no_value_gets_past_the_validator(name, value):
+    """Whatever is accepted is of the field's type, finite and in range; whatever is refused says so."""
+    try:
+        changed = config.from_flat(RigConfig(), {name: value})
+    except ConfigError as error:
+        assert name.split(".")[-1] in str(error)  # noqa: PT017  # either outcome is right, each with its condition
+        return
+    about, default = FIELDS[name]
+    taken = config.to_flat(changed)[name]
+    assert type(taken) is type(default)
+    if isinstance(taken, float | int):
+        assert math.isfinite(taken)
+        assert about.low is None or taken >= about.low
+        assert about.high is None or taken <= about.high
+
+
+@given(content=st.binary(max_size=200) | st.text(max_size=200).map(str.encode))
+def test_no_file_crashes_the_loader(content, tmp_path_factory):
+    path = tmp_path_factory.getbasetemp() / "fuzz.yaml"
+    path.write_bytes(content)
+    try:
+        config.load(path)
+    except ConfigError as error:
+        assert str(path) in str(error)  # noqa: PT017  # either outcome is right

@@ -1,0 +1,85 @@
+"""Every file in config/ loads, and says of every value what unit it has and where it comes from."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+import yaml
+
+from impact_rig import config
+from impact_rig.config import Origin, RigConfig
+from impact_rig.config.load import flatten
+from impact_rig.config.template import COMMAND, nominal
+from impact_rig.resources import config_dir
+
+FILES = sorted(config_dir().glob("*.yaml"))
+FIELDS = {name: about for name, about, _ in config.fields()}
+VALUE_LINE = re.compile(r"(?P<indent> *)(?P<key>\w+): (?P<value>\S.*?)  # (?P<unit>[^;]+); (?P<origin>\w+): \S")
+SECTION_LINE = re.compile(r"(?P<indent> *)(?P<key>[\w/*]+):(?P<comment>  # .*)?$")
+
+
+def value_lines(path):
+    """Yield (dotted name, line, match) of every line that sets a value, from the text: YAML drops the comments."""
+    above = []
+    for line in path.read_text(encoding="utf-8").splitlines():
+        if not line.strip() or line.lstrip().startswith("#"):
+            continue
+        found = SECTION_LINE.match(line) or VALUE_LINE.match(line)
+        assert found, f"{path.name}: neither a section nor `name: value  # unit; origin: meaning`: {line!r}"
+        depth = len(found["indent"]) // 2
+        above = [*above[:depth], found["key"]]
+        if found.re is VALUE_LINE:
+            yield ".".join(above[2:]), line, found
+
+
+def test_there_is_a_nominal_configuration():
+    assert "nominal.yaml" in [path.name for path in FILES]
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: path.name)
+def test_a_file_loads_and_is_a_ros_parameter_file(path):
+    assert isinstance(config.load(path), RigConfig)
+    assert set(yaml.safe_load(path.read_text(encoding="utf-8"))["/**"]) == {"ros__parameters"}
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: path.name)
+def test_every_value_of_a_file_has_unit_and_origin(path):
+    lines = list(value_lines(path))
+    for name, line, found in lines:
+        assert found["unit"] == FIELDS[name].unit, line
+        assert found["origin"] in {origin.value for origin in Origin}, line
+    values = flatten(yaml.safe_load(path.read_text(encoding="utf-8"))["/**"]["ros__parameters"])
+    assert [name for name, _, _ in lines] == list(values)
+
+
+def test_nominal_is_the_default_configuration_complete():
+    path = config_dir() / "nominal.yaml"
+    assert config.load(path) == RigConfig()
+    assert [name for name, _, _ in value_lines(path)] == list(FIELDS)
+
+
+def test_nominal_is_up_to_date():
+    text = (config_dir() / "nominal.yaml").read_text(encoding="utf-8")
+    assert text == nominal(), f"a default, unit or sentence has changed: run `{COMMAND}`"
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize("path", FILES, ids=lambda path: path.name)
+def test_ros_reads_the_same_values_with_the_same_types(path):
+    """A float without a dot, or an empty list, would be another type to ROS."""
+    import rclpy
+    from rclpy.node import Node
+
+    context = rclpy.Context()
+    rclpy.init(args=["--ros-args", "--params-file", str(path)], context=context)
+    try:
+        node = Node("reader", context=context, automatically_declare_parameters_from_overrides=True)
+        read = {name: node.get_parameter(name).value for name, _, _ in value_lines(path)}
+        node.destroy_node()
+    finally:
+        rclpy.shutdown(context=context)
+    expected = config.to_flat(config.load(path))
+    for name, value in read.items():
+        wanted = list(expected[name] or ("",)) if isinstance(expected[name], tuple) else expected[name]
+        assert (value, type(value)) == (wanted, type(wanted)), name
