@@ -51,7 +51,7 @@ WIDTH = 8
 LEFT_WALL, OUT_OF_TIME, STIFF, NOT_STIFF, FAILED = range(5)
 """How a contact phase ends: sphere gone, segment over, perhaps better ridden, better not ridden, no progress."""
 
-PATIENCE = 40
+PATIENCE = 25
 """Steps after which riding is offered the contact: an impact takes about 15."""
 _LONGEST = 1e3
 _ROOT_ROUNDS = 60
@@ -62,17 +62,16 @@ class Series(NamedTuple):
     """Taylor coefficients of one step, by order; s is measured in `UNIT`."""
 
     w: NDArray[np.float64]
-    w2: NDArray[np.float64]
-    w3: NDArray[np.float64]
-    force: NDArray[np.float64]
     t: NDArray[np.float64]
+    force: NDArray[np.float64]
     y: NDArray[np.float64]  # (order, WIDTH)
-    slope: NDArray[np.float64]  # (order, WIDTH): dy/dt
+    rows: NDArray[np.float64]  # (order, 16): (w, w², w³) of the order, then dy/dt of the order before
 
 
 def new_series() -> Series:
     """Return room for one step."""
-    return Series(*(np.zeros(ORDER + 2) for _ in range(5)), np.zeros((ORDER + 2, WIDTH)), np.zeros((ORDER + 2, WIDTH)))
+    n = ORDER + 2
+    return Series(np.zeros(n), np.zeros(n), np.zeros(n), np.zeros((n, WIDTH)), np.zeros((n, 16)))
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"reassoc", "contract", "nsz"})
@@ -82,30 +81,41 @@ def expand(p, f, s, a):  # type: ignore[no-untyped-def]  # compiled: types are i
     side, beta, unit = s[SIDE], s[BETA], s[UNIT]
     stiffness, damping = s[GRIP] * p.force.stiffness, s[GRIP] * p.force.damping
     linear = p.force.kind == LINEAR
-    w, w2, w3, y, slope = a.w, a.w2, a.w3, a.y, a.slope
+    w, y, rows = a.w, a.y, a.rows
     w[0], a.t[0] = s[GAP], s[T]
     y[0, SPEED] = s[RATE]
     for q in range(5):
         y[0, CENTRE + q] = s[Y + q]
     angle = f.omega * s[T] + f.phase
     y[0, SINE], y[0, COSINE] = math.sin(angle), math.cos(angle)
+    w_0 = w[0]
+    w2 = w_0 * w_0
+    w3 = w2 * w_0
+    rows[0, 0], rows[0, 1], rows[0, 2] = w_0, w2, w3
     for k in range(ORDER):
-        square = 0.0
-        for i in range(k + 1):
-            square += w[i] * w[k - i]
-        w2[k] = square
         speed = y[k, SPEED]
+        scale = unit / (k + 1)
+        w_next = 0.5 * scale * speed
+        w[k + 1] = w_next
+        a.t[k + 1] = scale * w[k]
+        s0, s1, s2, s3, s4, s5, s6, s7 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        for i in range(k + 1):  # every product is one with w: w², w³, w⁴ at order k + 1 and w · dy/dt at order k, all at once
+            b = w[k + 1 - i]
+            s0 += b * rows[i, 0]
+            s1 += b * rows[i, 1]
+            s2 += b * rows[i, 2]
+            s3 += b * rows[i, 3]
+            s4 += b * rows[i, 4]
+            s5 += b * rows[i, 5]
+            s6 += b * rows[i, 6]
+            s7 += b * rows[i, 7]
+        w2_next = s0 + w_0 * w_next
+        w3_next = s1 + w_0 * w2_next
+        w4_next = s2 + w_0 * w3_next
         if linear:
-            a.force[k] = stiffness * square + damping * speed
-        else:
-            cube = 0.0
-            for i in range(k + 1):
-                cube += w2[i] * w[k - i]
-            w3[k] = cube
-            product = 0.0
-            for i in range(k + 1):
-                product += w3[i] * y[k - i, SPEED]
-            a.force[k] = stiffness * (cube + beta * product)
+            force = stiffness * w2 + damping * speed
+        else:  # w³ δ' is half the derivative of w⁴
+            force = stiffness * (w3 + beta * w4_next * 0.5 * (k + 1) / unit)
         u, du = f.amplitude * y[k, SINE], f.amplitude * f.omega * y[k, COSINE]
         if f.slope != 0.0:
             grown_sine, grown_cosine = 0.0, 0.0
@@ -117,44 +127,40 @@ def expand(p, f, s, a):  # type: ignore[no-untyped-def]  # compiled: types are i
         x_b, v_b = y[k, X_BASE], y[k, V_BASE]
         if p.drive == PRESCRIBED:
             x_b, v_b = u, du
-        offset = square + (p.half_gap if k == 0 else 0.0)
+        offset = w2 + (p.half_gap if k == 0 else 0.0)
         column = -c.k_1 * (y[k, CENTRE] - p.share * side * offset - x_b) - c.c_1 * (
             y[k, V_CENTRE] - p.share * side * speed - v_b
         )
-        slope[k, SPEED] = -a.force[k] * p.per_m_eff - side * column * p.per_m_1
-        slope[k, CENTRE] = y[k, V_CENTRE]
-        slope[k, V_CENTRE] = column * p.per_m_pair
-        slope[k, SINE] = f.omega * y[k, COSINE]
-        slope[k, COSINE] = -f.omega * y[k, SINE]
-        if p.drive != PRESCRIBED:
-            current = u
-            if p.drive == VOLTAGE:
-                current = y[k, COIL]
-                slope[k, COIL] = (u - c.resistance * current - c.force_factor * v_b) / c.inductance
-            slope[k, X_BASE] = v_b
-            slope[k, V_BASE] = (c.force_factor * current - c.c_f * v_b - c.k_f * x_b - column) * p.per_m_base
-        s0, s1, s2, s3, s4, s5, s6, s7 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-        for i in range(k + 1):  # w · dy/dt, all columns at once
-            b = w[k - i]
-            s0 += b * slope[i, 0]
-            s1 += b * slope[i, 1]
-            s2 += b * slope[i, 2]
-            s3 += b * slope[i, 3]
-            s4 += b * slope[i, 4]
-            s5 += b * slope[i, 5]
-            s6 += b * slope[i, 6]
-            s7 += b * slope[i, 7]
-        scale = unit / (k + 1)
-        y[k + 1, 0] = scale * s0
-        y[k + 1, 1] = scale * s1
-        y[k + 1, 2] = scale * s2
-        y[k + 1, 3] = scale * s3
-        y[k + 1, 4] = scale * s4
-        y[k + 1, 5] = scale * s5
-        y[k + 1, 6] = scale * s6
-        y[k + 1, 7] = scale * s7
-        w[k + 1] = 0.5 * scale * speed
-        a.t[k + 1] = scale * w[k]
+        relative = -force * p.per_m_eff - side * column * p.per_m_1
+        pair = column * p.per_m_pair
+        d_sine, d_cosine = f.omega * y[k, COSINE], -f.omega * y[k, SINE]
+        y[k + 1, SPEED] = scale * (s3 + w_0 * relative)
+        y[k + 1, CENTRE] = scale * (s4 + w_0 * y[k, V_CENTRE])
+        y[k + 1, V_CENTRE] = scale * (s5 + w_0 * pair)
+        y[k + 1, SINE] = scale * (s6 + w_0 * d_sine)
+        y[k + 1, COSINE] = scale * (s7 + w_0 * d_cosine)
+        rows[k + 1, 0], rows[k + 1, 1], rows[k + 1, 2] = w_next, w2_next, w3_next
+        rows[k + 1, 3], rows[k + 1, 4], rows[k + 1, 5] = relative, y[k, V_CENTRE], pair
+        rows[k + 1, 6], rows[k + 1, 7] = d_sine, d_cosine
+        a.force[k] = force
+        w2, w3 = w2_next, w3_next
+        if p.drive == PRESCRIBED:
+            continue
+        current, d_coil = u, 0.0
+        if p.drive == VOLTAGE:
+            current = y[k, COIL]
+            d_coil = (u - c.resistance * current - c.force_factor * v_b) / c.inductance
+        table = (c.force_factor * current - c.c_f * v_b - c.k_f * x_b - column) * p.per_m_base
+        s0, s1, s2 = 0.0, 0.0, 0.0
+        for i in range(1, k + 1):
+            b = w[k + 1 - i]
+            s0 += b * rows[i, 8]
+            s1 += b * rows[i, 9]
+            s2 += b * rows[i, 10]
+        y[k + 1, X_BASE] = scale * (s0 + w_0 * v_b)
+        y[k + 1, V_BASE] = scale * (s1 + w_0 * table)
+        y[k + 1, COIL] = scale * (s2 + w_0 * d_coil)
+        rows[k + 1, 8], rows[k + 1, 9], rows[k + 1, 10] = v_b, table, d_coil
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
