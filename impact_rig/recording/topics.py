@@ -105,14 +105,18 @@ def matches(name: str, wanted: str) -> bool:
 
 
 def resolve(wanted: str, names: list[str]) -> str:
-    """Return the one of `names` that `wanted` means: the name itself, or the only one ending with it.
+    """Return the one of `names` that `wanted` means: the name itself, or the only one with the shortest namespace.
+
+    So `impacts` is `/rig/impacts` and not `/rig/truth/impacts`; of two rigs in one recording neither is guessed.
 
     Raises:
         RecordingError: none or several of `names` match.
     """
     if wanted in names:
         return wanted
-    found = [name for name in names if matches(name, wanted)]
+    candidates = [name for name in names if matches(name, wanted)]
+    depth = min((name.count("/") for name in candidates), default=0)
+    found = [name for name in candidates if name.count("/") == depth]
     if len(found) == 1:
         return found[0]
     if found:

@@ -23,6 +23,7 @@ from recording_samples import (
 from impact_rig import codec
 from impact_rig.errors import RecordingError
 from impact_rig.recording import Attachment, RunWriter, open_run
+from impact_rig.recording.topics import resolve
 
 
 def as_sent(message):
@@ -140,6 +141,14 @@ def test_unknown_topics_name_those_that_exist(record):
         fill(writer, 2)
     with open_run(writer.directory) as run, pytest.raises(RecordingError, match=r"no topic 'scans'.*/rig/daq/scan"):
         run.messages(["scans"])
+
+
+def test_a_topic_is_found_without_its_namespace():
+    names = ["/rig/impacts", "/rig/truth/impacts", "/rig/notes"]
+    assert resolve("impacts", names) == "/rig/impacts"
+    assert resolve("truth/impacts", names) == resolve("/rig/truth/impacts", names) == "/rig/truth/impacts"
+    with pytest.raises(RecordingError, match="'notes' is ambiguous: /left/notes, /right/notes"):
+        resolve("notes", ["/left/notes", "/right/notes"])
 
 
 NAMES = st.text("abcdefghij_", min_size=1, max_size=12).map(lambda name: f"/{name}")
