@@ -23,6 +23,8 @@ from impact_rig.analysis.calibration import Complex, Real
 RANGE_BIT = 256
 """Bit in a cycle's flags for channel 0 outside its range or not finite; channel j uses RANGE_BIT << j."""
 MIN_SAMPLES_PER_CYCLE = 8
+PHASE_BINS = 64
+"""Parts of a drive cycle by which the phases of impacts are kept: 0.1 rad each."""
 
 
 @attrs.frozen(eq=False)
@@ -38,6 +40,7 @@ class Cycles:
         residual: residual sum of squares of the fit, shape (n, 4).
         flags: status bits seen, and RANGE_BIT bits, shape (n,).
         impacts: impacts detected per cycle, NaN where not counted, shape (n,).
+        strikes: 1 where an impact fell into that part of the cycle, shape (n, PHASE_BINS).
     """
 
     first: NDArray[np.int64]
@@ -48,6 +51,7 @@ class Cycles:
     residual: Real
     flags: NDArray[np.int64]
     impacts: Real
+    strikes: NDArray[np.uint8]
 
     def __len__(self) -> int:
         return len(self.first)
@@ -76,6 +80,10 @@ def usable_harmonics(rate_hz: int, frequency_hz: float, wanted: int) -> int:
 class Accumulator:
     """Reduces scans to cycles; the state is a few dozen numbers.
 
+    Attributes:
+        origin: index of the first scan: cycle 0 starts there.
+        period: scans per drive cycle, fractions included.
+
     Args:
         rate_hz: scans per second.
         frequency_hz: of the drive.
@@ -88,11 +96,11 @@ class Accumulator:
         self, rate_hz: int, frequency_hz: float, harmonics: int, origin: int, low: Real, high: Real, capacity: int = 64
     ) -> None:
         self.origin = origin
-        self._period = rate_hz / frequency_hz
+        self.period = rate_hz / frequency_hz
         self._low, self._high = low, high
-        step = 2.0 * math.pi / self._period
+        step = 2.0 * math.pi / self.period
         self._rotor = np.array([1.0, 0.0, math.cos(step), math.sin(step)])
-        self._place = np.array([0, 0, math.ceil(self._period), 0], dtype=np.int64)
+        self._place = np.array([0, 0, math.ceil(self.period), 0], dtype=np.int64)
         size = 2 * harmonics + 2
         self._sums = np.zeros((4, size))
         self._basis = np.ones(size - 1)
@@ -117,7 +125,7 @@ class Accumulator:
                 end,
                 self._low,
                 self._high,
-                self._period,
+                self.period,
                 self._place,
                 self._rotor,
                 self._sums,
@@ -141,8 +149,8 @@ class Accumulator:
         self._done = [(sums[count:], flags[count:])] if len(sums) > count else []
         numbers = np.arange(self._cycle, self._cycle + count + 1)
         self._cycle += count
-        edges = np.ceil(numbers * self._period).astype(np.int64)
-        return _solve(sums[:count], flags[:count], edges, numbers[:-1], self._period, self.origin)
+        edges = np.ceil(numbers * self.period).astype(np.int64)
+        return _solve(sums[:count], flags[:count], edges, numbers[:-1], self.period, self.origin)
 
 
 def _solve(
@@ -167,7 +175,17 @@ def _solve(
         variance = np.maximum(sums[:, :, size] / samples[:, None] - mean**2, 0.0)
         residual = np.maximum(sums[:, :, size] - explained, 0.0)
     phasors = np.swapaxes(solution[:, 1::2] - 1j * solution[:, 2::2], 1, 2)
-    return Cycles(origin + edges[:-1], samples, phasors, mean, variance, residual, flags, np.full(len(samples), np.nan))
+    return Cycles(
+        first=origin + edges[:-1],
+        samples=samples,
+        phasors=phasors,
+        mean=mean,
+        variance=variance,
+        residual=residual,
+        flags=flags,
+        impacts=np.full(len(samples), np.nan),
+        strikes=np.zeros((len(samples), PHASE_BINS), dtype=np.uint8),
+    )
 
 
 def normal_matrix(phase: Real, samples: NDArray[np.int64], step: float, harmonics: int) -> Real:

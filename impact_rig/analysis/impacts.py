@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from scipy import signal
 
 from impact_rig.analysis.calibration import ACCELEROMETER, Calibration, Real
+from impact_rig.analysis.cycles import PHASE_BINS, Cycles
 from impact_rig.analysis.settings import ImpactSettings
 
 ONSET = 0.3
@@ -52,6 +53,45 @@ class Impacts:
     scan: Real
     peak: Real
     sign: NDArray[np.int8]
+
+    def __len__(self) -> int:
+        return len(self.scan)
+
+    def __getitem__(self, part: slice) -> Impacts:
+        return Impacts(self.scan[part], self.peak[part], self.sign[part])
+
+
+NO_IMPACTS = Impacts(np.empty(0), np.empty(0), np.empty(0, dtype=np.int8))
+
+
+def joined(parts: list[Impacts]) -> Impacts:
+    """Return runs of impacts as one."""
+    if not parts:
+        return NO_IMPACTS
+    return Impacts(
+        np.concatenate([part.scan for part in parts]),
+        np.concatenate([part.peak for part in parts]),
+        np.concatenate([part.sign for part in parts]),
+    )
+
+
+def counted(cycles: Cycles, impacts: Impacts, origin: int, period: float) -> Cycles:
+    """Return the cycles with `impacts` and `strikes` filled in.
+
+    Args:
+        cycles: consecutive.
+        impacts: all within them, others do not matter.
+        origin: first scan of cycle 0.
+        period: scans per cycle.
+    """
+    edges = np.append(cycles.first, cycles.first[-1] + cycles.samples[-1])
+    place = np.searchsorted(edges, impacts.scan, side="right") - 1
+    inside = (place >= 0) & (place < len(cycles))
+    count = np.bincount(place[inside], minlength=len(cycles))
+    turns = (impacts.scan[inside] - origin) / period
+    strikes = np.zeros((len(cycles), PHASE_BINS), dtype=np.uint8)
+    strikes[place[inside], np.floor((turns - np.floor(turns)) * PHASE_BINS).astype(np.int64) % PHASE_BINS] = 1
+    return attrs.evolve(cycles, impacts=count.astype(np.float64), strikes=strikes)
 
 
 class ImpactDetector:
@@ -124,9 +164,6 @@ class ImpactDetector:
             return NO_IMPACTS
         rows = found[0] if len(found) == 1 else np.concatenate(found)
         return Impacts(rows[:, 0] - self._delay, rows[:, 1], rows[:, 2].astype(np.int8))
-
-
-NO_IMPACTS = Impacts(np.empty(0), np.empty(0), np.empty(0, dtype=np.int8))
 
 
 @njit(cache=True, nogil=True)

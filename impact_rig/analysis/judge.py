@@ -2,8 +2,8 @@
 
 Three ways to a row, tried in this order after each window once enough windows have passed since the last row:
 
-1. periodic: the bias a dying transient leaves in the last `windows` windows is below `settle_tolerance` or twice the
-   noise, and their cycles repeat;
+1. steady: the bias a dying transient leaves in the last `windows` windows is below `settle_tolerance` or twice the
+   noise, and the amplitude repeats from cycle to cycle (or after a few);
 2. stationary: the last `long_windows` windows have neither trend nor changing fluctuation: modulated or chaotic;
 3. the bound `wait_limit_s` is reached: numbers as they are, status `not_settled`.
 """
@@ -21,7 +21,7 @@ from impact_rig.analysis.cycles import Cycles, concatenate
 from impact_rig.analysis.settings import TrackerSettings
 from impact_rig.analysis.settling import is_stationary, transient_bias
 from impact_rig.analysis.transmissibility import Measurement, complex_transmissibility, interruption, measure
-from impact_rig.analysis.words import MEASURED, Regime, Status
+from impact_rig.analysis.words import MEASURED, Status
 
 CYCLE_MULTIPLE = 6
 """Windows hold a multiple of 6 cycles: orbits of period 2, 3 and 6 close in each, those of period 4 and 8 in pairs."""
@@ -72,7 +72,7 @@ class Judge:
         short = self._settings.windows
         if len(self._windows) < short or (self._reported and self._since_row < short):
             return None
-        found = self._periodic() or self._stationary() or self._overdue()
+        found = self._steady() or self._stationary() or self._overdue()
         if found:
             self._since_row, self._waited_windows, self._reported = 0, 0, True
         return found
@@ -90,14 +90,14 @@ class Judge:
         self._broken, self._since_row = status, 0
         return Measurement(status=status, frequency_hz=self._frequency_hz)
 
-    def _periodic(self) -> Measurement | None:
+    def _steady(self) -> Measurement | None:
         newest = abs(self._ratios[-1])
         limit = max(self._settings.settle_tolerance * newest, NOISE_FACTOR * self._noise(newest))
         bias = self._bias()
         if abs(bias) > limit:
             return None
         found = self._measure(self._settings.windows, bias)
-        return found if found.regime is Regime.PERIODIC or found.status not in MEASURED else None
+        return found if found.steady or found.status not in MEASURED else None
 
     def _stationary(self) -> Measurement | None:
         long = self._settings.long_windows

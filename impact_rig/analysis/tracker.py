@@ -12,11 +12,10 @@ import math
 
 import attrs
 import numpy as np
-from numpy.typing import NDArray
 
-from impact_rig.analysis.calibration import Calibration, Real
+from impact_rig.analysis.calibration import Calibration
 from impact_rig.analysis.cycles import Accumulator, Cycles, usable_harmonics
-from impact_rig.analysis.impacts import MIN_RATE_HZ, ImpactDetector, Impacts
+from impact_rig.analysis.impacts import MIN_RATE_HZ, ImpactDetector, Impacts, counted, joined
 from impact_rig.analysis.judge import Judge, window_cycles
 from impact_rig.analysis.scan_buffer import ScanBuffer, first_scan_at, scan_index
 from impact_rig.analysis.settings import ImpactSettings, TrackerSettings
@@ -100,7 +99,7 @@ class Tracker:
         self._gap_m = math.nan
         self._accumulator: Accumulator | None = None
         self._window = 0
-        self._impact_scans: list[Real] = []
+        self._impacts_ahead: list[Impacts] = []
         self._rows: list[Table] = []
 
     def configure(self, info: Table) -> None:
@@ -157,7 +156,7 @@ class Tracker:
         buffer.append(rows, self._measured)
         self.counters.scans += len(rows)
         found = self._detector.feed(buffer.samples[0, buffer.column(index) : buffer.column(buffer.end)])
-        if len(found.scan):
+        if len(found):
             impacts = self._impacts(found)
         self._advance(buffer.end - self._hold)
         if not self._rows and not impacts:
@@ -207,7 +206,7 @@ class Tracker:
         self._buffer.restart(index)
         self._measured = index
         self._detector.restart(index)
-        self._impact_scans.clear()
+        self._impacts_ahead.clear()
         self._begin(index, changed=True)
 
     def _advance(self, until: int) -> None:
@@ -271,35 +270,33 @@ class Tracker:
         buffer = self._buffer
         accumulator.add(buffer.samples, buffer.status, buffer.column(begin), buffer.column(until))
         while accumulator.pending_cycles >= self._window:
-            window = self._counted(accumulator.take(self._window))
+            window = self._counted(accumulator.take(self._window), accumulator)
             found = self._judge.add(window)
             if found:
                 self._emit(found, int(window.first[-1] + window.samples[-1]) - 1)
 
     def _report_no_frequency(self, until: int) -> None:
         assert self._calibration is not None
-        self._impact_scans.clear()
+        self._impacts_ahead.clear()
         while until - self._origin >= self._calibration.rate_hz:
             self._origin += self._calibration.rate_hz
             frequency = self._command.frequency_hz if self._command else math.nan
             self._emit(Measurement(status=Status.NO_FREQUENCY, frequency_hz=frequency), self._origin - 1)
 
-    def _counted(self, window: Cycles) -> Cycles:
-        """Return the window with its impacts counted per cycle."""
+    def _counted(self, window: Cycles, accumulator: Accumulator) -> Cycles:
+        """Return the window with its impacts counted per cycle; impacts after it are kept."""
         assert self._calibration is not None
         if self._calibration.rate_hz < MIN_RATE_HZ:
             return window
-        edges = np.append(window.first, window.first[-1] + window.samples[-1])
-        scans = np.concatenate(self._impact_scans) if self._impact_scans else np.empty(0)
-        counts: NDArray[np.int64] = np.diff(np.searchsorted(scans, edges))
-        later = scans[scans >= edges[-1]]
-        self._impact_scans = [later] if len(later) else []
-        return attrs.evolve(window, impacts=counts.astype(np.float64))
+        impacts = joined(self._impacts_ahead)
+        later = int(np.searchsorted(impacts.scan, window.first[-1] + window.samples[-1]))
+        self._impacts_ahead = [impacts[later:]] if later < len(impacts) else []
+        return counted(window, impacts[:later], accumulator.origin, accumulator.period)
 
     def _impacts(self, found: Impacts) -> list[Table]:
         assert self._calibration is not None
-        self.counters.impacts += len(found.scan)
-        self._impact_scans.append(found.scan)
+        self.counters.impacts += len(found)
+        self._impacts_ahead.append(found)
         return impact_tables(found, self._calibration.rate_hz, self._start_ns)
 
     def _interrupt(self, status: Status) -> None:

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from impact_rig.analysis.calibration import ACCELEROMETER, BASE, CURRENT, LASER, Calibration, Complex, Real
 from impact_rig.analysis.cycles import RANGE_BIT, Accumulator, Cycles, usable_harmonics
+from impact_rig.analysis.impacts import MIN_RATE_HZ, ImpactDetector, counted
 from impact_rig.analysis.regime import classify
 from impact_rig.analysis.settings import TrackerSettings
 from impact_rig.analysis.spread import block_length, bootstrap_means, by_class_removed, variance_of_mean
@@ -60,6 +61,7 @@ class Measurement:
     regime: Regime = Regime.UNKNOWN
     period: float = NAN
     spread: float = NAN
+    steady: bool = False
     method: Method = Method.NONE
 
 
@@ -91,6 +93,9 @@ def measure_record(
     if accumulator.pending_cycles < MIN_CYCLES:
         return Measurement(status=Status.TOO_FEW_CYCLES, frequency_hz=frequency_hz)
     cycles = accumulator.take(accumulator.pending_cycles)
+    if calibration.rate_hz >= MIN_RATE_HZ:
+        impacts = ImpactDetector(calibration).feed(samples[ACCELEROMETER])
+        cycles = counted(cycles, impacts, 0, accumulator.period)
     return measure(cycles, calibration, frequency_hz, settings, rng or np.random.default_rng(settings.seed))
 
 
@@ -146,19 +151,20 @@ def measure(
         * float(noise[LASER] * calibration.noise_crowding()[LASER] / cycles.samples.mean())
         / abs(mean1 * complex(calibration.response(LASER, frequency_hz))) ** 2,
         settings.periodic_tolerance,
+        cycles.strikes,
     )
+    white = 2.0 * (noise[LASER] + abs(ratio) ** 2 * noise[BASE]) / cycles.samples.sum() / abs(mean1) ** 2
     if response.regime is Regime.PERIODIC:
         method = Method.GUM
-        white = 2.0 * (noise[LASER] + abs(ratio) ** 2 * noise[BASE]) / cycles.samples.sum() / abs(mean_b) ** 2
-        left = by_class_removed(influence, round(response.period))
-        variance = np.array([max(white, variance_of_mean(part)) for part in (left.real, left.imag)])
-        variance /= abs(ratio) ** 2
+        left = by_class_removed(influence / abs(ratio), round(response.period))
+        spread = np.array([variance_of_mean(left.real), variance_of_mean(left.imag)])
     else:
         method = Method.BLOCK_BOOTSTRAP
         length = max(block_length(influence.real), block_length(influence.imag))
         draws = bootstrap_means(np.stack([x1, xb], axis=1), length, settings.bootstrap_resamples, rng)
         logs = np.log(draws[:, 0] / draws[:, 1] / ratio)
-        variance = np.array([np.var(logs.real), np.var(logs.imag)])
+        spread = np.array([np.var(logs.real), np.var(logs.imag)])
+    variance = np.maximum(spread, white)
     u_amplitude, u_phase = _combined(variance, calibration, frequency_hz, settings.lag_uncertainty, bias / ratio)
     phase = float(np.angle(ratio))
     if _swapped(true[ACCELEROMETER][:, 0], mean1, mean_b, frequency_hz, phase - 3.0 * u_phase):
@@ -182,6 +188,7 @@ def measure(
         regime=response.regime,
         period=response.period,
         spread=float(np.std(influence.real)),
+        steady=response.steady,
         method=method,
     )
 
