@@ -46,7 +46,6 @@ ifneq ($(file <$(VENV)/made-in),$(CURDIR))
 endif
 
 $(ENVIRONMENT): requirements/common.txt requirements/$(ROS).txt
-	@rm -rf $(VENV)
 	@PYTHON='$(PYTHON)' requirements/venv.sh $(ROS) $(VENV)
 	@printf '%s' '$(CURDIR)' > $(VENV)/made-in
 	@touch $(VENV)/ready-$(ROS) $@
