@@ -32,6 +32,8 @@ setup(
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
         (f"share/{NAME}/config", files("config/*.yaml")),
+        (f"share/{NAME}/config/foxglove", files("config/foxglove/*.json")),
+        (f"share/{NAME}/config/plotjuggler", files("config/plotjuggler/*.xml")),
         (f"share/{NAME}/launch", files("launch/*.launch.py")),
     ],
     python_requires=">=3.11",
@@ -39,7 +41,7 @@ setup(
     install_requires=[
         "attrs>=23.2",
         "matplotlib>=3.6",
-        "mcap>=1.1",  # brings lz4 and zstandard
+        "mcap>=1.5",  # the first whose writer can close a chunk on request; brings lz4 and zstandard
         "numba>=0.58",
         "numpy>=1.26",
         "PyYAML>=6.0",
