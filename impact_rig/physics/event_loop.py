@@ -24,8 +24,8 @@ from impact_rig.physics.collision import (
     new_series,
 )
 from impact_rig.physics.contact.base import ForceKind
-from impact_rig.physics.flight import bound_drive_jerk, flight_energy, fly
-from impact_rig.physics.forcing import Forcing, particular, transfer
+from impact_rig.physics.flight import STOPPED, aim, carry, flight_energy, fly, wall
+from impact_rig.physics.forcing import Forcing, transfer
 from impact_rig.physics.linear import V1, X1
 from impact_rig.physics.state import (
     APPROACH,
@@ -38,14 +38,15 @@ from impact_rig.physics.state import (
     FREE,
     GAP,
     IMPULSE,
+    LEDGER_CONTACT,
     LOST,
-    NEXT_STEP,
     PEAK_FORCE,
     PEAK_INDENTATION,
     PHASE,
     RATE,
     RIDING,
     SIDE,
+    SLID,
     STEP,
     T,
     Y,
@@ -92,7 +93,7 @@ def new_work(n: int) -> Work:
     s = riding.STAGES
     return Work(
         *(np.zeros(n, complex) for _ in range(5)),
-        jerk=np.zeros(1),
+        jerk=np.zeros(3),
         y=np.zeros(5),
         z=np.zeros(WIDTH),
         at=np.zeros(WIDTH),
@@ -106,13 +107,13 @@ def new_work(n: int) -> Work:
     )
 
 
-@njit(cache=True, nogil=True)
-def _touch(p, s, wall, segment):  # type: ignore[no-untyped-def]  # compiled: types are inferred
+@njit(cache=True, nogil=True, error_model="numpy")
+def _touch(p, s, side, segment):  # type: ignore[no-untyped-def]  # compiled: types are inferred
     """Begin a contact with the wall just reached: from (x_1, v_1, d, d') to the pair's centre of mass and (w, δ')."""
-    speed = max(wall * s[RATE], p.touch_speed)
-    s[SIDE] = wall
+    speed = max(side * s[RATE], p.touch_speed)
+    s[SIDE] = side
     s[Y + X1] += p.share * s[GAP]
-    s[Y + V1] += p.share * wall * speed
+    s[Y + V1] += p.share * side * speed
     s[PHASE] = COLLISION
     s[GAP] = 0.0
     s[RATE] = speed
@@ -128,66 +129,136 @@ def _touch(p, s, wall, segment):  # type: ignore[no-untyped-def]  # compiled: ty
     begin(p, speed, s)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
+def _fly_on(p, s, d, rate):  # type: ignore[no-untyped-def]
+    """Set a flight that starts at d with the relative speed d'; guide friction works against it from the start."""
+    s[PHASE] = FREE
+    s[GAP] = d
+    s[RATE] = rate
+    s[SIDE] = np.sign(rate) if p.friction > 0.0 else 0.0
+    s[STEP] = 0.0
+    s[SLID] = d
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _note(log, segment, offset, side, approach, separation, force, indentation, impulse, duration, lost):  # type: ignore[no-untyped-def]
+    """Append an impact."""
+    row = log.impacts[log.count[1]]
+    row[0], row[1], row[2], row[3], row[4] = segment, offset, side, approach, separation
+    row[5], row[6], row[7], row[8], row[9] = force, indentation, impulse, duration, lost
+    log.count[1] += 1
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def _leave(p, s, log):  # type: ignore[no-untyped-def]
     """End a contact: note the impact and return to (x_1, v_1, d, d')."""
     side, speed = s[SIDE], s[RATE]
-    row = log.impacts[log.count[1]]
-    row[0], row[1], row[2] = s[BEGIN_SEGMENT], s[BEGIN_OFFSET], side
-    row[3], row[4] = s[APPROACH], -speed
-    row[5], row[6] = s[PEAK_FORCE], s[PEAK_INDENTATION]
-    row[7], row[8], row[9] = s[IMPULSE], s[ELAPSED], s[LOST]
-    log.count[1] += 1
+    _note(
+        log, s[BEGIN_SEGMENT], s[BEGIN_OFFSET], side, s[APPROACH], -speed,
+        s[PEAK_FORCE], s[PEAK_INDENTATION], s[IMPULSE], s[ELAPSED], s[LOST]
+    )  # fmt: skip
     s[Y + X1] -= p.share * side * p.half_gap
     s[Y + V1] -= p.share * side * speed
-    s[PHASE] = FREE
-    s[GAP] = side * p.half_gap
-    s[RATE] = side * speed
-    s[SIDE] = 0.0
-    s[STEP] = 0.0
+    _fly_on(p, s, side * p.half_gap, side * speed)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
+def _bounce(p, s, side, segment, acceleration, log, ledger):  # type: ignore[no-untyped-def]
+    """Reverse the relative speed at once, or let the sphere ride when it would no longer bounce off a wall that presses it."""
+    speed = max(0.0, side * s[RATE])
+    e = p.force.restitution
+    rides = e * speed <= p.touch_speed and side * acceleration <= 0.0
+    if rides:
+        e = 0.0
+    lost = 0.5 * p.m_eff * speed * speed * (1.0 - e * e)
+    ledger[LEDGER_CONTACT] += lost
+    s[Y + V1] += p.share * side * speed * (1.0 + e)
+    if speed > p.touch_speed:
+        _note(log, segment, s[T], side, speed, e * speed, 0.0, 0.0, p.m_eff * speed * (1.0 + e), 0.0, lost)
+    if rides:
+        s[PHASE], s[SIDE], s[GAP], s[RATE] = ATTACHED, side, side * p.half_gap, 0.0
+    else:
+        _fly_on(p, s, side * p.half_gap, -side * max(e * speed, p.touch_speed))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _free_phase(p, system, f, work, s, t_end, segment, log, ledger, account):  # type: ignore[no-untyped-def]
+    """Fly, and begin whatever the flight ends in."""
+    add_knot(log, s)
+    begin_t, push = s[T], s[SIDE] * p.m * p.friction
+    s[SLID] = s[GAP]
+    touched = fly(p, system, f, work, s, t_end)
+    if account:
+        flight_energy(p, system, f, work, push, begin_t, s[T], s, ledger)
+    if touched == 0:
+        return
+    _, _, acceleration, _ = wall(system, f, work, push, s[T] - begin_t, s[T], 0)
+    if touched == STOPPED:
+        if abs(acceleration) <= p.friction:
+            s[PHASE], s[SIDE], s[RATE] = ATTACHED, 0.0, 0.0
+        else:
+            _fly_on(p, s, s[GAP], -np.sign(acceleration) * p.touch_speed)
+    elif p.force.kind == _IMPULSIVE:
+        _bounce(p, s, touched, segment, acceleration, log, ledger)
+    else:
+        _touch(p, s, touched, segment)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _attached_phase(p, system, f, work, s, t_end, log, ledger, account):  # type: ignore[no-untyped-def]
+    """Move as one body until sphere and base part."""
+    add_knot(log, s)
+    begin_t = s[T]
+    parted = carry(p, system, f, work, s, t_end)
+    if account:
+        flight_energy(p, system, f, work, 0.0, begin_t, s[T], s, ledger)
+    if parted != 0.0:
+        _fly_on(p, s, s[GAP], parted * p.touch_speed)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def run(model, segments, first, base, s, work, log, ledger, account):  # type: ignore[no-untyped-def]
     """Advance s through `segments[first:]`, numbered from `base`; return (how it ended, the segment it is in).
 
     Knots, impacts and energies go to `log` and `ledger`; flights are accounted for only if `account`, because it costs as much as flying.
     """
-    omega = -1.0
+    p = model.p
+    omega, aimed = -1.0, -1
     for index in range(first, segments.shape[0]):
         row = segments[index]
         f = Forcing(row["omega"], row["phase"], row["amplitude"], row["slope"])
         t_end = row["duration"]
-        if f.omega != omega:
-            omega = f.omega
-            transfer(model.loose, omega, work.answer, work.drift)
-        particular(f, work.answer, work.drift, work.steady, work.growing)
-        bound_drive_jerk(f, work, t_end)
         if s[T] == 0.0:
             log.first[index] = log.count[0]
+        fresh = True
         for _ in range(_EVENTS_PER_SEGMENT):
             if log.count[0] + _ROOM > log.knots.shape[0] or log.count[1] + 2 > log.impacts.shape[0]:
                 return NEED_ROOM, index
             phase = s[PHASE]
-            if phase == FREE:
-                add_knot(log, s)
-                begin = s[T]
-                touched = fly(model, f, work, s, t_end)
-                if account:
-                    flight_energy(model, f, work, begin, s[T], ledger)
-                if touched != 0:
-                    _touch(model.p, s, touched, base + index)
+            if phase == FREE or phase == ATTACHED:
+                attached = 1 if phase == ATTACHED else 0
+                system = model.attached if attached else model.loose
+                if attached != aimed or f.omega != omega:
+                    transfer(system, f.omega, work.answer, work.drift)
+                    omega, aimed, fresh = f.omega, attached, True
+                if fresh:
+                    aim(system, f, work, t_end)
+                    fresh = False
+                if attached:
+                    _attached_phase(p, system, f, work, s, t_end, log, ledger, account)
+                else:
+                    _free_phase(p, system, f, work, s, t_end, base + index, log, ledger, account)
             elif phase == COLLISION:
-                ended = collide(model.p, f, work.series, work.at, s, t_end, log, ledger, account)
+                ended = collide(p, f, work.series, work.at, s, t_end, log, ledger, account)
                 if ended == LEFT_WALL:
-                    _leave(model.p, s, log)
+                    _leave(p, s, log)
                 elif ended == STIFF:
                     s[PHASE] = RIDING
                     s[GAP] *= s[GAP]  # riding counts in δ
                 elif ended == FAILED:
                     return STUCK, index
-            elif phase == RIDING:
-                ended = riding.ride(model.p, f, work, s, t_end, log, ledger)
+            else:
+                ended = riding.ride(p, f, work, s, t_end, log, ledger)
                 if ended == NOT_STIFF:
                     s[PHASE] = COLLISION
                     s[GAP] = np.sqrt(s[GAP])

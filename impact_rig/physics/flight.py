@@ -11,17 +11,17 @@ import math
 import numpy as np
 from numba import njit
 
-from impact_rig.physics.forcing import drive
+from impact_rig.physics.forcing import drive, particular
 from impact_rig.physics.linear import COIL, V1, VB, X1, XB
 from impact_rig.physics.model import PRESCRIBED, VOLTAGE
-from impact_rig.physics.state import GAP, LEDGER_COLUMNS, LEDGER_SHAKER, LEDGER_WORK, RATE, SIDE, T, Y
+from impact_rig.physics.state import GAP, LEDGER_COLUMNS, LEDGER_FRICTION, LEDGER_SHAKER, LEDGER_WORK, RATE, SIDE, SLID, T, Y
 
 _TIME_RESOLUTION = 2.0**-51
 _ROUNDS = 12
 _SHORTEST = 1e-3  # segments may be shorter than the time scale of rounding errors [s]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def prepare(system, f, work, y, push, t):  # type: ignore[no-untyped-def]  # compiled: types are inferred
     """Fill `work.modal` with the modal amplitudes at t of the state y under a constant `push` [N] on the structure."""
     rate, left = system.modes.rate, system.modes.left
@@ -34,40 +34,48 @@ def prepare(system, f, work, y, push, t):  # type: ignore[no-untyped-def]  # com
         work.modal[k] = amplitude
 
 
-@njit(cache=True, nogil=True)
-def wall(system, f, work, push, since, t):  # type: ignore[no-untyped-def]
-    """Return x_1, v_1, a_1 at t, `since` the last `prepare`, and a bound on |a_1'| from t on."""
+@njit(cache=True, nogil=True, error_model="numpy")
+def wall(system, f, work, push, since, t, order):  # type: ignore[no-untyped-def]
+    """Return the derivatives order, order + 1 and order + 2 of x_1 at t, `since` the last `prepare`, and a bound on the next one from t on."""
     rate, right = system.modes.rate, system.modes.right
-    x, v, a, bound = system.static[X1] * push, 0.0, 0.0, 0.0
+    d0, d1, d2, bound = system.static[X1] * push if order == 0 else 0.0, 0.0, 0.0, work.jerk[order]
     for k in range(rate.shape[0]):
         decay = math.exp(rate[k].real * since)
         angle = rate[k].imag * since
         e0 = right[k, X1] * work.modal[k] * complex(decay * math.cos(angle), decay * math.sin(angle))
+        for _ in range(order):
+            e0 = rate[k] * e0
         e1 = rate[k] * e0
         e2 = rate[k] * e1
-        x += e0.real
-        v += e1.real
-        a += e2.real
+        d0 += e0.real
+        d1 += e1.real
+        d2 += e2.real
         e3 = rate[k] * e2
         bound += math.sqrt(e3.real * e3.real + e3.imag * e3.imag)
     angle = f.omega * t
     turn = complex(math.cos(angle), math.sin(angle))
-    z = (work.steady[X1] + work.growing[X1] * t) * turn
-    dz = 1j * f.omega * z + work.growing[X1] * turn
-    x += z.imag
-    v += dz.imag
-    a += (1j * f.omega * (dz + work.growing[X1] * turn)).imag
-    return x, v, a, bound + work.jerk[0]
+    z, growth = (work.steady[X1] + work.growing[X1] * t) * turn, work.growing[X1] * turn
+    for _ in range(order):
+        z, growth = 1j * f.omega * z + growth, 1j * f.omega * growth
+    dz = 1j * f.omega * z + growth
+    d0 += z.imag
+    d1 += dz.imag
+    d2 += (1j * f.omega * (dz + growth)).imag
+    return d0, d1, d2, bound
 
 
-@njit(cache=True, nogil=True)
-def bound_drive_jerk(f, work, t_end):  # type: ignore[no-untyped-def]
-    """Bound the part of |a_1'| that the drive causes anywhere in its segment."""
-    steady, growing, omega = abs(work.steady[X1]), abs(work.growing[X1]), f.omega
-    work.jerk[0] = omega**3 * (steady + growing * t_end) + 3.0 * omega**2 * growing
+@njit(cache=True, nogil=True, error_model="numpy")
+def aim(system, f, work, t_end):  # type: ignore[no-untyped-def]
+    """Prepare the particular solution of a segment, and bounds on what the drive adds to the derivatives 3, 4 and 5 of x_1."""
+    particular(f, work.answer, work.drift, work.steady, work.growing)
+    level = abs(work.steady[X1]) + abs(work.growing[X1]) * t_end
+    growing = abs(work.growing[X1])
+    for order in range(3):
+        n = order + 3
+        work.jerk[order] = f.omega**n * level + n * f.omega ** (n - 1) * growing
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def state_at(system, f, work, push, since, t, y):  # type: ignore[no-untyped-def]
     """Fill y with the linear system's state at t."""
     rate, right = system.modes.rate, system.modes.right
@@ -81,7 +89,7 @@ def state_at(system, f, work, push, since, t, y):  # type: ignore[no-untyped-def
             y[i] += (right[k, i] * e).real
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def stride(distance, speed, acceleration, jerk, horizon):  # type: ignore[no-untyped-def]
     """Return a time, at most `horizon`, in which a point cannot cover `distance`.
 
@@ -117,19 +125,22 @@ def stride(distance, speed, acceleration, jerk, horizon):  # type: ignore[no-unt
     return safe
 
 
-@njit(cache=True, nogil=True)
-def fly(model, f, work, s, t_end):  # type: ignore[no-untyped-def]
-    """Advance a flight from s to the first touch or to t_end; return the wall reached, -1 or 1, or 0 for none.
+STOPPED = 2
+"""Returned by `fly` when friction brings the sphere to rest on its guide."""
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def fly(p, system, f, work, s, t_end):  # type: ignore[no-untyped-def]
+    """Advance a flight from s to the first touch or to t_end; return the wall reached, -1 or 1, 0 for none, or STOPPED.
 
     On a touch the state is the one at the touch, with the distance to that wall exactly zero.
     """
-    p, system = model.p, model.loose
     start = s[T]
     slide = s[SIDE]  # guide friction: constant while the sphere slides one way
     push = slide * p.m * p.friction
     braking = -slide * p.friction
     prepare(system, f, work, s[Y:], push, start)
-    x, v, a, jerk = wall(system, f, work, push, 0.0, start)
+    x, v, a, jerk = wall(system, f, work, push, 0.0, start, 0)
     sphere_x, sphere_v = x + s[GAP], v + s[RATE]
     touched = 0
     t = start
@@ -138,16 +149,27 @@ def fly(model, f, work, s, t_end):  # type: ignore[no-untyped-def]
         d = sphere_x + since * (sphere_v + 0.5 * since * braking) - x
         rate = sphere_v + since * braking - v
         bend = braking - a
-        right = stride(max(0.0, p.half_gap - d), rate, bend, jerk, t_end - t)
-        left = stride(max(0.0, p.half_gap + d), -rate, -bend, jerk, t_end - t)
+        rest = t_end - t
+        right = stride(max(0.0, p.half_gap - d), rate, bend, jerk, rest)
+        left = stride(max(0.0, p.half_gap + d), -rate, -bend, jerk, rest)
         step = min(left, right)
-        if step >= t_end - t:
+        if slide != 0.0:
+            _, _, a_rate, snap = wall(system, f, work, push, since, t, 1)
+            stop = stride(max(0.0, slide * rate), -slide * bend, slide * a_rate, snap, rest)
+        else:
+            stop = math.inf
+        if min(step, stop) >= rest:
             break
-        if step <= _TIME_RESOLUTION * max(t, _SHORTEST):
+        if stop < step:
+            if stop <= _TIME_RESOLUTION * max(t, _SHORTEST):
+                touched = STOPPED
+                break
+            step = stop
+        elif step <= _TIME_RESOLUTION * max(t, _SHORTEST):
             touched = 1 if right < left else -1
             break
         t += step
-        x, v, a, jerk = wall(system, f, work, push, t - start, t)
+        x, v, a, jerk = wall(system, f, work, push, t - start, t, 0)
     if touched == 0:
         t = t_end
     since = t - start
@@ -155,24 +177,55 @@ def fly(model, f, work, s, t_end):  # type: ignore[no-untyped-def]
     for i in range(system.b0.shape[0]):
         s[Y + i] = work.y[i]
     s[T] = t
-    s[RATE] = sphere_v + since * braking - work.y[V1]
-    s[GAP] = touched * p.half_gap if touched else sphere_x + since * (sphere_v + 0.5 * since * braking) - work.y[X1]
+    s[RATE] = 0.0 if touched == STOPPED else sphere_v + since * braking - work.y[V1]
+    s[GAP] = sphere_x + since * (sphere_v + 0.5 * since * braking) - work.y[X1]
+    if abs(touched) == 1:
+        s[GAP] = touched * p.half_gap
     return touched
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def carry(p, system, f, work, s, t_end):  # type: ignore[no-untyped-def]
+    """Advance sphere and superior base as one body until they part or to t_end; return which way the sphere then goes, or 0.
+
+    SIDE is the wall that presses the sphere, or 0 when guide friction holds it.
+    """
+    start, side = s[T], s[SIDE]
+    prepare(system, f, work, s[Y:], 0.0, start)
+    t, parted = start, 0.0
+    while True:
+        a, jerk, snap, bound = wall(system, f, work, 0.0, t - start, t, 2)
+        rest = t_end - t
+        # the base may pull away from the sphere to the right (sphere lags: -1) or to the left (+1), but not through a wall
+        lag = stride(max(0.0, p.friction - a), jerk, snap, bound, rest) if side >= 0.0 else math.inf
+        lead = stride(max(0.0, p.friction + a), -jerk, -snap, bound, rest) if side <= 0.0 else math.inf
+        step = min(lag, lead)
+        if step >= rest:
+            t = t_end
+            break
+        if step <= _TIME_RESOLUTION * max(t, _SHORTEST):
+            parted = -1.0 if lag < lead else 1.0
+            break
+        t += step
+    state_at(system, f, work, 0.0, t - start, t, work.y)
+    for i in range(system.b0.shape[0]):
+        s[Y + i] = work.y[i]
+    s[T] = t
+    return parted
 
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
 _PANEL = 1.0  # radians (or e-foldings) of the fastest motion per quadrature panel: 8 Gauss points leave 1e-14
 
 
-@njit(cache=True, nogil=True)
-def flight_energy(model, f, work, begin, end, ledger):  # type: ignore[no-untyped-def]
+@njit(cache=True, nogil=True, error_model="numpy")
+def flight_energy(p, system, f, work, push, begin, end, s, ledger):  # type: ignore[no-untyped-def]
     """Add the work and the losses of the flight just flown, by Gauss–Legendre quadrature of its closed form."""
-    p, system, y = model.p, model.loose, work.y
-    c = p.c
+    c, y = p.c, work.y
     fastest = f.omega
     for k in range(system.modes.rate.shape[0]):
         fastest = max(fastest, abs(system.modes.rate[k]))
-    panels = int(math.ceil((end - begin) * fastest / _PANEL)) + 0
+    panels = int(math.ceil((end - begin) * fastest / _PANEL))
     if panels == 0:
         return
     width = (end - begin) / panels
@@ -180,7 +233,7 @@ def flight_energy(model, f, work, begin, end, ledger):  # type: ignore[no-untype
         for point in range(_NODES.shape[0]):
             since = (panel + 0.5 * (1.0 + _NODES[point])) * width
             weight = 0.5 * width * _WEIGHTS[point]
-            state_at(system, f, work, 0.0, since, begin + since, y)
+            state_at(system, f, work, push, since, begin + since, y)
             u, du = drive(f, begin + since)
             x_b, v_b = (u, du) if p.drive == PRESCRIBED else (y[XB], y[VB])
             stretch = y[V1] - v_b
@@ -195,3 +248,5 @@ def flight_energy(model, f, work, begin, end, ledger):  # type: ignore[no-untype
                     ledger[LEDGER_SHAKER] += weight * c.resistance * current * current
                 else:
                     ledger[LEDGER_WORK] += weight * c.force_factor * current * v_b
+    if push != 0.0:  # force times the distance slid: the sphere's ballistic path less the base's
+        ledger[LEDGER_FRICTION] += abs(push) * abs(s[GAP] - s[SLID])

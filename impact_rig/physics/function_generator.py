@@ -6,6 +6,7 @@ neither drift nor depend on how many segments are asked for at once.
 
 from __future__ import annotations
 
+import copy
 import math
 
 import numpy as np
@@ -86,6 +87,24 @@ class FunctionGenerator:
             raise CommandError(f"amplitude must be >= 0, got {amplitude!r}")
         now = self.amplitude if self._ramp_ticks else amplitude
         self._ramp = (self.tick, now, amplitude)
+
+    def set_ramp(self, ramp_s: float) -> None:
+        """Ramp later amplitude changes within another time; a ramp under way starts again with it."""
+        now, target = self.amplitude, self.target_amplitude
+        self._ramp_ticks = math.ceil(ramp_s / self._tick_s - 1e-9)
+        self._ramp = (self.tick, now if self._ramp_ticks else target, target)
+
+    def set_tick(self, tick_s: float) -> None:
+        """Go on with ticks of another duration: the scan clock's error has changed. The phase does not jump."""
+        if tick_s != self._tick_s:
+            self._anchor_phase, self._anchor_tick = self.phase_rad, self.tick
+            self._tick_s = tick_s
+
+    def copy(self) -> FunctionGenerator:
+        """Return a generator that goes on from here on its own, with the same noise."""
+        twin = copy.copy(self)
+        twin._rng = copy.deepcopy(self._rng)
+        return twin
 
     def segments(self, count: int) -> NDArray[np.void]:
         """Return the next `count` drive segments, shape (count,), dtype `SEGMENT`."""

@@ -19,7 +19,7 @@ from impact_rig.physics.hermite import quintic
 from impact_rig.physics.linear import COIL as COIL_STATE
 from impact_rig.physics.linear import V1, VB, X1, XB
 from impact_rig.physics.model import PRESCRIBED, VOLTAGE
-from impact_rig.physics.state import BETA, COLLISION, FREE, GAP, GRIP, PHASE, RATE, SIDE, STEP, T, Y
+from impact_rig.physics.state import ATTACHED, BETA, COLLISION, FREE, GAP, GRIP, PHASE, RATE, SIDE, STEP, T, Y
 
 X_B, X_1, X_2, V_B, V_1, V_2, A_B, A_1, A_2, CURRENT, FORCE_LEFT, FORCE_RIGHT = range(12)
 QUANTITIES = (
@@ -171,7 +171,7 @@ def sample(model, segments, base, knots, first, wanted, which, offsets, work, po
     n_wanted = wanted.shape[0]
     current_segment, current_knot, anchor = -1, -1, -1
     f = Forcing(0.0, 0.0, 0.0, 0.0)
-    omega, reach = -1.0, 0.0
+    omega, reach, aimed = -1.0, 0.0, False
     system = model.loose
     for i in range(offsets.shape[0]):
         segment = which[i] - base
@@ -179,11 +179,6 @@ def sample(model, segments, base, knots, first, wanted, which, offsets, work, po
         if segment != current_segment:
             row = segments[segment]
             f = Forcing(row["omega"], row["phase"], row["amplitude"], row["slope"])
-            if f.omega != omega:
-                omega = f.omega
-                transfer(model.loose, omega, work.answer, work.drift)
-                reach = _REACH / bound_omega(model.loose, omega)
-            particular(f, work.answer, work.drift, work.steady, work.growing)
             current_segment, current_knot, anchor = segment, -1, -1
         low, high = first[segment], first[segment + 1]
         if (
@@ -203,10 +198,17 @@ def sample(model, segments, base, knots, first, wanted, which, offsets, work, po
             fresh = False
         knot = knots[current_knot]
         phase = knot[PHASE]
-        if phase == FREE:
-            slide = knot[SIDE]
+        if phase == FREE or phase == ATTACHED:
+            attached = phase == ATTACHED
+            slide = 0.0 if attached else knot[SIDE]
             push = slide * p.m * p.friction
             if fresh:
+                system = model.attached if attached else model.loose
+                if f.omega != omega or attached != aimed:
+                    omega, aimed = f.omega, attached
+                    transfer(system, omega, work.answer, work.drift)
+                    reach = _REACH / bound_omega(system, omega)
+                particular(f, work.answer, work.drift, work.steady, work.growing)
                 prepare(system, f, work, knot[Y:], push, knot[T])
                 anchor = -1
             place = int((t - knot[T]) / reach)
@@ -216,13 +218,27 @@ def sample(model, segments, base, knots, first, wanted, which, offsets, work, po
                 since = (place + 0.5) * reach
                 for q in range(n_wanted):
                     quantity = wanted[q]
-                    if quantity == X_2 or quantity == V_2:
-                        continue
+                    if attached:  # one body: the sphere moves as the base, and a wall may push it
+                        if quantity == X_2 or quantity == V_2 or quantity == A_2:
+                            quantity -= 1
+                        elif quantity >= FORCE_LEFT:
+                            quantity = A_1
                     _flight_polynomial(p, system, f, work, push, since, knot[T] + since, quantity, poly[q])
             since = t - knot[T]
             for q in range(n_wanted):
                 quantity = wanted[q]
-                if quantity == X_2:
+                if attached and quantity != CURRENT:
+                    total = poly[q, TERMS - 1]
+                    for k in range(TERMS - 2, -1, -1):
+                        total = total * x + poly[q, k]
+                    if quantity == X_2:
+                        total += knot[GAP]
+                    elif quantity == FORCE_LEFT:
+                        total = max(0.0, p.m * total) if knot[SIDE] < 0.0 else 0.0
+                    elif quantity == FORCE_RIGHT:
+                        total = max(0.0, -p.m * total) if knot[SIDE] > 0.0 else 0.0
+                    out[q, i] = total
+                elif quantity == X_2:
                     out[q, i] = (
                         knot[Y + X1]
                         + knot[GAP]

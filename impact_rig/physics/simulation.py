@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+
 import attrs
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +16,7 @@ from impact_rig.physics.linear import V1, VB, X1, XB
 from impact_rig.physics.model import CONTACT_RTOL, build
 from impact_rig.physics.motion import IMPACT, Motion
 from impact_rig.physics.state import (
+    COLLISION,
     FREE,
     GAP,
     IMPACT_COLUMNS,
@@ -161,6 +164,12 @@ class Simulation:
         self.segment += len(segments)
         return motion
 
+    def copy(self) -> Simulation:
+        """Return a simulation that goes on from here on its own; scratch memory is shared, so advance them in turn."""
+        twin = copy.copy(self)
+        twin._state, twin._ledger = self._state.copy(), self._ledger.copy()
+        return twin
+
     def energy(self) -> EnergyAccount:
         """Return the energy account since the reset; only the contacts' share is kept unless `account` is on."""
         work, columns, shaker, contact, friction = (float(term) for term in self._ledger)
@@ -177,9 +186,10 @@ class Simulation:
         if len(self._model.loose.b0) > 4:
             total += 0.5 * p.c.inductance * y[4] ** 2
         if p.sphere_present:
-            rate = s[RATE] if s[PHASE] == FREE else s[SIDE] * s[RATE]
+            pressed = s[PHASE] in (COLLISION, RIDING)
+            rate = s[SIDE] * s[RATE] if pressed else s[RATE]
             total += 0.5 * p.m * (y[V1] + rate) ** 2
-            if s[PHASE] != FREE:
+            if pressed:
                 depth = s[GAP] if s[PHASE] == RIDING else s[GAP] ** 2
                 linear = p.force.kind == int(contact_laws.ForceKind.LINEAR)
                 total += p.force.stiffness * (0.5 * depth**2 if linear else 0.4 * depth**2.5)
@@ -199,7 +209,7 @@ class Simulation:
         """Return y = (x_1, v_1, x_b, v_b, i) whatever the phase."""
         p, s = self._model.p, self._state
         y = s[Y : Y + 5].copy()
-        if s[PHASE] != FREE:
+        if s[PHASE] in (COLLISION, RIDING):
             depth = s[GAP] if s[PHASE] == RIDING else s[GAP] ** 2
             y[X1] -= p.share * s[SIDE] * (p.half_gap + depth)
             y[V1] -= p.share * s[SIDE] * s[RATE]

@@ -36,7 +36,8 @@ IMPULSE = 19
 LOST = 20
 ELAPSED = 21
 NEXT_STEP = 22  # what riding's step control proposes [s]
-STATE = 23
+SLID = 23  # FREE with friction: d where this flight began
+STATE = 24
 
 LEDGER_WORK, LEDGER_COLUMNS, LEDGER_SHAKER, LEDGER_CONTACT, LEDGER_FRICTION = range(5)
 LEDGER = 5
