@@ -23,6 +23,7 @@ class Status(enum.StrEnum):
     SILENCE = "silence"  # the base does not move measurably
     CONSTANT = "constant"  # one displacement channel is stuck while the other moves
     SWAPPED_CHANNELS = "swapped_channels"
+    NO_FIT = "no_fit"  # of the record-wise fits: no convergence, or to something unphysical
 
 
 MEASURED = frozenset({Status.OK, Status.ACCELEROMETER_OVER_RANGE, Status.NOT_SETTLED})

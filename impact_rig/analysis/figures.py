@@ -1,0 +1,116 @@
+"""Figures of the report and the docs, one function each; matplotlib is imported when one is drawn."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import signal
+
+from impact_rig.analysis.calibration import Real
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+COVERAGE = 2.0
+"""Error bars are this many standard uncertainties long, either way."""
+SIZE_INCH = (7.0, 4.5)
+
+
+def transmissibility_curves(curves: Mapping[str, NDArray[np.void]]) -> Figure:
+    """Draw DT over frequency with ±2u, and the phase beneath.
+
+    Args:
+        curves: label to rows of `transmissibility/table`; rows without numbers are left out.
+    """
+    figure, (upper, lower) = _axes(2)
+    for label, rows in curves.items():
+        sound = rows[np.isfinite(rows["transmissibility"])]
+        sound = sound[np.argsort(sound["frequency"], kind="stable")]
+        frequency = sound["frequency"]
+        for axis, name, factor in ((upper, "transmissibility", 1.0), (lower, "phase", math.degrees(1.0))):
+            bars = COVERAGE * factor * sound[f"{name}_uncertainty"]
+            axis.errorbar(frequency, factor * sound[name], bars, marker="o", markersize=3.0, capsize=2.0, label=label)
+    upper.set_yscale("log")
+    upper.set_ylabel("transmissibility |X₁|/|X_b|")
+    lower.set_ylabel("phase of x₁ to x_b (°)")
+    lower.set_xlabel("frequency (Hz)")
+    if curves:
+        upper.legend()
+    return figure
+
+
+def time_traces(rows: NDArray[np.void], impact_times: Real | None = None) -> Figure:
+    """Draw base, superior base and acceleration over time, impacts marked by lines.
+
+    Args:
+        rows: scans (`blocks.SCAN`).
+        impact_times: instants of impacts [s on the rows' time], shape (k,); None for none.
+    """
+    figure, axes = _axes(3)
+    for axis, name, factor, label in zip(
+        axes,
+        ("base", "laser", "accelerometer"),
+        (1e3, 1e3, 1.0),
+        ("x_b (mm)", "x₁ (mm)", "a₁ (m/s²)"),
+        strict=True,
+    ):
+        axis.plot(rows["time"], factor * rows[name], linewidth=0.8)
+        axis.set_ylabel(label)
+        for instant in () if impact_times is None else impact_times:
+            axis.axvline(instant, color="tab:red", linewidth=0.5, alpha=0.6)
+    axes[-1].set_xlabel("time (s)")
+    return figure
+
+
+def phase_plane(displacement: Real, rate_hz: float) -> Figure:
+    """Draw velocity over displacement; the velocity is the smoothed derivative of a cubic over 11 samples.
+
+    Args:
+        displacement: [m], shape (n,), n >= 11.
+        rate_hz: samples per second.
+    """
+    velocity = signal.savgol_filter(displacement, 11, 3, deriv=1, delta=1.0 / rate_hz)
+    figure, (axis,) = _axes(1)
+    axis.plot(1e3 * displacement, velocity, linewidth=0.6)
+    axis.set_xlabel("x₁ (mm)")
+    axis.set_ylabel("velocity (m/s)")
+    return figure
+
+
+def spectrum(y: Real, rate_hz: float, unit: str, drive_hz: float | None = None, upto_hz: float | None = None) -> Figure:
+    """Draw the amplitude spectrum: a sine of amplitude A stands A high (flat-top window).
+
+    Args:
+        y: samples, shape (n,).
+        rate_hz: samples per second.
+        unit: of y, for the axis.
+        drive_hz: marked with its harmonics if given.
+        upto_hz: end of the axis; rate / 2 if None.
+    """
+    frequency, power = signal.periodogram(y, rate_hz, window="flattop", scaling="spectrum", detrend="constant")
+    end = upto_hz or rate_hz / 2.0
+    figure, (axis,) = _axes(1)
+    axis.semilogy(frequency, np.sqrt(2.0 * power), linewidth=0.8)
+    if drive_hz is not None and drive_hz > 0.0:
+        for harmonic in range(1, min(10, math.floor(end / drive_hz)) + 1):
+            axis.axvline(harmonic * drive_hz, color="tab:gray", linewidth=0.5, linestyle="--")
+    axis.set_xlim(0.0, end)
+    axis.set_xlabel("frequency (Hz)")
+    axis.set_ylabel(f"amplitude ({unit})")
+    return figure
+
+
+def _axes(count: int) -> tuple[Figure, list[Axes]]:
+    """Return a figure, free of pyplot's global state, with axes above one another sharing x."""
+    from matplotlib.figure import Figure as MatplotlibFigure  # noqa: PLC0415  # heavy: only when something is drawn
+
+    figure = MatplotlibFigure(figsize=SIZE_INCH, layout="constrained")
+    axes = figure.subplots(count, 1, sharex=True, squeeze=False)[:, 0]
+    for axis in axes:
+        axis.grid(visible=True, linewidth=0.3)
+    return figure, list(axes)

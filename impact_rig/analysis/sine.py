@@ -1,0 +1,224 @@
+"""Sine fits of IEEE Std 1057: known frequency (three parameters, or more with harmonics) and refined frequency (four).
+
+    y_k = C + Σ_h (A_h cos hωt_k + B_h sin hωt_k) = C + Re Σ_h Y_h e^{ihωt_k},   t_k = k / rate,   Y_h = A_h − iB_h
+
+Standard uncertainties follow from the residual's spectral density *near each harmonic* times the inverse normal matrix:
+for white noise that is the usual formula, for coloured noise it is the right one, as the fit only sees what is near.
+"""
+
+from __future__ import annotations
+
+import math
+
+import attrs
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft
+
+from impact_rig.analysis.calibration import Complex, Real
+from impact_rig.analysis.words import Status
+
+MIN_CYCLES = 1.5
+"""Below this offset, amplitude and phase cannot be told apart in noise."""
+MIN_POINTS = 8
+NEAR_BINS = 16
+"""Spectral lines of the residual on either side of a harmonic that give its noise density."""
+SKIP_BINS = 2
+"""Lines next to the harmonic that the fit itself has emptied."""
+ITERATIONS = 30
+CONVERGED_RAD = 1e-10
+"""Phase by which the last frequency step would turn the end of the record."""
+
+
+@attrs.frozen(eq=False, kw_only=True)
+class SineFit:
+    """A fitted sine; everything but `status` and `frequency_hz` is NaN where there is no fit.
+
+    Attributes:
+        status: `ok`, or why there is no fit.
+        frequency_hz: given or refined.
+        offset: C [unit of y].
+        phasors: Y_h, shape (H,).
+        residual_rms: root mean square of what the fit leaves, per degree of freedom.
+        u_offset: standard uncertainty of C.
+        u_amplitudes: of |Y_h|, shape (H,).
+        u_phases_rad: of arg Y_h, shape (H,).
+        u_frequency_hz: 0 for a given frequency.
+    """
+
+    status: Status
+    frequency_hz: float
+    offset: float
+    phasors: Complex
+    residual_rms: float
+    u_offset: float
+    u_amplitudes: Real
+    u_phases_rad: Real
+    u_frequency_hz: float
+
+    @property
+    def amplitude(self) -> float:
+        """Amplitude of the fundamental."""
+        return abs(complex(self.phasors[0]))
+
+    @property
+    def phase_rad(self) -> float:
+        """Phase of the fundamental: 0 is a cosine."""
+        return float(np.angle(self.phasors[0]))
+
+
+def fit_sine(y: Real, rate_hz: float, frequency_hz: float, harmonics: int = 1) -> SineFit:
+    """Fit offset and harmonics at a known frequency: three parameters for harmonics = 1.
+
+    Args:
+        y: samples, shape (n,).
+        rate_hz: samples per second.
+        frequency_hz: of the fundamental.
+        harmonics: H, the fundamental included; H · frequency must lie below rate / 2.
+    """
+    refusal = _refusal(y, rate_hz, frequency_hz, harmonics)
+    if refusal:
+        return _no_fit(refusal, frequency_hz, harmonics)
+    design = _design(len(y), rate_hz, frequency_hz, harmonics)
+    normal = np.asarray(np.linalg.inv(design.T @ design), dtype=np.float64)
+    solution = normal @ (design.T @ y)
+    return _finished(y, rate_hz, frequency_hz, design, normal, solution, harmonics)
+
+
+def fit_sine_frequency(y: Real, rate_hz: float, frequency_hz: float, harmonics: int = 1) -> SineFit:
+    """Fit offset, harmonics and the frequency: four parameters for harmonics = 1.
+
+    Gauss–Newton from the given frequency, which must be right to within about half a cycle over the record; `no_fit` if
+    it does not converge.
+
+    Args:
+        y: samples, shape (n,).
+        rate_hz: samples per second.
+        frequency_hz: first guess of the fundamental.
+        harmonics: H, the fundamental included.
+    """
+    refusal = _refusal(y, rate_hz, frequency_hz, harmonics)
+    if refusal:
+        return _no_fit(refusal, frequency_hz, harmonics)
+    time = np.arange(len(y)) / rate_hz
+    middle = time[-1] / 2.0
+    frequency = frequency_hz
+    for _ in range(ITERATIONS):
+        design = _design(len(y), rate_hz, frequency, harmonics)
+        linear, *_ = np.linalg.lstsq(design, y, rcond=None)
+        order = np.repeat(np.arange(1, harmonics + 1), 2)
+        # d/dω of A cos + B sin is t (B cos − A sin); from the middle it is nearly orthogonal to the rest
+        turned = np.stack([linear[2::2], -linear[1::2]], axis=1).reshape(-1)
+        slope = (time - middle) * (design[:, 1:] @ (turned * order))
+        full = np.column_stack([design, slope])
+        normal = np.asarray(np.linalg.pinv(full.T @ full), dtype=np.float64)
+        solution = normal @ (full.T @ y)
+        step = float(solution[-1])
+        frequency += step / (2.0 * math.pi)
+        if not _usable(rate_hz, frequency, harmonics):
+            return _no_fit(Status.NO_FIT, frequency_hz, harmonics)
+        if abs(step) * time[-1] < CONVERGED_RAD:
+            return _finished(y, rate_hz, frequency, full, normal, solution, harmonics, middle)
+    return _no_fit(Status.NO_FIT, frequency_hz, harmonics)
+
+
+def noise_density(residual: Real, frequency_hz: float, rate_hz: float) -> float:
+    """Return the residual's variance per sample as its spectrum near a frequency has it: the variance if white.
+
+    Args:
+        residual: of a fit, shape (n,).
+        frequency_hz: where the fit is sensitive.
+        rate_hz: samples per second.
+    """
+    power = np.abs(fft.rfft(residual)) ** 2 / len(residual)
+    middle = round(frequency_hz / rate_hz * len(residual))
+    near = np.concatenate(
+        [
+            np.arange(middle - SKIP_BINS - NEAR_BINS, middle - SKIP_BINS),
+            np.arange(middle + SKIP_BINS + 1, middle + SKIP_BINS + NEAR_BINS + 1),
+        ]
+    )
+    near = near[(near > 0) & (near < len(power))]
+    return float(power[near].mean()) if len(near) >= NEAR_BINS else float(np.var(residual))
+
+
+def _usable(rate_hz: float, frequency_hz: float, harmonics: int) -> bool:
+    return math.isfinite(frequency_hz) and 0.0 < frequency_hz * harmonics < rate_hz / 2.0
+
+
+def _refusal(y: Real, rate_hz: float, frequency_hz: float, harmonics: int) -> Status | None:
+    if not _usable(rate_hz, frequency_hz, harmonics):
+        return Status.NO_FREQUENCY
+    if len(y) < max(MIN_POINTS, 2 * (2 * harmonics + 2)) or len(y) * frequency_hz / rate_hz < MIN_CYCLES:
+        return Status.TOO_FEW_CYCLES
+    if not np.all(np.isfinite(y)):
+        return Status.NOT_FINITE
+    return Status.CONSTANT if np.ptp(y) == 0.0 else None
+
+
+def _design(n: int, rate_hz: float, frequency_hz: float, harmonics: int) -> Real:
+    angle = 2.0 * math.pi * frequency_hz / rate_hz * np.arange(n)
+    columns = [np.ones(n)]
+    for h in range(1, harmonics + 1):
+        columns += [np.cos(h * angle), np.sin(h * angle)]
+    return np.stack(columns, axis=1)
+
+
+def _finished(
+    y: Real,
+    rate_hz: float,
+    frequency_hz: float,
+    design: Real,
+    normal: Real,
+    solution: Real,
+    harmonics: int,
+    middle_s: float | None = None,
+) -> SineFit:
+    """Turn a solution into values with uncertainties; `middle_s` is given when the last column is the frequency's."""
+    residual = y - design @ solution
+    freedom = len(y) - design.shape[1]
+    inflation = len(y) / freedom
+    a, b = solution[1 : 2 * harmonics : 2], solution[2 : 2 * harmonics + 1 : 2]
+    amplitude = np.hypot(a, b)
+    u_amplitude, u_phase = np.empty(harmonics), np.empty(harmonics)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        for h in range(harmonics):
+            variance = inflation * noise_density(residual, (h + 1) * frequency_hz, rate_hz)
+            part = variance * normal[2 * h + 1 : 2 * h + 3, 2 * h + 1 : 2 * h + 3]
+            radial = np.array([a[h], b[h]]) / amplitude[h]
+            across = np.array([-b[h], a[h]]) / amplitude[h]
+            u_amplitude[h] = math.sqrt(radial @ part @ radial)
+            u_phase[h] = math.sqrt(across @ part @ across) / amplitude[h]
+        u_frequency = 0.0
+        if middle_s is not None:
+            density = inflation * noise_density(residual, frequency_hz, rate_hz)
+            u_omega = math.sqrt(density * normal[-1, -1])
+            u_frequency = u_omega / (2.0 * math.pi)
+            # the phase is that of t = 0, the frequency turns about the middle of the record
+            u_phase = np.hypot(u_phase, np.arange(1, harmonics + 1) * middle_s * u_omega)
+    return SineFit(
+        status=Status.OK,
+        frequency_hz=frequency_hz,
+        offset=float(solution[0]),
+        phasors=np.asarray(a - 1j * b, dtype=np.complex128),
+        residual_rms=math.sqrt(float(residual @ residual) / freedom),
+        u_offset=math.sqrt(inflation * noise_density(residual, 0.0, rate_hz) * normal[0, 0]),
+        u_amplitudes=u_amplitude,
+        u_phases_rad=u_phase,
+        u_frequency_hz=u_frequency,
+    )
+
+
+def _no_fit(status: Status, frequency_hz: float, harmonics: int) -> SineFit:
+    unknown: NDArray[np.float64] = np.full(harmonics, np.nan)
+    return SineFit(
+        status=status,
+        frequency_hz=frequency_hz,
+        offset=math.nan,
+        phasors=unknown.astype(np.complex128),
+        residual_rms=math.nan,
+        u_offset=math.nan,
+        u_amplitudes=unknown,
+        u_phases_rad=unknown,
+        u_frequency_hz=math.nan,
+    )
