@@ -208,6 +208,8 @@ def ride(p, f, work, s, t_end, log, ledger):  # type: ignore[no-untyped-def]
                 shrink = max(0.2, _SAFETY * error ** (-1.0 / _ERROR_ORDER))
             h *= shrink
             if h * stiffness_rate(p, beta, root) < _NOT_STIFF:
+                s[STEP] = 0.0
+                add_knot(log, s)
                 return NOT_STIFF
             continue
         rejected = 0
