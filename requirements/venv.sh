@@ -38,15 +38,17 @@ if [ "$mode" = wheels ]; then
         "install ROS 2 Jazzy, source its setup.bash and call make again"
     site=
     versions=wheels.txt
+    ros="ROS 2 from PyPI wheels"
 else
     site=--system-site-packages
     versions=sourced.txt
+    ros="the sourced ROS 2 ${ROS_DISTRO:-}"
 fi
 
 # settings of the user's pip that would install somewhere else
 unset PIP_USER PIP_TARGET PIP_PREFIX PIP_REQUIRE_VIRTUALENV PIP_REQUIREMENT PIP_CONSTRAINT
 
-echo "Setting up $venv with $("$python" --version), ROS 2 from $mode: about a minute and 900 MB, once"
+echo "Setting up $venv with $("$python" --version) and $ros: about a minute and 900 MB, once"
 # shellcheck disable=SC2086  # no option at all when empty
 "$python" -m venv --clear $site "$venv" ||
     fail "$python cannot make a virtual environment; on Debian and Ubuntu: sudo apt install python3-venv"
