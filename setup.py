@@ -48,8 +48,11 @@ setup(
         "rich>=13.7",
         "scipy>=1.11",
     ],
-    # for machines without an apt-installed ROS 2 only: never mix the two, so these are never a requirement
-    extras_require={"wheels": ROS_WHEELS},
+    extras_require={
+        # for machines without an apt-installed ROS 2 only: never mix the two, so these are never a requirement
+        "wheels": ROS_WHEELS,
+        "test": ["hypothesis", "pytest", "pytest-timeout"],  # also how `colcon test` knows to run pytest
+    },
     zip_safe=False,
     entry_points={
         "console_scripts": [
