@@ -22,10 +22,18 @@ class DeferredTrigger:
         node: owner.
         name: service name.
         accept: called for each request; returns None to defer the answer, or (success, message) to answer at once.
+        registered: called once a deferred request is known, so that it may be answered; work begins here.
     """
 
-    def __init__(self, node: Node, name: str, accept: Callable[[], tuple[bool, str] | None]) -> None:
+    def __init__(
+        self,
+        node: Node,
+        name: str,
+        accept: Callable[[], tuple[bool, str] | None],
+        registered: Callable[[], None],
+    ) -> None:
         self._accept = accept
+        self._registered = registered
         self._waiting: list[Any] = []
         self._service = node.create_service(Trigger, name, self._on_request)
         self._send = self._service.send_response
@@ -50,5 +58,6 @@ class DeferredTrigger:
     def _send_or_keep(self, response: Any, header: Any) -> None:
         if response is self._marker:
             self._waiting.append(header)
+            self._registered()
         else:
             self._send(response, header)

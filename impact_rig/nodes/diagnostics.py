@@ -8,7 +8,8 @@ from collections.abc import Callable, Mapping
 
 import attrs
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from rclpy.time import Time
+
+from impact_rig.nodes.stamps import time_message
 
 
 class Level(enum.IntEnum):
@@ -56,7 +57,7 @@ def to_message(name: str, hardware: str, status: Status, stamp_ns: int) -> Diagn
     """Return the message for one status."""
     values = [KeyValue(key=key, value=_text(value)) for key, value in status.values.items()]
     message = DiagnosticArray()
-    message.header.stamp = Time(nanoseconds=stamp_ns).to_msg()
+    message.header.stamp = time_message(stamp_ns)
     message.status = [
         DiagnosticStatus(
             level=bytes([status.level]),

@@ -14,6 +14,8 @@ from typing import Any  # callbacks and service responses have no common type
 
 import attrs
 
+from impact_rig.errors import ImpactRigError
+
 Report = Callable[[str, str], None]
 """What to do with a failure: (where, message)."""
 
@@ -37,11 +39,12 @@ class Refusals:
 
 def guarded(callback: Callable[..., Any], report: Report) -> Callable[..., Any]:
     """Return `callback` with its exceptions reported instead of raised; for timers and subscriptions."""
+    call = with_info(callback)
 
     @functools.wraps(callback)
     def safe(*args: Any) -> Any:
         try:
-            return callback(*args)
+            return call(*args)
         except Exception as error:  # the whole point: nothing a callback raises may end the process
             report(_name(callback), describe(error))
             return None
@@ -49,20 +52,40 @@ def guarded(callback: Callable[..., Any], report: Report) -> Callable[..., Any]:
     return safe
 
 
-def guarded_service(callback: Callable[[Any, Any], Any], report: Report) -> Callable[[Any, Any], Any]:
-    """Return a service callback that always answers: an exception gives `success = False` with the message."""
+def with_info(callback: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a subscription callback that gets (message, info) from every executor.
+
+    Jazzy's events executor passes both as one tuple, the others as two arguments. rclpy looks at the signature to
+    decide whether info is wanted: `wraps` keeps it.
+    """
+
+    @functools.wraps(callback)
+    def call(*args: Any) -> Any:
+        return callback(*args[0]) if len(args) == 1 and type(args[0]) is tuple else callback(*args)
+
+    return call
+
+
+def guarded_service(callback: Callable[[Any, Any], Any], report: Report, refuse: Report) -> Callable[[Any, Any], Any]:
+    """Return a service callback that always answers: an exception gives `success = False` with the message.
+
+    An error this package raises on purpose is a refusal, any other a failure.
+    """
 
     @functools.wraps(callback)
     def safe(request: Any, response: Any) -> Any:
         try:
             return callback(request, response)
+        except ImpactRigError as error:
+            message = str(error)
+            refuse(_name(callback).removeprefix("on_"), message)
         except Exception as error:  # see `guarded`
             message = describe(error)
             report(_name(callback), message)
-            response.success = False
-            if hasattr(response, "message"):
-                response.message = message
-            return response
+        response.success = False
+        if hasattr(response, "message"):
+            response.message = message
+        return response
 
     return safe
 
@@ -75,4 +98,6 @@ def describe(error: BaseException) -> str:
 
 
 def _name(callback: Callable[..., Any]) -> str:
-    return getattr(callback, "__name__", repr(callback)).lstrip("_")
+    while isinstance(callback, functools.partial):
+        callback = callback.func
+    return getattr(callback, "__name__", type(callback).__name__).lstrip("_")

@@ -67,7 +67,7 @@ class ManagedNode(LifecycleNode, Generic[S]):
         )
         self._parent = int(os.environ.get(PARENT_VARIABLE, "0"))
         self._reporter = self.steady_timer(CHANGE_PERIOD_S, self._report_when_due)
-        self._starter = self.steady_timer(0.001, self._start) if self.autostarts() else None
+        self._starter = self.steady_timer(0.001, self._autostart) if self.autostarts() else None
 
     # What a subclass fills in
 
@@ -139,7 +139,7 @@ class ManagedNode(LifecycleNode, Generic[S]):
 
     def service(self, service_type: Any, name: str, callback: Callable[[Any, Any], Any]) -> Any:
         """Create a guarded service; private names (`~/name`) are the convention."""
-        return self.create_service(service_type, name, guarded_service(callback, self.report_failure))
+        return self.create_service(service_type, name, guarded_service(callback, self.report_failure, self.refuse))
 
     def report_failure(self, where: str, message: str) -> None:
         """Log an exception that a guard caught, and show it in diagnostics."""
@@ -232,7 +232,7 @@ class ManagedNode(LifecycleNode, Generic[S]):
 
         service.callback = on_change_state
 
-    def _start(self) -> None:
+    def _autostart(self) -> None:
         assert self._starter is not None
         self._starter.cancel()
         if self.state != "unconfigured":

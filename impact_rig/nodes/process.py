@@ -1,8 +1,8 @@
 """What every node's `main` does: spin until told to stop, then end in order.
 
 `EventsExecutor` costs a third to a sixth of the default executor; its `spin()` busy-loops in Jazzy, so it is driven by
-`spin_once`. Where rclpy does not have it, the default one runs. A second Ctrl-C must not interrupt the clean-up: from
-there on signals are ignored.
+`spin_once`. Where rclpy does not have it, the default one runs. Signals are noted, not raised: neither a callback nor
+the clean-up is interrupted, however often Ctrl-C arrives, and the last messages still find a valid context.
 """
 
 from __future__ import annotations
@@ -12,14 +12,16 @@ import os
 import signal
 import sys
 from collections.abc import Callable
+from types import FrameType
 from typing import Any  # executors have no common type
 
 import rclpy
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.signals import SignalHandlerOptions
 
 from impact_rig.nodes.managed import ManagedNode
 
-SPIN_S = 0.5
+SPIN_S = 0.2
 EXECUTOR_VARIABLE = "IMPACT_RIG_EXECUTOR"
 """Environment: `default` takes rclpy's default executor instead of the events executor."""
 
@@ -38,29 +40,40 @@ def make_executor(context: Any = None) -> Any:
 
 def run(make_node: Callable[[], ManagedNode[Any]], arguments: list[str] | None = None) -> int:
     """Spin the node until a signal or a shutdown; return the exit code."""
-    rclpy.init(args=arguments)
+    rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
     executor = make_executor()
-    node: ManagedNode[Any] | None = None
+    stop = _StopOnSignal()  # after the executor, which takes SIGINT and SIGTERM for itself
+    node = make_node()
     try:
-        node = make_node()
         executor.add_node(node)
-        # what exists now lives as long as the process: without this, full collections stall a block by 10 ms and more
-        gc.collect()
-        gc.freeze()
-        while rclpy.ok():
+        frozen = False
+        while rclpy.ok() and not stop.asked:
             executor.spin_once(timeout_sec=SPIN_S)
-    except (KeyboardInterrupt, ExternalShutdownException):
+            if not frozen and node.active:
+                # what exists now lives as long as the process: without this, collections stall a block by 10 ms
+                gc.collect()
+                gc.freeze()
+                frozen = True
+    except ExternalShutdownException:
         pass
     finally:
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, signal.SIG_IGN)  # a second Ctrl-C would leave a file unfinished
-        if node is not None:
-            node.close()
+        node.close()
         executor.shutdown()
-        if node is not None:
-            node.destroy_node()
+        node.destroy_node()
         rclpy.try_shutdown()
     return 0
+
+
+class _StopOnSignal:
+    """Notes SIGINT and SIGTERM instead of raising in the middle of a callback; more of them change nothing."""
+
+    def __init__(self) -> None:
+        self.asked = False
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, self._note)
+
+    def _note(self, _number: int, _frame: FrameType | None) -> None:
+        self.asked = True
 
 
 def main(make_node: Callable[[], ManagedNode[Any]]) -> None:

@@ -21,14 +21,15 @@ from rcl_interfaces.srv import GetParameters, SetParametersAtomically
 from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.parameter import Parameter, parameter_value_to_python
-from rclpy.time import Time
 from std_msgs.msg import Float64, Header, String
 from std_srvs.srv import SetBool, Trigger
 
 from impact_rig import codec
 from impact_rig.errors import ConfigError, ImpactRigError
 from impact_rig.nodes import topics
+from impact_rig.nodes.guard import with_info
 from impact_rig.nodes.process import make_executor
+from impact_rig.nodes.stamps import time_message
 from impact_rig.testing.collector import Collector, Received
 from impact_rig.testing.processes import ParameterValue, Processes
 
@@ -275,10 +276,12 @@ class Client:
         return collector
 
     def _subscribe(self, topic: topics.Topic, callback: Callable[..., None], raw: bool = False) -> Any:
-        return self.node.create_subscription(topic.message_type(), topic.name, callback, topic.qos.profile(), raw=raw)
+        return self.node.create_subscription(
+            topic.message_type(), topic.name, with_info(callback), topic.qos.profile(), raw=raw
+        )
 
     def _acknowledge(self, message: Received) -> None:
-        stamp = Time(nanoseconds=codec.header_stamp_ns(message.data)).to_msg()
+        stamp = time_message(codec.header_stamp_ns(message.data))
         self._publishers[topics.ACK.name].publish(Header(stamp=stamp, frame_id=self.name))
 
     def _is_in_state(self, node: str, state: str, timeout_s: float) -> bool:

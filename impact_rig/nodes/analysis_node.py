@@ -1,0 +1,186 @@
+"""The analysis as a lifecycle node: blocks in, transmissibility and impacts out; `Tracker` does the work."""
+
+from __future__ import annotations
+
+import math
+from typing import Any  # rclpy messages
+
+from std_msgs.msg import Float64, Header, String
+
+from impact_rig import codec
+from impact_rig.analysis.labels import parse_label
+from impact_rig.analysis.settings import TrackerSettings
+from impact_rig.analysis.tracker import Findings, Tracker
+from impact_rig.blocks import Table
+from impact_rig.errors import CodecError, ConfigError
+from impact_rig.nodes import process, topics
+from impact_rig.nodes.diagnostics import Level, Status
+from impact_rig.nodes.managed import ManagedNode
+from impact_rig.nodes.parameters import SectionSchema
+from impact_rig.nodes.settings import UNKNOWN_GAP, AnalysisSettings
+from impact_rig.nodes.stamps import time_message
+from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S
+
+PUBLISHED = [topic for topic in topics.TOPICS if topic.publisher == "analysis"]
+
+
+class AnalysisNode(ManagedNode[AnalysisSettings]):
+    """Feeds `Tracker` and publishes what it finds; acknowledges every block.
+
+    Args:
+        kwargs: passed to rclpy's Node.
+    """
+
+    def __init__(self, **kwargs: Any) -> None:
+        super().__init__("analysis", SectionSchema(AnalysisSettings), **kwargs)
+        self._tracker: Tracker | None = None
+        self._outlets: dict[str, Any] = {}
+        self._inlets: list[Any] = []
+        self._ack: Any = None
+        self._first_info_ns: int | None = None
+        self._newest_ns: int | None = None
+        self._latest = math.nan
+
+    def autostarts(self) -> bool:
+        """Follow `autostart`."""
+        return self.settings.autostart
+
+    def configure(self) -> None:
+        """Create the publishers."""
+        self._outlets = {topic.name: self.publisher(topic) for topic in PUBLISHED}
+        self._ack = self.publisher(topics.ACK)
+
+    def activate(self) -> None:
+        """Start a new measurement."""
+        self._tracker = self._new_tracker()
+        self._first_info_ns = self._newest_ns = None
+        # calibration and present command first: both are transient-local, so they arrive though published long ago
+        self._inlets = [
+            self.subscribe(topics.INFO, self._on_info, raw=True),
+            self.subscribe(topics.APPLIED, self._on_applied, raw=True),
+            self.subscribe(topics.NOTES, self._on_note),
+            self.subscribe(topics.SCAN, self._on_scan, raw=True),
+        ]
+
+    def deactivate(self) -> None:
+        """Measure what was held back, and stop listening."""
+        for inlet in self._inlets:
+            self.destroy_subscription(inlet)
+        self._inlets = []
+        tracker, self._tracker = self._tracker, None
+        if tracker is not None and self.context.ok():
+            self._publish(tracker.flush())
+
+    def cleanup(self) -> None:
+        """Destroy the publishers."""
+        self.deactivate()
+        for outlet in [*self._outlets.values(), *([self._ack] if self._ack is not None else [])]:
+            self.destroy_publisher(outlet)
+        self._outlets, self._ack = {}, None
+
+    def settings_changed(self, settings: AnalysisSettings, changes: dict[str, Any]) -> None:
+        """Take a new label at once; settings of the measurement wait for the next activation."""
+        fixed = sorted(set(changes) - {"gap_m"})
+        if self._tracker is None:
+            return
+        if fixed:
+            raise ConfigError(f"{', '.join(fixed)}: change it while the node is inactive")
+        if "gap_m" in changes and self._newest_ns is not None:
+            self._tracker.label(_gap(settings), self._newest_ns)
+
+    def status(self) -> Status:
+        """Return the tracker's counters and the latest value."""
+        tracker = self._tracker
+        if tracker is None:
+            return Status(Level.WARN, self.state, {})
+        counters = tracker.counters
+        values = {"transmissibility": self._latest, "gap_m": self.settings.gap_m, **_as_dict(counters)}
+        if self._newest_ns is None:
+            return Status(Level.OK, "waiting for daq/scan", values)
+        if counters.lost_scans:
+            return Status(Level.WARN, "scans were lost", values)
+        return Status(Level.OK, "measuring", values)
+
+    def _new_tracker(self) -> Tracker:
+        settings = self.settings
+        names = [name for name, _, _ in SectionSchema(TrackerSettings).fields()]
+        return Tracker(TrackerSettings(**{name: getattr(settings, name) for name in names}))
+
+    # Messages
+
+    def _on_info(self, data: bytes) -> None:
+        info = self._decode(topics.INFO, data)
+        if info is None or self._tracker is None:
+            return
+        first = self._first_info_ns
+        if first is not None and (info.stamp_ns - first) % COMMAND_GRID_NS:
+            # a rig that was activated anew has another time base; a reset or a recalibration keeps the grid
+            self.get_logger().info("the rig was started anew: so is the measurement")
+            self._tracker = self._new_tracker()
+            first = None
+        self._tracker.configure(info)
+        if first is None:
+            self._first_info_ns = info.stamp_ns
+            if self.settings.gap_m != UNKNOWN_GAP:
+                self._tracker.label(_gap(self.settings), info.stamp_ns)
+
+    def _on_applied(self, data: bytes) -> None:
+        applied = self._decode(topics.APPLIED, data)
+        if applied is not None and self._tracker is not None:
+            self._tracker.command(applied)
+
+    def _on_note(self, message: String) -> None:
+        label = parse_label(message.data)
+        if label is not None and self._tracker is not None:
+            self._tracker.label(label.gap_m, label.stamp_ns)
+
+    def _on_scan(self, data: bytes) -> None:
+        scan = self._decode(topics.SCAN, data)
+        if scan is None or self._tracker is None:
+            return
+        try:
+            self._publish(self._tracker.feed(scan))
+        finally:  # a block that cannot be measured must not hold up a rig that waits for us
+            if len(scan.rows):
+                self._newest_ns = scan.stamp_ns + round(float(scan.rows["time"][-1]) * NS_PER_S)
+            self._ack.publish(Header(stamp=time_message(scan.stamp_ns), frame_id=self.get_name()))
+
+    def _publish(self, findings: Findings) -> None:
+        for table in findings.impacts:
+            self._outlets[topics.IMPACTS.name].publish(codec.encode(table))
+        for table in findings.measurements:
+            self._outlets[topics.TRANSMISSIBILITY_TABLE.name].publish(codec.encode(table))
+            for row in table.rows:
+                if row["settled"] == 1:
+                    self._latest = float(row["transmissibility"])
+                    self._outlets[topics.TRANSMISSIBILITY.name].publish(Float64(data=self._latest))
+
+    def _decode(self, topic: topics.Topic, data: bytes) -> Table | None:
+        try:
+            table = codec.decode(data)
+        except CodecError as error:
+            self.refuse(topic.name, str(error))
+            return None
+        assert topic.columns is not None
+        missing = set(topic.columns.names or ()) - set(table.rows.dtype.names or ())
+        if missing:
+            self.refuse(topic.name, f"columns missing: {', '.join(sorted(missing))}")
+            return None
+        return table
+
+
+def _gap(settings: AnalysisSettings) -> float:
+    return math.nan if settings.gap_m == UNKNOWN_GAP else settings.gap_m
+
+
+def _as_dict(counters: Any) -> dict[str, object]:
+    return {name: getattr(counters, name) for name in counters.__slots__ if not name.startswith("_")}
+
+
+def main() -> None:
+    """Run the analysis node."""
+    process.main(AnalysisNode)
+
+
+if __name__ == "__main__":
+    main()

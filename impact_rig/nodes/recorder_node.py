@@ -1,0 +1,315 @@
+"""The recorder as a lifecycle node: raw bytes of every topic of the table into a run; `RunWriter` does the work."""
+
+from __future__ import annotations
+
+import functools
+import json
+import os
+import platform
+import time
+from collections import Counter
+from pathlib import Path
+from typing import Any  # rclpy messages and handles
+
+import numpy as np
+import yaml
+from std_msgs.msg import Header, String
+from std_srvs.srv import Trigger
+
+import impact_rig
+from impact_rig import codec
+from impact_rig.errors import CodecError, CommandError, RecordingError
+from impact_rig.nodes import process, topics
+from impact_rig.nodes.diagnostics import Level, Status
+from impact_rig.nodes.managed import ManagedNode
+from impact_rig.nodes.parameters import SectionSchema
+from impact_rig.nodes.settings import RecorderSettings
+from impact_rig.nodes.stamps import time_message
+from impact_rig.recording import CONFIGURATION, Attachment, Provenance, Qos, RunWriter, Topic, schema_text
+
+FLUSH_S = 0.2
+SINGLE_PUBLISHERS = ("rig", "analysis")
+"""Topics of these nodes have one publisher: a gap in its sequence numbers is a loss."""
+
+
+class RecorderNode(ManagedNode[RecorderSettings]):
+    """Writes what it receives, and acknowledges every block, recording or not.
+
+    Args:
+        kwargs: passed to rclpy's Node.
+    """
+
+    def __init__(self, **kwargs: Any) -> None:
+        super().__init__("recorder", SectionSchema(RecorderSettings), **kwargs)
+        self._writer: RunWriter | None = None
+        self._failure = ""
+        self._configuration: str | None = None
+        self._waiting_since: float | None = None
+        self._added: set[str] = set()
+        self._sequences: dict[str, int] = {}
+        self._lost: Counter[str] = Counter()
+        self._permanent: list[Any] = []
+        self._recorded: list[Any] = []
+        self._ack: Any = None
+        self._timer: Any = None
+        self.service(Trigger, "~/start", self._on_start)
+        self.service(Trigger, "~/stop", self._on_stop)
+
+    def autostarts(self) -> bool:
+        """Follow `autostart`."""
+        return self.settings.autostart
+
+    def configure(self) -> None:
+        """Check that the interfaces are installed; create the acknowledgement's publisher."""
+        for type_name in {topic.type_name for topic in topics.TOPICS}:
+            schema_text(type_name)
+        self._ack = self.publisher(topics.ACK)
+
+    def activate(self) -> None:
+        """Listen for the configuration and the scans; start recording if `record` says so."""
+        self._failure = ""
+        self._configuration = None
+        self._permanent = [
+            self.subscribe(topics.CONFIGURATION, self._on_configuration),
+            self.subscribe(topics.SCAN, functools.partial(self._on_message, topics.SCAN), raw=True),
+        ]
+        self._timer = self.steady_timer(FLUSH_S, self._on_timer)
+        if self.settings.record:
+            self._start()
+
+    def deactivate(self) -> None:
+        """Finish the run and stop listening."""
+        self._finish()
+        if self._timer is not None:
+            self.destroy_timer(self._timer)
+            self._timer = None
+        for inlet in self._permanent:
+            self.destroy_subscription(inlet)
+        self._permanent = []
+
+    def cleanup(self) -> None:
+        """Destroy the publisher."""
+        self.deactivate()
+        if self._ack is not None:
+            self.destroy_publisher(self._ack)
+            self._ack = None
+
+    def status(self) -> Status:
+        """Return what is being written, and what was lost."""
+        writer = self._writer
+        values: dict[str, object] = {f"lost.{name}": count for name, count in self._lost.items() if count}
+        if writer is not None:
+            values |= {
+                "directory": str(writer.directory),
+                "messages": writer.message_count,
+                "megabytes": writer.bytes_written / 1e6,
+            }
+        if self.state != "active":
+            return Status(Level.WARN, self.state, values)
+        if self._failure:
+            return Status(Level.ERROR, self._failure, values)
+        if any(self._lost.values()):
+            return Status(Level.ERROR, "messages were lost before they reached the recorder", values)
+        if self._waiting_since is not None:
+            return Status(Level.OK, "waiting for the rig's configuration", values)
+        return Status(Level.OK, "recording" if writer is not None else "not recording", values)
+
+    # Start and stop
+
+    def _on_start(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        if not self.active:
+            raise CommandError(f"the recorder is {self.state}, activate it first")
+        if self._writer is not None or self._waiting_since is not None:
+            raise CommandError(f"already recording {self._writer.directory if self._writer else ''}")
+        self._start()
+        if self._failure:
+            raise CommandError(self._failure)
+        response.success = True
+        response.message = str(self._writer.directory) if self._writer else "waiting for the rig's configuration"
+        return response
+
+    def _on_stop(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        directory = self._writer.directory if self._writer else None
+        self._finish()
+        response.success, response.message = True, str(directory) if directory else "nothing was being recorded"
+        return response
+
+    def _start(self) -> None:
+        """Open the run, or wait for the configuration that belongs into it."""
+        self._failure = ""
+        self._waiting_since = time.monotonic()
+        self._open_when_ready()
+
+    def _open_when_ready(self) -> None:
+        if self._waiting_since is None:
+            return
+        if self._configuration is None and time.monotonic() - self._waiting_since < self.settings.configuration_wait_s:
+            return
+        self._waiting_since = None
+        if self._configuration is None:
+            self.get_logger().warning("no rig/configuration was heard: the run has none attached")
+        try:
+            self._writer = self._open(self._configuration)
+        except RecordingError as error:
+            self._fail(error)
+            return
+        self._added, self._sequences, self._lost = set(), {}, Counter()
+        # subscribed anew for each run: what is transient-local (journal, calibration, ...) then belongs to every run
+        self._recorded = [
+            self.subscribe(topic, functools.partial(self._on_message, topic), raw=True)
+            for topic in topics.TOPICS
+            if topic is not topics.SCAN
+        ]
+        self.get_logger().info(f"recording {self._writer.directory}")
+
+    def _open(self, configuration: str | None) -> RunWriter:
+        settings = self.settings
+        name = settings.name or time.strftime("run_%Y%m%d_%H%M%S")
+        values = _parameters(configuration)
+        mode = str(values.get("time", {}).get("mode", "unknown"))
+        attachments = [Attachment("environment.json", _environment(), "application/json")]
+        if configuration is not None:
+            attachments.append(Attachment(CONFIGURATION, configuration.encode(), "application/yaml"))
+        return RunWriter(
+            Path(settings.directory).expanduser() / name,
+            provenance=Provenance(
+                version=impact_rig.__version__,
+                seed=int(values.get("daq", {}).get("seed", -1)),
+                wall_start_ns=time.time_ns(),
+                extra={"mode": mode, "namespace": self.get_namespace()},
+            ),
+            attachments=tuple(attachments),
+            clock=time.monotonic,
+            compression=settings.compression,
+            max_file_bytes=settings.max_file_mb * 1_000_000,
+            rig_start_ns=None if mode in ("realtime", "unknown") else 0,
+        )
+
+    def _finish(self) -> None:
+        """Close the run; nothing is lost that has arrived."""
+        self._waiting_since = None
+        for inlet in self._recorded:
+            self.destroy_subscription(inlet)
+        self._recorded = []
+        writer, self._writer = self._writer, None
+        if writer is None:
+            return
+        try:
+            writer.finish()
+        except RecordingError as error:
+            self._fail(error)
+            return
+        self.get_logger().info(f"finished {writer.directory}: {writer.message_count} messages")
+
+    def _fail(self, error: RecordingError) -> None:
+        """Stop recording, say why, and let the rig go on."""
+        self._failure = f"recording stopped: {error}"
+        self.get_logger().error(self._failure)
+        writer, self._writer = self._writer, None
+        for inlet in self._recorded:
+            self.destroy_subscription(inlet)
+        self._recorded = []
+        if writer is not None and not writer.closed:
+            writer.finish()
+
+    # Messages
+
+    def _on_configuration(self, message: String) -> None:
+        self._configuration = message.data
+        self._open_when_ready()
+
+    def _on_timer(self) -> None:
+        self._open_when_ready()
+        if self._writer is not None:
+            try:
+                self._writer.flush_due()
+            except RecordingError as error:
+                self._fail(error)
+
+    def _on_message(self, topic: topics.Topic, data: bytes, info: dict[str, Any]) -> None:
+        if self._writer is not None:
+            try:
+                self._write(self._writer, topic, data, info)
+            except RecordingError as error:
+                self._fail(error)
+        if topic is topics.SCAN:
+            self._acknowledge(data)
+
+    def _write(self, writer: RunWriter, topic: topics.Topic, data: bytes, info: dict[str, Any]) -> None:
+        sequence = int(info["publication_sequence_number"])
+        name = self.resolve_topic_name(topic.name)
+        if name not in self._added:
+            self._added.add(name)
+            writer.add_topic(self._describe(topic, name))
+        if topic.publisher in SINGLE_PUBLISHERS:
+            before = self._sequences.get(name)
+            if before is not None and sequence > before + 1:
+                self._lost[topic.name] += sequence - before - 1
+            self._sequences[name] = sequence
+        writer.write(name, data, int(info["source_timestamp"]), sequence)
+
+    def _describe(self, topic: topics.Topic, name: str) -> Topic:
+        publishers = self.get_publishers_info_by_topic(name)
+        type_hash = str(publishers[0].topic_type_hash) if publishers else ""
+        return Topic(
+            name=name,
+            type_name=topic.type_name,
+            schema=schema_text(topic.type_name),
+            type_hash=type_hash,
+            offered_qos=tuple(_qos(publisher.qos_profile) for publisher in publishers),
+        )
+
+    def _acknowledge(self, data: bytes) -> None:
+        try:
+            stamp = codec.header_stamp_ns(data)
+        except CodecError as error:
+            self.refuse(topics.SCAN.name, str(error))
+            return
+        self._ack.publish(Header(stamp=time_message(stamp), frame_id=self.get_name()))
+
+
+def _qos(profile: Any) -> Qos:
+    return Qos(
+        history=profile.history.name.lower(),
+        depth=profile.depth,
+        reliability=profile.reliability.name.lower(),
+        durability=profile.durability.name.lower(),
+        deadline_ns=profile.deadline.nanoseconds,
+        lifespan_ns=profile.lifespan.nanoseconds,
+        liveliness=profile.liveliness.name.lower(),
+        liveliness_lease_ns=profile.liveliness_lease_duration.nanoseconds,
+    )
+
+
+def _parameters(configuration: str | None) -> dict[str, Any]:
+    """Return the nested values of a rig's configuration; empty if it is none (it comes from the network)."""
+    try:
+        document = yaml.safe_load(configuration or "")
+        values = document["/**"]["ros__parameters"]
+    except (yaml.YAMLError, KeyError, TypeError):
+        return {}
+    return values if isinstance(values, dict) else {}
+
+
+def _environment() -> bytes:
+    """Return what the run depended on, as JSON."""
+    return json.dumps(
+        {
+            "impact_rig": impact_rig.__version__,
+            "python": platform.python_version(),
+            "numpy": np.__version__,
+            "machine": platform.machine(),
+            "system": platform.platform(),
+            "ros_distro": os.environ.get("ROS_DISTRO", ""),
+        },
+        indent=1,
+    ).encode()
+
+
+def main() -> None:
+    """Run the recorder node."""
+    process.main(RecorderNode)
+
+
+if __name__ == "__main__":
+    main()

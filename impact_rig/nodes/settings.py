@@ -1,0 +1,58 @@
+"""Parameters of the nodes that do not simulate: flat sections made like the rig's configuration."""
+
+from __future__ import annotations
+
+from typing import Any  # attrs fields have no static type
+
+import attrs
+
+from impact_rig.analysis.settings import TrackerSettings
+from impact_rig.config import FieldInfo
+from impact_rig.config.fields import METADATA_KEY, choice, integer, quantity, switch
+from impact_rig.errors import ConfigError
+
+UNKNOWN_GAP = -1.0
+
+
+def _check_text(_instance: object, attribute: attrs.Attribute[Any], value: object) -> None:
+    if not isinstance(value, str) or "\0" in value:
+        raise ConfigError(f"{attribute.name} must be a text, got {value!r}")
+
+
+def text(default: str, doc: str, *, read_only: bool = False) -> Any:
+    """Return a field that holds any text."""
+    about = FieldInfo(doc, read_only=read_only)
+    return attrs.field(default=default, validator=_check_text, metadata={METADATA_KEY: about})
+
+
+@attrs.frozen(kw_only=True)
+class AnalysisSettings(TrackerSettings):
+    """Parameters of the analysis node: those of `Tracker`, and what the operator knows."""
+
+    gap_m: float = quantity(
+        UNKNOWN_GAP,
+        "m",
+        "Operator's label: total gap, 0 = no sphere, -1 = unknown; holds from the newest scan on.",
+        at_least=UNKNOWN_GAP,
+        at_most=1,
+    )
+    autostart: bool = switch(True, "Configure and activate by itself at start.", read_only=True)
+
+    def __attrs_post_init__(self) -> None:
+        if UNKNOWN_GAP < self.gap_m < 0:
+            raise ConfigError(f"gap_m must be >= 0, or -1 for unknown, got {self.gap_m:g} m")
+
+
+@attrs.frozen(kw_only=True)
+class RecorderSettings:
+    """Parameters of the recorder node."""
+
+    directory: str = text("runs", "Where run directories are made.")
+    name: str = text("", "Name of the run directory; empty: run_ and the date and time.")
+    record: bool = switch(True, "Start recording on activation; otherwise with ~/start.", read_only=True)
+    compression: str = choice("zstd", ("none", "lz4", "zstd"), "Compression of the chunks.")
+    max_file_mb: int = integer(0, "MB", "Split files at this size; 0 = never.", at_least=0, at_most=1_000_000)
+    configuration_wait_s: float = quantity(
+        5.0, "s", "How long a start waits for the rig's configuration before it records without.", at_least=0
+    )
+    autostart: bool = switch(True, "Configure and activate by itself at start.", read_only=True)

@@ -1,0 +1,393 @@
+"""`Rig`: drive, mechanics, instruments and the journal, put together. Pure: time is an argument, nothing ever sleeps.
+
+Everything happens on the command grid. The rig has simulated whole ticks of 10 ms up to its *frontier*; an input takes
+effect there, at the first instant not yet simulated, and is journaled with the first scan it acts on. Blocks are cut
+from what the instruments have measured, so neither their length nor the way `advance` is called changes a sample.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import attrs
+import numpy as np
+
+import impact_rig
+from impact_rig.blocks import APPLIED, FRAME_DAQ, Table
+from impact_rig.config import RigConfig, from_flat, to_flat
+from impact_rig.errors import CommandError, ConfigError
+from impact_rig.instruments.chain import Chain
+from impact_rig.instruments.faults import Fault
+from impact_rig.physics import FunctionGenerator, Motion, Simulation
+from impact_rig.rig.block import Block
+from impact_rig.rig.interlock import Interlock, Trip, check_amplitude, check_frequency
+from impact_rig.rig.journal import Journal, Kind, not_default, sampled
+from impact_rig.rig.truth import TICKS_PER_S, Truth
+from impact_rig.simtime import COMMAND_GRID_NS, COMMAND_GRID_S, NS_PER_S, stamp_ns
+
+BATCH_TICKS = 50
+"""Ticks simulated in one call: enough to make the overhead of a call small, few enough to bound memory."""
+DRIVE_SEED = 0
+"""`spawn_key` of the drive's random numbers under `daq.seed`; the instruments use their own."""
+MECHANICS = ("structure.", "shaker.", "sphere.", "barriers.", "contact.")
+INSTRUMENTS = ("instruments.", "daq.")
+EMERGENCY = "emergency stop"
+
+
+class Rig:
+    """The virtual test rig.
+
+    Args:
+        config: the whole configuration.
+        start_ns: stamp of scan 0 [ns].
+
+    Raises:
+        ConfigError: the configuration's initial drive is beyond the shaker, or the instruments cannot run at this rate.
+    """
+
+    _generator: FunctionGenerator
+    _simulation: Simulation
+    _interlock: Interlock
+    _chain: Chain
+    _truth: Truth
+
+    def __init__(self, config: RigConfig, start_ns: int = 0) -> None:
+        self.config = config
+        self.rate_hz = config.daq.rate_hz
+        self.start_ns = start_ns
+        """Stamp of scan 0; moves on to the present at a reset."""
+        self._journal = Journal(self.rate_hz, start_ns)
+        self._applied: list[Table] = []
+        self._latched: str | None = None
+        self._begin(Kind.START)
+
+    # State
+
+    @property
+    def frontier_ns(self) -> int:
+        """The first instant not yet simulated, on the command grid: where an input would take effect."""
+        return self.start_ns + self._ticks * COMMAND_GRID_NS
+
+    @property
+    def frontier_sample(self) -> int:
+        """The first scan an input would act on."""
+        return -(-self._ticks * self.rate_hz // TICKS_PER_S)
+
+    @property
+    def next_block_ns(self) -> int:
+        """Stamp of the next block."""
+        return self._stamp(self._next_scan)
+
+    @property
+    def blocks(self) -> int:
+        """Blocks handed out since the start or reset."""
+        return self._blocks
+
+    @property
+    def frequency_hz(self) -> float:
+        """Drive frequency in force at the frontier."""
+        return float(self._generator.frequency_hz)
+
+    @property
+    def amplitude(self) -> float:
+        """Drive amplitude commanded (a ramp leads there); A, m or V by `drive.kind`."""
+        return float(self._generator.target_amplitude)
+
+    @property
+    def latched(self) -> str | None:
+        """Why the shaker is stopped until `clear_trip`, or None."""
+        return self._latched
+
+    @property
+    def plucked(self) -> bool:
+        """Whether the base is locked after a pluck, until the next reset."""
+        return self._simulation.locked
+
+    @property
+    def simulation(self) -> Simulation:
+        """The mechanics, for figures of diagnostics (energy balance)."""
+        return self._simulation
+
+    def block_end_ns(self, blocks: int) -> int:
+        """Return when `blocks` more blocks are complete."""
+        return self._stamp(self._next_scan + blocks * self.config.daq.block_scans)
+
+    def info(self) -> Table:
+        """Return `daq/info`; its stamp is the instant from which it holds."""
+        return Table(self._stamp(self._info_sample), self._chain.info())
+
+    # Time
+
+    def advance(self, until_ns: int) -> list[Block]:
+        """Simulate until every block that ends by `until_ns` is complete, and return those blocks.
+
+        Whole ticks that end by `until_ns` are simulated as well, so a long block is not computed all at once.
+        """
+        size = self.config.daq.block_scans
+        elapsed = until_ns - self.start_ns
+        ended = ((elapsed + 1) * self.rate_hz - 1) // NS_PER_S  # scans whose successor's stamp is not after until_ns
+        complete = (ended - self._next_scan) // size
+        blocks: list[Block] = []
+        needed = max(elapsed // COMMAND_GRID_NS, self._ticks)
+        if complete > 0:
+            end_scan = self._next_scan + complete * size
+            needed = max(needed, -(-end_scan * TICKS_PER_S // self.rate_hz))
+        while True:
+            while len(blocks) < complete and self._chain.ready >= size:
+                blocks.append(self._cut(size))
+            if self._ticks >= needed:
+                return blocks
+            self._simulate(min(needed - self._ticks, BATCH_TICKS))
+
+    def _simulate(self, ticks: int) -> None:
+        """Simulate at most `ticks` ticks; fewer where something happens inside them."""
+        ticks = self._until_timeout(ticks)
+        ppm = self._chain.clock_ppm(self._ticks)
+        ticks = next((k for k in range(1, ticks) if self._chain.clock_ppm(self._ticks + k) != ppm), ticks)
+        tick_s = COMMAND_GRID_S * (1.0 + 1e-6 * (self.config.daq.clock_error_ppm + ppm))
+        self._generator.set_tick(tick_s)
+        before = self._snapshot() if ticks > 1 else None
+        motion = self._simulation.advance(self._generator.segments(ticks))
+        trip = self._watch(motion, tick_s)
+        if trip is not None and trip.tick < ticks - 1:  # beyond that tick the drive must already be ramping down
+            assert before is not None
+            self._simulation, self._generator, self._interlock = before
+            ticks = trip.tick + 1
+            motion = self._simulation.advance(self._generator.segments(ticks))
+            trip = self._watch(motion, tick_s)
+        self._truth.take(motion, tick_s)
+        self._chain.acquire(motion, self._ticks, ticks, tick_s)
+        self._ticks += ticks
+        if trip is not None:
+            self._trip(trip)
+        elif self._ticks == self._timeout_tick():
+            self._time_out()
+
+    def _snapshot(self) -> tuple[Simulation, FunctionGenerator, Interlock]:
+        return self._simulation.copy(), self._generator.copy(), self._interlock.copy()
+
+    def _cut(self, size: int) -> Block:
+        """Return the next `size` scans as a block."""
+        first = self._next_scan
+        stamp = self._stamp(first)
+        states, scans = self._truth.pop_states(first, size)
+        monitor = (first + scans) % self._truth.monitor_step == 0
+        impacts = self._truth.pop_impacts(first, size)
+        faults = self._chain.fault_rows(first, size)
+        block = Block(
+            number=self._blocks,
+            first_sample=first,
+            end_ns=self._stamp(first + size),
+            scan=Table(stamp, self._chain.read(size)),
+            impacts=Table(stamp, impacts, FRAME_DAQ) if len(impacts) else None,
+            monitor=states[monitor],
+            monitor_scans=scans[monitor],
+            truth=Table(stamp, states) if self._truth.every_scan and len(states) == size else None,
+            faults=Table(stamp, faults) if len(faults) else None,
+            lost=self._chain.block_lost(first, size),
+        )
+        self._next_scan += size
+        self._blocks += 1
+        return block
+
+    # Inputs: each takes effect at the frontier and leaves a journal row
+
+    def command(self, frequency_hz: float | None = None, current_a: float | None = None) -> Table:
+        """Command frequency and amplitude (A peak; m or V by `drive.kind`, rms for random); return the applied row.
+
+        Raises:
+            CommandError: out of range, not finite, or the shaker is latched or locked; nothing is changed.
+        """
+        self._refuse_if_stopped()
+        if frequency_hz is not None:
+            check_frequency(frequency_hz, self.config.shaker)
+        if current_a is not None:
+            check_amplitude(current_a, self.config.drive, self.config.shaker)
+        if frequency_hz is not None:
+            self._generator.set_frequency(frequency_hz)
+            self._note(Kind.COMMAND, "frequency", frequency_hz)
+        if current_a is not None:
+            self._generator.set_amplitude(current_a)
+            self._note(Kind.COMMAND, "current", current_a)
+        self._last_command_tick, self._timed_out = self._ticks, False
+        return self._publish_applied()
+
+    def configure(self, changes: Mapping[str, object]) -> RigConfig:
+        """Change configuration values, all or none, at the frontier; return the new configuration.
+
+        Gap, law, sphere and every other part of the mechanics, the instruments and the interlock's limits change at
+        once; on a change of barriers, contact or sphere the sphere rests at `sphere.start` again. The drive's initial
+        values and the seed are taken at the next reset.
+
+        Raises:
+            ConfigError: unknown key, bad value, bad combination, or a value fixed at start; nothing is changed.
+        """
+        config = from_flat(self.config, changes)
+        if (config.daq.rate_hz, config.daq.block_scans) != (self.config.daq.rate_hz, self.config.daq.block_scans):
+            raise ConfigError("daq.rate_hz and daq.block_scans are fixed at start")
+        before, after = to_flat(self.config), to_flat(config)
+        changed = {name: value for name, value in after.items() if value != before[name]}
+        if any(name.startswith(INSTRUMENTS) for name in changed):
+            self._chain.reconfigure(self._without_new_seeds(config))
+        if any(name.startswith(MECHANICS) for name in changed):
+            self._simulation.configure(attrs.evolve(config, drive=self._simulation.config.drive))
+            self._generator.set_ramp(config.shaker.ramp_s)
+        self.config = config
+        self._truth.configure(config.output.monitor_rate_hz, config.output.truth_scan)
+        self._journal.add_values(self.frontier_sample, Kind.PARAMETER, sampled(changed).items())
+        if any(name.startswith(INSTRUMENTS) for name in changed):
+            self._info_sample = self.frontier_sample
+        return config
+
+    def reset(self) -> None:
+        """Begin again at the frontier with the present configuration: scan 0, everything at rest and as new.
+
+        Scans measured but not yet cut into a block are dropped; stamps go on, so none is used twice.
+
+        Raises:
+            CommandError: the shaker is latched; a reset must not clear an emergency stop.
+        """
+        if self._latched is not None:
+            raise CommandError(f"cannot reset: latched by {self._latched}, ~/clear_trip first")
+        self.start_ns = self.frontier_ns
+        self._journal.restart(self.start_ns)
+        self._begin(Kind.RESET)
+
+    def pluck(self, displacement_m: float) -> None:
+        """Lock the base, put x_1 at `displacement_m` and let it go: free decay until the next reset.
+
+        Raises:
+            CommandError: not finite, or beyond the shaker's travel.
+        """
+        limit = self.config.shaker.travel_limit_m
+        if not abs(displacement_m) <= limit:
+            raise CommandError(f"a pluck must be within +-{limit:g} m, got {displacement_m:g}")
+        self._simulation.pluck(displacement_m)
+        self._generator.set_amplitude(0.0)
+        self._note(Kind.PLUCK, value=displacement_m)
+        self._publish_applied()
+
+    def stop(self) -> None:
+        """Ramp the shaker to zero and latch it until `clear_trip`: the emergency stop."""
+        self._note(Kind.STOP)
+        self._latch(EMERGENCY)
+
+    def clear_trip(self) -> None:
+        """Release the latch; the amplitude stays zero until the next command."""
+        self._note(Kind.CLEAR_TRIP)
+        self._latched = None
+
+    def inject(self, fault: Fault) -> int:
+        """Start an instrument fault on demand and return its id.
+
+        Raises:
+            CommandError: unknown kind or channel, or a start that is already measured.
+        """
+        number = self._chain.inject(fault)
+        key, value, text = fault.journal()
+        self._journal.add(fault.start, Kind.FAULT, key, value, text.encode())
+        return number
+
+    def clear_fault(self, number: int | None = None) -> None:
+        """End one instrument fault, or all of them, at the first scan not yet measured."""
+        self._chain.clear(number)
+        self._note(Kind.CLEAR_FAULT, value=-1.0 if number is None else float(number))
+
+    def take_applied(self) -> list[Table]:
+        """Return the new rows of shaker/applied and forget them."""
+        applied, self._applied = self._applied, []
+        return applied
+
+    def take_journal(self) -> list[Table]:
+        """Return the new rows of the journal and forget them."""
+        return self._journal.take()
+
+    # Inside
+
+    def _begin(self, kind: Kind) -> None:
+        config = self.config
+        try:
+            check_amplitude(config.drive.amplitude, config.drive, config.shaker)
+        except CommandError as error:
+            raise ConfigError(f"drive.amplitude: {error}") from error
+        seeds = np.random.SeedSequence(config.daq.seed, spawn_key=(DRIVE_SEED,))
+        self._ticks = 0
+        self._next_scan = 0
+        self._blocks = 0
+        self._latched = None
+        self._last_command_tick = 0
+        self._timed_out = False
+        self._info_sample = 0
+        self._generator = FunctionGenerator(config.drive, config.shaker, np.random.default_rng(seeds))
+        self._simulation = Simulation(config)
+        self._interlock = Interlock()
+        self._chain = Chain(config)
+        self._truth = Truth(self.rate_hz, config.output.monitor_rate_hz, config.output.truth_scan)
+        self._note(kind, text=impact_rig.__version__.encode())
+        self._journal.add_values(0, Kind.INITIAL, not_default(config).items())
+        self._publish_applied()
+
+    def _without_new_seeds(self, config: RigConfig) -> RigConfig:
+        """Return `config` with the seed and the planned faults of the last reset: both are drawn there."""
+        present = self._chain.config
+        faults = present.instruments.faults
+        return attrs.evolve(
+            config,
+            daq=attrs.evolve(config.daq, seed=present.daq.seed),
+            instruments=attrs.evolve(config.instruments, faults=faults),
+        )
+
+    def _refuse_if_stopped(self) -> None:
+        if self._latched is not None:
+            raise CommandError(f"the shaker is latched by {self._latched}: ~/clear_trip first")
+        if self.plucked:
+            raise CommandError("the base is locked after a pluck: ~/reset first")
+
+    def _watch(self, motion: Motion, tick_s: float) -> Trip | None:
+        if self.plucked or self._latched is not None:
+            return None
+        return self._interlock.watch(motion, tick_s, self.config)
+
+    def _trip(self, trip: Trip) -> None:
+        self._note(Kind.TRIP, trip.reason, trip.measured)
+        self._latch(trip.message())
+
+    def _latch(self, reason: str) -> None:
+        self._latched = reason
+        self._generator.set_amplitude(0.0)
+        self._publish_applied()
+
+    def _timeout_tick(self) -> int | None:
+        """Return the tick at which the drive ramps down for want of commands."""
+        timeout = self.config.output.command_timeout_s
+        if timeout <= 0 or self._timed_out or self._latched is not None or self.amplitude == 0:
+            return None
+        return self._last_command_tick + max(1, round(timeout * TICKS_PER_S))
+
+    def _until_timeout(self, ticks: int) -> int:
+        due = self._timeout_tick()
+        if due is None:
+            return ticks
+        if due <= self._ticks:  # the timeout was shortened
+            self._time_out()
+            return ticks
+        return min(ticks, due - self._ticks)
+
+    def _time_out(self) -> None:
+        self._timed_out = True
+        self._note(Kind.TIMEOUT)
+        self._generator.set_amplitude(0.0)
+        self._publish_applied()
+
+    def _note(self, kind: Kind, key: str = "", value: float = 0.0, text: bytes = b"") -> None:
+        self._journal.add(self.frontier_sample, kind, key, value, text)
+
+    def _publish_applied(self) -> Table:
+        sample = self.frontier_sample
+        row = (0.0, sample, self.frequency_hz, self.amplitude, float(self._generator.phase_rad))
+        table = Table(self._stamp(sample), np.array([row], APPLIED))
+        self._applied.append(table)
+        return table
+
+    def _stamp(self, sample: int) -> int:
+        return stamp_ns(sample, self.rate_hz, self.start_ns)

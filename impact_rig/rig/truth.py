@@ -1,0 +1,103 @@
+"""The truth beside the instruments: true states at scan instants, and contacts, kept until their block is cut.
+
+Instants are reckoned in whole ticks and a remainder, so nothing depends on how the simulation was cut into calls.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from impact_rig.blocks import IMPACTS, TRUTH_SCAN
+from impact_rig.physics import Motion
+from impact_rig.simtime import COMMAND_GRID_NS, COMMAND_GRID_S, NS_PER_S
+
+TICKS_PER_S = NS_PER_S // COMMAND_GRID_NS
+
+_IMPACT_COLUMNS = [name for name in IMPACTS.names or () if name != "time"]
+
+
+class Truth:
+    """Collects the truth of simulated ticks and gives it out by scans.
+
+    Args:
+        rate_hz: scan rate.
+        monitor_hz: wanted rate of the monitor; every k-th scan is taken, k the nearest from above.
+        every_scan: keep the truth of every scan, not of the monitor instants only.
+    """
+
+    def __init__(self, rate_hz: int, monitor_hz: float, every_scan: bool) -> None:
+        self._rate_hz = rate_hz
+        self.configure(monitor_hz, every_scan)
+        self._states: list[NDArray[np.void]] = []
+        self._impacts: list[NDArray[np.void]] = []  # time: since scan 0; ends beside it
+        self._ends: list[NDArray[np.float64]] = []
+
+    def configure(self, monitor_hz: float, every_scan: bool) -> None:
+        """Change what is kept, from the next tick on."""
+        self.monitor_step = max(1, math.ceil(self._rate_hz / monitor_hz - 1e-9))
+        self.every_scan = every_scan
+
+    @property
+    def _step(self) -> int:
+        return 1 if self.every_scan else self.monitor_step
+
+    def take(self, motion: Motion, tick_s: float) -> None:
+        """Keep what is wanted of simulated ticks; segments of the motion are ticks, `tick_s` is their duration."""
+        self._take_states(motion, tick_s)
+        self._take_impacts(motion, tick_s)
+
+    def _take_states(self, motion: Motion, tick_s: float) -> None:
+        step = self._step
+        first, end = (
+            -(-tick * self._rate_hz // TICKS_PER_S) for tick in (motion.first_segment, motion.last_segment + 1)
+        )
+        scans = np.arange(-(-first // step) * step, end, step, dtype=np.int64)
+        if len(scans) == 0:
+            return
+        segment, rest = np.divmod(scans * TICKS_PER_S, self._rate_hz)
+        state = motion.sample(segment, rest * (tick_s / self._rate_hz))
+        rows = np.empty(len(scans), TRUTH_SCAN)
+        rows["time"] = scans  # turned into seconds when the block is known
+        for name in TRUTH_SCAN.names or ():
+            if name != "time":
+                rows[name] = state[name]
+        self._states.append(rows)
+
+    def _take_impacts(self, motion: Motion, tick_s: float) -> None:
+        found = motion.impacts
+        if len(found) == 0:
+            return
+        rows = np.empty(len(found), IMPACTS)
+        for name in _IMPACT_COLUMNS:
+            rows[name] = found[name]
+        stretch = COMMAND_GRID_S / tick_s
+        rows["time"] = found["segment"] * COMMAND_GRID_S + found["offset"] * stretch
+        self._impacts.append(rows)
+        self._ends.append(rows["time"] + found["duration"] * stretch)
+
+    def pop_states(self, first: int, count: int) -> tuple[NDArray[np.void], NDArray[np.int64]]:
+        """Return the kept rows of scans first to first + count, with `time` since `first`, and forget them.
+
+        The second array says which of the `count` scans they are.
+        """
+        kept = np.concatenate(self._states) if self._states else np.empty(0, TRUTH_SCAN)
+        split = int(np.searchsorted(kept["time"], first + count))
+        self._states = [kept[split:]]
+        rows = kept[:split]
+        scans = rows["time"].astype(np.int64) - first
+        rows["time"] = scans / self._rate_hz
+        return rows, scans
+
+    def pop_impacts(self, first: int, count: int) -> NDArray[np.void]:
+        """Return the contacts that ended before the end of these scans, with `time` since `first`, and forget them."""
+        if not self._impacts:
+            return np.empty(0, IMPACTS)
+        rows, ends = np.concatenate(self._impacts), np.concatenate(self._ends)
+        done = ends < (first + count) / self._rate_hz
+        self._impacts, self._ends = ([rows[~done]], [ends[~done]]) if not done.all() else ([], [])
+        rows = rows[done]
+        rows["time"] -= first / self._rate_hz
+        return rows
