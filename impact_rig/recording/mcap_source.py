@@ -107,7 +107,10 @@ class McapSource:
     def _record(self, offset: int, length: int, opcode: int) -> memoryview:
         if length > self.size - offset:
             raise DamageError(f"it claims {length} bytes of a file of {self.size}")
-        view = memoryview(os.pread(self._fd, length, offset))
+        try:
+            view = memoryview(os.pread(self._fd, length, offset))
+        except OSError as error:  # a bad sector, or the run has been closed meanwhile
+            raise RecordingError(f"{self.path} cannot be read at byte {offset}: {error.strerror}") from error
         if len(view) != length:
             raise DamageError("the file is shorter than its index says")
         found, content, end = records.split(view, 0)

@@ -136,6 +136,16 @@ def test_an_empty_run_can_be_opened(record):
         assert (run.message_count, run.start_ns, run.end_ns) == (0, 0, 0)
 
 
+def test_reading_on_after_closing_is_an_error(record):
+    with record(chunk_bytes=20_000) as writer:
+        fill(writer, 50)
+    with open_run(writer.directory) as run:
+        messages = run.messages()
+        next(messages)
+    with pytest.raises(RecordingError, match="cannot be read at byte"):
+        list(messages)
+
+
 def test_unknown_topics_name_those_that_exist(record):
     with record() as writer:
         fill(writer, 2)
