@@ -1,0 +1,1 @@
+"""Measuring what the paper measured: cases, summaries and comparisons. Knows no ROS."""

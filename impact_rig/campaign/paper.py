@@ -1,0 +1,66 @@
+"""The paper's numbers, and how a set of measurements compares with them.
+
+Source: Vieira de Albuquerque & Pederiva, *Modeling of an impact damper submitted to forced vibration from a nonlinear contact force model*.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import attrs
+
+FREQUENCY_HZ = 9.1
+"""Where the paper compares the gaps: the natural frequency it prints."""
+
+CURRENT_A = 0.520
+"""Constant coil current, peak; identified: the superior base then moves about 5.85 mm at 9.1 Hz without the sphere."""
+
+REDUCTION_PERCENT: Mapping[float, float] = {2e-3: 29.4, 4e-3: 38.5, 6e-3: 43.0, 8e-3: 45.0, 10e-3: 49.0}
+"""Published reduction of the transmissibility at 9.1 Hz against the run without the sphere, by gap [m]."""
+
+
+@attrs.frozen
+class Reductions:
+    """Reductions of the transmissibility by gap [m], against the run without the sphere.
+
+    Attributes:
+        dt_no_sphere: transmissibility without the sphere.
+        dt: transmissibility by gap.
+        dt_uncertainty: its standard uncertainty by gap; key 0: without the sphere.
+    """
+
+    dt_no_sphere: float
+    dt: Mapping[float, float]
+    dt_uncertainty: Mapping[float, float]
+
+    def percent(self) -> dict[float, float]:
+        """Return 100 (1 − DT / DT without sphere) by gap."""
+        return {gap: 100.0 * (1.0 - value / self.dt_no_sphere) for gap, value in self.dt.items()}
+
+    def percent_uncertainty(self) -> dict[float, float]:
+        """Return the standard uncertainty of `percent` in points; calibration errors, common to all runs, cancel in the ratio."""
+        without = self.dt_uncertainty.get(0.0, 0.0) / self.dt_no_sphere
+        return {
+            gap: 100.0 * value / self.dt_no_sphere * math.hypot(self.dt_uncertainty.get(gap, 0.0) / value, without)
+            for gap, value in self.dt.items()
+        }
+
+    def errors(self) -> dict[float, float]:
+        """Return ours less the paper's, in points, for the paper's gaps."""
+        ours = self.percent()
+        return {gap: ours[gap] - paper for gap, paper in REDUCTION_PERCENT.items() if gap in ours}
+
+    def max_abs_error(self) -> float:
+        """Return the largest distance from the paper in points."""
+        return max((abs(error) for error in self.errors().values()), default=math.nan)
+
+    def rms_error(self) -> float:
+        """Return the root mean square distance from the paper in points."""
+        errors = list(self.errors().values())
+        return math.sqrt(sum(error**2 for error in errors) / len(errors)) if errors else math.nan
+
+    def grows_with_gap(self) -> bool:
+        """Return whether a wider gap always reduced more."""
+        ordered = [value for _, value in sorted(self.percent().items())]
+        return all(a < b for a, b in zip(ordered, ordered[1:], strict=False))

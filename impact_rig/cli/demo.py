@@ -1,0 +1,222 @@
+"""`impact-rig demo`: three node processes, driven through their topics, measure the paper's five reductions."""
+
+from __future__ import annotations
+
+import argparse
+import datetime as dt
+import time
+from pathlib import Path
+
+import attrs
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table as TextTable
+
+from impact_rig.campaign import paper
+from impact_rig.campaign.figures import draw_reductions
+from impact_rig.campaign.paper import Reductions
+from impact_rig.campaign.summary import Statement, write_summary
+from impact_rig.config import RigConfig, from_flat
+from impact_rig.errors import ImpactRigError
+from impact_rig.recording import RunInfo, info
+from impact_rig.simtime import NS_PER_S
+
+MEASUREMENTS = 2
+"""Settled measurements per case; each takes 5 s of rig time, or 21 s where the response is not periodic."""
+CASE_TIMEOUT_S = 120.0
+LINEAR_LIMIT = 0.02
+POINTS_LIMIT = 3.0
+
+
+@attrs.frozen(eq=False)
+class Case:
+    """One run of the demo: a gap [m], or 0 for no sphere."""
+
+    gap_m: float
+
+    @property
+    def name(self) -> str:
+        """Name of the run's directory."""
+        return f"gap_{self.gap_m * 1e3:g}mm" if self.gap_m else "no_sphere"
+
+    @property
+    def label(self) -> str:
+        """Name for people."""
+        return f"gap {self.gap_m * 1e3:g} mm" if self.gap_m else "no sphere"
+
+
+CASES = (Case(0.0), *(Case(gap) for gap in paper.REDUCTION_PERCENT))
+
+
+def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Register the subcommand."""
+    parser = commands.add_parser(
+        "demo", help="measure the paper's five reductions through the topics, in about a minute"
+    )
+    parser.add_argument(
+        "--output", type=Path, help="directory for runs, figure and summary (default: runs/demo_<date>)"
+    )
+    parser.add_argument("--rate", type=int, default=10_000, metavar="HZ", help="scans per second (default: 10000)")
+    parser.add_argument("--seed", type=int, default=1, help="seed of noise and calibration errors (default: 1)")
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the demo and return the exit code: 0 if every reduction is within 3 points of the paper."""
+    console = Console()
+    directory = _new_directory(arguments.output)
+    config = from_flat(
+        RigConfig(),
+        {
+            "time.mode": "freewheel",
+            "time.peers": ["analysis", "recorder"],
+            "daq.rate_hz": arguments.rate,
+            "daq.block_scans": max(1, arguments.rate // 100),
+            "daq.seed": arguments.seed,
+        },
+    )
+    console.print(
+        f"impact_rig demo: rig, analysis and recorder as three processes, {arguments.rate} scans/s, freewheel"
+    )
+    started = time.monotonic()
+    rows = _measure(config, directory, console)
+    wall_s = time.monotonic() - started
+    runs = [info(directory / case.name) for case in CASES]
+    lost = sum(_lost_blocks(run) for run in runs)
+    simulated_s = sum(run.end_ns - run.start_ns for run in runs) / NS_PER_S
+    reductions = _reductions(rows)
+    closed_form = _closed_form(config)
+    statements = {
+        "dt_no_sphere_agrees_with_closed_form": _judge(abs(reductions.dt_no_sphere / closed_form - 1.0), LINEAR_LIMIT),
+        "reductions_within_3_points": _judge(reductions.max_abs_error(), POINTS_LIMIT),
+        "reduction_grows_with_gap": Statement(reductions.grows_with_gap(), float(reductions.grows_with_gap()), 1.0),
+        "no_block_lost": _judge(float(lost), 0.0),
+    }
+    draw_reductions(reductions, directory / "reductions.png")
+    write_summary(
+        directory, reductions, statements, lost_blocks=lost, wall_s=wall_s, simulated_s=simulated_s,
+        seed=config.daq.seed, more={"dt_no_sphere_closed_form": closed_form},
+    )  # fmt: skip
+    _print_table(console, reductions, closed_form)
+    console.print(f"{simulated_s:.0f} s of rig time in {wall_s:.0f} s, {lost} blocks lost.")
+    failed = [name for name, statement in statements.items() if not statement.passed]
+    if failed:
+        console.print(f"[red]not as expected: {', '.join(failed)}[/red]")
+    console.print(
+        f"figure: reductions.png, figures for programs: summary.json, runs: {', '.join(c.name for c in CASES)}"
+    )
+    print(directory)  # noqa: T201  # the last line is for programs
+    return 1 if failed else 0
+
+
+def _measure(config: RigConfig, directory: Path, console: Console) -> dict[float, NDArray[np.void]]:
+    # rclpy is needed from here on: `impact-rig --help` and the other subcommands do without
+    from impact_rig.nodes import topics  # noqa: PLC0415
+    from impact_rig.testing import Client, Processes, isolated_domain  # noqa: PLC0415
+
+    columns = (
+        TextColumn("{task.description:<12}"),
+        BarColumn(24),
+        TextColumn("{task.fields[state]:<36}"),
+        TimeElapsedColumn(),
+    )
+    rows: dict[float, NDArray[np.void]] = {}
+    with (
+        isolated_domain() as domain_id,
+        Processes(domain_id, directory / "logs") as processes,
+        Progress(*columns, console=console) as progress,
+    ):
+        starting = progress.add_task("processes", total=None, state="starting (the first time compiles)")
+        processes.start("rig", {
+            "time.mode": "freewheel", "time.peers": config.time.peers, "daq.rate_hz": config.daq.rate_hz,
+            "daq.block_scans": config.daq.block_scans, "daq.seed": config.daq.seed,
+        })  # fmt: skip
+        processes.start("analysis")
+        processes.start("recorder", {"record": False, "directory": str(directory)})
+        with Client(domain_id, processes=processes, name="operator") as client:
+            client.wait_active("rig", "analysis", "recorder")
+            progress.update(starting, total=1, completed=1, state="running")
+            table = client.collect(topics.TRANSMISSIBILITY_TABLE.name)
+            for case in CASES:
+                task = progress.add_task(case.label, total=MEASUREMENTS, state="preparing")
+                client.pause()
+                client.set_parameters("rig", {"sphere.present": case.gap_m > 0.0, "barriers.gap_m": case.gap_m or 1e-3})
+                client.trigger("rig/reset")
+                client.set_parameters("analysis", {"gap_m": case.gap_m})
+                client.set_parameters("recorder", {"name": case.name})
+                client.trigger("recorder/start")
+                table.clear()
+                client.pause(False)
+                client.command(frequency_hz=paper.FREQUENCY_HZ, current_a=paper.CURRENT_A)
+
+                def settled(case: Case = case, task: int = task) -> NDArray[np.void]:
+                    found = table.rows()
+                    good = found[(found["settled"] == 1.0) & (found["gap"] == case.gap_m)]
+                    state = f"DT {good['transmissibility'][-1]:.2f}" if len(good) else "settling"
+                    progress.update(task, completed=len(good), state=state)  # type: ignore[arg-type]  # rich's TaskID
+                    return good
+
+                client.wait_until(
+                    lambda: len(settled()) >= MEASUREMENTS,
+                    f"{MEASUREMENTS} settled measurements, {case.label}",
+                    CASE_TIMEOUT_S,
+                )
+                rows[case.gap_m] = settled()[:MEASUREMENTS]
+                client.pause()
+                client.trigger("recorder/stop")
+            progress.update(starting, state="done")
+    return rows
+
+
+def _reductions(rows: dict[float, NDArray[np.void]]) -> Reductions:
+    mean = {gap: float(np.mean(found["transmissibility"])) for gap, found in rows.items()}
+    spread = {
+        gap: float(np.sqrt(np.mean(found["transmissibility_uncertainty"] ** 2) / len(found)))
+        for gap, found in rows.items()
+    }
+    without = mean.pop(0.0)
+    return Reductions(without, mean, spread)
+
+
+def _closed_form(config: RigConfig) -> float:
+    from impact_rig.physics.closed_form import transmissibility  # noqa: PLC0415  # compiles nothing, but loads SciPy
+
+    return float(abs(transmissibility(config, paper.FREQUENCY_HZ)))
+
+
+def _judge(value: float, limit: float) -> Statement:
+    return Statement(value <= limit, value, limit)
+
+
+def _lost_blocks(run: RunInfo) -> int:
+    if run.scans is None:
+        raise ImpactRigError(f"{run.path} holds no daq/scan")
+    return run.scans.lost_blocks
+
+
+def _new_directory(wanted: Path | None) -> Path:
+    stamp = dt.datetime.now().astimezone().strftime("%Y%m%d_%H%M%S")
+    directory = wanted or Path("runs") / f"demo_{stamp}"
+    if directory.exists() and any(directory.iterdir()):
+        raise ImpactRigError(f"{directory} exists and is not empty: nothing is overwritten, choose another --output")
+    directory.mkdir(parents=True, exist_ok=True)
+    return directory.resolve()
+
+
+def _print_table(console: Console, reductions: Reductions, closed_form: float) -> None:
+    ours, spread, errors = reductions.percent(), reductions.percent_uncertainty(), reductions.errors()
+    table = TextTable(title=f"Reduction of DT at {paper.FREQUENCY_HZ} Hz against no sphere")
+    for heading in ("gap [mm]", "DT", "this run [%]", "± 2u", "paper [%]", "difference"):
+        table.add_column(heading, justify="right")
+    table.add_row(
+        "none", f"{reductions.dt_no_sphere:.2f}", "", "", "", f"closed form {closed_form:.2f}", end_section=True
+    )
+    for gap, value in sorted(ours.items()):
+        table.add_row(
+            f"{gap * 1e3:g}", f"{reductions.dt[gap]:.2f}", f"{value:.1f}", f"{2 * spread[gap]:.1f}",
+            f"{paper.REDUCTION_PERCENT[gap]:.1f}", f"{errors[gap]:+.1f}",
+        )  # fmt: skip
+    console.print(table)
+    console.print(f"largest difference {reductions.max_abs_error():.1f} points, rms {reductions.rms_error():.1f}")

@@ -1,0 +1,85 @@
+"""Subcommands on recorded runs and configuration files: info, recover, export, check."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table as TextTable
+
+from impact_rig.config import load
+from impact_rig.physics.contact import from_config
+from impact_rig.recording import export, info, open_run, recover
+from impact_rig.simtime import NS_PER_S
+
+
+def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Register the subcommands."""
+    parser = commands.add_parser("info", help="what a run holds and whether it is whole")
+    parser.add_argument("path", type=Path, metavar="RUN", help="run directory or .mcap file")
+    parser.set_defaults(run=_info)
+    parser = commands.add_parser("recover", help="save every whole chunk of a damaged or unfinished run")
+    parser.add_argument("path", type=Path, metavar="RUN")
+    parser.add_argument("out", type=Path, metavar="OUT", help="new run directory")
+    parser.set_defaults(run=_recover)
+    parser = commands.add_parser("export", help="write a table topic as .csv, .npz or .parquet")
+    parser.add_argument("path", type=Path, metavar="RUN")
+    parser.add_argument("topic", help="e.g. transmissibility/table")
+    parser.add_argument("target", type=Path, metavar="FILE", help="its suffix chooses the format")
+    parser.set_defaults(run=_export)
+    parser = commands.add_parser("check", help="validate a configuration file without starting anything")
+    parser.add_argument("path", type=Path, metavar="FILE")
+    parser.set_defaults(run=_check)
+
+
+def _info(arguments: argparse.Namespace) -> int:
+    console = Console()
+    found = info(arguments.path)
+    console.print(f"{found.path}: {found.verdict}", style="green" if found.intact else "red")
+    seconds = (found.end_ns - found.start_ns) / NS_PER_S
+    size = sum(size for _, size in found.files)
+    console.print(f"{seconds:.3f} s of rig time, {len(found.files)} file(s), {size / 1e6:.2f} MB")
+    for key, value in found.provenance.items():
+        console.print(f"{key}: {value}", highlight=False)
+    table = TextTable()
+    for heading, side in (
+        ("topic", "left"),
+        ("type", "left"),
+        ("messages", "right"),
+        ("per s", "right"),
+        ("kB", "right"),
+    ):
+        table.add_column(heading, justify=side, overflow="fold")  # type: ignore[arg-type]  # rich wants its literals
+    for topic in found.topics:
+        rate = "" if topic.rate_hz is None else f"{topic.rate_hz:.1f}"
+        table.add_row(
+            topic.name, topic.type_name.rpartition("/")[2], str(topic.count), rate, f"{topic.bytes / 1e3:.1f}"
+        )
+    console.print(table)
+    if found.attachments:
+        console.print("attached: " + ", ".join(f"{name} ({size} bytes)" for name, size in found.attachments))
+    return 0 if found.intact else 1
+
+
+def _recover(arguments: argparse.Namespace) -> int:
+    report = recover(arguments.path, arguments.out)
+    Console().print(str(report), highlight=False)
+    return 0
+
+
+def _export(arguments: argparse.Namespace) -> int:
+    with open_run(arguments.path) as run:
+        Console().print(str(export(run, arguments.topic, arguments.target)), highlight=False)
+    return 0
+
+
+def _check(arguments: argparse.Namespace) -> int:
+    config = load(arguments.path)
+    law = from_config(config.contact)
+    Console().print(
+        f"{arguments.path}: valid; contact law {config.contact.law}, restitution nominal {law.restitution:g}, "
+        f"realised {law.realised_restitution():.4f}",
+        highlight=False,
+    )
+    return 0
