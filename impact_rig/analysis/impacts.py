@@ -23,9 +23,11 @@ from impact_rig.analysis.calibration import ACCELEROMETER, Calibration, Real
 from impact_rig.analysis.cycles import PHASE_BINS, Cycles
 from impact_rig.analysis.settings import ImpactSettings
 
-ONSET = 0.3
+ONSET = 0.45
 LOOK_AHEAD_S = 150e-6
 """The pulse's peak follows the crossing within this time."""
+LOOK_AHEAD_SCANS = 6
+"""The same at low rates, where most of a pulse may fall between the scans and its aliased ringing stands higher."""
 BLANK_S = 0.01
 """After a start or a gap the high-pass settles for this long."""
 RMS_TIME_S = 0.1
@@ -122,21 +124,21 @@ class ImpactDetector:
         )
         self._times = np.array(
             [
-                max(2, math.ceil(LOOK_AHEAD_S * rate)),
+                max(LOOK_AHEAD_SCANS, math.ceil(LOOK_AHEAD_S * rate)),
                 round(BLANK_S * rate),
                 round(QUIET_RING_TIMES * ring_time * rate),
             ]
         )
         self._delay = (float(calibration.lag[ACCELEROMETER]) - float(calibration.skew[ACCELEROMETER])) * rate
         self._history = np.zeros(HISTORY)
-        self._state = np.zeros(6)
+        self._state = np.zeros(7)
         self._place = np.zeros(6, dtype=np.int64)
         self._out = np.zeros((256, 3))
         self.restart(0)
 
     def restart(self, scan: int) -> None:
         """Forget the past; the next sample is that of scan `scan`: at the start and after a gap in the stream."""
-        self._state[:] = (0.0, 0.0, self._noise**2, 0.0, 0.0, 0.0)
+        self._state[:] = (0.0, 0.0, self._noise**2, 0.0, 0.0, 0.0, 0.0)
         self._place[:] = (scan, 0, 0, 1, 0, 0)
         self._history[:] = 0.0
 
@@ -180,13 +182,15 @@ def _detect(
 ) -> tuple[int, int]:
     """Filter and watch samples from `begin`; stop early when `out` is full. Return (impacts found, next sample).
 
-    state = [z1, z2, variance, ring envelope, peak, sign]; place = [scan, blank, hunting, fresh, scan of the peak, scans
-    since the last impact]. While `hunting` counts down, the largest value of the crossing's sign is the peak.
+    state = [z1, z2, variance, ring envelope, peak, sign, swing],
+    place = [scan, blank, hunting, fresh, scan of the peak, scans since the last impact].
+    While `hunting` counts down, the largest value of the crossing's sign is the peak, the largest of either sign the
+    swing that the ringing is measured by.
     """
     b0, b1, b2, a1, a2 = coefficients
     floor, noise_factor, ring_factor, decay, forget = limits
     look_ahead, blank_time, quiet_time = times
-    z1, z2, variance, ring, peak, sign = state
+    z1, z2, variance, ring, peak, sign, swing = state
     scan, blank, hunting, fresh, peak_at, since = place
     count = 0
     i = begin
@@ -209,6 +213,7 @@ def _detect(
         if hunting > 0:
             if sign * y > peak:
                 peak, peak_at = sign * y, scan
+            swing = max(swing, abs(y))
             hunting -= 1
             if hunting == 0:
                 level = ONSET * peak
@@ -219,7 +224,7 @@ def _detect(
                 out[count, 0] = k - (after - level) / (after - before)
                 out[count, 1], out[count, 2] = peak, sign
                 count += 1
-                ring = ring_factor * peak * decay ** (scan - peak_at)
+                ring = ring_factor * swing * decay ** (scan - peak_at)
                 since = scan - peak_at
         elif blank > 0:
             blank -= 1
@@ -227,9 +232,11 @@ def _detect(
             hunting = look_ahead
             sign = 1.0 if y > 0.0 else -1.0
             peak, peak_at = sign * y, scan
+            swing = peak
         elif since > quiet_time:
             variance += forget * (min(y * y, RMS_CLIP * variance) - variance)
         scan += 1
-    state[0], state[1], state[2], state[3], state[4], state[5] = z1, z2, variance, ring, peak, sign
+    state[0], state[1], state[2], state[3] = z1, z2, variance, ring
+    state[4], state[5], state[6] = peak, sign, swing
     place[0], place[1], place[2], place[3], place[4], place[5] = scan, blank, hunting, fresh, peak_at, since
     return count, i

@@ -167,8 +167,9 @@ def measure(
     variance = np.maximum(spread, white)
     u_amplitude, u_phase = _combined(variance, calibration, frequency_hz, settings.lag_uncertainty, bias / ratio)
     phase = float(np.angle(ratio))
-    if _swapped(true[ACCELEROMETER][:, 0], mean1, mean_b, frequency_hz, phase - 3.0 * u_phase):
-        return refuse(Status.SWAPPED_CHANNELS)
+    misplaced = _misplaced(true[ACCELEROMETER][:, 0], mean1, mean_b, frequency_hz, phase - 3.0 * u_phase)
+    if misplaced:
+        return refuse(misplaced)
     overtones = true[LASER][:, 1:].mean(axis=0)
     clipped = flags & ((1 | RANGE_BIT) << ACCELEROMETER)
     return Measurement(
@@ -261,16 +262,22 @@ def _combined(
     return math.sqrt(amplitude), math.sqrt(phase)
 
 
-def _swapped(acceleration: Complex, laser: complex, base: complex, frequency_hz: float, lead: float) -> bool:
-    """Return whether laser and base have changed places.
+def _misplaced(
+    acceleration: Complex, laser: complex, base: complex, frequency_hz: float, lead_rad: float
+) -> Status | None:
+    """Tell whether laser and base have changed places, or one of them is wired the wrong way round.
 
     The accelerometer sits on the superior base: its amplitude over ω² belongs to the laser, not to the base channel.
-    And a passive structure cannot lead its base: `lead` is the least phase within three standard uncertainties.
+    And a passive structure cannot lead its base: `lead_rad` is the least phase within three standard uncertainties.
     """
-    displacement = abs(complex(acceleration.mean())) / (2.0 * math.pi * frequency_hz) ** 2
-    if _amplitude_u(acceleration, 0.0) * REFERENCE_FACTOR < abs(complex(acceleration.mean())):
+    mean = abs(complex(acceleration.mean()))
+    fits_laser = False
+    if mean > REFERENCE_FACTOR * _amplitude_u(acceleration, 0.0):
+        displacement = mean / (2.0 * math.pi * frequency_hz) ** 2
         fits_base = 1.0 / SWAP_MATCH < displacement / abs(base) < SWAP_MATCH
         fits_laser = 1.0 / SWAP_MISMATCH < displacement / abs(laser) < SWAP_MISMATCH
-        if fits_base != fits_laser:
-            return fits_base
-    return LEAD_LIMIT_RAD < lead < math.pi - LEAD_LIMIT_RAD
+        if fits_base and not fits_laser:
+            return Status.SWAPPED_CHANNELS
+    if LEAD_LIMIT_RAD < lead_rad < math.pi - LEAD_LIMIT_RAD:
+        return Status.INVERTED_CHANNEL if fits_laser else Status.SWAPPED_CHANNELS
+    return None

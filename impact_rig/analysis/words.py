@@ -23,6 +23,7 @@ class Status(enum.StrEnum):
     SILENCE = "silence"  # the base does not move measurably
     CONSTANT = "constant"  # one displacement channel is stuck while the other moves
     SWAPPED_CHANNELS = "swapped_channels"
+    INVERTED_CHANNEL = "inverted_channel"  # laser or base wired the wrong way round: x_1 seems to lead x_b
     NO_FIT = "no_fit"  # of the record-wise fits: no convergence, or to something unphysical
 
 

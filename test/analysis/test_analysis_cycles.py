@@ -1,0 +1,108 @@
+"""The constant-memory reduction equals the textbook fit, and no cut into blocks changes a bit."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from impact_rig.analysis.cycles import RANGE_BIT, Accumulator, Cycles, concatenate, normal_matrix, usable_harmonics
+
+WIDE = np.full(4, np.inf)
+
+
+def reduced(samples, rate_hz, frequency_hz, cuts, harmonics=3, origin=0):
+    accumulator = Accumulator(rate_hz, frequency_hz, harmonics, origin, -WIDE, WIDE)
+    status = np.zeros(samples.shape[1], np.uint8)
+    edges = [0, *sorted(cuts), samples.shape[1]]
+    for begin, end in zip(edges[:-1], edges[1:], strict=True):
+        accumulator.add(samples, status, begin, end)
+    return accumulator.take(accumulator.pending_cycles)
+
+
+@pytest.mark.parametrize("frequency_hz", [9.1, 73.3, 199.0])
+def test_each_cycle_is_the_least_squares_fit_of_its_samples(frequency_hz):
+    rng = np.random.default_rng(1)
+    rate, harmonics = 10_000, 3
+    samples = rng.standard_normal((4, 5000)) + 5.0
+    cycles = reduced(samples, rate, frequency_hz, [])
+    for m in (0, 1, len(cycles) - 1):
+        k = cycles.first[m] + np.arange(cycles.samples[m])
+        angle = 2 * np.pi * frequency_hz / rate * k
+        design = np.column_stack(
+            [np.ones(len(k)), *[f(h * angle) for h in range(1, harmonics + 1) for f in (np.cos, np.sin)]]
+        )
+        solution, residual, *_ = np.linalg.lstsq(design, samples[:, k].T, rcond=None)
+        expected = (solution[1::2] - 1j * solution[2::2]).T
+        assert np.allclose(cycles.phasors[m], expected, rtol=0, atol=1e-10)
+        assert np.allclose(cycles.residual[m], residual, rtol=1e-8)
+        assert np.allclose(cycles.mean[m], samples[:, k].mean(axis=1))
+        assert np.allclose(cycles.variance[m], samples[:, k].var(axis=1), rtol=1e-9)
+
+
+@settings(max_examples=30)
+@given(
+    phase=st.floats(-7, 7),
+    step=st.floats(1e-3, 0.6),
+    samples=st.integers(30, 400),
+    harmonics=st.integers(1, 5),
+)
+def test_closed_form_normal_matrix_is_the_summed_one(phase, step, samples, harmonics):
+    angle = phase + step * np.arange(samples)
+    design = np.column_stack(
+        [np.ones(samples), *[f(h * angle) for h in range(1, harmonics + 1) for f in (np.cos, np.sin)]]
+    )
+    found = normal_matrix(np.array([phase]), np.array([samples]), step, harmonics)[0]
+    assert np.allclose(found, design.T @ design, rtol=0, atol=1e-9 * samples)
+
+
+@settings(max_examples=20)
+@given(cuts=st.lists(st.integers(1, 19_999), max_size=30, unique=True), frequency_hz=st.floats(5.0, 200.0))
+def test_no_bit_depends_on_the_cut(cuts, frequency_hz):
+    samples = np.random.default_rng(2).standard_normal((4, 20_000))
+    whole = reduced(samples, 10_000, frequency_hz, [])
+    parts = reduced(samples, 10_000, frequency_hz, cuts)
+    for name in ("first", "samples", "phasors", "mean", "variance", "residual"):
+        assert getattr(whole, name).tobytes() == getattr(parts, name).tobytes(), name
+
+
+def test_cycles_tile_the_stream_without_drift():
+    """At 25 600 S/s and 9.1 Hz a cycle is no whole number of scans: the k-th edge is the k-th multiple, rounded up."""
+    cycles = reduced(np.ones((4, 256_000)), 25_600, 9.1, [], origin=77)
+    assert np.array_equal(cycles.first + cycles.samples, np.append(cycles.first[1:], cycles.first[-1] + cycles.samples[-1]))
+    assert np.array_equal(cycles.first - 77, np.ceil(np.arange(len(cycles)) * 25_600 / 9.1))
+
+
+def test_taking_in_portions_is_taking_at_once():
+    samples = np.random.default_rng(3).standard_normal((4, 30_000))
+    accumulator = Accumulator(10_000, 50.0, 2, 0, -WIDE, WIDE)
+    accumulator.add(samples, np.zeros(30_000, np.uint8), 0, 30_000)
+    parts = concatenate([accumulator.take(n) for n in (1, 60, 89)])
+    assert isinstance(parts, Cycles)
+    assert parts.phasors.tobytes() == reduced(samples, 10_000, 50.0, [], 2).phasors.tobytes()
+    with pytest.raises(ValueError, match="count must be 1 to 0, got 1"):
+        accumulator.take(1)
+
+
+def test_flags_name_channel_and_kind():
+    samples = np.zeros((4, 3000))
+    samples[1, 150], samples[2, 1050], samples[0, 2050] = 2.0, np.nan, -np.inf
+    status = np.zeros(3000, np.uint8)
+    status[950] = 0b1000
+    accumulator = Accumulator(10_000, 100.0, 1, 0, -np.ones(4), np.ones(4))
+    accumulator.add(samples, status, 0, 3000)
+    flags = accumulator.take(30).flags
+    assert flags[1] == RANGE_BIT << 1
+    assert flags[9] == 0b1000
+    assert flags[10] == RANGE_BIT << 2
+    assert flags[20] == RANGE_BIT << 0
+    assert not flags[[0, 2, 11, 21, 29]].any(), "one bad value must not spoil the cycles after it"
+
+
+@pytest.mark.parametrize(
+    ("frequency_hz", "expected"),
+    [(0.0, 0), (-1.0, 0), (np.nan, 0), (np.inf, 0), (1300.0, 0), (9.1, 5), (1200.0, 3), (1100.0, 4)],
+)
+def test_harmonics_stay_below_half_the_rate(frequency_hz, expected):
+    assert usable_harmonics(10_000, frequency_hz, 5) == expected
