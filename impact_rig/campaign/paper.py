@@ -1,10 +1,12 @@
 """The paper's numbers, and how a set of measurements compares with them.
 
-Source: Vieira de Albuquerque & Pederiva, *Modeling of an impact damper submitted to forced vibration from a nonlinear contact force model*.
+Source: Vieira de Albuquerque & Pederiva, *Modeling of an impact damper submitted to forced vibration from a nonlinear
+contact force model*.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Mapping
 
@@ -39,7 +41,7 @@ class Reductions:
         return {gap: 100.0 * (1.0 - value / self.dt_no_sphere) for gap, value in self.dt.items()}
 
     def percent_uncertainty(self) -> dict[float, float]:
-        """Return the standard uncertainty of `percent` in points; calibration errors, common to all runs, cancel in the ratio."""
+        """Return the standard uncertainty of `percent` in points, taking the runs as independent (an upper bound)."""
         without = self.dt_uncertainty.get(0.0, 0.0) / self.dt_no_sphere
         return {
             gap: 100.0 * value / self.dt_no_sphere * math.hypot(self.dt_uncertainty.get(gap, 0.0) / value, without)
@@ -63,4 +65,4 @@ class Reductions:
     def grows_with_gap(self) -> bool:
         """Return whether a wider gap always reduced more."""
         ordered = [value for _, value in sorted(self.percent().items())]
-        return all(a < b for a, b in zip(ordered, ordered[1:], strict=False))
+        return all(a < b for a, b in itertools.pairwise(ordered))

@@ -85,7 +85,7 @@ def run(arguments: argparse.Namespace) -> int:
     wall_s = time.monotonic() - started
     runs = [info(directory / case.name) for case in CASES]
     lost = sum(_lost_blocks(run) for run in runs)
-    simulated_s = sum(run.end_ns - run.start_ns for run in runs) / NS_PER_S
+    simulated_s = sum(_scanned_s(run) for run in runs)
     reductions = _reductions(rows)
     closed_form = _closed_form(config)
     statements = {
@@ -194,6 +194,11 @@ def _lost_blocks(run: RunInfo) -> int:
     if run.scans is None:
         raise ImpactRigError(f"{run.path} holds no daq/scan")
     return run.scans.lost_blocks
+
+
+def _scanned_s(run: RunInfo) -> float:
+    scan = next(topic for topic in run.topics if topic.name.endswith("daq/scan"))
+    return (scan.last_ns - scan.first_ns) / NS_PER_S
 
 
 def _new_directory(wanted: Path | None) -> Path:

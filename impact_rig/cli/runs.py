@@ -58,7 +58,7 @@ def _info(arguments: argparse.Namespace) -> int:
         )
     console.print(table)
     if found.attachments:
-        console.print("attached: " + ", ".join(f"{name} ({size} bytes)" for name, size in found.attachments))
+        console.print("attached: " + ", ".join(f"{name} ({size} bytes)" for name, size in found.attachments.items()))
     return 0 if found.intact else 1
 
 
