@@ -38,7 +38,7 @@ def rates(p, side, beta, u, du, w, speed, centre, v_centre, x_b, v_b, coil):  # 
     lost_columns = c.c_1 * stretch * stretch
     lost_contact = viscous * speed
     if p.drive == PRESCRIBED:
-        return relative, column * p.per_m_pair, 0.0, 0.0, -column * v_b, lost_columns, 0.0, lost_contact
+        return relative, column * p.per_m_pair, 0.0, 0.0, column * v_b, lost_columns, 0.0, lost_contact
     current, dcoil, work = u, 0.0, 0.0
     lost_shaker = c.c_f * v_b * v_b
     if p.drive == VOLTAGE:

@@ -12,8 +12,9 @@ from impact_rig.config import RigConfig
 from impact_rig.errors import SimulationError
 from impact_rig.physics import contact as contact_laws
 from impact_rig.physics.event_loop import NEED_ROOM, STUCK, new_work, run
+from impact_rig.physics.forcing import Forcing, drive
 from impact_rig.physics.linear import V1, VB, X1, XB
-from impact_rig.physics.model import CONTACT_RTOL, build
+from impact_rig.physics.model import CONTACT_RTOL, PRESCRIBED, build
 from impact_rig.physics.motion import IMPACT, Motion
 from impact_rig.physics.state import (
     COLLISION,
@@ -155,6 +156,10 @@ class Simulation:
                 break
             log = _grown(log)
         self._log = log
+        if self._model.p.drive == PRESCRIBED and len(segments):  # not integrated, but the columns' energy depends on it
+            last = segments[-1]
+            f = Forcing(last["omega"], last["phase"], last["amplitude"], last["slope"])
+            self._state[Y + XB], self._state[Y + VB] = drive(f, last["duration"])
         knots, impacts = int(log.count[0]), int(log.count[1])
         log.first[-1] = knots
         rows = np.zeros(impacts, IMPACT)
