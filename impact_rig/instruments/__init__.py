@@ -1,0 +1,7 @@
+"""The rig's instruments: sensors, conditioning, the multiplexed converter, calibration and faults; no ROS."""
+
+from impact_rig.instruments.chain import Chain
+from impact_rig.instruments.faults import Fault
+from impact_rig.instruments.motion import Motion
+
+__all__ = ["Chain", "Fault", "Motion"]

@@ -1,0 +1,115 @@
+"""Calibration: the errors a rig's instruments really have, and what its certificate says about them.
+
+SI = (volt − offset) / sensitivity with the *nominal* sensitivity and offset: that is all the analysis knows. The true
+ones are drawn once per seed, evenly within the tolerances, and stay. Standard uncertainties follow the GUM: a limit a
+of a rectangular distribution counts a/√3 (GUM 4.3.7).
+
+Linearity is L (c_2 P_2(u) + c_3 P_3(u)) with Legendre polynomials, u = −1 … 1 over the range and (c_2, c_3) drawn
+evenly from |c_2| + |c_3| <= 1: never more than L, and nothing of it is gain or offset over the full range. Over a
+*small* part of the range it is: the slope at the middle is −1.5 c_3 L/R, the offset −0.5 c_2 L, with var c_2 = var c_3
+= 1/6; both are in the certificate.
+"""
+
+from __future__ import annotations
+
+import math
+
+import attrs
+import numpy as np
+from numpy.typing import NDArray
+
+from impact_rig.blocks import DAQ_INFO
+from impact_rig.config.instruments import Adc
+from impact_rig.instruments.clock import ScanClock
+from impact_rig.instruments.sensor import Sensor
+
+_VARIANCE_C = 1.0 / 6.0
+
+
+@attrs.frozen
+class Errors:
+    """What is wrong with one channel, each within ± 1 of its tolerance; (c_2, c_3) within |c_2| + |c_3| <= 1."""
+
+    gain: float = 0.0
+    offset: float = 0.0
+    c_2: float = 0.0
+    c_3: float = 0.0
+
+
+@attrs.frozen
+class BoardErrors:
+    """What is wrong with the converter, each within ± 1 of its tolerance."""
+
+    gain: float = 0.0
+    offset: float = 0.0
+
+
+def draw(rng: np.random.Generator) -> Errors:
+    """Draw the errors of a channel."""
+    gain, offset, p, q = rng.uniform(-1.0, 1.0, 4)
+    return Errors(float(gain), float(offset), float(0.5 * (p + q)), float(0.5 * (p - q)))
+
+
+def draw_board(rng: np.random.Generator) -> BoardErrors:
+    """Draw the errors of the converter."""
+    gain, offset = rng.uniform(-1.0, 1.0, 2)
+    return BoardErrors(float(gain), float(offset))
+
+
+def lsb_v(sensor: Sensor, adc: Adc) -> float:
+    """Return the converter's step on this channel [V]."""
+    return float(2.0 * sensor.adc_range_v / 2**adc.bits)
+
+
+def converter_noise_v(sensor: Sensor, adc: Adc) -> float:
+    """Return the converter's noise on this channel, rms [V]: given at ± 10 V, proportional to the range."""
+    return adc.noise_v_rms * sensor.adc_range_v / 10.0
+
+
+def gain_uncertainty(sensor: Sensor, adc: Adc) -> float:
+    """Return the relative standard uncertainty of the sensitivity, for signals anywhere within the range."""
+    slope = 1.5 * sensor.linearity / sensor.half_range
+    return math.sqrt(sensor.gain_tolerance**2 / 3 + adc.gain_tolerance**2 / 3 + slope**2 * _VARIANCE_C)
+
+
+def offset_uncertainty(sensor: Sensor, adc: Adc) -> float:
+    """Return the standard uncertainty of the zero [unit]."""
+    board = adc.offset_tolerance * sensor.adc_range_v / sensor.volt_per_unit
+    middle = 0.5 * sensor.linearity
+    return math.sqrt(sensor.offset_tolerance**2 / 3 + board**2 / 3 + middle**2 * _VARIANCE_C)
+
+
+def total_noise(sensor: Sensor, adc: Adc) -> float:
+    """Return the rms of everything random on a reading [unit]: sensor, its resolution, converter, its resolution."""
+    steps = sensor.resolution**2 / 12 + (lsb_v(sensor, adc) / sensor.volt_per_unit) ** 2 / 12
+    return math.sqrt(sensor.noise**2 + (converter_noise_v(sensor, adc) / sensor.volt_per_unit) ** 2 + steps)
+
+
+def certificate(sensors: list[Sensor], adc: Adc, clock: ScanClock, ideal: bool) -> NDArray[np.void]:
+    """Return the `blocks.DAQ_INFO` rows: what an analysis may know about the instruments.
+
+    Args:
+        sensors: in scan order.
+        adc: the converter.
+        clock: the scan clock.
+        ideal: ideal instruments read the true value: sensitivity 1, no lag, no uncertainty.
+    """
+    rows = np.zeros(len(sensors), dtype=DAQ_INFO)
+    for channel, sensor in enumerate(sensors):
+        low, high = sensor.measuring_range()
+        row = rows[channel : channel + 1]
+        row["name"], row["unit"], row["rate"] = sensor.name.encode(), sensor.unit.encode(), clock.rate_hz
+        row["range_low"], row["range_high"] = low, high
+        row["skew"] = clock.skew_s(channel)
+        if ideal:
+            row["sensitivity"], row["bandwidth"] = 1.0, math.inf
+            row["range_low"], row["range_high"] = -math.inf, math.inf
+            continue
+        row["sensitivity"], row["offset"] = sensor.volt_per_unit, sensor.offset_v
+        row["resolution"] = max(sensor.resolution, lsb_v(sensor, adc) / abs(sensor.volt_per_unit))
+        row["noise"] = total_noise(sensor, adc)
+        row["sensitivity_uncertainty"] = gain_uncertainty(sensor, adc)
+        row["offset_uncertainty"] = offset_uncertainty(sensor, adc)
+        row["lag"], row["lag_order"] = sensor.low_pass.delay_s(), sensor.lag_order
+        row["bandwidth"] = sensor.bandwidth_hz
+    return rows

@@ -1,0 +1,257 @@
+"""The instruments of a rig as one chain: whole ticks of motion go in, whole scans come out.
+
+Like a board with a FIFO: `acquire` converts everything whose instant lies in the ticks it is given, `read` takes scans
+away. Every random number, every filter and every conversion time belongs to a scan or a tick, so neither the number of
+ticks per call nor the block length changes one bit.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from impact_rig.blocks import CHANNELS, SCAN
+from impact_rig.config import RigConfig
+from impact_rig.errors import CommandError, ConfigError
+from impact_rig.instruments import accelerometer, base, calibration, current, laser
+from impact_rig.instruments.channel import Channel, Sine, Stretch
+from impact_rig.instruments.clock import scan_clock
+from impact_rig.instruments.faults import Fault, FaultBoard, planned
+from impact_rig.instruments.motion import Motion
+from impact_rig.instruments.pieces import PIECES_PER_PERIOD, Pieces, cut
+from impact_rig.instruments.sensor import Sensor
+from impact_rig.simtime import COMMAND_GRID_NS, COMMAND_GRID_S, NS_PER_S
+
+SEED_STREAM = 1
+"""First number of the spawn key of every generator of the instruments."""
+_LONGEST_PIECE_S = 1e-3
+_SHORTEST_PULSE_PIECE_S = 0.2e-6
+"""Integration steps inside a contact that are shorter are joined with the next: a contact lasts 30 to 100 µs."""
+_SHORTEST_SMOOTH_PIECE_S = 50e-6
+"""The same for all but acceleration: over 50 µs a displacement stays within nanometres of its polynomial."""
+_ERRORS, _NOISE, _CONVERTER_NOISE, _BOARD = range(4)
+
+
+def sensors(config: RigConfig) -> list[Sensor]:
+    """Return the sensors of a configuration in scan order, the anti-alias filter of the board behind them."""
+    instruments = config.instruments
+    made = (
+        accelerometer.sensor(instruments.accelerometer),
+        laser.sensor(instruments.laser),
+        base.sensor(instruments.base),
+        current.sensor(instruments.current),
+    )
+    assert tuple(sensor.name for sensor in made) == CHANNELS
+    return [sensor.behind(instruments.adc) for sensor in made]
+
+
+class Chain:
+    """All channels of a rig.
+
+    Args:
+        config: the rig's configuration; `daq.seed` seeds noise and calibration errors.
+
+    Raises:
+        ConfigError: the converter cannot do it.
+    """
+
+    def __init__(self, config: RigConfig) -> None:
+        self._config = config
+        self.reset()
+
+    @property
+    def config(self) -> RigConfig:
+        """The configuration in force."""
+        return self._config
+
+    @property
+    def ready(self) -> int:
+        """How many whole scans can be read."""
+        return min(channel.waiting for channel in self._channels)
+
+    @property
+    def next_scan(self) -> int:
+        """Index of the first scan not yet read."""
+        return self._next_scan
+
+    @property
+    def acquired_ticks(self) -> int:
+        """How many ticks have been acquired since reset."""
+        return self._tick
+
+    @property
+    def first_open_scan(self) -> int:
+        """Index of the first scan of which no channel has been converted: where a fault can still start."""
+        return max(channel.response.converted for channel in self._channels)
+
+    def reset(self) -> None:
+        """Start over at scan 0 with the seeds as new: the same motion gives the same bits again."""
+        config = self._config
+        self._clock = scan_clock(config)
+        adc, ideal = config.instruments.adc, config.instruments.ideal
+        self._sensors = sensors(config)
+        board = calibration.draw_board(self._generator(_BOARD, 0))
+        self._channels = [
+            Channel(
+                sensor,
+                adc,
+                self._clock,
+                index,
+                calibration.draw(self._generator(_ERRORS, index)),
+                board,
+                self._generator(_NOISE, index),
+                self._generator(_CONVERTER_NOISE, index),
+                ideal,
+            )
+            for index, sensor in enumerate(self._sensors)
+        ]
+        rate = config.daq.rate_hz
+        self._faults = FaultBoard([planned(fault, rate) for fault in config.instruments.faults.parsed()], rate)
+        self._next_scan = 0
+        self._tick = 0
+
+    def reconfigure(self, config: RigConfig) -> None:
+        """Change the instruments from the next tick on; counters, noise and faults go on.
+
+        Raises:
+            ConfigError: scan rate, seed or planned faults differ: they need a reset.
+        """
+        for key, old, new in (
+            ("daq.rate_hz", self._config.daq.rate_hz, config.daq.rate_hz),
+            ("daq.seed", self._config.daq.seed, config.daq.seed),
+            (
+                "instruments.faults.planned",
+                self._config.instruments.faults.planned,
+                config.instruments.faults.planned,
+            ),
+        ):
+            if old != new:
+                raise ConfigError(f"{key} cannot change without a reset: is {old}, got {new}")
+        if config.instruments == self._config.instruments:
+            self._config = config
+            return
+        self._clock = scan_clock(config)
+        self._config = config
+        self._sensors = sensors(config)
+        for channel, sensor in zip(self._channels, self._sensors, strict=True):
+            channel.change(sensor, config.instruments.adc, self._clock, config.instruments.ideal)
+
+    def acquire(self, motion: Motion, first_segment: int, segments: int, tick_s: float = COMMAND_GRID_S) -> None:
+        """Convert every scan that falls into the next ticks.
+
+        Args:
+            motion: covers the ticks; every tick must come once, in order.
+            first_segment: the motion's number of the first tick.
+            segments: how many ticks.
+            tick_s: duration of one tick in the motion's time [s]: 10 ms, scaled by the error of the scan clock.
+        """
+        stretch = Stretch(motion, first_segment, self._tick, segments, tick_s)
+        longest = min(_LONGEST_PIECE_S, 1.0 / (PIECES_PER_PERIOD * self._config.shaker.frequency_max_hz))
+        pulses = cut(motion, first_segment, segments, tick_s, longest, _SHORTEST_PULSE_PIECE_S)
+        smooth = cut(motion, first_segment, segments, tick_s, longest, _SHORTEST_SMOOTH_PIECE_S)
+        for channel in self._channels:
+            if channel.sensor.quantity == "a_1":
+                kicks = _kicks(motion, pulses, self._config.structure.mass_kg)
+                channel.acquire(stretch, pulses, kicks, self._faults)
+            else:
+                channel.acquire(stretch, smooth, np.zeros(len(smooth.start)), self._faults)
+        self._tick += segments
+
+    def read(self, count: int) -> NDArray[np.void]:
+        """Return the next `count` scans as `blocks.SCAN` rows; `time` counts from the first of them.
+
+        Raises:
+            ValueError: fewer are ready.
+        """
+        if not 0 <= count <= self.ready:
+            raise ValueError(f"count must be 0 to {self.ready}, the scans that are ready, got {count}")
+        rows = np.empty(count, dtype=SCAN)
+        rows["time"] = np.arange(count) / self._config.daq.rate_hz
+        status = np.zeros(count, dtype=np.uint8)
+        for index, channel in enumerate(self._channels):
+            rows[channel.sensor.name], clipped = channel.take(count)
+            status |= clipped.astype(np.uint8) << np.uint8(index)
+        rows["status"] = status
+        self._next_scan += count
+        return rows
+
+    def info(self) -> NDArray[np.void]:
+        """Return the calibration certificate, `blocks.DAQ_INFO` rows."""
+        instruments = self._config.instruments
+        return calibration.certificate(self._sensors, instruments.adc, self._clock, instruments.ideal)
+
+    def calibrate(self, channel: str, frequency_hz: float, amplitude: float, ticks: int) -> None:
+        """Put a known sine in place of one channel's input for some ticks, from the next one on.
+
+        Args:
+            channel: which.
+            frequency_hz: of the sine; its phase is zero where it starts.
+            amplitude: peak, in the channel's unit.
+            ticks: how long, in ticks of 10 ms.
+
+        Raises:
+            CommandError: no such channel, or a number out of range.
+        """
+        if channel not in CHANNELS:
+            raise CommandError(f"channel must be one of {', '.join(CHANNELS)}, got {channel!r}")
+        highest = self._config.shaker.frequency_max_hz
+        if not 0.0 < frequency_hz <= highest:
+            raise CommandError(f"frequency_hz must be > 0 and <= {highest:g} Hz, got {frequency_hz!r} Hz")
+        if not np.isfinite(amplitude) or ticks < 0:
+            raise CommandError(f"amplitude must be finite and ticks >= 0, got {amplitude!r} and {ticks!r}")
+        self._channels[CHANNELS.index(channel)].sine = Sine(self._tick, ticks, frequency_hz, amplitude)
+
+    def inject(self, fault: Fault) -> int:
+        """Put a fault on the rig and return its number.
+
+        Raises:
+            CommandError: it would start at a scan that has already been converted.
+        """
+        if fault.start < self.first_open_scan:
+            raise CommandError(f"a fault must start at scan >= {self.first_open_scan}, got {fault.start}")
+        return self._faults.add(fault)
+
+    def clear(self, number: int | None = None) -> None:
+        """End one fault, or all of them, at the first scan not yet converted.
+
+        Raises:
+            CommandError: there is no such fault.
+        """
+        self._faults.clear(number, self.first_open_scan)
+
+    def active_faults(self) -> tuple[Fault, ...]:
+        """Return the faults that act on the next scan to be converted."""
+        return self._faults.active_now(self.first_open_scan)
+
+    def fault_rows(self, first_scan: int, count: int) -> NDArray[np.void]:
+        """Return starts and ends of faults in these scans, `blocks.FAULTS` rows; ask once per block, in order."""
+        return self._faults.rows(first_scan, count)
+
+    def block_lost(self, first_scan: int, count: int) -> bool:
+        """Whether a lost_block fault acts on any of these scans: number the block, but do not publish it."""
+        return self._faults.block_lost(first_scan, count)
+
+    def clock_ppm(self, tick: int) -> float:
+        """Return how fast clock_drift faults make the scan clock at a tick [ppm]: part of that tick's `tick_s`."""
+        return self._faults.clock_ppm(-(-tick * COMMAND_GRID_NS * self._clock.rate_hz // NS_PER_S))
+
+    def _generator(self, purpose: int, index: int) -> np.random.Generator:
+        return np.random.default_rng(
+            np.random.SeedSequence(self._config.daq.seed, spawn_key=(SEED_STREAM, purpose, index))
+        )
+
+
+def _kicks(motion: Motion, pieces: Pieces, mass_kg: float) -> NDArray[np.float64]:
+    """Return what instantaneous impacts add to the structure's velocity [m/s] at each piece's start, shape (n,)."""
+    kicks = np.zeros(len(pieces.start))
+    impacts = motion.impacts
+    for impact in impacts[impacts["duration"] == 0.0]:
+        after = (pieces.segment > impact["segment"]) | (
+            (pieces.segment == impact["segment"]) & (pieces.start >= impact["offset"])
+        )
+        if np.any(after) and impact["segment"] >= pieces.segment[0]:
+            kicks[np.argmax(after)] += float(impact["wall"]) * float(impact["impulse"]) / mass_kg
+    return kicks
+
+
+__all__ = ["SEED_STREAM", "Chain", "sensors"]

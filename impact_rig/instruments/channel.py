@@ -1,0 +1,185 @@
+"""One channel: a sensor's dynamics, its output stage, its cable's faults, the converter, and readings not yet taken."""
+
+from __future__ import annotations
+
+import math
+
+import attrs
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from impact_rig.config.instruments import Adc
+from impact_rig.instruments import conversion
+from impact_rig.instruments.calibration import BoardErrors, Errors
+from impact_rig.instruments.clock import ScanClock
+from impact_rig.instruments.conversion import Converter, OutputStage
+from impact_rig.instruments.faults import FaultBoard
+from impact_rig.instruments.motion import Motion
+from impact_rig.instruments.pieces import NODES, Pieces, polynomials
+from impact_rig.instruments.response import Response
+from impact_rig.instruments.sensor import Sensor
+
+
+@attrs.frozen(eq=False)
+class Stretch:
+    """Consecutive ticks of a motion, as `Chain.acquire` got them.
+
+    Attributes:
+        motion: covers them.
+        first_segment: the motion's number of the first.
+        first_tick: the chain's number of the first.
+        ticks: how many.
+        tick_s: duration of one [s].
+    """
+
+    motion: Motion
+    first_segment: int
+    first_tick: int
+    ticks: int
+    tick_s: float
+
+
+@attrs.frozen
+class Sine:
+    """A calibration sine in place of a channel's input, over some ticks; amplitude in the channel's unit."""
+
+    first_tick: int
+    ticks: int
+    frequency_hz: float
+    amplitude: float
+
+    def replace(
+        self, values: NDArray[np.float64], stretch: Stretch, segment: NDArray[np.int64], offset_s: NDArray[np.float64]
+    ) -> None:
+        """Overwrite the values, shape (n,), at those instants that lie in the sine's ticks."""
+        tick = segment - stretch.first_segment + (stretch.first_tick - self.first_tick)
+        _sine(tick, offset_s, self.ticks, stretch.tick_s, 2.0 * math.pi * self.frequency_hz, self.amplitude, values)
+
+
+@njit(cache=True, nogil=True)
+def _sine(tick, offset, ticks, tick_s, omega, amplitude, values):  # type: ignore[no-untyped-def]  # compiled: inferred
+    for i in range(values.shape[0]):
+        if 0 <= tick[i] < ticks:
+            values[i] = amplitude * math.sin(omega * (tick[i] * tick_s + offset[i]))
+
+
+class Channel:
+    """A sensor on its converter channel, ideal or not; carries everything that goes on from tick to tick.
+
+    Args:
+        sensor: what it senses and how.
+        adc: the converter.
+        clock: the scan clock.
+        index: place in the scan.
+        errors: the sensor's own.
+        board: the converter's own.
+        noise: generator of the sensor's noise.
+        converter_noise: generator of the converter's noise on this channel.
+        ideal: read the motion itself.
+    """
+
+    def __init__(
+        self,
+        sensor: Sensor,
+        adc: Adc,
+        clock: ScanClock,
+        index: int,
+        errors: Errors,
+        board: BoardErrors,
+        noise: np.random.Generator,
+        converter_noise: np.random.Generator,
+        ideal: bool,
+    ) -> None:
+        self.sensor = sensor
+        self.ideal = ideal
+        self.response = Response(sensor.transfer.modes(), clock, index)
+        self.sine: Sine | None = None
+        self._errors, self._board = errors, board
+        self._noise, self._converter_noise = noise, converter_noise
+        self._period_s = 1.0 / clock.rate_hz
+        self._coloured = np.zeros(1)
+        self._last: float | None = None
+        self._awake = False
+        self._readings = np.empty(0)
+        self._clipped = np.empty(0, dtype=np.bool_)
+        self._stage, self._converter = self._stages(adc)
+
+    @property
+    def waiting(self) -> int:
+        """How many readings have not been taken."""
+        return len(self._readings)
+
+    def take(self, count: int) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+        """Remove and return the oldest readings [unit] and whether each was clipped."""
+        readings, self._readings = self._readings[:count], self._readings[count:].copy()
+        clipped, self._clipped = self._clipped[:count], self._clipped[count:].copy()
+        return readings, clipped
+
+    def change(self, sensor: Sensor, adc: Adc, clock: ScanClock, ideal: bool) -> None:
+        """Become another sensor from the next tick on; noise streams go on, dynamics too where they are the same."""
+        modes = sensor.transfer.modes()
+        unchanged = modes.same_as(self.response.modes) and self.ideal == ideal
+        self.sensor, self.ideal = sensor, ideal
+        self._stage, self._converter = self._stages(adc)
+        self.response.adopt(modes, clock, keep_state=unchanged)
+        self._awake = self._awake and unchanged
+
+    def acquire(self, stretch: Stretch, pieces: Pieces, kicks: NDArray[np.float64], faults: FaultBoard) -> None:
+        """Convert the scans of the next ticks.
+
+        Args:
+            stretch: the ticks.
+            pieces: the same, cut.
+            kicks: jump of the input's integral at the start of each piece, shape (pieces,).
+            faults: what acts on the cables.
+        """
+        first_scan = self.response.converted
+        sensor = self.sensor
+        if self.ideal:
+            readings = self._input(
+                stretch, *self.response.instants(stretch.ticks, stretch.first_segment, stretch.tick_s)
+            )
+            clipped = np.zeros(len(readings), dtype=np.bool_)
+            faults.on_cable(sensor.name, readings, clipped, first_scan, 1.0, 0.0)
+        else:
+            clean = self._respond(stretch, pieces, kicks)
+            white = self._noise.standard_normal(len(clean))
+            volts, clipped = conversion.to_volts(self._stage, clean, white, self._coloured)
+            faults.on_cable(sensor.name, volts, clipped, first_scan, sensor.volt_per_unit, sensor.offset_v)
+            white = self._converter_noise.standard_normal(len(volts))
+            readings = conversion.to_units(self._converter, volts, white, clipped)
+        faults.behind_converter(sensor.name, readings, clipped, first_scan, self._last)
+        if len(readings):
+            self._last = float(readings[-1])
+        self._readings = np.concatenate([self._readings, readings])
+        self._clipped = np.concatenate([self._clipped, clipped])
+
+    def _respond(self, stretch: Stretch, pieces: Pieces, kicks: NDArray[np.float64]) -> NDArray[np.float64]:
+        if not self._awake:
+            if self.sensor.settled:
+                start = self._input(stretch, np.array([stretch.first_segment]), np.zeros(1))
+                self.response.state[:] = self.response.modes.settled(float(start[0]))
+            self._awake = True
+        values = self._input(stretch, *pieces.nodes()).reshape(-1, NODES)
+        if self.sine is not None and len(kicks):
+            during = pieces.segment - stretch.first_segment + stretch.first_tick - self.sine.first_tick
+            kicks = np.where((during >= 0) & (during < self.sine.ticks), 0.0, kicks)
+        return self.response.run(pieces, polynomials(values), kicks)
+
+    def _input(
+        self, stretch: Stretch, segment: NDArray[np.int64], offset_s: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        values = stretch.motion.quantity(self.sensor.quantity, segment, offset_s)
+        if self.sine is not None:
+            if stretch.first_tick >= self.sine.first_tick + self.sine.ticks:
+                self.sine = None
+            else:
+                self.sine.replace(values, stretch, segment, offset_s)
+        return values
+
+    def _stages(self, adc: Adc) -> tuple[OutputStage, Converter]:
+        return (
+            conversion.output_stage(self.sensor, self._errors, self._period_s),
+            conversion.converter(self.sensor, adc, self._board),
+        )

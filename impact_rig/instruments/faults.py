@@ -1,0 +1,228 @@
+"""Faults on demand: what can go wrong between a sensor and a file, each with its start, duration and seed.
+
+Faults of a channel act on the volts of its cable, so they pass through the converter like the real thing; `stuck` acts
+behind it. `lost_block` and `clock_drift` concern the whole board: the rig asks `FaultBoard` about them.
+"""
+
+from __future__ import annotations
+
+import math
+
+import attrs
+import numpy as np
+from numpy.typing import NDArray
+
+from impact_rig.blocks import FAULTS
+from impact_rig.config.faults import PlannedFault, check_kind
+from impact_rig.errors import CommandError, ConfigError
+
+DEFAULT_SPIKE_RATE_HZ = 10.0
+_STREAM = 2  # first number of the spawn key of every fault's generator
+
+
+@attrs.frozen(kw_only=True)
+class Fault:
+    """One fault; times in scans since reset.
+
+    Attributes:
+        kind: one of `config.faults.FAULT_KINDS`.
+        channel: the channel it is on, empty for faults of the whole board.
+        start: first scan it acts on.
+        duration: number of scans, 0 = until it is cleared.
+        value: its size, see `FAULT_KINDS`.
+        seed: seed of its own random numbers.
+        rate_hz: mean rate of a spike train.
+
+    Raises:
+        CommandError: no such kind or channel, or a number out of range.
+    """
+
+    kind: str
+    channel: str = ""
+    start: int = 0
+    duration: int = 0
+    value: float = 0.0
+    seed: int = 0
+    rate_hz: float = DEFAULT_SPIKE_RATE_HZ
+
+    def __attrs_post_init__(self) -> None:
+        try:
+            check_kind(self.kind, self.channel)
+        except ConfigError as error:
+            raise CommandError(str(error)) from error
+        for key, low in (("start", 0), ("duration", 0), ("seed", 0), ("rate_hz", 0), ("value", -math.inf)):
+            number = getattr(self, key)
+            if not math.isfinite(number) or number < low:
+                rule = "finite" if low < 0 else "finite and >= 0"
+                raise CommandError(f"{key} of {self.kind} must be {rule}, got {number!r}")
+
+    def journal(self) -> tuple[str, float, str]:
+        """Return (key, value, text) for a journal row; the row's sample is the start."""
+        return f"{self.kind}/{self.channel}", self.value, f"{self.duration}/{self.seed}/{self.rate_hz:g}"
+
+    @classmethod
+    def from_journal(cls, key: str, value: float, text: str, start: int) -> Fault:
+        """Return the fault of a journal row.
+
+        Raises:
+            CommandError: the row does not describe a fault.
+        """
+        try:
+            kind, channel = key.split("/")
+            duration, seed, rate = text.split("/")
+            numbers = int(duration), int(seed), float(rate)
+        except ValueError as error:
+            raise CommandError(f"not a fault of a journal: key {key!r}, text {text!r}") from error
+        return cls(
+            kind=kind,
+            channel=channel,
+            start=start,
+            duration=numbers[0],
+            value=value,
+            seed=numbers[1],
+            rate_hz=numbers[2],
+        )
+
+
+def planned(fault: PlannedFault, rate_hz: int) -> Fault:
+    """Return the fault that a configuration plans, its times in scans; a duration > 0 lasts at least one scan."""
+    return Fault(
+        kind=fault.kind,
+        channel=fault.channel,
+        start=math.ceil(fault.start_s * rate_hz - 1e-6),
+        duration=math.ceil(fault.duration_s * rate_hz - 1e-6),
+        value=fault.value,
+        seed=fault.seed,
+        rate_hz=fault.rate_hz or DEFAULT_SPIKE_RATE_HZ,
+    )
+
+
+@attrs.define(eq=False)
+class _Active:
+    """A fault on the board, with what it carries from scan to scan."""
+
+    number: int
+    fault: Fault
+    end: float  # first scan it no longer acts on
+    rng: np.random.Generator
+
+    def overlap(self, first: int, count: int) -> slice:
+        """Return the part of the scans first … first + count it acts on."""
+        low = min(max(self.fault.start, first), first + count)
+        high = min(max(self.end, low), first + count)
+        return slice(low - first, int(high) - first)
+
+
+class FaultBoard:
+    """All faults of a rig, planned or injected."""
+
+    def __init__(self, faults: list[Fault], rate_hz: int) -> None:
+        self._rate_hz = rate_hz
+        self._faults: list[_Active] = []
+        self._last_number = 0
+        for fault in faults:
+            self.add(fault)
+
+    def add(self, fault: Fault) -> int:
+        """Put a fault on the board and return its number."""
+        self._last_number += 1
+        end = fault.start + fault.duration if fault.duration else math.inf
+        rng = np.random.default_rng(np.random.SeedSequence(fault.seed, spawn_key=(_STREAM,)))
+        self._faults.append(_Active(self._last_number, fault, end, rng))
+        return self._last_number
+
+    def clear(self, number: int | None, scan: int) -> None:
+        """End one fault, or all, at a scan; a fault that would have started later never does.
+
+        Raises:
+            CommandError: there is no such fault.
+        """
+        chosen = [active for active in self._faults if number in (None, active.number)]
+        if number is not None and not chosen:
+            raise CommandError(f"no fault number {number}")
+        for active in chosen:
+            active.end = min(active.end, max(scan, active.fault.start))
+        self._faults = [active for active in self._faults if active.end > active.fault.start]
+
+    def active_now(self, scan: int) -> tuple[Fault, ...]:
+        """Return the faults that act on one scan."""
+        return tuple(active.fault for active in self._faults if active.fault.start <= scan < active.end)
+
+    def on_cable(
+        self, channel: str, volts: NDArray[np.float64], clipped: NDArray[np.bool_], first: int, gain: float, zero: float
+    ) -> None:
+        """Let the faults of a channel act on the volts of its cable, in place; nominal gain [V/unit] and zero [V]."""
+        for active in self._faults:
+            if active.fault.channel == channel:
+                part = active.overlap(first, len(volts))
+                if part.stop > part.start:
+                    self._act(active, volts[part], clipped[part], gain, zero)
+
+    def _act(
+        self, active: _Active, volts: NDArray[np.float64], clipped: NDArray[np.bool_], gain: float, zero: float
+    ) -> None:
+        fault, value = active.fault, active.fault.value
+        match fault.kind:
+            case "dropout":
+                volts[:] = 0.0
+                clipped[:] = False  # nobody notices an open cable by its range
+            case "offset_step":
+                volts += gain * value
+            case "gain_error":
+                volts += value * (volts - zero)
+            case "added_noise":
+                volts += gain * value * active.rng.standard_normal(len(volts))
+            case "spike_train":
+                chance = active.rng.random(len(volts)) * self._rate_hz / max(fault.rate_hz, 1e-300)
+                volts += gain * value * np.where(chance < 0.5, 1.0, np.where(chance < 1.0, -1.0, 0.0))
+            case "saturation":
+                limit = abs(gain * value)
+                clipped |= np.abs(volts - zero) >= limit
+                np.clip(volts, zero - limit, zero + limit, out=volts)
+
+    def behind_converter(
+        self, channel: str, readings: NDArray[np.float64], clipped: NDArray[np.bool_], first: int, last: float | None
+    ) -> None:
+        """Let a stuck converter repeat itself, in place; `last` is the reading before these."""
+        for active in self._faults:
+            if active.fault.channel == channel and active.fault.kind == "stuck":
+                part = active.overlap(first, len(readings))
+                if part.stop > part.start:
+                    held = readings[part.start - 1] if part.start else readings[0] if last is None else last
+                    readings[part] = held
+                    clipped[part] = False
+
+    def rows(self, first: int, count: int) -> NDArray[np.void]:
+        """Return the `blocks.FAULTS` rows of the scans first … first + count: starts and ends, in order.
+
+        Faults that ended before these scans are forgotten.
+        """
+        self._faults = [active for active in self._faults if active.end >= first]
+        events: list[tuple[int, int, int, _Active]] = []
+        for active in self._faults:
+            for scan, starts in ((active.fault.start, 1), (active.end, 0)):
+                if first <= scan < first + count:
+                    events.append((int(scan), 1 - starts, active.number, active))
+        rows = np.zeros(len(events), dtype=FAULTS)
+        for row, (scan, ends, number, active) in enumerate(sorted(events, key=lambda event: event[:3])):
+            fault = active.fault
+            rows[row] = (
+                (scan - first) / self._rate_hz,
+                scan,
+                number,
+                fault.kind.encode(),
+                fault.channel.encode(),
+                1 - ends,
+                fault.value,
+                (active.end - fault.start) / self._rate_hz,
+            )
+        return rows
+
+    def block_lost(self, first: int, count: int) -> bool:
+        """Whether a lost_block fault acts on any of these scans."""
+        lost = (active for active in self._faults if active.fault.kind == "lost_block")
+        return any(active.fault.start < first + count and active.end > first for active in lost)
+
+    def clock_ppm(self, scan: int) -> float:
+        """Return by how much the scan clock is off at a scan because of faults [ppm]."""
+        return math.fsum(fault.value for fault in self.active_now(scan) if fault.kind == "clock_drift")
