@@ -88,6 +88,10 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
         if "gap_m" in changes and self._newest_ns is not None:
             self._tracker.label(_gap(settings), self._newest_ns)
 
+    def rig_time_ns(self) -> int:
+        """Return the instant of the newest scan; 0 (a stamp nobody filled in) before the first."""
+        return self._newest_ns or self._first_info_ns or 0
+
     def status(self) -> Status:
         """Return the tracker's counters and the latest value."""
         tracker = self._tracker

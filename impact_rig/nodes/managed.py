@@ -98,7 +98,7 @@ class ManagedNode(LifecycleNode, Generic[S]):
         return True
 
     def rig_time_ns(self) -> int:
-        """Return the time that stamps diagnostics: rig time where the node knows it, else the node's clock."""
+        """Return the time that stamps diagnostics: rig time in a node that follows it, here the node's clock."""
         return int(self.get_clock().now().nanoseconds)
 
     # Helpers for subclasses

@@ -48,6 +48,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         self._added: set[str] = set()
         self._sequences: dict[str, int] = {}
         self._lost: Counter[str] = Counter()
+        self._newest_ns = 0
         self._permanent: list[Any] = []
         self._recorded: list[Any] = []
         self._ack: Any = None
@@ -69,6 +70,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         """Listen for the configuration and the scans; start recording if `record` says so."""
         self._failure = ""
         self._configuration = None
+        self._newest_ns = 0
         self._permanent = [
             self.subscribe(topics.CONFIGURATION, self._on_configuration),
             self.subscribe(topics.SCAN, functools.partial(self._on_message, topics.SCAN), raw=True),
@@ -93,6 +95,10 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         if self._ack is not None:
             self.destroy_publisher(self._ack)
             self._ack = None
+
+    def rig_time_ns(self) -> int:
+        """Return the stamp of the newest block; 0 (a stamp nobody filled in) before the first."""
+        return self._newest_ns
 
     def status(self) -> Status:
         """Return what is being written, and what was lost."""
@@ -265,6 +271,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         except CodecError as error:
             self.refuse(topics.SCAN.name, str(error))
             return
+        self._newest_ns = stamp
         self._ack.publish(Header(stamp=time_message(stamp), frame_id=self.get_name()))
 
 

@@ -34,8 +34,8 @@ SHORTEST_PERIOD_S, LONGEST_PERIOD_S = 0.001, 0.05
 AHEAD_PERIOD_S = 0.005
 """Period of the work timer where acknowledgements drive the work."""
 TURN_S = 0.02
-"""How long after a call of the timer acknowledgements may drive the work: an executor that hands over one subscription's
-messages for as long as there are any would never come to services and timers."""
+"""How long after a call of the timer acknowledgements may drive the work: an executor that hands over the messages of
+one subscription for as long as there are any would never come to services and timers."""
 AWAY_S = 1.0
 """A gap this long between two calls of the work timer: this process was suspended, not the peers."""
 WARM_UP_NS = 50_000_000
@@ -60,6 +60,7 @@ class RigNode(ManagedNode[RigConfig]):
         self._peers = Peers(self)
         self._paused = False
         self._steps_left = 0
+        self._info = b""
         self._base_ns = 0
         self._worked_at = self._turn_began = 0.0
         self._figures = RigStatus()
@@ -97,6 +98,7 @@ class RigNode(ManagedNode[RigConfig]):
         self._paused = False
         self._steps_left = 0
         self._figures = RigStatus()
+        self._info = b""
         self._window = AckWindow(
             config.time.peers, config.time.ack_window, round(config.time.peer_timeout_s * NS_PER_S), time.monotonic_ns
         )
@@ -216,12 +218,15 @@ class RigNode(ManagedNode[RigConfig]):
                 self._outlets[topic.name].publish(codec.encode(table))
 
     def _publish_configuration(self) -> None:
-        """Publish configuration and calibration, and take them for the monitors."""
+        """Publish the configuration, and the calibration if it is another; take both for the monitors."""
         assert self._rig is not None
         info = self._rig.info()
         noise = dict(zip(info.rows["name"].astype(str).tolist(), info.rows["noise"].tolist(), strict=True))
         self._monitors = Monitors(self._rig.config, noise)
-        self._outlets[topics.INFO.name].publish(codec.encode(info))
+        encoded = codec.encode(info)
+        if encoded != self._info:
+            self._info = encoded
+            self._outlets[topics.INFO.name].publish(encoded)
         self._outlets[topics.CONFIGURATION.name].publish(String(data=dump(self._rig.config)))
 
     def _publishes_clock(self) -> bool:

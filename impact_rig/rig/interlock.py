@@ -77,7 +77,7 @@ def _looks(motion: Motion, name: str, tick_s: float) -> NDArray[np.float64]:
     """Return a quantity at the instants of the interlock, shape (ticks, LOOKS_PER_TICK)."""
     ticks = len(motion.segments)
     segment = motion.first_segment + np.repeat(np.arange(ticks, dtype=np.int64), LOOKS_PER_TICK)
-    offset = np.tile(np.arange(LOOKS_PER_TICK) * (tick_s / LOOKS_PER_TICK), ticks)
+    offset = np.tile(np.arange(1, LOOKS_PER_TICK + 1) * (tick_s / LOOKS_PER_TICK), ticks)  # the last is the tick's end
     return motion.quantity(name, segment, offset).reshape(ticks, LOOKS_PER_TICK)
 
 

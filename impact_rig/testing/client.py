@@ -255,6 +255,14 @@ class Client:
         request = ChangeState.Request(transition=Transition(id=_TRANSITIONS[transition]))
         return bool(self.call(ChangeState, f"{node}/change_state", request, timeout_s).success)
 
+    def status(self, node: str) -> DiagnosticStatus:
+        """Return a node's latest diagnostics; an empty status before the first was heard."""
+        return self.diagnostics.get(node, DiagnosticStatus(name=node))
+
+    def figures(self, node: str) -> dict[str, str]:
+        """Return the figures of a node's latest diagnostics."""
+        return {value.key: value.value for value in self.status(node).values}
+
     # Topics
 
     def collect(self, name: str, acknowledge: bool = False, timeout_s: float = DEFAULT_TIMEOUT_S) -> Collector:

@@ -5,14 +5,15 @@ from __future__ import annotations
 import fcntl
 import os
 import tempfile
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from impact_rig.errors import ImpactRigError
 
-FIRST_DOMAIN, LAST_DOMAIN = 1, 100
-"""Above 101 the ports of a domain fall into Linux's ephemeral range; 0 is everybody's default."""
+FIRST_DOMAIN, LAST_DOMAIN = 1, 49
+"""0 is everybody's default, and above 101 the ports of a domain fall into Linux's ephemeral range."""
 DISCOVERY_VARIABLE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 
 
@@ -47,7 +48,7 @@ def isolated_domain() -> Iterator[int]:
 
 def _candidates() -> Iterator[int]:
     count = LAST_DOMAIN - FIRST_DOMAIN + 1
-    start = os.getpid() % count  # spreads workers; the locks decide
+    start = time.monotonic_ns() // 1000 % count  # spreads users; the locks decide
     for k in range(count):
         yield FIRST_DOMAIN + (start + k) % count
 

@@ -1,0 +1,17 @@
+"""A user of the graph on a ROS domain of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+
+pytest.importorskip("rclpy", reason="no ROS 2 here")
+
+from impact_rig.testing import Client, isolated_domain
+
+
+@pytest.fixture
+def client() -> Iterator[Client]:
+    with isolated_domain() as domain_id, Client(domain_id) as user:
+        yield user

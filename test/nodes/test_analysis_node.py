@@ -1,0 +1,82 @@
+"""The analysis node gives what `Tracker` gives, and acknowledges every block."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy", reason="no ROS 2 here")
+
+from nodes_support import host_rig, overrides
+
+from impact_rig.analysis.labels import GapLabel, parse_label
+from impact_rig.analysis.tracker import Tracker
+from impact_rig.errors import ConfigError
+from impact_rig.nodes.analysis_node import AnalysisNode
+from impact_rig.testing import Client
+
+pytestmark = pytest.mark.ros
+
+
+def test_rows_are_those_of_the_tracker_bit_for_bit(client: Client) -> None:
+    client.host(AnalysisNode, parameter_overrides=overrides({"gap_m": 0.006}))
+    host_rig(client, time__peers=["analysis", "client"])
+    client.wait_active("rig", "analysis")
+    names = ("daq/info", "shaker/applied", "transmissibility", "transmissibility/table", "impacts")
+    heard = {name: client.collect(name) for name in names}
+    scans = client.collect("daq/scan", acknowledge=True)
+    client.command(current_a=0.52)
+    client.step(2000)
+    client.wait_until(lambda: len(heard["transmissibility"]) >= 2, "settled values")
+
+    tracker = Tracker()
+    (info,) = heard["daq/info"].tables()
+    tracker.configure(info)
+    tracker.label(0.006, info.stamp_ns)
+    for table in heard["shaker/applied"].tables():
+        tracker.command(table)
+    found = [tracker.feed(table) for table in scans.tables()]
+    expected = [table for one in found for table in one.measurements]
+    assert [t.stamp_ns for t in heard["transmissibility/table"].tables()] == [t.stamp_ns for t in expected]
+    assert heard["transmissibility/table"].rows().tobytes() == np.concatenate([t.rows for t in expected]).tobytes()
+    impacts = np.concatenate([table.rows for one in found for table in one.impacts])
+    assert heard["impacts"].rows().tobytes() == impacts.tobytes()
+    settled = [row["transmissibility"] for t in expected for row in t.rows if row["settled"] == 1]
+    assert [message.data for message in heard["transmissibility"].messages] == settled
+    assert heard["transmissibility/table"].rows()["gap"].tolist() == [0.006] * len(expected)
+
+
+def test_labels_come_as_remarks_or_as_a_parameter(client: Client) -> None:
+    node = client.host(AnalysisNode)
+    host_rig(client, time__peers=["analysis"])
+    client.wait_active("rig", "analysis")
+    client.step(3)
+    client.set_parameters("analysis", {"gap_m": 0.004})
+    client.note(GapLabel(0.008, 50_000_000).text())
+    client.note("the operator sneezed")
+    client.step(30)
+    client.wait_until(lambda: math.isclose(node._tracker._gap_m, 0.008), "the label to be in force")
+    with pytest.raises(ConfigError, match="inactive"):
+        client.set_parameters("analysis", {"windows": 16})
+    with pytest.raises(ConfigError, match="-1 for unknown"):
+        client.set_parameters("analysis", {"gap_m": -0.5})
+
+
+@pytest.mark.parametrize("label", [GapLabel(0.1 + 0.2, 0), GapLabel(0.0, -5), GapLabel(1e-3, 2**62)])
+def test_a_label_reads_back_exactly(label: GapLabel) -> None:
+    assert parse_label(label.text()) == label
+
+
+@pytest.mark.parametrize(
+    "remark", ["", "gap_m=6 at 0", "gap_m=-1 at 0", "gap_m=0.006", "gap_m=e at 1", "gap_m=0.1 at " + "9" * 30]
+)
+def test_other_remarks_are_no_labels(remark: str) -> None:
+    assert parse_label(remark) is None
+
+
+def test_an_unknown_gap_is_a_label() -> None:
+    label = parse_label(GapLabel(math.nan, 7).text())
+    assert label is not None
+    assert math.isnan(label.gap_m)

@@ -1,0 +1,187 @@
+"""Lifecycle guards, the parameter validator and diagnostics, on a small node and on both executors."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import attrs
+import pytest
+
+pytest.importorskip("rclpy", reason="no ROS 2 here")
+
+from nodes_support import overrides
+from rcl_interfaces.srv import DescribeParameters
+from rclpy.parameter import Parameter
+from std_srvs.srv import Trigger
+
+from impact_rig.config.fields import integer, names, quantity, switch
+from impact_rig.errors import CommandError, ConfigError
+from impact_rig.nodes.deferred import DeferredTrigger
+from impact_rig.nodes.diagnostics import Level, Status
+from impact_rig.nodes.managed import ManagedNode
+from impact_rig.nodes.parameters import SectionSchema
+from impact_rig.nodes.process import EXECUTOR_VARIABLE
+from impact_rig.testing import Client, ServiceFailedError, isolated_domain
+
+pytestmark = pytest.mark.ros
+
+
+@attrs.frozen(kw_only=True)
+class Settings:
+    speed_m_s: float = quantity(1.0, "m/s", "How fast.", above=0, at_most=10)
+    count: int = integer(3, "-", "How many.", at_least=1)
+    rate_hz: int = integer(10, "Hz", "Fixed.", at_least=1, read_only=True)
+    words: tuple[str, ...] = names((), "Which.")
+    fails: bool = switch(False, "Whether configure fails.")
+    bugs: bool = switch(True, "Whether the timer has a bug.")
+
+    def __attrs_post_init__(self) -> None:
+        if self.speed_m_s > self.count:
+            raise ConfigError(f"speed_m_s must be <= count = {self.count}, got {self.speed_m_s:g}")
+
+
+class Small(ManagedNode[Settings]):
+    """Everything a node can do wrong."""
+
+    def __init__(self, **kwargs: Any) -> None:
+        super().__init__("small", SectionSchema(Settings), **kwargs)
+        self.changes: list[dict[str, Any]] = []
+        self.service(Trigger, "~/raise", self._raise)
+        self.service(Trigger, "~/refuse", self._refuse)
+        self._ticks = 0
+        self.later = DeferredTrigger(self, "~/later", lambda: None, lambda: None)
+
+    def configure(self) -> None:
+        if self.settings.fails:
+            raise RuntimeError("a part is missing")
+        self.steady_timer(0.01, self._tick)
+
+    def settings_changed(self, settings: Settings, changes: dict[str, Any]) -> None:
+        if settings.count == 13:
+            raise CommandError("thirteen is refused by the node itself")
+        self.changes.append(changes)
+
+    def status(self) -> Status:
+        return Status(Level.OK, "fine", {"ticks": self._ticks})
+
+    def _tick(self) -> None:
+        self._ticks += 1
+        if self._ticks == 3 and self.settings.bugs:
+            raise ZeroDivisionError("a bug in a timer")
+        self.later.reply(True, "answered")
+
+    def _raise(self, _request: Any, _response: Any) -> Any:
+        raise KeyError("a bug in a service")
+
+    def _refuse(self, _request: Any, _response: Any) -> Any:
+        raise CommandError("not now")
+
+
+@pytest.fixture(params=["events", "default"])
+def user(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv(EXECUTOR_VARIABLE, request.param)
+    with isolated_domain() as domain_id, Client(domain_id) as client:
+        yield client
+
+
+def test_a_node_survives_bugs_in_callbacks_and_says_so(user: Client) -> None:
+    node = user.host(Small)
+    user.wait_active("small")
+    user.wait_until(lambda: node._ticks > 5, "the timer to go on after its exception")
+    with pytest.raises(ServiceFailedError, match="KeyError: 'a bug in a service'"):
+        user.trigger("small/raise")
+    with pytest.raises(ServiceFailedError, match="not now"):
+        user.trigger("small/refuse")
+    user.wait_until(lambda: user.status("small").level == b"\2", "an error in diagnostics")
+    assert node.refusals.counts == {"exception": 2, "refuse": 1}
+
+
+def test_a_service_may_answer_later_on_every_executor(user: Client) -> None:
+    user.host(Small)
+    user.wait_active("small")
+    assert user.trigger("small/later") == "answered"
+
+
+def test_a_node_survives_invalid_transitions_and_can_be_restarted(user: Client) -> None:
+    node = user.host(Small)
+    user.wait_active("small")
+    for transition in ("configure", "activate", "cleanup"):
+        assert not user.change_state("small", transition)
+        assert user.state("small") == "active"
+    for transition in ("deactivate", "cleanup", "configure", "activate"):
+        assert user.change_state("small", transition)
+    assert node.refusals.counts["transition"] == 3
+
+
+def test_a_failed_configure_leaves_an_unconfigured_node_that_can_be_repaired(client: Client) -> None:
+    client.host(Small, parameter_overrides=overrides({"fails": True, "bugs": False}))
+    client.wait_until(lambda: "a part is missing" in client.status("small").message, "the reason")
+    assert client.state("small") == "unconfigured"
+    client.set_parameters("small", {"fails": False})
+    assert client.change_state("small", "configure")
+    client.wait_until(lambda: client.status("small").message == "fine", "the error to be gone")
+
+
+@pytest.mark.parametrize(
+    ("values", "reason"),
+    [
+        ({"speed_m_s": 0.0}, "speed_m_s must be > 0 and <= 10, got 0.0 m/s"),
+        ({"speed_m_s": float("nan")}, "speed_m_s must be > 0 and <= 10, got nan m/s"),
+        ({"speed_m_s": "fast"}, "speed_m_s must be a number, got 'fast' m/s"),
+        ({"count": 2.5}, "count must be an integer, got 2.5"),
+        ({"count": True}, "count must be an integer, got True"),
+        ({"rate_hz": 20}, "rate_hz can be set at start only (parameter file or -p), it is read-only"),
+        ({"cuont": 4}, "unknown key 'cuont', known are speed_m_s, count, rate_hz, words, fails, bugs"),
+        ({"speed_m_s": 4.0}, "speed_m_s must be <= count = 3, got 4"),
+        ({"speed_m_s": 2.0, "count": 0}, "count must be >= 1, got 0"),
+        ({"count": 13}, "thirteen is refused by the node itself"),
+        ({"words": 3}, "words must be a list of texts, got 3"),
+    ],
+)
+def test_a_bad_value_is_refused_in_the_words_of_the_validator(
+    values: dict[str, Any], reason: str, lasting: Client
+) -> None:
+    with pytest.raises(ConfigError) as refusal:
+        lasting.set_parameters("small", values)
+    assert str(refusal.value) == reason
+    assert lasting.get_parameters("small", ["speed_m_s", "count"]) == {"speed_m_s": 1.0, "count": 3}
+
+
+@pytest.fixture(scope="module")
+def lasting():
+    """One node for all refusals: they must not change it."""
+    with isolated_domain() as domain_id, Client(domain_id) as client:
+        client.host(Small)
+        client.wait_active("small")
+        yield client
+
+
+def test_good_values_are_set_together(client: Client) -> None:
+    node = client.host(Small)
+    client.wait_active("small")
+    client.set_parameters("small", {"speed_m_s": 5, "count": 7, "words": ["a", "b"]})
+    assert node.settings == Settings(speed_m_s=5.0, count=7, words=("a", "b"))
+    assert node.changes == [{"speed_m_s": 5.0, "count": 7, "words": ("a", "b")}]
+    assert client.get_parameters("small", ["speed_m_s"])["speed_m_s"] == 5.0
+    client.set_parameters("small", {"words": [""]})
+    assert node.settings.words == ()
+    assert not node.set_parameters([Parameter("count", value=-1)])[0].successful
+
+
+def test_descriptors_tell_unit_range_and_what_is_fixed(lasting: Client) -> None:
+    request = DescribeParameters.Request(names=["speed_m_s", "count", "rate_hz"])
+    speed, count, rate = lasting.call(DescribeParameters, "small/describe_parameters", request).descriptors
+    assert speed.description == "How fast. [m/s]"
+    assert speed.additional_constraints == "> 0 and <= 10"
+    assert (speed.floating_point_range[0].from_value, speed.floating_point_range[0].to_value) == (0.0, 10.0)
+    assert count.integer_range[0].from_value == 1
+    assert rate.read_only
+    assert not speed.read_only
+
+
+@pytest.mark.parametrize("values", [{"speed_m_s": -1.0}, {"cuont": 1}, {"config_file": "/nowhere.yaml"}])
+def test_bad_values_at_start_refuse_to_configure(client: Client, values: dict[str, Any]) -> None:
+    client.host(Small, parameter_overrides=overrides(values))
+    (word,) = values
+    client.wait_until(lambda: word in client.status("small").message, "the reason")
+    assert client.state("small") == "unconfigured"
