@@ -125,7 +125,7 @@ class Judge:
         """Return the standard uncertainty of X_1 / X_b by noise in `windows` windows, from the newest one."""
         window = self._windows[-1]
         residual = window.residual.sum(axis=0) / window.degrees_of_freedom
-        per_channel = self._calibration.noise_crowding() * residual
+        per_channel = self._calibration.noise_crowding() * np.maximum(residual, self._calibration.noise**2)
         base = abs(complex(window.phasors[:, BASE, 0].mean()))
         scans = float(window.samples.sum()) * self._settings.windows
         if base == 0.0 or not np.isfinite(ratio):

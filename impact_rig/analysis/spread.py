@@ -22,11 +22,24 @@ def variance_of_mean(values: Real) -> float:
     """
     n = len(values)
     deviation = values - values.mean()
-    longest = int(n ** (1.0 / 3.0) + 1e-9)
+    longest = _longest_lag(n)
     total = float(deviation @ deviation)
     for lag in range(1, longest + 1):
         total += 2.0 * (1.0 - lag / (longest + 1.0)) * float(deviation[lag:] @ deviation[:-lag])
     return max(total, 0.0) / (n * (n - longest - 1.0))
+
+
+def student_factor(n: int) -> float:
+    """Return ν/(ν − 2): the variance of a mean whose own variance is known from `variance_of_mean` of n values only.
+
+    ν = 3n / (2(L + 1)) degrees of freedom; the variance of Student's t instead of the normal (GUM Supplement 1, 6.4.9).
+    """
+    freedom = max(1.5 * n / (_longest_lag(n) + 1.0), 3.0)
+    return freedom / (freedom - 2.0)
+
+
+def _longest_lag(n: int) -> int:
+    return int(n ** (1.0 / 3.0) + 1e-9)
 
 
 def block_length(values: Real) -> int:

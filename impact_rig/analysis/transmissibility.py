@@ -24,7 +24,7 @@ from impact_rig.analysis.cycles import RANGE_BIT, Accumulator, Cycles, usable_ha
 from impact_rig.analysis.impacts import MIN_RATE_HZ, ImpactDetector, counted
 from impact_rig.analysis.regime import classify
 from impact_rig.analysis.settings import TrackerSettings
-from impact_rig.analysis.spread import block_length, bootstrap_means, by_class_removed, variance_of_mean
+from impact_rig.analysis.spread import block_length, bootstrap_means, by_class_removed, student_factor, variance_of_mean
 from impact_rig.analysis.words import Method, Regime, Status
 from impact_rig.blocks import CHANNELS
 
@@ -145,10 +145,12 @@ def measure(
         return refuse(Status.SILENCE)
     ratio = mean1 / mean_b
     influence = (x1 - ratio * xb) / mean_b * np.exp(-1j * np.angle(ratio))  # Re: of DT, Im / DT: of the phase
+    crowded_noise = float(max(noise[LASER], calibration.noise[LASER] ** 2) * calibration.noise_crowding()[LASER])
     response = classify(
         x1 / mean1 - 1.0,
         4.0
-        * float(noise[LASER] * calibration.noise_crowding()[LASER] / cycles.samples.mean())
+        * crowded_noise
+        / float(cycles.samples.mean())
         / abs(mean1 * complex(calibration.response(LASER, frequency_hz))) ** 2,
         settings.periodic_tolerance,
         cycles.strikes,
@@ -156,14 +158,19 @@ def measure(
     white = 2.0 * (noise[LASER] + abs(ratio) ** 2 * noise[BASE]) / cycles.samples.sum() / abs(mean1) ** 2
     if response.regime is Regime.PERIODIC:
         method = Method.GUM
-        left = by_class_removed(influence / abs(ratio), round(response.period))
-        spread = np.array([variance_of_mean(left.real), variance_of_mean(left.imag)])
+        classes = round(response.period)
+        left = by_class_removed(influence / abs(ratio), classes)
+        freedom = (len(left) - 1.0) / (len(left) - classes)  # the mean of each class has been taken out, not just one
+        spread = (
+            freedom * student_factor(len(left)) * np.array([variance_of_mean(left.real), variance_of_mean(left.imag)])
+        )
     else:
         method = Method.BLOCK_BOOTSTRAP
         length = max(block_length(influence.real), block_length(influence.imag))
         draws = bootstrap_means(np.stack([x1, xb], axis=1), length, settings.bootstrap_resamples, rng)
         logs = np.log(draws[:, 0] / draws[:, 1] / ratio)
-        spread = np.array([np.var(logs.real), np.var(logs.imag)])
+        # resampled blocks are centred on this record's mean: short by the share of one block
+        spread = np.array([np.var(logs.real), np.var(logs.imag)]) / (1.0 - length / len(cycles))
     variance = np.maximum(spread, white)
     u_amplitude, u_phase = _combined(variance, calibration, frequency_hz, settings.lag_uncertainty, bias / ratio)
     phase = float(np.angle(ratio))

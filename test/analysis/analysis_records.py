@@ -11,6 +11,7 @@ from impact_rig.blocks import APPLIED, CHANNELS, DAQ_INFO, SCAN, Table
 from impact_rig.simtime import stamp_ns
 
 F_N, ZETA = 9.105, 0.0044974
+BASE_M = 50e-6
 PAPER_FREQUENCIES_HZ = (7.5, 8.0, 8.5, 8.9, 9.0, 9.1, 9.2, 9.5, 10.0, 10.5)
 RMS = {"accelerometer": 0.049, "laser": 3e-6, "base": 1e-6, "current": 2e-3}
 LAG_S = {"accelerometer": 22.5e-6, "laser": 0.7e-3, "base": 0.225e-3, "current": 8e-6}
@@ -51,7 +52,7 @@ def steady_record(
     *,
     rate_hz=10_000,
     info=None,
-    base_m=100e-6,
+    base_m=BASE_M,
     current_a=0.5,
     ratio=None,
     noise=1.0,
@@ -122,9 +123,9 @@ _PULSES: dict[float, np.ndarray] = {}
 
 
 def contact_pulse(speed_m_s, m_1=0.13, m=1.0524e-3, e=0.31):
-    """Acceleration of the superior base by one contact as the accelerometer gives it, sampled at FINE_HZ from first touch.
+    """Acceleration of the superior base by one contact as the accelerometer gives it, at FINE_HZ from first touch.
 
-    Hertz-like pulse of 42.1 µs · (0.5 / v)^(1/5) and the right impulse, a 25 kHz resonance of Q 30, a 10 kHz two-pole low-pass.
+    Hertz-like pulse of 42.1 µs · (0.5 / v)^(1/5) and the right impulse, 25 kHz resonance of Q 30, 10 kHz two-pole.
     """
     speed = float(f"{speed_m_s:.2g}")
     if speed not in _PULSES:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -16,7 +18,7 @@ def reduced(samples, rate_hz, frequency_hz, cuts, harmonics=3, origin=0):
     accumulator = Accumulator(rate_hz, frequency_hz, harmonics, origin, -WIDE, WIDE)
     status = np.zeros(samples.shape[1], np.uint8)
     edges = [0, *sorted(cuts), samples.shape[1]]
-    for begin, end in zip(edges[:-1], edges[1:], strict=True):
+    for begin, end in itertools.pairwise(edges):
         accumulator.add(samples, status, begin, end)
     return accumulator.take(accumulator.pending_cycles)
 
@@ -70,7 +72,9 @@ def test_no_bit_depends_on_the_cut(cuts, frequency_hz):
 def test_cycles_tile_the_stream_without_drift():
     """At 25 600 S/s and 9.1 Hz a cycle is no whole number of scans: the k-th edge is the k-th multiple, rounded up."""
     cycles = reduced(np.ones((4, 256_000)), 25_600, 9.1, [], origin=77)
-    assert np.array_equal(cycles.first + cycles.samples, np.append(cycles.first[1:], cycles.first[-1] + cycles.samples[-1]))
+    assert np.array_equal(
+        cycles.first + cycles.samples, np.append(cycles.first[1:], cycles.first[-1] + cycles.samples[-1])
+    )
     assert np.array_equal(cycles.first - 77, np.ceil(np.arange(len(cycles)) * 25_600 / 9.1))
 
 

@@ -1,0 +1,153 @@
+"""Uncertainty of correlated means, settling and regime: against processes whose answer is known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import signal
+
+from impact_rig.analysis.cycles import PHASE_BINS
+from impact_rig.analysis.regime import classify
+from impact_rig.analysis.settling import is_stationary, transient_bias
+from impact_rig.analysis.spread import block_length, bootstrap_means, by_class_removed, variance_of_mean
+from impact_rig.analysis.words import Regime
+
+QUIET = np.zeros((192, PHASE_BINS), np.uint8)
+
+
+def ar1(rng, n, coefficient):
+    return signal.lfilter([1.0], [1.0, -coefficient], rng.standard_normal(n + 200))[200:]
+
+
+def test_variance_of_the_mean_is_unbiased_for_white_noise():
+    rng = np.random.default_rng(1)
+    estimates = [variance_of_mean(rng.standard_normal(48)) for _ in range(4000)]
+    assert np.mean(estimates) == pytest.approx(1 / 48, rel=0.03)
+
+
+def test_variance_of_the_mean_sees_correlation():
+    """An AR(1) process of coefficient 0.5 has a long-run variance of 4; Bartlett weights see most of it."""
+    rng = np.random.default_rng(2)
+    estimates = [variance_of_mean(ar1(rng, 500, 0.5)) for _ in range(300)]
+    assert 0.75 * 4 / 500 < np.mean(estimates) < 1.05 * 4 / 500
+
+
+def test_block_length_grows_with_correlation():
+    rng = np.random.default_rng(3)
+    lengths = [np.median([block_length(ar1(rng, 400, c)) for _ in range(40)]) for c in (0.0, 0.5, 0.9)]
+    assert lengths[0] <= 3 < lengths[1] < lengths[2]
+    assert block_length(np.ones(50)) == 1
+
+
+def test_block_bootstrap_finds_the_spread_of_the_mean_of_a_correlated_series():
+    rng = np.random.default_rng(4)
+    found = []
+    for _ in range(60):
+        series = ar1(rng, 500, 0.7)
+        draws = bootstrap_means(series[:, None].astype(complex), block_length(series), 300, rng)
+        found.append(np.std(draws.real))
+    true = 1 / (1 - 0.7) / np.sqrt(500)
+    assert np.mean(found) == pytest.approx(true, rel=0.15)
+
+
+def test_bootstrap_means_of_constant_rows_are_that_row_and_repeat_with_the_seed():
+    rows = np.tile([1.0 + 2j, 3.0], (50, 1))
+    assert np.allclose(bootstrap_means(rows, 7, 100, np.random.default_rng(5)), rows[0])
+    noise = np.random.default_rng(6).standard_normal((50, 1)).astype(complex)
+    draws = [bootstrap_means(noise, 4, 50, np.random.default_rng(9)) for _ in range(2)]
+    assert draws[0].tobytes() == draws[1].tobytes()
+
+
+def test_a_periodic_pattern_is_removed_by_its_classes():
+    values = np.tile([1.0, 2j, -3.0], 16).astype(complex)
+    assert np.allclose(by_class_removed(values, 3), 0)
+    assert not np.allclose(by_class_removed(values, 2), 0)
+
+
+@pytest.mark.parametrize("ratio", [0.3, 0.9, 0.8 * np.exp(0.7j), -0.5, 0.97])
+@pytest.mark.parametrize("count", [8, 12, 16, 32])
+def test_bias_of_a_single_dying_transient_is_exact(ratio, count):
+    """D_w = D + c q^w: the bias of the mean of the newest 8 windows is the mean of c q^w over them."""
+    w = np.arange(count)
+    windows = 40.0 + 3.0 * ratio**w
+    expected = 3.0 * np.mean(ratio ** w[-8:])
+    if abs(ratio) ** 2 > 0.97:
+        pytest.skip("slower than the bound on q per pair")
+    assert transient_bias(windows, 8) == pytest.approx(expected, rel=1e-6, abs=1e-12)
+
+
+def test_bias_of_noise_is_noise():
+    rng = np.random.default_rng(7)
+    biases = [abs(transient_bias(rng.standard_normal(8) + 1j * rng.standard_normal(8), 8)) for _ in range(500)]
+    assert np.median(biases) < 1.5
+    assert transient_bias(np.full(8, 2.0 + 0j), 8) == 0
+    with pytest.raises(ValueError, match="measured must be 8 to 7"):
+        transient_bias(np.ones(7, complex), 8)
+
+
+def test_stationary_fluctuation_is_told_from_a_trend_and_from_a_dying_beat():
+    rng = np.random.default_rng(8)
+    w = np.arange(32)
+    noise = [rng.standard_normal(32) + 1j * rng.standard_normal(32) for _ in range(200)]
+    assert np.mean([is_stationary(one) for one in noise]) > 0.9
+    assert not any(is_stationary(one + 0.3 * w) for one in noise)
+    assert not any(is_stationary(10 * 0.85**w + 0.3 * one) for one in noise)
+
+
+def cycles_noise(rng, n, rms):
+    return rms / np.sqrt(2) * (rng.standard_normal(n) + 1j * rng.standard_normal(n))
+
+
+@pytest.mark.parametrize("period", [1, 2, 3, 4, 5])
+def test_an_orbit_that_closes_after_p_cycles_is_periodic(period):
+    rng = np.random.default_rng(9)
+    pattern = 0.01 * np.exp(2j * np.pi * rng.random(period)) * (period > 1)
+    deviation = np.tile(pattern, 192 // period + 1)[:192] + cycles_noise(rng, 192, 1e-4)
+    found = classify(deviation, 1e-8, 1e-3, QUIET)
+    assert (found.regime, found.period) == (Regime.PERIODIC, period)
+
+
+def test_a_slow_modulation_and_a_logistic_map_are_told_apart():
+    k = np.arange(192)
+    modulated = classify(0.02 * np.cos(0.3 * k) + 0.01j * np.sin(0.3 * k), 1e-10, 1e-3, QUIET)
+    assert modulated.regime is Regime.MODULATED
+    x = np.empty(192)
+    x[0] = 0.3
+    for i in range(191):
+        x[i + 1] = 3.99 * x[i] * (1 - x[i])
+    chaotic = classify(0.02 * x.astype(complex), 1e-10, 1e-3, QUIET)
+    assert chaotic.regime is Regime.CHAOTIC
+    assert chaotic.spread == pytest.approx(0.02 * np.std(x))
+    assert np.isnan(chaotic.period)
+
+
+def strikes_at(phases):
+    rows = np.zeros((len(phases), PHASE_BINS), np.uint8)
+    for row, own in zip(rows, phases, strict=True):
+        row[[int(p * PHASE_BINS) % PHASE_BINS for p in own]] = 1
+    return rows
+
+
+def test_impacts_decide_where_the_amplitude_stands_still():
+    """A light sphere: the structure's amplitude is steady in all four cases."""
+    rng = np.random.default_rng(10)
+    steady = cycles_noise(rng, 48, 1e-5)
+
+    def regime(phases):
+        found = classify(steady, 1e-10, 1e-3, strikes_at(phases))
+        assert found.steady
+        return found
+
+    two = regime([(0.2, 0.7)] * 48)
+    assert (two.regime, two.period) == (Regime.PERIODIC, 1)
+    five_in_two = regime([(0.2, 0.7), (0.25, 0.6, 0.9)] * 24)
+    assert (five_in_two.regime, five_in_two.period) == (Regime.PERIODIC, 2)
+    missed = regime([(0.2, 0.7) if k % 5 else (0.2,) for k in range(48)])
+    assert missed.regime is Regime.PERIODIC, "a weak impact missed now and then is no chaos"
+    wild = regime([tuple(rng.random(2)) for _ in range(48)])
+    assert wild.regime is Regime.CHAOTIC
+
+
+@pytest.mark.parametrize("deviation", [np.zeros(3, complex), np.full(48, np.nan, complex)])
+def test_too_little_is_unknown(deviation):
+    assert classify(deviation, 0.0, 1e-3, QUIET[: len(deviation)]).regime is Regime.UNKNOWN
