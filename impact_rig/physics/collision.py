@@ -55,7 +55,10 @@ PATIENCE = 25
 """Steps after which riding is offered the contact: an impact takes about 15."""
 _LONGEST = 1e3
 _ROOT_ROUNDS = 60
-_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(10)
+_PEAK_ROUNDS = 12
+_POINTS = 10
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(_POINTS)
+_PLACES = 0.5 * (1.0 + _NODES)
 
 
 class Series(NamedTuple):
@@ -66,12 +69,13 @@ class Series(NamedTuple):
     force: NDArray[np.float64]
     y: NDArray[np.float64]  # (order, WIDTH)
     rows: NDArray[np.float64]  # (order, 16): (w, w², w³) of the order, then dy/dt of the order before
+    at_nodes: NDArray[np.float64]  # (2, quadrature points): scratch
 
 
 def new_series() -> Series:
     """Return room for one step."""
     n = ORDER + 2
-    return Series(np.zeros(n), np.zeros(n), np.zeros(n), np.zeros((n, WIDTH)), np.zeros((n, 16)))
+    return Series(np.zeros(n), np.zeros(n), np.zeros(n), np.zeros((n, WIDTH)), np.zeros((n, 16)), np.zeros((2, _POINTS)))
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"reassoc", "contract", "nsz"})
@@ -89,9 +93,10 @@ def expand(p, f, s, a):  # type: ignore[no-untyped-def]  # compiled: types are i
     angle = f.omega * s[T] + f.phase
     y[0, SINE], y[0, COSINE] = math.sin(angle), math.cos(angle)
     w_0 = w[0]
-    w2 = w_0 * w_0
-    w3 = w2 * w_0
-    rows[0, 0], rows[0, 1], rows[0, 2] = w_0, w2, w3
+    w2_0 = w_0 * w_0
+    w3_0 = w2_0 * w_0
+    w2, w3 = w2_0, w3_0
+    r0, r1, r2, r3, r4, r5, r6, r7 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for k in range(ORDER):
         speed = y[k, SPEED]
         scale = unit / (k + 1)
@@ -99,7 +104,7 @@ def expand(p, f, s, a):  # type: ignore[no-untyped-def]  # compiled: types are i
         w[k + 1] = w_next
         a.t[k + 1] = scale * w[k]
         s0, s1, s2, s3, s4, s5, s6, s7 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-        for i in range(k + 1):  # every product is one with w: w², w³, w⁴ at order k + 1 and w · dy/dt at order k, all at once
+        for i in range(1, k):  # every product is one with w: w², w³, w⁴ at order k + 1 and w · dy/dt at order k
             b = w[k + 1 - i]
             s0 += b * rows[i, 0]
             s1 += b * rows[i, 1]
@@ -109,9 +114,19 @@ def expand(p, f, s, a):  # type: ignore[no-untyped-def]  # compiled: types are i
             s5 += b * rows[i, 5]
             s6 += b * rows[i, 6]
             s7 += b * rows[i, 7]
-        w2_next = s0 + w_0 * w_next
-        w3_next = s1 + w_0 * w2_next
-        w4_next = s2 + w_0 * w3_next
+        if k > 0:  # what the order before has just made comes last, from registers, so that the loop need not wait for it
+            b = w[1]
+            s0 += b * r0
+            s1 += b * r1
+            s2 += b * r2
+            s3 += b * r3
+            s4 += b * r4
+            s5 += b * r5
+            s6 += b * r6
+            s7 += b * r7
+        w2_next = s0 + 2.0 * w_0 * w_next
+        w3_next = s1 + w_0 * w2_next + w2_0 * w_next
+        w4_next = s2 + w_0 * w3_next + w3_0 * w_next
         if linear:
             force = stiffness * w2 + damping * speed
         else:  # w³ δ' is half the derivative of w⁴
@@ -127,21 +142,22 @@ def expand(p, f, s, a):  # type: ignore[no-untyped-def]  # compiled: types are i
         x_b, v_b = y[k, X_BASE], y[k, V_BASE]
         if p.drive == PRESCRIBED:
             x_b, v_b = u, du
+        v_centre = y[k, V_CENTRE]
         offset = w2 + (p.half_gap if k == 0 else 0.0)
         column = -c.k_1 * (y[k, CENTRE] - p.share * side * offset - x_b) - c.c_1 * (
-            y[k, V_CENTRE] - p.share * side * speed - v_b
+            v_centre - p.share * side * speed - v_b
         )
         relative = -force * p.per_m_eff - side * column * p.per_m_1
         pair = column * p.per_m_pair
         d_sine, d_cosine = f.omega * y[k, COSINE], -f.omega * y[k, SINE]
         y[k + 1, SPEED] = scale * (s3 + w_0 * relative)
-        y[k + 1, CENTRE] = scale * (s4 + w_0 * y[k, V_CENTRE])
+        y[k + 1, CENTRE] = scale * (s4 + w_0 * v_centre)
         y[k + 1, V_CENTRE] = scale * (s5 + w_0 * pair)
         y[k + 1, SINE] = scale * (s6 + w_0 * d_sine)
         y[k + 1, COSINE] = scale * (s7 + w_0 * d_cosine)
-        rows[k + 1, 0], rows[k + 1, 1], rows[k + 1, 2] = w_next, w2_next, w3_next
-        rows[k + 1, 3], rows[k + 1, 4], rows[k + 1, 5] = relative, y[k, V_CENTRE], pair
-        rows[k + 1, 6], rows[k + 1, 7] = d_sine, d_cosine
+        r0, r1, r2, r3, r4, r5, r6, r7 = w_next, w2_next, w3_next, relative, v_centre, pair, d_sine, d_cosine
+        rows[k + 1, 0], rows[k + 1, 1], rows[k + 1, 2], rows[k + 1, 3] = r0, r1, r2, r3
+        rows[k + 1, 4], rows[k + 1, 5], rows[k + 1, 6], rows[k + 1, 7] = r4, r5, r6, r7
         a.force[k] = force
         w2, w3 = w2_next, w3_next
         if p.drive == PRESCRIBED:
@@ -230,17 +246,21 @@ def _step_length(p, a, speed_scale, w_scale):  # type: ignore[no-untyped-def]
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"reassoc", "contract", "nsz"})
 def _contact_loss(p, a, beta, grip, unit, h):  # type: ignore[no-untyped-def]
     """Return ∫ viscous force · δ' dt over a step, by Gauss–Legendre quadrature of the series."""
+    w, speed = a.at_nodes[0], a.at_nodes[1]
+    w[:] = a.w[ORDER]
+    speed[:] = a.y[ORDER, SPEED]
+    for k in range(ORDER - 1, -1, -1):  # Horner at all nodes together
+        w_k, speed_k = a.w[k], a.y[k, SPEED]
+        for point in range(_POINTS):
+            x = h * _PLACES[point]
+            w[point] = w[point] * x + w_k
+            speed[point] = speed[point] * x + speed_k
     total = 0.0
-    for point in range(_NODES.shape[0]):
-        x = 0.5 * h * (1.0 + _NODES[point])
-        w, speed = a.w[ORDER], a.y[ORDER, SPEED]
-        for k in range(ORDER - 1, -1, -1):
-            w = w * x + a.w[k]
-            speed = speed * x + a.y[k, SPEED]
-        viscous = p.force.damping * speed
+    for point in range(_POINTS):
+        viscous = p.force.damping * speed[point]
         if p.force.kind != LINEAR:
-            viscous = p.force.stiffness * beta * w * w * w * speed
-        total += _WEIGHTS[point] * viscous * speed * w
+            viscous = p.force.stiffness * beta * w[point] * w[point] * w[point] * speed[point]
+        total += _WEIGHTS[point] * viscous * speed[point] * w[point]
     return 0.5 * h * unit * grip * total
 
 
@@ -256,14 +276,16 @@ def _note_peaks(a, h, w_end, speed_end, s):  # type: ignore[no-untyped-def]
         force, slope_end = _force(a, h)
         s[PEAK_FORCE] = max(s[PEAK_FORCE], force)
         if slope_end < 0.0:
-            left, right = 0.0, h
-            while right - left > 1e-7 * h:
-                middle = 0.5 * (left + right)
+            left, right, slope_left = 0.0, h, a.force[1]
+            for _ in range(_PEAK_ROUNDS):  # Illinois: the force is second order in the place of its peak
+                middle = left + (right - left) * slope_left / (slope_left - slope_end)
                 force, slope = _force(a, middle)
                 if slope > 0.0:
-                    left = middle
+                    left, slope_left, slope_end = middle, slope, 0.5 * slope_end
                 else:
-                    right = middle
+                    right, slope_end, slope_left = middle, slope, 0.5 * slope_left
+                if abs(slope) * h <= 1e-6 * force:
+                    break
             s[PEAK_FORCE] = max(s[PEAK_FORCE], force)
 
 
@@ -280,8 +302,8 @@ def _force(a, x):  # type: ignore[no-untyped-def]
 @njit(cache=True, nogil=True, error_model="numpy")
 def _account(p, f, side, beta, unit, a, h, at, ledger):  # type: ignore[no-untyped-def]
     """Add a step's work and losses outside the contact, by Gauss–Legendre quadrature."""
-    for point in range(_NODES.shape[0]):
-        x = 0.5 * h * (1.0 + _NODES[point])
+    for point in range(_POINTS):
+        x = h * _PLACES[point]
         w, t = evaluate(a, x, at)
         u, du = drive(f, t)
         _, _, _, _, work, columns, shaker, _ = rates(

@@ -85,6 +85,7 @@ class Work(NamedTuple):
     damp: NDArray[np.float64]
     matrix: NDArray[np.float64]
     right: NDArray[np.float64]
+    change: NDArray[np.float64]
     series: Series
 
 
@@ -103,6 +104,7 @@ def new_work(n: int) -> Work:
         **{name: np.zeros(s) for name in ("speed", "depth", "u", "du", "stiff", "damp")},
         matrix=np.zeros((s, s)),
         right=np.zeros(s),
+        change=np.zeros(s),
         series=new_series(),
     )
 

@@ -25,6 +25,7 @@ from impact_rig.physics.collision import (
 )
 from impact_rig.physics.dynamics import LINEAR, contact_force, rates
 from impact_rig.physics.forcing import drive
+from impact_rig.physics.model import PRESCRIBED
 from impact_rig.physics.state import (
     BETA,
     ELAPSED,
@@ -46,7 +47,8 @@ STAGES = 5
 DEPTH, SPEED, TIME, CENTRE = 0, 1, 2, 3
 """Places in z = (δ, δ', t, X, V, x_b, v_b, i)."""
 
-_ROUNDS = 12
+_ROUNDS = 15
+_JACOBIANS = 3  # rounds that renew the Jacobian; later ones only polish
 _SMALLEST = 1e-40  # m; keeps sqrt(δ) real while Newton looks around
 _NOT_STIFF = 1.0
 _SAFETY = 0.8
@@ -74,27 +76,20 @@ _ERROR_ORDER = float(STAGES + 1)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _solve(matrix, right):  # type: ignore[no-untyped-def]  # compiled: types are inferred
-    """Solve a small dense system in place by elimination with partial pivoting."""
-    n = right.shape[0]
+def _invert(matrix):  # type: ignore[no-untyped-def]  # compiled: types are inferred
+    """Invert a small matrix in place (Gauss–Jordan); I − hA·(…) is far from singular, so no pivoting is needed."""
+    n = matrix.shape[0]
     for p in range(n):
-        best = p
-        for i in range(p + 1, n):
-            if abs(matrix[i, p]) > abs(matrix[best, p]):
-                best = i
-        if best != p:
-            for j in range(n):
-                matrix[p, j], matrix[best, j] = matrix[best, j], matrix[p, j]
-            right[p], right[best] = right[best], right[p]
-        for i in range(p + 1, n):
-            factor = matrix[i, p] / matrix[p, p]
-            for j in range(p + 1, n):
-                matrix[i, j] -= factor * matrix[p, j]
-            right[i] -= factor * right[p]
-    for i in range(n - 1, -1, -1):
-        for j in range(i + 1, n):
-            right[i] -= matrix[i, j] * right[j]
-        right[i] /= matrix[i, i]
+        pivot = 1.0 / matrix[p, p]
+        matrix[p, p] = 1.0
+        for j in range(n):
+            matrix[p, j] *= pivot
+        for i in range(n):
+            if i != p:
+                factor = matrix[i, p]
+                matrix[i, p] = 0.0
+                for j in range(n):
+                    matrix[i, j] -= factor * matrix[p, j]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -114,6 +109,7 @@ def _gradient(p, beta, depth, speed):  # type: ignore[no-untyped-def]
 def _stages(p, f, side, beta, z, h, work, tolerance):  # type: ignore[no-untyped-def]
     """Solve the collocation equations of one step from z; return whether they converged."""
     stage, slope, speed = work.stage, work.slope, work.speed
+    width = CENTRE + 2 if p.drive == PRESCRIBED else WIDTH
     for i in range(STAGES):
         work.u[i], work.du[i] = drive(f, z[TIME] + _C[i] * h)
     for round_ in range(_ROUNDS):
@@ -123,7 +119,7 @@ def _stages(p, f, side, beta, z, h, work, tolerance):  # type: ignore[no-untyped
                 depth += h * _A[i, j] * speed[j]
             work.depth[i] = max(depth, _SMALLEST)
             if round_ > 0:
-                for q in range(CENTRE, WIDTH):
+                for q in range(CENTRE, width):
                     value = z[q]
                     for j in range(STAGES):
                         value += h * _A[i, j] * slope[j, q]
@@ -138,21 +134,30 @@ def _stages(p, f, side, beta, z, h, work, tolerance):  # type: ignore[no-untyped
             slope[i, SPEED], slope[i, 4], slope[i, 6], slope[i, 7] = relative, centre, table, coil
             slope[i, 3], slope[i, 5] = stage[i, 4], stage[i, 6]
             work.powers[i, 0], work.powers[i, 1], work.powers[i, 2], work.powers[i, 3] = p0, p1, p2, p3
-            work.stiff[i], work.damp[i] = _gradient(p, beta, work.depth[i], speed[i])
+        if round_ < _JACOBIANS:
+            for i in range(STAGES):
+                work.stiff[i], work.damp[i] = _gradient(p, beta, work.depth[i], speed[i])
+            for i in range(STAGES):
+                for j in range(STAGES):
+                    entry = 0.0
+                    for q in range(STAGES):
+                        entry -= h * h * _A[i, q] * work.stiff[q] * _A[q, j]
+                    work.matrix[i, j] = entry - h * _A[i, j] * work.damp[j] + (1.0 if i == j else 0.0)
+            _invert(work.matrix)
         for i in range(STAGES):
             residual = z[SPEED] - speed[i]
             for j in range(STAGES):
                 residual += h * _A[i, j] * slope[j, SPEED]
-                entry = -h * _A[i, j] * work.damp[j]
-                for q in range(STAGES):
-                    entry -= h * h * _A[i, q] * work.stiff[q] * _A[q, j]
-                work.matrix[i, j] = entry + (1.0 if i == j else 0.0)
             work.right[i] = residual
-        _solve(work.matrix, work.right)
+        for i in range(STAGES):
+            change = 0.0
+            for j in range(STAGES):
+                change += work.matrix[i, j] * work.right[j]
+            work.change[i] = change
         largest = 0.0
         for i in range(STAGES):
-            speed[i] += work.right[i]
-            largest = max(largest, abs(work.right[i]))
+            speed[i] += work.change[i]
+            largest = max(largest, abs(work.change[i]))
         if not largest < math.inf:
             return False
         if round_ > 1 and largest <= tolerance:
