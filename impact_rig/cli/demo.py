@@ -156,7 +156,7 @@ def _measure(config: RigConfig, directory: Path, console: Console) -> dict[float
                     good = found[(found["settled"] == 1.0) & (found["gap"] == case.gap_m)]
                     state = f"DT {good['transmissibility'][-1]:.2f}" if len(good) else "settling"
                     progress.update(task, completed=len(good), state=state)  # type: ignore[arg-type]  # rich's TaskID
-                    return good
+                    return np.asarray(good)
 
                 client.wait_until(
                     lambda: len(settled()) >= MEASUREMENTS,

@@ -1,6 +1,7 @@
-"""The rig's mechanics: linear flights in closed form, contacts integrated in a variable without kinks, sampled afterwards.
+"""The rig's mechanics: flights in closed form, contacts integrated in a variable without kinks.
 
-Never imports rclpy. `Simulation` advances by drive segments made by `FunctionGenerator` and returns a `Motion`, from which instruments sample.
+Never imports rclpy. `Simulation` advances by drive segments made by `FunctionGenerator` and returns a `Motion`, from
+which instruments sample.
 """
 
 from impact_rig.physics.forcing import SEGMENT

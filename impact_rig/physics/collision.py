@@ -1,13 +1,18 @@
 """Collision: one sphere, one wall, 30–100 µs, integrated in a variable in which the equations have no kink.
 
-The force K δ^1.5 has a kink where the contact starts and ends, which limits every classical method to order 2.5. With w = sqrt(δ) and the
-regularised variable s, dt = w ds (a Sundman transformation), the equations are polynomial in the state and analytic through w = 0:
+The force K δ^1.5 has a kink where the contact starts and ends, which limits every classical method to order 2.5. With
+w = sqrt(δ) and the
+regularised variable s, dt = w ds (a Sundman transformation), the equations are polynomial in the state and analytic
+through w = 0:
 
     dw/ds = δ'/2,   dt/ds = w,   dδ'/ds = −w (F/m_eff + side·a_s),   F = K w³ (1 + β δ')
 
-a_s is the superior base's acceleration by its columns alone; the pair's centre of mass (X, V) does not feel F. Polynomial right-hand sides give
-the Taylor series of the solution by recurrence (Cauchy products), so a step is a power series of order `ORDER`, its length follows from the
-last coefficients (Jorba & Zou 2005, Experimental Mathematics 14, 99–117), no step is ever rejected, and the series *is* the dense output: the
+a_s is the superior base's acceleration by its columns alone; the pair's centre of mass (X, V) does not feel F.
+Polynomial right-hand sides give
+the Taylor series of the solution by recurrence (Cauchy products), so a step is a power series of order `ORDER`, its
+length follows from the
+last coefficients (Jorba & Zou 2005, Experimental Mathematics 14, 99–117), no step is ever rejected, and the series
+*is* the dense output: the
 contact's end, its peaks and any sample inside it are polynomial evaluations.
 """
 
@@ -37,8 +42,8 @@ from impact_rig.physics.state import (
     RATE,
     SIDE,
     STEP,
-    T,
     UNIT,
+    T,
     Y,
     add_knot,
 )
@@ -75,7 +80,9 @@ class Series(NamedTuple):
 def new_series() -> Series:
     """Return room for one step."""
     n = ORDER + 2
-    return Series(np.zeros(n), np.zeros(n), np.zeros(n), np.zeros((n, WIDTH)), np.zeros((n, 16)), np.zeros((2, _POINTS)))
+    return Series(
+        np.zeros(n), np.zeros(n), np.zeros(n), np.zeros((n, WIDTH)), np.zeros((n, 16)), np.zeros((2, _POINTS))
+    )
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"reassoc", "contract", "nsz"})
@@ -114,7 +121,7 @@ def expand(p, f, s, a):  # type: ignore[no-untyped-def]  # compiled: types are i
             s5 += b * rows[i, 5]
             s6 += b * rows[i, 6]
             s7 += b * rows[i, 7]
-        if k > 0:  # what the order before has just made comes last, from registers, so that the loop need not wait for it
+        if k > 0:  # the newest row comes last and from registers: the loop need not wait for it
             b = w[1]
             s0 += b * r0
             s1 += b * r1
@@ -127,10 +134,9 @@ def expand(p, f, s, a):  # type: ignore[no-untyped-def]  # compiled: types are i
         w2_next = s0 + 2.0 * w_0 * w_next
         w3_next = s1 + w_0 * w2_next + w2_0 * w_next
         w4_next = s2 + w_0 * w3_next + w3_0 * w_next
-        if linear:
-            force = stiffness * w2 + damping * speed
-        else:  # w³ δ' is half the derivative of w⁴
-            force = stiffness * (w3 + beta * w4_next * 0.5 * (k + 1) / unit)
+        # w³ δ' is half the derivative of w⁴
+        hertzian = stiffness * (w3 + beta * w4_next * 0.5 * (k + 1) / unit)
+        force = stiffness * w2 + damping * speed if linear else hertzian
         u, du = f.amplitude * y[k, SINE], f.amplitude * f.omega * y[k, COSINE]
         if f.slope != 0.0:
             grown_sine, grown_cosine = 0.0, 0.0
@@ -191,7 +197,7 @@ def value(series, x):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def root(series, goal, rising, h):  # type: ignore[no-untyped-def]
-    """Return where in (0, h] the series passes `goal`, which lies between its values at both ends: Newton inside a bracket."""
+    """Return where in (0, h] the series passes `goal`, which its ends enclose: Newton inside a bracket."""
     left, right = 0.0, h
     x = h
     for _ in range(_ROOT_ROUNDS):
@@ -213,7 +219,7 @@ def root(series, goal, rising, h):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def scales(p, approach):  # type: ignore[no-untyped-def]
-    """Return the speed and sqrt(indentation) that a contact with this approach speed reaches: the measure of its tolerances."""
+    """Return the speed and sqrt(indentation) that a contact reaches: the measure of its tolerances."""
     speed = max(approach, p.touch_speed)
     if p.force.kind == LINEAR:
         indentation = speed * math.sqrt(p.m_eff / p.force.stiffness)
@@ -224,7 +230,7 @@ def scales(p, approach):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def stiffness_rate(p, beta, w):  # type: ignore[no-untyped-def]
-    """Return how fast [1/s] the contact's own motion is at indentation w²: the larger of its frequency and its damping rate."""
+    """Return how fast [1/s] the contact's own motion is at indentation w²: its frequency or damping rate."""
     if p.force.kind == LINEAR:
         return max(math.sqrt(p.force.stiffness * p.per_m_eff), p.force.damping * p.per_m_eff)
     rate = p.force.stiffness * p.per_m_eff * w
@@ -335,7 +341,7 @@ def evaluate(a, x, at):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _release(p, a, beta, grip, h, speed_end):  # type: ignore[no-untyped-def]
-    """Return where in a step the force would begin to pull (a contact lets go first) or would press again, or h for neither."""
+    """Return where in a step the force would begin to pull, and so lets go, or presses again; or h."""
     if p.force.kind == LINEAR:
         if grip > 0.0:
             force, _ = _force(a, h)

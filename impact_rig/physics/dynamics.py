@@ -1,4 +1,4 @@
-"""The equations of motion of a contact, in the pair's centre of mass and the indentation; shared by collision and riding."""
+"""The equations of motion of a contact, in the pair's centre of mass and the indentation."""
 
 from __future__ import annotations
 

@@ -1,6 +1,7 @@
 """The event loop: fly, collide, ride, leave — segment by segment of the drive.
 
-Each verb is a file. Every segment starts from its own time zero, and the loop always stops at its end, so nothing depends on how a run was cut.
+Each verb is a file. Every segment starts from its own time zero, and the loop always stops at its end, so nothing
+depends on how a run was cut.
 """
 
 from __future__ import annotations
@@ -91,22 +92,13 @@ class Work(NamedTuple):
 
 def new_work(n: int) -> Work:
     """Return scratch arrays for n structural states."""
-    s = riding.STAGES
-    return Work(
-        *(np.zeros(n, complex) for _ in range(5)),
-        jerk=np.zeros(3),
-        y=np.zeros(5),
-        z=np.zeros(WIDTH),
-        at=np.zeros(WIDTH),
-        powers=np.zeros((s, 4)),
-        stage=np.zeros((s, WIDTH)),
-        slope=np.zeros((s, WIDTH)),
-        **{name: np.zeros(s) for name in ("speed", "depth", "u", "du", "stiff", "damp")},
-        matrix=np.zeros((s, s)),
-        right=np.zeros(s),
-        change=np.zeros(s),
-        series=new_series(),
-    )
+    stages = riding.STAGES
+    modal = [np.zeros(n, complex) for _ in range(5)]
+    states = [np.zeros(5), np.zeros(WIDTH), np.zeros(WIDTH)]
+    tables = [np.zeros((stages, width)) for width in (4, WIDTH, WIDTH)]
+    per_stage = [np.zeros(stages) for _ in range(6)]
+    newton = [np.zeros((stages, stages)), np.zeros(stages), np.zeros(stages)]
+    return Work(*modal, np.zeros(3), *states, *tables, *per_stage, *newton, new_series())  # type: ignore[call-arg, arg-type]  # in the order of the fields
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -145,10 +137,10 @@ def _fly_on(p, s, d, rate):  # type: ignore[no-untyped-def]
 @njit(cache=True, nogil=True, error_model="numpy")
 def _note(log, segment, offset, side, approach, separation, force, indentation, impulse, duration, lost):  # type: ignore[no-untyped-def]
     """Append an impact."""
-    row = log.impacts[log.count[1]]
+    row = log.impacts[log.filled[1]]
     row[0], row[1], row[2], row[3], row[4] = segment, offset, side, approach, separation
     row[5], row[6], row[7], row[8], row[9] = force, indentation, impulse, duration, lost
-    log.count[1] += 1
+    log.filled[1] += 1
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -166,7 +158,7 @@ def _leave(p, s, log):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _bounce(p, s, side, segment, acceleration, log, ledger):  # type: ignore[no-untyped-def]
-    """Reverse the relative speed at once, or let the sphere ride when it would no longer bounce off a wall that presses it."""
+    """Reverse the relative speed at once, or let a sphere ride that no longer bounces off a pressing wall."""
     speed = max(0.0, side * s[RATE])
     e = p.force.restitution
     rides = e * speed <= p.touch_speed and side * acceleration <= 0.0
@@ -222,7 +214,8 @@ def _attached_phase(p, system, f, work, s, t_end, log, ledger, account):  # type
 def run(model, segments, first, base, s, work, log, ledger, account):  # type: ignore[no-untyped-def]
     """Advance s through `segments[first:]`, numbered from `base`; return (how it ended, the segment it is in).
 
-    Knots, impacts and energies go to `log` and `ledger`; flights are accounted for only if `account`, because it costs as much as flying.
+    Knots, impacts and energies go to `log` and `ledger`; flights are accounted for only if `account`, because it
+    costs as much as flying.
     """
     p = model.p
     omega, aimed = -1.0, -1
@@ -231,20 +224,20 @@ def run(model, segments, first, base, s, work, log, ledger, account):  # type: i
         f = Forcing(row["omega"], row["phase"], row["amplitude"], row["slope"])
         t_end = row["duration"]
         if s[T] == 0.0:
-            log.first[index] = log.count[0]
+            log.first[index] = log.filled[0]
         fresh = True
         for _ in range(_EVENTS_PER_SEGMENT):
-            if log.count[0] + _ROOM > log.knots.shape[0] or log.count[1] + 2 > log.impacts.shape[0]:
+            if log.filled[0] + _ROOM > log.knots.shape[0] or log.filled[1] + 2 > log.impacts.shape[0]:
                 return NEED_ROOM, index
             phase = s[PHASE]
-            if phase == FREE or phase == ATTACHED:
+            if phase in (FREE, ATTACHED):
                 attached = 1 if phase == ATTACHED else 0
                 system = model.attached if attached else model.loose
                 if attached != aimed or f.omega != omega:
                     transfer(system, f.omega, work.answer, work.drift)
                     omega, aimed, fresh = f.omega, attached, True
                 if fresh:
-                    aim(system, f, work, t_end)
+                    aim(f, work, t_end)
                     fresh = False
                 if attached:
                     _attached_phase(p, system, f, work, s, t_end, log, ledger, account)

@@ -1,6 +1,7 @@
 """Flight: the sphere is loose, the structure is linear, and both are known in closed form until a wall is reached.
 
-The next touch is found by conservative strides: with the third derivative of the gap bounded, a cubic tells how long no wall can be reached; repeated,
+The next touch is found by conservative strides: with the third derivative of the gap bounded, a cubic tells how long
+no wall can be reached; repeated,
 the strides close in on the first touch from before it and cannot step over it, however short or grazing the crossing.
 """
 
@@ -14,7 +15,18 @@ from numba import njit
 from impact_rig.physics.forcing import drive, particular
 from impact_rig.physics.linear import COIL, V1, VB, X1, XB
 from impact_rig.physics.model import PRESCRIBED, VOLTAGE
-from impact_rig.physics.state import GAP, LEDGER_COLUMNS, LEDGER_FRICTION, LEDGER_SHAKER, LEDGER_WORK, RATE, SIDE, SLID, T, Y
+from impact_rig.physics.state import (
+    GAP,
+    LEDGER_COLUMNS,
+    LEDGER_FRICTION,
+    LEDGER_SHAKER,
+    LEDGER_WORK,
+    RATE,
+    SIDE,
+    SLID,
+    T,
+    Y,
+)
 
 _TIME_RESOLUTION = 2.0**-51
 _ROUNDS = 12
@@ -36,7 +48,7 @@ def prepare(system, f, work, y, push, t):  # type: ignore[no-untyped-def]  # com
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def wall(system, f, work, push, since, t, order):  # type: ignore[no-untyped-def]
-    """Return the derivatives order, order + 1 and order + 2 of x_1 at t, `since` the last `prepare`, and a bound on the next one from t on."""
+    """Return three derivatives of x_1 at t, from `order` on, and a bound on the next one from t on."""
     rate, right = system.modes.rate, system.modes.right
     d0, d1, d2, bound = system.static[X1] * push if order == 0 else 0.0, 0.0, 0.0, work.jerk[order]
     for k in range(rate.shape[0]):
@@ -65,8 +77,8 @@ def wall(system, f, work, push, since, t, order):  # type: ignore[no-untyped-def
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def aim(system, f, work, t_end):  # type: ignore[no-untyped-def]
-    """Prepare the particular solution of a segment, and bounds on what the drive adds to the derivatives 3, 4 and 5 of x_1."""
+def aim(f, work, t_end):  # type: ignore[no-untyped-def]
+    """Prepare a segment's particular solution, and bounds on its part in the derivatives 3, 4 and 5 of x_1."""
     particular(f, work.answer, work.drift, work.steady, work.growing)
     level = abs(work.steady[X1]) + abs(work.growing[X1]) * t_end
     growing = abs(work.growing[X1])
@@ -94,7 +106,8 @@ def stride(distance, speed, acceleration, jerk, horizon):  # type: ignore[no-unt
     """Return a time, at most `horizon`, in which a point cannot cover `distance`.
 
     It has `speed` and `acceleration` towards the target and |jerk| is bounded, so within any h it covers at most
-    speed τ + (acceleration + jerk h / 3) τ² / 2. The first time r(h) at which that reaches the distance is safe if it comes before h, and
+    speed τ + (acceleration + jerk h / 3) τ² / 2. The first time r(h) at which that reaches the distance is safe if it
+    comes before h, and
     h itself is safe otherwise; the best h is where both agree, and is found to within a few per cent.
     """
     if jerk <= 0.0:
@@ -116,7 +129,7 @@ def stride(distance, speed, acceleration, jerk, horizon):  # type: ignore[no-unt
             if h >= horizon:
                 return horizon
             safe = h
-            h = min(min(2.0 * h, reach), horizon)
+            h = min(2.0 * h, reach, horizon)
         else:
             safe = max(safe, reach)
             if reach > 0.8 * h or reach <= 0.0:
@@ -186,7 +199,7 @@ def fly(p, system, f, work, s, t_end):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def carry(p, system, f, work, s, t_end):  # type: ignore[no-untyped-def]
-    """Advance sphere and superior base as one body until they part or to t_end; return which way the sphere then goes, or 0.
+    """Advance sphere and base as one body until they part or to t_end; return which way the sphere then goes.
 
     SIDE is the wall that presses the sphere, or 0 when guide friction holds it.
     """
@@ -196,7 +209,7 @@ def carry(p, system, f, work, s, t_end):  # type: ignore[no-untyped-def]
     while True:
         a, jerk, snap, bound = wall(system, f, work, 0.0, t - start, t, 2)
         rest = t_end - t
-        # the base may pull away from the sphere to the right (sphere lags: -1) or to the left (+1), but not through a wall
+        # the base may pull away to the right (the sphere lags: -1) or to the left (+1), but not through a wall
         lag = stride(max(0.0, p.friction - a), jerk, snap, bound, rest) if side >= 0.0 else math.inf
         lead = stride(max(0.0, p.friction + a), -jerk, -snap, bound, rest) if side <= 0.0 else math.inf
         step = min(lag, lead)
@@ -225,7 +238,7 @@ def flight_energy(p, system, f, work, push, begin, end, s, ledger):  # type: ign
     fastest = f.omega
     for k in range(system.modes.rate.shape[0]):
         fastest = max(fastest, abs(system.modes.rate[k]))
-    panels = int(math.ceil((end - begin) * fastest / _PANEL))
+    panels = math.ceil((end - begin) * fastest / _PANEL)
     if panels == 0:
         return
     width = (end - begin) / panels

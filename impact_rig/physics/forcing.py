@@ -6,7 +6,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 SEGMENT = np.dtype([("duration", "f8"), ("omega", "f8"), ("phase", "f8"), ("amplitude", "f8"), ("slope", "f8")])
 """Drive segments, in order: seconds, rad/s, rad, and amplitude and its rate in A, m or V by drive."""
@@ -41,7 +40,7 @@ def bound_omega(system, omega):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _resolvent(modes, omega, vector, out):  # type: ignore[no-untyped-def]
-    """out = (jω − M)^-1 vector; each kept mode stands for itself and its conjugate."""
+    """Out = (jω − M)^-1 vector; each kept mode stands for itself and its conjugate."""
     out[:] = 0.0
     for k in range(modes.rate.shape[0]):
         rate = modes.rate[k]
@@ -57,7 +56,7 @@ def _resolvent(modes, omega, vector, out):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def transfer(system, omega, answer, drift):  # type: ignore[no-untyped-def]
-    """Fill H = R (b0 + jω b1) and G = R b1 − R H with R = (jω − M)^-1: the answers to a steady and to a growing drive."""
+    """Fill H = R (b0 + jω b1) and G = R b1 − R H, R = (jω − M)^-1: answers to a steady and a growing drive."""
     n = system.b0.shape[0]
     vector = np.empty(n, np.complex128)
     for i in range(n):

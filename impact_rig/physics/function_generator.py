@@ -1,6 +1,7 @@
 """The function generator: turns commands into drive segments, phase-continuous, with ramped amplitude.
 
-One segment per tick of the command grid. Phases are computed from the number of ticks since the last change, never added up, so they
+One segment per tick of the command grid. Phases are computed from the number of ticks since the last change, never
+added up, so they
 neither drift nor depend on how many segments are asked for at once.
 """
 
@@ -24,7 +25,8 @@ _NOISE_CHUNK = 256  # ticks of noise made at once: fixed, so that chunks do not 
 class FunctionGenerator:
     """Sine with phase-continuous frequency changes, a chirp in steps of one tick, or seeded band-limited noise.
 
-    The amplitude moves linearly to a new command within `shaker.ramp_s`, rounded up to whole ticks. Random drive is Gaussian noise of unit rms,
+    The amplitude moves linearly to a new command within `shaker.ramp_s`, rounded up to whole ticks. Random drive is
+    Gaussian noise of unit rms,
     band-passed and held to first order between ticks; its amplitude is an rms value.
 
     Attributes:
@@ -66,7 +68,7 @@ class FunctionGenerator:
     @property
     def amplitude(self) -> float:
         """Amplitude at the next tick."""
-        return self._amplitude_at(self.tick)
+        return float(self._amplitude_at(np.array(self.tick)))
 
     @property
     def target_amplitude(self) -> float:
@@ -135,12 +137,12 @@ class FunctionGenerator:
             rows[i]["omega"], rows[i]["phase"] = 2.0 * math.pi * frequency, self._anchor_phase
             self._anchor_phase = math.fmod(self._anchor_phase + 2.0 * math.pi * frequency * self._tick_s, 2.0 * math.pi)
 
-    def _amplitude_at(self, tick):  # type: ignore[no-untyped-def]  # int -> float, array -> array
+    def _amplitude_at(self, tick: NDArray[np.int64]) -> NDArray[np.float64]:
         first, start, target = self._ramp
         if start == target or self._ramp_ticks == 0:
-            return target + 0.0 * tick
+            return np.full(tick.shape, target)
         part = np.clip((tick - first) / self._ramp_ticks, 0.0, 1.0)
-        return start + (target - start) * part
+        return np.asarray(start + (target - start) * part)
 
     def _noise_at(self, tick: int, count: int) -> NDArray[np.float64]:
         while self._noise_start + len(self._noise) < tick + count:

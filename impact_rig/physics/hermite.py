@@ -7,7 +7,7 @@ from numba import njit
 
 @njit(cache=True, nogil=True)
 def quintic(y0, d0, e0, y1, d1, e1, h, s):  # type: ignore[no-untyped-def]  # compiled: types are inferred
-    """Return value, first and second derivative at s in [0, h]; the error of the value is below max|y⁽⁶⁾| h⁶ / 46080."""
+    """Return value and two derivatives at s in [0, h]; the value's error is below max|y⁽⁶⁾| h⁶ / 46080."""
     q = s / h
     rise = y1 - y0 - h * (d0 + 0.5 * h * e0)
     turn = h * (d1 - d0 - h * e0)

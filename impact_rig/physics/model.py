@@ -98,4 +98,4 @@ def _system(c: Constants, kind: str, mass: float) -> LinearSystem:
     b0, b1 = input_vectors(c, kind, mass)
     push = np.zeros(len(b0))
     push[1] = 1.0 / mass
-    return LinearSystem(modes(matrix), b0, b1, -np.linalg.solve(matrix, push))
+    return LinearSystem(modes(matrix), b0, b1, np.asarray(-np.linalg.solve(matrix, push), np.float64))

@@ -1,7 +1,9 @@
 """Riding: the sphere is pressed on a wall for part of the cycle, on a contact spring far faster than everything else.
 
-An explicit method would follow the contact's own 5 kHz; here steps as long as the structure allows are wanted. Radau IIA collocation (L-stable,
-order 2 s − 1; Hairer & Wanner 1996, section IV.5) on δ' = v, v' = g: the stages' speeds are the only unknowns, Newton solves them with
+An explicit method would follow the contact's own 5 kHz; here steps as long as the structure allows are wanted. Radau
+IIA collocation (L-stable,
+order 2 s − 1; Hairer & Wanner 1996, section IV.5) on δ' = v, v' = g: the stages' speeds are the only unknowns, Newton
+solves them with
 the exact 2 × 2 coupling, and the slow centre of mass follows by fixed-point iteration in the same rounds.
 """
 
@@ -167,7 +169,7 @@ def _stages(p, f, side, beta, z, h, work, tolerance):  # type: ignore[no-untyped
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def ride(p, f, work, s, t_end, log, ledger):  # type: ignore[no-untyped-def]
-    """Advance a sphere pressed on a wall until the segment ends or the motion is no longer stiff (lift-off, or a fast start)."""
+    """Advance a sphere pressed on a wall until the segment ends or the motion is no longer stiff."""
     side, beta = s[SIDE], s[BETA]
     z, start, slope = work.z, work.at, work.slope
     z[DEPTH], z[SPEED], z[TIME] = s[GAP], s[RATE], s[T]

@@ -1,7 +1,9 @@
 """Evaluate a trajectory at any instants, after the fact: instruments read the motion and never touch it.
 
-In flight the closed form is expanded into short Taylor polynomials anchored at fixed places of the flight, so a sample costs a dozen multiplications and
-does not depend on which other samples are asked for. Inside a contact the collision's own series is evaluated; riding steps are interpolated.
+In flight the closed form is expanded into short Taylor polynomials anchored at fixed places of the flight, so a
+sample costs a dozen multiplications and
+does not depend on which other samples are asked for. Inside a contact the collision's own series is evaluated; riding
+steps are interpolated.
 """
 
 from __future__ import annotations
@@ -11,7 +13,7 @@ import math
 import numpy as np
 from numba import njit
 
-from impact_rig.physics.collision import V_CENTRE, CENTRE, COIL, SPEED, V_BASE, X_BASE, evaluate, expand, root
+from impact_rig.physics.collision import CENTRE, COIL, SPEED, V_BASE, V_CENTRE, X_BASE, evaluate, expand, root
 from impact_rig.physics.dynamics import contact_force, rates
 from impact_rig.physics.flight import prepare
 from impact_rig.physics.forcing import Forcing, bound_omega, drive, particular, transfer
@@ -82,7 +84,7 @@ def _from_contact(p, f, knot, t, w, speed, centre, v_centre, x_base, v_base, coi
     u, du = drive(f, t)
     force, _ = contact_force(p.force, w, speed, knot[BETA])
     force *= grip
-    relative, centre_rate, table, _, _, _, _, _ = rates(
+    _, centre_rate, table, _, _, _, _, _ = rates(
         p, side, knot[BETA], u, du, w, speed, centre, v_centre, x_base, v_base, coil
     )
     offset = side * (p.half_gap + w * w)
@@ -164,7 +166,8 @@ def _in_riding(p, f, knot, after, t, out):  # type: ignore[no-untyped-def]
 def sample(model, segments, base, knots, first, wanted, which, offsets, work, poly, out):  # type: ignore[no-untyped-def]
     """Fill out[q, i] with quantity wanted[q] at `offsets[i]` seconds into segment `which[i]`.
 
-    `first[j]` is the row of the first knot of segment base + j; consecutive queries in the same piece reuse its coefficients.
+    `first[j]` is the row of the first knot of segment base + j; consecutive queries in the same piece reuse its
+    coefficients.
     """
     p = model.p
     every = np.empty(13)
@@ -198,7 +201,7 @@ def sample(model, segments, base, knots, first, wanted, which, offsets, work, po
             fresh = False
         knot = knots[current_knot]
         phase = knot[PHASE]
-        if phase == FREE or phase == ATTACHED:
+        if phase in (FREE, ATTACHED):
             attached = phase == ATTACHED
             slide = 0.0 if attached else knot[SIDE]
             push = slide * p.m * p.friction
@@ -219,7 +222,7 @@ def sample(model, segments, base, knots, first, wanted, which, offsets, work, po
                 for q in range(n_wanted):
                     quantity = wanted[q]
                     if attached:  # one body: the sphere moves as the base, and a wall may push it
-                        if quantity == X_2 or quantity == V_2 or quantity == A_2:
+                        if quantity in (X_2, V_2, A_2):
                             quantity -= 1
                         elif quantity >= FORCE_LEFT:
                             quantity = A_1

@@ -40,7 +40,8 @@ _PLACES = {"left": -1.0, "centre": 0.0, "right": 1.0}
 class EnergyAccount:
     """Energies since the reset [J]: each term integrated on its own, so that `imbalance` measures the integration.
 
-    work: done by the drive (coil force, coil voltage or prescribed base); columns, shaker, contact, friction: lost there;
+    work: done by the drive (coil force, coil voltage or prescribed base); columns, shaker, contact, friction: lost
+    there;
     stored: kinetic and potential, less what was stored at the reset.
     """
 
@@ -122,7 +123,7 @@ class Simulation:
         x_b: float = 0.0,
         v_b: float = 0.0,
     ) -> None:
-        """Set the state by hand: superior base, sphere relative to it (d = x_2 − x_1), and the base of a free shaker."""
+        """Set the state by hand: superior base, sphere relative to it (d = x_2 − x_1), base of a free shaker."""
         y = np.zeros(5)
         y[X1], y[V1], y[XB], y[VB] = x_1, v_1, x_b, v_b
         self._begin(y)
@@ -140,7 +141,7 @@ class Simulation:
             segments = segments.copy()
             segments["amplitude"] = segments["slope"] = 0.0
         log = self._log
-        log.count[:] = 0
+        log.filled[:] = 0
         log = log._replace(first=np.zeros(len(segments) + 1, np.int64))
         index = 0
         while True:
@@ -160,7 +161,7 @@ class Simulation:
             last = segments[-1]
             f = Forcing(last["omega"], last["phase"], last["amplitude"], last["slope"])
             self._state[Y + XB], self._state[Y + VB] = drive(f, last["duration"])
-        knots, impacts = int(log.count[0]), int(log.count[1])
+        knots, impacts = int(log.filled[0]), int(log.filled[1])
         log.first[-1] = knots
         rows = np.zeros(impacts, IMPACT)
         for column, name in enumerate(IMPACT_COLUMNS):

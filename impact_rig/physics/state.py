@@ -1,6 +1,7 @@
 """Layout of the state that the event loop carries and of the knots it leaves behind.
 
-A trajectory is a list of knots. A knot holds the state at one instant and the phase of motion that goes on from there, which is enough to evaluate
+A trajectory is a list of knots. A knot holds the state at one instant and the phase of motion that goes on from
+there, which is enough to evaluate
 the motion up to the next knot: in closed form in flight, by Hermite interpolation between the steps of a contact.
 """
 
@@ -13,7 +14,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 FREE, COLLISION, RIDING, ATTACHED = range(4)
-"""Phases: sphere in flight; in a contact integrated in the regularised variable; pressed on a wall; moving with the superior base as one body."""
+"""Phases: in flight; in a collision; pressed on a wall by a compliant contact; one body with the superior base."""
 
 T = 0  # time since the start of the drive segment [s]
 PHASE = 1
@@ -57,19 +58,19 @@ IMPACT_COLUMNS = (
 
 
 class Log(NamedTuple):
-    """What a run leaves behind: knots (n, KNOT) and impacts (k, len(IMPACT_COLUMNS)), and how many of each are filled."""
+    """What a run leaves behind: knots (n, KNOT), impacts (k, IMPACT_COLUMNS), and how many are filled."""
 
     knots: NDArray[np.float64]
     impacts: NDArray[np.float64]
-    count: NDArray[np.int64]  # knots, impacts
+    filled: NDArray[np.int64]  # knots, impacts
     first: NDArray[np.int64]  # row of each segment's first knot
 
 
 @njit(cache=True, nogil=True)
 def add_knot(log, s):  # type: ignore[no-untyped-def]  # compiled: types are inferred
     """Append the state as a knot; the event loop makes room before it calls a phase."""
-    row = log.count[0]
+    row = log.filled[0]
     if row < log.knots.shape[0]:
         for q in range(KNOT):
             log.knots[row, q] = s[q]
-    log.count[0] = row + 1
+    log.filled[0] = row + 1

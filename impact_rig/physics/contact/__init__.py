@@ -1,11 +1,11 @@
 """Contact laws, one file each, found by name.
 
-To add a law: write `contact/<name>.py` with a class that gives `hysteresis_factor`, add it to `_LAWS` here and its name to
+To add a law: write `contact/<name>.py` with a class that gives `hysteresis_factor`, add it to `_LAWS` here and its
+name to
 `impact_rig.config.CONTACT_LAWS`; the parametrised tests then hold it to the closed form by themselves.
 """
 
 from __future__ import annotations
-
 
 from impact_rig.config import Contact
 from impact_rig.physics.contact.base import ContactLaw, ContactPair, ForceKind, ForceModel, HystereticLaw

@@ -59,7 +59,7 @@ class ContactLaw(Protocol):
 
 
 def check_restitution(law: object, attribute: attrs.Attribute[float], value: float) -> None:
-    """attrs validator: 0 < e <= 1."""
+    """Attrs validator: 0 < e <= 1."""
     if not (math.isfinite(value) and 0.0 < value <= 1.0):
         raise ConfigError(f"{type(law).__name__}.{attribute.name} must be > 0 and <= 1, got {value!r}")
 

@@ -1,6 +1,7 @@
 """The factor that returns exactly the asked restitution.
 
-    F = K δ^(3/2) (1 + a δ'/v0),   ln[(1 + a) / (1 − a e)] = a (1 + e)        δ [m], δ', v0 [m/s], F [N] positive in compression
+    F = K δ^(3/2) (1 + a δ'/v0),   ln[(1 + a) / (1 − a e)] = a (1 + e)        δ [m], δ', v0 [m/s], F [N] positive in
+    compression
 
 Source: closed form of the Hunt–Crossley family, see `impact_rig.physics.restitution`.
 Returns e: 0.350 for e = 0.35, with a = 2.52338.

@@ -1,6 +1,7 @@
 """Herbert and McWhannell contact.
 
-    F = K δ^(3/2) (1 + a δ'/v0),   a = 6 (1 − e) / [(2e − 1)² + 3]        δ [m], δ', v0 [m/s], F [N] positive in compression
+    F = K δ^(3/2) (1 + a δ'/v0),   a = 6 (1 − e) / [(2e − 1)² + 3]        δ [m], δ', v0 [m/s], F [N] positive in
+    compression
 
 Source: Herbert & McWhannell (1977), J. Eng. Ind. 99, 671–674.
 Returns 0.534 for e = 0.35.

@@ -2,7 +2,8 @@
 
     F = K δ^(3/2) (1 + a δ'/v0),   a = 3 (1 − e) / (2 e)        δ [m], δ', v0 [m/s], F [N] positive in compression
 
-Source: Hu & Guo (2015), A dissipative contact force model for impact analysis in multibody dynamics, Multibody Syst. Dyn. 35, 131–151.
+Source: Hu & Guo (2015), A dissipative contact force model for impact analysis in multibody dynamics, Multibody Syst.
+Dyn. 35, 131–151.
 Returns 0.325 for e = 0.35.
 """
 

@@ -3,7 +3,8 @@
     F = k δ + c δ',   k = m (π² + ln²e) / t_c²,   c = −2 m ln(e) / t_c        m: effective mass, t_c: contact time
 
 Source: Nagurka & Huang (2004), A mass-spring-damper model of a bouncing ball, Proc. American Control Conference.
-The force jumps to c v0 at the first touch and pulls just before the end. Released at zero indentation (as published) it returns e;
+The force jumps to c v0 at the first touch and pulls just before the end. Released at zero indentation (as published)
+it returns e;
 released at zero force it returns more: 0.434 for e = 0.35.
 """
 

@@ -1,6 +1,7 @@
 """Zhiying and Qishao contact: Lankarani–Nikravesh corrected for low restitution.
 
-    F = K δ^(3/2) (1 + a δ'/v0),   a = ¾ (1 − e²) exp[2 (1 − e)]        δ [m], δ', v0 [m/s], F [N] positive in compression
+    F = K δ^(3/2) (1 + a δ'/v0),   a = ¾ (1 − e²) exp[2 (1 − e)]        δ [m], δ', v0 [m/s], F [N] positive in
+    compression
 
 Source: Zhiying & Qishao (2006), J. Vib. Shock 25, 46–50.
 Returns 0.361 for e = 0.35.
