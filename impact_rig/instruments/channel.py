@@ -16,9 +16,13 @@ from impact_rig.instruments.clock import ScanClock
 from impact_rig.instruments.conversion import Converter, OutputStage
 from impact_rig.instruments.faults import FaultBoard
 from impact_rig.instruments.motion import Motion
+from impact_rig.instruments.noise import Noise
 from impact_rig.instruments.pieces import NODES, Pieces, polynomials
 from impact_rig.instruments.response import Response
 from impact_rig.instruments.sensor import Sensor
+
+Instants = tuple[NDArray[np.int64], NDArray[np.float64]]
+"""(segment, offset into it [s]), shapes (n,)."""
 
 
 @attrs.frozen(eq=False)
@@ -49,12 +53,14 @@ class Sine:
     frequency_hz: float
     amplitude: float
 
-    def replace(
-        self, values: NDArray[np.float64], stretch: Stretch, segment: NDArray[np.int64], offset_s: NDArray[np.float64]
-    ) -> None:
+    def covers(self, tick: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Whether the sine is on during each of some ticks."""
+        return (tick >= self.first_tick) & (tick < self.first_tick + self.ticks)
+
+    def replace(self, values: NDArray[np.float64], stretch: Stretch, at: Instants) -> None:
         """Overwrite the values, shape (n,), at those instants that lie in the sine's ticks."""
-        tick = segment - stretch.first_segment + (stretch.first_tick - self.first_tick)
-        _sine(tick, offset_s, self.ticks, stretch.tick_s, 2.0 * math.pi * self.frequency_hz, self.amplitude, values)
+        tick = at[0] - stretch.first_segment + (stretch.first_tick - self.first_tick)
+        _sine(tick, at[1], self.ticks, stretch.tick_s, 2.0 * math.pi * self.frequency_hz, self.amplitude, values)
 
 
 @njit(cache=True, nogil=True)
@@ -74,8 +80,8 @@ class Channel:
         index: place in the scan.
         errors: the sensor's own.
         board: the converter's own.
-        noise: generator of the sensor's noise.
-        converter_noise: generator of the converter's noise on this channel.
+        noise: of the sensor.
+        converter_noise: of the converter, on this channel.
         ideal: read the motion itself.
     """
 
@@ -87,8 +93,8 @@ class Channel:
         index: int,
         errors: Errors,
         board: BoardErrors,
-        noise: np.random.Generator,
-        converter_noise: np.random.Generator,
+        noise: Noise,
+        converter_noise: Noise,
         ideal: bool,
     ) -> None:
         self.sensor = sensor
@@ -125,29 +131,50 @@ class Channel:
         self.response.adopt(modes, clock, keep_state=unchanged)
         self._awake = self._awake and unchanged
 
-    def acquire(self, stretch: Stretch, pieces: Pieces, kicks: NDArray[np.float64], faults: FaultBoard) -> None:
-        """Convert the scans of the next ticks.
+    def respond(
+        self, stretch: Stretch, pieces: Pieces, nodes: Instants, values: NDArray[np.float64], kicks: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return what the sensor's dynamics put out at the conversions in the next ticks [unit], shape (n,).
 
         Args:
             stretch: the ticks.
             pieces: the same, cut.
-            kicks: jump of the input's integral at the start of each piece, shape (pieces,).
-            faults: what acts on the cables.
+            nodes: where the quantity was sampled, `pieces.nodes()`.
+            values: what it is there, shape (pieces · NODES,).
+            kicks: jump of the quantity's integral at the start of each piece, shape (pieces,).
         """
-        first_scan = self.response.converted
-        sensor = self.sensor
+        if self._replace(stretch, nodes, values) and self.sine is not None:
+            tick = pieces.segment - stretch.first_segment + stretch.first_tick
+            kicks = np.where(self.sine.covers(tick), 0.0, kicks)
+        coefficients = polynomials(values.reshape(-1, NODES))
+        if not self._awake:
+            self._awake = True
+            if self.sensor.settled:
+                start = coefficients[0, ::2].sum() - coefficients[0, 1::2].sum()
+                self.response.state[:] = self.response.modes.settled(float(start))
+        return self.response.run(pieces, coefficients, kicks)
+
+    def read_directly(self, stretch: Stretch, instants: Instants, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the quantity itself, as an ideal instrument does, or the calibration sine in its place."""
+        self._replace(stretch, instants, values)
+        return values
+
+    def convert(self, clean: NDArray[np.float64], faults: FaultBoard) -> None:
+        """Turn what the dynamics put out into readings, through output stage, cable and converter.
+
+        Args:
+            clean: output at the newest conversions [unit], shape (n,).
+            faults: what acts on cable and converter.
+        """
+        sensor, first_scan = self.sensor, self.response.converted - len(clean)
         if self.ideal:
-            readings = self._input(
-                stretch, *self.response.instants(stretch.ticks, stretch.first_segment, stretch.tick_s)
-            )
-            clipped = np.zeros(len(readings), dtype=np.bool_)
+            readings, clipped = clean, np.zeros(len(clean), dtype=np.bool_)
             faults.on_cable(sensor.name, readings, clipped, first_scan, 1.0, 0.0)
         else:
-            clean = self._respond(stretch, pieces, kicks)
-            white = self._noise.standard_normal(len(clean))
+            white = self._noise.take(len(clean))
             volts, clipped = conversion.to_volts(self._stage, clean, white, self._coloured)
             faults.on_cable(sensor.name, volts, clipped, first_scan, sensor.volt_per_unit, sensor.offset_v)
-            white = self._converter_noise.standard_normal(len(volts))
+            white = self._converter_noise.take(len(volts))
             readings = conversion.to_units(self._converter, volts, white, clipped)
         faults.behind_converter(sensor.name, readings, clipped, first_scan, self._last)
         if len(readings):
@@ -155,28 +182,14 @@ class Channel:
         self._readings = np.concatenate([self._readings, readings])
         self._clipped = np.concatenate([self._clipped, clipped])
 
-    def _respond(self, stretch: Stretch, pieces: Pieces, kicks: NDArray[np.float64]) -> NDArray[np.float64]:
-        if not self._awake:
-            if self.sensor.settled:
-                start = self._input(stretch, np.array([stretch.first_segment]), np.zeros(1))
-                self.response.state[:] = self.response.modes.settled(float(start[0]))
-            self._awake = True
-        values = self._input(stretch, *pieces.nodes()).reshape(-1, NODES)
-        if self.sine is not None and len(kicks):
-            during = pieces.segment - stretch.first_segment + stretch.first_tick - self.sine.first_tick
-            kicks = np.where((during >= 0) & (during < self.sine.ticks), 0.0, kicks)
-        return self.response.run(pieces, polynomials(values), kicks)
-
-    def _input(
-        self, stretch: Stretch, segment: NDArray[np.int64], offset_s: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
-        values = stretch.motion.quantity(self.sensor.quantity, segment, offset_s)
-        if self.sine is not None:
-            if stretch.first_tick >= self.sine.first_tick + self.sine.ticks:
-                self.sine = None
-            else:
-                self.sine.replace(values, stretch, segment, offset_s)
-        return values
+    def _replace(self, stretch: Stretch, at: Instants, values: NDArray[np.float64]) -> bool:
+        """Put the calibration sine in place of the values where it is on; return whether there is one."""
+        if self.sine is not None and stretch.first_tick >= self.sine.first_tick + self.sine.ticks:
+            self.sine = None
+        if self.sine is None:
+            return False
+        self.sine.replace(values, stretch, at)
+        return True
 
     def _stages(self, adc: Adc) -> tuple[OutputStage, Converter]:
         return (

@@ -110,7 +110,7 @@ def to_units(
 
 
 @njit(cache=True, nogil=True)
-def _to_volts(stage, clean, white, state, volts, clipped):  # type: ignore[no-untyped-def]  # compiled: types are inferred
+def _to_volts(stage, clean, white, state, volts, clipped):  # type: ignore[no-untyped-def]  # types are inferred
     fresh = stage.noise * math.sqrt(1.0 - stage.memory * stage.memory)
     coloured = state[0]
     for i in range(clean.shape[0]):

@@ -15,8 +15,10 @@ class Motion(Protocol):
     def impacts(self) -> NDArray[np.void]:
         """Contacts, with fields segment, offset [s], wall (-1 left, +1 right), impulse [N s] and duration [s]."""
 
-    def quantity(self, name: str, segment: NDArray[np.int64], offset_s: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return one quantity (SI) at each instant, shape (n,)."""
+    def quantities(
+        self, names: tuple[str, ...], segment: NDArray[np.int64], offset_s: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return some quantities (SI) at each instant, shape (names, n)."""
 
     def breakpoints(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
         """Return the instants (segment, offset [s]), in order, between which every quantity is smooth."""

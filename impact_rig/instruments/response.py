@@ -19,10 +19,13 @@ from numba import njit
 from numpy.typing import NDArray
 
 from impact_rig.instruments.clock import ScanClock
-from impact_rig.instruments.pieces import Pieces
+from impact_rig.instruments.pieces import NODES, Pieces
 from impact_rig.instruments.transfer import Modes
 
 TERMS = 4
+LAST = NODES - 1
+LONGEST_ODD_S = 5e-6
+"""Steps that are no whole ones are taken in parts of at most this: inside a contact the input turns within 10 µs."""
 
 
 class _Steps(NamedTuple):
@@ -143,29 +146,72 @@ def step_weights(poles, h):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _local(c, i, start, end, pos, t):  # type: ignore[no-untyped-def]
-    """Return d_0 … d_3 of piece i about the middle of the step from pos to t."""
-    per_half = 2.0 / (end[i] - start[i])
-    x = (0.5 * (pos + t) - 0.5 * (start[i] + end[i])) * per_half
-    r = (t - pos) * per_half
-    d0 = ((((c[i, 5] * x + c[i, 4]) * x + c[i, 3]) * x + c[i, 2]) * x + c[i, 1]) * x + c[i, 0]
-    d1 = (((5.0 * c[i, 5] * x + 4.0 * c[i, 4]) * x + 3.0 * c[i, 3]) * x + 2.0 * c[i, 2]) * x + c[i, 1]
-    d2 = ((10.0 * c[i, 5] * x + 6.0 * c[i, 4]) * x + 3.0 * c[i, 3]) * x + c[i, 2]
-    d3 = (10.0 * c[i, 5] * x + 4.0 * c[i, 4]) * x + c[i, 3]
+def _local(c, i, x, r):  # type: ignore[no-untyped-def]
+    """Return d_0 … d_3 of piece i about x for a step of r half pieces: its Taylor coefficients there, scaled."""
+    d0, d1, d2, d3 = c[i, LAST], 0.0, 0.0, 0.0
+    for k in range(LAST - 1, -1, -1):
+        d3 = d3 * x + d2
+        d2 = d2 * x + d1
+        d1 = d1 * x + d0
+        d0 = d0 * x + c[i, k]
     return d0, d1 * r, d2 * r * r, d3 * r * r * r
 
 
-@njit(cache=True, nogil=True, inline="always")
-def _odd_step(poles, state, h, d0, d1, d2, d3):  # type: ignore[no-untyped-def]
-    for k in range(poles.shape[0]):
-        e, w0, w1, w2, w3 = weigh(poles[k] * h, h)
-        state[k] = e * state[k] + (w0 * d0 + w1 * d1 + w2 * d2 + w3 * d3)
+@njit(cache=True, nogil=True)
+def _odd(poles, state, c, i, last, start, end, pos, t):  # type: ignore[no-untyped-def]
+    """Go from pos to t, which is no whole step; return the piece that was used last."""
+    parts = max(1, math.ceil((t - pos) / LONGEST_ODD_S))
+    for part in range(parts):
+        low = pos + (t - pos) * (part / parts)
+        high = t if part + 1 == parts else pos + (t - pos) * ((part + 1) / parts)
+        h, middle = high - low, 0.5 * (low + high)
+        while i < last and end[i] < middle:
+            i += 1
+        per_half = 2.0 / (end[i] - start[i])
+        d0, d1, d2, d3 = _local(c, i, (middle - 0.5 * (start[i] + end[i])) * per_half, h * per_half)
+        for k in range(poles.shape[0]):
+            e, w0, w1, w2, w3 = weigh(poles[k] * h, h)
+            state[k] = e * state[k] + (w0 * d0 + w1 * d1 + w2 * d2 + w3 * d3)
+    return i
+
+
+@njit(cache=True, nogil=True)
+def _whole(mode, running, state, n, d, sub, substeps, out, count):  # type: ignore[no-untyped-def]
+    """Run one mode over n whole steps with the inputs d, adding to `out` what it puts out at every conversion."""
+    decay, residue = running.decay[mode], running.residues[mode]
+    w0, w1 = running.weights[mode, 0], running.weights[mode, 1]
+    w2, w3 = running.weights[mode, 2], running.weights[mode, 3]
+    real, imag = state[mode].real, state[mode].imag
+    if running.poles[mode].imag == 0.0:
+        for m in range(n):
+            answer = (w0.real * d[0, m] + w1.real * d[1, m]) + (w2.real * d[2, m] + w3.real * d[3, m])
+            real = decay.real * real + answer
+            if sub == 0:
+                out[count] += residue.real * real
+                count += 1
+            sub = sub + 1 if sub + 1 < substeps else 0
+    else:
+        for m in range(n):
+            answer = (w0.real * d[0, m] + w1.real * d[1, m]) + (w2.real * d[2, m] + w3.real * d[3, m])
+            beside = (w0.imag * d[0, m] + w1.imag * d[1, m]) + (w2.imag * d[2, m] + w3.imag * d[3, m])
+            before = real
+            real = (decay.real * real + answer) - decay.imag * imag
+            imag = (decay.real * imag + beside) + decay.imag * before
+            if sub == 0:
+                out[count] += residue.real * real - residue.imag * imag
+                count += 1
+            sub = sub + 1 if sub + 1 < substeps else 0
+    state[mode] = complex(real, imag)
 
 
 @njit(cache=True, nogil=True)
 def _run(pieces, c, kicks, clock, cursor, running, state, out):  # type: ignore[no-untyped-def]
     first, start, end, tick_s = pieces.first, pieces.start, pieces.end, pieces.tick_s
-    poles, residues, decay, weights = running.poles, running.residues, running.decay, running.weights
+    modes = running.poles.shape[0]
+    whole = tick_s * (clock.step / clock.tick)
+    room = clock.tick // clock.step + 2
+    places, d = np.empty(room), np.empty((TERMS, room))
+    out[:] = 0.0
     count = 0
     due, sub = cursor[0], cursor[1]
     for k in range(first.shape[0] - 1):
@@ -176,39 +222,45 @@ def _run(pieces, c, kicks, clock, cursor, running, state, out):  # type: ignore[
             while not pieces.hard[last]:
                 last += 1
             until = end[last]
-            for mode in range(poles.shape[0]):
+            for mode in range(modes):
                 state[mode] += kicks[i]
-            regular = False
-            while due < clock.tick:
+            if due < clock.tick and tick_s * (due / clock.tick) <= until:  # up to the first step's end
                 t = tick_s * (due / clock.tick)
-                if t > until:
-                    break
                 if t > pos:
-                    while i < last and end[i] < 0.5 * (pos + t):
-                        i += 1
-                    d0, d1, d2, d3 = _local(c, i, start, end, pos, t)
-                    if regular:
-                        for mode in range(poles.shape[0]):
-                            answer = weights[mode, 0] * d0 + weights[mode, 1] * d1
-                            answer += weights[mode, 2] * d2 + weights[mode, 3] * d3
-                            state[mode] = decay[mode] * state[mode] + answer
-                    else:
-                        _odd_step(poles, state, t - pos, d0, d1, d2, d3)
+                    i = _odd(running.poles, state, c, i, last, start, end, pos, t)
                     pos = t
-                regular = True
                 if sub == 0:
-                    y = 0.0
-                    for mode in range(poles.shape[0]):
-                        y += residues[mode].real * state[mode].real - residues[mode].imag * state[mode].imag
-                    out[count] = y
+                    for mode in range(modes):
+                        z, residue = state[mode], running.residues[mode]
+                        out[count] += residue.real * z.real - residue.imag * z.imag
                     count += 1
                 sub = sub + 1 if sub + 1 < clock.substeps else 0
                 due += clock.step
-            if until > pos:
-                while i < last and end[i] < 0.5 * (pos + until):
+                while True:  # whole steps, as many at once as have their middle in one piece
+                    per_half, centre = 2.0 / (end[i] - start[i]), 0.5 * (start[i] + end[i])
+                    bound = until if i == last else min(until, end[i] + 0.5 * whole)
+                    n = 0
+                    while due < clock.tick:
+                        t = tick_s * (due / clock.tick)
+                        if t > bound:
+                            break
+                        places[n] = (t - 0.5 * whole - centre) * per_half
+                        pos = t
+                        n += 1
+                        due += clock.step
+                    r = whole * per_half
+                    for m in range(n):
+                        d[0, m], d[1, m], d[2, m], d[3, m] = _local(c, i, places[m], r)
+                    for mode in range(modes):
+                        _whole(mode, running, state, n, d, sub, clock.substeps, out, count)
+                    for _ in range(n):
+                        count += sub == 0
+                        sub = sub + 1 if sub + 1 < clock.substeps else 0
+                    if i == last or bound == until or due >= clock.tick:
+                        break
                     i += 1
-                d0, d1, d2, d3 = _local(c, i, start, end, pos, until)
-                _odd_step(poles, state, until - pos, d0, d1, d2, d3)
+            if until > pos:
+                i = _odd(running.poles, state, c, i, last, start, end, pos, until)
             pos = until
             i = last + 1
         due -= clock.tick
