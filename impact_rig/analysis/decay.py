@@ -13,12 +13,16 @@ import math
 
 import attrs
 import numpy as np
+from scipy import fft
 
 from impact_rig.analysis.calibration import Complex, Real
-from impact_rig.analysis.sine import noise_density
+from impact_rig.analysis.sine import least_squares, noise_density
 from impact_rig.analysis.words import Status
 
-MIN_CYCLES = 4.0
+MIN_CYCLES = 4
+MIN_POINTS = 32
+LINE_FACTOR = 20.0
+"""A spectral line this far above the expected largest one of noise is a vibration."""
 SIGNAL_FACTOR = 10.0
 """A cycle's amplitude in standard uncertainties from which its logarithm is used."""
 ITERATIONS = 50
@@ -50,22 +54,24 @@ def fit_decay(y: Real, rate_hz: float, u_clock: float = 0.0) -> Decay:
     if isinstance(start, Status):
         return Decay(status=start)
     omega, decay = start
+    scale = float(np.ptp(y)) / 2.0  # so that all columns of the fit are of like size
+    y = y / scale
     time = np.arange(len(y)) / rate_hz
     previous = math.inf
     for _ in range(ITERATIONS):
         design, envelope = _design(time, omega, decay)
-        linear = np.asarray(np.linalg.lstsq(design, y, rcond=None)[0], dtype=np.float64)
+        linear = least_squares(design, y)[0]
+        residual = y - design @ linear
         oscillation = linear[2] * envelope.real + linear[3] * envelope.imag
         across = linear[3] * envelope.real - linear[2] * envelope.imag
         full = np.column_stack([design, -time * oscillation, time * across])
-        normal = np.asarray(np.linalg.pinv(full.T @ full), dtype=np.float64)
-        change = normal @ (full.T @ (y - design @ linear))
+        change, covariance = least_squares(full, residual)
         size = max(abs(change[4]), abs(change[5])) / omega
         decay, omega = decay + float(change[4]), omega + float(change[5])
         if not (omega > 0.0 and abs(decay) < omega) or not math.isfinite(omega):
             return Decay(status=Status.NO_FIT)
         if size < CONVERGED or (size < 1e-7 and size >= previous):  # the second: down to rounding
-            return _result(y - design @ linear, rate_hz, omega, decay, normal, linear, u_clock)
+            return _result(residual, rate_hz, omega, decay, covariance, linear, u_clock, scale)
         previous = size
     return Decay(status=Status.NO_FIT)
 
@@ -84,34 +90,26 @@ def log_decrement(y: Real, rate_hz: float, u_clock: float = 0.0) -> Decay:
     start = _start(y, rate_hz)
     if isinstance(start, Status):
         return Decay(status=start)
-    omega, _ = start
-    phasors, middles, noise = _cycle_phasors(y, rate_hz, omega)
-    amplitude = np.abs(phasors)
-    weak = np.flatnonzero(amplitude < SIGNAL_FACTOR * noise)
-    used = int(weak[0]) if len(weak) else len(phasors)
+    phasors, middles, noise = _cycle_phasors(y, rate_hz, start[0])
+    used = _strong(phasors, noise)
     if used < MIN_CYCLES:
         return Decay(status=Status.TOO_FEW_CYCLES)
-    weights = amplitude[:used] ** 2
-    logs = np.log(amplitude[:used]) + 1j * np.unwrap(np.angle(phasors[:used]))
-    time = middles[:used] - float(weights @ middles[:used]) / float(weights.sum())
-    spread = float(weights @ time**2)
-    slope = complex(np.sum(weights * time * logs)) / spread
-    middle = complex(np.sum(weights * logs)) / float(weights.sum())
-    left = logs - middle - slope * time
-    u_decay = math.sqrt(float(weights @ left.real**2) / (used - 2) / spread)
-    u_turn = math.sqrt(float(weights @ left.imag**2) / (used - 2) / spread)
-    true_omega = omega + slope.imag
-    cycle = 2.0 * math.pi / true_omega
+    slope, left, weights = _straight_line(phasors[:used], middles[:used])
+    if slope.real >= 0.0:
+        return Decay(status=Status.NO_FIT)
+    omega = start[0] + slope.imag
+    cycle = 2.0 * math.pi / omega
+    u_decay, u_turn = (math.sqrt(float(weights @ part**2) / (used - 2)) for part in (left.real, left.imag))
     decrement = -slope.real * cycle
-    root = math.sqrt(4.0 * math.pi**2 + decrement**2)
-    natural = math.hypot(true_omega, slope.real) / (2.0 * math.pi)
+    root = math.hypot(2.0 * math.pi, decrement)
+    natural = math.hypot(omega, slope.real) / (2.0 * math.pi)
     return Decay(
-        status=Status.OK if decrement > 0.0 else Status.NO_FIT,
+        status=Status.OK,
         natural_frequency_hz=natural,
         damping_ratio=decrement / root,
         u_natural_frequency_hz=math.hypot(u_turn / (2.0 * math.pi), natural * u_clock),
         u_damping_ratio=u_decay * cycle * 4.0 * math.pi**2 / root**3,
-        amplitude=float(amplitude[0]),
+        amplitude=abs(complex(phasors[0])),
         cycles=used,
     )
 
@@ -120,48 +118,69 @@ def _start(y: Real, rate_hz: float) -> tuple[float, float] | Status:
     """Return first guesses of ω_d [rad/s] and λ [1/s], or why there are none."""
     if not np.all(np.isfinite(y)):
         return Status.NOT_FINITE
-    if len(y) < 32:
+    if len(y) < MIN_POINTS:
         return Status.TOO_FEW_CYCLES
     if np.ptp(y) == 0.0:
         return Status.CONSTANT
-    line = np.polyfit(np.arange(len(y)), y, 1)
-    level = y - np.polyval(line, np.arange(len(y)))
+    number = np.arange(len(y))
+    level = y - np.polyval(np.polyfit(number, y, 1), number)
     padded = 4 * len(y)
-    power = np.abs(np.fft.rfft(level * np.hanning(len(y)), padded)) ** 2
+    power = np.abs(fft.rfft(level, padded)) ** 2
     peak = int(np.argmax(power[1:-1])) + 1
     if peak * len(y) / padded < MIN_CYCLES:
         return Status.TOO_FEW_CYCLES
-    if power[peak] < 20.0 * np.median(power[1:-1]) * math.log(len(power)):
+    if power[peak] < LINE_FACTOR * np.median(power[1:-1]) * math.log(len(power)):
         return Status.SILENCE  # no line stands out of the noise
     omega = 2.0 * math.pi * peak * rate_hz / padded
-    phasors, _, noise = _cycle_phasors(level, rate_hz, omega)
-    strong = phasors[: max(2, int(np.argmax(np.append(np.abs(phasors) < 5.0 * noise, True))))]
-    third = max(1, len(strong) // 3)
-    early, late = np.abs(strong[:third]).mean(), np.abs(strong[-third:]).mean()
-    period = 2.0 * math.pi / omega
-    decay = math.log(early / late) / ((len(strong) - third) * period) if late > 0.0 and len(strong) > third else 0.0
-    return omega, max(decay, 1e-6 * omega)
+    phasors, middles, noise = _cycle_phasors(level, rate_hz, omega)
+    used = _strong(phasors, noise)
+    if used < 2:
+        return Status.TOO_FEW_CYCLES
+    slope, *_ = _straight_line(phasors[:used], middles[:used])
+    return omega + slope.imag, max(-slope.real, 1e-6 * omega)
+
+
+def _strong(phasors: Complex, noise: float) -> int:
+    """Return how many cycles come before the first one that drowns in noise."""
+    weak = np.flatnonzero(np.abs(phasors) < SIGNAL_FACTOR * noise)
+    return int(weak[0]) if len(weak) else len(phasors)
+
+
+def _straight_line(phasors: Complex, middles: Real) -> tuple[complex, Complex, Real]:
+    """Fit the logarithm of the phasors by a straight line, weights as the squared amplitudes.
+
+    Returns:
+        (slope [1/s]: −λ + i(ω_d − ω), what it leaves, weights over Σ weights · (t − mean)²).
+    """
+    weights = np.abs(phasors) ** 2
+    logs = np.log(np.abs(phasors)) + 1j * np.unwrap(np.angle(phasors))
+    time = middles - float(weights @ middles) / float(weights.sum())
+    spread = float(weights @ time**2)
+    slope = complex(np.sum(weights * time * logs)) / spread
+    middle = complex(np.sum(weights * logs)) / float(weights.sum())
+    return slope, logs - middle - slope * time, weights / spread
 
 
 def _cycle_phasors(y: Real, rate_hz: float, omega: float) -> tuple[Complex, Real, float]:
     """Return every whole cycle's phasor at ω, its middle [s], both of shape (cycles,), and u of the amplitudes."""
     period = 2.0 * math.pi * rate_hz / omega
     edges = np.ceil(np.arange(int(len(y) / period) + 1) * period).astype(np.int64)
-    phasors = np.empty(len(edges) - 1, dtype=np.complex128)
-    left, freedom = 0.0, 0
-    for k in range(len(phasors)):
-        angle = omega / rate_hz * np.arange(edges[k], edges[k + 1])
-        ramp = np.linspace(-1.0, 1.0, len(angle))
-        design = np.stack(
-            [np.ones_like(angle), np.cos(angle), np.sin(angle), ramp * np.cos(angle), ramp * np.sin(angle)]
-        )
-        part = y[edges[k] : edges[k + 1]]
-        solution = np.linalg.solve(design @ design.T, design @ part)
-        residual = part - solution @ design
-        phasors[k] = solution[1] - 1j * solution[2]
-        left += float(residual @ residual)
-        freedom += len(part) - 5
-    return phasors, (edges[1:] + edges[:-1] - 1) / 2.0 / rate_hz, math.sqrt(2.0 * left / max(freedom, 1) / period)
+    samples = np.diff(edges)
+    place = np.arange(int(samples.max()))
+    inside = place < samples[:, None]
+    index = np.minimum(edges[:-1, None] + place, len(y) - 1)
+    angle = omega / rate_hz * index
+    ramp = 2.0 * place / samples[:, None] - 1.0  # the decay within the cycle, to first order
+    cosine, sine = np.cos(angle), np.sin(angle)
+    design = np.stack([np.ones_like(angle), cosine, sine, ramp * cosine, ramp * sine], axis=2) * inside[:, :, None]
+    part = y[index] * inside
+    transposed = np.swapaxes(design, 1, 2)
+    solution = np.linalg.solve(transposed @ design, transposed @ part[:, :, None])
+    residual = part - (design @ solution)[:, :, 0]
+    freedom = max(int(np.sum(samples - design.shape[2])), 1)
+    noise = math.sqrt(2.0 * float(np.sum(residual**2)) / freedom / period)
+    phasors = np.asarray(solution[:, 1, 0] - 1j * solution[:, 2, 0], dtype=np.complex128)
+    return phasors, (edges[1:] + edges[:-1] - 1) / 2.0 / rate_hz, noise
 
 
 def _design(time: Real, omega: float, decay: float) -> tuple[Real, Complex]:
@@ -170,7 +189,14 @@ def _design(time: Real, omega: float, decay: float) -> tuple[Real, Complex]:
 
 
 def _result(
-    residual: Real, rate_hz: float, omega: float, decay: float, normal: Real, linear: Real, u_clock: float
+    residual: Real,
+    rate_hz: float,
+    omega: float,
+    decay: float,
+    normal: Real,
+    linear: Real,
+    u_clock: float,
+    scale: float,
 ) -> Decay:
     natural = math.hypot(omega, decay)
     zeta = decay / natural
@@ -188,6 +214,6 @@ def _result(
         damping_ratio=zeta,
         u_natural_frequency_hz=math.hypot(u_natural, natural / (2.0 * math.pi) * u_clock),
         u_damping_ratio=math.sqrt(to_zeta @ covariance @ to_zeta),
-        amplitude=amplitude,
+        amplitude=scale * amplitude,
         cycles=int(len(residual) / rate_hz * omega / (2.0 * math.pi)),
     )

@@ -31,10 +31,11 @@ LOOK_AHEAD_SCANS = 6
 BLANK_S = 0.01
 """After a start or a gap the high-pass settles for this long."""
 RMS_TIME_S = 0.1
-RMS_CLIP = 9.0
-"""One sample may raise the tracked variance by at most this many times itself."""
+RMS_CLIP, RMS_CLIP_RINGING = 9.0, 2.0
+"""One sample counts at most this many times the tracked variance, in quiet and soon after an impact: a rig that
+chatters must not deafen the detector, a vibration that has become stronger must."""
 QUIET_RING_TIMES = 8.0
-"""The rms is tracked when this many ring times have passed since the last impact."""
+"""It is quiet when this many ring times have passed since the last impact."""
 RING_SCANS = 8
 """Below 20 kS/s the pulse itself falls between the scans and the high-pass rings longer than the sensor."""
 HISTORY = 64
@@ -228,13 +229,16 @@ def _detect(
                 since = scan - peak_at
         elif blank > 0:
             blank -= 1
+            if 2 * blank < blank_time:  # the filter has settled: learn what is there
+                variance += 4.0 / blank_time * (y * y - variance)
         elif y * y > max(floor * floor, noise_factor * noise_factor * variance, ring * ring):
             hunting = look_ahead
             sign = 1.0 if y > 0.0 else -1.0
             peak, peak_at = sign * y, scan
             swing = peak
-        elif since > quiet_time:
-            variance += forget * (min(y * y, RMS_CLIP * variance) - variance)
+        else:
+            clip = RMS_CLIP if since > quiet_time else RMS_CLIP_RINGING
+            variance += forget * (min(y * y, clip * variance) - variance)
         scan += 1
     state[0], state[1], state[2], state[3] = z1, z2, variance, ring
     state[4], state[5], state[6] = peak, sign, swing

@@ -80,9 +80,8 @@ def fit_sine(y: Real, rate_hz: float, frequency_hz: float, harmonics: int = 1) -
     if refusal:
         return _no_fit(refusal, frequency_hz, harmonics)
     design = _design(len(y), rate_hz, frequency_hz, harmonics)
-    normal = np.asarray(np.linalg.inv(design.T @ design), dtype=np.float64)
-    solution = normal @ (design.T @ y)
-    return _finished(y, rate_hz, frequency_hz, design, normal, solution, harmonics)
+    solution, normal = least_squares(design, y)
+    return _finished(y, rate_hz, frequency_hz, design, normal, solution, harmonics, 1.0)
 
 
 def fit_sine_frequency(y: Real, rate_hz: float, frequency_hz: float, harmonics: int = 1) -> SineFit:
@@ -102,24 +101,38 @@ def fit_sine_frequency(y: Real, rate_hz: float, frequency_hz: float, harmonics: 
         return _no_fit(refusal, frequency_hz, harmonics)
     time = np.arange(len(y)) / rate_hz
     middle = time[-1] / 2.0
+    scale = float(np.ptp(y)) / 2.0  # so that all columns of the fit are of like size
+    y = y / scale
     frequency = frequency_hz
     for _ in range(ITERATIONS):
         design = _design(len(y), rate_hz, frequency, harmonics)
-        linear, *_ = np.linalg.lstsq(design, y, rcond=None)
+        linear = least_squares(design, y)[0]
         order = np.repeat(np.arange(1, harmonics + 1), 2)
         # d/dω of A cos + B sin is t (B cos − A sin); from the middle it is nearly orthogonal to the rest
         turned = np.stack([linear[2::2], -linear[1::2]], axis=1).reshape(-1)
         slope = (time - middle) * (design[:, 1:] @ (turned * order))
         full = np.column_stack([design, slope])
-        normal = np.asarray(np.linalg.pinv(full.T @ full), dtype=np.float64)
-        solution = normal @ (full.T @ y)
+        solution, normal = least_squares(full, y)
         step = float(solution[-1])
         frequency += step / (2.0 * math.pi)
         if not _usable(rate_hz, frequency, harmonics):
             return _no_fit(Status.NO_FIT, frequency_hz, harmonics)
         if abs(step) * time[-1] < CONVERGED_RAD:
-            return _finished(y, rate_hz, frequency, full, normal, solution, harmonics, middle)
+            return _finished(y, rate_hz, frequency, full, normal, solution, harmonics, scale, middle)
     return _no_fit(Status.NO_FIT, frequency_hz, harmonics)
+
+
+def least_squares(design: Real, y: Real) -> tuple[Real, Real]:
+    """Return the solution and the inverse normal matrix, columns brought to one size first; fast for tall designs.
+
+    Args:
+        design: independent columns, none of them zero, shape (n, p).
+        y: shape (n,).
+    """
+    normal = design.T @ design
+    size = np.sqrt(np.diagonal(normal))
+    inverse = np.linalg.inv(normal / np.outer(size, size)) / np.outer(size, size)
+    return np.asarray(inverse @ (design.T @ y), dtype=np.float64), np.asarray(inverse, dtype=np.float64)
 
 
 def noise_density(residual: Real, frequency_hz: float, rate_hz: float) -> float:
@@ -172,9 +185,13 @@ def _finished(
     normal: Real,
     solution: Real,
     harmonics: int,
+    scale: float,
     middle_s: float | None = None,
 ) -> SineFit:
-    """Turn a solution into values with uncertainties; `middle_s` is given when the last column is the frequency's."""
+    """Turn a solution into values with uncertainties; y was divided by `scale`.
+
+    `middle_s` is given when the last column is the frequency's.
+    """
     residual = y - design @ solution
     freedom = len(y) - design.shape[1]
     inflation = len(y) / freedom
@@ -199,11 +216,11 @@ def _finished(
     return SineFit(
         status=Status.OK,
         frequency_hz=frequency_hz,
-        offset=float(solution[0]),
-        phasors=np.asarray(a - 1j * b, dtype=np.complex128),
-        residual_rms=math.sqrt(float(residual @ residual) / freedom),
-        u_offset=math.sqrt(inflation * noise_density(residual, 0.0, rate_hz) * normal[0, 0]),
-        u_amplitudes=u_amplitude,
+        offset=scale * float(solution[0]),
+        phasors=np.asarray(scale * (a - 1j * b), dtype=np.complex128),
+        residual_rms=scale * math.sqrt(float(residual @ residual) / freedom),
+        u_offset=scale * math.sqrt(inflation * noise_density(residual, 0.0, rate_hz) * normal[0, 0]),
+        u_amplitudes=scale * u_amplitude,
         u_phases_rad=u_phase,
         u_frequency_hz=u_frequency,
     )

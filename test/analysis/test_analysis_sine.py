@@ -21,7 +21,7 @@ def sine(n, rate_hz, frequency_hz, amplitude, phase, offset=0.0):
 @settings(max_examples=40)
 @given(
     frequency_hz=st.floats(3.0, 400.0),
-    amplitude=st.floats(1e-6, 1e3),
+    amplitude=st.floats(1e-9, 1e3),
     phase=st.floats(-3.1, 3.1),
     offset=st.floats(-10.0, 10.0),
 )
