@@ -251,7 +251,10 @@ def _step_length(p, a, speed_scale, w_scale):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"reassoc", "contract", "nsz"})
 def _contact_loss(p, a, beta, grip, unit, h):  # type: ignore[no-untyped-def]
-    """Return ∫ viscous force · δ' dt over a step, by Gauss–Legendre quadrature of the series."""
+    """Return ∫ viscous force · δ' dt over a step, by Gauss–Legendre quadrature of the series.
+
+    Once the contact has let go, what the spring still holds is lost while it relaxes: viscous cancels elastic.
+    """
     w, speed = a.at_nodes[0], a.at_nodes[1]
     w[:] = a.w[ORDER]
     speed[:] = a.y[ORDER, SPEED]
@@ -263,11 +266,13 @@ def _contact_loss(p, a, beta, grip, unit, h):  # type: ignore[no-untyped-def]
             speed[point] = speed[point] * x + speed_k
     total = 0.0
     for point in range(_POINTS):
-        viscous = p.force.damping * speed[point]
+        elastic, per_speed = p.force.stiffness * w[point] * w[point], p.force.damping
         if p.force.kind != LINEAR:
-            viscous = p.force.stiffness * beta * w[point] * w[point] * w[point] * speed[point]
+            elastic *= w[point]
+            per_speed = elastic * beta
+        viscous = per_speed * speed[point] if grip > 0.0 else -elastic
         total += _WEIGHTS[point] * viscous * speed[point] * w[point]
-    return 0.5 * h * unit * grip * total
+    return 0.5 * h * unit * total
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

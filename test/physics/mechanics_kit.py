@@ -1,0 +1,133 @@
+"""What the tests of the mechanics share: rigs by a few words, drive segments, a lock-in, one contact of two bodies."""
+
+from __future__ import annotations
+
+import math
+
+import attrs
+import numpy as np
+from numpy.typing import NDArray
+
+from impact_rig.config import RigConfig
+from impact_rig.physics import SEGMENT, Motion, Simulation
+from impact_rig.physics.properties import hertz_stiffness_n_m32, sphere_mass_kg
+
+TWO_PI = 2.0 * math.pi
+OF_HYSTERETIC_FORM = (
+    "flores",
+    "hertz",
+    "hunt_crossley",
+    "herbert_mcwhannell",
+    "lee_wang",
+    "lankarani_nikravesh",
+    "gonthier",
+    "zhiying_qishao",
+    "hu_guo",
+    "exact",
+)
+
+
+def rig(**sections: dict[str, object]) -> RigConfig:
+    """The nominal rig with other values: `rig(contact={"law": "hertz"})`."""
+    nominal = RigConfig()
+    changed = {name: attrs.evolve(getattr(nominal, name), **new) for name, new in sections.items()}
+    return attrs.evolve(nominal, **changed)
+
+
+def prescribed(**sections: dict[str, object]) -> RigConfig:
+    """The same on a prescribed base."""
+    sections["drive"] = {"kind": "prescribed"} | sections.get("drive", {})
+    return rig(**sections)
+
+
+def benchmark_rig(**sections: dict[str, object]) -> RigConfig:
+    """The benchmark problem of the peers: prescribed base, ζ = 0.0045."""
+    return prescribed(structure={"damping_ratio": 0.0045}, **sections)
+
+
+def sine(
+    frequency_hz: float, amplitude: float, duration_s: float, count: int = 1, phase: float = 0.0, first: int = 0
+) -> NDArray[np.void]:
+    """`count` segments of a sine, without jumps of phase, from segment number `first` on."""
+    rows = np.zeros(count, SEGMENT)
+    rows["duration"] = duration_s
+    rows["omega"] = TWO_PI * frequency_hz
+    turns = np.fmod(frequency_hz * duration_s * np.arange(first, first + count), 1.0)
+    rows["phase"] = phase + TWO_PI * turns
+    rows["amplitude"] = amplitude
+    return rows
+
+
+def at_rest(duration_s: float, count: int = 1) -> NDArray[np.void]:
+    """Segments without drive."""
+    return sine(1.0, 0.0, duration_s, count)
+
+
+def of(motion: Motion, name: str, times: NDArray[np.float64], segment: int | None = None) -> NDArray[np.float64]:
+    """One quantity at offsets into one segment."""
+    number = motion.first_segment if segment is None else segment
+    return motion.quantity(name, np.full(len(times), number), np.asarray(times, float))
+
+
+def lock_in(
+    motion: Motion, name: str, frequency_hz: float, start_s: float, cycles: int, per_cycle: int = 64
+) -> complex:
+    """Complex amplitude X of Im[X exp(jωt)] over whole cycles of one segment; t from the segment's start."""
+    t = start_s + np.arange(cycles * per_cycle) / (per_cycle * frequency_hz)
+    x = of(motion, name, t)
+    return complex(2j * np.mean(x * np.exp(-1j * TWO_PI * frequency_hz * t)))
+
+
+def transmissibility(config: RigConfig, frequency_hz: float) -> complex:
+    """X_1 / X_b of the linear rig, complex: the textbook's formula."""
+    r, zeta = frequency_hz / config.structure.natural_frequency_hz, config.structure.damping_ratio
+    return (1.0 + 2j * zeta * r) / (1.0 - r * r + 2j * zeta * r)
+
+
+@attrs.frozen
+class Hit:
+    """One simulated contact: what `truth/impacts` says of it, and the motion around it."""
+
+    approach_speed: float
+    separation_speed: float
+    peak_force: float
+    peak_indentation: float
+    impulse: float
+    duration: float
+    energy_lost: float
+    motion: Motion
+    begin_s: float
+
+    @property
+    def restitution(self) -> float:
+        """Separation speed over approach speed."""
+        return self.separation_speed / self.approach_speed
+
+
+def hit(speed_m_s: float, *, structure_kg: float = 1e9, rtol: float | None = None, **contact: object) -> Hit:
+    """Let the sphere meet the right wall of a structure at rest that hardly feels its columns; no drive, no weight."""
+    config = prescribed(
+        structure={"mass_kg": structure_kg, "natural_frequency_hz": 1e-4},
+        barriers={"gap_m": 1e-3},
+        contact=contact,
+    )
+    options = {} if rtol is None else {"rtol": rtol}
+    simulation = Simulation(config, **options)
+    travel_s = 0.5e-3 / speed_m_s
+    simulation.place(d_rate=speed_m_s)
+    motion = simulation.advance(at_rest(1.5 * travel_s + 1e-3 / speed_m_s**0.2))
+    assert len(motion.impacts) >= 1, "the sphere never came back from the wall"
+    row = motion.impacts[0]
+    values = {name: float(row[name]) for name in row.dtype.names if name not in ("segment", "offset", "wall")}
+    return Hit(**values, motion=motion, begin_s=float(row["offset"]))
+
+
+def sphere_kg(config: RigConfig | None = None) -> float:
+    """Mass of the sphere."""
+    return sphere_mass_kg((config or RigConfig()).sphere)
+
+
+def stiffness(config: RigConfig | None = None) -> float:
+    """Hertz stiffness of sphere on barrier [N/m^1.5]."""
+    config = config or RigConfig()
+    return hertz_stiffness_n_m32(config.sphere, config.barriers)

@@ -1,0 +1,200 @@
+"""Every contact law in a real contact, against closed forms and published numbers.
+
+A law that enters the registry joins the parametrised tests by itself.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from mechanics_kit import OF_HYSTERETIC_FORM, hit, of, sphere_kg, stiffness
+from scipy.optimize import brentq
+from scipy.special import gamma
+
+from impact_rig.config import Contact
+from impact_rig.config.mechanics import CONTACT_LAWS
+from impact_rig.errors import ConfigError
+from impact_rig.physics import restitution
+from impact_rig.physics.contact import LAWS, HystereticLaw, from_config
+
+RESTITUTIONS = (0.05, 0.2, 0.35, 0.6, 0.8, 0.95)
+TOLERANCE = 1e-6
+TOLERANCE_ENERGY = 1e-8  # of the energy before; the integrator's default gives 3e-9
+HERTZ_DURATION = 2.0 * math.sqrt(math.pi) * gamma(1.4) / gamma(0.9)  # in units of δ_max / v
+
+RETURNED_FOR_035 = {  # DESIGN section 2, three digits
+    "hunt_crossley": 0.600,
+    "herbert_mcwhannell": 0.534,
+    "lee_wang": 0.753,
+    "lankarani_nikravesh": 0.692,
+    "gonthier": 0.352,
+    "zhiying_qishao": 0.361,
+    "flores": 0.309,
+    "hu_guo": 0.325,
+    "exact": 0.350,
+    "hertz": 1.0,
+}
+
+
+def closed_form(factor: float) -> float:
+    """e of ln[(1 + a)/(1 − a e)] = a (1 + e) from a bracket in q = −ln(1 − a e), not by the package's Lambert W."""
+    if factor == 0.0:
+        return 1.0
+    low, high = 0.5 * factor / (1.0 + factor), factor + 1.0
+    q = brentq(lambda q: math.log1p(factor) + q - factor + math.expm1(-q), low, high, rtol=1e-14)
+    return -math.expm1(-q) / factor
+
+
+def test_the_registry_and_the_configuration_name_the_same_laws():
+    assert set(LAWS) == set(CONTACT_LAWS)
+    assert all(name == law.name for name, law in LAWS.items())
+    assert {name for name, law in LAWS.items() if issubclass(law, HystereticLaw)} == set(OF_HYSTERETIC_FORM)
+
+
+@pytest.mark.parametrize("e", RESTITUTIONS)
+@pytest.mark.parametrize("law", LAWS)
+def test_a_contact_returns_what_the_law_says_it_returns(law, e):
+    told = from_config(Contact(law=law, restitution=e)).realised_restitution()
+    assert hit(0.3, law=law, restitution=e).restitution == pytest.approx(told, rel=TOLERANCE)
+
+
+@pytest.mark.parametrize("e", RESTITUTIONS)
+@pytest.mark.parametrize("law", OF_HYSTERETIC_FORM)
+def test_hysteretic_laws_obey_the_closed_form(law, e):
+    factor = LAWS[law](e).hysteresis_factor()
+    assert hit(1.0, law=law, restitution=e).restitution == pytest.approx(closed_form(factor), rel=TOLERANCE)
+
+
+@pytest.mark.parametrize(("law", "returned"), RETURNED_FOR_035.items())
+def test_published_returns_for_035(law, returned):
+    assert hit(0.5, law=law, restitution=0.35).restitution == pytest.approx(returned, abs=5e-4)
+
+
+def test_the_nominal_restitution_that_makes_flores_return_035():
+    assert hit(0.5, law="flores", restitution=0.38803).restitution == pytest.approx(0.35, abs=5e-6)
+    assert restitution.factor_returning(0.35) == pytest.approx(2.52338, abs=5e-6)
+
+
+@pytest.mark.parametrize("e", [0.01, 0.35, 0.99])
+@pytest.mark.parametrize("law", [law for law in OF_HYSTERETIC_FORM if law != "hertz"])
+def test_calibration_exact_returns_the_asked_restitution(law, e):
+    got = hit(0.2, law=law, restitution=e, calibration="exact")
+    assert got.restitution == pytest.approx(e, rel=TOLERANCE)
+
+
+@pytest.mark.parametrize("speed", [1e-3, 0.05, 0.5, 20.0])
+@pytest.mark.parametrize("structure_kg", [1e9, 0.13, 1e-3])
+def test_restitution_does_not_depend_on_speed_or_masses(speed, structure_kg):
+    got = hit(speed, structure_kg=structure_kg, law="flores", speed_floor_m_s=1e-9)
+    assert got.restitution == pytest.approx(closed_form(8 * 0.65 / (5 * 0.35)), rel=TOLERANCE)
+
+
+@pytest.mark.parametrize("speed", [0.01, 0.5, 5.0])
+@pytest.mark.parametrize("structure_kg", [1e9, 2e-3])
+def test_hertz_indentation_duration_and_impulse(speed, structure_kg):
+    got = hit(speed, structure_kg=structure_kg, law="hertz")
+    mass = sphere_kg() * structure_kg / (sphere_kg() + structure_kg)
+    deepest = (1.25 * mass * speed**2 / stiffness()) ** 0.4
+    assert got.peak_indentation == pytest.approx(deepest, rel=TOLERANCE)
+    assert got.peak_force == pytest.approx(stiffness() * deepest**1.5, rel=TOLERANCE)
+    assert got.duration == pytest.approx(HERTZ_DURATION * deepest / speed, rel=TOLERANCE)
+    assert got.impulse == pytest.approx(2.0 * mass * speed, rel=TOLERANCE)
+    assert got.energy_lost == pytest.approx(0.0, abs=1e-12 * mass * speed**2)
+
+
+@pytest.mark.parametrize(
+    ("speed", "duration", "indentation", "force"), [(0.5, 42.1e-6, 3.73e-6, 60.5), (1.0, 36.7e-6, 6.50e-6, 139.0)]
+)
+def test_flores_numbers_of_an_independent_program(speed, duration, indentation, force):
+    got = hit(speed, law="flores", restitution=0.35)
+    assert got.duration == pytest.approx(duration, abs=0.06e-6)
+    assert got.peak_indentation == pytest.approx(indentation, abs=0.006e-6)
+    assert got.peak_force == pytest.approx(force, abs=0.06)
+
+
+@pytest.mark.parametrize("e", RESTITUTIONS)
+def test_kelvin_voigt_released_at_zero_indentation(e):
+    """Nagurka and Huang: the contact lasts t_c and returns e; both exactly."""
+    got = hit(0.5, law="kelvin_voigt", restitution=e, contact_time_s=60e-6)
+    assert got.restitution == pytest.approx(e, rel=TOLERANCE)
+    assert got.duration == pytest.approx(60e-6, rel=TOLERANCE)
+    rate, omega = -math.log(e) / 60e-6, math.pi / 60e-6
+    peak = math.atan2(omega, rate) / omega
+    assert got.peak_indentation == pytest.approx(
+        0.5 / omega * math.exp(-rate * peak) * math.sin(omega * peak), rel=TOLERANCE
+    )
+
+
+def test_kelvin_voigt_released_at_zero_force_returns_more():
+    got = hit(0.5, law="kelvin_voigt", restitution=0.35, release="force")
+    assert got.restitution == pytest.approx(0.434, abs=5e-4)
+    assert from_config(Contact(law="kelvin_voigt", release="force")).realised_restitution() == pytest.approx(
+        got.restitution, rel=TOLERANCE
+    )
+
+
+def test_instantaneous_restitution_takes_no_time_and_shares_momentum():
+    got = hit(0.5, structure_kg=1e-3, law="restitution", restitution=0.35)
+    mass = sphere_kg() * 1e-3 / (sphere_kg() + 1e-3)
+    assert (got.duration, got.peak_indentation) == (0.0, 0.0)
+    assert got.restitution == pytest.approx(0.35, rel=1e-14)
+    assert got.impulse == pytest.approx(1.35 * mass * 0.5, rel=1e-14)
+    assert got.energy_lost == pytest.approx(0.5 * mass * 0.25 * (1.0 - 0.35**2), rel=1e-14)
+
+
+@pytest.mark.parametrize("e", [0.05, 0.35, 0.95])
+@pytest.mark.parametrize("law", [law for law in LAWS if law != "restitution"])
+def test_the_force_never_pulls_and_its_integrals_are_impulse_and_loss(law, e):
+    got = hit(0.5, law=law, restitution=e, release="force")
+    t = got.begin_s + np.linspace(0.0, 1.0, 20001)[1:-1] * got.duration
+    force = of(got.motion, "force_right", t)
+    assert force.min() >= 0.0, f"{law} pulls with {-force.min():g} N"
+    assert not of(got.motion, "force_left", t).any()
+    assert force.max() == pytest.approx(got.peak_force, rel=1e-3 if law == "kelvin_voigt" else 1e-6)  # grid of samples
+    assert force.max() <= got.peak_force * (1.0 + 1e-8)
+    # between breakpoints everything is smooth: Gauss's rule
+    _, knots = got.motion.breakpoints()
+    knots = np.unique(knots[(knots >= got.begin_s) & (knots <= got.begin_s + got.duration * (1 + 1e-12))])
+    nodes, weights = np.polynomial.legendre.leggauss(24)
+    half = 0.5 * np.diff(knots)[:, np.newaxis]
+    t, weight = (knots[:-1, np.newaxis] + half * (1.0 + nodes)).ravel(), (half * weights).ravel()
+    force = of(got.motion, "force_right", t)
+    speed = of(got.motion, "v_2", t) - of(got.motion, "v_1", t)
+    assert (weight * force).sum() == pytest.approx(got.impulse, rel=1e-6)
+    assert (weight * force * speed).sum() == pytest.approx(got.energy_lost, rel=1e-5, abs=1e-8 * sphere_kg())
+
+
+@pytest.mark.parametrize("e", [0.05, 0.35, 0.95])
+@pytest.mark.parametrize("law", LAWS)
+def test_the_energy_lost_is_what_the_speeds_say(law, e):
+    got = hit(0.5, structure_kg=3e-3, law=law, restitution=e)
+    mass = sphere_kg() * 3e-3 / (sphere_kg() + 3e-3)
+    before, after = (0.5 * mass * speed**2 for speed in (got.approach_speed, got.separation_speed))
+    assert got.energy_lost == pytest.approx(before - after, abs=TOLERANCE_ENERGY * before)
+    assert got.impulse == pytest.approx(mass * (got.approach_speed + got.separation_speed), rel=1e-8)
+
+
+@given(st.floats(0.0, 1e4))
+def test_realised_restitution_solves_its_equation(factor):
+    e = restitution.realised(factor)
+    assert 0.0 < e <= 1.0
+    if factor > 1e-3:
+        assert e == pytest.approx(closed_form(factor), rel=1e-9)
+    else:  # where the reference loses its own digits
+        assert e == pytest.approx(1.0 - 2.0 * factor / 3.0, abs=factor**2)
+
+
+@given(st.floats(1e-4, 1.0))
+def test_factor_and_restitution_are_inverse(e):
+    assert restitution.realised(restitution.factor_returning(e)) == pytest.approx(e, rel=1e-9)
+
+
+@pytest.mark.parametrize("wrong", [0.0, -0.1, 1.0001, math.nan])
+@pytest.mark.parametrize("law", LAWS)
+def test_a_law_refuses_an_impossible_restitution(law, wrong):
+    with pytest.raises(ConfigError, match=rf"restitution must be > 0 and <= 1, got {wrong}"):
+        LAWS[law](wrong)
