@@ -38,6 +38,8 @@ QUIET_RING_TIMES = 8.0
 """It is quiet when this many ring times have passed since the last impact."""
 RING_SCANS = 8
 """Below 20 kS/s the pulse itself falls between the scans and the high-pass rings longer than the sensor."""
+FORERUNNER = 4.0
+"""A swing to the other side, this much larger, is the pulse; what crossed before was its forerunner or the flank."""
 HISTORY = 64
 MIN_RATE_HZ = 2_000
 """Below this rate contacts fall between the scans: nothing is detected."""
@@ -214,6 +216,8 @@ def _detect(
         if hunting > 0:
             if sign * y > peak:
                 peak, peak_at = sign * y, scan
+            elif -sign * y > FORERUNNER * peak:
+                sign, peak, peak_at = -sign, -sign * y, scan
             swing = max(swing, abs(y))
             hunting -= 1
             if hunting == 0:
