@@ -77,10 +77,16 @@ class Pacer:
             return produced_ns
         return due
 
+    def wait_ns(self, rig_ns: int) -> int:
+        """Return how long until `rig_ns` is due [ns of the clock]; negative when it is overdue."""
+        return int(self._deadline_ns(rig_ns)) - self._clock()
+
     def published(self, end_ns: int) -> None:
         """Note that the block ending at rig time `end_ns` is out."""
-        deadline = self._origin_ns + (end_ns - self._origin_rig_ns) / self._factor
-        self._lateness.append((self._clock() - deadline) * 1e-6)
+        self._lateness.append((self._clock() - self._deadline_ns(end_ns)) * 1e-6)
+
+    def _deadline_ns(self, rig_ns: int) -> float:
+        return self._origin_ns + (rig_ns - self._origin_rig_ns) / self._factor
 
     def lateness(self) -> Lateness | None:
         """Return the statistics of the last blocks, or None before the first."""

@@ -54,6 +54,14 @@ def test_lateness_is_measured_from_the_absolute_deadline() -> None:
     assert late.worst_ms == pytest.approx(0.7)
 
 
+def test_the_wait_until_a_block_is_due_is_in_clock_time() -> None:
+    clock = FakeClock()
+    pacer = Pacer(clock, factor=4.0)
+    clock.now += 1 * MS
+    assert pacer.wait_ns(10 * MS) == 2_500_000 - 1 * MS
+    assert pacer.wait_ns(0) == -1 * MS
+
+
 def test_window_follows_the_slowest_peer() -> None:
     clock = FakeClock()
     window = AckWindow(("a", "b"), 4, 3 * NS_PER_S, clock)

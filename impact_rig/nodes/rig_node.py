@@ -23,6 +23,7 @@ from impact_rig.nodes.parameters import RigSchema
 from impact_rig.nodes.peers import Peers
 from impact_rig.nodes.rig_status import RigStatus
 from impact_rig.nodes.stamps import nanoseconds
+from impact_rig.nodes.work_timer import WorkTimer
 from impact_rig.pacing import AckWindow, Pacer
 from impact_rig.rig import Block, Rig
 from impact_rig.simtime import NS_PER_S
@@ -54,7 +55,7 @@ class RigNode(ManagedNode[RigConfig]):
         self._rig: Rig | None = None
         self._outlets: dict[str, Any] = {}
         self._monitors: Monitors | None = None
-        self._timer: Any = None
+        self._timer = WorkTimer(self, self._on_timer)
         self._pacer = Pacer(time.monotonic_ns)
         self._window = AckWindow((), 1, NS_PER_S, time.monotonic_ns)
         self._peers = Peers(self)
@@ -94,6 +95,7 @@ class RigNode(ManagedNode[RigConfig]):
         """Start a new rig: scan 0 is now in realtime, at 0 otherwise."""
         config = self.settings
         self._base_ns = time.time_ns() if config.time.mode == "realtime" else 0
+        self._pacer = Pacer(time.monotonic_ns, config.time.factor)  # beside the stamp: both mean the same instant
         self._rig = Rig(config, self._base_ns)
         self._paused = False
         self._steps_left = 0
@@ -105,15 +107,12 @@ class RigNode(ManagedNode[RigConfig]):
         self._peers.expect(config.time.peers)
         self._flush()
         self._publish_configuration()
-        self._pacer = Pacer(time.monotonic_ns, config.time.factor)
         self._worked_at = time.monotonic()
-        self._timer = self.steady_timer(self._period_s(), self._on_timer)
+        self._start_timer()
 
     def deactivate(self) -> None:
         """Stop the rig; what was not published is dropped."""
-        if self._timer is not None:
-            self.destroy_timer(self._timer)
-            self._timer = None
+        self._timer.stop()
         self._rig = None
         self._step.reply(False, "the rig was deactivated")
 
@@ -139,9 +138,19 @@ class RigNode(ManagedNode[RigConfig]):
         block_s = config.daq.block_scans / config.daq.rate_hz / config.time.factor
         return min(max(block_s, SHORTEST_PERIOD_S), LONGEST_PERIOD_S)
 
+    def _start_timer(self) -> None:
+        self._timer.start(self._period_s(), self._wait_s() if self.settings.time.mode == "realtime" else 0.0)
+
+    def _wait_s(self) -> float:
+        """Return the time until the next block is due."""
+        assert self._rig is not None
+        return self._pacer.wait_ns(self._rig.block_end_ns(1) - self._base_ns) / NS_PER_S
+
     def _on_timer(self) -> None:
         self._work()
         self._turn_began = time.monotonic()
+        if self._rig is not None and self.settings.time.mode == "realtime" and not self._paused:
+            self._timer.keep_in_step(self._wait_s())
 
     def _work(self) -> None:
         rig, now = self._rig, time.monotonic()
@@ -279,6 +288,7 @@ class RigNode(ManagedNode[RigConfig]):
         if not request.data:
             self._window.forgive()
             self._pacer.rebase(rig.next_block_ns - self._base_ns)
+            self._start_timer()
         self._paused = request.data
         response.success, response.message = True, "paused" if request.data else "running"
         return response
@@ -333,9 +343,8 @@ class RigNode(ManagedNode[RigConfig]):
 
     def settings_in_force(self) -> None:
         """Pace the work by the new settings."""
-        if self._timer is not None:
-            self.destroy_timer(self._timer)
-            self._timer = self.steady_timer(self._period_s(), self._on_timer)
+        if self._rig is not None:
+            self._start_timer()
 
     def status(self) -> Status:
         """Return mode, time, lateness, peers, shaker, over-ranges."""

@@ -182,9 +182,9 @@ def _yaml(value: ParameterValue) -> str:
         return str(value).lower()
     if isinstance(value, float):
         text = repr(value)
-        return text if any(c in text for c in ".n") else text.replace("e", ".0e")  # YAML 1.1 floats need a point
+        return text if "." in text or "n" in text else text.replace("e", ".0e")  # YAML 1.1 floats need a point
     if isinstance(value, int):
         return str(value)
     if isinstance(value, str):
-        return f"'{value}'"
-    return "[" + ", ".join(f"'{item}'" for item in value or ("",)) + "]"
+        return "'" + value.replace("'", "''") + "'"
+    return "[" + ", ".join(_yaml(item) for item in value or ("",)) + "]"

@@ -1,0 +1,128 @@
+"""The whole graph as processes: 50 kS/s in real time, freewheel at 10 kS/s, and how long a rig takes to start.
+
+Lateness is receipt at a further subscriber less the end of the block, so it holds computing, pacing, DDS and that
+subscriber's own wake-up. CPU shares are those of the processes, from /proc, in percent of one core.
+"""
+
+from __future__ import annotations
+
+import os
+import tempfile
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+
+from impact_rig import codec
+from impact_rig.recording import info
+from impact_rig.testing import Client, Processes, isolated_domain
+from impact_rig.testing.processes import ParameterValue
+
+RATE_HZ = 50_000
+BLOCK_NS = 10_000_000
+DRIVE = {"drive.amplitude": 0.52, "barriers.gap_m": 0.006}
+NODES = ("rig", "analysis", "recorder")
+WARM_UP_S = 2.0
+FREEWHEEL_WINDOW = 64
+
+
+def run(seconds: float = 20.0) -> dict[str, float]:
+    """Measure everything; `seconds` is the wall time of each of the two running measurements."""
+    return {**live(seconds), **freewheel(seconds / 2), **start()}
+
+
+def live(seconds: float) -> dict[str, float]:
+    """Default instruments at 50 kS/s with analysis and recorder attached."""
+    with _graph({"daq.rate_hz": RATE_HZ, "daq.block_scans": RATE_HZ // 100, **DRIVE}) as (client, processes, directory):
+        scans = client.collect("daq/scan")
+        client.spin_for(WARM_UP_S)
+        scans.clear()
+        before, began = {name: _cpu_s(processes.running[name].pid) for name in NODES}, time.monotonic()
+        client.spin_for(seconds)
+        wall = time.monotonic() - began
+        cpu = {name: 100.0 * (_cpu_s(processes.running[name].pid) - before[name]) / wall for name in NODES}
+        ends = np.array([codec.header_stamp_ns(data) for data in scans.messages]) + BLOCK_NS
+        late_ms = (np.array([message.received_system_ns for message in scans.received]) - ends) * 1e-6
+        lost = scans.lost() + float(client.figures("analysis").get("lost_scans", "nan")) / (RATE_HZ // 100)
+        slips = float(client.figures("rig")["slips"])
+        processes.stop()
+        recorded = info(directory / "run").scans
+        assert recorded is not None
+        return {
+            "live_50kSps_lost_blocks": lost + recorded.lost_blocks,
+            **{f"live_50kSps_{name}_cpu_percent": share for name, share in cpu.items()},
+            "live_50kSps_median_lateness_ms": float(np.median(late_ms)),
+            "live_50kSps_p99_lateness_ms": float(np.percentile(late_ms, 99)),
+            "live_50kSps_slips": slips,
+        }
+
+
+def freewheel(seconds: float) -> dict[str, float]:
+    """As fast as analysis and recorder acknowledge, default rate."""
+    parameters = {
+        "time.mode": "freewheel",
+        "time.peers": ("analysis", "recorder"),
+        "time.ack_window": FREEWHEEL_WINDOW,
+        **DRIVE,
+    }
+    with _graph(parameters) as (client, _, _):
+        client.spin_for(WARM_UP_S)
+        marks = []
+        for duration in (0.0, seconds):
+            client.spin_for(duration)
+            status = client.status("rig")
+            client.wait_until(lambda status=status: client.status("rig") is not status, "diagnostics")
+            marks.append((time.monotonic(), float(client.figures("rig")["rig_time_s"])))
+        (began, first), (ended, last) = marks
+        return {"freewheel_x_realtime_10kSps": (last - first) / (ended - began)}
+
+
+def start() -> dict[str, float]:
+    """From starting a rig process to its first block; cold: nothing compiled, warm: the same again."""
+    with tempfile.TemporaryDirectory() as cache:
+        cold, warm = (_start_s(Path(cache)) for _ in range(2))
+    return {"cold_start_s": cold, "warm_start_s": warm}
+
+
+def _start_s(cache: Path) -> float:
+    with (
+        isolated_domain() as domain_id,
+        tempfile.TemporaryDirectory() as logs,
+        Processes(domain_id, Path(logs)) as processes,
+        Client(domain_id, processes=processes) as client,
+    ):
+        began = time.monotonic()
+        processes.start("rig", environment={"NUMBA_CACHE_DIR": str(cache)})
+        scans = client.collect("daq/scan", timeout_s=300.0)
+        client.wait_until(lambda: len(scans) > 0, "the first block", timeout_s=300.0)
+        return time.monotonic() - began
+
+
+@contextmanager
+def _graph(parameters: Mapping[str, ParameterValue]) -> Iterator[tuple[Client, Processes, Path]]:
+    """Rig, analysis and recorder as processes, with a client."""
+    with (
+        tempfile.TemporaryDirectory() as name,
+        isolated_domain() as domain_id,
+        Processes(domain_id, Path(name) / "logs") as processes,
+    ):
+        processes.start("rig", parameters)
+        processes.start("analysis")
+        processes.start("recorder", {"directory": name, "name": "run"})
+        with Client(domain_id, processes=processes) as client:
+            client.wait_active(*NODES, timeout_s=300.0)
+            client.wait_until(lambda: client.status("recorder").message == "recording", "the recorder")
+            yield client, processes, Path(name)
+
+
+def _cpu_s(pid: int) -> float:
+    """Return user and system time a process has used [s]."""
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+if __name__ == "__main__":
+    for name, value in run().items():
+        print(f"{name:40} {value:.4g}")

@@ -1,0 +1,119 @@
+"""The whole graph as its users run it: rig, analysis and recorder as processes, a client, an MCAP file at the end."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy", reason="no ROS 2 here")
+
+from impact_rig.analysis.tracker import Tracker
+from impact_rig.recording import open_run, recover
+from impact_rig.rig import resimulate
+from impact_rig.testing import Client, ProcessDiedError, Processes, isolated_domain
+
+pytestmark = [pytest.mark.ros, pytest.mark.pipeline]
+TICK = 10_000_000
+RIG = {"barriers.gap_m": 0.002, "time.peers": ("analysis", "recorder")}
+
+
+@pytest.fixture
+def processes(tmp_path: Path) -> Iterator[Processes]:
+    with isolated_domain() as domain_id, Processes(domain_id, tmp_path / "logs", namespace="/lab") as started:
+        yield started
+
+
+@pytest.fixture
+def client(processes: Processes) -> Iterator[Client]:
+    with Client(processes.domain_id, namespace="/lab", processes=processes) as user:
+        yield user
+
+
+def start_all(processes: Processes, client: Client, tmp_path: Path, **rig: object) -> None:
+    processes.start("rig", {**RIG, **{name.replace("__", "."): value for name, value in rig.items()}})
+    processes.start("analysis", {"gap_m": 0.002})
+    processes.start("recorder", {"directory": str(tmp_path), "name": "run"})
+    client.wait_active("rig", "analysis", "recorder")
+    client.wait_until(lambda: client.status("recorder").message == "recording", "the recorder")
+
+
+def test_a_stepped_run_is_whole_and_is_what_its_journal_says(
+    processes: Processes, client: Client, tmp_path: Path
+) -> None:
+    """Published = recorded = re-simulated, and the recorded analysis is the one an offline tracker gives."""
+    start_all(processes, client, tmp_path, time__mode="stepped")
+    scans = client.collect("daq/scan")
+    client.step(20)
+    client.command(frequency_hz=9.1, current_a=0.52)
+    client.step(1500)
+    client.set_parameters("rig", {"barriers.gap_m": 0.004})
+    client.step(100)
+    client.wait_until(lambda: len(scans) == 1620, "all blocks")
+    assert client.figures("rig")["lost_blocks"] == "0"
+    assert processes.stop() == {"rig": 0, "analysis": 0, "recorder": 0}
+
+    with open_run(tmp_path / "run") as run:
+        recorded = list(run.tables("daq/scan"))
+        assert [table.stamp_ns for table in recorded] == [k * TICK for k in range(1620)]
+        assert [t.rows.tobytes() for t in recorded] == [t.rows.tobytes() for t in scans.tables()]
+        journal = list(run.tables("rig/journal"))
+        for table, block in zip(recorded, resimulate(journal), strict=False):
+            assert table.rows.tobytes() == block.scan.rows.tobytes(), f"block {block.number}"
+        measured = np.concatenate([table.rows for table in run.tables("transmissibility/table")])
+        tracker = Tracker()
+        (info,) = run.tables("daq/info")
+        tracker.configure(info)
+        tracker.label(0.002, info.stamp_ns)
+        for table in run.tables("shaker/applied"):
+            tracker.command(table)
+        again = [row for table in recorded for found in tracker.feed(table).measurements for row in found.rows]
+    assert measured.tobytes() == np.array(again, measured.dtype).tobytes()
+    assert (measured["settled"] == 1).any()
+
+
+def test_a_killed_process_is_named_with_its_last_words_and_its_file_is_recovered(
+    processes: Processes, client: Client, tmp_path: Path
+) -> None:
+    start_all(processes, client, tmp_path, time__mode="freewheel")
+    client.wait_until(lambda: float(client.figures("recorder").get("messages", 0)) > 3000, "a recording")
+    processes.running["recorder"].signal(signal.SIGKILL)
+    with pytest.raises(
+        ProcessDiedError, match=r"the recorder process was ended by SIGKILL; its last lines:\n.*recording"
+    ):
+        client.wait_until(lambda: False, "the end of the recorder")
+    processes.stop("recorder")
+    client.wait_until(lambda: "peer recorder silent" in client.status("rig").message, "the rig to name the dead peer")
+    assert processes.stop() == {"rig": 0, "analysis": 0}
+    report = recover(tmp_path / "run", tmp_path / "recovered")
+    assert report is not None
+    with open_run(tmp_path / "recovered") as run:
+        stamps = [table.stamp_ns for table in run.tables("daq/scan")]
+        assert stamps[:3] == [0, TICK, 2 * TICK]
+        assert set(np.diff(stamps)) == {TICK}
+
+
+def test_realtime_survives_a_suspension_and_two_rigs_share_a_domain(
+    processes: Processes, client: Client, tmp_path: Path
+) -> None:
+    """SIGSTOP for longer than the pacer catches up: time is given up, said, and the stamps stay contiguous."""
+    processes.start("rig", {"time.peers": [""]})
+    processes.start("rig", {"daq.seed": 2}, name="other_rig")
+    client.wait_active("rig", "other_rig")
+    scans = client.collect("daq/scan")
+    client.wait_until(lambda: len(scans) > 50, "blocks of both rigs")
+    processes.stop("other_rig")
+    processes.running["rig"].signal(signal.SIGSTOP)
+    client.spin_for(1.5)
+    processes.running["rig"].signal(signal.SIGCONT)
+    client.wait_until(lambda: "could not keep real time" in client.status("rig").message, "the diagnostic")
+    assert int(client.figures("rig")["slips"]) == 1
+    assert float(client.figures("rig")["slipped_s"]) > 1.0
+    scans.clear()
+    client.wait_until(lambda: len(scans) > 20, "more blocks")
+    stamps = [table.stamp_ns for table in scans.tables()]
+    assert set(np.diff(stamps)) == {TICK}
+    assert processes.stop() == {"rig": 0}
