@@ -40,7 +40,7 @@ RING_SCANS = 8
 """Below 20 kS/s the pulse itself falls between the scans and the high-pass rings longer than the sensor."""
 FORERUNNER = 4.0
 """A swing to the other side, this much larger, is the pulse; what crossed before was its forerunner or the flank."""
-HISTORY = 64
+HISTORY_MASK = 63
 MIN_RATE_HZ = 2_000
 """Below this rate contacts fall between the scans: nothing is detected."""
 
@@ -133,7 +133,7 @@ class ImpactDetector:
             ]
         )
         self._delay = (float(calibration.lag[ACCELEROMETER]) - float(calibration.skew[ACCELEROMETER])) * rate
-        self._history = np.zeros(HISTORY)
+        self._history = np.zeros(HISTORY_MASK + 1)
         self._state = np.zeros(7)
         self._place = np.zeros(6, dtype=np.int64)
         self._out = np.zeros((256, 3))
@@ -210,8 +210,8 @@ def _detect(
         y = b0 * x + z1
         z1 = b1 * x - a1 * y + z2
         z2 = b2 * x - a2 * y
-        history[scan % HISTORY] = y
-        ring *= decay
+        history[scan & HISTORY_MASK] = y
+        ring = ring * decay if ring > floor else 0.0  # never into the slow denormal numbers
         since += 1
         if hunting > 0:
             if sign * y > peak:
@@ -223,9 +223,9 @@ def _detect(
             if hunting == 0:
                 level = ONSET * peak
                 k = peak_at
-                while k > peak_at - look_ahead and sign * history[(k - 1) % HISTORY] > level:
+                while k > peak_at - look_ahead and sign * history[(k - 1) & HISTORY_MASK] > level:
                     k -= 1
-                after, before = sign * history[k % HISTORY], sign * history[(k - 1) % HISTORY]
+                after, before = sign * history[k & HISTORY_MASK], sign * history[(k - 1) & HISTORY_MASK]
                 out[count, 0] = k - (after - level) / (after - before)
                 out[count, 1], out[count, 2] = peak, sign
                 count += 1
@@ -235,14 +235,14 @@ def _detect(
             blank -= 1
             if 2 * blank < blank_time:  # the filter has settled: learn what is there
                 variance += 4.0 / blank_time * (y * y - variance)
-        elif y * y > max(floor * floor, noise_factor * noise_factor * variance, ring * ring):
+        elif abs(y) > floor and abs(y) > ring and y * y > noise_factor * noise_factor * variance:
             hunting = look_ahead
             sign = 1.0 if y > 0.0 else -1.0
             peak, peak_at = sign * y, scan
             swing = peak
         else:
-            clip = RMS_CLIP if since > quiet_time else RMS_CLIP_RINGING
-            variance += forget * (min(y * y, clip * variance) - variance)
+            clip = (RMS_CLIP if since > quiet_time else RMS_CLIP_RINGING) * variance
+            variance += forget * (min(y * y, clip) - variance)
         scan += 1
     state[0], state[1], state[2], state[3] = z1, z2, variance, ring
     state[4], state[5], state[6] = peak, sign, swing
