@@ -17,6 +17,7 @@ from impact_rig.physics.linear import V1, VB, X1, XB
 from impact_rig.physics.model import CONTACT_RTOL, PRESCRIBED, build
 from impact_rig.physics.motion import IMPACT, Motion
 from impact_rig.physics.state import (
+    ATTACHED,
     COLLISION,
     FREE,
     GAP,
@@ -127,7 +128,7 @@ class Simulation:
         y = np.zeros(5)
         y[X1], y[V1], y[XB], y[VB] = x_1, v_1, x_b, v_b
         self._begin(y)
-        self._state[GAP], self._state[RATE] = d, d_rate
+        self._put_sphere(d, d_rate)
         self._stored = self.stored_energy()
 
     def advance(self, segments: NDArray[np.void]) -> Motion:
@@ -202,14 +203,20 @@ class Simulation:
         return float(total)
 
     def _begin(self, y: NDArray[np.float64]) -> None:
-        s = np.zeros(STATE)
-        s[PHASE] = FREE
-        s[Y : Y + 5] = y
-        s[GAP] = _PLACES[self._config.sphere.start] * self._model.p.half_gap
-        self._state = s
+        self._state = np.zeros(STATE)
+        self._state[Y : Y + 5] = y
+        self._put_sphere(_PLACES[self._config.sphere.start] * self._model.p.half_gap, 0.0)
         self._work = new_work(len(self._model.loose.b0))
         self._ledger = np.zeros(LEDGER)
         self._stored = self.stored_energy()
+
+    def _put_sphere(self, d: float, d_rate: float) -> None:
+        """Set the sphere; where the guide has friction, one at rest is held and a sliding one braked."""
+        s = self._state
+        s[PHASE], s[SIDE], s[GAP], s[RATE] = FREE, 0.0, d, d_rate
+        if self._model.p.friction > 0.0 and self._model.p.sphere_present:
+            s[PHASE] = FREE if d_rate else ATTACHED
+            s[SIDE] = np.sign(d_rate)
 
     def _structure(self) -> NDArray[np.float64]:
         """Return y = (x_1, v_1, x_b, v_b, i) whatever the phase."""

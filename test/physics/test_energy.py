@@ -1,0 +1,102 @@
+"""The energy account: work = losses + what is stored, every term integrated on its own."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from mechanics_kit import benchmark_rig, prescribed, rig, sine
+
+from impact_rig.config import RigConfig
+from impact_rig.physics import EnergyAccount, Simulation
+from impact_rig.physics.contact import LAWS
+
+GAPS_M = (2e-3, 4e-3, 6e-3, 8e-3, 10e-3)
+TOLERANCE = 1e-8  # of the work done over a thousand cycles
+CYCLE_S = 1.0 / 9.1
+
+
+def account(config: RigConfig, amplitude: float, cycles: int) -> tuple[EnergyAccount, int]:
+    """Energies and impacts of a run from rest, the sphere leaving the left wall fast enough to find an orbit."""
+    simulation = Simulation(config, account=True)
+    simulation.place(x_1=-4e-3, d=0.0, d_rate=0.15)
+    motion = simulation.advance(sine(9.1, amplitude, CYCLE_S, cycles))
+    return simulation.energy(), len(motion.impacts)
+
+
+def assert_closed(energy: EnergyAccount, tolerance: float = TOLERANCE) -> None:
+    turnover = abs(energy.work) + energy.columns + energy.shaker + energy.contact + energy.friction
+    assert energy.contact > 0.0
+    assert energy.columns > 0.0
+    assert abs(energy.imbalance) <= tolerance * abs(energy.work), (
+        f"{energy.imbalance:g} J of {energy.work:g} J are missing (turnover {turnover:g} J): {energy}"
+    )
+
+
+@pytest.mark.parametrize("gap", GAPS_M)
+def test_the_balance_closes_over_a_thousand_cycles_at_constant_current(gap):
+    energy, _ = account(rig(barriers={"gap_m": gap}), 0.52, 1000)
+    assert_closed(energy)
+    assert energy.shaker > 0.0
+
+
+@pytest.mark.parametrize("law", [law for law in LAWS if law != "hertz"])
+def test_the_balance_closes_for_every_law(law):
+    energy, impacts = account(benchmark_rig(contact={"law": law, "release": "force"}), 60e-6, 300)
+    assert impacts > 500
+    assert_closed(energy)
+
+
+def test_hertz_loses_nothing_in_its_contacts():
+    simulation = Simulation(benchmark_rig(contact={"law": "hertz"}), account=True)
+    simulation.place(x_1=-4e-3, d_rate=0.15)
+    simulation.advance(sine(9.1, 60e-6, CYCLE_S, 300))
+    energy = simulation.energy()
+    assert energy.contact == 0.0
+    assert abs(energy.imbalance) <= TOLERANCE * abs(energy.work)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["prescribed", "current", "voltage"])
+@pytest.mark.parametrize("gap", GAPS_M)
+@pytest.mark.parametrize("law", LAWS)
+def test_the_balance_closes_for_every_law_gap_and_drive(law, gap, kind):
+    amplitude = {"prescribed": 60e-6, "current": 0.52, "voltage": 2.0}[kind]
+    energy, _ = account(rig(drive={"kind": kind}, contact={"law": law}, barriers={"gap_m": gap}), amplitude, 1000)
+    assert abs(energy.imbalance) <= TOLERANCE * abs(energy.work), energy
+
+
+def test_friction_takes_its_share():
+    """A sphere sliding on a rig at rest loses its kinetic energy at μ m g per metre."""
+    config = prescribed(structure={"mass_kg": 1e9, "natural_frequency_hz": 1e-4}, sphere={"guide_friction": 0.2})
+    simulation = Simulation(config, account=True)
+    simulation.place(d=-3e-3 + 1e-9, d_rate=0.1)  # stops after 2.55 mm
+    motion = simulation.advance(sine(1.0, 0.0, 0.1))
+    stop_s, way = 0.1 / (0.2 * 9.80665), 0.1**2 / (2 * 0.2 * 9.80665)
+    assert way < 6e-3
+    x, v = (motion.quantity(name, np.zeros(2, int), np.array([0.5 * stop_s, 0.09])) for name in ("x_2", "v_2"))
+    assert v == pytest.approx([0.05, 0.0], abs=1e-12)
+    assert x == pytest.approx([-3e-3 + 0.75 * way, -3e-3 + way], abs=1e-8)
+    kinetic = 0.5 * 1.0524e-3 * 0.01
+    assert simulation.energy().friction == pytest.approx(kinetic, rel=1e-4)
+
+
+@pytest.mark.parametrize("kind", ["prescribed", "current"])
+@pytest.mark.parametrize("law", ["flores", "restitution"])
+def test_the_balance_closes_with_friction(law, kind):
+    config = rig(drive={"kind": kind}, contact={"law": law}, sphere={"guide_friction": 0.1})
+    energy, _ = account(config, {"prescribed": 60e-6, "current": 0.52}[kind], 200)
+    assert_closed(energy)
+    assert energy.friction > 0.0
+
+
+def test_the_account_does_not_change_the_motion():
+    config, drive = rig(), sine(9.1, 0.52, 0.01, 500)
+    plain, kept = Simulation(config).advance(drive), Simulation(config, account=True).advance(drive)
+    assert plain.impacts.tobytes() == kept.impacts.tobytes()
+
+
+def test_contact_losses_are_the_impacts_sum():
+    config = rig()
+    simulation = Simulation(config)
+    motion = simulation.advance(sine(9.1, 0.52, 0.01, 1000))
+    assert motion.impacts["energy_lost"].sum() == pytest.approx(simulation.energy().contact, rel=1e-12)
