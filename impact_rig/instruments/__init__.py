@@ -1,7 +1,8 @@
 """The rig's instruments: sensors, conditioning, the multiplexed converter, calibration and faults; no ROS."""
 
 from impact_rig.instruments.chain import Chain
+from impact_rig.instruments.checks import ChannelCheck, check_known_input, check_polarity
 from impact_rig.instruments.faults import Fault
 from impact_rig.instruments.motion import Motion
 
-__all__ = ["Chain", "Fault", "Motion"]
+__all__ = ["Chain", "ChannelCheck", "Fault", "Motion", "check_known_input", "check_polarity"]

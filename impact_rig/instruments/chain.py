@@ -261,7 +261,7 @@ def _kicks(motion: Motion, pieces: Pieces, mass_kg: float) -> NDArray[np.float64
     impacts = motion.impacts
     for impact in impacts[impacts["duration"] == 0.0]:
         after = (pieces.segment > impact["segment"]) | (
-            (pieces.segment == impact["segment"]) & (pieces.start >= impact["offset"])
+            (pieces.segment == impact["segment"]) & (pieces.start >= impact["offset"] - 1e-9)
         )
         if np.any(after) and impact["segment"] >= pieces.segment[0]:
             kicks[np.argmax(after)] += float(impact["wall"]) * float(impact["impulse"]) / mass_kg

@@ -5,8 +5,8 @@ Each mode follows z' = p z + u. Over a step of length h in which u = Σ d_j (τ 
     z(h) = e^{ph} z(0) + Σ_j d_j W_j,    W_j = h ∫_0^1 e^{ph(1−τ)} (τ − 1/2)^j dτ
 
 exactly, however long the step is against 1/p. Steps end at conversions and wherever the motion is rough; those between
-two conversions all have the same length and share their weights. A step is at most 100 µs, and u is taken from the
-piece's polynomial: no pulse falls between two scans.
+two conversions all have the same length and share their weights. A step is at most 100 µs and a quarter of a piece, and
+u is taken from the piece's polynomial: no pulse falls between two scans.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from impact_rig.instruments.transfer import Modes
 
 TERMS = 4
 LAST = NODES - 1
-LONGEST_ODD_S = 5e-6
-"""Steps that are no whole ones are taken in parts of at most this: inside a contact the input turns within 10 µs."""
+SHORT = 0.25
+"""A step is at most this part of its piece: four terms about its middle then hold what eight hold on the piece."""
 
 
 class _Steps(NamedTuple):
@@ -160,7 +160,7 @@ def _local(c, i, x, r):  # type: ignore[no-untyped-def]
 @njit(cache=True, nogil=True)
 def _odd(poles, state, c, i, last, start, end, pos, t):  # type: ignore[no-untyped-def]
     """Go from pos to t, which is no whole step; return the piece that was used last."""
-    parts = max(1, math.ceil((t - pos) / LONGEST_ODD_S))
+    parts = max(1, math.ceil((t - pos) / (SHORT * (end[i] - start[i]))))
     for part in range(parts):
         low = pos + (t - pos) * (part / parts)
         high = t if part + 1 == parts else pos + (t - pos) * ((part + 1) / parts)
@@ -224,8 +224,8 @@ def _run(pieces, c, kicks, clock, cursor, running, state, out):  # type: ignore[
             until = end[last]
             for mode in range(modes):
                 state[mode] += kicks[i]
-            if due < clock.tick and tick_s * (due / clock.tick) <= until:  # up to the first step's end
-                t = tick_s * (due / clock.tick)
+            while due < clock.tick and tick_s * (due / clock.tick) <= until:
+                t = tick_s * (due / clock.tick)  # up to the next step's end
                 if t > pos:
                     i = _odd(running.poles, state, c, i, last, start, end, pos, t)
                     pos = t
@@ -236,7 +236,7 @@ def _run(pieces, c, kicks, clock, cursor, running, state, out):  # type: ignore[
                     count += 1
                 sub = sub + 1 if sub + 1 < clock.substeps else 0
                 due += clock.step
-                while True:  # whole steps, as many at once as have their middle in one piece
+                while whole <= SHORT * (end[i] - start[i]):  # whole steps, as many as have their middle in one piece
                     per_half, centre = 2.0 / (end[i] - start[i]), 0.5 * (start[i] + end[i])
                     bound = until if i == last else min(until, end[i] + 0.5 * whole)
                     n = 0
