@@ -111,5 +111,5 @@ def certificate(sensors: list[Sensor], adc: Adc, clock: ScanClock, ideal: bool) 
         row["sensitivity_uncertainty"] = gain_uncertainty(sensor, adc)
         row["offset_uncertainty"] = offset_uncertainty(sensor, adc)
         row["lag"], row["lag_order"] = sensor.low_pass.delay_s(), sensor.lag_order
-        row["bandwidth"] = sensor.bandwidth_hz
+        row["bandwidth"], row["linearity"] = sensor.bandwidth_hz, sensor.linearity
     return rows

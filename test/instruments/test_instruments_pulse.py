@@ -14,7 +14,7 @@ RATES = (10_000, 50_000, 200_000)
 
 
 def dense(start_s: float, end_s: float) -> np.ndarray:
-    return np.arange(round((end_s - start_s) / 20e-9)) * 20e-9 + start_s
+    return np.arange(round((end_s - start_s) / 40e-9)) * 40e-9 + start_s
 
 
 @pytest.mark.parametrize("rate_hz", RATES)
@@ -30,7 +30,7 @@ def test_pulse_agrees_with_the_convolution_of_the_force(rate_hz, start_s, durati
 
     scans = measured(Chain(config), motion, 0.04)
 
-    time = dense(start_s - 1e-4, start_s + 3e-3)
+    time = dense(start_s - 1e-4, start_s + 1.5e-3)
     expected = filtered(sensors(config)[0].transfer, time, force(time) / MASS_KG)
     inside = (scans["time"] > time[0]) & (scans["time"] < time[-1])
     error = scans["accelerometer"][inside] - np.interp(scans["time"][inside], time, expected)
@@ -55,7 +55,7 @@ def test_pulses_of_the_simulated_rig_agree_with_its_true_acceleration(rate_hz):
 
     transfer = sensors(config)[0].transfer
     worst = []
-    for impact in motion.impacts[:5]:
+    for impact in motion.impacts[:4]:
         start = (impact["segment"] - 100) * 0.01 + impact["offset"]
         time = dense(start - 2e-4, start + 5e-4)
         inside = np.flatnonzero((time_of_scan > start) & (time_of_scan < time[-1]))
@@ -75,7 +75,7 @@ def test_pulse_keeps_its_impulse_whatever_the_rate():
     motion = AnalyticMotion(steps_of(0.0123, 42e-6), a_1=lambda t: force(t) / MASS_KG)
     scans = measured(Chain(configured(200_000, exact=True)), motion, 0.02)
     time = dense(0.0122, 0.0124)
-    velocity = np.sum(force(time)) * 20e-9 / MASS_KG
+    velocity = np.sum(force(time)) * 40e-9 / MASS_KG
     within = (scans["time"] > 0.0122) & (scans["time"] < 0.0135)
     left = np.exp(-2 * np.pi * 1.0 * (0.0135 - 0.0123))
     assert np.sum(scans["accelerometer"][within]) / 200_000 == pytest.approx(velocity * left, rel=3e-3)
