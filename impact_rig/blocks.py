@@ -102,13 +102,15 @@ DAQ_INFO = np.dtype(
         ("skew", "f8"),
         ("lag_order", "f8"),
         ("bandwidth", "f8"),
+        ("linearity", "f8"),
     ]
 )
 """`daq/info`, one row per channel: SI = (volt - offset) / sensitivity; sensitivity in V per unit, offset in V; range,
 resolution (1 LSB) and noise (rms) in the unit; u(sensitivity) relative and u(offset) in the unit, both standard
 uncertainties; lag: group delay of the sensor at low frequency [s]; skew: conversion after the scan clock [s];
 lag_order 1: the sensor is a first-order lag 1 / (1 + jω lag), 0: a pure delay in the rig's band; bandwidth: -3 dB
-corner of the sensor and of its noise [Hz]."""
+corner of the sensor and of its noise [Hz]; linearity: limit of the departure from a straight line [unit], a smooth
+curve; its slope at mid-range is part of u(sensitivity)."""
 
 TRANSMISSIBILITY = np.dtype(
     [

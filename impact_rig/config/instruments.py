@@ -27,7 +27,9 @@ class Accelerometer:
     high_pass_hz: float = quantity(1.0, "Hz", "High-pass of the charge amplifier, first order.", above=0)
     low_pass_hz: float = quantity(10e3, "Hz", "Low-pass of the charge amplifier, Butterworth.", above=0)
     low_pass_order: int = integer(2, "-", "Order of the low-pass.", at_least=1, at_most=8)
-    noise_v_rms: float = quantity(5e-3, "V", "Noise at the amplifier's output, rms within its bandwidth.", at_least=0)
+    noise_v_rms: float = quantity(
+        0.14e-3, "V", "Noise at the amplifier's output, rms within its bandwidth: 5 mg.", at_least=0
+    )
     saturation_v: float = quantity(10.0, "V", "The amplifier's output clips here, either side.", above=0)
     gain_tolerance: float = quantity(0.02, "-", "Limit of the relative error of the sensitivity.", at_least=0, below=1)
     offset_tolerance_v: float = quantity(2e-3, "V", "Limit of the amplifier's offset.", at_least=0)
