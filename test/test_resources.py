@@ -52,7 +52,8 @@ def test_an_installed_package_brings_its_files(tmp_path):
         (shutil.copytree if source.is_dir() else shutil.copy)(source, copy / name)
     shutil.copytree(share_dir() / "impact_rig", copy / "impact_rig", ignore=shutil.ignore_patterns("__pycache__"))
     pip = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--no-build-isolation", "--no-index"]
-    subprocess.run([*pip, "--prefix", str(tmp_path / "prefix"), str(copy)], check=True, cwd=tmp_path)
+    elsewhere = ["--prefix", str(tmp_path / "prefix"), "--ignore-installed"]  # else pip removes what these tests run
+    subprocess.run([*pip, *elsewhere, str(copy)], check=True, cwd=tmp_path)
     (package,) = (tmp_path / "prefix").glob("lib/python3*/site-packages/impact_rig")
     assert (package / "py.typed").is_file()
     assert share_dir(package) == tmp_path / "prefix" / "share" / "impact_rig"
