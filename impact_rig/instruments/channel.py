@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 
 import attrs
 import numpy as np
@@ -70,6 +71,40 @@ def _sine(tick, offset, ticks, tick_s, omega, amplitude, values):  # type: ignor
             values[i] = amplitude * math.sin(omega * (tick[i] * tick_s + offset[i]))
 
 
+class Queue:
+    """Readings that have not been taken: arrays as they came, copied at most once however they are cut."""
+
+    def __init__(self) -> None:
+        self.waiting = 0
+        self._parts: deque[tuple[NDArray[np.float64], NDArray[np.bool_]]] = deque()
+
+    def put(self, readings: NDArray[np.float64], clipped: NDArray[np.bool_]) -> None:
+        """Append readings and whether each was clipped, both shape (n,)."""
+        if len(readings):
+            self._parts.append((readings, clipped))
+            self.waiting += len(readings)
+
+    def take(self, count: int) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+        """Remove and return the oldest `count`, no more than are waiting."""
+        self.waiting -= count
+        if self._parts and len(self._parts[0][0]) >= count:
+            return self._split(count)
+        taken = []
+        while count:
+            taken.append(self._split(min(count, len(self._parts[0][0]))))
+            count -= len(taken[-1][0])
+        return (
+            np.concatenate([np.empty(0), *(readings for readings, _ in taken)]),
+            np.concatenate([np.empty(0, dtype=np.bool_), *(clipped for _, clipped in taken)]),
+        )
+
+    def _split(self, count: int) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+        readings, clipped = self._parts.popleft()
+        if count < len(readings):
+            self._parts.appendleft((readings[count:], clipped[count:]))
+        return readings[:count], clipped[:count]
+
+
 class Channel:
     """A sensor on its converter channel, ideal or not; carries everything that goes on from tick to tick.
 
@@ -107,20 +142,17 @@ class Channel:
         self._coloured = np.zeros(1)
         self._last: float | None = None
         self._awake = False
-        self._readings = np.empty(0)
-        self._clipped = np.empty(0, dtype=np.bool_)
+        self._queue = Queue()
         self._stage, self._converter = self._stages(adc)
 
     @property
     def waiting(self) -> int:
         """How many readings have not been taken."""
-        return len(self._readings)
+        return self._queue.waiting
 
     def take(self, count: int) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
         """Remove and return the oldest readings [unit] and whether each was clipped."""
-        readings, self._readings = self._readings[:count], self._readings[count:].copy()
-        clipped, self._clipped = self._clipped[:count], self._clipped[count:].copy()
-        return readings, clipped
+        return self._queue.take(count)
 
     def change(self, sensor: Sensor, adc: Adc, clock: ScanClock, ideal: bool) -> None:
         """Become another sensor from the next tick on; noise streams go on, dynamics too where they are the same."""
@@ -179,8 +211,7 @@ class Channel:
         faults.behind_converter(sensor.name, readings, clipped, first_scan, self._last)
         if len(readings):
             self._last = float(readings[-1])
-        self._readings = np.concatenate([self._readings, readings])
-        self._clipped = np.concatenate([self._clipped, clipped])
+        self._queue.put(readings, clipped)
 
     def _replace(self, stretch: Stretch, at: Instants, values: NDArray[np.float64]) -> bool:
         """Put the calibration sine in place of the values where it is on; return whether there is one."""

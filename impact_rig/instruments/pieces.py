@@ -13,8 +13,6 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from impact_rig.instruments.motion import Motion
-
 NODES = 8
 _X = np.cos(np.pi * (2 * np.arange(NODES)[::-1] + 1) / (2 * NODES))  # Chebyshev points on [-1, 1], ends excluded
 _TO_MONOMIALS = np.ascontiguousarray(np.linalg.inv(np.vander(_X, increasing=True)))
@@ -53,27 +51,28 @@ def polynomials(values: NDArray[np.float64]) -> NDArray[np.float64]:
     return coefficients
 
 
-def cut(motion: Motion, first_segment: int, ticks: int, tick_s: float, longest_s: float, joined_s: float) -> Pieces:
-    """Cut `ticks` ticks of a motion at its breakpoints.
+def cut(
+    rough: tuple[NDArray[np.int64], NDArray[np.float64]],
+    first_segment: int,
+    ticks: int,
+    tick_s: float,
+    longest_s: float,
+    joined_s: float,
+) -> Pieces:
+    """Cut ticks of a motion at its breakpoints.
 
     Args:
-        motion: covers these ticks.
+        rough: the motion's breakpoints (segment, offset [s]), in order; those of other ticks do not matter.
         first_segment: segment of the first tick.
         ticks: how many.
         tick_s: duration of one tick [s].
         longest_s: flights are cut into equal parts of at most this.
         joined_s: neighbours between breakpoints are joined as long as they are together no longer than this.
     """
-    segment, offset = motion.breakpoints()
-    first, start, end, hard, of = _cut(
-        np.ascontiguousarray(segment, dtype=np.int64),
-        np.ascontiguousarray(offset, dtype=np.float64),
-        first_segment,
-        ticks,
-        tick_s,
-        longest_s,
-        joined_s,
-    )
+    low, high = np.searchsorted(rough[0], (first_segment, first_segment + ticks))
+    segment = np.ascontiguousarray(rough[0][low:high], dtype=np.int64)
+    offset = np.ascontiguousarray(rough[1][low:high], dtype=np.float64)
+    first, start, end, hard, of = _cut(segment, offset, first_segment, ticks, tick_s, longest_s, joined_s)
     return Pieces(first, start, end, hard, of, tick_s)
 
 

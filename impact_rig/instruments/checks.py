@@ -1,0 +1,149 @@
+"""Known-input check: a calibration sine into every channel of a twin of the instruments, compared with the certificate.
+
+The twin has the rig's configuration, seed and so its calibration errors, and the faults it is given; the rig itself is
+not disturbed. To see the sine in the rig's own scans, use `Chain.calibrate`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+
+import attrs
+import numpy as np
+from numpy.typing import NDArray
+
+from impact_rig.blocks import CHANNELS, SCAN
+from impact_rig.config import RigConfig
+from impact_rig.config.faults import BOARD_KINDS, Faults
+from impact_rig.instruments.chain import Chain, sensors
+from impact_rig.instruments.faults import Fault
+
+_SETTLE_TICKS = 400  # 4 s: the 1 Hz high-pass forgets its start to e^-25
+_MEASURE_TICKS = 100
+_COVERAGE = 2.5
+"""Covers every error within its tolerance: a rectangular one reaches √3 standard uncertainties, linearity √6."""
+
+
+@attrs.frozen
+class ChannelCheck:
+    """What a known sine looked like on one channel.
+
+    Attributes:
+        channel: which.
+        expected: peak of the reading, by the certificate [unit].
+        measured: peak of the reading [unit].
+        gain: measured over expected, its sign that of the reading.
+        gain_limit: how far |gain| may be from 1.
+        phase_rad: of the reading behind what was expected.
+        residual: rms of what is not sine [unit].
+        residual_limit: how much that may be [unit].
+        polarity: 1 right, −1 the wrong way round, 0 no signal.
+        ok: everything within its limit.
+    """
+
+    channel: str
+    expected: float
+    measured: float
+    gain: float
+    gain_limit: float
+    phase_rad: float
+    residual: float
+    residual_limit: float
+    polarity: int
+    ok: bool
+
+
+class _Rest:
+    """A rig on which nothing moves."""
+
+    impacts = np.zeros(
+        0, dtype=[("segment", "i8"), ("offset", "f8"), ("wall", "i1"), ("impulse", "f8"), ("duration", "f8")]
+    )
+
+    def quantities(
+        self,
+        names: tuple[str, ...],
+        segment: NDArray[np.int64],
+        offset_s: NDArray[np.float64],  # noqa: ARG002 - the protocol's
+    ) -> NDArray[np.float64]:
+        """Return zeros."""
+        return np.zeros((len(names), len(segment)))
+
+    def breakpoints(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """Return none."""
+        return np.empty(0, dtype=np.int64), np.empty(0)
+
+
+def check_known_input(
+    config: RigConfig, faults: Iterable[Fault] = (), frequency_hz: float = 10.0, fraction: float = 0.5
+) -> list[ChannelCheck]:
+    """Put a sine on every channel of a twin of the rig's instruments and judge what it reads.
+
+    Args:
+        config: the rig's.
+        faults: faults on the twin, from its start to its end; those of the whole board play no part.
+        frequency_hz: of the sine; a whole number of cycles must fit into one second.
+        fraction: its amplitude, of half the measuring range.
+
+    Returns:
+        One check per channel, in scan order.
+
+    Raises:
+        CommandError: a number out of range.
+    """
+    bare = attrs.evolve(config, instruments=attrs.evolve(config.instruments, faults=Faults()))
+    chain = Chain(bare)
+    for fault in faults:
+        if fault.kind not in BOARD_KINDS:
+            chain.inject(attrs.evolve(fault, start=0, duration=0))
+    amplitudes = {}
+    for sensor in sensors(bare):
+        low, high = sensor.measuring_range()
+        amplitudes[sensor.name] = fraction * 0.5 * (high - low)
+        chain.calibrate(sensor.name, frequency_hz, amplitudes[sensor.name], _SETTLE_TICKS + _MEASURE_TICKS)
+    rows = np.empty(0, dtype=SCAN)
+    for tick in range(0, _SETTLE_TICKS + _MEASURE_TICKS, _MEASURE_TICKS):
+        chain.acquire(_Rest(), tick, _MEASURE_TICKS)
+        first = chain.next_scan
+        rows = chain.read(chain.ready)
+    time = (first + np.arange(len(rows))) / config.daq.rate_hz
+    return [
+        _judge(chain, index, time, rows[name], frequency_hz, amplitudes[name]) for index, name in enumerate(CHANNELS)
+    ]
+
+
+def check_polarity(config: RigConfig, faults: Iterable[Fault] = ()) -> dict[str, int]:
+    """Return for every channel 1 if a push to the right reads positive, −1 if negative, 0 if nothing comes through."""
+    return {check.channel: check.polarity for check in check_known_input(config, faults)}
+
+
+def _judge(
+    chain: Chain, index: int, time: NDArray[np.float64], reading: NDArray[np.float64], frequency_hz: float, peak: float
+) -> ChannelCheck:
+    sensor, info = sensors(chain.config)[index], chain.info()[index]
+    angle = 2.0 * np.pi * frequency_hz * (time + float(info["skew"]))
+    basis = np.stack([np.sin(angle), np.cos(angle), np.ones_like(angle)], axis=1)
+    fit, *_ = np.linalg.lstsq(basis, reading, rcond=None)
+    residual = math.sqrt(float(np.mean((reading - basis @ fit) ** 2)))
+    response = 1.0 if chain.config.instruments.ideal else complex(sensor.transfer.response(frequency_hz))
+    ratio = complex(fit[0], fit[1]) / (peak * response)
+    noise = float(info["noise"])
+    gain_limit = _COVERAGE * float(info["sensitivity_uncertainty"]) + 5.0 * noise / (peak * math.sqrt(len(time))) + 1e-9
+    bend = 0.0 if chain.config.instruments.ideal else 0.6 * (peak / sensor.half_range) ** 2 * sensor.linearity
+    residual_limit = 2.0 * noise + bend + 1e-9 * peak
+    polarity = int(np.sign(ratio.real)) if abs(ratio) > 0.1 else 0
+    phase = math.atan2(ratio.imag * polarity, ratio.real * polarity) if polarity else 0.0
+    within = abs(abs(ratio) - 1.0) <= gain_limit and abs(phase) <= gain_limit and residual <= residual_limit
+    return ChannelCheck(
+        channel=sensor.name,
+        expected=peak * abs(response),
+        measured=peak * abs(response) * abs(ratio),
+        gain=abs(ratio) * (polarity or 1),
+        gain_limit=gain_limit,
+        phase_rad=phase,
+        residual=residual,
+        residual_limit=residual_limit,
+        polarity=polarity,
+        ok=within and polarity == 1,
+    )
