@@ -9,6 +9,10 @@ A channel converts its value `skew` after the scan clock, from a sensor that lag
     0    pure delay                                              L = e^{−iω·lag}
     1    first order with the time constant lag                  L = 1 / (1 + iω·lag)
     2    two-pole Butterworth of that group delay                L = 1 / (1 + i√2 Ω − Ω²),  Ω = ω·lag/√2
+
+`linearity` L bounds a smooth curve: L (c_2 P_2(u) + c_3 P_3(u)), Legendre polynomials of the place u = −1 … 1 in the
+range of half width R, |c_2| + |c_3| <= 1 evenly, so that u(c_3) = 1/√6. A sine of amplitude a·R about mid-range finds
+the gain changed by c_3 (L/R) (1.875 a² − 1.5): first harmonic of P_3.
 """
 
 from __future__ import annotations
@@ -48,6 +52,9 @@ def two_pole(omega_lag: Real) -> Complex:
 LAG_MODELS: dict[int, Callable[[Real], Complex]] = {0: pure_delay, 1: first_order, 2: two_pole}
 """`lag_order` to model."""
 
+U_CUBIC = 1.0 / math.sqrt(6.0)
+"""Standard uncertainty of the share c that the cubic has in a sensor's curve."""
+
 TWO_POLE_NOISE = 1.11
 """Noise bandwidth of a Butterworth two-pole filter over its corner."""
 
@@ -61,6 +68,7 @@ COLUMNS = (
     "skew",
     "lag_order",
     "bandwidth",
+    "linearity",
 )
 
 
@@ -78,6 +86,7 @@ class Calibration:
         skew: conversion after the scan clock [s].
         lag_order: key into `LAG_MODELS`.
         bandwidth: corner of the sensor and its noise [Hz]; 0 where unknown.
+        linearity: limit of the departure from a straight line [unit].
     """
 
     rate_hz: int
@@ -90,6 +99,7 @@ class Calibration:
     skew: Real
     lag_order: Real
     bandwidth: Real
+    linearity: Real
 
     @classmethod
     def from_info(cls, rows: NDArray[np.void]) -> Calibration:
@@ -117,6 +127,23 @@ class Calibration:
         omega = 2.0 * np.pi * np.asarray(frequency_hz, dtype=np.float64)
         lag = LAG_MODELS[int(self.lag_order[channel])](omega * self.lag[channel])
         return np.asarray(lag * np.exp(1j * omega * self.skew[channel]), dtype=np.complex128)
+
+    def gain_uncertainty_at(self, channel: int, amplitude: float) -> float:
+        """Return the relative standard uncertainty of the amplitude of a vibration about mid-range.
+
+        `gain_uncertainty` holds for a small one, the slope 1.5 c L/R of the sensor's curve at mid-range included; a
+        vibration of amplitude a·R sees (1.5 − 1.875 a²) c L/R of it (module docstring).
+        """
+        half_range = float(self.high[channel] - self.low[channel]) / 2.0
+        curve = float(self.linearity[channel]) / half_range * U_CUBIC
+        small = float(self.gain_uncertainty[channel]) ** 2
+        share = amplitude / half_range
+        return math.sqrt(max(small - (1.5 * curve) ** 2, 0.0) + ((1.5 - 1.875 * share**2) * curve) ** 2)
+
+    def curvature_uncertainty(self, channel: int, amplitude: float) -> float:
+        """Return the standard uncertainty of the relative change of gain from a small vibration to this amplitude."""
+        half_range = float(self.high[channel] - self.low[channel]) / 2.0
+        return float(self.linearity[channel]) / half_range * U_CUBIC * 1.875 * (amplitude / half_range) ** 2
 
     def noise_crowding(self) -> Real:
         """Return how much denser the noise is at the drive than if it filled the band up to rate / 2, shape (4,)."""

@@ -3,24 +3,29 @@
     y(t) = C + D t + e^{−λt} (A cos ω_d t + B sin ω_d t),   λ = ζω_n,   ω_d = ω_n √(1 − ζ²)
     ω_n = √(ω_d² + λ²),   ζ = λ/ω_n;      decrement per cycle δ = 2πλ/ω_d,   ζ = δ/√(4π² + δ²)
 
-Gain, offset, skew and lag of the sensor scale and shift the decay without changing either value, so the uncertainty is
-that of the noise (density near ω_d, as in `sine`) and of the clock.
+Gain, offset, skew and lag of the sensor scale and shift the decay without changing either value. Its curve does not: a
+gain that changes by κ (a/a_0)² with the amplitude a bends the envelope, and ζ by up to κ/2 (`bent`). So u(f_n) is that
+of noise (density near ω_d, as in `sine`) and clock, u(ζ) that of noise and curve.
 """
 
 from __future__ import annotations
 
 import math
+from typing import Protocol
 
 import attrs
 import numpy as np
+from numpy.typing import NDArray
 from scipy import fft
 
-from impact_rig.analysis.calibration import Complex, Real
+from impact_rig.analysis.calibration import LASER, Calibration, Complex, Real
 from impact_rig.analysis.sine import least_squares, noise_density
 from impact_rig.analysis.words import Status
 
 MIN_CYCLES = 4
 MIN_POINTS = 32
+MIN_SAMPLES_FOR_HARMONICS = 20
+"""Scans per cycle from which second and third harmonic are fitted too."""
 LINE_FACTOR = 20.0
 """A spectral line this far above the expected largest one of noise is a vibration."""
 SIGNAL_FACTOR = 10.0
@@ -40,6 +45,53 @@ class Decay:
     u_damping_ratio: float = math.nan
     amplitude: float = math.nan
     cycles: int = 0
+
+
+class Method(Protocol):
+    """`fit_decay` or `log_decrement`."""
+
+    def __call__(self, y: Real, rate_hz: float, u_clock: float = 0.0) -> Decay:
+        """Return f_n and ζ of a displacement."""
+
+
+def measure_decay(
+    rows: NDArray[np.void], info: NDArray[np.void], method: Method | None = None, u_clock: float = 0.0
+) -> Decay:
+    """Measure the free decay of the superior base in scans that begin after its release; the base must be locked.
+
+    Args:
+        rows: consecutive scans (`blocks.SCAN`).
+        info: rows of `daq/info`: rate, range and linearity of the laser.
+        method: `fit_decay` if None.
+        u_clock: relative standard uncertainty of the rate.
+
+    Raises:
+        ConfigError: `info` does not describe the channels.
+    """
+    calibration = Calibration.from_info(info)
+    y = np.asarray(rows["laser"], dtype=np.float64)
+    with np.errstate(invalid="ignore"):
+        clipped = np.any((y <= calibration.low[LASER]) | (y >= calibration.high[LASER]))
+    if clipped or np.any(rows["status"] & (1 << LASER)):
+        return Decay(status=Status.OVER_RANGE)
+    found = (method or fit_decay)(y, calibration.rate_hz, u_clock)
+    if found.status is not Status.OK:
+        return found
+    seconds = len(y) / calibration.rate_hz
+    share = bent(2.0 * math.pi * found.natural_frequency_hz * found.damping_ratio, seconds)
+    curve = share * calibration.curvature_uncertainty(LASER, found.amplitude)
+    return attrs.evolve(found, u_damping_ratio=math.hypot(found.u_damping_ratio, curve * found.damping_ratio))
+
+
+def bent(decay_per_s: float, seconds: float) -> float:
+    """Return Δζ/ζ per κ: what a gain of 1 + κ (a/a_0)² does to the slope of ln a, fitted with weights a².
+
+    1/2 for a record that holds the whole decay, less for a shorter one.
+    """
+    time = np.linspace(0.0, seconds, 20_001)
+    power = np.exp(-2.0 * decay_per_s * time)
+    centred = time - float(power @ time) / float(power.sum())
+    return -float(power @ (centred * power)) / (decay_per_s * float(power @ centred**2))
 
 
 def fit_decay(y: Real, rate_hz: float, u_clock: float = 0.0) -> Decay:
@@ -172,7 +224,10 @@ def _cycle_phasors(y: Real, rate_hz: float, omega: float) -> tuple[Complex, Real
     angle = omega / rate_hz * index
     ramp = 2.0 * place / samples[:, None] - 1.0  # the decay within the cycle, to first order
     cosine, sine = np.cos(angle), np.sin(angle)
-    design = np.stack([np.ones_like(angle), cosine, sine, ramp * cosine, ramp * sine], axis=2) * inside[:, :, None]
+    columns = [np.ones_like(angle), cosine, sine, ramp * cosine, ramp * sine]
+    if period >= MIN_SAMPLES_FOR_HARMONICS:  # a curved sensor adds them, and the ramps would see them
+        columns += [f(h * angle) for h in (2, 3) for f in (np.cos, np.sin)]
+    design = np.stack(columns, axis=2) * inside[:, :, None]
     part = y[index] * inside
     transposed = np.swapaxes(design, 1, 2)
     solution = np.linalg.solve(transposed @ design, transposed @ part[:, :, None])

@@ -28,7 +28,7 @@ class TrackerSettings:
         0.05, "s", "How long scans are held back for commands delivered after them.", at_least=0, at_most=1
     )
     lag_uncertainty: float = quantity(
-        0.02, "-", "Relative standard uncertainty of the sensors' lag.", at_least=0, at_most=1
+        0.0, "-", "Relative standard uncertainty of the lags; daq/info states none.", at_least=0, at_most=1
     )
     bootstrap_resamples: int = integer(400, "-", "Resamples of the block bootstrap.", at_least=50, at_most=100_000)
     seed: int = integer(1, "-", "Seed of the block bootstrap.", at_least=0, at_most=2**53)

@@ -172,7 +172,9 @@ def measure(
         # resampled blocks are centred on this record's mean: short by the share of one block
         spread = np.array([np.var(logs.real), np.var(logs.imag)]) / (1.0 - length / len(cycles))
     variance = np.maximum(spread, white)
-    u_amplitude, u_phase = _combined(variance, calibration, frequency_hz, settings.lag_uncertainty, bias / ratio)
+    u_amplitude, u_phase = _combined(
+        variance, calibration, frequency_hz, settings.lag_uncertainty, bias / ratio, abs(mean1), abs(mean_b)
+    )
     phase = float(np.angle(ratio))
     misplaced = _misplaced(true[ACCELEROMETER][:, 0], mean1, mean_b, frequency_hz, phase - 3.0 * u_phase)
     if misplaced:
@@ -257,14 +259,20 @@ def _amplitude_u(phasors: Complex, white: float) -> float:
 
 
 def _combined(
-    variance: Real, calibration: Calibration, frequency_hz: float, lag_uncertainty: float, bias: complex
+    variance: Real,
+    calibration: Calibration,
+    frequency_hz: float,
+    lag_uncertainty: float,
+    bias: complex,
+    laser_m: float,
+    base_m: float,
 ) -> tuple[float, float]:
     """Return the combined relative uncertainty of the amplitude ratio and that of the phase [rad]."""
     drift = abs(bias) ** 2 / 3.0
     amplitude, phase = float(variance[0]) + drift, float(variance[1]) + drift
-    for channel in (LASER, BASE):
+    for channel, level in ((LASER, laser_m), (BASE, base_m)):
         slope = calibration.lag_sensitivity(channel, frequency_hz) * lag_uncertainty
-        amplitude += float(calibration.gain_uncertainty[channel]) ** 2 + slope.real**2
+        amplitude += calibration.gain_uncertainty_at(channel, level) ** 2 + slope.real**2
         phase += slope.imag**2
     return math.sqrt(amplitude), math.sqrt(phase)
 

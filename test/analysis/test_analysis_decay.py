@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from analysis_records import F_N, ZETA
+from analysis_records import F_N, ZETA, info_rows
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from impact_rig.analysis.decay import fit_decay, log_decrement
+from impact_rig.analysis.decay import bent, fit_decay, log_decrement, measure_decay
 from impact_rig.analysis.drop import restitution_of_drop, restitution_of_drops
 from impact_rig.analysis.words import Status
+from impact_rig.blocks import SCAN
 
 COVERAGE = (0.93, 0.975)
 METHODS = pytest.mark.parametrize("method", [fit_decay, log_decrement])
@@ -70,6 +71,50 @@ def test_uncertainties_cover_the_truth(method):
         )
     shares = np.mean(np.abs(deviations) < 2.0, axis=0)
     assert np.all((shares >= COVERAGE[0]) & (shares <= COVERAGE[1])), shares
+
+
+def scans(y):
+    rows = np.zeros(len(y), SCAN)
+    rows["laser"] = y
+    return rows
+
+
+@METHODS
+def test_the_curve_of_the_sensor_is_in_the_uncertainty_of_the_damping(method):
+    """1000 rigs: gain and curve (Legendre, |c_2| + |c_3| <= 1) drawn anew; noise alone would be 10 times too sure."""
+    rng = np.random.default_rng(6)
+    rate = 250
+    info = info_rows(rate, gain_u=2e-3)
+    info["linearity"][1] = 30e-6
+    clean, inside, too_sure = decay(12.0, rate), [], []
+    for _ in range(1000):
+        p, q = rng.uniform(-1, 1, 2)
+        u = clean / 0.01
+        curve = 30e-6 * (0.5 * (p + q) * (3 * u**2 - 1) / 2 + 0.5 * (p - q) * (5 * u**3 - 3 * u) / 2)
+        y = (1 + 2e-3 * rng.standard_normal()) * clean + curve + 3e-6 * rng.standard_normal(len(clean))
+        found = measure_decay(scans(y), info, method)
+        inside.append(abs(found.damping_ratio - ZETA) < 2 * found.u_damping_ratio)
+        if len(too_sure) < 150:
+            too_sure.append(abs(found.damping_ratio - ZETA) < 2 * method(y, rate).u_damping_ratio)
+    assert COVERAGE[0] <= np.mean(inside) <= COVERAGE[1], np.mean(inside)
+    assert np.mean(too_sure) < 0.9
+
+
+def test_a_record_that_holds_the_whole_decay_is_bent_by_a_half():
+    """And 2 for a short one: ln(1 + κe^{−2λt}) then falls by 2κλ per second."""
+    assert bent(0.25, 100.0) == pytest.approx(0.5, rel=5e-3)
+    assert bent(0.25, 0.01) == pytest.approx(2.0, rel=1e-2)
+
+
+def test_a_clipped_decay_is_named():
+    y = decay()
+    info = info_rows(500)
+    assert measure_decay(scans(3 * y), info).status is Status.OVER_RANGE
+    flagged = scans(y)
+    flagged["status"][3] = 2
+    assert measure_decay(flagged, info).status is Status.OVER_RANGE
+    assert measure_decay(scans(np.full(5000, np.nan)), info).status is Status.NOT_FINITE
+    assert measure_decay(scans(y), info).status is Status.OK
 
 
 def test_the_two_methods_agree_within_their_uncertainty():

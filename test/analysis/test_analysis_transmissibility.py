@@ -251,6 +251,24 @@ def test_lag_sensitivity_is_the_derivative():
     assert calibration.lag_sensitivity(BASE, 9.1) == pytest.approx(-1j * 2 * np.pi * 9.1 * 0.225e-3, rel=1e-6)
 
 
+def curved(values, c_2, c_3, linearity, half_range):
+    u = values / half_range
+    return values + linearity * (c_2 * (3 * u**2 - 1) / 2 + c_3 * (5 * u**3 - 3 * u) / 2)
+
+
+@pytest.mark.parametrize("amplitude", [1e-5, 2e-3, 6e-3, 9e-3])
+def test_gain_uncertainty_follows_the_curve_of_the_sensor(amplitude):
+    """The fundamental through a sensor of unit c_3, against the closed form; the spread of 1/√6 makes it standard."""
+    info = info_rows(gain_u=0.0)
+    info["linearity"][LASER] = 30e-6
+    info["sensitivity_uncertainty"][LASER] = np.hypot(1e-3, 1.5 * 30e-6 / 0.01 / np.sqrt(6))
+    angle = 2 * np.pi * np.arange(1000) / 1000
+    through = curved(amplitude * np.cos(angle), 0.3, 1.0, 30e-6, 0.01)
+    gain_error = 2 * np.mean(through * np.cos(angle)) / amplitude - 1
+    found = Calibration.from_info(info).gain_uncertainty_at(LASER, amplitude)
+    assert found == pytest.approx(np.hypot(1e-3, gain_error / np.sqrt(6)), rel=1e-9)
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
