@@ -1,13 +1,16 @@
-"""Subcommands on recorded runs and configuration files: info, recover, export, check."""
+"""Subcommands on recorded runs and configuration files: info, analyze, verify, recover, export, check."""
 
 from __future__ import annotations
 
 import argparse
+import math
 from pathlib import Path
 
 from rich.console import Console
 from rich.table import Table as TextTable
 
+from impact_rig.campaign import reanalysis
+from impact_rig.campaign.verification import verify
 from impact_rig.config import load
 from impact_rig.physics.contact import from_config
 from impact_rig.recording import export, info, open_run, recover
@@ -28,6 +31,12 @@ def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("topic", help="e.g. transmissibility/table")
     parser.add_argument("target", type=Path, metavar="FILE", help="its suffix chooses the format")
     parser.set_defaults(run=_export)
+    parser = commands.add_parser("analyze", help="analyse a run again, as the live node did; says if the results agree")
+    parser.add_argument("path", type=Path, metavar="RUN")
+    parser.set_defaults(run=_analyze)
+    parser = commands.add_parser("verify", help="re-simulate a run from its journal and compare every scan")
+    parser.add_argument("path", type=Path, metavar="RUN")
+    parser.set_defaults(run=_verify)
     parser = commands.add_parser("check", help="validate a configuration file without starting anything")
     parser.add_argument("path", type=Path, metavar="FILE")
     parser.set_defaults(run=_check)
@@ -72,6 +81,32 @@ def _export(arguments: argparse.Namespace) -> int:
     with open_run(arguments.path) as run:
         Console().print(str(export(run, arguments.topic, arguments.target)), highlight=False)
     return 0
+
+
+def _analyze(arguments: argparse.Namespace) -> int:
+    console = Console()
+    with open_run(arguments.path) as run:
+        found = reanalysis.measurements(reanalysis.analyze(run))
+        same = reanalysis.same_as_live(run, found)
+    table = TextTable()
+    for heading in ("f [Hz]", "DT", "u(DT)", "phase [deg]", "gap [mm]", "impacts/cycle", "regime", "status"):
+        table.add_column(heading, justify="right")
+    for row in reanalysis.rows(found):
+        table.add_row(
+            f"{row['frequency']:.3f}", f"{row['transmissibility']:.3f}", f"{row['transmissibility_uncertainty']:.3f}",
+            f"{math.degrees(row['phase']):.2f}", f"{row['gap'] * 1e3:g}", f"{row['impacts_per_cycle']:.2f}",
+            row["regime"].decode(), row["status"].decode(),
+        )  # fmt: skip
+    console.print(table)
+    console.print("identical to the live results" if same else "[red]not identical to the live results[/red]")
+    return 0 if same else 1
+
+
+def _verify(arguments: argparse.Namespace) -> int:
+    with open_run(arguments.path) as run:
+        verdict = verify(run)
+    Console().print(f"{arguments.path}: {verdict}", style="green" if verdict.identical else "red", highlight=False)
+    return 0 if verdict.identical else 1
 
 
 def _check(arguments: argparse.Namespace) -> int:

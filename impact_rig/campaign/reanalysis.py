@@ -1,0 +1,77 @@
+"""Analyse a recorded run: the live node's `Tracker` on the live node's messages, so the results are the same bits."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from impact_rig import codec
+from impact_rig.analysis.labels import parse_label
+from impact_rig.analysis.settings import TrackerSettings
+from impact_rig.analysis.tracker import Findings, Tracker
+from impact_rig.blocks import TRANSMISSIBILITY, Table
+from impact_rig.errors import RecordingError
+from impact_rig.recording import Run
+
+_NEEDED = ("daq/info", "shaker/applied", "daq/scan")
+_NOTES = "notes"
+
+
+def analyze(run: Run, settings: TrackerSettings | None = None) -> Iterator[Findings]:
+    """Yield what the analysis finds in a run, message by message as the recorder received them.
+
+    Raises:
+        RecordingError: a topic that the analysis needs was not recorded, or a message is damaged.
+    """
+    tracker = Tracker(settings or TrackerSettings())
+    names = {run.resolve(topic): topic for topic in _NEEDED}
+    if any(name.rpartition("/")[2] == _NOTES for name in run.topics):
+        names[run.resolve(_NOTES)] = _NOTES
+    for message in run.messages(names, recorded_order=True):
+        topic = names[message.topic]
+        if topic == _NOTES:
+            label = parse_label(_text(message.data))
+            if label is not None:
+                tracker.label(label.gap_m, label.stamp_ns)
+            continue
+        table = codec.decode(message.data)
+        if topic == "daq/info":
+            tracker.configure(table)
+        elif topic == "shaker/applied":
+            tracker.command(table)
+        else:
+            yield tracker.feed(table)
+    yield tracker.flush()
+
+
+def measurements(findings: Iterator[Findings]) -> list[Table]:
+    """Return the measurements in findings, one table each."""
+    return [table for found in findings for table in found.measurements]
+
+
+def same_as_live(run: Run, offline: list[Table]) -> bool:
+    """Return whether every measurement recorded live was found again, bit for bit, and in the same order."""
+    first = next(run.tables("daq/scan", recorded_order=True)).stamp_ns
+    try:
+        tables = run.tables("transmissibility/table", recorded_order=True)
+        live = [table for table in tables if table.stamp_ns >= first]  # older ones were handed to a late recorder
+    except RecordingError:
+        return not offline
+    shared = offline[: len(live)]  # a recorder that stops before the analysis misses its last words
+    return len(live) <= len(offline) and all(
+        a.stamp_ns == b.stamp_ns and a.rows.tobytes() == b.rows.astype(a.rows.dtype).tobytes()
+        for a, b in zip(live, shared, strict=True)
+    )
+
+
+def rows(tables: list[Table]) -> NDArray[np.void]:
+    """Return the rows of measurement tables, shape (n,)."""
+    return np.concatenate([table.rows for table in tables]) if tables else np.empty(0, TRANSMISSIBILITY)
+
+
+def _text(cdr: bytes | memoryview) -> str:
+    """Return the text of a serialized std_msgs/String: 4 bytes of encapsulation, length with terminator, UTF-8."""
+    length = int.from_bytes(cdr[4:8], "little")
+    return bytes(cdr[8 : 8 + max(0, length - 1)]).decode(errors="replace")
