@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import math
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
@@ -25,7 +27,7 @@ from impact_rig.physics.collision import (
     new_series,
 )
 from impact_rig.physics.contact.base import ForceKind
-from impact_rig.physics.flight import STOPPED, aim, carry, flight_energy, fly, wall
+from impact_rig.physics.flight import STOPPED, aim, carry, flight_energy, fly, rounding, wall
 from impact_rig.physics.forcing import Forcing, transfer
 from impact_rig.physics.linear import V1, X1
 from impact_rig.physics.state import (
@@ -157,11 +159,15 @@ def _leave(p, s, log):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _bounce(p, s, side, segment, acceleration, log, ledger):  # type: ignore[no-untyped-def]
-    """Reverse the relative speed at once, or let a sphere ride that no longer bounces off a pressing wall."""
+def _bounce(p, s, side, segment, acceleration, noise, log, ledger):  # type: ignore[no-untyped-def]
+    """Reverse the relative speed at once, or let a sphere ride that no longer bounces off a pressing wall.
+
+    A bounce lower than the `noise` [m] of the positions would be thrown up again by their rounding, for ever.
+    """
     speed = max(0.0, side * s[RATE])
     e = p.force.restitution
-    rides = e * speed <= p.touch_speed and side * acceleration <= 0.0
+    least = max(p.touch_speed, math.sqrt(2.0 * abs(acceleration) * noise))
+    rides = e * speed <= least and side * acceleration <= 0.0
     if rides:
         e = 0.0
     lost = 0.5 * p.m_eff * speed * speed * (1.0 - e * e)
@@ -187,13 +193,14 @@ def _free_phase(p, system, f, work, s, t_end, segment, log, ledger, account):  #
     if touched == 0:
         return
     _, _, acceleration, _ = wall(system, f, work, push, s[T] - begin_t, s[T], 0)
+    acceleration = (p.c.m_1 * acceleration - push) * p.per_m_pair  # of both together, were they held
     if touched == STOPPED:
         if abs(acceleration) <= p.friction:
             s[PHASE], s[SIDE], s[RATE] = ATTACHED, 0.0, 0.0
         else:
             _fly_on(p, s, s[GAP], -np.sign(acceleration) * p.touch_speed)
     elif p.force.kind == _IMPULSIVE:
-        _bounce(p, s, touched, segment, acceleration, log, ledger)
+        _bounce(p, s, touched, segment, acceleration, rounding(p, system, work, s[T]), log, ledger)
     else:
         _touch(p, s, touched, segment)
 

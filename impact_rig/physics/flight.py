@@ -29,6 +29,7 @@ from impact_rig.physics.state import (
 )
 
 _TIME_RESOLUTION = 2.0**-51
+_POSITION_RESOLUTION = 2.0**-47
 _ROUNDS = 12
 _SHORTEST = 1e-3  # segments may be shorter than the time scale of rounding errors [s]
 
@@ -74,6 +75,15 @@ def wall(system, f, work, push, since, t, order):  # type: ignore[no-untyped-def
     d1 += dz.imag
     d2 += (1j * f.omega * (dz + growth)).imag
     return d0, d1, d2, bound
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def rounding(p, system, work, t):  # type: ignore[no-untyped-def]
+    """Return the rounding error [m] of the distance to a wall: that of the largest terms of x_1, with a margin."""
+    largest = p.half_gap + abs(work.steady[X1]) + abs(work.growing[X1]) * t
+    for k in range(system.modes.rate.shape[0]):
+        largest += abs(system.modes.right[k, X1] * work.modal[k])
+    return _POSITION_RESOLUTION * largest
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

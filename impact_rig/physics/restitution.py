@@ -37,4 +37,4 @@ def factor_returning(restitution: float) -> float:
         raise ValueError(f"restitution must be > 0 and <= 1, got {e!r}")
     if e == 1.0:
         return 0.0
-    return float(brentq(lambda a: realised(a) - e, 0.0, 1.0 / e, xtol=1e-15, rtol=8.9e-16))
+    return float(brentq(lambda a: realised(a) - e, 0.0, 2.0 / e, xtol=1e-15, rtol=8.9e-16))
