@@ -88,10 +88,19 @@ def bent(decay_per_s: float, seconds: float) -> float:
 
     1/2 for a record that holds the whole decay, less for a shorter one.
     """
-    time = np.linspace(0.0, seconds, 20_001)
-    power = np.exp(-2.0 * decay_per_s * time)
-    centred = time - float(power @ time) / float(power.sum())
-    return -float(power @ (centred * power)) / (decay_per_s * float(power @ centred**2))
+    k = 2.0 * decay_per_s * seconds
+    weight, first, second = _moments(k)
+    middle = first / weight
+    bend, bend_first, _ = _moments(2.0 * k)
+    return (middle * bend - bend_first) / (k / 2.0 * (second - middle * first))
+
+
+def _moments(k: float) -> tuple[float, float, float]:
+    """Return ∫ sⁿ e^{−ks} ds over 0 … 1 for n = 0, 1, 2."""
+    end = math.exp(-k)
+    zeroth = -math.expm1(-k) / k
+    first = (zeroth - end) / k
+    return zeroth, first, (2.0 * first - end) / k
 
 
 def fit_decay(y: Real, rate_hz: float, u_clock: float = 0.0) -> Decay:
