@@ -26,8 +26,8 @@ from impact_rig.simtime import COMMAND_GRID_NS, COMMAND_GRID_S, NS_PER_S
 SEED_STREAM = 1
 """First number of the spawn key of every generator of the instruments."""
 _LONGEST_PIECE_S = 2.5e-3
-_LONGEST_PULSE_PIECE_S = 25e-6
-"""Integration steps inside a contact are joined up to this: two polynomials hold a contact of 40 µs to 0.1 %."""
+_LONGEST_PULSE_PIECE_S = 16e-6
+"""Integration steps inside a contact are joined up to this: three polynomials hold one of 40 µs to 0.1 % of its peak."""
 _TICKS_AT_ONCE = 25
 """Arrays of a quarter of a second fit into the caches; the bits are the same for any number."""
 _ERRORS, _NOISE, _CONVERTER_NOISE, _BOARD = range(4)
@@ -269,7 +269,7 @@ def _kicks(blows: NDArray[np.void], stretch: Stretch, pieces: Pieces, mass_kg: f
     for k, blow in zip(tick, blows, strict=True):
         if 0 <= k < stretch.ticks:
             low, high = pieces.first[k], pieces.first[k + 1]
-            # blows within 25 µs of each other share a piece: all come at its start
+            # blows within 16 µs of each other share a piece: all come at its start
             piece = low + np.searchsorted(pieces.start[low:high], blow["offset"] + 1e-9, side="right") - 1
             kicks[piece] += float(blow["wall"]) * float(blow["impulse"]) / mass_kg
     return kicks
