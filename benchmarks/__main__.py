@@ -1,0 +1,45 @@
+"""Run benchmarks and merge their figures into build/bench.json: `python -m benchmarks [PART]`."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import json
+import sys
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+PARTS = ("physics", "instruments", "analysis", "recording", "live")
+RESULTS = Path("build") / "bench.json"
+
+
+def main(wanted: list[str]) -> int:
+    """Run the named parts, or all that exist; return the exit code."""
+    console = Console()
+    unknown = [part for part in wanted if part not in PARTS]
+    if unknown:
+        console.print(f"no benchmark {unknown[0]!r}; there are {', '.join(PARTS)}")
+        return 2
+    figures: dict[str, float] = json.loads(RESULTS.read_text()) if RESULTS.exists() else {}
+    for part in wanted or PARTS:
+        if importlib.util.find_spec(f"benchmarks.{part}") is None:
+            continue
+        console.rule(part)
+        measured = importlib.import_module(f"benchmarks.{part}").run()
+        figures.update(measured)
+        table = Table()
+        table.add_column("figure")
+        table.add_column("value", justify="right")
+        for key, value in measured.items():
+            table.add_row(key, f"{value:.4g}" if isinstance(value, float) else str(value))
+        console.print(table)
+        RESULTS.parent.mkdir(exist_ok=True)
+        RESULTS.write_text(json.dumps(figures, indent=2) + "\n")
+    console.print(f"all figures so far: {RESULTS}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
