@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 
 import attrs
@@ -12,7 +13,7 @@ from hypothesis import strategies as st
 from numpy.lib.recfunctions import repack_fields
 
 from impact_rig.blocks import CHANNELS, Table
-from impact_rig.config import RigConfig, from_flat
+from impact_rig.config import RigConfig, from_flat, to_flat
 from impact_rig.errors import CommandError, ConfigError
 from impact_rig.instruments.faults import Fault
 from impact_rig.rig import Block, Rig, resimulate
@@ -192,8 +193,48 @@ def test_a_refused_command_names_value_and_range_and_changes_nothing(
 
 
 def test_the_initial_drive_is_checked_like_a_command() -> None:
-    with pytest.raises(ConfigError, match=r"drive\.amplitude"):
+    with pytest.raises(ConfigError, match=r"drive: current must be"):
         Rig(config(drive__amplitude=30.0))
+
+
+@pytest.fixture(scope="module")
+def hammered() -> Rig:
+    return Rig(config())
+
+
+@given(st.floats(), st.floats())
+@settings(max_examples=2000)
+def test_any_command_is_accepted_within_range_or_refused(hammered: Rig, frequency: float, current: float) -> None:
+    """Whatever is sent, the drive stays finite and within the shaker's limits."""
+    for command in ({"frequency_hz": frequency}, {"current_a": current}, {"frequency_hz": 5 + abs(frequency) % 195}):
+        with contextlib.suppress(CommandError):
+            hammered.command(**command)
+    assert 5 <= hammered.frequency_hz <= 200
+    assert 0 <= hammered.amplitude <= 15 * math.sqrt(2)
+    assert all(0 <= table.rows["phase"][0] < 2 * math.pi for table in hammered.take_applied())
+    hammered.take_journal()
+
+
+_NAMES = st.sampled_from([*to_flat(RigConfig()), "barriers.gap", "", "x" * 400])
+_VALUES = st.one_of(st.floats(), st.integers(), st.booleans(), st.text(max_size=8), st.none(), st.tuples(st.text()))
+
+
+@given(st.dictionaries(_NAMES, _VALUES, min_size=1, max_size=3))
+@settings(max_examples=2000)
+def test_any_change_of_parameters_is_taken_whole_or_refused_whole(hammered: Rig, changes: dict[str, object]) -> None:
+    before = hammered.config
+    try:
+        after = hammered.configure(changes)
+    except (ConfigError, CommandError):
+        assert hammered.config is before
+        return
+    scans = samples(hammered.advance(hammered.frontier_ns + TICK))
+    assert all(np.isfinite(scans[name]).all() for name in CHANNELS), changes
+    values = to_flat(after)
+    for name, value in changes.items():
+        if name != "time.peers":  # an empty text in a list of names means nothing
+            assert values[name] == (float(value) if isinstance(values[name], float) else value)
+    hammered.take_journal()
 
 
 # Parameters at run time
@@ -424,8 +465,6 @@ def test_journal_rows_carry_every_kind_of_value_exactly() -> None:
 
 
 def test_short_keys_of_configuration_values_are_unique() -> None:
-    from impact_rig.config import to_flat
-
     names = list(to_flat(RigConfig()))
     assert len({short_key(name) for name in names}) == len(names)
     assert all(len(short_key(name).encode()) <= 32 for name in names)

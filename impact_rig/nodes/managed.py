@@ -122,12 +122,15 @@ class ManagedNode(LifecycleNode, Generic[S]):
         """Create a guarded timer on the monotonic clock: neither sim time nor a clock step moves it."""
         return self.create_timer(period_s, guarded(callback, self.report_failure), clock=self.steady)
 
-    def publisher(self, topic: topics.Topic) -> Publisher:
-        """Create the publisher of a row of the topics table; `qos_overrides` parameters apply."""
+    def publisher(self, topic: topics.Topic, depth: int | None = None) -> Publisher:
+        """Create the publisher of a row of the topics table, perhaps less deep; `qos_overrides` parameters apply."""
+        profile = topic.qos.profile()
+        if depth is not None:
+            profile.depth = min(depth, profile.depth)
         return self.create_publisher(
             topic.message_type(),
             topic.name,
-            topic.qos.profile(),
+            profile,
             qos_overriding_options=QoSOverridingOptions.with_default_policies(),
         )
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import json
+import math
 import os
 import platform
 import time
@@ -18,8 +19,9 @@ from std_srvs.srv import Trigger
 
 import impact_rig
 from impact_rig import codec
-from impact_rig.errors import CodecError, CommandError, RecordingError
+from impact_rig.errors import CodecError, RecordingError
 from impact_rig.nodes import process, topics
+from impact_rig.nodes.deferred import DeferredTrigger
 from impact_rig.nodes.diagnostics import Level, Status
 from impact_rig.nodes.managed import ManagedNode
 from impact_rig.nodes.parameters import SectionSchema
@@ -28,6 +30,9 @@ from impact_rig.nodes.stamps import time_message
 from impact_rig.recording import CONFIGURATION, Attachment, Provenance, Qos, RunWriter, Topic, schema_text
 
 FLUSH_S = 0.2
+AWAITED = (topics.INFO, topics.APPLIED, topics.JOURNAL, topics.CONFIGURATION)
+"""What the rig published before and belongs to every run; ~/start is answered when it has arrived."""
+AWAIT_S = 2.0
 SINGLE_PUBLISHERS = ("rig", "analysis")
 """Topics of these nodes have one publisher: a gap in its sequence numbers is a loss."""
 
@@ -44,16 +49,19 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         self._writer: RunWriter | None = None
         self._failure = ""
         self._configuration: str | None = None
-        self._waiting_since: float | None = None
+        self._waiting = False
+        self._deadline = math.inf
         self._added: set[str] = set()
         self._sequences: dict[str, int] = {}
         self._lost: Counter[str] = Counter()
         self._newest_ns = 0
+        self._awaited: set[str] = set()
+        self._opened_at = 0.0
         self._permanent: list[Any] = []
         self._recorded: list[Any] = []
         self._ack: Any = None
         self._timer: Any = None
-        self.service(Trigger, "~/start", self._on_start)
+        self._begin = DeferredTrigger(self, "~/start", self._on_start, self._answer_start)
         self.service(Trigger, "~/stop", self._on_stop)
 
     def autostarts(self) -> bool:
@@ -77,7 +85,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         ]
         self._timer = self.steady_timer(FLUSH_S, self._on_timer)
         if self.settings.record:
-            self._start()
+            self._start(patiently=True)
 
     def deactivate(self) -> None:
         """Finish the run and stop listening."""
@@ -116,23 +124,28 @@ class RecorderNode(ManagedNode[RecorderSettings]):
             return Status(Level.ERROR, self._failure, values)
         if any(self._lost.values()):
             return Status(Level.ERROR, "messages were lost before they reached the recorder", values)
-        if self._waiting_since is not None:
+        if self._waiting:
             return Status(Level.OK, "waiting for the rig's configuration", values)
+        if self._awaited:
+            return Status(Level.OK, f"recording, waiting for {', '.join(sorted(self._awaited))}", values)
         return Status(Level.OK, "recording" if writer is not None else "not recording", values)
 
     # Start and stop
 
-    def _on_start(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    def _on_start(self) -> tuple[bool, str] | None:
         if not self.active:
-            raise CommandError(f"the recorder is {self.state}, activate it first")
-        if self._writer is not None or self._waiting_since is not None:
-            raise CommandError(f"already recording {self._writer.directory if self._writer else ''}")
+            return False, f"the recorder is {self.state}, activate it first"
+        if self._writer is not None or self._waiting:
+            return False, f"already recording {self._writer.directory if self._writer else ''}"
         self._start()
-        if self._failure:
-            raise CommandError(self._failure)
-        response.success = True
-        response.message = str(self._writer.directory) if self._writer else "waiting for the rig's configuration"
-        return response
+        return (False, self._failure) if self._failure else None
+
+    def _answer_start(self) -> None:
+        """Answer ~/start once the run is open and holds what was published before it."""
+        if self._writer is not None and not self._awaited:
+            self._begin.reply(True, str(self._writer.directory))
+        elif self._failure:
+            self._begin.reply(False, self._failure)
 
     def _on_stop(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         directory = self._writer.directory if self._writer else None
@@ -140,18 +153,17 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         response.success, response.message = True, str(directory) if directory else "nothing was being recorded"
         return response
 
-    def _start(self) -> None:
-        """Open the run, or wait for the configuration that belongs into it."""
+    def _start(self, patiently: bool = False) -> None:
+        """Open the run, or wait for the configuration that belongs into it; patiently: however late the rig starts."""
         self._failure = ""
-        self._waiting_since = time.monotonic()
+        self._waiting = True
+        self._deadline = math.inf if patiently else time.monotonic() + self.settings.configuration_wait_s
         self._open_when_ready()
 
     def _open_when_ready(self) -> None:
-        if self._waiting_since is None:
+        if not self._waiting or (self._configuration is None and time.monotonic() < self._deadline):
             return
-        if self._configuration is None and time.monotonic() - self._waiting_since < self.settings.configuration_wait_s:
-            return
-        self._waiting_since = None
+        self._waiting = False
         if self._configuration is None:
             self.get_logger().warning("no rig/configuration was heard: the run has none attached")
         try:
@@ -166,6 +178,8 @@ class RecorderNode(ManagedNode[RecorderSettings]):
             for topic in topics.TOPICS
             if topic is not topics.SCAN
         ]
+        self._awaited = {topic.name for topic in AWAITED if self.count_publishers(topic.name)}
+        self._opened_at = time.monotonic()
         self.get_logger().info(f"recording {self._writer.directory}")
 
     def _open(self, configuration: str | None) -> RunWriter:
@@ -193,11 +207,13 @@ class RecorderNode(ManagedNode[RecorderSettings]):
 
     def _finish(self) -> None:
         """Close the run; nothing is lost that has arrived."""
-        self._waiting_since = None
+        self._waiting = False
+        self._awaited = set()
         for inlet in self._recorded:
             self.destroy_subscription(inlet)
         self._recorded = []
         writer, self._writer = self._writer, None
+        self._begin.reply(False, "recording was stopped")
         if writer is None:
             return
         try:
@@ -209,7 +225,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
 
     def _fail(self, error: RecordingError) -> None:
         """Stop recording, say why, and let the rig go on."""
-        self._failure = f"recording stopped: {error}"
+        self._failure, self._awaited = f"recording stopped: {error}", set()
         self.get_logger().error(self._failure)
         writer, self._writer = self._writer, None
         for inlet in self._recorded:
@@ -226,11 +242,15 @@ class RecorderNode(ManagedNode[RecorderSettings]):
 
     def _on_timer(self) -> None:
         self._open_when_ready()
+        if self._awaited and time.monotonic() - self._opened_at > AWAIT_S:
+            self.get_logger().warning(f"nothing was heard on {', '.join(sorted(self._awaited))}")
+            self._awaited = set()
         if self._writer is not None:
             try:
                 self._writer.flush_due()
             except RecordingError as error:
                 self._fail(error)
+        self._answer_start()
 
     def _on_message(self, topic: topics.Topic, data: bytes, info: dict[str, Any]) -> None:
         if self._writer is not None:
@@ -240,6 +260,8 @@ class RecorderNode(ManagedNode[RecorderSettings]):
                 self._fail(error)
         if topic is topics.SCAN:
             self._acknowledge(data)
+            if self._waiting:  # a rig that runs and does not say what it is
+                self._deadline = min(self._deadline, time.monotonic() + self.settings.configuration_wait_s)
 
     def _write(self, writer: RunWriter, topic: topics.Topic, data: bytes, info: dict[str, Any]) -> None:
         sequence = int(info["publication_sequence_number"])
@@ -253,6 +275,9 @@ class RecorderNode(ManagedNode[RecorderSettings]):
                 self._lost[topic.name] += sequence - before - 1
             self._sequences[name] = sequence
         writer.write(name, data, int(info["source_timestamp"]), sequence)
+        if topic.name in self._awaited:
+            self._awaited.discard(topic.name)
+            self._answer_start()
 
     def _describe(self, topic: topics.Topic, name: str) -> Topic:
         publishers = self.get_publishers_info_by_topic(name)

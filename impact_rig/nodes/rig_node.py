@@ -6,6 +6,7 @@ import time
 from typing import Any  # rclpy messages and responses
 
 import numpy as np
+from rclpy.duration import Duration
 from std_msgs.msg import Float64, Header, String
 from std_srvs.srv import SetBool, Trigger
 
@@ -29,6 +30,10 @@ from impact_rig.rig import Block, Rig
 from impact_rig.simtime import NS_PER_S
 
 PUBLISHED = [topic for topic in topics.TOPICS if topic.publisher == "rig" and not topic.name.startswith("/")]
+LEAST_DEPTH = 100
+"""Blocks kept for a slow subscriber: twice what comes in a second, but at least this."""
+DELIVERY = Duration(seconds=0.2)
+"""Longest wait for the delivery of a change; only a subscriber that died without a word takes so long."""
 WORK_S = 0.02
 """Wall time one call of the work timer may fill before commands and services get their turn."""
 SHORTEST_PERIOD_S, LONGEST_PERIOD_S = 0.001, 0.05
@@ -89,7 +94,10 @@ class RigNode(ManagedNode[RigConfig]):
         config = self.settings
         _check_message_size(config)
         Rig(config).advance(WARM_UP_NS)
-        self._outlets = {topic.name: self.publisher(topic) for topic in PUBLISHED}
+        per_second = config.daq.rate_hz // config.daq.block_scans
+        depth = max(LEAST_DEPTH, 2 * per_second)  # for a slow subscriber, without holding seconds of large blocks
+        bulky = (topics.SCAN, topics.TRUTH_SCAN)
+        self._outlets = {topic.name: self.publisher(topic, depth if topic in bulky else None) for topic in PUBLISHED}
 
     def activate(self) -> None:
         """Start a new rig: scan 0 is now in realtime, at 0 otherwise."""
@@ -172,9 +180,14 @@ class RigNode(ManagedNode[RigConfig]):
         """Publish as many blocks as the window (and a step) allows, until the deadline."""
         mode = self.settings.time.mode
         limit = self._steps_left if mode == "stepped" else self._window.window
-        if limit <= 0 or self._window.silent() or not self._peers.all_matched(self._outlets[topics.SCAN.name]):
+        if limit <= 0 or self._window.silent():
             self._answer_step()
             return
+        if self._peers.missing():
+            if not self._peers.all_matched(self._outlets[topics.SCAN.name]):
+                return
+            for topic in (topics.INFO, topics.APPLIED, topics.JOURNAL):
+                self._settle(topic)  # what was published before they came
         while limit > 0:
             room = min(self._window.room(), limit)
             if room < min(limit, (self._window.window + 1) // 2):
@@ -225,6 +238,17 @@ class RigNode(ManagedNode[RigConfig]):
         ):
             for table in tables:
                 self._outlets[topic.name].publish(codec.encode(table))
+            if tables:
+                self._settle(topic)
+
+    def _settle(self, topic: topics.Topic) -> None:
+        """Wait until every matched subscriber has what was published on a topic.
+
+        Topics overtake each other. In realtime they do so by milliseconds, for which a measurement can wait; in the
+        other modes that is many blocks, and results would depend on it.
+        """
+        if self.settings.time.mode != "realtime":
+            self._outlets[topic.name].wait_for_all_acked(DELIVERY)
 
     def _publish_configuration(self) -> None:
         """Publish the configuration, and the calibration if it is another; take both for the monitors."""
@@ -232,10 +256,12 @@ class RigNode(ManagedNode[RigConfig]):
         info = self._rig.info()
         noise = dict(zip(info.rows["name"].astype(str).tolist(), info.rows["noise"].tolist(), strict=True))
         self._monitors = Monitors(self._rig.config, noise)
+        self._figures.realised_restitution = self._rig.simulation.realised_restitution
         encoded = codec.encode(info)
         if encoded != self._info:
             self._info = encoded
             self._outlets[topics.INFO.name].publish(encoded)
+            self._settle(topics.INFO)
         self._outlets[topics.CONFIGURATION.name].publish(String(data=dump(self._rig.config)))
 
     def _publishes_clock(self) -> bool:

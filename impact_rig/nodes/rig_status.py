@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 
 from impact_rig.blocks import CHANNELS
@@ -21,6 +22,8 @@ class RigStatus:
         self.impacts = 0
         self.over_range: Counter[str] = Counter()
         self.faults: set[int] = set()
+        self.realised_restitution = math.nan
+        """What the contact law really returns: with the paper's law 0.309 for 0.35."""
 
     def count(self, block: Block) -> None:
         """Count one published block."""
@@ -75,6 +78,8 @@ class RigStatus:
             "frequency_hz": rig.frequency_hz,
             "current_a": rig.amplitude,
             "impacts": self.impacts,
+            "restitution": config.contact.restitution,
+            "realised_restitution": self.realised_restitution,
             "active_faults": len(self.faults),
             "slips": pacer.slips,
             "slipped_s": pacer.slipped_ns / NS_PER_S,

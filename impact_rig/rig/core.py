@@ -15,7 +15,7 @@ import numpy as np
 import impact_rig
 from impact_rig.blocks import APPLIED, FRAME_DAQ, Table
 from impact_rig.config import RigConfig, from_flat, to_flat
-from impact_rig.errors import CommandError, ConfigError
+from impact_rig.errors import CommandError, ConfigError, SimulationError
 from impact_rig.instruments.chain import Chain
 from impact_rig.instruments.faults import Fault
 from impact_rig.physics import FunctionGenerator, Motion, Simulation
@@ -27,6 +27,8 @@ from impact_rig.simtime import COMMAND_GRID_NS, COMMAND_GRID_S, NS_PER_S, stamp_
 
 BATCH_TICKS = 50
 """Ticks simulated in one call: enough to make the overhead of a call small, few enough to bound memory."""
+TRIAL_TICKS = 3
+"""How long a changed mechanics is tried before it is taken."""
 DRIVE_SEED = 0
 """`spawn_key` of the drive's random numbers under `daq.seed`; the instruments use their own."""
 MECHANICS = ("structure.", "shaker.", "sphere.", "barriers.", "contact.")
@@ -227,15 +229,22 @@ class Rig:
             raise ConfigError("daq.rate_hz and daq.block_scans are fixed at start")
         before, after = to_flat(self.config), to_flat(config)
         changed = {name: value for name, value in after.items() if value != before[name]}
-        if any(name.startswith(INSTRUMENTS) for name in changed):
-            self._chain.reconfigure(self._without_new_seeds(config))
-        if any(name.startswith(MECHANICS) for name in changed):
-            self._simulation.configure(attrs.evolve(config, drive=self._simulation.config.drive))
+        mechanics = attrs.evolve(config, drive=self._simulation.config.drive)
+        instruments = self._without_new_seeds(config)
+        new_mechanics = any(name.startswith(MECHANICS) for name in changed)
+        new_instruments = any(name.startswith(INSTRUMENTS) for name in changed)
+        if new_mechanics:
+            _built(mechanics)  # what cannot be simulated is refused here, before anything is changed
+        if new_instruments:
+            Chain(instruments)
+            self._chain.reconfigure(instruments)
+        if new_mechanics:
+            self._simulation.configure(mechanics)
             self._generator.set_ramp(config.shaker.ramp_s)
         self.config = config
         self._truth.configure(config.output.monitor_rate_hz, config.output.truth_scan)
         self._journal.add_values(self.frontier_sample, Kind.PARAMETER, sampled(changed).items())
-        if any(name.startswith(INSTRUMENTS) for name in changed):
+        if new_instruments:
             self._info_sample = self.frontier_sample
         return config
 
@@ -306,11 +315,12 @@ class Rig:
 
     def _begin(self, kind: Kind) -> None:
         config = self.config
+        seeds = np.random.SeedSequence(config.daq.seed, spawn_key=(DRIVE_SEED,))
         try:
             check_amplitude(config.drive.amplitude, config.drive, config.shaker)
+            generator = FunctionGenerator(config.drive, config.shaker, np.random.default_rng(seeds))
         except CommandError as error:
-            raise ConfigError(f"drive.amplitude: {error}") from error
-        seeds = np.random.SeedSequence(config.daq.seed, spawn_key=(DRIVE_SEED,))
+            raise ConfigError(f"drive: {error}") from error
         self._ticks = 0
         self._next_scan = 0
         self._blocks = 0
@@ -318,8 +328,8 @@ class Rig:
         self._last_command_tick = 0
         self._timed_out = False
         self._info_sample = 0
-        self._generator = FunctionGenerator(config.drive, config.shaker, np.random.default_rng(seeds))
-        self._simulation = Simulation(config)
+        self._generator = generator
+        self._simulation = _built(config)
         self._interlock = Interlock()
         self._chain = Chain(config)
         self._truth = Truth(self.rate_hz, config.output.monitor_rate_hz, config.output.truth_scan)
@@ -391,3 +401,23 @@ class Rig:
 
     def _stamp(self, sample: int) -> int:
         return stamp_ns(sample, self.rate_hz, self.start_ns)
+
+
+def _built(config: RigConfig) -> Simulation:
+    """Return a new simulation of values that are not only legal one by one but give finite motion together.
+
+    Raises:
+        ConfigError: they do not.
+    """
+    try:
+        trial, drive = Simulation(config), FunctionGenerator(config.drive, config.shaker, np.random.default_rng(0))
+        drive.set_amplitude(1.0)
+        motion = trial.advance(drive.segments(TRIAL_TICKS))
+        last = motion.sample(np.array([motion.last_segment]), np.array([COMMAND_GRID_S]))
+    except (ArithmeticError, ValueError, SimulationError) as error:
+        if isinstance(error, ConfigError):
+            raise
+        raise ConfigError(f"these values together cannot be simulated: {error}") from error
+    if not all(np.isfinite(last[name]).all() for name in last.dtype.names or ()):
+        raise ConfigError("these values together give a motion that is not finite")
+    return Simulation(config)

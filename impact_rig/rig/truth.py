@@ -16,6 +16,8 @@ from impact_rig.simtime import COMMAND_GRID_NS, COMMAND_GRID_S, NS_PER_S
 
 TICKS_PER_S = NS_PER_S // COMMAND_GRID_NS
 
+_NO_STATES = np.empty(0, TRUTH_SCAN)
+_NO_IMPACTS = np.empty(0, IMPACTS)
 _IMPACT_COLUMNS = [name for name in IMPACTS.names or () if name != "time"]
 
 
@@ -34,6 +36,7 @@ class Truth:
         self._states: list[NDArray[np.void]] = []
         self._impacts: list[NDArray[np.void]] = []  # time: since scan 0; ends beside it
         self._ends: list[NDArray[np.float64]] = []
+        self._first_end_s = math.inf
 
     def configure(self, monitor_hz: float, every_scan: bool) -> None:
         """Change what is kept, from the next tick on."""
@@ -77,27 +80,36 @@ class Truth:
         rows["time"] = found["segment"] * COMMAND_GRID_S + found["offset"] * stretch
         self._impacts.append(rows)
         self._ends.append(rows["time"] + found["duration"] * stretch)
+        self._first_end_s = min(self._first_end_s, float(self._ends[-1].min()))
 
     def pop_states(self, first: int, count: int) -> tuple[NDArray[np.void], NDArray[np.int64]]:
         """Return the kept rows of scans first to first + count, with `time` since `first`, and forget them.
 
         The second array says which of the `count` scans they are.
         """
-        kept = np.concatenate(self._states) if self._states else np.empty(0, TRUTH_SCAN)
-        split = int(np.searchsorted(kept["time"], first + count))
-        self._states = [kept[split:]]
-        rows = kept[:split]
+        parts = []
+        while self._states:
+            kept = self._states[0]
+            split = int(np.searchsorted(kept["time"], first + count))
+            parts.append(kept[:split])
+            if split < len(kept):
+                self._states[0] = kept[split:]
+                break
+            del self._states[0]
+        rows = parts[0].copy() if len(parts) == 1 else np.concatenate(parts or [_NO_STATES])
         scans = rows["time"].astype(np.int64) - first
         rows["time"] = scans / self._rate_hz
         return rows, scans
 
     def pop_impacts(self, first: int, count: int) -> NDArray[np.void]:
         """Return the contacts that ended before the end of these scans, with `time` since `first`, and forget them."""
-        if not self._impacts:
-            return np.empty(0, IMPACTS)
+        end_s = (first + count) / self._rate_hz
+        if self._first_end_s >= end_s:
+            return _NO_IMPACTS
         rows, ends = np.concatenate(self._impacts), np.concatenate(self._ends)
-        done = ends < (first + count) / self._rate_hz
-        self._impacts, self._ends = ([rows[~done]], [ends[~done]]) if not done.all() else ([], [])
+        done = ends < end_s
+        self._impacts, self._ends = [rows[~done]], [ends[~done]]
+        self._first_end_s = self._ends[0].min(initial=math.inf)
         rows = rows[done]
         rows["time"] -= first / self._rate_hz
         return rows

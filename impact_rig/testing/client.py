@@ -82,6 +82,7 @@ class Client:
         """Latest status of each node, by name relative to the namespace."""
         self._hosted: list[Any] = []
         self._publishers: dict[str, Any] = {}
+        self._heard: set[Any] = set()
         self._clients: dict[tuple[str, Any], Any] = {}
         self._subscribe(topics.DIAGNOSTICS, self._on_diagnostics)
         self._applied = Collector(topics.APPLIED)
@@ -170,19 +171,29 @@ class Client:
             if value is None:
                 continue
             before = len(self._applied)
-            self.publish(topic, Float64(data=value))
+            self.publish(topic, Float64(data=value), timeout_s, listener="rig")
             row = self._await_applied(before, column, value, timeout_s)
         assert row is not None, "command() needs a frequency or a current"
         return row
 
-    def publish(self, topic: topics.Topic, message: Any, timeout_s: float = DEFAULT_TIMEOUT_S) -> None:
-        """Publish a message once somebody listens."""
+    def publish(
+        self, topic: topics.Topic, message: Any, timeout_s: float = DEFAULT_TIMEOUT_S, listener: str | None = None
+    ) -> None:
+        """Publish a message once somebody listens: everybody the graph knows, and the node `listener` among them."""
         publisher = self._publishers.get(topic.name)
         if publisher is None:
             publisher = self.node.create_publisher(topic.message_type(), topic.name, topic.qos.profile())
             self._publishers[topic.name] = publisher
-        self.wait_until(publisher.get_subscription_count, f"a subscriber of {topic.name}", timeout_s)
+        if publisher not in self._heard:
+            heard = functools.partial(self._is_heard, publisher, listener)
+            self.wait_until(heard, f"{listener or 'somebody'} to subscribe {topic.name}", timeout_s)
+            self._heard.add(publisher)
         publisher.publish(message)
+
+    def _is_heard(self, publisher: Any, listener: str | None) -> bool:
+        found = self.node.get_subscriptions_info_by_topic(publisher.topic_name)
+        there = listener is None or any(info.node_name == listener for info in found)
+        return there and publisher.get_subscription_count() >= max(len(found), 1)
 
     def note(self, text: str) -> None:
         """Publish an operator's remark; recorded with the run."""

@@ -64,6 +64,10 @@ class Collector:
         """Return the decoded tables."""
         return [codec.decode(message.data) for message in self.received]
 
+    def last(self) -> Table | None:
+        """Return the newest table, decoding nothing else; None if there is none."""
+        return codec.decode(self.received[-1].data) if self.received else None
+
     def rows(self) -> NDArray[np.void]:
         """Return the rows of all tables, one after the other; shape (n,)."""
         assert self.topic.columns is not None, f"{self.topic.name} carries no tables"

@@ -216,7 +216,8 @@ def test_a_late_subscriber_gets_calibration_configuration_journal_and_present_co
     client.command(frequency_hz=8.0, current_a=0.2)
     client.step(3)
     late = {name: client.collect(name) for name in ("daq/info", "rig/configuration", "rig/journal", "shaker/applied")}
-    client.wait_until(lambda: all(late.values()) and len(late["shaker/applied"]) == 3, "what was published before")
+    expected = {"daq/info": 1, "rig/configuration": 1, "rig/journal": 3, "shaker/applied": 3}
+    client.wait_until(lambda: {n: len(c) for n, c in late.items()} == expected, "what was published before")
     assert late["daq/info"].rows()["name"].tolist() == [b"accelerometer", b"laser", b"base", b"current"]
     assert late["shaker/applied"].rows()[["frequency", "current"]].tolist() == [(9.1, 0.0), (8.0, 0.0), (8.0, 0.2)]
     assert late["rig/journal"].rows()["key"].tolist() == [b"", b"frequency", b"current"]
@@ -304,3 +305,29 @@ def test_services_do_not_answer_success_twice(client: Client) -> None:
         assert response.success
     with pytest.raises(ServiceFailedError, match="paused"):
         client.trigger("rig/step")
+
+
+def test_a_flood_of_commands_leaves_order_and_a_whole_journal(client: Client) -> None:
+    """As fast as a client can publish: the queue keeps the newest, every accepted one is journaled."""
+    host_rig(client, "realtime")
+    client.wait_active("rig")
+    journal, scans = client.collect("rig/journal"), client.collect("daq/scan")
+    client.command(frequency_hz=10.0)
+    publisher = client._publishers["shaker/frequency"]
+    for k in range(3000):
+        publisher.publish(Float64(data=10.0 + k / 1000))
+        if k % 20 == 0:
+            client.executor.spin_once(timeout_sec=0.0)
+    client.wait_until(lambda: (newest := journal.last()) and newest.rows["value"][-1] == 12.999, "the last command")
+    client.pause()
+    values = journal.rows()["value"][1:]
+    assert np.all(np.diff(values) >= 0)
+    assert same_as_resimulated(scans, journal) > 0
+
+
+def test_qos_can_be_overridden(client: Client) -> None:
+    host_rig(client, **{"qos_overrides./daq/scan.publisher.depth": 7})
+    client.wait_active("rig")
+    assert client.get_parameters("rig", ["qos_overrides./daq/scan.publisher.depth"]) == {
+        "qos_overrides./daq/scan.publisher.depth": 7
+    }
