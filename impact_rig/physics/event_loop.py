@@ -6,9 +6,8 @@ depends on how a run was cut.
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -59,6 +58,7 @@ from impact_rig.physics.state import (
 DONE, NEED_ROOM, STUCK = range(3)
 """How `run` ends: all segments done; call again with more room in the log; no progress."""
 
+_SPEED_RESOLUTION = 2.0**-48
 _ROOM = 1000  # more knots than one phase call leaves
 _EVENTS_PER_SEGMENT = 10_000_000
 _HERTZIAN = int(ForceKind.HERTZIAN)
@@ -137,6 +137,20 @@ def _fly_on(p, s, d, rate):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def _least_speed(p, s):  # type: ignore[no-untyped-def]
+    """Return the least relative speed [m/s] that the rounding of the structure's speed leaves standing."""
+    return max(p.touch_speed, _SPEED_RESOLUTION * abs(s[Y + V1]))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _part(p, s, way):  # type: ignore[no-untyped-def]
+    """Let a sphere at rest on the base begin to slide: with the least speed, and nothing added to the momentum."""
+    rate = way * _least_speed(p, s)
+    s[Y + V1] -= p.share * rate
+    _fly_on(p, s, s[GAP], rate)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def _note(log, segment, offset, side, approach, separation, force, indentation, impulse, duration, lost):  # type: ignore[no-untyped-def]
     """Append an impact."""
     row = log.impacts[log.filled[1]]
@@ -172,13 +186,14 @@ def _bounce(p, s, side, segment, acceleration, noise, log, ledger):  # type: ign
         e = 0.0
     lost = 0.5 * p.m_eff * speed * speed * (1.0 - e * e)
     ledger[LEDGER_CONTACT] += lost
-    s[Y + V1] += p.share * side * speed * (1.0 + e)
+    away = 0.0 if rides else max(e * speed, _least_speed(p, s))
+    s[Y + V1] += p.share * side * (speed + away)
     if speed > p.touch_speed:
         _note(log, segment, s[T], side, speed, e * speed, 0.0, 0.0, p.m_eff * speed * (1.0 + e), 0.0, lost)
     if rides:
         s[PHASE], s[SIDE], s[GAP], s[RATE] = ATTACHED, side, side * p.half_gap, 0.0
     else:
-        _fly_on(p, s, side * p.half_gap, -side * max(e * speed, p.touch_speed))
+        _fly_on(p, s, side * p.half_gap, -side * away)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -196,9 +211,10 @@ def _free_phase(p, system, f, work, s, t_end, segment, log, ledger, account):  #
     acceleration = (p.c.m_1 * acceleration - push) * p.per_m_pair  # of both together, were they held
     if touched == STOPPED:
         if abs(acceleration) <= p.friction:
+            s[Y + V1] += p.share * s[RATE]
             s[PHASE], s[SIDE], s[RATE] = ATTACHED, 0.0, 0.0
         else:
-            _fly_on(p, s, s[GAP], -np.sign(acceleration) * p.touch_speed)
+            _part(p, s, -np.sign(acceleration))
     elif p.force.kind == _IMPULSIVE:
         _bounce(p, s, touched, segment, acceleration, rounding(p, system, work, s[T]), log, ledger)
     else:
@@ -214,7 +230,7 @@ def _attached_phase(p, system, f, work, s, t_end, log, ledger, account):  # type
     if account:
         flight_energy(p, system, f, work, 0.0, begin_t, s[T], s, ledger)
     if parted != 0.0:
-        _fly_on(p, s, s[GAP], parted * p.touch_speed)
+        _part(p, s, parted)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -46,12 +46,13 @@ from impact_rig.physics.state import (
 )
 
 STAGES = 5
-DEPTH, SPEED, TIME, CENTRE = 0, 1, 2, 3
+DEPTH, SPEED, TIME, CENTRE, COIL = 0, 1, 2, 3, 7
 """Places in z = (δ, δ', t, X, V, x_b, v_b, i)."""
 
 _ROUNDS = 15
 _JACOBIANS = 3  # rounds that renew the Jacobian; later ones only polish
 _SMALLEST = 1e-40  # m; keeps sqrt(δ) real while Newton looks around
+_SPEED_RESOLUTION = 2.0**-46
 _NOT_STIFF = 1.0
 _SAFETY = 0.8
 _REJECTIONS = 60
@@ -112,9 +113,11 @@ def _stages(p, f, side, beta, z, h, work, tolerance):  # type: ignore[no-untyped
     """Solve the collocation equations of one step from z; return whether they converged."""
     stage, slope, speed = work.stage, work.slope, work.speed
     width = CENTRE + 2 if p.drive == PRESCRIBED else WIDTH
+    largest_speed = 0.0
     for i in range(STAGES):
         work.u[i], work.du[i] = drive(f, z[TIME] + _C[i] * h)
     for round_ in range(_ROUNDS):
+        moved = 0.0
         for i in range(STAGES):
             depth = z[DEPTH]
             for j in range(STAGES):
@@ -125,6 +128,11 @@ def _stages(p, f, side, beta, z, h, work, tolerance):  # type: ignore[no-untyped
                     value = z[q]
                     for j in range(STAGES):
                         value += h * _A[i, j] * slope[j, q]
+                    if q % 2 == 0:
+                        moved = max(moved, abs(value - stage[i, q]))
+                        largest_speed = max(largest_speed, abs(value))
+                    elif q == COIL:
+                        moved = max(moved, abs(value - stage[i, q]) * h * p.c.force_factor * p.per_m_base)
                     stage[i, q] = value
         for i in range(STAGES):
             stage[i, DEPTH] = math.sqrt(work.depth[i])
@@ -162,7 +170,7 @@ def _stages(p, f, side, beta, z, h, work, tolerance):  # type: ignore[no-untyped
             largest = max(largest, abs(work.change[i]))
         if not largest < math.inf:
             return False
-        if round_ > 1 and largest <= tolerance:
+        if round_ > 1 and largest <= tolerance and moved <= max(tolerance, _SPEED_RESOLUTION * largest_speed):
             return True
     return False
 
@@ -196,12 +204,17 @@ def ride(p, f, work, s, t_end, log, ledger):  # type: ignore[no-untyped-def]
         elastic_speed = depth * math.sqrt(-stiff)
         tolerance = p.rtol * max(elastic_speed, p.touch_speed)
         ok = _stages(p, f, side, beta, z, h, work, 0.01 * tolerance)
-        defect_v, defect_centre = relative, centre
+        defect_v, defect_centre, defect_table, defect_coil = relative, centre, table, coil
         for j in range(STAGES):
             defect_v -= _TO_START[j] * slope[j, SPEED]
             defect_centre -= _TO_START[j] * slope[j, 4]
+            defect_table -= _TO_START[j] * slope[j, 6]
+            defect_coil -= _TO_START[j] * slope[j, 7]
         step = _GAMMA * h
         error = max(abs(step * defect_v / (1.0 - step * damp - step * step * stiff)), abs(step * defect_centre))
+        if p.drive != PRESCRIBED:
+            by_coil = step * step * defect_coil * p.c.force_factor * p.per_m_base
+            error = max(error, abs(step * defect_table), abs(by_coil))
         error /= _ESTIMATE_EASE * tolerance
         new_depth = depth
         for j in range(STAGES):
