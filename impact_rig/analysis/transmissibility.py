@@ -4,8 +4,8 @@ X_1 and X_b are means of the cycles' fitted phasors, corrected for skew and sens
 that of X_1 relative to X_b: negative = x_1 lags x_b. Combined standard uncertainty (GUM, relative for DT, rad for the
 phase, sensitivities of the complex quotient D = X_1/X_b):
 
-    u²(DT)/DT² = u_A² + u²(S_laser) + u²(S_base) + Σ (Re ∂lnL/∂ln τ · u_τ)² + (|bias| / |D|)²/3
-    u²(phase)  = u_A² +                            Σ (Im ∂lnL/∂ln τ · u_τ)² + (|bias| / |D|)²/3
+    u²(DT)/DT² = u_A² + u²(S_laser) + u²(S_base) + Σ (Re ∂lnL/∂ln τ · u_τ)² + max(Re²(bias/D) − u_A², 0)/3
+    u²(phase)  = u_A² +                            Σ (Im ∂lnL/∂ln τ · u_τ)² + max(Im²(bias/D) − u_A², 0)/3
 
 u_A: the larger of the fit's residual noise, taken as white, and the scatter of the cycles, correlation included; for a
 response that is not periodic, the block bootstrap of the cycles instead. bias: what a dying transient may have left.
@@ -268,8 +268,9 @@ def _combined(
     base_m: float,
 ) -> tuple[float, float]:
     """Return the combined relative uncertainty of the amplitude ratio and that of the phase [rad]."""
-    drift = abs(bias) ** 2 / 3.0
-    amplitude, phase = float(variance[0]) + drift, float(variance[1]) + drift
+    components = np.array([bias.real, bias.imag])
+    # an extrapolated bias carries the noise of the windows, which counts already: only what exceeds it is a bias
+    amplitude, phase = (float(v) for v in variance + np.maximum(components**2 - variance, 0.0) / 3.0)
     for channel, level in ((LASER, laser_m), (BASE, base_m)):
         slope = calibration.lag_sensitivity(channel, frequency_hz) * lag_uncertainty
         amplitude += calibration.gain_uncertainty_at(channel, level) ** 2 + slope.real**2
