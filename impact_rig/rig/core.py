@@ -15,20 +15,19 @@ import numpy as np
 import impact_rig
 from impact_rig.blocks import APPLIED, FRAME_DAQ, Table
 from impact_rig.config import RigConfig, from_flat, to_flat
-from impact_rig.errors import CommandError, ConfigError, SimulationError
+from impact_rig.errors import CommandError, ConfigError
 from impact_rig.instruments.chain import Chain
 from impact_rig.instruments.faults import Fault
 from impact_rig.physics import FunctionGenerator, Motion, Simulation
 from impact_rig.rig.block import Block
 from impact_rig.rig.interlock import Interlock, Trip, check_amplitude, check_frequency
 from impact_rig.rig.journal import Journal, Kind, not_default, sampled
+from impact_rig.rig.trial import built
 from impact_rig.rig.truth import TICKS_PER_S, Truth
 from impact_rig.simtime import COMMAND_GRID_NS, COMMAND_GRID_S, NS_PER_S, stamp_ns
 
 BATCH_TICKS = 50
 """Ticks simulated in one call: enough to make the overhead of a call small, few enough to bound memory."""
-TRIAL_TICKS = 3
-"""How long a changed mechanics is tried before it is taken."""
 DRIVE_SEED = 0
 """`spawn_key` of the drive's random numbers under `daq.seed`; the instruments use their own."""
 MECHANICS = ("structure.", "shaker.", "sphere.", "barriers.", "contact.")
@@ -234,7 +233,7 @@ class Rig:
         new_mechanics = any(name.startswith(MECHANICS) for name in changed)
         new_instruments = any(name.startswith(INSTRUMENTS) for name in changed)
         if new_mechanics:
-            _built(mechanics)  # what cannot be simulated is refused here, before anything is changed
+            built(mechanics)  # what cannot be simulated is refused here, before anything is changed
         if new_instruments:
             Chain(instruments)
             self._chain.reconfigure(instruments)
@@ -329,7 +328,7 @@ class Rig:
         self._timed_out = False
         self._info_sample = 0
         self._generator = generator
-        self._simulation = _built(config)
+        self._simulation = built(config)
         self._interlock = Interlock()
         self._chain = Chain(config)
         self._truth = Truth(self.rate_hz, config.output.monitor_rate_hz, config.output.truth_scan)
@@ -401,23 +400,3 @@ class Rig:
 
     def _stamp(self, sample: int) -> int:
         return stamp_ns(sample, self.rate_hz, self.start_ns)
-
-
-def _built(config: RigConfig) -> Simulation:
-    """Return a new simulation of values that are not only legal one by one but give finite motion together.
-
-    Raises:
-        ConfigError: they do not.
-    """
-    try:
-        trial, drive = Simulation(config), FunctionGenerator(config.drive, config.shaker, np.random.default_rng(0))
-        drive.set_amplitude(1.0)
-        motion = trial.advance(drive.segments(TRIAL_TICKS))
-        last = motion.sample(np.array([motion.last_segment]), np.array([COMMAND_GRID_S]))
-    except (ArithmeticError, ValueError, SimulationError) as error:
-        if isinstance(error, ConfigError):
-            raise
-        raise ConfigError(f"these values together cannot be simulated: {error}") from error
-    if not all(np.isfinite(last[name]).all() for name in last.dtype.names or ()):
-        raise ConfigError("these values together give a motion that is not finite")
-    return Simulation(config)
