@@ -13,7 +13,7 @@ import math
 import numpy as np
 from numba import njit
 
-from impact_rig.physics.collision import CENTRE, COIL, SPEED, V_BASE, V_CENTRE, X_BASE, evaluate, expand, root
+from impact_rig.physics.collision import CENTRE, COIL, ORDER, SPEED, V_BASE, V_CENTRE, X_BASE, evaluate, expand
 from impact_rig.physics.dynamics import contact_force, rates
 from impact_rig.physics.flight import prepare
 from impact_rig.physics.forcing import Forcing, bound_omega, drive, particular, transfer
@@ -106,13 +106,41 @@ def _from_contact(p, f, knot, t, w, speed, centre, v_centre, x_base, v_base, coi
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def _reached(clock, elapsed, h):  # type: ignore[no-untyped-def]
+    """Return where in (0, h] a rising series has grown by `elapsed`: Newton inside a bracket.
+
+    The growth and not the series itself, whose rounding errors are those of the time since the segment's start.
+    """
+    left, right = 0.0, h
+    x = h
+    for _ in range(60):  # never needs more than ten
+        growth, slope = clock[ORDER], 0.0
+        for k in range(ORDER - 1, 0, -1):
+            slope = slope * x + growth
+            growth = growth * x + clock[k]
+        slope = slope * x + growth
+        miss = growth * x - elapsed
+        if miss > 0.0:
+            right = x
+        else:
+            left = x
+        step = miss / slope if slope > 0.0 else h
+        if abs(step) <= 1e-9 * h:  # what is left after it is its square
+            return x - step
+        x -= step
+        if not left < x < right:
+            x = 0.5 * (left + right)
+    return x
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def _in_collision(p, f, knot, work, fresh, t, out):  # type: ignore[no-untyped-def]
     if fresh:
         expand(p, f, knot, work.series)
     end = work.series.t[0]
     x = 0.0
     if t > end and knot[STEP] > 0.0:
-        x = root(work.series.t, t, True, knot[STEP])
+        x = _reached(work.series.t, t - end, knot[STEP])
     w, _ = evaluate(work.series, x, work.at)
     at = work.at
     _from_contact(
