@@ -1,8 +1,8 @@
 """A motion cut into smooth pieces, each a polynomial: what the sensors' exact response is computed from.
 
 Between breakpoints every quantity is smooth, so eight samples at Chebyshev points give it to 2 (ω h / 4)^8 / 8!: below
-1e-5 at half a period, 1e-15 at the rig's 9 Hz. A contact of 40 µs becomes three pieces, a flight of 10 ms four: some five
-thousand evaluations per second instead of one per scan and channel, and none of them depends on the scan rate.
+1e-5 at half a period, 1e-15 at the rig's 9 Hz. A contact of 40 µs becomes three pieces, a flight of 10 ms four: some
+five thousand instants per second instead of one per scan and channel, and none of them depends on the scan rate.
 """
 
 from __future__ import annotations
