@@ -409,6 +409,16 @@ def collide(p, f, a, at, s, t_end, log, ledger, account):  # type: ignore[no-unt
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def grip(p, s):  # type: ignore[no-untyped-def]
+    """Return 1 where the contact presses, 0 where its force would pull and is cut to zero."""
+    if not p.force.clipped:
+        return 1.0
+    if p.force.kind == LINEAR:
+        return 1.0 if p.force.stiffness * s[GAP] * s[GAP] + p.force.damping * s[RATE] >= 0.0 else 0.0
+    return 1.0 if 1.0 + s[BETA] * s[RATE] >= 0.0 else 0.0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def begin(p, speed, s):  # type: ignore[no-untyped-def]
     """Set the unit of s in which a contact with this approach speed has a length of about one, and its grip."""
     scale, w = scales(p, speed)

@@ -23,6 +23,7 @@ from impact_rig.physics.collision import (
     Series,
     begin,
     collide,
+    grip,
     new_series,
 )
 from impact_rig.physics.contact.base import ForceKind
@@ -39,6 +40,7 @@ from impact_rig.physics.state import (
     ELAPSED,
     FREE,
     GAP,
+    GRIP,
     IMPULSE,
     LEDGER_CONTACT,
     LOST,
@@ -280,6 +282,7 @@ def run(model, segments, first, base, s, work, log, ledger, account):  # type: i
                 if ended == NOT_STIFF:
                     s[PHASE] = COLLISION
                     s[GAP] = np.sqrt(s[GAP])
+                    s[GRIP] = grip(p, s)
                 elif ended == FAILED:
                     return STUCK, index
             if s[T] >= t_end:
