@@ -1,4 +1,4 @@
-"""A Trigger service that answers later, whatever executor runs it.
+"""A service that answers later, whatever executor runs it.
 
 rclpy wants a response from the callback, and its executors differ: the events executor takes no coroutines, the others
 resume them only when something else wakes them. All of them hand the returned response to `Service.send_response`
@@ -9,36 +9,42 @@ until `reply`.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any  # rclpy handles
+from typing import Any  # rclpy handles, requests
 
 from rclpy.node import Node
-from std_srvs.srv import Trigger
+
+Answer = tuple[bool, str]
+"""`success` and `message` of `std_srvs/Trigger` and `std_srvs/SetBool`."""
 
 
-class DeferredTrigger:
-    """A `std_srvs/Trigger` service whose requests are answered by `reply`.
+class DeferredService:
+    """A service of `std_srvs` whose requests may be answered by `reply`.
 
     Args:
         node: owner.
+        service_type: `Trigger` or `SetBool`.
         name: service name.
-        accept: called for each request; returns None to defer the answer, or (success, message) to answer at once.
+        accept: called with each request; returns None to defer the answer, or the answer to give at once. It must not
+            raise.
         registered: called once a deferred request is known, so that it may be answered; work begins here.
     """
 
     def __init__(
         self,
         node: Node,
+        service_type: Any,
         name: str,
-        accept: Callable[[], tuple[bool, str] | None],
+        accept: Callable[[Any], Answer | None],
         registered: Callable[[], None],
     ) -> None:
+        self._type = service_type
         self._accept = accept
         self._registered = registered
         self._waiting: list[Any] = []
-        self._service = node.create_service(Trigger, name, self._on_request)
+        self._service = node.create_service(service_type, name, self._on_request)
         self._send = self._service.send_response
         self._service.send_response = self._send_or_keep
-        self._marker = Trigger.Response()
+        self._marker = service_type.Response()
 
     @property
     def waiting(self) -> int:
@@ -49,11 +55,11 @@ class DeferredTrigger:
         """Answer every waiting request."""
         waiting, self._waiting = self._waiting, []
         for header in waiting:
-            self._send(Trigger.Response(success=success, message=message), header)
+            self._send(self._type.Response(success=success, message=message), header)
 
-    def _on_request(self, _request: Any, _response: Any) -> Any:
-        answer = self._accept()
-        return self._marker if answer is None else Trigger.Response(success=answer[0], message=answer[1])
+    def _on_request(self, request: Any, _response: Any) -> Any:
+        answer = self._accept(request)
+        return self._marker if answer is None else self._type.Response(success=answer[0], message=answer[1])
 
     def _send_or_keep(self, response: Any, header: Any) -> None:
         if response is self._marker:

@@ -21,7 +21,7 @@ import impact_rig
 from impact_rig import codec
 from impact_rig.errors import CodecError, RecordingError
 from impact_rig.nodes import process, topics
-from impact_rig.nodes.deferred import DeferredTrigger
+from impact_rig.nodes.deferred import Answer, DeferredService
 from impact_rig.nodes.diagnostics import Level, Status
 from impact_rig.nodes.managed import ManagedNode
 from impact_rig.nodes.parameters import SectionSchema
@@ -61,7 +61,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         self._recorded: list[Any] = []
         self._ack: Any = None
         self._timer: Any = None
-        self._begin = DeferredTrigger(self, "~/start", self._on_start, self._answer_start)
+        self._begin = DeferredService(self, Trigger, "~/start", self._on_start, self._answer_start)
         self.service(Trigger, "~/stop", self._on_stop)
 
     def autostarts(self) -> bool:
@@ -132,7 +132,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
 
     # Start and stop
 
-    def _on_start(self) -> tuple[bool, str] | None:
+    def _on_start(self, _request: Trigger.Request) -> Answer | None:
         if not self.active:
             return False, f"the recorder is {self.state}, activate it first"
         if self._writer is not None or self._waiting:

@@ -5,21 +5,17 @@ from __future__ import annotations
 import time
 from typing import Any  # rclpy messages and responses
 
-import numpy as np
-from rclpy.duration import Duration
-from std_msgs.msg import Float64, Header, String
+from std_msgs.msg import Float64, Header
 from std_srvs.srv import SetBool, Trigger
 
-from impact_rig import codec
-from impact_rig.blocks import SCAN, TRUTH_SCAN
-from impact_rig.config import RigConfig, dump
-from impact_rig.errors import CommandError, ConfigError, ImpactRigError
+from impact_rig.config import RigConfig
+from impact_rig.errors import CommandError
 from impact_rig.nodes import process, topics
-from impact_rig.nodes.convert import Monitors, clock_message
-from impact_rig.nodes.deferred import DeferredTrigger
+from impact_rig.nodes.deferred import Answer, DeferredService
 from impact_rig.nodes.diagnostics import Status
-from impact_rig.nodes.guard import guarded
+from impact_rig.nodes.guard import describe, guarded
 from impact_rig.nodes.managed import ManagedNode
+from impact_rig.nodes.outlets import Outlets, check_message_size
 from impact_rig.nodes.parameters import RigSchema
 from impact_rig.nodes.peers import Peers
 from impact_rig.nodes.rig_status import RigStatus
@@ -29,13 +25,10 @@ from impact_rig.pacing import AckWindow, Pacer
 from impact_rig.rig import Block, Rig
 from impact_rig.simtime import NS_PER_S
 
-PUBLISHED = [topic for topic in topics.TOPICS if topic.publisher == "rig" and not topic.name.startswith("/")]
-LEAST_DEPTH = 100
-"""Blocks kept for a slow subscriber: twice what comes in a second, but at least this."""
-DELIVERY = Duration(seconds=0.2)
-"""Longest wait for the delivery of a change; only a subscriber that died without a word takes so long."""
 WORK_S = 0.02
 """Wall time one call of the work timer may fill before commands and services get their turn."""
+LARGEST_BATCH_S = 0.5
+"""Rig time simulated at once, for the same reason."""
 SHORTEST_PERIOD_S, LONGEST_PERIOD_S = 0.001, 0.05
 AHEAD_PERIOD_S = 0.005
 """Period of the work timer where acknowledgements drive the work."""
@@ -58,30 +51,25 @@ class RigNode(ManagedNode[RigConfig]):
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("rig", RigSchema(), **kwargs)
         self._rig: Rig | None = None
-        self._outlets: dict[str, Any] = {}
-        self._monitors: Monitors | None = None
+        self._outlets: Outlets | None = None
         self._timer = WorkTimer(self, self._on_timer)
         self._pacer = Pacer(time.monotonic_ns)
         self._window = AckWindow((), 1, NS_PER_S, time.monotonic_ns)
         self._peers = Peers(self)
         self._paused = False
         self._steps_left = 0
-        self._info = b""
         self._base_ns = 0
         self._worked_at = self._turn_began = 0.0
         self._figures = RigStatus()
-        self._clock_outlet = self.create_publisher(
-            topics.CLOCK.message_type(), topics.CLOCK.name, topics.CLOCK.qos.profile()
-        )
         self.subscribe(topics.FREQUENCY, self._on_frequency)
         self.subscribe(topics.CURRENT, self._on_current)
         self.subscribe(topics.ACK, self._on_ack)
-        self.service(SetBool, "~/pause", self._on_pause)
+        self._pause = DeferredService(self, SetBool, "~/pause", self._on_pause, self._answer_pause)
         self.service(Trigger, "~/reset", self._on_reset)
         self.service(Trigger, "~/stop", self._on_stop)
         self.service(Trigger, "~/clear_trip", self._on_clear_trip)
         self.service(Trigger, "~/pluck", self._on_pluck)
-        self._step = DeferredTrigger(self, "~/step", self._on_step, guarded(self._work, self.report_failure))
+        self._step = DeferredService(self, Trigger, "~/step", self._on_step, guarded(self._work, self.report_failure))
 
     # Lifecycle
 
@@ -91,13 +79,9 @@ class RigNode(ManagedNode[RigConfig]):
 
     def configure(self) -> None:
         """Check that this rig can be built and published, load compiled code, create the publishers."""
-        config = self.settings
-        _check_message_size(config)
-        Rig(config).advance(WARM_UP_NS)
-        per_second = config.daq.rate_hz // config.daq.block_scans
-        depth = max(LEAST_DEPTH, 2 * per_second)  # for a slow subscriber, without holding seconds of large blocks
-        bulky = (topics.SCAN, topics.TRUTH_SCAN)
-        self._outlets = {topic.name: self.publisher(topic, depth if topic in bulky else None) for topic in PUBLISHED}
+        check_message_size(self.settings)
+        Rig(self.settings).advance(WARM_UP_NS)
+        self._outlets = Outlets(self, self.settings)
 
     def activate(self) -> None:
         """Start a new rig: scan 0 is now in realtime, at 0 otherwise."""
@@ -108,13 +92,14 @@ class RigNode(ManagedNode[RigConfig]):
         self._paused = False
         self._steps_left = 0
         self._figures = RigStatus()
-        self._info = b""
         self._window = AckWindow(
             config.time.peers, config.time.ack_window, round(config.time.peer_timeout_s * NS_PER_S), time.monotonic_ns
         )
         self._peers.expect(config.time.peers)
-        self._flush()
-        self._publish_configuration()
+        assert self._outlets is not None
+        self._outlets.forget()
+        self._flush(self._rig)
+        self._publish_configuration(self._rig)
         self._worked_at = time.monotonic()
         self._start_timer()
 
@@ -122,14 +107,15 @@ class RigNode(ManagedNode[RigConfig]):
         """Stop the rig; what was not published is dropped."""
         self._timer.stop()
         self._rig = None
-        self._step.reply(False, "the rig was deactivated")
+        for service in (self._step, self._pause):
+            service.reply(False, "the rig was deactivated")
 
     def cleanup(self) -> None:
         """Destroy the publishers."""
         self.deactivate()
-        for outlet in self._outlets.values():
-            self.destroy_publisher(outlet)
-        self._outlets = {}
+        if self._outlets is not None:
+            self._outlets.destroy()
+            self._outlets = None
 
     def rig_time_ns(self) -> int:
         """Return the stamp of the next block: rig time; the system time while there is no rig in realtime."""
@@ -156,6 +142,7 @@ class RigNode(ManagedNode[RigConfig]):
 
     def _on_timer(self) -> None:
         self._work()
+        self._answer_pause()
         self._turn_began = time.monotonic()
         if self._rig is not None and self.settings.time.mode == "realtime" and not self._paused:
             self._timer.keep_in_step(self._wait_s())
@@ -169,100 +156,70 @@ class RigNode(ManagedNode[RigConfig]):
             return
         try:
             if self.settings.time.mode == "realtime":
-                self._publish(rig.advance(self._base_ns + self._pacer.due_ns(rig.next_block_ns - self._base_ns)))
+                due_ns = self._pacer.due_ns(rig.next_block_ns - self._base_ns)
+                self._publish(rig, rig.advance(self._base_ns + due_ns))
             else:
                 self._run_ahead(rig, now + WORK_S)
-        except ImpactRigError as error:  # the model cannot go on: stop in order, and say why
-            self.report_failure("simulation", str(error))
+        except Exception as error:  # the model cannot go on: stop in order, and say why
+            self.report_failure("simulation", describe(error))
             self.trigger_deactivate()
 
     def _run_ahead(self, rig: Rig, deadline: float) -> None:
         """Publish as many blocks as the window (and a step) allows, until the deadline."""
         mode = self.settings.time.mode
         limit = self._steps_left if mode == "stepped" else self._window.window
-        if limit <= 0 or self._window.silent():
-            self._answer_step()
-            return
+        assert self._outlets is not None
         if self._peers.missing():
-            if not self._peers.all_matched(self._outlets[topics.SCAN.name]):
+            if limit <= 0 or not self._peers.all_matched(self._outlets.scan):
                 return
-            for topic in (topics.INFO, topics.APPLIED, topics.JOURNAL):
-                self._settle(topic)  # what was published before they came
-        while limit > 0:
-            room = min(self._window.room(), limit)
-            if room < min(limit, (self._window.window + 1) // 2):
+            self._outlets.settle_history()
+        batch = max(1, round(LARGEST_BATCH_S * self.settings.daq.rate_hz / self.settings.daq.block_scans))
+        while limit > 0 and not self._window.silent():
+            room = min(self._window.room(), limit, batch)
+            if room < min(limit, batch, (self._window.window + 1) // 2):
                 break  # waiting for half a window makes batches worth their overhead
             blocks = rig.advance(rig.block_end_ns(room))
-            self._publish(blocks)
+            self._publish(rig, blocks)
             if mode == "stepped":
                 self._steps_left -= len(blocks)
                 limit = self._steps_left
             if time.monotonic() > deadline:
                 break
-        self._answer_step()
+        self._answer_step(rig)
 
-    def _answer_step(self) -> None:
-        if self._step.waiting and self._steps_left <= 0 and self._window.outstanding() == 0:
-            assert self._rig is not None
-            self._step.reply(True, f"at {self._rig.next_block_ns / NS_PER_S:.9f} s")
+    def _answer_step(self, rig: Rig) -> None:
+        if not self._step.waiting:
+            return
+        silent = self._window.silent()
+        if silent:
+            self._steps_left = 0
+            self._step.reply(False, f"peer {', '.join(silent)} does not acknowledge")
+        elif self._steps_left <= 0 and self._window.outstanding() == 0:
+            self._step.reply(True, f"at {rig.next_block_ns / NS_PER_S:.9f} s")
 
     # Publishing
 
-    def _publish(self, blocks: list[Block]) -> None:
-        self._flush()  # what changed comes before the scans it acts on
+    def _publish(self, rig: Rig, blocks: list[Block]) -> None:
+        assert self._outlets is not None
+        self._outlets.changes(rig)  # they come before the scans they act on
         for block in blocks:
+            self._outlets.block(block)
             if not block.lost:
-                self._outlets[topics.SCAN.name].publish(codec.encode(block.scan))
                 self._window.published(block.scan.stamp_ns)
-            for topic, table in (
-                (topics.IMPACTS_TRUTH, block.impacts),
-                (topics.FAULTS, block.faults),
-                (topics.TRUTH_SCAN, block.truth),
-            ):
-                if table is not None:
-                    self._outlets[topic.name].publish(codec.encode(table))
-            assert self._monitors is not None
-            for topic, message in self._monitors.messages(block):
-                self._outlets[topic.name].publish(message)
             self._pacer.published(block.end_ns - self._base_ns)
             self._figures.count(block)
         if blocks and self._publishes_clock():
-            self._clock_outlet.publish(clock_message(blocks[-1].end_ns))
+            self._outlets.clock(blocks[-1].end_ns)
 
-    def _flush(self) -> None:
-        """Publish the new rows of shaker/applied and rig/journal."""
-        assert self._rig is not None
-        for topic, tables in (
-            (topics.APPLIED, self._rig.take_applied()),
-            (topics.JOURNAL, self._rig.take_journal()),
-        ):
-            for table in tables:
-                self._outlets[topic.name].publish(codec.encode(table))
-            if tables:
-                self._settle(topic)
+    def _flush(self, rig: Rig) -> None:
+        """Publish what an input has changed."""
+        assert self._outlets is not None
+        self._outlets.changes(rig)
 
-    def _settle(self, topic: topics.Topic) -> None:
-        """Wait until every matched subscriber has what was published on a topic.
-
-        Topics overtake each other. In realtime they do so by milliseconds, for which a measurement can wait; in the
-        other modes that is many blocks, and results would depend on it.
-        """
-        if self.settings.time.mode != "realtime":
-            self._outlets[topic.name].wait_for_all_acked(DELIVERY)
-
-    def _publish_configuration(self) -> None:
-        """Publish the configuration, and the calibration if it is another; take both for the monitors."""
-        assert self._rig is not None
-        info = self._rig.info()
-        noise = dict(zip(info.rows["name"].astype(str).tolist(), info.rows["noise"].tolist(), strict=True))
-        self._monitors = Monitors(self._rig.config, noise)
-        self._figures.realised_restitution = self._rig.simulation.realised_restitution
-        encoded = codec.encode(info)
-        if encoded != self._info:
-            self._info = encoded
-            self._outlets[topics.INFO.name].publish(encoded)
-            self._settle(topics.INFO)
-        self._outlets[topics.CONFIGURATION.name].publish(String(data=dump(self._rig.config)))
+    def _publish_configuration(self, rig: Rig) -> None:
+        assert self._outlets is not None
+        self._outlets.configuration(rig)
+        self._figures.realised_restitution = rig.simulation.realised_restitution
 
     def _publishes_clock(self) -> bool:
         choice = self.settings.time.publish_clock
@@ -287,7 +244,7 @@ class RigNode(ManagedNode[RigConfig]):
         except CommandError as error:
             self.refuse(name, str(error))
             return
-        self._flush()
+        self._flush(self._rig)
 
     def _on_ack(self, message: Header) -> None:
         stamp = nanoseconds(message.stamp)
@@ -296,10 +253,11 @@ class RigNode(ManagedNode[RigConfig]):
         if not self._window.acknowledge(message.frame_id, stamp):
             self.refuse("daq/ack", f"{message.frame_id!r} acknowledged {stamp} ns, which was never published")
             return
+        self._answer_pause()
         if self.settings.time.mode != "realtime" and time.monotonic() - self._turn_began < TURN_S:
             self._work()
 
-    def _on_step(self) -> tuple[bool, str] | None:
+    def _on_step(self, _request: Trigger.Request) -> Answer | None:
         if self._rig is None:
             return False, f"cannot step while the rig is {self.state}"
         if self.settings.time.mode != "stepped":
@@ -309,35 +267,47 @@ class RigNode(ManagedNode[RigConfig]):
         self._steps_left += self.settings.step.blocks
         return None
 
-    def _on_pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
-        rig = self._running()
-        if not request.data:
-            self._window.forgive()
-            self._pacer.rebase(rig.next_block_ns - self._base_ns)
-            self._start_timer()
+    def _on_pause(self, request: SetBool.Request) -> Answer | None:
+        """Pause, or go on; a pause is answered when the peers have processed all that was out."""
+        rig = self._rig
+        if rig is None:
+            return False, f"the rig is {self.state}, activate it first"
         self._paused = request.data
-        response.success, response.message = True, "paused" if request.data else "running"
-        return response
+        if request.data:
+            return None
+        self._pause.reply(False, "told to go on")
+        self._window.forgive()
+        self._pacer.rebase(rig.next_block_ns - self._base_ns)
+        self._start_timer()
+        return True, "running"
+
+    def _answer_pause(self) -> None:
+        if self._pause.waiting and (self._window.outstanding() == 0 or self._window.silent()):
+            self._pause.reply(True, "paused")
 
     def _on_reset(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        self._running().reset()
-        self._flush()
-        self._publish_configuration()
+        rig = self._running()
+        rig.reset()
+        self._flush(rig)
+        self._publish_configuration(rig)
         return self._done(response, "reset: scan 0")
 
     def _on_stop(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        self._running().stop()
-        self._flush()
+        rig = self._running()
+        rig.stop()
+        self._flush(rig)
         return self._done(response, "shaker ramps to zero and stays latched until ~/clear_trip")
 
     def _on_clear_trip(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        self._running().clear_trip()
-        self._flush()
+        rig = self._running()
+        rig.clear_trip()
+        self._flush(rig)
         return self._done(response, "latch released; current stays zero until the next command")
 
     def _on_pluck(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        self._running().pluck(self.settings.pluck.displacement_m)
-        self._flush()
+        rig = self._running()
+        rig.pluck(self.settings.pluck.displacement_m)
+        self._flush(rig)
         return self._done(response, "base locked, structure released; ~/reset unlocks")
 
     def _running(self) -> Rig:
@@ -353,11 +323,11 @@ class RigNode(ManagedNode[RigConfig]):
 
     def settings_changed(self, settings: RigConfig, changes: dict[str, Any]) -> None:
         """Give the running rig what changed; the validator has already accepted it."""
-        _check_message_size(settings)
+        check_message_size(settings)
         if self._rig is None:
             return
         self._rig.configure(changes)
-        self._flush()
+        self._flush(self._rig)
         if any(name.startswith(("time.peers", "time.ack_window", "time.peer_timeout")) for name in changes):
             self._window.set_peers(settings.time.peers)
             self._window.window = settings.time.ack_window
@@ -365,7 +335,7 @@ class RigNode(ManagedNode[RigConfig]):
             self._peers.expect(settings.time.peers)
         if "time.factor" in changes:
             self._pacer.rebase(self._rig.next_block_ns - self._base_ns, settings.time.factor)
-        self._publish_configuration()
+        self._publish_configuration(self._rig)
 
     def settings_in_force(self) -> None:
         """Pace the work by the new settings."""
@@ -377,15 +347,6 @@ class RigNode(ManagedNode[RigConfig]):
         return self._figures.status(
             self.state, self._rig, self.settings, self._pacer, self._window, self._peers.missing(), self._paused
         )
-
-
-def _check_message_size(config: RigConfig) -> None:
-    """Refuse blocks that do not fit a shared-memory segment of DDS."""
-    dtype = TRUTH_SCAN if config.output.truth_scan else SCAN
-    most = (codec.MAX_MESSAGE_BYTES - 1000) // np.dtype(dtype).itemsize
-    if config.daq.block_scans > most:
-        why = "with output.truth_scan" if config.output.truth_scan else f"({codec.MAX_MESSAGE_BYTES} bytes per message)"
-        raise ConfigError(f"daq.block_scans must be <= {most} {why}, got {config.daq.block_scans}")
 
 
 def main() -> None:

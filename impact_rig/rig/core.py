@@ -80,11 +80,6 @@ class Rig:
         return self._stamp(self._next_scan)
 
     @property
-    def blocks(self) -> int:
-        """Blocks handed out since the start or reset."""
-        return self._blocks
-
-    @property
     def frequency_hz(self) -> float:
         """Drive frequency in force at the frontier."""
         return float(self._generator.frequency_hz)

@@ -16,7 +16,7 @@ from std_srvs.srv import Trigger
 
 from impact_rig.config.fields import integer, names, quantity, switch
 from impact_rig.errors import CommandError, ConfigError
-from impact_rig.nodes.deferred import DeferredTrigger
+from impact_rig.nodes.deferred import DeferredService
 from impact_rig.nodes.diagnostics import Level, Status
 from impact_rig.nodes.managed import ManagedNode
 from impact_rig.nodes.parameters import SectionSchema
@@ -49,7 +49,7 @@ class Small(ManagedNode[Settings]):
         self.service(Trigger, "~/raise", self._raise)
         self.service(Trigger, "~/refuse", self._refuse)
         self._ticks = 0
-        self.later = DeferredTrigger(self, "~/later", lambda: None, lambda: None)
+        self.later = DeferredService(self, Trigger, "~/later", lambda _: None, lambda: None)
 
     def configure(self) -> None:
         if self.settings.fails:

@@ -168,6 +168,20 @@ def test_pause_holds_rig_time(client: Client) -> None:
     client.wait_until(lambda: len(scans) > before, "rig time to go on")
 
 
+def test_a_pause_is_answered_when_everything_out_was_processed(client: Client) -> None:
+    """So that what is done next (a reset, a new recording) has no blocks of the past on the way."""
+    node = host_rig(client, "freewheel", time__peers=["client"])
+    client.wait_active("rig")
+    scans = client.collect("daq/scan", acknowledge=True)
+    client.wait_until(lambda: len(scans) > 30, "blocks")
+    client.pause()
+    published, received = node._figures.blocks, len(scans)
+    assert received == published
+    client.trigger("rig/reset")
+    client.pause(False)
+    client.wait_until(lambda: len(scans) > received, "blocks after the reset")
+
+
 def test_step_refuses_in_the_wrong_mode_and_answers_when_deactivated(client: Client) -> None:
     host_rig(client, "realtime")
     client.wait_active("rig")

@@ -1,0 +1,125 @@
+"""Everything the rig node publishes, and in which order."""
+
+from __future__ import annotations
+
+from typing import Any  # rclpy publishers
+
+from rclpy.duration import Duration
+from std_msgs.msg import String
+
+from impact_rig import codec
+from impact_rig.blocks import SCAN, TRUTH_SCAN
+from impact_rig.config import RigConfig, dump
+from impact_rig.errors import ConfigError
+from impact_rig.nodes import topics
+from impact_rig.nodes.convert import Monitors, clock_message
+from impact_rig.nodes.managed import ManagedNode
+from impact_rig.rig import Block, Rig
+
+PUBLISHED = [topic for topic in topics.TOPICS if topic.publisher == "rig"]
+LEAST_DEPTH = 100
+"""Blocks kept for a slow subscriber: twice what comes in a second, but at least this."""
+DELIVERY = Duration(seconds=0.2)
+"""Longest wait for the delivery of a change; only a subscriber that died without a word takes so long."""
+
+
+class Outlets:
+    """The rig's publishers.
+
+    Args:
+        node: owner.
+        config: decides how deep the queues are, and whether `/clock` is published.
+
+    Raises:
+        ConfigError: a block does not fit a message.
+    """
+
+    def __init__(self, node: ManagedNode[RigConfig], config: RigConfig) -> None:
+        check_message_size(config)
+        self._node = node
+        per_second = config.daq.rate_hz // config.daq.block_scans
+        depth = max(LEAST_DEPTH, 2 * per_second)  # for a slow subscriber, without holding seconds of large blocks
+        bulky = (topics.SCAN, topics.TRUTH_SCAN)
+        self._publishers = {t.name: node.publisher(t, depth if t in bulky else None) for t in PUBLISHED}
+        self._info = b""
+        self._monitors: Monitors | None = None
+
+    @property
+    def scan(self) -> Any:
+        """The publisher of daq/scan."""
+        return self._publishers[topics.SCAN.name]
+
+    def destroy(self) -> None:
+        """Destroy the publishers."""
+        for publisher in self._publishers.values():
+            self._node.destroy_publisher(publisher)
+
+    def block(self, block: Block) -> None:
+        """Publish a block: scans first, then what is true about them, then the monitors."""
+        if not block.lost:
+            self.scan.publish(codec.encode(block.scan))
+        for topic, table in (
+            (topics.IMPACTS_TRUTH, block.impacts),
+            (topics.FAULTS, block.faults),
+            (topics.TRUTH_SCAN, block.truth),
+        ):
+            if table is not None:
+                self._publishers[topic.name].publish(codec.encode(table))
+        assert self._monitors is not None
+        for topic, message in self._monitors.messages(block):
+            self._publishers[topic.name].publish(message)
+
+    def clock(self, now_ns: int) -> None:
+        """Publish rig time."""
+        self._publishers[topics.CLOCK.name].publish(clock_message(now_ns))
+
+    def changes(self, rig: Rig) -> None:
+        """Publish the new rows of shaker/applied and rig/journal."""
+        for topic, tables in ((topics.APPLIED, rig.take_applied()), (topics.JOURNAL, rig.take_journal())):
+            for table in tables:
+                self._publishers[topic.name].publish(codec.encode(table))
+            if tables:
+                self._settle(topic)
+
+    def configuration(self, rig: Rig) -> None:
+        """Publish the configuration, and the calibration if it is another; take both for the monitors."""
+        info = rig.info()
+        noise = dict(zip(info.rows["name"].astype(str).tolist(), info.rows["noise"].tolist(), strict=True))
+        self._monitors = Monitors(rig.config, noise)
+        encoded = codec.encode(info)
+        if encoded != self._info:
+            self._info = encoded
+            self._publishers[topics.INFO.name].publish(encoded)
+            self._settle(topics.INFO)
+        self._publishers[topics.CONFIGURATION.name].publish(String(data=dump(rig.config)))
+
+    def settle_history(self) -> None:
+        """Wait until subscribers that have just come have what was published before."""
+        for topic in (topics.INFO, topics.APPLIED, topics.JOURNAL):
+            self._settle(topic)
+
+    def forget(self) -> None:
+        """Publish the calibration again when next asked: a new rig begins."""
+        self._info = b""
+
+    def _settle(self, topic: topics.Topic) -> None:
+        """Wait until every matched subscriber has what was published on a topic.
+
+        Topics overtake each other. In realtime they do so by milliseconds, for which a measurement can wait; in the
+        other modes that is many blocks, and results would depend on it.
+        """
+        if self._node.settings.time.mode != "realtime":
+            self._publishers[topic.name].wait_for_all_acked(DELIVERY)
+
+
+def check_message_size(config: RigConfig) -> None:
+    """Refuse blocks that do not fit a shared-memory segment of DDS.
+
+    Raises:
+        ConfigError: names the largest block.
+    """
+    dtype = TRUTH_SCAN if config.output.truth_scan else SCAN
+    most = (codec.MAX_MESSAGE_BYTES - 1000) // dtype.itemsize
+    if config.daq.block_scans > most:
+        why = "with output.truth_scan" if config.output.truth_scan else f"({codec.MAX_MESSAGE_BYTES} bytes per message)"
+        raise ConfigError(f"daq.block_scans must be <= {most} {why}, got {config.daq.block_scans}")
