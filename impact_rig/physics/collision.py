@@ -373,15 +373,15 @@ def collide(p, f, a, at, s, t_end, log, ledger, account):  # type: ignore[no-unt
             return FAILED
         ending, grip = STIFF, s[GRIP]
         w, t = evaluate(a, h, at)
-        if p.force.clipped:
-            released = _release(p, a, beta, grip, h, at[SPEED])
-            if released < h:
-                h, grip = released, 1.0 - grip
-                w, t = evaluate(a, h, at)
         if w <= 0.0:
-            h, ending, grip = root(a.w, 0.0, False, h), LEFT_WALL, s[GRIP]
+            h, ending = root(a.w, 0.0, False, h), LEFT_WALL
             w, t = evaluate(a, h, at)
             w = 0.0
+        if p.force.clipped:  # beyond the wall's end the series means nothing: look only up to there
+            released = _release(p, a, beta, grip, h, at[SPEED])
+            if released < h:
+                h, ending, grip = released, STIFF, 1.0 - grip
+                w, t = evaluate(a, h, at)
         if t >= t_end:
             h, ending, grip = root(a.t, t_end, True, h), OUT_OF_TIME, s[GRIP]
             w, t = evaluate(a, h, at)

@@ -17,7 +17,7 @@ from impact_rig.physics.collision import CENTRE, COIL, ORDER, SPEED, V_BASE, V_C
 from impact_rig.physics.dynamics import contact_force, rates
 from impact_rig.physics.flight import prepare
 from impact_rig.physics.forcing import Forcing, bound_omega, drive, particular, transfer
-from impact_rig.physics.hermite import quintic
+from impact_rig.physics.hermite import cubic, quintic
 from impact_rig.physics.linear import COIL as COIL_STATE
 from impact_rig.physics.linear import V1, VB, X1, XB
 from impact_rig.physics.model import PRESCRIBED, VOLTAGE
@@ -185,7 +185,7 @@ def _in_riding(p, f, knot, after, t, out):  # type: ignore[no-untyped-def]
     depth, speed, _ = quintic(knot[GAP], knot[RATE], r0, after[GAP], after[RATE], r1, h, at)
     centre, v_centre, _ = quintic(knot[Y], knot[Y + 1], c0, after[Y], after[Y + 1], c1, h, at)
     x_base, v_base, _ = quintic(knot[Y + 2], knot[Y + 3], b0, after[Y + 2], after[Y + 3], b1, h, at)
-    coil = knot[Y + 4] + at * (i0 + 0.5 * at * (i1 - i0) / h)
+    coil = cubic(knot[Y + 4], i0, after[Y + 4], i1, h, at)
     w = math.sqrt(max(depth, 0.0))
     _from_contact(p, f, knot, t, w, speed, centre, v_centre, x_base, v_base, coil, 1.0, out)
 

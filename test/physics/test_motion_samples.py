@@ -1,0 +1,149 @@
+"""Samples of a motion agree with each other and with the laws, wherever they are taken."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from mechanics_kit import TWO_PI, rig, sine, sphere_kg, stiffness
+
+from impact_rig.config import RigConfig
+from impact_rig.physics import Motion, Simulation
+from impact_rig.physics.state import COLLISION, PHASE, RIDING
+
+SEGMENTS, TICK_S = 60, 0.01
+CONFIGS = {
+    "current": rig(),
+    "prescribed": rig(drive={"kind": "prescribed"}),
+    "voltage": rig(drive={"kind": "voltage"}),
+    "riding": rig(barriers={"gap_m": 0.5e-3}),
+    "kelvin_voigt": rig(contact={"law": "kelvin_voigt", "release": "force"}, barriers={"gap_m": 2e-3}),
+    "restitution": rig(contact={"law": "restitution"}, barriers={"gap_m": 1e-3}),
+    "friction": rig(sphere={"guide_friction": 0.1}, barriers={"gap_m": 1e-3}),
+}
+AMPLITUDES = {"current": 2.0, "prescribed": 1e-4, "voltage": 5.0}
+
+
+@pytest.fixture(scope="module", params=CONFIGS)
+def case(request) -> tuple[RigConfig, Motion]:
+    config = CONFIGS[request.param]
+    simulation = Simulation(config)
+    simulation.place(x_1=-4e-3, d_rate=0.1)
+    motion = simulation.advance(sine(9.1, AMPLITUDES[config.drive.kind], TICK_S, SEGMENTS))
+    assert len(motion.impacts) > 3
+    return config, motion
+
+
+def pieces(motion: Motion, shortest_s: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Segment, start, end and phase of the smooth pieces that are not shorter than this."""
+    segment, offset = motion.breakpoints()
+    end = np.append(offset[1:], TICK_S)
+    end[:-1][segment[1:] != segment[:-1]] = TICK_S
+    kept = end - offset > shortest_s
+    return segment[kept], offset[kept], end[kept], motion._knots[kept, PHASE]
+
+
+@pytest.mark.parametrize(
+    ("position", "speed", "acceleration"), [("x_b", "v_b", "a_b"), ("x_1", "v_1", "a_1"), ("x_2", "v_2", "a_2")]
+)
+def test_speeds_and_accelerations_are_derivatives(case, position, speed, acceleration):
+    """Integrate accelerations to speeds and speeds to positions over every smooth piece, by Gauss's rule."""
+    _, motion = case
+    segment, begin, end, phase = pieces(motion, 1e-7)
+    nodes, weights = np.polynomial.legendre.leggauss(20)
+    half = 0.5 * (end - begin)
+    where = np.repeat(segment, len(nodes))
+    when = (begin[:, np.newaxis] + half[:, np.newaxis] * (1.0 + nodes)).ravel()
+    inside = 1e-16  # [s]: still this piece, and nothing happens in it
+    for function, derivative in ((position, speed), (speed, acceleration)):
+        integral = half * (motion.quantity(derivative, where, when).reshape(-1, len(nodes)) @ weights)
+        rise = motion.quantity(function, segment, end - inside) - motion.quantity(function, segment, begin)
+        scale = np.abs(motion.quantity(function, where, when)).max()
+        # riding steps are interpolated, everything else is a power series
+        tolerance = scale * np.where(phase == RIDING, 2e-5, 1e-8)
+        worst = np.argmax(np.abs(rise - integral) / tolerance)
+        assert abs(rise - integral)[worst] <= tolerance[worst], (
+            f"{function} rises by {rise[worst]:g}, the integral of {derivative} is {integral[worst]:g}, "
+            f"phase {phase[worst]:g}, piece of {end[worst] - begin[worst]:g} s"
+        )
+
+
+@pytest.mark.parametrize("name", ["x_b", "v_b", "x_1", "x_2", "current"])
+def test_what_cannot_jump_does_not(case, name):
+    _, motion = case
+    segment, offset = motion.breakpoints()
+    inner = np.flatnonzero(offset > 0.0)
+    before = motion.quantity(name, segment[inner], offset[inner] * (1.0 - 4e-16))
+    after = motion.quantity(name, segment[inner], offset[inner])
+    scale = np.abs(after).max()
+    assert np.abs(after - before).max() <= 1e-8 * scale if scale else not before.any()
+    last = motion.quantity(name, np.arange(SEGMENTS - 1), np.full(SEGMENTS - 1, TICK_S * (1 - 1e-15)))
+    first = motion.quantity(name, np.arange(1, SEGMENTS), np.zeros(SEGMENTS - 1))
+    assert np.abs(last - first).max() <= 1e-8 * scale
+
+
+def samples(motion: Motion, count: int = 20000) -> np.ndarray:
+    """Random instants, and a thousand inside contacts."""
+    generator = np.random.default_rng(3)
+    segment, begin, end, phase = pieces(motion, 0.0)
+    touched = np.flatnonzero((phase == COLLISION) | (phase == RIDING))
+    chosen = touched[generator.integers(0, len(touched), 1000)] if len(touched) else touched
+    place = generator.uniform(size=len(chosen))
+    where = np.append(generator.integers(0, SEGMENTS, count), segment[chosen])
+    when = np.append(generator.uniform(0, TICK_S, count), begin[chosen] + place * (end - begin)[chosen])
+    return motion.sample(where, when)
+
+
+def test_forces_obey_newton_and_the_walls(case):
+    config, motion = case
+    rows = samples(motion)
+    force = rows["force_right"] - rows["force_left"]
+    if config.contact.law == "restitution" or config.sphere.guide_friction:
+        return  # rigid and friction forces are not sampled
+    scale = np.abs(force).max()
+    assert np.abs(sphere_kg() * rows["a_2"] + force).max() <= 1e-12 * scale
+    d, half = rows["x_2"] - rows["x_1"], config.barriers.gap_m / 2.0
+    assert not rows["force_right"][d < half * (1.0 - 1e-9)].any()
+    assert not rows["force_left"][d > -half * (1.0 - 1e-9)].any()
+    assert (rows["force_right"] * rows["force_left"] == 0.0).all()
+
+
+def test_the_structure_feels_columns_and_contact(case):
+    config, motion = case
+    rows = samples(motion)
+    if config.contact.law == "restitution" or config.sphere.guide_friction:
+        return
+    structure = config.structure
+    omega = TWO_PI * structure.natural_frequency_hz
+    columns = -(omega**2) * (rows["x_1"] - rows["x_b"]) - 2.0 * structure.damping_ratio * omega * (
+        rows["v_1"] - rows["v_b"]
+    )
+    wanted = columns + (rows["force_right"] - rows["force_left"]) / structure.mass_kg
+    assert np.abs(rows["a_1"] - wanted).max() <= 1e-9 * np.abs(wanted).max()
+
+
+def test_the_force_is_the_law_of_indentation_and_its_rate():
+    """Flores: F = K δ^1.5 (1 + a δ'/v0), v0 of this contact."""
+    config, simulation = rig(), Simulation(rig())
+    simulation.place(x_1=-4e-3, d_rate=0.1)
+    motion = simulation.advance(sine(9.1, 2.0, TICK_S, SEGMENTS))
+    factor = 8.0 * 0.65 / (5.0 * 0.35)
+    for row in motion.impacts[motion.impacts["wall"] == 1][:5]:
+        t = row["offset"] + np.linspace(0.05, 0.95, 50) * row["duration"]
+        if t[-1] > TICK_S:
+            continue
+        rows = motion.sample(np.full(50, row["segment"]), t)
+        depth = rows["x_2"] - rows["x_1"] - config.barriers.gap_m / 2.0
+        rate = rows["v_2"] - rows["v_1"]
+        wanted = stiffness() * depth**1.5 * (1.0 + factor * rate / row["approach_speed"])
+        assert rows["force_right"] == pytest.approx(wanted, rel=1e-6)
+
+
+def test_instants_outside_the_motion_are_refused():
+    simulation = Simulation(rig())
+    simulation.advance(sine(9.1, 1.0, TICK_S, 5))
+    motion = simulation.advance(sine(9.1, 1.0, TICK_S, 5))
+    for wrong in (4, 10):
+        with pytest.raises(ValueError, match=f"holds segments 5 to 9, got {wrong} to {wrong}"):
+            motion.quantity("x_1", np.array([wrong]), np.array([0.0]))
+    with pytest.raises(ValueError, match="one shape"):
+        motion.quantity("x_1", np.array([5, 6]), np.array([0.0]))
