@@ -103,6 +103,7 @@ DAQ_INFO = np.dtype(
         ("lag_order", "f8"),
         ("bandwidth", "f8"),
         ("linearity", "f8"),
+        ("since_start", "f8"),
     ]
 )
 """`daq/info`, one row per channel: SI = (volt - offset) / sensitivity; sensitivity in V per unit, offset in V; range,
@@ -110,7 +111,11 @@ resolution (1 LSB) and noise (rms) in the unit; u(sensitivity) relative and u(of
 uncertainties; lag: group delay of the sensor at low frequency [s]; skew: conversion after the scan clock [s];
 lag_order 1: the sensor is a first-order lag 1 / (1 + jω lag), 0: a pure delay in the rig's band; bandwidth: -3 dB
 corner of the sensor and of its noise [Hz]; linearity: limit of the departure from a straight line [unit], a smooth
-curve; its slope at mid-range is part of u(sensitivity)."""
+curve; its slope at mid-range is part of u(sensitivity); since_start: from scan 0 to this stamp [s], 0 after a reset."""
+
+SETTINGS = np.dtype([("key", TEXT), ("value", "f8")])
+"""`analysis/settings`: every setting of the measurement in force from the stamp on, the operator's label `gap_m` [m] among
+them (0 = no sphere, NaN = unknown)."""
 
 TRANSMISSIBILITY = np.dtype(
     [

@@ -10,8 +10,9 @@ import re
 
 import attrs
 
-_PATTERN = re.compile(r"\s*gap_m\s*=\s*(?P<gap>nan|[0-9.eE+-]+)\s+at\s+(?P<stamp>-?[0-9]{1,19})\s*")
-_LARGEST_NS = 2**63 - 1
+_PATTERN = re.compile(r"\s*gap_m\s*=\s*(?P<gap>nan|[0-9.eE+-]+)\s+at\s+(?P<stamp>[0-9]{1,19})\s*")
+_END_NS = 2**31 * 1_000_000_000
+"""A ROS stamp carries no later instant."""
 
 
 @attrs.frozen
@@ -35,6 +36,6 @@ def parse_label(remark: str) -> GapLabel | None:
         gap, stamp = float(match["gap"]), int(match["stamp"])
     except ValueError:
         return None
-    if gap < 0 or gap > 1 or abs(stamp) > _LARGEST_NS:
+    if gap < 0 or gap > 1 or stamp >= _END_NS:
         return None
     return GapLabel(gap, stamp)

@@ -39,6 +39,11 @@ class ScanBuffer:
         """Drop everything; the next scan is `index`."""
         self.first = self.end = index
 
+    def renumber(self, index: int) -> None:
+        """Call scan `index` scan 0, and what is kept after it accordingly."""
+        self.first -= index
+        self.end -= index
+
     def append(self, rows: NDArray[np.void], keep: int) -> None:
         """Add scans; those before index `keep` may be dropped to make room."""
         used, new = self.end - self.first, len(rows)

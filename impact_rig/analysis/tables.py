@@ -1,15 +1,19 @@
-"""Measurements and impacts as the tables that are published."""
+"""Measurements, impacts and settings as the tables that are published."""
 
 from __future__ import annotations
 
+import attrs
 import numpy as np
 
 from impact_rig.analysis.impacts import Impacts
+from impact_rig.analysis.settings import TrackerSettings
 from impact_rig.analysis.transmissibility import Measurement
 from impact_rig.analysis.words import Status
-from impact_rig.blocks import DETECTED_IMPACTS, TRANSMISSIBILITY, Table
+from impact_rig.blocks import DETECTED_IMPACTS, SETTINGS, TRANSMISSIBILITY, Table
+from impact_rig.errors import ConfigError
 from impact_rig.simtime import COMMAND_GRID_NS, COMMAND_GRID_S
 
+GAP = "gap_m"
 SETTLED = (Status.OK, Status.ACCELEROMETER_OVER_RANGE)
 
 
@@ -51,3 +55,24 @@ def impact_tables(found: Impacts, rate_hz: int, start_ns: int) -> list[Table]:
         rows["peak"], rows["sign"] = found.peak[chosen], found.sign[chosen]
         tables.append(Table(start_ns + int(cell) * COMMAND_GRID_NS, rows))
     return tables
+
+
+def settings_table(settings: TrackerSettings, gap_m: float, stamp_ns: int) -> Table:
+    """Return `analysis/settings`: the settings and the operator's label, from an instant on."""
+    values = {attribute.name: getattr(settings, attribute.name) for attribute in attrs.fields(TrackerSettings)}
+    return Table(stamp_ns, np.array([*values.items(), (GAP, gap_m)], dtype=SETTINGS))
+
+
+def read_settings(table: Table) -> tuple[TrackerSettings, float]:
+    """Return settings and label of `analysis/settings`; what the table does not name has its default.
+
+    Raises:
+        ConfigError: a key is unknown, or a value out of range.
+    """
+    values = dict(zip(table.rows["key"].astype(str).tolist(), table.rows["value"].tolist(), strict=True))
+    gap_m = float(values.pop(GAP, np.nan))
+    defaults = TrackerSettings()
+    unknown = sorted(set(values) - {attribute.name for attribute in attrs.fields(TrackerSettings)})
+    if unknown:
+        raise ConfigError(f"analysis/settings has an unknown key: {', '.join(unknown)}")
+    return TrackerSettings(**{key: type(getattr(defaults, key))(value) for key, value in values.items()}), gap_m

@@ -68,6 +68,14 @@ class _Recalibration:
     calibration: Calibration
 
 
+@attrs.frozen(eq=False)
+class _Reset:
+    """The rig began again: a new scan 0."""
+
+    start_ns: int
+    calibration: Calibration
+
+
 _Event = _Command | _Label | _Recalibration
 _NOTHING = Findings()
 
@@ -85,7 +93,8 @@ class Tracker:
         self._settings = settings or TrackerSettings()
         self._impact_settings = impact_settings or ImpactSettings()
         self._calibration: Calibration | None = None
-        self._info = b""
+        self._info: tuple[int, bytes] | None = None
+        self._resets: list[_Reset] = []
         self._start_ns = 0
         self._hold = 0
         self._buffer = ScanBuffer()
@@ -103,24 +112,28 @@ class Tracker:
         self._rows: list[Table] = []
 
     def configure(self, info: Table) -> None:
-        """Take `daq/info`: the first fixes the time base (stamped like scan 0), later ones act from their stamp on.
+        """Take `daq/info`: a calibration, which acts from its stamp on, and where scan 0 is.
+
+        Another scan 0 is a reset of the rig: from its first block on everything is measured as in a new record.
 
         Raises:
             ConfigError: the table does not describe the four channels.
         """
         calibration = Calibration.from_info(info.rows)
-        content = info.rows.tobytes()
+        start_ns = info.stamp_ns - round(float(info.rows["since_start"][0]) * NS_PER_S)
+        rows = info.rows.copy()
+        rows["since_start"] = 0.0
+        content = start_ns, rows.tobytes()
         if content == self._info:
             return
         self._info = content
-        if self._calibration is None or calibration.rate_hz != self._calibration.rate_hz:
-            self._start_ns = info.stamp_ns
-            self._started = False
-            self._calibration = calibration
-            self._hold = max(MIN_HOLD_SCANS, math.ceil(self._settings.hold_s * calibration.rate_hz))
-            self._detector = ImpactDetector(calibration, self._impact_settings)
-        else:
+        newest_start_ns = self._resets[-1].start_ns if self._resets else self._start_ns
+        if self._calibration is None:
+            self._use(_Reset(start_ns, calibration))
+        elif start_ns == newest_start_ns and calibration.rate_hz == self._calibration.rate_hz:
             self._schedule(info.stamp_ns, _Recalibration(calibration))
+        else:
+            self._resets.append(_Reset(start_ns, calibration))
 
     def command(self, applied: Table) -> None:
         """Take `shaker/applied`: each row acts from its stamp plus time."""
@@ -140,6 +153,8 @@ class Tracker:
             return _NOTHING
         if not len(rows):
             return _NOTHING
+        while self._resets and self._resets[0].start_ns <= scan.stamp_ns:
+            self._begin_again(self._resets.pop(0))
         rate = self._calibration.rate_hz
         index = scan_index(scan.stamp_ns, rate, self._start_ns)
         span = round(float(rows["time"][-1] - rows["time"][0]) * rate) + 1
@@ -191,6 +206,33 @@ class Tracker:
         """Queue an event at the scan it acts on; before the time base is known the instant itself is kept."""
         self._event_count += 1
         bisect.insort(self._events, (time_ns, self._event_count, event), key=lambda entry: entry[:2])
+
+    def _use(self, reset: _Reset) -> None:
+        self._start_ns, self._calibration = reset.start_ns, reset.calibration
+        self._hold = max(MIN_HOLD_SCANS, math.ceil(self._settings.hold_s * reset.calibration.rate_hz))
+        self._detector = ImpactDetector(reset.calibration, self._impact_settings)
+
+    def _begin_again(self, reset: _Reset) -> None:
+        """Measure what came before a reset, and start anew with the scans after it that are held back already."""
+        assert self._calibration is not None
+        buffer, end = self._buffer, self._buffer.end
+        cut = scan_index(reset.start_ns, self._calibration.rate_hz, self._start_ns)
+        if not self._measured <= cut <= end:
+            cut = end
+        if self._started:
+            self._advance(cut)
+            self._interrupt(Status.RESTARTED)
+            self.counters.restarts += 1
+        self._use(reset)
+        buffer.renumber(cut)
+        self._last_block -= cut
+        self._measured = 0
+        self._detector.restart(0)
+        self._impacts_ahead.clear()
+        found = self._detector.feed(buffer.samples[0, buffer.column(0) : buffer.column(buffer.end)])
+        if len(found):
+            self._impacts_ahead.append(found)  # reported already
+        self._begin(0, changed=True)
 
     def _resume(self, index: int) -> None:
         """Start at a scan that does not follow the last one: the first of all, after lost blocks, or after a reset."""

@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig import codec
-from impact_rig.analysis.labels import parse_label
+from impact_rig.analysis.labels import GapLabel, parse_label
 from impact_rig.analysis.settings import TrackerSettings
+from impact_rig.analysis.tables import read_settings
 from impact_rig.analysis.tracker import Findings, Tracker
 from impact_rig.blocks import TRANSMISSIBILITY, Table
 from impact_rig.errors import RecordingError
@@ -17,6 +18,7 @@ from impact_rig.recording import Run
 
 _NEEDED = ("daq/info", "shaker/applied", "daq/scan")
 _NOTES = "notes"
+_SETTINGS = "analysis/settings"
 
 
 def analyze(run: Run, settings: TrackerSettings | None = None) -> Iterator[Findings]:
@@ -25,17 +27,13 @@ def analyze(run: Run, settings: TrackerSettings | None = None) -> Iterator[Findi
     Raises:
         RecordingError: a topic that the analysis needs was not recorded, or a message is damaged.
     """
-    tracker = Tracker(settings or TrackerSettings())
+    live, labels = _as_set_live(run)
+    tracker = Tracker(settings or live)
+    for label in labels:
+        tracker.label(label.gap_m, label.stamp_ns)
     names = {run.resolve(topic): topic for topic in _NEEDED}
-    if any(name.rpartition("/")[2] == _NOTES for name in run.topics):
-        names[run.resolve(_NOTES)] = _NOTES
     for message in run.messages(names, recorded_order=True):
         topic = names[message.topic]
-        if topic == _NOTES:
-            label = parse_label(_text(message.data))
-            if label is not None:
-                tracker.label(label.gap_m, label.stamp_ns)
-            continue
         table = codec.decode(message.data)
         if topic == "daq/info":
             tracker.configure(table)
@@ -44,6 +42,23 @@ def analyze(run: Run, settings: TrackerSettings | None = None) -> Iterator[Findi
         else:
             yield tracker.feed(table)
     yield tracker.flush()
+
+
+def _as_set_live(run: Run) -> tuple[TrackerSettings, list[GapLabel]]:
+    """Return the settings and labels of the live analysis; the operator's remarks and defaults where there was none.
+
+    They are read first: a label names the scan it acts on, and may have been recorded after it.
+    """
+    if _has(run, _SETTINGS):
+        found = [(table.stamp_ns, *read_settings(table)) for table in run.tables(_SETTINGS, recorded_order=True)]
+        return found[-1][1], [GapLabel(gap_m, stamp_ns) for stamp_ns, _, gap_m in found]
+    remarks = run.messages([run.resolve(_NOTES)]) if _has(run, _NOTES) else ()
+    labels = [parse_label(_text(message.data)) for message in remarks]
+    return TrackerSettings(), [label for label in labels if label is not None]
+
+
+def _has(run: Run, topic: str) -> bool:
+    return any(name == topic or name.endswith(f"/{topic}") for name in run.topics)
 
 
 def measurements(findings: Iterator[Findings]) -> list[Table]:

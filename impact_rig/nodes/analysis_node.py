@@ -10,6 +10,7 @@ from std_msgs.msg import Float64, Header, String
 from impact_rig import codec
 from impact_rig.analysis.labels import parse_label
 from impact_rig.analysis.settings import TrackerSettings
+from impact_rig.analysis.tables import settings_table
 from impact_rig.analysis.tracker import Findings, Tracker
 from impact_rig.blocks import Table
 from impact_rig.errors import CodecError, ConfigError
@@ -19,7 +20,7 @@ from impact_rig.nodes.managed import ManagedNode
 from impact_rig.nodes.parameters import SectionSchema
 from impact_rig.nodes.settings import UNKNOWN_GAP, AnalysisSettings
 from impact_rig.nodes.stamps import time_message
-from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S
+from impact_rig.simtime import NS_PER_S
 
 PUBLISHED = [topic for topic in topics.TOPICS if topic.publisher == "analysis"]
 
@@ -37,7 +38,6 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
         self._outlets: dict[str, Any] = {}
         self._inlets: list[Any] = []
         self._ack: Any = None
-        self._first_info_ns: int | None = None
         self._newest_ns: int | None = None
         self._latest = math.nan
 
@@ -52,8 +52,10 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
 
     def activate(self) -> None:
         """Start a new measurement."""
-        self._tracker = self._new_tracker()
-        self._first_info_ns = self._newest_ns = None
+        names = [name for name, _, _ in SectionSchema(TrackerSettings).fields()]
+        self._tracker = Tracker(TrackerSettings(**{name: getattr(self.settings, name) for name in names}))
+        self._newest_ns = None
+        self._label(_gap(self.settings), 0)
         # calibration and present command first: both are transient-local, so they arrive though published long ago
         self._inlets = [
             self.subscribe(topics.INFO, self._on_info, raw=True),
@@ -85,12 +87,12 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
             return
         if fixed:
             raise ConfigError(f"{', '.join(fixed)}: change it while the node is inactive")
-        if "gap_m" in changes and self._newest_ns is not None:
-            self._tracker.label(_gap(settings), self._newest_ns)
+        if "gap_m" in changes:
+            self._label(_gap(settings), self._newest_ns or 0)
 
     def rig_time_ns(self) -> int:
         """Return the instant of the newest scan; 0 (a stamp nobody filled in) before the first."""
-        return self._newest_ns or self._first_info_ns or 0
+        return self._newest_ns or 0
 
     def status(self) -> Status:
         """Return the tracker's counters and the latest value."""
@@ -105,10 +107,12 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
             return Status(Level.WARN, "scans were lost", values)
         return Status(Level.OK, "measuring", values)
 
-    def _new_tracker(self) -> Tracker:
-        settings = self.settings
-        names = [name for name, _, _ in SectionSchema(TrackerSettings).fields()]
-        return Tracker(TrackerSettings(**{name: getattr(settings, name) for name in names}))
+    def _label(self, gap_m: float, stamp_ns: int) -> None:
+        """Label the scans from `stamp_ns` on, and tell whoever records them."""
+        assert self._tracker is not None
+        self._tracker.label(gap_m, stamp_ns)
+        table = settings_table(self.settings, gap_m, stamp_ns)
+        self._outlets[topics.ANALYSIS_SETTINGS.name].publish(codec.encode(table))
 
     # Messages
 
@@ -116,17 +120,7 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
         info = self._decode(topics.INFO, data)
         if info is None or self._tracker is None:
             return
-        first = self._first_info_ns
-        if first is not None and (info.stamp_ns - first) % COMMAND_GRID_NS:
-            # a rig that was activated anew has another time base; a reset or a recalibration keeps the grid
-            self.get_logger().info("the rig was started anew: so is the measurement")
-            self._tracker = self._new_tracker()
-            first = None
         self._tracker.configure(info)
-        if first is None:
-            self._first_info_ns = info.stamp_ns
-            if self.settings.gap_m != UNKNOWN_GAP:
-                self._tracker.label(_gap(self.settings), info.stamp_ns)
 
     def _on_applied(self, data: bytes) -> None:
         applied = self._decode(topics.APPLIED, data)
@@ -136,7 +130,7 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
     def _on_note(self, message: String) -> None:
         label = parse_label(message.data)
         if label is not None and self._tracker is not None:
-            self._tracker.label(label.gap_m, label.stamp_ns)
+            self._label(label.gap_m, label.stamp_ns)
 
     def _on_scan(self, data: bytes) -> None:
         scan = self._decode(topics.SCAN, data)

@@ -30,8 +30,8 @@ from impact_rig.nodes.stamps import time_message
 from impact_rig.recording import CONFIGURATION, Attachment, Provenance, Qos, RunWriter, Topic, schema_text
 
 FLUSH_S = 0.2
-AWAITED = (topics.INFO, topics.APPLIED, topics.JOURNAL, topics.CONFIGURATION)
-"""What the rig published before and belongs to every run; ~/start is answered when it has arrived."""
+AWAITED = (topics.INFO, topics.APPLIED, topics.JOURNAL, topics.CONFIGURATION, topics.ANALYSIS_SETTINGS)
+"""What was published before and belongs to every run; ~/start is answered when it has arrived."""
 AWAIT_S = 2.0
 SINGLE_PUBLISHERS = ("rig", "analysis")
 """Topics of these nodes have one publisher: a gap in its sequence numbers is a loss."""

@@ -162,6 +162,13 @@ TRANSMISSIBILITY = Topic(
 TRANSMISSIBILITY_TABLE = _table(
     "transmissibility/table", Qos.STATE, "analysis", blocks.TRANSMISSIBILITY, "One row per measurement."
 )
+ANALYSIS_SETTINGS = _table(
+    "analysis/settings",
+    Qos.STATE,
+    "analysis",
+    blocks.SETTINGS,
+    "Settings of the measurement and the operator's gap label, at activation and on change; stamp = from when they hold.",
+)
 IMPACTS = _table(
     "impacts", Qos.DATA, "analysis", blocks.DETECTED_IMPACTS, "Impacts detected from the accelerometer alone."
 )
@@ -207,6 +214,7 @@ TOPICS = (
     FAULTS,
     TRANSMISSIBILITY,
     TRANSMISSIBILITY_TABLE,
+    ANALYSIS_SETTINGS,
     IMPACTS,
     FREQUENCY,
     CURRENT,

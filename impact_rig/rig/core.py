@@ -110,7 +110,9 @@ class Rig:
 
     def info(self) -> Table:
         """Return `daq/info`; its stamp is the instant from which it holds."""
-        return Table(self._stamp(self._info_sample), self._chain.info())
+        rows, stamp = self._chain.info(), self._stamp(self._info_sample)
+        rows["since_start"] = (stamp - self.start_ns) / NS_PER_S
+        return Table(stamp, rows)
 
     # Time
 

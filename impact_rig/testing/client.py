@@ -37,7 +37,7 @@ T = TypeVar("T")
 
 DEFAULT_TIMEOUT_S = 10.0
 """Discovery takes 0.2 to 2 s; compiled code may load in the first seconds of a node."""
-START_TIMEOUT_S = 120.0
+START_TIMEOUT_S = 240.0
 """A node's first start on a machine compiles the physics."""
 SPIN_S = 0.1
 _TRANSITIONS = {

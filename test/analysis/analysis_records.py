@@ -23,12 +23,13 @@ def linear_transmissibility(frequency_hz, f_n=F_N, zeta=ZETA):
     return (1 + 2j * zeta * r) / (1 - r**2 + 2j * zeta * r)
 
 
-def info_rows(rate_hz=10_000, *, gain_u=1e-3, ideal=False):
+def info_rows(rate_hz=10_000, *, gain_u=1e-3, ideal=False, since_start=0.0):
     """A daq/info like the rig's: skewed channels, a slow laser, or ideal instruments without any of it."""
     rows = np.zeros(4, DAQ_INFO)
     rows["name"], rows["unit"], rows["rate"] = CHANNELS, ("m/s^2", "m", "m", "A"), rate_hz
     rows["sensitivity"], rows["range_high"] = 1.0, (1750.0, 0.01, 0.0125, 25.0)
     rows["range_low"] = -rows["range_high"]
+    rows["since_start"] = since_start
     if not ideal:
         rows["sensitivity_uncertainty"] = gain_u
         rows["noise"] = [RMS[name] for name in CHANNELS]

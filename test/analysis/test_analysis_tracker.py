@@ -271,9 +271,47 @@ def test_repeating_a_command_or_label_disturbs_nothing():
         if number % 100 == 50:
             made.command(applied(9.1, at_ns=table.stamp_ns))
             made.label(0.006, table.stamp_ns)
-            made.configure(Table(table.stamp_ns, info_rows(RATE)))
+            made.configure(Table(table.stamp_ns, info_rows(RATE, since_start=table.stamp_ns / NS_PER_S)))
         found += made.feed(table).measurements
     assert words(found) == ["ok", "ok"]
+
+
+@pytest.mark.parametrize("late", [0, 1, 2])
+@pytest.mark.parametrize("silence_ns", [0, 3_700_000], ids=["seamless", "a_part_of_a_block_dropped"])
+def test_after_a_reset_everything_is_as_in_a_new_record(late, silence_ns):
+    """However late its announcement comes within the time scans are held back."""
+    reset_ns = 8 * NS_PER_S + silence_ns
+    fresh = record(seconds=6.0, seed=2)
+    announcement = Table(reset_ns, info_rows(RATE))
+    expected, _ = feed_all(tracker(start_ns=reset_ns), blocks(fresh, RATE, 20, start_ns=reset_ns))
+
+    made = tracker()
+    found = []
+    for table in blocks(record(seconds=8.0), RATE, 20):
+        found += made.feed(table).measurements
+    for number, table in enumerate(blocks(fresh, RATE, 20, start_ns=reset_ns)):
+        if number == late:
+            made.configure(announcement)
+        found += made.feed(table).measurements
+    found += made.flush().measurements
+    gap_seen_first = silence_ns and late
+    assert words(found) == ["ok", "lost_blocks" if gap_seen_first else "restarted", "ok"]
+    after = [table for table in found if table.stamp_ns >= reset_ns]
+    assert [table.stamp_ns for table in after] == [table.stamp_ns for table in expected]
+    assert b"".join(table.rows.tobytes() for table in after) == b"".join(t.rows.tobytes() for t in expected)
+
+
+def test_who_joins_late_takes_scan_0_from_the_calibration():
+    """A rig recalibrated long after its start: windows are counted from its scan 0 all the same."""
+    rows = record(seconds=9.0)
+    since_s = 3.0
+    late = Tracker(QUICK)
+    late.configure(Table(round(since_s * NS_PER_S), info_rows(RATE, since_start=since_s)))
+    late.command(applied(9.1, at_ns=0))
+    late.label(0.006, 0)
+    expected, _ = feed_all(tracker(), blocks(rows, RATE, 20))
+    found, _ = feed_all(late, blocks(rows, RATE, 20))
+    assert [t.rows.tobytes() for t in found] == [t.rows.tobytes() for t in expected]
 
 
 @pytest.mark.parametrize("kind", ["label", "calibration", "current"])
@@ -288,7 +326,7 @@ def test_every_change_starts_a_new_measurement(kind):
             elif kind == "current":
                 made.command(applied(9.1, current_a=0.6, at_ns=table.stamp_ns))
             else:
-                info = info_rows(RATE)
+                info = info_rows(RATE, since_start=table.stamp_ns / NS_PER_S)
                 info["sensitivity_uncertainty"] = 0.01
                 made.configure(Table(table.stamp_ns, info))
         found += made.feed(table).measurements

@@ -12,12 +12,16 @@ from pathlib import Path
 
 import pytest
 
+from impact_rig.campaign import reanalysis
 from impact_rig.campaign.paper import REDUCTION_PERCENT
+from impact_rig.cli.demo import MEASUREMENTS
 from impact_rig.recording import check_contiguity, open_run
 
 pytestmark = [pytest.mark.ros, pytest.mark.pipeline, pytest.mark.timeout(300)]
 
-START_S, DEATH_S = 120.0, 10.0
+START_S, DEATH_S = 240.0, 10.0
+SOME_BLOCKS = 100_000
+"""Bytes: a run that has begun."""
 
 
 def start_demo(directory: Path) -> subprocess.Popen[str]:
@@ -44,10 +48,10 @@ def node_pid(demo: subprocess.Popen[str], node: str) -> int | None:
     return None
 
 
-def wait_for(demo: subprocess.Popen[str], path: Path) -> None:
-    """Wait until the demo has made `path`; every look is a bounded wait for the demo's own end."""
+def wait_for(demo: subprocess.Popen[str], path: Path, size: int = 0) -> None:
+    """Wait until the demo has made `path`, this large; every look is a bounded wait for the demo's own end."""
     deadline = time.monotonic() + START_S
-    while not path.exists():
+    while not path.exists() or path.stat().st_size < size:
         try:
             demo.wait(0.05)
         except subprocess.TimeoutExpired:
@@ -80,6 +84,9 @@ def test_the_demo_reproduces_the_paper_and_loses_nothing(tmp_path: Path) -> None
     for run in sorted((tmp_path / "demo").glob("*/metadata.yaml")):
         with open_run(run.parent) as opened:
             blocks = [(table.stamp_ns, len(table.rows)) for table in opened.tables("daq/scan", recorded_order=True)]
+            again = reanalysis.measurements(reanalysis.analyze(opened))
+            assert reanalysis.same_as_live(opened, again), f"{run.parent.name}: live and re-analysed results differ"
+            assert len(again) >= MEASUREMENTS
         assert check_contiguity(blocks, 10_000).whole, f"{run.parent.name}: blocks are missing or come twice"
         assert len(blocks) > 1000
 
@@ -109,7 +116,7 @@ def test_ctrl_c_leaves_a_readable_run_and_no_process(tmp_path: Path) -> None:
     directory = tmp_path / "demo"
     demo = start_demo(directory)
     try:
-        wait_for(demo, directory / "gap_2mm")
+        wait_for(demo, directory / "gap_2mm" / "gap_2mm.mcap", SOME_BLOCKS)
         pids = [node_pid(demo, name) for name in ("rig", "analysis", "recorder")]
         os.killpg(demo.pid, signal.SIGINT)
         output, _ = demo.communicate(timeout=60)
