@@ -114,8 +114,8 @@ corner of the sensor and of its noise [Hz]; linearity: limit of the departure fr
 curve; its slope at mid-range is part of u(sensitivity); since_start: from scan 0 to this stamp [s], 0 after a reset."""
 
 SETTINGS = np.dtype([("key", TEXT), ("value", "f8")])
-"""`analysis/settings`: every setting of the measurement in force from the stamp on, the operator's label `gap_m` [m] among
-them (0 = no sphere, NaN = unknown)."""
+"""`analysis/settings`: every setting of the measurement in force from the stamp on, the operator's label `gap_m` [m]
+among them (0 = no sphere, NaN = unknown)."""
 
 TRANSMISSIBILITY = np.dtype(
     [

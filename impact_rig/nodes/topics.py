@@ -167,7 +167,7 @@ ANALYSIS_SETTINGS = _table(
     Qos.STATE,
     "analysis",
     blocks.SETTINGS,
-    "Settings of the measurement and the operator's gap label, at activation and on change; stamp = from when they hold.",
+    "Settings of the measurement and the operator's gap label, when they change; stamp = from when they hold.",
 )
 IMPACTS = _table(
     "impacts", Qos.DATA, "analysis", blocks.DETECTED_IMPACTS, "Impacts detected from the accelerometer alone."
