@@ -60,6 +60,7 @@ setup(
             "rig_node = impact_rig.nodes.rig_node:main",
             "analysis_node = impact_rig.nodes.analysis_node:main",
             "recorder_node = impact_rig.nodes.recorder_node:main",
+            "stepped_sine_node = impact_rig.nodes.stepped_sine_node:main",
         ],
     },
 )

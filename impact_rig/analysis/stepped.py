@@ -3,7 +3,7 @@
     idle ── start ──► running ── all points measured ──► finished
                          └────── rule broken ──────────► aborted
 
-It sees what an operator sees — accepted commands, measurements, trips, the time — and answers with the next command.
+It sees what an operator sees — accepted commands, measurements, the time — and answers with the next command.
 The last command of a sweep, finished or aborted, always sets the current to zero.
 """
 
@@ -127,7 +127,7 @@ class SteppedSine:
 
     @property
     def rows(self) -> NDArray[np.void]:
-        """The curve so far: accepted rows of `transmissibility/table`, in the order of the visit."""
+        """The curve so far: rows of `transmissibility/table` in the order of the visit, `time` from the start."""
         return np.concatenate(self._rows) if self._rows else np.zeros(0, dtype=TRANSMISSIBILITY)
 
     @property
@@ -147,6 +147,7 @@ class SteppedSine:
             now_ns: rig time.
         """
         self._reset()
+        self._start_ns = now_ns
         self.state = State.RUNNING
         return self._go(now_ns)
 
@@ -174,7 +175,9 @@ class SteppedSine:
         settled = bool(row["settled"] == 1.0)
         if settled or (status is Status.NOT_SETTLED and self._plan.keep_unsettled):
             self._accepted = True
-            self._rows.append(np.array([row], dtype=TRANSMISSIBILITY))
+            taken = np.array([row], dtype=TRANSMISSIBILITY)
+            taken["time"] = (now_ns - self._start_ns) / NS_PER_S
+            self._rows.append(taken)
             self._taken += 1
             return self._next(now_ns) if self._taken >= self._plan.measurements_per_point else None
         if status in PASSING:
@@ -198,16 +201,16 @@ class SteppedSine:
             return self._abort(f"no measurement at {self.frequency_hz:g} Hz within {self._plan.dwell_limit_s:g} s")
         return None
 
-    def on_trip(self, reason: str) -> Command | None:
-        """Take the news that the rig has tripped or stopped."""
-        return self._abort(f"the rig tripped: {reason}") if self.state is State.RUNNING else None
+    def abort(self, reason: str) -> Command | None:
+        """End a sweep under way: the rig tripped, or the operator wants it."""
+        return self._abort(reason) if self.state is State.RUNNING else None
 
     def _reset(self) -> None:
         self.state = State.IDLE
         self.reason = ""
         self.skipped: list[float] = []
         self._at = 0
-        self._since_ns = 0
+        self._start_ns = self._since_ns = 0
         self._accepted = False
         self._taken = 0
         self._failures = 0

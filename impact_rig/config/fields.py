@@ -1,8 +1,8 @@
 """Configuration fields that know their unit, range and origin, and refuse bad values by name.
 
-A section is a frozen attrs class whose fields are made by `quantity`, `choice`, `integer`, `switch` or `names`. Each
-field's metadata carries what parameter descriptors, `docs/interface.md` and error messages need, so none of them is
-written twice.
+A section is a frozen attrs class whose fields are made by `quantity`, `quantities`, `choice`, `integer`, `switch` or
+`names`. Each field's metadata carries what parameter descriptors, `docs/interface.md` and error messages need, so none
+of them is written twice.
 """
 
 from __future__ import annotations
@@ -101,6 +101,13 @@ def _check_names(_instance: object, attribute: attrs.Attribute[Any], value: obje
         raise _wrong(attribute, "a list of texts", value)
 
 
+def _check_floats(_instance: object, attribute: attrs.Attribute[Any], value: object) -> None:
+    if not isinstance(value, tuple) or not value or not all(isinstance(item, float) for item in value):
+        raise _wrong(attribute, "one or more numbers", value)
+    for item in value:
+        _in_range(attribute, item)
+
+
 def _int_to_float(value: object) -> object:
     """YAML and people write 6 where 6.0 is meant; anything else is left for the validator to refuse by name."""
     try:
@@ -112,6 +119,10 @@ def _int_to_float(value: object) -> object:
 def _list_to_names(value: object) -> object:
     """ROS has no empty typed lists: `[""]` means none."""
     return tuple(item for item in value if item != "") if isinstance(value, (list, tuple)) else value
+
+
+def _list_to_floats(value: object) -> object:
+    return tuple(_int_to_float(item) for item in value) if isinstance(value, (list, tuple)) else value
 
 
 def quantity(
@@ -138,6 +149,16 @@ def quantity(
         read_only=read_only,
     )
     return attrs.field(default=default, converter=_int_to_float, validator=_check_float, metadata={METADATA_KEY: about})
+
+
+def quantities(
+    default: tuple[float, ...], unit: str, doc: str, origin: Origin = Origin.ASSUMED, *, above: float, at_most: float
+) -> Any:
+    """A tuple of one or more finite floats with one unit and one range."""
+    about = FieldInfo(doc, unit, origin, low=above, high=at_most, low_open=True)
+    return attrs.field(
+        default=default, converter=_list_to_floats, validator=_check_floats, metadata={METADATA_KEY: about}
+    )
 
 
 def integer(

@@ -74,8 +74,8 @@ class Outlets:
         self._publishers[topics.CLOCK.name].publish(clock_message(now_ns))
 
     def changes(self, rig: Rig) -> None:
-        """Publish the new rows of shaker/applied and rig/journal."""
-        for topic, tables in ((topics.APPLIED, rig.take_applied()), (topics.JOURNAL, rig.take_journal())):
+        """Publish the new rows of rig/journal and shaker/applied: causes before effects."""
+        for topic, tables in ((topics.JOURNAL, rig.take_journal()), (topics.APPLIED, rig.take_applied())):
             for table in tables:
                 self._publishers[topic.name].publish(codec.encode(table))
             if tables:

@@ -7,6 +7,7 @@ descriptors tell tools unit and range.
 
 from __future__ import annotations
 
+import array
 import itertools
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
@@ -22,7 +23,7 @@ from impact_rig.config import FieldInfo, RigConfig
 from impact_rig.config.fields import METADATA_KEY, info
 from impact_rig.errors import ConfigError
 
-Value = bool | int | float | str | tuple[str, ...]
+Value = bool | int | float | str | tuple[str, ...] | tuple[float, ...]
 S = TypeVar("S")
 
 _LARGEST = 1.7976931348623157e308
@@ -198,7 +199,8 @@ def descriptor(about: FieldInfo, value: Value) -> ParameterDescriptor:
         additional_constraints=about.range_text() if limited else "",
     )
     if isinstance(value, tuple):
-        found.type = Parameter.Type.STRING_ARRAY.value  # rclpy takes an empty list for bytes
+        kind = Parameter.Type.DOUBLE_ARRAY if value and isinstance(value[0], float) else Parameter.Type.STRING_ARRAY
+        found.type = kind.value  # rclpy takes an empty list for bytes
     if about.low is None and about.high is None:
         return found
     if isinstance(value, int):
@@ -218,7 +220,7 @@ def _to_ros(value: Value) -> object:
 
 
 def _from_ros(value: object) -> object:
-    return tuple(value) if isinstance(value, list) else value
+    return tuple(value) if isinstance(value, (list, array.array)) else value
 
 
 def _files(arguments: Iterable[str]) -> str:

@@ -7,8 +7,9 @@ from typing import Any  # attrs fields have no static type
 import attrs
 
 from impact_rig.analysis.settings import TrackerSettings
+from impact_rig.analysis.stepped import Direction, Plan
 from impact_rig.config import FieldInfo
-from impact_rig.config.fields import METADATA_KEY, choice, integer, quantity, switch
+from impact_rig.config.fields import METADATA_KEY, Origin, choice, integer, quantities, quantity, switch
 from impact_rig.errors import ConfigError
 
 UNKNOWN_GAP = -1.0
@@ -41,6 +42,38 @@ class AnalysisSettings(TrackerSettings):
     def __attrs_post_init__(self) -> None:
         if UNKNOWN_GAP < self.gap_m < 0:
             raise ConfigError(f"gap_m must be >= 0, or -1 for unknown, got {self.gap_m:g} m")
+
+
+@attrs.frozen(kw_only=True)
+class SteppedSineSettings:
+    """Parameters of the stepped-sine node: those of `Plan`, and when to begin."""
+
+    frequencies_hz: tuple[float, ...] = quantities(
+        (7.5, 8.0, 8.5, 8.9, 9.0, 9.1, 9.2, 9.5, 10.0, 10.5), "Hz", "The points.", Origin.PAPER, above=0, at_most=1000
+    )
+    current_a: float = quantity(
+        0.52, "A", "Peak current at all points (m or V by drive.kind).", Origin.IDENTIFIED, above=0, at_most=1000
+    )
+    direction: str = choice("up", tuple(Direction), "Order of the visit; up_down keeps the state at the turn.")
+    measurements_per_point: int = integer(1, "-", "Measurements taken at each point.", at_least=1, at_most=1000)
+    dwell_limit_s: float = quantity(
+        150.0, "s", "Rig time at one point after which the sweep is aborted.", above=0, at_most=1e5
+    )
+    accept_limit_s: float = quantity(
+        5.0, "s", "Rig time within which a command must be accepted.", above=0, at_most=1e5
+    )
+    retries: int = integer(2, "-", "Refused measurements borne per point.", at_least=0, at_most=1000)
+    skip_over_range: bool = switch(True, "Leave out a point where a sensor is over range, instead of aborting.")
+    keep_unsettled: bool = switch(True, "Take a response that does not settle in the analysis' bound.")
+    begin: bool = switch(False, "Begin when the rig is there; otherwise with ~/start.", read_only=True)
+    autostart: bool = switch(True, "Configure and activate by itself at start.", read_only=True)
+
+    def __attrs_post_init__(self) -> None:
+        self.plan()  # refuses frequencies given twice
+
+    def plan(self) -> Plan:
+        """Return the sweep."""
+        return Plan(**{attribute.name: getattr(self, attribute.name) for attribute in attrs.fields(Plan)})
 
 
 @attrs.frozen(kw_only=True)

@@ -169,6 +169,13 @@ ANALYSIS_SETTINGS = _table(
     blocks.SETTINGS,
     "Settings of the measurement and the operator's gap label, when they change; stamp = from when they hold.",
 )
+CURVE = _table(
+    "transmissibility/curve",
+    Qos.LATCHED,
+    "stepped_sine",
+    blocks.TRANSMISSIBILITY,
+    "The stepped sine so far, one row per measurement; stamp = its begin.",
+)
 IMPACTS = _table(
     "impacts", Qos.DATA, "analysis", blocks.DETECTED_IMPACTS, "Impacts detected from the accelerometer alone."
 )
@@ -215,6 +222,7 @@ TOPICS = (
     TRANSMISSIBILITY,
     TRANSMISSIBILITY_TABLE,
     ANALYSIS_SETTINGS,
+    CURVE,
     IMPACTS,
     FREQUENCY,
     CURRENT,

@@ -23,11 +23,11 @@ from impact_rig.errors import ImpactRigError
 STOP_TIMEOUT_S = 10.0
 """How long a process may take to end after SIGINT (a recorder finishes its file) before it is killed."""
 QUOTED_LINES = 15
-NODES = {name: f"impact_rig.nodes.{name}_node" for name in ("rig", "analysis", "recorder")}
+NODES = {name: f"impact_rig.nodes.{name}_node" for name in ("rig", "analysis", "recorder", "stepped_sine")}
 """Node name -> module run with `python -m`."""
 _PARENT_VARIABLE = "IMPACT_RIG_EXIT_WITH"  # read by nodes.managed, which this module does not import (it needs rclpy)
 
-ParameterValue = bool | int | float | str | Sequence[str]
+ParameterValue = bool | int | float | str | Sequence[str] | Sequence[float]
 
 
 class ProcessDiedError(ImpactRigError, RuntimeError):

@@ -105,9 +105,9 @@ def test_waiting_is_bounded():
 def test_a_trip_and_a_stranger_at_the_knob_end_the_sweep():
     one = sweep()
     one.start(0)
-    assert one.on_trip("over-travel") == Command(8.0, 0.0)
-    assert one.reason == "the rig tripped: over-travel"
-    assert one.on_trip("again") is None
+    assert one.abort("over-travel") == Command(8.0, 0.0)
+    assert one.reason == "over-travel"
+    assert one.abort("again") is None
     assert one.on_measurement(row(8.0), S) is None
     one.start(0)
     assert one.state is State.RUNNING

@@ -1,0 +1,227 @@
+"""A stepped-sine sweep through the topics, as an operator would drive it; `SteppedSine` decides, this node talks."""
+
+from __future__ import annotations
+
+import functools
+from typing import Any  # rclpy messages
+
+from std_msgs.msg import Float64
+from std_srvs.srv import Trigger
+
+from impact_rig import codec
+from impact_rig.analysis.stepped import Command, State, SteppedSine
+from impact_rig.blocks import Table
+from impact_rig.errors import CodecError, ConfigError
+from impact_rig.nodes import process, topics
+from impact_rig.nodes.diagnostics import Level, Status
+from impact_rig.nodes.managed import ManagedNode
+from impact_rig.nodes.parameters import SectionSchema
+from impact_rig.nodes.settings import SteppedSineSettings
+from impact_rig.simtime import NS_PER_S
+
+WATCH_S = 0.1
+"""How often the node looks for the rig, while a sweep waits to begin."""
+STOPPING = {b"trip": "tripped", b"stop": "was stopped", b"timeout": "missed commands", b"reset": "was reset"}
+"""Kinds of journal entries that end a sweep, and what the rig did then."""
+
+
+class SteppedSineNode(ManagedNode[SteppedSineSettings]):
+    """Sets one frequency after the other, waits for the analysis, and publishes the curve.
+
+    Args:
+        kwargs: passed to rclpy's Node.
+    """
+
+    def __init__(self, **kwargs: Any) -> None:
+        super().__init__("stepped_sine", SectionSchema(SteppedSineSettings), **kwargs)
+        self._sweep: SteppedSine | None = None
+        self._outlets: dict[str, Any] = {}
+        self._inlets: list[Any] = []
+        self._timer: Any = None
+        self._pending = False  # wanted, but the rig is not there yet
+        self._now_ns: int | None = None
+        self._began_ns = 0
+        self.service(Trigger, "~/start", self._on_start)
+        self.service(Trigger, "~/stop", self._on_stop)
+
+    def autostarts(self) -> bool:
+        """Follow `autostart`."""
+        return self.settings.autostart
+
+    def configure(self) -> None:
+        """Create the publishers."""
+        chosen = (topics.FREQUENCY, topics.CURRENT, topics.CURVE)
+        self._outlets = {topic.name: self.publisher(topic) for topic in chosen}
+
+    def activate(self) -> None:
+        """Listen; begin the sweep as soon as the rig is there if `begin` says so."""
+        self._now_ns, self._pending = None, self.settings.begin
+        self._inlets = [
+            self.subscribe(topics.BASE_DISPLACEMENT, self._on_time, raw=True),
+            self._table(topics.APPLIED, self._on_applied),
+            self._table(topics.JOURNAL, self._on_journal),
+            self._table(topics.TRANSMISSIBILITY_TABLE, self._on_measurement),
+        ]
+        self._timer = self.steady_timer(WATCH_S, self._begin_when_ready)
+
+    def deactivate(self) -> None:
+        """Abort a running sweep, the shaker at rest, and stop listening."""
+        if self._sweep is not None and self.context.ok():
+            self._send(self._sweep.abort("the node was deactivated"))
+        if self._timer is not None:
+            self.destroy_timer(self._timer)
+            self._timer = None
+        for inlet in self._inlets:
+            self.destroy_subscription(inlet)
+        self._inlets = []
+
+    def cleanup(self) -> None:
+        """Destroy the publishers."""
+        self.deactivate()
+        self._sweep = None
+        for outlet in self._outlets.values():
+            self.destroy_publisher(outlet)
+        self._outlets = {}
+
+    def settings_changed(self, _settings: SteppedSineSettings, changes: dict[str, Any]) -> None:
+        """Refuse to change a sweep under way; the next one takes the new plan."""
+        if self._running:
+            raise ConfigError(f"{', '.join(sorted(changes))}: a sweep is under way, call ~/stop first")
+
+    def rig_time_ns(self) -> int:
+        """Return the newest instant heard of; 0 (a stamp nobody filled in) before the first."""
+        return self._now_ns or 0
+
+    def status(self) -> Status:
+        """Return how far the sweep is."""
+        if self.state != "active":
+            return Status(Level.WARN, self.state, {})
+        if self._pending:
+            return Status(Level.WARN, self._missing() or "about to begin", {})
+        sweep = self._sweep
+        if sweep is None:
+            return Status(Level.OK, "idle", {})
+        done, count = sweep.progress
+        values = {"points_done": done, "points": count, "frequency_hz": sweep.frequency_hz, "skipped": sweep.skipped}
+        match sweep.state:
+            case State.RUNNING:
+                return Status(Level.OK, f"point {done + 1} of {count}: {sweep.frequency_hz:g} Hz", values)
+            case State.ABORTED:
+                return Status(Level.ERROR, f"aborted: {sweep.reason}", values)
+            case _:
+                return Status(Level.OK, f"finished, {count} points", values)
+
+    # Start and stop
+
+    def _on_start(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        missing = self._missing()
+        if not self.active:
+            response.message = f"the node is {self.state}, activate it first"
+        elif self._running:
+            response.message = "a sweep is under way already"
+        elif missing:
+            response.message = missing
+        else:
+            self._begin()
+            response.success, response.message = True, f"{len(self.settings.plan().points())} points"
+        return response
+
+    def _on_stop(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        response.success, response.message = True, "the shaker is told to rest"
+        self._pending = False
+        if self._sweep is not None and self._running:
+            self._send(self._sweep.abort("stopped by the operator"))
+        else:
+            response.message = "no sweep is under way"
+        return response
+
+    @property
+    def _running(self) -> bool:
+        return self._sweep is not None and self._sweep.state is State.RUNNING
+
+    def _missing(self) -> str:
+        """Return who is not there yet; empty when a sweep can begin."""
+        if any(not self._outlets[topic.name].get_subscription_count() for topic in (topics.FREQUENCY, topics.CURRENT)):
+            return "no rig listens to the shaker's topics"
+        if not self.count_publishers(topics.TRANSMISSIBILITY_TABLE.name):
+            return f"nobody publishes {topics.TRANSMISSIBILITY_TABLE.name}"
+        return "" if self._now_ns is not None else "nothing was heard of the rig yet"
+
+    def _begin_when_ready(self) -> None:
+        if self._pending and not self._missing():
+            self._begin()
+
+    def _begin(self) -> None:
+        assert self._now_ns is not None
+        self._pending = False
+        self._began_ns = self._now_ns
+        self._sweep = SteppedSine(self.settings.plan())
+        self._send(self._sweep.start(self._now_ns))
+
+    def _send(self, command: Command | None) -> None:
+        """Send what the sweep wants next; a current of zero comes alone, the frequency does not matter then."""
+        if command is None:
+            return
+        if command.current_a:
+            self._outlets[topics.FREQUENCY.name].publish(Float64(data=command.frequency_hz))
+        self._outlets[topics.CURRENT.name].publish(Float64(data=command.current_a))
+        assert self._sweep is not None
+        if self._sweep.state is State.ABORTED:
+            self.get_logger().error(f"sweep aborted: {self._sweep.reason}")
+        elif self._sweep.state is State.FINISHED:
+            self.get_logger().info(f"sweep finished: {len(self._sweep.rows)} measurements")
+
+    # Messages
+
+    def _table(self, topic: topics.Topic, callback: Any) -> Any:
+        """Subscribe to a table topic; `callback` gets the sweep, and tables newer than its begin."""
+        return self.subscribe(topic, functools.partial(self._on_table, topic, callback), raw=True)
+
+    def _on_table(self, topic: topics.Topic, callback: Any, data: bytes) -> None:
+        try:
+            table = codec.decode(data)
+        except CodecError as error:
+            self.refuse(topic.name, str(error))
+            return
+        assert topic.columns is not None
+        missing = set(topic.columns.names or ()) - set(table.rows.dtype.names or ())
+        if missing:
+            self.refuse(topic.name, f"columns missing: {', '.join(sorted(missing))}")
+        elif self._sweep is not None and self._running and table.stamp_ns >= self._began_ns:
+            callback(self._sweep, table)
+
+    def _on_time(self, data: bytes) -> None:
+        try:
+            self._now_ns = codec.header_stamp_ns(data)
+        except CodecError as error:
+            self.refuse(topics.BASE_DISPLACEMENT.name, str(error))
+            return
+        if self._sweep is not None:
+            self._send(self._sweep.on_time(self._now_ns))
+
+    def _on_applied(self, sweep: SteppedSine, table: Table) -> None:
+        for row in table.rows:
+            instant = table.stamp_ns + round(float(row["time"]) * NS_PER_S)
+            self._send(sweep.on_applied(float(row["frequency"]), float(row["current"]), instant))
+
+    def _on_journal(self, sweep: SteppedSine, table: Table) -> None:
+        for row in table.rows:
+            if bytes(row["kind"]) in STOPPING:
+                cause = f" ({bytes(row['key']).decode(errors='replace')})" if row["key"] else ""
+                self._send(sweep.abort(f"the rig {STOPPING[bytes(row['kind'])]}{cause}"))
+
+    def _on_measurement(self, sweep: SteppedSine, table: Table) -> None:
+        before = len(sweep.rows)
+        for row in table.rows:
+            self._send(sweep.on_measurement(row, table.stamp_ns))
+        if len(sweep.rows) > before:
+            self._outlets[topics.CURVE.name].publish(codec.encode(Table(self._began_ns, sweep.rows)))
+
+
+def main() -> None:
+    """Run the stepped-sine node."""
+    process.main(SteppedSineNode)
+
+
+if __name__ == "__main__":
+    main()

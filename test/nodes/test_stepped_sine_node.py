@@ -1,0 +1,114 @@
+"""The stepped-sine node measures a curve through the topics, and leaves the shaker at rest whatever happens."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy", reason="no ROS 2 here")
+
+from nodes_support import host_rig, overrides
+from std_srvs.srv import Trigger
+
+from impact_rig.config import RigConfig
+from impact_rig.errors import ConfigError
+from impact_rig.nodes.analysis_node import AnalysisNode
+from impact_rig.nodes.stepped_sine_node import SteppedSineNode
+from impact_rig.physics.closed_form import transmissibility
+from impact_rig.testing import Client, ServiceFailedError
+
+pytestmark = pytest.mark.ros
+
+FREQUENCIES_HZ = [8.0, 10.5, 9.5]
+
+
+@pytest.fixture
+def sweeping(client: Client) -> Client:
+    """A rig that runs as fast as its analysis, and a stepped-sine node."""
+    client.host(AnalysisNode)
+    values = {"frequencies_hz": FREQUENCIES_HZ, "direction": "up_down"}
+    client.host(SteppedSineNode, parameter_overrides=overrides(values))
+    host_rig(client, "freewheel", time__peers=["analysis"], sphere__present=False)
+    client.wait_active("rig", "analysis", "stepped_sine")
+    return client
+
+
+def status(client: Client) -> str:
+    return client.status("stepped_sine").message
+
+
+def begin(client: Client) -> None:
+    client.wait_until(lambda: status(client) == "idle", "the node to be idle")
+    client.collect("base_displacement")
+    client.wait_until(lambda: _started(client), "a sweep")
+
+
+def _started(client: Client) -> bool:
+    """Ask for a sweep; it is refused until the node has found rig and analysis."""
+    return bool(client.call(Trigger, "stepped_sine/start", Trigger.Request()).success)
+
+
+def current_now(client: Client) -> float:
+    return float(client._applied.tables()[-1].rows["current"][-1])
+
+
+def test_the_curve_is_the_closed_form(sweeping: Client) -> None:
+    curves = sweeping.collect("transmissibility/curve")
+    begin(sweeping)
+    with pytest.raises(ServiceFailedError, match="under way already"):
+        sweeping.trigger("stepped_sine/start")
+    with pytest.raises(ConfigError, match="a sweep is under way"):
+        sweeping.set_parameters("stepped_sine", {"current_a": 0.1})
+    sweeping.wait_until(lambda: status(sweeping) == "finished, 6 points", "the end of the sweep", 60.0)
+    curve = curves.tables()[-1].rows
+    up = sorted(FREQUENCIES_HZ)
+    assert curve["frequency"].tolist() == up + up[::-1]
+    assert (np.diff(curve["time"]) > 0).all()
+    truth = [abs(transmissibility(RigConfig(), frequency)) for frequency in curve["frequency"]]
+    assert np.all(np.abs(curve["transmissibility"] - truth) < 3 * curve["transmissibility_uncertainty"])
+    sweeping.wait_until(lambda: current_now(sweeping) == 0.0, "the shaker at rest")
+
+
+@pytest.mark.parametrize("cause", ["trip", "operator", "stranger"])
+def test_a_sweep_that_cannot_go_on_says_why_and_rests(sweeping: Client, cause: str) -> None:
+    sweeping.collect("shaker/applied")
+    begin(sweeping)
+    sweeping.wait_until(lambda: current_now(sweeping) > 0, "the first command")
+    if cause == "trip":
+        sweeping.trigger("rig/stop")
+        words = "aborted: the rig was stopped"
+    elif cause == "operator":
+        sweeping.trigger("stepped_sine/stop")
+        words = "aborted: stopped by the operator"
+    else:
+        sweeping.command(frequency_hz=33.0)
+        words = "aborted: somebody else set 33 Hz and 0.52 A"
+    sweeping.wait_until(lambda: status(sweeping) == words, words)
+    assert sweeping.status("stepped_sine").level == b"\x02"
+    sweeping.wait_until(lambda: current_now(sweeping) == 0.0, "the shaker at rest")
+
+
+def test_without_a_rig_nothing_begins(client: Client) -> None:
+    client.host(SteppedSineNode, parameter_overrides=overrides({"begin": True}))
+    client.wait_active("stepped_sine")
+    client.wait_until(lambda: "no rig listens" in status(client), "a reason")
+    with pytest.raises(ServiceFailedError, match="no rig listens"):
+        client.trigger("stepped_sine/start")
+    assert client.trigger("stepped_sine/stop") == "no sweep is under way"
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ({"frequencies_hz": [9.0, 9.0]}, "must not repeat"),
+        ({"frequencies_hz": [9.0, -1.0]}, "> 0 and <= 1000"),
+        ({"frequencies_hz": ["9"]}, "one or more numbers"),
+        ({"current_a": float("nan")}, "current_a must be > 0"),
+        ({"direction": "sideways"}, "one of up, down, up_down"),
+    ],
+)
+def test_a_bad_plan_is_refused_by_name(client: Client, values: dict[str, object], words: str) -> None:
+    client.host(SteppedSineNode)
+    client.wait_active("stepped_sine")
+    with pytest.raises(ConfigError, match=words):
+        client.set_parameters("stepped_sine", values)  # type: ignore[arg-type]  # bad on purpose
