@@ -1,8 +1,7 @@
-"""The tables that travel: one numpy dtype per table topic, and `Table`, a stamped structured array.
+"""The tables that travel: the columns of each table topic, their numpy type, and `Table`, a stamped structured array.
 
-Columns are named and typed; `time` is always seconds since the table's stamp; indices are f8 (exact to 2**53) because
-`sensor_msgs/PointField` has no 64-bit integers; text is UTF-8 in 32 bytes. `docs/interface.md` lists unit and meaning
-of every column.
+Of each table there are its columns (`SCAN_COLUMNS`) and the type of its rows made from them (`SCAN`). `time` is always
+seconds since the table's stamp. `docs/interface.md` is written from these columns.
 """
 
 from __future__ import annotations
@@ -11,146 +10,153 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
-TEXT = "S32"
+from impact_rig.columns import TEXT, Column, row_type
+
 FRAME_DAQ = "daq"
 
 CHANNELS = ("accelerometer", "laser", "base", "current")
 """DAQ channels in scan order: channel j is converted j conversion intervals after the scan clock; its bit in `status`
 is 1 << j."""
 
-SCAN = np.dtype([("time", "f8"), *[(name, "f8") for name in CHANNELS], ("status", "u1")])
-
-TRUTH_SCAN = np.dtype(
-    [
-        (name, "f8")
-        for name in (
-            "time",
-            "x_b",
-            "x_1",
-            "x_2",
-            "v_b",
-            "v_1",
-            "v_2",
-            "a_b",
-            "a_1",
-            "a_2",
-            "current",
-            "force_left",
-            "force_right",
-        )
-    ]
+SCAN_COLUMNS = (
+    Column("time", "s", "Scan clock, since the stamp; a channel is converted its `skew` later (daq/info)."),
+    Column("accelerometer", "m/s^2", "Acceleration of the superior base."),
+    Column("laser", "m", "Displacement x_1 of the superior base."),
+    Column("base", "m", "Displacement x_b of the inferior base."),
+    Column("current", "A", "Coil current."),
+    Column("status", "-", "Bit j: channel j (in the order of these columns, from 0) is over range or clipped.", "u1"),
 )
+SCAN = row_type(SCAN_COLUMNS)
 
-IMPACTS = np.dtype(
-    [
-        ("time", "f8"),
-        ("wall", "i1"),
-        ("approach_speed", "f8"),
-        ("separation_speed", "f8"),
-        ("peak_force", "f8"),
-        ("peak_indentation", "f8"),
-        ("impulse", "f8"),
-        ("duration", "f8"),
-        ("energy_lost", "f8"),
-    ]
+TRUTH_SCAN_COLUMNS = (
+    Column("time", "s", "Scan clock, since the stamp."),
+    Column("x_b", "m", "Position of the inferior base."),
+    Column("x_1", "m", "Position of the superior base."),
+    Column("x_2", "m", "Position of the sphere."),
+    Column("v_b", "m/s", "Velocity of the inferior base."),
+    Column("v_1", "m/s", "Velocity of the superior base."),
+    Column("v_2", "m/s", "Velocity of the sphere."),
+    Column("a_b", "m/s^2", "Acceleration of the inferior base."),
+    Column("a_1", "m/s^2", "Acceleration of the superior base."),
+    Column("a_2", "m/s^2", "Acceleration of the sphere."),
+    Column("current", "A", "Coil current; 0 where the base motion is prescribed."),
+    Column("force_left", "N", "Contact force at the left wall, positive in compression."),
+    Column("force_right", "N", "Contact force at the right wall, positive in compression."),
 )
-"""`truth/impacts`: one row per contact; wall is -1 left, +1 right; speeds relative to the wall, both positive."""
+TRUTH_SCAN = row_type(TRUTH_SCAN_COLUMNS)
 
-APPLIED = np.dtype([("time", "f8"), ("sample", "f8"), ("frequency", "f8"), ("current", "f8"), ("phase", "f8")])
-"""`shaker/applied`: one row per accepted change; `sample` is the first scan it acts on, `phase` [rad] the drive's phase
-there."""
-
-JOURNAL = np.dtype(
-    [
-        ("time", "f8"),
-        ("sample", "f8"),
-        ("sequence", "f8"),
-        ("kind", TEXT),
-        ("key", TEXT),
-        ("value", "f8"),
-        ("text", TEXT),
-    ]
+IMPACTS_COLUMNS = (
+    Column("time", "s", "Begin of the contact, since the stamp; negative if it began before the block."),
+    Column("wall", "-", "-1 left, +1 right.", "i1"),
+    Column("approach_speed", "m/s", "Relative to the wall when the contact begins, positive."),
+    Column("separation_speed", "m/s", "Relative to the wall when it ends, positive."),
+    Column(
+        "peak_force",
+        "N",
+        "Largest contact force; 0 for the instantaneous law `restitution`, as are the next and the duration.",
+    ),
+    Column("peak_indentation", "m", "Largest indentation."),
+    Column("impulse", "N s", "Integral of the contact force."),
+    Column("duration", "s", "From the begin to the end of the contact."),
+    Column("energy_lost", "J", "Work that the contact force did not give back."),
 )
+IMPACTS = row_type(IMPACTS_COLUMNS)
 
-FAULTS = np.dtype(
-    [
-        ("time", "f8"),
-        ("sample", "f8"),
-        ("id", "f8"),
-        ("kind", TEXT),
-        ("channel", TEXT),
-        ("active", "u1"),
-        ("value", "f8"),
-        ("duration", "f8"),
-    ]
+APPLIED_COLUMNS = (
+    Column("time", "s", "Since the stamp, which is the first scan it acts on: 0."),
+    Column("sample", "-", "Index of the first scan it acts on, since the start or reset."),
+    Column("frequency", "Hz", "Drive frequency."),
+    Column("current", "A", "Amplitude commanded, peak (rms for random; m or V by `drive.kind`); a ramp leads there."),
+    Column("phase", "rad", "Phase of the drive at that scan, in [0, 2π)."),
 )
+APPLIED = row_type(APPLIED_COLUMNS)
 
-DAQ_INFO = np.dtype(
-    [
-        ("name", TEXT),
-        ("unit", TEXT),
-        ("rate", "f8"),
-        ("range_low", "f8"),
-        ("range_high", "f8"),
-        ("sensitivity", "f8"),
-        ("offset", "f8"),
-        ("resolution", "f8"),
-        ("noise", "f8"),
-        ("sensitivity_uncertainty", "f8"),
-        ("offset_uncertainty", "f8"),
-        ("lag", "f8"),
-        ("skew", "f8"),
-        ("lag_order", "f8"),
-        ("bandwidth", "f8"),
-        ("linearity", "f8"),
-        ("since_start", "f8"),
-    ]
+JOURNAL_COLUMNS = (
+    Column("time", "s", "Since the stamp, which is that of `sample`: 0."),
+    Column("sample", "-", "Index of the first scan it acts on, since the start or reset."),
+    Column("sequence", "-", "Number of the row, from 0 at `start` or `reset`: a gap is a lost row."),
+    Column("kind", "-", "Kind of input, see below.", TEXT),
+    Column("key", "-", "What it is about: a command, the last 32 bytes of a parameter's name, a fault.", TEXT),
+    Column("value", "as the key", "New value; of a text: number of this row's part."),
+    Column("text", "-", "New value of a text parameter, 32 bytes per row; version at `start` and `reset`.", TEXT),
 )
-"""`daq/info`, one row per channel: SI = (volt - offset) / sensitivity; sensitivity in V per unit, offset in V; range,
-resolution (1 LSB) and noise (rms) in the unit; u(sensitivity) relative and u(offset) in the unit, both standard
-uncertainties; lag: group delay of the sensor at low frequency [s]; skew: conversion after the scan clock [s];
-lag_order 1: the sensor is a first-order lag 1 / (1 + jω lag), 0: a pure delay in the rig's band; bandwidth: -3 dB
-corner of the sensor and of its noise [Hz]; linearity: limit of the departure from a straight line [unit], a smooth
-curve; its slope at mid-range is part of u(sensitivity); since_start: from scan 0 to this stamp [s], 0 after a reset."""
+JOURNAL = row_type(JOURNAL_COLUMNS)
 
-SETTINGS = np.dtype([("key", TEXT), ("value", "f8")])
-"""`analysis/settings`: every setting of the measurement in force from the stamp on, the operator's label `gap_m` [m]
-among them (0 = no sphere, NaN = unknown)."""
-
-TRANSMISSIBILITY = np.dtype(
-    [
-        (name, "f8")
-        for name in (
-            "time",
-            "frequency",
-            "transmissibility",
-            "phase",
-            "transmissibility_uncertainty",
-            "phase_uncertainty",
-            "laser_amplitude",
-            "base_amplitude",
-            "current_amplitude",
-            "thd",
-            "impacts_per_cycle",
-            "settled",
-            "cycles",
-            "gap",
-            "frequency_deviation",
-            "spread",
-            "period",
-            "waited",
-        )
-    ]
-    + [("regime", TEXT), ("method", TEXT), ("status", TEXT)]
+FAULTS_COLUMNS = (
+    Column("time", "s", "When it starts or ends, since the stamp."),
+    Column("sample", "-", "Index of that scan, since the start or reset."),
+    Column("id", "-", "Number of the fault, from 0."),
+    Column("kind", "-", "Kind of fault.", TEXT),
+    Column("channel", "-", "Channel; empty for a fault of the whole board.", TEXT),
+    Column("active", "-", "1 where it starts, 0 where it ends.", "u1"),
+    Column("value", "by kind", "Size of the fault."),
+    Column("duration", "s", "Planned duration; 0 = until it is cleared."),
 )
-"""`transmissibility/table`, one row per measurement; phase [rad] of x_1 relative to x_b, negative = lagging; gap [m],
-0 = no sphere, NaN = unknown; frequency_deviation [Hz]: measured less commanded; spread: standard deviation of the
-transmissibility from cycle to cycle; period [drive cycles] of a periodic response, else NaN; waited [s] from the last
-change to the end of the measurement; regime, method and status are the words of `impact_rig.analysis.words`."""
+FAULTS = row_type(FAULTS_COLUMNS)
 
-DETECTED_IMPACTS = np.dtype([("time", "f8"), ("peak", "f8"), ("sign", "i1")])
-"""`impacts`: detected from the accelerometer alone; peak [m/s^2]; sign +1 when the structure is pushed to the right
-(the right wall is struck)."""
+DAQ_INFO_COLUMNS = (
+    Column("name", "-", "Channel: the column of daq/scan.", TEXT),
+    Column("unit", "-", "Unit of the channel.", TEXT),
+    Column("rate", "Hz", "Scans per second."),
+    Column("range_low", "unit", "Least value that is measured."),
+    Column("range_high", "unit", "Largest value that is measured."),
+    Column("sensitivity", "V/unit", "SI value = (volt - offset) / sensitivity."),
+    Column("offset", "V", "Output at zero."),
+    Column("resolution", "unit", "One step of the converter."),
+    Column("noise", "unit", "Noise, rms."),
+    Column("sensitivity_uncertainty", "-", "Relative standard uncertainty of the sensitivity."),
+    Column("offset_uncertainty", "unit", "Standard uncertainty of the zero."),
+    Column("lag", "s", "Group delay of the sensor at low frequency."),
+    Column("skew", "s", "Conversion after the scan clock."),
+    Column("lag_order", "-", "1: the sensor is a first-order lag 1 / (1 + jω lag); 0: a pure delay in the rig's band."),
+    Column("bandwidth", "Hz", "-3 dB corner of the sensor and of its noise."),
+    Column(
+        "linearity",
+        "unit",
+        "Limit of the departure from a straight line, a smooth curve; its slope at mid-range is part of "
+        "sensitivity_uncertainty.",
+    ),
+    Column("since_start", "s", "From scan 0 to this stamp; 0 after a reset."),
+)
+DAQ_INFO = row_type(DAQ_INFO_COLUMNS)
+
+TRANSMISSIBILITY_COLUMNS = (
+    Column("time", "s", "Since the stamp, which is that of the last scan measured: 0."),
+    Column("frequency", "Hz", "Drive frequency as measured."),
+    Column("transmissibility", "-", "Displacement transmissibility |X_1| / |X_b| at the drive frequency."),
+    Column("phase", "rad", "Phase of x_1 relative to x_b; negative = lagging."),
+    Column("transmissibility_uncertainty", "-", "Standard uncertainty."),
+    Column("phase_uncertainty", "rad", "Standard uncertainty."),
+    Column("laser_amplitude", "m", "Amplitude |X_1|."),
+    Column("base_amplitude", "m", "Amplitude |X_b|."),
+    Column("current_amplitude", "A", "Amplitude of the coil current."),
+    Column("thd", "-", "Total harmonic distortion of x_1: rms of the harmonics over that of the fundamental."),
+    Column("impacts_per_cycle", "-", "Detected impacts per drive cycle."),
+    Column("settled", "-", "1 if the transient has died, 0 if not."),
+    Column("cycles", "-", "Drive cycles measured."),
+    Column("gap", "m", "The operator's label: 0 = no sphere, NaN = unknown."),
+    Column("frequency_deviation", "Hz", "Frequency measured less frequency commanded."),
+    Column("spread", "-", "Standard deviation of the transmissibility from cycle to cycle."),
+    Column("period", "drive cycles", "After which the response repeats; NaN if it is not periodic."),
+    Column("waited", "s", "From the last change to the end of the measurement."),
+    Column("regime", "-", "What the response does from cycle to cycle, see docs/analysis.md.", TEXT),
+    Column("method", "-", "How the uncertainty was found, see docs/analysis.md.", TEXT),
+    Column("status", "-", "What this row is, see docs/analysis.md; numbers are NaN unless it was measured.", TEXT),
+)
+TRANSMISSIBILITY = row_type(TRANSMISSIBILITY_COLUMNS)
+
+SETTINGS_COLUMNS = (
+    Column("key", "-", "Setting, or `gap_m`: the operator's label (0 = no sphere, NaN = unknown).", TEXT),
+    Column("value", "as the key", "In force from the stamp on."),
+)
+SETTINGS = row_type(SETTINGS_COLUMNS)
+
+DETECTED_IMPACTS_COLUMNS = (
+    Column("time", "s", "When it was detected, since the stamp."),
+    Column("peak", "m/s^2", "Largest acceleration of the pulse, the vibration filtered out (high-pass)."),
+    Column("sign", "-", "+1 when the structure is pushed to the right (the right wall is struck), else -1.", "i1"),
+)
+DETECTED_IMPACTS = row_type(DETECTED_IMPACTS_COLUMNS)
 
 
 @attrs.frozen(eq=False)

@@ -21,7 +21,8 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_rig.blocks import TEXT, Table
+from impact_rig.blocks import Table
+from impact_rig.columns import TEXT
 from impact_rig.errors import CodecError
 from impact_rig.simtime import NS_PER_S
 

@@ -10,8 +10,9 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from impact_rig import blocks
-from impact_rig.blocks import SCAN, TEXT, Table
+from impact_rig.blocks import SCAN, Table
 from impact_rig.codec import MAX_COLUMNS, decode, encode, header_stamp_ns
+from impact_rig.columns import TEXT
 from impact_rig.errors import CodecError
 
 TABLE_DTYPES = {

@@ -8,10 +8,11 @@ until `reply`.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from typing import Any  # rclpy handles, requests
 
-from rclpy.node import Node
+from impact_rig.nodes.managed import ManagedNode
 
 Answer = tuple[bool, str]
 """`success` and `message` of `std_srvs/Trigger` and `std_srvs/SetBool`."""
@@ -21,7 +22,7 @@ class DeferredService:
     """A service of `std_srvs` whose requests may be answered by `reply`.
 
     Args:
-        node: owner.
+        node: owner; counts refusals.
         service_type: `Trigger` or `SetBool`.
         name: service name.
         accept: called with each request; returns None to defer the answer, or the answer to give at once. It must not
@@ -31,13 +32,14 @@ class DeferredService:
 
     def __init__(
         self,
-        node: Node,
+        node: ManagedNode[Any],
         service_type: Any,
         name: str,
         accept: Callable[[Any], Answer | None],
         registered: Callable[[], None],
     ) -> None:
         self._type = service_type
+        self._refuse = functools.partial(node.refuse, name.removeprefix("~/"))
         self._accept = accept
         self._registered = registered
         self._waiting: list[Any] = []
@@ -55,11 +57,18 @@ class DeferredService:
         """Answer every waiting request."""
         waiting, self._waiting = self._waiting, []
         for header in waiting:
+            if not success:
+                self._refuse(message)
             self._send(self._type.Response(success=success, message=message), header)
 
     def _on_request(self, request: Any, _response: Any) -> Any:
         answer = self._accept(request)
-        return self._marker if answer is None else self._type.Response(success=answer[0], message=answer[1])
+        if answer is None:
+            return self._marker
+        success, message = answer
+        if not success:
+            self._refuse(message)
+        return self._type.Response(success=success, message=message)
 
     def _send_or_keep(self, response: Any, header: Any) -> None:
         if response is self._marker:

@@ -11,6 +11,7 @@ from std_srvs.srv import SetBool, Trigger
 from impact_rig.config import RigConfig
 from impact_rig.errors import CommandError
 from impact_rig.nodes import process, topics
+from impact_rig.nodes.audience import Audience
 from impact_rig.nodes.deferred import Answer, DeferredService
 from impact_rig.nodes.diagnostics import Status
 from impact_rig.nodes.guard import describe, guarded
@@ -56,6 +57,7 @@ class RigNode(ManagedNode[RigConfig]):
         self._pacer = Pacer(time.monotonic_ns)
         self._window = AckWindow((), 1, NS_PER_S, time.monotonic_ns)
         self._peers = Peers(self)
+        self._audience: Audience | None = None
         self._paused = False
         self._steps_left = 0
         self._base_ns = 0
@@ -97,6 +99,7 @@ class RigNode(ManagedNode[RigConfig]):
         )
         self._peers.expect(config.time.peers)
         assert self._outlets is not None
+        self._audience = Audience(self, self._outlets.scan)
         self._outlets.forget()
         self._flush(self._rig)
         self._publish_configuration(self._rig)
@@ -106,7 +109,7 @@ class RigNode(ManagedNode[RigConfig]):
     def deactivate(self) -> None:
         """Stop the rig; what was not published is dropped."""
         self._timer.stop()
-        self._rig = None
+        self._rig = self._audience = None
         for service in (self._step, self._pause):
             service.reply(False, "the rig was deactivated")
 
@@ -158,6 +161,8 @@ class RigNode(ManagedNode[RigConfig]):
             if self.settings.time.mode == "realtime":
                 due_ns = self._pacer.due_ns(rig.next_block_ns - self._base_ns)
                 self._publish(rig, rig.advance(self._base_ns + due_ns))
+                if self._window.silent():
+                    self._window.forgive()  # nobody waits for it: what it owes need not be remembered
             else:
                 self._run_ahead(rig, now + WORK_S)
         except Exception as error:  # the model cannot go on: stop in order, and say why
@@ -201,11 +206,13 @@ class RigNode(ManagedNode[RigConfig]):
 
     def _publish(self, rig: Rig, blocks: list[Block]) -> None:
         assert self._outlets is not None
+        assert self._audience is not None
         self._outlets.changes(rig)  # they come before the scans they act on
         for block in blocks:
             self._outlets.block(block)
             if not block.lost:
                 self._window.published(block.scan.stamp_ns)
+                self._audience.published(block.scan.stamp_ns)
             self._pacer.published(block.end_ns - self._base_ns)
             self._figures.count(block)
         if blocks and self._publishes_clock():
@@ -247,15 +254,18 @@ class RigNode(ManagedNode[RigConfig]):
         self._flush(self._rig)
 
     def _on_ack(self, message: Header) -> None:
-        stamp = nanoseconds(message.stamp)
-        if self._rig is None or message.frame_id not in self._window.peers:
-            return  # every peer acknowledges, in every mode
-        if not self._window.acknowledge(message.frame_id, stamp):
-            self.refuse("daq/ack", f"{message.frame_id!r} acknowledged {stamp} ns, which was never published")
+        """Take an acknowledgement: every reader of daq/scan may send them, in every mode."""
+        audience, peer, stamp = self._audience, message.frame_id, nanoseconds(message.stamp)
+        if audience is None:
             return
-        self._answer_pause()
-        if self.settings.time.mode != "realtime" and time.monotonic() - self._turn_began < TURN_S:
-            self._work()
+        if audience.newest_ns is None or stamp > audience.newest_ns:
+            self.refuse("daq/ack", f"{peer!r} acknowledged {stamp} ns, which was never published")
+            return
+        audience.acknowledge(peer, stamp)
+        if self._window.acknowledge(peer, stamp):
+            self._answer_pause()
+            if self.settings.time.mode != "realtime" and time.monotonic() - self._turn_began < TURN_S:
+                self._work()
 
     def _on_step(self, _request: Trigger.Request) -> Answer | None:
         if self._rig is None:
@@ -344,8 +354,18 @@ class RigNode(ManagedNode[RigConfig]):
 
     def status(self) -> Status:
         """Return mode, time, lateness, peers, shaker, over-ranges."""
+        if self._audience is not None:
+            for name in self._audience.forget_the_gone():
+                self.get_logger().warning(f"{name} no longer subscribes to {topics.SCAN.name}")
         return self._figures.status(
-            self.state, self._rig, self.settings, self._pacer, self._window, self._peers.missing(), self._paused
+            self.state,
+            self._rig,
+            self.settings,
+            self._pacer,
+            self._window,
+            self._audience,
+            self._peers.missing(),
+            self._paused,
         )
 
 

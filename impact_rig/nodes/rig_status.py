@@ -1,16 +1,22 @@
-"""The rig's diagnostics: one sentence and the figures behind it."""
+"""The rig's diagnostics: one sentence and the figures behind it, named in `figures.RIG`."""
 
 from __future__ import annotations
 
 import math
-from collections import Counter
+import time
+from collections import Counter, deque
 
 from impact_rig.blocks import CHANNELS
 from impact_rig.config import RigConfig
+from impact_rig.nodes.audience import Audience
 from impact_rig.nodes.diagnostics import Level, Status, worst
 from impact_rig.pacing import AckWindow, Pacer
 from impact_rig.rig import Block, Rig
 from impact_rig.simtime import NS_PER_S
+
+RATE_WINDOW_S = 2.0
+SLOW_S = 1.0
+"""A reader this much rig time behind is reported; its queue holds ten times that."""
 
 
 class RigStatus:
@@ -21,9 +27,10 @@ class RigStatus:
         self.lost_blocks = 0
         self.impacts = 0
         self.over_range: Counter[str] = Counter()
-        self.faults: set[int] = set()
+        self.faults: dict[int, str] = {}
         self.realised_restitution = math.nan
         """What the contact law really returns: with the paper's law 0.309 for 0.35."""
+        self._counts: deque[tuple[float, int]] = deque([(time.monotonic(), 0)])
 
     def count(self, block: Block) -> None:
         """Count one published block."""
@@ -37,7 +44,20 @@ class RigStatus:
                 self.over_range[name] += int(((status >> bit) & 1).sum())
         if block.faults is not None:
             for row in block.faults.rows:
-                (self.faults.add if row["active"] else self.faults.discard)(int(row["id"]))
+                number = int(row["id"])
+                if row["active"]:
+                    self.faults[number] = f"{row['kind'].decode()}/{row['channel'].decode()}".rstrip("/")
+                else:
+                    self.faults.pop(number, None)
+
+    def block_rate_hz(self) -> float:
+        """Return blocks per second of wall time over about the last two seconds."""
+        now = time.monotonic()
+        self._counts.append((now, self.blocks))
+        while len(self._counts) > 2 and now - self._counts[1][0] > RATE_WINDOW_S:
+            self._counts.popleft()
+        then, before = self._counts[0]
+        return (self.blocks - before) / (now - then) if now > then else 0.0
 
     def status(
         self,
@@ -46,17 +66,20 @@ class RigStatus:
         config: RigConfig,
         pacer: Pacer,
         window: AckWindow,
+        audience: Audience | None,
         missing: tuple[str, ...],
         paused: bool,
     ) -> Status:
         """Return the node's status."""
-        if rig is None:
+        if rig is None or audience is None:
             return Status(Level.WARN, state, {"mode": config.time.mode})
-        silent = window.silent()
+        realtime = config.time.mode == "realtime"
+        silent = () if realtime else window.silent()
+        behind = {**audience.behind(), **window.behind()}
         troubles = [(Level.OK, f"running, {config.time.mode}")]
         if paused:
             troubles.append((Level.WARN, "paused"))
-        if missing:
+        if missing and not realtime:
             troubles.append((Level.WARN, f"waiting for peer {', '.join(missing)}"))
         if silent:
             seconds = f"{config.time.peer_timeout_s:g} s"
@@ -66,31 +89,53 @@ class RigStatus:
             troubles.append((Level.ERROR, f"shaker latched by {rig.latched}"))
         if pacer.slips:
             troubles.append((Level.WARN, "could not keep real time: see slips"))
+        if realtime:
+            per_second = config.daq.rate_hz * config.time.factor / config.daq.block_scans
+            troubles += [
+                (Level.WARN, f"{name} is {count / per_second:.0f} s behind")
+                for name, count in behind.items()
+                if count > SLOW_S * per_second + 1
+            ]
         if rig.plucked:
             troubles.append((Level.OK, "base locked after a pluck"))
+        if self.faults:
+            troubles.append((Level.OK, f"faults active: {', '.join(self.faults.values())}"))
         level, message = worst(*troubles)
+        energy = rig.simulation.energy()
+        lost_j = energy.columns + energy.shaker + energy.contact + energy.friction
+        largest = max(abs(energy.work), abs(lost_j), abs(energy.stored))
         values: dict[str, object] = {
             "mode": config.time.mode,
             "factor": pacer.factor,
             "rig_time_s": (rig.next_block_ns - rig.start_ns) / NS_PER_S,
             "blocks": self.blocks,
+            "block_rate_hz": self.block_rate_hz(),
             "lost_blocks": self.lost_blocks,
             "frequency_hz": rig.frequency_hz,
             "current_a": rig.amplitude,
+            "latched": rig.latched or "",
             "impacts": self.impacts,
             "restitution": config.contact.restitution,
             "realised_restitution": self.realised_restitution,
+            "energy_work_j": energy.work,
+            "energy_lost_j": lost_j,
+            "energy_stored_j": energy.stored,
+            "energy_imbalance": abs(energy.imbalance) / largest if largest else 0.0,
             "active_faults": len(self.faults),
+            "faults": ", ".join(self.faults.values()),
             "slips": pacer.slips,
             "slipped_s": pacer.slipped_ns / NS_PER_S,
+            "subscribers": audience.subscribers,
+            "other_acks": audience.others,
         }
-        late = pacer.lateness() if config.time.mode == "realtime" else None
+        late = pacer.lateness() if realtime else None
         if late is not None:
             values |= {
                 "lateness_median_ms": late.median_ms,
                 "lateness_p99_ms": late.p99_ms,
                 "lateness_worst_ms": late.worst_ms,
             }
-        values |= {f"behind.{name}": count for name, count in window.behind().items()}
-        values |= {f"over_range.{name}": count for name, count in self.over_range.items() if count}
+        values |= {f"behind.{name}": count for name, count in behind.items()}
+        values |= {f"lost_blocks.{name}": count for name, count in audience.lost().items()}
+        values |= {f"over_range.{name}": self.over_range[name] for name in CHANNELS}
         return Status(level, message, values)

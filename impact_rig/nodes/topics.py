@@ -15,6 +15,7 @@ import numpy as np
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
 from impact_rig import blocks
+from impact_rig.columns import Column, row_type
 
 DATA_DEPTH = 1000
 """Messages a data topic keeps: 10 s of 10 ms blocks, 1 s of 1 ms blocks."""
@@ -61,6 +62,7 @@ class Topic:
         qos: quality of service of publishers and subscribers.
         publisher: node that publishes it, or `client`.
         doc: what is in it.
+        fields: the columns of a table, or the fields of another message that are filled.
         columns: row type where the message is a table.
         frame_id: frame of its header.
     """
@@ -70,6 +72,7 @@ class Topic:
     qos: Qos
     publisher: str
     doc: str
+    fields: tuple[Column, ...]
     columns: np.dtype[np.void] | None = None
     frame_id: str = ""
 
@@ -83,14 +86,18 @@ _TABLE = "sensor_msgs/msg/PointCloud2"
 
 
 def _table(
-    name: str, qos: Qos, publisher: str, columns: np.dtype[np.void], doc: str, frame_id: str = blocks.FRAME_DAQ
+    name: str, qos: Qos, publisher: str, fields: tuple[Column, ...], doc: str, frame_id: str = blocks.FRAME_DAQ
 ) -> Topic:
-    return Topic(name, _TABLE, qos, publisher, doc, columns, frame_id)
+    return Topic(name, _TABLE, qos, publisher, doc, fields, row_type(fields), frame_id)
 
 
-SCAN = _table("daq/scan", Qos.DATA, "rig", blocks.SCAN, "One block of scans; stamp = first scan.")
+SCAN = _table("daq/scan", Qos.DATA, "rig", blocks.SCAN_COLUMNS, "One block of scans; stamp = first scan.")
 INFO = _table(
-    "daq/info", Qos.LATCHED, "rig", blocks.DAQ_INFO, "Calibration, one row per channel; stamp = from when it holds."
+    "daq/info",
+    Qos.LATCHED,
+    "rig",
+    blocks.DAQ_INFO_COLUMNS,
+    "Calibration, one row per channel; stamp = from when it holds.",
 )
 ACCELEROMETER = Topic(
     "accelerometer",
@@ -98,6 +105,12 @@ ACCELEROMETER = Topic(
     Qos.DATA,
     "rig",
     "The accelerometer at monitor rate (x; REP-145: other quantities are marked as not measured).",
+    (
+        Column("linear_acceleration.x", "m/s^2", "Acceleration of the superior base."),
+        Column("linear_acceleration_covariance", "(m/s^2)^2", "x: noise, squared; y and z, not measured: 1e9."),
+        Column("orientation_covariance", "-", "[0] = -1: not measured (REP-145)."),
+        Column("angular_velocity_covariance", "-", "[0] = -1: not measured (REP-145)."),
+    ),
     frame_id="superior_base",
 )
 LASER = Topic(
@@ -106,6 +119,13 @@ LASER = Topic(
     Qos.DATA,
     "rig",
     "Distance of the superior base, 0.050 m - x_1, at monitor rate; out of range is -Inf or +Inf (REP-117).",
+    (
+        Column("range", "m", "instruments.laser.distance_m - x_1; -Inf: too near, +Inf: too far, or no reading."),
+        Column("min_range", "m", "Near end of the measuring range."),
+        Column("max_range", "m", "Far end of the measuring range."),
+        Column("variance", "m^2", "Noise, squared."),
+        Column("field_of_view", "rad", "Of the beam."),
+    ),
     frame_id="laser",
 )
 BASE_DISPLACEMENT = Topic(
@@ -114,20 +134,21 @@ BASE_DISPLACEMENT = Topic(
     Qos.DATA,
     "rig",
     "Displacement of the inferior base (x) at monitor rate.",
+    (Column("vector.x", "m", "Displacement x_b of the inferior base; y = z = 0."),),
     frame_id="base_sensor",
 )
 APPLIED = _table(
     "shaker/applied",
     Qos.STATE,
     "rig",
-    blocks.APPLIED,
+    blocks.APPLIED_COLUMNS,
     "What the shaker does and since which sample; one row per accepted change, published on acceptance.",
 )
 JOURNAL = _table(
     "rig/journal",
     Qos.HISTORY,
     "rig",
-    blocks.JOURNAL,
+    blocks.JOURNAL_COLUMNS,
     "Every state-changing input with its sample index, from the last `start` or `reset` on (sequence 0).",
 )
 CONFIGURATION = Topic(
@@ -136,6 +157,7 @@ CONFIGURATION = Topic(
     Qos.LATCHED,
     "rig",
     "The configuration in force, complete, as a ROS 2 parameter file.",
+    (Column("data", "-", "YAML that `--params-file` and `impact-rig check` take."),),
 )
 JOINT_STATES = Topic(
     "truth/joint_states",
@@ -143,30 +165,45 @@ JOINT_STATES = Topic(
     Qos.DATA,
     "rig",
     "True positions and velocities of base, structure and sphere at monitor rate; effort = contact force on it.",
+    (
+        Column("name", "-", "base, structure, sphere: the order of the next three."),
+        Column("position", "m", "x_b, x_1, x_2."),
+        Column("velocity", "m/s", "v_b, v_1, v_2."),
+        Column("effort", "N", "Contact force on each body, positive to the right."),
+    ),
     frame_id="rig",
 )
 IMPACTS_TRUTH = _table(
-    "truth/impacts", Qos.DATA, "rig", blocks.IMPACTS, "The contacts that ended in a block; time = when they began."
+    "truth/impacts",
+    Qos.DATA,
+    "rig",
+    blocks.IMPACTS_COLUMNS,
+    "The contacts that ended in a block; time = when they began.",
 )
 TRUTH_SCAN = _table(
     "truth/scan",
     Qos.DATA,
     "rig",
-    blocks.TRUTH_SCAN,
+    blocks.TRUTH_SCAN_COLUMNS,
     "The instants of daq/scan without instruments (output.truth_scan).",
 )
-FAULTS = _table("truth/faults", Qos.STATE, "rig", blocks.FAULTS, "Instrument faults as they start and end.")
+FAULTS = _table("truth/faults", Qos.STATE, "rig", blocks.FAULTS_COLUMNS, "Instrument faults as they start and end.")
 TRANSMISSIBILITY = Topic(
-    "transmissibility", "std_msgs/msg/Float64", Qos.DATA, "analysis", "Last settled transmissibility, for plotters."
+    "transmissibility",
+    "std_msgs/msg/Float64",
+    Qos.DATA,
+    "analysis",
+    "Last settled transmissibility, for plotters.",
+    (Column("data", "-", "As in transmissibility/table."),),
 )
 TRANSMISSIBILITY_TABLE = _table(
-    "transmissibility/table", Qos.STATE, "analysis", blocks.TRANSMISSIBILITY, "One row per measurement."
+    "transmissibility/table", Qos.STATE, "analysis", blocks.TRANSMISSIBILITY_COLUMNS, "One row per measurement."
 )
 ANALYSIS_SETTINGS = _table(
     "analysis/settings",
     Qos.STATE,
     "analysis",
-    blocks.SETTINGS,
+    blocks.SETTINGS_COLUMNS,
     "Settings of the measurement and the operator's gap label, when they change; stamp = from when they hold.",
 )
 CURVE = _table(
@@ -177,26 +214,56 @@ CURVE = _table(
     "The stepped sine so far, one row per measurement; stamp = its begin.",
 )
 IMPACTS = _table(
-    "impacts", Qos.DATA, "analysis", blocks.DETECTED_IMPACTS, "Impacts detected from the accelerometer alone."
+    "impacts", Qos.DATA, "analysis", blocks.DETECTED_IMPACTS_COLUMNS, "Impacts detected from the accelerometer alone."
 )
-FREQUENCY = Topic("shaker/frequency", "std_msgs/msg/Float64", Qos.EVENT, "client", "Command: drive frequency [Hz].")
+FREQUENCY = Topic(
+    "shaker/frequency",
+    "std_msgs/msg/Float64",
+    Qos.EVENT,
+    "client",
+    "Command: drive frequency.",
+    (Column("data", "Hz", "Within shaker.frequency_min_hz and shaker.frequency_max_hz."),),
+)
 CURRENT = Topic(
     "shaker/current",
     "std_msgs/msg/Float64",
     Qos.EVENT,
     "client",
-    "Command: drive amplitude, peak (rms for random) [A; m or V by drive.kind].",
+    "Command: drive amplitude.",
+    (Column("data", "A", "Peak (rms for random), at most shaker.current_limit_a_rms; m or V by drive.kind."),),
 )
-NOTES = Topic("notes", "std_msgs/msg/String", Qos.EVENT, "client", "Operator's remarks, recorded with the run.")
+NOTES = Topic(
+    "notes",
+    "std_msgs/msg/String",
+    Qos.EVENT,
+    "client",
+    "Operator's remarks, recorded with the run.",
+    (Column("data", "-", "Any text; `gap_m=0.006 at 1000000000` labels the gap from that rig time [ns] on."),),
+)
 ACK = Topic(
     "daq/ack",
     "std_msgs/msg/Header",
     Qos.DATA,
     "peers",
     "A peer (frame_id) has processed daq/scan up to the block with this stamp.",
+    (
+        Column("stamp", "-", "That of the block."),
+        Column("frame_id", "-", "Node name of the peer."),
+    ),
 )
 DIAGNOSTICS = Topic(
-    "/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", Qos.EVENT, "every node", "At 1 Hz and on change."
+    "/diagnostics",
+    "diagnostic_msgs/msg/DiagnosticArray",
+    Qos.EVENT,
+    "every node",
+    "At 1 Hz and on change.",
+    (
+        Column("header.stamp", "-", "Rig time in nodes that follow it."),
+        Column("status[0].name", "-", "Fully qualified node name."),
+        Column("status[0].level", "-", "0 OK, 1 WARN, 2 ERROR."),
+        Column("status[0].message", "-", "What is the matter, in one sentence."),
+        Column("status[0].values", "-", "The figures below."),
+    ),
 )
 CLOCK = Topic(
     "/clock",
@@ -204,6 +271,7 @@ CLOCK = Topic(
     Qos.EVENT,
     "rig",
     "Rig time, by default whenever not in real time x 1 (time.publish_clock).",
+    (Column("clock", "-", "End of the newest block."),),
 )
 
 TOPICS = (

@@ -14,24 +14,21 @@ import numpy as np
 
 import impact_rig
 from impact_rig.blocks import APPLIED, FRAME_DAQ, Table
-from impact_rig.config import RigConfig, from_flat, to_flat
+from impact_rig.config import Drive, RigConfig, from_flat, to_flat
 from impact_rig.errors import CommandError, ConfigError
 from impact_rig.instruments.chain import Chain
 from impact_rig.instruments.faults import Fault
 from impact_rig.physics import FunctionGenerator, Motion, Simulation
 from impact_rig.rig.block import Block
+from impact_rig.rig.changes import INSTRUMENTS, MECHANICS
 from impact_rig.rig.interlock import Interlock, Trip, check_amplitude, check_frequency
 from impact_rig.rig.journal import Journal, Kind, not_default, sampled
-from impact_rig.rig.trial import built
+from impact_rig.rig.trial import built, generator
 from impact_rig.rig.truth import TICKS_PER_S, Truth
 from impact_rig.simtime import COMMAND_GRID_NS, COMMAND_GRID_S, NS_PER_S, stamp_ns
 
 BATCH_TICKS = 50
 """Ticks simulated in one call: enough to make the overhead of a call small, few enough to bound memory."""
-DRIVE_SEED = 0
-"""`spawn_key` of the drive's random numbers under `daq.seed`; the instruments use their own."""
-MECHANICS = ("structure.", "shaker.", "sphere.", "barriers.", "contact.")
-INSTRUMENTS = ("instruments.", "daq.")
 EMERGENCY = "emergency stop"
 
 
@@ -46,6 +43,8 @@ class Rig:
         ConfigError: the configuration's initial drive is beyond the shaker, or the instruments cannot run at this rate.
     """
 
+    start_ns: int
+    """Stamp of scan 0; moves on to the present at a reset."""
     _generator: FunctionGenerator
     _simulation: Simulation
     _interlock: Interlock
@@ -55,12 +54,10 @@ class Rig:
     def __init__(self, config: RigConfig, start_ns: int = 0) -> None:
         self.config = config
         self.rate_hz = config.daq.rate_hz
-        self.start_ns = start_ns
-        """Stamp of scan 0; moves on to the present at a reset."""
         self._journal = Journal(self.rate_hz, start_ns)
         self._applied: list[Table] = []
         self._latched: str | None = None
-        self._begin(Kind.START)
+        self._begin(Kind.START, start_ns)
 
     # State
 
@@ -200,7 +197,7 @@ class Rig:
         if frequency_hz is not None:
             check_frequency(frequency_hz, self.config.shaker)
         if current_a is not None:
-            check_amplitude(current_a, self.config.drive, self.config.shaker)
+            check_amplitude(current_a, self._drive, self.config.shaker)
         if frequency_hz is not None:
             self._generator.set_frequency(frequency_hz)
             self._note(Kind.COMMAND, "frequency", frequency_hz)
@@ -225,10 +222,12 @@ class Rig:
             raise ConfigError("daq.rate_hz and daq.block_scans are fixed at start")
         before, after = to_flat(self.config), to_flat(config)
         changed = {name: value for name, value in after.items() if value != before[name]}
-        mechanics = attrs.evolve(config, drive=self._simulation.config.drive)
+        mechanics = attrs.evolve(config, drive=self._drive)
         instruments = self._without_new_seeds(config)
         new_mechanics = any(name.startswith(MECHANICS) for name in changed)
         new_instruments = any(name.startswith(INSTRUMENTS) for name in changed)
+        if any(name.startswith("drive.") for name in changed):
+            generator(config)  # taken at the next reset, refused here
         if new_mechanics:
             built(mechanics)  # what cannot be simulated is refused here, before anything is changed
         if new_instruments:
@@ -254,9 +253,7 @@ class Rig:
         """
         if self._latched is not None:
             raise CommandError(f"cannot reset: latched by {self._latched}, ~/clear_trip first")
-        self.start_ns = self.frontier_ns
-        self._journal.restart(self.start_ns)
-        self._begin(Kind.RESET)
+        self._begin(Kind.RESET, self.frontier_ns)
 
     def pluck(self, displacement_m: float) -> None:
         """Lock the base, put x_1 at `displacement_m` and let it go: free decay until the next reset.
@@ -309,14 +306,17 @@ class Rig:
 
     # Inside
 
-    def _begin(self, kind: Kind) -> None:
+    @property
+    def _drive(self) -> Drive:
+        """The drive since the last reset; `config.drive` is that of the next."""
+        return self._simulation.config.drive
+
+    def _begin(self, kind: Kind, start_ns: int) -> None:
         config = self.config
-        seeds = np.random.SeedSequence(config.daq.seed, spawn_key=(DRIVE_SEED,))
-        try:
-            check_amplitude(config.drive.amplitude, config.drive, config.shaker)
-            generator = FunctionGenerator(config.drive, config.shaker, np.random.default_rng(seeds))
-        except CommandError as error:
-            raise ConfigError(f"drive: {error}") from error
+        parts = generator(config), built(config), Chain(config)  # what they refuse leaves everything as it is
+        self._generator, self._simulation, self._chain = parts
+        self.start_ns = start_ns
+        self._journal.restart(start_ns)
         self._ticks = 0
         self._next_scan = 0
         self._blocks = 0
@@ -324,10 +324,7 @@ class Rig:
         self._last_command_tick = 0
         self._timed_out = False
         self._info_sample = 0
-        self._generator = generator
-        self._simulation = built(config)
         self._interlock = Interlock()
-        self._chain = Chain(config)
         self._truth = Truth(self.rate_hz, config.output.monitor_rate_hz, config.output.truth_scan)
         self._note(kind, text=impact_rig.__version__.encode())
         self._journal.add_values(0, Kind.INITIAL, not_default(config).items())
@@ -352,7 +349,7 @@ class Rig:
     def _watch(self, motion: Motion, tick_s: float) -> Trip | None:
         if self.plucked or self._latched is not None:
             return None
-        return self._interlock.watch(motion, tick_s, self.config)
+        return self._interlock.watch(motion, tick_s, self._drive, self.config.shaker)
 
     def _trip(self, trip: Trip) -> None:
         self._note(Kind.TRIP, trip.reason, trip.measured)

@@ -12,7 +12,7 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_rig.config import Drive, RigConfig, Shaker
+from impact_rig.config import Drive, Shaker
 from impact_rig.errors import CommandError
 from impact_rig.physics import Motion
 
@@ -54,16 +54,16 @@ class Interlock:
         twin._mean_square = self._mean_square
         return twin
 
-    def watch(self, motion: Motion, tick_s: float, config: RigConfig) -> Trip | None:
+    def watch(self, motion: Motion, tick_s: float, drive: Drive, shaker: Shaker) -> Trip | None:
         """Return the first trip in simulated ticks, or None; remembers the current up to there."""
-        if config.drive.kind == "prescribed":
+        if drive.kind == "prescribed":
             return None
         travel = _looks(motion, "x_b", tick_s)
         current = _looks(motion, "current", tick_s)
         worst = np.abs(travel).max(axis=1)
         square = np.square(current).mean(axis=1)
         gain = -math.expm1(-tick_s / CURRENT_TIME_S)
-        limit, limit_rms = config.shaker.travel_limit_m, config.shaker.current_limit_a_rms
+        limit, limit_rms = shaker.travel_limit_m, shaker.current_limit_a_rms
         for tick in range(len(worst)):
             self._mean_square += gain * (square[tick] - self._mean_square)
             if worst[tick] > limit:

@@ -13,7 +13,8 @@ from collections.abc import Iterable, Mapping
 import attrs
 import numpy as np
 
-from impact_rig.blocks import JOURNAL, TEXT, Table
+from impact_rig.blocks import JOURNAL, Table
+from impact_rig.columns import TEXT
 from impact_rig.config import RigConfig, to_flat
 from impact_rig.errors import ConfigError
 from impact_rig.simtime import NS_PER_S, stamp_ns
@@ -29,20 +30,29 @@ SAMPLED = frozenset({"output.command_timeout_s"})
 
 
 class Kind(enum.Enum):
-    """What kind of input a row is."""
+    """What kind of input a row is, and what its columns say."""
 
-    START = "start"  # sample 0 of a new rig; text = version of impact_rig
-    RESET = "reset"  # sample 0 of the same rig as new; text = version
-    INITIAL = "initial"  # one configuration value at the start that is not the default
-    COMMAND = "command"  # key frequency or current
-    PARAMETER = "parameter"  # one configuration value; rows of one instant are one change
-    PLUCK = "pluck"  # value = displacement of x_1 [m]
-    STOP = "stop"
-    CLEAR_TRIP = "clear_trip"
-    FAULT = "fault"  # an instrument fault on demand, as `Fault.journal` writes it
-    CLEAR_FAULT = "clear_fault"  # value = its id, -1 all of them
-    TRIP = "trip"  # the interlock; key = over_travel or over_current, value = what was measured. A result, not an input
-    TIMEOUT = "timeout"  # no command for output.command_timeout_s. A result, not an input
+    doc: str
+
+    def __new__(cls, value: str, doc: str = "") -> Kind:  # looked up by value alone
+        """Make a member: its value is the word in the table."""
+        member = object.__new__(cls)
+        member._value_ = value
+        member.doc = doc
+        return member
+
+    START = "start", "Scan 0 of a new rig; text = version of impact_rig."
+    RESET = "reset", "Scan 0 of the same rig as new; text = version."
+    INITIAL = "initial", "One configuration value at the start that is not the default."
+    COMMAND = "command", "key = frequency or current."
+    PARAMETER = "parameter", "One configuration value; rows of one instant are one change."
+    PLUCK = "pluck", "value = displacement of x_1 [m]."
+    STOP = "stop", "The emergency stop."
+    CLEAR_TRIP = "clear_trip", "The latch is released."
+    FAULT = "fault", "An instrument fault on demand: key = kind/channel, text = duration/seed/rate."
+    CLEAR_FAULT = "clear_fault", "value = id of the fault, -1 all of them."
+    TRIP = "trip", "The interlock: key = over_travel or over_current, value = what was measured; a result, no input."
+    TIMEOUT = "timeout", "No command for output.command_timeout_s; a result, no input."
 
 
 RESULTS = (Kind.TRIP, Kind.TIMEOUT)

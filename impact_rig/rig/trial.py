@@ -5,11 +5,28 @@ from __future__ import annotations
 import numpy as np
 
 from impact_rig.config import RigConfig
-from impact_rig.errors import ConfigError, SimulationError
+from impact_rig.errors import CommandError, ConfigError, SimulationError
 from impact_rig.physics import FunctionGenerator, Simulation
+from impact_rig.rig.interlock import check_amplitude
 from impact_rig.simtime import COMMAND_GRID_S
 
 TRIAL_TICKS = 3
+DRIVE_SEED = 0
+"""`spawn_key` of the drive's random numbers under `daq.seed`; the instruments use their own."""
+
+
+def generator(config: RigConfig) -> FunctionGenerator:
+    """Return a new drive at its initial command.
+
+    Raises:
+        ConfigError: the shaker does not take that command.
+    """
+    seeds = np.random.SeedSequence(config.daq.seed, spawn_key=(DRIVE_SEED,))
+    try:
+        check_amplitude(config.drive.amplitude, config.drive, config.shaker)
+        return FunctionGenerator(config.drive, config.shaker, np.random.default_rng(seeds))
+    except CommandError as error:
+        raise ConfigError(f"drive: {error}") from error
 
 
 def built(config: RigConfig) -> Simulation:
@@ -29,4 +46,4 @@ def built(config: RigConfig) -> Simulation:
         raise ConfigError(f"these values together cannot be simulated: {error}") from error
     if not all(np.isfinite(last[name]).all() for name in last.dtype.names or ()):
         raise ConfigError("these values together give a motion that is not finite")
-    return Simulation(config)
+    return Simulation(config, account=True)

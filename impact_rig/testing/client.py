@@ -45,6 +45,9 @@ _TRANSITIONS = {
     "cleanup": Transition.TRANSITION_CLEANUP,
     "activate": Transition.TRANSITION_ACTIVATE,
     "deactivate": Transition.TRANSITION_DEACTIVATE,
+    "shutdown_unconfigured": Transition.TRANSITION_UNCONFIGURED_SHUTDOWN,
+    "shutdown_inactive": Transition.TRANSITION_INACTIVE_SHUTDOWN,
+    "shutdown_active": Transition.TRANSITION_ACTIVE_SHUTDOWN,
 }
 
 

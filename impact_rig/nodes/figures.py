@@ -1,0 +1,76 @@
+"""The one table of the figures in `/diagnostics`: key, unit, meaning, by node.
+
+`docs/interface.md` is written from this table, and a test compares it with what the nodes publish. `<...>` in a key
+stands for one word per peer, channel, counter or reason.
+"""
+
+from __future__ import annotations
+
+import attrs
+
+
+@attrs.frozen
+class Figure:
+    """One figure of a node's status."""
+
+    key: str
+    unit: str
+    doc: str
+
+
+EVERY_NODE = (
+    Figure("state", "-", "Lifecycle state."),
+    Figure("cpu_percent", "%", "Share of one core this process used since the last report."),
+    Figure("refused.<reason>", "-", "Inputs refused so far: by topic, service, `parameter`, `transition`, `inactive`."),
+    Figure("last_refused.<reason>", "-", "Why the last of them was refused."),
+)
+
+RIG = (
+    Figure("mode", "-", "`time.mode`."),
+    Figure("factor", "-", "`time.factor`."),
+    Figure("rig_time_s", "s", "Since the start or reset."),
+    Figure("blocks", "-", "Blocks measured since the activation."),
+    Figure("block_rate_hz", "Hz", "Blocks per second of wall time, since the last report."),
+    Figure("lost_blocks", "-", "Blocks a lost_block fault has withheld."),
+    Figure("lateness_median_ms", "ms", "How late the last 3000 blocks were published; realtime only."),
+    Figure("lateness_p99_ms", "ms", "The same, 99th percentile."),
+    Figure("lateness_worst_ms", "ms", "The same, worst."),
+    Figure("slips", "-", "How often real time was given up because the rig was more than 1 s behind."),
+    Figure("slipped_s", "s", "Wall time given up that way."),
+    Figure("frequency_hz", "Hz", "Drive frequency."),
+    Figure("current_a", "A", "Amplitude commanded (m or V by `drive.kind`)."),
+    Figure("latched", "-", "Why the shaker is latched; empty: it is not."),
+    Figure("impacts", "-", "Contacts that ended, since the activation."),
+    Figure("restitution", "-", "`contact.restitution`, the nominal value."),
+    Figure("realised_restitution", "-", "What the contact law returns for it."),
+    Figure("energy_work_j", "J", "Work of the drive since the reset or the last change of the mechanics."),
+    Figure("energy_lost_j", "J", "Energy dissipated in columns, shaker, contacts and guide, over the same time."),
+    Figure("energy_stored_j", "J", "Change of kinetic and potential energy, over the same time."),
+    Figure("energy_imbalance", "-", "|work - lost - stored| over the largest of the three: the integration's error."),
+    Figure("active_faults", "-", "Instrument faults that act now: how many."),
+    Figure("faults", "-", "Which: kind/channel, comma-separated."),
+    Figure("over_range.<channel>", "-", "Scans flagged over range or clipped, since the activation."),
+    Figure("subscribers", "-", "Matched subscriptions of daq/scan."),
+    Figure("behind.<peer>", "blocks", "Blocks that are out and that a peer has not acknowledged."),
+    Figure(
+        "lost_blocks.<peer>",
+        "blocks",
+        "Blocks a peer has passed over in its acknowledgements: lost to it, unless it acknowledges several at once.",
+    ),
+    Figure("other_acks", "-", "Acknowledgements in the name of no node that subscribes to daq/scan: ignored."),
+)
+
+ANALYSIS = (
+    Figure("transmissibility", "-", "Last settled transmissibility."),
+    Figure("gap_m", "m", "Parameter `gap_m`."),
+    Figure("<counter>", "-", "Counters of the tracker: scans, lost_scans, measurements, impacts and others."),
+)
+
+RECORDER = (
+    Figure("directory", "-", "Run that is being written."),
+    Figure("messages", "-", "Messages in it."),
+    Figure("megabytes", "MB", "Bytes written."),
+    Figure("lost.<topic>", "-", "Messages lost before they reached the recorder, by DDS sequence number."),
+)
+
+FIGURES = {"every node": EVERY_NODE, "rig": RIG, "analysis": ANALYSIS, "recorder": RECORDER}

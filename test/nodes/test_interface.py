@@ -1,0 +1,244 @@
+"""`docs/interface.md` says what the code does: its tables are those of the code, and those of the code the graph's."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+
+import pytest
+
+pytest.importorskip("rclpy", reason="no ROS 2 here")
+
+from nodes_support import host_rig, overrides
+from rcl_interfaces.srv import DescribeParameters, ListParameters
+from std_msgs.msg import Float64, Header
+from std_srvs.srv import SetBool, Trigger
+
+from impact_rig.nodes import figures, interface, services, topics
+from impact_rig.nodes.analysis_node import AnalysisNode
+from impact_rig.nodes.recorder_node import RecorderNode
+from impact_rig.nodes.rig_node import RigNode
+from impact_rig.nodes.services import Situation
+from impact_rig.testing import Client, isolated_domain
+
+pytestmark = pytest.mark.ros
+
+OF_ROS = {
+    "change_state", "get_state", "get_available_states", "get_available_transitions", "get_transition_graph",
+    "describe_parameters", "get_parameter_types", "get_parameters", "list_parameters", "set_parameters",
+    "set_parameters_atomically", "get_type_description",
+}  # fmt: skip
+"""Services that every lifecycle node of ROS has."""
+
+
+@pytest.mark.parametrize("name", interface.TABLES)
+def test_a_table_of_the_page_is_that_of_the_code(name: str) -> None:
+    text = interface.page().read_text(encoding="utf-8")
+    assert f"<!-- generated: {name} -->\n\n{interface.TABLES[name]()}\n<!-- end -->" in text, (
+        f"run `{interface.COMMAND}` and read what has changed"
+    )
+
+
+def test_the_page_has_no_other_markers() -> None:
+    text = interface.page().read_text(encoding="utf-8")
+    assert interface.rewritten(text) == text
+    assert text.count("<!-- generated") == text.count("<!-- end -->") == len(interface.TABLES)
+
+
+@pytest.mark.parametrize("topic", topics.TOPICS, ids=lambda topic: topic.name)
+def test_every_field_of_a_message_has_unit_and_meaning_and_exists(topic: topics.Topic) -> None:
+    assert topic.fields
+    for field in topic.fields:
+        assert field.doc.endswith(".")
+        assert field.unit
+    if topic.columns is not None:
+        assert list(topic.columns.names or ()) == [field.name for field in topic.fields]
+        return
+    for field in topic.fields:
+        value = topic.message_type()()
+        for part in re.sub(r"\[\d\]", "", field.name).split("."):
+            value = value[0] if isinstance(value, list) and value else value
+            if isinstance(value, list):  # an empty list of messages: look at what it would hold
+                value = topics.by_name("/diagnostics").message_type()
+                continue
+            assert hasattr(value, part), f"{topic.name}: {field.name}"
+            value = getattr(value, part)
+
+
+@pytest.fixture(scope="module")
+def graph(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Client, dict[str, object]]]:
+    """All three nodes, running, after a step with impacts and a fault."""
+    directory = tmp_path_factory.mktemp("runs")
+    with isolated_domain() as domain_id, Client(domain_id) as client:
+        nodes = {
+            "analysis": client.host(AnalysisNode),
+            "recorder": client.host(RecorderNode, parameter_overrides=overrides({"directory": str(directory)})),
+            "rig": host_rig(client, time__peers=["analysis", "recorder"], drive__amplitude=0.52),
+        }
+        client.wait_active(*nodes)
+        client.step(60)
+        yield client, nodes
+
+
+def test_services_of_the_graph_are_those_of_the_page(graph) -> None:
+    client, nodes = graph
+    for name in nodes:
+        found = dict(client.node.get_service_names_and_types_by_node(name, "/"))
+        own = {key.removeprefix(f"/{name}/"): types for key, types in found.items()}
+        expected = {row.name[2:]: [row.type_name] for row in services.SERVICES if row.node == name}
+        assert {key: types for key, types in own.items() if key not in OF_ROS} == expected, name
+
+
+def test_parameters_of_the_graph_are_those_of_the_page_with_unit_and_range(graph) -> None:
+    """What `ros2 param list` and `ros2 param describe` show."""
+    client, nodes = graph
+    for node in nodes:
+        listed = client.call(ListParameters, f"{node}/list_parameters", ListParameters.Request()).result.names
+        own = [n for n in listed if not n.startswith(("qos_overrides", "use_sim_time", "start_type", "config_file"))]
+        fields = {name: about for name, about, _ in interface.SCHEMAS[node].fields()}
+        assert sorted(own) == sorted(fields), node
+        request = DescribeParameters.Request(names=list(fields))
+        found = client.call(DescribeParameters, f"{node}/describe_parameters", request).descriptors
+        for descriptor, (name, about) in zip(found, fields.items(), strict=True):
+            assert descriptor.name == name
+            assert descriptor.read_only == about.read_only
+            assert descriptor.description.startswith(about.doc)
+            assert about.unit == "-" or f"[{about.unit}]" in descriptor.description
+            ranges = [*descriptor.floating_point_range, *descriptor.integer_range]
+            assert bool(ranges) == (about.low is not None or about.high is not None), name
+            for limit in ranges:
+                assert about.low is None or limit.from_value == about.low
+                assert about.high is None or limit.to_value == about.high
+
+
+def _pattern(figure: figures.Figure) -> str:
+    return re.sub(r"<\w+>", r"[\\w/]+", figure.key.replace(".", r"\."))
+
+
+def test_figures_of_the_diagnostics_are_those_of_the_page(graph) -> None:
+    client, nodes = graph
+    client.diagnostics.clear()
+    for name, node in nodes.items():
+        node.report_now()
+        client.wait_until(lambda name=name: client.figures(name), f"diagnostics of {name}")
+    known = {name: (*figures.EVERY_NODE, *figures.FIGURES[name]) for name in nodes}
+    for name in nodes:
+        for key in client.figures(name):
+            assert any(re.fullmatch(_pattern(figure), key) for figure in known[name]), f"{name} publishes {key}"
+    published = client.figures("rig")
+    only_elsewhere = {"lateness_median_ms", "lateness_p99_ms", "lateness_worst_ms"}  # realtime
+    for figure in figures.RIG:
+        found = any(re.fullmatch(_pattern(figure), key) for key in published)
+        assert found or figure.key in only_elsewhere, f"the page promises {figure.key}"
+
+
+# Commands and services in every situation
+
+
+def bring_into(client: Client, situation: Situation) -> None:
+    """Bring a rig that is unconfigured into a situation."""
+    if situation is Situation.UNCONFIGURED:
+        return
+    assert client.change_state("rig", "configure")
+    if situation is Situation.INACTIVE:
+        return
+    assert client.change_state("rig", "activate")
+    if situation is Situation.PAUSED:
+        client.pause()
+    elif situation is Situation.LATCHED:
+        client.trigger("rig/stop")
+    elif situation is Situation.PLUCKED:
+        client.trigger("rig/pluck")
+
+
+def bring_back(client: Client) -> None:
+    if client.state("rig") == "active":
+        assert client.change_state("rig", "deactivate")
+    if client.state("rig") == "inactive":
+        assert client.change_state("rig", "cleanup")
+
+
+@pytest.fixture(scope="module")
+def mortal() -> Iterator[tuple[Client, RigNode]]:
+    with isolated_domain() as domain_id, Client(domain_id) as client:
+        yield client, host_rig(client, output__autostart=False)
+
+
+@pytest.fixture(scope="module")
+def finalized() -> Iterator[tuple[Client, RigNode]]:
+    with isolated_domain() as domain_id, Client(domain_id) as client:
+        node = host_rig(client, output__autostart=False)
+        assert client.change_state("rig", "shutdown_unconfigured")
+        yield client, node
+
+
+@pytest.fixture
+def situated(situation: Situation, mortal, finalized) -> Iterator[tuple[Client, RigNode]]:
+    """A rig in the situation."""
+    if situation is Situation.FINALIZED:
+        yield finalized
+        return
+    bring_into(mortal[0], situation)
+    yield mortal
+    bring_back(mortal[0])
+
+
+@pytest.mark.parametrize("situation", Situation)
+@pytest.mark.parametrize("row", [row for row in services.SERVICES if row.node == "rig"], ids=lambda row: row.name)
+def test_a_service_is_taken_or_refused_with_a_message_as_the_page_says(
+    situated, situation: Situation, row: services.Input
+) -> None:
+    client, node = situated
+    before = node.refusals.total()
+    kind, request = (SetBool, SetBool.Request(data=True)) if row.name == "~/pause" else (Trigger, Trigger.Request())
+    answer = client.call(kind, f"rig/{row.name[2:]}", request)
+    assert answer.success == (situation in row.taken), answer.message
+    assert answer.message
+    assert node.refusals.total() - before == (not answer.success), "each refusal is counted"
+    if not answer.success:
+        assert node.refusals.last[row.name[2:]] == answer.message
+
+
+@pytest.mark.parametrize("situation", Situation)
+@pytest.mark.parametrize("row", services.COMMANDS, ids=lambda row: row.name)
+def test_a_command_is_taken_or_refused_as_the_page_says(situated, situation: Situation, row: services.Input) -> None:
+    client, node = situated
+    before, applied = node.refusals.total(), len(client._applied)
+    client.publish(topics.by_name(row.name), Float64(data=10.0))
+
+    def taken() -> bool:
+        return any(table.rows[row.name[7:]][0] == 10.0 for table in client._applied.tables()[applied:])
+
+    client.wait_until(lambda: node.refusals.total() > before or taken(), "an answer")
+    assert taken() == (situation in row.taken)
+    assert node.refusals.total() - before == (situation not in row.taken)
+
+
+@pytest.mark.parametrize("situation", Situation)
+def test_a_parameter_can_be_set_in_every_situation(situated, situation: Situation) -> None:
+    client, node = situated
+    for gap in (0.004, 0.006):
+        client.set_parameters("rig", {"barriers.gap_m": gap})
+        assert node.settings.barriers.gap_m == gap
+
+
+# Readers of daq/scan
+
+
+def test_readers_are_told_apart_by_their_acknowledgements(client: Client) -> None:
+    """How far behind each is, what it passed over, and that names nobody has are ignored."""
+    node = host_rig(client, time__peers=[])
+    client.wait_active("rig")
+    scans = client.collect("daq/scan")
+    client.step(20)
+    client.wait_until(lambda: len(scans) == 20, "the blocks")
+    for number, name in ((4, "client"), (5, "client"), (9, "client"), (9, "nobody"), (9, "nob\u00f6dy")):
+        header = Header(frame_id=name)
+        header.stamp.nanosec = scans.tables()[number].stamp_ns
+        client.publish(topics.ACK, header)
+    client.wait_until(lambda: node._audience.others == 2, "the acknowledgements")
+    node.report_now()
+    client.wait_until(lambda: client.figures("rig").get("other_acks") == "2", "the figures")
+    found = client.figures("rig")
+    assert (found["behind.client"], found["lost_blocks.client"]) == ("10", "3")
+    assert int(found["subscribers"]) == 1
