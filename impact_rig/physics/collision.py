@@ -61,6 +61,7 @@ PATIENCE = 25
 _LONGEST = 1e3
 _ROOT_ROUNDS = 60
 _PEAK_ROUNDS = 12
+_BOTTOM_ROUNDS = 30
 _POINTS = 10
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(_POINTS)
 _PLACES = 0.5 * (1.0 + _NODES)
@@ -345,6 +346,20 @@ def evaluate(a, x, at):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def _bottom(series, h):  # type: ignore[no-untyped-def]
+    """Return where in (0, h) a series that falls at 0 and rises at h is lowest: bisection of its slope."""
+    left, right = 0.0, h
+    for _ in range(_BOTTOM_ROUNDS):
+        middle = 0.5 * (left + right)
+        _, slope = value(series, middle)
+        if slope < 0.0:
+            left = middle
+        else:
+            right = middle
+    return left
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def _release(p, a, beta, grip, h, speed_end):  # type: ignore[no-untyped-def]
     """Return where in a step the force would begin to pull, and so lets go, or presses again; or h."""
     if p.force.kind == LINEAR:
@@ -354,10 +369,22 @@ def _release(p, a, beta, grip, h, speed_end):  # type: ignore[no-untyped-def]
         return root(a.y[:, SPEED], 0.0, True, h) if a.y[0, SPEED] < 0.0 < speed_end else h
     if beta <= 0.0:
         return h
+    # A step that follows a release, or a new grip, starts at the limit but for rounding: which side it is on does not
+    # count, only where the step ends. One that dips below the limit in between starts and ends above it.
     limit = -1.0 / beta
-    if grip > 0.0:
-        return root(a.y[:, SPEED], limit, False, h) if speed_end < limit < a.y[0, SPEED] else h
-    return root(a.y[:, SPEED], limit, True, h) if a.y[0, SPEED] < limit < speed_end else h
+    speed = a.y[:, SPEED]
+    if grip <= 0.0:
+        return root(speed, limit, True, h) if speed_end > limit else h
+    if speed_end < limit:
+        return root(speed, limit, False, h)
+    if speed[1] < 0.0 and min(speed[0], speed_end) < 0.5 * limit:
+        _, slope_end = value(speed, h)
+        if slope_end > 0.0:
+            lowest = _bottom(speed, h)
+            least, _ = value(speed, lowest)
+            if least < limit < speed[0]:
+                return root(speed, limit, False, lowest)
+    return h
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

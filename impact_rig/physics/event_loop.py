@@ -111,7 +111,7 @@ def _touch(p, s, side, segment):  # type: ignore[no-untyped-def]  # compiled: ty
     speed = max(side * s[RATE], p.touch_speed)
     s[SIDE] = side
     s[Y + X1] += p.share * s[GAP]
-    s[Y + V1] += p.share * side * speed
+    s[Y + V1] += p.share * s[RATE]  # not `speed`: the least speed must not change the pair's momentum
     s[PHASE] = COLLISION
     s[GAP] = 0.0
     s[RATE] = speed

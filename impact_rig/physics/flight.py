@@ -239,22 +239,23 @@ def carry(p, system, f, work, s, t_end):  # type: ignore[no-untyped-def]
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
 _PANEL = 1.0  # radians (or e-foldings) of the fastest motion per quadrature panel: 8 Gauss points leave 1e-14
+_FORGOTTEN = 50.0  # e-foldings after which a mode no longer needs panels of its own
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def flight_energy(p, system, f, work, push, begin, end, s, ledger):  # type: ignore[no-untyped-def]
     """Add the work and the losses of the flight just flown, by Gauss–Legendre quadrature of its closed form."""
     c, y = p.c, work.y
-    fastest = f.omega
-    for k in range(system.modes.rate.shape[0]):
-        fastest = max(fastest, abs(system.modes.rate[k]))
-    panels = math.ceil((end - begin) * fastest / _PANEL)
-    if panels == 0:
-        return
-    width = (end - begin) / panels
-    for panel in range(panels):
+    duration, since_panel = end - begin, 0.0
+    while since_panel < duration:
+        fastest = max(f.omega, _PANEL / duration)
+        for k in range(system.modes.rate.shape[0]):
+            if -system.modes.rate[k].real * since_panel < _FORGOTTEN:
+                fastest = max(fastest, abs(system.modes.rate[k]))
+        rest = duration - since_panel
+        width = rest / math.ceil(rest * fastest / _PANEL)
         for point in range(_NODES.shape[0]):
-            since = (panel + 0.5 * (1.0 + _NODES[point])) * width
+            since = since_panel + 0.5 * width * (1.0 + _NODES[point])
             weight = 0.5 * width * _WEIGHTS[point]
             state_at(system, f, work, push, since, begin + since, y)
             u, du = drive(f, begin + since)
@@ -271,5 +272,6 @@ def flight_energy(p, system, f, work, push, begin, end, s, ledger):  # type: ign
                     ledger[LEDGER_SHAKER] += weight * c.resistance * current * current
                 else:
                     ledger[LEDGER_WORK] += weight * c.force_factor * current * v_b
+        since_panel += width
     if push != 0.0:  # force times the distance slid: the sphere's ballistic path less the base's
         ledger[LEDGER_FRICTION] += abs(push) * abs(s[GAP] - s[SLID])
