@@ -210,7 +210,7 @@ CURVE = _table(
     "transmissibility/curve",
     Qos.LATCHED,
     "stepped_sine",
-    blocks.TRANSMISSIBILITY,
+    blocks.TRANSMISSIBILITY_COLUMNS,
     "The stepped sine so far, one row per measurement; stamp = its begin.",
 )
 IMPACTS = _table(
