@@ -73,4 +73,17 @@ RECORDER = (
     Figure("lost.<topic>", "-", "Messages lost before they reached the recorder, by DDS sequence number."),
 )
 
-FIGURES = {"every node": EVERY_NODE, "rig": RIG, "analysis": ANALYSIS, "recorder": RECORDER}
+STEPPED_SINE = (
+    Figure("points_done", "-", "Points measured or skipped."),
+    Figure("points", "-", "Points of the sweep."),
+    Figure("frequency_hz", "Hz", "Frequency of the present point."),
+    Figure("skipped", "-", "Points left out."),
+)
+
+FIGURES = {
+    "every node": EVERY_NODE,
+    "rig": RIG,
+    "analysis": ANALYSIS,
+    "recorder": RECORDER,
+    "stepped_sine": STEPPED_SINE,
+}

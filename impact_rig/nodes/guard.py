@@ -69,19 +69,24 @@ def with_info(callback: Callable[..., Any]) -> Callable[..., Any]:
 def guarded_service(callback: Callable[[Any, Any], Any], report: Report, refuse: Report) -> Callable[[Any, Any], Any]:
     """Return a service callback that always answers: an exception gives `success = False` with the message.
 
-    An error this package raises on purpose is a refusal, any other a failure.
+    An error this package raises on purpose is a refusal, as is an answer without success; any other is a failure.
     """
+    name = _name(callback).removeprefix("on_")
 
     @functools.wraps(callback)
     def safe(request: Any, response: Any) -> Any:
         try:
-            return callback(request, response)
+            answer = callback(request, response)
         except ImpactRigError as error:
             message = str(error)
-            refuse(_name(callback).removeprefix("on_"), message)
+            refuse(name, message)
         except Exception as error:  # see `guarded`
             message = describe(error)
             report(_name(callback), message)
+        else:
+            if not answer.success:
+                refuse(name, answer.message)
+            return answer
         response.success = False
         if hasattr(response, "message"):
             response.message = message

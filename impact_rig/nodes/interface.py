@@ -17,7 +17,7 @@ from impact_rig.config.faults import FAULT_KINDS
 from impact_rig.nodes import figures, services, topics
 from impact_rig.nodes.parameters import RigSchema, Schema, SectionSchema, Value
 from impact_rig.nodes.services import Situation
-from impact_rig.nodes.settings import AnalysisSettings, RecorderSettings
+from impact_rig.nodes.settings import AnalysisSettings, RecorderSettings, SteppedSineSettings
 from impact_rig.resources import share_dir
 from impact_rig.rig import takes_effect
 from impact_rig.rig.journal import Kind
@@ -29,6 +29,7 @@ SCHEMAS: dict[str, Schema[object]] = {
     "rig": RigSchema(),  # type: ignore[dict-item]  # a protocol's type parameter is invariant
     "analysis": SectionSchema(AnalysisSettings),
     "recorder": SectionSchema(RecorderSettings),
+    "stepped_sine": SectionSchema(SteppedSineSettings),
 }
 
 
@@ -155,6 +156,7 @@ TABLES: dict[str, Callable[[], str]] = {
     "rig parameters": _parameters("rig"),
     "analysis parameters": _parameters("analysis"),
     "recorder parameters": _parameters("recorder"),
+    "stepped_sine parameters": _parameters("stepped_sine"),
     "figures": _figures,
 }
 """Name in the page's markers -> its text."""

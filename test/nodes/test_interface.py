@@ -19,6 +19,7 @@ from impact_rig.nodes.analysis_node import AnalysisNode
 from impact_rig.nodes.recorder_node import RecorderNode
 from impact_rig.nodes.rig_node import RigNode
 from impact_rig.nodes.services import Situation
+from impact_rig.nodes.stepped_sine_node import SteppedSineNode
 from impact_rig.testing import Client, isolated_domain
 
 pytestmark = pytest.mark.ros
@@ -73,6 +74,7 @@ def graph(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Client, di
         nodes = {
             "analysis": client.host(AnalysisNode),
             "recorder": client.host(RecorderNode, parameter_overrides=overrides({"directory": str(directory)})),
+            "stepped_sine": client.host(SteppedSineNode),
             "rig": host_rig(client, time__peers=["analysis", "recorder"], drive__amplitude=0.52),
         }
         client.wait_active(*nodes)
