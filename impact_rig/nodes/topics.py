@@ -78,8 +78,17 @@ class Topic:
 
     def message_type(self) -> Any:
         """Import and return the message class."""
-        package, _, name = self.type_name.split("/")
-        return getattr(importlib.import_module(f"{package}.msg"), name)
+        return message_class(self.type_name)
+
+
+def message_class(type_name: str) -> Any:
+    """Import and return the class of a message type, `package/msg/Type`.
+
+    Raises:
+        ImportError, AttributeError: it is not installed.
+    """
+    package, _, name = type_name.split("/")
+    return getattr(importlib.import_module(f"{package}.msg"), name)
 
 
 _TABLE = "sensor_msgs/msg/PointCloud2"

@@ -1,0 +1,96 @@
+"""`impact-rig replay`: publish a recorded run onto the graph, where `ros2 bag play` is missing or not exact enough."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import os
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+from impact_rig.errors import ImpactRigError
+from impact_rig.recording import open_run
+from impact_rig.simtime import NS_PER_S
+
+FASTEST = "max"
+
+
+def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Register the subcommand."""
+    parser = commands.add_parser("replay", help="publish a run onto the graph again, with /clock")
+    parser.add_argument("path", type=Path, metavar="RUN", help="run directory or .mcap file")
+    parser.add_argument(
+        "--rate", type=_rate, default=1.0, metavar="X", help="times real time, or max: as the peers follow (default: 1)"
+    )
+    parser.add_argument("--peers", nargs="+", default=[], metavar="NODE", help="nodes that must not lose a block")
+    parser.add_argument("--topics", nargs="+", default=[], metavar="TOPIC", help="only these")
+    parser.add_argument("--loop", action="store_true", help="begin again at the end, until Ctrl-C")
+    parser.add_argument("--paused", action="store_true", help="begin paused; the service /player/pause lets it go on")
+    parser.add_argument(
+        "--delay", type=float, default=1.0, metavar="S", help="wait this long for subscribers to be found (default: 1)"
+    )
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Replay and return the exit code."""
+    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    try:
+        import rclpy  # noqa: PLC0415  # the other subcommands do without
+        from rclpy.node import Node  # noqa: PLC0415
+    except ImportError as error:
+        raise ImpactRigError(f"replay needs ROS 2: {error}") from error
+    from impact_rig.nodes.player import Player  # noqa: PLC0415
+    from impact_rig.nodes.process import make_executor  # noqa: PLC0415
+
+    columns = (
+        TextColumn("{task.fields[state]:<8}"),
+        BarColumn(24),
+        TextColumn("{task.completed:.1f} of {task.total:.1f} s"),
+        TimeRemainingColumn(),
+    )
+    context = rclpy.Context()
+    context.init(args=[])
+    executor = make_executor(context)
+    node = Node("player", context=context, use_global_arguments=False)
+    executor.add_node(node)
+    try:
+        with open_run(arguments.path) as opened, Progress(*columns, console=Console()) as progress:
+            player = Player(
+                opened,
+                node,
+                lambda longest_s: executor.spin_once(timeout_sec=longest_s),
+                factor=None if math.isinf(arguments.rate) else arguments.rate,
+                peers=arguments.peers,
+                chosen=arguments.topics,
+                paused=arguments.paused,
+            )
+            executor.spin_once(timeout_sec=arguments.delay)
+            total = (player.end_ns - player.start_ns) / NS_PER_S
+            task = progress.add_task("", total=total, state="waiting")
+            while True:
+                for now_ns in player.play():
+                    state = "paused" if player.paused else "playing"
+                    progress.update(task, completed=(now_ns - player.start_ns) / NS_PER_S, state=state)
+                progress.update(task, completed=total, state="done")
+                if not arguments.loop:
+                    return 0
+    finally:
+        executor.shutdown()
+        node.destroy_node()
+        context.try_shutdown()
+
+
+def _rate(text: str) -> float:
+    """Return a factor; infinity for `max`."""
+    if text == FASTEST:
+        return math.inf
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not 0.001 <= value <= 1000:
+        raise argparse.ArgumentTypeError(f"must be {FASTEST} or a number from 0.001 to 1000, got {text!r}")
+    return value

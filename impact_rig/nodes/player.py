@@ -1,0 +1,163 @@
+"""Publishes a recorded run back onto the graph, in step with a clock or as fast as named peers acknowledge.
+
+The bytes go out as they were recorded, so a live analysis finds in them what it found before. What was published before
+the first scan (calibration, journal, settings) goes out at once: its stamps may be hours older.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Collection, Iterator, Sequence
+from typing import Any  # rclpy publishers and messages
+
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rosgraph_msgs.msg import Clock
+from std_msgs.msg import Header
+from std_srvs.srv import SetBool
+
+from impact_rig import codec
+from impact_rig.errors import ImpactRigError
+from impact_rig.nodes import topics
+from impact_rig.nodes.convert import clock_message
+from impact_rig.nodes.guard import guarded_service
+from impact_rig.nodes.peers import Peers
+from impact_rig.nodes.stamps import nanoseconds
+from impact_rig.pacing import AckWindow, Pacer
+from impact_rig.recording import Message, RecordedTopic, Run
+from impact_rig.recording.topics import matches
+from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S
+
+MADE_HERE = (topics.CLOCK.name, topics.ACK.name)
+"""Never replayed: the player makes the clock, and today's peers acknowledge."""
+SPIN_S = 0.05
+WINDOW = 16
+"""Blocks ahead of the slowest peer."""
+PEER_TIMEOUT_S = 10.0
+
+
+class Player:
+    """Replays a run.
+
+    Args:
+        run: opened run; it must hold daq/scan.
+        node: publishes; its executor is spun by `spin`.
+        spin: lets callbacks run for at most so many seconds.
+        factor: rig seconds per second; None: as fast as the peers acknowledge.
+        peers: names in daq/ack that must not lose a block.
+        chosen: topics to replay, with or without namespace; empty: all.
+        paused: begin paused.
+
+    Raises:
+        RecordingError: a chosen topic is not in the run, or it has no daq/scan.
+        ImpactRigError: no peers to set the pace, or an interface is not installed.
+    """
+
+    def __init__(
+        self,
+        run: Run,
+        node: Node,
+        spin: Callable[[float], None],
+        *,
+        factor: float | None = 1.0,
+        peers: Collection[str] = (),
+        chosen: Sequence[str] = (),
+        paused: bool = False,
+    ) -> None:
+        if factor is None and not peers:
+            raise ImpactRigError("the highest rate needs peers that acknowledge: without them messages would be lost")
+        self._run, self._node, self._spin = run, node, spin
+        self._factor = factor
+        self._scan = run.resolve(topics.SCAN.name)
+        wanted = [run.resolve(name) for name in chosen] if chosen else sorted(run.topics)
+        self._names = [name for name in wanted if not any(matches(name, made) for made in MADE_HERE)]
+        self._publishers = {name: self._publisher(run.topics[name]) for name in self._names}
+        self._clock = node.create_publisher(Clock, topics.CLOCK.name, topics.CLOCK.qos.profile())
+        self._peers = Peers(node)
+        self._peers.expect(peers)
+        self._window = AckWindow(peers, WINDOW, round(PEER_TIMEOUT_S * NS_PER_S), time.monotonic_ns)
+        self._pacer = Pacer(time.monotonic_ns, factor or 1.0)
+        ack = self._scan.removesuffix(topics.SCAN.name) + topics.ACK.name
+        node.create_subscription(Header, ack, self._on_ack, topics.ACK.qos.profile())
+        node.create_service(SetBool, "~/pause", guarded_service(self._on_pause, self._report, self._report))
+        self.paused = paused
+        self.now_ns = self.start_ns = self._first_scan_ns()
+        self.end_ns = run.end_ns
+
+    def play(self) -> Iterator[int]:
+        """Publish the run once; yields the rig time [ns] now and then, also while waiting.
+
+        Raises:
+            RecordingError: a chunk is damaged; what came before is out.
+            ImpactRigError: a peer stopped acknowledging.
+        """
+        self.now_ns = self.start_ns
+        while not self._peers.all_matched(self._publishers[self._scan]):
+            yield from self._rest(SPIN_S)
+        self._pacer.rebase(self.start_ns)
+        clock_ns = self.start_ns
+        for message in self._run.messages(self._names):
+            while message.log_time > self.start_ns and self._must_wait(message.log_time):
+                yield from self._rest(self._time_left_s(message.log_time))
+            self.now_ns = max(self.now_ns, message.log_time)
+            while clock_ns <= message.log_time:
+                self._clock.publish(clock_message(clock_ns))
+                clock_ns += COMMAND_GRID_NS
+            self._publish(message)
+        while self._window.outstanding():
+            yield from self._rest(SPIN_S)
+
+    def _must_wait(self, due_ns: int) -> bool:
+        blocked = self._window.room() <= 0 if self._window.peers else False
+        return self.paused or blocked or (self._factor is not None and self._pacer.wait_ns(due_ns) > 0)
+
+    def _time_left_s(self, due_ns: int) -> float:
+        if self.paused or self._factor is None:
+            return SPIN_S
+        return min(max(self._pacer.wait_ns(due_ns) / NS_PER_S, 0.0), SPIN_S)
+
+    def _rest(self, longest_s: float) -> Iterator[int]:
+        """Let callbacks run once."""
+        silent = self._window.silent()
+        if silent:
+            raise ImpactRigError(f"peer {', '.join(silent)} acknowledged nothing for {PEER_TIMEOUT_S:g} s")
+        self._spin(longest_s)
+        yield self.now_ns
+
+    def _publish(self, message: Message) -> None:
+        self._publishers[message.topic].publish(bytes(message.data))
+        if message.topic == self._scan:
+            self._window.published(codec.header_stamp_ns(message.data))
+
+    def _first_scan_ns(self) -> int:
+        for message in self._run.messages([self._scan]):
+            return message.log_time
+        return self._run.start_ns
+
+    def _publisher(self, recorded: RecordedTopic) -> Any:
+        topic = recorded.topic
+        offered = [qos for qos in topic.offered_qos_yaml() if isinstance(qos, dict)]
+        known = next((row for row in topics.TOPICS if matches(topic.name, row.name)), None)
+        latched = any(qos.get("durability") == "transient_local" for qos in offered)
+        profile = QoSProfile(
+            history=HistoryPolicy.KEEP_LAST,
+            depth=known.qos.depth if known else topics.DATA_DEPTH,
+            reliability=ReliabilityPolicy.RELIABLE,
+            durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
+        )
+        try:
+            return self._node.create_publisher(topics.message_class(topic.type_name), topic.name, profile)
+        except (ImportError, AttributeError, ValueError) as error:
+            raise ImpactRigError(f"{topic.name}: the interface {topic.type_name!r} is not installed") from error
+
+    def _on_ack(self, message: Header) -> None:
+        self._window.acknowledge(message.frame_id, nanoseconds(message.stamp))
+
+    def _on_pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        self.paused = request.data
+        self._pacer.rebase(self.now_ns)
+        response.success, response.message = True, "paused" if request.data else "playing"
+        return response
+
+    def _report(self, where: str, message: str) -> None:
+        self._node.get_logger().error(f"{where}: {message}")

@@ -1,0 +1,133 @@
+"""A replayed run is, for whoever listens, the run itself."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy", reason="no ROS 2 here")
+
+from rclpy.parameter import Parameter
+from std_srvs.srv import SetBool
+
+from impact_rig.blocks import Table
+from impact_rig.campaign import reanalysis
+from impact_rig.nodes.analysis_node import AnalysisNode
+from impact_rig.nodes.recorder_node import RecorderNode
+from impact_rig.nodes.rig_node import RigNode
+from impact_rig.nodes.stamps import nanoseconds
+from impact_rig.recording import open_run
+from impact_rig.testing import Client, isolated_domain
+
+pytestmark = [pytest.mark.ros, pytest.mark.pipeline]
+BLOCKS = 1200
+TICK_NS = 10_000_000
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Twelve seconds of the rig without its sphere, analysed live, the recorder started after a reset."""
+    directory = tmp_path_factory.mktemp("replay")
+    with isolated_domain() as domain_id, Client(domain_id) as client:
+        for node, values in (
+            (AnalysisNode, {"gap_m": 0.0}),
+            (RecorderNode, {"directory": str(directory), "name": "run", "record": False}),
+            (RigNode, {"time.mode": "stepped", "time.peers": ["analysis", "recorder"], "sphere.present": False}),
+        ):
+            client.host(node, parameter_overrides=[Parameter(name, value=value) for name, value in values.items()])
+        client.wait_active("rig", "analysis", "recorder")
+        client.step(20)
+        client.trigger("rig/reset")
+        client.trigger("recorder/start")
+        client.command(frequency_hz=9.1, current_a=0.52)
+        client.step(BLOCKS)
+        client.trigger("recorder/stop")
+    return directory / "run"
+
+
+@pytest.fixture
+def client() -> Iterator[Client]:
+    with isolated_domain() as domain_id, Client(domain_id) as user:
+        yield user
+
+
+def replay(client: Client, run: Path, *options: str) -> subprocess.Popen[str]:
+    script = "import sys; from impact_rig.cli import main; sys.exit(main())"
+    return subprocess.Popen(
+        [sys.executable, "-c", script, "replay", str(run), *options],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        env={**os.environ, "ROS_DOMAIN_ID": str(client.node.context.get_domain_id()), "COLUMNS": "80"},
+    )
+
+
+def finish(client: Client, player: subprocess.Popen[str], code: int = 0) -> str:
+    try:
+        client.wait_until(lambda: player.poll() is not None, "the end of the replay", 60.0)
+    finally:
+        player.kill()
+        output, _ = player.communicate()
+    assert player.returncode == code, output
+    return output
+
+
+def content(tables: list[Table]) -> list[tuple[int, bytes]]:
+    return [(table.stamp_ns, table.rows.tobytes()) for table in tables]
+
+
+def test_a_live_analysis_finds_in_a_replay_what_it_found_before(client: Client, run: Path) -> None:
+    """As fast as the analysis follows, far faster than real time, and without losing a block."""
+    client.host(AnalysisNode)
+    client.wait_active("analysis")
+    topics = ("daq/scan", "daq/info", "shaker/applied")
+    player = replay(client, run, "--rate", "max", "--peers", "analysis", "--paused", "--topics", *topics)
+    scans = client.collect("daq/scan", timeout_s=30.0)
+    found = client.collect("transmissibility/table")
+    clock = client.collect("/clock")
+    client.set_parameters("analysis", {"gap_m": 0.0})
+    client.call(SetBool, "player/pause", SetBool.Request(data=False))
+    finish(client, player)
+    with open_run(run) as opened:
+        recorded = list(opened.tables("daq/scan", recorded_order=True))
+        again = reanalysis.measurements(reanalysis.analyze(opened))
+        assert reanalysis.same_as_live(opened, again)
+    client.wait_until(lambda: len(scans) == len(recorded) == BLOCKS, "every block")
+    assert content(scans.tables()) == content(recorded)
+    settled = [table for table in again if table.rows["settled"][0] == 1]
+    client.wait_until(lambda: found.rows()["settled"].sum() >= len(settled) > 0, "settled measurements")
+    assert content([table for table in found.tables() if table.rows["settled"][0] == 1]) == content(settled)
+    times = [nanoseconds(message.clock) for message in clock.messages]  # a clock is sampled, not queued
+    assert times == sorted(times)
+    assert scans.tables()[0].stamp_ns < times[-1] <= scans.tables()[-1].stamp_ns + TICK_NS
+
+
+def test_real_time_takes_its_time_and_ctrl_c_ends_a_loop(client: Client, run: Path) -> None:
+    player = replay(client, run, "--rate", "30", "--loop", "--delay", "0")
+    scans = client.collect("daq/scan", timeout_s=30.0)
+    monitors = client.collect("laser")
+    client.wait_until(lambda: len(scans) > 1.5 * BLOCKS, "the second round", 60.0)
+    stamps = np.array([table.stamp_ns for table in scans.tables()])
+    assert (np.diff(stamps) < 0).sum() == 1, "stamps go back where the run begins again"
+    assert len(monitors) > BLOCKS
+    player.send_signal(2)
+    assert "interrupted" in finish(client, player, 130)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--rate", "max"), "needs peers"),
+        (("--topics", "nothing/here"), "no topic 'nothing/here'"),
+        (("--rate", "-1"), "must be max or a number"),
+    ],
+)
+def test_what_cannot_be_replayed_is_refused(client: Client, run: Path, options: tuple[str, ...], words: str) -> None:
+    output = finish(client, replay(client, run, *options), 2 if "-1" in options else 1)
+    assert words in " ".join(output.split())
