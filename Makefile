@@ -57,7 +57,7 @@ $(PACKAGE): $(ENVIRONMENT) setup.py setup.cfg package.xml
 	@touch $@
 
 # --- Targets ----------------------------------------------------------------------------------------------------------
-.PHONY: help demo test lint format bench venv lock clean
+.PHONY: help demo campaign test lint format bench venv lock clean
 
 help: ## print this list
 	@echo 'impact_rig: make TARGET, where TARGET is one of'
@@ -65,6 +65,9 @@ help: ## print this list
 
 demo: $(PACKAGE) ## run the rig, measure the paper's five reductions through its topics, print and draw them
 	@$(VENV)/bin/impact-rig demo $(ARGS)
+
+campaign: $(PACKAGE) ## measure all points of the paper, judge its statements, write a report; ARGS='--only curves'
+	@$(VENV)/bin/impact-rig campaign config/paper.yaml --check $(ARGS)
 
 test: $(PACKAGE) ## run all tests on real ROS 2; ARGS='-k codec' chooses, SHUFFLE=7 draws another order
 	@IMPACT_RIG_REQUIRE_ROS=1 $(VENV)/bin/python -m pytest $(PYTEST_PLUGINS_USED) -n 2 --dist loadfile \

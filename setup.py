@@ -32,6 +32,7 @@ setup(
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
         (f"share/{NAME}/config", files("config/*.yaml")),
+        (f"share/{NAME}/config/campaigns", files("config/campaigns/*.yaml")),
         (f"share/{NAME}/config/foxglove", files("config/foxglove/*.json")),
         (f"share/{NAME}/config/plotjuggler", files("config/plotjuggler/*.xml")),
         (f"share/{NAME}/launch", files("launch/*.launch.py")),
@@ -51,6 +52,7 @@ setup(
     extras_require={
         # for machines without an apt-installed ROS 2 only: never mix the two, so these are never a requirement
         "wheels": ROS_WHEELS,
+        "cluster": ["distributed>=2024.1"],  # `impact-rig campaign --through dask`
         "test": ["hypothesis", "pytest", "pytest-timeout"],  # also how `colcon test` knows to run pytest
     },
     zip_safe=False,

@@ -8,12 +8,14 @@ import pytest
 import yaml
 
 from impact_rig import config
+from impact_rig.campaign.plan import load_campaign
 from impact_rig.config import Origin, RigConfig
 from impact_rig.config.load import flatten
 from impact_rig.config.template import COMMAND, nominal
 from impact_rig.resources import config_dir
 
-FILES = sorted(config_dir().glob("*.yaml"))
+CAMPAIGNS = [config_dir() / "paper.yaml", *sorted(config_dir().glob("campaigns/*.yaml"))]
+FILES = [path for path in sorted(config_dir().glob("*.yaml")) if path not in CAMPAIGNS]
 FIELDS = {name: about for name, about, _ in config.fields()}
 VALUE_LINE = re.compile(r"(?P<indent> *)(?P<key>\w+): (?P<value>\S.*?)  # (?P<unit>[^;]+); (?P<origin>\w+): \S")
 SECTION_LINE = re.compile(r"(?P<indent> *)(?P<key>[\w/*]+):(?P<comment>  # .*)?$")
@@ -35,6 +37,11 @@ def value_lines(path):
 
 def test_there_is_a_nominal_configuration():
     assert "nominal.yaml" in [path.name for path in FILES]
+
+
+@pytest.mark.parametrize("path", CAMPAIGNS, ids=lambda path: path.name)
+def test_a_campaign_file_loads(path):
+    assert load_campaign(path).planned()
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.name)

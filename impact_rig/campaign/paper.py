@@ -15,6 +15,9 @@ import attrs
 FREQUENCY_HZ = 9.1
 """Where the paper compares the gaps: the natural frequency it prints."""
 
+FREQUENCIES_HZ = (7.5, 8.0, 8.5, 8.9, 9.0, 9.1, 9.2, 9.5, 10.0, 10.5)
+"""The paper's excitation frequencies."""
+
 CURRENT_A = 0.520
 """Constant coil current, peak; identified: the superior base then moves about 5.85 mm at 9.1 Hz without the sphere."""
 

@@ -1,0 +1,147 @@
+"""Readers for the values of a campaign file: lists, ranges and gaps, with errors that name key, value and range."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+
+from impact_rig.config.load import Value
+from impact_rig.errors import ConfigError
+
+NO_SPHERE = 0.0
+"""The gap that stands for a run without the sphere, as in the analysis's labels; `none` in a campaign file."""
+MAX_VALUES = 10_000
+_DIGITS = 12  # of the values of a range, so that 9.00, 9.01, ... are what they look like
+
+
+def wrong(key: str, rule: str, value: object) -> ConfigError:
+    """Return the error for a value that breaks a rule."""
+    return ConfigError(f"{key} must be {rule}, got {value!r}")
+
+
+def check_keys(key: str, found: Mapping[str, object], known: Iterable[str]) -> None:
+    """Refuse keys that mean nothing.
+
+    Raises:
+        ConfigError: names the first such key and all known ones.
+    """
+    names = list(known)
+    for name in found:
+        if name not in names:
+            place = f" in {key}" if key else ""
+            raise ConfigError(f"unknown key {name!r}{place}, known: {', '.join(names)}")
+
+
+def number(key: str, value: object, low: float, high: float = math.inf) -> float:
+    """Return a number in (low, high].
+
+    Raises:
+        ConfigError: it is none, or out of range.
+    """
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise wrong(key, "a number", value)
+    result = float(value)
+    if not (math.isfinite(result) and low < result <= high):
+        raise wrong(key, f"> {low:g} and {'finite' if math.isinf(high) else f'<= {high:g}'}", value)
+    return result
+
+
+def whole(key: str, value: object, low: int, high: int) -> int:
+    """Return an integer in [low, high].
+
+    Raises:
+        ConfigError: it is none, or out of range.
+    """
+    if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
+        raise wrong(key, f"an integer >= {low} and <= {high}", value)
+    return value
+
+
+def word(key: str, value: object, choices: Iterable[str]) -> str:
+    """Return one of `choices`.
+
+    Raises:
+        ConfigError: it is none of them.
+    """
+    allowed = list(choices)
+    if value not in allowed:
+        raise wrong(key, f"one of {', '.join(allowed)}", value)
+    return str(value)
+
+
+def mapping(key: str, value: object) -> dict[str, object]:
+    """Return a mapping with texts as keys; nothing counts as empty.
+
+    Raises:
+        ConfigError: it is none.
+    """
+    if value is None:
+        return {}
+    if not isinstance(value, dict) or not all(isinstance(name, str) for name in value):
+        raise wrong(key, "a mapping", value)
+    return value
+
+
+def values(key: str, value: object) -> list[object]:
+    """Return the items of a list, of one value, or of `{from: a, to: b, step: s}`; none twice.
+
+    Raises:
+        ConfigError: it is empty, repeats an item, or is not a sensible range.
+    """
+    items: list[object]
+    if isinstance(value, dict):
+        items = list(_range(key, value))
+    elif isinstance(value, list):
+        items = value
+    else:
+        items = [value]
+    if not 1 <= len(items) <= MAX_VALUES:
+        raise wrong(key, f"a list of 1 to {MAX_VALUES} values", value)
+    for i, item in enumerate(items):
+        if isinstance(item, (list, dict)):
+            raise wrong(f"{key}[{i}]", "one value", item)
+        if item in items[:i]:
+            raise ConfigError(f"{key} must not repeat a value, got {item!r} twice")
+    return items
+
+
+def numbers(key: str, value: object, low: float, high: float = math.inf) -> tuple[float, ...]:
+    """Return numbers in (low, high], see `values`."""
+    return tuple(number(f"{key}[{i}]", item, low, high) for i, item in enumerate(values(key, value)))
+
+
+def gaps(key: str, value: object) -> tuple[float, ...]:
+    """Return gaps [m]; the word `none` becomes `NO_SPHERE`.
+
+    Raises:
+        ConfigError: a gap is no number, or not in (0, 1] m; 0 is not a gap: the sphere would be held by both barriers.
+    """
+    return tuple(
+        NO_SPHERE if item in ("none", None) else number(f"{key}[{i}]", item, 0.0, 1.0)
+        for i, item in enumerate(values(key, value))
+    )
+
+
+def scalars(key: str, value: object) -> tuple[Value, ...]:
+    """Return configuration values of any scalar kind; their ranges are checked by the configuration itself."""
+    found: list[Value] = []
+    for i, item in enumerate(values(key, value)):
+        if not isinstance(item, (bool, int, float, str)):
+            raise wrong(f"{key}[{i}]", "a number, a text, true or false", item)
+        found.append(item)
+    return tuple(found)
+
+
+def _range(key: str, given: Mapping[str, object]) -> Iterable[float]:
+    check_keys(key, given, ("from", "to", "step"))
+    missing = [name for name in ("from", "to", "step") if name not in given]
+    if missing:
+        raise ConfigError(f"{key} must have from, to and step; missing: {', '.join(missing)}")
+    first, last = (number(f"{key}.{name}", given[name], -math.inf) for name in ("from", "to"))
+    step = number(f"{key}.step", given["step"], 0.0)
+    if last < first:
+        raise wrong(f"{key}.to", f">= from = {first:g}", last)
+    count = math.floor((last - first) / step + 1e-9) + 1
+    if count > MAX_VALUES:
+        raise wrong(f"{key}.step", f"such that there are at most {MAX_VALUES} values", step)
+    return (round(first + i * step, _DIGITS) for i in range(count))

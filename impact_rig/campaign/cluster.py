@@ -1,0 +1,57 @@
+"""Run a campaign's jobs on an existing Dask cluster: for studies that outgrow one machine. Needs the extra `[cluster]`.
+
+The workers need this package in the same version; results travel back, nothing is written there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING
+
+import impact_rig
+from impact_rig.campaign.in_process import execute
+from impact_rig.campaign.job import Job, Outcome
+from impact_rig.errors import ConfigError, ImpactRigError
+
+if TYPE_CHECKING:
+    from impact_rig.campaign.run import Runner
+
+CONNECT_S = 10.0
+
+
+def dask_runner(address: str) -> Runner:
+    """Return a runner that sends jobs to the scheduler at `address`.
+
+    Raises:
+        ConfigError: Dask is not installed.
+    """
+    try:
+        from distributed import Client, as_completed  # noqa: PLC0415  # an optional dependency
+    except ImportError as error:
+        raise ConfigError("--through dask needs Dask: pip install 'impact_rig[cluster]'") from error
+
+    def run(jobs: Sequence[Job]) -> Iterator[tuple[Job, Outcome]]:
+        try:
+            client = Client(address, timeout=CONNECT_S, set_as_default=False)
+        except (OSError, ValueError) as error:
+            raise ImpactRigError(f"cannot reach a Dask scheduler at {address}: {error}") from error
+        with client:
+            _check_versions(client.run(_version))
+            # a job gives the same bits wherever it runs, so one whose worker died is simply run again elsewhere
+            futures = {client.submit(execute, job, key=f"impact_rig-{job.key}", retries=2): job for job in jobs}
+            for future in as_completed(list(futures)):
+                yield futures[future], future.result()
+
+    return run
+
+
+def _version() -> str:
+    return impact_rig.__version__
+
+
+def _check_versions(found: dict[str, str]) -> None:
+    if not found:
+        raise ImpactRigError("the Dask cluster has no workers")
+    for worker, version in found.items():
+        if version != impact_rig.__version__:
+            raise ImpactRigError(f"worker {worker} has impact_rig {version}, this is {impact_rig.__version__}")

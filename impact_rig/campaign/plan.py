@@ -1,0 +1,282 @@
+"""`Campaign`: what a campaign file asks for, checked, and the jobs it amounts to.
+
+A campaign is one YAML file: studies, each the product of its axes. Wrong files are refused as a whole before anything
+runs; the message names key, value, range and file.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+import attrs
+import yaml
+
+from impact_rig.analysis.settings import TrackerSettings
+from impact_rig.analysis.stepped import Direction
+from impact_rig.campaign import axes
+from impact_rig.campaign.axes import NO_SPHERE
+from impact_rig.campaign.job import Job
+from impact_rig.campaign.paper import CURRENT_A
+from impact_rig.config import CONTACT_LAWS, RigConfig, from_flat, load, to_flat
+from impact_rig.config.load import MAX_FILE_BYTES, Value, flatten
+from impact_rig.errors import ConfigError
+
+RESET = "reset"
+"""The direction of a study whose points each begin with a reset rig."""
+DIRECTIONS = (RESET, *(direction.value for direction in Direction))
+STARTS = ("left", "centre", "right")
+OWNED = ("daq.block_scans", "time.", "step.", "pluck.", "output.autostart", "output.truth_scan")
+"""Configuration that the campaign decides itself."""
+NAMED_AXES = {
+    "contact.law": "laws",
+    "contact.restitution": "restitutions",
+    "sphere.start": "starts",
+    "daq.seed": "seeds",
+    "barriers.gap_m": "gaps_m",
+    "sphere.present": "gaps_m",
+}
+
+
+@attrs.frozen(kw_only=True)
+class Study:
+    """The product of its axes; one value each unless the file gives several."""
+
+    name: str
+    frequencies_hz: tuple[float, ...]
+    gaps_m: tuple[float, ...]
+    currents_a: tuple[float, ...] = (CURRENT_A,)
+    direction: str = RESET
+    repetitions: int = 1
+    traces: bool = False
+    vary: Mapping[str, tuple[Value, ...]] = attrs.field(factory=dict)
+    """Every other axis: configuration value by dotted name, laws, restitutions, starts and seeds among them."""
+
+
+@attrs.frozen(eq=False, kw_only=True)
+class Planned:
+    """A job's place in the campaign.
+
+    Attributes:
+        study: name of the study.
+        job: what to run.
+        axes: the values of the study's axes other than frequency, gap and current, by dotted name.
+        reference: whether the job belongs to the campaign's reference rig, on which the statements are judged.
+    """
+
+    study: str
+    job: Job
+    axes: Mapping[str, Value]
+    reference: bool
+
+
+@attrs.frozen(eq=False, kw_only=True)
+class Campaign:
+    """A whole campaign.
+
+    Attributes:
+        title: for people.
+        base: the rig that all studies begin with.
+        analysis: settings of the measurement that differ from the default.
+        studies: in the order of the file.
+        text: the file.
+    """
+
+    title: str
+    base: RigConfig
+    analysis: Mapping[str, Value]
+    studies: tuple[Study, ...]
+    text: str
+
+    def planned(self) -> list[Planned]:
+        """Return all jobs in order; one that two studies share comes twice, with one key.
+
+        Raises:
+            ConfigError: a combination of values makes no sense; the message names the study.
+        """
+        found = [planned for study in self.studies for planned in self._expand(study)]
+        first = found[0]
+        rig = _without_gap(first.job.changes)
+        return [
+            attrs.evolve(
+                planned,
+                reference=_without_gap(planned.job.changes) == rig and planned.job.current_a == first.job.current_a,
+            )
+            for planned in found
+        ]
+
+    def only(self, names: tuple[str, ...]) -> Campaign:
+        """Return the campaign with these studies only.
+
+        Raises:
+            ConfigError: there is no study of that name.
+        """
+        known = [study.name for study in self.studies]
+        for name in names:
+            axes.word("study", name, known)
+        return attrs.evolve(self, studies=tuple(study for study in self.studies if study.name in names))
+
+    def _expand(self, study: Study) -> Iterator[Planned]:
+        default = to_flat(RigConfig())
+        combinations = itertools.product(itertools.product(*study.vary.values()), study.currents_a, study.gaps_m)
+        for values, current, gap in combinations:
+            varied = dict(zip(study.vary, values, strict=True))
+            try:
+                config = from_flat(self.base, {**varied, **_gap_values(gap)})
+            except ConfigError as error:
+                raise ConfigError(f"study {study.name}: {error}") from error
+            changes = {name: value for name, value in to_flat(config).items() if value != default[name]}
+            points = [study.frequencies_hz]
+            if study.direction == RESET:
+                points = [(frequency,) for frequency in study.frequencies_hz]
+            for frequencies in points:
+                job = Job(
+                    changes=changes,
+                    analysis=self.analysis,
+                    gap_m=gap,
+                    frequencies_hz=frequencies,
+                    direction=Direction.UP if study.direction == RESET else Direction(study.direction),
+                    current_a=current,
+                    repetitions=study.repetitions,
+                    traces=study.traces,
+                )
+                yield Planned(study=study.name, job=job, axes=varied, reference=False)
+
+
+def load_campaign(
+    path: Path, overrides: Mapping[str, object] | None = None, resolved: RigConfig | None = None
+) -> Campaign:
+    """Return the campaign in a YAML file.
+
+    Args:
+        path: of the file.
+        overrides: configuration values on top, by dotted name.
+        resolved: the rig to begin with, instead of the file's `config`, `set` and the overrides.
+
+    Raises:
+        ConfigError: the file cannot be read or is wrong; the message names key, value, range and file.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+        if len(text) > MAX_FILE_BYTES:
+            raise ConfigError(f"a campaign file must be below {MAX_FILE_BYTES} bytes")
+        document = yaml.safe_load(text)
+    except OSError as error:
+        raise ConfigError(f"cannot read campaign: {error.strerror} ({path})") from error
+    except (yaml.YAMLError, UnicodeDecodeError, RecursionError) as error:
+        raise ConfigError(f"not a YAML file: {' '.join(str(error).split())} ({path})") from error
+    try:
+        top = axes.mapping("a campaign", document)
+        base = resolved or from_flat(_base(top, path.parent), overrides or {})
+        campaign = _read(top, base, text, path.stem)
+        campaign.planned()
+    except ConfigError as error:
+        raise ConfigError(f"{error} ({path})") from error
+    return campaign
+
+
+def _base(top: Mapping[str, object], folder: Path) -> RigConfig:
+    """Return the rig that a campaign begins with."""
+    file = top.get("config")
+    if file is not None and not isinstance(file, str):
+        raise axes.wrong("config", "the name of a file", file)
+    return from_flat(load(folder / file) if file else RigConfig(), _changes("set", top.get("set")))
+
+
+def _read(top: Mapping[str, object], base: RigConfig, text: str, name: str) -> Campaign:
+    axes.check_keys("", top, ("title", "config", "set", "analysis", "studies"))
+    studies = axes.mapping("studies", top.get("studies"))
+    if not studies:
+        raise axes.wrong("studies", "a mapping of one or more studies", top.get("studies"))
+    return Campaign(
+        title=str(top.get("title", name)),
+        base=base,
+        analysis=_analysis(top.get("analysis")),
+        studies=tuple(_study(name, content, base) for name, content in studies.items()),
+        text=text,
+    )
+
+
+def _study(name: str, content: object, base: RigConfig) -> Study:
+    where = f"studies.{name}"
+    given = axes.mapping(where, content)
+    known = ["frequencies_hz", "gaps_m", "currents_a", "laws", "restitutions", "starts", "seeds", "vary", "direction"]
+    axes.check_keys(where, given, [*known, "repetitions", "traces"])
+    if "frequencies_hz" not in given:
+        raise ConfigError(f"{where}.frequencies_hz is missing")
+    shaker = base.shaker
+    frequencies = axes.numbers(f"{where}.frequencies_hz", given["frequencies_hz"], 0.0)
+    for frequency in frequencies:
+        if not shaker.frequency_min_hz <= frequency <= shaker.frequency_max_hz:
+            rule = f">= {shaker.frequency_min_hz:g} and <= {shaker.frequency_max_hz:g} Hz"
+            raise axes.wrong(f"{where}.frequencies_hz", rule, frequency)
+    traces = given.get("traces", False)
+    if not isinstance(traces, bool):
+        raise axes.wrong(f"{where}.traces", "true or false", traces)
+    own_gap = base.barriers.gap_m if base.sphere.present else NO_SPHERE
+    return Study(
+        name=name,
+        frequencies_hz=frequencies,
+        gaps_m=axes.gaps(f"{where}.gaps_m", given["gaps_m"]) if "gaps_m" in given else (own_gap,),
+        currents_a=axes.numbers(f"{where}.currents_a", given.get("currents_a", CURRENT_A), 0.0),
+        direction=axes.word(f"{where}.direction", given.get("direction", RESET), DIRECTIONS),
+        repetitions=axes.whole(f"{where}.repetitions", given.get("repetitions", 1), 1, 1000),
+        traces=traces,
+        vary=_vary(where, given),
+    )
+
+
+def _vary(where: str, given: Mapping[str, object]) -> dict[str, tuple[Value, ...]]:
+    vary: dict[str, tuple[Value, ...]] = {}
+    if "laws" in given:
+        key = f"{where}.laws"
+        vary["contact.law"] = tuple(axes.word(key, law, CONTACT_LAWS) for law in axes.values(key, given["laws"]))
+    if "restitutions" in given:
+        vary["contact.restitution"] = axes.numbers(f"{where}.restitutions", given["restitutions"], 0.0, 1.0)
+    if "starts" in given:
+        key = f"{where}.starts"
+        vary["sphere.start"] = tuple(axes.word(key, start, STARTS) for start in axes.values(key, given["starts"]))
+    if "seeds" in given:
+        key = f"{where}.seeds"
+        vary["daq.seed"] = tuple(axes.whole(key, seed, 0, 2**53) for seed in axes.values(key, given["seeds"]))
+    for name, values in flatten(axes.mapping(f"{where}.vary", given.get("vary"))).items():
+        key = f"{where}.vary.{name}"
+        if name in NAMED_AXES:
+            raise ConfigError(f"{key}: use {where}.{NAMED_AXES[name]}")
+        _refuse_owned(key, name)
+        vary[name] = axes.scalars(key, values)
+    return vary
+
+
+def _changes(key: str, given: object) -> dict[str, object]:
+    """Return configuration values in a file, nested or dotted, as dotted names."""
+    flat = flatten(axes.mapping(key, given))
+    for name in flat:
+        _refuse_owned(f"{key}.{name}", name)
+    return flat
+
+
+def _refuse_owned(key: str, name: str) -> None:
+    if name.startswith(OWNED):
+        raise ConfigError(f"{key} is decided by the campaign itself")
+
+
+def _analysis(given: object) -> dict[str, Value]:
+    """Return settings of the measurement, checked."""
+    wanted = axes.mapping("analysis", given)
+    axes.check_keys("analysis", wanted, [attribute.name for attribute in attrs.fields(TrackerSettings)])
+    try:
+        settings = TrackerSettings(**wanted)  # type: ignore[arg-type]  # its validators check
+    except ConfigError as error:
+        raise ConfigError(f"analysis.{error}") from error
+    return {name: getattr(settings, name) for name in wanted}
+
+
+def _gap_values(gap_m: float) -> dict[str, Value]:
+    """Return the configuration of a gap; without a sphere the barriers do not matter and stay at their default."""
+    return {"sphere.present": False} if gap_m == NO_SPHERE else {"sphere.present": True, "barriers.gap_m": gap_m}
+
+
+def _without_gap(changes: Mapping[str, Value]) -> dict[str, Value]:
+    return {name: value for name, value in changes.items() if name not in ("sphere.present", "barriers.gap_m")}

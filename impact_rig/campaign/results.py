@@ -1,0 +1,207 @@
+"""The points of a campaign: what was measured at every place of every study, and why not where it was not."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+
+import attrs
+import numpy as np
+from numpy.typing import NDArray
+
+from impact_rig.analysis.stepped import Direction
+from impact_rig.campaign.axes import NO_SPHERE
+from impact_rig.campaign.job import Outcome
+from impact_rig.campaign.plan import RESET, Planned
+from impact_rig.config.load import Value
+
+NAN = math.nan
+SKIPPED = "over_range"
+NOT_REACHED = "not reached"
+IMPACTING = 0.1
+"""Impacts per cycle from which an orbit counts as one that impacts: in a measurement, a few stray ones remain."""
+
+
+@attrs.frozen(eq=False, kw_only=True)
+class Point:
+    """One visit to one frequency; NaN where nothing was measured. Columns as in `blocks.TRANSMISSIBILITY`.
+
+    Attributes:
+        study: name of the study.
+        axes: values of its axes other than frequency, gap and current.
+        reference: on the campaign's reference rig.
+        gap_m: gap, or `NO_SPHERE`.
+        current_a: commanded.
+        frequency_hz: commanded.
+        direction: reset, up or down.
+        rows: settled measurements, or the one that did not settle, shape (n,).
+        failure: why there is no settled measurement; empty otherwise.
+        key: of the job.
+    """
+
+    study: str
+    axes: Mapping[str, Value]
+    reference: bool
+    gap_m: float
+    current_a: float
+    frequency_hz: float
+    direction: str
+    rows: NDArray[np.void]
+    failure: str
+    key: str
+
+    def _mean(self, column: str) -> float:
+        return float(np.mean(self.rows[column])) if len(self.rows) else NAN
+
+    @property
+    def settled(self) -> bool:
+        """Whether all its rows are settled measurements."""
+        return len(self.rows) > 0 and not self.failure
+
+    @property
+    def dt(self) -> float:
+        """Transmissibility, mean of the repetitions."""
+        return self._mean("transmissibility")
+
+    @property
+    def u_dt(self) -> float:
+        """Its standard uncertainty; repetitions do not lessen it, for the calibration's errors are common to them."""
+        return math.sqrt(float(np.mean(self.rows["transmissibility_uncertainty"] ** 2))) if len(self.rows) else NAN
+
+    @property
+    def phase_rad(self) -> float:
+        """Phase of x_1 to x_b, of the first repetition (a mean of angles may not be one)."""
+        return float(self.rows["phase"][0]) if len(self.rows) else NAN
+
+    @property
+    def base_m(self) -> float:
+        """Amplitude of the inferior base."""
+        return self._mean("base_amplitude")
+
+    @property
+    def laser_m(self) -> float:
+        """Amplitude of the superior base."""
+        return self._mean("laser_amplitude")
+
+    @property
+    def impacts_per_cycle(self) -> float:
+        """Impacts per drive cycle, from the accelerometer."""
+        return self._mean("impacts_per_cycle")
+
+    @property
+    def impacts(self) -> bool:
+        """Whether the sphere strikes at all."""
+        return self.impacts_per_cycle >= IMPACTING
+
+    @property
+    def regime(self) -> str:
+        """The word for the response; empty where nothing was measured."""
+        return str(self.rows["regime"][-1].decode()) if len(self.rows) else ""
+
+    @property
+    def status(self) -> str:
+        """The last row's status, or why there is none."""
+        return self.failure or str(self.rows["status"][-1].decode())
+
+    @property
+    def label(self) -> str:
+        """The case for people."""
+        return "no sphere" if self.gap_m == NO_SPHERE else f"{self.gap_m * 1e3:g} mm"
+
+
+def points_of(planned: Planned, outcome: Outcome) -> list[Point]:
+    """Return the points of one job in the order of the visit."""
+    job = planned.job
+    visits = job.plan().points()
+    turn = len(job.frequencies_hz)
+    rows, taken = outcome.rows, 0
+    skipped = list(outcome.skipped_hz)
+    found = []
+    for place, frequency in enumerate(visits):
+        own = rows[taken : taken + job.repetitions]
+        own = own[np.isclose(own["frequency"], frequency, rtol=1e-9, atol=0.0)]
+        if frequency in skipped and not len(own):
+            skipped.remove(frequency)
+            failure = SKIPPED
+        else:
+            taken += len(own)
+            failure = _failure(own, outcome.failure, job.repetitions)
+        direction = RESET
+        if turn > 1:
+            down = job.direction is Direction.DOWN or place >= turn
+            direction = Direction.DOWN.value if down else Direction.UP.value
+        found.append(
+            Point(
+                study=planned.study,
+                axes=planned.axes,
+                reference=planned.reference and direction == RESET,
+                gap_m=job.gap_m,
+                current_a=job.current_a,
+                frequency_hz=frequency,
+                direction=direction,
+                rows=own,
+                failure=failure,
+                key=job.key,
+            )
+        )
+    return found
+
+
+def _failure(rows: NDArray[np.void], run: str, wanted: int) -> str:
+    if len(rows) < wanted:
+        return run or NOT_REACHED
+    unsettled = rows["settled"] != 1.0
+    return str(rows["status"][unsettled][0].decode()) if unsettled.any() else ""
+
+
+@attrs.frozen
+class Curves:
+    """Settled points of the reference rig by gap and frequency; where studies share a point, the first counts."""
+
+    by_gap: Mapping[float, Mapping[float, Point]]
+
+    @classmethod
+    def of(cls, points: Iterable[Point]) -> Curves:
+        """Collect the curves out of all points."""
+        found: dict[float, dict[float, Point]] = {}
+        for point in points:
+            if point.reference and point.settled:
+                found.setdefault(point.gap_m, {}).setdefault(point.frequency_hz, point)
+        return cls(found)
+
+    def at(self, gap_m: float, frequency_hz: float) -> Point | None:
+        """Return a point, or None if there is none."""
+        return self.by_gap.get(gap_m, {}).get(frequency_hz)
+
+    def gaps(self) -> list[float]:
+        """Return all gaps with a sphere, ascending."""
+        return sorted(gap for gap in self.by_gap if gap != NO_SPHERE)
+
+
+COLUMNS = (
+    "study", "gap_m", "frequency_hz", "current_a", "direction", "transmissibility", "transmissibility_uncertainty",
+    "phase_rad", "base_amplitude_m", "laser_amplitude_m", "impacts_per_cycle", "regime", "repetitions", "settled",
+    "status", "reference", "key",
+)  # fmt: skip
+
+
+def write_csv(path: Path, points: Sequence[Point]) -> Path:
+    """Write all points as CSV, a column per axis of any study behind the fixed ones; return `path`.
+
+    Numbers are written so that they read back as the same doubles; nothing stands where nothing was measured.
+    """
+    axes = list(dict.fromkeys(name for point in points for name in point.axes))
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow([*COLUMNS, *axes])
+        for p in points:
+            numbers = (p.dt, p.u_dt, p.phase_rad, p.base_m, p.laser_m, p.impacts_per_cycle)
+            writer.writerow([
+                p.study, "" if p.gap_m == NO_SPHERE else p.gap_m, p.frequency_hz, p.current_a, p.direction,
+                *("" if math.isnan(number) else repr(number) for number in numbers),
+                p.regime, len(p.rows), int(p.settled), p.status, int(p.reference), p.key,
+                *(p.axes.get(name, "") for name in axes),
+            ])  # fmt: skip
+    return path

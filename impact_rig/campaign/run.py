@@ -1,0 +1,185 @@
+"""Run a campaign into its directory: what is measured already stays, what is missing is measured, then it is judged.
+
+| file | content |
+|---|---|
+| `campaign.yaml` | the campaign file as it was given |
+| `configuration.yaml` | the rig that all studies begin with, complete |
+| `provenance.json` | versions, machine, way of measuring |
+| `points/` | one file per job, and its trace |
+| `points.csv` | every point of every study |
+| `summary.json` | figures for programs |
+"""
+
+from __future__ import annotations
+
+import json
+import platform
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from importlib import metadata
+from pathlib import Path
+
+import attrs
+
+import impact_rig
+from impact_rig.campaign import statements
+from impact_rig.campaign.axes import NO_SPHERE
+from impact_rig.campaign.job import Job, Outcome
+from impact_rig.campaign.paper import FREQUENCY_HZ, REDUCTION_PERCENT, Reductions
+from impact_rig.campaign.plan import Campaign, Planned, load_campaign
+from impact_rig.campaign.results import Curves, Point, points_of, write_csv
+from impact_rig.campaign.statements import Verdict
+from impact_rig.campaign.store import FOLDER, Store
+from impact_rig.campaign.summary import write_summary
+from impact_rig.config import dump, load
+from impact_rig.errors import ConfigError, RecordingError
+
+CAMPAIGN_FILE, CONFIGURATION_FILE, PROVENANCE_FILE = "campaign.yaml", "configuration.yaml", "provenance.json"
+CSV_FILE = "points.csv"
+LIBRARIES = ("numpy", "scipy", "numba", "llvmlite", "attrs", "matplotlib")
+
+Runner = Callable[[Sequence[Job]], Iterator[tuple[Job, Outcome]]]
+"""A way of measuring: yields every job with its outcome, in any order."""
+
+
+@attrs.frozen(eq=False, kw_only=True)
+class Finished:
+    """A campaign with what was measured of it.
+
+    Attributes:
+        campaign: what was asked for.
+        directory: where it is kept.
+        points: every point of every job that was run.
+        outcomes: outcome by job key.
+    """
+
+    campaign: Campaign
+    directory: Path
+    points: list[Point]
+    outcomes: dict[str, Outcome]
+
+    @property
+    def curves(self) -> Curves:
+        """The settled points of the reference rig."""
+        return Curves.of(self.points)
+
+    def verdicts(self) -> list[Verdict]:
+        """Return the verdict on each of the paper's statements."""
+        return statements.judge(self.curves)
+
+    def reductions(self) -> Reductions:
+        """Return the reductions at 9.1 Hz for the paper's gaps; NaN or absent where not measured."""
+        curves = self.curves
+        found = {gap: curves.at(gap, FREQUENCY_HZ) for gap in (NO_SPHERE, *REDUCTION_PERCENT)}
+        without = found.pop(NO_SPHERE)
+        return Reductions(
+            dt_no_sphere=without.dt if without else float("nan"),
+            dt={gap: point.dt for gap, point in found.items() if point} if without else {},
+            dt_uncertainty={
+                NO_SPHERE: without.u_dt if without else float("nan"),
+                **{gap: point.u_dt for gap, point in found.items() if point},
+            },
+        )
+
+    def failed(self) -> list[Point]:
+        """Return the points without a settled measurement."""
+        return [point for point in self.points if not point.settled]
+
+
+def unique_jobs(planned: Sequence[Planned]) -> list[Job]:
+    """Return every job once; of one that several studies share, the one with traces."""
+    found: dict[str, Job] = {}
+    for job in (one.job for one in planned):
+        if job.key not in found or (job.traces and not found[job.key].traces):
+            found[job.key] = job
+    return list(found.values())
+
+
+def prepare(campaign: Campaign, directory: Path, through: str) -> Store:
+    """Make the campaign's directory and return its store.
+
+    Raises:
+        RecordingError: it cannot be written, or holds something else.
+    """
+    if directory.exists() and any(directory.iterdir()) and not (directory / CAMPAIGN_FILE).exists():
+        raise RecordingError(f"{directory} is not empty and holds no campaign: choose another --output")
+    store = Store(directory)
+    try:
+        (directory / CAMPAIGN_FILE).write_text(campaign.text, encoding="utf-8")
+        (directory / CONFIGURATION_FILE).write_text(dump(campaign.base), encoding="utf-8")
+        provenance = json.dumps(_provenance(through), indent=2)
+        (directory / PROVENANCE_FILE).write_text(f"{provenance}\n", encoding="utf-8")
+    except OSError as error:
+        raise RecordingError(f"cannot write {directory}: {error.strerror}") from error
+    return store
+
+
+def measure(jobs: Sequence[Job], store: Store, runner: Runner) -> Iterator[tuple[Job, Outcome]]:
+    """Yield every job with its outcome as soon as it is stored: those stored already first, then the measured ones.
+
+    Raises:
+        RecordingError: a result cannot be stored.
+    """
+    missing = []
+    for job in jobs:
+        outcome = store.get(job)
+        if outcome is None:
+            missing.append(job)
+        else:
+            yield job, outcome
+    for job, outcome in runner(missing) if missing else ():
+        store.put(job, outcome)
+        yield job, outcome
+
+
+def finished(campaign: Campaign, directory: Path) -> Finished:
+    """Return a campaign with everything that is stored of it; studies that were not run are simply not there."""
+    planned = campaign.planned()
+    store = Store(directory)
+    outcomes = {job.key: outcome for job in unique_jobs(planned) if (outcome := store.get(job)) is not None}
+    points = [point for one in planned if one.job.key in outcomes for point in points_of(one, outcomes[one.job.key])]
+    return Finished(campaign=campaign, directory=directory, points=points, outcomes=outcomes)
+
+
+def open_finished(directory: Path) -> Finished:
+    """Return the campaign in a directory.
+
+    Raises:
+        ConfigError: it is no campaign's directory.
+    """
+    if not (directory / CAMPAIGN_FILE).exists() or not (directory / FOLDER).is_dir():
+        raise ConfigError(f"{directory} holds no campaign: `impact-rig campaign FILE --output {directory}` makes one")
+    base = load(directory / CONFIGURATION_FILE)
+    return finished(load_campaign(directory / CAMPAIGN_FILE, resolved=base), directory)
+
+
+def write_results(done: Finished, wall_s: float) -> None:
+    """Write `points.csv` and `summary.json`."""
+    write_csv(done.directory / CSV_FILE, done.points)
+    write_summary(
+        done.directory,
+        done.reductions(),
+        statements.results(done.verdicts()),
+        lost_blocks=sum(outcome.lost_scans for outcome in done.outcomes.values()),
+        wall_s=wall_s,
+        simulated_s=sum(outcome.simulated_s for outcome in done.outcomes.values()),
+        seed=done.campaign.base.daq.seed,
+        more={
+            "title": done.campaign.title,
+            "points": len(done.points),
+            "failed_points": len(done.failed()),
+            "written": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
+        },
+    )
+
+
+def _provenance(through: str) -> dict[str, object]:
+    return {
+        "impact_rig": impact_rig.__version__,
+        "python": sys.version.split()[0],
+        **{name: metadata.version(name) for name in LIBRARIES},
+        "machine": platform.machine(),
+        "system": platform.platform(),
+        "through": through,
+    }

@@ -1,0 +1,212 @@
+"""The paper's qualitative statements, each judged on a campaign's points. Out of sample: none was used in the fit.
+
+Every judge returns what it found and whether the statement holds, or says which points it would need.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Sequence
+
+import attrs
+
+from impact_rig.campaign.axes import NO_SPHERE
+from impact_rig.campaign.paper import FREQUENCIES_HZ, FREQUENCY_HZ, REDUCTION_PERCENT
+from impact_rig.campaign.results import Curves, Point
+from impact_rig.campaign.summary import Statement
+
+ABOVE_HZ = (9.2, 9.5)
+FAR_HZ = (7.5, 8.0, 10.0, 10.5)
+FAR_LIMIT_PERCENT = 6.0
+SHIFT_LIMITS_PERCENT = (0.3, 0.6)
+"""How much lower the peak may lie with the sphere; the paper saw 0.44 % between its simulation and its experiment."""
+PEAK_STEP_HZ = 0.0101
+"""Grid on which a peak's place is told; a hair more than 0.01 Hz for the rounding of frequencies."""
+GAPS_M = tuple(REDUCTION_PERCENT)
+
+
+class MissingError(LookupError):
+    """Points that a statement needs were not measured."""
+
+
+@attrs.frozen
+class Verdict:
+    """One statement and what the data say.
+
+    Attributes:
+        name: key in `summary.json`.
+        text: the statement.
+        result: the judgement; None if it could not be made.
+        detail: the figures behind it, or what is missing.
+    """
+
+    name: str
+    text: str
+    result: Statement | None
+    detail: str
+
+    @property
+    def word(self) -> str:
+        """Return pass, FAIL or `not judged`."""
+        return "not judged" if self.result is None else "pass" if self.result.passed else "FAIL"
+
+
+Judgement = tuple[Statement, str]
+
+
+def judge(curves: Curves) -> list[Verdict]:
+    """Return the verdict on each of the seven statements."""
+    verdicts = []
+    for name, text, judge_one in _STATEMENTS:
+        try:
+            result, detail = judge_one(curves)
+        except MissingError as error:
+            verdicts.append(Verdict(name, text, None, f"needs {error}"))
+        else:
+            verdicts.append(Verdict(name, text, result, detail))
+    return verdicts
+
+
+def results(verdicts: Sequence[Verdict]) -> dict[str, Statement]:
+    """Return the judgements that could be made, by name."""
+    return {verdict.name: verdict.result for verdict in verdicts if verdict.result is not None}
+
+
+def _need(curves: Curves, gap_m: float, frequency_hz: float) -> Point:
+    point = curves.at(gap_m, frequency_hz)
+    if point is None:
+        case = "no sphere" if gap_m == NO_SPHERE else f"gap {gap_m * 1e3:g} mm"
+        raise MissingError(f"a settled point at {frequency_hz:g} Hz, {case}")
+    return point
+
+
+def _reduction(curves: Curves, gap_m: float) -> float:
+    """Return the reduction at 9.1 Hz in percent."""
+    without = _need(curves, NO_SPHERE, FREQUENCY_HZ).dt
+    return 100.0 * (1.0 - _need(curves, gap_m, FREQUENCY_HZ).dt / without)
+
+
+def _peak_without_sphere(curves: Curves) -> Judgement:
+    points = [_need(curves, NO_SPHERE, frequency) for frequency in FREQUENCIES_HZ]
+    highest = max(points, key=lambda point: point.dt)
+    passed = highest.frequency_hz == FREQUENCY_HZ
+    return Statement(passed, highest.frequency_hz, FREQUENCY_HZ), f"DT {highest.dt:.1f} at {highest.frequency_hz:g} Hz"
+
+
+def _amplitudes_at_peak(curves: Curves) -> Judgement:
+    points = {frequency: _need(curves, NO_SPHERE, frequency) for frequency in FREQUENCIES_HZ}
+    here = points.pop(FREQUENCY_HZ)
+    base = here.base_m / min(point.base_m for point in points.values())
+    superior = max(point.laser_m for point in points.values()) / here.laser_m
+    worst = max(base, superior)
+    detail = (
+        f"base {here.base_m * 1e6:.1f} µm = {base:.2f} × the smallest elsewhere; "
+        f"superior base {here.laser_m * 1e3:.2f} mm, elsewhere at most {superior:.2f} × that"
+    )
+    return Statement(worst < 1.0, worst, 1.0), detail
+
+
+def _grows_with_gap(curves: Curves) -> Judgement:
+    reductions = [_reduction(curves, gap) for gap in GAPS_M]
+    least = min(b - a for a, b in itertools.pairwise(reductions))
+    return Statement(least > 0.0, least, 0.0), " < ".join(f"{value:.1f}" for value in reductions) + " %"
+
+
+def _lower_above_resonance(curves: Curves) -> Judgement:
+    ratios = {
+        (gap, frequency): _need(curves, gap, frequency).dt / _need(curves, NO_SPHERE, frequency).dt
+        for gap in GAPS_M
+        for frequency in ABOVE_HZ
+    }
+    (gap, frequency), worst = max(ratios.items(), key=lambda item: item[1])
+    detail = f"at most {worst:.3f} of DT without sphere (gap {gap * 1e3:g} mm, {frequency:g} Hz)"
+    return Statement(worst < 1.0, worst, 1.0), detail
+
+
+def _agree_far_away(curves: Curves) -> Judgement:
+    deviations = {
+        (gap, frequency): 100.0 * (_need(curves, gap, frequency).dt / _need(curves, NO_SPHERE, frequency).dt - 1.0)
+        for gap in GAPS_M
+        for frequency in FAR_HZ
+    }
+    (gap, frequency), worst = max(deviations.items(), key=lambda item: abs(item[1]))
+    detail = f"largest difference {worst:+.1f} % (gap {gap * 1e3:g} mm, {frequency:g} Hz)"
+    return Statement(abs(worst) <= FAR_LIMIT_PERCENT, abs(worst), FAR_LIMIT_PERCENT), detail
+
+
+def _falls_beyond_optimum(curves: Curves) -> Judgement:
+    gaps = []
+    for gap in curves.gaps():
+        point = curves.at(gap, FREQUENCY_HZ)
+        if point is not None and point.impacts:
+            gaps.append(gap)
+    if not gaps or max(gaps) <= max(GAPS_M):
+        raise MissingError(f"impacting orbits at {FREQUENCY_HZ:g} Hz with gaps wider than {max(GAPS_M) * 1e3:g} mm")
+    reductions = {gap: _reduction(curves, gap) for gap in gaps}
+    best = max(gaps, key=lambda gap: reductions[gap])
+    beyond = {gap: reductions[gap] for gap in gaps if gap > best}
+    passed = best > max(GAPS_M) and bool(beyond)
+    detail = f"maximum {reductions[best]:.1f} % at {best * 1e3:g} mm"
+    if beyond:
+        detail += f"; {', '.join(f'{value:.1f} % at {gap * 1e3:g} mm' for gap, value in list(beyond.items())[:4])}"
+    return Statement(passed, best * 1e3, max(gaps) * 1e3), detail
+
+
+def _frequency_unchanged(curves: Curves) -> Judgement:
+    without = peak_hz(curves, NO_SPHERE)
+    shifts = {gap: 100.0 * (1.0 - peak_hz(curves, gap) / without) for gap in GAPS_M}
+    low, high = SHIFT_LIMITS_PERCENT
+    largest = max(shifts.values())
+    passed = low <= min(shifts.values()) and largest <= high
+    detail = f"{without:.3f} Hz without sphere, lower by " + ", ".join(f"{shift:.2f}" for shift in shifts.values())
+    return Statement(passed, largest, high), f"{detail} % for {', '.join(f'{gap * 1e3:g}' for gap in shifts)} mm"
+
+
+def peak_hz(curves: Curves, gap_m: float) -> float:
+    """Return where a curve peaks: vertex of the parabola through its highest point and both neighbours.
+
+    Raises:
+        MissingError: the highest point has no neighbours within `PEAK_STEP_HZ` on both sides.
+    """
+    curve = sorted(curves.by_gap.get(gap_m, {}).items())
+    case = "no sphere" if gap_m == NO_SPHERE else f"gap {gap_m * 1e3:g} mm"
+    if len(curve) < 3:
+        raise MissingError(f"a grid of 0.01 Hz around the peak, {case}")
+    top = max(range(len(curve)), key=lambda i: curve[i][1].dt)
+    near = curve[max(top - 1, 0) : top + 2]
+    if len(near) < 3 or near[2][0] - near[0][0] > 2.0 * PEAK_STEP_HZ:
+        raise MissingError(f"a grid of 0.01 Hz around the peak, {case}")
+    (left, a), (middle, b), (right, c) = ((frequency, point.dt) for frequency, point in near)
+    rise, fall = (b - a) / (middle - left), (c - b) / (right - middle)
+    return (left + middle) / 2.0 + rise * (right - left) / (2.0 * (rise - fall))
+
+
+_STATEMENTS: tuple[tuple[str, str, Callable[[Curves], Judgement]], ...] = (
+    ("dt_peaks_at_9_1_hz", "Without sphere DT peaks at 9.1 Hz.", _peak_without_sphere),
+    (
+        "amplitudes_at_resonance",
+        "There the base amplitude is smallest and the superior base's largest.",
+        _amplitudes_at_peak,
+    ),
+    ("reduction_grows_with_gap", "The reduction at 9.1 Hz grows with the gap from 2 to 10 mm.", _grows_with_gap),
+    (
+        "lower_above_resonance",
+        "At 9.2 and 9.5 Hz DT is below the curve without sphere for every gap.",
+        _lower_above_resonance,
+    ),
+    (
+        "curves_agree_far_from_resonance",
+        "Far from resonance (7.5, 8.0, 10.0, 10.5 Hz) all curves agree within 6 %.",
+        _agree_far_away,
+    ),
+    (
+        "reduction_falls_beyond_optimal_gap",
+        "Beyond an optimal gap, among orbits that impact, the reduction falls again.",
+        _falls_beyond_optimum,
+    ),
+    (
+        "natural_frequency_unchanged",
+        "The natural frequency is virtually unchanged: the peak lies 0.3 to 0.6 % lower with the sphere.",
+        _frequency_unchanged,
+    ),
+)

@@ -1,0 +1,126 @@
+"""Where a campaign keeps what is done: one file per job, written whole or not at all, so a campaign can be resumed.
+
+Numbers are JSON: Python writes every double so that it reads back as the same bits, and a person can look at them.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+import os
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from impact_rig.blocks import TRANSMISSIBILITY
+from impact_rig.campaign.job import Job, Outcome
+from impact_rig.errors import RecordingError
+
+FOLDER = "points"
+_TEXTS = frozenset(name for name in TRANSMISSIBILITY.names or () if TRANSMISSIBILITY[name].kind == "S")
+
+
+class Store:
+    """The results in a campaign's directory.
+
+    Args:
+        directory: of the campaign; made if missing.
+
+    Raises:
+        RecordingError: it cannot be written.
+    """
+
+    def __init__(self, directory: Path) -> None:
+        self._folder = directory / FOLDER
+        try:
+            self._folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise RecordingError(f"cannot write {self._folder}: {error.strerror}") from error
+
+    def get(self, job: Job) -> Outcome | None:
+        """Return what is stored of a job, or None if it is to be measured: never was, or its file is damaged."""
+        try:
+            found = json.loads(self._path(job, "json").read_text(encoding="utf-8"))
+            failure = str(found["failure"])
+            trace = self._trace(job) if job.traces else {}
+            if job.traces and not trace and not failure:
+                return None  # measured for a study that wanted none
+            return Outcome(
+                rows=np.array([_row(row) for row in found["rows"]], dtype=TRANSMISSIBILITY),
+                failure=failure,
+                skipped_hz=tuple(found["skipped_hz"]),
+                simulated_s=float(found["simulated_s"]),
+                wall_s=float(found["wall_s"]),
+                lost_scans=int(found["lost_scans"]),
+                trace=trace,
+            )
+        except (OSError, ValueError, KeyError, TypeError):
+            return None
+
+    def put(self, job: Job, outcome: Outcome) -> None:
+        """Keep what a job gave.
+
+        Raises:
+            RecordingError: it cannot be written.
+        """
+        content = {
+            "job": job.describe(),
+            "changes": dict(job.changes),
+            "current_a": job.current_a,
+            "frequencies_hz": list(job.frequencies_hz),
+            "failure": outcome.failure,
+            "skipped_hz": list(outcome.skipped_hz),
+            "simulated_s": outcome.simulated_s,
+            "wall_s": outcome.wall_s,
+            "lost_scans": outcome.lost_scans,
+            "rows": [_plain(row) for row in outcome.rows],
+        }
+        try:
+            if outcome.trace:
+                packed = io.BytesIO()
+                np.savez_compressed(packed, allow_pickle=False, **dict(outcome.trace))
+                _replace(self._path(job, "npz"), packed.getvalue())
+            _replace(self._path(job, "json"), (json.dumps(content, indent=1) + "\n").encode())
+        except OSError as error:
+            raise RecordingError(f"cannot write {self._folder}: {error.strerror}") from error
+
+    def _trace(self, job: Job) -> dict[str, NDArray[np.generic]]:
+        path = self._path(job, "npz")
+        if not path.exists():
+            return {}
+        with np.load(path, allow_pickle=False) as arrays:
+            return dict(arrays)
+
+    def _path(self, job: Job, suffix: str) -> Path:
+        return self._folder / f"{job.key}.{suffix}"
+
+
+def _replace(path: Path, content: bytes) -> None:
+    """Write a file so that it is there whole, or not at all, even if the machine stops."""
+    partial = path.with_suffix(f"{path.suffix}.{os.getpid()}.part")
+    with partial.open("wb") as file:
+        file.write(content)
+        file.flush()
+        os.fsync(file.fileno())
+    partial.replace(path)
+
+
+def _plain(row: np.void) -> dict[str, object]:
+    """Return a row as JSON knows it; null stands for NaN."""
+    plain: dict[str, object] = {}
+    for name in TRANSMISSIBILITY.names or ():
+        if name in _TEXTS:
+            plain[name] = row[name].decode()
+        else:
+            number = float(row[name])
+            plain[name] = number if math.isfinite(number) else None
+    return plain
+
+
+def _row(plain: dict[str, object]) -> tuple[object, ...]:
+    return tuple(
+        str(plain[name]).encode() if name in _TEXTS else math.nan if plain[name] is None else plain[name]
+        for name in TRANSMISSIBILITY.names or ()
+    )

@@ -1,0 +1,165 @@
+"""`impact-rig campaign`: measure what a campaign file asks for, resume it, judge it."""
+
+from __future__ import annotations
+
+import argparse
+import time
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.table import Table as TextTable
+
+from impact_rig.campaign import paper, pool, run
+from impact_rig.campaign.job import Job
+from impact_rig.campaign.plan import load_campaign
+from impact_rig.campaign.statements import Verdict
+from impact_rig.campaign.store import Store
+from impact_rig.errors import ConfigError
+
+WAYS = ("process", "ros", "dask")
+POINTS_LIMIT, RMS_LIMIT = 2.0, 1.0
+"""Distance from the paper's reductions, in points, that the shipped configuration must keep; each one, and rms."""
+SHOWN = 20
+"""Failing points that are printed; all of them are in the CSV."""
+
+
+def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Register the subcommand."""
+    parser = commands.add_parser("campaign", help="measure all points of a campaign file; run again to resume")
+    parser.add_argument("file", nargs="?", type=Path, metavar="FILE", help="campaign file, e.g. config/paper.yaml")
+    parser.add_argument(
+        "--through", nargs="+", default=["process"], metavar="WAY",
+        help="process: all cores, no ROS (default); ros: through the real graph; dask ADDRESS: on a Dask cluster",
+    )  # fmt: skip
+    parser.add_argument(
+        "--output", type=Path, metavar="DIR", help="default: runs/campaign_<file>; resumed if it exists"
+    )
+    parser.add_argument("--only", nargs="+", default=(), metavar="STUDY", help="run these studies only")
+    parser.add_argument("--seed", type=int, help="seed of noise and calibration errors, instead of the file's")
+    parser.add_argument("--rate", type=int, metavar="HZ", help="scans per second, instead of the file's")
+    parser.add_argument("--workers", type=int, metavar="N", help="processes (default: one per core)")
+    parser.add_argument(
+        "--check", action="store_true", help="exit with 1 if a point failed, or the result is not the paper's"
+    )
+    parser.set_defaults(run=_run)
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    file, way, address = _words(arguments)
+    overrides = {"daq.seed": arguments.seed, "daq.rate_hz": arguments.rate}
+    campaign = load_campaign(file, {name: value for name, value in overrides.items() if value is not None})
+    if arguments.only:
+        campaign = campaign.only(tuple(arguments.only))
+    if arguments.workers is not None and arguments.workers < 1:
+        raise ConfigError(f"--workers must be >= 1, got {arguments.workers}")
+    directory = (arguments.output or Path("runs") / f"campaign_{file.stem}").resolve()
+    store = run.prepare(campaign, directory, way)
+    console = Console()
+    started = time.monotonic()
+    jobs = run.unique_jobs(campaign.planned())
+    _measure(jobs, store, _runner(way, address, arguments.workers, directory), console)
+    done = run.finished(campaign, directory)
+    run.write_results(done, time.monotonic() - started)
+    verdicts = done.verdicts()
+    close = _print_reductions(console, done)
+    _print_verdicts(console, verdicts)
+    _print_failed(console, done)
+    console.print(f"{len(done.points)} points; figures for programs: {run.CSV_FILE}, summary.json")
+    print(directory)  # noqa: T201  # the last line is for programs
+    sound = close and not done.failed() and all(v.result is not None and v.result.passed for v in verdicts)
+    return 1 if arguments.check and not sound else 0
+
+
+def _words(arguments: argparse.Namespace) -> tuple[Path, str, str]:
+    """Return file, way and address; the file may stand behind `--through` and its words, too."""
+    way, *rest = arguments.through
+    if way not in WAYS:
+        raise ConfigError(f"--through must be one of {', '.join(WAYS)}, got {way!r}")
+    address = ""
+    if way == "dask":
+        if not rest:
+            raise ConfigError("--through dask needs the address of a scheduler, e.g. tcp://127.0.0.1:8786")
+        address = rest.pop(0)
+    file = arguments.file or (Path(rest.pop(0)) if rest else None)
+    if file is None or rest:
+        raise ConfigError("one campaign file is needed, e.g. impact-rig campaign config/paper.yaml")
+    return file, way, address
+
+
+def _runner(way: str, address: str, workers: int | None, directory: Path) -> run.Runner:
+    if way == "ros":
+        from impact_rig.cli.campaign_ros import ros_runner  # noqa: PLC0415  # needs rclpy
+
+        return ros_runner(directory)
+    if way == "dask":
+        from impact_rig.campaign.cluster import dask_runner  # noqa: PLC0415  # needs dask
+
+        return dask_runner(address)
+    return lambda jobs: pool.run_parallel(jobs, workers)
+
+
+def _measure(jobs: list[Job], store: Store, runner: run.Runner, console: Console) -> None:
+    columns = (
+        TextColumn("{task.description}"), BarColumn(24), MofNCompleteColumn(), TimeElapsedColumn(),
+        TextColumn("left"), TimeRemainingColumn(), TextColumn("{task.fields[state]}"),
+    )  # fmt: skip
+    failed = 0
+    with Progress(*columns, console=console) as progress:
+        task = progress.add_task("runs", total=len(jobs), state="starting (the first time compiles)")
+        for job, outcome in run.measure(jobs, store, runner):
+            failed += bool(outcome.failure)
+            trouble = f", {failed} failed" if failed else ""
+            progress.update(task, advance=1, state=f"{job.describe()}{trouble}")
+        progress.update(task, state=f"{failed} failed" if failed else "done")
+
+
+def _print_reductions(console: Console, done: run.Finished) -> bool:
+    """Print the table; return whether all five are measured and close to the paper."""
+    reductions = done.reductions()
+    if not reductions.dt:
+        return False
+    ours, spread, errors = reductions.percent(), reductions.percent_uncertainty(), reductions.errors()
+    table = TextTable(title=f"Reduction of DT at {paper.FREQUENCY_HZ} Hz against no sphere (fitted, not predicted)")
+    for heading in ("gap [mm]", "DT", "± 2u", "paper [%]", "ours [%]", "± 2u", "difference"):
+        table.add_column(heading, justify="right")
+    u = reductions.dt_uncertainty
+    table.add_row("none", f"{reductions.dt_no_sphere:.2f}", f"{2 * u[0.0]:.2f}", "", "", "", "", end_section=True)
+    for gap, value in sorted(ours.items()):
+        table.add_row(
+            f"{gap * 1e3:g}", f"{reductions.dt[gap]:.2f}", f"{2 * u[gap]:.2f}",
+            f"{paper.REDUCTION_PERCENT[gap]:.1f}", f"{value:.1f}", f"{2 * spread[gap]:.1f}", f"{errors[gap]:+.1f}",
+        )  # fmt: skip
+    console.print(table)
+    largest, rms = reductions.max_abs_error(), reductions.rms_error()
+    close = largest <= POINTS_LIMIT and rms <= RMS_LIMIT and len(ours) == len(paper.REDUCTION_PERCENT)
+    console.print(f"largest difference {largest:.2f} points (limit {POINTS_LIMIT}), rms {rms:.2f} (limit {RMS_LIMIT})")
+    return close
+
+
+def _print_verdicts(console: Console, verdicts: list[Verdict]) -> None:
+    if all(verdict.result is None for verdict in verdicts):
+        return  # a campaign about something else
+    table = TextTable(title="The paper's statements (out of sample)")
+    for heading in ("", "statement", "verdict", "figures"):
+        table.add_column(heading)
+    colours = {"pass": "green", "FAIL": "red"}
+    for number, verdict in enumerate(verdicts, 1):
+        table.add_row(
+            str(number), verdict.text, verdict.word, verdict.detail, style=colours.get(verdict.word, "bright_black")
+        )
+    console.print(table)
+
+
+def _print_failed(console: Console, done: run.Finished) -> None:
+    failed = done.failed()
+    if not failed:
+        return
+    table = TextTable(title=f"{len(failed)} points without a settled measurement")
+    for heading in ("study", "case", "f [Hz]", "", "why"):
+        table.add_column(heading)
+    for point in failed[:SHOWN]:
+        axes = ", ".join(f"{name.rpartition('.')[2]}={value}" for name, value in point.axes.items())
+        case = f"{point.label} {axes}".strip()
+        table.add_row(point.study, case, f"{point.frequency_hz:g}", point.direction, point.status)
+    console.print(table)

@@ -1,0 +1,31 @@
+"""A campaign small enough for every test, and how two outcomes are compared."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from impact_rig.campaign.job import Outcome
+
+TINY = """\
+title: tiny
+analysis: {settle_tolerance: 0.01}
+studies:
+  pair: {frequencies_hz: [9.1, 9.5], gaps_m: [0.006], traces: true}
+  sweep: {frequencies_hz: [9.0, 9.2], gaps_m: [0.003], direction: up_down}
+  again: {frequencies_hz: 9.1, gaps_m: 0.006, laws: [flores, exact]}
+  trip: {frequencies_hz: 9.1, gaps_m: none, currents_a: 18}
+  refused: {frequencies_hz: 9.1, gaps_m: none, currents_a: 50}
+"""
+
+
+def assert_same(one: Outcome, other: Outcome) -> None:
+    """Compare what decides a campaign's numbers, bit for bit (NaN equals NaN)."""
+    assert one.failure == other.failure
+    assert one.skipped_hz == other.skipped_hz
+    assert one.simulated_s == other.simulated_s
+    assert len(one.rows) == len(other.rows)
+    for name in one.rows.dtype.names or ():
+        np.testing.assert_array_equal(one.rows[name], other.rows[name], err_msg=name, strict=True)
+    assert set(one.trace) == set(other.trace)
+    for name, column in one.trace.items():
+        np.testing.assert_array_equal(column, other.trace[name], err_msg=name, strict=True)
