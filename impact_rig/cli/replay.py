@@ -38,49 +38,39 @@ def run(arguments: argparse.Namespace) -> int:
     """Replay and return the exit code."""
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     try:
-        import rclpy  # noqa: PLC0415  # the other subcommands do without
-        from rclpy.node import Node  # noqa: PLC0415
+        from impact_rig.nodes.player import Player, on_graph  # noqa: PLC0415  # the other subcommands do without ROS
     except ImportError as error:
         raise ImpactRigError(f"replay needs ROS 2: {error}") from error
-    from impact_rig.nodes.player import Player  # noqa: PLC0415
-    from impact_rig.nodes.process import make_executor  # noqa: PLC0415
-
     columns = (
         TextColumn("{task.fields[state]:<8}"),
         BarColumn(24),
         TextColumn("{task.completed:.1f} of {task.total:.1f} s"),
         TimeRemainingColumn(),
     )
-    context = rclpy.Context()
-    context.init(args=[])
-    executor = make_executor(context)
-    node = Node("player", context=context, use_global_arguments=False)
-    executor.add_node(node)
-    try:
-        with open_run(arguments.path) as opened, Progress(*columns, console=Console()) as progress:
-            player = Player(
-                opened,
-                node,
-                lambda longest_s: executor.spin_once(timeout_sec=longest_s),
-                factor=None if math.isinf(arguments.rate) else arguments.rate,
-                peers=arguments.peers,
-                chosen=arguments.topics,
-                paused=arguments.paused,
-            )
-            executor.spin_once(timeout_sec=arguments.delay)
-            total = (player.end_ns - player.start_ns) / NS_PER_S
-            task = progress.add_task("", total=total, state="waiting")
-            while True:
-                for now_ns in player.play():
-                    state = "paused" if player.paused else "playing"
-                    progress.update(task, completed=(now_ns - player.start_ns) / NS_PER_S, state=state)
-                progress.update(task, completed=total, state="done")
-                if not arguments.loop:
-                    return 0
-    finally:
-        executor.shutdown()
-        node.destroy_node()
-        context.try_shutdown()
+    with (
+        open_run(arguments.path) as opened,
+        on_graph("player") as (node, spin),
+        Progress(*columns, console=Console()) as progress,
+    ):
+        player = Player(
+            opened,
+            node,
+            spin,
+            factor=None if math.isinf(arguments.rate) else arguments.rate,
+            peers=arguments.peers,
+            chosen=arguments.topics,
+            paused=arguments.paused,
+        )
+        spin(arguments.delay)
+        total = (player.end_ns - player.start_ns) / NS_PER_S
+        task = progress.add_task("", total=total, state="waiting")
+        while True:
+            for now_ns in player.play():
+                state = "paused" if player.paused else "playing"
+                progress.update(task, completed=(now_ns - player.start_ns) / NS_PER_S, state=state)
+            progress.update(task, completed=total, state="done")
+            if not arguments.loop:
+                return 0
 
 
 def _rate(text: str) -> float:

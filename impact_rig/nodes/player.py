@@ -6,10 +6,12 @@ the first scan (calibration, journal, settings) goes out at once: its stamps may
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Callable, Collection, Iterator, Sequence
 from typing import Any  # rclpy publishers and messages
 
+from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
@@ -22,6 +24,7 @@ from impact_rig.nodes import topics
 from impact_rig.nodes.convert import clock_message
 from impact_rig.nodes.guard import guarded_service
 from impact_rig.nodes.peers import Peers
+from impact_rig.nodes.process import make_executor
 from impact_rig.nodes.stamps import nanoseconds
 from impact_rig.pacing import AckWindow, Pacer
 from impact_rig.recording import Message, RecordedTopic, Run
@@ -34,6 +37,24 @@ SPIN_S = 0.05
 WINDOW = 16
 """Blocks ahead of the slowest peer."""
 PEER_TIMEOUT_S = 10.0
+Spin = Callable[[float], None]
+"""Lets callbacks run, for at most so many seconds."""
+
+
+@contextlib.contextmanager
+def on_graph(name: str) -> Iterator[tuple[Node, Spin]]:
+    """Give a plain node on the graph of the environment, and how to let its callbacks run."""
+    context = Context()
+    context.init(args=[])
+    executor = make_executor(context)
+    node = Node(name, context=context, use_global_arguments=False)
+    executor.add_node(node)
+    try:
+        yield node, lambda longest_s: executor.spin_once(timeout_sec=longest_s)
+    finally:
+        executor.shutdown()
+        node.destroy_node()
+        context.try_shutdown()
 
 
 class Player:
@@ -42,7 +63,7 @@ class Player:
     Args:
         run: opened run; it must hold daq/scan.
         node: publishes; its executor is spun by `spin`.
-        spin: lets callbacks run for at most so many seconds.
+        spin: lets its callbacks run.
         factor: rig seconds per second; None: as fast as the peers acknowledge.
         peers: names in daq/ack that must not lose a block.
         chosen: topics to replay, with or without namespace; empty: all.
@@ -57,7 +78,7 @@ class Player:
         self,
         run: Run,
         node: Node,
-        spin: Callable[[float], None],
+        spin: Spin,
         *,
         factor: float | None = 1.0,
         peers: Collection[str] = (),

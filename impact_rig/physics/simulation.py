@@ -34,6 +34,9 @@ from impact_rig.physics.state import (
     Y,
 )
 
+MOST_KNOTS = 200_000
+"""Contacts, rides and flights in one drive segment (10 ms); a chattering sphere makes some ten of them."""
+
 _PLACES = {"left": -1.0, "centre": 0.0, "right": 1.0}
 
 
@@ -135,7 +138,7 @@ class Simulation:
         """Simulate the drive segments (dtype `forcing.SEGMENT`) and return their motion.
 
         Raises:
-            SimulationError: the integration makes no progress; the state is the one before the call's stuck segment.
+            SimulationError: the integration makes no progress, or needs more than `MOST_KNOTS` steps in a segment.
         """
         segments = np.ascontiguousarray(segments)
         if self.locked:
@@ -156,6 +159,11 @@ class Simulation:
                 )
             if ended != NEED_ROOM:
                 break
+            if log.filled[0] - log.first[index] > MOST_KNOTS:
+                raise SimulationError(
+                    f"more than {MOST_KNOTS} contacts, rides and flights in drive segment {self.segment + index}, "
+                    f"at {self._state[T]:.9f} s of it: the motion cannot be resolved"
+                )
             log = _grown(log)
         self._log = log
         if self._model.p.drive == PRESCRIBED and len(segments):  # not integrated, but the columns' energy depends on it
