@@ -100,7 +100,7 @@ def _measure(sweep: SteppedSine, bench: Bench) -> None:
             if command is not None and sweep.state is State.RUNNING:  # at the end the rig is simply given up
                 _obey(sweep, bench, command)
         if turn.trip is not None:
-            sweep.on_trip(turn.trip)
+            sweep.abort(f"the rig tripped: {turn.trip}")
         sweep.on_time(now)
 
 
