@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
+import signal
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -57,23 +59,25 @@ def client() -> Iterator[Client]:
         yield user
 
 
-def replay(client: Client, run: Path, *options: str) -> subprocess.Popen[str]:
+@contextlib.contextmanager
+def replay(client: Client, run: Path, *options: str) -> Iterator[subprocess.Popen[str]]:
     script = "import sys; from impact_rig.cli import main; sys.exit(main())"
-    return subprocess.Popen(
+    with subprocess.Popen(
         [sys.executable, "-c", script, "replay", str(run), *options],
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
         env={**os.environ, "ROS_DOMAIN_ID": str(client.node.context.get_domain_id()), "COLUMNS": "80"},
-    )
+    ) as player:
+        try:
+            yield player
+        finally:
+            player.kill()
 
 
 def finish(client: Client, player: subprocess.Popen[str], code: int = 0) -> str:
-    try:
-        client.wait_until(lambda: player.poll() is not None, "the end of the replay", 60.0)
-    finally:
-        player.kill()
-        output, _ = player.communicate()
+    client.wait_until(lambda: player.poll() is not None, "the end of the replay", 60.0)
+    output, _ = player.communicate()
     assert player.returncode == code, output
     return output
 
@@ -87,13 +91,13 @@ def test_a_live_analysis_finds_in_a_replay_what_it_found_before(client: Client, 
     client.host(AnalysisNode)
     client.wait_active("analysis")
     topics = ("daq/scan", "daq/info", "shaker/applied")
-    player = replay(client, run, "--rate", "max", "--peers", "analysis", "--paused", "--topics", *topics)
-    scans = client.collect("daq/scan", timeout_s=30.0)
-    found = client.collect("transmissibility/table")
-    clock = client.collect("/clock")
-    client.set_parameters("analysis", {"gap_m": 0.0})
-    client.call(SetBool, "player/pause", SetBool.Request(data=False))
-    finish(client, player)
+    with replay(client, run, "--rate", "max", "--peers", "analysis", "--paused", "--topics", *topics) as player:
+        scans = client.collect("daq/scan", timeout_s=30.0)
+        found = client.collect("transmissibility/table")
+        clock = client.collect("/clock")
+        client.set_parameters("analysis", {"gap_m": 0.0})
+        client.call(SetBool, "player/pause", SetBool.Request(data=False))
+        finish(client, player)
     with open_run(run) as opened:
         recorded = list(opened.tables("daq/scan", recorded_order=True))
         again = reanalysis.measurements(reanalysis.analyze(opened))
@@ -109,15 +113,15 @@ def test_a_live_analysis_finds_in_a_replay_what_it_found_before(client: Client, 
 
 
 def test_real_time_takes_its_time_and_ctrl_c_ends_a_loop(client: Client, run: Path) -> None:
-    player = replay(client, run, "--rate", "30", "--loop", "--delay", "0")
-    scans = client.collect("daq/scan", timeout_s=30.0)
-    monitors = client.collect("laser")
-    client.wait_until(lambda: len(scans) > 1.5 * BLOCKS, "the second round", 60.0)
+    with replay(client, run, "--rate", "30", "--loop", "--delay", "0") as player:
+        scans = client.collect("daq/scan", timeout_s=30.0)
+        monitors = client.collect("laser")
+        client.wait_until(lambda: len(scans) > 1.5 * BLOCKS, "the second round", 60.0)
+        player.send_signal(signal.SIGINT)
+        assert "interrupted" in finish(client, player, 130)
     stamps = np.array([table.stamp_ns for table in scans.tables()])
-    assert (np.diff(stamps) < 0).sum() == 1, "stamps go back where the run begins again"
+    assert (np.diff(stamps) < 0).sum() >= 1, "stamps go back where the run begins again"
     assert len(monitors) > BLOCKS
-    player.send_signal(2)
-    assert "interrupted" in finish(client, player, 130)
 
 
 @pytest.mark.parametrize(
@@ -129,5 +133,6 @@ def test_real_time_takes_its_time_and_ctrl_c_ends_a_loop(client: Client, run: Pa
     ],
 )
 def test_what_cannot_be_replayed_is_refused(client: Client, run: Path, options: tuple[str, ...], words: str) -> None:
-    output = finish(client, replay(client, run, *options), 2 if "-1" in options else 1)
+    with replay(client, run, *options) as player:
+        output = finish(client, player, 2 if "-1" in options else 1)
     assert words in " ".join(output.split())
