@@ -36,6 +36,7 @@ settings.load_profile("repeatable")
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--thorough", action="store_true", help="run the tests marked slow as well")
     parser.addoption("--shuffle", type=int, metavar="SEED", help="run the tests in an order drawn with this seed")
 
 
@@ -49,9 +50,10 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     if seed is not None:
         random.Random(seed).shuffle(items)
     if not config.getoption("-m"):
-        kept = [item for item in items if not item.get_closest_marker("benchmark")]
-        config.hook.pytest_deselected(items=[item for item in items if item.get_closest_marker("benchmark")])
-        items[:] = kept
+        left_out = {"benchmark"} if config.getoption("--thorough") else {"benchmark", "slow"}
+        dropped = [item for item in items if left_out & {marker.name for marker in item.iter_markers()}]
+        config.hook.pytest_deselected(items=dropped)
+        items[:] = [item for item in items if item not in set(dropped)]
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:

@@ -40,7 +40,6 @@ def test_files_are_found_in_every_layout(tmp_path, package, share):
 CAN_BUILD = any(importlib.util.find_spec(name) for name in ("setuptools.command.bdist_wheel", "wheel"))
 
 
-@pytest.mark.slow
 @pytest.mark.skipif(not CAN_BUILD, reason="setuptools before 70.1 builds wheels with the package wheel only")
 def test_an_installed_package_brings_its_files(tmp_path):
     """A wheel is built and installed from a copy, then asked from an empty directory for its configurations."""
