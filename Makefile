@@ -67,7 +67,8 @@ demo: $(PACKAGE) ## run the rig, measure the paper's five reductions through its
 	@$(VENV)/bin/impact-rig demo $(ARGS)
 
 campaign: $(PACKAGE) ## measure all points of the paper, judge its statements, write a report; ARGS='--only curves'
-	@$(VENV)/bin/impact-rig campaign config/paper.yaml --check $(ARGS)
+	@$(VENV)/bin/impact-rig campaign config/paper.yaml --check --output runs/campaign_paper $(ARGS); status=$$?; \
+	    $(VENV)/bin/impact-rig report runs/campaign_paper && exit $$status
 
 test: $(PACKAGE) ## run all tests on real ROS 2; ARGS='-k codec' chooses, SHUFFLE=7 draws another order
 	@IMPACT_RIG_REQUIRE_ROS=1 $(VENV)/bin/python -m pytest $(PYTEST_PLUGINS_USED) -n 2 --dist loadfile \

@@ -137,7 +137,7 @@ def finished(campaign: Campaign, directory: Path) -> Finished:
     """Return a campaign with everything that is stored of it; studies that were not run are simply not there."""
     planned = campaign.planned()
     store = Store(directory)
-    outcomes = {job.key: outcome for job in unique_jobs(planned) if (outcome := store.get(job)) is not None}
+    outcomes = {job.key: outcome for job in unique_jobs(planned) if (outcome := store.get(job, without_trace=True))}
     points = [point for one in planned if one.job.key in outcomes for point in points_of(one, outcomes[one.job.key])]
     return Finished(campaign=campaign, directory=directory, points=points, outcomes=outcomes)
 

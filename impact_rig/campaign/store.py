@@ -39,14 +39,17 @@ class Store:
         except OSError as error:
             raise RecordingError(f"cannot write {self._folder}: {error.strerror}") from error
 
-    def get(self, job: Job) -> Outcome | None:
-        """Return what is stored of a job, or None if it is to be measured: never was, or its file is damaged."""
+    def get(self, job: Job, *, without_trace: bool = False) -> Outcome | None:
+        """Return what is stored of a job, or None if it is to be measured: never was, or its file is damaged.
+
+        A job that wants a trace is to be measured again if it was measured without, unless `without_trace`.
+        """
         try:
             found = json.loads(self._path(job, "json").read_text(encoding="utf-8"))
             failure = str(found["failure"])
             trace = self._trace(job) if job.traces else {}
-            if job.traces and not trace and not failure:
-                return None  # measured for a study that wanted none
+            if job.traces and not (trace or failure or without_trace):
+                return None
             return Outcome(
                 rows=np.array([_row(row) for row in found["rows"]], dtype=TRANSMISSIBILITY),
                 failure=failure,

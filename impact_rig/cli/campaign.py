@@ -128,7 +128,8 @@ def _print_reductions(console: Console, done: run.Finished) -> bool:
     for gap, value in sorted(ours.items()):
         table.add_row(
             f"{gap * 1e3:g}", f"{reductions.dt[gap]:.2f}", f"{2 * u[gap]:.2f}",
-            f"{paper.REDUCTION_PERCENT[gap]:.1f}", f"{value:.1f}", f"{2 * spread[gap]:.1f}", f"{errors[gap]:+.1f}",
+            f"{paper.REDUCTION_PERCENT[gap]:.1f}", f"{value:.1f}", f"{2 * spread[gap]:.1f}",
+            f"{round(errors[gap], 1) + 0.0:+.1f}",
         )  # fmt: skip
     console.print(table)
     largest, rms = reductions.max_abs_error(), reductions.rms_error()

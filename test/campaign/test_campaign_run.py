@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 
+import attrs
 import numpy as np
 import pytest
 from campaign_kit import TINY, assert_same
@@ -57,6 +58,16 @@ def test_a_damaged_result_is_measured_again(measured, tmp_path):
     (file,) = tmp_path.glob("points/*.json")
     file.write_text(file.read_text()[:100])
     assert store.get(job) is None
+
+
+def test_a_run_stored_without_its_trace_counts_but_is_measured_again_for_the_trace(measured, tmp_path):
+    job, outcome = next(iter(measured.values()))
+    store = Store(tmp_path)
+    store.put(job, attrs.evolve(outcome, trace={}))
+    assert store.get(job) is None
+    found = store.get(job, without_trace=True)
+    assert found is not None
+    assert_same(found, attrs.evolve(outcome, trace={}))
 
 
 def test_points_that_fail_are_reported_and_do_not_stop_the_rest(tiny, measured, tmp_path):

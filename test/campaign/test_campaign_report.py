@@ -1,0 +1,135 @@
+"""The report is one page that needs nothing else, and shows what was measured."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+import sys
+from html.parser import HTMLParser
+from pathlib import Path
+
+import attrs
+import pytest
+
+from impact_rig.campaign import run
+from impact_rig.campaign.in_process import execute
+from impact_rig.campaign.plan import load_campaign
+from impact_rig.campaign.report.palette import DARK, NAMES
+from impact_rig.cli import main
+from impact_rig.resources import config_dir
+
+CHECK = Path(__file__).parents[2] / "tools" / "check_report" / "check.py"
+VOID = {"meta", "link", "br", "use"}
+
+
+class Page(HTMLParser):
+    """Collects identifiers, addresses, text and unbalanced elements."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.identifiers, self.addresses, self.open, self.words = [], [], [], []
+        self.feed(text)
+
+    def handle_starttag(self, tag, attributes):
+        values = dict(attributes)
+        if "id" in values:
+            self.identifiers.append(values["id"])
+        self.addresses += [values[name] for name in ("src", "href", "xlink:href") if name in values]
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag, attributes):
+        self.handle_starttag(tag, attributes)
+        if tag not in VOID:
+            self.open.pop()
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag, f"</{tag}> closes nothing"
+
+    def handle_data(self, data):
+        self.words.append(data)
+
+    @property
+    def text(self):
+        return " ".join(" ".join(self.words).split())
+
+
+@pytest.fixture(scope="module")
+def reported(tmp_path_factory):
+    """A campaign with the paper's curves at three frequencies, a point that fails, and its page."""
+    folder = tmp_path_factory.mktemp("report")
+    file = folder / "short.yaml"
+    campaign = load_campaign(config_dir() / "paper.yaml").only(("curves",))
+    text = campaign.text.replace("[7.5, 8.0, 8.5, 8.9, 9.0, 9.1, 9.2, 9.5, 10.0, 10.5]", "[9.0, 9.1, 9.2]")
+    text = text[: text.index("  peak:")] + "  <trip>: { frequencies_hz: 9.1, gaps_m: none, currents_a: 18 }\n"
+    file.write_text(f"analysis: {{ settle_tolerance: 0.01 }}\n{text}")
+    short = load_campaign(file)
+    store = run.prepare(short, folder / "out", "process")
+    for job in run.unique_jobs(short.planned()):
+        fewer = job if job.frequencies_hz == (9.1,) else attrs.evolve(job, traces=False)
+        store.put(job, execute(fewer))
+    run.write_results(run.finished(short, folder / "out"), 1.0)
+    assert main(["report", str(folder / "out")]) == 0
+    return folder / "out"
+
+
+@pytest.fixture(scope="module")
+def page(reported):
+    return Page((reported / "report.html").read_text())
+
+
+def test_the_page_is_whole_and_fetches_nothing(page, reported):
+    assert page.open == []
+    assert len(page.identifiers) == len(set(page.identifiers))
+    for address in page.addresses:
+        local = address.startswith(("#", "data:")) or (reported / address).is_file()
+        assert local, f"{address} is somewhere else"
+    text = (reported / "report.html").read_text()
+    assert "<script" not in text
+    assert "@import" not in text
+    assert all(target.startswith("#") for target in re.findall(r"url\(([^)]*)\)", text))
+
+
+def test_every_colour_follows_the_theme(reported):
+    text = (reported / "report.html").read_text()
+    drawings = re.findall(r"<svg.*?</svg>", text, flags=re.DOTALL)
+    assert drawings
+    for drawing in drawings:
+        assert not [light for light in NAMES if light in drawing]
+        assert "#000000" not in drawing, "drawn in the default black, unseen in the dark"
+    assert set(DARK) == set(NAMES.values())
+
+
+def test_the_page_tells_what_the_data_say(page, reported):
+    done = run.open_finished(reported)
+    ours = done.reductions().percent()
+    for gap, value in ours.items():
+        assert f"{value:.1f} ± " in page.text, gap
+    for verdict in done.verdicts():
+        assert verdict.text in page.text
+        assert f"{verdict.word} {verdict.detail}" in page.text
+    assert "a fit, not a validation" in page.text
+    assert "really returns 0.309" in page.text
+    assert "<trip> no sphere 9.1 reset the rig tripped: over_travel" in page.text
+    assert "structure.damping_ratio" in page.text
+
+
+def test_figures_lie_beside_the_page(reported):
+    names = {path.stem for path in (reported / "figures").glob("*.svg")}
+    assert names == {path.stem for path in (reported / "figures").glob("*.png")}
+    assert {"fig6_without_sphere", "fig7_all_gaps", "fig8a_gap_2mm", "fig8e_gap_10mm", "regimes", "reductions"} <= names
+    assert len((reported / "points.csv").read_text().splitlines()) == 1 + 6 * 3 + 1
+    assert {"trace_gap_2mm", "phase_gap_10mm", "amplitudes"} <= names
+
+
+def test_a_directory_without_campaign_is_refused(tmp_path, capsys):
+    assert main(["report", str(tmp_path)]) == 1
+    assert "holds no campaign" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(not any(map(shutil.which, ("chromium", "google-chrome"))), reason="no browser is installed")
+def test_a_browser_finds_nothing_wrong(reported, tmp_path):
+    command = [sys.executable, CHECK, reported / "report.html", tmp_path]
+    found = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert found.returncode == 0, found.stdout + found.stderr
