@@ -16,6 +16,8 @@ import attrs
 from impact_rig.errors import ConfigError
 
 METADATA_KEY = "impact_rig"
+LEAST, MOST = 1e-15, 1e15
+"""Magnitude of every quantity that is not 0: what is beyond is a slip, and products of it overflow."""
 
 
 class Origin(enum.Enum):
@@ -77,6 +79,8 @@ def _check_float(_instance: object, attribute: attrs.Attribute[Any], value: obje
     if not isinstance(value, float):
         raise _wrong(attribute, "a number", value)
     _in_range(attribute, value)
+    if value and not LEAST <= abs(value) <= MOST:
+        raise _wrong(attribute, f"0 or of a magnitude from {LEAST:g} to {MOST:g}", value)
 
 
 def _check_int(_instance: object, attribute: attrs.Attribute[Any], value: object) -> None:
