@@ -1,7 +1,8 @@
-"""The whole graph as processes: 50 kS/s in real time, freewheel at 10 kS/s, and how long a rig takes to start.
+"""The whole graph as processes: real time at 10 and 50 kS/s, freewheel at 10 kS/s, and how long a rig takes to start.
 
 Lateness is receipt at a further subscriber less the end of the block, so it holds computing, pacing, DDS and that
-subscriber's own wake-up. CPU shares are those of the processes, from /proc, in percent of one core.
+subscriber's own wake-up. CPU shares are those of the processes, from /proc, in percent of one core. The environment
+variable SECONDS sets how long each measurement runs: `SECONDS=300 make bench ONLY=live`.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from impact_rig.recording import info
 from impact_rig.testing import Client, Processes, isolated_domain
 from impact_rig.testing.processes import ParameterValue
 
-RATE_HZ = 50_000
+RATES_HZ = (10_000, 50_000)
 BLOCK_NS = 10_000_000
 DRIVE = {"drive.amplitude": 0.52, "barriers.gap_m": 0.006}
 NODES = ("rig", "analysis", "recorder")
@@ -28,14 +29,18 @@ WARM_UP_S = 2.0
 FREEWHEEL_WINDOW = 64
 
 
-def run(seconds: float = 20.0) -> dict[str, float]:
-    """Measure everything; `seconds` is the wall time of each of the two running measurements."""
-    return {**live(seconds), **freewheel(seconds / 2), **start()}
+def run() -> dict[str, float]:
+    """Measure everything."""
+    seconds = float(os.environ.get("SECONDS", "20"))
+    figures: dict[str, float] = {}
+    for rate_hz in RATES_HZ:
+        figures.update(live(seconds, rate_hz))
+    return {**figures, **freewheel(seconds / 2), **start()}
 
 
-def live(seconds: float) -> dict[str, float]:
-    """Default instruments at 50 kS/s with analysis and recorder attached."""
-    with _graph({"daq.rate_hz": RATE_HZ, "daq.block_scans": RATE_HZ // 100, **DRIVE}) as (client, processes, directory):
+def live(seconds: float, rate_hz: int) -> dict[str, float]:
+    """Default instruments in real time, with analysis and recorder attached."""
+    with _graph({"daq.rate_hz": rate_hz, "daq.block_scans": rate_hz // 100, **DRIVE}) as (client, processes, directory):
         scans = client.collect("daq/scan")
         client.spin_for(WARM_UP_S)
         scans.clear()
@@ -45,18 +50,22 @@ def live(seconds: float) -> dict[str, float]:
         cpu = {name: 100.0 * (_cpu_s(processes.running[name].pid) - before[name]) / wall for name in NODES}
         ends = np.array([codec.header_stamp_ns(data) for data in scans.messages]) + BLOCK_NS
         late_ms = (np.array([message.received_system_ns for message in scans.received]) - ends) * 1e-6
-        lost = scans.lost() + float(client.figures("analysis").get("lost_scans", "nan")) / (RATE_HZ // 100)
+        wrong = np.count_nonzero(np.diff(ends) != BLOCK_NS)  # blocks begin where the one before ends, to the nanosecond
+        lost = scans.lost() + float(client.figures("analysis").get("lost_scans", "nan")) / (rate_hz // 100)
         slips = float(client.figures("rig")["slips"])
         processes.stop()
         recorded = info(directory / "run").scans
         assert recorded is not None
-        return {
-            "live_50kSps_lost_blocks": lost + recorded.lost_blocks,
-            **{f"live_50kSps_{name}_cpu_percent": share for name, share in cpu.items()},
-            "live_50kSps_median_lateness_ms": float(np.median(late_ms)),
-            "live_50kSps_p99_lateness_ms": float(np.percentile(late_ms, 99)),
-            "live_50kSps_slips": slips,
+        figures = {
+            "seconds": wall,
+            "lost_blocks": lost + recorded.lost_blocks,
+            "wrong_stamps": float(wrong),
+            **{f"{name}_cpu_percent": share for name, share in cpu.items()},
+            "median_lateness_ms": float(np.median(late_ms)),
+            "p99_lateness_ms": float(np.percentile(late_ms, 99)),
+            "slips": slips,
         }
+        return {f"live_{rate_hz // 1000}kSps_{name}": value for name, value in figures.items()}
 
 
 def freewheel(seconds: float) -> dict[str, float]:
