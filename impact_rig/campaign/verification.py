@@ -7,10 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig.blocks import Table
-from impact_rig.errors import ConfigError, RecordingError
+from impact_rig.errors import CommandError, ConfigError, RecordingError, SimulationError
 from impact_rig.recording import Run
 from impact_rig.rig import resimulate
 from impact_rig.simtime import NS_PER_S
+
+_NO_JOURNAL = (ConfigError, CommandError, SimulationError)
+"""What a journal raises that is incomplete, or no rig's."""
 
 
 @attrs.frozen
@@ -46,7 +49,7 @@ def verify(run: Run) -> Verdict:
         journal = list(run.tables("rig/journal", recorded_order=True))
         blocks = resimulate(journal)
         block = next(blocks)
-    except (RecordingError, ConfigError) as error:
+    except (RecordingError, *_NO_JOURNAL) as error:
         return Verdict(None, 0, str(error))
     compared = 0
     for table in scans:
@@ -55,7 +58,7 @@ def verify(run: Run) -> Verdict:
                 if compared:
                     return Verdict(False, compared, f"daq/scan: the block at {_s(block.scan.stamp_ns)} s is missing")
                 block = next(blocks)
-        except ConfigError as error:
+        except _NO_JOURNAL as error:
             return Verdict(None, compared, str(error))
         difference = _difference(table, block.scan)
         if difference:
@@ -63,7 +66,7 @@ def verify(run: Run) -> Verdict:
         compared += len(table.rows)
         try:
             block = next(blocks)
-        except ConfigError as error:
+        except _NO_JOURNAL as error:
             return Verdict(None, compared, str(error))
     if compared == 0:
         return Verdict(None, 0, "the run holds no block of daq/scan")

@@ -20,6 +20,11 @@ DEFAULT_SPIKE_RATE_HZ = 10.0
 _STREAM = 2  # first number of the spawn key of every fault's generator
 
 
+def _six_digits(value: float) -> float:
+    """A journal row has room for no more, and the rate must come back from it unchanged."""
+    return float(f"{value:g}")
+
+
 @attrs.frozen(kw_only=True)
 class Fault:
     """One fault; times in scans since reset.
@@ -43,7 +48,7 @@ class Fault:
     duration: int = 0
     value: float = 0.0
     seed: int = 0
-    rate_hz: float = DEFAULT_SPIKE_RATE_HZ
+    rate_hz: float = attrs.field(default=DEFAULT_SPIKE_RATE_HZ, converter=_six_digits)
 
     def __attrs_post_init__(self) -> None:
         try:

@@ -127,6 +127,8 @@ def read(tables: Iterable[Table]) -> list[Entry]:
                 known = Kind(kind)
             except ValueError:
                 raise ConfigError(f"journal row of unknown kind {kind!r}") from None
+            if not (np.isfinite(row["sequence"]) and np.isfinite(row["sample"]) and np.isfinite(row["time"])):
+                raise ConfigError(f"journal row {len(entries)} is damaged: sequence, sample or time is no number")
             sequence = int(row["sequence"])
             if known in (Kind.START, Kind.RESET):
                 entries.clear()

@@ -1,0 +1,71 @@
+"""A rig recorded without a ROS graph: what its node would publish, in the order it would."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+from impact_rig import codec
+from impact_rig.analysis.settings import TrackerSettings
+from impact_rig.analysis.tables import settings_table
+from impact_rig.analysis.tracker import Tracker
+from impact_rig.blocks import Table
+from impact_rig.config import RigConfig, from_flat
+from impact_rig.instruments.faults import Fault
+from impact_rig.recording import Provenance, RunWriter, Topic, schema_text
+from impact_rig.rig import Rig
+
+TICK = 10_000_000
+POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
+Messages = list[tuple[str, Table]]
+
+
+def messages(seconds: int = 12, **values: object) -> Messages:
+    """A rig whose operator does a little of everything, and its analysis."""
+    rig = Rig(from_flat(RigConfig(), {"daq.seed": 5, "sphere.present": False, **values}))
+    tracker = Tracker()
+    found: Messages = [("daq/info", rig.info())]
+    found.append(("analysis/settings", settings_table(TrackerSettings(), 0.0, 0)))
+    tracker.configure(rig.info())
+    tracker.label(0.0, 0)
+    deeds: dict[int, Callable[[], object]] = {
+        7: lambda: rig.command(frequency_hz=9.1, current_a=0.52),
+        seconds * 100 - 40: lambda: rig.configure({"barriers.gap_m": 0.004, "sphere.present": True}),
+        seconds * 100 - 30: lambda: rig.inject(spikes(rig.frontier_sample + 50)),
+        seconds * 100 - 20: rig.stop,
+    }
+    for block in range(seconds * 100):
+        if block in deeds:
+            deeds[block]()
+        blocks = rig.advance(rig.block_end_ns(1))
+        for topic, tables in (("rig/journal", rig.take_journal()), ("shaker/applied", rig.take_applied())):
+            found += [(topic, table) for table in tables]
+            if topic == "shaker/applied":
+                for table in tables:
+                    tracker.command(table)
+        for one in blocks:
+            found.append(("daq/scan", one.scan))
+            found += [("transmissibility/table", table) for table in tracker.feed(one.scan).measurements]
+    return found
+
+
+def spikes(start: int) -> Fault:
+    """A fault with a rate that has more digits than a journal row."""
+    return Fault(kind="spike_train", channel="laser", start=start, value=1e-3, rate_hz=100.0 / 3.0)
+
+
+def record(directory: Path, found: Iterable[tuple[str, Table]]) -> Path:
+    """Write messages to a run and return its directory."""
+    writer = RunWriter(
+        directory,
+        provenance=Provenance(version="0", seed=5, wall_start_ns=0),
+        clock=time.monotonic,
+        rig_start_ns=0,
+    )
+    with writer:
+        for name in sorted({name for name, _ in found}):
+            writer.add_topic(Topic(name=f"/rig/{name}", type_name=POINT_CLOUD, schema=schema_text(POINT_CLOUD)))
+        for name, table in found:
+            writer.write(f"/rig/{name}", codec.encode(table), table.stamp_ns)
+    return writer.directory

@@ -1,0 +1,169 @@
+"""`verify` and `analyze`: identical when nothing was touched, the first difference by name when something was."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import attrs
+import numpy as np
+import pytest
+from recorded_rig import TICK, Messages, messages, record
+
+from impact_rig.campaign import reanalysis
+from impact_rig.campaign.verification import Verdict, verify
+from impact_rig.cli import main
+from impact_rig.recording import open_run
+
+
+@pytest.fixture(scope="module")
+def whole() -> Messages:
+    return messages()
+
+
+def verdict(directory: Path, found: Messages) -> Verdict:
+    with open_run(record(directory / "run", found)) as run:
+        return verify(run)
+
+
+def edited(found: Messages, topic: str, change: Callable[[np.ndarray], np.ndarray | None]) -> Messages:
+    """Messages with the rows of a topic's tables passed through `change` (None: the table is left out)."""
+    result: Messages = []
+    for name, table in found:
+        rows = change(table.rows.copy()) if name == topic else table.rows
+        if rows is not None:
+            result.append((name, attrs.evolve(table, rows=rows)))
+    return result
+
+
+def test_a_run_is_what_its_journal_says(whole: Messages, tmp_path: Path) -> None:
+    """Commands, changed mechanics, a fault and an emergency stop: every scan again, bit for bit."""
+    found = verdict(tmp_path, whole)
+    scans = sum(len(table.rows) for name, table in whole if name == "daq/scan")
+    assert found == Verdict(True, scans)
+
+
+def test_a_recorder_that_came_late_can_verify_too(whole: Messages, tmp_path: Path) -> None:
+    late = [(name, table) for name, table in whole if name != "daq/scan" or table.stamp_ns >= 300 * TICK]
+    assert verdict(tmp_path, late).identical
+
+
+def test_one_changed_bit_is_named(whole: Messages, tmp_path: Path) -> None:
+    """Topic, stamp, sample and both values."""
+    number = iter(range(10**6))
+
+    def change(rows: np.ndarray) -> np.ndarray:
+        if next(number) == 123:
+            rows["laser"][45] = np.nextafter(rows["laser"][45], 1.0)
+        return rows
+
+    found = verdict(tmp_path, edited(whole, "daq/scan", change))
+    assert (found.identical, found.scans) == (False, 12_300)
+    true = next(table for name, table in whole if name == "daq/scan" and table.stamp_ns == 123 * TICK)
+    assert found.reason == (
+        f"daq/scan at 1.230000000 s, sample 45, laser: logged {np.nextafter(true.rows['laser'][45], 1.0)!r}, "
+        f"re-simulated {true.rows['laser'][45]!r}"
+    )
+
+
+def test_a_changed_command_or_seed_is_found_where_it_begins_to_matter(whole: Messages, tmp_path: Path) -> None:
+    def command(rows: np.ndarray) -> np.ndarray:
+        rows["value"][rows["key"] == b"current"] *= 1.001
+        return rows
+
+    found = verdict(tmp_path / "command", edited(whole, "rig/journal", command))
+    assert found.identical is False
+    assert found.scans < 2_000
+    assert "daq/scan at 0." in found.reason
+
+    def seed(rows: np.ndarray) -> np.ndarray:
+        rows["value"][rows["key"] == b"daq.seed"] = 6
+        return rows
+
+    found = verdict(tmp_path / "seed", edited(whole, "rig/journal", seed))
+    assert (found.identical, found.scans) == (False, 0)
+    assert "daq/scan at 0.000000000 s, sample 0" in found.reason
+
+
+def test_a_lost_block_is_a_difference(whole: Messages, tmp_path: Path) -> None:
+    found = verdict(tmp_path, [m for m in whole if not (m[0] == "daq/scan" and m[1].stamp_ns == 50 * TICK)])
+    assert (found.identical, found.scans) == (False, 5_000)
+    assert "the block at 0.500000000 s is missing" in found.reason
+
+
+def damaged(rows: np.ndarray) -> np.ndarray:
+    rows["sequence"][-1] = np.nan
+    return rows
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (lambda rows: rows[rows["sequence"] != 0], "row 0 is missing"),
+        (lambda rows: rows[rows["key"] != b"frequency"], "is missing"),
+        (lambda rows: rows[:0], "the journal is empty"),
+        (lambda rows: None, "no topic 'rig/journal'"),
+        (damaged, "is damaged"),
+    ],
+    ids=["beginning", "middle", "empty", "none", "nan"],
+)
+def test_without_its_whole_journal_a_run_is_not_verifiable(
+    whole: Messages, tmp_path: Path, change: Callable[[np.ndarray], np.ndarray | None], reason: str
+) -> None:
+    found = verdict(tmp_path, edited(whole, "rig/journal", change))
+    assert found.identical is None
+    assert reason in found.reason
+
+
+def test_the_command_line_says_it_all(
+    whole: Messages, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "120")
+    run = str(record(tmp_path / "run", whole))
+    assert main(["verify", run]) == 0
+    assert "identical: 120000 scans re-simulated bit for bit" in " ".join(capsys.readouterr().out.split())
+    assert main(["analyze", run]) == 0
+    assert "identical to the live results" in capsys.readouterr().out
+    assert main(["info", run]) == 0
+    assert "1200 blocks of daq/scan without a gap" in " ".join(capsys.readouterr().out.split())
+    assert main(["export", run, "shaker/applied", str(tmp_path / "applied.csv")]) == 0
+    assert (tmp_path / "applied.csv").read_text().count("\n") > 3
+    assert main(["verify", str(tmp_path)]) == 1
+    assert "holds no *.mcap file" in " ".join(capsys.readouterr().err.split())
+
+
+def test_another_result_than_the_live_one_is_said(whole: Messages, tmp_path: Path) -> None:
+    def change(rows: np.ndarray) -> np.ndarray:
+        rows["transmissibility"] *= 1.0 + 1e-15
+        return rows
+
+    tampered = edited(whole, "transmissibility/table", change)
+    assert [table for name, table in tampered if name == "transmissibility/table" and table.rows["settled"][0]]
+    with open_run(record(tmp_path / "run", tampered)) as run:
+        assert not reanalysis.same_as_live(run, reanalysis.measurements(reanalysis.analyze(run)))
+
+
+def test_live_analysis_settings_are_those_of_the_run(whole: Messages, tmp_path: Path) -> None:
+    """A run measured with other settings is analysed with them, and its label holds."""
+    with open_run(record(tmp_path / "run", whole)) as run:
+        default = reanalysis.rows(reanalysis.measurements(reanalysis.analyze(run)))
+
+    def change(rows: np.ndarray) -> np.ndarray:
+        rows["value"][rows["key"] == b"harmonics"] = 1
+        rows["value"][rows["key"] == b"gap_m"] = 0.004
+        return rows
+
+    with open_run(record(tmp_path / "other", edited(whole, "analysis/settings", change))) as run:
+        other = reanalysis.rows(reanalysis.measurements(reanalysis.analyze(run)))
+    assert default["gap"][0] == 0.0
+    assert other["gap"][0] == 0.004
+    distortion = [rows[rows["settled"] == 1]["thd"][0] for rows in (default, other)]
+    assert distortion[0] > distortion[1] == 0.0, "one harmonic knows no distortion"
+
+
+def test_tables_of_another_kind_are_no_settings(whole: Messages, tmp_path: Path) -> None:
+    def change(rows: np.ndarray) -> np.ndarray:
+        rows["key"][0] = b"unheard"
+        return rows
+
+    assert main(["analyze", str(record(tmp_path / "run", edited(whole, "analysis/settings", change)))]) == 1
