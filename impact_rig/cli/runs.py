@@ -12,8 +12,10 @@ from rich.table import Table as TextTable
 from impact_rig.campaign import reanalysis
 from impact_rig.campaign.verification import verify
 from impact_rig.config import load
+from impact_rig.errors import ConfigError
 from impact_rig.physics.contact import from_config
 from impact_rig.recording import export, info, open_run, recover
+from impact_rig.rig import Rig
 from impact_rig.simtime import NS_PER_S
 
 
@@ -111,6 +113,10 @@ def _verify(arguments: argparse.Namespace) -> int:
 
 def _check(arguments: argparse.Namespace) -> int:
     config = load(arguments.path)
+    try:
+        Rig(config)  # values that are legal one by one may be none together
+    except ConfigError as error:
+        raise ConfigError(f"{error} ({arguments.path})") from error
     law = from_config(config.contact)
     Console().print(
         f"{arguments.path}: valid; contact law {config.contact.law}, restitution nominal {law.restitution:g}, "

@@ -28,11 +28,11 @@ class Accelerometer:
     low_pass_hz: float = quantity(10e3, "Hz", "Low-pass of the charge amplifier, Butterworth.", above=0)
     low_pass_order: int = integer(2, "-", "Order of the low-pass.", at_least=1, at_most=8)
     noise_v_rms: float = quantity(
-        0.14e-3, "V", "Noise at the amplifier's output, rms within its bandwidth: 5 mg.", at_least=0
+        0.14e-3, "V", "Noise at the amplifier's output, rms within its bandwidth: 5 mg.", at_least=0, at_most=0.1
     )
     saturation_v: float = quantity(10.0, "V", "The amplifier's output clips here, either side.", above=0)
     gain_tolerance: float = quantity(0.02, "-", "Limit of the relative error of the sensitivity.", at_least=0, below=1)
-    offset_tolerance_v: float = quantity(2e-3, "V", "Limit of the amplifier's offset.", at_least=0)
+    offset_tolerance_v: float = quantity(2e-3, "V", "Limit of the amplifier's offset.", at_least=0, at_most=1)
     inverted: bool = switch(False, "Wired the wrong way round; the calibration does not know.")
     adc_range_v: float = quantity(5.0, "V", "Input range of the converter, either side.", above=0)
 
@@ -41,15 +41,15 @@ class Accelerometer:
 class Laser:
     """Laser triangulation sensor on the superior base (Wenglor YP06MGVL80 class), 0 V at the near end."""
 
-    distance_m: float = quantity(50e-3, "m", "Distance at x_1 = 0.", above=0)
-    half_range_m: float = quantity(10e-3, "m", "Half of the measuring range.", above=0)
+    distance_m: float = quantity(50e-3, "m", "Distance at x_1 = 0.", above=0, at_most=10)
+    half_range_m: float = quantity(10e-3, "m", "Half of the measuring range.", above=0, at_most=5)
     output_v: float = quantity(10.0, "V", "Output at the far end of the range.", above=0)
-    lag_s: float = quantity(0.7e-3, "s", "Time constant of its first-order lag.", above=0)
-    resolution_m: float = quantity(8e-6, "m", "Step of its digital output stage.", at_least=0)
-    noise_m_rms: float = quantity(2e-6, "m", "Noise ahead of that step, rms.", at_least=0)
-    linearity_m: float = quantity(30e-6, "m", "Limit of the departure from a straight line.", at_least=0)
+    lag_s: float = quantity(0.7e-3, "s", "Time constant of its first-order lag.", above=0, at_most=0.1)
+    resolution_m: float = quantity(8e-6, "m", "Step of its digital output stage.", at_least=0, at_most=1e-3)
+    noise_m_rms: float = quantity(2e-6, "m", "Noise ahead of that step, rms.", at_least=0, at_most=1e-3)
+    linearity_m: float = quantity(30e-6, "m", "Limit of the departure from a straight line.", at_least=0, at_most=1e-2)
     gain_tolerance: float = quantity(0.002, "-", "Limit of the relative error of the sensitivity.", at_least=0, below=1)
-    offset_tolerance_m: float = quantity(50e-6, "m", "Limit of the zero error.", at_least=0)
+    offset_tolerance_m: float = quantity(50e-6, "m", "Limit of the zero error.", at_least=0, at_most=1e-2)
     inverted: bool = switch(False, "Wired the wrong way round; the calibration does not know.")
     adc_range_v: float = quantity(10.0, "V", "Input range of the converter, either side.", above=0)
 
@@ -62,15 +62,15 @@ class Laser:
 class Base:
     """Inductive displacement sensor on the inferior base (Dornier IWA NT25 class)."""
 
-    half_range_m: float = quantity(12.5e-3, "m", "Half of the measuring range.", above=0)
+    half_range_m: float = quantity(12.5e-3, "m", "Half of the measuring range.", above=0, at_most=5)
     output_v: float = quantity(10.0, "V", "Output at the end of the range.", above=0)
     bandwidth_hz: float = quantity(1e3, "Hz", "Corner of its two-pole (Butterworth) filter.", above=0)
-    noise_m_rms: float = quantity(1e-6, "m", "Noise, rms within its bandwidth.", at_least=0)
+    noise_m_rms: float = quantity(1e-6, "m", "Noise, rms within its bandwidth.", at_least=0, at_most=1e-4)
     linearity: float = quantity(
         0.0025, "-", "Limit of the departure from a straight line, of half_range_m.", at_least=0
     )
     gain_tolerance: float = quantity(0.002, "-", "Limit of the relative error of the sensitivity.", at_least=0, below=1)
-    offset_tolerance_m: float = quantity(10e-6, "m", "Limit of the zero error.", at_least=0)
+    offset_tolerance_m: float = quantity(10e-6, "m", "Limit of the zero error.", at_least=0, at_most=1e-3)
     inverted: bool = switch(False, "Wired the wrong way round; the calibration does not know.")
     adc_range_v: float = quantity(10.0, "V", "Input range of the converter, either side.", above=0)
 
@@ -81,10 +81,10 @@ class Current:
 
     sensitivity_a_v: float = quantity(5.0, "A/V", "Current per output voltage.", above=0)
     bandwidth_hz: float = quantity(20e3, "Hz", "Corner of its first-order low-pass.", above=0)
-    noise_a_rms: float = quantity(2e-3, "A", "Noise, rms within its bandwidth.", at_least=0)
+    noise_a_rms: float = quantity(2e-3, "A", "Noise, rms within its bandwidth.", at_least=0, at_most=1)
     saturation_v: float = quantity(10.0, "V", "Its output clips here, either side.", above=0)
     gain_tolerance: float = quantity(0.005, "-", "Limit of the relative error of the sensitivity.", at_least=0, below=1)
-    offset_tolerance_a: float = quantity(5e-3, "A", "Limit of the zero error.", at_least=0)
+    offset_tolerance_a: float = quantity(5e-3, "A", "Limit of the zero error.", at_least=0, at_most=1)
     inverted: bool = switch(False, "Wired the wrong way round; the calibration does not know.")
     adc_range_v: float = quantity(5.0, "V", "Input range of the converter, either side.", above=0)
 
@@ -94,7 +94,9 @@ class Adc:
     """Multiplexed converter of the DAQ board (NI USB-6251 class)."""
 
     bits: int = integer(16, "bit", "Resolution.", at_least=8, at_most=24)
-    noise_v_rms: float = quantity(280e-6, "V", "Noise at ± 10 V, rms; proportional to the range.", at_least=0)
+    noise_v_rms: float = quantity(
+        280e-6, "V", "Noise at ± 10 V, rms; proportional to the range.", at_least=0, at_most=0.1
+    )
     gain_tolerance: float = quantity(60e-6, "-", "Limit of the relative gain error.", at_least=0, below=1)
     offset_tolerance: float = quantity(20e-6, "-", "Limit of the offset, of the range.", at_least=0, below=1)
     multiplexed: bool = switch(True, "One converter for all channels: they are converted one after another.")

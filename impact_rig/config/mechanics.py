@@ -1,7 +1,8 @@
 """Configuration of the mechanics: structure, shaker, sphere, barriers, contact and drive.
 
 Defaults are the paper's rig; the paper leaves m1, k1, c1, amplitudes and the shaker's constants open, so each field
-says where its value comes from.
+says where its value comes from. Ranges are wide enough for any rig of this kind and narrow enough to refuse a slip of
+units: millimetres for metres, grams for kilograms, GPa for Pa.
 """
 
 from __future__ import annotations
@@ -30,7 +31,9 @@ CONTACT_LAWS = (
 class Structure:
     """Superior base on its columns: one mode of mass m_1, k_1 = m_1 ω_n², c_1 = 2 ζ m_1 ω_n."""
 
-    mass_kg: float = quantity(0.13, "kg", "Equivalent mass m_1 of the superior base.", Origin.IDENTIFIED, above=0)
+    mass_kg: float = quantity(
+        0.13, "kg", "Equivalent mass m_1 of the superior base.", Origin.IDENTIFIED, above=0, at_most=100
+    )
     natural_frequency_hz: float = quantity(
         9.105, "Hz", "Natural frequency; the paper prints 9.1.", Origin.IDENTIFIED, above=0
     )
@@ -53,12 +56,12 @@ class Shaker:
     )
     suspension_stiffness_n_m: float = quantity(6300.0, "N/m", "Table suspension k_f.", above=0)
     damping_n_s_m: float = quantity(90.0, "N s/m", "Table damping c_f.", Origin.IDENTIFIED, above=0)
-    armature_mass_kg: float = quantity(0.16, "kg", "Moving element m_a.", above=0)
-    base_mass_kg: float = quantity(1.84, "kg", "Inferior base m_b.", Origin.IDENTIFIED, above=0)
+    armature_mass_kg: float = quantity(0.16, "kg", "Moving element m_a.", above=0, at_most=100)
+    base_mass_kg: float = quantity(1.84, "kg", "Inferior base m_b.", Origin.IDENTIFIED, above=0, at_most=100)
     coil_resistance_ohm: float = quantity(1.6, "ohm", "Coil resistance (voltage drive only).", above=0)
-    coil_inductance_h: float = quantity(764e-6, "H", "Coil inductance (voltage drive only).", above=0)
+    coil_inductance_h: float = quantity(764e-6, "H", "Coil inductance (voltage drive only).", above=0, at_most=0.1)
     travel_limit_m: float = quantity(
-        6.35e-3, "m", "Table travel limit, either side: beyond it the interlock trips.", above=0
+        6.35e-3, "m", "Table travel limit, either side: beyond it the interlock trips.", above=0, at_most=1
     )
     current_limit_a_rms: float = quantity(15.0, "A", "Coil current limit, rms: larger commands are refused.", above=0)
     frequency_min_hz: float = quantity(5.0, "Hz", "Lowest accepted frequency command.", above=0)
@@ -101,9 +104,9 @@ class Sphere:
         ("left", "centre", "right"),
         "Where the sphere rests after a reset or a gap change: decides the attractor.",
     )
-    diameter_m: float = quantity(6.35e-3, "m", "Diameter.", Origin.PAPER, above=0)
-    density_kg_m3: float = quantity(7850.0, "kg/m^3", "Density of steel: m = 1.052 g.", above=0)
-    young_modulus_pa: float = quantity(210e9, "Pa", "Young's modulus of steel.", above=0)
+    diameter_m: float = quantity(6.35e-3, "m", "Diameter.", Origin.PAPER, above=0, at_most=1)
+    density_kg_m3: float = quantity(7850.0, "kg/m^3", "Density of steel: m = 1.052 g.", at_least=100, at_most=1e5)
+    young_modulus_pa: float = quantity(210e9, "Pa", "Young's modulus of steel.", at_least=1e6, at_most=1e13)
     poisson_ratio: float = quantity(0.30, "-", "Poisson's ratio of steel.", at_least=0, at_most=0.5)
     guide_friction: float = quantity(
         0.0, "-", "Coulomb friction coefficient on the guide; the paper has none.", Origin.PAPER, at_least=0, at_most=2
@@ -117,7 +120,7 @@ class Barriers:
     gap_m: float = quantity(
         6e-3, "m", "Total gap g: distance of the barriers less the sphere's diameter.", Origin.PAPER, above=0, at_most=1
     )
-    young_modulus_pa: float = quantity(70e9, "Pa", "Young's modulus of aluminium.", above=0)
+    young_modulus_pa: float = quantity(70e9, "Pa", "Young's modulus of aluminium.", at_least=1e6, at_most=1e13)
     poisson_ratio: float = quantity(0.33, "-", "Poisson's ratio of aluminium.", at_least=0, at_most=0.5)
 
 
@@ -136,9 +139,9 @@ class Contact:
         Origin.PAPER,
     )
     speed_floor_m_s: float = quantity(
-        1e-3, "m/s", "Floor of the approach speed in c = a K / v0, singular as v0 -> 0.", above=0
+        1e-3, "m/s", "Floor of the approach speed in c = a K / v0, singular as v0 -> 0.", above=0, at_most=0.1
     )
-    contact_time_s: float = quantity(45e-6, "s", "Contact time of the linear law kelvin_voigt.", above=0)
+    contact_time_s: float = quantity(45e-6, "s", "Contact time of the linear law kelvin_voigt.", above=0, at_most=0.01)
     release: str = choice(
         "position", ("position", "force"), "kelvin_voigt lets go at zero indentation, or already at zero force."
     )

@@ -13,6 +13,7 @@ from collections.abc import Callable
 from typing import Any  # callbacks and service responses have no common type
 
 import attrs
+from rcl_interfaces.msg import SetParametersResult
 
 from impact_rig.errors import ImpactRigError
 
@@ -91,6 +92,29 @@ def guarded_service(callback: Callable[[Any, Any], Any], report: Report, refuse:
         if hasattr(response, "message"):
             response.message = message
         return response
+
+    return safe
+
+
+def guarded_answer(callback: Callable[[Any, Any], Any], refuse: Callable[[str], None]) -> Callable[[Any, Any], Any]:
+    """Return a callback of any service, rclpy's own included, that answers a request it cannot digest with a refusal.
+
+    A parameter of a type that does not exist, for one, raises in rclpy's parameter services.
+    """
+
+    @functools.wraps(callback)
+    def safe(request: Any, response: Any) -> Any:
+        try:
+            return callback(request, response)
+        except Exception as error:  # see `guarded`
+            message = describe(error)
+            refuse(message)
+            no = SetParametersResult(successful=False, reason=message)
+            if hasattr(response, "results"):
+                response.results += [no] * (len(request.parameters) - len(response.results))
+            elif hasattr(response, "result") and isinstance(response.result, SetParametersResult):
+                response.result = no
+            return response
 
     return safe
 

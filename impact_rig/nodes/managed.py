@@ -21,11 +21,11 @@ from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
-from impact_rig.errors import ConfigError, ImpactRigError
+from impact_rig.errors import ImpactRigError
 from impact_rig.nodes import diagnostics, topics
 from impact_rig.nodes.diagnostics import CpuMeter, Level, Status
-from impact_rig.nodes.guard import Refusals, describe, guarded, guarded_service
-from impact_rig.nodes.parameters import Parameters, Schema, refusal
+from impact_rig.nodes.guard import Refusals, describe, guarded, guarded_answer, guarded_service
+from impact_rig.nodes.parameters import Parameters, Schema
 
 S = TypeVar("S")
 
@@ -118,6 +118,18 @@ class ManagedNode(LifecycleNode, Generic[S]):
         """Whether the node is in the lifecycle state `active`."""
         return self.state == "active"
 
+    def create_service(self, srv_type: Any, srv_name: str, callback: Callable[[Any, Any], Any], **options: Any) -> Any:
+        """Create a service, guarded: also those that rclpy makes for itself (parameters)."""
+        reason = "parameter" if "parameter" in srv_name else srv_name.removeprefix("~/")
+        safe = guarded_answer(callback, lambda message: self.refuse(reason, message))
+        return super().create_service(srv_type, srv_name, safe, **options)
+
+    def create_subscription(
+        self, msg_type: Any, topic: str, callback: Callable[..., None], *args: Any, **options: Any
+    ) -> Any:
+        """Create a subscription, guarded: also those that rclpy makes for itself (/clock)."""
+        return super().create_subscription(msg_type, topic, guarded(callback, self.report_failure), *args, **options)
+
     def steady_timer(self, period_s: float, callback: Callable[[], None]) -> Any:
         """Create a guarded timer on the monotonic clock: neither sim time nor a clock step moves it."""
         return self.create_timer(period_s, guarded(callback, self.report_failure), clock=self.steady)
@@ -136,9 +148,7 @@ class ManagedNode(LifecycleNode, Generic[S]):
 
     def subscribe(self, topic: topics.Topic, callback: Callable[..., None], raw: bool = False) -> Any:
         """Create a guarded subscription to a row of the topics table; `raw` gives CDR bytes."""
-        return self.create_subscription(
-            topic.message_type(), topic.name, guarded(callback, self.report_failure), topic.qos.profile(), raw=raw
-        )
+        return self.create_subscription(topic.message_type(), topic.name, callback, topic.qos.profile(), raw=raw)
 
     def service(self, service_type: Any, name: str, callback: Callable[[Any, Any], Any]) -> Any:
         """Create a guarded service; private names (`~/name`) are the convention."""
@@ -249,14 +259,17 @@ class ManagedNode(LifecycleNode, Generic[S]):
         """Set all or none, through the validator; the services and the in-process calls both come here."""
         try:
             stored, self._proposed = self.parameters.check(parameter_list)
-        except ConfigError as error:
-            self.refuse("parameter", str(error))
-            return refusal(error)
-        result = super().set_parameters_atomically(stored)
-        if result.successful:
-            self.parameters.settings = self._proposed
-            self.settings_in_force()
-        self._proposed = None
+            result = super().set_parameters_atomically(stored)
+            if result.successful:
+                self.parameters.settings = self._proposed
+                self.settings_in_force()
+        except Exception as error:  # a set is refused with its reason, never fatal
+            message = str(error) if isinstance(error, ImpactRigError) else describe(error)
+            result = SetParametersResult(successful=False, reason=message)
+        finally:
+            self._proposed = None
+        if not result.successful:
+            self.refuse("parameter", result.reason)
         return result
 
     def set_parameters(self, parameter_list: list[Parameter]) -> list[SetParametersResult]:
@@ -272,7 +285,6 @@ class ManagedNode(LifecycleNode, Generic[S]):
                 self.settings_changed(self._proposed, changes)
         except Exception as error:  # a set is refused with its reason, never fatal
             message = str(error) if isinstance(error, ImpactRigError) else describe(error)
-            self.refuse("parameter", message)
             return SetParametersResult(successful=False, reason=message)
         return SetParametersResult(successful=True)
 

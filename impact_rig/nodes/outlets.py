@@ -8,9 +8,7 @@ from rclpy.duration import Duration
 from std_msgs.msg import String
 
 from impact_rig import codec
-from impact_rig.blocks import SCAN, TRUTH_SCAN
 from impact_rig.config import RigConfig, dump
-from impact_rig.errors import ConfigError
 from impact_rig.nodes import topics
 from impact_rig.nodes.convert import Monitors, clock_message
 from impact_rig.nodes.managed import ManagedNode
@@ -29,13 +27,9 @@ class Outlets:
     Args:
         node: owner.
         config: decides how deep the queues are, and whether `/clock` is published.
-
-    Raises:
-        ConfigError: a block does not fit a message.
     """
 
     def __init__(self, node: ManagedNode[RigConfig], config: RigConfig) -> None:
-        check_message_size(config)
         self._node = node
         per_second = config.daq.rate_hz // config.daq.block_scans
         depth = max(LEAST_DEPTH, 2 * per_second)  # for a slow subscriber, without holding seconds of large blocks
@@ -110,16 +104,3 @@ class Outlets:
         """
         if self._node.settings.time.mode != "realtime":
             self._publishers[topic.name].wait_for_all_acked(DELIVERY)
-
-
-def check_message_size(config: RigConfig) -> None:
-    """Refuse blocks that do not fit a shared-memory segment of DDS.
-
-    Raises:
-        ConfigError: names the largest block.
-    """
-    dtype = TRUTH_SCAN if config.output.truth_scan else SCAN
-    most = (codec.MAX_MESSAGE_BYTES - 1000) // dtype.itemsize
-    if config.daq.block_scans > most:
-        why = "with output.truth_scan" if config.output.truth_scan else f"({codec.MAX_MESSAGE_BYTES} bytes per message)"
-        raise ConfigError(f"daq.block_scans must be <= {most} {why}, got {config.daq.block_scans}")

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Generic, Protocol, TypeVar
 
 import attrs
-from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
@@ -179,11 +179,6 @@ class Parameters(Generic[S]):
 
 CONFIG_FILE = "config_file"
 """Parameter: a configuration file to start from; other parameters go on top of it."""
-
-
-def refusal(error: Exception) -> SetParametersResult:
-    """Return the answer to a set that was refused."""
-    return SetParametersResult(successful=False, reason=str(error))
 
 
 def descriptor(about: FieldInfo, value: Value) -> ParameterDescriptor:

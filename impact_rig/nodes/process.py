@@ -19,6 +19,7 @@ import rclpy
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 
+from impact_rig.nodes.guard import describe
 from impact_rig.nodes.managed import ManagedNode
 
 SPIN_S = 0.2
@@ -48,7 +49,12 @@ def run(make_node: Callable[[], ManagedNode[Any]], arguments: list[str] | None =
         executor.add_node(node)
         frozen = False
         while rclpy.ok() and not stop.asked:
-            executor.spin_once(timeout_sec=SPIN_S)
+            try:
+                executor.spin_once(timeout_sec=SPIN_S)
+            except (ExternalShutdownException, KeyboardInterrupt):
+                raise
+            except Exception as error:  # of rclpy itself: our callbacks are guarded, and the rest can go on
+                node.report_failure("executor", describe(error))
             if not frozen and node.active:
                 # what exists now lives as long as the process: without this, collections stall a block by 10 ms
                 gc.collect()

@@ -16,7 +16,7 @@ from impact_rig.nodes.deferred import Answer, DeferredService
 from impact_rig.nodes.diagnostics import Status
 from impact_rig.nodes.guard import describe, guarded
 from impact_rig.nodes.managed import ManagedNode
-from impact_rig.nodes.outlets import Outlets, check_message_size
+from impact_rig.nodes.outlets import Outlets
 from impact_rig.nodes.parameters import RigSchema
 from impact_rig.nodes.peers import Peers
 from impact_rig.nodes.rig_status import RigStatus
@@ -81,7 +81,6 @@ class RigNode(ManagedNode[RigConfig]):
 
     def configure(self) -> None:
         """Check that this rig can be built and published, load compiled code, create the publishers."""
-        check_message_size(self.settings)
         Rig(self.settings).advance(WARM_UP_NS)
         self._outlets = Outlets(self, self.settings)
 
@@ -333,7 +332,6 @@ class RigNode(ManagedNode[RigConfig]):
 
     def settings_changed(self, settings: RigConfig, changes: dict[str, Any]) -> None:
         """Give the running rig what changed; the validator has already accepted it."""
-        check_message_size(settings)
         if self._rig is None:
             return
         self._rig.configure(changes)

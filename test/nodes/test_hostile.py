@@ -1,0 +1,373 @@
+"""Hostile input from another process: nothing crashes or hangs, refusals are explained and counted, signals finite.
+
+A short slice by default; IMPACT_RIG_HOSTILE=2000 draws that many cases of each kind. The rig, the analysis and the
+recorder are processes of their own, this process is the attacker. Bugs that were found have tests of their own below.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy", reason="no ROS 2 here")
+
+from hypothesis import HealthCheck, example, given, settings
+from hypothesis import strategies as st
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
+from rcl_interfaces.msg import Parameter, ParameterValue
+from rcl_interfaces.srv import SetParameters, SetParametersAtomically
+from rclpy.duration import Duration
+from std_msgs.msg import Float64, Header
+from std_srvs.srv import SetBool, Trigger
+
+from impact_rig import config
+from impact_rig.config import RigConfig, from_flat
+from impact_rig.errors import ConfigError
+from impact_rig.nodes import services, topics
+from impact_rig.recording import open_run
+from impact_rig.testing import Client, Processes, isolated_domain
+
+pytestmark = [pytest.mark.ros, pytest.mark.pipeline]
+CASES = int(os.environ.get("IMPACT_RIG_HOSTILE", "120"))
+pytestmark += [pytest.mark.timeout(120 + CASES)]
+QUEUE = topics.Qos.EVENT.depth
+DELIVERY = Duration(seconds=10)
+FIELDS = {name: (about, default) for name, about, default in config.fields()}
+
+cases = settings(max_examples=CASES, suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large])
+batches = settings(cases, max_examples=max(1, CASES // QUEUE))
+
+numbers = st.one_of(
+    st.floats(),
+    st.floats(-1.0, 250.0),
+    st.sampled_from([math.nan, math.inf, -math.inf, 1e308, -1e308, 5e-324, -0.0, 0.0, 5.0, 200.0, 15.0 * math.sqrt(2)]),
+)
+
+
+class Attacked:
+    """Three node processes in a namespace, and the client that attacks them."""
+
+    def __init__(self, domain_id: int, directory: Path) -> None:
+        self.processes = Processes(domain_id, directory, namespace="/target")
+        self.processes.start("rig", {"time.mode": "realtime", "daq.seed": 4})
+        self.processes.start("analysis")
+        self.processes.start("recorder", {"directory": str(directory), "name": "run", "record": False})
+        self.client = Client(domain_id, "/target", self.processes)
+        self.client.wait_active("rig", "analysis", "recorder")
+        self.scans = self.client.collect("daq/scan")
+        self.monitors = [self.client.collect(name) for name in ("accelerometer", "laser", "base_displacement")]
+
+    def refused(self, node: str, reason: str) -> int:
+        return int(self.client.figures(node).get(f"refused.{reason}", "0"))
+
+    def await_refusals(self, node: str, reason: str, count: int) -> None:
+        """Wait until diagnostics have counted `count` refusals; and they count no more, and explain the last."""
+        what = f"{count} refusals ({reason})"
+        self.client.wait_until(lambda: self.refused(node, reason) >= count, what)
+        assert self.refused(node, reason) == count
+        assert count == 0 or self.client.figures(node)[f"last_refused.{reason}"]
+
+    def assert_sound(self) -> None:
+        """New blocks come, finite and without a gap; every node answers and has caught no exception."""
+        for collector in (self.scans, *self.monitors):
+            collector.clear()
+        self.client.wait_until(lambda: len(self.scans) >= 10 and all(self.monitors), "new blocks")
+        rows = self.scans.rows()
+        assert all(np.isfinite(rows[name]).all() for name in rows.dtype.names)
+        assert self.scans.lost() == 0
+        imu, laser, base = (collector.messages for collector in self.monitors)
+        assert all(math.isfinite(message.linear_acceleration.x) for message in imu)
+        assert not any(math.isnan(message.range) for message in laser)
+        assert all(math.isfinite(message.vector.x) for message in base)
+        for node in ("rig", "analysis", "recorder"):
+            assert self.client.state(node) == "active"
+            assert "refused.exception" not in self.client.figures(node), self.client.figures(node)
+
+    def deliver(self, publisher: Any) -> None:
+        """Return when what was published has been processed: delivered, and then a request answered."""
+        assert publisher.wait_for_all_acked(DELIVERY)
+        self.client.state("rig")
+
+    def call(self, kind: Any, name: str, request: Any) -> Any:
+        return self.client.call(kind, name, request)
+
+
+@pytest.fixture(scope="module")
+def attacked(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Attacked]:
+    directory = tmp_path_factory.mktemp("attacked")
+    with isolated_domain() as domain_id:
+        victim = Attacked(domain_id, directory)
+        try:
+            yield victim
+            assert victim.processes.stop() == {"rig": 0, "analysis": 0, "recorder": 0}
+        finally:
+            victim.client.close()
+            victim.processes.stop()
+
+
+# Commands
+
+
+@pytest.mark.parametrize(
+    ("topic", "low", "high"), [(topics.FREQUENCY, 5.0, 200.0), (topics.CURRENT, 0.0, 15.0 * math.sqrt(2.0))]
+)
+def test_commands_of_any_value(attacked: Attacked, topic: topics.Topic, low: float, high: float) -> None:
+    """Taken in order exactly when finite and in range; every other one refused and counted."""
+    client, column = attacked.client, topic.name.removeprefix("shaker/")
+    client.set_parameters("rig", {"shaker.travel_limit_m": 1.0})  # the interlock has tests of its own
+    expected: list[float] = []
+    sent = 0
+    applied, before = len(client._applied), attacked.refused("rig", topic.name)
+
+    @batches
+    @given(st.lists(numbers, min_size=QUEUE, max_size=QUEUE))
+    def attack(values: list[float]) -> None:
+        nonlocal sent
+        for value in values:
+            client.publish(topic, Float64(data=value))
+        attacked.deliver(client._publishers[topic.name])
+        expected.extend(value for value in values if math.isfinite(value) and low <= value <= high)
+        sent += len(values)
+
+    attack()
+    client.wait_until(lambda: len(client._applied) - applied >= len(expected), "the rows of accepted commands")
+    rows = [float(table.rows[column][0]) for table in client._applied.tables()[applied:]]
+    assert rows == expected
+    attacked.await_refusals("rig", topic.name, before + sent - len(expected))
+    client.command(frequency_hz=9.1, current_a=0.0)
+    attacked.assert_sound()
+
+
+def test_ten_thousand_commands_a_second(attacked: Attacked) -> None:
+    """The newest is in force in the end, the order is kept, and not a block of real time is lost."""
+    client = attacked.client
+    client.command(frequency_hz=10.0)
+    attacked.scans.clear()
+    applied, publisher, count = len(client._applied), client._publishers[topics.FREQUENCY.name], 10 * CASES
+    begin = time.perf_counter()
+    for k in range(count):
+        publisher.publish(Float64(data=10.0 + k / count))
+        while time.perf_counter() - begin < k * 1e-4:
+            pass
+    last = 10.0 + (count - 1) / count
+    client.wait_until(lambda: client._applied.last().rows["frequency"][-1] == last, "the last command")
+    rows = [float(table.rows["frequency"][0]) for table in client._applied.tables()[applied:]]
+    assert rows == sorted(rows)
+    assert attacked.scans.lost() == 0
+    assert client.figures("rig")["slips"] == "0"
+    attacked.assert_sound()
+
+
+# Parameters
+
+_VALUES = st.one_of(
+    st.builds(ParameterValue, type=st.just(1), bool_value=st.booleans()),
+    st.builds(ParameterValue, type=st.just(2), integer_value=st.integers(-(2**63), 2**63 - 1) | st.integers(-3, 20)),
+    st.builds(ParameterValue, type=st.just(3), double_value=st.floats()),
+    st.builds(
+        ParameterValue,
+        type=st.just(4),
+        string_value=st.text(st.characters(blacklist_categories=["Cs"], blacklist_characters="\0"), max_size=9),
+    ),
+    st.builds(ParameterValue, type=st.just(9), string_array_value=st.lists(st.sampled_from(["", "a", "\u2028"]))),
+    st.builds(ParameterValue, type=st.integers(0, 255)),
+)
+_NAMES = st.sampled_from(
+    [*FIELDS, "", ".", "barriers.gap", "barriers", "config_file", "use_sim_time", "qos_overrides.x", "a" * 999]
+)
+_HARMLESS = ("output.", "step.", "pluck.", "instruments.", "use_sim_time")
+
+
+def _given(value: ParameterValue) -> object:
+    """Return what a value means; an unknown type is an object nothing accepts."""
+    names = {1: "bool_value", 2: "integer_value", 3: "double_value", 4: "string_value", 9: "string_array_value"}
+    found = getattr(value, names[value.type]) if value.type in names else object()
+    return tuple(found) if value.type == 9 else found
+
+
+def test_parameters_of_any_name_type_and_value(attacked: Attacked) -> None:
+    """The rig takes what the validator takes, and refuses the rest in its words."""
+    client, before = attacked.client, attacked.refused("rig", "parameter")
+    refused = 0
+
+    @cases
+    @given(_NAMES, _VALUES, st.booleans())
+    def attack(name: str, value: ParameterValue, atomically: bool) -> None:
+        nonlocal refused
+        kind, service = (
+            (SetParametersAtomically, "set_parameters_atomically") if atomically else (SetParameters, "set_parameters")
+        )
+        answer = attacked.call(kind, f"rig/{service}", kind.Request(parameters=[Parameter(name=name, value=value)]))
+        result = answer.result if atomically else answer.results[0]
+        if not result.successful:
+            refused += 1
+            assert result.reason
+        if name in FIELDS:
+            try:
+                legal = not FIELDS[name][0].read_only and bool(from_flat(RigConfig(), {name: _given(value)}))
+            except ConfigError as error:
+                assert not result.successful
+                told = FIELDS[name][0].read_only or value.type not in (1, 2, 3, 4) or str(error) == result.reason
+                assert told, result.reason  # either outcome is right, each with its condition
+            else:
+                assert legal or "read-only" in result.reason
+        if result.successful and name in FIELDS:  # one at a time: the next case meets the nominal rig
+            default = FIELDS[name][1]
+            client.set_parameters("rig", {name: list(default or ("",)) if isinstance(default, tuple) else default})
+
+    attack()
+    attacked.await_refusals("rig", "parameter", before + refused)
+    assert refused > CASES // 4
+    attacked.assert_sound()
+
+
+# Services and transitions
+
+
+def test_services_in_any_order_and_state(attacked: Attacked) -> None:
+    """Every answer has a message, and those without success are counted."""
+    client = attacked.client
+    names = [row.name[2:] for row in services.SERVICES if row.node == "rig"]
+    counted = {name: attacked.refused("rig", name) for name in names}
+
+    @cases
+    @given(st.sampled_from(names), st.booleans())
+    def attack(name: str, data: bool) -> None:
+        pausing = name == "pause"
+        request = SetBool.Request(data=data) if pausing else Trigger.Request()
+        answer = attacked.call(SetBool if pausing else Trigger, f"rig/{name}", request)
+        assert answer.message
+        if not answer.success:
+            counted[name] += 1
+
+    attack()
+    client.pause(False)
+    client.trigger("rig/clear_trip")
+    client.trigger("rig/reset")
+    for name, count in counted.items():
+        attacked.await_refusals("rig", name, count)
+    assert counted["step"] > 0, "stepping is refused in real time"
+    attacked.assert_sound()
+
+
+_AFTER = {
+    ("unconfigured", Transition.TRANSITION_CONFIGURE): "inactive",
+    ("inactive", Transition.TRANSITION_CLEANUP): "unconfigured",
+    ("inactive", Transition.TRANSITION_ACTIVATE): "active",
+    ("active", Transition.TRANSITION_DEACTIVATE): "inactive",
+}
+_SHUTDOWNS = (
+    Transition.TRANSITION_UNCONFIGURED_SHUTDOWN,
+    Transition.TRANSITION_INACTIVE_SHUTDOWN,
+    Transition.TRANSITION_ACTIVE_SHUTDOWN,
+)
+
+
+@pytest.mark.parametrize("node", ["rig", "analysis", "recorder"])
+def test_transitions_in_any_order(attacked: Attacked, node: str) -> None:
+    """Valid ones happen, others are answered with no and counted; after 2000 of them the node works."""
+    client = attacked.client
+    state, refused = client.state(node), attacked.refused(node, "transition")
+
+    @settings(cases, max_examples=CASES if node == "rig" else CASES // 4)
+    @given(st.integers(0, 255).filter(lambda number: number not in _SHUTDOWNS) | st.integers(0, 4))
+    def attack(number: int) -> None:
+        nonlocal state, refused
+        if number == 0:  # "create" is answered by the label, which is empty
+            return
+        answer = attacked.call(
+            ChangeState, f"{node}/change_state", ChangeState.Request(transition=Transition(id=number))
+        )
+        assert answer.success == ((state, number) in _AFTER), (state, number)
+        refused += not answer.success
+        state = _AFTER.get((state, number), state)
+
+    attack()
+    for transition in ("configure", "activate"):
+        if client.state(node) != "active":
+            refused += not client.change_state(node, transition)
+    attacked.await_refusals(node, "transition", refused)
+    attacked.assert_sound()
+
+
+# Bytes and acknowledgements
+
+
+@pytest.fixture(scope="module")
+def recorded(attacked: Attacked) -> Iterator[Attacked]:
+    """The same while a run is recorded, which must be readable in the end."""
+    directory = Path(attacked.client.trigger("recorder/start"))
+    yield attacked
+    attacked.client.trigger("recorder/stop")
+    with open_run(directory) as run:
+        assert run.topics[run.resolve("daq/scan")].count > 0
+
+
+@pytest.mark.parametrize(
+    "topic", [t for t in topics.TOPICS if not t.name.startswith("/")], ids=lambda topic: topic.name
+)
+def test_bytes_that_are_no_message(recorded: Attacked, topic: topics.Topic) -> None:
+    """The middleware hands anything on; whoever subscribes must live with it."""
+    client = recorded.client
+    publisher = client.node.create_publisher(topic.message_type(), topic.name, topic.qos.profile())
+    client.wait_until(publisher.get_subscription_count, f"a subscriber of {topic.name}")
+
+    @settings(cases, max_examples=max(1, CASES // 8))
+    @given(st.binary(max_size=12 if topic.type_name.endswith("Float64") else 300))  # no more leaves this process
+    @example(b"")
+    @example(b"\0\1\0\0")
+    @example(b"\0\1\0\0" + b"\xff" * 8)
+    def attack(data: bytes) -> None:
+        publisher.publish(b"\0\1\0\0" + data[4:] if len(data) % 2 and len(data) > 4 else data)
+        client.executor.spin_once(timeout_sec=0.0)
+
+    attack()
+    for node in ("rig", "analysis", "recorder"):
+        assert client.state(node) == "active"
+    client.node.destroy_publisher(publisher)
+
+
+def test_the_nodes_are_sound_after_all_those_bytes(recorded: Attacked) -> None:
+    recorded.assert_sound()
+
+
+def test_acknowledgements_of_any_stamp_in_any_name(attacked: Attacked) -> None:
+    """Of the future: refused and counted. In the name of nobody who listens: counted apart. Neither moves the rig."""
+    client = attacked.client
+    client.publish(topics.ACK, Header(frame_id="nobody"))
+    client.wait_until(lambda: client.figures("rig")["other_acks"] != "0", "the first to be counted")
+    expected = attacked.refused("rig", "daq/ack") + int(client.figures("rig")["other_acks"])
+
+    @cases
+    @given(
+        st.integers(-(2**31), 2**31 - 1),
+        st.integers(0, 2**32 - 1),
+        st.text(st.characters(blacklist_categories=["Cs"], blacklist_characters="\0"), max_size=40),
+    )
+    @example(2**31 - 1, 2**32 - 1, "analysis")
+    @example(0, 0, "analysis")
+    def attack(seconds: int, nanoseconds: int, name: str) -> None:
+        nonlocal expected
+        header = Header(frame_id=name)
+        header.stamp.sec, header.stamp.nanosec = seconds, nanoseconds
+        client.publish(topics.ACK, header)
+        past = seconds + nanoseconds * 1e-9 < time.time() - 1.0
+        expected += not (past and name in ("analysis", "recorder", "client"))
+        if expected % (topics.ACK.qos.depth // 2) == 0:
+            client.wait_until(lambda: counted() >= expected, "the count")  # more would fall out of the queue
+
+    def counted() -> int:
+        return attacked.refused("rig", "daq/ack") + int(client.figures("rig")["other_acks"])
+
+    attack()
+    client.wait_until(lambda: counted() >= expected, "the count")
+    assert counted() == expected
+    attacked.assert_sound()

@@ -1,0 +1,115 @@
+"""Configuration files with mistakes in them: refused by file, key, value and range, or a rig that runs.
+
+A short slice by default; IMPACT_RIG_HOSTILE=2000 draws that many files.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from impact_rig import config
+from impact_rig.blocks import CHANNELS
+from impact_rig.cli.main import EXIT_ERROR, main
+from impact_rig.config import RigConfig
+from impact_rig.errors import ConfigError
+from impact_rig.resources import config_dir
+from impact_rig.rig import Rig
+
+CASES = int(os.environ.get("IMPACT_RIG_HOSTILE", "120"))
+pytestmark = pytest.mark.timeout(120 + CASES)
+FIELDS = {name: (about, default) for name, about, default in config.fields()}
+NOMINAL = yaml.safe_load((config_dir() / "nominal.yaml").read_text(encoding="utf-8"))["/**"]["ros__parameters"]
+
+SLIPS = {"m": 1e3, "kg": 1e3, "Pa": 1e-9, "kg/m^3": 1e-3, "H": 1e3}
+"""What a value is multiplied by when somebody writes millimetres, grams, GPa, g/cm³ or mH."""
+
+
+def slipped(name: str) -> object:
+    """Return the default in the unit it is often thought in."""
+    return FIELDS[name][1] * SLIPS[FIELDS[name][0].unit]
+
+
+@pytest.mark.parametrize("name", [name for name, (about, value) in FIELDS.items() if about.unit in SLIPS and value])
+def test_a_slip_of_units_is_refused(name: str) -> None:
+    """A gap of 6 instead of 0.006, a mass of 130 instead of 0.13."""
+    with pytest.raises(ConfigError, match=f"{name.rsplit('.', maxsplit=1)[-1]} must be"):
+        config.from_flat(RigConfig(), {name: slipped(name)})
+
+
+_scalars = st.one_of(
+    st.none(),
+    st.booleans(),
+    st.integers(),
+    st.floats(),
+    st.text(max_size=6),
+    st.dates(),
+    st.lists(st.integers(), max_size=2),
+)
+_mistakes = st.one_of(
+    st.tuples(st.just("value"), st.sampled_from(list(FIELDS)), _scalars),
+    st.tuples(
+        st.just("scale"), st.sampled_from(list(FIELDS)), st.sampled_from([1e-9, 1e-6, 1e-3, -1, 0, 1e3, 1e6, 1e9])
+    ),
+    st.tuples(st.just("missing"), st.sampled_from(list(FIELDS)), st.none()),
+    st.tuples(st.just("unknown"), st.sampled_from(list(FIELDS)), st.text("abcdefgh_", min_size=1, max_size=5)),
+    st.tuples(st.just("flat"), st.sampled_from(list(NOMINAL)), _scalars),
+)
+
+
+def with_mistake(tree: dict, kind: str, name: str, what: object) -> None:
+    """Make one mistake in the nested values."""
+    *path, key = name.split(".")
+    for part in path:
+        tree = tree.get(part) if isinstance(tree, dict) else None
+        if not isinstance(tree, dict):
+            return  # an earlier mistake took this branch away
+    if kind == "missing":
+        tree.pop(key, None)
+    elif kind == "unknown":
+        tree[f"{key}{what}"] = tree.pop(key, 1.0)
+    elif kind == "scale":
+        old = tree.get(key)
+        tree[key] = old * what if isinstance(old, float) else what
+    else:
+        tree[key] = what
+
+
+def copy(tree: object) -> object:
+    return {key: copy(value) for key, value in tree.items()} if isinstance(tree, dict) else tree
+
+
+@settings(max_examples=CASES)
+@given(st.lists(_mistakes, min_size=1, max_size=3), st.booleans())
+def test_a_file_with_mistakes_is_refused_by_name_or_runs(tmp_path_factory, mistakes, wrapped) -> None:
+    tree = copy(NOMINAL)
+    for kind, name, what in mistakes:
+        with_mistake(tree, kind, name, what)
+    path = tmp_path_factory.getbasetemp() / "mistaken.yaml"
+    path.write_text(yaml.safe_dump({"/**": {"ros__parameters": tree}} if wrapped else tree), encoding="utf-8")
+    with contextlib.redirect_stderr(io.StringIO()) as errors, contextlib.redirect_stdout(io.StringIO()):
+        code = main(["check", str(path)])
+    if code:
+        said = errors.getvalue()
+        assert code == EXIT_ERROR
+        assert said.startswith("impact-rig check: ")
+        assert said.count("\n") == 1, "one line"
+        assert str(path) in said
+        return
+    _runs(path)
+
+
+def _runs(path: Path) -> None:
+    """A configuration that `check` calls valid makes a rig, and the rig finite signals."""
+    rig = Rig(config.load(path))
+    for block in rig.advance(20_000_000):
+        for name in CHANNELS:
+            assert np.isfinite(block.scan.rows[name]).all()
