@@ -1,4 +1,4 @@
-"""Subcommands on recorded runs and configuration files: info, analyze, verify, recover, export, check."""
+"""Subcommands on recorded runs: info, analyze, verify, recover, export."""
 
 from __future__ import annotations
 
@@ -11,11 +11,7 @@ from rich.table import Table as TextTable
 
 from impact_rig.campaign import reanalysis
 from impact_rig.campaign.verification import verify
-from impact_rig.config import load
-from impact_rig.errors import ConfigError
-from impact_rig.physics.contact import from_config
 from impact_rig.recording import export, info, open_run, recover
-from impact_rig.rig import Rig
 from impact_rig.simtime import NS_PER_S
 
 
@@ -39,9 +35,6 @@ def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser = commands.add_parser("verify", help="re-simulate a run from its journal and compare every scan")
     parser.add_argument("path", type=Path, metavar="RUN")
     parser.set_defaults(run=_verify)
-    parser = commands.add_parser("check", help="validate a configuration file without starting anything")
-    parser.add_argument("path", type=Path, metavar="FILE")
-    parser.set_defaults(run=_check)
 
 
 def _info(arguments: argparse.Namespace) -> int:
@@ -109,18 +102,3 @@ def _verify(arguments: argparse.Namespace) -> int:
         verdict = verify(run)
     Console().print(f"{arguments.path}: {verdict}", style="green" if verdict.identical else "red", highlight=False)
     return 0 if verdict.identical else 1
-
-
-def _check(arguments: argparse.Namespace) -> int:
-    config = load(arguments.path)
-    try:
-        Rig(config)  # values that are legal one by one may be none together
-    except ConfigError as error:
-        raise ConfigError(f"{error} ({arguments.path})") from error
-    law = from_config(config.contact)
-    Console().print(
-        f"{arguments.path}: valid; contact law {config.contact.law}, restitution nominal {law.restitution:g}, "
-        f"realised {law.realised_restitution():.4f}",
-        highlight=False,
-    )
-    return 0

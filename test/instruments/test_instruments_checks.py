@@ -4,7 +4,8 @@ import pytest
 from instruments_kit import configured
 
 from impact_rig.blocks import CHANNELS
-from impact_rig.config import from_flat
+from impact_rig.cli import main
+from impact_rig.config import RigConfig, dump, from_flat
 from impact_rig.instruments import Fault, check_known_input, check_polarity
 
 
@@ -50,3 +51,16 @@ def test_polarity_finds_swapped_wires_and_dead_channels():
 def test_planned_faults_do_not_disturb_the_check():
     planned = from_flat(configured(1_000), {"instruments.faults.planned": ["dropout channel=laser"]})
     assert all(check.ok for check in check_known_input(planned))
+
+
+def test_the_command_line_checks_the_instruments_of_a_file(tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    sound, swapped = tmp_path / "sound.yaml", tmp_path / "swapped.yaml"
+    sound.write_text(dump(RigConfig()))
+    swapped.write_text(dump(configured(10_000, base__inverted=True)))
+    assert main(["check", str(sound), "--instruments"]) == 0
+    printed = capsys.readouterr().out
+    assert printed.count(" ok ") == len(CHANNELS)
+    assert all(len(line) <= 80 for line in printed.splitlines()[1:]), "readable at 80 columns"
+    assert main(["check", str(swapped), "--instruments"]) == 1
+    assert "reversed" in capsys.readouterr().out

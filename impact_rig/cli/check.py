@@ -1,0 +1,66 @@
+"""`impact-rig check`: a configuration file, and the instruments it describes, without starting anything."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table as TextTable
+
+from impact_rig.config import RigConfig, load
+from impact_rig.errors import ConfigError
+from impact_rig.instruments import check_known_input
+from impact_rig.physics.contact import from_config
+from impact_rig.rig import Rig
+
+_POLARITY = {1: "right", 0: "no signal", -1: "reversed"}
+
+
+def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Register the subcommand."""
+    parser = commands.add_parser("check", help="validate a configuration file without starting anything")
+    parser.add_argument("path", type=Path, metavar="FILE")
+    parser.add_argument(
+        "--instruments", action="store_true", help="put a known sine into every channel: gain, phase, noise, polarity"
+    )
+    parser.set_defaults(run=_run)
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    config = load(arguments.path)
+    try:
+        Rig(config)  # values that are legal one by one may be none together
+    except ConfigError as error:
+        raise ConfigError(f"{error} ({arguments.path})") from error
+    law = from_config(config.contact)
+    console = Console()
+    console.print(
+        f"{arguments.path}: valid; contact law {config.contact.law}, restitution nominal {law.restitution:g}, "
+        f"realised {law.realised_restitution():.4f}",
+        highlight=False,
+    )
+    return 0 if not arguments.instruments or _check_instruments(config, console) else 1
+
+
+def _check_instruments(config: RigConfig, console: Console) -> bool:
+    checks = check_known_input(config)
+    table = TextTable(
+        title="A known sine on every channel, against the certificate",
+        caption="residual: what is not sine, of what noise and curvature allow",
+    )
+    for heading in ("channel", "gain error", "limit", "phase", "residual", "polarity", ""):
+        table.add_column(heading, justify="left" if heading in {"channel", ""} else "right", no_wrap=True)
+    for check in checks:
+        table.add_row(
+            check.channel,
+            f"{100.0 * (abs(check.gain) - 1.0):+.3f} %",
+            f"± {100.0 * check.gain_limit:.2f} %",
+            f"{math.degrees(check.phase_rad):+.3f}°",
+            f"{100.0 * check.residual / check.residual_limit:.0f} %",
+            _POLARITY[check.polarity],
+            "[green]ok[/green]" if check.ok else "[red]not ok[/red]",
+        )
+    console.print(table)
+    return all(check.ok for check in checks)
