@@ -2,14 +2,25 @@
 
 from __future__ import annotations
 
+import math
+
+import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from impact_rig.config import RigConfig, from_flat
-from impact_rig.errors import ConfigError
+from impact_rig.errors import CommandError, ConfigError
 from impact_rig.rig import Rig
+from impact_rig.rig.interlock import LOOKS_PER_TICK, largest
+from impact_rig.rig.journal import Kind, read
 from impact_rig.simtime import COMMAND_GRID_NS
 
 TICK = COMMAND_GRID_NS
+LOOK_S = 1e-2 / LOOKS_PER_TICK
+FINE_HZ = 50_000
+AT_RESONANCE = {"drive__frequency_hz": 9.105, "shaker__travel_limit_m": 1e-3}
+BELOW_IT = {"drive__frequency_hz": 8.0}  # where the table moves most
 
 
 def config(**values: object) -> RigConfig:
@@ -45,3 +56,74 @@ def test_a_reset_that_cannot_begin_changes_nothing() -> None:
     for one, two in zip(rig.advance(40 * TICK), twin.advance(40 * TICK), strict=True):
         assert one.scan.rows.tobytes() == two.scan.rows.tobytes()
     assert [t.rows.tobytes() for t in rig.take_journal()] == [t.rows.tobytes() for t in twin.take_journal()]
+
+
+@pytest.mark.parametrize(
+    "chosen",
+    [
+        {**AT_RESONANCE, "drive__amplitude": 15.0},
+        {**AT_RESONANCE, "drive__amplitude": 15.0, "sphere__present": False},
+        {**BELOW_IT, "drive__amplitude": 7.0},
+        {**BELOW_IT, "drive__amplitude": 5.6, "barriers__gap_m": 0.01},  # slowly, by a little
+    ],
+    ids=["resonance", "no sphere", "below resonance", "a little too much"],
+)
+def test_over_travel_trips_within_a_block_of_the_true_travel_and_ramps_as_specified(chosen: dict) -> None:
+    """Truth at 50 kS/s tells when the table passed its limit; the current then falls in a straight line in 0.1 s."""
+    rig = Rig(config(**chosen, daq__rate_hz=FINE_HZ, daq__block_scans=500, output__truth_scan=True))
+    limit, blocks = rig.config.shaker.travel_limit_m, []
+    while rig.latched is None and rig.frontier_ns < 1000 * TICK:
+        blocks += rig.advance(rig.frontier_ns + TICK)
+    (trip,) = [entry for entry in read(rig.take_journal()) if entry.kind is Kind.TRIP]
+    truth = np.concatenate([block.truth.rows for block in blocks])
+    beyond = np.abs(truth["x_b"]) > limit
+    assert beyond.any()
+    first = int(np.argmax(beyond))
+    assert first < trip.sample <= first + rig.config.daq.block_scans
+    a_scan = 1.1 * np.abs(truth["v_b"]).max() / FINE_HZ  # the largest may be at the tick's end, one scan further on
+    assert trip.value == pytest.approx(np.abs(truth["x_b"])[first : trip.sample].max(), abs=a_scan)
+
+    after = np.concatenate([block.truth.rows for block in rig.advance(rig.frontier_ns + 30 * TICK)])
+    ramp = int(rig.config.shaker.ramp_s * FINE_HZ)
+    envelope = rig.config.drive.amplitude * (1.0 - (np.arange(ramp) + 1) / ramp)
+    assert np.all(np.abs(after["current"][:ramp]) <= envelope + 1e-3 * envelope[0])
+    assert np.abs(after["current"][: ramp // 2]).max() > 0.3 * envelope[0], "a ramp, not a cut"
+    assert np.abs(after["current"][ramp:]).max() == 0.0
+
+
+def test_a_trip_is_cleared_on_request_only_and_the_amplitude_stays_zero() -> None:
+    rig = Rig(config(**BELOW_IT, drive__amplitude=8.0))
+    rig.advance(300 * TICK)
+    assert rig.latched is not None
+    for refused in (lambda: rig.command(current_a=0.1), lambda: rig.command(frequency_hz=9.0), rig.reset):
+        with pytest.raises(CommandError, match="clear_trip"):
+            refused()
+    rig.configure({"shaker.travel_limit_m": 0.1, "barriers.gap_m": 0.004})
+    rig.stop()
+    rig.advance(900 * TICK)
+    assert rig.latched is not None, "neither time nor a change of the limit nor another stop clears it"
+    rig.clear_trip()
+    assert (rig.latched, rig.amplitude) == (None, 0.0)
+    blocks = rig.advance(1000 * TICK)
+    assert max(np.abs(block.monitor["current"]).max() for block in blocks if len(block.monitor)) == 0.0
+    rig.command(current_a=0.1)
+
+
+def test_the_largest_current_that_is_accepted_does_not_trip() -> None:
+    """A bug once: the average of a sine ripples, and at the limit the ripple passed it."""
+    rig = Rig(config(drive__frequency_hz=5.0, shaker__travel_limit_m=1.0))
+    rig.command(current_a=rig.config.shaker.current_limit_a_rms * math.sqrt(2.0))
+    rig.advance(800 * TICK)
+    assert rig.latched is None
+
+
+@given(st.floats(1.0, 30.0), st.floats(0.0, 2 * math.pi), st.floats(-1.0, 1.0))
+def test_an_extreme_between_two_looks_is_found(frequency_hz: float, phase: float, offset: float) -> None:
+    """To h⁴ ω⁴ / 384 of the amplitude, which is 3e-6 at 30 Hz."""
+    omega = 2 * math.pi * frequency_hz
+    instants, fine = np.arange(LOOKS_PER_TICK + 1) * LOOK_S, np.linspace(0.0, LOOKS_PER_TICK * LOOK_S, 100_001)
+    position = offset + np.sin(omega * instants + phase)
+    velocity = omega * np.cos(omega * instants + phase)
+    found = largest(position[np.newaxis], velocity[np.newaxis], LOOK_S)[0]
+    true = np.abs(offset + np.sin(omega * fine + phase)).max()
+    assert found == pytest.approx(true, abs=(omega * LOOK_S) ** 4 / 384 + 1e-9)

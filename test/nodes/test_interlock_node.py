@@ -1,0 +1,46 @@
+"""The interlock as an operator meets it: an error until it is cleared, a journal that tells, a run that verifies."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("rclpy", reason="no ROS 2 here")
+
+from nodes_support import host_rig, overrides
+
+from impact_rig.campaign.verification import verify
+from impact_rig.nodes.recorder_node import RecorderNode
+from impact_rig.recording import open_run
+from impact_rig.testing import Client, ServiceFailedError, WaitTimeoutError
+
+pytestmark = pytest.mark.ros
+
+
+def test_a_recorded_trip_latches_until_cleared_and_verifies_bit_for_bit(client: Client, tmp_path: Path) -> None:
+    client.host(RecorderNode, parameter_overrides=overrides({"directory": str(tmp_path), "name": "run"}))
+    node = host_rig(client, time__peers=["recorder"], drive__frequency_hz=8.0)
+    client.wait_active("rig", "recorder")
+    client.wait_until(lambda: client.status("recorder").message == "recording", "the recorder")
+    client.command(current_a=8.0)
+    client.step(200)
+    client.wait_until(lambda: "latched by over_travel" in client.status("rig").message, "the diagnostic")
+    assert client.status("rig").level == b"\2"
+    assert "limit 0.00635" in client.figures("rig")["latched"]
+    with pytest.raises(ServiceFailedError, match="clear_trip"):
+        client.trigger("rig/reset")
+    with pytest.raises(WaitTimeoutError, match="latched"):
+        client.command(current_a=0.1, timeout_s=0.3)
+    client.step(200)
+    assert node._rig.latched is not None
+    client.trigger("rig/clear_trip")
+    assert node._rig.amplitude == 0.0
+    client.command(current_a=0.1)
+    client.step(50)
+    client.trigger("recorder/stop")
+    with open_run(tmp_path / "run") as run:
+        kinds = [bytes(row["kind"]).decode() for table in run.tables("rig/journal") for row in table.rows]
+        assert kinds[-4:] == ["command", "trip", "clear_trip", "command"]
+        verdict = verify(run)
+    assert (verdict.identical, verdict.scans) == (True, 45_000), verdict
