@@ -99,7 +99,8 @@ def largest(position: NDArray[np.float64], velocity: NDArray[np.float64], step_s
     root = np.sqrt(np.where(turning, a * a - 3.0 * b * d0, 0.0))
     q = np.clip(-d0 / np.where(turning, a + np.copysign(root, d1), 1.0), 0.0, 1.0)
     between = np.where(turning, np.abs(y0 + q * (d0 + q * (a + q * b))), 0.0)
-    return np.maximum(np.abs(position).max(axis=1), between.max(axis=1))
+    found: NDArray[np.float64] = np.maximum(np.abs(position).max(axis=1), between.max(axis=1))
+    return found
 
 
 def check_frequency(frequency_hz: float, shaker: Shaker) -> None:
