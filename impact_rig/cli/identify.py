@@ -1,0 +1,162 @@
+"""`impact-rig identify`: constants of the rig from measured runs, or from what the paper printed."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table as TextTable
+
+from impact_rig.analysis.words import Status
+from impact_rig.campaign import run
+from impact_rig.campaign.axes import NO_SPHERE
+from impact_rig.campaign.identification import paper_fit
+from impact_rig.campaign.identification.constants import NAMES, UNITS
+from impact_rig.campaign.identification.fisher import Information
+from impact_rig.campaign.identification.fit import Identified, identify
+from impact_rig.campaign.identification.measurements import Gains, Measured, reduced_of, sine_of
+from impact_rig.campaign.identification.pluck import measured_decay, recorded_decay
+from impact_rig.campaign.paper import CURRENT_A, FREQUENCIES_HZ, FREQUENCY_HZ, REDUCTION_PERCENT
+from impact_rig.config import RigConfig, dump, load
+from impact_rig.errors import ConfigError, ImpactRigError
+from impact_rig.recording import open_run
+from impact_rig.rig import Rig
+
+JSON_FILE, CONFIGURATION_FILE = "identification.json", "identified.yaml"
+
+
+def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Register the subcommand."""
+    parser = commands.add_parser("identify", help="constants of the rig from measured runs, and what they cannot tell")
+    parser.add_argument("directory", nargs="?", type=Path, metavar="DIR", help="directory of a campaign")
+    parser.add_argument("--decay", type=Path, metavar="RUN", help="recorded run with a pluck (default: pluck the rig)")
+    parser.add_argument(
+        "--without", nargs="+", choices=("decay", "sine", "reductions"), default=(), help="leave these data out"
+    )
+    parser.add_argument("--paper", action="store_true", help="instead: fit the default rig to the paper's numbers")
+    parser.add_argument("--config", type=Path, metavar="FILE", help="with --paper: what is taken as known")
+    parser.set_defaults(run=_run)
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    console = Console()
+    if arguments.paper:
+        base = load(arguments.config) if arguments.config else RigConfig()
+        for free in (("f_n", "ζ"), ("f_n", "ζ", "I")):
+            _print_paper(console, _fitted(console, base, free), base)
+        return 0
+    if arguments.directory is None:
+        raise ConfigError("a campaign's directory is needed (or --paper), e.g. runs/campaign_paper")
+    done = run.open_finished(arguments.directory)
+    measured = _measured(done, arguments, console)
+    found = identify(measured, done.campaign.base, on_step=lambda what: console.print(f"{what} ..."))
+    _print(console, found)
+    _write(arguments.directory, found)
+    print(arguments.directory.resolve())  # noqa: T201  # the last line is for programs
+    return 0
+
+
+def _measured(done: run.Finished, arguments: argparse.Namespace, console: Console) -> Measured:
+    """Gather what there is, and say what it is."""
+    base, curves = done.campaign.base, done.curves
+    gains = Gains.of(Rig(base).info().rows)
+    decay = sine = reduced = None
+    if "decay" not in arguments.without:
+        if arguments.decay is None:
+            decay = measured_decay(base)
+        else:
+            with open_run(arguments.decay) as recorded:
+                decay = recorded_decay(recorded)
+        if decay.status is not Status.OK:
+            raise ImpactRigError(f"the free decay cannot be measured: {decay.status.value}")
+        console.print(
+            f"free decay: f_n {decay.natural_frequency_hz:.6f} ± {2 * decay.u_natural_frequency_hz:.6f} Hz, "
+            f"ζ {decay.damping_ratio:.6f} ± {2 * decay.u_damping_ratio:.6f} (2u)"
+        )
+    if "sine" not in arguments.without:
+        points = [point for f in FREQUENCIES_HZ if (point := curves.at(NO_SPHERE, f)) is not None]
+        sine = sine_of(points, gains) if points else None
+        console.print(f"stepped sine without sphere: {len(points)} points")
+    if "reductions" not in arguments.without:
+        reduced = reduced_of(curves, FREQUENCY_HZ, tuple(REDUCTION_PERCENT), gains)
+        console.print(f"reductions at {FREQUENCY_HZ:g} Hz: {len(reduced.ratio) if reduced else 0} gaps")
+    return Measured(gains=gains, decay=decay, sine=sine, reduced=reduced)
+
+
+def _print(console: Console, found: Identified) -> None:
+    table = TextTable(title="Constants of the rig")
+    for heading, side in (("constant", "left"), ("value", "right"), ("± 2u", "right"), ("unit", "left"), ("", "left")):
+        table.add_column(heading, justify=side)  # type: ignore[arg-type]  # rich wants its literals
+    for name, unit in zip(NAMES, UNITS, strict=True):
+        if found.information.determined(name):
+            table.add_row(name, f"{found.value(name):.7g}", f"{2 * found.u(name):.2g}", unit, "")
+        else:
+            table.add_row(name, "-", "-", unit, "not determined by these data", style="bright_black")
+    console.print(table)
+    console.print(f"χ² {found.chi_square:.1f} for {found.freedom} degrees of freedom")
+    _print_combinations(console, found.information)
+
+
+def _print_combinations(console: Console, information: Information) -> None:
+    table = TextTable(title="Independent combinations, best known first")
+    for heading in ("product of powers", "relative u"):
+        table.add_column(heading)
+    for one in information.combinations:
+        known = f"{100 * one.u_relative:.2g} %" if one.determined else "not determined"
+        table.add_row(one.text, known, style=None if one.determined else "bright_black")
+    console.print(table)
+
+
+def _fitted(console: Console, base: RigConfig, free: Sequence[str]) -> paper_fit.PaperFit:
+    return paper_fit.fit_paper(base, free, lambda what: console.print(f"{what} ..."))
+
+
+def _print_paper(console: Console, fit: paper_fit.PaperFit, base: RigConfig) -> None:
+    shipped = {
+        "f_n": base.structure.natural_frequency_hz, "ζ": base.structure.damping_ratio, "I": CURRENT_A,
+    }  # fmt: skip
+    table = TextTable(title=f"{', '.join(fit.fitted)} fitted to the paper's reductions")
+    for heading in ("", "fit", "± u", "in the configuration"):
+        table.add_column(heading, justify="right")
+    for name, value in fit.fitted.items():
+        table.add_row(name, f"{value:.5g}", f"{fit.u[name]:.2g}", f"{shipped[name]:.5g}")
+    console.print(table)
+    reductions = ", ".join(f"{value:.1f}" for value in fit.points.values())
+    rest = "" if fit.converged else "; the fit has not come to rest: a valley without a floor"
+    console.print(
+        f"reductions of the fit {reductions} %, rms {fit.rms_points:.2f} points; of the configuration "
+        f"{fit.default_rms_points:.2f}{rest}"
+    )
+    if "I" in fit.fitted:
+        _print_combinations(console, fit.information)
+
+
+def _write(directory: Path, found: Identified) -> None:
+    """Write the constants for programs, and as a configuration."""
+    information = found.information
+    content = {
+        "constants": {
+            name: {
+                "value": found.value(name) if information.determined(name) else None,
+                "standard_uncertainty": found.u(name) if information.determined(name) else None,
+                "unit": unit,
+                "determined": information.determined(name),
+            }
+            for name, unit in zip(NAMES, UNITS, strict=True)
+        },
+        "combinations": [
+            {
+                "powers": dict(zip(NAMES, one.powers.tolist(), strict=True)),
+                "relative_uncertainty": one.u_relative if one.determined else None,
+            }
+            for one in information.combinations
+        ],
+        "chi_square": found.chi_square,
+        "degrees_of_freedom": found.freedom,
+    }
+    (directory / JSON_FILE).write_text(json.dumps(content, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
+    if all(map(information.determined, NAMES)):
+        (directory / CONFIGURATION_FILE).write_text(dump(found.config), encoding="utf-8")
