@@ -19,17 +19,15 @@ from impact_rig.physics.collision import (
     LEFT_WALL,
     NOT_STIFF,
     STIFF,
-    WIDTH,
-    Series,
     begin,
     collide,
     grip,
-    new_series,
 )
 from impact_rig.physics.contact.base import ForceKind
 from impact_rig.physics.flight import STOPPED, aim, carry, flight_energy, fly, rounding, wall
 from impact_rig.physics.forcing import Forcing, transfer
 from impact_rig.physics.linear import V1, X1
+from impact_rig.physics.series import WIDTH, Series, new_series
 from impact_rig.physics.state import (
     APPROACH,
     ATTACHED,
@@ -105,7 +103,7 @@ def new_work(n: int) -> Work:
     return Work(*modal, np.zeros(3), *states, *tables, *per_stage, *newton, new_series())  # type: ignore[call-arg, arg-type]  # in the order of the fields
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def _touch(p, s, side, segment):  # type: ignore[no-untyped-def]  # compiled: types are inferred
     """Begin a contact with the wall just reached: from (x_1, v_1, d, d') to the pair's centre of mass and (w, δ')."""
     speed = max(side * s[RATE], p.touch_speed)
@@ -127,7 +125,7 @@ def _touch(p, s, side, segment):  # type: ignore[no-untyped-def]  # compiled: ty
     begin(p, speed, s)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def _fly_on(p, s, d, rate):  # type: ignore[no-untyped-def]
     """Set a flight that starts at d with the relative speed d'; guide friction works against it from the start."""
     s[PHASE] = FREE
@@ -152,7 +150,7 @@ def _part(p, s, way):  # type: ignore[no-untyped-def]
     _fly_on(p, s, s[GAP], rate)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def _note(log, segment, offset, side, approach, separation, force, indentation, impulse, duration, lost):  # type: ignore[no-untyped-def]
     """Append an impact."""
     row = log.impacts[log.filled[1]]
@@ -161,7 +159,7 @@ def _note(log, segment, offset, side, approach, separation, force, indentation, 
     log.filled[1] += 1
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def _leave(p, s, log):  # type: ignore[no-untyped-def]
     """End a contact: note the impact and return to (x_1, v_1, d, d')."""
     side, speed = s[SIDE], s[RATE]
@@ -198,7 +196,7 @@ def _bounce(p, s, side, segment, acceleration, noise, log, ledger):  # type: ign
         _fly_on(p, s, side * p.half_gap, -side * away)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def _free_phase(p, system, f, work, s, t_end, segment, log, ledger, account):  # type: ignore[no-untyped-def]
     """Fly, and begin whatever the flight ends in."""
     add_knot(log, s)

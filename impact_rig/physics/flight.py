@@ -1,8 +1,8 @@
 """Flight: the sphere is loose, the structure is linear, and both are known in closed form until a wall is reached.
 
 The next touch is found by conservative strides: with the third derivative of the gap bounded, a cubic tells how long
-no wall can be reached; repeated,
-the strides close in on the first touch from before it and cannot step over it, however short or grazing the crossing.
+no wall can be reached; repeated, the strides close in on the first touch from before it and cannot step over it,
+however short or grazing the crossing.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ _ROUNDS = 12
 _SHORTEST = 1e-3  # segments may be shorter than the time scale of rounding errors [s]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def prepare(system, f, work, y, push, t):  # type: ignore[no-untyped-def]  # compiled: types are inferred
     """Fill `work.modal` with the modal amplitudes at t of the state y under a constant `push` [N] on the structure."""
     rate, left = system.modes.rate, system.modes.left
@@ -47,7 +47,7 @@ def prepare(system, f, work, y, push, t):  # type: ignore[no-untyped-def]  # com
         work.modal[k] = amplitude
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def wall(system, f, work, push, since, t, order):  # type: ignore[no-untyped-def]
     """Return three derivatives of x_1 at t, from `order` on, and a bound on the next one from t on."""
     rate, right = system.modes.rate, system.modes.right
@@ -86,7 +86,7 @@ def rounding(p, system, work, t):  # type: ignore[no-untyped-def]
     return _POSITION_RESOLUTION * largest
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def aim(f, work, t_end):  # type: ignore[no-untyped-def]
     """Prepare a segment's particular solution, and bounds on its part in the derivatives 3, 4 and 5 of x_1."""
     particular(f, work.answer, work.drift, work.steady, work.growing)
@@ -97,7 +97,7 @@ def aim(f, work, t_end):  # type: ignore[no-untyped-def]
         work.jerk[order] = f.omega**n * level + n * f.omega ** (n - 1) * growing
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def state_at(system, f, work, push, since, t, y):  # type: ignore[no-untyped-def]
     """Fill y with the linear system's state at t."""
     rate, right = system.modes.rate, system.modes.right
@@ -111,14 +111,13 @@ def state_at(system, f, work, push, since, t, y):  # type: ignore[no-untyped-def
             y[i] += (right[k, i] * e).real
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def stride(distance, speed, acceleration, jerk, horizon):  # type: ignore[no-untyped-def]
     """Return a time, at most `horizon`, in which a point cannot cover `distance`.
 
     It has `speed` and `acceleration` towards the target and |jerk| is bounded, so within any h it covers at most
     speed τ + (acceleration + jerk h / 3) τ² / 2. The first time r(h) at which that reaches the distance is safe if it
-    comes before h, and
-    h itself is safe otherwise; the best h is where both agree, and is found to within a few per cent.
+    comes before h, and h itself is safe otherwise; the best h is where both agree, and is found to a few per cent.
     """
     if jerk <= 0.0:
         h = horizon
@@ -152,7 +151,7 @@ STOPPED = 2
 """Returned by `fly` when friction brings the sphere to rest on its guide."""
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def fly(p, system, f, work, s, t_end):  # type: ignore[no-untyped-def]
     """Advance a flight from s to the first touch or to t_end; return the wall reached, -1 or 1, 0 for none, or STOPPED.
 

@@ -1,8 +1,7 @@
 """The function generator: turns commands into drive segments, phase-continuous, with ramped amplitude.
 
 One segment per tick of the command grid. Phases are computed from the number of ticks since the last change, never
-added up, so they
-neither drift nor depend on how many segments are asked for at once.
+added up, so they neither drift nor depend on how many segments are asked for at once.
 """
 
 from __future__ import annotations

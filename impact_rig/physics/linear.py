@@ -1,11 +1,10 @@
 """The linear part of the rig and its modes: what moves between impacts, propagated exactly.
 
-    y' = M y + b0 u + b1 u',     y = (x_1, v_1[, x_b, v_b[, i]]),     u = coil current, base displacement or coil
-    voltage
+    y' = M y + b0 u + b1 u',   y = (x_1, v_1[, x_b, v_b[, i]]),   u = coil current, base displacement or coil voltage
 
 In modal form y(t) = Re Σ_k R_k c_k exp(λ_k t) + y_p(t), with c_k = L_k · (y − y_p) and the drive's particular
-solution y_p.
-Two such systems exist: with the sphere loose (mass m_1) and with the sphere attached to the superior base (m_1 + m).
+solution y_p. Two such systems exist: with the sphere loose (mass m_1) and with the sphere attached to the superior
+base (m_1 + m).
 """
 
 from __future__ import annotations

@@ -1,10 +1,9 @@
 """Riding: the sphere is pressed on a wall for part of the cycle, on a contact spring far faster than everything else.
 
 An explicit method would follow the contact's own 5 kHz; here steps as long as the structure allows are wanted. Radau
-IIA collocation (L-stable,
-order 2 s − 1; Hairer & Wanner 1996, section IV.5) on δ' = v, v' = g: the stages' speeds are the only unknowns, Newton
-solves them with
-the exact 2 × 2 coupling, and the slow centre of mass follows by fixed-point iteration in the same rounds.
+IIA collocation (L-stable, order 2 s − 1; Hairer & Wanner 1996, section IV.5) on δ' = v, v' = g: the stages' speeds
+are the only unknowns, Newton solves them with the exact 2 × 2 coupling, and the slow centre of mass follows by
+fixed-point iteration in the same rounds.
 """
 
 from __future__ import annotations
@@ -22,12 +21,12 @@ from impact_rig.physics.collision import (
     NOT_STIFF,
     OUT_OF_TIME,
     STIFF,
-    WIDTH,
     stiffness_rate,
 )
 from impact_rig.physics.dynamics import LINEAR, contact_force, rates
 from impact_rig.physics.forcing import drive
 from impact_rig.physics.model import PRESCRIBED
+from impact_rig.physics.series import WIDTH
 from impact_rig.physics.state import (
     BETA,
     ELAPSED,

@@ -1,9 +1,8 @@
 """Evaluate a trajectory at any instants, after the fact: instruments read the motion and never touch it.
 
 In flight the closed form is expanded into short Taylor polynomials anchored at fixed places of the flight, so a
-sample costs a dozen multiplications and
-does not depend on which other samples are asked for. Inside a contact the collision's own series is evaluated; riding
-steps are interpolated.
+sample costs a dozen multiplications and does not depend on which other samples are asked for. Inside a contact the
+collision's own series is evaluated; riding steps are interpolated.
 """
 
 from __future__ import annotations
@@ -13,7 +12,6 @@ import math
 import numpy as np
 from numba import njit
 
-from impact_rig.physics.collision import CENTRE, COIL, ORDER, SPEED, V_BASE, V_CENTRE, X_BASE, evaluate, expand
 from impact_rig.physics.dynamics import contact_force, rates
 from impact_rig.physics.flight import prepare
 from impact_rig.physics.forcing import Forcing, bound_omega, drive, particular, transfer
@@ -21,6 +19,7 @@ from impact_rig.physics.hermite import cubic, quintic
 from impact_rig.physics.linear import COIL as COIL_STATE
 from impact_rig.physics.linear import V1, VB, X1, XB
 from impact_rig.physics.model import PRESCRIBED, VOLTAGE
+from impact_rig.physics.series import CENTRE, COIL, SPEED, V_BASE, V_CENTRE, X_BASE, evaluate, expand, reached
 from impact_rig.physics.state import ATTACHED, BETA, COLLISION, FREE, GAP, GRIP, PHASE, RATE, SIDE, STEP, T, Y
 
 X_B, X_1, X_2, V_B, V_1, V_2, A_B, A_1, A_2, CURRENT, FORCE_LEFT, FORCE_RIGHT = range(12)
@@ -106,41 +105,13 @@ def _from_contact(p, f, knot, t, w, speed, centre, v_centre, x_base, v_base, coi
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _reached(clock, elapsed, h):  # type: ignore[no-untyped-def]
-    """Return where in (0, h] a rising series has grown by `elapsed`: Newton inside a bracket.
-
-    The growth and not the series itself, whose rounding errors are those of the time since the segment's start.
-    """
-    left, right = 0.0, h
-    x = h
-    for _ in range(60):  # never needs more than ten
-        growth, slope = clock[ORDER], 0.0
-        for k in range(ORDER - 1, 0, -1):
-            slope = slope * x + growth
-            growth = growth * x + clock[k]
-        slope = slope * x + growth
-        miss = growth * x - elapsed
-        if miss > 0.0:
-            right = x
-        else:
-            left = x
-        step = miss / slope if slope > 0.0 else h
-        if abs(step) <= 1e-9 * h:  # what is left after it is its square
-            return x - step
-        x -= step
-        if not left < x < right:
-            x = 0.5 * (left + right)
-    return x
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
 def _in_collision(p, f, knot, work, fresh, t, out):  # type: ignore[no-untyped-def]
     if fresh:
         expand(p, f, knot, work.series)
     end = work.series.t[0]
     x = 0.0
     if t > end and knot[STEP] > 0.0:
-        x = _reached(work.series.t, t - end, knot[STEP])
+        x = reached(work.series.t, t - end, knot[STEP])
     w, _ = evaluate(work.series, x, work.at)
     at = work.at
     _from_contact(

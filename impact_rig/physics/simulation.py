@@ -37,6 +37,7 @@ from impact_rig.physics.state import (
 MOST_KNOTS = 200_000
 """Contacts, rides and flights in one drive segment (10 ms); a chattering sphere makes some ten of them."""
 
+_GROWTH = 4  # of the log, when a call needs more room
 _PLACES = {"left": -1.0, "centre": 0.0, "right": 1.0}
 
 
@@ -44,8 +45,8 @@ _PLACES = {"left": -1.0, "centre": 0.0, "right": 1.0}
 class EnergyAccount:
     """Energies since the reset [J]: each term integrated on its own, so that `imbalance` measures the integration.
 
-    work: done by the drive (coil force, coil voltage or prescribed base); columns, shaker, contact, friction: lost
-    there;
+    work: done by the drive (coil force, coil voltage or prescribed base);
+    columns, shaker, contact, friction: lost there;
     stored: kinetic and potential, less what was stored at the reset.
     """
 
@@ -244,8 +245,8 @@ def _room(knots: int, impacts: int) -> Log:
 
 
 def _grown(log: Log) -> Log:
-    knots = np.zeros((2 * len(log.knots), KNOT))
+    knots = np.zeros((_GROWTH * len(log.knots), KNOT))
     knots[: len(log.knots)] = log.knots
-    impacts = np.zeros((2 * len(log.impacts), len(IMPACT_COLUMNS)))
+    impacts = np.zeros((_GROWTH * len(log.impacts), len(IMPACT_COLUMNS)))
     impacts[: len(log.impacts)] = log.impacts
     return log._replace(knots=knots, impacts=impacts)

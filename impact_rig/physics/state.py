@@ -1,8 +1,8 @@
 """Layout of the state that the event loop carries and of the knots it leaves behind.
 
 A trajectory is a list of knots. A knot holds the state at one instant and the phase of motion that goes on from
-there, which is enough to evaluate
-the motion up to the next knot: in closed form in flight, by Hermite interpolation between the steps of a contact.
+there, which is enough to evaluate the motion up to the next knot: in closed form in flight, by Hermite interpolation
+between the steps of a contact.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ class Log(NamedTuple):
     first: NDArray[np.int64]  # row of each segment's first knot
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, forceinline=True)
 def add_knot(log, s):  # type: ignore[no-untyped-def]  # compiled: types are inferred
     """Append the state as a knot; the event loop makes room before it calls a phase."""
     row = log.filled[0]
