@@ -37,6 +37,7 @@ RIG = (
     Figure("lateness_worst_ms", "ms", "The same, worst."),
     Figure("slips", "-", "How often real time was given up because the rig was more than 1 s behind."),
     Figure("slipped_s", "s", "Wall time given up that way."),
+    Figure("clock_step_s", "s", "What the system clock was moved by since the activation; stamps follow it not."),
     Figure("frequency_hz", "Hz", "Drive frequency."),
     Figure("current_a", "A", "Amplitude commanded (m or V by `drive.kind`)."),
     Figure("latched", "-", "Why the shaker is latched; empty: it is not."),

@@ -23,6 +23,8 @@ from impact_rig.nodes.guard import describe
 from impact_rig.nodes.managed import ManagedNode
 
 SPIN_S = 0.2
+EXIT_USAGE = 2
+"""Exit code when arguments, parameter files or names are no good."""
 EXECUTOR_VARIABLE = "IMPACT_RIG_EXECUTOR"
 """Environment: `default` takes rclpy's default executor instead of the events executor."""
 
@@ -41,10 +43,15 @@ def make_executor(context: Any = None) -> Any:
 
 def run(make_node: Callable[[], ManagedNode[Any]], arguments: list[str] | None = None) -> int:
     """Spin the node until a signal or a shutdown; return the exit code."""
-    rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
-    executor = make_executor()
-    stop = _StopOnSignal()  # after the executor, which takes SIGINT and SIGTERM for itself
-    node = make_node()
+    try:
+        rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
+        executor = make_executor()
+        stop = _StopOnSignal()  # after the executor, which takes SIGINT and SIGTERM for itself
+        node = make_node()
+    except Exception as error:  # rclpy's own, which it does not export: arguments, parameter files, names
+        print(f"cannot start: {' '.join(str(error).split())}", file=sys.stderr)  # noqa: T201  # there is no logger yet
+        rclpy.try_shutdown()
+        return EXIT_USAGE
     try:
         executor.add_node(node)
         frozen = False

@@ -60,7 +60,7 @@ class RigNode(ManagedNode[RigConfig]):
         self._audience: Audience | None = None
         self._paused = False
         self._steps_left = 0
-        self._base_ns = 0
+        self._base_ns = self._clock_offset_ns = 0
         self._worked_at = self._turn_began = 0.0
         self._figures = RigStatus()
         self.subscribe(topics.FREQUENCY, self._on_frequency)
@@ -87,6 +87,7 @@ class RigNode(ManagedNode[RigConfig]):
     def activate(self) -> None:
         """Start a new rig: scan 0 is now in realtime, at 0 otherwise."""
         config = self.settings
+        self._clock_offset_ns = time.time_ns() - time.monotonic_ns()
         self._base_ns = time.time_ns() if config.time.mode == "realtime" else 0
         self._pacer = Pacer(time.monotonic_ns, config.time.factor)  # beside the stamp: both mean the same instant
         self._rig = Rig(config, self._base_ns)
@@ -364,6 +365,7 @@ class RigNode(ManagedNode[RigConfig]):
             self._audience,
             self._peers.missing(),
             self._paused,
+            (time.time_ns() - time.monotonic_ns() - self._clock_offset_ns) / NS_PER_S,
         )
 
 

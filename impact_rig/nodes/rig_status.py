@@ -18,6 +18,9 @@ RATE_WINDOW_S = 2.0
 SLOW_S = 1.0
 """A reader this much rig time behind is reported; its queue holds ten times that."""
 
+CLOCK_STEP_S = 0.1
+"""A step of the system clock by this much is reported; slewing moves both clocks alike."""
+
 
 class RigStatus:
     """Counts what goes out, and puts the status together."""
@@ -69,8 +72,9 @@ class RigStatus:
         audience: Audience | None,
         missing: tuple[str, ...],
         paused: bool,
+        clock_step_s: float,
     ) -> Status:
-        """Return the node's status."""
+        """Return the node's status; `clock_step_s`: what the system clock was moved by since the activation."""
         if rig is None or audience is None:
             return Status(Level.WARN, state, {"mode": config.time.mode})
         realtime = config.time.mode == "realtime"
@@ -96,6 +100,8 @@ class RigStatus:
                 for name, count in behind.items()
                 if count > SLOW_S * per_second + 1
             ]
+        if realtime and abs(clock_step_s) > CLOCK_STEP_S:
+            troubles.append((Level.WARN, f"the system clock was moved by {clock_step_s:+.3f} s, stamps were not"))
         if rig.plucked:
             troubles.append((Level.OK, "base locked after a pluck"))
         if self.faults:
@@ -125,6 +131,7 @@ class RigStatus:
             "faults": ", ".join(self.faults.values()),
             "slips": pacer.slips,
             "slipped_s": pacer.slipped_ns / NS_PER_S,
+            "clock_step_s": clock_step_s,
             "subscribers": audience.subscribers,
             "other_acks": audience.others,
         }

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import time
+
+import numpy as np
 import pytest
 
 pytest.importorskip("rclpy", reason="no ROS 2 here")
@@ -12,7 +15,8 @@ from impact_rig.config import RigConfig
 from impact_rig.nodes import topics
 from impact_rig.nodes.diagnostics import CpuMeter, Level, worst
 from impact_rig.physics.contact import from_config
-from impact_rig.testing import Client
+from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S
+from impact_rig.testing import Client, isolated_domain
 
 pytestmark = pytest.mark.ros
 CLOSED = 1e-6
@@ -69,3 +73,44 @@ def test_the_share_of_a_core_is_that_since_the_last_look() -> None:
     wall, used = iter((10.0, 12.0, 12.0)), iter((1.0, 1.5, 1.5))
     meter = CpuMeter(clock=lambda: next(wall), used=lambda: next(used))
     assert [meter.percent() for _ in range(3)] == [0.0, 25.0, 0.0]
+
+
+def test_a_step_of_the_system_clock_is_reported_and_moves_no_stamp(
+    client: Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An hour back: the rig is paced by the monotonic clock, so no block comes late, twice or with a gap."""
+    host_rig(client, "realtime")
+    client.wait_active("rig")
+    scans = client.collect("daq/scan")
+    client.wait_until(lambda: len(scans) >= 5, "blocks")
+    system_ns = time.time_ns
+    monkeypatch.setattr(time, "time_ns", lambda: system_ns() - 3600 * NS_PER_S)
+    client.wait_until(lambda: "moved by -3600.000 s" in client.status("rig").message, "the warning")
+    count = len(scans)
+    client.wait_until(lambda: len(scans) >= count + 20, "more blocks")
+    stamps = [table.stamp_ns for table in scans.tables()]
+    assert set(np.diff(stamps)) == {COMMAND_GRID_NS}
+    assert client.figures("rig")["slips"] == "0"
+
+
+def test_two_rigs_in_two_namespaces_of_one_domain_do_not_meet() -> None:
+    """Neither commands, services, parameters nor diagnostics of one reach the other."""
+    with isolated_domain() as domain, Client(domain, "/one") as one, Client(domain, "/two") as two:
+        for user, gap in ((one, 0.002), (two, 0.008)):
+            host_rig(user, time__peers=["client"], barriers__gap_m=gap)
+            user.wait_active("rig")
+        scans = {user: user.collect("daq/scan", acknowledge=True) for user in (one, two)}
+        one.command(current_a=0.5)
+        one.step(7)
+        one.trigger("rig/stop")
+        two.step(3)
+        row = two.command(current_a=0.25)
+        assert row["sample"] == 300
+        assert (len(scans[one]), len(scans[two])) == (7, 3)
+        assert one.get_parameters("rig", ["barriers.gap_m"]) == {"barriers.gap_m": 0.002}
+        assert two.get_parameters("rig", ["barriers.gap_m"]) == {"barriers.gap_m": 0.008}
+        one.wait_until(lambda: "latched" in one.status("rig").message, "the diagnostics of the one")
+        two.wait_until(lambda: two.figures("rig").get("current_a") == "0.25", "the diagnostics of the other")
+        assert one.status("rig").hardware_id == "one/rig"
+        assert two.status("rig").hardware_id == "two/rig"
+        assert two.status("rig").level == b"\0"
