@@ -1,6 +1,7 @@
 """Run a campaign's jobs on an existing Dask cluster: for studies that outgrow one machine. Needs the extra `[cluster]`.
 
-The workers need this package in the same version; results travel back, nothing is written there.
+The workers need this package in the same version, and one thread each (`--nthreads 1`): a job keeps one core busy.
+Results travel back, nothing is written there.
 """
 
 from __future__ import annotations
@@ -39,8 +40,14 @@ def dask_runner(address: str) -> Runner:
             _check_versions(client.run(_version))
             # a job gives the same bits wherever it runs, so one whose worker died is simply run again elsewhere
             futures = {client.submit(execute, job, key=f"impact_rig-{job.key}", retries=2): job for job in jobs}
-            for future in as_completed(list(futures)):
-                yield futures[future], future.result()
+            lost = []
+            for future in as_completed(list(futures), loop=client.loop):
+                if future.status == "finished":
+                    yield futures[future], future.result()
+                else:
+                    lost.append(f"{futures[future].describe()}: {future.exception()}")
+            if lost:
+                raise ImpactRigError(f"{len(lost)} runs were lost, run the campaign again to go on; {lost[0]}")
 
     return run
 
