@@ -32,7 +32,6 @@ setup(
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
         (f"share/{NAME}/config", files("config/*.yaml")),
-        (f"share/{NAME}/config/campaigns", files("config/campaigns/*.yaml")),
         (f"share/{NAME}/config/foxglove", files("config/foxglove/*.json")),
         (f"share/{NAME}/config/plotjuggler", files("config/plotjuggler/*.xml")),
         (f"share/{NAME}/launch", files("launch/*.launch.py")),
@@ -43,7 +42,7 @@ setup(
         "attrs>=23.2",
         "matplotlib>=3.6",
         "mcap>=1.5",  # the first whose writer can close a chunk on request; brings lz4 and zstandard
-        "numba>=0.58",
+        "numba>=0.59",  # the first for Python 3.12
         "numpy>=1.26",
         "PyYAML>=6.0",
         "rich>=13.7",

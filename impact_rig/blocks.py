@@ -85,7 +85,7 @@ JOURNAL = row_type(JOURNAL_COLUMNS)
 FAULTS_COLUMNS = (
     Column("time", "s", "When it starts or ends, since the stamp."),
     Column("sample", "-", "Index of that scan, since the start or reset."),
-    Column("id", "-", "Number of the fault, from 0."),
+    Column("id", "-", "Number of the fault since the reset, from 1."),
     Column("kind", "-", "Kind of fault.", TEXT),
     Column("channel", "-", "Channel; empty for a fault of the whole board.", TEXT),
     Column("active", "-", "1 where it starts, 0 where it ends.", "u1"),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import attrs
 
 from impact_rig.config.fields import integer, quantity
+from impact_rig.errors import ConfigError
 
 
 @attrs.frozen(kw_only=True)
@@ -32,6 +33,10 @@ class TrackerSettings:
     )
     bootstrap_resamples: int = integer(400, "-", "Resamples of the block bootstrap.", at_least=50, at_most=100_000)
     seed: int = integer(1, "-", "Seed of the block bootstrap.", at_least=0, at_most=2**53)
+
+    def __attrs_post_init__(self) -> None:
+        if self.windows > self.long_windows:
+            raise ConfigError(f"windows must be <= long_windows = {self.long_windows}, got {self.windows}")
 
 
 @attrs.frozen(kw_only=True)

@@ -12,6 +12,7 @@ import math
 
 import attrs
 import numpy as np
+from numpy.typing import NDArray
 
 from impact_rig.analysis.calibration import Calibration
 from impact_rig.analysis.cycles import Accumulator, Cycles, usable_harmonics
@@ -157,9 +158,9 @@ class Tracker:
             self._begin_again(self._resets.pop(0))
         rate = self._calibration.rate_hz
         index = scan_index(scan.stamp_ns, rate, self._start_ns)
-        span = round(float(rows["time"][-1] - rows["time"][0]) * rate) + 1
-        if span != len(rows):
-            return self._feed_broken(scan)
+        numbers = np.round(rows["time"] * rate)
+        if numbers[-1] - numbers[0] != len(rows) - 1:  # NaN as well
+            return self._feed_broken(scan, numbers)
         impacts: list[Table] = []
         if index != self._buffer.end or not self._started:
             if self._started and index == self._last_block:
@@ -186,17 +187,23 @@ class Tracker:
         measurements, self._rows = tuple(self._rows), []
         return Findings(measurements)
 
-    def _feed_broken(self, scan: Table) -> Findings:
-        """Feed a block with scans missing inside it as the whole runs it consists of."""
+    def _feed_broken(self, scan: Table, numbers: NDArray[np.float64]) -> Findings:
+        """Feed a block with scans missing inside it as the whole runs it consists of.
+
+        Scans whose times are no such runs (another rate than `daq/info` says, or no numbers) count as lost.
+        """
         assert self._calibration is not None
         rate = self._calibration.rate_hz
-        numbers = np.round(scan.rows["time"] * rate).astype(np.int64)
+        if not (np.isfinite(numbers).all() and (np.diff(numbers) > 0).all()):
+            self.counters.lost_scans += len(numbers)
+            return _NOTHING
         cuts = np.flatnonzero(np.diff(numbers) != 1) + 1
         base = scan_index(scan.stamp_ns, rate, self._start_ns)
-        found = [
-            self.feed(Table(stamp_ns(base + int(number[0]), rate, self._start_ns), part))
-            for part, number in zip(np.split(scan.rows, cuts), np.split(numbers, cuts), strict=True)
-        ]
+        found = []
+        for part, number in zip(np.split(scan.rows, cuts), np.split(numbers, cuts), strict=True):
+            whole = part.copy()
+            whole["time"] = np.arange(len(part)) / rate
+            found.append(self.feed(Table(stamp_ns(base + int(number[0]), rate, self._start_ns), whole)))
         return Findings(
             tuple(table for one in found for table in one.measurements),
             tuple(table for one in found for table in one.impacts),

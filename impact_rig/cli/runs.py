@@ -12,7 +12,6 @@ from rich.table import Table as TextTable
 from impact_rig.campaign import reanalysis
 from impact_rig.campaign.verification import verify
 from impact_rig.recording import export, info, open_run, recover
-from impact_rig.simtime import NS_PER_S
 
 
 def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -41,9 +40,8 @@ def _info(arguments: argparse.Namespace) -> int:
     console = Console()
     found = info(arguments.path)
     console.print(f"{found.path}: {found.verdict}", style="green" if found.intact else "red")
-    seconds = (found.end_ns - found.start_ns) / NS_PER_S
     size = sum(size for _, size in found.files)
-    console.print(f"{seconds:.3f} s of rig time, {len(found.files)} file(s), {size / 1e6:.2f} MB")
+    console.print(f"{found.duration_s:.3f} s of rig time, {len(found.files)} file(s), {size / 1e6:.2f} MB")
     for key, value in found.provenance.items():
         console.print(f"{key}: {value}", highlight=False)
     table = TextTable()

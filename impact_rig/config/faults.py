@@ -89,7 +89,9 @@ def parse(line: str) -> PlannedFault:
 class Faults:
     """Faults on demand, planned from the start; off by default."""
 
-    planned: tuple[str, ...] = names((), "Planned faults: `kind channel=... start_s=... duration_s=... value=...`.")
+    planned: tuple[str, ...] = names(
+        (), "Faults: `kind channel=... start_s=... duration_s=... value=...`; start_s from the reset, or from when set."
+    )
 
     def __attrs_post_init__(self) -> None:
         try:

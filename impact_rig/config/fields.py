@@ -77,10 +77,20 @@ def _in_range(attribute: attrs.Attribute[Any], value: float) -> None:
 
 def _check_float(_instance: object, attribute: attrs.Attribute[Any], value: object) -> None:
     if not isinstance(value, float):
-        raise _wrong(attribute, "a number", value)
+        raise _wrong(attribute, "a number" + _meant_as_number(value), value)
     _in_range(attribute, value)
     if value and not LEAST <= abs(value) <= MOST:
         raise _wrong(attribute, f"0 or of a magnitude from {LEAST:g} to {MOST:g}", value)
+
+
+def _meant_as_number(value: object) -> str:
+    """Return a hint where somebody wrote 8e-06: to YAML 1.1 that is a text, it wants a point and a sign."""
+    try:
+        number = float(value) if isinstance(value, str) else math.nan
+    except ValueError:
+        return ""
+    text = f"{number:e}"
+    return f" (YAML takes this for a text: write {text})" if math.isfinite(number) else ""
 
 
 def _check_int(_instance: object, attribute: attrs.Attribute[Any], value: object) -> None:

@@ -38,7 +38,7 @@ def nominal() -> str:
         above = sections
         limits = f" ({about.range_text()})" if about.choices or about.low is not None or about.high is not None else ""
         comment = f"{about.unit}; {about.origin.value}: {about.doc}{limits}"
-        lines.append(f"{_indent(len(sections))}{key}: {_scalar(default)}  # {comment}\n")
+        lines.append(f"{_indent(len(sections))}{key}: {scalar(default)}  # {comment}\n")
     return HEADER + "".join(lines)
 
 
@@ -46,7 +46,7 @@ def _indent(depth: int) -> str:
     return "  " * (depth + 2)
 
 
-def _scalar(value: Value) -> str:
+def scalar(value: Value | tuple[float, ...]) -> str:
     """Return a value as YAML and ROS both read it: floats with a dot, `on` quoted, no empty list."""
     plain = list(value or ("",)) if isinstance(value, tuple) else value
     text: str = yaml.safe_dump(plain, default_flow_style=True, width=float("inf"))

@@ -221,6 +221,10 @@ class Chain:
         """
         self._faults.clear(number, self.first_open_scan)
 
+    def fault_numbers(self) -> tuple[int, ...]:
+        """Return the numbers of the faults that act or will act, and of some that have ended."""
+        return self._faults.numbers()
+
     def active_faults(self) -> tuple[Fault, ...]:
         """Return the faults that act on the next scan to be converted."""
         return self._faults.active_now(self.first_open_scan)

@@ -136,6 +136,10 @@ class FaultBoard:
         self._faults.append(_Active(self._last_number, fault, end, rng))
         return self._last_number
 
+    def numbers(self) -> tuple[int, ...]:
+        """Return the numbers of the faults that are not forgotten."""
+        return tuple(active.number for active in self._faults)
+
     def clear(self, number: int | None, scan: int) -> None:
         """End one fault, or all, at a scan; a fault that would have started later never does.
 
@@ -219,7 +223,7 @@ class FaultBoard:
                 fault.channel.encode(),
                 1 - ends,
                 fault.value,
-                (active.end - fault.start) / self._rate_hz,
+                fault.duration / self._rate_hz,
             )
         return rows
 

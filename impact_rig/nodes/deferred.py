@@ -12,6 +12,7 @@ import functools
 from collections.abc import Callable
 from typing import Any  # rclpy handles, requests
 
+from impact_rig.nodes.guard import describe
 from impact_rig.nodes.managed import ManagedNode
 
 Answer = tuple[bool, str]
@@ -62,7 +63,10 @@ class DeferredService:
             self._send(self._type.Response(success=success, message=message), header)
 
     def _on_request(self, request: Any, _response: Any) -> Any:
-        answer = self._accept(request)
+        try:
+            answer = self._accept(request)
+        except Exception as error:  # as `guarded_service`: nothing a request causes may end the process
+            answer = False, describe(error)
         if answer is None:
             return self._marker
         success, message = answer

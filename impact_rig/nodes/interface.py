@@ -14,6 +14,7 @@ import numpy as np
 from impact_rig.columns import TEXT
 from impact_rig.config import FieldInfo
 from impact_rig.config.faults import FAULT_KINDS
+from impact_rig.config.template import scalar
 from impact_rig.nodes import figures, services, topics
 from impact_rig.nodes.parameters import RigSchema, Schema, SectionSchema, Value
 from impact_rig.nodes.services import Situation
@@ -126,9 +127,7 @@ def _limited(about: FieldInfo) -> bool:
 
 
 def _shown(value: Value) -> str:
-    if isinstance(value, tuple):
-        return str(list(value or ("",)))
-    return str(value).lower() if isinstance(value, bool) else repr(value)
+    return scalar(value)
 
 
 def _type(value: Value) -> str:

@@ -85,6 +85,8 @@ class Player:
         chosen: Sequence[str] = (),
         paused: bool = False,
     ) -> None:
+        if peers and chosen and not any(matches(topics.SCAN.name, name) for name in chosen):
+            raise ImpactRigError(f"peers acknowledge {topics.SCAN.name}: choose it as well")
         if factor is None and not peers:
             raise ImpactRigError("the highest rate needs peers that acknowledge: without them messages would be lost")
         self._run, self._node, self._spin = run, node, spin
@@ -113,7 +115,7 @@ class Player:
             ImpactRigError: a peer stopped acknowledging.
         """
         self.now_ns = self.start_ns
-        while not self._peers.all_matched(self._publishers[self._scan]):
+        while self._peers.missing() and not self._peers.all_matched(self._publishers[self._scan]):
             yield from self._rest(SPIN_S)
         self._pacer.rebase(self.start_ns)
         clock_ns = self.start_ns

@@ -19,6 +19,7 @@ from std_srvs.srv import Trigger
 
 import impact_rig
 from impact_rig import codec
+from impact_rig.blocks import Table
 from impact_rig.errors import CodecError, RecordingError
 from impact_rig.nodes import process, topics
 from impact_rig.nodes.deferred import Answer, DeferredService
@@ -55,6 +56,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         self._sequences: dict[str, int] = {}
         self._lost: Counter[str] = Counter()
         self._newest_ns = 0
+        self._certificates = 0
         self._awaited: set[str] = set()
         self._opened_at = 0.0
         self._permanent: list[Any] = []
@@ -172,6 +174,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
             self._fail(error)
             return
         self._added, self._sequences, self._lost = set(), {}, Counter()
+        self._certificates = 0
         # subscribed anew for each run: what is transient-local (journal, calibration, ...) then belongs to every run
         self._recorded = [
             self.subscribe(topic, functools.partial(self._on_message, topic), raw=True)
@@ -191,7 +194,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         if configuration is not None:
             attachments.append(Attachment(CONFIGURATION, configuration.encode(), "application/yaml"))
         return RunWriter(
-            Path(settings.directory).expanduser() / name,
+            _directory(settings.directory) / name,
             provenance=Provenance(
                 version=impact_rig.__version__,
                 seed=int(values.get("daq", {}).get("seed", -1)),
@@ -275,9 +278,22 @@ class RecorderNode(ManagedNode[RecorderSettings]):
                 self._lost[topic.name] += sequence - before - 1
             self._sequences[name] = sequence
         writer.write(name, data, int(info["source_timestamp"]), sequence)
+        if topic is topics.INFO:
+            self._attach_calibration(writer, data)
         if topic.name in self._awaited:
             self._awaited.discard(topic.name)
             self._answer_start()
+
+    def _attach_calibration(self, writer: RunWriter, data: bytes) -> None:
+        """Keep the certificate as a file too, for people: one per recalibration."""
+        try:
+            text = calibration_yaml(codec.decode(data))
+        except CodecError as error:
+            self.refuse(topics.INFO.name, str(error))
+            return
+        self._certificates += 1
+        number = "" if self._certificates == 1 else f"_{self._certificates}"
+        writer.attach(Attachment(f"calibration{number}.yaml", text.encode(), "application/yaml"))
 
     def _describe(self, topic: topics.Topic, name: str) -> Topic:
         publishers = self.get_publishers_info_by_topic(name)
@@ -300,6 +316,27 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         self._ack.publish(Header(stamp=time_message(stamp), frame_id=self.get_name()))
 
 
+def _directory(text: str) -> Path:
+    try:
+        return Path(text).expanduser()
+    except RuntimeError as error:  # ~nobody
+        raise RecordingError(f"directory {text!r} cannot be used: {error}") from error
+
+
+def calibration_yaml(info: Table) -> str:
+    """Return daq/info as YAML: one mapping per channel, and the instant from which it holds."""
+    channels: dict[str, dict[str, str | float]] = {}
+    for row in info.rows:
+        values = {name: row[name] for name in info.rows.dtype.names or ()}
+        plain = {
+            name: value.decode(errors="replace") if isinstance(value, bytes) else float(value)
+            for name, value in values.items()
+        }
+        channels[str(plain.pop("name", len(channels)))] = plain
+    text: str = yaml.safe_dump({"stamp_ns": info.stamp_ns, "channels": channels}, sort_keys=False)
+    return text
+
+
 def _qos(profile: Any) -> Qos:
     return Qos(
         history=profile.history.name.lower(),
@@ -320,7 +357,8 @@ def _parameters(configuration: str | None) -> dict[str, Any]:
         values = document["/**"]["ros__parameters"]
     except (yaml.YAMLError, KeyError, TypeError):
         return {}
-    return values if isinstance(values, dict) else {}
+    sections = values if isinstance(values, dict) else {}
+    return {name: section for name, section in sections.items() if isinstance(section, dict)}
 
 
 def _environment() -> bytes:

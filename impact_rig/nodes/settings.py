@@ -40,6 +40,7 @@ class AnalysisSettings(TrackerSettings):
     autostart: bool = switch(True, "Configure and activate by itself at start.", read_only=True)
 
     def __attrs_post_init__(self) -> None:
+        super().__attrs_post_init__()
         if UNKNOWN_GAP < self.gap_m < 0:
             raise ConfigError(f"gap_m must be >= 0, or -1 for unknown, got {self.gap_m:g} m")
 

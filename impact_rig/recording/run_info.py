@@ -74,8 +74,14 @@ class RunInfo:
 
     @property
     def duration_s(self) -> float:
-        """Rig time from the earliest to the latest message [s]."""
-        return (self.end_ns - self.start_ns) / NS_PER_S
+        """Rig time from the first to the last block of daq/scan [s]; of all messages where there is none.
+
+        What was published before (journal, calibration) keeps its stamp, which may be hours older.
+        """
+        scans = [topic for topic in self.topics if matches(topic.name, SCAN_TOPIC)]
+        if not scans:
+            return (self.end_ns - self.start_ns) / NS_PER_S
+        return (max(topic.last_ns for topic in scans) - min(topic.first_ns for topic in scans)) / NS_PER_S
 
     @property
     def messages(self) -> int:

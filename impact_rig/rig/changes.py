@@ -6,12 +6,15 @@ from impact_rig.rig.journal import NOT_SAMPLED, SAMPLED
 
 MECHANICS = ("structure.", "shaker.", "sphere.", "barriers.", "contact.")
 INSTRUMENTS = ("instruments.", "daq.")
-AT_RESET = ("drive.", "daq.seed", "instruments.faults.")
-"""What is drawn, planned or commanded at the beginning only."""
+PLANNED = "instruments.faults.planned"
+AT_RESET = ("drive.", "daq.seed")
+"""What is drawn or commanded at the beginning only."""
 
 
 def takes_effect(name: str) -> str:
     """Return from when on a new value of a parameter acts on a running rig, in words."""
+    if name == PLANNED:
+        return "next command instant, for the lines that are new or gone"
     if name.startswith(AT_RESET):
         return "next reset"
     if name.startswith(NOT_SAMPLED) and name not in SAMPLED:

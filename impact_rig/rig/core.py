@@ -7,7 +7,9 @@ from what the instruments have measured, so neither their length nor the way `ad
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterable, Mapping
 
 import attrs
 import numpy as np
@@ -15,12 +17,13 @@ import numpy as np
 import impact_rig
 from impact_rig.blocks import APPLIED, FRAME_DAQ, Table
 from impact_rig.config import Drive, RigConfig, from_flat, to_flat
+from impact_rig.config.faults import parse
 from impact_rig.errors import CommandError, ConfigError
 from impact_rig.instruments.chain import Chain
-from impact_rig.instruments.faults import Fault
+from impact_rig.instruments.faults import Fault, planned
 from impact_rig.physics import FunctionGenerator, Motion, Simulation
 from impact_rig.rig.block import Block
-from impact_rig.rig.changes import INSTRUMENTS, MECHANICS
+from impact_rig.rig.changes import INSTRUMENTS, MECHANICS, PLANNED
 from impact_rig.rig.interlock import Interlock, Trip, check_amplitude, check_frequency
 from impact_rig.rig.journal import Journal, Kind, not_default, sampled
 from impact_rig.rig.trial import built, generator
@@ -48,6 +51,7 @@ class Rig:
     _generator: FunctionGenerator
     _simulation: Simulation
     _interlock: Interlock
+    _planned_faults: defaultdict[str, list[int]]  # line -> numbers of the faults it made
     _chain: Chain
     _truth: Truth
 
@@ -212,7 +216,8 @@ class Rig:
 
         Gap, law, sphere and every other part of the mechanics, the instruments and the interlock's limits change at
         once; on a change of barriers, contact or sphere the sphere rests at `sphere.start` again. The drive's initial
-        values and the seed are taken at the next reset.
+        values and the seed are taken at the next reset. A line added to the planned faults is injected, its `start_s`
+        counted from now; one taken away is cleared.
 
         Raises:
             ConfigError: unknown key, bad value, bad combination, or a value fixed at start; nothing is changed.
@@ -225,7 +230,8 @@ class Rig:
         mechanics = attrs.evolve(config, drive=self._drive)
         instruments = self._without_new_seeds(config)
         new_mechanics = any(name.startswith(MECHANICS) for name in changed)
-        new_instruments = any(name.startswith(INSTRUMENTS) for name in changed)
+        new_instruments = any(name.startswith(INSTRUMENTS) and name != PLANNED for name in changed)
+        replan = self._replanned(self.config.instruments.faults.planned, config.instruments.faults.planned)
         if any(name.startswith("drive.") for name in changed):
             generator(config)  # taken at the next reset, refused here
         if new_mechanics:
@@ -238,7 +244,9 @@ class Rig:
             self._generator.set_ramp(config.shaker.ramp_s)
         self.config = config
         self._truth.configure(config.output.monitor_rate_hz, config.output.truth_scan)
-        self._journal.add_values(self.frontier_sample, Kind.PARAMETER, sampled(changed).items())
+        values = {name: value for name, value in sampled(changed).items() if name != PLANNED}
+        self._journal.add_values(self.frontier_sample, Kind.PARAMETER, values.items())
+        replan()
         if new_instruments:
             self._info_sample = self.frontier_sample
         return config
@@ -259,11 +267,10 @@ class Rig:
         """Lock the base, put x_1 at `displacement_m` and let it go: free decay until the next reset.
 
         Raises:
-            CommandError: not finite, or beyond the shaker's travel.
+            CommandError: not finite.
         """
-        limit = self.config.shaker.travel_limit_m
-        if not abs(displacement_m) <= limit:
-            raise CommandError(f"a pluck must be within +-{limit:g} m, got {displacement_m:g}")
+        if not math.isfinite(displacement_m):
+            raise CommandError(f"a pluck must be finite, got {displacement_m:g} m")
         self._simulation.pluck(displacement_m)
         self._generator.set_amplitude(0.0)
         self._note(Kind.PLUCK, value=displacement_m)
@@ -278,6 +285,7 @@ class Rig:
         """Release the latch; the amplitude stays zero until the next command."""
         self._note(Kind.CLEAR_TRIP)
         self._latched = None
+        self._interlock.reset()
 
     def inject(self, fault: Fault) -> int:
         """Start an instrument fault on demand and return its id.
@@ -325,10 +333,33 @@ class Rig:
         self._timed_out = False
         self._info_sample = 0
         self._interlock = Interlock()
+        self._planned_faults = defaultdict(list)
+        for number, line in enumerate(config.instruments.faults.planned, start=1):  # as the fault board numbers them
+            self._planned_faults[line].append(number)
         self._truth = Truth(self.rate_hz, config.output.monitor_rate_hz, config.output.truth_scan)
         self._note(kind, text=impact_rig.__version__.encode())
         self._journal.add_values(0, Kind.INITIAL, not_default(config).items())
         self._publish_applied()
+
+    def _replanned(self, before: Iterable[str], after: Iterable[str]) -> Callable[[], None]:
+        """Check a change of the planned faults and return what puts it into force.
+
+        Raises:
+            ConfigError: an added line describes no fault.
+        """
+        gone, new = Counter(before) - Counter(after), Counter(after) - Counter(before)
+        added = [(line, planned(parse(line), self.rate_hz)) for line in new.elements()]
+
+        def put_into_force() -> None:
+            for line in gone.elements():
+                number = self._planned_faults[line].pop()
+                if number in self._chain.fault_numbers():
+                    self.clear_fault(number)
+            for line, fault in added:
+                number = self.inject(attrs.evolve(fault, start=self.frontier_sample + fault.start))
+                self._planned_faults[line].append(number)
+
+        return put_into_force
 
     def _without_new_seeds(self, config: RigConfig) -> RigConfig:
         """Return `config` with the seed and the planned faults of the last reset: both are drawn there."""

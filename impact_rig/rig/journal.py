@@ -45,7 +45,8 @@ class Kind(enum.Enum):
     RESET = "reset", "Scan 0 of the same rig as new; text = version."
     INITIAL = "initial", "One configuration value at the start that is not the default."
     COMMAND = "command", "key = frequency or current."
-    PARAMETER = "parameter", "One configuration value; rows of one instant are one change."
+    PARAMETER = "parameter", "One configuration value changes; rows `more` after it belong to the same change."
+    MORE = "more", "One more configuration value, or one more part of a text, of the change before."
     PLUCK = "pluck", "value = displacement of x_1 [m]."
     STOP = "stop", "The emergency stop."
     CLEAR_TRIP = "clear_trip", "The latch is released."
@@ -97,14 +98,16 @@ class Journal:
         self._sequence += 1
 
     def add_values(self, sample: int, kind: Kind, values: Iterable[tuple[str, Value]]) -> None:
-        """Append configuration values; a text needs one row per 32 bytes, `value` counts them."""
+        """Append the configuration values of one change; a text needs one row per 32 bytes, `value` counts them."""
         for name, value in values:
             if isinstance(value, (bool, int, float)):
                 self.add(sample, kind, short_key(name), float(value))
+                kind = Kind.MORE if kind is Kind.PARAMETER else kind
                 continue
             raw = (SEPARATOR.join(value) if isinstance(value, tuple) else value).encode()
             for part in range(0, max(len(raw), 1), TEXT_BYTES):
                 self.add(sample, kind, short_key(name), part / TEXT_BYTES, raw[part : part + TEXT_BYTES])
+                kind = Kind.MORE if kind is Kind.PARAMETER else kind
 
     def take(self) -> list[Table]:
         """Return the new rows, one table per run of equal stamps, and forget them."""

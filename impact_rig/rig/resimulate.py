@@ -62,9 +62,10 @@ def apply(rig: Rig, group: list[Entry]) -> None:
 
 
 def _changes(entries: list[Entry]) -> Iterator[list[Entry]]:
-    """Group rows that were one change: parameters of one instant, in one run."""
-    keyed = itertools.groupby(entries, lambda e: (e.sample, e.kind) if e.kind is Kind.PARAMETER else e.sequence)
-    return (list(group) for _, group in keyed)
+    """Group rows that were one change: a parameter and the `more` rows after it."""
+    changes = itertools.accumulate(entry.kind is not Kind.MORE for entry in entries)
+    for _, group in itertools.groupby(zip(changes, entries, strict=True), lambda numbered: numbered[0]):
+        yield [entry for _, entry in group]
 
 
 def _tick(entry: Entry, rig: Rig) -> int:

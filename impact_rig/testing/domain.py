@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
 import os
 import tempfile
@@ -59,10 +60,12 @@ def _directory() -> Path:
 
 def _lock(domain_id: int) -> int | None:
     directory = _directory()
-    directory.mkdir(exist_ok=True)
+    with contextlib.suppress(FileExistsError):
+        directory.mkdir()
+        directory.chmod(0o1777)  # like /tmp itself: other users lock here as well
     try:
-        handle = os.open(directory / f"{domain_id}.lock", os.O_RDWR | os.O_CREAT, 0o666)
-    except PermissionError:  # another user's lock file
+        handle = os.open(directory / f"{domain_id}.lock", os.O_RDONLY | os.O_CREAT, 0o644)  # enough for a lock
+    except PermissionError:  # of a user who does not share
         return None
     try:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)

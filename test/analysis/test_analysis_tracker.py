@@ -442,3 +442,27 @@ def test_settings_refuse_nonsense_by_name():
     assert all(field.default is not attrs.NOTHING for field in attrs.fields(TrackerSettings))
     assert BASE_M * abs(linear_transmissibility(F_N)) < 0.01
     assert ZETA > 0
+
+
+@pytest.mark.parametrize("times", ["another_rate", "nan", "backwards", "jitter"])
+def test_scans_that_are_no_runs_are_lost_not_measured(times):
+    """Another rate than daq/info says, or times that are none: counted, and no recursion."""
+    made = tracker()
+    rows = record(seconds=1.0)[:200].copy()
+    rows["time"] = np.arange(200) / RATE
+    if times == "another_rate":
+        rows["time"] /= 5
+    elif times == "nan":
+        rows["time"][-1] = np.nan
+    elif times == "backwards":
+        rows["time"] = rows["time"][::-1]
+    else:
+        rows["time"] += np.where(np.arange(200) % 2, 0.9, 0.0) / RATE
+    found = made.feed(Table(0, rows))
+    assert found.measurements == ()
+    assert made.counters.lost_scans > 0
+
+
+def test_windows_that_never_fill_are_refused():
+    with pytest.raises(ConfigError, match="windows must be <= long_windows = 32, got 40"):
+        TrackerSettings(windows=40)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+import yaml
 
 pytest.importorskip("rclpy", reason="no ROS 2 here")
 
@@ -84,3 +85,33 @@ def test_start_and_stop_in_every_state(client: Client, tmp_path: Path) -> None:
         client.trigger("recorder/start")
     with open_run(tmp_path / "run") as run:
         assert run.attachments()["environment.json"]
+
+
+def test_the_calibration_is_attached_for_people(client: Client, tmp_path: Path) -> None:
+    host_recorder(client, tmp_path)
+    host_rig(client, time__peers=["recorder"])
+    client.wait_active("rig", "recorder")
+    client.wait_until(lambda: recording(client), "the recorder")
+    client.step(5)
+    client.set_parameters("rig", {"instruments.laser.lag_s": 0.001})
+    client.step(5)
+    client.trigger("recorder/stop")
+    with open_run(tmp_path / "run") as run:
+        found = run.attachments()
+        certificates = [table.rows for table in run.tables("daq/info")]
+    first, second = (yaml.safe_load(found[name]) for name in ("calibration.yaml", "calibration_2.yaml"))
+    assert list(first["channels"]) == ["accelerometer", "laser", "base", "current"]
+    assert first["channels"]["laser"]["lag"] == certificates[0]["lag"][1]
+    assert second["channels"]["laser"]["lag"] == certificates[1]["lag"][1] == 0.001
+
+
+def test_a_directory_that_cannot_be_is_refused_and_the_node_goes_on(client: Client, tmp_path: Path) -> None:
+    host_recorder(client, tmp_path, record=False)
+    host_rig(client, time__peers=["recorder"])
+    client.wait_active("rig", "recorder")
+    client.step(1)
+    client.set_parameters("recorder", {"directory": "~nobody_of_that_name/runs"})
+    with pytest.raises(ServiceFailedError, match="nobody_of_that_name/runs' cannot be used"):
+        client.trigger("recorder/start")
+    client.set_parameters("recorder", {"directory": str(tmp_path)})
+    assert client.trigger("recorder/start") == str(tmp_path / "run")

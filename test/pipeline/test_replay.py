@@ -124,10 +124,19 @@ def test_real_time_takes_its_time_and_ctrl_c_ends_a_loop(client: Client, run: Pa
     assert len(monitors) > BLOCKS
 
 
+def test_a_single_topic_can_be_replayed(client: Client, run: Path) -> None:
+    with replay(client, run, "--rate", "100", "--topics", "laser", "--paused") as player:
+        heard = client.collect("laser", timeout_s=30.0)
+        client.call(SetBool, "player/pause", SetBool.Request(data=False))
+        finish(client, player)
+    assert len(heard) > BLOCKS / 2
+
+
 @pytest.mark.parametrize(
     ("options", "words"),
     [
         (("--rate", "max"), "needs peers"),
+        (("--rate", "max", "--peers", "analysis", "--topics", "laser"), "choose it as well"),
         (("--topics", "nothing/here"), "no topic 'nothing/here'"),
         (("--rate", "-1"), "must be max or a number"),
     ],
