@@ -14,10 +14,10 @@ from std_msgs.msg import Float64, Header
 from std_srvs.srv import SetBool
 
 from impact_rig.config import RigConfig, from_flat, load
-from impact_rig.errors import ConfigError
+from impact_rig.errors import ConfigError, SimulationError
 from impact_rig.nodes import topics
 from impact_rig.nodes.stamps import nanoseconds
-from impact_rig.rig import Rig, resimulate
+from impact_rig.rig import Block, Rig, resimulate
 from impact_rig.testing import Client, Collector, ServiceFailedError, WaitTimeoutError
 
 pytestmark = pytest.mark.ros
@@ -345,3 +345,21 @@ def test_qos_can_be_overridden(client: Client) -> None:
     assert client.get_parameters("rig", ["qos_overrides./daq/scan.publisher.depth"]) == {
         "qos_overrides./daq/scan.publisher.depth": 7
     }
+
+
+@pytest.mark.parametrize("mode", ["realtime", "freewheel"])
+def test_a_simulation_that_cannot_go_on_deactivates_the_rig_and_can_be_started_again(client: Client, mode: str) -> None:
+    node = host_rig(client, mode)
+    client.wait_active("rig")
+
+    def stuck(_until_ns: int) -> list[Block]:
+        raise SimulationError("no progress in drive segment 7")
+
+    node._rig.advance = stuck  # a fault put in by hand: no legal configuration is known that does this
+    client.wait_until(lambda: "no progress in drive segment 7" in client.status("rig").message, "the reason")
+    assert client.status("rig").level == b"\2"
+    assert client.state("rig") == "inactive"
+    assert client.change_state("rig", "activate")
+    scans = client.collect("daq/scan")
+    client.wait_until(lambda: len(scans) > 5, "blocks of the next rig")
+    assert node.refusals.counts == {"exception": 1}
