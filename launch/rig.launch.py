@@ -3,20 +3,39 @@
 Examples:
     ros2 launch impact_rig rig.launch.py
     ros2 launch impact_rig rig.launch.py mode:=freewheel config:=/path/to/mine.yaml record:=false
+    ros2 launch impact_rig rig.launch.py mode:=stepped peers:=analysis,recorder,my_controller
     ros2 launch impact_rig rig.launch.py --show-args
 """
 
-from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, SetEnvironmentVariable, Shutdown
-from launch.substitutions import LaunchConfiguration, PathJoinSubstitution, PythonExpression
+from launch import LaunchContext, LaunchDescription
+from launch.actions import DeclareLaunchArgument, OpaqueFunction, SetEnvironmentVariable, Shutdown
+from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import FindPackageShare
 
+from impact_rig.config import from_flat, load
 
-def generate_launch_description() -> LaunchDescription:
-    """Return the arguments, the environment and the three nodes."""
-    mode, factor = LaunchConfiguration("mode"), LaunchConfiguration("factor")
+
+def start_nodes(context: LaunchContext) -> list[Node]:
+    """Return the three nodes; a file or an argument that cannot be is refused before anything starts."""
+    path = LaunchConfiguration("config").perform(context)
+    mode = LaunchConfiguration("mode").perform(context)
+    factor = LaunchConfiguration("factor").perform(context)
+    peers = [name for name in LaunchConfiguration("peers").perform(context).split(",") if name]
+    given = {}  # only what was given goes on top of the file
+    if mode:
+        given["time.mode"] = mode
+    if factor:
+        given["time.factor"] = float(factor)
+    if peers:
+        given["time.peers"] = peers
+    time = from_flat(load(path), given).time
+    if time.mode != "realtime" and not time.peers:
+        # not in real time, the rig waits for these two, so that no block is lost
+        given["time.peers"] = ["analysis", "recorder"]
+    # the rig makes the time that the others follow, unless that is the time everybody has
+    follow_rig_time = {"use_sim_time": time.mode != "realtime" or time.factor != 1.0}
     common = {
         "package": "impact_rig",
         "namespace": LaunchConfiguration("namespace"),
@@ -24,12 +43,32 @@ def generate_launch_description() -> LaunchDescription:
         "ros_arguments": ["--log-level", LaunchConfiguration("log_level")],
         "sigterm_timeout": "15",  # seconds after Ctrl-C in which a run's file is finished
     }
-    # the rig makes the time that the others follow, unless that is the time everybody has
-    rig_makes_time = PythonExpression(["'", mode, "' != 'realtime' or float('", factor, "') != 1.0"])
-    follow_rig_time = {"use_sim_time": ParameterValue(rig_makes_time, value_type=bool)}
-    # not in real time, the rig waits for these two, so that no block is lost; [''] is ROS for an empty list
-    peers = PythonExpression(["['analysis', 'recorder'] if '", mode, "' != 'realtime' else ['']"])
+    return [
+        Node(
+            executable="rig_node",
+            name="rig",
+            parameters=[{"config_file": path, **given}],
+            on_exit=Shutdown(reason="the rig has ended"),
+            **common,
+        ),
+        Node(executable="analysis_node", name="analysis", parameters=[follow_rig_time], **common),
+        Node(
+            executable="recorder_node",
+            name="recorder",
+            parameters=[
+                follow_rig_time,
+                {
+                    "directory": ParameterValue(LaunchConfiguration("record_directory"), value_type=str),
+                    "record": ParameterValue(LaunchConfiguration("record"), value_type=bool),
+                },
+            ],
+            **common,
+        ),
+    ]
 
+
+def generate_launch_description() -> LaunchDescription:
+    """Return the arguments, the environment and the three nodes."""
     return LaunchDescription(
         [
             DeclareLaunchArgument("namespace", default_value="rig", description="Namespace of all nodes and topics."),
@@ -40,11 +79,19 @@ def generate_launch_description() -> LaunchDescription:
             ),
             DeclareLaunchArgument(
                 "mode",
-                default_value="realtime",
-                choices=["realtime", "freewheel", "stepped"],
-                description="Paced by the clock, as fast as analysis and recorder follow, or by the service ~/step.",
+                default_value="",
+                choices=["", "realtime", "freewheel", "stepped"],
+                description="Paced by the clock, as fast as the peers follow, or by ~/step; empty: as in the file.",
             ),
-            DeclareLaunchArgument("factor", default_value="1.0", description="Speed of realtime, times real time."),
+            DeclareLaunchArgument(
+                "factor", default_value="", description="Speed of realtime, times real time; empty: as in the file."
+            ),
+            DeclareLaunchArgument(
+                "peers",
+                default_value="",
+                description="Nodes that the rig waits for when not in realtime, with commas between; empty: as in the "
+                "file, or else analysis,recorder.",
+            ),
             DeclareLaunchArgument(
                 "record",
                 default_value="true",
@@ -67,32 +114,6 @@ def generate_launch_description() -> LaunchDescription:
                 description="Who can see the rig: this machine, its network, or as the environment says.",
             ),
             SetEnvironmentVariable("ROS_AUTOMATIC_DISCOVERY_RANGE", LaunchConfiguration("discovery")),
-            Node(
-                executable="rig_node",
-                name="rig",
-                parameters=[
-                    {
-                        "config_file": ParameterValue(LaunchConfiguration("config"), value_type=str),
-                        "time.mode": mode,
-                        "time.factor": ParameterValue(factor, value_type=float),
-                        "time.peers": ParameterValue(peers, value_type=list[str]),
-                    }
-                ],
-                on_exit=Shutdown(reason="the rig has ended"),
-                **common,
-            ),
-            Node(executable="analysis_node", name="analysis", parameters=[follow_rig_time], **common),
-            Node(
-                executable="recorder_node",
-                name="recorder",
-                parameters=[
-                    follow_rig_time,
-                    {
-                        "directory": ParameterValue(LaunchConfiguration("record_directory"), value_type=str),
-                        "record": ParameterValue(LaunchConfiguration("record"), value_type=bool),
-                    },
-                ],
-                **common,
-            ),
+            OpaqueFunction(function=start_nodes),
         ]
     )

@@ -54,13 +54,19 @@ def test_the_programs_are_those_that_are_installed():
 
 def test_the_modes_are_those_of_the_configuration():
     modes = next(about.choices for name, about, _ in config.fields() if name == "time.mode")
-    assert tuple(ast.literal_eval(keyword(declared()["mode"], "choices"))) == modes
+    assert tuple(ast.literal_eval(keyword(declared()["mode"], "choices"))) == ("", *modes)
 
 
 def parameters(node: ast.Call) -> set[str]:
     """Return the keys of the dictionaries given to a node, by their text."""
     dictionaries = [item for item in ast.walk(keyword(node, "parameters")) if isinstance(item, ast.Dict)]
     return {text(key) for dictionary in dictionaries for key in dictionary.keys if key is not None}
+
+
+def given() -> set[str]:
+    """Return the rig's parameters that arguments put on top of the file."""
+    targets = (target for node in ast.walk(TREE) if isinstance(node, ast.Assign) for target in node.targets)
+    return {text(target.slice) for target in targets if isinstance(target, ast.Subscript)}
 
 
 @pytest.mark.ros
@@ -75,6 +81,8 @@ def test_the_parameters_are_those_of_the_nodes():
     for name, schema in schemas.items():
         known = {field for field, _, _ in schema.fields()} | {CONFIG_FILE}
         assert parameters(nodes[name]) <= known, name
+    rig = {field for field, _, _ in schemas["rig"].fields()}
+    assert {"time.mode", "time.factor", "time.peers"} == given() <= rig
 
 
 def test_launch_itself_reads_it():

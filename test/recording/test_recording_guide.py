@@ -10,6 +10,9 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import pytest
 from recording_samples import APPLIED_TOPIC, CONFIG, NOTES_TOPIC, RATE_HZ, SCAN_TOPIC, START_NS, applied_row, string
+
+pytest.importorskip("rosbags", reason="an independent reader, only on PyPI")
+
 from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_typestore
 

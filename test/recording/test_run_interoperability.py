@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 import yaml
 from mcap.reader import make_reader
-from mcap_ros2.decoder import DecoderFactory
 from recording_samples import (
     ALL_TOPICS,
     APPLIED_TOPIC,
@@ -23,6 +22,11 @@ from recording_samples import (
     scan_block,
     type_hash,
 )
+
+pytest.importorskip("rosbags", reason="an independent reader, only on PyPI")
+pytest.importorskip("mcap_ros2", reason="an independent reader, only on PyPI")
+
+from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 

@@ -11,6 +11,9 @@ from pathlib import Path
 import pytest
 import yaml
 from recording_samples import CONFIG, SCAN_TOPIC, fill, scan_block
+
+pytest.importorskip("rosbags", reason="an independent reader, only on PyPI")
+
 from rosbags.highlevel import AnyReader
 
 from impact_rig.errors import RecordingError

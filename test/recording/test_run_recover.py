@@ -24,6 +24,9 @@ from recording_samples import (
     scan_block,
     string,
 )
+
+pytest.importorskip("rosbags", reason="an independent reader, only on PyPI")
+
 from rosbags.highlevel import AnyReader
 
 from impact_rig.errors import RecordingError
