@@ -50,12 +50,14 @@ setup(
     ],
     extras_require={
         # for machines without an apt-installed ROS 2 only: never mix the two, so these are never a requirement
-        "wheels": ROS_WHEELS,
+        "wheels": [*ROS_WHEELS, "pytest"],  # pytest: see docs/testing.md
         "cluster": ["distributed>=2024.1"],  # `impact-rig campaign --through dask`
         "test": ["hypothesis", "pytest", "pytest-timeout"],  # also how `colcon test` knows to run pytest
     },
     zip_safe=False,
     entry_points={
+        # named like the module, so that a pytest that loads it by name as well does not load it twice
+        "pytest11": ["impact_rig.testing.plugin = impact_rig.testing.plugin"],
         "console_scripts": [
             "impact-rig = impact_rig.cli:main",
             "rig_node = impact_rig.nodes.rig_node:main",

@@ -7,13 +7,17 @@ with its last words.
 
 from __future__ import annotations
 
+import contextlib
 import functools
+import inspect
+import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from types import TracebackType
 from typing import Any, TypeVar  # rclpy handles; message classes have no common base
 
 import numpy as np
+import rclpy.utilities
 from diagnostic_msgs.msg import DiagnosticStatus
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
@@ -29,7 +33,7 @@ from impact_rig.errors import ConfigError, ImpactRigError
 from impact_rig.nodes import topics
 from impact_rig.nodes.guard import with_info
 from impact_rig.nodes.process import make_executor
-from impact_rig.nodes.stamps import time_message
+from impact_rig.nodes.stamps import nanoseconds, time_message
 from impact_rig.testing.collector import Collector, Received
 from impact_rig.testing.processes import ParameterValue, Processes
 
@@ -39,6 +43,8 @@ DEFAULT_TIMEOUT_S = 10.0
 """Discovery takes 0.2 to 2 s; compiled code may load in the first seconds of a node."""
 START_TIMEOUT_S = 240.0
 """A node's first start on a machine compiles the physics."""
+AGAIN_S = 2.0
+"""When a question that may be asked twice is asked again."""
 SPIN_S = 0.1
 _TRANSITIONS = {
     "configure": Transition.TRANSITION_CONFIGURE,
@@ -102,7 +108,8 @@ class Client:
     def close(self) -> None:
         """Destroy the node, the nodes it hosts and the context."""
         for node in self._hosted:
-            node.close()
+            if hasattr(node, "close"):  # a node of this package stops working first
+                node.close()
         self.executor.shutdown()
         for node in [*self._hosted, self.node]:
             node.destroy_node()
@@ -140,16 +147,33 @@ class Client:
             self.wait_until(is_active, f"{node} to be active", timeout_s)
 
     def host(self, make_node: Callable[..., Any], **kwargs: Any) -> Any:
-        """Run a node in this process, in this client's executor; `make_node` gets context and namespace.
+        """Run a node in this process, in this client's executor, with this client's context and namespace.
 
-        No thread: the node works while the client waits.
+        No thread: the node works while the client waits. A class that does not hand keyword arguments on to `Node` gets
+        the context as the default one, and no namespace.
         """
-        node = make_node(
-            context=self.context, namespace=self.node.get_namespace(), use_global_arguments=False, **kwargs
-        )
+        if takes_keywords(make_node):
+            kwargs |= {
+                "context": self.context,
+                "namespace": self.node.get_namespace(),
+                "use_global_arguments": False,
+            }
+        with _as_default(self.context):
+            node = make_node(**kwargs)
         self._hosted.append(node)
         self.executor.add_node(node)
         return node
+
+    def acknowledge_callbacks(self, node: Any) -> int:
+        """Acknowledge every block of daq/scan for a hosted node, once its callback has returned.
+
+        The node need not know of daq/ack. Returns how many subscriptions to daq/scan it has.
+        """
+        topic = self.node.resolve_topic_name(topics.SCAN.name)
+        found = [subscription for subscription in node.subscriptions if subscription.topic_name == topic]
+        for subscription in found:
+            subscription.callback = self._then_acknowledge(subscription.callback, node.get_name())
+        return len(found)
 
     # Commands
 
@@ -225,15 +249,45 @@ class Client:
             raise ServiceFailedError(f"{name}: {response.message}")
         return str(response.message)
 
-    def call(self, service_type: Any, name: str, request: Any, timeout_s: float = DEFAULT_TIMEOUT_S) -> Any:
-        """Call any service and return its response."""
+    def call(
+        self,
+        service_type: Any,
+        name: str,
+        request: Any,
+        timeout_s: float = DEFAULT_TIMEOUT_S,
+        again_s: float = math.inf,
+    ) -> Any:
+        """Call any service and return its response.
+
+        Args:
+            service_type: class of the service.
+            name: service name.
+            request: the request.
+            timeout_s: how long to wait for the service, and then for its answer.
+            again_s: ask again after this long, where it does no harm: on a busy machine DDS loses the answer to a
+                client that the server has not discovered within 100 ms.
+        """
+        client = self.prepare(service_type, name)
+        self.wait_until(client.service_is_ready, f"service {name}", timeout_s)
+        deadline = time.monotonic() + timeout_s
+        while True:
+            future = client.call_async(request)
+            left = deadline - time.monotonic()
+            try:
+                self.wait_until(future.done, f"an answer of {name}", min(again_s, left))
+            except WaitTimeoutError:
+                client.remove_pending_request(future)
+                if left <= again_s:
+                    raise
+            else:
+                return future.result()
+
+    def prepare(self, service_type: Any, name: str) -> Any:
+        """Return the client of a service, made if there is none: one made early has been discovered when it is used."""
         client = self._clients.get((name, service_type))
         if client is None:
             client = self._clients[name, service_type] = self.node.create_client(service_type, name)
-        self.wait_until(client.service_is_ready, f"service {name}", timeout_s)
-        future = client.call_async(request)
-        self.wait_until(future.done, f"an answer of {name}", timeout_s)
-        return future.result()
+        return client
 
     # Parameters and lifecycle
 
@@ -251,18 +305,21 @@ class Client:
                 for name, value in values.items()
             ]
         )
-        result = self.call(SetParametersAtomically, f"{node}/set_parameters_atomically", request).result
+        name = f"{node}/set_parameters_atomically"
+        result = self.call(SetParametersAtomically, name, request, again_s=AGAIN_S).result
         if not result.successful:
             raise ConfigError(result.reason)
 
     def get_parameters(self, node: str, names: Sequence[str]) -> dict[str, Any]:
         """Return parameter values by name."""
-        response = self.call(GetParameters, f"{node}/get_parameters", GetParameters.Request(names=list(names)))
+        request = GetParameters.Request(names=list(names))
+        response = self.call(GetParameters, f"{node}/get_parameters", request, again_s=AGAIN_S)
         return {name: parameter_value_to_python(value) for name, value in zip(names, response.values, strict=True)}
 
     def state(self, node: str, timeout_s: float = DEFAULT_TIMEOUT_S) -> str:
         """Return the label of a node's lifecycle state."""
-        return str(self.call(GetState, f"{node}/get_state", GetState.Request(), timeout_s).current_state.label)
+        response = self.call(GetState, f"{node}/get_state", GetState.Request(), timeout_s, AGAIN_S)
+        return str(response.current_state.label)
 
     def change_state(self, node: str, transition: str, timeout_s: float = START_TIMEOUT_S) -> bool:
         """Request a lifecycle transition (`configure`, `activate`, `deactivate`, `cleanup`); return its success."""
@@ -289,13 +346,65 @@ class Client:
         """
         topic = topics.by_name(name)
         collector = Collector(topic, self._acknowledge if acknowledge else None)
-        if acknowledge:
-            self._publishers[topics.ACK.name] = self.node.create_publisher(
-                Header, topics.ACK.name, topics.ACK.qos.profile()
-            )
         subscription = self._subscribe(topic, collector.take, raw=topic.columns is not None)
         self.wait_until(subscription.get_publisher_count, f"a publisher of {name}", timeout_s)
         return collector
+
+    def listen(
+        self,
+        name: str,
+        on_message: Callable[[Received], None] | None = None,
+        timeout_s: float = DEFAULT_TIMEOUT_S,
+    ) -> Collector:
+        """Subscribe to any topic, e.g. an output of the pipeline under test, and keep everything that arrives.
+
+        Type and reliability are those of its publisher, which must be there; tables come as with `collect`.
+
+        Args:
+            name: topic name, relative to the namespace.
+            on_message: called after a message is kept.
+            timeout_s: how long to wait for a publisher.
+        """
+        full_name = self.node.resolve_topic_name(name)
+        self.wait_until(
+            lambda: self.node.get_publishers_info_by_topic(full_name), f"a publisher of {full_name}", timeout_s
+        )
+        (publisher, *_) = self.node.get_publishers_info_by_topic(full_name)
+        profile = topics.Qos.DATA.profile()
+        profile.reliability = publisher.qos_profile.reliability
+        topic = topics.Topic(name, publisher.topic_type, topics.Qos.DATA, publisher.node_name, "", ())
+        collector = Collector(topic, on_message)
+        subscription = self.node.create_subscription(
+            topic.message_type(),
+            full_name,
+            with_info(collector.take),
+            profile,
+            raw=topic.type_name == topics.SCAN.type_name,
+        )
+        self.wait_until(subscription.get_publisher_count, f"a publisher of {full_name} to match", timeout_s)
+        return collector
+
+    def acknowledge_for(self, peer: str, stamp_ns: int) -> None:
+        """Tell the rig that a peer, which does not do so itself, has processed everything up to a block."""
+        publisher = self._publishers.get(topics.ACK.name)
+        if publisher is None:
+            publisher = self.node.create_publisher(Header, topics.ACK.name, topics.ACK.qos.profile())
+            self._publishers[topics.ACK.name] = publisher
+        publisher.publish(Header(stamp=time_message(stamp_ns), frame_id=peer))
+
+    def _then_acknowledge(self, callback: Callable[..., Any], peer: str) -> Callable[..., Any]:
+        @functools.wraps(callback)
+        def call(*args: Any) -> Any:
+            message = args[0][0] if type(args[0]) is tuple else args[0]
+            try:
+                return callback(*args)
+            finally:
+                stamp = (
+                    codec.header_stamp_ns(message) if isinstance(message, bytes) else nanoseconds(message.header.stamp)
+                )
+                self.acknowledge_for(peer, stamp)
+
+        return call
 
     def _subscribe(self, topic: topics.Topic, callback: Callable[..., None], raw: bool = False) -> Any:
         return self.node.create_subscription(
@@ -303,8 +412,7 @@ class Client:
         )
 
     def _acknowledge(self, message: Received) -> None:
-        stamp = time_message(codec.header_stamp_ns(message.data))
-        self._publishers[topics.ACK.name].publish(Header(stamp=stamp, frame_id=self.name))
+        self.acknowledge_for(self.name, codec.header_stamp_ns(message.data))
 
     def _is_in_state(self, node: str, state: str, timeout_s: float) -> bool:
         return self.state(node, timeout_s) == state
@@ -333,3 +441,20 @@ class Client:
         """Return what nodes that are not well say: most waits in vain have their reason there."""
         bad = [f"{name}: {status.message}" for name, status in self.diagnostics.items() if status.level != b"\0"]
         return f" ({'; '.join(bad)})" if bad else ""
+
+
+def takes_keywords(make_node: Callable[..., Any]) -> bool:
+    """Return whether a node's class hands keyword arguments on to rclpy's Node."""
+    parameters = inspect.signature(make_node).parameters.values()
+    return any(parameter.kind is parameter.VAR_KEYWORD for parameter in parameters)
+
+
+@contextlib.contextmanager
+def _as_default(context: Context) -> Iterator[None]:
+    """Make a context the default one, which is what a node gets that is not given any."""
+    utilities: Any = rclpy.utilities
+    before, utilities.g_default_context = utilities.g_default_context, context
+    try:
+        yield
+    finally:
+        utilities.g_default_context = before

@@ -43,7 +43,7 @@ class Collector:
     def __init__(self, topic: Topic, on_message: Callable[[Received], None] | None = None) -> None:
         self.topic = topic
         self.received: list[Received] = []
-        self._on_message = on_message
+        self._on_message = [on_message] if on_message is not None else []
 
     def __len__(self) -> int:
         return len(self.received)
@@ -52,8 +52,12 @@ class Collector:
         """Keep one message; the subscription's callback."""
         message = Received(data, int(info["publication_sequence_number"]), time.monotonic_ns(), time.time_ns())
         self.received.append(message)
-        if self._on_message is not None:
-            self._on_message(message)
+        for on_message in self._on_message:
+            on_message(message)
+
+    def then(self, on_message: Callable[[Received], None]) -> None:
+        """Call this as well after each message that is kept from now on."""
+        self._on_message.append(on_message)
 
     @property
     def messages(self) -> list[Any]:
@@ -70,8 +74,8 @@ class Collector:
 
     def rows(self) -> NDArray[np.void]:
         """Return the rows of all tables, one after the other; shape (n,)."""
-        assert self.topic.columns is not None, f"{self.topic.name} carries no tables"
         parts = [table.rows for table in self.tables()]
+        assert parts or self.topic.columns is not None, f"{self.topic.name}: no tables have come, if it carries any"
         return np.concatenate(parts) if parts else np.empty(0, self.topic.columns)
 
     def lost(self) -> int:

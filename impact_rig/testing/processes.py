@@ -102,15 +102,17 @@ class Processes:
         name: str | None = None,
         parameters_file: Path | None = None,
         environment: Mapping[str, str] | None = None,
+        command: Sequence[str] | None = None,
     ) -> NodeProcess:
         """Start one node.
 
         Args:
-            node: a key of `NODES`, or a module with a `main`.
+            node: a key of `NODES`, or a module with a `main`; with `command` only its name.
             parameters: ROS parameters, `section.key` -> value; on top of the file.
             name: node name, default the key; also the name of its log file.
             parameters_file: ROS 2 parameter file.
             environment: more environment variables.
+            command: program and arguments that start the node, instead of a module; `--ros-args …` is appended.
         """
         name = name or node
         if name in self.running and self.running[name].exit_code is None:
@@ -124,8 +126,8 @@ class Processes:
             arguments += ["-p", f"{key}:={_yaml(value)}"]
         log = self.directory / f"{name}.log"
         with log.open("ab") as output:
-            process = subprocess.Popen(  # noqa: S603  # our own module, arguments as a list
-                [sys.executable, "-m", NODES.get(node, node), "--ros-args", *arguments],
+            process = subprocess.Popen(  # noqa: S603  # what the caller asked for, arguments as a list
+                [*(command or (sys.executable, "-m", NODES.get(node, node))), "--ros-args", *arguments],
                 stdin=subprocess.DEVNULL,
                 stdout=output,
                 stderr=subprocess.STDOUT,

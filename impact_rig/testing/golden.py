@@ -1,0 +1,140 @@
+"""Golden runs and golden values: what a pipeline gave when it was right, kept beside its tests.
+
+A golden run is an MCAP run like any other, so every tool opens it. A comparison names the first difference: topic,
+instant, row, column and both values.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from impact_rig.blocks import Table
+from impact_rig.errors import ConfigError
+from impact_rig.recording import open_run
+from impact_rig.simtime import NS_PER_S
+from impact_rig.testing.stepped_rig import SCANS, SteppedRig
+
+UPDATE_OPTION = "--rig-update-golden"
+
+
+class Golden:
+    """The golden data of one test.
+
+    Args:
+        directory: where they are, beside the test file.
+        update: write what is there now instead of comparing.
+    """
+
+    def __init__(self, directory: Path, *, update: bool) -> None:
+        self.directory = directory
+        self._update = update
+
+    def run(
+        self, rig: SteppedRig, topics: Sequence[str] = (SCANS,), tolerances: Mapping[str, float] | None = None
+    ) -> None:
+        """Compare what a rig has published with the golden run.
+
+        Args:
+            rig: the rig under test.
+            topics: compared, each in full.
+            tolerances: column -> largest absolute difference; every other column must agree bit for bit.
+
+        Raises:
+            AssertionError: the first difference, or that there is no golden run yet.
+        """
+        where = self.directory / "run"
+        if self._update:
+            shutil.rmtree(where, ignore_errors=True)
+            where.parent.mkdir(parents=True, exist_ok=True)
+            rig.save(where)
+            return
+        if not where.exists():
+            raise AssertionError(self._absent(where))
+        with open_run(where) as golden:
+            for topic in topics:
+                expected = golden.tables(topic, recorded_order=True)
+                difference = first_difference(rig.tables(topic), expected, tolerances or {})
+                if difference:
+                    raise AssertionError(f"{topic} differs from the golden run {where}: {difference}")
+
+    def values(self, found: Mapping[str, float], rel: float = 1e-9, abs: float = 0.0) -> None:  # noqa: A002  # as in pytest.approx
+        """Compare named numbers, such as results of an analysis, with the golden ones.
+
+        Raises:
+            AssertionError: all differences, or that there are no golden values yet.
+        """
+        where = self.directory / "values.json"
+        numbers = {name: float(value) for name, value in found.items()}
+        if self._update:
+            where.parent.mkdir(parents=True, exist_ok=True)
+            where.write_text(json.dumps(numbers, indent=1) + "\n", encoding="utf-8")
+            return
+        if not where.exists():
+            raise AssertionError(self._absent(where))
+        expected: dict[str, float] = json.loads(where.read_text(encoding="utf-8"))
+        wrong = [
+            f"{name}: {numbers.get(name, 'missing')}, golden {expected.get(name, 'missing')}"
+            for name in sorted({*numbers, *expected})
+            if name not in numbers or name not in expected or not _close(numbers[name], expected[name], rel, abs)
+        ]
+        if wrong:
+            raise AssertionError(f"different from {where} (rel {rel:g}, abs {abs:g}): {'; '.join(wrong)}")
+
+    def _absent(self, where: Path) -> str:
+        return f"there is no {where} yet: run pytest once with {UPDATE_OPTION}, look at what it wrote, and keep it"
+
+
+def first_difference(found: Iterable[Table], expected: Iterable[Table], tolerances: Mapping[str, float]) -> str:
+    """Return the first difference of two streams of tables, or nothing.
+
+    Args:
+        found: what is judged.
+        expected: what is right.
+        tolerances: column -> largest absolute difference; NaN equals NaN; every other column must agree bit for bit.
+
+    Raises:
+        ConfigError: a tolerance is for a column that is not there.
+    """
+    got, right = list(found), list(expected)
+    for one, other in zip(got, right, strict=False):
+        if one.stamp_ns != other.stamp_ns or len(one.rows) != len(other.rows):
+            return (
+                f"{len(one.rows)} rows at {one.stamp_ns / NS_PER_S:.9f} s, "
+                f"golden {len(other.rows)} at {other.stamp_ns / NS_PER_S:.9f} s"
+            )
+        names = other.rows.dtype.names or ()
+        if one.rows.dtype.names != names:
+            return f"columns {one.rows.dtype.names}, golden {names}"
+        unknown = set(tolerances) - set(names)
+        if unknown:
+            raise ConfigError(f"tolerances for columns that are not there: {', '.join(sorted(unknown))}")
+        for name in names:
+            bad = np.flatnonzero(~_agree(one.rows[name], other.rows[name], tolerances.get(name)))
+            if len(bad):
+                i = int(bad[0])
+                return (
+                    f"{name} in row {i} at {one.stamp_ns / NS_PER_S:.9f} s: "
+                    f"{one.rows[name][i]!r}, golden {other.rows[name][i]!r}"
+                )
+    return "" if len(got) == len(right) else f"{len(got)} tables, golden {len(right)}"
+
+
+def _agree(found: NDArray[np.generic], expected: NDArray[np.generic], tolerance: float | None) -> NDArray[np.bool_]:
+    if tolerance is not None:
+        return np.isclose(found.astype(float), expected.astype(float), rtol=0.0, atol=tolerance, equal_nan=True)
+    if found.dtype != expected.dtype:
+        return np.zeros(len(found), bool)
+    if found.dtype.kind != "f":
+        return np.asarray(found == expected)
+    bits = f"u{found.dtype.itemsize}"
+    return np.asarray(np.ascontiguousarray(found).view(bits) == np.ascontiguousarray(expected).view(bits))
+
+
+def _close(found: float, expected: float, rel: float, absolute: float) -> bool:
+    return bool(np.isclose(found, expected, rtol=rel, atol=absolute, equal_nan=True))

@@ -1,0 +1,126 @@
+"""The pytest plugin: fixtures that start rigs, end them, and leave the run of every failed test as MCAP.
+
+Loaded by pytest through its entry point wherever the package is installed, so it imports neither rclpy nor numba: a
+fixture does, when it is used.
+
+| fixture | gives |
+|---|---|
+| `virtual_rig` | a function that starts a rig in the test's process, without ROS: see `VirtualRig` |
+| `ros_rig` | a function that starts a rig on a ROS domain of its own: see `RosRig` |
+| `golden` | comparison with golden data beside the test file: see `Golden` |
+"""
+
+from __future__ import annotations
+
+import re
+import shutil
+from collections.abc import Callable, Generator, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any  # what a rig is started with
+
+import pytest
+
+if TYPE_CHECKING:
+    from impact_rig.testing.golden import Golden
+    from impact_rig.testing.ros_rig import RosRig
+    from impact_rig.testing.stepped_rig import SteppedRig
+    from impact_rig.testing.virtual_rig import VirtualRig
+
+DEFAULT_DIRECTORY = "failed_runs"
+_RIGS = pytest.StashKey[list["SteppedRig"]]()
+_UNSAFE = re.compile(r"[^\w.-]+")
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Add the plugin's options."""
+    group = parser.getgroup("impact_rig", "virtual test rig")
+    group.addoption(
+        "--rig-runs", metavar="DIR", help=f"where runs of failed tests are left (default: {DEFAULT_DIRECTORY})"
+    )
+    group.addoption("--rig-update-golden", action="store_true", help="write golden data instead of comparing with them")
+    parser.addini("rig_runs", "where runs of failed tests are left, relative to the rootdir", default=DEFAULT_DIRECTORY)
+
+
+@pytest.fixture
+def virtual_rig(request: pytest.FixtureRequest) -> Iterator[Callable[..., VirtualRig]]:
+    """Return a function that starts a rig in this process: `virtual_rig({"barriers.gap_m": 0.004}, faults=[...])`."""
+
+    def start(*args: Any, **kwargs: Any) -> VirtualRig:
+        from impact_rig.testing.virtual_rig import VirtualRig  # noqa: PLC0415  # loads compiled code
+
+        kwargs.setdefault("name", _name(rigs))
+        rig = VirtualRig(*args, **kwargs)
+        rigs.append(rig)
+        return rig
+
+    rigs = request.node.stash.setdefault(_RIGS, [])
+    yield start
+    _close(rigs)
+
+
+@pytest.fixture
+def ros_rig(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Callable[..., RosRig]]:
+    """Return a function that starts a rig on a ROS domain of its own: `ros_rig({"barriers.gap_m": 0.004})`."""
+
+    def start(*args: Any, **kwargs: Any) -> RosRig:
+        from impact_rig.testing.ros_rig import RosRig  # noqa: PLC0415  # needs ROS
+
+        name = kwargs.setdefault("name", _name(rigs))
+        rig = RosRig(tmp_path / "impact_rig" / name, *args, **kwargs)
+        rigs.append(rig)
+        return rig
+
+    rigs = request.node.stash.setdefault(_RIGS, [])
+    yield start
+    _close(rigs)
+
+
+@pytest.fixture
+def golden(request: pytest.FixtureRequest) -> Golden:
+    """Return what compares with the golden data of this test, kept in `golden/` beside its file."""
+    from impact_rig.testing.golden import Golden  # noqa: PLC0415  # not needed by most tests
+
+    directory = request.path.parent / "golden" / request.path.stem / _UNSAFE.sub("_", request.node.name)
+    return Golden(directory, update=bool(request.config.getoption("--rig-update-golden")))
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(
+    item: pytest.Item, call: pytest.CallInfo[None]
+) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    """Save the runs of a test that fails, while its rigs are still there, and say where."""
+    report = yield
+    rigs = item.stash.get(_RIGS, [])
+    if rigs and report.when != "teardown" and report.failed and call.excinfo is not None:
+        directory = _directory(item)
+        shutil.rmtree(directory, ignore_errors=True)  # of an earlier failure of this test
+        report.sections.append(("impact_rig", "\n".join(_keep(rig, directory) for rig in rigs)))
+    return report
+
+
+def _keep(rig: SteppedRig, directory: Path) -> str:
+    """Save a rig's run and return what to tell about it; a test's own error is never hidden by one of ours."""
+    try:
+        saved = f"    run: {rig.save(directory / rig.name)}"
+    except Exception as error:
+        saved = f"    no run was saved: {error}"
+    try:
+        return f"{rig.report()}\n{saved}"
+    except Exception as error:
+        return f"{rig.name}: {error}\n{saved}"
+
+
+def _directory(item: pytest.Item) -> Path:
+    """Return where the runs of a failed test are left: named after it."""
+    wanted = item.config.getoption("--rig-runs")
+    root = Path(wanted).absolute() if wanted else item.config.rootpath / str(item.config.getini("rig_runs"))
+    return root / _UNSAFE.sub("_", item.nodeid).strip("_")
+
+
+def _name(rigs: list[SteppedRig]) -> str:
+    return "rig" if not rigs else f"rig{len(rigs) + 1}"
+
+
+def _close(rigs: list[SteppedRig]) -> None:
+    while rigs:
+        rigs.pop().close()

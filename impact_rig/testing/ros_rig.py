@@ -1,0 +1,241 @@
+"""The rig as a ROS 2 node on a domain of its own, in lockstep with the nodes under test.
+
+The rig advances only when told to, and the call returns when every peer has processed the last block: the test itself,
+the recorder, and each node under test. A node under test becomes a peer in one of three ways: hosted in the test's
+process (its callback's return is the acknowledgement), by an output of its own that answers each block, or by sending
+`daq/ack` itself.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import shutil
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any  # rclpy nodes and messages
+
+from rclpy.parameter import Parameter
+from std_srvs.srv import Trigger
+
+from impact_rig import codec
+from impact_rig.blocks import Table
+from impact_rig.errors import ConfigError, ImpactRigError, RecordingError
+from impact_rig.nodes.recorder_node import RecorderNode
+from impact_rig.nodes.rig_node import RigNode
+from impact_rig.nodes.stamps import nanoseconds
+from impact_rig.testing.client import START_TIMEOUT_S, Client
+from impact_rig.testing.collector import Collector, Received
+from impact_rig.testing.domain import isolated_domain
+from impact_rig.testing.faults import Fault
+from impact_rig.testing.processes import ParameterValue, Processes
+from impact_rig.testing.stepped_rig import SCANS, TOPICS, SteppedRig, configured
+
+NODE_TIMEOUT_S = 30.0
+"""How long a node under test may take to subscribe."""
+ACK_WINDOW = 4
+"""Blocks out and not acknowledged: less than the 10 messages most nodes keep, so that a slow one loses none."""
+RUN = "run"
+
+
+class RosRig(SteppedRig):
+    """A rig and a recorder as processes, and a client that plays the operator.
+
+    Args:
+        directory: for logs and the recording; made if missing.
+        parameters: configuration values, `section.key` -> value, as in docs/interface.md.
+        faults: faults of the instruments.
+        name: what reports call it.
+        hosted: run rig and recorder in the test's process as well: starts in a tenth of the time, still real DDS.
+
+    Raises:
+        ConfigError: unknown key, bad value or fault.
+    """
+
+    def __init__(
+        self,
+        directory: Path,
+        parameters: Mapping[str, ParameterValue] | None = None,
+        faults: Iterable[Fault] = (),
+        name: str = "rig",
+        hosted: bool = False,
+    ) -> None:
+        super().__init__(name, configured({"time.ack_window": ACK_WINDOW, **(parameters or {})}, faults))
+        if self.config.time.mode != "stepped":
+            raise ConfigError(f"time.mode of a rig in lockstep is stepped, got {self.config.time.mode}")
+        self._directory = directory
+        self._peers = ["client", "recorder"]
+        self._stack = contextlib.ExitStack()
+        self._step_blocks = self.config.step.blocks
+        with contextlib.ExitStack() as stack:
+            domain_id = stack.enter_context(isolated_domain())
+            self.processes = stack.enter_context(Processes(domain_id, directory / "logs"))
+            """The node processes, to stop, kill or suspend one."""
+            self.client = stack.enter_context(Client(domain_id, processes=self.processes))
+            """The operator: parameters, services, topics."""
+            for service in ("rig/step", "recorder/stop"):
+                self.client.prepare(Trigger, service)
+            self._start(
+                "rig",
+                {
+                    "time.ack_window": ACK_WINDOW,
+                    **(parameters or {}),
+                    "instruments.faults.planned": list(self.config.instruments.faults.planned) or [""],
+                    "time.mode": "stepped",
+                    "time.peers": self._peers,
+                },
+                hosted=hosted,
+            )
+            self._start("recorder", {"directory": str(directory), "name": RUN}, hosted=hosted)
+            self.client.wait_active("rig", "recorder")
+            self._collectors = {topic: self.client.collect(topic, acknowledge=topic == SCANS) for topic in TOPICS}
+            self._stack = stack.pop_all()
+
+    def _start(self, node: str, parameters: Mapping[str, ParameterValue], *, hosted: bool) -> None:
+        if not hosted:
+            self.processes.start(node, parameters)
+            return
+        make_node = {"rig": RigNode, "recorder": RecorderNode}[node]
+        overrides = [
+            Parameter(key, value=value if isinstance(value, str) or not isinstance(value, Sequence) else list(value))
+            for key, value in parameters.items()
+        ]
+        self.client.host(make_node, parameter_overrides=overrides)
+
+    # The pipeline under test
+
+    def host(self, make_node: Callable[..., Any], **kwargs: Any) -> Any:
+        """Run a node under test in this process and return it: in lockstep without a word about it in its code.
+
+        Args:
+            make_node: its class, or a function that makes it.
+            kwargs: given to `make_node`.
+
+        Raises:
+            ConfigError: it does not subscribe to daq/scan.
+        """
+        node = self.client.host(make_node, **kwargs)
+        if not self.client.acknowledge_callbacks(node):
+            raise ConfigError(f"node {node.get_name()!r} does not subscribe to {SCANS}")
+        self._add_peer(node.get_name())
+        return node
+
+    def start_node(
+        self,
+        command: Sequence[str],
+        name: str,
+        parameters: Mapping[str, ParameterValue] | None = None,
+        output: str | None = None,
+        timeout_s: float = NODE_TIMEOUT_S,
+    ) -> Collector | None:
+        """Start a node under test as a process.
+
+        Args:
+            command: program and arguments; `--ros-args -r __node:=NAME …` is appended.
+            name: its node name.
+            parameters: its ROS parameters.
+            output: a topic on which it answers every block; a header's stamp says which, without one they are counted.
+                None: the node sends `daq/ack` itself, with its name as `frame_id`.
+            timeout_s: how long it may take to subscribe to daq/scan.
+
+        Returns:
+            What arrives on `output`.
+        """
+        self.processes.start(name, parameters, name=name, command=command)
+        return self.follow(name, output, timeout_s)
+
+    def follow(self, name: str, output: str | None = None, timeout_s: float = NODE_TIMEOUT_S) -> Collector | None:
+        """Keep step with a node that somebody else has started; see `start_node`."""
+        self.client.wait_until(lambda: name in self._subscribers(), f"node {name} to subscribe {SCANS}", timeout_s)
+        found = None if output is None else self._acknowledge_answers(name, output, timeout_s)
+        self._add_peer(name)
+        return found
+
+    def listen(self, topic: str) -> Collector:
+        """Keep everything that arrives on any topic; a publisher must be there."""
+        return self.client.listen(topic)
+
+    # SteppedRig
+
+    def step(self, blocks: int = 1) -> None:
+        """Advance by whole blocks.
+
+        Raises:
+            ServiceFailedError: a peer does not acknowledge; names it.
+            ProcessDiedError: a node process ended; its last words.
+        """
+        if blocks != self._step_blocks:
+            self.client.set_parameters("rig", {"step.blocks": blocks})
+            self._step_blocks = blocks
+        self.client.trigger("rig/step", START_TIMEOUT_S)
+        self.sample += blocks * self.block_scans
+
+    def tables(self, topic: str = SCANS) -> list[Table]:
+        """Return what arrived on a table topic, see `TOPICS`, oldest first.
+
+        Scans, commands and journal are complete when a step returns; `truth/...` of the last blocks may come later.
+        """
+        return self._collectors[topic].tables()
+
+    def save(self, directory: Path) -> Path:
+        """Finish the recording and copy it, the logs beside it; the rig cannot go on after that.
+
+        Raises:
+            RecordingError: there is no recording, or it cannot be copied.
+        """
+        try:
+            self.client.trigger("recorder/stop")
+        except ImpactRigError:  # a process is gone or hangs: its file is finished when it is told to end
+            self.processes.stop(*({"recorder"} & set(self.processes.running)))
+        try:
+            shutil.copytree(self._directory / RUN, directory)
+            shutil.copytree(self._directory / "logs", directory / "logs")
+        except OSError as error:
+            raise RecordingError(f"the run cannot be copied to {directory}: {error}") from error
+        return directory
+
+    def close(self) -> None:
+        """End client and processes, and remove the recording."""
+        self._stack.close()
+        shutil.rmtree(self._directory, ignore_errors=True)
+
+    def _command(self, frequency_hz: float | None, current_a: float | None) -> int:
+        return int(self.client.command(frequency_hz, current_a)["sample"])
+
+    def _add_peer(self, name: str) -> None:
+        self._peers.append(name)
+        self.client.set_parameters("rig", {"time.peers": self._peers})
+
+    def _subscribers(self) -> set[str]:
+        topic = self.client.node.resolve_topic_name(SCANS)
+        return {info.node_name for info in self.client.node.get_subscriptions_info_by_topic(topic)}
+
+    def _acknowledge_answers(self, name: str, output: str, timeout_s: float) -> Collector:
+        """Acknowledge for a node whenever its output answers a block."""
+        scans = self._collectors[SCANS]
+        begin = answered = len(scans)
+
+        def on_output(message: Received) -> None:
+            nonlocal answered
+            stamp = _stamp_ns(message.data)
+            if stamp is not None:
+                self.client.acknowledge_for(name, stamp)
+            else:
+                answered += 1
+                on_scan(message)
+
+        def on_scan(_message: Received) -> None:
+            """Outputs are counted, and may overtake the blocks they answer."""
+            known = min(answered, len(scans))
+            if known > begin:
+                self.client.acknowledge_for(name, codec.header_stamp_ns(scans.received[known - 1].data))
+
+        scans.then(on_scan)
+        return self.client.listen(output, on_output, timeout_s)
+
+
+def _stamp_ns(message: Any) -> int | None:
+    """Return the stamp in a message's header, or None if it has none."""
+    if isinstance(message, bytes):
+        return codec.header_stamp_ns(message)
+    header = getattr(message, "header", None)
+    return None if header is None else int(nanoseconds(header.stamp))

@@ -1,0 +1,124 @@
+"""A rig on a domain of its own, in lockstep with nodes under test: hosted, answering, or acknowledging themselves."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy", reason="no ROS 2 here")
+
+from rclpy.node import Node
+from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import Float64, Header
+
+from impact_rig.campaign.verification import verify
+from impact_rig.errors import CommandError, ConfigError
+from impact_rig.recording import open_run
+from impact_rig.testing import Fault, RosRig, ServiceFailedError, VirtualRig
+
+pytestmark = pytest.mark.ros
+LINEAR = {"sphere.present": False}
+LOST = Fault(kind="lost_block", start_sample=1500, samples=250)
+
+
+class Counter(Node):
+    """A node as anybody writes it: no keyword arguments, a queue of ten, no acknowledgement."""
+
+    def __init__(self) -> None:
+        super().__init__("counter")
+        self.blocks: list[PointCloud2] = []
+        self.create_subscription(PointCloud2, "daq/scan", self.blocks.append, 10)
+
+
+class Answerer(Node):
+    """Answers every block without saying which, and can be told to fall silent."""
+
+    def __init__(self, **kwargs: Any) -> None:
+        super().__init__("answerer", **kwargs)
+        self.silent = False
+        self.publisher = self.create_publisher(Float64, "answers", 10)
+        self.create_subscription(PointCloud2, "daq/scan", self.on_scan, 10)
+
+    def on_scan(self, message: PointCloud2) -> None:
+        if not self.silent:
+            self.publisher.publish(Float64(data=float(message.width)))
+
+
+class Acknowledger(Node):
+    """Sends `daq/ack` itself."""
+
+    def __init__(self, **kwargs: Any) -> None:
+        super().__init__("acknowledger", **kwargs)
+        self.publisher = self.create_publisher(Header, "daq/ack", 10)
+        self.create_subscription(PointCloud2, "daq/scan", self.on_scan, 10)
+
+    def on_scan(self, message: PointCloud2) -> None:
+        self.publisher.publish(Header(stamp=message.header.stamp, frame_id="acknowledger"))
+
+
+@pytest.fixture
+def rig(tmp_path: Path) -> Iterator[RosRig]:
+    started = RosRig(tmp_path / "here", LINEAR, [LOST], hosted=True)
+    yield started
+    started.close()
+
+
+def test_it_gives_the_samples_of_the_rig_without_ros(rig: RosRig) -> None:
+    """Both forms, one rig: a test may move from one to the other."""
+    node = rig.host(Counter)
+    virtual = VirtualRig(LINEAR, [LOST])
+    for each in (rig, virtual):
+        assert each.command(frequency_hz=8.0, current_a=0.3, at_sample=1000) == 1000
+        each.run_to_sample(5000)
+    ours, theirs = rig.tables(), virtual.tables()
+    assert [table.stamp_ns for table in ours] == [table.stamp_ns for table in theirs]
+    assert all(one.rows.tobytes() == other.rows.tobytes() for one, other in zip(ours, theirs, strict=True))
+    assert rig.lost_samples() == virtual.lost_samples() == [(1500, 1800)]
+    assert len(node.blocks) == len(ours) == 47, "the node under test has had every published block, none twice"
+    with pytest.raises(CommandError, match="no command can act on sample 5050"):
+        rig.command(current_a=0.1, at_sample=5050)
+
+
+def test_a_node_can_answer_or_acknowledge_and_is_named_when_it_falls_silent(rig: RosRig) -> None:
+    answerer = rig.client.host(Answerer)
+    rig.client.host(Acknowledger)
+    answers = rig.follow("answerer", output="answers")
+    assert rig.follow("acknowledger") is None
+    rig.step(25)
+    assert answers is not None
+    assert len(answers) == len(rig.tables()) == 22, "three of them are lost on the board"
+    assert {message.data for message in answers.messages} == {100.0}
+    answerer.silent = True
+    rig.client.set_parameters("rig", {"time.peer_timeout_s": 0.2})
+    with pytest.raises(ServiceFailedError, match="peer answerer does not acknowledge"):
+        rig.step(20)
+
+
+def test_a_node_that_does_not_listen_cannot_be_in_lockstep(rig: RosRig) -> None:
+    with pytest.raises(ConfigError, match="'deaf' does not subscribe to daq/scan"):
+        rig.host(lambda **kwargs: Node("deaf", **kwargs))
+
+
+@pytest.mark.pipeline
+def test_processes_die_with_their_last_words_and_leave_a_whole_run(tmp_path: Path) -> None:
+    """The run saved from real processes, after the rig was killed, is still proved bit for bit."""
+    rig = RosRig(tmp_path / "here", {"barriers.gap_m": 0.002})
+    try:
+        rig.command(frequency_hz=9.1, current_a=0.52, at_sample=500)
+        rig.run(0.5)
+        rig.processes.running["rig"].process.kill()
+        with pytest.raises(RuntimeError, match="the rig process was ended by SIGKILL"):
+            rig.run(0.5)
+        rig.save(tmp_path / "saved")
+    finally:
+        rig.close()
+    assert {path.name for path in (tmp_path / "saved" / "logs").glob("*.log")} >= {"rig.log", "recorder.log"}
+    with open_run(tmp_path / "saved") as run:
+        assert str(verify(run)).startswith("identical")
+        rows = np.concatenate([table.rows for table in run.tables("daq/scan")])
+    assert len(rows) == rig.sample == 5500
+    assert not (tmp_path / "here").exists()

@@ -1,0 +1,183 @@
+"""A rig in the test's process: inputs at exact samples, waiting in rig time, comparison, and the run that is left."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from impact_rig.analysis.sine import fit_sine
+from impact_rig.blocks import CHANNELS, Table
+from impact_rig.campaign.verification import verify
+from impact_rig.errors import CommandError, ConfigError, RecordingError
+from impact_rig.recording import open_run
+from impact_rig.testing import Fault, Golden, NotReachedError, VirtualRig, first_difference, virtual_rig
+
+LINEAR = {"sphere.present": False}
+LASER = 1 << CHANNELS.index("laser")
+
+
+def test_a_command_acts_on_the_sample_it_was_asked_for() -> None:
+    rig = VirtualRig(LINEAR)
+    assert rig.command(frequency_hz=9.1, current_a=0.52, at_sample=3000) == 3000
+    rig.run(0.2)
+    current = rig.rows()["current"]
+    assert np.abs(current[:3000]).max() < 0.02  # noise of the monitor
+    assert np.abs(current[3000:]).max() > 0.1
+    assert rig.rows("shaker/applied")["sample"].tolist() == [0, 3000]
+
+
+@pytest.mark.parametrize("at_sample", [50, 3050])
+def test_a_command_between_the_instants_of_the_grid_is_refused(at_sample: int) -> None:
+    with pytest.raises(CommandError, match=f"no command can act on sample {at_sample}: .* every 100 samples"):
+        VirtualRig(LINEAR).command(frequency_hz=9.1, at_sample=at_sample)
+
+
+def test_a_command_in_the_past_is_refused() -> None:
+    rig = VirtualRig(LINEAR)
+    rig.run(1.0)
+    with pytest.raises(ConfigError, match="cannot run to sample 100: rig is at 10000"):
+        rig.command(current_a=0.1, at_sample=100)
+
+
+def test_faults_begin_and_end_at_their_samples_planned_or_injected() -> None:
+    """Odd numbers on purpose: a fault need not begin with a block."""
+    planned = Fault(kind="saturation", channel="laser", start_sample=4003, samples=17, value=1e-6)
+    rig = VirtualRig({**LINEAR, "drive.amplitude": 0.2}, [planned])
+    rig.run(0.1)
+    rig.inject(Fault(kind="dropout", channel="current", start_sample=6011, samples=5))
+    rig.run(0.9)
+    rows = rig.rows()
+    assert np.flatnonzero(rows["status"] & LASER).tolist() == list(range(4003, 4020))
+    faults = rig.rows("truth/faults")
+    assert [(row["sample"], row["active"]) for row in faults] == [(4003, 1), (4020, 0), (6011, 1), (6016, 0)]
+    with pytest.raises(CommandError):
+        rig.inject(Fault(kind="dropout", channel="current", start_sample=6011))
+
+
+def test_the_pipeline_sees_every_published_block_before_the_next_and_may_command() -> None:
+    rig = VirtualRig(LINEAR, [Fault(kind="lost_block", start_sample=2000, samples=150)])
+    seen: list[int] = []
+
+    def pipeline(block: Table) -> None:
+        assert not block.rows.flags.writeable
+        seen.append(block.stamp_ns)
+        if len(seen) == 5:
+            assert rig.command(current_a=0.1) == 500
+
+    rig.connect(pipeline)
+    rig.run(0.3)
+    assert len(seen) == 28
+    assert rig.lost_samples() == [(2000, 2200)], "whole blocks are lost"
+
+
+def test_waiting_happens_in_rig_time_and_says_what_was_in_the_way() -> None:
+    rig = VirtualRig({**LINEAR, "drive.amplitude": 0.52}, [Fault(kind="dropout", channel="laser", samples=500)])
+    moved = rig.wait_until(lambda: np.abs(rig.rows()["laser"][500:]).max(initial=0) > 2e-3, "the structure to move")
+    assert 0.05 < moved < 2.0
+    with pytest.raises(
+        NotReachedError, match=r"waited 0.3 s of rig time in vain for the moon .*faults: dropout on laser"
+    ):
+        rig.wait_until(lambda: False, "the moon", limit_s=0.3)
+    assert rig.time_s == pytest.approx(moved + 0.3)
+
+
+def test_the_closed_form_is_what_ideal_instruments_measure() -> None:
+    rig = VirtualRig({**LINEAR, "drive.amplitude": 0.3, "drive.frequency_hz": 8.0, "instruments.ideal": True})
+    rig.run(8.0)
+    rows = rig.rows()[-50_000:]
+    laser, base = (fit_sine(rows[name].copy(), rig.rate_hz, 8.0) for name in ("laser", "base"))
+    expected = rig.expected_transmissibility(8.0)
+    assert laser.amplitude / base.amplitude == pytest.approx(abs(expected), rel=2e-3)
+    with pytest.raises(ConfigError, match="without the sphere"):
+        VirtualRig().expected_transmissibility(8.0)
+
+
+@pytest.mark.ros
+def test_the_run_it_leaves_is_proved_bit_for_bit(tmp_path: Path) -> None:
+    rig = VirtualRig({"barriers.gap_m": 0.002, "daq.seed": 7}, [Fault(kind="stuck", channel="base", start_sample=900)])
+    rig.command(frequency_hz=9.1, current_a=0.52, at_sample=500)
+    rig.run(0.5)
+    rig.configure({"barriers.gap_m": 0.004})
+    rig.run(0.5)
+    rig.save(tmp_path / "run")
+    with open_run(tmp_path / "run") as run:
+        assert str(verify(run)) == f"identical: {rig.sample} scans re-simulated bit for bit"
+        assert run.provenance["seed"] == "7"
+    with pytest.raises(RecordingError, match="nothing is overwritten"):
+        rig.save(tmp_path / "run")
+
+
+@pytest.mark.ros
+def test_what_is_forgotten_in_a_long_test_is_the_oldest(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    rig = VirtualRig(LINEAR)
+    monkeypatch.setattr(virtual_rig, "KEPT_BYTES", 50 * rig.block_scans * 41)
+    rig.command(current_a=0.1)
+    rig.run(1.0)
+    assert 40 <= len(rig.tables()) <= 50
+    assert rig.tables()[-1].stamp_ns == 990_000_000
+    assert rig.lost_samples() == [], "forgotten is not lost"
+    rig.save(tmp_path / "run")
+    with open_run(tmp_path / "run") as run:
+        assert str(verify(run)).startswith("identical")
+
+
+@pytest.mark.ros
+def test_a_golden_run_names_the_first_difference(tmp_path: Path) -> None:
+    def measure(**changes: object) -> VirtualRig:
+        rig = VirtualRig({"drive.amplitude": 0.52, "barriers.gap_m": 0.002, **changes})
+        rig.run(0.3)
+        return rig
+
+    with pytest.raises(AssertionError, match="run pytest once with --rig-update-golden"):
+        Golden(tmp_path / "test_x", update=False).run(measure())
+    Golden(tmp_path / "test_x", update=True).run(measure())
+    golden = Golden(tmp_path / "test_x", update=False)
+    golden.run(measure(), topics=("daq/scan", "truth/impacts"))
+    other = measure(**{"daq.seed": 2})
+    with pytest.raises(AssertionError, match=r"daq/scan differs .* in row \d+ at 0\.0\d+ s: .*golden"):
+        golden.run(other)
+    noise = dict.fromkeys(CHANNELS, 1e3)
+    golden.run(other, tolerances=noise)
+    with pytest.raises(ConfigError, match="columns that are not there: laserr"):
+        golden.run(other, tolerances={"laserr": 1.0})
+    assert first_difference(other.tables()[:-1], other.tables(), {}) == "29 tables, golden 30"
+
+
+def test_golden_values_name_all_differences(tmp_path: Path) -> None:
+    Golden(tmp_path, update=True).values({"dt": 76.3, "impacts": 2.0})
+    golden = Golden(tmp_path, update=False)
+    golden.values({"dt": 76.30001, "impacts": 2.0}, rel=1e-6)
+    with pytest.raises(
+        AssertionError, match=r"dt: 80.0, golden 76.3; impacts: missing, golden 2.0; more: 1.0, golden mi"
+    ):
+        golden.values({"dt": 80.0, "more": 1.0})
+
+
+def test_a_report_tells_what_the_rig_was_and_what_happened() -> None:
+    rig = VirtualRig({"barriers.gap_m": 0.003}, [Fault(kind="lost_block", start_sample=500, samples=100)], name="mine")
+    rig.command(frequency_hz=8.5, current_a=0.1, at_sample=1000)
+    report = rig.report()
+    assert report.startswith("mine: 0.1 s of rig time, 1000 scans at 10000 Hz\n")
+    for line in (
+        "barriers.gap_m = 0.003",
+        "fault: lost_block from sample 500 to sample 600",
+        "scans 500 to 599 were not published",
+        "from scan 1000 on: 8.5 Hz, 0.1 A",
+    ):
+        assert f"    {line}" in report.splitlines()
+
+
+@pytest.mark.parametrize(
+    ("parameters", "faults", "words"),
+    [
+        ({"barriers.gap_mm": 2}, [], "unknown key 'barriers.gap_mm', did you mean 'barriers.gap_m'"),
+        ({}, [Fault(kind="broken")], "fault kind must be one of"),
+        ({}, [Fault(kind="dropout", channel="lazer")], "needs a channel, one of"),
+        ({}, [Fault(kind="dropout", channel="laser", start_sample=-1)], "start_s of a fault must be finite and >= 0"),
+    ],
+)
+def test_what_cannot_be_is_refused(parameters: dict[str, object], faults: list[Fault], words: str) -> None:
+    with pytest.raises(ConfigError, match=words):
+        VirtualRig(parameters, faults)
