@@ -141,7 +141,12 @@ class Client:
             self.executor.spin_once(timeout_sec=min(left, SPIN_S))
 
     def wait_active(self, *nodes: str, timeout_s: float = START_TIMEOUT_S) -> None:
-        """Wait until these nodes are in the lifecycle state `active`."""
+        """Wait until these nodes are in the lifecycle state `active`.
+
+        Raises:
+            WaitTimeoutError: one is not in time.
+            ServiceFailedError: one says that it cannot be configured, and why.
+        """
         for node in nodes:
             is_active = functools.partial(self._is_in_state, node, "active", timeout_s)
             self.wait_until(is_active, f"{node} to be active", timeout_s)
@@ -415,7 +420,11 @@ class Client:
         self.acknowledge_for(self.name, codec.header_stamp_ns(message.data))
 
     def _is_in_state(self, node: str, state: str, timeout_s: float) -> bool:
-        return self.state(node, timeout_s) == state
+        present = self.state(node, timeout_s)
+        status = self.status(node)
+        if present == "unconfigured" and state == "active" and status.message.startswith("cannot configure"):
+            raise ServiceFailedError(f"{node}: {status.message}")
+        return present == state
 
     def _await_applied(self, before: int, column: str, value: float, timeout_s: float) -> np.void:
         what = f"{column} = {value:g} in shaker/applied"

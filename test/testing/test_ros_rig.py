@@ -12,13 +12,15 @@ import pytest
 pytest.importorskip("rclpy", reason="no ROS 2 here")
 
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Float64, Header
 
 from impact_rig.campaign.verification import verify
 from impact_rig.errors import CommandError, ConfigError
+from impact_rig.nodes.rig_node import RigNode
 from impact_rig.recording import open_run
-from impact_rig.testing import Fault, RosRig, ServiceFailedError, VirtualRig
+from impact_rig.testing import Client, Fault, RosRig, ServiceFailedError, VirtualRig, isolated_domain
 
 pytestmark = pytest.mark.ros
 LINEAR = {"sphere.present": False}
@@ -122,3 +124,11 @@ def test_processes_die_with_their_last_words_and_leave_a_whole_run(tmp_path: Pat
         rows = np.concatenate([table.rows for table in run.tables("daq/scan")])
     assert len(rows) == rig.sample == 5500
     assert not (tmp_path / "here").exists()
+
+
+def test_a_rig_that_cannot_be_built_says_so_at_once(tmp_path: Path) -> None:
+    """Its configuration is sound, its file is not there: only the node finds out."""
+    with isolated_domain() as domain_id, Client(domain_id) as client:
+        client.host(RigNode, parameter_overrides=[Parameter("config_file", value=str(tmp_path / "none.yaml"))])
+        with pytest.raises(ServiceFailedError, match=r"rig: cannot configure: cannot read configuration: .*none\.yaml"):
+            client.wait_active("rig")
