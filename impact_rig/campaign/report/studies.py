@@ -16,7 +16,8 @@ AXIS_NAMES = {
     "contact.restitution": ("nominal restitution", "", 1.0),
     "sphere.density_kg_m3": ("density of the sphere", "kg/m³", 1.0),
 }
-MOST_LINES = len(SERIES)
+MOST_LINES = 2 * len(SERIES)
+"""The second half is dashed."""
 
 
 def study_figures(study: str, points: Sequence[Point], curves: Curves) -> Iterator[Drawn]:
@@ -34,23 +35,24 @@ def study_figures(study: str, points: Sequence[Point], curves: Curves) -> Iterat
     if counts[along] < 3:
         return
     others = [name for name in names if name != along and counts[name] > 1]
+    relative = along != "frequency_hz" and all(curves.at(NO_SPHERE, p.frequency_hz) for p in settled)
     lines: dict[str, list[Point]] = {}
     for point in settled:
-        if along == "gap_m" and point.gap_m == NO_SPHERE:
+        if point.gap_m == NO_SPHERE and (relative or along == "gap_m"):
             continue
         label = ", ".join(_word(name, places[id(point)][name]) for name in others)
         lines.setdefault(label, []).append(point)
     if len(lines) > MOST_LINES:
         return
-    relative = along == "gap_m" and all(curves.at(NO_SPHERE, p.frequency_hz) for p in settled)
     figure, (axis,) = new_axes(3.5)
     name, unit, factor = AXIS_NAMES.get(along, (along.rpartition(".")[2], "", 1.0))
-    for shade, (label, line) in zip(SERIES, lines.items(), strict=False):
+    styles = [(shade, line) for line in ("-", "--") for shade in SERIES]
+    for (shade, style), (label, line) in zip(styles, lines.items(), strict=False):
         ordered = line if along == "frequency_hz" else sorted(line, key=lambda p: float(places[id(p)][along]))
         x = [factor * float(places[id(p)][along]) for p in ordered]
         y = [_height(p, curves) if relative else p.dt for p in ordered]
         bars = [2.0 * p.u_dt * (100.0 / _without(p, curves) if relative else 1.0) for p in ordered]
-        axis.errorbar(x, y, bars, color=shade, marker="o", markersize=3.0, linewidth=1.0, label=label)
+        axis.errorbar(x, y, bars, color=shade, linestyle=style, marker="o", markersize=3.0, linewidth=1.0, label=label)
     axis.set(
         xlabel=f"{name} ({unit})" if unit else name,
         ylabel="reduction of DT (%)" if relative else "transmissibility",
