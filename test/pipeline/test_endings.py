@@ -42,9 +42,9 @@ def blocks(run: Path) -> list[tuple[int, int]]:
 
 
 def shared_memory(processes: Processes) -> set[Path]:
-    """Return the shared-memory files of DDS that the processes have open."""
+    """Return the shared-memory segments of DDS that the processes have open; ports are shared by everybody."""
     maps = [Path(f"/proc/{process.pid}/maps").read_text() for process in processes.running.values()]
-    return {Path(name) for name in re.findall(r"/dev/shm/fastrtps\S+", "\n".join(maps))}
+    return {Path(name) for name in re.findall(r"/dev/shm/fastrtps_[0-9a-f]{16}\b", "\n".join(maps))}
 
 
 def test_killed_processes_leave_a_readable_file_and_do_not_hinder_the_next_start(
