@@ -39,6 +39,7 @@ def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--seed", type=int, help="seed of noise and calibration errors, instead of the file's")
     parser.add_argument("--rate", type=int, metavar="HZ", help="scans per second, instead of the file's")
     parser.add_argument("--workers", type=int, metavar="N", help="processes (default: one per core)")
+    parser.add_argument("--record", action="store_true", help="with --through ros: record every run as MCAP")
     parser.add_argument(
         "--check", action="store_true", help="exit with 1 if a point failed, or the result is not the paper's"
     )
@@ -54,11 +55,13 @@ def _run(arguments: argparse.Namespace) -> int:
     if arguments.workers is not None and arguments.workers < 1:
         raise ConfigError(f"--workers must be >= 1, got {arguments.workers}")
     directory = (arguments.output or Path("runs") / f"campaign_{file.stem}").resolve()
+    if arguments.record and way != "ros":
+        raise ConfigError("--record needs --through ros: what is recorded are messages")
     store = run.prepare(campaign, directory, way)
     console = Console()
     started = time.monotonic()
     jobs = run.unique_jobs(campaign.planned())
-    _measure(jobs, store, _runner(way, address, arguments.workers, directory), console)
+    _measure(jobs, store, _runner(way, address, arguments, directory), console)
     done = run.finished(campaign, directory)
     run.write_results(done, time.monotonic() - started)
     verdicts = done.verdicts()
@@ -87,16 +90,16 @@ def _words(arguments: argparse.Namespace) -> tuple[Path, str, str]:
     return file, way, address
 
 
-def _runner(way: str, address: str, workers: int | None, directory: Path) -> run.Runner:
+def _runner(way: str, address: str, arguments: argparse.Namespace, directory: Path) -> run.Runner:
     if way == "ros":
         from impact_rig.cli.campaign_ros import ros_runner  # noqa: PLC0415  # needs rclpy
 
-        return ros_runner(directory)
+        return ros_runner(directory, record=arguments.record)
     if way == "dask":
         from impact_rig.campaign.cluster import dask_runner  # noqa: PLC0415  # needs dask
 
         return dask_runner(address)
-    return lambda jobs: pool.run_parallel(jobs, workers)
+    return lambda jobs: pool.run_parallel(jobs, arguments.workers)
 
 
 def _measure(jobs: list[Job], store: Store, runner: run.Runner, console: Console) -> None:

@@ -31,13 +31,13 @@ GRACE_S = 0.005
 """Wall time for what was published before a step's answer and waits to be taken."""
 
 
-def ros_runner(directory: Path) -> Runner:
-    """Return a runner whose processes log into `directory`/logs."""
+def ros_runner(directory: Path, *, record: bool = False) -> Runner:
+    """Return a runner whose processes log into `directory`/logs, and whose runs are recorded in `directory`/runs."""
 
     def run(jobs: Sequence[Job]) -> Iterator[tuple[Job, Outcome]]:
         # rate and block length of a rig node are fixed at its start
         for (rate, scans), group in itertools.groupby(sorted(jobs, key=_fixed), key=_fixed):
-            yield from _run_group(list(group), rate, scans, directory / "logs")
+            yield from _run_group(list(group), rate, scans, directory, record)
 
     return run
 
@@ -47,17 +47,24 @@ def _fixed(job: Job) -> tuple[int, int]:
     return config.daq.rate_hz, config.daq.block_scans
 
 
-def _run_group(jobs: Sequence[Job], rate: int, scans: int, logs: Path) -> Iterator[tuple[Job, Outcome]]:
-    with isolated_domain() as domain_id, Processes(domain_id, logs) as processes:
+def _run_group(
+    jobs: Sequence[Job], rate: int, scans: int, directory: Path, record: bool
+) -> Iterator[tuple[Job, Outcome]]:
+    peers = ["analysis", "recorder"] if record else ["analysis"]
+    with isolated_domain() as domain_id, Processes(domain_id, directory / "logs") as processes:
         processes.start("rig", {
-            "time.mode": "stepped", "time.peers": ["analysis"], "daq.rate_hz": rate, "daq.block_scans": scans,
+            "time.mode": "stepped", "time.peers": peers, "daq.rate_hz": rate, "daq.block_scans": scans,
         })  # fmt: skip
         processes.start("analysis")
+        if record:
+            processes.start("recorder", {"record": False, "directory": str(directory / "runs")})
         with Client(domain_id, processes=processes, name="operator") as client:
-            client.wait_active("rig", "analysis")
-            graph = Graph(client)
+            client.wait_active("rig", *peers)
+            graph = Graph(client, record=record)
             for job in jobs:
-                yield job, operate(job, graph.prepare)
+                outcome = operate(job, graph.prepare)
+                graph.finish()
+                yield job, outcome
 
 
 class Graph:
@@ -65,10 +72,13 @@ class Graph:
 
     Args:
         client: connected to an active rig and analysis.
+        record: there is a recorder, and every job becomes a run of its own.
     """
 
-    def __init__(self, client: Client) -> None:
+    def __init__(self, client: Client, *, record: bool = False) -> None:
         self._client = client
+        self._record = record
+        self._recording = False
         self._table = client.collect(topics.TRANSMISSIBILITY_TABLE.name)
         self._journal = client.collect(topics.JOURNAL.name)
         self._scans = client.collect(topics.SCAN.name)
@@ -94,11 +104,22 @@ class Graph:
             if not client.change_state(node, transition):
                 raise ImpactRigError(f"{node} did not {transition}: {client.status(node).message}")
         client.wait_active("rig", "analysis")
+        if self._record:
+            case = job.describe().replace(", ", "_").replace(" ", "")
+            client.set_parameters("recorder", {"name": f"{case}_{job.key}"})
+            client.trigger("recorder/start")
+            self._recording = True
         self._take()
         self._journal.clear()
         self._config, self._blocks = config, 0
         self._rate_hz, self._block_scans = config.daq.rate_hz, config.daq.block_scans
         return self
+
+    def finish(self) -> None:
+        """End the recording of a job, however it ended."""
+        if self._recording:
+            self._recording = False
+            self._client.trigger("recorder/stop")
 
     def now_ns(self) -> int:
         """Return the rig time since the reset."""

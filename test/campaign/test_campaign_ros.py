@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 from campaign_kit import assert_same
+
+from impact_rig.campaign import reanalysis
+from impact_rig.campaign.verification import verify
+from impact_rig.recording import open_run
 
 pytestmark = [pytest.mark.ros, pytest.mark.pipeline, pytest.mark.timeout(200)]
 
@@ -11,8 +16,19 @@ pytestmark = [pytest.mark.ros, pytest.mark.pipeline, pytest.mark.timeout(200)]
 def test_ros_and_process_give_the_same_bits(tmp_path, measured):
     from impact_rig.cli.campaign_ros import ros_runner
 
-    jobs = [job for job, _ in measured.values()]
-    found = {job.key: outcome for job, outcome in ros_runner(tmp_path)(jobs)}
-    assert set(found) == set(measured)
+    point, _, sweep, _, trip, refused = (job for job, _ in measured.values())
+    jobs = [point, sweep, trip, refused]
+    found = {job.key: outcome for job, outcome in ros_runner(tmp_path, record=True)(jobs)}
+    assert set(found) == {job.key for job in jobs}
     for key, outcome in found.items():
         assert_same(outcome, measured[key][1])
+    for job in jobs:
+        (path,) = (tmp_path / "runs").glob(f"*_{job.key}")
+        if found[job.key].simulated_s == 0.0:
+            continue  # refused: nothing to scan
+        with open_run(path) as recorded:
+            verdict = verify(recorded)
+            again = reanalysis.rows(reanalysis.measurements(reanalysis.analyze(recorded)))
+        assert verdict.identical, verdict
+        settled = again[again["settled"] == 1.0]["transmissibility"]
+        np.testing.assert_array_equal(settled[: len(found[job.key].rows)], found[job.key].rows["transmissibility"])
