@@ -1,35 +1,58 @@
 """The mechanics beside its peers, on one problem, in one run.
 
-Prescribed base 60 µm · sin(2π 9.1 t), m_1 = 0.13 kg, f_n = 9.105 Hz, ζ = 0.0045, Flores e = 0.35; start x_1 = −6 mm at
-rest, sphere at x_1 with +0.15 m/s; 60 s. Speeds are simulated seconds per wall second, medians, one core, warm; peers
-take turns with us, so that a busy machine slows all alike.
+Prescribed base 60 µm · sin(2π 9.1 t), m_1 = 0.13 kg, f_n = 9.105 Hz, ζ = 0.0045, m = 1.0524 g, K = 4.403e9 N/m^1.5,
+Flores e = 0.35; start x_1 = −6 mm at rest, sphere at x_1 with +0.15 m/s; 60 s. Speeds are simulated seconds per wall
+second, medians of five, one core, warm. All take turns, so that a busy machine slows all alike, and a ratio is the
+median of the turns' ratios.
 """
 
 from __future__ import annotations
 
 import math
+import os
 import statistics
 import subprocess
+import sys
+import tempfile
 import time
-from pathlib import Path
+from collections.abc import Callable
 
 import numpy as np
-from scipy.integrate import solve_ivp
 
+from benchmarks.physics_peers import plain_c, scipy_wall_s
 from impact_rig.config import RigConfig, from_flat
 from impact_rig.physics import SEGMENT, FunctionGenerator, Simulation
 from impact_rig.physics.properties import hertz_stiffness_n_m32, sphere_mass_kg
 
-END_S, LATE_S, REPEATS = 60.0, 40.0, 5
+END_S, LATE_S, TURNS = 60.0, 40.0, 5
+SCIPY_END_S = 3.0  # slow, and linear in time
 FREQUENCY_HZ, BASE_M = 9.1, 60e-6
+MASS_KG, STIFFNESS = 1.0524e-3, 4.403e9
 REFERENCE_AMPLITUDE_M = 3.48083e-3
 """Gap 6 mm: closed-form flights with 50 ns steps in contact, and an order-8 integrator at rtol 1e-11, agree on it."""
 
+FIRST_RESULT = "from benchmarks.physics import wall_s; wall_s(6e-3, 1.0)"
 
-def problem(gap_m: float) -> Simulation:
-    """Return the simulation of the benchmark problem at its start."""
+
+def problem(gap_m: float, *, sphere: bool = True) -> Simulation:
+    """Return the simulation of the benchmark problem at its start.
+
+    Density and Young's moduli are what gives the mass and stiffness of the problem, rounded as they are there.
+    """
+    rig = RigConfig()
+    heavier = MASS_KG / sphere_mass_kg(rig.sphere)
+    stiffer = STIFFNESS / hertz_stiffness_n_m32(rig.sphere, rig.barriers)
     config = from_flat(
-        RigConfig(), {"drive.kind": "prescribed", "structure.damping_ratio": 0.0045, "barriers.gap_m": gap_m}
+        rig,
+        {
+            "drive.kind": "prescribed",
+            "structure.damping_ratio": 0.0045,
+            "barriers.gap_m": gap_m,
+            "barriers.young_modulus_pa": stiffer * rig.barriers.young_modulus_pa,
+            "sphere.young_modulus_pa": stiffer * rig.sphere.young_modulus_pa,
+            "sphere.density_kg_m3": heavier * rig.sphere.density_kg_m3,
+            "sphere.present": sphere,
+        },
     )
     simulation = Simulation(config)
     simulation.place(x_1=-6e-3, d_rate=0.15)
@@ -43,22 +66,23 @@ def segment(duration_s: float) -> np.ndarray:
     return rows
 
 
-def wall_s(gap_m: float) -> float:
-    """Return the wall time of 60 s."""
-    simulation, drive = problem(gap_m), segment(END_S)
-    begin = time.perf_counter()
-    simulation.advance(drive)
-    return time.perf_counter() - begin
+def wall_s(gap_m: float, end_s: float = END_S, *, sphere: bool = True) -> float:
+    """Return the wall time of `end_s` of the benchmark problem."""
+    simulation, drive = problem(gap_m, sphere=sphere), segment(end_s)
+    return _clock(lambda: simulation.advance(drive))
+
+
+def coupled(gap_m: float) -> tuple[Simulation, FunctionGenerator]:
+    """Return the default rig, shaker and all, and its drive in ticks of 10 ms."""
+    config = from_flat(RigConfig(), {"barriers.gap_m": gap_m, "drive.amplitude": 0.52})
+    return Simulation(config), FunctionGenerator(config.drive, config.shaker, np.random.default_rng(1))
 
 
 def coupled_wall_s(gap_m: float) -> float:
-    """Return the wall time of 60 s of the coupled rig, in ticks of 10 ms."""
-    config = from_flat(RigConfig(), {"barriers.gap_m": gap_m, "drive.amplitude": 0.52})
-    generator = FunctionGenerator(config.drive, config.shaker, np.random.default_rng(1))
-    simulation, drive = Simulation(config), generator.segments(round(END_S * 100))
-    begin = time.perf_counter()
-    simulation.advance(drive)
-    return time.perf_counter() - begin
+    """Return the wall time of 60 s of the coupled rig."""
+    simulation, generator = coupled(gap_m)
+    drive = generator.segments(round(END_S * 100))
+    return _clock(lambda: simulation.advance(drive))
 
 
 def amplitude_m(gap_m: float) -> float:
@@ -71,82 +95,94 @@ def amplitude_m(gap_m: float) -> float:
     return float(2.0 * abs(np.mean(x * np.exp(-2j * math.pi * FREQUENCY_HZ * t))))
 
 
-def plain_c(gap_m: float) -> float:
-    """Return the wall time of the fixed-step C program."""
-    program = Path("build") / "plain_rk4"
-    if not program.exists():
-        program.parent.mkdir(exist_ok=True)
-        subprocess.run(["gcc", "-O3", "-o", program, Path(__file__).with_name("plain_rk4.c"), "-lm"], check=True)
-    config = RigConfig()
-    mass, stiffness = sphere_mass_kg(config.sphere), hertz_stiffness_n_m32(config.sphere, config.barriers)
-    numbers = [str(value) for value in (gap_m, END_S, LATE_S, mass, stiffness)]
-    output = subprocess.run([program.resolve(), *numbers], check=True, capture_output=True, text=True).stdout
-    return float(output.split()[0])
+def speeds() -> dict[str, float]:
+    """Ours and the peers', turn by turn."""
+    takes: dict[str, Callable[[], float]] = {
+        "mechanics_{}_gapnone": lambda: wall_s(6e-3, sphere=False) / END_S,
+        "mechanics_{}_gap2mm": lambda: wall_s(2e-3) / END_S,
+        "mechanics_{}_gap6mm": lambda: wall_s(6e-3) / END_S,
+        "mechanics_{}_gap10mm": lambda: wall_s(10e-3) / END_S,
+        "coupled_{}_gap2mm": lambda: coupled_wall_s(2e-3) / END_S,
+        "coupled_{}_gap6mm": lambda: coupled_wall_s(6e-3) / END_S,
+        "plain_c_{}_gap2mm": lambda: plain_c(2e-3, END_S, LATE_S, problem(2e-3).parameters)[0] / END_S,
+        "plain_c_{}_gap6mm": lambda: plain_c(6e-3, END_S, LATE_S, problem(6e-3).parameters)[0] / END_S,
+        "solve_ivp_{}_gap6mm": lambda: (
+            scipy_wall_s(SCIPY_END_S, problem(6e-3).parameters, FREQUENCY_HZ, BASE_M) / SCIPY_END_S
+        ),
+        "solve_ivp_any_step_{}_gap6mm": lambda: (
+            scipy_wall_s(SCIPY_END_S, problem(6e-3).parameters, FREQUENCY_HZ, BASE_M, longest_s=math.inf) / SCIPY_END_S
+        ),
+    }
+    for take in takes.values():
+        take()
+    turns = [{name: take() for name, take in takes.items()} for _ in range(TURNS)]
+
+    def ahead(ours: str, peer: str) -> float:
+        return statistics.median(turn[peer] / turn[ours] for turn in turns)
+
+    return {
+        **{name.format("x_realtime"): 1.0 / statistics.median(turn[name] for turn in turns) for name in takes},
+        "mechanics_over_solve_ivp": ahead("mechanics_{}_gap6mm", "solve_ivp_{}_gap6mm"),
+        "mechanics_over_solve_ivp_any_step": ahead("mechanics_{}_gap6mm", "solve_ivp_any_step_{}_gap6mm"),
+        "mechanics_over_plain_c_gap2mm": ahead("mechanics_{}_gap2mm", "plain_c_{}_gap2mm"),
+        "mechanics_over_plain_c_gap6mm": ahead("mechanics_{}_gap6mm", "plain_c_{}_gap6mm"),
+    }
 
 
-def solve_ivp_x_realtime(gap_m: float, duration_s: float = 2.0) -> float:
-    """Return the speed of SciPy's RK45 at rtol 1e-6 with events at the walls: the paper's ode45."""
-    p = problem(gap_m)._model.p  # the same numbers, not the same code
-    c, half = p.c, p.half_gap
+def accuracy() -> dict[str, float]:
+    """Amplitudes against the reference, at the settings whose speed is measured."""
+    _, of_c = plain_c(6e-3, END_S, LATE_S, problem(6e-3).parameters)
+    amplitudes = {"mechanics": amplitude_m(6e-3), "plain_c": of_c}
+    return {
+        f"{name}_amplitude_error_percent_gap6mm": 100.0 * abs(value / REFERENCE_AMPLITUDE_M - 1.0)
+        for name, value in amplitudes.items()
+    }
 
-    def rates(t: float, s: np.ndarray, side: int, beta: float) -> list[float]:
-        x, v, x2, v2 = s
-        angle = 2.0 * math.pi * FREQUENCY_HZ * t
-        force = 0.0
-        if side:
-            depth, speed = side * (x2 - x) - half, side * (v2 - v)
-            force = max(0.0, p.force.stiffness * max(depth, 0.0) ** 1.5 * (1.0 + beta * speed))
-        base, base_v = BASE_M * math.sin(angle), BASE_M * 2.0 * math.pi * FREQUENCY_HZ * math.cos(angle)
-        return [v, (-c.k_1 * (x - base) - c.c_1 * (v - base_v) + side * force) / c.m_1, v2, -side * force / p.m]
 
-    def right(_t: float, s: np.ndarray, side: int, _b: float) -> float:
-        return s[2] - s[0] - half if side >= 0 else -1.0
+def costs() -> dict[str, float]:
+    """What the cost grows with: nothing but simulated time, impacts and samples."""
+    simulation, generator = coupled(6e-3)
+    slices, impacts = [], []
+    for _ in range(10):  # ten times a minute, in calls of a second, as a node makes them
+        spent, count = 0.0, 0
+        for _ in range(60):
+            begin = time.perf_counter()
+            motion = simulation.advance(generator.segments(100))
+            spent += time.perf_counter() - begin
+            count += len(motion.impacts)
+        slices.append(spent)
+        impacts.append(count)
+    figures = {
+        "coupled_us_per_simulated_s": 1e6 * statistics.median(slices) / 60.0,
+        "coupled_us_per_impact": 1e6 * statistics.median(s / n for s, n in zip(slices, impacts, strict=True)),
+        "coupled_cost_last_over_first_minute": statistics.median(slices[-3:]) / statistics.median(slices[:3]),
+    }
+    second = generator.segments(100)
+    motion = simulation.advance(second)
+    for rate_hz in (1_000, 10_000, 50_000):
+        per_tick = rate_hz // 100
+        which = np.repeat(np.arange(motion.first_segment, motion.last_segment + 1), per_tick)
+        offsets = np.tile(np.arange(per_tick) / rate_hz, len(second))
+        wall = statistics.median(_clock(lambda: motion.quantities(("x_1", "x_b"), which, offsets)) for _ in range(9))  # noqa: B023  # called at once
+        figures[f"sampling_ns_per_sample_{rate_hz // 1000}kSps"] = 1e9 * wall / rate_hz
+    return figures
 
-    def left(_t: float, s: np.ndarray, side: int, _b: float) -> float:
-        return s[0] - s[2] - half if side <= 0 else -1.0
 
-    t, state, side, beta = 0.0, np.array([-6e-3, 0.0, -6e-3, 0.15]), 0, 0.0
+def first_results() -> dict[str, float]:
+    """From starting Python to the first simulated second, with nothing compiled and the same again."""
+    with tempfile.TemporaryDirectory() as cache:
+        environment = os.environ | {"NUMBA_CACHE_DIR": cache}
+        run = [sys.executable, "-c", FIRST_RESULT]
+        cold, warm = (_clock(lambda: subprocess.run(run, env=environment, check=True)) for _ in range(2))
+    return {"mechanics_cold_first_result_s": cold, "mechanics_warm_first_result_s": warm}
+
+
+def _clock(work: Callable[[], object]) -> float:
     begin = time.perf_counter()
-    while t < duration_s:
-        for event in (right, left):
-            event.terminal, event.direction = True, -1.0 if side else 1.0  # type: ignore[attr-defined]
-        step = 1e-6 if side else 1e-4
-        found = solve_ivp(
-            rates, (t, duration_s), state, "RK45", events=(right, left), args=(side, beta),
-            rtol=1e-6, atol=1e-12, first_step=min(step, duration_s - t),
-        )  # fmt: skip
-        t, state = found.t[-1], found.y[:, -1]
-        if found.status == 1:
-            wall = 1 if len(found.t_events[0]) else -1
-            side = 0 if side else wall
-            beta = p.force.damping / max(wall * (state[3] - state[1]), p.speed_floor)
-    return duration_s / (time.perf_counter() - begin)
+    work()
+    return time.perf_counter() - begin
 
 
 def run() -> dict[str, float]:
     """Measure and return the figures."""
-    figures: dict[str, float] = {}
-    for gap in (2e-3, 6e-3, 10e-3):
-        wall_s(gap)
-        ours, peer = [], []
-        for _ in range(REPEATS):
-            ours.append(wall_s(gap))
-            if gap < 10e-3:
-                peer.append(plain_c(gap))
-        name = f"gap{gap * 1e3:g}"
-        figures[f"mechanics_x_realtime_{name}mm"] = END_S / statistics.median(ours)
-        if peer:
-            figures[f"plain_c_x_realtime_{name}mm"] = END_S / statistics.median(peer)
-            figures[f"mechanics_over_plain_c_{name}mm"] = statistics.median(
-                p / o for p, o in zip(peer, ours, strict=True)
-            )
-            coupled_wall_s(gap)
-            figures[f"coupled_x_realtime_{name}mm"] = END_S / statistics.median(
-                coupled_wall_s(gap) for _ in range(REPEATS)
-            )
-    figures["mechanics_amplitude_error_percent_gap6mm"] = 100.0 * abs(amplitude_m(6e-3) / REFERENCE_AMPLITUDE_M - 1.0)
-    figures["solve_ivp_x_realtime_gap6mm"] = solve_ivp_x_realtime(6e-3)
-    figures["mechanics_over_solve_ivp"] = (
-        figures["mechanics_x_realtime_gap6mm"] / figures["solve_ivp_x_realtime_gap6mm"]
-    )
-    return figures
+    return speeds() | accuracy() | costs() | first_results()

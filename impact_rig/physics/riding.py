@@ -56,7 +56,7 @@ _NOT_STIFF = 1.0
 _SAFETY = 0.8
 _REJECTIONS = 60
 _STEPS_PER_CALL = 500
-_ESTIMATE_EASE = 1e3  # the estimate is of order s, the step of order 2 s − 1: measured in test_riding.py
+_ESTIMATE_EASE = 1e3  # the estimate is of order s, the step of order 2 s − 1: held by test_riding.py
 
 
 def _collocation(stages: int) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:

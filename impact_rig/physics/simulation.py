@@ -14,7 +14,7 @@ from impact_rig.physics import contact as contact_laws
 from impact_rig.physics.event_loop import NEED_ROOM, STUCK, new_work, run
 from impact_rig.physics.forcing import Forcing, drive
 from impact_rig.physics.linear import V1, VB, X1, XB
-from impact_rig.physics.model import CONTACT_RTOL, PRESCRIBED, build
+from impact_rig.physics.model import CONTACT_RTOL, PRESCRIBED, Parameters, build
 from impact_rig.physics.motion import IMPACT, Motion
 from impact_rig.physics.state import (
     ATTACHED,
@@ -86,6 +86,11 @@ class Simulation:
     def config(self) -> RigConfig:
         """The configuration in force."""
         return self._config
+
+    @property
+    def parameters(self) -> Parameters:
+        """The numbers of the equations of motion in force, SI."""
+        return self._model.p
 
     @property
     def realised_restitution(self) -> float:

@@ -1,0 +1,112 @@
+"""The drive's waveforms: no jump of phase or level, ramps, chirp and seeded noise, whatever the calls are cut into."""
+
+from __future__ import annotations
+
+import math
+
+import attrs
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy import signal
+
+from impact_rig.config import Drive, Shaker
+from impact_rig.errors import CommandError
+from impact_rig.physics import FunctionGenerator
+
+TICK_S = 0.01
+
+
+def generator(seed: int = 1, ramp_s: float = 0.0, **drive: object) -> FunctionGenerator:
+    return FunctionGenerator(
+        attrs.evolve(Drive(), amplitude=0.5, **drive),
+        attrs.evolve(Shaker(), ramp_s=ramp_s),
+        np.random.default_rng(seed),
+    )
+
+
+def ends(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The drive at the start and at the end of each segment."""
+    t = np.stack([np.zeros(len(rows)), rows["duration"]])
+    values = (rows["amplitude"] + rows["slope"] * t) * np.sin(rows["omega"] * t + rows["phase"])
+    return values[0], values[1]
+
+
+@pytest.mark.parametrize("waveform", ["sine", "chirp", "random"])
+def test_a_drive_has_no_jumps_but_at_the_chirps_return(waveform):
+    start, end = ends(generator(waveform=waveform, ramp_s=0.3).segments(500))
+    assert np.abs(start[1:] - end[:-1]).max() <= 1e-12
+
+
+@given(st.lists(st.tuples(st.floats(5.0, 200.0), st.floats(0.0, 5.0), st.integers(1, 30)), min_size=1, max_size=8))
+def test_commands_leave_no_jump(commands):
+    made = generator(ramp_s=0.1)
+    rows = [made.segments(3)]
+    for frequency, amplitude, ticks in commands:
+        made.set_frequency(frequency)
+        made.set_amplitude(amplitude)
+        rows.append(made.segments(ticks))
+    start, end = ends(np.concatenate(rows))
+    assert np.abs(start[1:] - end[:-1]).max() <= 1e-11
+
+
+@pytest.mark.parametrize("waveform", ["sine", "chirp", "random"])
+def test_cuts_change_no_bit(waveform):
+    whole = generator(waveform=waveform, ramp_s=0.2).segments(700)
+    made = generator(waveform=waveform, ramp_s=0.2)
+    parts = np.concatenate([made.segments(count) for count in (1, 2, 7, 190, 500)])
+    assert parts.tobytes() == whole.tobytes()
+
+
+def test_a_million_ticks_later_the_phase_is_still_that_of_the_frequency():
+    """9.1 Hz and 10 ms: 0.091 turns per tick, exact in integers of a thousandth of a turn."""
+    made = generator(frequency_hz=9.1)
+    for _ in range(10):
+        made.segments(100_000)
+    turns = 91 * 1_000_000 % 1000 / 1000
+    assert math.cos(made.phase_rad - 2.0 * math.pi * turns) == pytest.approx(1.0, abs=1e-12)
+
+
+def test_a_ramp_is_linear_and_ends_at_its_target():
+    made = generator(ramp_s=0.2)
+    made.segments(100)
+    made.set_amplitude(1.5)
+    rows = made.segments(30)
+    assert rows["amplitude"][:21] == pytest.approx(0.5 + np.arange(21) / 20)
+    assert (rows["amplitude"][20:] == 1.5).all()
+    assert not rows["slope"][20:].any()
+
+
+def test_a_chirp_sweeps_from_one_frequency_to_the_other_and_begins_again():
+    rows = generator(waveform="chirp", frequency_hz=5.0, chirp_end_hz=15.0, chirp_s=2.0).segments(400)
+    frequency = rows["omega"] / (2.0 * math.pi)
+    assert frequency[:200] == pytest.approx(5.0 + 10.0 * np.arange(200) / 200)
+    assert (frequency[200:] == frequency[:200]).all()
+
+
+def test_noise_is_seeded_and_keeps_to_its_band_and_level():
+    band = {"waveform": "random", "random_low_hz": 5.0, "random_high_hz": 15.0}
+    level = generator(**band).segments(200_000)["amplitude"]
+    assert level.tobytes() == generator(**band).segments(200_000)["amplitude"].tobytes()
+    assert level.tobytes() != generator(seed=2, **band).segments(200_000)["amplitude"].tobytes()
+    assert level.std() == pytest.approx(0.5, rel=0.03)  # the amplitude of random drive is its rms
+    f, density = signal.welch(level, 1.0 / TICK_S, nperseg=4096)
+    shares = [density[(f > low) & (f < high)].sum() / density.sum() for low, high in ((5.0, 15.0), (3.0, 20.0))]
+    assert shares[0] > 0.9  # the filter's edges are its half-power points
+    assert shares[1] > 0.99
+
+
+@pytest.mark.parametrize("wrong", [0.0, -9.1, math.nan, math.inf])
+def test_an_impossible_frequency_is_refused(wrong):
+    made = generator()
+    before = made.frequency_hz
+    with pytest.raises(CommandError, match=f"frequency must be > 0 Hz, got {wrong}"):
+        made.set_frequency(wrong)
+    assert made.frequency_hz == before
+
+
+@pytest.mark.parametrize("wrong", [-0.1, math.nan, math.inf])
+def test_an_impossible_amplitude_is_refused(wrong):
+    with pytest.raises(CommandError, match=f"amplitude must be >= 0, got {wrong}"):
+        generator().set_amplitude(wrong)
