@@ -11,6 +11,11 @@ HERE = Path(__file__).parent
 PACKAGE = ET.parse(HERE / "package.xml").getroot()  # noqa: S314  # our own file
 NAME = PACKAGE.findtext("name")
 MAINTAINER = PACKAGE.find("maintainer")
+EXAMPLES = [
+    "examples",
+    "examples/data/run",
+    "examples/golden/test_regression/test_the_analysis_finds_what_it_found",
+]
 ROS_WHEELS = ["ros-jazzy-rclpy[fastrtps]", "ros-jazzy-common-interfaces"]
 
 
@@ -35,6 +40,7 @@ setup(
         (f"share/{NAME}/config/foxglove", files("config/foxglove/*.json")),
         (f"share/{NAME}/config/plotjuggler", files("config/plotjuggler/*.xml")),
         (f"share/{NAME}/launch", files("launch/*.launch.py")),
+        *((f"share/{NAME}/{folder}", files(f"{folder}/*.*")) for folder in EXAMPLES),
     ],
     python_requires=">=3.11",
     # the lowest versions are those of Ubuntu 24.04

@@ -1,0 +1,39 @@
+"""The worked examples in `examples/`, run as their reader runs them: one pytest of its own, the plugin loaded."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+pytestmark = [pytest.mark.ros, pytest.mark.pipeline, pytest.mark.timeout(300)]
+
+ROOT = Path(__file__).parents[2]
+EXAMPLES = ROOT / "examples"
+
+
+def test_every_example_passes(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "pytest", "-p", "impact_rig.testing.plugin", "-p", "no:cacheprovider", "-q"]
+    done = subprocess.run(
+        [*command, "-c", os.devnull, f"--rootdir={EXAMPLES}", f"--rig-runs={tmp_path}", str(EXAMPLES)],
+        env={**os.environ, "PYTHONPATH": str(ROOT), "PYTHONDONTWRITEBYTECODE": "1"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    written = sum(len(re.findall(r"^def test_", path.read_text(), re.MULTILINE)) for path in EXAMPLES.glob("test_*.py"))
+    assert done.returncode == 0, done.stdout
+    assert f"{written} passed" in done.stdout
+    assert not list(tmp_path.iterdir()), "only failures leave runs"
+
+
+def test_the_pipelines_are_somebody_elses() -> None:
+    """What is under test knows topics and messages, not this package; the analysis of a file may read it with ours."""
+    for path in EXAMPLES.glob("*.py"):
+        ours = re.findall(r"^[ ]*(?:from|import) impact_rig\S*", path.read_text(), re.MULTILINE)
+        if not path.name.startswith("test_"):
+            assert ours == (["from impact_rig.recording"] if path.name == "analyse_run.py" else []), path.name
