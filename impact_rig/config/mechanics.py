@@ -11,6 +11,8 @@ import attrs
 
 from impact_rig.config.fields import Origin, choice, quantity, switch
 
+FASTEST_HZ = 1000.0
+"""No motion of this rig is faster; at millions of hertz a tick would take minutes to simulate."""
 CONTACT_LAWS = (
     "flores",
     "hertz",
@@ -35,7 +37,7 @@ class Structure:
         0.13, "kg", "Equivalent mass m_1 of the superior base.", Origin.IDENTIFIED, above=0, at_most=100
     )
     natural_frequency_hz: float = quantity(
-        9.105, "Hz", "Natural frequency; the paper prints 9.1.", Origin.IDENTIFIED, above=0
+        9.105, "Hz", "Natural frequency; the paper prints 9.1.", Origin.IDENTIFIED, above=0, at_most=FASTEST_HZ
     )
     damping_ratio: float = quantity(
         0.0044974,
@@ -65,7 +67,7 @@ class Shaker:
     )
     current_limit_a_rms: float = quantity(15.0, "A", "Coil current limit, rms: larger commands are refused.", above=0)
     frequency_min_hz: float = quantity(5.0, "Hz", "Lowest accepted frequency command.", above=0)
-    frequency_max_hz: float = quantity(200.0, "Hz", "Highest accepted frequency command.", above=0)
+    frequency_max_hz: float = quantity(200.0, "Hz", "Highest accepted frequency command.", above=0, at_most=FASTEST_HZ)
     ramp_s: float = quantity(
         0.1, "s", "Time in which the amplitude moves linearly to a new command.", at_least=0, at_most=60
     )
@@ -81,17 +83,21 @@ class Drive:
         "Constant-current shaker, prescribed base motion (paper's Eq. 3) or constant-voltage shaker.",
     )
     waveform: str = choice("sine", ("sine", "chirp", "random"), "Shape of the drive signal.")
-    frequency_hz: float = quantity(9.1, "Hz", "Frequency before the first command.", Origin.PAPER, above=0)
+    frequency_hz: float = quantity(
+        9.1, "Hz", "Frequency before the first command.", Origin.PAPER, above=0, at_most=FASTEST_HZ
+    )
     amplitude: float = quantity(
         0.0,
         "A, m or V",
         "Amplitude before the first command, peak (rms for random): ampere, metre or volt by kind.",
         at_least=0,
     )
-    chirp_end_hz: float = quantity(12.0, "Hz", "Frequency at which a chirp ends and starts again.", above=0)
+    chirp_end_hz: float = quantity(
+        12.0, "Hz", "Frequency at which a chirp ends and starts again.", above=0, at_most=FASTEST_HZ
+    )
     chirp_s: float = quantity(60.0, "s", "Duration of one linear chirp.", above=0)
-    random_low_hz: float = quantity(5.0, "Hz", "Lower edge of the random band.", above=0)
-    random_high_hz: float = quantity(20.0, "Hz", "Upper edge of the random band.", above=0)
+    random_low_hz: float = quantity(5.0, "Hz", "Lower edge of the random band.", above=0, at_most=FASTEST_HZ)
+    random_high_hz: float = quantity(20.0, "Hz", "Upper edge of the random band.", above=0, at_most=FASTEST_HZ)
 
 
 @attrs.frozen(kw_only=True)

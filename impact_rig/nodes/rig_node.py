@@ -30,6 +30,8 @@ WORK_S = 0.02
 """Wall time one call of the work timer may fill before commands and services get their turn."""
 LARGEST_BATCH_S = 0.5
 """Rig time simulated at once, for the same reason."""
+SMALLEST_BATCH_NS = 50_000_000
+"""Rig time caught up at once in realtime: a rig that is slower than real time must still answer."""
 SHORTEST_PERIOD_S, LONGEST_PERIOD_S = 0.001, 0.05
 AHEAD_PERIOD_S = 0.005
 """Period of the work timer where acknowledgements drive the work."""
@@ -159,8 +161,7 @@ class RigNode(ManagedNode[RigConfig]):
             return
         try:
             if self.settings.time.mode == "realtime":
-                due_ns = self._pacer.due_ns(rig.next_block_ns - self._base_ns)
-                self._publish(rig, rig.advance(self._base_ns + due_ns))
+                self._catch_up(rig, now + WORK_S)
                 if self._window.silent():
                     self._window.forgive()  # nobody waits for it: what it owes need not be remembered
             else:
@@ -168,6 +169,15 @@ class RigNode(ManagedNode[RigConfig]):
         except Exception as error:  # the model cannot go on: stop in order, and say why
             self.report_failure("simulation", describe(error))
             self.trigger_deactivate()
+
+    def _catch_up(self, rig: Rig, deadline: float) -> None:
+        """Publish what is due, or as much of it as the deadline allows: the next call goes on."""
+        due_ns = self._base_ns + self._pacer.due_ns(rig.next_block_ns - self._base_ns)
+        while True:
+            until_ns = min(due_ns, rig.frontier_ns + SMALLEST_BATCH_NS)
+            self._publish(rig, rig.advance(until_ns))
+            if until_ns == due_ns or time.monotonic() > deadline:
+                return
 
     def _run_ahead(self, rig: Rig, deadline: float) -> None:
         """Publish as many blocks as the window (and a step) allows, until the deadline."""

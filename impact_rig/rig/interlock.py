@@ -96,8 +96,8 @@ def largest(position: NDArray[np.float64], velocity: NDArray[np.float64], step_s
     # the cubic through both ends: y0 + q (d0 + q (a + q b)), its slope d0 + q (2 a + 3 b q)
     a, b = 3.0 * (y1 - y0) - 2.0 * d0 - d1, d0 + d1 - 2.0 * (y1 - y0)
     turning = d0 * d1 < 0.0
-    root = np.sqrt(np.where(turning, a * a - 3.0 * b * d0, 0.0))
-    q = np.clip(-d0 / np.where(turning, a + np.copysign(root, d1), 1.0), 0.0, 1.0)
+    bottom = np.where(turning, a + np.copysign(np.sqrt(np.where(turning, a * a - 3.0 * b * d0, 0.0)), d1), 1.0)
+    q = np.clip(np.divide(-d0, bottom, out=np.zeros_like(d0), where=bottom != 0.0), 0.0, 1.0)
     between = np.where(turning, np.abs(y0 + q * (d0 + q * (a + q * b))), 0.0)
     found: NDArray[np.float64] = np.maximum(np.abs(position).max(axis=1), between.max(axis=1))
     return found

@@ -54,7 +54,7 @@ def test_a_slow_reader_is_named_in_real_time_and_one_that_leaves_forgotten(clien
     client.wait_active("rig")
     scans = client.collect("daq/scan", acknowledge=True)
     client.wait_until(lambda: "client" in node._audience.behind(), "an acknowledgement")
-    scans._on_message = None  # reads on, but falls silent
+    scans._on_message.clear()  # reads on, but falls silent
     client.wait_until(lambda: "client is 1 s behind" in client.status("rig").message, "the warning")
     assert client.status("rig").level == b"\1"
     assert int(client.figures("rig")["behind.client"]) > 400

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 
 import numpy as np
 import pytest
@@ -363,3 +364,17 @@ def test_a_simulation_that_cannot_go_on_deactivates_the_rig_and_can_be_started_a
     scans = client.collect("daq/scan")
     client.wait_until(lambda: len(scans) > 5, "blocks of the next rig")
     assert node.refusals.counts == {"exception": 1}
+
+
+def test_a_rig_slower_than_real_time_says_so_and_still_answers(client: Client) -> None:
+    """A hundred thousand bounces a second, none of which loses energy: legal, and several times too much to compute."""
+    host_rig(
+        client, "realtime", drive__amplitude=0.52, time__factor=4.0,
+        contact__law="restitution", contact__restitution=1.0, barriers__gap_m=1e-7,
+    )  # fmt: skip
+    client.wait_active("rig")
+    client.wait_until(lambda: "could not keep real time" in client.status("rig").message, "the diagnostic")
+    begin = time.monotonic()
+    for _ in range(2):
+        client.trigger("rig/clear_trip")
+    assert time.monotonic() - begin < 4.0
