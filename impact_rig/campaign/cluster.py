@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
-import impact_rig
+from impact_rig.campaign.code import fingerprint
 from impact_rig.campaign.in_process import execute
 from impact_rig.campaign.job import Job, Outcome
 from impact_rig.errors import ConfigError, ImpactRigError
@@ -37,7 +37,7 @@ def dask_runner(address: str) -> Runner:
         except (OSError, ValueError) as error:
             raise ImpactRigError(f"cannot reach a Dask scheduler at {address}: {error}") from error
         with client:
-            _check_versions(client.run(_version))
+            _check_code(client.run(fingerprint))
             # a job gives the same bits wherever it runs, so one whose worker died is simply run again elsewhere
             futures = {client.submit(execute, job, key=f"impact_rig-{job.key}", retries=2): job for job in jobs}
             lost = []
@@ -52,13 +52,9 @@ def dask_runner(address: str) -> Runner:
     return run
 
 
-def _version() -> str:
-    return impact_rig.__version__
-
-
-def _check_versions(found: dict[str, str]) -> None:
+def _check_code(found: dict[str, str]) -> None:
     if not found:
         raise ImpactRigError("the Dask cluster has no workers")
-    for worker, version in found.items():
-        if version != impact_rig.__version__:
-            raise ImpactRigError(f"worker {worker} has impact_rig {version}, this is {impact_rig.__version__}")
+    for worker, code in found.items():
+        if code != fingerprint():
+            raise ImpactRigError(f"worker {worker} has impact_rig {code}, this is {fingerprint()}")

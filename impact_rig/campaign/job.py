@@ -19,7 +19,6 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
-import impact_rig
 from impact_rig.analysis.settings import TrackerSettings
 from impact_rig.analysis.stepped import Direction, Plan
 from impact_rig.blocks import TRANSMISSIBILITY
@@ -97,9 +96,8 @@ class Job:
 
     @property
     def key(self) -> str:
-        """Identify the job by everything that decides its numbers (not the traces): 16 hexadecimal digits."""
+        """Identify the job by all values that decide its numbers, not by traces or code: 16 hexadecimal digits."""
         content = {
-            "version": impact_rig.__version__,
             "config": not_default(self.config()),
             "analysis": attrs.asdict(self.settings()),
             "plan": attrs.asdict(self.plan()),

@@ -22,9 +22,9 @@ from pathlib import Path
 
 import attrs
 
-import impact_rig
 from impact_rig.campaign import statements
 from impact_rig.campaign.axes import NO_SPHERE
+from impact_rig.campaign.code import fingerprint
 from impact_rig.campaign.job import Job, Outcome
 from impact_rig.campaign.paper import FREQUENCY_HZ, REDUCTION_PERCENT, Reductions
 from impact_rig.campaign.plan import Campaign, Planned, load_campaign
@@ -137,7 +137,7 @@ def finished(campaign: Campaign, directory: Path) -> Finished:
     """Return a campaign with everything that is stored of it; studies that were not run are simply not there."""
     planned = campaign.planned()
     store = Store(directory)
-    outcomes = {job.key: outcome for job in unique_jobs(planned) if (outcome := store.get(job, without_trace=True))}
+    outcomes = {job.key: outcome for job in unique_jobs(planned) if (outcome := store.get(job, as_it_is=True))}
     points = [point for one in planned if one.job.key in outcomes for point in points_of(one, outcomes[one.job.key])]
     return Finished(campaign=campaign, directory=directory, points=points, outcomes=outcomes)
 
@@ -176,7 +176,7 @@ def write_results(done: Finished, wall_s: float) -> None:
 
 def _provenance(through: str) -> dict[str, object]:
     return {
-        "impact_rig": impact_rig.__version__,
+        "impact_rig": fingerprint(),
         "python": sys.version.split()[0],
         **{name: metadata.version(name) for name in LIBRARIES},
         "machine": platform.machine(),

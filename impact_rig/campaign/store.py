@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig.blocks import TRANSMISSIBILITY
+from impact_rig.campaign.code import fingerprint
 from impact_rig.campaign.job import Job, Outcome
 from impact_rig.errors import RecordingError
 
@@ -39,16 +40,18 @@ class Store:
         except OSError as error:
             raise RecordingError(f"cannot write {self._folder}: {error.strerror}") from error
 
-    def get(self, job: Job, *, without_trace: bool = False) -> Outcome | None:
+    def get(self, job: Job, *, as_it_is: bool = False) -> Outcome | None:
         """Return what is stored of a job, or None if it is to be measured: never was, or its file is damaged.
 
-        A job that wants a trace is to be measured again if it was measured without, unless `without_trace`.
+        It is to be measured again, too, if it was with other code, or without the trace that it wants; not if it is to
+        be taken `as_it_is`.
         """
         try:
             found = json.loads(self._path(job, "json").read_text(encoding="utf-8"))
             failure = str(found["failure"])
             trace = self._trace(job) if job.traces else {}
-            if job.traces and not (trace or failure or without_trace):
+            incomplete = job.traces and not (trace or failure)
+            if not as_it_is and (incomplete or found["code"] != fingerprint()):
                 return None
             return Outcome(
                 rows=np.array([_row(row) for row in found["rows"]], dtype=TRANSMISSIBILITY),
@@ -70,6 +73,7 @@ class Store:
         """
         content = {
             "job": job.describe(),
+            "code": fingerprint(),
             "changes": dict(job.changes),
             "current_a": job.current_a,
             "frequencies_hz": list(job.frequencies_hz),

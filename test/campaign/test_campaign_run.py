@@ -65,9 +65,20 @@ def test_a_run_stored_without_its_trace_counts_but_is_measured_again_for_the_tra
     store = Store(tmp_path)
     store.put(job, attrs.evolve(outcome, trace={}))
     assert store.get(job) is None
-    found = store.get(job, without_trace=True)
+    found = store.get(job, as_it_is=True)
     assert found is not None
     assert_same(found, attrs.evolve(outcome, trace={}))
+
+
+def test_a_result_of_other_code_is_shown_but_not_mixed_with_new_ones(tiny, measured, tmp_path, monkeypatch):
+    store = run.prepare(tiny, tmp_path, "process")
+    with monkeypatch.context() as before:
+        before.setattr("impact_rig.campaign.store.fingerprint", lambda: "0.0.9-of-old")
+        for job, outcome in measured.values():
+            store.put(job, outcome)
+            assert store.get(job) is not None
+    assert [store.get(job) for job, _ in measured.values()] == [None] * len(measured)
+    assert len(run.open_finished(tmp_path).points) == 10, "a report needs no measuring"
 
 
 def test_points_that_fail_are_reported_and_do_not_stop_the_rest(tiny, measured, tmp_path):

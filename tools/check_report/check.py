@@ -104,7 +104,8 @@ class Browser:
             self.events.append(self._read())
 
     def close(self) -> None:
-        self._process.terminate()
+        self._session = ""
+        self.call("Browser.close")
         self._process.wait(20)
 
     def _read(self) -> dict:
@@ -155,7 +156,7 @@ def main() -> int:
     page = Path(sys.argv[1]).resolve()
     folder = Path(sys.argv[2] if len(sys.argv) == 3 else page.parent / "screenshots").resolve()
     folder.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory() as profile:
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:  # its last helper may still write there
         browser = Browser(Path(profile))
         try:
             wrong = look(browser, page, folder)
