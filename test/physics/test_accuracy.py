@@ -20,7 +20,7 @@ from impact_rig.physics.state import BETA, GAP, RATE, SIDE, STATE, T, Y
 FREQUENCY_HZ = 9.1
 GAPS_M = (2e-3, 4e-3, 6e-3, 8e-3, 10e-3)
 SETTLE_CYCLES, BATCHES, BATCH_CYCLES, PER_CYCLE = 100, 15, 20, 32
-FLOOR_EFFECT = 3e-4  # of DT
+FLOOR_EFFECT = 1e-8  # of DT
 REPEATABLE = 1e-8  # of DT: what tolerances may change where the motion repeats and its standard error is rounding
 REFERENCE_M = {6e-3: (3.48083e-3, 1e-5), 10e-3: (2.44697e-3, 1e-5)}
 """Amplitudes of the benchmark problem by two other programs, and how closely they are to be met."""
