@@ -20,7 +20,7 @@ Clock = Callable[[], int]
 """A monotonic clock [ns], e.g. `time.monotonic_ns`."""
 
 MAX_LAG_NS = NS_PER_S
-"""Further behind than this, catching up would overrun every subscriber's queue: realtime is re-based instead."""
+"""Rig time: further behind than this, catching up would overrun every subscriber's queue; realtime is re-based."""
 LATENESS_WINDOW = 3000
 """Blocks the lateness statistics look back: 30 s of 10 ms blocks."""
 
@@ -40,7 +40,7 @@ class Pacer:
     Args:
         clock: monotonic clock [ns].
         factor: seconds of rig time per second of clock.
-        max_lag_ns: clock time behind which the pacer re-bases instead of catching up.
+        max_lag_ns: rig time behind which the pacer re-bases instead of catching up.
     """
 
     def __init__(self, clock: Clock, factor: float = 1.0, max_lag_ns: int = MAX_LAG_NS) -> None:
@@ -69,10 +69,9 @@ class Pacer:
     def due_ns(self, produced_ns: int) -> int:
         """Return the rig time that should have been produced by now; re-bases when `produced_ns` is too far behind."""
         due = self._origin_rig_ns + int((self._clock() - self._origin_ns) * self._factor)
-        behind = int((due - produced_ns) / self._factor)
-        if behind > self._max_lag_ns:
+        if due - produced_ns > self._max_lag_ns:
             self.slips += 1
-            self.slipped_ns += behind
+            self.slipped_ns += int((due - produced_ns) / self._factor)
             self.rebase(produced_ns)
             return produced_ns
         return due

@@ -30,10 +30,11 @@ def start_nodes(context: LaunchContext) -> list[Node]:
         given["time.factor"] = float(factor)
     if peers:
         given["time.peers"] = peers
-    time = from_flat(load(path), given).time
-    if time.mode != "realtime" and not time.peers:
+    file = load(path)
+    if (mode or file.time.mode) != "realtime" and not (peers or file.time.peers):
         # not in real time, the rig waits for these two, so that no block is lost
         given["time.peers"] = ["analysis", "recorder"]
+    time = from_flat(file, given).time
     # the rig makes the time that the others follow, unless that is the time everybody has
     follow_rig_time = {"use_sim_time": time.mode != "realtime" or time.factor != 1.0}
     common = {

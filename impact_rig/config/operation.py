@@ -5,6 +5,7 @@ from __future__ import annotations
 import attrs
 
 from impact_rig.config.fields import choice, integer, names, quantity, switch
+from impact_rig.errors import ConfigError
 
 
 @attrs.frozen(kw_only=True)
@@ -42,6 +43,10 @@ class Time:
     )
     peer_timeout_s: float = quantity(3.0, "s", "A peer silent for this long pauses the rig.", above=0)
     publish_clock: str = choice("auto", ("auto", "on", "off"), "Publish /clock; auto: whenever not in real time x 1.")
+
+    def __attrs_post_init__(self) -> None:
+        if self.mode == "freewheel" and not self.peers:
+            raise ConfigError("peers must name who follows in freewheel: without, every queue would overflow, got []")
 
 
 @attrs.frozen(kw_only=True)

@@ -28,7 +28,7 @@ from impact_rig.simtime import NS_PER_S
 
 WORK_S = 0.02
 """Wall time one call of the work timer may fill before commands and services get their turn."""
-LARGEST_BATCH_S = 0.5
+LARGEST_BATCH_S = 0.2
 """Rig time simulated at once, for the same reason."""
 SMALLEST_BATCH_NS = 50_000_000
 """Rig time caught up at once in realtime: a rig that is slower than real time must still answer."""
@@ -63,7 +63,7 @@ class RigNode(ManagedNode[RigConfig]):
         self._paused = False
         self._steps_left = 0
         self._base_ns = self._clock_offset_ns = 0
-        self._worked_at = self._turn_began = 0.0
+        self._worked_at = self._turn_began = self._stepped_at = 0.0
         self._figures = RigStatus()
         self.subscribe(topics.FREQUENCY, self._on_frequency)
         self.subscribe(topics.CURRENT, self._on_current)
@@ -179,6 +179,10 @@ class RigNode(ManagedNode[RigConfig]):
             if until_ns == due_ns or time.monotonic() > deadline:
                 return
 
+    def _batch(self) -> int:
+        """Return how many blocks are simulated at once."""
+        return max(1, round(LARGEST_BATCH_S * self.settings.daq.rate_hz / self.settings.daq.block_scans))
+
     def _run_ahead(self, rig: Rig, deadline: float) -> None:
         """Publish as many blocks as the window (and a step) allows, until the deadline."""
         mode = self.settings.time.mode
@@ -186,9 +190,10 @@ class RigNode(ManagedNode[RigConfig]):
         assert self._outlets is not None
         if self._peers.missing():
             if limit <= 0 or not self._peers.all_matched(self._outlets.scan):
+                self._refuse_step_without_peers()
                 return
             self._outlets.settle_history()
-        batch = max(1, round(LARGEST_BATCH_S * self.settings.daq.rate_hz / self.settings.daq.block_scans))
+        batch = self._batch()
         while limit > 0 and not self._window.silent():
             room = min(self._window.room(), limit, batch)
             if room < min(limit, batch, (self._window.window + 1) // 2):
@@ -201,6 +206,12 @@ class RigNode(ManagedNode[RigConfig]):
             if time.monotonic() > deadline:
                 break
         self._answer_step(rig)
+
+    def _refuse_step_without_peers(self) -> None:
+        patience = self.settings.time.peer_timeout_s
+        if self._step.waiting and self._peers.overdue(patience) and time.monotonic() - self._stepped_at > patience:
+            self._steps_left = 0
+            self._step.reply(False, f"peer {', '.join(self._peers.missing())} is not there")
 
     def _answer_step(self, rig: Rig) -> None:
         if not self._step.waiting:
@@ -285,6 +296,7 @@ class RigNode(ManagedNode[RigConfig]):
         if self._paused:
             return False, "the rig is paused"
         self._steps_left += self.settings.step.blocks
+        self._stepped_at = time.monotonic()
         return None
 
     def _on_pause(self, request: SetBool.Request) -> Answer | None:
@@ -292,9 +304,12 @@ class RigNode(ManagedNode[RigConfig]):
         rig = self._rig
         if rig is None:
             return False, f"the rig is {self.state}, activate it first"
-        self._paused = request.data
         if request.data:
+            self._paused = True
             return None
+        if not self._paused and not self._window.silent():
+            return True, "running"  # it was: nothing is given up
+        self._paused = False
         self._pause.reply(False, "told to go on")
         self._window.forgive()
         self._pacer.rebase(rig.next_block_ns - self._base_ns)
@@ -308,6 +323,7 @@ class RigNode(ManagedNode[RigConfig]):
     def _on_reset(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         rig = self._running()
         rig.reset()
+        self._figures.faults.clear()  # planned ones begin anew, and say so
         self._flush(rig)
         self._publish_configuration(rig)
         return self._done(response, "reset: scan 0")
@@ -374,6 +390,7 @@ class RigNode(ManagedNode[RigConfig]):
             self._window,
             self._audience,
             self._peers.missing(),
+            self._peers.overdue(self.settings.time.peer_timeout_s),
             self._paused,
             (time.time_ns() - time.monotonic_ns() - self._clock_offset_ns) / NS_PER_S,
         )

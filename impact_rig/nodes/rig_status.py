@@ -71,10 +71,24 @@ class RigStatus:
         window: AckWindow,
         audience: Audience | None,
         missing: tuple[str, ...],
+        overdue: bool,
         paused: bool,
         clock_step_s: float,
     ) -> Status:
-        """Return the node's status; `clock_step_s`: what the system clock was moved by since the activation."""
+        """Return the node's status.
+
+        Args:
+            state: of the lifecycle.
+            rig: None while there is none.
+            config: in force.
+            pacer: of realtime.
+            window: of the peers.
+            audience: who reads daq/scan.
+            missing: peers that are not there.
+            overdue: they are late.
+            paused: by ~/pause.
+            clock_step_s: what the system clock was moved by since the activation.
+        """
         if rig is None or audience is None:
             return Status(Level.WARN, state, {"mode": config.time.mode})
         realtime = config.time.mode == "realtime"
@@ -84,7 +98,7 @@ class RigStatus:
         if paused:
             troubles.append((Level.WARN, "paused"))
         if missing and not realtime:
-            troubles.append((Level.WARN, f"waiting for peer {', '.join(missing)}"))
+            troubles.append((Level.ERROR if overdue else Level.WARN, f"waiting for peer {', '.join(missing)}"))
         if silent:
             seconds = f"{config.time.peer_timeout_s:g} s"
             names = ", ".join(silent)

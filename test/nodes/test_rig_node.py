@@ -11,6 +11,7 @@ import pytest
 pytest.importorskip("rclpy", reason="no ROS 2 here")
 
 from nodes_support import host_rig
+from rclpy.qos import DurabilityPolicy
 from std_msgs.msg import Float64, Header
 from std_srvs.srv import SetBool
 
@@ -126,8 +127,8 @@ def test_silent_peer_pauses_the_rig_by_name_until_told_to_go_on(client: Client) 
     assert len(scans) == 4, "no further than the window"
     client.pause(False)
     client.wait_until(lambda: len(scans) == 8, "the next window")
-    client.set_parameters("rig", {"time.peers": [""]})
-    client.wait_until(lambda: len(scans) > 30, "freewheel without peers")
+    with pytest.raises(ConfigError, match="peers must name who follows in freewheel"):
+        client.set_parameters("rig", {"time.peers": [""]})
 
 
 def test_freewheel_waits_for_peers_that_are_not_there_yet(client: Client) -> None:
@@ -157,9 +158,9 @@ def test_senseless_acknowledgements_are_counted_and_harmless(client: Client) -> 
 
 
 def test_pause_holds_rig_time(client: Client) -> None:
-    host_rig(client, "freewheel")
+    host_rig(client, "freewheel", time__peers=["client"])
     client.wait_active("rig")
-    scans = client.collect("daq/scan")
+    scans = client.collect("daq/scan", acknowledge=True)
     client.pause(True)
     client.wait_until(lambda: client.status("rig").message == "paused", "the diagnostic")
     before = len(scans)
@@ -350,8 +351,9 @@ def test_qos_can_be_overridden(client: Client) -> None:
 
 @pytest.mark.parametrize("mode", ["realtime", "freewheel"])
 def test_a_simulation_that_cannot_go_on_deactivates_the_rig_and_can_be_started_again(client: Client, mode: str) -> None:
-    node = host_rig(client, mode)
+    node = host_rig(client, mode, time__peers=["client"])
     client.wait_active("rig")
+    scans = client.collect("daq/scan", acknowledge=True)
 
     def stuck(_until_ns: int) -> list[Block]:
         raise SimulationError("no progress in drive segment 7")
@@ -361,7 +363,7 @@ def test_a_simulation_that_cannot_go_on_deactivates_the_rig_and_can_be_started_a
     assert client.status("rig").level == b"\2"
     assert client.state("rig") == "inactive"
     assert client.change_state("rig", "activate")
-    scans = client.collect("daq/scan")
+    scans.clear()
     client.wait_until(lambda: len(scans) > 5, "blocks of the next rig")
     assert node.refusals.counts == {"exception": 1}
 
@@ -378,3 +380,39 @@ def test_a_rig_slower_than_real_time_says_so_and_still_answers(client: Client) -
     for _ in range(2):
         client.trigger("rig/clear_trip")
     assert time.monotonic() - begin < 4.0
+
+
+def test_a_reader_that_cannot_match_holds_nobody_up(client: Client) -> None:
+    """It asks for history that daq/scan does not offer; the peer is there all the same."""
+    profile = topics.SCAN.qos.profile()
+    profile.durability = DurabilityPolicy.TRANSIENT_LOCAL
+    client.node.create_subscription(topics.SCAN.message_type(), topics.SCAN.name, lambda _: None, profile)
+    host_rig(client, time__peers=["client"])
+    client.wait_active("rig")
+    scans = client.collect("daq/scan", acknowledge=True)
+    client.step(3)
+    assert len(scans) == 3
+
+
+def test_a_step_without_its_peer_is_refused_by_name(client: Client) -> None:
+    host_rig(client, time__peers=["nobody"], time__peer_timeout_s=0.3)
+    client.wait_active("rig")
+    with pytest.raises(ServiceFailedError, match="peer nobody is not there"):
+        client.step(1)
+    client.wait_until(lambda: client.status("rig").level == b"\x02", "an error in the diagnostics")
+    assert "waiting for peer nobody" in client.status("rig").message
+
+
+def test_freewheel_without_anybody_to_follow_is_refused(client: Client) -> None:
+    rig = host_rig(client, mode="freewheel")
+    assert "peers must name who follows in freewheel" in str(rig.parameters.refused)
+
+
+def test_going_on_while_running_gives_up_no_time(client: Client) -> None:
+    rig = host_rig(client, mode="realtime")
+    client.wait_active("rig")
+    before = rig._pacer.wait_ns(0) + time.monotonic_ns()
+    for _ in range(5):
+        client.pause(False)
+    after = rig._pacer.wait_ns(0) + time.monotonic_ns()
+    assert after == pytest.approx(before, abs=1_000_000), "scan 0 is due when it was due"
