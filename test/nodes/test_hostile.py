@@ -24,6 +24,8 @@ from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from rcl_interfaces.msg import Parameter, ParameterValue
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
+from rclpy.lifecycle import TransitionCallbackReturn
+from rclpy.parameter import Parameter as StartValue
 from std_msgs.msg import Float64, Header
 from std_srvs.srv import SetBool, Trigger
 
@@ -31,6 +33,7 @@ from impact_rig import config
 from impact_rig.config import RigConfig, from_flat
 from impact_rig.errors import ConfigError
 from impact_rig.nodes import services, topics
+from impact_rig.nodes.rig_node import RigNode
 from impact_rig.recording import open_run
 from impact_rig.testing import Client, Processes, isolated_domain
 
@@ -368,3 +371,42 @@ def test_acknowledgements_of_any_stamp_in_any_name(attacked: Attacked) -> None:
     client.wait_until(lambda: counted() >= expected, "the count")
     assert counted() == expected
     attacked.assert_sound()
+
+
+# Starts
+
+_START_VALUES = st.one_of(
+    st.booleans(),
+    st.integers(-(2**63), 2**63 - 1) | st.integers(-3, 20),
+    st.floats(),
+    st.text(st.characters(blacklist_categories=["Cs"], blacklist_characters="\0"), max_size=9),
+    st.lists(st.sampled_from(["a", "\u2028", "stuck"]), min_size=1, max_size=2),
+)
+_START_NAMES = st.sampled_from([*FIELDS, "barriers.gap", "barriers", "a" * 999])
+
+
+def test_start_values_of_any_name_and_type() -> None:
+    """A rig is configured with exactly what the validator takes together; else it stays unconfigured and says why."""
+    with isolated_domain() as domain_id, Client(domain_id) as client:
+
+        @settings(cases, max_examples=max(1, CASES // 2))
+        @given(st.dictionaries(_START_NAMES, _START_VALUES, min_size=1, max_size=2))
+        def attack(values: dict[str, Any]) -> None:
+            given_values = [StartValue(name, value=value) for name, value in values.items()]
+            node = RigNode(context=client.context, use_global_arguments=False, parameter_overrides=given_values)
+            try:
+                plain = {name: tuple(v) if isinstance(v, list) else v for name, v in values.items()}
+                try:
+                    expected = from_flat(RigConfig(), plain)
+                except ConfigError as error:
+                    assert str(node.parameters.refused) == str(error)  # noqa: PT017  # either outcome is right
+                    assert node.settings == RigConfig()
+                    assert node.trigger_configure() == TransitionCallbackReturn.FAILURE
+                else:
+                    assert node.parameters.refused is None
+                    assert node.settings == expected
+            finally:
+                node.close()
+                node.destroy_node()
+
+        attack()
