@@ -9,13 +9,18 @@ import pytest
 
 pytest.importorskip("rclpy", reason="no ROS 2 here")
 
+from builtin_interfaces.msg import Time
 from nodes_support import overrides
-from rcl_interfaces.srv import DescribeParameters
+from rcl_interfaces.msg import Parameter as ParameterMessage
+from rcl_interfaces.msg import ParameterValue
+from rcl_interfaces.srv import DescribeParameters, SetParameters, SetParametersAtomically
 from rclpy.parameter import Parameter
+from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
 from impact_rig.config.fields import integer, names, quantity, switch
 from impact_rig.errors import CommandError, ConfigError
+from impact_rig.nodes import topics
 from impact_rig.nodes.deferred import DeferredService
 from impact_rig.nodes.diagnostics import Level, Status
 from impact_rig.nodes.managed import ManagedNode
@@ -185,3 +190,29 @@ def test_bad_values_at_start_refuse_to_configure(client: Client, values: dict[st
     (word,) = values
     client.wait_until(lambda: word in client.status("small").message, "the reason")
     assert client.state("small") == "unconfigured"
+
+
+def test_a_parameter_of_a_type_that_does_not_exist_is_refused(user: Client) -> None:
+    """A bug once: it raises inside rclpy's own parameter services, which ended the process."""
+    node = user.host(Small)
+    user.wait_active("small")
+    odd = ParameterMessage(name="count", value=ParameterValue(type=10))
+    fine = Parameter("count", value=4).to_parameter_msg()
+    request = SetParameters.Request(parameters=[fine, odd])
+    first, second = user.call(SetParameters, "small/set_parameters", request).results
+    assert first.successful
+    assert "10 is not a valid" in second.reason
+    whole = SetParametersAtomically.Request(parameters=[odd])
+    assert not user.call(SetParametersAtomically, "small/set_parameters_atomically", whole).result.successful
+    assert node.refusals.counts["parameter"] == 2
+    assert user.get_parameters("small", ["count"]) == {"count": 4}
+
+
+def test_a_clock_before_1970_is_survived_by_a_node_in_simulated_time(user: Client) -> None:
+    """A bug once: rclpy's own subscription to /clock raises, which ended the process."""
+    node = user.host(Small, parameter_overrides=overrides({"use_sim_time": True, "bugs": False}))
+    user.wait_active("small")
+    user.publish(topics.CLOCK, Clock(clock=Time(sec=-5)))
+    user.wait_until(lambda: node.refusals.counts["exception"] == 1, "the exception to be caught")
+    assert "must not be negative" in node.refusals.last["exception"]
+    assert user.state("small") == "active"
