@@ -79,7 +79,7 @@ class Simulation:
         self._rtol = rtol
         self._account = account
         self._config = config
-        self._log = _room(2048, 64)
+        self._log = _room(1 << 15, 1 << 11)  # pages that are not touched take no memory
         self.reset()
 
     @property
