@@ -157,11 +157,12 @@ def open_finished(directory: Path) -> Finished:
 def write_results(done: Finished, wall_s: float) -> None:
     """Write `points.csv` and `summary.json`."""
     write_csv(done.directory / CSV_FILE, done.points)
+    block_scans = done.campaign.planned()[0].job.config().daq.block_scans
     write_summary(
         done.directory,
         done.reductions(),
         statements.results(done.verdicts()),
-        lost_blocks=sum(outcome.lost_scans for outcome in done.outcomes.values()),
+        lost_blocks=sum(-(-outcome.lost_scans // block_scans) for outcome in done.outcomes.values()),
         wall_s=wall_s,
         simulated_s=sum(outcome.simulated_s for outcome in done.outcomes.values()),
         seed=done.campaign.base.daq.seed,

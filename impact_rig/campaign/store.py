@@ -87,7 +87,7 @@ class Store:
         try:
             if outcome.trace:
                 packed = io.BytesIO()
-                np.savez_compressed(packed, allow_pickle=False, **dict(outcome.trace))
+                np.savez_compressed(packed, **dict(outcome.trace))  # type: ignore[arg-type]  # none is called allow_pickle
                 _replace(self._path(job, "npz"), packed.getvalue())
             _replace(self._path(job, "json"), (json.dumps(content, indent=1) + "\n").encode())
         except OSError as error:

@@ -81,7 +81,7 @@ def figure_7(curves: Curves) -> Iterator[Drawn]:
             axis.plot(FREQUENCY_HZ, wanted, "D", color=PAPER_RED, markerfacecolor="none", markersize=5.0)
     axis.plot([], [], "D", color=PAPER_RED, markerfacecolor="none", markersize=5.0, label="paper")
     _finish(axis, "DT by gap", legend=False)
-    legend_below(figure, 4)
+    legend_below(axis, 4)
     caption = "All cases (Fig. 7). Diamonds: our DT without sphere, less the reduction the paper prints for 9.1 Hz."
     yield Drawn("fig7_all_gaps", figure, caption)
 
@@ -143,7 +143,7 @@ def peaks(curves: Curves) -> Iterator[Drawn]:
     if not found:
         return
     axis.set(xlabel="frequency (Hz)", ylabel="transmissibility", title="Where the curves peak")
-    legend_below(figure, 3)
+    legend_below(axis, 3)
     caption = "Grid of 0.01 Hz. Dotted: where each curve peaks; with the sphere a little lower, as the paper saw."
     yield Drawn("peaks", figure, caption)
 
@@ -165,7 +165,7 @@ def amplitudes(curves: Curves) -> Iterator[Drawn]:
     lower.set(ylabel="inferior base (µm)", xlabel="frequency (Hz)", yscale="log")
     lower.set_yticks([50, 100, 200, 500], ["50", "100", "200", "500"])
     lower.minorticks_off()
-    legend_below(figure, 3)
+    legend_below(lower, 3, upper)
     caption = (
         "At constant current the superior base moves nearly as far with the sphere as without; what changes is the "
         "base beneath it. At resonance the structure holds the base still, like a tuned absorber; losses in the "
@@ -193,7 +193,7 @@ def regime_map(curves: Curves) -> Iterator[Drawn]:
     axis.grid(visible=False)
     for name, shade in (*REGIMES.items(), ("no impacts", QUIET)):
         axis.fill_between([], [], [], color=shade, label=name)
-    legend_below(figure, 4)
+    legend_below(axis, 4)
     caption = "Regime map: what the response does from cycle to cycle, and impacts per cycle, from the accelerometer."
     yield Drawn("regimes", figure, caption)
 

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
 WIDTH_INCH = 4.4
 """About as wide as a phone: shown there at its own size, its 9 pt stay legible; wide pages show several abreast."""
+LABELS_INCH = 0.48
+"""Height of the numbers and the name beneath an axis."""
 STYLE: dict[str, object] = {
     "font.size": 9.0,
     "axes.titlesize": 9.5,
@@ -59,9 +61,23 @@ def new_axes(height_inch: float = 3.0, ratios: tuple[float, ...] = (1.0,)) -> tu
     return figure, list(axes)
 
 
-def legend_below(figure: Figure, columns: int) -> None:
-    """Put the legend where it hides nothing."""
-    figure.legend(loc="outside lower center", ncols=columns, columnspacing=1.2, handlelength=1.6)
+def legend_below(axis: Axes, columns: int, *others: Axes) -> None:
+    """Put a legend beneath the lowest axes of a figure, where it hides nothing; entries of `others` come first."""
+    from matplotlib.transforms import ScaledTranslation  # noqa: PLC0415  # as above
+
+    handles, labels = [], []
+    for one in (*others, axis):
+        found = one.get_legend_handles_labels()
+        handles += found[0]
+        labels += found[1]
+    # of the axes, not of the figure: only that leaves room for it in matplotlib 3.6, which Ubuntu 24.04 has
+    figure = axis.get_figure()
+    assert figure is not None
+    below = axis.transAxes + ScaledTranslation(0.0, -LABELS_INCH, figure.dpi_scale_trans)
+    axis.legend(
+        handles, labels, loc="upper center", bbox_to_anchor=(0.5, 0.0), bbox_transform=below, ncols=columns,
+        borderaxespad=0.0, columnspacing=1.2, handlelength=1.6,
+    )  # fmt: skip
 
 
 class Drawn:

@@ -42,7 +42,7 @@ def time_trace(trace: Trace, gap_m: float, frequency_hz: float) -> Drawn:
     upper.set(ylabel="displacement (mm)", title=_case(gap_m, frequency_hz))
     lower.plot(1e3 * time[shown], np.asarray(trace["accelerometer"], float)[shown], color=INK, linewidth=0.7)
     lower.set(xlabel="time (ms)", ylabel="accel. (m/s²)")
-    legend_below(figure, 2)
+    legend_below(lower, 2, upper)
     caption = f"Time traces, gap {gap_m * 1e3:g} mm: {CYCLES} cycles. The spikes are impacts."
     return Drawn(f"trace_gap_{gap_m * 1e3:g}mm", figure, caption)
 

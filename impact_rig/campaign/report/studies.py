@@ -59,7 +59,7 @@ def study_figures(study: str, points: Sequence[Point], curves: Curves) -> Iterat
         title=f"Study: {study}",
     )
     if len(lines) > 1:
-        legend_below(figure, 2)
+        legend_below(axis, 2)
     yield Drawn(f"study_{study}", figure, f"Study “{study}”: {len(settled)} settled points, ± 2u.")
 
 
