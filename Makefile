@@ -57,7 +57,7 @@ $(PACKAGE): $(ENVIRONMENT) setup.py setup.cfg package.xml
 	@touch $@
 
 # --- Targets ----------------------------------------------------------------------------------------------------------
-.PHONY: help demo campaign test lint format bench venv lock clean
+.PHONY: help demo campaign test lint format bench fuzz soak venv lock clean
 
 help: ## print this list
 	@echo 'impact_rig: make TARGET, where TARGET is one of'
@@ -86,6 +86,12 @@ format: $(PACKAGE) ## bring the code into the one format
 
 bench: $(PACKAGE) ## measure the figures of docs/ and write build/bench.json; ONLY=physics measures one part
 	@$(VENV)/bin/python -m benchmarks $(ONLY)
+
+fuzz: $(PACKAGE) ## throw 10,000 hostile inputs at each decoder and validator; ARGS='--inputs 1000 texts' chooses
+	@$(VENV)/bin/python -m fuzz $(ARGS)
+
+soak: $(PACKAGE) ## run for hours: two of rig time freewheeling, ten minutes live at 50 kS/s; ARGS='--part live' chooses
+	@$(VENV)/bin/python tools/soak.py $(ARGS)
 
 venv: $(PACKAGE) ## only make the environment .venv
 

@@ -72,6 +72,10 @@ COLUMNS = (
 )
 
 
+MOST_HZ = 1e6
+"""The board's aggregate rate; bounds the memory that a hostile table can ask for."""
+
+
 @attrs.frozen(eq=False)
 class Calibration:
     """The columns of `daq/info` as arrays over `blocks.CHANNELS`.
@@ -109,13 +113,15 @@ class Calibration:
             ConfigError: a channel is missing or twice there, the rates differ or are no positive whole number, a range
                 is empty, or a lag order is unknown.
         """
-        names = [bytes(name).decode() for name in rows["name"]]
+        names = [bytes(name).decode(errors="replace") for name in rows["name"]]
         if sorted(names) != sorted(CHANNELS):
             raise ConfigError(f"daq/info must have one row for each of {', '.join(CHANNELS)}, got {', '.join(names)}")
         ordered = rows[[names.index(channel) for channel in CHANNELS]]
         rate = float(ordered["rate"][0])
-        if not (np.all(ordered["rate"] == rate) and rate > 0 and rate == round(rate)):
-            raise ConfigError(f"daq/info: rate must be one positive whole number of Hz, got {ordered['rate'].tolist()}")
+        if not (np.all(ordered["rate"] == rate) and 0 < rate <= MOST_HZ and rate == round(rate)):
+            raise ConfigError(
+                f"daq/info: rate must be one positive whole number of Hz, at most {MOST_HZ:g}, got {ordered['rate'].tolist()}"
+            )
         if not np.all(ordered["range_low"] < ordered["range_high"]):
             raise ConfigError("daq/info: range_low must be < range_high in every row")
         if not set(ordered["lag_order"].tolist()) <= set(LAG_MODELS):

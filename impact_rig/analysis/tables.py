@@ -17,6 +17,24 @@ GAP = "gap_m"
 SETTLED = (Status.OK, Status.ACCELEROMETER_OVER_RANGE)
 
 
+def need_columns(table: Table, wanted: np.dtype[np.void], topic: str) -> None:
+    """Refuse a table that lacks a column, or has a text for a number; columns of a later version may be there.
+
+    Raises:
+        ConfigError: names the topic and the columns.
+    """
+    found = table.rows.dtype
+    if found == wanted:
+        return
+    wrong = [
+        name
+        for name in wanted.names or ()
+        if name not in (found.names or ()) or (found[name].kind == "S") != (wanted[name].kind == "S")
+    ]
+    if wrong:
+        raise ConfigError(f"{topic} lacks the column {', '.join(wrong)}, or has another type there")
+
+
 def measurement_table(found: Measurement, stamp_ns: int, gap_m: float, waited_s: float) -> Table:
     """Return one row of `transmissibility/table`; the stamp is that of the last scan in it."""
     row = np.zeros(1, dtype=TRANSMISSIBILITY)

@@ -20,10 +20,11 @@ from impact_rig.analysis.impacts import MIN_RATE_HZ, ImpactDetector, Impacts, co
 from impact_rig.analysis.judge import Judge, window_cycles
 from impact_rig.analysis.scan_buffer import ScanBuffer, first_scan_at, scan_index
 from impact_rig.analysis.settings import ImpactSettings, TrackerSettings
-from impact_rig.analysis.tables import impact_tables, measurement_table
+from impact_rig.analysis.tables import impact_tables, measurement_table, need_columns
 from impact_rig.analysis.transmissibility import Measurement
 from impact_rig.analysis.words import MEASURED, Status
-from impact_rig.blocks import Table
+from impact_rig.blocks import APPLIED, DAQ_INFO, SCAN, Table
+from impact_rig.errors import ConfigError
 from impact_rig.simtime import NS_PER_S, stamp_ns
 
 MIN_HOLD_SCANS = 16
@@ -120,7 +121,10 @@ class Tracker:
         Raises:
             ConfigError: the table does not describe the four channels.
         """
+        need_columns(info, DAQ_INFO, "daq/info")
         calibration = Calibration.from_info(info.rows)
+        if not np.isfinite(info.rows["since_start"][0]):
+            raise ConfigError(f"daq/info: since_start must be finite, got {info.rows['since_start'][0]!r}")
         start_ns = info.stamp_ns - round(float(info.rows["since_start"][0]) * NS_PER_S)
         rows = info.rows.copy()
         rows["since_start"] = 0.0
@@ -137,7 +141,14 @@ class Tracker:
             self._resets.append(_Reset(start_ns, calibration))
 
     def command(self, applied: Table) -> None:
-        """Take `shaker/applied`: each row acts from its stamp plus time."""
+        """Take `shaker/applied`: each row acts from its stamp plus time.
+
+        Raises:
+            ConfigError: the table is no such table, or its times are no numbers.
+        """
+        need_columns(applied, APPLIED, "shaker/applied")
+        if not np.isfinite(applied.rows["time"]).all():
+            raise ConfigError("shaker/applied: time must be finite")
         for row in applied.rows:
             instant = applied.stamp_ns + round(float(row["time"]) * NS_PER_S)
             self._schedule(instant, _Command(float(row["frequency"]), float(row["current"])))
@@ -147,7 +158,12 @@ class Tracker:
         self._schedule(stamp_ns, _Label(gap_m))
 
     def feed(self, scan: Table) -> Findings:
-        """Take a block of `daq/scan`; blocks come in the order of their stamps."""
+        """Take a block of `daq/scan`; blocks come in the order of their stamps.
+
+        Raises:
+            ConfigError: the table is no such table.
+        """
+        need_columns(scan, SCAN, "daq/scan")
         rows = scan.rows
         if self._calibration is None:
             self.counters.unconfigured_scans += len(rows)

@@ -65,7 +65,7 @@ def parse(line: str) -> PlannedFault:
     Raises:
         ConfigError: unknown kind, channel or key, or a value that is no number or out of range.
     """
-    kind, *pairs = line.split()
+    kind, *pairs = line.split() or [""]
     texts = dict(pair.partition("=")[::2] for pair in pairs)
     channel = texts.pop("channel", "")
     check_kind(kind, channel)

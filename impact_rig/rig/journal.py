@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import enum
 import itertools
+import math
 from collections.abc import Iterable, Mapping
 
 import attrs
@@ -22,6 +23,7 @@ from impact_rig.simtime import NS_PER_S, stamp_ns
 Value = bool | int | float | str | tuple[str, ...]
 
 SEPARATOR = "\n"  # between the items of a list
+_MOST = 2.0**53  # to which whole numbers are exact in a table
 TEXT_BYTES = np.dtype(TEXT).itemsize
 NOT_SAMPLED = ("time.", "step.", "pluck.", "output.")
 """Sections that change when and what is published, but not one sample: they are not in the journal."""
@@ -124,6 +126,11 @@ def read(tables: Iterable[Table]) -> list[Entry]:
     entries: list[Entry] = []
     for table in tables:
         for row in table.rows:
+            if not (math.isfinite(row["time"]) and all(0 <= row[name] <= _MOST for name in ("sample", "sequence"))):
+                raise ConfigError(
+                    f"journal row {len(entries)}: time must be finite, sample and sequence 0 to 2**53, "
+                    f"got {row['time']!r}, {row['sample']!r}, {row['sequence']!r}"
+                )
             stamp = table.stamp_ns + round(float(row["time"]) * NS_PER_S)
             key, kind = bytes(row["key"]).decode(errors="replace"), bytes(row["kind"]).decode(errors="replace")
             try:
@@ -162,9 +169,13 @@ def values_of(entries: Iterable[Entry]) -> dict[str, Value]:
     found: dict[str, Value] = {}
     for name, number in numbers.items():
         default = _DEFAULTS[name]
-        found[name] = type(default)(number) if isinstance(default, (bool, int)) else number
+        whole = isinstance(default, (bool, int)) and math.isfinite(number) and type(default)(number) == number
+        found[name] = type(default)(number) if whole else number  # the validator refuses a fraction where it is none
     for name, raw in texts.items():
-        text = raw.decode()
+        try:
+            text = raw.decode()
+        except UnicodeDecodeError as error:
+            raise ConfigError(f"journal row of {name} is not UTF-8: {raw[:40]!r}") from error
         found[name] = tuple(text.split(SEPARATOR)) if isinstance(_DEFAULTS[name], tuple) else text
     return found
 

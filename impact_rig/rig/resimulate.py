@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Iterable, Iterator
 
 from impact_rig.blocks import Table
@@ -13,7 +14,7 @@ from impact_rig.rig.block import Block
 from impact_rig.rig.core import Rig
 from impact_rig.rig.journal import RESULTS, Entry, Kind, read, values_of
 from impact_rig.rig.truth import TICKS_PER_S
-from impact_rig.simtime import COMMAND_GRID_NS
+from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S
 
 
 def resimulate(journal: Iterable[Table], base: RigConfig | None = None) -> Iterator[Block]:
@@ -32,7 +33,9 @@ def resimulate(journal: Iterable[Table], base: RigConfig | None = None) -> Itera
     rig = Rig(from_flat(base or RigConfig(), values_of(initial)), first.stamp_ns)
     for group in _changes(rest[len(initial) :]):
         if group[0].kind is not Kind.FAULT:  # a fault was ordered ahead of the scan its row names
-            yield from rig.advance(rig.start_ns + _tick(group[0], rig) * COMMAND_GRID_NS)
+            until_ns = rig.start_ns + _tick(group[0], rig) * COMMAND_GRID_NS
+            while rig.frontier_ns < until_ns:  # in parts: nobody knows how far away a damaged row is
+                yield from rig.advance(min(until_ns, rig.frontier_ns + NS_PER_S))
         apply(rig, group)
     while True:
         yield from rig.advance(rig.block_end_ns(1))
@@ -56,6 +59,8 @@ def apply(rig: Rig, group: list[Entry]) -> None:
     elif entry.kind is Kind.FAULT:
         rig.inject(Fault.from_journal(entry.key, entry.value, entry.text.decode(), entry.sample))
     elif entry.kind is Kind.CLEAR_FAULT:
+        if not (math.isfinite(entry.value) and entry.value == int(entry.value)):
+            raise ConfigError(f"journal row {entry.sequence}: no fault has the number {entry.value!r}")
         rig.clear_fault(None if entry.value < 0 else int(entry.value))
     elif entry.kind not in RESULTS:
         raise ConfigError(f"journal row {entry.sequence}: {entry.kind.value!r} cannot be in the middle of a journal")

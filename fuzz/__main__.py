@@ -1,0 +1,85 @@
+"""Run the fuzz targets and print what was thrown at them: `make fuzz`, `python -m fuzz --inputs 1000 texts`."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import sys
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table as TextTable
+
+INPUTS = 10_000
+
+
+def main() -> int:
+    """Return 0 if nothing was found."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("targets", nargs="*", help="which; default: all")
+    parser.add_argument("--inputs", type=int, default=INPUTS, help=f"per target, at least (default {INPUTS})")
+    parser.add_argument("--seed", type=int, default=0, help="other inputs (default 0)")
+    parser.add_argument("--guided", metavar="TARGET", help="let atheris guide one by coverage, until Ctrl-C")
+    arguments, rest = parser.parse_known_args()
+    warnings.simplefilter("ignore")  # numpy warns of what it was asked to compare
+    with _branches() as measured:
+        from fuzz import decoders, target, validators  # noqa: PLC0415  # after the measurement has begun
+
+        known = {one.name: one for one in (*decoders.TARGETS, *validators.TARGETS)}
+        if arguments.guided:
+            return _guided(target, known[arguments.guided], rest)
+        if rest or set(arguments.targets) - set(known):
+            parser.error(f"targets are {', '.join(known)}; got {' '.join([*arguments.targets, *rest])}")
+        chosen = [known[name] for name in arguments.targets] or list(known.values())
+        console, table, total = Console(), TextTable(), 0
+        for heading in ("target", "inputs", "refused", "accepted", "slowest [ms]", "wall [s]"):
+            table.add_column(heading, justify="left" if heading == "target" else "right")
+        for one in chosen:
+            tally = target.run(one, arguments.inputs, arguments.seed)
+            total += tally.inputs
+            figures = (tally.inputs, tally.refused, tally.inputs - tally.refused)
+            table.add_row(one.name, *map(str, figures), f"{tally.slowest_s * 1e3:.0f}", f"{tally.wall_s:.0f}")
+            console.print(f"{one.name}: {tally.inputs} inputs, nothing found", style="dim")
+    console.print(table)
+    console.print(f"{total} inputs, no crash, hang, NaN or silent acceptance")
+    if measured is not None:
+        root = Path(__file__).parents[1] / "impact_rig"
+        measured.report(include=sorted({str(root / module) for one in chosen for module in one.modules}))
+    return 0
+
+
+@contextlib.contextmanager
+def _branches() -> Iterator[Any]:
+    """Measure branch coverage where coverage.py is installed."""
+    try:
+        import coverage  # noqa: PLC0415  # optional
+    except ImportError:
+        yield None
+        return
+    measured = coverage.Coverage(branch=True, data_file=None, source=["impact_rig"])
+    measured.start()
+    try:
+        yield measured
+    finally:
+        measured.stop()
+
+
+def _guided(target: Any, chosen: Any, rest: list[str]) -> int:
+    """Let libFuzzer mutate what hypothesis draws from, guided by the branches it reaches; ends with Ctrl-C."""
+    try:
+        import atheris  # noqa: PLC0415  # optional: where it installs
+    except ImportError:
+        print("atheris is not installed: pip install atheris", file=sys.stderr)
+        return 2
+    test = target.prepared(chosen, INPUTS, 0, target.Tally())
+    atheris.instrument_all()
+    atheris.Setup([sys.argv[0], *rest], test.hypothesis.fuzz_one_input)
+    atheris.Fuzz()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

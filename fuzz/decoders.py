@@ -1,0 +1,207 @@
+"""Targets that read bytes: tables from the network, MCAP files whole or damaged, journals, what the analysis is fed."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+from hypothesis import strategies as st
+
+from fuzz.mutation import mutated
+from fuzz.target import Target
+from impact_rig import blocks, codec
+from impact_rig.analysis.tracker import Tracker
+from impact_rig.blocks import Table
+from impact_rig.config import RigConfig, from_flat
+from impact_rig.recording import Attachment, Provenance, RunWriter, Topic, open_run, recover
+from impact_rig.rig import Rig, resimulate
+
+TABLES = {name: value for name, value in vars(blocks).items() if isinstance(value, np.dtype)}
+LARGEST_S = 0.05
+"""Rig time that a hostile journal is re-simulated for."""
+
+
+def _rig() -> Rig:
+    rig = Rig(from_flat(RigConfig(), {"drive.amplitude": 0.3, "barriers.gap_m": 0.002, "daq.seed": 5}))
+    rig.advance(20_000_000)
+    rig.command(8.0, 0.4)
+    rig.configure({"barriers.gap_m": 0.003, "sphere.start": "right"})
+    return rig
+
+
+MESSAGES = [codec.encode(Table(10**9, np.zeros(2, dtype), "daq")) for dtype in TABLES.values()]
+MESSAGES += [codec.encode(Table(0, np.zeros(1, [("a", "u1"), ("b", "<f4"), ("t", "S32")])))]
+
+
+# --- tables ----------------------------------------------------------------------------------------------------------
+
+
+def point_cloud(raw: bytes) -> None:
+    """What is decoded lies in the message, and is a table that can be sent again."""
+    table = codec.decode(raw)
+    assert table.rows.nbytes <= len(raw)
+    again = codec.decode(codec.encode(table))
+    assert again.rows.tobytes() == table.rows.tobytes()
+    assert (again.stamp_ns, again.frame_id) == (table.stamp_ns, table.frame_id)
+
+
+# --- files -----------------------------------------------------------------------------------------------------------
+
+
+def _small_run(directory: Path, compression: str) -> tuple[bytes, set[tuple[str, bytes]]]:
+    """Some 3 kB with two topics, an attachment and several chunks; the file and the messages in it."""
+    topics = [Topic(name=f"/{name}", type_name="std_msgs/msg/String", schema="string data\n") for name in "ab"]
+    sent = set()
+    with RunWriter(
+        directory,
+        provenance=Provenance(version="1", seed=3, wall_start_ns=4),
+        attachments=[Attachment("config.yaml", b"a: 1\n")],
+        clock=lambda: 0.0,
+        compression=compression,
+        chunk_bytes=200,
+    ) as writer:
+        for topic in topics:
+            writer.add_topic(topic)
+        for number in range(8):
+            data = b"\0\1\0\0\x09\0\0\0message" + bytes([48 + number, 0])
+            writer.write_at(topics[number % 2].name, data, 10 + number, 20, number)
+            sent.add((topics[number % 2].name, data))
+    return writer.files[0].read_bytes(), sent
+
+
+_SCRATCH = Path(tempfile.mkdtemp(prefix="impact_rig_fuzz_"))
+RUNS = [_small_run(_SCRATCH / name, name) for name in ("none", "lz4", "zstd")]
+FILES = [content for content, _ in RUNS]
+SENT = {message for _, messages in RUNS for message in messages}
+shutil.rmtree(_SCRATCH)
+
+
+def mcap_read(raw: bytes) -> None:
+    """A reader gives messages that were written, or refuses."""
+    with tempfile.TemporaryDirectory(prefix="impact_rig_fuzz_") as folder:
+        path = Path(folder, "run.mcap")
+        path.write_bytes(raw)
+        with open_run(path) as run:
+            for message in run.messages(recorded_order=True):
+                assert (message.topic, bytes(message.data)) in SENT
+            assert set(run.attachments().values()) <= {b"a: 1\n"}
+            assert run.provenance in ({}, {"version": "1", "seed": "3", "wall_start_ns": "4"})
+
+
+def mcap_recover(raw: bytes) -> None:
+    """Whatever a file has gone through, what is given back was written, and is a whole run."""
+    with tempfile.TemporaryDirectory(prefix="impact_rig_fuzz_") as folder:
+        path = Path(folder, "run.mcap")
+        path.write_bytes(raw)
+        recover(path, Path(folder, "out"))
+        with open_run(Path(folder, "out")) as run:
+            for message in run.messages():
+                assert (message.topic, bytes(message.data)) in SENT
+            assert set(run.attachments().values()) <= {b"a: 1\n"}
+
+
+# --- journals --------------------------------------------------------------------------------------------------------
+
+JOURNAL = np.concatenate([table.rows for table in _rig().take_journal()])
+WORDS = sorted({*JOURNAL["kind"].tolist(), *JOURNAL["key"].tolist(), b"fault", b"pluck", b"reset", b"laser", b"9" * 32})
+
+
+@st.composite
+def journals(draw: st.DrawFn) -> Table:
+    """A journal with some of its cells changed, rows dropped or doubled."""
+    rows = JOURNAL.copy()
+    for _ in range(draw(st.integers(1, 4))):
+        row = draw(st.integers(0, len(rows) - 1))
+        name = draw(st.sampled_from(rows.dtype.names))
+        if name in ("kind", "key", "text"):
+            rows[row][name] = draw(st.sampled_from(WORDS) | st.binary(max_size=32))
+        else:
+            rows[row][name] = draw(st.floats() | st.integers(-2, 30).map(float))
+    if draw(st.booleans()):
+        rows = np.delete(rows, draw(st.integers(0, len(rows) - 1)))
+    return Table(draw(st.sampled_from((0, 10**9, -(10**9), 2**62))), rows)
+
+
+def journal(table: Table) -> None:
+    """A re-simulation begins with what the journal says, or says why it cannot; its scans are numbers."""
+    deadline = time.perf_counter() + LARGEST_S
+    for block in resimulate([table]):
+        _all_finite(block.scan)
+        if block.number >= 3 or time.perf_counter() > deadline:
+            return
+
+
+# --- analysis --------------------------------------------------------------------------------------------------------
+
+
+def _stream() -> tuple[Table, Table, list[Table]]:
+    rig = Rig(from_flat(RigConfig(), {"drive.amplitude": 0.3, "daq.rate_hz": 1000, "daq.block_scans": 100}))
+    found = rig.advance(800_000_000)
+    return rig.info(), rig.take_applied()[0], [block.scan for block in found]
+
+
+INFO, APPLIED, SCANS = _stream()
+
+
+@st.composite
+def streams(draw: st.DrawFn) -> list[tuple[str, Table]]:
+    """Calibration, command and scans of a rig, some of them hostile: cells, columns, stamps, lengths."""
+    stream = [("info", INFO), ("applied", APPLIED), *(("scan", scan) for scan in SCANS[:4])]
+    for _ in range(draw(st.integers(1, 3))):
+        at = draw(st.integers(0, len(stream) - 1))
+        kind, table = stream[at]
+        rows = table.rows.copy()
+        name = draw(st.sampled_from(rows.dtype.names))
+        match draw(st.integers(0, 5)):
+            case 0 if rows.dtype[name].kind == "f" and len(rows):
+                rows[name][draw(st.integers(0, len(rows) - 1))] = draw(st.floats())
+            case 1:
+                rows = rows[[other for other in rows.dtype.names if other != name] or [name]]
+            case 2:
+                rows = rows[: draw(st.integers(0, 3))]
+            case 3:
+                rows = rows.astype(
+                    [(n, "<f4" if rows.dtype[n].kind == "f" else rows.dtype[n]) for n in rows.dtype.names]
+                )
+            case 4 if rows.dtype[name].kind == "S" and len(rows):
+                rows[name][0] = draw(st.binary(max_size=32))
+        step = st.sampled_from((0, 1, -1, 10**8, -(10**8), 10**15, -(10**15)))
+        stream[at] = (kind, Table(table.stamp_ns + draw(step), rows))
+        if draw(st.booleans()):
+            stream.insert(draw(st.integers(0, len(stream))), stream[at])
+    return stream
+
+
+def analysis(stream: list[tuple[str, Table]]) -> None:
+    """Every table is taken or refused by name; what is found has numbers where it says it was measured."""
+    tracker = Tracker()
+    takers = {"info": tracker.configure, "applied": tracker.command, "scan": tracker.feed}
+    for kind, table in stream:
+        found = takers[kind](codec.decode(codec.encode(Table(table.stamp_ns, np.array(table.rows)))))
+        for measured in getattr(found, "measurements", ()):
+            row = measured.rows[0]
+            assert row["settled"] == 0 or np.isfinite(row["transmissibility"])
+
+
+def _all_finite(table: Table) -> None:
+    for name in table.rows.dtype.names or ():
+        assert np.isfinite(table.rows[name]).all(), f"{name} is not finite"
+
+
+TARGETS = (
+    Target("point_cloud", mutated(MESSAGES) | st.binary(max_size=200), point_cloud, ("codec.py",)),
+    Target(
+        "mcap_read",
+        mutated(FILES),
+        mcap_read,
+        ("recording/reader.py", "recording/mcap_source.py", "recording/records.py", "recording/topics.py"),
+    ),
+    Target("mcap_recover", mutated(FILES), mcap_recover, ("recording/recovery.py", "recording/salvage.py")),
+    Target("journal", journals(), journal, ("rig/journal.py", "rig/resimulate.py")),
+    Target(
+        "analysis", streams(), analysis, ("analysis/calibration.py", "analysis/scan_buffer.py", "analysis/tracker.py")
+    ),
+)

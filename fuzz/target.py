@@ -1,0 +1,93 @@
+"""What a fuzz target is, and how inputs are thrown at it."""
+
+from __future__ import annotations
+
+import dataclasses
+import faulthandler
+import time
+from collections.abc import Callable
+from typing import Any
+
+from hypothesis import HealthCheck, Phase, given, seed, settings
+from hypothesis import strategies as st
+
+from impact_rig.errors import ImpactRigError
+
+HANG_S = 20.0
+"""An input that takes longer is a finding, even on a busy machine."""
+DEADLOCK_S = 300.0
+
+
+@dataclasses.dataclass(frozen=True)
+class Target:
+    """Something that reads hostile input.
+
+    Attributes:
+        name: for the command line.
+        inputs: what is thrown at it.
+        check: takes one input; raises an ImpactRigError to refuse it, or returns (inputs, refusals) if it was several.
+        modules: whose branches it is meant to reach, below `impact_rig/`.
+    """
+
+    name: str
+    inputs: st.SearchStrategy[Any]
+    check: Callable[[Any], tuple[int, int] | None]
+    modules: tuple[str, ...]
+
+
+@dataclasses.dataclass
+class Tally:
+    """What became of the inputs."""
+
+    inputs: int = 0
+    refused: int = 0
+    slowest_s: float = 0.0
+    wall_s: float = 0.0
+
+
+def prepared(target: Target, examples: int, number: int, tally: Tally) -> Callable[[], None]:
+    """Return a hypothesis test that throws `examples` inputs, drawn with a seed, and counts them.
+
+    Its `hypothesis.fuzz_one_input` takes bytes, which is what a coverage-guided fuzzer wants.
+    """
+
+    @seed(number)
+    @settings(
+        max_examples=examples,
+        deadline=None,
+        database=None,
+        print_blob=True,
+        phases=(Phase.generate, Phase.shrink),
+        suppress_health_check=list(HealthCheck),
+    )
+    @given(target.inputs)
+    def each(value: Any) -> None:
+        started = time.perf_counter()
+        try:
+            inputs, refused = target.check(value) or (1, 0)
+        except ImpactRigError:
+            inputs, refused = 1, 1
+        took = time.perf_counter() - started
+        tally.inputs += inputs
+        tally.refused += refused
+        tally.slowest_s = max(tally.slowest_s, took)
+        assert took < HANG_S, f"{target.name}: one input took {took:.1f} s"
+
+    return each
+
+
+def run(target: Target, inputs: int, number: int = 0) -> Tally:
+    """Throw at least this many inputs at a target; an exception is a finding, reduced to its smallest form.
+
+    hypothesis leaves out repetitions and stops early when a space is small: further seeds make up for it.
+    """
+    tally, started = Tally(), time.perf_counter()
+    faulthandler.dump_traceback_later(DEADLOCK_S + inputs / 10, exit=True)
+    try:
+        while tally.inputs < inputs:
+            prepared(target, min(inputs - tally.inputs, 20_000), number, tally)()
+            number += 1
+    finally:
+        faulthandler.cancel_dump_traceback_later()
+    tally.wall_s = time.perf_counter() - started
+    return tally

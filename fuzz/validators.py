@@ -1,0 +1,180 @@
+"""Targets that read words and numbers: configuration files, parameters, commands, remarks, fault lines."""
+
+from __future__ import annotations
+
+import math
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import attrs
+import numpy as np
+from hypothesis import strategies as st
+
+from fuzz.mutation import HOSTILE_WORDS, mutated_lines
+from fuzz.target import Target
+from impact_rig.analysis.labels import parse_label
+from impact_rig.analysis.settings import ImpactSettings, TrackerSettings
+from impact_rig.analysis.tables import read_settings
+from impact_rig.blocks import SETTINGS, Table
+from impact_rig.config import RigConfig, dump, fields, from_flat, load, to_flat
+from impact_rig.config.faults import FAULT_KINDS, parse
+from impact_rig.errors import ImpactRigError
+from impact_rig.instruments.faults import Fault
+from impact_rig.recording.schema import schema_text
+from impact_rig.resources import config_dir
+from impact_rig.rig import Rig
+from impact_rig.rig.journal import read
+
+KNOWN = {name: about for name, about, _ in fields()}
+ANY_NUMBER = st.floats() | st.sampled_from((0.0, -0.0, 1e-320, 1e308, -1.0, 1e-9, 0.5, 2.0, 100.0))
+ANY_VALUE = (
+    ANY_NUMBER
+    | st.integers(-(2**70), 2**70)
+    | st.booleans()
+    | st.none()
+    | st.sampled_from(HOSTILE_WORDS)
+    | st.lists(st.sampled_from(HOSTILE_WORDS) | ANY_NUMBER, max_size=3)
+)
+NAMES = st.sampled_from(sorted(KNOWN))
+CHANGES = st.dictionaries(NAMES | st.text(max_size=20) | NAMES.map(lambda name: name + "x"), ANY_VALUE, max_size=3)
+
+
+def _check_config(config: RigConfig) -> None:
+    """Nothing outside its declared range was let in; and it can be written and read again."""
+    for name, value in to_flat(config).items():
+        about = KNOWN[name]
+        if isinstance(value, (int, float)) and not isinstance(value, bool):
+            assert math.isfinite(value), name
+            assert about.low is None or value >= about.low, name
+            assert about.high is None or value <= about.high, name
+        assert not about.choices or value in about.choices, name
+
+
+def configuration_file(text: str | bytes) -> None:
+    """A file gives a configuration that can be written and read again, or is refused."""
+    with tempfile.TemporaryDirectory(prefix="impact_rig_fuzz_") as folder:
+        path = Path(folder, "rig.yaml")
+        path.write_bytes(text if isinstance(text, bytes) else text.encode("utf-8", "surrogatepass"))
+        config = load(path)
+        _check_config(config)
+        if config != RigConfig():
+            path.write_text(dump(config), encoding="utf-8")
+            assert load(path) == config
+
+
+def parameters(changes: dict[str, Any]) -> None:
+    """All of the changes, or none."""
+    config = from_flat(RigConfig(), changes)
+    _check_config(config)
+    flat = to_flat(config)
+    for name, value in changes.items():
+        if isinstance(value, (int, float)) and not isinstance(value, bool):
+            assert flat[name] == value, name
+
+
+@st.composite
+def _settings(draw: st.DrawFn) -> dict[str, Any]:
+    section = draw(st.sampled_from((TrackerSettings, ImpactSettings)))
+    names = st.sampled_from([attribute.name for attribute in attrs.fields(section)])
+    return {"section": section, "values": draw(st.dictionaries(names, ANY_VALUE, min_size=1, max_size=3))}
+
+
+def settings(given: dict[str, Any]) -> None:
+    """Settings of the analysis: from parameters, and as a recorded table brings them back."""
+    section, values = given["section"], given["values"]
+    numbers = {key: value for key, value in values.items() if isinstance(value, float)}
+    if numbers and section is TrackerSettings:
+        read_settings(Table(0, np.array(list(numbers.items()), SETTINGS)))
+    made = section(**values)
+    for attribute in attrs.fields(section):
+        assert math.isfinite(getattr(made, attribute.name))
+
+
+LINES = st.lists(
+    st.sampled_from((*FAULT_KINDS, "channel=laser", "start_s=1", "value=nan", "seed=-1", "rate_hz=1e999", "=", "x=y"))
+    | st.sampled_from(("gap_m=", "0.004", " at ", "12", "1e9", "-1", "nan", "9" * 30))
+    | st.sampled_from(("sensor_msgs/msg/", "PointCloud2", "../", "/etc/passwd", "std_msgs/", "Header"))
+    | st.text(max_size=8),
+    max_size=6,
+)
+
+
+def texts(words: list[str]) -> tuple[int, int]:
+    """Remarks, fault lines, journal rows and type names, which all come from the network or a file."""
+    label = parse_label("".join(words))
+    if label is not None:
+        assert math.isnan(label.gap_m) or 0 <= label.gap_m <= 1
+        assert parse_label(label.text()) == label or math.isnan(label.gap_m)
+    refused = 0
+    for attempt in (
+        lambda: parse(" ".join(words)),
+        lambda: Fault.from_journal("/".join(words[:2]), 1.0, "/".join(words[2:]), 0),
+        lambda: schema_text("".join(words)),
+    ):
+        try:
+            attempt()
+        except ImpactRigError:
+            refused += 1
+    return 3, refused
+
+
+OPERATIONS = st.one_of(
+    st.tuples(st.just("command"), ANY_NUMBER | st.none(), ANY_NUMBER | st.none()),
+    st.tuples(st.just("command"), st.floats(5, 200), st.floats(0, 1)),
+    st.tuples(st.just("configure"), CHANGES),
+    st.tuples(st.just("pluck"), ANY_NUMBER | st.floats(-0.006, 0.006)),
+    st.tuples(
+        st.just("fault"),
+        st.sampled_from((*FAULT_KINDS, "none")),
+        st.sampled_from(("laser", "base", "current", "accelerometer", "", "x")),
+        st.integers(-1, 3000),
+        ANY_NUMBER,
+    ),
+    st.tuples(st.just("clear_fault"), st.integers(-1, 4) | st.none()),
+    st.sampled_from((("stop",), ("clear_trip",), ("reset",))),
+    st.tuples(st.just("advance"), st.integers(1, 3)),
+)
+
+
+def commands(operations: list[tuple[Any, ...]]) -> tuple[int, int]:
+    """Whatever is asked of a running rig is done or refused; its scans stay numbers and its journal whole."""
+    refused = 0
+    rig = Rig(from_flat(RigConfig(), {"daq.rate_hz": 2000, "daq.block_scans": 20, "barriers.gap_m": 0.002}))
+    for name, *arguments in operations:
+        try:
+            if name == "advance":
+                _advance(rig, *arguments)
+            elif name == "fault":
+                kind, channel, start, value = arguments
+                rig.inject(Fault(kind=kind, channel=channel, start=start, value=value))
+            else:
+                getattr(rig, name)(*arguments)
+        except ImpactRigError:
+            refused += 1
+    _advance(rig, 2)
+    assert read(rig.take_journal())
+    return len(operations), refused
+
+
+def _advance(rig: Rig, blocks: int) -> None:
+    for block in rig.advance(rig.block_end_ns(blocks)):
+        for name in block.scan.rows.dtype.names or ():
+            assert np.isfinite(block.scan.rows[name]).all(), f"{name} is not finite"
+
+
+NOMINAL = (config_dir() / "nominal.yaml").read_text(encoding="utf-8")
+TARGETS = (
+    Target(
+        "configuration_file",
+        mutated_lines(NOMINAL) | mutated_lines(dump(RigConfig())) | st.binary(max_size=100) | st.text(max_size=100),
+        configuration_file,
+        ("config/load.py", "config/fields.py", "config/rig.py", "config/mechanics.py"),
+    ),
+    Target("parameters", CHANGES, parameters, ("config/load.py", "config/fields.py")),
+    Target("settings", _settings(), settings, ("analysis/settings.py", "analysis/tables.py")),
+    Target("texts", LINES, texts, ("analysis/labels.py", "config/faults.py", "recording/schema.py")),
+    Target(
+        "commands", st.lists(OPERATIONS, max_size=12), commands, ("rig/core.py", "rig/interlock.py", "rig/journal.py")
+    ),
+)

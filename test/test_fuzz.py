@@ -1,0 +1,104 @@
+"""A short slice of `make fuzz`, and what it has found so far: every input that was wrongly taken or ended badly."""
+
+from __future__ import annotations
+
+import itertools
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).parents[1]
+sys.path.insert(0, str(ROOT))  # the targets are no part of the package
+
+from fuzz import decoders, target, validators  # noqa: E402
+from impact_rig import blocks  # noqa: E402
+from impact_rig.analysis.tracker import Tracker  # noqa: E402
+from impact_rig.blocks import Table  # noqa: E402
+from impact_rig.config.faults import parse  # noqa: E402
+from impact_rig.errors import ConfigError  # noqa: E402
+from impact_rig.rig import resimulate  # noqa: E402
+
+TARGETS = (*decoders.TARGETS, *validators.TARGETS)
+SLICE = 60
+
+
+@pytest.mark.parametrize("one", TARGETS, ids=lambda one: one.name)
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+def test_a_slice_of_hostile_inputs(one: target.Target) -> None:
+    """The same inputs each time; `make fuzz` takes 10,000 per target."""
+    tally = target.run(one, SLICE)
+    assert tally.inputs >= SLICE
+    assert tally.refused > 0, "hostile inputs are refused"
+    for module in one.modules:
+        assert (ROOT / "impact_rig" / module).is_file()
+
+
+# What was found, each with the input that found it
+
+
+def journal_with(row: int, **cells: object) -> Table:
+    rows = decoders.JOURNAL.copy()
+    for name, value in cells.items():
+        rows[row][name] = value
+    return Table(0, rows)
+
+
+@pytest.mark.parametrize(
+    ("row", "cells", "words"),
+    [
+        (6, {"kind": b"parameter", "key": b"sphere.start", "text": b"\x80"}, "is not UTF-8"),
+        (5, {"sample": np.nan}, "sample and sequence 0 to 2"),
+        (5, {"sample": -1.0}, "sample and sequence 0 to 2"),
+        (5, {"time": np.inf}, "time must be finite"),
+        (3, {"value": np.nan}, "seed must be an integer"),
+        (3, {"value": 5.5}, "seed must be an integer"),
+        (5, {"kind": b"clear_fault", "value": np.nan}, "no fault has the number nan"),
+    ],
+)
+def test_a_journal_that_makes_no_sense_is_refused_by_name(row: int, cells: dict[str, object], words: str) -> None:
+    """They ended in UnicodeDecodeError, ValueError and OverflowError; a fraction of a seed was rounded."""
+    with pytest.raises(ConfigError, match=words):
+        list(itertools.islice(resimulate([journal_with(row, **cells)]), 5))
+
+
+def test_a_journal_row_far_in_the_future_costs_only_what_is_looked_at() -> None:
+    """All blocks up to it were simulated into one list first."""
+    found = resimulate([journal_with(5, sample=2.0**50)])
+    assert [next(found).number for _ in range(150)] == list(range(150))
+
+
+@pytest.mark.parametrize(
+    ("topic", "rows", "words"),
+    [
+        ("configure", decoders.INFO.rows[["name", "rate"]], "daq/info lacks the column unit, range_low"),
+        ("command", decoders.APPLIED.rows[["time", "sample"]], "shaker/applied lacks the column frequency"),
+        ("feed", decoders.SCANS[0].rows[["time"]], "daq/scan lacks the column accelerometer"),
+        ("command", np.full(1, np.nan, [(name, "f8") for name in blocks.APPLIED.names]), "time must be finite"),
+    ],
+)
+def test_a_table_without_its_columns_is_refused_by_name(topic: str, rows: np.ndarray, words: str) -> None:
+    """They ended in numpy's `no field of name ...`."""
+    with pytest.raises(ConfigError, match=words):
+        getattr(Tracker(), topic)(Table(0, rows))
+
+
+@pytest.mark.parametrize(
+    ("column", "value", "words"),
+    [
+        ("rate", 1e12, "rate must be one positive whole number of Hz, at most 1e"),
+        ("since_start", np.nan, "since_start must be finite"),
+        ("name", b"\xff\xfe", "must have one row for each of"),
+    ],
+)
+def test_a_calibration_that_makes_no_sense_is_refused(column: str, value: object, words: str) -> None:
+    rows = decoders.INFO.rows.copy()
+    rows[column] = value
+    with pytest.raises(ConfigError, match=words):
+        Tracker().configure(Table(0, rows))
+
+
+def test_a_fault_line_without_a_word_is_refused() -> None:
+    with pytest.raises(ConfigError, match="fault kind must be one of"):
+        parse("")

@@ -1,0 +1,156 @@
+"""Run for hours and watch memory, descriptors and losses: `make soak`, or `python tools/soak.py --part live --minutes 3`.
+
+Two parts, each with the rig, the analysis and the recorder as processes, as a user has them:
+
+- freewheel: hours of rig time, as fast as the peers follow, at 10 kS/s;
+- live: minutes of real time at 50 kS/s.
+
+Memory must be flat: the slope over the second half, times the whole duration, must stay below a limit. Python's and DDS's
+own pools grow in the first minutes, which is why the first half does not count.
+"""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import attrs
+import numpy as np
+from rich.console import Console
+from rich.table import Table as TextTable
+
+from impact_rig.recording import check_contiguity, open_run
+from impact_rig.simtime import NS_PER_S
+from impact_rig.testing import Client, Processes, isolated_domain
+
+NODES = ("rig", "analysis", "recorder")
+SAMPLES = 60
+GROWTH_LIMIT_MB = 10.0
+DESCRIPTOR_LIMIT = 2
+RATES = {"freewheel": 10_000, "live": 50_000}
+
+
+@attrs.define
+class Watched:
+    """Memory [MB] and descriptors of a process, over wall time [s]."""
+
+    times: list[float] = attrs.field(factory=list)
+    memory: list[float] = attrs.field(factory=list)
+    descriptors: list[int] = attrs.field(factory=list)
+
+    def look(self, pid: int) -> None:
+        """Take one sample."""
+        pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
+        self.times.append(time.monotonic())
+        self.memory.append(pages * 4096 / 1e6)
+        self.descriptors.append(len(list(Path(f"/proc/{pid}/fd").iterdir())))
+
+    def growth_mb(self) -> float:
+        """Return the growth over the whole time at the slope of the second half."""
+        half = len(self.times) // 2
+        slope = np.polyfit(self.times[half:], self.memory[half:], 1)[0]
+        return float(slope * (self.times[-1] - self.times[0]))
+
+    def more_descriptors(self) -> int:
+        """Return how many more descriptors are open at the end than half-way."""
+        return self.descriptors[-1] - self.descriptors[len(self.descriptors) // 2]
+
+
+def soak(part: str, duration_s: float, directory: Path, console: Console) -> bool:
+    """Run one part for a duration: rig time in freewheel, real time live; return whether all was well."""
+    rate, mode = RATES[part], "freewheel" if part == "freewheel" else "realtime"
+    with isolated_domain() as domain_id, Processes(domain_id, directory / "logs") as processes:
+        processes.start(
+            "rig",
+            {
+                "time.mode": mode,
+                "time.peers": ["analysis", "recorder"],
+                "daq.rate_hz": rate,
+                "daq.block_scans": rate // 100,
+                "drive.amplitude": 0.52,
+            },
+        )
+        processes.start("analysis", {"gap_m": 0.006})
+        processes.start("recorder", {"directory": str(directory), "name": part, "max_file_mb": 500})
+        with Client(domain_id, processes=processes) as client:
+            client.wait_active(*NODES)
+            watched = {node: Watched() for node in NODES}
+            begin, began = _rig_time_s(client), time.monotonic()
+            done = 0.0
+            for number in range(1, SAMPLES + 1):
+                while done < duration_s * number / SAMPLES:
+                    client.spin_for(0.2)
+                    done = (_rig_time_s(client) - begin) if part == "freewheel" else (time.monotonic() - began)
+                for node, record in watched.items():
+                    record.look(processes.running[node].pid)
+                console.print(f"{part}: {done:.0f} of {duration_s:.0f} s", end="\r")
+            wall_s = time.monotonic() - began
+            client.pause()
+            figures = {node: client.figures(node) for node in NODES}
+            client.trigger("recorder/stop")
+        codes = processes.stop()
+    with open_run(directory / part) as run:
+        tables = run.tables("daq/scan", recorded_order=True)
+        contiguity = check_contiguity(((table.stamp_ns, len(table.rows)) for table in tables), rate)
+    lost = int(figures["rig"]["lost_blocks"]) if "lost_blocks" in figures["rig"] else 0
+    return _report(part, done, wall_s, watched, codes, contiguity.whole and not lost, console)
+
+
+def _rig_time_s(client: Client) -> float:
+    """Return the rig's newest stamp, which its diagnostics carry."""
+    seen: list[float] = []
+    client.wait_until(lambda: "rig" in client.diagnostics, "the rig's diagnostics")
+    seen.append(float(client.figures("rig")["rig_time_s"]))
+    return seen[-1]
+
+
+def _report(
+    part: str,
+    done_s: float,
+    wall_s: float,
+    watched: dict[str, Watched],
+    codes: dict[str, int],
+    whole: bool,
+    console: Console,
+) -> bool:
+    table = TextTable(title=f"{part}: {done_s:.0f} s in {wall_s:.0f} s of wall time, scans whole: {whole}")
+    for heading in ("node", "memory [MB]", "growth [MB]", "descriptors", "more", "exit code"):
+        table.add_column(heading, justify="right")
+    well = whole
+    for node, record in watched.items():
+        growth, more = record.growth_mb(), record.more_descriptors()
+        well &= growth < GROWTH_LIMIT_MB and more <= DESCRIPTOR_LIMIT and codes[node] == 0
+        table.add_row(
+            node, f"{record.memory[-1]:.0f}", f"{growth:+.1f}", str(record.descriptors[-1]), f"{more:+d}", str(codes[node])
+        )
+    console.print(table)
+    return well
+
+
+def main() -> int:
+    """Return 0 if memory and descriptors were flat and nothing was lost."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--part", choices=tuple(RATES), help="only this one; default: both")
+    parser.add_argument("--hours", type=float, default=2.0, help="of rig time in freewheel (default 2)")
+    parser.add_argument("--minutes", type=float, default=10.0, help="of real time live (default 10)")
+    parser.add_argument("--keep", type=Path, help="keep runs and logs in this directory; default: removed")
+    arguments = parser.parse_args()
+    console = Console()
+    directory = arguments.keep or Path(tempfile.mkdtemp(prefix="impact_rig_soak_"))
+    durations = {"freewheel": arguments.hours * 3600, "live": arguments.minutes * 60}
+    try:
+        parts = [arguments.part] if arguments.part else list(RATES)
+        well = [soak(part, durations[part], directory / part, console) for part in parts]
+    finally:
+        if arguments.keep is None:
+            shutil.rmtree(directory, ignore_errors=True)
+    console.print("nothing grew, nothing was lost" if all(well) else "[red]not as it should be[/red]")
+    return 0 if all(well) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
