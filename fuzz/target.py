@@ -16,6 +16,8 @@ from impact_rig.errors import ImpactRigError
 HANG_S = 20.0
 """An input that takes longer is a finding, even on a busy machine."""
 DEADLOCK_S = 300.0
+BATCH = 1000
+"""Examples drawn with one seed."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -85,7 +87,7 @@ def run(target: Target, inputs: int, number: int = 0) -> Tally:
     faulthandler.dump_traceback_later(DEADLOCK_S + inputs / 10, exit=True)
     try:
         while tally.inputs < inputs:
-            prepared(target, min(inputs - tally.inputs, 20_000), number, tally)()
+            prepared(target, min(inputs - tally.inputs, BATCH), number, tally)()
             number += 1
     finally:
         faulthandler.cancel_dump_traceback_later()

@@ -1,12 +1,12 @@
-"""Run for hours and watch memory, descriptors and losses: `make soak`, or `python tools/soak.py --part live --minutes 3`.
+"""Run for hours and watch memory, descriptors and losses: `make soak`, `python tools/soak.py --part live --minutes 3`.
 
 Two parts, each with the rig, the analysis and the recorder as processes, as a user has them:
 
 - freewheel: hours of rig time, as fast as the peers follow, at 10 kS/s;
 - live: minutes of real time at 50 kS/s.
 
-Memory must be flat: the slope over the second half, times the whole duration, must stay below a limit. Python's and DDS's
-own pools grow in the first minutes, which is why the first half does not count.
+Memory must be flat: the slope over the second half, times the whole duration, must stay below a limit. The pools
+of Python and DDS grow in the first minutes, which is why the first half does not count.
 """
 
 from __future__ import annotations
@@ -24,7 +24,6 @@ from rich.console import Console
 from rich.table import Table as TextTable
 
 from impact_rig.recording import check_contiguity, open_run
-from impact_rig.simtime import NS_PER_S
 from impact_rig.testing import Client, Processes, isolated_domain
 
 NODES = ("rig", "analysis", "recorder")
@@ -90,22 +89,20 @@ def soak(part: str, duration_s: float, directory: Path, console: Console) -> boo
                 console.print(f"{part}: {done:.0f} of {duration_s:.0f} s", end="\r")
             wall_s = time.monotonic() - began
             client.pause()
-            figures = {node: client.figures(node) for node in NODES}
+            figures = client.figures("rig")
             client.trigger("recorder/stop")
         codes = processes.stop()
     with open_run(directory / part) as run:
         tables = run.tables("daq/scan", recorded_order=True)
         contiguity = check_contiguity(((table.stamp_ns, len(table.rows)) for table in tables), rate)
-    lost = int(figures["rig"]["lost_blocks"]) if "lost_blocks" in figures["rig"] else 0
+    lost = sum(int(value) for key, value in figures.items() if key.startswith("lost_blocks"))
     return _report(part, done, wall_s, watched, codes, contiguity.whole and not lost, console)
 
 
 def _rig_time_s(client: Client) -> float:
     """Return the rig's newest stamp, which its diagnostics carry."""
-    seen: list[float] = []
-    client.wait_until(lambda: "rig" in client.diagnostics, "the rig's diagnostics")
-    seen.append(float(client.figures("rig")["rig_time_s"]))
-    return seen[-1]
+    client.wait_until(lambda: "rig_time_s" in client.figures("rig"), "the rig's diagnostics")
+    return float(client.figures("rig")["rig_time_s"])
 
 
 def _report(
@@ -124,9 +121,8 @@ def _report(
     for node, record in watched.items():
         growth, more = record.growth_mb(), record.more_descriptors()
         well &= growth < GROWTH_LIMIT_MB and more <= DESCRIPTOR_LIMIT and codes[node] == 0
-        table.add_row(
-            node, f"{record.memory[-1]:.0f}", f"{growth:+.1f}", str(record.descriptors[-1]), f"{more:+d}", str(codes[node])
-        )
+        open_now = str(record.descriptors[-1])
+        table.add_row(node, f"{record.memory[-1]:.0f}", f"{growth:+.1f}", open_now, f"{more:+d}", str(codes[node]))
     console.print(table)
     return well
 

@@ -120,7 +120,8 @@ class Calibration:
         rate = float(ordered["rate"][0])
         if not (np.all(ordered["rate"] == rate) and 0 < rate <= MOST_HZ and rate == round(rate)):
             raise ConfigError(
-                f"daq/info: rate must be one positive whole number of Hz, at most {MOST_HZ:g}, got {ordered['rate'].tolist()}"
+                f"daq/info: rate must be one positive whole number of Hz, at most {MOST_HZ:g}, "
+                f"got {ordered['rate'].tolist()}"
             )
         if not np.all(ordered["range_low"] < ordered["range_high"]):
             raise ConfigError("daq/info: range_low must be < range_high in every row")
