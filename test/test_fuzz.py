@@ -16,8 +16,10 @@ from fuzz import decoders, target, validators  # noqa: E402
 from impact_rig import blocks  # noqa: E402
 from impact_rig.analysis.tracker import Tracker  # noqa: E402
 from impact_rig.blocks import Table  # noqa: E402
+from impact_rig.config import load  # noqa: E402
 from impact_rig.config.faults import parse  # noqa: E402
-from impact_rig.errors import ConfigError  # noqa: E402
+from impact_rig.errors import ConfigError, RecordingError  # noqa: E402
+from impact_rig.recording import Topic, open_run  # noqa: E402
 from impact_rig.rig import resimulate  # noqa: E402
 
 TARGETS = (*decoders.TARGETS, *validators.TARGETS)
@@ -102,3 +104,31 @@ def test_a_calibration_that_makes_no_sense_is_refused(column: str, value: object
 def test_a_fault_line_without_a_word_is_refused() -> None:
     with pytest.raises(ConfigError, match="fault kind must be one of"):
         parse("")
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("a: &a\n  b: *a\n", "in at most 20 levels"),
+        (
+            "l0: &l0 {x: 1}\n" + "".join(f"l{n}: &l{n} {{x: *l{n - 1}, y: *l{n - 1}}}\n" for n in range(1, 19)),
+            "2000 keys",
+        ),
+    ],
+)
+def test_a_yaml_bomb_is_refused_at_once(tmp_path: Path, text: str, words: str) -> None:
+    """The first ended in RecursionError; the second took seven seconds, and twice that with each line."""
+    (tmp_path / "rig.yaml").write_text(text)
+    with pytest.raises(ConfigError, match=words):
+        load(tmp_path / "rig.yaml")
+
+
+@pytest.mark.parametrize("text", ["a: 2024-13-45", "&a [*a]", "[" * 1500, "a: &a {b: *a}"])
+def test_yaml_inside_a_recording_is_not_believed(tmp_path: Path, text: str) -> None:
+    """A date that is none ended in ValueError, deep nesting in RecursionError."""
+    (tmp_path / "run.mcap").write_bytes(decoders.FILES[0])
+    (tmp_path / "metadata.yaml").write_text(text)
+    with pytest.raises(RecordingError, match="cannot be understood"):
+        open_run(tmp_path)
+    topic = Topic(name="/a", type_name="a/msg/A", schema="", offered_qos_text=text)
+    assert not any(isinstance(profile, dict) for profile in topic.offered_qos_yaml())

@@ -19,6 +19,9 @@ from impact_rig.config.rig import RigConfig
 from impact_rig.errors import ConfigError
 
 MAX_FILE_BYTES = 1_000_000
+MAX_KEYS = 2000
+"""YAML lets a short file name one section exponentially often, or inside itself."""
+MAX_DEPTH = 20
 
 Value = bool | int | float | str | tuple[str, ...]
 
@@ -96,12 +99,14 @@ def dump(config: RigConfig) -> str:
     return text
 
 
-def flatten(tree: object, prefix: str = "") -> dict[str, object]:
+def flatten(tree: object, prefix: str = "", depth: int = 0) -> dict[str, object]:
     """Return a nested mapping as one level of dotted names.
 
     Raises:
-        ConfigError: a key is not a text, or the top is not a mapping.
+        ConfigError: a key is not a text, the top is not a mapping, or there are too many keys or levels.
     """
+    if depth > MAX_DEPTH:
+        raise ConfigError(f"a configuration has sections in at most {MAX_DEPTH} levels")
     if not isinstance(tree, dict):
         raise ConfigError(f"a configuration must be a mapping of sections, got {type(tree).__name__}")
     flat: dict[str, object] = {}
@@ -110,9 +115,11 @@ def flatten(tree: object, prefix: str = "") -> dict[str, object]:
             raise ConfigError(f"a key must be a text, got {key!r}")
         name = f"{prefix}{key}"
         if isinstance(value, dict) and value:
-            flat.update(flatten(value, f"{name}."))
+            flat.update(flatten(value, f"{name}.", depth + 1))
         else:
             flat[name] = value
+        if len(flat) > MAX_KEYS:
+            raise ConfigError(f"a configuration has at most {MAX_KEYS} keys")
     return flat
 
 

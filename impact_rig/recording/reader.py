@@ -26,6 +26,9 @@ from impact_rig.recording.provenance import RECORD_NAME, verify
 from impact_rig.recording.records import DamageError
 from impact_rig.recording.topics import POINT_CLOUD, Topic, resolve
 
+MAX_METADATA_BYTES = 10_000_000
+"""A `metadata.yaml` of a thousand files is a tenth of that."""
+
 _TRAILING_NUMBER = re.compile(r"_(\d+)$")
 
 
@@ -256,14 +259,17 @@ def _split_order(file: Path) -> tuple[str, int]:
 
 
 def _listed_files(directory: Path) -> list[str]:
+    path = directory / bag_metadata.FILE_NAME
     try:
-        content = yaml.safe_load((directory / bag_metadata.FILE_NAME).read_text(encoding="utf-8"))
+        if path.stat().st_size > MAX_METADATA_BYTES:
+            raise ValueError(f"it has more than {MAX_METADATA_BYTES} bytes")  # noqa: TRY301  (one place words it)
+        content = yaml.safe_load(path.read_text(encoding="utf-8"))
         listed = content[bag_metadata.TOP_KEY]["relative_file_paths"]
         return [str(name) for name in listed]
     except FileNotFoundError:
         return []
-    except (OSError, UnicodeDecodeError, yaml.YAMLError, KeyError, TypeError) as error:
-        raise RecordingError(f"{directory / bag_metadata.FILE_NAME} cannot be understood: {error}") from error
+    except (OSError, ValueError, yaml.YAMLError, KeyError, TypeError, RecursionError) as error:
+        raise RecordingError(f"{path} cannot be understood: {error}") from error
 
 
 def _wanted(source: McapSource, index: records.ChunkIndex, names: frozenset[str] | None) -> bool:

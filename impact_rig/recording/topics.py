@@ -78,7 +78,7 @@ class Topic:
         """Return the offered profiles as `metadata.yaml` holds them; a text that is no YAML list counts as none."""
         try:
             profiles = yaml.safe_load(self.offered_qos_text)
-        except yaml.YAMLError:
+        except (yaml.YAMLError, ValueError, RecursionError):  # ValueError: a date that is none
             return []
         return profiles if isinstance(profiles, list) else []
 
