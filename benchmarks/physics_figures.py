@@ -1,4 +1,4 @@
-"""Draw the figures of docs/physics.md: `python -m benchmarks.physics_figures`."""
+"""Draw the figures that docs/physics.md names into build/figures: `python -m benchmarks.physics_figures`."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from impact_rig.physics.contact import LAWS
 from impact_rig.physics.model import CONTACT_RTOL
 from impact_rig.physics.properties import hertz_stiffness_n_m32, sphere_mass_kg
 
-FOLDER = Path(__file__).parents[1] / "docs" / "physics"
+FOLDER = Path("build") / "figures"
 SPEED_M_S, GAP_M = 0.3, 1e-3
 HEAVY_KG = 100.0  # a wall that hardly moves
 
@@ -98,6 +98,6 @@ def _rk4(k: float, factor: float, steps: int) -> float:
 
 
 if __name__ == "__main__":
-    FOLDER.mkdir(exist_ok=True)
+    FOLDER.mkdir(parents=True, exist_ok=True)
     contact_laws()
     contact_order()

@@ -137,8 +137,6 @@ def read(tables: Iterable[Table]) -> list[Entry]:
                 known = Kind(kind)
             except ValueError:
                 raise ConfigError(f"journal row of unknown kind {kind!r}") from None
-            if not (np.isfinite(row["sequence"]) and np.isfinite(row["sample"]) and np.isfinite(row["time"])):
-                raise ConfigError(f"journal row {len(entries)} is damaged: sequence, sample or time is no number")
             sequence = int(row["sequence"])
             if known in (Kind.START, Kind.RESET):
                 entries.clear()
@@ -168,9 +166,7 @@ def values_of(entries: Iterable[Entry]) -> dict[str, Value]:
             numbers[name] = entry.value
     found: dict[str, Value] = {}
     for name, number in numbers.items():
-        default = _DEFAULTS[name]
-        whole = isinstance(default, (bool, int)) and math.isfinite(number) and type(default)(number) == number
-        found[name] = type(default)(number) if whole else number  # the validator refuses a fraction where it is none
+        found[name] = _of_its_type(number, _DEFAULTS[name])
     for name, raw in texts.items():
         try:
             text = raw.decode()
@@ -178,6 +174,13 @@ def values_of(entries: Iterable[Entry]) -> dict[str, Value]:
             raise ConfigError(f"journal row of {name} is not UTF-8: {raw[:40]!r}") from error
         found[name] = tuple(text.split(SEPARATOR)) if isinstance(_DEFAULTS[name], tuple) else text
     return found
+
+
+def _of_its_type(number: float, default: Value) -> Value:
+    """Return a number as the type of its default; a fraction where it is none is left for the validator to refuse."""
+    if isinstance(default, bool):
+        return bool(number) if number in (0.0, 1.0) else number
+    return int(number) if isinstance(default, int) and number.is_integer() else number
 
 
 def sampled(values: Mapping[str, Value]) -> dict[str, Value]:

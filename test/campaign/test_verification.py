@@ -103,7 +103,7 @@ def damaged(rows: np.ndarray) -> np.ndarray:
         (lambda rows: rows[rows["key"] != b"frequency"], "is missing"),
         (lambda rows: rows[:0], "the journal is empty"),
         (lambda rows: None, "no topic 'rig/journal'"),
-        (damaged, "is damaged"),
+        (damaged, "sample and sequence 0 to 2"),
     ],
     ids=["beginning", "middle", "empty", "none", "nan"],
 )
