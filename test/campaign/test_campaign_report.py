@@ -128,6 +128,7 @@ def test_a_directory_without_campaign_is_refused(tmp_path, capsys):
     assert "holds no campaign" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not any(map(shutil.which, ("chromium", "google-chrome"))), reason="no browser is installed")
 def test_a_browser_finds_nothing_wrong(reported, tmp_path):
     command = [sys.executable, CHECK, reported / "report.html", tmp_path]
