@@ -38,6 +38,7 @@ setup(
         (f"share/{NAME}", ["package.xml"]),
         (f"share/{NAME}/config", files("config/*.yaml")),
         (f"share/{NAME}/config/foxglove", files("config/foxglove/*.json")),
+        (f"share/{NAME}/config/sros2", files("config/sros2/*.xml")),
         (f"share/{NAME}/config/plotjuggler", files("config/plotjuggler/*.xml")),
         (f"share/{NAME}/launch", files("launch/*.launch.py")),
         *((f"share/{NAME}/{folder}", files(f"{folder}/*.*")) for folder in EXAMPLES),

@@ -95,7 +95,10 @@ def soak(part: str, duration_s: float, directory: Path, console: Console) -> boo
     with open_run(directory / part) as run:
         tables = run.tables("daq/scan", recorded_order=True)
         contiguity = check_contiguity(((table.stamp_ns, len(table.rows)) for table in tables), rate)
-    lost = sum(int(value) for key, value in figures.items() if key.startswith("lost_blocks"))
+    lost = {key: value for key, value in figures.items() if key.startswith("lost_blocks") and int(value)}
+    for gap in contiguity.gaps[:10]:
+        console.print(f"gap before block {gap.block} of {contiguity.blocks}: {gap.missing_scans} scans missing")
+    console.print(f"lost by peers: {lost or 'nothing'}; slips of the pacer: {figures.get('slips')}")
     return _report(part, done, wall_s, watched, codes, contiguity.whole and not lost, console)
 
 

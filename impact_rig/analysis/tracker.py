@@ -27,6 +27,8 @@ from impact_rig.blocks import APPLIED, DAQ_INFO, SCAN, Table
 from impact_rig.errors import ConfigError
 from impact_rig.simtime import NS_PER_S, stamp_ns
 
+LONGEST_S = 2.0**32
+"""Two stamps cannot be further apart."""
 MIN_HOLD_SCANS = 16
 """Impacts are known this many scans after they happened; cycles are closed no earlier."""
 
@@ -123,8 +125,10 @@ class Tracker:
         """
         need_columns(info, DAQ_INFO, "daq/info")
         calibration = Calibration.from_info(info.rows)
-        if not np.isfinite(info.rows["since_start"][0]):
-            raise ConfigError(f"daq/info: since_start must be finite, got {info.rows['since_start'][0]!r}")
+        if not abs(info.rows["since_start"][0]) <= LONGEST_S:
+            raise ConfigError(
+                f"daq/info: since_start must be within {LONGEST_S:g} s, got {info.rows['since_start'][0]!r}"
+            )
         start_ns = info.stamp_ns - round(float(info.rows["since_start"][0]) * NS_PER_S)
         rows = info.rows.copy()
         rows["since_start"] = 0.0
@@ -147,8 +151,8 @@ class Tracker:
             ConfigError: the table is no such table, or its times are no numbers.
         """
         need_columns(applied, APPLIED, "shaker/applied")
-        if not np.isfinite(applied.rows["time"]).all():
-            raise ConfigError("shaker/applied: time must be finite")
+        if not (np.abs(applied.rows["time"]) <= LONGEST_S).all():
+            raise ConfigError(f"shaker/applied: time must be within {LONGEST_S:g} s")
         for row in applied.rows:
             instant = applied.stamp_ns + round(float(row["time"]) * NS_PER_S)
             self._schedule(instant, _Command(float(row["frequency"]), float(row["current"])))

@@ -23,6 +23,7 @@ from impact_rig.simtime import NS_PER_S, stamp_ns
 Value = bool | int | float | str | tuple[str, ...]
 
 SEPARATOR = "\n"  # between the items of a list
+_LONGEST_S = 2.0**32  # two stamps cannot be further apart
 _MOST = 2.0**53  # to which whole numbers are exact in a table
 TEXT_BYTES = np.dtype(TEXT).itemsize
 NOT_SAMPLED = ("time.", "step.", "pluck.", "output.")
@@ -126,10 +127,10 @@ def read(tables: Iterable[Table]) -> list[Entry]:
     entries: list[Entry] = []
     for table in tables:
         for row in table.rows:
-            if not (math.isfinite(row["time"]) and all(0 <= row[name] <= _MOST for name in ("sample", "sequence"))):
+            if not (abs(row["time"]) <= _LONGEST_S and all(0 <= row[name] <= _MOST for name in ("sample", "sequence"))):
                 raise ConfigError(
-                    f"journal row {len(entries)}: time must be finite, sample and sequence 0 to 2**53, "
-                    f"got {row['time']!r}, {row['sample']!r}, {row['sequence']!r}"
+                    f"journal row {len(entries)} is damaged: time must be within {_LONGEST_S:g} s, sample and sequence "
+                    f"0 to 2**53, got {row['time']!r}, {row['sample']!r}, {row['sequence']!r}"
                 )
             stamp = table.stamp_ns + round(float(row["time"]) * NS_PER_S)
             key, kind = bytes(row["key"]).decode(errors="replace"), bytes(row["kind"]).decode(errors="replace")

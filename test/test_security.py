@@ -1,0 +1,79 @@
+"""What docs/security.md promises: nobody outside this machine by default, no code from data, a policy that fits."""
+
+from __future__ import annotations
+
+import ast
+import runpy
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from impact_rig.testing import Processes
+
+ROOT = Path(__file__).parents[1]
+SOURCES = sorted(
+    path for folder in ("impact_rig", "launch", "tools", "benchmarks") for path in (ROOT / folder).rglob("*.py")
+)
+MODULES = {"pickle", "cPickle", "marshal", "shelve", "dill", "cloudpickle", "joblib"}
+CALLS = {"eval", "exec", "yaml.load", "yaml.unsafe_load", "yaml.full_load", "os.system", "os.popen", "tempfile.mktemp"}
+ARGUMENTS = {"shell", "allow_pickle"}
+STARTERS = {"impact_rig/testing/processes.py"}
+"""The one module of the package that starts programs; others are listed where they are tools of developers."""
+
+
+def offences(path: Path) -> Iterator[str]:
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        where = f"{path.relative_to(ROOT)}:{getattr(node, 'lineno', 0)}"
+        if isinstance(node, ast.Import | ast.ImportFrom):
+            names = [alias.name for alias in node.names] + [getattr(node, "module", None) or ""]
+            yield from (f"{where} imports {name}" for name in names if name.split(".")[0] in MODULES)
+        elif isinstance(node, ast.Call):
+            called = ast.unparse(node.func)
+            if called in CALLS:
+                yield f"{where} calls {called}"
+            for keyword in node.keywords:
+                if keyword.arg in ARGUMENTS and not (
+                    isinstance(keyword.value, ast.Constant) and not keyword.value.value
+                ):
+                    yield f"{where} passes {keyword.arg}={ast.unparse(keyword.value)}"
+
+
+def test_no_data_becomes_code() -> None:
+    assert len(SOURCES) > 150
+    assert [offence for path in SOURCES for offence in offences(path)] == []
+
+
+def test_the_search_finds_what_it_looks_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(globals(), "ROOT", tmp_path)
+    bad = tmp_path / "bad.py"
+    bad.write_text(
+        "import pickle\nfrom marshal import loads\nyaml.load(x)\neval(y)\n"
+        "run(z, shell=True)\nnp.load(a, allow_pickle=b)\n"
+    )
+    assert len(list(offences(bad))) == 6
+    bad.write_text("yaml.safe_load(x)\nnp.load(a, allow_pickle=False)\nself.exec(1)\n")
+    assert list(offences(bad)) == []
+
+
+def test_what_is_started_for_the_user_is_seen_by_this_machine_only(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET")
+    assert Processes(1, tmp_path)._environment({})["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "LOCALHOST"
+    assert '"discovery",\n                default_value="LOCALHOST"' in (ROOT / "launch" / "rig.launch.py").read_text()
+    assert "export ROS_AUTOMATIC_DISCOVERY_RANGE := LOCALHOST" in (ROOT / "Makefile").read_text()
+    assert 'setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")' in (ROOT / "impact_rig/cli/replay.py").read_text()
+    starters = {
+        str(path.relative_to(ROOT))
+        for path in (ROOT / "impact_rig").rglob("*.py")
+        if "subprocess." in path.read_text(encoding="utf-8")
+    }
+    assert starters == STARTERS, "a module that starts programs must keep them on this machine, and be listed"
+
+
+@pytest.mark.ros
+def test_the_policy_allows_what_the_nodes_open_and_nothing_else() -> None:
+    pytest.importorskip("rclpy", reason="no ROS 2 here")
+    tool = runpy.run_path(str(ROOT / "tools" / "sros2_policy.py"))
+    assert tool["policy"]() == tool["FILE"].read_text(encoding="utf-8"), "run python tools/sros2_policy.py"
