@@ -103,6 +103,27 @@ def test_a_calibration_that_makes_no_sense_is_refused(column: str, value: object
         Tracker().configure(Table(0, rows))
 
 
+def test_scans_at_impossible_times_are_counted_as_lost() -> None:
+    """A scan 3e8 years before its block ended in OverflowError."""
+    tracker = Tracker()
+    tracker.configure(decoders.INFO)
+    rows = decoders.SCANS[0].rows.copy()
+    rows["time"][0] = -(2.0**63) / 1000
+    tracker.feed(Table(0, rows))
+    assert tracker.counters.lost_scans == len(rows)
+
+
+def test_a_command_of_no_frequency_to_speak_of_is_not_measured() -> None:
+    """2.5e-65 Hz ended in OverflowError: its period fits no integer."""
+    tracker = Tracker()
+    tracker.configure(decoders.INFO)
+    applied = decoders.APPLIED.rows.copy()
+    applied["frequency"] = 2.5e-65
+    tracker.command(Table(0, applied))
+    found = [table.rows for scan in decoders.SCANS for table in tracker.feed(scan).measurements]
+    assert all(rows["settled"][0] == 0 for rows in found)
+
+
 def test_a_fault_line_without_a_word_is_refused() -> None:
     with pytest.raises(ConfigError, match="fault kind must be one of"):
         parse("")

@@ -70,9 +70,16 @@ def concatenate(parts: list[Cycles]) -> Cycles:
     return Cycles(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in attrs.fields(Cycles)))
 
 
+LOWEST_HZ = 1e-6
+"""A cycle of twelve days: what is below is damaged, and its period fits no integer."""
+
+
 def usable_harmonics(rate_hz: int, frequency_hz: float, wanted: int) -> int:
     """Return how many of the wanted harmonics lie safely below half the rate (0: the frequency cannot be measured)."""
-    if not (math.isfinite(frequency_hz) and frequency_hz > 0) or rate_hz / frequency_hz < MIN_SAMPLES_PER_CYCLE:
+    if (
+        not (math.isfinite(frequency_hz) and frequency_hz >= LOWEST_HZ)
+        or rate_hz / frequency_hz < MIN_SAMPLES_PER_CYCLE
+    ):
         return 0
     return max(1, min(wanted, int(0.45 * rate_hz / frequency_hz)))
 

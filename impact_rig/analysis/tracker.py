@@ -214,7 +214,7 @@ class Tracker:
         """
         assert self._calibration is not None
         rate = self._calibration.rate_hz
-        if not (np.isfinite(numbers).all() and (np.diff(numbers) > 0).all()):
+        if not ((np.abs(numbers) <= LONGEST_S * rate).all() and (np.diff(numbers) > 0).all()):
             self.counters.lost_scans += len(numbers)
             return _NOTHING
         cuts = np.flatnonzero(np.diff(numbers) != 1) + 1
