@@ -70,6 +70,7 @@ def run(arguments: argparse.Namespace) -> int:
                 progress.update(task, completed=(now_ns - player.start_ns) / NS_PER_S, state=state)
             progress.update(task, completed=total, state="done")
             if not arguments.loop:
+                player.finish()
                 return 0
 
 

@@ -12,6 +12,7 @@ from collections.abc import Callable, Collection, Iterator, Sequence
 from typing import Any  # rclpy publishers and messages
 
 from rclpy.context import Context
+from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
@@ -37,6 +38,8 @@ SPIN_S = 0.05
 WINDOW = 16
 """Blocks ahead of the slowest peer."""
 PEER_TIMEOUT_S = 10.0
+DELIVERY = Duration(seconds=1.0)
+LAST_WORDS_S = 0.3
 Spin = Callable[[float], None]
 """Lets callbacks run, for at most so many seconds."""
 
@@ -129,6 +132,12 @@ class Player:
             self._publish(message)
         while self._window.outstanding():
             yield from self._rest(SPIN_S)
+
+    def finish(self) -> None:
+        """Let the last messages and answers arrive before the node goes."""
+        for publisher in self._publishers.values():
+            publisher.wait_for_all_acked(DELIVERY)
+        self._spin(LAST_WORDS_S)
 
     def _must_wait(self, due_ns: int) -> bool:
         blocked = self._window.room() <= 0 if self._window.peers else False

@@ -125,7 +125,7 @@ def test_real_time_takes_its_time_and_ctrl_c_ends_a_loop(client: Client, run: Pa
 
 
 def test_a_single_topic_can_be_replayed(client: Client, run: Path) -> None:
-    with replay(client, run, "--rate", "100", "--topics", "laser", "--paused") as player:
+    with replay(client, run, "--rate", "30", "--topics", "laser", "--paused") as player:
         heard = client.collect("laser", timeout_s=30.0)
         client.call(SetBool, "player/pause", SetBool.Request(data=False))
         finish(client, player)
