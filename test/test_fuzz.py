@@ -14,6 +14,7 @@ sys.path.insert(0, str(ROOT))  # the targets are no part of the package
 
 from fuzz import decoders, target, validators  # noqa: E402
 from impact_rig import blocks  # noqa: E402
+from impact_rig.analysis.tables import read_settings  # noqa: E402
 from impact_rig.analysis.tracker import Tracker  # noqa: E402
 from impact_rig.blocks import Table  # noqa: E402
 from impact_rig.config import load  # noqa: E402
@@ -122,6 +123,13 @@ def test_a_command_of_no_frequency_to_speak_of_is_not_measured() -> None:
     tracker.command(Table(0, applied))
     found = [table.rows for scan in decoders.SCANS for table in tracker.feed(scan).measurements]
     assert all(rows["settled"][0] == 0 for rows in found)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, 5.5, 1e300])
+def test_recorded_settings_that_make_no_sense_are_refused(value: float) -> None:
+    """NaN and infinity ended in ValueError and OverflowError, a fraction was cut."""
+    with pytest.raises(ConfigError, match="harmonics must be"):
+        read_settings(Table(0, np.array([("harmonics", value)], blocks.SETTINGS)))
 
 
 def test_a_fault_line_without_a_word_is_refused() -> None:

@@ -93,4 +93,9 @@ def read_settings(table: Table) -> tuple[TrackerSettings, float]:
     unknown = sorted(set(values) - {attribute.name for attribute in attrs.fields(TrackerSettings)})
     if unknown:
         raise ConfigError(f"analysis/settings has an unknown key: {', '.join(unknown)}")
-    return TrackerSettings(**{key: type(getattr(defaults, key))(value) for key, value in values.items()}), gap_m
+    return TrackerSettings(**{key: _as_set(getattr(defaults, key), value) for key, value in values.items()}), gap_m
+
+
+def _as_set(default: float, value: float) -> float:
+    """Return a setting as its type; what is no whole number where it should be is left for the validator to refuse."""
+    return int(value) if isinstance(default, int) and np.isfinite(value) and value == int(value) else value
