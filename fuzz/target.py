@@ -15,7 +15,6 @@ from impact_rig.errors import ImpactRigError
 
 HANG_S = 20.0
 """An input that takes longer is a finding, even on a busy machine."""
-DEADLOCK_S = 300.0
 BATCH = 1000
 """Examples drawn with one seed."""
 
@@ -65,10 +64,13 @@ def prepared(target: Target, examples: int, number: int, tally: Tally) -> Callab
     @given(target.inputs)
     def each(value: Any) -> None:
         started = time.perf_counter()
+        faulthandler.dump_traceback_later(HANG_S)  # says where a slow one is, while it is there
         try:
             inputs, refused = target.check(value) or (1, 0)
         except ImpactRigError:
             inputs, refused = 1, 1
+        finally:
+            faulthandler.cancel_dump_traceback_later()
         took = time.perf_counter() - started
         tally.inputs += inputs
         tally.refused += refused
@@ -84,12 +86,8 @@ def run(target: Target, inputs: int, number: int = 0) -> Tally:
     hypothesis leaves out repetitions and stops early when a space is small: further seeds make up for it.
     """
     tally, started = Tally(), time.perf_counter()
-    faulthandler.dump_traceback_later(DEADLOCK_S + inputs / 10, exit=True)
-    try:
-        while tally.inputs < inputs:
-            prepared(target, min(inputs - tally.inputs, BATCH), number, tally)()
-            number += 1
-    finally:
-        faulthandler.cancel_dump_traceback_later()
+    while tally.inputs < inputs:
+        prepared(target, min(inputs - tally.inputs, BATCH), number, tally)()
+        number += 1
     tally.wall_s = time.perf_counter() - started
     return tally
