@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any  # settings are integers and floats
+
 import attrs
 import numpy as np
 
@@ -96,6 +98,6 @@ def read_settings(table: Table) -> tuple[TrackerSettings, float]:
     return TrackerSettings(**{key: _as_set(getattr(defaults, key), value) for key, value in values.items()}), gap_m
 
 
-def _as_set(default: float, value: float) -> float:
+def _as_set(default: float, value: float) -> Any:  # int or float, as the setting is; the validator decides
     """Return a setting as its type; what is no whole number where it should be is left for the validator to refuse."""
     return int(value) if isinstance(default, int) and np.isfinite(value) and value == int(value) else value

@@ -164,7 +164,7 @@ def load_campaign(
         document = yaml.safe_load(text)
     except OSError as error:
         raise ConfigError(f"cannot read campaign: {error.strerror} ({path})") from error
-    except (yaml.YAMLError, UnicodeDecodeError, RecursionError) as error:
+    except (yaml.YAMLError, ValueError, RecursionError) as error:  # ValueError: a date that is none
         raise ConfigError(f"not a YAML file: {' '.join(str(error).split())} ({path})") from error
     try:
         top = axes.mapping("a campaign", document)

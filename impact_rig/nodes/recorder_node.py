@@ -355,7 +355,7 @@ def _parameters(configuration: str | None) -> dict[str, Any]:
     try:
         document = yaml.safe_load(configuration or "")
         values = document["/**"]["ros__parameters"]
-    except (yaml.YAMLError, KeyError, TypeError):
+    except (yaml.YAMLError, KeyError, TypeError, ValueError, RecursionError):  # a date that is none, nesting
         return {}
     sections = values if isinstance(values, dict) else {}
     return {name: section for name, section in sections.items() if isinstance(section, dict)}
