@@ -13,8 +13,8 @@ NAME = PACKAGE.findtext("name")
 MAINTAINER = PACKAGE.find("maintainer")
 EXAMPLES = [
     "examples",
-    "examples/data/run",
     "examples/golden/test_regression/test_the_analysis_finds_what_it_found",
+    "examples/golden/test_regression/test_the_rig_gives_the_readings_it_gave",
 ]
 ROS_WHEELS = ["ros-jazzy-rclpy[fastrtps]", "ros-jazzy-common-interfaces"]
 

@@ -37,3 +37,11 @@ def test_the_pipelines_are_somebody_elses() -> None:
         ours = re.findall(r"^[ ]*(?:from|import) impact_rig\S*", path.read_text(), re.MULTILINE)
         if not path.name.startswith("test_"):
             assert ours == (["from impact_rig.recording"] if path.name == "analyse_run.py" else []), path.name
+
+
+def test_what_is_installed_with_them_is_all_of_them() -> None:
+    listed = re.search(r"^EXAMPLES = \[(.*?)^\]", (ROOT / "setup.py").read_text(), re.MULTILINE | re.DOTALL)
+    assert listed is not None
+    files = [path for suffix in ("py", "md", "json") for path in EXAMPLES.rglob(f"*.{suffix}")]
+    folders = {path.parent.relative_to(ROOT).as_posix() for path in files}
+    assert set(re.findall(r'"(.*?)"', listed[1])) == folders
