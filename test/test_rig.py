@@ -283,6 +283,16 @@ def test_faults_come_and_go_with_the_list_of_planned_ones() -> None:
     assert all(block.faults is None for block in rig.advance(rig.frontier_ns + 10 * TICK))
 
 
+def test_a_blank_line_plans_no_fault() -> None:
+    """Neither at the start, where it takes no number of the board, nor when it comes later."""
+    stuck, dropout = "stuck channel=base", "dropout channel=laser"
+    rig = Rig(config(instruments__faults__planned=[" ", stuck, dropout]))
+    rig.configure({"instruments.faults.planned": [" ", "  ", stuck]})
+    blocks = rig.advance(20 * TICK)
+    rows = np.concatenate([block.faults.rows for block in blocks if block.faults is not None])
+    assert [(row["kind"], row["active"]) for row in rows] == [(b"stuck", 1)]
+
+
 def test_a_trip_for_current_is_cleared_at_once() -> None:
     """What was averaged before belongs to the past."""
     rig = Rig(config(drive__amplitude=0.52, sphere__present=False))

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
-from impact_rig.rig.journal import NOT_SAMPLED, SAMPLED
+import attrs
+
+from impact_rig.config import RigConfig, to_flat
+from impact_rig.errors import ConfigError
+from impact_rig.rig.journal import NOT_SAMPLED, SAMPLED, Value
 
 MECHANICS = ("structure.", "shaker.", "sphere.", "barriers.", "contact.")
 INSTRUMENTS = ("instruments.", "daq.")
@@ -22,3 +26,24 @@ def takes_effect(name: str) -> str:
     if name.startswith(("sphere.", "barriers.", "contact.")):
         return "next command instant; the sphere rests at `sphere.start` again"
     return "next command instant"
+
+
+def changed_values(before: RigConfig, after: RigConfig) -> dict[str, Value]:
+    """Return the values of `after` that `before` has otherwise, by name.
+
+    Raises:
+        ConfigError: one is fixed at start.
+    """
+    if (after.daq.rate_hz, after.daq.block_scans) != (before.daq.rate_hz, before.daq.block_scans):
+        raise ConfigError("daq.rate_hz and daq.block_scans are fixed at start")
+    old = to_flat(before)
+    return {name: value for name, value in to_flat(after).items() if value != old[name]}
+
+
+def until_reset(present: RigConfig, config: RigConfig) -> RigConfig:
+    """Return `config` with the seed and the planned faults of `present`: the instruments draw both at a reset."""
+    return attrs.evolve(
+        config,
+        daq=attrs.evolve(config.daq, seed=present.daq.seed),
+        instruments=attrs.evolve(config.instruments, faults=present.instruments.faults),
+    )

@@ -8,24 +8,23 @@ from what the instruments have measured, so neither their length nor the way `ad
 from __future__ import annotations
 
 import math
-from collections import Counter, defaultdict
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Mapping
 
 import attrs
 import numpy as np
 
 import impact_rig
 from impact_rig.blocks import APPLIED, FRAME_DAQ, Table
-from impact_rig.config import Drive, RigConfig, from_flat, to_flat
-from impact_rig.config.faults import parse
-from impact_rig.errors import CommandError, ConfigError
+from impact_rig.config import Drive, RigConfig, from_flat
+from impact_rig.errors import CommandError
 from impact_rig.instruments.chain import Chain
-from impact_rig.instruments.faults import Fault, planned
+from impact_rig.instruments.faults import Fault
 from impact_rig.physics import FunctionGenerator, Motion, Simulation
 from impact_rig.rig.block import Block
-from impact_rig.rig.changes import INSTRUMENTS, MECHANICS, PLANNED
+from impact_rig.rig.changes import INSTRUMENTS, MECHANICS, PLANNED, changed_values, until_reset
 from impact_rig.rig.interlock import Interlock, Trip, check_amplitude, check_frequency
 from impact_rig.rig.journal import Journal, Kind, not_default, sampled
+from impact_rig.rig.planned_faults import PlannedFaults
 from impact_rig.rig.trial import built, generator
 from impact_rig.rig.truth import TICKS_PER_S, Truth
 from impact_rig.simtime import COMMAND_GRID_NS, COMMAND_GRID_S, NS_PER_S, stamp_ns
@@ -51,7 +50,7 @@ class Rig:
     _generator: FunctionGenerator
     _simulation: Simulation
     _interlock: Interlock
-    _planned_faults: defaultdict[str, list[int]]  # line -> numbers of the faults it made
+    _planned_faults: PlannedFaults
     _chain: Chain
     _truth: Truth
 
@@ -223,15 +222,12 @@ class Rig:
             ConfigError: unknown key, bad value, bad combination, or a value fixed at start; nothing is changed.
         """
         config = from_flat(self.config, changes)
-        if (config.daq.rate_hz, config.daq.block_scans) != (self.config.daq.rate_hz, self.config.daq.block_scans):
-            raise ConfigError("daq.rate_hz and daq.block_scans are fixed at start")
-        before, after = to_flat(self.config), to_flat(config)
-        changed = {name: value for name, value in after.items() if value != before[name]}
+        changed = changed_values(self.config, config)
         mechanics = attrs.evolve(config, drive=self._drive)
-        instruments = self._without_new_seeds(config)
+        instruments = until_reset(self._chain.config, config)
         new_mechanics = any(name.startswith(MECHANICS) for name in changed)
         new_instruments = any(name.startswith(INSTRUMENTS) and name != PLANNED for name in changed)
-        replan = self._replanned(self.config.instruments.faults.planned, config.instruments.faults.planned)
+        replan = self._planned_faults.replan(config.instruments.faults.planned)
         if any(name.startswith("drive.") for name in changed):
             generator(config)  # taken at the next reset, refused here
         if new_mechanics:
@@ -246,7 +242,7 @@ class Rig:
         self._truth.configure(config.output.monitor_rate_hz, config.output.truth_scan)
         values = {name: value for name, value in sampled(changed).items() if name != PLANNED}
         self._journal.add_values(self.frontier_sample, Kind.PARAMETER, values.items())
-        replan()
+        self._planned_faults.put_into_force(replan, self.frontier_sample, self._clear_if_there, self.inject)
         if new_instruments:
             self._info_sample = self.frontier_sample
         return config
@@ -333,43 +329,15 @@ class Rig:
         self._timed_out = False
         self._info_sample = 0
         self._interlock = Interlock()
-        self._planned_faults = defaultdict(list)
-        for number, line in enumerate(config.instruments.faults.planned, start=1):  # as the fault board numbers them
-            self._planned_faults[line].append(number)
+        self._planned_faults = PlannedFaults(config.instruments.faults.planned, self.rate_hz)
         self._truth = Truth(self.rate_hz, config.output.monitor_rate_hz, config.output.truth_scan)
         self._note(kind, text=impact_rig.__version__.encode())
         self._journal.add_values(0, Kind.INITIAL, not_default(config).items())
         self._publish_applied()
 
-    def _replanned(self, before: Iterable[str], after: Iterable[str]) -> Callable[[], None]:
-        """Check a change of the planned faults and return what puts it into force.
-
-        Raises:
-            ConfigError: an added line describes no fault.
-        """
-        gone, new = Counter(before) - Counter(after), Counter(after) - Counter(before)
-        added = [(line, planned(parse(line), self.rate_hz)) for line in new.elements()]
-
-        def put_into_force() -> None:
-            for line in gone.elements():
-                number = self._planned_faults[line].pop()
-                if number in self._chain.fault_numbers():
-                    self.clear_fault(number)
-            for line, fault in added:
-                number = self.inject(attrs.evolve(fault, start=self.frontier_sample + fault.start))
-                self._planned_faults[line].append(number)
-
-        return put_into_force
-
-    def _without_new_seeds(self, config: RigConfig) -> RigConfig:
-        """Return `config` with the seed and the planned faults of the last reset: both are drawn there."""
-        present = self._chain.config
-        faults = present.instruments.faults
-        return attrs.evolve(
-            config,
-            daq=attrs.evolve(config.daq, seed=present.daq.seed),
-            instruments=attrs.evolve(config.instruments, faults=faults),
-        )
+    def _clear_if_there(self, number: int) -> None:
+        if number in self._chain.fault_numbers():
+            self.clear_fault(number)
 
     def _refuse_if_stopped(self) -> None:
         if self._latched is not None:
