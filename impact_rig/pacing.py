@@ -21,6 +21,8 @@ Clock = Callable[[], int]
 
 MAX_LAG_NS = NS_PER_S
 """Rig time: further behind than this, catching up would overrun every subscriber's queue; realtime is re-based."""
+KEPT = 4096
+"""Blocks whose stamps are remembered, at least."""
 LATENESS_WINDOW = 3000
 """Blocks the lateness statistics look back: 30 s of 10 ms blocks."""
 
@@ -96,16 +98,18 @@ class Pacer:
 
 
 @attrs.define
-class _Peer:
-    acknowledged: int  # blocks, counted from the start
+class _Reader:
+    forgiven: int  # blocks up to here are owed no more
     heard_ns: int  # clock when it last said something new, or when it had nothing to say
+    acknowledged: int | None = None  # blocks, counted from the start; None before it has acknowledged any
+    lost: int = 0  # blocks it passed over
 
 
 class AckWindow:
-    """How far ahead of its slowest peer the rig may run.
+    """How far every reader of the blocks is, and how far ahead of its slowest peer the rig may run.
 
-    A peer acknowledges by the stamp of the last block it processed. Blocks are counted, so that "ahead" has one meaning
-    for all peers.
+    A reader acknowledges by the stamp of the last block it processed. Blocks are counted, so that "ahead" has one
+    meaning for all. Peers are the readers that are waited for; others are only watched.
 
     Args:
         peers: names the acknowledgements carry.
@@ -119,42 +123,60 @@ class AckWindow:
         self.timeout_ns = timeout_ns
         self._clock = clock
         self._published = 0
-        self._first = 0  # count of the block whose stamp is self._stamps[0]
-        self._stamps: list[int] = []
-        self._last_stamp: int | None = None
-        self._peers = {name: _Peer(0, clock()) for name in peers}
+        self._stamps: list[int] = []  # of the newest blocks; the last one is number self._published
+        self._readers: dict[str, _Reader] = {}
+        self.set_peers(peers)
 
     @property
     def peers(self) -> tuple[str, ...]:
         """Names of the peers."""
-        return tuple(self._peers)
+        return self._peers
+
+    @property
+    def readers(self) -> tuple[str, ...]:
+        """Names of the peers, and of everybody else who acknowledges."""
+        return tuple(self._readers)
+
+    @property
+    def newest_ns(self) -> int | None:
+        """Stamp of the newest block that is out."""
+        return self._stamps[-1] if self._stamps else None
 
     def set_peers(self, peers: Iterable[str]) -> None:
         """Change the peers; new ones owe nothing of what is already out."""
-        self._peers = {name: self._peers.get(name) or _Peer(self._published, self._clock()) for name in peers}
-        self._trim()
+        self._peers = tuple(peers)
+        for name in self._peers:
+            self._readers.setdefault(name, _Reader(self._published, self._clock()))
+        for name in set(self._readers).difference(self._peers):
+            if self._readers[name].acknowledged is None:
+                del self._readers[name]
+
+    def watch(self, name: str) -> None:
+        """Take acknowledgements in this name, too, without waiting for any."""
+        self._readers.setdefault(name, _Reader(0, self._clock()))
 
     def published(self, stamp_ns: int) -> None:
         """Note that the block with this stamp is out."""
         now = self._clock()
-        for peer in self._peers.values():
-            if peer.acknowledged == self._published:
-                peer.heard_ns = now  # owed nothing until now: its silence starts here
+        for reader in self._readers.values():
+            if self._owed(reader) == 0:
+                reader.heard_ns = now  # owed nothing until now: its silence starts here
         self._published += 1
-        self._last_stamp = stamp_ns
-        if self._peers:
-            self._stamps.append(stamp_ns)
+        self._stamps.append(stamp_ns)
+        if len(self._stamps) >= 2 * KEPT:
+            del self._stamps[:KEPT]
 
-    def acknowledge(self, peer: str, stamp_ns: int) -> bool:
-        """Take an acknowledgement; False if it makes no sense (unknown peer, stamp never published)."""
-        state = self._peers.get(peer)
-        if state is None or self._last_stamp is None or stamp_ns > self._last_stamp:
+    def acknowledge(self, name: str, stamp_ns: int) -> bool:
+        """Take an acknowledgement; False if it makes no sense (nobody we watch, stamp never published)."""
+        reader = self._readers.get(name)
+        if reader is None or self.newest_ns is None or stamp_ns > self.newest_ns:
             return False
-        count = self._first + bisect.bisect_right(self._stamps, stamp_ns)
-        if count > state.acknowledged:
-            state.acknowledged = count
-            state.heard_ns = self._clock()
-            self._trim()
+        count = self._published - len(self._stamps) + bisect.bisect_right(self._stamps, stamp_ns)
+        if reader.acknowledged is None or count > reader.acknowledged:
+            if reader.acknowledged is not None:
+                reader.lost += count - reader.acknowledged - 1
+            reader.acknowledged = count
+            reader.heard_ns = self._clock()
         return True
 
     def room(self) -> int:
@@ -163,32 +185,38 @@ class AckWindow:
 
     def outstanding(self) -> int:
         """Return how many blocks the slowest peer has not acknowledged."""
-        return max((self._published - peer.acknowledged for peer in self._peers.values()), default=0)
+        return max((self._owed(self._readers[name]) for name in self._peers), default=0)
 
     def behind(self) -> dict[str, int]:
-        """Return the blocks each peer has not acknowledged."""
-        return {name: self._published - peer.acknowledged for name, peer in self._peers.items()}
+        """Return the blocks each reader has not acknowledged."""
+        return {name: self._owed(reader) for name, reader in self._readers.items()}
+
+    def lost(self) -> dict[str, int]:
+        """Return the blocks each reader that acknowledges has passed over."""
+        return {name: reader.lost for name, reader in self._readers.items() if reader.acknowledged is not None}
 
     def silent(self) -> tuple[str, ...]:
         """Return the peers that owe an acknowledgement and said nothing for the timeout."""
         limit = self._clock() - self.timeout_ns
-        return tuple(
-            name for name, peer in self._peers.items() if peer.acknowledged < self._published and peer.heard_ns < limit
-        )
+        owing = (name for name in self._peers if self._owed(self._readers[name]) > 0)
+        return tuple(name for name in owing if self._readers[name].heard_ns < limit)
 
     def forgive(self) -> None:
         """Count everything as acknowledged: the operator continues without what a silent peer missed."""
-        for peer in self._peers.values():
-            peer.acknowledged, peer.heard_ns = self._published, self._clock()
-        self._trim()
+        for name in self._peers:
+            self._readers[name].forgiven = self._published
+        self.excuse()
 
     def excuse(self) -> None:
         """Restart every peer's timeout: this process itself was away, so their silence means nothing."""
-        for peer in self._peers.values():
-            peer.heard_ns = self._clock()
+        for name in self._peers:
+            self._readers[name].heard_ns = self._clock()
 
-    def _trim(self) -> None:
-        done = min((peer.acknowledged for peer in self._peers.values()), default=self._published) - self._first
-        if done > 0:
-            del self._stamps[:done]
-            self._first += done
+    def forget(self, name: str) -> None:
+        """Drop what is known of a reader that has left; a peer still owes what it has not acknowledged."""
+        reader = self._readers.pop(name)
+        if name in self._peers:
+            self._readers[name] = _Reader(self._published - self._owed(reader), reader.heard_ns)
+
+    def _owed(self, reader: _Reader) -> int:
+        return self._published - max(reader.acknowledged or 0, reader.forgiven)

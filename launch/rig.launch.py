@@ -35,8 +35,7 @@ def start_nodes(context: LaunchContext) -> list[Node]:
         # not in real time, the rig waits for these two, so that no block is lost
         given["time.peers"] = ["analysis", "recorder"]
     time = from_flat(file, given).time
-    # the rig makes the time that the others follow, unless that is the time everybody has
-    follow_rig_time = {"use_sim_time": time.mode != "realtime" or time.factor != 1.0}
+    follow_rig_time = {"use_sim_time": time.is_simulated}
     common = {
         "package": "impact_rig",
         "namespace": LaunchConfiguration("namespace"),

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from impact_rig.pacing import AckWindow, Pacer
+from impact_rig.pacing import KEPT, AckWindow, Pacer
 from impact_rig.simtime import NS_PER_S
 
 MS = 1_000_000
@@ -132,3 +132,54 @@ def test_window_is_never_overrun_by_any_acknowledgements(steps: list[tuple[str, 
             acknowledged = 0 if seen < 0 else min(seen // 10 + 1, published)
             assert window.behind()[name] == published - acknowledged
         assert 0 <= window.room() <= 3
+
+
+def test_a_reader_that_nobody_waits_for_is_counted_too() -> None:
+    window = AckWindow(("peer",), 4, NS_PER_S, FakeClock())
+    for stamp in range(10):
+        window.published(stamp)
+    window.acknowledge("peer", 9)
+    assert not window.acknowledge("plotter", 3), "nobody watches it yet"
+    window.watch("plotter")
+    for stamp in (3, 4, 7, 6, 7):
+        assert window.acknowledge("plotter", stamp)
+    assert (window.behind(), window.lost()) == ({"peer": 0, "plotter": 2}, {"peer": 0, "plotter": 2})
+    assert (window.room(), window.silent()) == (4, ()), "only peers are waited for"
+    window.forget("plotter")
+    assert window.readers == ("peer",)
+
+
+def test_what_a_forgiven_peer_passes_over_still_counts_as_lost() -> None:
+    window = AckWindow(("a",), 4, NS_PER_S, FakeClock())
+    for stamp in range(4):
+        window.published(stamp)
+    window.acknowledge("a", 0)
+    window.forgive()
+    assert window.behind() == {"a": 0}
+    window.published(4)
+    window.acknowledge("a", 4)
+    assert (window.behind(), window.lost()) == ({"a": 0}, {"a": 3})
+
+
+def test_a_peer_that_left_and_comes_back_has_lost_nothing_of_the_time_between() -> None:
+    window = AckWindow(("a",), 4, NS_PER_S, FakeClock())
+    window.published(0)
+    window.acknowledge("a", 0)
+    for stamp in (1, 2, 3):
+        window.published(stamp)
+    window.forget("a")
+    assert window.behind() == {"a": 3}, "a peer is waited for, there or not"
+    window.forgive()
+    window.published(4)
+    window.acknowledge("a", 4)
+    assert (window.behind(), window.lost()) == ({"a": 0}, {"a": 0})
+
+
+def test_remembered_stamps_are_bounded() -> None:
+    window = AckWindow((), 1, NS_PER_S, FakeClock())
+    window.watch("late")
+    for stamp in range(3 * KEPT):
+        window.published(stamp)
+    assert window.acknowledge("late", 0)
+    assert KEPT <= window.behind()["late"] <= 2 * KEPT, "further behind than is remembered"
+    assert len(window._stamps) < 2 * KEPT

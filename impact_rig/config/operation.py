@@ -48,6 +48,16 @@ class Time:
         if self.mode == "freewheel" and not self.peers:
             raise ConfigError("peers must name who follows in freewheel: without, every queue would overflow, got []")
 
+    @property
+    def is_simulated(self) -> bool:
+        """Whether rig time is another time than everybody's: not in real time × 1."""
+        return self.mode != "realtime" or self.factor != 1.0
+
+    @property
+    def publishes_clock(self) -> bool:
+        """Whether the rig publishes /clock."""
+        return self.is_simulated if self.publish_clock == "auto" else self.publish_clock == "on"
+
 
 @attrs.frozen(kw_only=True)
 class Step:

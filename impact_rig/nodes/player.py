@@ -24,8 +24,8 @@ from impact_rig.errors import ImpactRigError
 from impact_rig.nodes import topics
 from impact_rig.nodes.convert import clock_message
 from impact_rig.nodes.guard import guarded_service
-from impact_rig.nodes.peers import Peers
 from impact_rig.nodes.process import make_executor
+from impact_rig.nodes.readers import Readers
 from impact_rig.nodes.stamps import nanoseconds
 from impact_rig.pacing import AckWindow, Pacer
 from impact_rig.recording import Message, RecordedTopic, Run
@@ -99,8 +99,9 @@ class Player:
         self._names = [name for name in wanted if not any(matches(name, made) for made in MADE_HERE)]
         self._publishers = {name: self._publisher(run.topics[name]) for name in self._names}
         self._clock = node.create_publisher(Clock, topics.CLOCK.name, topics.CLOCK.qos.profile())
-        self._peers = Peers(node)
-        self._peers.expect(peers)
+        self._readers = Readers(node, self._publishers[self._scan]) if peers else None
+        if self._readers is not None:
+            self._readers.expect(peers)
         self._window = AckWindow(peers, WINDOW, round(PEER_TIMEOUT_S * NS_PER_S), time.monotonic_ns)
         self._pacer = Pacer(time.monotonic_ns, factor or 1.0)
         ack = self._scan.removesuffix(topics.SCAN.name) + topics.ACK.name
@@ -118,7 +119,7 @@ class Player:
             ImpactRigError: a peer stopped acknowledging.
         """
         self.now_ns = self.start_ns
-        while self._peers.missing() and not self._peers.all_matched(self._publishers[self._scan]):
+        while self._readers is not None and not self._readers.all_matched():
             yield from self._rest(SPIN_S)
         self._pacer.rebase(self.start_ns)
         clock_ns = self.start_ns

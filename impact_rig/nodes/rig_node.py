@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from typing import Any  # rclpy messages and responses
 
 from std_msgs.msg import Float64, Header
@@ -11,14 +12,13 @@ from std_srvs.srv import SetBool, Trigger
 from impact_rig.config import RigConfig
 from impact_rig.errors import CommandError
 from impact_rig.nodes import process, topics
-from impact_rig.nodes.audience import Audience
 from impact_rig.nodes.deferred import Answer, DeferredService
 from impact_rig.nodes.diagnostics import Status
 from impact_rig.nodes.guard import describe, guarded
 from impact_rig.nodes.managed import ManagedNode
 from impact_rig.nodes.outlets import Outlets
 from impact_rig.nodes.parameters import RigSchema
-from impact_rig.nodes.peers import Peers
+from impact_rig.nodes.readers import Readers
 from impact_rig.nodes.rig_status import RigStatus
 from impact_rig.nodes.stamps import nanoseconds
 from impact_rig.nodes.work_timer import WorkTimer
@@ -58,8 +58,7 @@ class RigNode(ManagedNode[RigConfig]):
         self._timer = WorkTimer(self, self._on_timer)
         self._pacer = Pacer(time.monotonic_ns)
         self._window = AckWindow((), 1, NS_PER_S, time.monotonic_ns)
-        self._peers = Peers(self)
-        self._audience: Audience | None = None
+        self._readers: Readers | None = None
         self._paused = False
         self._steps_left = 0
         self._base_ns = self._clock_offset_ns = 0
@@ -99,9 +98,9 @@ class RigNode(ManagedNode[RigConfig]):
         self._window = AckWindow(
             config.time.peers, config.time.ack_window, round(config.time.peer_timeout_s * NS_PER_S), time.monotonic_ns
         )
-        self._peers.expect(config.time.peers)
         assert self._outlets is not None
-        self._audience = Audience(self, self._outlets.scan)
+        self._readers = Readers(self, self._outlets.scan)
+        self._readers.expect(config.time.peers)
         self._outlets.forget()
         self._flush(self._rig)
         self._publish_configuration(self._rig)
@@ -111,7 +110,7 @@ class RigNode(ManagedNode[RigConfig]):
     def deactivate(self) -> None:
         """Stop the rig; what was not published is dropped."""
         self._timer.stop()
-        self._rig = self._audience = None
+        self._rig = self._readers = None
         for service in (self._step, self._pause):
             service.reply(False, "the rig was deactivated")
 
@@ -188,9 +187,10 @@ class RigNode(ManagedNode[RigConfig]):
         mode = self.settings.time.mode
         limit = self._steps_left if mode == "stepped" else self._window.window
         assert self._outlets is not None
-        if self._peers.missing():
-            if limit <= 0 or not self._peers.all_matched(self._outlets.scan):
-                self._refuse_step_without_peers()
+        assert self._readers is not None
+        if self._readers.missing():
+            if limit <= 0 or not self._readers.all_matched():
+                self._refuse_step_without(self._readers)
                 return
             self._outlets.settle_history()
         batch = self._batch()
@@ -207,11 +207,11 @@ class RigNode(ManagedNode[RigConfig]):
                 break
         self._answer_step(rig)
 
-    def _refuse_step_without_peers(self) -> None:
+    def _refuse_step_without(self, readers: Readers) -> None:
         patience = self.settings.time.peer_timeout_s
-        if self._step.waiting and self._peers.overdue(patience) and time.monotonic() - self._stepped_at > patience:
+        if self._step.waiting and readers.overdue(patience) and time.monotonic() - self._stepped_at > patience:
             self._steps_left = 0
-            self._step.reply(False, f"peer {', '.join(self._peers.missing())} is not there")
+            self._step.reply(False, f"peer {', '.join(readers.missing())} is not there")
 
     def _answer_step(self, rig: Rig) -> None:
         if not self._step.waiting:
@@ -227,16 +227,14 @@ class RigNode(ManagedNode[RigConfig]):
 
     def _publish(self, rig: Rig, blocks: list[Block]) -> None:
         assert self._outlets is not None
-        assert self._audience is not None
         self._outlets.changes(rig)  # they come before the scans they act on
         for block in blocks:
             self._outlets.block(block)
             if not block.lost:
                 self._window.published(block.scan.stamp_ns)
-                self._audience.published(block.scan.stamp_ns)
             self._pacer.published(block.end_ns - self._base_ns)
             self._figures.count(block)
-        if blocks and self._publishes_clock():
+        if blocks and self.settings.time.publishes_clock:
             self._outlets.clock(blocks[-1].end_ns)
 
     def _flush(self, rig: Rig) -> None:
@@ -248,12 +246,6 @@ class RigNode(ManagedNode[RigConfig]):
         assert self._outlets is not None
         self._outlets.configuration(rig)
         self._figures.realised_restitution = rig.simulation.realised_restitution
-
-    def _publishes_clock(self) -> bool:
-        choice = self.settings.time.publish_clock
-        if choice == "auto":
-            return self.settings.time.mode != "realtime" or self.settings.time.factor != 1.0
-        return choice == "on"
 
     # Commands
 
@@ -276,14 +268,19 @@ class RigNode(ManagedNode[RigConfig]):
 
     def _on_ack(self, message: Header) -> None:
         """Take an acknowledgement: every reader of daq/scan may send them, in every mode."""
-        audience, peer, stamp = self._audience, message.frame_id, nanoseconds(message.stamp)
-        if audience is None:
+        window, name, stamp = self._window, message.frame_id, nanoseconds(message.stamp)
+        if self._readers is None:
             return
-        if audience.newest_ns is None or stamp > audience.newest_ns:
-            self.refuse("daq/ack", f"{peer!r} acknowledged {stamp} ns, which was never published")
+        if window.newest_ns is None or stamp > window.newest_ns:
+            self.refuse("daq/ack", f"{name!r} acknowledged {stamp} ns, which was never published")
             return
-        audience.acknowledge(peer, stamp)
-        if self._window.acknowledge(peer, stamp):
+        if name not in window.readers:
+            if not self._readers.knows(name):
+                self._figures.other_acks += 1
+                return
+            window.watch(name)
+        window.acknowledge(name, stamp)
+        if name in window.peers:
             self._answer_pause()
             if self.settings.time.mode != "realtime" and time.monotonic() - self._turn_began < TURN_S:
                 self._work()
@@ -322,44 +319,40 @@ class RigNode(ManagedNode[RigConfig]):
 
     def _on_reset(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         rig = self._running()
-        rig.reset()
+        self._act(response, Rig.reset, "reset: scan 0")
         self._figures.faults.clear()  # planned ones begin anew, and say so
-        self._flush(rig)
         self._publish_configuration(rig)
-        return self._done(response, "reset: scan 0")
+        return response
 
     def _on_stop(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        rig = self._running()
-        rig.stop()
-        self._flush(rig)
-        return self._done(response, "shaker ramps to zero and stays latched until ~/clear_trip")
+        return self._act(response, Rig.stop, "shaker ramps to zero and stays latched until ~/clear_trip")
 
     def _on_clear_trip(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        rig = self._running()
-        rig.clear_trip()
-        self._flush(rig)
-        return self._done(response, "latch released; current stays zero until the next command")
+        return self._act(response, Rig.clear_trip, "latch released; current stays zero until the next command")
 
     def _on_pluck(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        displacement_m = self.settings.pluck.displacement_m
+        return self._act(
+            response, lambda rig: rig.pluck(displacement_m), "base locked, structure released; ~/reset unlocks"
+        )
+
+    def _act(self, response: Trigger.Response, action: Callable[[Rig], None], done: str) -> Trigger.Response:
         rig = self._running()
-        rig.pluck(self.settings.pluck.displacement_m)
+        action(rig)
         self._flush(rig)
-        return self._done(response, "base locked, structure released; ~/reset unlocks")
+        response.success, response.message = True, done
+        return response
 
     def _running(self) -> Rig:
         if self._rig is None:
             raise CommandError(f"the rig is {self.state}, activate it first")
         return self._rig
 
-    def _done(self, response: Trigger.Response, message: str) -> Trigger.Response:
-        response.success, response.message = True, message
-        return response
-
     # Parameters and diagnostics
 
     def settings_changed(self, settings: RigConfig, changes: dict[str, Any]) -> None:
         """Give the running rig what changed; the validator has already accepted it."""
-        if self._rig is None:
+        if self._rig is None or self._readers is None:
             return
         self._rig.configure(changes)
         self._flush(self._rig)
@@ -367,7 +360,7 @@ class RigNode(ManagedNode[RigConfig]):
             self._window.set_peers(settings.time.peers)
             self._window.window = settings.time.ack_window
             self._window.timeout_ns = round(settings.time.peer_timeout_s * NS_PER_S)
-            self._peers.expect(settings.time.peers)
+            self._readers.expect(settings.time.peers)
         if "time.factor" in changes:
             self._pacer.rebase(self._rig.next_block_ns - self._base_ns, settings.time.factor)
         self._publish_configuration(self._rig)
@@ -379,8 +372,9 @@ class RigNode(ManagedNode[RigConfig]):
 
     def status(self) -> Status:
         """Return mode, time, lateness, peers, shaker, over-ranges."""
-        if self._audience is not None:
-            for name in self._audience.forget_the_gone():
+        if self._readers is not None:
+            for name in self._readers.gone(self._window.lost()):
+                self._window.forget(name)
                 self.get_logger().warning(f"{name} no longer subscribes to {topics.SCAN.name}")
         return self._figures.status(
             self.state,
@@ -388,9 +382,7 @@ class RigNode(ManagedNode[RigConfig]):
             self.settings,
             self._pacer,
             self._window,
-            self._audience,
-            self._peers.missing(),
-            self._peers.overdue(self.settings.time.peer_timeout_s),
+            self._readers,
             self._paused,
             (time.time_ns() - time.monotonic_ns() - self._clock_offset_ns) / NS_PER_S,
         )

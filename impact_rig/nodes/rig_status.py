@@ -8,8 +8,8 @@ from collections import Counter, deque
 
 from impact_rig.blocks import CHANNELS
 from impact_rig.config import RigConfig
-from impact_rig.nodes.audience import Audience
 from impact_rig.nodes.diagnostics import Level, Status, worst
+from impact_rig.nodes.readers import Readers
 from impact_rig.pacing import AckWindow, Pacer
 from impact_rig.rig import Block, Rig
 from impact_rig.simtime import NS_PER_S
@@ -29,6 +29,7 @@ class RigStatus:
         self.blocks = 0
         self.lost_blocks = 0
         self.impacts = 0
+        self.other_acks = 0
         self.over_range: Counter[str] = Counter()
         self.faults: dict[int, str] = {}
         self.realised_restitution = math.nan
@@ -69,9 +70,7 @@ class RigStatus:
         config: RigConfig,
         pacer: Pacer,
         window: AckWindow,
-        audience: Audience | None,
-        missing: tuple[str, ...],
-        overdue: bool,
+        readers: Readers | None,
         paused: bool,
         clock_step_s: float,
     ) -> Status:
@@ -82,23 +81,23 @@ class RigStatus:
             rig: None while there is none.
             config: in force.
             pacer: of realtime.
-            window: of the peers.
-            audience: who reads daq/scan.
-            missing: peers that are not there.
-            overdue: they are late.
+            window: how far the readers of daq/scan are.
+            readers: of daq/scan in the graph; None while there is no rig.
             paused: by ~/pause.
             clock_step_s: what the system clock was moved by since the activation.
         """
-        if rig is None or audience is None:
+        if rig is None or readers is None:
             return Status(Level.WARN, state, {"mode": config.time.mode})
         realtime = config.time.mode == "realtime"
         silent = () if realtime else window.silent()
-        behind = {**audience.behind(), **window.behind()}
+        missing = () if realtime else readers.missing()
+        behind = window.behind()
         troubles = [(Level.OK, f"running, {config.time.mode}")]
         if paused:
             troubles.append((Level.WARN, "paused"))
-        if missing and not realtime:
-            troubles.append((Level.ERROR if overdue else Level.WARN, f"waiting for peer {', '.join(missing)}"))
+        if missing:
+            level = Level.ERROR if readers.overdue(config.time.peer_timeout_s) else Level.WARN
+            troubles.append((level, f"waiting for peer {', '.join(missing)}"))
         if silent:
             seconds = f"{config.time.peer_timeout_s:g} s"
             names = ", ".join(silent)
@@ -146,8 +145,8 @@ class RigStatus:
             "slips": pacer.slips,
             "slipped_s": pacer.slipped_ns / NS_PER_S,
             "clock_step_s": clock_step_s,
-            "subscribers": audience.subscribers,
-            "other_acks": audience.others,
+            "subscribers": readers.subscribers,
+            "other_acks": self.other_acks,
         }
         late = pacer.lateness() if realtime else None
         if late is not None:
@@ -157,6 +156,6 @@ class RigStatus:
                 "lateness_worst_ms": late.worst_ms,
             }
         values |= {f"behind.{name}": count for name, count in behind.items()}
-        values |= {f"lost_blocks.{name}": count for name, count in audience.lost().items()}
+        values |= {f"lost_blocks.{name}": count for name, count in window.lost().items()}
         values |= {f"over_range.{name}": self.over_range[name] for name in CHANNELS}
         return Status(level, message, values)

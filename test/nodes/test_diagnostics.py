@@ -53,7 +53,7 @@ def test_a_slow_reader_is_named_in_real_time_and_one_that_leaves_forgotten(clien
     node = host_rig(client, "realtime", time__factor=4.0)
     client.wait_active("rig")
     scans = client.collect("daq/scan", acknowledge=True)
-    client.wait_until(lambda: "client" in node._audience.behind(), "an acknowledgement")
+    client.wait_until(lambda: "client" in node._window.lost(), "an acknowledgement")
     scans._on_message.clear()  # reads on, but falls silent
     client.wait_until(lambda: "client is 1 s behind" in client.status("rig").message, "the warning")
     assert client.status("rig").level == b"\1"

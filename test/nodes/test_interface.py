@@ -238,7 +238,7 @@ def test_readers_are_told_apart_by_their_acknowledgements(client: Client) -> Non
         header = Header(frame_id=name)
         header.stamp.nanosec = scans.tables()[number].stamp_ns
         client.publish(topics.ACK, header)
-    client.wait_until(lambda: node._audience.others == 2, "the acknowledgements")
+    client.wait_until(lambda: node._figures.other_acks == 2, "the acknowledgements")
     node.report_now()
     client.wait_until(lambda: client.figures("rig").get("other_acks") == "2", "the figures")
     found = client.figures("rig")
