@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from typing import Any  # message classes have no common base
+
 from builtin_interfaces.msg import Time
 
+from impact_rig import codec
 from impact_rig.simtime import NS_PER_S
 
 
@@ -16,3 +19,11 @@ def time_message(ns: int) -> Time:
 def nanoseconds(stamp: Time) -> int:
     """Return a stamp as nanoseconds."""
     return int(stamp.sec) * NS_PER_S + int(stamp.nanosec)
+
+
+def header_stamp_ns(message: Any) -> int | None:
+    """Return the stamp in the header of a message, or of its CDR bytes; None for a message that has no header."""
+    if isinstance(message, bytes):
+        return codec.header_stamp_ns(message)
+    header = getattr(message, "header", None)
+    return None if header is None else nanoseconds(header.stamp)

@@ -7,34 +7,36 @@ with its last words.
 
 from __future__ import annotations
 
-import contextlib
 import functools
-import inspect
 import math
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from types import TracebackType
 from typing import Any, TypeVar  # rclpy handles; message classes have no common base
 
 import numpy as np
-import rclpy.utilities
 from diagnostic_msgs.msg import DiagnosticStatus
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from rcl_interfaces.srv import GetParameters, SetParametersAtomically
 from rclpy.context import Context
 from rclpy.node import Node
-from rclpy.parameter import Parameter, parameter_value_to_python
+from rclpy.parameter import parameter_value_to_python
+from rclpy.qos import QoSProfile
 from std_msgs.msg import Float64, Header, String
 from std_srvs.srv import SetBool, Trigger
 
 from impact_rig import codec
+from impact_rig.blocks import Table
 from impact_rig.errors import ConfigError, ImpactRigError
 from impact_rig.nodes import topics
 from impact_rig.nodes.guard import with_info
 from impact_rig.nodes.process import make_executor
-from impact_rig.nodes.stamps import nanoseconds, time_message
+from impact_rig.nodes.stamps import time_message
 from impact_rig.testing.collector import Collector, Received
+from impact_rig.testing.graph import is_heard, published
+from impact_rig.testing.hosting import HostedNodes, acknowledge_callbacks
+from impact_rig.testing.parameters import ros_parameters
 from impact_rig.testing.processes import ParameterValue, Processes
 
 T = TypeVar("T")
@@ -89,13 +91,13 @@ class Client:
         self.executor.add_node(self.node)
         self.diagnostics: dict[str, DiagnosticStatus] = {}
         """Latest status of each node, by name relative to the namespace."""
-        self._hosted: list[Any] = []
+        self._hosted = HostedNodes(self.node, self.executor)
         self._publishers: dict[str, Any] = {}
         self._heard: set[Any] = set()
         self._clients: dict[tuple[str, Any], Any] = {}
         self._subscribe(topics.DIAGNOSTICS, self._on_diagnostics)
         self._applied = Collector(topics.APPLIED)
-        self._applied_subscription = self._subscribe(topics.APPLIED, self._applied.take, raw=True)
+        self._subscribe(topics.APPLIED, self._applied.take, raw=True)
 
     def __enter__(self) -> Client:
         return self
@@ -107,30 +109,29 @@ class Client:
 
     def close(self) -> None:
         """Destroy the node, the nodes it hosts and the context."""
-        for node in self._hosted:
-            if hasattr(node, "close"):  # a node of this package stops working first
-                node.close()
+        self._hosted.stop_working()
         self.executor.shutdown()
-        for node in [*self._hosted, self.node]:
-            node.destroy_node()
+        self._hosted.destroy()
+        self.node.destroy_node()
         self.context.try_shutdown()
 
     # Waiting
 
-    def wait_until(self, condition: Callable[[], object], what: str, timeout_s: float = DEFAULT_TIMEOUT_S) -> None:
-        """Spin until `condition()` is true.
+    def wait_until(self, condition: Callable[[], T | None], what: str, timeout_s: float = DEFAULT_TIMEOUT_S) -> T:
+        """Spin until `condition()` is true, and return what it gave.
 
         Raises:
             WaitTimeoutError: it did not become true in time; names `what`.
             ProcessDiedError: a watched process ended.
         """
         deadline = time.monotonic() + timeout_s
-        while not condition():
+        while not (found := condition()):
             if self._processes is not None:
                 self._processes.check()
             if time.monotonic() > deadline:
                 raise WaitTimeoutError(f"waited {timeout_s:g} s in vain for {what}{self._troubles()}")
             self.executor.spin_once(timeout_sec=SPIN_S)
+        return found
 
     def spin_for(self, duration_s: float) -> None:
         """Let things happen for a while of wall time: for benchmarks and demonstrations, not for tests."""
@@ -157,28 +158,14 @@ class Client:
         No thread: the node works while the client waits. A class that does not hand keyword arguments on to `Node` gets
         the context as the default one, and no namespace.
         """
-        if takes_keywords(make_node):
-            kwargs |= {
-                "context": self.context,
-                "namespace": self.node.get_namespace(),
-                "use_global_arguments": False,
-            }
-        with _as_default(self.context):
-            node = make_node(**kwargs)
-        self._hosted.append(node)
-        self.executor.add_node(node)
-        return node
+        return self._hosted.start(make_node, **kwargs)
 
     def acknowledge_callbacks(self, node: Any) -> int:
         """Acknowledge every block of daq/scan for a hosted node, once its callback has returned.
 
         The node need not know of daq/ack. Returns how many subscriptions to daq/scan it has.
         """
-        topic = self.node.resolve_topic_name(topics.SCAN.name)
-        found = [subscription for subscription in node.subscriptions if subscription.topic_name == topic]
-        for subscription in found:
-            subscription.callback = self._then_acknowledge(subscription.callback, node.get_name())
-        return len(found)
+        return acknowledge_callbacks(node, self.node.resolve_topic_name(topics.SCAN.name), self.acknowledge_for)
 
     # Commands
 
@@ -204,7 +191,8 @@ class Client:
                 continue
             before = len(self._applied)
             self.publish(topic, Float64(data=value), timeout_s, listener="rig")
-            row = self._await_applied(before, column, value, timeout_s)
+            accepted = functools.partial(self._accepted, before, column, value)
+            row = self.wait_until(accepted, f"{column} = {value:g} in shaker/applied", timeout_s).rows[-1]
         assert row is not None, "command() needs a frequency or a current"
         return row
 
@@ -212,20 +200,12 @@ class Client:
         self, topic: topics.Topic, message: Any, timeout_s: float = DEFAULT_TIMEOUT_S, listener: str | None = None
     ) -> None:
         """Publish a message once somebody listens: everybody the graph knows, and the node `listener` among them."""
-        publisher = self._publishers.get(topic.name)
-        if publisher is None:
-            publisher = self.node.create_publisher(topic.message_type(), topic.name, topic.qos.profile())
-            self._publishers[topic.name] = publisher
+        publisher = self._publisher(topic)
         if publisher not in self._heard:
-            heard = functools.partial(self._is_heard, publisher, listener)
+            heard = functools.partial(is_heard, self.node, publisher, listener)
             self.wait_until(heard, f"{listener or 'somebody'} to subscribe {topic.name}", timeout_s)
             self._heard.add(publisher)
         publisher.publish(message)
-
-    def _is_heard(self, publisher: Any, listener: str | None) -> bool:
-        found = self.node.get_subscriptions_info_by_topic(publisher.topic_name)
-        there = listener is None or any(info.node_name == listener for info in found)
-        return there and publisher.get_subscription_count() >= max(len(found), 1)
 
     def note(self, text: str) -> None:
         """Publish an operator's remark; recorded with the run."""
@@ -303,12 +283,7 @@ class Client:
             ConfigError: the node refused; its reason.
         """
         request = SetParametersAtomically.Request(
-            parameters=[
-                Parameter(
-                    name, value=value if isinstance(value, str) or not isinstance(value, Sequence) else list(value)
-                ).to_parameter_msg()
-                for name, value in values.items()
-            ]
+            parameters=[parameter.to_parameter_msg() for parameter in ros_parameters(values)]
         )
         name = f"{node}/set_parameters_atomically"
         result = self.call(SetParametersAtomically, name, request, again_s=AGAIN_S).result
@@ -371,50 +346,30 @@ class Client:
             timeout_s: how long to wait for a publisher.
         """
         full_name = self.node.resolve_topic_name(name)
-        self.wait_until(
-            lambda: self.node.get_publishers_info_by_topic(full_name), f"a publisher of {full_name}", timeout_s
-        )
-        (publisher, *_) = self.node.get_publishers_info_by_topic(full_name)
-        profile = topics.Qos.DATA.profile()
-        profile.reliability = publisher.qos_profile.reliability
-        topic = topics.Topic(name, publisher.topic_type, topics.Qos.DATA, publisher.node_name, "", ())
+        topic, profile = self.wait_until(lambda: published(self.node, name), f"a publisher of {full_name}", timeout_s)
         collector = Collector(topic, on_message)
-        subscription = self.node.create_subscription(
-            topic.message_type(),
-            full_name,
-            with_info(collector.take),
-            profile,
-            raw=topic.type_name == topics.SCAN.type_name,
-        )
+        is_table = topic.type_name == topics.SCAN.type_name
+        subscription = self._subscribe(topic, collector.take, is_table, profile)
         self.wait_until(subscription.get_publisher_count, f"a publisher of {full_name} to match", timeout_s)
         return collector
 
     def acknowledge_for(self, peer: str, stamp_ns: int) -> None:
         """Tell the rig that a peer, which does not do so itself, has processed everything up to a block."""
-        publisher = self._publishers.get(topics.ACK.name)
+        self._publisher(topics.ACK).publish(Header(stamp=time_message(stamp_ns), frame_id=peer))
+
+    def _publisher(self, topic: topics.Topic) -> Any:
+        """Return the publisher of a topic, made if there is none."""
+        publisher = self._publishers.get(topic.name)
         if publisher is None:
-            publisher = self.node.create_publisher(Header, topics.ACK.name, topics.ACK.qos.profile())
-            self._publishers[topics.ACK.name] = publisher
-        publisher.publish(Header(stamp=time_message(stamp_ns), frame_id=peer))
+            publisher = self.node.create_publisher(topic.message_type(), topic.name, topic.qos.profile())
+            self._publishers[topic.name] = publisher
+        return publisher
 
-    def _then_acknowledge(self, callback: Callable[..., Any], peer: str) -> Callable[..., Any]:
-        @functools.wraps(callback)
-        def call(*args: Any) -> Any:
-            message = args[0][0] if type(args[0]) is tuple else args[0]
-            try:
-                return callback(*args)
-            finally:
-                stamp = (
-                    codec.header_stamp_ns(message) if isinstance(message, bytes) else nanoseconds(message.header.stamp)
-                )
-                self.acknowledge_for(peer, stamp)
-
-        return call
-
-    def _subscribe(self, topic: topics.Topic, callback: Callable[..., None], raw: bool = False) -> Any:
-        return self.node.create_subscription(
-            topic.message_type(), topic.name, with_info(callback), topic.qos.profile(), raw=raw
-        )
+    def _subscribe(
+        self, topic: topics.Topic, callback: Callable[..., None], raw: bool = False, profile: QoSProfile | None = None
+    ) -> Any:
+        profile = profile or topic.qos.profile()
+        return self.node.create_subscription(topic.message_type(), topic.name, with_info(callback), profile, raw=raw)
 
     def _acknowledge(self, message: Received) -> None:
         self.acknowledge_for(self.name, codec.header_stamp_ns(message.data))
@@ -426,18 +381,10 @@ class Client:
             raise ServiceFailedError(f"{node}: {status.message}")
         return present == state
 
-    def _await_applied(self, before: int, column: str, value: float, timeout_s: float) -> np.void:
-        what = f"{column} = {value:g} in shaker/applied"
-        self.wait_until(lambda: self._accepted(before, column, value) is not None, what, timeout_s)
-        row = self._accepted(before, column, value)
-        assert row is not None
-        return row
-
-    def _accepted(self, before: int, column: str, value: float) -> np.void | None:
+    def _accepted(self, before: int, column: str, value: float) -> Table | None:
         for table in reversed(self._applied.tables()[before:]):
             if table.rows[column][-1] == value:
-                last: np.void = table.rows[-1]
-                return last
+                return table
         return None
 
     def _on_diagnostics(self, message: Any) -> None:
@@ -450,20 +397,3 @@ class Client:
         """Return what nodes that are not well say: most waits in vain have their reason there."""
         bad = [f"{name}: {status.message}" for name, status in self.diagnostics.items() if status.level != b"\0"]
         return f" ({'; '.join(bad)})" if bad else ""
-
-
-def takes_keywords(make_node: Callable[..., Any]) -> bool:
-    """Return whether a node's class hands keyword arguments on to rclpy's Node."""
-    parameters = inspect.signature(make_node).parameters.values()
-    return any(parameter.kind is parameter.VAR_KEYWORD for parameter in parameters)
-
-
-@contextlib.contextmanager
-def _as_default(context: Context) -> Iterator[None]:
-    """Make a context the default one, which is what a node gets that is not given any."""
-    utilities: Any = rclpy.utilities
-    before, utilities.g_default_context = utilities.g_default_context, context
-    try:
-        yield
-    finally:
-        utilities.g_default_context = before

@@ -14,7 +14,6 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any  # rclpy nodes and messages
 
-from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
 from impact_rig import codec
@@ -22,11 +21,13 @@ from impact_rig.blocks import Table
 from impact_rig.errors import ConfigError, ImpactRigError, RecordingError
 from impact_rig.nodes.recorder_node import RecorderNode
 from impact_rig.nodes.rig_node import RigNode
-from impact_rig.nodes.stamps import nanoseconds
+from impact_rig.nodes.stamps import header_stamp_ns
 from impact_rig.testing.client import START_TIMEOUT_S, Client
 from impact_rig.testing.collector import Collector, Received
 from impact_rig.testing.domain import isolated_domain
 from impact_rig.testing.faults import Fault
+from impact_rig.testing.graph import subscribers
+from impact_rig.testing.parameters import ros_parameters
 from impact_rig.testing.processes import ParameterValue, Processes
 from impact_rig.testing.stepped_rig import SCANS, TOPICS, SteppedRig, configured
 
@@ -95,11 +96,7 @@ class RosRig(SteppedRig):
             self.processes.start(node, parameters)
             return
         make_node = {"rig": RigNode, "recorder": RecorderNode}[node]
-        overrides = [
-            Parameter(key, value=value if isinstance(value, str) or not isinstance(value, Sequence) else list(value))
-            for key, value in parameters.items()
-        ]
-        self.client.host(make_node, parameter_overrides=overrides)
+        self.client.host(make_node, parameter_overrides=ros_parameters(parameters))
 
     # The pipeline under test
 
@@ -145,7 +142,8 @@ class RosRig(SteppedRig):
 
     def follow(self, name: str, output: str | None = None, timeout_s: float = NODE_TIMEOUT_S) -> Collector | None:
         """Keep step with a node that somebody else has started; see `start_node`."""
-        self.client.wait_until(lambda: name in self._subscribers(), f"node {name} to subscribe {SCANS}", timeout_s)
+        node = self.client.node
+        self.client.wait_until(lambda: name in subscribers(node, SCANS), f"node {name} to subscribe {SCANS}", timeout_s)
         found = None if output is None else self._acknowledge_answers(name, output, timeout_s)
         self._add_peer(name)
         return found
@@ -205,10 +203,6 @@ class RosRig(SteppedRig):
         self._peers.append(name)
         self.client.set_parameters("rig", {"time.peers": self._peers})
 
-    def _subscribers(self) -> set[str]:
-        topic = self.client.node.resolve_topic_name(SCANS)
-        return {info.node_name for info in self.client.node.get_subscriptions_info_by_topic(topic)}
-
     def _acknowledge_answers(self, name: str, output: str, timeout_s: float) -> Collector:
         """Acknowledge for a node whenever its output answers a block."""
         scans = self._collectors[SCANS]
@@ -216,7 +210,7 @@ class RosRig(SteppedRig):
 
         def on_output(message: Received) -> None:
             nonlocal answered
-            stamp = _stamp_ns(message.data)
+            stamp = header_stamp_ns(message.data)
             if stamp is not None:
                 self.client.acknowledge_for(name, stamp)
             else:
@@ -231,11 +225,3 @@ class RosRig(SteppedRig):
 
         scans.then(on_scan)
         return self.client.listen(output, on_output, timeout_s)
-
-
-def _stamp_ns(message: Any) -> int | None:
-    """Return the stamp in a message's header, or None if it has none."""
-    if isinstance(message, bytes):
-        return codec.header_stamp_ns(message)
-    header = getattr(message, "header", None)
-    return None if header is None else int(nanoseconds(header.stamp))
