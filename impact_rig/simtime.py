@@ -6,10 +6,6 @@ at 25 600 S/s a period is 39 062.5 ns, so the stamp of scan i is `start_ns + i *
 
 from __future__ import annotations
 
-from typing import NewType
-
-SimTime = NewType("SimTime", int)  # nanoseconds
-
 NS_PER_S = 1_000_000_000
 COMMAND_GRID_NS = 10_000_000
 """Commands take effect at the first multiple of this after the last simulated instant, whatever the block length."""
@@ -19,13 +15,3 @@ COMMAND_GRID_S = COMMAND_GRID_NS / NS_PER_S
 def stamp_ns(index: int, rate_hz: int, start_ns: int = 0) -> int:
     """Return the time of scan `index` [ns]: exact integer arithmetic, rounded down."""
     return start_ns + index * NS_PER_S // rate_hz
-
-
-def scans_before(until_ns: int, rate_hz: int, start_ns: int = 0) -> int:
-    """Return how many scans lie strictly before `until_ns`: the smallest i with i / rate >= until - start."""
-    return max(0, -(-(until_ns - start_ns) * rate_hz // NS_PER_S))
-
-
-def grid_ceil(time_ns: int) -> int:
-    """Return the first instant of the command grid that is not before `time_ns` (both relative to the rig's start)."""
-    return -(-time_ns // COMMAND_GRID_NS) * COMMAND_GRID_NS

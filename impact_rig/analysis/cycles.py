@@ -111,7 +111,6 @@ class Accumulator:
         size = 2 * harmonics + 2
         self._sums = np.zeros((4, size))
         self._basis = np.ones(size - 1)
-        self._capacity = capacity
         self._out = np.zeros((capacity, 4, size))
         self._out_flags = np.zeros(capacity, dtype=np.int64)
         self._done: list[tuple[NDArray[np.float64], NDArray[np.int64]]] = []

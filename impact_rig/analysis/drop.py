@@ -24,18 +24,6 @@ class Restitution:
     drops: int = 0
 
 
-def restitution_of_drop(h0_m: float, h1_m: float, u_h0_m: float, u_h1_m: float) -> Restitution:
-    """Return e of one drop.
-
-    Args:
-        h0_m: height of the drop, above the height of contact.
-        h1_m: height of the rebound.
-        u_h0_m: standard uncertainty of h0.
-        u_h1_m: standard uncertainty of h1, independent of that.
-    """
-    return restitution_of_drops(np.array([h0_m]), np.array([h1_m]), u_h0_m, u_h1_m)
-
-
 def restitution_of_drops(h0_m: Real, h1_m: Real, u_h0_m: float, u_h1_m: float) -> Restitution:
     """Return the mean e of repeated drops; the uncertainty of the heights is independent from drop to drop.
 

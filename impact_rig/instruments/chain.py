@@ -76,11 +76,6 @@ class Chain:
         return self._next_scan
 
     @property
-    def acquired_ticks(self) -> int:
-        """How many ticks have been acquired since reset."""
-        return self._tick
-
-    @property
     def first_open_scan(self) -> int:
         """Index of the first scan of which no channel has been converted: where a fault can still start."""
         return max(channel.response.converted for channel in self._channels)
@@ -224,10 +219,6 @@ class Chain:
     def fault_numbers(self) -> tuple[int, ...]:
         """Return the numbers of the faults that act or will act, and of some that have ended."""
         return self._faults.numbers()
-
-    def active_faults(self) -> tuple[Fault, ...]:
-        """Return the faults that act on the next scan to be converted."""
-        return self._faults.active_now(self.first_open_scan)
 
     def fault_rows(self, first_scan: int, count: int) -> NDArray[np.void]:
         """Return starts and ends of faults in these scans, `blocks.FAULTS` rows; ask once per block, in order."""

@@ -153,10 +153,6 @@ class FaultBoard:
             active.end = min(active.end, max(scan, active.fault.start))
         self._faults = [active for active in self._faults if active.end > active.fault.start]
 
-    def active_now(self, scan: int) -> tuple[Fault, ...]:
-        """Return the faults that act on one scan."""
-        return tuple(active.fault for active in self._faults if active.fault.start <= scan < active.end)
-
     def on_cable(
         self, channel: str, volts: NDArray[np.float64], clipped: NDArray[np.bool_], first: int, gain: float, zero: float
     ) -> None:
@@ -234,4 +230,5 @@ class FaultBoard:
 
     def clock_ppm(self, scan: int) -> float:
         """Return by how much the scan clock is off at a scan because of faults [ppm]."""
-        return math.fsum(fault.value for fault in self.active_now(scan) if fault.kind == "clock_drift")
+        drifts = (active for active in self._faults if active.fault.kind == "clock_drift")
+        return math.fsum(active.fault.value for active in drifts if active.fault.start <= scan < active.end)

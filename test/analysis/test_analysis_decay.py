@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from impact_rig.analysis.decay import bent, fit_decay, log_decrement, measure_decay
-from impact_rig.analysis.drop import restitution_of_drop, restitution_of_drops
+from impact_rig.analysis.drop import restitution_of_drops
 from impact_rig.analysis.words import Status
 from impact_rig.blocks import SCAN
 
@@ -163,7 +163,7 @@ def test_nonsense_gets_a_name_and_no_number(method, y, status):
 
 @given(h0=st.floats(1e-3, 10.0), e=st.floats(0.01, 1.0), u=st.floats(0.0, 1e-4))
 def test_drop_test_closed_form(h0, e, u):
-    found = restitution_of_drop(h0, e**2 * h0, u, u)
+    found = restitution_of_drops(np.array([h0]), np.array([e**2 * h0]), u, u)
     assert found.restitution == pytest.approx(e)
     assert found.u_restitution == pytest.approx(e / 2 * np.hypot(u / h0, u / (e**2 * h0)), rel=1e-6, abs=1e-12)
 
@@ -193,7 +193,7 @@ def test_drop_test_uncertainty_covers_the_truth(drops):
     ],
 )
 def test_impossible_drops_are_named(h0, h1, u, status):
-    found = restitution_of_drop(h0, h1, u, u)
+    found = restitution_of_drops(np.array([h0]), np.array([h1]), u, u)
     assert found.status is status
     assert np.isnan(found.restitution)
 

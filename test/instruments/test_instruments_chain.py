@@ -118,7 +118,7 @@ def test_reset_starts_over():
     before = measured(chain, lively_motion(), 0.1)
     chain.inject(Fault(kind="dropout", channel="laser", start=chain.first_open_scan))
     chain.reset()
-    assert (chain.next_scan, chain.acquired_ticks, chain.ready) == (0, 0, 0)
+    assert (chain.next_scan, chain.first_open_scan, chain.ready) == (0, 0, 0)
     np.testing.assert_array_equal(measured(chain, lively_motion(), 0.1), before)
 
 
