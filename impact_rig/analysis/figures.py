@@ -1,4 +1,4 @@
-"""Figures of the report and the docs, one function each; matplotlib is imported when one is drawn."""
+"""Figures of what is measured in a run, one function each; matplotlib is imported when one is drawn."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 COVERAGE = 2.0
 """Error bars are this many standard uncertainties long, either way."""
 SIZE_INCH = (7.0, 4.5)
+SMOOTHED_SAMPLES = 11
 
 
 def transmissibility_curves(curves: Mapping[str, NDArray[np.void]]) -> Figure:
@@ -27,6 +28,8 @@ def transmissibility_curves(curves: Mapping[str, NDArray[np.void]]) -> Figure:
     Args:
         curves: label to rows of `transmissibility/table`; rows without numbers are left out.
     """
+    from matplotlib.ticker import LogFormatter  # noqa: PLC0415  # heavy: only when something is drawn
+
     figure, (upper, lower) = _axes(2)
     for label, rows in curves.items():
         sound = rows[np.isfinite(rows["transmissibility"])]
@@ -36,8 +39,10 @@ def transmissibility_curves(curves: Mapping[str, NDArray[np.void]]) -> Figure:
             bars = COVERAGE * factor * sound[f"{name}_uncertainty"]
             axis.errorbar(frequency, factor * sound[name], bars, marker="o", markersize=3.0, capsize=2.0, label=label)
     upper.set_yscale("log")
-    upper.set_ylabel("transmissibility |X₁|/|X_b|")
-    lower.set_ylabel("phase of x₁ to x_b (°)")
+    upper.yaxis.set_major_formatter("{x:g}")
+    upper.yaxis.set_minor_formatter(LogFormatter())  # labels where there is less than a decade
+    upper.set_ylabel("transmissibility $|X_1|/|X_b|$")
+    lower.set_ylabel("phase of $x_1$ to $x_b$ (°)")
     lower.set_xlabel("frequency (Hz)")
     if curves:
         upper.legend()
@@ -56,7 +61,7 @@ def time_traces(rows: NDArray[np.void], impact_times: Real | None = None) -> Fig
         axes,
         ("base", "laser", "accelerometer"),
         (1e3, 1e3, 1.0),
-        ("x_b (mm)", "x₁ (mm)", "a₁ (m/s²)"),
+        ("$x_b$ (mm)", "$x_1$ (mm)", "$a_1$ (m/s²)"),
         strict=True,
     ):
         axis.plot(rows["time"], factor * rows[name], linewidth=0.8)
@@ -67,17 +72,19 @@ def time_traces(rows: NDArray[np.void], impact_times: Real | None = None) -> Fig
     return figure
 
 
-def phase_plane(displacement: Real, rate_hz: float) -> Figure:
-    """Draw velocity over displacement; the velocity is the smoothed derivative of a cubic over 11 samples.
+def phase_plane(displacement: Real, rate_hz: float, smooth_s: float = 0.0) -> Figure:
+    """Draw velocity over displacement; the velocity is the derivative of a cubic fitted to the samples around.
 
     Args:
-        displacement: [m], shape (n,), n >= 11.
+        displacement: [m], shape (n,), n >= 11 and longer than `smooth_s`.
         rate_hz: samples per second.
+        smooth_s: span of the fit [s], at least 11 samples; what is faster is lost, with the noise.
     """
-    velocity = signal.savgol_filter(displacement, 11, 3, deriv=1, delta=1.0 / rate_hz)
+    samples = max(SMOOTHED_SAMPLES, 2 * round(smooth_s * rate_hz / 2.0) + 1)
+    velocity = signal.savgol_filter(displacement, samples, 3, deriv=1, delta=1.0 / rate_hz)
     figure, (axis,) = _axes(1)
     axis.plot(1e3 * displacement, velocity, linewidth=0.6)
-    axis.set_xlabel("x₁ (mm)")
+    axis.set_xlabel("$x_1$ (mm)")
     axis.set_ylabel("velocity (m/s)")
     return figure
 
@@ -94,8 +101,9 @@ def spectrum(y: Real, rate_hz: float, unit: str, drive_hz: float | None = None, 
     """
     frequency, power = signal.periodogram(y, rate_hz, window="flattop", scaling="spectrum", detrend="constant")
     end = upto_hz or rate_hz / 2.0
+    shown = frequency <= end  # only these choose the scale of the other axis
     figure, (axis,) = _axes(1)
-    axis.semilogy(frequency, np.sqrt(2.0 * power), linewidth=0.8)
+    axis.semilogy(frequency[shown], np.sqrt(2.0 * power[shown]), linewidth=0.8)
     if drive_hz is not None and drive_hz > 0.0:
         for harmonic in range(1, min(10, math.floor(end / drive_hz)) + 1):
             axis.axvline(harmonic * drive_hz, color="tab:gray", linewidth=0.5, linestyle="--")

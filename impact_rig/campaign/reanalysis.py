@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 
 import numpy as np
@@ -13,12 +14,12 @@ from impact_rig.analysis.settings import TrackerSettings
 from impact_rig.analysis.tables import read_settings
 from impact_rig.analysis.tracker import Findings, Tracker
 from impact_rig.blocks import TRANSMISSIBILITY, Table
-from impact_rig.errors import RecordingError
 from impact_rig.recording import Run
 
 _NEEDED = ("daq/info", "shaker/applied", "daq/scan")
 _NOTES = "notes"
 _SETTINGS = "analysis/settings"
+_TABLE = "transmissibility/table"
 
 
 def analyze(run: Run, settings: TrackerSettings | None = None) -> Iterator[Findings]:
@@ -66,14 +67,17 @@ def measurements(findings: Iterator[Findings]) -> list[Table]:
     return [table for found in findings for table in found.measurements]
 
 
-def same_as_live(run: Run, offline: list[Table]) -> bool:
-    """Return whether every measurement recorded live was found again, bit for bit, and in the same order."""
-    first = next(run.tables("daq/scan", recorded_order=True)).stamp_ns
-    try:
-        tables = run.tables("transmissibility/table", recorded_order=True)
-        live = [table for table in tables if table.stamp_ns >= first]  # older ones were handed to a late recorder
-    except RecordingError:
-        return not offline
+def same_as_live(run: Run, offline: list[Table]) -> bool | None:
+    """Return whether every measurement recorded live was found again, bit for bit, and in the same order.
+
+    None: no analysis was recorded, so there is nothing to compare with.
+    """
+    if not _has(run, _TABLE):
+        return None
+    scans = run.tables("daq/scan", recorded_order=True)
+    first_ns = min((scan.stamp_ns for scan in itertools.islice(scans, 1)), default=0)
+    tables = run.tables(_TABLE, recorded_order=True)
+    live = [table for table in tables if table.stamp_ns >= first_ns]  # older ones were handed to a late recorder
     shared = offline[: len(live)]  # a recorder that stops before the analysis misses its last words
     return len(live) <= len(offline) and all(
         a.stamp_ns == b.stamp_ns and a.rows.tobytes() == b.rows.astype(a.rows.dtype).tobytes()

@@ -9,7 +9,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table as TextTable
 
-from impact_rig.campaign import reanalysis
+from impact_rig.campaign import reanalysis, run_figures
 from impact_rig.campaign.verification import verify
 from impact_rig.recording import export, info, open_run, recover
 
@@ -30,6 +30,13 @@ def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.set_defaults(run=_export)
     parser = commands.add_parser("analyze", help="analyse a run again, as the live node did; says if the results agree")
     parser.add_argument("path", type=Path, metavar="RUN")
+    parser.add_argument(
+        "--figures",
+        type=Path,
+        metavar="DIR",
+        help="also draw its last settled measurement (time traces, phase plane, spectrum) and the curves it holds",
+    )
+    parser.add_argument("--format", choices=run_figures.FORMATS, default="png", help="of the figures (default: png)")
     parser.set_defaults(run=_analyze)
     parser = commands.add_parser("verify", help="re-simulate a run from its journal and compare every scan")
     parser.add_argument("path", type=Path, metavar="RUN")
@@ -79,8 +86,12 @@ def _export(arguments: argparse.Namespace) -> int:
 def _analyze(arguments: argparse.Namespace) -> int:
     console = Console()
     with open_run(arguments.path) as run:
-        found = reanalysis.measurements(reanalysis.analyze(run))
+        if arguments.figures is not None:
+            run_figures.prepare(arguments.figures, arguments.format)
+        findings = list(reanalysis.analyze(run))
+        found = reanalysis.measurements(iter(findings))
         same = reanalysis.same_as_live(run, found)
+        drawn = run_figures.draw(run, findings, arguments.figures, arguments.format) if arguments.figures else None
     table = TextTable()
     for heading in ("f [Hz]", "DT", "u(DT)", "phase [deg]", "gap [mm]", "impacts/cycle", "regime", "status"):
         table.add_column(heading, justify="right")
@@ -91,8 +102,16 @@ def _analyze(arguments: argparse.Namespace) -> int:
             row["regime"].decode(), row["status"].decode(),
         )  # fmt: skip
     console.print(table)
-    console.print("identical to the live results" if same else "[red]not identical to the live results[/red]")
-    return 0 if same else 1
+    if drawn is not None:
+        stretch, files = drawn
+        console.print(f"drawn: {stretch}", highlight=False)
+        for file in files:
+            console.print(f"wrote {file}", highlight=False, soft_wrap=True)
+    if same is None:
+        console.print("no live results are in this run: nothing to compare with")
+    else:
+        console.print("identical to the live results" if same else "[red]not identical to the live results[/red]")
+    return 1 if same is False else 0
 
 
 def _verify(arguments: argparse.Namespace) -> int:
