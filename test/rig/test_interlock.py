@@ -8,28 +8,22 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from rig_kit import TICK, paper_rig
 
-from impact_rig.config import RigConfig, from_flat
 from impact_rig.errors import CommandError, ConfigError
 from impact_rig.rig import Rig
 from impact_rig.rig.interlock import LOOKS_PER_TICK, largest
 from impact_rig.rig.journal import Kind, read
-from impact_rig.simtime import COMMAND_GRID_NS
 
-TICK = COMMAND_GRID_NS
 LOOK_S = 1e-2 / LOOKS_PER_TICK
 FINE_HZ = 50_000
 AT_RESONANCE = {"drive__frequency_hz": 9.105, "shaker__travel_limit_m": 1e-3}
 BELOW_IT = {"drive__frequency_hz": 8.0}  # where the table moves most
 
 
-def config(**values: object) -> RigConfig:
-    return from_flat(RigConfig(), {name.replace("__", "."): value for name, value in values.items()})
-
-
 def test_a_new_kind_of_drive_waits_for_the_reset_and_does_not_switch_the_interlock_off() -> None:
     """A bug once: the watch looked at the kind of drive of the next reset."""
-    rig = Rig(config(drive__frequency_hz=8.0, shaker__travel_limit_m=2e-3))
+    rig = Rig(paper_rig(drive__frequency_hz=8.0, shaker__travel_limit_m=2e-3))
     rig.configure({"drive.kind": "prescribed"})
     rig.command(current_a=5.0)
     rig.advance(200 * TICK)
@@ -38,15 +32,15 @@ def test_a_new_kind_of_drive_waits_for_the_reset_and_does_not_switch_the_interlo
 
 
 def test_an_initial_drive_that_the_shaker_refuses_is_refused_when_it_is_set() -> None:
-    rig = Rig(config())
+    rig = Rig(paper_rig())
     with pytest.raises(ConfigError, match=r"drive: current must be"):
         rig.configure({"drive.amplitude": 30.0})
-    assert rig.config == config()
+    assert rig.config == paper_rig()
 
 
 def test_a_reset_that_cannot_begin_changes_nothing() -> None:
     """A bug once: the new start was noted before the initial drive was refused, and time jumped."""
-    rig, twin = Rig(config(drive__amplitude=2.0)), Rig(config(drive__amplitude=2.0))
+    rig, twin = Rig(paper_rig(drive__amplitude=2.0)), Rig(paper_rig(drive__amplitude=2.0))
     for one in (rig, twin):
         one.advance(20 * TICK)
         one.configure({"shaker.current_limit_a_rms": 1.0})  # below what the next reset would begin with
@@ -70,7 +64,7 @@ def test_a_reset_that_cannot_begin_changes_nothing() -> None:
 )
 def test_over_travel_trips_within_a_block_of_the_true_travel_and_ramps_as_specified(chosen: dict) -> None:
     """Truth at 50 kS/s tells when the table passed its limit; the current then falls in a straight line in 0.1 s."""
-    rig = Rig(config(**chosen, daq__rate_hz=FINE_HZ, daq__block_scans=500, output__truth_scan=True))
+    rig = Rig(paper_rig(**chosen, daq__rate_hz=FINE_HZ, daq__block_scans=500, output__truth_scan=True))
     limit, blocks = rig.config.shaker.travel_limit_m, []
     while rig.latched is None and rig.frontier_ns < 1000 * TICK:
         blocks += rig.advance(rig.frontier_ns + TICK)
@@ -92,7 +86,7 @@ def test_over_travel_trips_within_a_block_of_the_true_travel_and_ramps_as_specif
 
 
 def test_a_trip_is_cleared_on_request_only_and_the_amplitude_stays_zero() -> None:
-    rig = Rig(config(**BELOW_IT, drive__amplitude=8.0))
+    rig = Rig(paper_rig(**BELOW_IT, drive__amplitude=8.0))
     rig.advance(300 * TICK)
     assert rig.latched is not None
     for refused in (lambda: rig.command(current_a=0.1), lambda: rig.command(frequency_hz=9.0), rig.reset):
@@ -111,7 +105,7 @@ def test_a_trip_is_cleared_on_request_only_and_the_amplitude_stays_zero() -> Non
 
 def test_the_largest_current_that_is_accepted_does_not_trip() -> None:
     """A bug once: the average of a sine ripples, and at the limit the ripple passed it."""
-    rig = Rig(config(drive__frequency_hz=5.0, shaker__travel_limit_m=1.0))
+    rig = Rig(paper_rig(drive__frequency_hz=5.0, shaker__travel_limit_m=1.0))
     rig.command(current_a=rig.config.shaker.current_limit_a_rms * math.sqrt(2.0))
     rig.advance(800 * TICK)
     assert rig.latched is None

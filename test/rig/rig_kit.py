@@ -1,0 +1,53 @@
+"""A rig that hits its walls soon, and what of its blocks can be compared bit for bit."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.lib.recfunctions import repack_fields
+
+from impact_rig.blocks import CHANNELS, Table
+from impact_rig.config import RigConfig, from_flat
+from impact_rig.rig import Block, resimulate
+from impact_rig.simtime import COMMAND_GRID_NS
+
+TICK = COMMAND_GRID_NS
+START_NS = 1_700_000_000_123_456_789
+
+
+def paper_rig(**values: object) -> RigConfig:
+    """The default rig with some values changed; keys with `__` for the point."""
+    return from_flat(RigConfig(), {name.replace("__", "."): value for name, value in values.items()})
+
+
+def config(**values: object) -> RigConfig:
+    """A rig that hits its walls within half a second: resonance, 2 mm gap; keys with `__` for the point."""
+    return paper_rig(**{"barriers__gap_m": 0.002, "drive__amplitude": 0.52, **values})
+
+
+def samples(blocks: list[Block]) -> np.ndarray:
+    """All scans of the blocks without their times, as bytes-comparable rows."""
+    rows = np.concatenate([block.scan.rows for block in blocks])
+    return repack_fields(rows[[*CHANNELS, "status"]])
+
+
+def impacts(blocks: list[Block]) -> np.ndarray:
+    """All true contacts, columns that do not depend on the block they were reported in."""
+    parts = [block.impacts.rows for block in blocks if block.impacts is not None]
+    rows = np.concatenate(parts)
+    return repack_fields(rows[[name for name in rows.dtype.names if name != "time"]])
+
+
+def same(one: np.ndarray, other: np.ndarray) -> bool:
+    """Bit for bit."""
+    return one.tobytes() == other.tobytes()
+
+
+def resimulated(blocks: list[Block], journal: Iterable[Table]) -> list[Block]:
+    """Return what the journal gives for these blocks; it must be them, scan by scan and stamp by stamp."""
+    copies = [copy for copy, _ in zip(resimulate(journal), blocks, strict=False)]
+    for copy, block in zip(copies, blocks, strict=True):
+        assert copy.scan.stamp_ns == block.scan.stamp_ns, f"block {block.number}"
+        assert same(copy.scan.rows, block.scan.rows), f"block {block.number}"
+    return copies
