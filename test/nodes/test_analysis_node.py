@@ -9,19 +9,20 @@ import pytest
 
 pytest.importorskip("rclpy", reason="no ROS 2 here")
 
-from nodes_support import host_rig, overrides
+from nodes_support import host_rig
 
 from impact_rig.analysis.labels import GapLabel, parse_label
 from impact_rig.analysis.tracker import Tracker
 from impact_rig.errors import ConfigError
 from impact_rig.nodes.analysis_node import AnalysisNode
 from impact_rig.testing import Client
+from impact_rig.testing.parameters import ros_parameters
 
 pytestmark = pytest.mark.ros
 
 
 def test_rows_are_those_of_the_tracker_bit_for_bit(client: Client) -> None:
-    client.host(AnalysisNode, parameter_overrides=overrides({"gap_m": 0.006}))
+    client.host(AnalysisNode, parameter_overrides=ros_parameters({"gap_m": 0.006}))
     host_rig(client, time__peers=["analysis", "client"])
     client.wait_active("rig", "analysis")
     names = ("daq/info", "shaker/applied", "transmissibility", "transmissibility/table", "impacts")

@@ -9,7 +9,7 @@ import pytest
 
 pytest.importorskip("rclpy", reason="no ROS 2 here")
 
-from nodes_support import host_rig, overrides
+from nodes_support import host_rig
 from rcl_interfaces.srv import DescribeParameters, ListParameters
 from std_msgs.msg import Float64, Header
 from std_srvs.srv import SetBool, Trigger
@@ -21,6 +21,7 @@ from impact_rig.nodes.rig_node import RigNode
 from impact_rig.nodes.services import Situation
 from impact_rig.nodes.stepped_sine_node import SteppedSineNode
 from impact_rig.testing import Client, isolated_domain
+from impact_rig.testing.parameters import ros_parameters
 
 pytestmark = pytest.mark.ros
 
@@ -73,7 +74,7 @@ def graph(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Client, di
     with isolated_domain() as domain_id, Client(domain_id) as client:
         nodes = {
             "analysis": client.host(AnalysisNode),
-            "recorder": client.host(RecorderNode, parameter_overrides=overrides({"directory": str(directory)})),
+            "recorder": client.host(RecorderNode, parameter_overrides=ros_parameters({"directory": str(directory)})),
             "stepped_sine": client.host(SteppedSineNode),
             "rig": host_rig(client, time__peers=["analysis", "recorder"], drive__amplitude=0.52),
         }

@@ -8,18 +8,19 @@ import pytest
 
 pytest.importorskip("rclpy", reason="no ROS 2 here")
 
-from nodes_support import host_rig, overrides
+from nodes_support import host_rig
 
 from impact_rig.campaign.verification import verify
 from impact_rig.nodes.recorder_node import RecorderNode
 from impact_rig.recording import open_run
 from impact_rig.testing import Client, ServiceFailedError, WaitTimeoutError
+from impact_rig.testing.parameters import ros_parameters
 
 pytestmark = pytest.mark.ros
 
 
 def test_a_recorded_trip_latches_until_cleared_and_verifies_bit_for_bit(client: Client, tmp_path: Path) -> None:
-    client.host(RecorderNode, parameter_overrides=overrides({"directory": str(tmp_path), "name": "run"}))
+    client.host(RecorderNode, parameter_overrides=ros_parameters({"directory": str(tmp_path), "name": "run"}))
     node = host_rig(client, time__peers=["recorder"], drive__frequency_hz=8.0)
     client.wait_active("rig", "recorder")
     client.wait_until(lambda: client.status("recorder").message == "recording", "the recorder")

@@ -10,7 +10,6 @@ import pytest
 pytest.importorskip("rclpy", reason="no ROS 2 here")
 
 from builtin_interfaces.msg import Time
-from nodes_support import overrides
 from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.msg import ParameterValue
 from rcl_interfaces.srv import DescribeParameters, SetParameters, SetParametersAtomically
@@ -27,6 +26,7 @@ from impact_rig.nodes.managed import ManagedNode
 from impact_rig.nodes.parameters import SectionSchema
 from impact_rig.nodes.process import EXECUTOR_VARIABLE
 from impact_rig.testing import Client, ServiceFailedError, isolated_domain
+from impact_rig.testing.parameters import ros_parameters
 
 pytestmark = pytest.mark.ros
 
@@ -119,7 +119,7 @@ def test_a_node_survives_invalid_transitions_and_can_be_restarted(user: Client) 
 
 
 def test_a_failed_configure_leaves_an_unconfigured_node_that_can_be_repaired(client: Client) -> None:
-    client.host(Small, parameter_overrides=overrides({"fails": True, "bugs": False}))
+    client.host(Small, parameter_overrides=ros_parameters({"fails": True, "bugs": False}))
     client.wait_until(lambda: "a part is missing" in client.status("small").message, "the reason")
     assert client.state("small") == "unconfigured"
     client.set_parameters("small", {"fails": False})
@@ -186,7 +186,7 @@ def test_descriptors_tell_unit_range_and_what_is_fixed(lasting: Client) -> None:
 
 @pytest.mark.parametrize("values", [{"speed_m_s": -1.0}, {"cuont": 1}, {"config_file": "/nowhere.yaml"}])
 def test_bad_values_at_start_refuse_to_configure(client: Client, values: dict[str, Any]) -> None:
-    client.host(Small, parameter_overrides=overrides(values))
+    client.host(Small, parameter_overrides=ros_parameters(values))
     (word,) = values
     client.wait_until(lambda: word in client.status("small").message, "the reason")
     assert client.state("small") == "unconfigured"
@@ -210,7 +210,7 @@ def test_a_parameter_of_a_type_that_does_not_exist_is_refused(user: Client) -> N
 
 def test_a_clock_before_1970_is_survived_by_a_node_in_simulated_time(user: Client) -> None:
     """A bug once: rclpy's own subscription to /clock raises, which ended the process."""
-    node = user.host(Small, parameter_overrides=overrides({"use_sim_time": True, "bugs": False}))
+    node = user.host(Small, parameter_overrides=ros_parameters({"use_sim_time": True, "bugs": False}))
     user.wait_active("small")
     user.publish(topics.CLOCK, Clock(clock=Time(sec=-5)))
     user.wait_until(lambda: node.refusals.counts["exception"] == 1, "the exception to be caught")

@@ -9,18 +9,19 @@ import yaml
 
 pytest.importorskip("rclpy", reason="no ROS 2 here")
 
-from nodes_support import host_rig, overrides
+from nodes_support import host_rig
 
 from impact_rig.nodes.recorder_node import RecorderNode
 from impact_rig.recording import open_run
 from impact_rig.testing import Client, ServiceFailedError
+from impact_rig.testing.parameters import ros_parameters
 
 pytestmark = pytest.mark.ros
 
 
 def host_recorder(client: Client, directory: Path, **values: object) -> RecorderNode:
     return client.host(
-        RecorderNode, parameter_overrides=overrides({"directory": str(directory), "name": "run", **values})
+        RecorderNode, parameter_overrides=ros_parameters({"directory": str(directory), "name": "run", **values})
     )
 
 

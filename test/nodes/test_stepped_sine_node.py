@@ -7,7 +7,7 @@ import pytest
 
 pytest.importorskip("rclpy", reason="no ROS 2 here")
 
-from nodes_support import host_rig, overrides
+from nodes_support import host_rig
 from std_srvs.srv import Trigger
 
 from impact_rig.config import RigConfig
@@ -16,6 +16,7 @@ from impact_rig.nodes.analysis_node import AnalysisNode
 from impact_rig.nodes.stepped_sine_node import SteppedSineNode
 from impact_rig.physics.closed_form import transmissibility
 from impact_rig.testing import Client, ServiceFailedError
+from impact_rig.testing.parameters import ros_parameters
 
 pytestmark = pytest.mark.ros
 
@@ -27,7 +28,7 @@ def sweeping(client: Client) -> Client:
     """A rig that runs as fast as its analysis, and a stepped-sine node."""
     client.host(AnalysisNode)
     values = {"frequencies_hz": FREQUENCIES_HZ, "direction": "up_down"}
-    client.host(SteppedSineNode, parameter_overrides=overrides(values))
+    client.host(SteppedSineNode, parameter_overrides=ros_parameters(values))
     host_rig(client, "freewheel", time__peers=["analysis"], sphere__present=False)
     client.wait_active("rig", "analysis", "stepped_sine")
     return client
@@ -89,7 +90,7 @@ def test_a_sweep_that_cannot_go_on_says_why_and_rests(sweeping: Client, cause: s
 
 
 def test_without_a_rig_nothing_begins(client: Client) -> None:
-    client.host(SteppedSineNode, parameter_overrides=overrides({"begin": True}))
+    client.host(SteppedSineNode, parameter_overrides=ros_parameters({"begin": True}))
     client.wait_active("stepped_sine")
     client.wait_until(lambda: "no rig listens" in status(client), "a reason")
     with pytest.raises(ServiceFailedError, match="no rig listens"):

@@ -1,0 +1,113 @@
+"""Commands and parameters through topics and services: taken in order, journaled, or refused and counted."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy", reason="no ROS 2 here")
+
+from nodes_support import host_rig, same_as_resimulated
+from std_msgs.msg import Float64
+
+from impact_rig.errors import ConfigError
+from impact_rig.nodes import topics
+from impact_rig.testing import Client, ServiceFailedError
+
+pytestmark = pytest.mark.ros
+
+
+def test_hostile_commands_are_refused_counted_and_change_nothing(client: Client) -> None:
+    node = host_rig(client)
+    client.wait_active("rig")
+    client.command(frequency_hz=9.1, current_a=0.3)
+    applied = client.collect("shaker/applied")
+    client.wait_until(lambda: len(applied) >= 3, "the rows so far")
+    bad = [math.nan, math.inf, -math.inf, 1e308, -1.0, 1e-300, 4.9, 200.1]
+    for value in bad:
+        client.publish(topics.FREQUENCY, Float64(data=value))
+    for value in (math.nan, -0.001, 30.0):
+        client.publish(topics.CURRENT, Float64(data=value))
+    client.wait_until(lambda: node.refusals.total() == len(bad) + 3, "all refusals")
+    assert node.refusals.counts == {"shaker/frequency": len(bad), "shaker/current": 3}
+    assert "200.1" in node.refusals.last["shaker/frequency"]
+    row = client.command(frequency_hz=9.2)
+    assert (row["frequency"], row["current"]) == (9.2, 0.3)
+    client.wait_until(lambda: len(applied) >= 4, "the row")
+    assert len(applied) == 4
+
+
+def test_commands_before_activation_are_refused_and_parameters_accepted(client: Client) -> None:
+    node = host_rig(client, output__autostart=False)
+    client.wait_until(lambda: client.state("rig") == "unconfigured", "the node")
+    client.publish(topics.CURRENT, Float64(data=0.1))
+    client.wait_until(lambda: node.refusals.counts["inactive"] == 1, "the refusal")
+    client.set_parameters("rig", {"barriers.gap_m": 0.008})
+    for service in ("reset", "stop", "clear_trip", "pluck", "step"):
+        with pytest.raises(ServiceFailedError, match="unconfigured"):
+            client.trigger(f"rig/{service}")
+    assert client.change_state("rig", "configure")
+    assert client.change_state("rig", "activate")
+    configuration = client.collect("rig/configuration")
+    client.wait_until(lambda: configuration.messages, "rig/configuration")
+    assert "gap_m: 0.008" in configuration.messages[0].data
+
+
+def test_a_flood_of_commands_leaves_order_and_a_whole_journal(client: Client) -> None:
+    """As fast as a client can publish: the queue keeps the newest, every accepted one is journaled."""
+    host_rig(client, "realtime")
+    client.wait_active("rig")
+    journal, scans = client.collect("rig/journal"), client.collect("daq/scan")
+    client.command(frequency_hz=10.0)
+    publisher = client._publishers["shaker/frequency"]
+    for k in range(3000):
+        publisher.publish(Float64(data=10.0 + k / 1000))
+        if k % 20 == 0:
+            client.executor.spin_once(timeout_sec=0.0)
+    client.wait_until(lambda: (newest := journal.last()) and newest.rows["value"][-1] == 12.999, "the last command")
+    client.pause()
+    values = journal.rows()["value"][1:]
+    assert np.all(np.diff(values) >= 0)
+    assert same_as_resimulated(scans, journal) > 0
+
+
+def test_a_parameter_changes_at_a_command_instant_and_is_journaled(client: Client) -> None:
+    host_rig(client)
+    client.wait_active("rig")
+    journal = client.collect("rig/journal")
+    client.step(7)
+    client.set_parameters("rig", {"barriers.gap_m": 0.004, "output.monitor_rate_hz": 20.0})
+    client.wait_until(lambda: len(journal) == 2, "the journal")
+    (row,) = journal.tables()[1].rows
+    assert (row["kind"], row["key"], row["value"], row["sample"]) == (b"parameter", b"barriers.gap_m", 0.004, 700)
+    with pytest.raises(ConfigError, match=r"barriers.gap_m must be > 0 and <= 1, got 6"):
+        client.set_parameters("rig", {"barriers.gap_m": 6, "contact.law": "hertz"})
+    assert client.get_parameters("rig", ["barriers.gap_m", "contact.law"]) == {
+        "barriers.gap_m": 0.004,
+        "contact.law": "flores",
+    }
+
+
+def test_over_travel_latches_with_an_error_until_cleared(client: Client) -> None:
+    host_rig(client, shaker__travel_limit_m=0.001)
+    client.wait_active("rig")
+    client.command(frequency_hz=8.0, current_a=5.0)
+    client.step(100)
+    client.wait_until(lambda: "latched by over_travel" in client.status("rig").message, "the diagnostic")
+    assert client.status("rig").level == b"\2"
+    client.trigger("rig/clear_trip")
+    row = client.command(current_a=0.1)
+    assert row["current"] == 0.1
+
+
+def test_pluck_uses_its_parameter(client: Client) -> None:
+    host_rig(client, pluck__displacement_m=0.003, output__truth_scan=True, sphere__present=False)
+    client.wait_active("rig")
+    truth = client.collect("truth/scan")
+    client.trigger("rig/pluck")
+    client.step(2)
+    client.wait_until(lambda: len(truth) == 2, "the truth")
+    assert truth.rows()["x_1"][0] == pytest.approx(0.003)
+    assert np.all(truth.rows()["x_b"] == 0)

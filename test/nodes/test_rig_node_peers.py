@@ -1,0 +1,91 @@
+"""The rig waits for those it is told to wait for, names who is silent, and lets nobody else hold it up."""
+
+from __future__ import annotations
+
+import pytest
+
+pytest.importorskip("rclpy", reason="no ROS 2 here")
+
+from nodes_support import TICK, host_rig
+from rclpy.qos import DurabilityPolicy
+from std_msgs.msg import Header
+
+from impact_rig.errors import ConfigError
+from impact_rig.nodes import topics
+from impact_rig.testing import Client, ServiceFailedError, WaitTimeoutError
+
+pytestmark = pytest.mark.ros
+
+
+def test_silent_peer_pauses_the_rig_by_name_until_told_to_go_on(client: Client) -> None:
+    host_rig(client, "freewheel", time__peers=["client"], time__peer_timeout_s=0.5, time__ack_window=4)
+    client.wait_active("rig")
+    scans = client.collect("daq/scan")  # listens, but never acknowledges
+    client.wait_until(lambda: "client silent for 0.5 s" in client.status("rig").message, "the diagnostic")
+    assert client.status("rig").level == b"\2"
+    assert len(scans) == 4, "no further than the window"
+    client.pause(False)
+    client.wait_until(lambda: len(scans) == 8, "the next window")
+    with pytest.raises(ConfigError, match="peers must name who follows in freewheel"):
+        client.set_parameters("rig", {"time.peers": [""]})
+
+
+def test_freewheel_waits_for_peers_that_are_not_there_yet(client: Client) -> None:
+    host_rig(client, "freewheel", time__peers=["client", "absent"])
+    client.wait_active("rig")
+    client.wait_until(lambda: "waiting for peer" in client.status("rig").message, "the diagnostic")
+    assert "absent" in client.status("rig").message
+    client.set_parameters("rig", {"time.peers": ["client"]})
+    scans = client.collect("daq/scan", acknowledge=True)
+    client.wait_until(lambda: len(scans) > 20, "blocks")
+    assert scans.tables()[0].stamp_ns == 0, "the first block was not lost to the late peer"
+
+
+def test_senseless_acknowledgements_are_counted_and_harmless(client: Client) -> None:
+    node = host_rig(client, time__peers=["client"])
+    client.wait_active("rig")
+    scans = client.collect("daq/scan", acknowledge=True)
+    client.step(2)
+    for stamp in (10**15, 2 * TICK):
+        header = Header(frame_id="client")
+        header.stamp.sec, header.stamp.nanosec = divmod(stamp, 10**9)
+        client.publish(topics.ACK, header)
+    client.publish(topics.ACK, Header(frame_id="nobody"))
+    client.wait_until(lambda: node.refusals.counts["daq/ack"] == 2, "the refusals")
+    client.step(2)
+    assert len(scans) == 4
+
+
+def test_a_step_waits_for_the_slowest_peer(client: Client) -> None:
+    host_rig(client, time__peers=["client"])
+    client.wait_active("rig")
+    scans = client.collect("daq/scan")
+    with pytest.raises(WaitTimeoutError, match="rig/step"):
+        client.trigger("rig/step", timeout_s=0.5)
+    assert len(scans) == 1
+
+
+def test_a_reader_that_cannot_match_holds_nobody_up(client: Client) -> None:
+    """It asks for history that daq/scan does not offer; the peer is there all the same."""
+    profile = topics.SCAN.qos.profile()
+    profile.durability = DurabilityPolicy.TRANSIENT_LOCAL
+    client.node.create_subscription(topics.SCAN.message_type(), topics.SCAN.name, lambda _: None, profile)
+    host_rig(client, time__peers=["client"])
+    client.wait_active("rig")
+    scans = client.collect("daq/scan", acknowledge=True)
+    client.step(3)
+    assert len(scans) == 3
+
+
+def test_a_step_without_its_peer_is_refused_by_name(client: Client) -> None:
+    host_rig(client, time__peers=["nobody"], time__peer_timeout_s=0.3)
+    client.wait_active("rig")
+    with pytest.raises(ServiceFailedError, match="peer nobody is not there"):
+        client.step(1)
+    client.wait_until(lambda: client.status("rig").level == b"\x02", "an error in the diagnostics")
+    assert "waiting for peer nobody" in client.status("rig").message
+
+
+def test_freewheel_without_anybody_to_follow_is_refused(client: Client) -> None:
+    rig = host_rig(client, mode="freewheel")
+    assert "peers must name who follows in freewheel" in str(rig.parameters.refused)

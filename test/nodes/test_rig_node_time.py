@@ -1,0 +1,147 @@
+"""How rig time runs: the modes give the same bits, a pause holds it, a step answers when all is done."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy", reason="no ROS 2 here")
+
+from nodes_support import DRIVEN, TICK, dotted, host_rig, same_as_resimulated
+from std_srvs.srv import SetBool
+
+from impact_rig.config import RigConfig, from_flat
+from impact_rig.nodes.stamps import nanoseconds
+from impact_rig.rig import Rig
+from impact_rig.testing import Client, ServiceFailedError
+
+pytestmark = pytest.mark.ros
+
+
+def test_stepped_publishes_exactly_what_the_rig_computes(client: Client) -> None:
+    host_rig(client, time__peers=["client"], **DRIVEN)
+    client.wait_active("rig")
+    scans = client.collect("daq/scan", acknowledge=True)
+    client.step(13)
+    row = client.command(frequency_hz=9.05)
+    client.step(20)
+
+    rig = Rig(from_flat(RigConfig(), dotted(DRIVEN)))
+    blocks = rig.advance(13 * TICK)
+    expected = rig.command(frequency_hz=9.05).rows[0]
+    blocks += rig.advance(33 * TICK)
+    assert row == expected
+    assert scans.lost() == 0
+    assert len(scans) == 33, "the reply came after the last block was out and acknowledged"
+    for table, block in zip(scans.tables(), blocks, strict=True):
+        assert table.stamp_ns == block.scan.stamp_ns
+        assert table.rows.tobytes() == block.scan.rows.tobytes()
+
+
+@pytest.mark.parametrize("mode", ["realtime", "freewheel"])
+def test_other_modes_give_the_same_bits_for_the_same_journal(client: Client, mode: str) -> None:
+    """Commands arrive whenever they arrive; the journal says where they acted."""
+    host_rig(client, mode, time__peers=["client"], daq__seed=3, barriers__gap_m=0.002)
+    client.wait_active("rig")
+    journal = client.collect("rig/journal")
+    scans = client.collect("daq/scan", acknowledge=True)
+    client.command(frequency_hz=9.1, current_a=0.52)
+    client.wait_until(lambda: len(scans) > 20, "20 blocks")
+    client.command(frequency_hz=9.0)
+    client.set_parameters("rig", {"barriers.gap_m": 0.004, "contact.law": "hertz"})
+    client.wait_until(lambda: len(scans) > 40, "40 blocks")
+    client.trigger("rig/stop")
+    client.wait_until(lambda: len(scans) > 60, "60 blocks")
+    client.pause()
+    client.wait_until(lambda: b"stop" in journal.rows()["kind"], "the whole journal")
+    assert scans.lost() == 0
+    stamps = [table.stamp_ns for table in scans.tables()]
+    assert set(np.diff(stamps)) == {TICK}
+    assert same_as_resimulated(scans, journal) > 60
+
+
+def test_pause_holds_rig_time(client: Client) -> None:
+    host_rig(client, "freewheel", time__peers=["client"])
+    client.wait_active("rig")
+    scans = client.collect("daq/scan", acknowledge=True)
+    client.pause(True)
+    client.wait_until(lambda: client.status("rig").message == "paused", "the diagnostic")
+    before = len(scans)
+    client.command(current_a=0.1)  # takes several turns of the executor
+    assert len(scans) == before
+    client.pause(False)
+    client.wait_until(lambda: len(scans) > before, "rig time to go on")
+
+
+def test_a_pause_is_answered_when_everything_out_was_processed(client: Client) -> None:
+    """So that what is done next (a reset, a new recording) has no blocks of the past on the way."""
+    node = host_rig(client, "freewheel", time__peers=["client"])
+    client.wait_active("rig")
+    scans = client.collect("daq/scan", acknowledge=True)
+    client.wait_until(lambda: len(scans) > 30, "blocks")
+    client.pause()
+    published, received = node._figures.blocks, len(scans)
+    assert received == published
+    client.trigger("rig/reset")
+    client.pause(False)
+    client.wait_until(lambda: len(scans) > received, "blocks after the reset")
+
+
+def test_services_do_not_answer_success_twice(client: Client) -> None:
+    """A pause is a state, not a toggle."""
+    host_rig(client)
+    client.wait_active("rig")
+    for _ in range(2):
+        response = client.call(SetBool, "rig/pause", SetBool.Request(data=True))
+        assert response.success
+    with pytest.raises(ServiceFailedError, match="paused"):
+        client.trigger("rig/step")
+
+
+def test_step_refuses_in_the_wrong_mode_and_answers_when_deactivated(client: Client) -> None:
+    host_rig(client, "realtime")
+    client.wait_active("rig")
+    with pytest.raises(ServiceFailedError, match=r"time\.mode must be stepped"):
+        client.trigger("rig/step")
+    assert client.change_state("rig", "deactivate")
+    with pytest.raises(ServiceFailedError, match="inactive"):
+        client.trigger("rig/step")
+
+
+@pytest.mark.parametrize(("mode", "published"), [("stepped", True), ("realtime", False)])
+def test_the_clock_runs_when_rig_time_is_not_real_time(client: Client, mode: str, published: bool) -> None:
+    host_rig(client, mode)
+    client.wait_active("rig")
+    clock, scans = client.collect("/clock"), client.collect("daq/scan")
+    if mode == "stepped":
+        client.step(5)
+    client.wait_until(lambda: len(scans) >= 5, "blocks")
+    assert bool(clock.messages) == published
+    if published:
+        client.wait_until(lambda: nanoseconds(clock.messages[-1].clock) == 5 * TICK, "the end of the last block")
+
+
+def test_a_rig_slower_than_real_time_says_so_and_still_answers(client: Client) -> None:
+    """A hundred thousand lossless bounces a second: legal; at 200 times real time too much for any machine."""
+    host_rig(
+        client, "realtime", drive__amplitude=0.52, time__factor=200.0,
+        contact__law="restitution", contact__restitution=1.0, barriers__gap_m=1e-7,
+    )  # fmt: skip
+    client.wait_active("rig")
+    client.wait_until(lambda: "could not keep real time" in client.status("rig").message, "the diagnostic")
+    begin = time.monotonic()
+    for _ in range(2):
+        client.trigger("rig/clear_trip")
+    assert time.monotonic() - begin < 4.0
+
+
+def test_going_on_while_running_gives_up_no_time(client: Client) -> None:
+    rig = host_rig(client, mode="realtime")
+    client.wait_active("rig")
+    before = rig._pacer.wait_ns(0) + time.monotonic_ns()
+    for _ in range(5):
+        client.pause(False)
+    after = rig._pacer.wait_ns(0) + time.monotonic_ns()
+    assert after == pytest.approx(before, abs=1_000_000), "scan 0 is due when it was due"
