@@ -14,8 +14,8 @@ EXIT_ERROR = 1
 EXIT_INTERRUPTED = 130
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run `impact-rig` and return the exit code."""
+def command_line() -> argparse.ArgumentParser:
+    """Return the parser of all subcommands."""
     parser = argparse.ArgumentParser(
         prog="impact-rig", description="The test rig of an impact damper as virtual hardware."
     )
@@ -23,7 +23,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     for module in (check, demo, campaign, report, runs, replay, identify):
         module.add_commands(commands)
-    chosen = parser.parse_args(arguments)
+    return parser
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run `impact-rig` and return the exit code."""
+    chosen = command_line().parse_args(arguments)
     try:
         result: int = chosen.run(chosen)
     except ImpactRigError as error:

@@ -1,0 +1,122 @@
+"""README and docs hold: every code block is run or says why not, every command, path and link in them exists."""
+
+from __future__ import annotations
+
+import re
+import runpy
+import subprocess
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("markdown_it", reason="comes with rich, except with Ubuntu's")
+
+from impact_rig.campaign.paper import FREQUENCY_HZ, REDUCTION_PERCENT
+from impact_rig.campaign.plan import load_campaign
+from impact_rig.config import RigConfig, dump, load
+from impact_rig.physics.closed_form import transmissibility
+from impact_rig.physics.restitution import realised
+
+ROOT = Path(__file__).parents[1]
+TOOL = runpy.run_path(str(ROOT / "tools" / "check_docs.py"))
+BLOCKS = [block for page in TOOL["pages"]().values() for block in page.blocks]
+OURS = [block for block in BLOCKS if block.owner == "test/test_docs.py"]
+
+
+def by_place(block):
+    return f"{block.page}:{block.line}"
+
+
+def test_nothing_is_wrong_in_any_page():
+    found = [fault for page in TOOL["pages"]().values() for fault in TOOL["faults"](page)]
+    assert found == []
+    assert len(BLOCKS) > 40
+    assert {"README.md", "CONTRIBUTING.md", "docs/interface.md", "examples/README.md"} <= TOOL["pages"]().keys()
+
+
+def test_a_test_that_runs_a_page_reads_it():
+    for (page, _), owner in TOOL["RUN_BY"].items():
+        text = (ROOT / owner).read_text(encoding="utf-8")
+        assert Path(page).name in text or f'"{Path(page).parent}"' in text, owner
+
+
+@pytest.mark.parametrize(
+    ("text", "fault"),
+    [
+        ("    make test\n", "1: a code block without a language"),
+        ("\n```ruby\nputs 1\n```\n", "2: nobody runs this block of 'ruby'"),
+        ("```python not run: \nx\n```\n", "nobody runs this block"),
+        ("```sh\nimpact-rig analyse RUN\n```\n", "impact-rig analyse RUN: no such subcommand"),
+        ("```sh\nmake lint && impact-rig info\n```\n", "impact-rig info: the following arguments are required: RUN"),
+        ("```sh\ncurl x\n```\n", "curl is no program that can be checked"),
+        ("```sh not run: so\nFOO=1 make tset  # x\n```\n", "make tset: the Makefile has no target tset"),
+        ("`impact-rig info RUN --figure x`", "unrecognized arguments: --figure x"),
+        ("`impact-rig replay --rate fast`", "argument --rate"),
+        ("| a |\n|---|\n| `make test ARGSS=-k` |\n", "the Makefile has no variable ARGSS"),
+        ("`python -m impact_rig.nodes.interfaces`", "there is no module impact_rig.nodes.interfaces"),
+        ("`python tools/sock.py`", "there is no tools/sock.py"),
+        ("`pytest --rig-golden`", "the plugin has no --rig-golden"),
+        ("`ros2 run impact_rig rig`", "setup.py has no program rig"),
+        ("`ros2 run impact_rig impact-rig inform x`", "no such subcommand"),
+        ("`ros2 launch impact_rig rig.launch.py modus:=x`", "rig.launch.py has no argument modus"),
+        ("`ros2 topic echo /rig/transmissibilities`", "docs/interface.md has no topic transmissibilities"),
+        ("`ros2 param set /rig/rig barriers.gap 1`", "docs/interface.md has no parameter barriers.gap"),
+        ("in `test/test_nothing.py`", "there is no test/test_nothing.py"),
+        ("in `config/none/`", "there is no config/none/"),
+        ("[x](none.md)", "there is no none.md"),
+        ("[x](physics.md#nothing)", "physics.md has no heading #nothing"),
+    ],
+)  # fmt: skip
+def test_what_is_wrong_is_named(text, fault):
+    (found,) = TOOL["faults"](TOOL["Page"].parse("docs/page.md", text))
+    assert found.startswith("docs/page.md:")
+    assert fault in found
+
+
+def test_what_is_right_is_not():
+    text = (
+        "```sh\nmake bench ONLY=physics; make  # all\n```\n\n`build/bench.json`, `test_codec.py`, `impact-rig recover`, "
+        "`rig/start`, `analysis/settings`, `impact-rig campaign FILE`, `~/stop`, [x](physics.md#numerics)\n"
+    )
+    assert list(TOOL["faults"](TOOL["Page"].parse("docs/page.md", text))) == []
+
+
+@pytest.mark.parametrize("block", [block for block in BLOCKS if block.language == "sh"], ids=by_place)
+def test_shell_is_shell(block):
+    done = subprocess.run(["bash", "-n"], input=block.content, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize("block", [block for block in OURS if block.language == "python"], ids=by_place)
+def test_python_runs(block, monkeypatch):
+    monkeypatch.chdir(ROOT)
+    names = {}
+    exec(compile(block.content, by_place(block), "exec"), names)
+    if block.info == "title=physics/contact/my_law.py":
+        law = names["MyLaw"](restitution=0.35)
+        assert f"Returns {realised(law.hysteresis_factor()):.3f} for e = 0.35" in block.content
+
+
+@pytest.mark.parametrize("block", [block for block in OURS if block.language == "yaml"], ids=by_place)
+def test_yaml_is_accepted(block, tmp_path):
+    file = tmp_path / "mine.yaml"
+    file.write_text(block.content, encoding="utf-8")
+    if block.page == "docs/campaign.md":
+        (tmp_path / "rig.yaml").write_text(dump(RigConfig()), encoding="utf-8")
+        assert load_campaign(file).base.daq.rate_hz == 20_000
+    else:
+        assert len(load(file).instruments.faults.planned) == 2
+
+
+def test_the_table_of_the_readme_is_right_in_itself():
+    """The paper's numbers, the closed form, and the reductions that follow from the transmissibilities shown."""
+    (block,) = (block for block in BLOCKS if block.page == "README.md" and block.language == "text")
+    without = re.search(r"none +([\d.]+) +closed form ([\d.]+)", block.content)
+    assert without is not None
+    expected = f"{abs(transmissibility(RigConfig(), FREQUENCY_HZ)):.2f}"
+    assert without.groups() == (expected, expected)
+    rows = [[float(word) for word in line.split()] for line in block.content.splitlines()[3:]]
+    assert {row[0] / 1e3: row[3] for row in rows} == REDUCTION_PERCENT
+    for _, dt, ours, paper, difference in rows:
+        assert ours == pytest.approx(100.0 * (1.0 - dt / float(expected)), abs=0.06)
+        assert difference == pytest.approx(ours - paper, abs=0.11)

@@ -1,0 +1,273 @@
+"""Hold README and docs against the repository: `python tools/check_docs.py` names every line that is wrong.
+
+Every code block has an owner, known by its page and the words behind its fence:
+
+- a test that runs it (`RUN_BY`);
+- `test/test_docs.py`, which runs the Python and reads the YAML of all other pages;
+- this script, for `sh`: each command goes through the program's own parser, and none is there that it does not know;
+- nobody, for a reason that stands behind its language: `sh not run: needs an apt-installed Jazzy`.
+
+Blocks of `text` are formulas, trees and output. Commands, paths and links are checked in running text, too.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import re
+import shlex
+import sys
+from collections.abc import Callable, Iterator
+from functools import cache
+from pathlib import Path
+
+import attrs
+from markdown_it import MarkdownIt
+
+from impact_rig.cli.main import command_line
+
+ROOT = Path(__file__).parents[1]
+RUN_BY = {
+    ("docs/analysis.md", "python"): "test/analysis/test_analysis_guide.py",
+    ("docs/recording.md", "python"): "test/recording/test_recording_guide.py",
+    ("docs/recording.md", "python notebook"): "test/recording/test_recording_guide.py",
+    ("docs/testing.md", "python title"): "test/testing/test_testing_guide.py",
+    ("docs/testing.md", "sh"): "test/testing/test_testing_guide.py",
+    ("docs/testing.md", "sh fails"): "test/testing/test_testing_guide.py",
+    ("examples/README.md", "sh"): "test/testing/test_examples.py",
+}
+RUN_BY_TEST_DOCS = {"python", "python title", "yaml"}
+NOT_RUN = "not run: "
+MADE = {"build", "install", "log", "runs", "failed_runs"}
+"""Folders that a checkout may have and the repository has not."""
+NO_PATHS = {"impact_rig/topic"}  # a record's name
+_PATH = re.compile(r"[\w.-]+(?:/[\w.-]+)*/?")
+_ENDINGS = (".py", ".md", ".yaml", ".xml", ".json", ".toml", ".txt", ".rst", ".sh", ".c")
+
+
+@attrs.frozen
+class Block:
+    """A code block: what stands behind its fence, split at the first blank, and what is in it."""
+
+    page: str
+    line: int
+    language: str
+    info: str
+    content: str
+
+    @property
+    def kind(self) -> str:
+        """Language and the first word behind it, a title without its value."""
+        return f"{self.language} {self.info.partition('=')[0]}".strip()
+
+    @property
+    def owner(self) -> str | None:
+        """Who runs it, or why nobody does; None: that is not known."""
+        if self.info.startswith(NOT_RUN):
+            return self.info if len(self.info) > len(NOT_RUN) else None
+        if (self.page, self.kind) in RUN_BY:
+            return RUN_BY[self.page, self.kind]
+        if self.kind in RUN_BY_TEST_DOCS:
+            return "test/test_docs.py"
+        return "tools/check_docs.py" if self.kind in {"sh", "text"} else None
+
+
+@attrs.frozen
+class Page:
+    """What is in a page: code blocks, pieces of code in running text, links, and anchors of its headings."""
+
+    name: str
+    blocks: tuple[Block, ...]
+    words: tuple[tuple[int, str], ...]
+    links: tuple[tuple[int, str], ...]
+    anchors: frozenset[str]
+
+    @classmethod
+    def parse(cls, name: str, text: str) -> Page:
+        """Read Markdown."""
+        blocks, words, links, anchors, line, heading = [], [], [], set(), 0, False
+        for token in MarkdownIt("commonmark").enable("table").parse(text):
+            line = token.map[0] + 1 if token.map else line
+            if token.type in {"fence", "code_block"}:
+                language, _, info = token.info.partition(" ")
+                blocks.append(Block(name, line, language, info, token.content))
+            elif token.type == "inline":
+                if heading:
+                    anchors.add(re.sub(r"[^\w\- ]", "", token.content.lower()).replace(" ", "-"))
+                for child in token.children or ():
+                    if child.type == "code_inline":
+                        words.append((line, child.content))
+                    elif child.type in {"link_open", "image"}:
+                        links.append((line, str(child.attrs.get("href") or child.attrs.get("src"))))
+            heading = token.type == "heading_open"
+        return cls(name, tuple(blocks), tuple(words), tuple(links), frozenset(anchors))
+
+
+@cache
+def pages() -> dict[str, Page]:
+    """Return every page by its name."""
+    found = [*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), *ROOT.glob("examples/*.md"), *ROOT.glob("test/**/*.md")]
+    texts = {path.relative_to(ROOT).as_posix(): path.read_text(encoding="utf-8") for path in sorted(found)}
+    return {name: Page.parse(name, text) for name, text in texts.items()}
+
+
+def faults(page: Page) -> Iterator[str]:
+    """Yield what is wrong in a page."""
+    for block in page.blocks:
+        where = f"{page.name}:{block.line}"
+        if not block.language:
+            yield f"{where}: a code block without a language"
+        elif block.owner is None:
+            yield f"{where}: nobody runs this block of {block.kind!r}, and no reason is given"
+        elif block.owner.startswith("test/") and not (ROOT / block.owner).exists():
+            yield f"{where}: {block.owner}, which runs it, is not there"
+        if block.language == "sh":
+            for command in commands(block.content):
+                known = command[0] in PROGRAMS
+                if not known and not block.info.startswith(NOT_RUN):
+                    yield f"{where}: {command[0]} is no program that can be checked"
+                yield from (f"{where}: {fault}" for fault in command_faults(command, whole=True))
+    titles = {block.info.removeprefix("title=") for block in page.blocks}
+    for line, text in page.words:
+        where = f"{page.name}:{line}"
+        for command in commands(text) if text.split(" ")[0] in PROGRAMS or "=" in text.split(" ")[0] else ():
+            yield from (f"{where}: {fault}" for fault in command_faults(command, whole=False))
+        if is_path(text) and text not in titles and not exists(text):
+            yield f"{where}: there is no {text}"
+    for line, link in page.links:
+        target, _, anchor = link.partition("#")
+        if "://" in link or link.startswith("mailto:"):
+            continue
+        path = (ROOT / page.name).parent / target if target else ROOT / page.name
+        if not path.exists():
+            yield f"{page.name}:{line}: there is no {link}"
+        elif anchor and anchor not in pages()[path.resolve().relative_to(ROOT).as_posix()].anchors:
+            yield f"{page.name}:{line}: {target or page.name} has no heading #{anchor}"
+
+
+# --- Paths ------------------------------------------------------------------------------------------------------------
+@cache
+def files() -> tuple[str, ...]:
+    """Return every file of the repository, relative to it."""
+    folders = [path for path in ROOT.iterdir() if path.is_dir() and path.name not in MADE and path.name[0] != "."]
+    found = [*(path for folder in folders for path in folder.rglob("*")), *ROOT.iterdir()]
+    return tuple(path.relative_to(ROOT).as_posix() for path in found if path.is_file())
+
+
+def is_path(text: str) -> bool:
+    """Whether a word claims to be a file or folder of the repository."""
+    if text in NO_PATHS or not _PATH.fullmatch(text):
+        return False
+    top, slash, _ = text.partition("/")
+    below = bool(slash) and top not in MADE and any(name.startswith(f"{top}/") for name in files())
+    return below or text.endswith((".py", ".md")) or (bool(slash) and top not in MADE and text.endswith(_ENDINGS))
+
+
+def exists(text: str) -> bool:
+    """Whether there is such a file or folder; `nodes/topics.py` may stand for `impact_rig/nodes/topics.py`."""
+    return (ROOT / text).exists() or any(name.endswith(f"/{text}") for name in files())
+
+
+# --- Commands ---------------------------------------------------------------------------------------------------------
+def commands(text: str) -> Iterator[list[str]]:
+    """Yield the words of each command in lines of shell, without assignments in front and words of loops."""
+    for line in text.replace("\\\n", " ").splitlines():
+        words: list[str] = []
+        lexer = shlex.shlex(line, posix=True, punctuation_chars=";&|")
+        lexer.whitespace_split = True
+        for word in (*lexer, ";"):
+            if set(word) <= set(";&|"):
+                if words and words[0] not in {"for", "done"}:
+                    yield words
+                words = []
+            elif words or not re.fullmatch(r"\w+=.*|do|export|sudo", word):
+                words.append(word)
+
+
+def command_faults(words: list[str], *, whole: bool) -> Iterator[str]:
+    """Yield what is wrong with a command; one in running text need not be `whole`."""
+    check = PROGRAMS.get(words[0])
+    try:
+        fault = check(words[1:], whole) if check else None
+    except argparse.ArgumentError as error:
+        fault = str(error)
+    if fault:
+        yield f"{shlex.join(words)}: {fault}"
+
+
+def _impact_rig(words: list[str], whole: bool) -> str | None:
+    parser = command_line()
+    choices = next(action.choices for action in parser._actions if isinstance(action.choices, dict))
+    if words[:1] in (["--help"], ["--version"]):
+        return None
+    if not words or words[0] not in choices:
+        return "no such subcommand"
+    chosen: argparse.ArgumentParser = choices[words[0]]
+    said: list[str] = []
+    chosen.error = said.append  # instead of ending this process
+    unknown = chosen.parse_known_args(words[1:])[1]
+    said += [f"unrecognized arguments: {' '.join(unknown)}"] if unknown else []
+    return next((text for text in said if whole or "are required" not in text), None)
+
+
+def _make(words: list[str], _: bool) -> str | None:
+    makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
+    for word in words:
+        variable = re.match(r"[A-Z]+(?==)", word)
+        if variable and f"$({variable[0]})" not in makefile:
+            return f"the Makefile has no variable {variable[0]}"
+        if not variable and word != "…" and not re.search(rf"^{re.escape(word)}:.*##", makefile, re.MULTILINE):
+            return f"the Makefile has no target {word}"
+    return None
+
+
+def _python(words: list[str], _: bool) -> str | None:
+    if words[:1] == ["-m"]:
+        return None if importlib.util.find_spec(words[1]) else f"there is no module {words[1]}"
+    return None if exists(words[0]) else f"there is no {words[0]}"
+
+
+def _pytest(words: list[str], _: bool) -> str | None:
+    plugin = (ROOT / "impact_rig" / "testing" / "plugin.py").read_text(encoding="utf-8")
+    unknown = [word for word in words if word.startswith("--rig") and f'"{word}"' not in plugin]
+    return f"the plugin has no {unknown[0]}" if unknown else None
+
+
+def _ros2(words: list[str], whole: bool) -> str | None:
+    if words[:2] == ["run", "impact_rig"]:
+        if f'"{words[2]} = ' not in (ROOT / "setup.py").read_text(encoding="utf-8"):
+            return f"setup.py has no program {words[2]}"
+        return _impact_rig(words[3:], whole) if words[2] == "impact-rig" else None
+    if words[:2] == ["launch", "impact_rig"]:
+        file = ROOT / "launch" / words[2]
+        if not file.exists():
+            return f"there is no launch file {words[2]}"
+        declared = re.findall(r'DeclareLaunchArgument\(\s*"(\w+)"', file.read_text(encoding="utf-8"))
+        given = [word.partition(":=")[0] for word in words[3:] if ":=" in word]
+        return next((f"{file.name} has no argument {name}" for name in given if name not in declared), None)
+    interface = (ROOT / "docs" / "interface.md").read_text(encoding="utf-8")  # itself held against the code by a test
+    if words[0] in {"topic", "service"}:
+        for name in (word.removeprefix("/rig/") for word in words if word.startswith("/rig/")):
+            if f"`{name}`" not in interface:
+                return f"docs/interface.md has no {words[0]} {name}"
+    if words[:2] == ["param", "set"] and f"`{words[3]}`" not in interface:
+        return f"docs/interface.md has no parameter {words[3]}"
+    return None
+
+
+PROGRAMS: dict[str, Callable[[list[str], bool], str | None]] = {
+    "impact-rig": _impact_rig, "make": _make, "python": _python, "pytest": _pytest, "ros2": _ros2,
+}  # fmt: skip
+
+
+def main() -> int:
+    """Print every fault and return the exit code."""
+    found = [fault for page in pages().values() for fault in faults(page)]
+    blocks = [block for page in pages().values() for block in page.blocks]
+    sys.stdout.write("".join(f"{fault}\n" for fault in found))
+    sys.stdout.write(f"{len(pages())} pages, {len(blocks)} code blocks, {len(found)} faults\n")
+    return 1 if found else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
