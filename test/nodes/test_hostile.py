@@ -1,49 +1,38 @@
 """Hostile input from another process: nothing crashes or hangs, refusals are explained and counted, signals finite.
 
-A short slice by default; IMPACT_RIG_HOSTILE=2000 draws that many cases of each kind. The rig, the analysis and the
-recorder are processes of their own, this process is the attacker. Bugs that were found have tests of their own below.
+The rig, the analysis and the recorder are processes of their own, this process is the attacker.
 """
 
 from __future__ import annotations
 
 import math
-import os
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
-import numpy as np
 import pytest
 
 pytest.importorskip("rclpy", reason="no ROS 2 here")
 
-from hypothesis import HealthCheck, example, given, settings
+from hostile_kit import CASES, FIELDS, Attacked, cases, texts
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from rcl_interfaces.msg import Parameter, ParameterValue
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
-from rclpy.lifecycle import TransitionCallbackReturn
-from rclpy.parameter import Parameter as StartValue
 from std_msgs.msg import Float64, Header
 from std_srvs.srv import SetBool, Trigger
 
-from impact_rig import config
 from impact_rig.config import RigConfig, from_flat
 from impact_rig.errors import ConfigError
 from impact_rig.nodes import services, topics
-from impact_rig.nodes.rig_node import RigNode
 from impact_rig.recording import open_run
-from impact_rig.testing import Client, Processes, isolated_domain
+from impact_rig.testing import isolated_domain
 
-pytestmark = [pytest.mark.ros, pytest.mark.pipeline]
-CASES = int(os.environ.get("IMPACT_RIG_HOSTILE", "120"))
-pytestmark += [pytest.mark.timeout(120 + CASES)]
+pytestmark = [pytest.mark.ros, pytest.mark.pipeline, pytest.mark.timeout(120 + CASES)]
 QUEUE = topics.Qos.EVENT.depth
-FIELDS = {name: (about, default) for name, about, default in config.fields()}
 
-cases = settings(max_examples=CASES, suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large])
 batches = settings(cases, max_examples=max(1, CASES // QUEUE))
 
 numbers = st.one_of(
@@ -51,55 +40,6 @@ numbers = st.one_of(
     st.floats(-1.0, 250.0),
     st.sampled_from([math.nan, math.inf, -math.inf, 1e308, -1e308, 5e-324, -0.0, 0.0, 5.0, 200.0, 15.0 * math.sqrt(2)]),
 )
-
-
-class Attacked:
-    """Three node processes in a namespace, and the client that attacks them."""
-
-    def __init__(self, domain_id: int, directory: Path) -> None:
-        self.processes = Processes(domain_id, directory, namespace="/target")
-        self.processes.start("rig", {"time.mode": "realtime", "daq.seed": 4})
-        self.processes.start("analysis")
-        self.processes.start("recorder", {"directory": str(directory), "name": "run", "record": False})
-        self.client = Client(domain_id, "/target", self.processes)
-        self.client.wait_active("rig", "analysis", "recorder")
-        self.scans = self.client.collect("daq/scan")
-        self.monitors = [self.client.collect(name) for name in ("accelerometer", "laser", "base_displacement")]
-
-    def refused(self, node: str, reason: str) -> int:
-        return int(self.client.figures(node).get(f"refused.{reason}", "0"))
-
-    def await_refusals(self, node: str, reason: str, count: int) -> None:
-        """Wait until diagnostics have counted `count` refusals; and they count no more, and explain the last."""
-        what = f"{count} refusals ({reason})"
-        self.client.wait_until(lambda: self.refused(node, reason) >= count, what)
-        assert self.refused(node, reason) == count
-        assert count == 0 or self.client.figures(node)[f"last_refused.{reason}"]
-
-    def assert_sound(self) -> None:
-        """New blocks come, finite and without a gap; every node answers and has caught no exception."""
-        for collector in (self.scans, *self.monitors):
-            collector.clear()
-        self.client.wait_until(lambda: len(self.scans) >= 10 and all(self.monitors), "new blocks")
-        rows = self.scans.rows()
-        assert all(np.isfinite(rows[name]).all() for name in rows.dtype.names)
-        assert self.scans.lost() == 0
-        imu, laser, base = (collector.messages for collector in self.monitors)
-        assert all(math.isfinite(message.linear_acceleration.x) for message in imu)
-        assert not any(math.isnan(message.range) for message in laser)
-        assert all(math.isfinite(message.vector.x) for message in base)
-        for node in ("rig", "analysis", "recorder"):
-            assert self.client.state(node) == "active"
-            assert "refused.exception" not in self.client.figures(node), self.client.figures(node)
-
-    def quiet(self) -> None:
-        """Wait for two reports: what was sent before is counted in the second."""
-        for _ in range(2):
-            self.client.diagnostics.clear()
-            self.client.wait_until(lambda: self.client.figures("rig"), "diagnostics")
-
-    def call(self, kind: Any, name: str, request: Any) -> Any:
-        return self.client.call(kind, name, request)
 
 
 @pytest.fixture(scope="module")
@@ -176,7 +116,7 @@ _VALUES = st.one_of(
     st.builds(
         ParameterValue,
         type=st.just(4),
-        string_value=st.text(st.characters(blacklist_categories=["Cs"], blacklist_characters="\0"), max_size=9),
+        string_value=texts,
     ),
     st.builds(ParameterValue, type=st.just(9), string_array_value=st.lists(st.sampled_from(["", "a", "\u2028"]))),
     st.builds(ParameterValue, type=st.integers(0, 255)),
@@ -184,7 +124,6 @@ _VALUES = st.one_of(
 _NAMES = st.sampled_from(
     [*FIELDS, "", ".", "barriers.gap", "barriers", "config_file", "use_sim_time", "qos_overrides.x", "a" * 999]
 )
-_HARMLESS = ("output.", "step.", "pluck.", "instruments.", "use_sim_time")
 
 
 def _given(value: ParameterValue) -> object:
@@ -350,7 +289,7 @@ def test_acknowledgements_of_any_stamp_in_any_name(attacked: Attacked) -> None:
     @given(
         st.integers(-(2**31), 2**31 - 1),
         st.integers(0, 2**32 - 1),
-        st.text(st.characters(blacklist_categories=["Cs"], blacklist_characters="\0"), max_size=40),
+        texts,
     )
     @example(2**31 - 1, 2**32 - 1, "analysis")
     @example(0, 0, "analysis")
@@ -371,42 +310,3 @@ def test_acknowledgements_of_any_stamp_in_any_name(attacked: Attacked) -> None:
     client.wait_until(lambda: counted() >= expected, "the count")
     assert counted() == expected
     attacked.assert_sound()
-
-
-# Starts
-
-_START_VALUES = st.one_of(
-    st.booleans(),
-    st.integers(-(2**63), 2**63 - 1) | st.integers(-3, 20),
-    st.floats(),
-    st.text(st.characters(blacklist_categories=["Cs"], blacklist_characters="\0"), max_size=9),
-    st.lists(st.sampled_from(["a", "\u2028", "stuck"]), min_size=1, max_size=2),
-)
-_START_NAMES = st.sampled_from([*FIELDS, "barriers.gap", "barriers", "a" * 999])
-
-
-def test_start_values_of_any_name_and_type() -> None:
-    """A rig is configured with exactly what the validator takes together; else it stays unconfigured and says why."""
-    with isolated_domain() as domain_id, Client(domain_id) as client:
-
-        @settings(cases, max_examples=max(1, CASES // 2))
-        @given(st.dictionaries(_START_NAMES, _START_VALUES, min_size=1, max_size=2))
-        def attack(values: dict[str, Any]) -> None:
-            given_values = [StartValue(name, value=value) for name, value in values.items()]
-            node = RigNode(context=client.context, use_global_arguments=False, parameter_overrides=given_values)
-            try:
-                plain = {name: tuple(v) if isinstance(v, list) else v for name, v in values.items()}
-                try:
-                    expected = from_flat(RigConfig(), plain)
-                except ConfigError as error:
-                    assert str(node.parameters.refused) == str(error)  # noqa: PT017  # either outcome is right
-                    assert node.settings == RigConfig()
-                    assert node.trigger_configure() == TransitionCallbackReturn.FAILURE
-                else:
-                    assert node.parameters.refused is None
-                    assert node.settings == expected
-            finally:
-                node.close()
-                node.destroy_node()
-
-        attack()

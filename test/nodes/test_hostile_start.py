@@ -1,0 +1,61 @@
+"""Hostile start values: a rig is configured with what the validator takes, or stays unconfigured and says why."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+pytest.importorskip("rclpy", reason="no ROS 2 here")
+
+from hostile_kit import CASES, FIELDS, cases, texts
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from rclpy.lifecycle import TransitionCallbackReturn
+
+from impact_rig.config import RigConfig, from_flat
+from impact_rig.errors import ConfigError
+from impact_rig.nodes.rig_node import RigNode
+from impact_rig.testing import Client, isolated_domain
+from impact_rig.testing.parameters import ros_parameters
+
+pytestmark = [pytest.mark.ros, pytest.mark.timeout(120 + CASES)]
+
+
+_START_VALUES = st.one_of(
+    st.booleans(),
+    st.integers(-(2**63), 2**63 - 1) | st.integers(-3, 20),
+    st.floats(),
+    texts,
+    st.lists(st.sampled_from(["a", "\u2028", "stuck"]), min_size=1, max_size=2),
+)
+
+
+_START_NAMES = st.sampled_from([*FIELDS, "barriers.gap", "barriers", "a" * 999])
+
+
+def test_start_values_of_any_name_and_type() -> None:
+    """A rig is configured with exactly what the validator takes together; else it stays unconfigured and says why."""
+    with isolated_domain() as domain_id, Client(domain_id) as client:
+
+        @settings(cases, max_examples=max(1, CASES // 2))
+        @given(st.dictionaries(_START_NAMES, _START_VALUES, min_size=1, max_size=2))
+        def attack(values: dict[str, Any]) -> None:
+            overrides = ros_parameters(values)
+            node = RigNode(context=client.context, use_global_arguments=False, parameter_overrides=overrides)
+            try:
+                plain = {name: tuple(v) if isinstance(v, list) else v for name, v in values.items()}
+                try:
+                    expected = from_flat(RigConfig(), plain)
+                except ConfigError as error:
+                    assert str(node.parameters.refused) == str(error)  # noqa: PT017  # either outcome is right
+                    assert node.settings == RigConfig()
+                    assert node.trigger_configure() == TransitionCallbackReturn.FAILURE
+                else:
+                    assert node.parameters.refused is None
+                    assert node.settings == expected
+            finally:
+                node.close()
+                node.destroy_node()
+
+        attack()
