@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any  # rclpy messages
 
+import attrs
 from std_msgs.msg import Float64, Header, String
 
 from impact_rig import codec
@@ -100,7 +101,7 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
         if tracker is None:
             return Status(Level.WARN, self.state, {})
         counters = tracker.counters
-        values = {"transmissibility": self._latest, "gap_m": self.settings.gap_m, **_as_dict(counters)}
+        values = {"transmissibility": self._latest, "gap_m": self.settings.gap_m, **attrs.asdict(counters)}
         if self._newest_ns is None:
             return Status(Level.OK, "waiting for daq/scan", values)
         if counters.lost_scans:
@@ -169,10 +170,6 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
 
 def _gap(settings: AnalysisSettings) -> float:
     return math.nan if settings.gap_m == UNKNOWN_GAP else settings.gap_m
-
-
-def _as_dict(counters: Any) -> dict[str, object]:
-    return {name: getattr(counters, name) for name in counters.__slots__ if not name.startswith("_")}
 
 
 def main() -> None:

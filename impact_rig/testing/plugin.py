@@ -16,7 +16,7 @@ import re
 import shutil
 from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any  # what a rig is started with
+from typing import TYPE_CHECKING, Any, TypeVar  # Any: what a rig is started with
 
 import pytest
 
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
 DEFAULT_DIRECTORY = "failed_runs"
 _RIGS = pytest.StashKey[list["SteppedRig"]]()
+R = TypeVar("R", bound="SteppedRig")
 _UNSAFE = re.compile(r"[^\w.-]+")
 
 
@@ -45,34 +46,24 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 def virtual_rig(request: pytest.FixtureRequest) -> Iterator[Callable[..., VirtualRig]]:
     """Return a function that starts a rig in this process: `virtual_rig({"barriers.gap_m": 0.004}, faults=[...])`."""
 
-    def start(*args: Any, **kwargs: Any) -> VirtualRig:
+    def make(*args: Any, **kwargs: Any) -> VirtualRig:
         from impact_rig.testing.virtual_rig import VirtualRig  # noqa: PLC0415  # loads compiled code
 
-        kwargs.setdefault("name", _name(rigs))
-        rig = VirtualRig(*args, **kwargs)
-        rigs.append(rig)
-        return rig
+        return VirtualRig(*args, **kwargs)
 
-    rigs = request.node.stash.setdefault(_RIGS, [])
-    yield start
-    _close(rigs)
+    yield from _starting(request, make)
 
 
 @pytest.fixture
 def ros_rig(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Callable[..., RosRig]]:
     """Return a function that starts a rig on a ROS domain of its own: `ros_rig({"barriers.gap_m": 0.004})`."""
 
-    def start(*args: Any, **kwargs: Any) -> RosRig:
+    def make(*args: Any, **kwargs: Any) -> RosRig:
         from impact_rig.testing.ros_rig import RosRig  # noqa: PLC0415  # needs ROS
 
-        name = kwargs.setdefault("name", _name(rigs))
-        rig = RosRig(tmp_path / "impact_rig" / name, *args, **kwargs)
-        rigs.append(rig)
-        return rig
+        return RosRig(tmp_path / "impact_rig" / kwargs["name"], *args, **kwargs)
 
-    rigs = request.node.stash.setdefault(_RIGS, [])
-    yield start
-    _close(rigs)
+    yield from _starting(request, make)
 
 
 @pytest.fixture
@@ -117,10 +108,16 @@ def _directory(item: pytest.Item) -> Path:
     return root / _UNSAFE.sub("_", item.nodeid).strip("_")
 
 
-def _name(rigs: list[SteppedRig]) -> str:
-    return "rig" if not rigs else f"rig{len(rigs) + 1}"
+def _starting(request: pytest.FixtureRequest, make: Callable[..., R]) -> Iterator[Callable[..., R]]:
+    """Yield `make` with a name for each rig of a test; the test's rigs are kept for its report, and closed after it."""
+    rigs = request.node.stash.setdefault(_RIGS, [])
 
+    def start(*args: Any, **kwargs: Any) -> R:
+        kwargs.setdefault("name", f"rig{len(rigs) + 1}" if rigs else "rig")
+        rig = make(*args, **kwargs)
+        rigs.append(rig)
+        return rig
 
-def _close(rigs: list[SteppedRig]) -> None:
+    yield start
     while rigs:
         rigs.pop().close()

@@ -10,21 +10,11 @@ from numpy.typing import NDArray
 
 from impact_rig.config import RigConfig
 from impact_rig.physics import SEGMENT, Motion, Simulation
+from impact_rig.physics.contact import LAWS, HystereticLaw
 from impact_rig.physics.properties import hertz_stiffness_n_m32, sphere_mass_kg
 
 TWO_PI = 2.0 * math.pi
-OF_HYSTERETIC_FORM = (
-    "flores",
-    "hertz",
-    "hunt_crossley",
-    "herbert_mcwhannell",
-    "lee_wang",
-    "lankarani_nikravesh",
-    "gonthier",
-    "zhiying_qishao",
-    "hu_guo",
-    "exact",
-)
+OF_HYSTERETIC_FORM = tuple(name for name, law in LAWS.items() if issubclass(law, HystereticLaw))
 
 
 def rig(**sections: dict[str, object]) -> RigConfig:
