@@ -13,6 +13,7 @@ from impact_rig.analysis.labels import parse_label
 from impact_rig.analysis.settings import TrackerSettings
 from impact_rig.analysis.tables import settings_table
 from impact_rig.analysis.tracker import Findings, Tracker
+from impact_rig.analysis.warm_up import compile_tracker
 from impact_rig.blocks import Table
 from impact_rig.errors import CodecError, ConfigError
 from impact_rig.nodes import process, topics
@@ -47,7 +48,8 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
         return self.settings.autostart
 
     def configure(self) -> None:
-        """Create the publishers."""
+        """Create the publishers, and let nobody wait for the compiler once the node is active."""
+        compile_tracker()
         self._outlets = {topic.name: self.publisher(topic) for topic in PUBLISHED}
         self._ack = self.publisher(topics.ACK)
 
