@@ -76,7 +76,8 @@ def test_what_is_wrong_is_named(text, fault):
 def test_what_is_right_is_not():
     text = (
         "```sh\nmake bench ONLY=physics; make  # all\n```\n\n`build/bench.json`, `test_codec.py`, "
-        "`impact-rig recover`, `rig/start`, `analysis/settings`, `impact-rig campaign FILE`, `~/stop`, [x](physics.md#numerics)\n"
+        "`impact-rig recover`, `rig/start`, `analysis/settings`, `impact-rig campaign FILE`, "
+        "`~/stop`, [x](physics.md#numerics)\n"
     )
     assert list(TOOL["faults"](TOOL["Page"].parse("docs/page.md", text))) == []
 
