@@ -70,9 +70,15 @@ campaign: $(PACKAGE) ## measure all points of the paper, judge its statements, w
 	@$(VENV)/bin/impact-rig campaign config/paper.yaml --check --output runs/campaign_paper $(ARGS); status=$$?; \
 	    $(VENV)/bin/impact-rig report runs/campaign_paper && exit $$status
 
+# All tests end with the table of coverage; some of them would say nothing about it.
+COVERAGE := $(VENV)/bin/python -m coverage
+MEASURED := $(if $(ARGS),,1)
+
 test: $(PACKAGE) ## run all tests on real ROS 2; ARGS='-k codec' chooses, SHUFFLE=7 draws another order
-	@IMPACT_RIG_REQUIRE_ROS=1 $(VENV)/bin/python -m pytest $(PYTEST_PLUGINS_USED) -n 2 --dist loadfile \
-	    $(if $(SHUFFLE),--shuffle=$(SHUFFLE)) $(ARGS)
+	@$(if $(MEASURED),$(COVERAGE) erase)
+	@IMPACT_RIG_REQUIRE_ROS=1 $(if $(MEASURED),$(COVERAGE) run,$(VENV)/bin/python) -m pytest $(PYTEST_PLUGINS_USED) \
+	    -n 2 --dist loadfile $(if $(SHUFFLE),--shuffle=$(SHUFFLE)) $(ARGS)
+	@$(if $(MEASURED),$(COVERAGE) combine --quiet && $(COVERAGE) report)
 
 lint: $(PACKAGE) ## check style, types and layers
 	@$(VENV)/bin/ruff check .

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import atexit
 import contextlib
 import sys
 import warnings
@@ -22,15 +23,21 @@ def main() -> int:
     parser.add_argument("targets", nargs="*", help="which; default: all")
     parser.add_argument("--inputs", type=int, default=INPUTS, help=f"per target, at least (default {INPUTS})")
     parser.add_argument("--seed", type=int, default=0, help="other inputs (default 0)")
-    parser.add_argument("--guided", metavar="TARGET", help="let atheris guide one by coverage, until Ctrl-C")
+    parser.add_argument(
+        "--guided", metavar="TARGET", help="let atheris guide one by coverage; takes libFuzzer's options"
+    )
     arguments, rest = parser.parse_known_args()
     warnings.simplefilter("ignore")  # numpy warns of what it was asked to compare
-    with _branches() as measured:
+    with _guide() if arguments.guided else _branches() as watching:
         from fuzz import decoders, target, validators  # noqa: PLC0415  # after the measurement has begun
 
         known = {one.name: one for one in (*decoders.TARGETS, *validators.TARGETS)}
         if arguments.guided:
-            return _guided(target, known[arguments.guided], rest)
+            tally = target.Tally()
+            atexit.register(lambda: print(f"{tally.inputs} inputs, {tally.refused} refused"))
+            test = target.prepared(known[arguments.guided], INPUTS, 0, tally)
+            watching.Setup([sys.argv[0], *rest], test.hypothesis.fuzz_one_input)
+            watching.Fuzz()  # ends the process
         if rest or set(arguments.targets) - set(known):
             parser.error(f"targets are {', '.join(known)}; got {' '.join([*arguments.targets, *rest])}")
         chosen = [known[name] for name in arguments.targets] or list(known.values())
@@ -45,9 +52,9 @@ def main() -> int:
             console.print(f"{one.name}: {tally.inputs} inputs, nothing found", style="dim")
     console.print(table)
     console.print(f"{total} inputs, no crash, hang, NaN or silent acceptance")
-    if measured is not None:
+    if watching is not None:
         root = Path(__file__).parents[1] / "impact_rig"
-        measured.report(include=sorted({str(root / module) for one in chosen for module in one.modules}))
+        watching.report(include=sorted({str(root / module) for one in chosen for module in one.modules}))
     return 0
 
 
@@ -67,18 +74,19 @@ def _branches() -> Iterator[Any]:
         measured.stop()
 
 
-def _guided(target: Any, chosen: Any, rest: list[str]) -> int:
-    """Let libFuzzer mutate what hypothesis draws from, guided by the branches it reaches; ends with Ctrl-C."""
+@contextlib.contextmanager
+def _guide() -> Iterator[Any]:
+    """Let libFuzzer mutate what hypothesis draws from, guided by the branches of this package that it reaches."""
     try:
         import atheris  # noqa: PLC0415  # optional: where it installs
     except ImportError:
-        print("atheris is not installed: pip install atheris", file=sys.stderr)
-        return 2
-    test = target.prepared(chosen, INPUTS, 0, target.Tally())
-    atheris.instrument_all()
-    atheris.Setup([sys.argv[0], *rest], test.hypothesis.fuzz_one_input)
-    atheris.Fuzz()
-    return 0
+        sys.exit("atheris is not installed: pip install atheris")
+    root = Path(__file__).parents[1]
+    # what Numba compiles cannot be instrumented
+    compiled = [path for path in root.glob("impact_rig/**/*.py") if "import njit" in path.read_text(encoding="utf-8")]
+    names = [".".join(path.relative_to(root).with_suffix("").parts) for path in compiled]
+    with atheris.instrument_imports(include=["impact_rig"], exclude=names):
+        yield atheris
 
 
 if __name__ == "__main__":

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import csv
-import importlib.util
+import sys
 
 import numpy as np
 import pytest
@@ -80,8 +80,8 @@ def test_parquet(run, tmp_path):
     assert journal["key"].to_pylist() == ["barriers.gap_m", "µ"]
 
 
-@pytest.mark.skipif(importlib.util.find_spec("pyarrow") is not None, reason="pyarrow is installed")
-def test_parquet_without_pyarrow_says_what_to_install(run, tmp_path):
+def test_parquet_without_pyarrow_says_what_to_install(run, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pyarrow", None)  # not to be imported
     with pytest.raises(RecordingError, match="Parquet needs pyarrow, which is not installed: pip install pyarrow"):
         export(run, "daq/scan", tmp_path / "scan.parquet")
     assert list(tmp_path.glob("*.parquet")) == []
