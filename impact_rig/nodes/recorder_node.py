@@ -206,6 +206,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
             compression=settings.compression,
             max_file_bytes=settings.max_file_mb * 1_000_000,
             rig_start_ns=None if mode in ("realtime", "unknown") else 0,
+            tail=True,
         )
 
     def _finish(self) -> None:
@@ -259,6 +260,8 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         if self._writer is not None:
             try:
                 self._write(self._writer, topic, data, info)
+                if topic is topics.SCAN:
+                    self._writer.secure()  # what is acknowledged outlives this process
             except RecordingError as error:
                 self._fail(error)
         if topic is topics.SCAN:

@@ -70,6 +70,7 @@ class McapFile:
         self._largest_message = 0
         self._chunks = 0
         self._channels = 0
+        self._schema_ids: dict[str, int] = {}
         self._index_bytes = _INDEX_BYTES_FIXED
         self.finished = False
         self._fd = _create(path)
@@ -89,18 +90,17 @@ class McapFile:
         """Bytes on disk."""
         return self._buffer.committed
 
-    def add_schema(self, topic: Topic) -> int:
-        """Register the schema of `topic`'s type and return its id."""
-        data = topic.schema.encode()
-        self._index_bytes += len(data) + len(topic.type_name) + 64
-        return int(self._writer.register_schema(topic.type_name, schema.ENCODING, data))
-
-    def add_channel(self, topic: Topic, schema_id: int) -> int:
-        """Register `topic` and return its channel id."""
+    def add_topic(self, topic: Topic) -> int:
+        """Register `topic` and return its channel id: 1 for the first, 2 for the next."""
+        if topic.type_name not in self._schema_ids:
+            data = topic.schema.encode()
+            self._index_bytes += len(data) + len(topic.type_name) + 64
+            known = self._writer.register_schema(topic.type_name, schema.ENCODING, data)
+            self._schema_ids[topic.type_name] = int(known)
         self._channels += 1
         metadata = topic.channel_metadata()
         self._index_bytes += len(topic.name) + sum(len(k) + len(v) for k, v in metadata.items()) + 64
-        return self._writer.register_channel(topic.name, SERIALIZATION, schema_id, metadata)
+        return self._writer.register_channel(topic.name, SERIALIZATION, self._schema_ids[topic.type_name], metadata)
 
     def add_message(self, channel: int, log_time: int, data: bytes, publish_time: int, sequence: int) -> bool:
         """Add a message to the open chunk; return whether that closed the chunk (then it waits for `commit`)."""

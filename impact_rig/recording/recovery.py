@@ -6,6 +6,7 @@ one: everything in the result is as it was recorded. What is left out is listed.
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -17,6 +18,8 @@ from impact_rig.recording.provenance import Attachment, Provenance
 from impact_rig.recording.reader import run_files
 from impact_rig.recording.records import DamageError
 from impact_rig.recording.salvage import Damage, DamagedFile, Found
+from impact_rig.recording.tail import FOLLOWS, tail_of
+from impact_rig.recording.tail import RECORD_NAME as TAIL_RECORD_NAME
 from impact_rig.recording.topics import Topic
 from impact_rig.recording.writer import RunWriter
 
@@ -56,7 +59,7 @@ class RecoverReport:
 
 
 def recover(path: Path | str, out: Path | str, *, accept_unchecked: bool = False) -> RecoverReport:
-    """Write every whole chunk of a damaged or unfinished run to the new run directory `out`.
+    """Write every whole chunk of a damaged or unfinished run, and of its tail, to the new run directory `out`.
 
     Args:
         path: a run directory or an MCAP file; it is only read.
@@ -119,6 +122,8 @@ class _Salvage:
     def __init__(self, path: Path, report: RecoverReport, *, accept_unchecked: bool) -> None:
         self.path = path
         self.attachments: list[Attachment] = []
+        self.follows: int | None = None
+        """Of a tail: size of the recording when the chunk began whose messages it holds [bytes]."""
         self.provenance: Provenance | None = None
         self._report = report
         self._accept_unchecked = accept_unchecked
@@ -135,6 +140,8 @@ class _Salvage:
                     self._take_metadata(file, found)
                 elif found.opcode == records.MESSAGE:
                     report.note(self._damage(found, "a message outside a chunk carries no checksum"))
+        tail = tail_of(path)
+        self._tail = _Salvage(tail, report, accept_unchecked=accept_unchecked) if tail.exists() else None
 
     def introduce_topics(self, writer: RunWriter) -> None:
         """Make all topics that are known so far known to `writer`, in the order they were registered."""
@@ -153,11 +160,16 @@ class _Salvage:
         return True
 
     def messages(self) -> Iterator[tuple[Topic, records.RawMessage]]:
-        """Yield the messages of all whole chunks in the order of the file."""
+        """Yield the messages of all whole chunks in the order of the file, and those of the chunk that was open."""
+        last = -1  # where the last whole chunk begins
         with DamagedFile(self.path) as file:
             for found in file.walk():
                 if isinstance(found, Found) and found.opcode == records.CHUNK:
+                    chunks = self._report.chunks
                     yield from self._messages(file, found)
+                    last = found.offset if self._report.chunks > chunks else last
+        if self._tail is not None and self._tail.follows is not None and self._tail.follows > last:
+            yield from self._tail.messages()
 
     def _messages(self, file: DamagedFile, found: Found) -> Iterator[tuple[Topic, records.RawMessage]]:
         try:
@@ -220,6 +232,9 @@ class _Salvage:
             self.provenance = Provenance.from_record(verified)
         elif name == provenance.TOPIC_RECORD_NAME:
             self._take_topic(verified)
+        elif name == TAIL_RECORD_NAME:
+            with contextlib.suppress(KeyError, ValueError):
+                self.follows = int(verified[FOLLOWS])
 
     def _take_topic(self, record: dict[str, str]) -> None:
         try:

@@ -1,8 +1,8 @@
 """Writes a run: a directory with MCAP files any ROS 2 tool opens, and `metadata.yaml` as rosbag2 writes it.
 
 A chunk is closed when it is full or has been open for half a second of wall time, and handed to the operating system
-at once: a process killed at any instant loses the open chunk. `metadata.yaml` appears when the run is finished; a
-directory without it was cut short and is completed by `recover`.
+at once: a process killed at any instant loses the open chunk, unless a tail holds it as well. `metadata.yaml` appears
+when the run is finished; a directory without it was cut short and is completed by `recover`.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from impact_rig.recording.log_time import LogTime
 from impact_rig.recording.mcap_file import McapFile
 from impact_rig.recording.provenance import RECORD_NAME, TOPIC_RECORD_NAME, Attachment, Provenance, protect
 from impact_rig.recording.schema import starts_with_header
+from impact_rig.recording.tail import Tail
 from impact_rig.recording.topics import INFINITE_NS, SCAN_TOPIC, Topic, matches
 
 CHUNK_BYTES = 512 * 1024
@@ -54,6 +55,7 @@ class RunWriter:
         max_file_bytes: begin a new file beyond this size; 0: one file.
         max_file_duration_ns: begin a new file when a message is later than this after the file's first; 0: one file.
         rig_start_ns: log time of header-less messages before any stamp is known; None: their publish time.
+        tail: keep what the open chunk holds in a second file, so that `secure` can promise it.
         ros_distro: for `metadata.yaml`.
 
     Raises:
@@ -72,6 +74,7 @@ class RunWriter:
         max_file_bytes: int = 0,
         max_file_duration_ns: int = 0,
         rig_start_ns: int | None = None,
+        tail: bool = False,
         ros_distro: str = "jazzy",
     ) -> None:
         self.directory = directory
@@ -85,7 +88,6 @@ class RunWriter:
         self._ros_distro = ros_distro
         self._log_time = LogTime(rig_start_ns)
         self._channels: dict[str, _Channel] = {}
-        self._schema_ids: dict[str, int] = {}
         self._spans: list[FileSpan] = []
         self._bytes_before = 0
         self._chunk_opened_s: float | None = None
@@ -93,6 +95,8 @@ class RunWriter:
         self._failure: RecordingError | None = None
         self._stopping_on_error = _StopOnError(self)
         _make_room(directory)
+        self._with_tail = tail
+        self._tail: Tail | None = None
         self._file = self._open_file()
 
     @property
@@ -165,12 +169,24 @@ class RunWriter:
                 self._chunk_opened_s = self._clock()
             channel.count += 1
             self._spans[-1].add(log_time_ns)
-            if self._file.add_message(
-                channel.id, log_time_ns, data, min(max(0, publish_time_ns), INFINITE_NS), sequence
-            ):
+            message = (channel.id, log_time_ns, data, min(max(0, publish_time_ns), INFINITE_NS), sequence)
+            if self._with_tail:
+                self._open_tail().add_message(*message)
+            if self._file.add_message(*message):
                 self._commit()
             else:
                 self._flush_if_due()
+
+    def secure(self) -> None:
+        """Make sure that what was accepted survives a killed process; needs `tail`.
+
+        Raises:
+            RecordingError: the run had to stop, now or earlier.
+        """
+        self._refuse_if_closed()
+        if self._tail is not None:
+            with self._stopping_on_error:
+                self._tail.secure()
 
     def flush_due(self) -> None:
         """Close the open chunk if it has been open for `CHUNK_OPEN_S`; call this from a timer, at least every 0.25 s.
@@ -223,7 +239,6 @@ class RunWriter:
         file = McapFile(path, compression=self._compression, chunk_bytes=self._chunk_bytes)
         self._file = file
         self._spans.append(FileSpan(path.name))
-        self._schema_ids.clear()
         self._chunk_opened_s = None
         file.add_metadata(bag_metadata.RECORD_NAME, bag_metadata.record(self._information()))
         if self._provenance is not None:
@@ -237,9 +252,9 @@ class RunWriter:
 
     def _register(self, channel: _Channel) -> None:
         topic = channel.topic
-        if topic.type_name not in self._schema_ids:
-            self._schema_ids[topic.type_name] = self._file.add_schema(topic)
-        channel.id = self._file.add_channel(topic, self._schema_ids[topic.type_name])
+        channel.id = self._file.add_topic(topic)
+        if self._tail is not None:
+            self._tail.add_topic(topic)
         repeated = {"id": str(channel.id), "name": topic.name, "type_name": topic.type_name, "schema": topic.schema}
         self._file.add_metadata(TOPIC_RECORD_NAME, protect(repeated | topic.channel_metadata()))
 
@@ -265,14 +280,32 @@ class RunWriter:
             self._file.close_chunk()
             self._file.add_metadata(bag_metadata.RECORD_NAME, bag_metadata.record(self._information()))
             self._file.finish()
+            self._drop_tail()
         finally:
-            self._file.close()
+            self._close()
+
+    def _close(self) -> None:
+        """Close what is open, as it is; a tail that was not made superfluous stays."""
+        self._file.close()
+        if self._tail is not None:
+            self._tail.close()
 
     def _information(self) -> bag_metadata.Information:
         topics = [(channel.topic, channel.count) for channel in self._channels.values()]
         return bag_metadata.information(topics, self._spans, ros_distro=self._ros_distro)
 
     # --- chunks
+
+    def _open_tail(self) -> Tail:
+        if self._tail is None:
+            topics = [channel.topic for channel in self._channels.values()]
+            self._tail = Tail(self._file.path, self._file.size, topics, self._chunk_bytes)
+        return self._tail
+
+    def _drop_tail(self) -> None:
+        if self._tail is not None:
+            self._tail.remove()
+            self._tail = None
 
     def _flush_if_due(self) -> None:
         if self._chunk_opened_s is None:
@@ -285,6 +318,7 @@ class RunWriter:
     def _commit(self) -> None:
         self._chunk_opened_s = None
         self._file.commit()
+        self._drop_tail()
         shortage = self._file.shortage()
         if shortage:
             self.finish()
@@ -306,7 +340,7 @@ class RunWriter:
         self._failure = error
         finished = self._file.finished and not self._closed
         self._closed = True
-        self._file.close()
+        self._close()
         if finished:
             with contextlib.suppress(RecordingError):
                 bag_metadata.write(self.directory, self._information())
