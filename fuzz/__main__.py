@@ -66,7 +66,7 @@ def _branches() -> Iterator[Any]:
     except ImportError:
         yield None
         return
-    measured = coverage.Coverage(branch=True, data_file=None, source=["impact_rig"])
+    measured = coverage.Coverage(branch=True, data_file=None, source=["impact_rig"], config_file=False)
     measured.start()
     try:
         yield measured

@@ -17,6 +17,7 @@ from impact_rig.analysis.tracker import Tracker
 from impact_rig.blocks import Table
 from impact_rig.config import RigConfig, from_flat
 from impact_rig.recording import Attachment, Provenance, RunWriter, Topic, open_run, recover
+from impact_rig.recording.tail import tail_of
 from impact_rig.rig import Rig, resimulate
 
 TABLES = {name: value for name, value in vars(blocks).items() if isinstance(value, np.dtype)}
@@ -51,8 +52,12 @@ def point_cloud(raw: bytes) -> None:
 # --- files -----------------------------------------------------------------------------------------------------------
 
 
-def _small_run(directory: Path, compression: str) -> tuple[bytes, set[tuple[str, bytes]]]:
-    """Some 3 kB with two topics, an attachment and several chunks; the file and the messages in it."""
+def _small_run(directory: Path, compression: str) -> tuple[bytes, tuple[bytes, bytes], set[tuple[str, bytes]]]:
+    """Some 3 kB with two topics, an attachment and several chunks.
+
+    Returns:
+        The file; the file and its tail as they were before the last chunk was closed; the messages.
+    """
     topics = [Topic(name=f"/{name}", type_name="std_msgs/msg/String", schema="string data\n") for name in "ab"]
     sent = set()
     with RunWriter(
@@ -62,20 +67,26 @@ def _small_run(directory: Path, compression: str) -> tuple[bytes, set[tuple[str,
         clock=lambda: 0.0,
         compression=compression,
         chunk_bytes=200,
+        tail=True,
     ) as writer:
         for topic in topics:
             writer.add_topic(topic)
         for number in range(8):
             data = b"\0\1\0\0\x09\0\0\0message" + bytes([48 + number, 0])
             writer.write_at(topics[number % 2].name, data, 10 + number, 20, number)
+            writer.secure()
             sent.add((topics[number % 2].name, data))
-    return writer.files[0].read_bytes(), sent
+        recording = writer.files[0]
+        unfinished = recording.read_bytes(), tail_of(recording).read_bytes()
+    return recording.read_bytes(), unfinished, sent
 
 
 _SCRATCH = Path(tempfile.mkdtemp(prefix="impact_rig_fuzz_"))
 RUNS = [_small_run(_SCRATCH / name, name) for name in ("none", "lz4", "zstd")]
-FILES = [content for content, _ in RUNS]
-SENT = {message for _, messages in RUNS for message in messages}
+FILES = [content for content, _, _ in RUNS]
+UNFINISHED = [recording for _, (recording, _), _ in RUNS]
+TAILS = [tail for _, (_, tail), _ in RUNS]
+SENT = {message for _, _, messages in RUNS for message in messages}
 shutil.rmtree(_SCRATCH)
 
 
@@ -91,11 +102,14 @@ def mcap_read(raw: bytes) -> None:
             assert run.provenance in ({}, {"version": "1", "seed": "3", "wall_start_ns": "4"})
 
 
-def mcap_recover(raw: bytes) -> None:
-    """Whatever a file has gone through, what is given back was written, and is a whole run."""
+def mcap_recover(raw: tuple[bytes, bytes | None]) -> None:
+    """Whatever a file and its tail have gone through, what is given back was written, and is a whole run."""
+    recording, tail = raw
     with tempfile.TemporaryDirectory(prefix="impact_rig_fuzz_") as folder:
         path = Path(folder, "run.mcap")
-        path.write_bytes(raw)
+        path.write_bytes(recording)
+        if tail is not None:
+            tail_of(path).write_bytes(tail)
         recover(path, Path(folder, "out"))
         with open_run(Path(folder, "out")) as run:
             for message in run.messages():
@@ -199,7 +213,14 @@ TARGETS = (
         mcap_read,
         ("recording/reader.py", "recording/mcap_source.py", "recording/records.py", "recording/topics.py"),
     ),
-    Target("mcap_recover", mutated(FILES), mcap_recover, ("recording/recovery.py", "recording/salvage.py")),
+    Target(
+        "mcap_recover",
+        st.tuples(mutated(FILES), st.none())
+        | st.tuples(st.sampled_from(UNFINISHED), mutated(TAILS))
+        | st.tuples(mutated(UNFINISHED), st.sampled_from(TAILS)),
+        mcap_recover,
+        ("recording/recovery.py", "recording/salvage.py"),
+    ),
     Target("journal", journals(), journal, ("rig/journal.py", "rig/resimulate.py")),
     Target(
         "analysis", streams(), analysis, ("analysis/calibration.py", "analysis/scan_buffer.py", "analysis/tracker.py")

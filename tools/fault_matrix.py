@@ -19,8 +19,10 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table as TextTable
 
+from impact_rig.nodes.stamps import nanoseconds
 from impact_rig.recording import open_run, recover
 from impact_rig.testing import Client, Collector, Processes, isolated_domain
+from impact_rig.testing.collector import Received
 
 TICK_NS = 10_000_000
 PEERS = ("analysis", "recorder", "client")
@@ -40,12 +42,14 @@ class Graph:
         self.domain_id = domain_id
         self.processes = processes
         self.recordings = 0
+        self.acknowledged: list[set[int]] = []
+        """Stamps that the recorder has acknowledged, by recording."""
         self.start("rig")
         self.start("analysis")
         self.start("recorder")
         self.client = Client(domain_id)
         self.client.wait_active("rig", "analysis", "recorder")
-        self.scans: Collector = self.client.collect("daq/scan", acknowledge=True)
+        self.read()
         self.flows()
 
     def start(self, node: str) -> None:
@@ -56,8 +60,19 @@ class Graph:
         elif node == "recorder":
             parameters = {"directory": str(self.directory), "name": f"run{self.recordings}"}
             self.recordings += 1
+            self.acknowledged.append(set())
         self.processes.running.pop(node, None)
         self.processes.start(node, parameters)
+
+    def read(self) -> None:
+        """Read as a peer does, and what the recorder says it has."""
+        self.scans: Collector = self.client.collect("daq/scan", acknowledge=True)
+        self.client.listen("daq/ack", self._take_acknowledgement)
+
+    def _take_acknowledgement(self, message: Received) -> None:
+        # a recorder that is not yet recording acknowledges, too
+        if message.data.frame_id == "recorder" and (self.directory / f"run{self.recordings - 1}").exists():
+            self.acknowledged[-1].add(nanoseconds(message.data.stamp))
 
     def flows(self, blocks: int = 50) -> None:
         """Wait until that many more blocks have come."""
@@ -127,7 +142,7 @@ def participant(graph: Graph, _node: str) -> float:
     graph.client.close()
     began = time.monotonic()
     graph.client = Client(graph.domain_id)
-    graph.scans = graph.client.collect("daq/scan", acknowledge=True)
+    graph.read()
     graph.go_on()
     return time.monotonic() - began
 
@@ -205,8 +220,10 @@ def main() -> int:
             with open_run(path) as run:
                 stamps = [one.stamp_ns for one in run.tables("daq/scan", recorded_order=True)]
             missing = sum(int(step) // TICK_NS - 1 for step in np.diff(stamps) if step > TICK_NS)
-            lost += missing
-            table.add_row(f"recording {number + 1}: {len(stamps)} blocks", "", str(missing))
+            broken = len(graph.acknowledged[number] - set(stamps))
+            lost += missing + broken
+            text = f"recording {number + 1}: {len(stamps)} blocks, {len(graph.acknowledged[number])} acknowledged"
+            table.add_row(text, "", str(missing + broken))
     console.print(table)
     return 1 if lost else 0
 
