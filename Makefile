@@ -57,7 +57,7 @@ $(PACKAGE): $(ENVIRONMENT) setup.py setup.cfg package.xml
 	@touch $@
 
 # --- Targets ----------------------------------------------------------------------------------------------------------
-.PHONY: help demo campaign test lint format bench fuzz soak venv lock clean
+.PHONY: help demo campaign test lint format bench fuzz soak colcon venv lock clean
 
 help: ## print this list
 	@echo 'impact_rig: make TARGET, where TARGET is one of'
@@ -98,6 +98,16 @@ fuzz: $(PACKAGE) ## throw 10,000 hostile inputs at each decoder and validator; A
 
 soak: $(PACKAGE) ## run for hours: two of rig time freewheeling, ten minutes live at 50 kS/s; ARGS='--part live' chooses
 	@$(VENV)/bin/python tools/soak.py $(ARGS)
+
+COLCON := build/colcon-venv
+$(COLCON)/ready: requirements/common.txt requirements/$(ROS).txt requirements/colcon.txt
+	@PYTHON='$(PYTHON)' requirements/venv.sh $(ROS) $(COLCON)
+	@$(COLCON)/bin/python -m pip install --quiet --disable-pip-version-check --no-input --requirement requirements/colcon.txt
+	@touch $@
+
+colcon: $(COLCON)/ready ## build, install, start and test with colcon from PyPI, from nothing, as in a ROS workspace
+	@$(if $(filter wheels,$(ROS)),AMENT_PREFIX_PATH='$(CURDIR)/$(COLCON)') \
+	    $(COLCON)/bin/python tools/check_colcon.py $(PYTEST_PLUGINS_USED) $(ARGS)
 
 venv: $(PACKAGE) ## only make the environment .venv
 
