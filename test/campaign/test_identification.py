@@ -7,6 +7,7 @@ import json
 import attrs
 import numpy as np
 import pytest
+from recorded_rig import record
 
 from impact_rig.analysis.decay import Decay
 from impact_rig.analysis.words import Status
@@ -15,14 +16,17 @@ from impact_rig.campaign.identification.constants import NAMES, SCALED, logarith
 from impact_rig.campaign.identification.fisher import information
 from impact_rig.campaign.identification.fit import identify
 from impact_rig.campaign.identification.measurements import NUISANCES, Gains, Measured, Sine, reduced_of, sine_of
-from impact_rig.campaign.identification.pluck import measured_decay
+from impact_rig.campaign.identification.paper_fit import fit_paper
+from impact_rig.campaign.identification.pluck import DISPLACEMENT_M, RECORD_S, measured_decay, recorded_decay
 from impact_rig.campaign.in_process import execute
 from impact_rig.campaign.paper import FREQUENCIES_HZ
 from impact_rig.campaign.plan import load_campaign
 from impact_rig.cli import main
-from impact_rig.config import RigConfig
+from impact_rig.config import RigConfig, from_flat
 from impact_rig.physics.closed_form import base_amplitude, transmissibility
+from impact_rig.recording import open_run
 from impact_rig.rig import Rig
+from impact_rig.simtime import NS_PER_S
 
 TRUTH = rig(RigConfig(), logarithms(RigConfig()) + np.array([0.002, 0.25, 0.15, -0.1, 0.1, 0.08, 0.2]))
 """Not the shipped rig: m_1 = 0.151 kg, ζ = 0.0058, ..."""
@@ -155,3 +159,36 @@ def test_a_decay_is_measured_through_the_instruments():
     decay = measured_decay(TRUTH)
     assert decay.status is Status.OK
     assert decay.damping_ratio == pytest.approx(TRUTH.structure.damping_ratio, abs=LIMIT * decay.u_damping_ratio)
+
+
+def test_a_recorded_pluck_gives_what_a_pluck_of_our_own_gives(directory, tmp_path, capsys):
+    """`--decay RUN`: the last pluck of a run that the recorder wrote, or an error that says what is missing."""
+    plucked = Rig(from_flat(TRUTH, {"sphere.present": False}))
+    quiet = [("daq/info", plucked.info()), *(("rig/journal", table) for table in plucked.take_journal())]
+    quiet += [("daq/scan", block.scan) for block in plucked.advance(200_000_000)]
+    record(tmp_path / "quiet", quiet)
+    plucked.pluck(DISPLACEMENT_M)
+    swinging = [("daq/scan", block.scan) for block in plucked.advance(round((RECORD_S + 0.2) * NS_PER_S))]
+    record(tmp_path / "plucked", [*quiet, *(("rig/journal", table) for table in plucked.take_journal()), *swinging])
+    with open_run(tmp_path / "plucked") as recorded:
+        decay = recorded_decay(recorded)
+    own = measured_decay(TRUTH)
+    for name in ("natural_frequency_hz", "damping_ratio"):
+        assert getattr(decay, name) == pytest.approx(getattr(own, name), abs=LIMIT * getattr(own, f"u_{name}"))
+    arguments = ["identify", str(directory), "--without", "reductions", "sine", "--decay"]
+    assert main([*arguments, str(tmp_path / "plucked")]) == 0
+    assert f"free decay: f_n {decay.natural_frequency_hz:.6f}" in capsys.readouterr().out
+    assert main([*arguments, str(tmp_path / "quiet")]) == 1
+    assert "nothing was plucked in this run (rig/pluck)" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_the_shipped_rig_is_near_the_best_fit_to_the_paper():
+    """As docs/identification.md says: f_n and ζ follow from five reductions; a free current as well would not."""
+    found = fit_paper(RigConfig())
+    shipped = {"f_n": RigConfig().structure.natural_frequency_hz, "ζ": RigConfig().structure.damping_ratio}
+    assert found.converged
+    assert found.rms_points <= found.default_rms_points < 1.0
+    for name, value in shipped.items():
+        assert abs(found.fitted[name] - value) < LIMIT * found.u[name], name
+    assert found.information.unknown()
