@@ -1,10 +1,13 @@
 """Hold README and docs against the repository: `python tools/check_docs.py` names every line that is wrong.
 
+With `--run` it also runs every block of commands that is its own, page by page, in `build/docs` (a quarter of an hour).
+
 Every code block has an owner, known by its page and the words behind its fence:
 
 - a test that runs it (`RUN_BY`);
 - `test/test_docs.py`, which runs the Python and reads the YAML of all other pages;
 - this script, for `sh`: each command goes through the program's own parser, and none is there that it does not know;
+  `--run` runs them, those of `make` as far as `make -n` goes;
 - nobody, for a reason that stands behind its language: `sh not run: needs an apt-installed Jazzy`.
 
 Blocks of `text` are formulas, trees and output. Commands, paths and links are checked in running text, too.
@@ -14,8 +17,11 @@ from __future__ import annotations
 
 import argparse
 import importlib.util
+import os
 import re
 import shlex
+import shutil
+import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from functools import cache
@@ -27,6 +33,7 @@ from markdown_it import MarkdownIt
 from impact_rig.cli.main import command_line
 
 ROOT = Path(__file__).parents[1]
+SCRATCH = ROOT / "build" / "docs"
 RUN_BY = {
     ("docs/analysis.md", "python"): "test/analysis/test_analysis_guide.py",
     ("docs/recording.md", "python"): "test/recording/test_recording_guide.py",
@@ -260,10 +267,40 @@ PROGRAMS: dict[str, Callable[[list[str], bool], str | None]] = {
 }  # fmt: skip
 
 
+def run(block: Block) -> str | None:
+    """Run a block of commands; return what its last words were if it fails."""
+    sys.stdout.write(f"{block.page}:{block.line} ...\n{block.content}")
+    sys.stdout.flush()
+    script = (
+        f'set -e; make() {{ command make -n -C "{ROOT}" "$@" >/dev/null; }}\n'
+        f'impact-rig() {{ "{sys.executable}" -c "from impact_rig.cli import main; exit(main())" "$@"; }}\n'
+    )
+    done = subprocess.run(  # noqa: S603  # our own pages
+        ["bash", "-c", script + block.content],  # noqa: S607  # the one that a reader has
+        cwd=SCRATCH,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        check=False,
+    )
+    return None if done.returncode == 0 else f"{block.page}:{block.line}: failed\n{done.stdout[-2000:]}"
+
+
+def run_all(blocks: list[Block]) -> list[str]:
+    """Run all blocks of commands that are ours, one after the other: a page may need what another has measured."""
+    shutil.rmtree(SCRATCH, ignore_errors=True)
+    shutil.copytree(ROOT / "config", SCRATCH / "config")
+    ours = [block for block in blocks if block.language == "sh" and block.owner == "tools/check_docs.py"]
+    return [fault for block in ours if (fault := run(block))]
+
+
 def main() -> int:
     """Print every fault and return the exit code."""
     found = [fault for page in pages().values() for fault in faults(page)]
     blocks = [block for page in pages().values() for block in page.blocks]
+    if "--run" in sys.argv[1:]:
+        found += run_all(blocks)
     sys.stdout.write("".join(f"{fault}\n" for fault in found))
     sys.stdout.write(f"{len(pages())} pages, {len(blocks)} code blocks, {len(found)} faults\n")
     return 1 if found else 0

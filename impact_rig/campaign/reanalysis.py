@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Iterator
 
 import numpy as np
@@ -74,10 +73,15 @@ def same_as_live(run: Run, offline: list[Table]) -> bool | None:
     """
     if not _has(run, _TABLE):
         return None
-    scans = run.tables("daq/scan", recorded_order=True)
-    first_ns = min((scan.stamp_ns for scan in itertools.islice(scans, 1)), default=0)
-    tables = run.tables(_TABLE, recorded_order=True)
-    live = [table for table in tables if table.stamp_ns >= first_ns]  # older ones were handed to a late recorder
+    scans, tables = run.resolve("daq/scan"), run.resolve(_TABLE)
+    first_ns: int | None = None
+    live: list[Table] = []
+    for message in run.messages((scans, tables), recorded_order=True):
+        if message.topic == scans:
+            first_ns = codec.decode(message.data).stamp_ns if first_ns is None else first_ns
+        elif first_ns is not None:  # what a latched topic hands to a recorder that comes is from before its first scan
+            table = codec.decode(message.data)
+            live += [table] if table.stamp_ns >= first_ns else []
     shared = offline[: len(live)]  # a recorder that stops before the analysis misses its last words
     return len(live) <= len(offline) and all(
         a.stamp_ns == b.stamp_ns and a.rows.tobytes() == b.rows.astype(a.rows.dtype).tobytes()
