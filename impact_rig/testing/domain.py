@@ -15,6 +15,9 @@ from impact_rig.errors import ImpactRigError
 
 FIRST_DOMAIN, LAST_DOMAIN = 1, 49
 """0 is everybody's default, and above 101 the ports of a domain fall into Linux's ephemeral range."""
+FIRST_PORT, PORTS_PER_DOMAIN = 7400, 250
+"""Of RTPS (DDSI-RTPS 2.2, 9.6.1.1)."""
+SHARED_MEMORY = Path("/dev/shm")  # noqa: S108  # where Fast DDS keeps it on Linux
 DISCOVERY_VARIABLE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 
 
@@ -33,6 +36,7 @@ def isolated_domain() -> Iterator[int]:
         if handle is None:
             continue
         os.environ[DISCOVERY_VARIABLE] = "LOCALHOST"
+        remove_litter(domain_id)
         try:
             yield domain_id
         finally:
@@ -45,6 +49,37 @@ def isolated_domain() -> Iterator[int]:
     raise ImpactRigError(
         f"no free ROS domain id between {FIRST_DOMAIN} and {LAST_DOMAIN}: {_directory()} is full of locks"
     )
+
+
+def remove_litter(domain_id: int) -> None:
+    """Remove the shared-memory ports that killed processes have left in a domain, as `fastdds shm clean` does.
+
+    Who finds one half written may crash (https://github.com/eProsima/Fast-DDS/issues/6501).
+    """
+    first = FIRST_PORT + PORTS_PER_DOMAIN * domain_id
+    for number in range(first, first + PORTS_PER_DOMAIN):
+        port = SHARED_MEMORY / f"fastrtps_port{number}"
+        locks = [port.with_name(f"{port.name}_{kind}") for kind in ("el", "sl")]  # held while somebody listens there
+        if port.exists() and not any(map(_is_held, locks)):
+            for path in (port, *locks, SHARED_MEMORY / f"sem.{port.name}_mutex"):
+                with contextlib.suppress(FileNotFoundError, PermissionError):
+                    path.unlink()
+
+
+def _is_held(path: Path) -> bool:
+    try:
+        handle = os.open(path, os.O_RDONLY)
+    except FileNotFoundError:
+        return False
+    except PermissionError:  # of another user
+        return True
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    finally:
+        os.close(handle)
+    return False
 
 
 def _candidates() -> Iterator[int]:

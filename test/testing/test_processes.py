@@ -14,6 +14,7 @@ import pytest
 
 from impact_rig.errors import ImpactRigError
 from impact_rig.testing import ProcessDiedError, Processes, isolated_domain
+from impact_rig.testing.domain import FIRST_PORT, PORTS_PER_DOMAIN, SHARED_MEMORY, remove_litter
 from impact_rig.testing.processes import _yaml
 
 ROOT = Path(__file__).parents[2]
@@ -23,6 +24,35 @@ def test_domains_in_use_at_the_same_time_differ() -> None:
     with isolated_domain() as one, isolated_domain() as two, isolated_domain() as three:
         assert len({one, two, three}) == 3
         assert os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "LOCALHOST"
+
+
+@pytest.mark.ros
+def test_ports_of_killed_processes_are_removed_and_those_in_use_are_not(tmp_path: Path) -> None:
+    """What is left of them could crash the next participant on the domain."""
+    from impact_rig.testing import Client  # needs rclpy
+
+    with isolated_domain() as domain_id, Processes(domain_id, tmp_path) as processes:
+        first = FIRST_PORT + PORTS_PER_DOMAIN * domain_id
+
+        def ports() -> set[str]:
+            numbers = range(first, first + PORTS_PER_DOMAIN)
+            return {name for n in numbers if (SHARED_MEMORY / (name := f"fastrtps_port{n}")).exists()}
+
+        assert not ports(), "an isolated domain begins clean"
+        processes.start("analysis")
+        with Client(domain_id, processes=processes) as client:
+            client.wait_active("analysis")
+            used = ports()
+            remove_litter(domain_id)
+            assert ports() == used
+            assert client.state("analysis") == "active"
+        used = ports()
+        assert used
+        processes.running["analysis"].signal(signal.SIGKILL)
+        processes.running["analysis"].wait(5)
+        assert ports() == used
+        remove_litter(domain_id)
+        assert not ports()
 
 
 @pytest.mark.parametrize(
