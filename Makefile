@@ -77,8 +77,8 @@ MEASURED := $(if $(ARGS),,1)
 test: $(PACKAGE) ## run all tests on real ROS 2; ARGS='-k codec' chooses, SHUFFLE=7 draws another order
 	@$(if $(MEASURED),$(COVERAGE) erase)
 	@IMPACT_RIG_REQUIRE_ROS=1 $(if $(MEASURED),$(COVERAGE) run,$(VENV)/bin/python) -m pytest $(PYTEST_PLUGINS_USED) \
-	    -n 2 --dist loadfile --max-worker-restart 0 $(if $(SHUFFLE),--shuffle=$(SHUFFLE)) $(ARGS)
-	@$(if $(MEASURED),$(COVERAGE) combine --quiet && $(COVERAGE) report)
+	    -n 2 --dist loadfile --max-worker-restart 0 $(if $(SHUFFLE),--shuffle=$(SHUFFLE)) $(ARGS); status=$$?; \
+	    $(if $(MEASURED),$(COVERAGE) combine --quiet && $(COVERAGE) report &&) exit $$status
 
 lint: $(PACKAGE) ## check style, types and layers
 	@$(VENV)/bin/ruff check .

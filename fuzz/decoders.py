@@ -21,6 +21,8 @@ from impact_rig.recording.tail import tail_of
 from impact_rig.rig import Rig, resimulate
 
 TABLES = {name: value for name, value in vars(blocks).items() if isinstance(value, np.dtype)}
+WRITTEN = 8
+"""Messages of each small run."""
 LARGEST_S = 0.05
 """Rig time that a hostile journal is re-simulated for."""
 
@@ -71,7 +73,7 @@ def _small_run(directory: Path, compression: str) -> tuple[bytes, tuple[bytes, b
     ) as writer:
         for topic in topics:
             writer.add_topic(topic)
-        for number in range(8):
+        for number in range(WRITTEN):
             data = b"\0\1\0\0\x09\0\0\0message" + bytes([48 + number, 0])
             writer.write_at(topics[number % 2].name, data, 10 + number, 20, number)
             writer.secure()
@@ -110,7 +112,9 @@ def mcap_recover(raw: tuple[bytes, bytes | None]) -> None:
         path.write_bytes(recording)
         if tail is not None:
             tail_of(path).write_bytes(tail)
-        recover(path, Path(folder, "out"))
+        report = recover(path, Path(folder, "out"))
+        if recording in UNFINISHED and tail == TAILS[UNFINISHED.index(recording)]:
+            assert report.messages == WRITTEN
         with open_run(Path(folder, "out")) as run:
             for message in run.messages():
                 assert (message.topic, bytes(message.data)) in SENT
@@ -217,9 +221,10 @@ TARGETS = (
         "mcap_recover",
         st.tuples(mutated(FILES), st.none())
         | st.tuples(st.sampled_from(UNFINISHED), mutated(TAILS))
-        | st.tuples(mutated(UNFINISHED), st.sampled_from(TAILS)),
+        | st.tuples(mutated(UNFINISHED), st.sampled_from(TAILS))
+        | st.sampled_from(list(zip(UNFINISHED, TAILS, strict=True))),
         mcap_recover,
-        ("recording/recovery.py", "recording/salvage.py"),
+        ("recording/recovery.py", "recording/salvage.py", "recording/tail.py"),
     ),
     Target("journal", journals(), journal, ("rig/journal.py", "rig/resimulate.py")),
     Target(

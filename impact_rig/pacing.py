@@ -125,6 +125,7 @@ class AckWindow:
         self._published = 0
         self._stamps: list[int] = []  # of the newest blocks; the last one is number self._published
         self._readers: dict[str, _Reader] = {}
+        self._peers: tuple[str, ...] = ()
         self.set_peers(peers)
 
     @property
@@ -144,9 +145,10 @@ class AckWindow:
 
     def set_peers(self, peers: Iterable[str]) -> None:
         """Change the peers; new ones owe nothing of what is already out."""
-        self._peers = tuple(peers)
-        for name in self._peers:
-            self._readers.setdefault(name, _Reader(self._published, self._clock()))
+        before, self._peers = self._peers, tuple(peers)
+        for name in set(self._peers).difference(before):
+            reader = self._readers.setdefault(name, _Reader(self._published, self._clock()))
+            reader.forgiven, reader.heard_ns = self._published, self._clock()
         for name in set(self._readers).difference(self._peers):
             if self._readers[name].acknowledged is None:
                 del self._readers[name]
@@ -167,7 +169,7 @@ class AckWindow:
             del self._stamps[:KEPT]
 
     def acknowledge(self, name: str, stamp_ns: int) -> bool:
-        """Take an acknowledgement; False if it makes no sense (nobody we watch, stamp never published)."""
+        """Take an acknowledgement; False if it makes no sense (nobody we watch, later than any block)."""
         reader = self._readers.get(name)
         if reader is None or self.newest_ns is None or stamp_ns > self.newest_ns:
             return False

@@ -18,6 +18,8 @@ from typing import IO
 import pytest
 from hypothesis import HealthCheck, settings
 
+from impact_rig.testing.domain import remove_litter
+
 REQUIRE_ROS = os.environ.get("IMPACT_RIG_REQUIRE_ROS") == "1"
 DOMAINS = range(50, 100)  # 0 to 101 are safe on Linux; people and `make demo` use low numbers
 GRACE_S = 5.0  # how long a thread or process may take to end after its test
@@ -75,6 +77,7 @@ def _own_domain_and_logs(tmp_path_factory: pytest.TempPathFactory) -> Iterator[N
     os.environ["ROS_LOG_DIR"] = str(tmp_path_factory.mktemp("ros_log"))
     domain, lock = _claim_domain()
     os.environ["ROS_DOMAIN_ID"] = str(domain)
+    remove_litter(domain)
     with lock:
         yield
 

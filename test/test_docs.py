@@ -61,6 +61,7 @@ def test_a_test_that_runs_a_page_reads_it():
         ("`ros2 launch impact_rig rig.launch.py modus:=x`", "rig.launch.py has no argument modus"),
         ("`ros2 topic echo /rig/transmissibilities`", "docs/interface.md has no topic transmissibilities"),
         ("`ros2 param set /rig/rig barriers.gap 1`", "docs/interface.md has no parameter barriers.gap"),
+        ("```sh not run: so\nros2 run impact_rig\n```\n", "ros2 run impact_rig: words are missing"),
         ("in `test/test_nothing.py`", "there is no test/test_nothing.py"),
         ("in `config/none/`", "there is no config/none/"),
         ("[x](none.md)", "there is no none.md"),
@@ -121,3 +122,8 @@ def test_the_table_of_the_readme_is_right_in_itself():
     for _, dt, ours, paper, difference in rows:
         assert ours == pytest.approx(100.0 * (1.0 - dt / float(expected)), abs=0.06)
         assert difference == pytest.approx(ours - paper, abs=0.11)
+
+
+@pytest.mark.parametrize("text", ["`python`", "`ros2`", "`ros2 run impact_rig`", "`make`", "`ros2 param set X`"])
+def test_a_command_that_is_only_named_is_none(text):
+    assert list(TOOL["faults"](TOOL["Page"].parse("page.md", text))) == []

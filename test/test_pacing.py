@@ -114,6 +114,13 @@ def test_new_peers_owe_nothing_of_the_past() -> None:
     assert window.behind() == {"a": 1, "b": 0}
     window.set_peers(("b",))
     assert window.room() == 4
+    window.watch("c")
+    window.acknowledge("c", 0)
+    for stamp in (1, 2, 3):
+        window.published(stamp)
+    assert window.behind()["c"] == 3, "watched before"
+    window.set_peers(("c",))
+    assert window.room() == 4
 
 
 @given(st.lists(st.tuples(st.sampled_from(["publish", "a", "b"]), st.integers(-5, 400)), max_size=200))

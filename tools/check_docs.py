@@ -198,6 +198,8 @@ def command_faults(words: list[str], *, whole: bool) -> Iterator[str]:
         fault = check(words[1:], whole) if check else None
     except argparse.ArgumentError as error:
         fault = str(error)
+    except IndexError:
+        fault = "words are missing" if whole else None
     if fault:
         yield f"{shlex.join(words)}: {fault}"
 
@@ -297,9 +299,12 @@ def run_all(blocks: list[Block]) -> list[str]:
 
 def main() -> int:
     """Print every fault and return the exit code."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--run", action="store_true", help="run the commands as well")
+    arguments = parser.parse_args()
     found = [fault for page in pages().values() for fault in faults(page)]
     blocks = [block for page in pages().values() for block in page.blocks]
-    if "--run" in sys.argv[1:]:
+    if arguments.run:
         found += run_all(blocks)
     sys.stdout.write("".join(f"{fault}\n" for fault in found))
     sys.stdout.write(f"{len(pages())} pages, {len(blocks)} code blocks, {len(found)} faults\n")

@@ -11,6 +11,7 @@ import signal
 import sys
 import tempfile
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -42,7 +43,7 @@ class Graph:
         self.domain_id = domain_id
         self.processes = processes
         self.recordings = 0
-        self.acknowledged: list[set[int]] = []
+        self.acknowledged: list[Counter[int]] = []
         """Stamps that the recorder has acknowledged, by recording."""
         self.start("rig")
         self.start("analysis")
@@ -60,7 +61,7 @@ class Graph:
         elif node == "recorder":
             parameters = {"directory": str(self.directory), "name": f"run{self.recordings}"}
             self.recordings += 1
-            self.acknowledged.append(set())
+            self.acknowledged.append(Counter())
         self.processes.running.pop(node, None)
         self.processes.start(node, parameters)
 
@@ -70,9 +71,8 @@ class Graph:
         self.client.listen("daq/ack", self._take_acknowledgement)
 
     def _take_acknowledgement(self, message: Received) -> None:
-        # a recorder that is not yet recording acknowledges, too
-        if message.data.frame_id == "recorder" and (self.directory / f"run{self.recordings - 1}").exists():
-            self.acknowledged[-1].add(nanoseconds(message.data.stamp))
+        if message.data.frame_id == "recorder":
+            self.acknowledged[-1][nanoseconds(message.data.stamp)] += 1
 
     def flows(self, blocks: int = 50) -> None:
         """Wait until that many more blocks have come."""
@@ -220,9 +220,11 @@ def main() -> int:
             with open_run(path) as run:
                 stamps = [one.stamp_ns for one in run.tables("daq/scan", recorded_order=True)]
             missing = sum(int(step) // TICK_NS - 1 for step in np.diff(stamps) if step > TICK_NS)
-            broken = len(graph.acknowledged[number] - set(stamps))
+            # counted, as a rig that begins again has the same stamps; a recorder acknowledges before it records, too
+            acknowledged = Counter({at: n for at, n in graph.acknowledged[number].items() if at >= stamps[0]})
+            broken = (acknowledged - Counter(stamps)).total()
             lost += missing + broken
-            text = f"recording {number + 1}: {len(stamps)} blocks, {len(graph.acknowledged[number])} acknowledged"
+            text = f"recording {number + 1}: {len(stamps)} blocks, {acknowledged.total()} acknowledged"
             table.add_row(text, "", str(missing + broken))
     console.print(table)
     return 1 if lost else 0

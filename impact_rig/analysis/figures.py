@@ -76,11 +76,12 @@ def phase_plane(displacement: Real, rate_hz: float, smooth_s: float = 0.0) -> Fi
     """Draw velocity over displacement; the velocity is the derivative of a cubic fitted to the samples around.
 
     Args:
-        displacement: [m], shape (n,), n >= 11 and longer than `smooth_s`.
+        displacement: [m], shape (n,), n >= 11.
         rate_hz: samples per second.
-        smooth_s: span of the fit [s], at least 11 samples; what is faster is lost, with the noise.
+        smooth_s: span of the fit [s], at least 11 samples and at most all; what is faster is lost, with the noise.
     """
     samples = max(SMOOTHED_SAMPLES, 2 * round(smooth_s * rate_hz / 2.0) + 1)
+    samples = min(samples, (len(displacement) - 1) // 2 * 2 + 1)
     velocity = signal.savgol_filter(displacement, samples, 3, deriv=1, delta=1.0 / rate_hz)
     figure, (axis,) = _axes(1)
     axis.plot(1e3 * displacement, velocity, linewidth=0.6)

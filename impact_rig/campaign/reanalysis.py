@@ -69,7 +69,7 @@ def measurements(findings: Iterator[Findings]) -> list[Table]:
 def same_as_live(run: Run, offline: list[Table]) -> bool | None:
     """Return whether every measurement recorded live was found again, bit for bit, and in the same order.
 
-    None: no analysis was recorded, so there is nothing to compare with.
+    None: no live measurement was recorded, so there is nothing to compare with.
     """
     if not _has(run, _TABLE):
         return None
@@ -82,6 +82,8 @@ def same_as_live(run: Run, offline: list[Table]) -> bool | None:
         elif first_ns is not None:  # what a latched topic hands to a recorder that comes is from before its first scan
             table = codec.decode(message.data)
             live += [table] if table.stamp_ns >= first_ns else []
+    if not live:
+        return None
     shared = offline[: len(live)]  # a recorder that stops before the analysis misses its last words
     return len(live) <= len(offline) and all(
         a.stamp_ns == b.stamp_ns and a.rows.tobytes() == b.rows.astype(a.rows.dtype).tobytes()

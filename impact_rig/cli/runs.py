@@ -6,6 +6,8 @@ import argparse
 import math
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table as TextTable
 
@@ -91,27 +93,30 @@ def _analyze(arguments: argparse.Namespace) -> int:
         findings = list(reanalysis.analyze(run))
         found = reanalysis.measurements(iter(findings))
         same = reanalysis.same_as_live(run, found)
-        drawn = run_figures.draw(run, findings, arguments.figures, arguments.format) if arguments.figures else None
+        _print_measurements(console, reanalysis.rows(found))
+        if same is None:
+            console.print("no live results are in this run: nothing to compare with")
+        else:
+            console.print("identical to the live results" if same else "[red]not identical to the live results[/red]")
+        if arguments.figures is not None:
+            stretch, files = run_figures.draw(run, findings, arguments.figures, arguments.format)
+            console.print(f"drawn: {stretch}", highlight=False)
+            for file in files:
+                console.print(f"wrote {file}", highlight=False, soft_wrap=True)
+    return 1 if same is False else 0
+
+
+def _print_measurements(console: Console, rows: NDArray[np.void]) -> None:
     table = TextTable()
     for heading in ("f [Hz]", "DT", "u(DT)", "phase [deg]", "gap [mm]", "impacts/cycle", "regime", "status"):
         table.add_column(heading, justify="right")
-    for row in reanalysis.rows(found):
+    for row in rows:
         table.add_row(
             f"{row['frequency']:.3f}", f"{row['transmissibility']:.3f}", f"{row['transmissibility_uncertainty']:.3f}",
             f"{math.degrees(row['phase']):.2f}", f"{row['gap'] * 1e3:g}", f"{row['impacts_per_cycle']:.2f}",
             row["regime"].decode(), row["status"].decode(),
         )  # fmt: skip
     console.print(table)
-    if drawn is not None:
-        stretch, files = drawn
-        console.print(f"drawn: {stretch}", highlight=False)
-        for file in files:
-            console.print(f"wrote {file}", highlight=False, soft_wrap=True)
-    if same is None:
-        console.print("no live results are in this run: nothing to compare with")
-    else:
-        console.print("identical to the live results" if same else "[red]not identical to the live results[/red]")
-    return 1 if same is False else 0
 
 
 def _verify(arguments: argparse.Namespace) -> int:

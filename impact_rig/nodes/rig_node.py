@@ -161,8 +161,6 @@ class RigNode(ManagedNode[RigConfig]):
         try:
             if self.settings.time.mode == "realtime":
                 self._catch_up(rig, now + WORK_S)
-                if self._window.silent():
-                    self._window.forgive()  # nobody waits for it: what it owes need not be remembered
             else:
                 self._run_ahead(rig, now + WORK_S)
         except Exception as error:  # the model cannot go on: stop in order, and say why
@@ -189,7 +187,7 @@ class RigNode(ManagedNode[RigConfig]):
         assert self._outlets is not None
         assert self._readers is not None
         if self._readers.missing():
-            if limit <= 0 or not self._readers.all_matched():
+            if not self._readers.all_matched():
                 self._refuse_step_without(self._readers)
                 return
             self._outlets.settle_history()

@@ -16,7 +16,7 @@ from impact_rig.simtime import NS_PER_S
 
 RATE_WINDOW_S = 2.0
 SLOW_S = 1.0
-"""A reader this much rig time behind is reported; its queue holds ten times that."""
+"""A reader this much wall time behind is reported; with 100 blocks per second its queue holds ten times that."""
 
 CLOCK_STEP_S = 0.1
 """A step of the system clock by this much is reported; slewing moves both clocks alike."""

@@ -6,6 +6,7 @@ what is complete to the file and cuts the file back to the last whole record if 
 
 from __future__ import annotations
 
+import contextlib
 import io
 import os
 import resource
@@ -135,7 +136,8 @@ class McapFile:
         try:
             _write_all(self._fd, data)
         except OSError as error:
-            os.ftruncate(self._fd, self._buffer.committed)
+            with contextlib.suppress(OSError):
+                os.ftruncate(self._fd, self._buffer.committed)
             raise RecordingError(
                 f"{self.path} cannot be written: {error.strerror}; it ends with its last whole record"
                 f" ({self.size} bytes) and has no index yet: impact-rig recover completes it"

@@ -140,8 +140,6 @@ class _Salvage:
                     self._take_metadata(file, found)
                 elif found.opcode == records.MESSAGE:
                     report.note(self._damage(found, "a message outside a chunk carries no checksum"))
-        tail = tail_of(path)
-        self._tail = _Salvage(tail, report, accept_unchecked=accept_unchecked) if tail.exists() else None
 
     def introduce_topics(self, writer: RunWriter) -> None:
         """Make all topics that are known so far known to `writer`, in the order they were registered."""
@@ -168,8 +166,16 @@ class _Salvage:
                     chunks = self._report.chunks
                     yield from self._messages(file, found)
                     last = found.offset if self._report.chunks > chunks else last
-        if self._tail is not None and self._tail.follows is not None and self._tail.follows > last:
-            yield from self._tail.messages()
+        yield from self._open_chunk(last)
+
+    def _open_chunk(self, last: int) -> Iterator[tuple[Topic, records.RawMessage]]:
+        """Yield the messages of the tail, unless a chunk that begins no earlier than `last` has made it superfluous."""
+        tail = tail_of(self.path)
+        if not tail.exists():
+            return
+        follows = _Salvage(tail, RecoverReport(self._report.directory), accept_unchecked=False).follows
+        if follows is not None and follows > last:
+            yield from _Salvage(tail, self._report, accept_unchecked=False).messages()
 
     def _messages(self, file: DamagedFile, found: Found) -> Iterator[tuple[Topic, records.RawMessage]]:
         try:

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 
+from impact_rig.errors import RecordingError
 from impact_rig.recording.mcap_file import McapFile
 from impact_rig.recording.provenance import protect
 from impact_rig.recording.topics import Topic
@@ -44,6 +45,10 @@ class Tail(McapFile):
         for topic in topics:
             self.add_topic(topic)
 
+    def shortage(self) -> str:
+        """Return nothing: the recording leaves room for one more chunk, and for much more."""
+        return ""
+
     def secure(self) -> None:
         """Hand the messages since the last call to the operating system.
 
@@ -54,6 +59,13 @@ class Tail(McapFile):
         self.commit()
 
     def remove(self) -> None:
-        """Remove the file: the chunk is written."""
+        """Remove the file: the chunk is written.
+
+        Raises:
+            RecordingError: it cannot be removed.
+        """
         self.close()
-        self.path.unlink(missing_ok=True)
+        try:
+            self.path.unlink(missing_ok=True)
+        except OSError as error:
+            raise RecordingError(f"{self.path} cannot be removed: {error.strerror}") from error

@@ -46,7 +46,7 @@ class RunWriter:
 
     Args:
         directory: the run directory, created with its parents; files are named after it. It may exist, but must hold
-            neither `*.mcap` nor `metadata.yaml`: nothing is ever overwritten.
+            neither `*.mcap`, `*.mcap.tail` nor `metadata.yaml`: nothing is ever overwritten.
         provenance: goes into the `impact_rig` metadata record of every file; None: there is no such record.
         attachments: go into every file.
         clock: monotonic seconds of wall time; decides when an open chunk is due.
@@ -132,6 +132,8 @@ class RunWriter:
                 topic, starts_with_header(topic.type_name, topic.schema), matches(topic.name, SCAN_TOPIC)
             )
             with self._stopping_on_error:
+                self._file.close_chunk()  # a definition that filled it would close it behind the tail's back
+                self._commit()
                 self._register(channel)
                 self._file.commit()
             self._channels[topic.name] = channel
@@ -253,8 +255,6 @@ class RunWriter:
     def _register(self, channel: _Channel) -> None:
         topic = channel.topic
         channel.id = self._file.add_topic(topic)
-        if self._tail is not None:
-            self._tail.add_topic(topic)
         repeated = {"id": str(channel.id), "name": topic.name, "type_name": topic.type_name, "schema": topic.schema}
         self._file.add_metadata(TOPIC_RECORD_NAME, protect(repeated | topic.channel_metadata()))
 
@@ -303,9 +303,9 @@ class RunWriter:
         return self._tail
 
     def _drop_tail(self) -> None:
-        if self._tail is not None:
-            self._tail.remove()
-            self._tail = None
+        tail, self._tail = self._tail, None
+        if tail is not None:
+            tail.remove()
 
     def _flush_if_due(self) -> None:
         if self._chunk_opened_s is None:
@@ -371,5 +371,5 @@ def _make_room(directory: Path) -> None:
     except OSError as error:
         raise RecordingError(f"the run directory {directory} cannot be made: {error.strerror}") from error
     for name in present:
-        if name.endswith(".mcap") or name == bag_metadata.FILE_NAME:
+        if name.endswith((".mcap", ".mcap.tail")) or name == bag_metadata.FILE_NAME:
             raise RecordingError(f"{directory} holds a recording already ({name}); nothing is overwritten")

@@ -40,6 +40,7 @@ def isolated_domain() -> Iterator[int]:
         try:
             yield domain_id
         finally:
+            remove_litter(domain_id)
             os.close(handle)
             if before is None:
                 del os.environ[DISCOVERY_VARIABLE]
@@ -54,32 +55,26 @@ def isolated_domain() -> Iterator[int]:
 def remove_litter(domain_id: int) -> None:
     """Remove the shared-memory ports that killed processes have left in a domain, as `fastdds shm clean` does.
 
-    Who finds one half written may crash (https://github.com/eProsima/Fast-DDS/issues/6501).
+    Who finds one half written may crash (https://github.com/eProsima/Fast-DDS/issues/6501). A port in use is
+    locked, and left alone; one that is being made in this very instant is not yet, so the domain should be one's own.
     """
     first = FIRST_PORT + PORTS_PER_DOMAIN * domain_id
     for number in range(first, first + PORTS_PER_DOMAIN):
         port = SHARED_MEMORY / f"fastrtps_port{number}"
-        locks = [port.with_name(f"{port.name}_{kind}") for kind in ("el", "sl")]  # held while somebody listens there
-        if port.exists() and not any(map(_is_held, locks)):
-            for path in (port, *locks, SHARED_MEMORY / f"sem.{port.name}_mutex"):
-                with contextlib.suppress(FileNotFoundError, PermissionError):
-                    path.unlink()
+        if port.exists():
+            _remove_unless_in_use(port)
 
 
-def _is_held(path: Path) -> bool:
-    try:
-        handle = os.open(path, os.O_RDONLY)
-    except FileNotFoundError:
-        return False
-    except PermissionError:  # of another user
-        return True
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return True
-    finally:
-        os.close(handle)
-    return False
+def _remove_unless_in_use(port: Path) -> None:
+    locks = [port.with_name(f"{port.name}_{kind}") for kind in ("el", "sl")]
+    with contextlib.ExitStack() as held, contextlib.suppress(BlockingIOError, PermissionError):
+        for path in locks:
+            with contextlib.suppress(FileNotFoundError):
+                handle = os.open(path, os.O_RDONLY)
+                held.callback(os.close, handle)
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        for path in (port, *locks, SHARED_MEMORY / f"sem.{port.name}_mutex"):
+            path.unlink(missing_ok=True)
 
 
 def _candidates() -> Iterator[int]:

@@ -154,6 +154,15 @@ def test_results_of_the_run_before_are_not_those_of_this_one(whole: Messages, tm
         assert reanalysis.same_as_live(run, reanalysis.measurements(reanalysis.analyze(run))) is True
 
 
+def test_a_recording_without_a_live_measurement_is_not_called_identical(whole: Messages, tmp_path: Path) -> None:
+    """The recorder came after the last one: only the latched table of before is in the run."""
+    (last,) = [table for name, table in whole if name == "transmissibility/table"][-1:]
+    early = ("transmissibility/table", attrs.evolve(last, stamp_ns=0))
+    scans = [one for one in whole if one[0] != "transmissibility/table"]
+    with open_run(record(tmp_path / "run", [early, *scans])) as run:
+        assert reanalysis.same_as_live(run, reanalysis.measurements(reanalysis.analyze(run))) is None
+
+
 def test_live_analysis_settings_are_those_of_the_run(whole: Messages, tmp_path: Path) -> None:
     """A run measured with other settings is analysed with them, and its label holds."""
     with open_run(record(tmp_path / "run", whole)) as run:

@@ -67,6 +67,23 @@ def test_killed_after_any_call_all_that_was_secured_is_given_back(record, tmp_pa
         assert [bytes(message.data) for message in run.messages(recorded_order=True)] == sent
 
 
+@pytest.mark.parametrize("chunk_bytes", range(1500, 5000, 100))
+def test_a_topic_that_comes_when_a_chunk_is_nearly_full_costs_nothing(record, tmp_path, chunk_bytes):
+    """Its definition may fill the chunk: what is secured after that belongs to the next one."""
+    writer = record(tail=True, chunk_bytes=chunk_bytes)
+    writer.add_topic(SCAN_TOPIC)
+    sent = []
+    for number in range(4):
+        if number == 3:
+            writer.add_topic(NOTES_TOPIC)
+        sent.append(scan_block(number, scans=16))
+        writer.write(SCAN_TOPIC.name, sent[-1], 0, number)
+        writer.secure()
+    shutil.copytree(writer.directory, tmp_path / "killed")
+    assert given_back(tmp_path / "killed", tmp_path / "out") == sent
+    writer.finish()
+
+
 def test_killed_between_chunk_and_removal_nothing_is_given_back_twice(record, tmp_path, monkeypatch):
     """The one instant at which both files hold the same messages."""
     instants = []
@@ -137,3 +154,6 @@ def test_a_tail_of_somebody_else_is_not_overwritten(record):
     with pytest.raises(RecordingError, match=r"run.mcap.tail exists already and is not overwritten"):
         writer.write(SCAN_TOPIC.name, scan_block(0), 0, 0)
     assert other.read_text() == "mine"
+    (writer.directory / "run.mcap").unlink()
+    with pytest.raises(RecordingError, match=r"holds a recording already \(run.mcap.tail\)"):
+        record(tail=True)
