@@ -32,14 +32,14 @@ def main() -> int:
         from fuzz import decoders, target, validators  # noqa: PLC0415  # after the measurement has begun
 
         known = {one.name: one for one in (*decoders.TARGETS, *validators.TARGETS)}
-        unknown = {*arguments.targets, *filter(None, [arguments.guided])} - set(known)
+        unknown = set([arguments.guided] if arguments.guided else arguments.targets) - set(known)
         if unknown:
             parser.error(f"targets are {', '.join(known)}; got {', '.join(sorted(unknown))}")
         if arguments.guided:
             tally = target.Tally()
             atexit.register(lambda: print(f"{tally.inputs} inputs, {tally.refused} refused"))
             test = target.prepared(known[arguments.guided], INPUTS, 0, tally)
-            watching.Setup([sys.argv[0], *rest], test.hypothesis.fuzz_one_input)
+            watching.Setup([sys.argv[0], *arguments.targets, *rest], test.hypothesis.fuzz_one_input)
             watching.Fuzz()  # ends the process
         if rest:
             parser.error(f"unrecognized arguments: {' '.join(rest)}")

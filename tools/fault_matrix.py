@@ -95,7 +95,7 @@ class Graph:
 
     def gaps(self, since: int) -> int:
         """Return blocks missing among those that came since then; a rig that began again is no gap."""
-        steps = np.diff([table.stamp_ns for table in self.scans.tables()[since:]])
+        steps = np.diff([table.stamp_ns for table in self.scans.tables(since)])
         return int(sum(step // TICK_NS - 1 for step in steps if step > 0))
 
 

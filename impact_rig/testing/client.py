@@ -382,7 +382,7 @@ class Client:
         return present == state
 
     def _accepted(self, before: int, column: str, value: float) -> Table | None:
-        for table in reversed(self._applied.tables()[before:]):
+        for table in reversed(self._applied.tables(before)):
             if table.rows[column][-1] == value:
                 return table
         return None

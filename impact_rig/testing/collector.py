@@ -64,9 +64,9 @@ class Collector:
         """The messages, or the CDR bytes of tables."""
         return [message.data for message in self.received]
 
-    def tables(self) -> list[Table]:
-        """Return the decoded tables."""
-        return [codec.decode(message.data) for message in self.received]
+    def tables(self, since: int = 0) -> list[Table]:
+        """Return the decoded tables, without the first `since`."""
+        return [codec.decode(message.data) for message in self.received[since:]]
 
     def last(self) -> Table | None:
         """Return the newest table, decoding nothing else; None if there is none."""

@@ -80,7 +80,7 @@ def test_commands_of_any_value(attacked: Attacked, topic: topics.Topic, low: flo
         client.wait_until(lambda: len(client._applied) - applied >= len(expected), "the rows of accepted commands")
 
     attack()
-    rows = [float(table.rows[column][0]) for table in client._applied.tables()[applied:]]
+    rows = [float(table.rows[column][0]) for table in client._applied.tables(applied)]
     assert rows == expected
     attacked.await_refusals("rig", topic.name, before + sent - len(expected))
     client.command(frequency_hz=9.1, current_a=0.0)
@@ -100,7 +100,7 @@ def test_ten_thousand_commands_a_second(attacked: Attacked) -> None:
             pass
     last = 10.0 + (count - 1) / count
     client.wait_until(lambda: client._applied.last().rows["frequency"][-1] == last, "the last command")
-    rows = [float(table.rows["frequency"][0]) for table in client._applied.tables()[applied:]]
+    rows = [float(table.rows["frequency"][0]) for table in client._applied.tables(applied)]
     assert rows == sorted(rows)
     assert attacked.scans.lost() == 0
     assert client.figures("rig")["slips"] == "0"

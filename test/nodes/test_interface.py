@@ -210,7 +210,7 @@ def test_a_command_is_taken_or_refused_as_the_page_says(situated, situation: Sit
     client.publish(topics.by_name(row.name), Float64(data=10.0))
 
     def taken() -> bool:
-        return any(table.rows[row.name[7:]][0] == 10.0 for table in client._applied.tables()[applied:])
+        return any(table.rows[row.name[7:]][0] == 10.0 for table in client._applied.tables(applied))
 
     client.wait_until(lambda: node.refusals.total() > before or taken(), "an answer")
     assert taken() == (situation in row.taken)
