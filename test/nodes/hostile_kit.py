@@ -33,11 +33,19 @@ class Attacked:
         self.processes = Processes(domain_id, directory, namespace="/target")
         self.processes.start("rig", {"time.mode": "realtime", "daq.seed": 4})
         self.processes.start("analysis")
-        self.processes.start("recorder", {"directory": str(directory), "name": "run", "record": False})
+        self.processes.start("recorder", {"record": False})
+        self.directory, self.runs = directory, list[Path]()
         self.client = Client(domain_id, "/target", self.processes)
         self.client.wait_active("rig", "analysis", "recorder")
         self.scans = self.client.collect("daq/scan")
         self.monitors = [self.client.collect(name) for name in ("accelerometer", "laser", "base_displacement")]
+
+    def record(self) -> None:
+        """Begin a run, whatever the recorder's parameters have become."""
+        run = self.directory / f"run{len(self.runs)}"
+        self.client.set_parameters("recorder", {"directory": str(run.parent), "name": run.name, "max_file_mb": 0})
+        assert self.client.trigger("recorder/start") == str(run)
+        self.runs.append(run)
 
     def refused(self, node: str, reason: str) -> int:
         return int(self.client.figures(node).get(f"refused.{reason}", "0"))
