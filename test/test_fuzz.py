@@ -95,6 +95,7 @@ def test_a_table_without_its_columns_is_refused_by_name(topic: str, rows: np.nda
         ("rate", 1e12, "rate must be one positive whole number of Hz, at most 1e"),
         ("since_start", np.nan, "since_start must be within"),
         ("name", b"\xff\xfe", "must have one row for each of"),
+        ("noise", 1e200, "noise must be infinite or at most 1e"),
     ],
 )
 def test_a_calibration_that_makes_no_sense_is_refused(column: str, value: object, words: str) -> None:
@@ -151,6 +152,14 @@ def test_a_yaml_bomb_is_refused_at_once(tmp_path: Path, text: str, words: str) -
     """The first ended in RecursionError; the second took seven seconds, and twice that with each line."""
     (tmp_path / "rig.yaml").write_text(text)
     with pytest.raises(ConfigError, match=words):
+        load(tmp_path / "rig.yaml")
+
+
+@pytest.mark.parametrize("digits", ["9" * 400, "0x" + "f" * 5000])
+def test_an_integer_beyond_all_floats_is_refused_by_name(tmp_path: Path, digits: str) -> None:
+    """The first ended in OverflowError, the second in ValueError: Python does not write it out."""
+    (tmp_path / "rig.yaml").write_text(f"daq:\n  seed: {digits}\n")
+    with pytest.raises(ConfigError, match=r"seed must be .*, got a number beyond all measure"):
         load(tmp_path / "rig.yaml")
 
 

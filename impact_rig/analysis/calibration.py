@@ -74,6 +74,8 @@ COLUMNS = (
 
 MOST_HZ = 1e6
 """The board's aggregate rate; bounds the memory that a hostile table can ask for."""
+LARGEST = 1e100
+"""Of any figure: its square is a number."""
 
 
 @attrs.frozen(eq=False)
@@ -111,7 +113,7 @@ class Calibration:
 
         Raises:
             ConfigError: a channel is missing or twice there, the rates differ or are no positive whole number, a range
-                is empty, or a lag order is unknown.
+                is empty, a lag order is unknown, or a figure is beyond all measure.
         """
         names = [bytes(name).decode(errors="replace") for name in rows["name"]]
         if sorted(names) != sorted(CHANNELS):
@@ -127,6 +129,12 @@ class Calibration:
             raise ConfigError("daq/info: range_low must be < range_high in every row")
         if not set(ordered["lag_order"].tolist()) <= set(LAG_MODELS):
             raise ConfigError(f"daq/info: lag_order must be one of 0, 1, 2, got {ordered['lag_order'].tolist()}")
+        for name in COLUMNS:
+            sizes = np.abs(ordered[name])
+            if np.any((sizes > LARGEST) & np.isfinite(sizes)):
+                raise ConfigError(
+                    f"daq/info: {name} must be infinite or at most {LARGEST:g}, got {ordered[name].tolist()}"
+                )
         return cls(round(rate), *(_finite(ordered[name]) for name in COLUMNS))
 
     def response(self, channel: int, frequency_hz: Real | float) -> Complex:

@@ -16,6 +16,8 @@ import attrs
 from impact_rig.errors import ConfigError
 
 METADATA_KEY = "impact_rig"
+LONGEST_BITS = 64
+"""Of an integer."""
 LEAST, MOST = 1e-15, 1e15
 """Magnitude of every quantity that is not 0: what is beyond is a slip, and products of it overflow."""
 
@@ -64,14 +66,16 @@ def info(attribute: attrs.Attribute[Any]) -> FieldInfo:
 
 def _wrong(attribute: attrs.Attribute[Any], rule: str, value: object) -> ConfigError:
     unit = info(attribute).unit
-    return ConfigError(f"{attribute.name} must be {rule}, got {value!r}{'' if unit == '-' else f' {unit}'}")
+    huge = isinstance(value, int) and value.bit_length() > LONGEST_BITS  # Python refuses to write out some of them
+    shown = "a number beyond all measure" if huge else repr(value)
+    return ConfigError(f"{attribute.name} must be {rule}, got {shown}{'' if unit == '-' else f' {unit}'}")
 
 
 def _in_range(attribute: attrs.Attribute[Any], value: float) -> None:
     about = info(attribute)
     too_low = about.low is not None and (value < about.low or (about.low_open and value == about.low))
     too_high = about.high is not None and (value > about.high or (about.high_open and value == about.high))
-    if not math.isfinite(value) or too_low or too_high:
+    if too_low or too_high or not math.isfinite(value):
         raise _wrong(attribute, about.range_text(), value)
 
 
@@ -96,6 +100,8 @@ def _meant_as_number(value: object) -> str:
 def _check_int(_instance: object, attribute: attrs.Attribute[Any], value: object) -> None:
     if not isinstance(value, int) or isinstance(value, bool):
         raise _wrong(attribute, "an integer", value)
+    if value.bit_length() > LONGEST_BITS:
+        raise _wrong(attribute, info(attribute).range_text(), value)
     _in_range(attribute, value)
 
 
