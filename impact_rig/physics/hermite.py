@@ -5,18 +5,14 @@ from __future__ import annotations
 from numba import njit
 
 
-@njit(cache=True, nogil=True)
-def cubic(y0, d0, y1, d1, h, s):  # type: ignore[no-untyped-def]  # compiled: types are inferred
-    """Return the value at s in [0, h] from values and slopes; its error is below max|y⁽⁴⁾| h⁴ / 384."""
-    q = s / h
-    rise = y1 - y0 - h * d0
-    turn = h * (d1 - d0)
-    return y0 + s * d0 + q * q * (3.0 * rise - turn + q * (turn - 2.0 * rise))
+@njit(cache=True, nogil=True, error_model="numpy")
+def quintic(start, end, h, s):  # type: ignore[no-untyped-def]  # compiled: types are inferred
+    """Return value and two derivatives at s in [0, h] from (value, slope, curvature) at both ends.
 
-
-@njit(cache=True, nogil=True)
-def quintic(y0, d0, e0, y1, d1, e1, h, s):  # type: ignore[no-untyped-def]  # compiled: types are inferred
-    """Return value and two derivatives at s in [0, h]; the value's error is below max|y⁽⁶⁾| h⁶ / 46080."""
+    The value's error is below max|y⁽⁶⁾| h⁶ / 46080.
+    """
+    y0, d0, e0 = start
+    y1, d1, e1 = end
     q = s / h
     rise = y1 - y0 - h * (d0 + 0.5 * h * e0)
     turn = h * (d1 - d0 - h * e0)

@@ -11,8 +11,9 @@ from __future__ import annotations
 
 import math
 
-from scipy.optimize import brentq
 from scipy.special import lambertw
+
+from impact_rig.arithmetic.elementary import log
 
 _SERIES_BELOW = (
     1e-3  # the closed form loses digits as a -> 0, where the series e = 1 − 2a/3 + 4a²/9 − … is exact enough
@@ -31,10 +32,22 @@ def realised(hysteresis_factor: float) -> float:
 
 
 def factor_returning(restitution: float) -> float:
-    """Return the factor `a` whose realised restitution is `restitution` in (0, 1]."""
+    """Return the factor `a` whose realised restitution is `restitution` in (0, 1].
+
+    The simulation runs on it, so it is found in portable arithmetic: by bisection of the equation above, which is
+    negative below its root in (0, 1/e).
+    """
     e = restitution
     if not 0.0 < e <= 1.0:
-        raise ValueError(f"restitution must be > 0 and <= 1, got {e!r}")
+        raise ValueError(f"restitution must be > 0 and <= 1, got {restitution!r}")
     if e == 1.0:
         return 0.0
-    return float(brentq(lambda a: realised(a) - e, 0.0, 2.0 / e, xtol=1e-15, rtol=8.9e-16))
+    low, high = 0.0, 1.0 / e
+    while True:
+        a = 0.5 * (low + high)
+        if not low < a < high:
+            return low
+        if log((1.0 + a) / (1.0 - a * e)) > a * (1.0 + e):
+            high = a
+        else:
+            low = a

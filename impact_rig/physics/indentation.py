@@ -1,0 +1,152 @@
+"""One step of a contact: the indentation δ under the law's force, pressed by the motion of the base.
+
+    δ'' = −F(δ, δ') / m_eff + thrust(t) − (σ / m_1) (k_1 δ + c_1 δ')
+
+F has a kink where the contact starts and ends (δ^1.5), which limits every classical method to order 2.5. With w = √δ
+and dt = w ds (a Sundman transformation) the equations are smooth through w = 0:
+
+    dw/ds = δ'/2,    dt/ds = w,    dδ'/ds = w δ''
+
+A step solves the collocation equations of `collocation` (Radau IIA, order 9, L-stable: a sphere that rests on the wall
+is no harder than one that bounces off). w and t follow linearly from the speeds at the stages, which are the only
+unknowns of Newton's method.
+"""
+
+from __future__ import annotations
+
+import math
+
+from numba import njit
+
+from impact_rig.arithmetic.elementary import power
+from impact_rig.physics.collocation import INVERSE, LAST, MATRIX, NODES, REAL_EIGENVALUE, STAGES, TO_START
+from impact_rig.physics.pair import polynomial, terms_for
+
+ERROR_ORDER = STAGES + 1.0
+_EASE = 2e4  # the estimate is of order 5, the step of order 9: held by test_riding.py
+_ROUNDS = 12
+_JACOBIANS = 1  # rounds that renew it, beside the first: later ones only polish
+_CONVERGED = 1e-2  # of the step's tolerance
+_RESOLUTION = 2.0**-48  # of the speeds: Newton cannot come closer
+_LEAST_PART = 1e-3  # of the floored approach speed: slower motion of a contact need not be resolved relatively
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def begin_step(p, force, s, k):  # type: ignore[no-untyped-def]  # compiled: types are inferred
+    """Evaluate force and slope at the start of a step, and the tolerance of its speeds [m/s]."""
+    elastic, lossy, _, by_w, _ = force(p.stiffness, p.factor, s.per_v0, s.deepest, s.w, s.w_rate)
+    depth = s.w * s.w
+    k.start_force = elastic + lossy
+    own = p.pair_stiffness * depth + p.pair_damping * s.w_rate
+    k.start_slope = s.w * (k.thrust[0] - own - k.start_force * p.per_m_eff)
+    vibration = math.sqrt(0.5 * s.w * depth * abs(by_w) * p.per_m_eff)  # δ times the contact's own frequency
+    k.tolerance = p.rtol * max(abs(s.w_rate), vibration, _LEAST_PART * p.speed_floor)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _place(s, k, h):  # type: ignore[no-untyped-def]
+    """Fill w and time at the stages from the speeds there."""
+    for i in range(STAGES):
+        w = 0.0
+        for j in range(STAGES):
+            w += MATRIX[i, j] * k.rate[j]
+        k.w[i] = s.w + 0.5 * h * w
+    for i in range(STAGES):
+        since = 0.0
+        for j in range(STAGES):
+            since += MATRIX[i, j] * k.w[j]
+        k.since[i] = h * since
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _press(p, force, s, k):  # type: ignore[no-untyped-def]
+    """Fill force and slope at the stages, and the slope's derivatives."""
+    for i in range(STAGES):
+        w, rate = k.w[i], k.rate[i]
+        elastic, lossy, _, by_w, by_rate = force(p.stiffness, p.factor, s.per_v0, s.deepest, w, rate)
+        k.force[i], k.lossy[i] = elastic + lossy, lossy
+        own = p.pair_stiffness * w * w + p.pair_damping * rate
+        acceleration = polynomial(k.thrust, k.since[i], k.terms) - own - k.force[i] * p.per_m_eff
+        k.slope[i] = w * acceleration
+        k.by_w[i] = acceleration - w * (by_w * p.per_m_eff + 2.0 * p.pair_stiffness * w)
+        k.by_rate[i] = -w * (by_rate * p.per_m_eff + p.pair_damping)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _factorise(k, h):  # type: ignore[no-untyped-def]
+    """Fill `k.matrix` with the LU factors of A⁻¹ − h ∂slope/∂rate − (h²/2) ∂slope/∂w A, no pivoting.
+
+    A times it is the Jacobian of the equations v_0 + hA slope(v) − v = 0, with the sign turned.
+    """
+    m = k.matrix
+    for i in range(STAGES):
+        for j in range(STAGES):
+            m[i, j] = INVERSE[i, j] - 0.5 * h * h * k.by_w[i] * MATRIX[i, j]
+        m[i, i] -= h * k.by_rate[i]
+    for i in range(STAGES):
+        m[i, i] = 1.0 / m[i, i]
+        for row in range(i + 1, STAGES):
+            factor = m[row, i] * m[i, i]
+            m[row, i] = factor
+            for j in range(i + 1, STAGES):
+                m[row, j] -= factor * m[i, j]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _improve(s, k, h):  # type: ignore[no-untyped-def]
+    """Make one Newton step of the stages' speeds; return the largest change [m/s]."""
+    m, change = k.matrix, k.miss
+    for i in range(STAGES):
+        miss = h * k.slope[i]
+        for j in range(STAGES):
+            miss += INVERSE[i, j] * (s.w_rate - k.rate[j])
+        for j in range(i):
+            miss -= m[i, j] * change[j]
+        change[i] = miss
+    largest = 0.0
+    for i in range(LAST, -1, -1):
+        for j in range(i + 1, STAGES):
+            change[i] -= m[i, j] * change[j]
+        change[i] *= m[i, i]
+        k.rate[i] += change[i]
+        largest = max(largest, abs(change[i]))
+    return largest
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def solve(p, force, s, k, h):  # type: ignore[no-untyped-def]
+    """Solve a step of length h; return whether Newton converged. The stages hold the step, the last one its end."""
+    for i in range(STAGES):
+        k.rate[i] = s.w_rate + NODES[i] * h * k.start_slope
+    goal = max(_CONVERGED * k.tolerance, _RESOLUTION * abs(s.w_rate))
+    for round_ in range(_ROUNDS):
+        _place(s, k, h)
+        if round_ == 0:
+            k.terms = terms_for(k, k.since[LAST])
+        _press(p, force, s, k)
+        if round_ <= _JACOBIANS:
+            _factorise(k, h)
+        change = _improve(s, k, h)
+        if not change < math.inf:
+            return False
+        if change <= goal:
+            _place(s, k, h)
+            return True
+    return False
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def estimate(k, h):  # type: ignore[no-untyped-def]
+    """Return the error of the step solved last, in units of what is allowed."""
+    defect = k.start_slope
+    for j in range(STAGES):
+        defect -= TO_START[j] * k.slope[j]
+    step = REAL_EIGENVALUE * h
+    filtered = step * defect / (1.0 - step * k.by_rate[LAST] - 0.5 * step * step * k.by_w[LAST])
+    return abs(filtered) / (_EASE * k.tolerance)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def rescaled(h, error):  # type: ignore[no-untyped-def]
+    """Return the step length that this error asks for."""
+    return h * min(4.0, max(0.1, 0.8 * power(max(error, 1e-9), -1.0 / ERROR_ORDER)))

@@ -1,0 +1,225 @@
+"""A contact from touch to release: steps of the indentation, ended exactly where something happens.
+
+A step ends where its error allows, and earlier at the first of these events:
+
+    LEFT      w = 0            the sphere is off the wall
+    TIME      t = t_end        the drive segment is over
+    RELEASED  F = 0, δ > 0     the law would pull: it lets go, and leaves the surface where it is
+    TURNED    δ' = 0           the largest indentation, where a law with a memory changes branch
+    RELOADED  w = deepest      it presses further than before
+
+A step that overshoots an event is taken again, its length found by Newton's method, until it ends there.
+"""
+
+from __future__ import annotations
+
+import math
+
+from numba import njit
+
+from impact_rig.arithmetic.elementary import power
+from impact_rig.physics.collocation import LAST, MATRIX, STAGES
+from impact_rig.physics.energy import add_powers
+from impact_rig.physics.hermite import quintic
+from impact_rig.physics.indentation import begin_step, estimate, rescaled, solve
+from impact_rig.physics.pair import kicked, moved
+from impact_rig.physics.state import V1, X1
+
+NOTHING, LEFT, TIME, RELEASED, TURNED, RELOADED, FAILED, SETTLED = range(8)
+_IN_ORDER = (LEFT, TIME, RELEASED, TURNED, RELOADED)  # what lies behind LEFT means nothing: it comes first
+
+_REJECTIONS = 60
+_LANDINGS = 12  # Newton needs two to four
+_LANDED = 1e-13  # of the quantity's own scale
+_SMALLEST = 1e-300
+_FIRST_STEP = 0.2
+_PEAK_FOUND = 1e-5  # of a step: the force is flat there
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _force_slope(p, force, s, w, rate, slope):  # type: ignore[no-untyped-def]
+    """Return the force and its derivative along the motion, dF/ds."""
+    elastic, lossy, _, by_w, by_rate = force(p.stiffness, p.factor, s.per_v0, s.deepest, w, rate)
+    return elastic + lossy, 0.5 * by_w * rate + by_rate * slope
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _overshoot(p, s, k, event):  # type: ignore[no-untyped-def]  # compiled: types are inferred
+    """Return how far the step went beyond an event, in units of the event's scale; at most 0 where it did not."""
+    w, rate = k.w[LAST], k.rate[LAST]
+    if event == LEFT:
+        return -w / max(s.w, s.deepest, _SMALLEST)
+    if event == TIME:
+        return (k.since[LAST] - k.rest) / k.rest
+    if event == RELEASED:
+        return -k.force[LAST] / max(k.start_force, s.peak_force, _SMALLEST) if p.clipped and w > 0.0 else -1.0
+    if event == TURNED:
+        return -rate / s.w_rate if s.w_rate > 0.0 and s.w >= s.deepest else -1.0
+    return (w - s.deepest) / s.deepest if p.remembers and s.w < s.deepest else -1.0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _overshoot_slope(p, force, s, k, event):  # type: ignore[no-untyped-def]
+    """Return the derivative of `_overshoot` with respect to the length of the step."""
+    w, rate = k.w[LAST], k.rate[LAST]
+    if event == LEFT:
+        return -0.5 * rate / max(s.w, s.deepest, _SMALLEST)
+    if event == TIME:
+        return w / k.rest
+    if event == RELEASED:
+        _, slope = _force_slope(p, force, s, w, rate, k.slope[LAST])
+        return -slope / max(k.start_force, s.peak_force, _SMALLEST)
+    if event == TURNED:
+        return -k.slope[LAST] / s.w_rate
+    return 0.5 * rate / s.deepest
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _land(p, force, s, k, event):  # type: ignore[no-untyped-def]
+    """Take the step again until it ends at the event, its length in `s.step`; return whether that succeeded."""
+    low, high = 0.0, s.step
+    for _ in range(_LANDINGS):
+        beyond = _overshoot(p, s, k, event)
+        if abs(beyond) <= _LANDED:
+            break
+        if beyond > 0.0:
+            high = s.step
+        else:
+            low = s.step
+        slope = _overshoot_slope(p, force, s, k, event)
+        s.step = s.step - beyond / slope if slope > 0.0 else low
+        if not low < s.step < high:
+            s.step = 0.5 * (low + high)
+        if not solve(p, force, s, k, s.step):
+            return False
+    return True
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def take_step(p, force, s, k):  # type: ignore[no-untyped-def]
+    """Solve the next step, its length in `s.step`, and propose one in `s.next_step`; return the event it ends at.
+
+    `k` must have been expanded about s, and hold the `rest` of the segment.
+    """
+    begin_step(p, force, s, k)
+    s.step = s.next_step
+    error = 0.0
+    for _ in range(_REJECTIONS):
+        if solve(p, force, s, k, s.step) and k.since[LAST] <= k.reach:
+            error = estimate(k, s.step)
+            if error <= 1.0:
+                break
+            s.step = rescaled(s.step, error)
+        else:
+            s.step *= 0.25
+    else:
+        return FAILED
+    s.next_step = rescaled(s.step, error)
+    ended = NOTHING
+    for event in _IN_ORDER:
+        if _overshoot(p, s, k, event) > 0.0:
+            if not _land(p, force, s, k, event):
+                return FAILED
+            ended = event
+    return ended
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def pushed_back(p, k, h):  # type: ignore[no-untyped-def]
+    """Return ∫ (k_1 δ + c_1 δ') dt over the step [N s], and its integral [N s²]: what moves the pair."""
+    impulse, moment = 0.0, 0.0
+    for i in range(STAGES):
+        w = k.w[i]
+        part = h * MATRIX[LAST, i] * w * (p.k_1 * w * w + p.c_1 * k.rate[i])
+        impulse += part
+        moment += part * (k.since[LAST] - k.since[i])
+    return impulse, moment
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def dissipated(k, h):  # type: ignore[no-untyped-def]
+    """Return the energy that the contact loses during the step [J], by the quadrature of the collocation."""
+    lost = 0.0
+    for i in range(STAGES):
+        lost += h * MATRIX[LAST, i] * k.w[i] * k.lossy[i] * k.rate[i]
+    return lost
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def peak_in_step(p, force, s, k):  # type: ignore[no-untyped-def]
+    """Return the largest force of the step [N]: at an end, or where dF/ds = 0 inside, found between the ends."""
+    w, rate, slope = k.w[LAST], k.rate[LAST], k.slope[LAST]
+    _, rising = _force_slope(p, force, s, s.w, s.w_rate, k.start_slope)
+    last, falling = _force_slope(p, force, s, w, rate, slope)
+    peak = max(k.start_force, last)
+    if not rising > 0.0 > falling:
+        return peak
+    start, end = (s.w, 0.5 * s.w_rate, 0.5 * k.start_slope), (w, 0.5 * rate, 0.5 * slope)
+    low, high = 0.0, s.step
+    while high - low > _PEAK_FOUND * s.step:
+        middle = 0.5 * (low + high)
+        inside, half_rate, half_slope = quintic(start, end, s.step, middle)
+        _, rising = _force_slope(p, force, s, inside, 2.0 * half_rate, 2.0 * half_slope)
+        if rising > 0.0:
+            low = middle
+        else:
+            high = middle
+    if solve(p, force, s, k, low):  # a step that ends at the peak; then the step itself again
+        found, _ = _force_slope(p, force, s, k.w[LAST], k.rate[LAST], k.slope[LAST])
+        peak = max(peak, found)
+    solve(p, force, s, k, s.step)
+    return peak
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def account_step(p, f, s, k, ledger):  # type: ignore[no-untyped-def]
+    """Add the work of the drive and the losses outside the contact during the step."""
+    for i in range(STAGES):
+        moved(p, k, k.since[i], k.y)
+        k.y[X1] -= p.share * s.side * k.w[i] * k.w[i]
+        k.y[V1] -= p.share * s.side * k.rate[i]
+        add_powers(p, f, k.y, s.t + k.since[i], s.step * MATRIX[LAST, i] * k.w[i], ledger)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def conclude(p, s, k, ended, t_end):  # type: ignore[no-untyped-def]
+    """Move the state to the end of the step, with the impulse on the sphere and the deepest point."""
+    since, w, rate = k.since[LAST], max(k.w[LAST], 0.0), k.rate[LAST]
+    impulse, moment = pushed_back(p, k, s.step)
+    sphere = s.y[V1] + s.side * (1.0 - p.share) * s.w_rate
+    moved(p, k, since, s.y)
+    kicked(p, s.side, impulse, moment, s.y)
+    s.impulse -= s.side * p.m * (s.y[V1] + s.side * (1.0 - p.share) * rate - sphere)
+    s.elapsed += since
+    s.w = 0.0 if ended == LEFT else w
+    s.w_rate = 0.0 if ended == TURNED else rate
+    if ended == RELOADED:
+        s.w = s.deepest
+    s.deepest = max(s.deepest, s.w)
+    s.t = t_end if ended == TIME else s.t + since
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def settles(p, force, s, k):  # type: ignore[no-untyped-def]
+    """Whether a law without damping only rings about its rest any more, slower than the floored approach speed.
+
+    At a turning point the ringing has the speed amplitude |δ''| / ω, ω the contact's own frequency; it must be weaker
+    than what presses, or the sphere would bounce off.
+    """
+    elastic, lossy, _, by_w, _ = force(p.stiffness, p.factor, s.per_v0, s.deepest, s.w, s.w_rate)
+    thrust = k.thrust[0]
+    ringing = abs(thrust - (elastic + lossy) * p.per_m_eff)
+    return ringing < thrust and ringing <= p.speed_floor * math.sqrt(0.5 * by_w * p.per_m_eff / s.w)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def contact_time(p, speed):  # type: ignore[no-untyped-def]
+    """Return t_0 = (m_eff / K)^(1/(n+1)) v^((1−n)/(1+n)) [s], the time scale of a contact with F ~ K δ^n."""
+    return p.time_scale * power(speed, p.time_power)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def first_step(p, speed, thrust):  # type: ignore[no-untyped-def]
+    """Return a first step [s/m^0.5]: a part of ∫ dt/√(v t) up to the time scale of the law, or of the thrust."""
+    scale = min(contact_time(p, speed), speed / max(abs(thrust), _SMALLEST))
+    return _FIRST_STEP * math.sqrt(scale / speed)
