@@ -41,7 +41,7 @@ TWICE, BY_2, BY_STIFFNESS, BY_DAMPING = range(4)
 DECISIVE = 3  # the first quantities, which have further derivatives: by η_1 twice, by η_2, α and γ
 COLUMNS = 2 * QUANTITIES + 4 * DECISIVE
 """Of the series: all quantities, their derivatives by η_1, and the further ones of the decisive three."""
-DEGREE = 24
+DEGREE = 20
 
 WIDEST = 0.1  # of |η_0|
 MOST_1, MOST_2, MOST_3 = 3e-4, 2e-7, 1e-10
@@ -150,7 +150,7 @@ def tabulate(p, force):  # type: ignore[no-untyped-def]  # a record and a compil
             values = np.zeros((DEGREE, COLUMNS))
             ended = [_sensitive(p, force, middle + half * sincos(angles[j])[1], s, k, values[j]) for j in range(DEGREE)]
             series = _chebyshev(values, angles)
-            plain = np.abs(series[:, :QUANTITIES])
+            plain = np.abs(series[:, :DECISIVE])
             if all(ended) and (plain[-2:] <= _TAIL * plain.max(axis=0)).all():
                 table.series[0], table.low[0], table.high[0] = series, low, high
                 return table

@@ -33,6 +33,7 @@ _LANDINGS = 12  # Newton needs two to four
 _LANDED = 1e-13  # of the quantity's own scale
 _SMALLEST = 1e-300
 _FIRST_STEP = 0.2
+_HOP = 3.0
 _PEAK_FOUND = 1e-5  # of a step: the force is flat there
 
 
@@ -105,13 +106,15 @@ def take_step(p, force, s, k):  # type: ignore[no-untyped-def]
     s.step = s.next_step
     error = 0.0
     for _ in range(_REJECTIONS):
-        if solve(p, force, s, k, s.step) and k.since[LAST] <= k.reach:
+        if not solve(p, force, s, k, s.step):
+            s.step *= 0.25
+        elif k.since[LAST] > k.reach:
+            s.step *= 0.9 * k.reach / k.since[LAST]
+        else:
             error = estimate(k, s.step)
             if error <= 1.0:
                 break
             s.step = rescaled(s.step, error)
-        else:
-            s.step *= 0.25
     else:
         return FAILED
     s.next_step = rescaled(s.step, error)
@@ -203,13 +206,13 @@ def conclude(p, s, k, ended, t_end):  # type: ignore[no-untyped-def]
 def settles(p, force, s, k):  # type: ignore[no-untyped-def]
     """Whether a law without damping only rings about its rest any more, slower than the floored approach speed.
 
-    At a turning point the ringing has the speed amplitude |δ''| / ω, ω the contact's own frequency; it must be weaker
-    than what presses, or the sphere would bounce off.
+    At a turning point the ringing has the speed amplitude |δ''| / ω, ω the contact's own frequency. Where it is three
+    times as strong as what presses, the sphere hops for as long as a ringing lasts: no longer than that is no flight.
     """
     elastic, lossy, _, by_w, _ = force(p.stiffness, p.factor, s.per_v0, s.deepest, s.w, s.w_rate)
     thrust = k.thrust[0]
     ringing = abs(thrust - (elastic + lossy) * p.per_m_eff)
-    return ringing < thrust and ringing <= p.speed_floor * math.sqrt(0.5 * by_w * p.per_m_eff / s.w)
+    return ringing <= _HOP * thrust and ringing <= p.speed_floor * math.sqrt(0.5 * by_w * p.per_m_eff / s.w)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from mechanics_kit import TWO_PI, rig, sine, sphere_kg, stiffness
+from mechanics_kit import TWO_PI, gauss, rig, sine, sphere_kg, stiffness
 
 from impact_rig.config import RigConfig
 from impact_rig.physics import Motion, Simulation
@@ -45,16 +45,14 @@ def pieces(motion: Motion, shortest_s: float) -> tuple[np.ndarray, np.ndarray, n
     ("position", "speed", "acceleration"), [("x_b", "v_b", "a_b"), ("x_1", "v_1", "a_1"), ("x_2", "v_2", "a_2")]
 )
 def test_speeds_and_accelerations_are_derivatives(case, position, speed, acceleration):
-    """Integrate accelerations to speeds and speeds to positions over every smooth piece, by Gauss's rule."""
+    """Integrate accelerations to speeds and speeds to positions over every smooth piece."""
     _, motion = case
     segment, begin, end, touching = pieces(motion, 1e-7)
-    nodes, weights = np.polynomial.legendre.leggauss(20)
-    half = 0.5 * (end - begin)
-    where = np.repeat(segment, len(nodes))
-    when = (begin[:, np.newaxis] + half[:, np.newaxis] * (1.0 + nodes)).ravel()
+    when, weights = gauss(begin, end)
+    where, shape, when = np.repeat(segment, weights.shape[1]), weights.shape, when.ravel()
     inside = 1e-16  # [s]: still this piece, and nothing happens in it
     for function, derivative in ((position, speed), (speed, acceleration)):
-        integral = half * (motion.quantity(derivative, where, when).reshape(-1, len(nodes)) @ weights)
+        integral = (motion.quantity(derivative, where, when).reshape(shape) * weights).sum(axis=1)
         rise = motion.quantity(function, segment, end - inside) - motion.quantity(function, segment, begin)
         scale = np.abs(motion.quantity(function, where, when)).max()
         worst = np.argmax(np.abs(rise - integral))

@@ -94,12 +94,12 @@ def run(config: RigConfig, amplitude: float, speed: float) -> tuple[Simulation, 
 
 def assert_energy_closes(config: RigConfig, energy: EnergyAccount, motion: Motion, stored_before: float) -> None:
     """Allow what the integrators allow, the least speed that contacts start with, and rounding; nothing else."""
-    p = build(config).p
+    p = build(config).parameters[0]
     exchanged = 0.5 * p.m_eff * (motion.impacts["approach_speed"] ** 2).sum()  # elastic impacts lose nothing of it
     turnover = abs(energy.work) + energy.columns + energy.shaker + abs(energy.contact) + energy.friction
     turnover += exchanged + 2.0 * stored_before + abs(energy.stored)
     touches = (len(motion.impacts) + CYCLES) * 0.5 * p.m_eff * p.touch_speed**2
-    bend = (p.m * config.sphere.guide_friction * STANDARD_GRAVITY) ** 2 / p.c.k_1  # of the columns by friction
+    bend = (p.m * config.sphere.guide_friction * STANDARD_GRAVITY) ** 2 / p.k_1  # of the columns by friction
     assert abs(energy.imbalance) <= ENERGY_TOLERANCE * turnover + touches + ROUNDING * bend, energy
 
 
@@ -119,7 +119,7 @@ def assert_walls_hold(config: RigConfig, samples: np.ndarray) -> None:
     opening = np.sign(distance) * (samples["v_1"] - samples["v_2"])
     least = 0.0  # opening speed from which F = K δ^1.5 (1 + a δ'/v0) would pull, v0 no less than its floor
     if contact.law != "kelvin_voigt":
-        factor = build(config).p.force.damping
+        factor = build(config).parameters[0].factor
         least = contact.speed_floor_m_s / factor if factor > 0.0 else math.inf
     assert (opening[outside & (force == 0.0)] >= least * (1.0 - 1e-9)).all(), "outside the gap without a force"
 
