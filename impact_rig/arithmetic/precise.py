@@ -218,3 +218,12 @@ def dot(first: Sequence[Decimal], second: Sequence[Decimal]) -> Decimal:
 def modulus(z: Complex) -> Decimal:
     """Return |z|."""
     return z.square().sqrt()
+
+
+def square_root(z: Complex) -> Complex:
+    """Return the root of z with a real part >= 0: (a + i Im z / a) / 2, a² = 2 (|z| + Re z), or its mirror image."""
+    if z.real < 0:
+        mirrored = square_root(-z)
+        return Complex(abs(mirrored.imag), mirrored.real.copy_sign(z.imag))
+    real = ((modulus(z) + z.real) / 2).sqrt()
+    return Complex(real, z.imag / (2 * real) if real else ZERO)

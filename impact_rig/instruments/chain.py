@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from impact_rig.arithmetic.random import Random
 from impact_rig.blocks import CHANNELS, SCAN
 from impact_rig.config import RigConfig
 from impact_rig.errors import CommandError, ConfigError
@@ -18,7 +19,6 @@ from impact_rig.instruments.channel import Channel, Instants, Sine, Stretch
 from impact_rig.instruments.clock import scan_clock
 from impact_rig.instruments.faults import Fault, FaultBoard, planned
 from impact_rig.instruments.motion import Motion
-from impact_rig.instruments.noise import Noise
 from impact_rig.instruments.pieces import PIECES_PER_PERIOD, Pieces, cut
 from impact_rig.instruments.sensor import Sensor
 from impact_rig.simtime import COMMAND_GRID_NS, COMMAND_GRID_S, NS_PER_S
@@ -86,17 +86,17 @@ class Chain:
         self._clock = scan_clock(config)
         adc, ideal = config.instruments.adc, config.instruments.ideal
         self._sensors = sensors(config)
-        board = calibration.draw_board(np.random.default_rng(self._seed(_BOARD, 0)))
+        board = calibration.draw_board(Random(self._seed(_BOARD, 0)))
         self._channels = [
             Channel(
                 sensor,
                 adc,
                 self._clock,
                 index,
-                calibration.draw(np.random.default_rng(self._seed(_ERRORS, index))),
+                calibration.draw(Random(self._seed(_ERRORS, index))),
                 board,
-                Noise(self._seed(_NOISE, index)),
-                Noise(self._seed(_CONVERTER_NOISE, index)),
+                Random(self._seed(_NOISE, index)),
+                Random(self._seed(_CONVERTER_NOISE, index)),
                 ideal,
             )
             for index, sensor in enumerate(self._sensors)

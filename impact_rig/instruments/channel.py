@@ -10,6 +10,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from impact_rig.arithmetic.random import Random
 from impact_rig.config.instruments import Adc
 from impact_rig.instruments import conversion
 from impact_rig.instruments.calibration import BoardErrors, Errors
@@ -17,7 +18,6 @@ from impact_rig.instruments.clock import ScanClock
 from impact_rig.instruments.conversion import Converter, OutputStage
 from impact_rig.instruments.faults import FaultBoard
 from impact_rig.instruments.motion import Motion
-from impact_rig.instruments.noise import Noise
 from impact_rig.instruments.pieces import NODES, Pieces, polynomials
 from impact_rig.instruments.response import Response
 from impact_rig.instruments.sensor import Sensor
@@ -128,8 +128,8 @@ class Channel:
         index: int,
         errors: Errors,
         board: BoardErrors,
-        noise: Noise,
-        converter_noise: Noise,
+        noise: Random,
+        converter_noise: Random,
         ideal: bool,
     ) -> None:
         self.sensor = sensor
@@ -203,10 +203,10 @@ class Channel:
             readings, clipped = clean, np.zeros(len(clean), dtype=np.bool_)
             faults.on_cable(sensor.name, readings, clipped, first_scan, 1.0, 0.0)
         else:
-            white = self._noise.take(len(clean))
+            white = self._noise.normal(len(clean))
             volts, clipped = conversion.to_volts(self._stage, clean, white, self._coloured)
             faults.on_cable(sensor.name, volts, clipped, first_scan, sensor.volt_per_unit, sensor.offset_v)
-            white = self._converter_noise.take(len(volts))
+            white = self._converter_noise.normal(len(volts))
             readings = conversion.to_units(self._converter, volts, white, clipped)
         faults.behind_converter(sensor.name, readings, clipped, first_scan, self._last)
         if len(readings):
