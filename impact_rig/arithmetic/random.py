@@ -18,6 +18,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from impact_rig.arithmetic.elementary import exp, log
+from impact_rig.arithmetic.records import DISABLED
 
 _LAYERS = 256
 _TAIL = 3.6541528853610088  # where the lowest layer ends and the tail begins
@@ -48,30 +49,31 @@ class Random:
 
     Args:
         seed: decides the stream.
+
+    Attributes:
+        state: of the generator, 64-bit words, shape (4,), for compiled code that fills arrays itself.
     """
 
     def __init__(self, seed: np.random.SeedSequence | int) -> None:
         sequence = np.random.SeedSequence(seed) if isinstance(seed, int) else seed
-        self._state = sequence.generate_state(4, np.uint64)
+        self.state = sequence.generate_state(4, np.uint64)
 
     def normal(self, count: int) -> NDArray[np.float64]:
         """Return the next `count` standard normal numbers."""
         numbers = np.empty(count)
-        with np.errstate(over="ignore"):  # in plain Python the sums of the generator would be taken for a mishap
-            _fill_normal(self._state, numbers)
+        fill_normal(self.state, numbers)
         return numbers
 
     def uniform(self, count: int) -> NDArray[np.float64]:
         """Return the next `count` numbers spread evenly over 0 <= x < 1."""
         numbers = np.empty(count)
-        with np.errstate(over="ignore"):
-            _fill_uniform(self._state, numbers)
+        fill_uniform(self.state, numbers)
         return numbers
 
     def copy(self) -> Random:
         """Return a stream that goes on from here on its own."""
         twin = Random(0)
-        twin._state = self._state.copy()
+        twin.state = self.state.copy()
         return twin
 
 
@@ -102,7 +104,8 @@ def _beyond(s0, s1, s2, s3):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _fill_normal(state, out):  # type: ignore[no-untyped-def]
+def fill_normal(state, out):  # type: ignore[no-untyped-def]
+    """Fill an array with the next standard normal numbers."""
     s0, s1, s2, s3 = state[0], state[1], state[2], state[3]
     for i in range(out.shape[0]):
         while True:
@@ -123,9 +126,14 @@ def _fill_normal(state, out):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _fill_uniform(state, out):  # type: ignore[no-untyped-def]
+def fill_uniform(state, out):  # type: ignore[no-untyped-def]
+    """Fill an array with the next even numbers, 0 <= x < 1."""
     s0, s1, s2, s3 = state[0], state[1], state[2], state[3]
     for i in range(out.shape[0]):
         bits, s0, s1, s2, s3 = _next(s0, s1, s2, s3)
         out[i] = np.float64(bits >> _ELEVEN) * _UNIT_53
     state[0], state[1], state[2], state[3] = s0, s1, s2, s3
+
+
+if DISABLED:  # the sums of the generator drop what is beyond 64 bits, which plain NumPy takes for a mishap
+    fill_normal, fill_uniform = (np.errstate(over="ignore")(fill) for fill in (fill_normal, fill_uniform))

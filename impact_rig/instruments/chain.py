@@ -19,7 +19,7 @@ from impact_rig.instruments.channel import Channel, Instants, Sine, Stretch
 from impact_rig.instruments.clock import scan_clock
 from impact_rig.instruments.faults import Fault, FaultBoard, planned
 from impact_rig.instruments.motion import Motion
-from impact_rig.instruments.pieces import PIECES_PER_PERIOD, Pieces, cut
+from impact_rig.instruments.pieces import PIECES_PER_PERIOD, Limits, Pieces, cut
 from impact_rig.instruments.sensor import Sensor
 from impact_rig.simtime import COMMAND_GRID_NS, COMMAND_GRID_S, NS_PER_S
 
@@ -234,7 +234,9 @@ class Chain:
 
     def _acquire(self, stretch: Stretch, rough: Instants, blows: NDArray[np.void]) -> None:
         longest = min(_LONGEST_PIECE_S, 1.0 / (PIECES_PER_PERIOD * self._config.shaker.frequency_max_hz))
-        pieces = cut(rough, stretch.first_segment, stretch.ticks, stretch.tick_s, longest, _LONGEST_PULSE_PIECE_S)
+        pieces = cut(
+            rough, stretch.first_segment, stretch.ticks, Limits(stretch.tick_s, longest, _LONGEST_PULSE_PIECE_S)
+        )
         nodes = pieces.nodes()
         names = tuple(channel.sensor.quantity for channel in self._channels)
         still = np.zeros(len(pieces.start))

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from impact_rig.arithmetic.precise import ONE, TWO, ZERO, Complex, pi, precise, product, square_root, unit
 from impact_rig.arithmetic.random import Random
+from impact_rig.arithmetic.records import records
 
 SECTIONS = 4
 _SECTION = np.dtype([("a_1", "f8"), ("a_2", "f8")])
@@ -25,10 +26,10 @@ _MEMORY = np.dtype([("first", "f8"), ("second", "f8")])
 
 
 class BandPass(NamedTuple):
-    """A filter: `gain` of its input, then its sections, a recarray with a_1 and a_2, the least resonant first."""
+    """A filter: `gain` of its input, then its sections, records of a_1 and a_2, the least resonant first."""
 
     gain: float
-    sections: np.recarray[tuple[int], np.dtype[np.void]]
+    sections: NDArray[np.void]
 
 
 @functools.cache
@@ -48,7 +49,8 @@ def band_pass(low_hz: float, high_hz: float, tick_s: float) -> BandPass:
         key=lambda pole: pole.square(),
     )
     rows = [(float(-TWO * pole.real), float(pole.square())) for pole in poles]
-    sections = np.array(rows, _SECTION).view(np.recarray)
+    sections = records(SECTIONS, _SECTION)
+    sections[:] = rows
     return BandPass(float(ONE / _power([*poles, *(pole.conjugate() for pole in poles)]).sqrt()), sections)
 
 
@@ -89,7 +91,7 @@ class BandNoise:
 
     def __init__(self, filtered: BandPass, random: Random) -> None:
         self._filter, self._random = filtered, random
-        self._memory = np.zeros(SECTIONS, _MEMORY).view(np.recarray)
+        self._memory = records(SECTIONS, _MEMORY)
         self._made: NDArray[np.float64] = np.empty(0)
         self._first = 0
 
