@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-import numba
 import numpy as np
+from numba import config
 
-DISABLED = bool(numba.config.DISABLE_JIT)
+DISABLED = bool(getattr(config, "DISABLE_JIT", False))
 """Whether compiled functions run as plain Python in this process."""
 
 

@@ -48,13 +48,10 @@ class Clock(NamedTuple):
 
 
 class Steps(NamedTuple):
-    """Whole steps that are run together: middle in its piece (−1 … 1), input d_0 … d_3 about it; each shape (n,)."""
+    """Whole steps run together: middle in their piece (−1 … 1), shape (n,), and d_j about it, shape (4, n)."""
 
     middle: NDArray[np.float64]
-    d_0: NDArray[np.float64]
-    d_1: NDArray[np.float64]
-    d_2: NDArray[np.float64]
-    d_3: NDArray[np.float64]
+    d: NDArray[np.float64]
 
 
 class Task(NamedTuple):
@@ -76,18 +73,19 @@ class Response:
     """
 
     def __init__(self, modes: Modes, clock: ScanClock, channel: int) -> None:
+        self.modes = modes
         self.converted = 0
         self._channel = channel
-        self._scan_clock = clock
         self._cursor = records(1, CURSOR)
         self._cursor["due"] = clock.skews[channel]
-        self._take(modes, clock)
+        self._weights_for = math.nan  # tick for which whole steps are weighed
+        self._set(modes, clock)
 
     def adopt(self, modes: Modes, clock: ScanClock, *, keep_state: bool) -> None:
         """Go on with other modes, or another clock of the same rate; without `keep_state` the modes start from zero."""
         self._cursor["due"] += clock.skews[self._channel] - self._scan_clock.skews[self._channel]
         before = self._modes
-        self._take(modes, clock)
+        self._set(modes, clock)
         if keep_state:
             self._modes["z_re"], self._modes["z_im"] = before["z_re"], before["z_im"]
 
@@ -120,15 +118,15 @@ class Response:
         self.converted += count
         return segment[:count] + first_segment, offset[:count]
 
-    def _take(self, modes: Modes, clock: ScanClock) -> None:
+    def _set(self, modes: Modes, clock: ScanClock) -> None:
         self.modes = modes
         self._modes = records(len(modes.poles), MODE)
         self._modes["pole_re"], self._modes["pole_im"] = modes.poles.real, modes.poles.imag
         self._modes["residue_re"], self._modes["residue_im"] = modes.residues.real, modes.residues.imag
         self._weights_for = math.nan
-        self._scan_clock = clock
-        self._clock = Clock(clock.step, clock.tick, clock.substeps)
-        self._most = clock.scans_per_tick() + 1  # conversions in a tick
+        self._scan_clock: ScanClock = clock
+        self._clock: Clock = Clock(clock.step, clock.tick, clock.substeps)
+        self._most: int = clock.scans_per_tick() + 1  # conversions in a tick
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -147,7 +145,7 @@ def run(modes, clock, cursor, pieces, signal, out):  # type: ignore[no-untyped-d
     """Run the modes over all pieces, `signal` = (coefficients, kicks); fill `out`, return the number of readings."""
     coefficients, kicks = signal
     room = clock.tick // clock.step + 2
-    steps = Steps(np.empty(room), np.empty(room), np.empty(room), np.empty(room), np.empty(room))
+    steps = Steps(np.empty(room), np.empty((4, room)))
     task = Task(clock, pieces, coefficients, steps, out)
     at = cursor[0]
     at.put, out[:] = 0, 0.0
@@ -219,7 +217,10 @@ def _whole_steps(modes, task, at, last):  # type: ignore[no-untyped-def]
         bound = until if at.piece == last else min(until, end[at.piece] + 0.5 * whole)
         count = _steps_in_piece(task, at, whole, bound)
         for k in range(modes.shape[0]):
-            _follow(modes[k], task, at, count)
+            if modes[k].pole_im == 0.0:
+                _follow_real(modes[k], task, at, count)
+            else:
+                _follow_pair(modes[k], task, at, count)
         _count(clock, at, count)
         if at.piece == last or bound == until or at.due >= clock.tick:
             break
@@ -242,11 +243,15 @@ def _steps_in_piece(task, at, whole, bound):  # type: ignore[no-untyped-def]
         count += 1
         due += clock.step
     at.since_s = t
-    piece, r = at.piece, whole * per_half
-    for m in range(count):
-        d_0, d_1, d_2, d_3 = _about(task.coefficients, piece, steps.middle[m], r)
-        steps.d_0[m], steps.d_1[m], steps.d_2[m], steps.d_3[m] = d_0, d_1, d_2, d_3
+    _expand(task.coefficients, at.piece, whole * per_half, steps.middle[:count], steps.d)
     return count
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _expand(coefficients, piece, r, middle, d):  # type: ignore[no-untyped-def]
+    """Fill in d_j about the middles of steps of r half pieces."""
+    for m in range(middle.shape[0]):
+        d[0, m], d[1, m], d[2, m], d[3, m] = _about(coefficients, piece, middle[m], r)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -262,18 +267,35 @@ def _about(coefficients, piece, x, r):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _follow(mode, task, at, count):  # type: ignore[no-untyped-def]
-    """Run one mode over the noted whole steps, adding to the readings what it puts out at every conversion."""
-    steps, out, substeps = task.steps, task.out, task.clock.substeps
-    decay_re, decay_im, residue_re, residue_im = mode.decay_re, mode.decay_im, mode.residue_re, mode.residue_im
+def _follow_real(mode, task, at, count):  # type: ignore[no-untyped-def]
+    """Run a real mode over the noted whole steps; add what it puts out at every conversion to the readings."""
+    d, out, substeps = task.steps.d, task.out, task.clock.substeps
+    decay, residue, z = mode.decay_re, mode.residue_re, mode.z_re
     w0, w1, w2, w3 = mode.w0_re, mode.w1_re, mode.w2_re, mode.w3_re
-    v0, v1, v2, v3 = mode.w0_im, mode.w1_im, mode.w2_im, mode.w3_im
+    put, substep = at.put, at.substep
+    for m in range(count):
+        z = decay * z + ((w0 * d[0, m] + w1 * d[1, m]) + (w2 * d[2, m] + w3 * d[3, m]))
+        if substep == 0:
+            out[put] += residue * z
+            put += 1
+        substep = substep + 1 if substep + 1 < substeps else 0
+    mode.z_re = z
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _follow_pair(mode, task, at, count):  # type: ignore[no-untyped-def]
+    """The same for a complex mode, which stands for itself and its conjugate."""
+    d, out, substeps = task.steps.d, task.out, task.clock.substeps
+    decay_re, decay_im, residue_re, residue_im = mode.decay_re, mode.decay_im, mode.residue_re, mode.residue_im
+    w0_re, w1_re, w2_re, w3_re = mode.w0_re, mode.w1_re, mode.w2_re, mode.w3_re
+    w0_im, w1_im, w2_im, w3_im = mode.w0_im, mode.w1_im, mode.w2_im, mode.w3_im
     z_re, z_im, put, substep = mode.z_re, mode.z_im, at.put, at.substep
     for m in range(count):
-        d_0, d_1, d_2, d_3 = steps.d_0[m], steps.d_1[m], steps.d_2[m], steps.d_3[m]
+        u_re = (w0_re * d[0, m] + w1_re * d[1, m]) + (w2_re * d[2, m] + w3_re * d[3, m])
+        u_im = (w0_im * d[0, m] + w1_im * d[1, m]) + (w2_im * d[2, m] + w3_im * d[3, m])
         before = z_re
-        z_re = (decay_re * z_re + ((w0 * d_0 + w1 * d_1) + (w2 * d_2 + w3 * d_3))) - decay_im * z_im
-        z_im = (decay_re * z_im + ((v0 * d_0 + v1 * d_1) + (v2 * d_2 + v3 * d_3))) + decay_im * before
+        z_re = (decay_re * z_re + u_re) - decay_im * z_im
+        z_im = (decay_re * z_im + u_im) + decay_im * before
         if substep == 0:
             out[put] += residue_re * z_re - residue_im * z_im
             put += 1

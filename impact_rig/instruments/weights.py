@@ -13,11 +13,15 @@ exactly, however long the step is against 1/p. With q = ph and φ_k = ∫_0^1 e^
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
+import numpy as np
 from numba import njit
 
 from impact_rig.arithmetic.elementary import exp, sincos
+
+_PER_FACTORIAL = np.array([1 / math.factorial(k) for k in range(26)])
 
 
 class Weights(NamedTuple):
@@ -59,18 +63,17 @@ def weigh(pole_re, pole_im, h):  # type: ignore[no-untyped-def]  # compiled: typ
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _by_series(q_re, q_im):  # type: ignore[no-untyped-def]
-    """Return e^q and φ_1 … φ_4 for small q: the Taylor series of φ_4, then φ_{k−1} = 1/(k−1)! + q φ_k."""
+    """Return e^q and φ_1 … φ_4 for small q: φ_4 = Σ q^i / (i + 4)!, then φ_{k−1} = 1/(k−1)! + q φ_k."""
     size = abs(q_re) + abs(q_im)
     terms = 8 if size < 0.1 else 13 if size < 0.5 else 22
-    term = sum4 = (1.0 / 24.0, 0.0)
-    for i in range(1, terms):
-        per = 1.0 / (i + 4)
-        term = ((term[0] * q_re - term[1] * q_im) * per, (term[0] * q_im + term[1] * q_re) * per)
-        sum4 = (sum4[0] + term[0], sum4[1] + term[1])
-    phi3 = _one_up(q_re, q_im, sum4, 1.0 / 6.0)
+    re, im = _PER_FACTORIAL[terms + 3], 0.0
+    for i in range(terms + 2, 3, -1):
+        re, im = _PER_FACTORIAL[i] + (q_re * re - q_im * im), q_re * im + q_im * re
+    phi4 = (re, im)
+    phi3 = _one_up(q_re, q_im, phi4, 1.0 / 6.0)
     phi2 = _one_up(q_re, q_im, phi3, 0.5)
     phi1 = _one_up(q_re, q_im, phi2, 1.0)
-    return _one_up(q_re, q_im, phi1, 1.0), phi1, phi2, phi3, sum4
+    return _one_up(q_re, q_im, phi1, 1.0), phi1, phi2, phi3, phi4
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
