@@ -34,9 +34,9 @@ MODE = np.dtype(
 )
 """Pole [rad/s], residue, value z now [unit s], and the weights of a whole step."""
 
-CURSOR = np.dtype([("due", "i8"), ("substep", "i8"), ("since_s", "f8"), ("piece", "i8"), ("put", "i8")])
+CURSOR = np.dtype([("due", "i8"), ("substep", "i8"), ("since_s", "f8"), ("piece", "i8"), ("written", "i8")])
 """Where a response is: the next step's end in this tick [clock units] and its number in the scan (0: a conversion);
-time run of this tick; the piece it is in; readings put out by this call."""
+time run of this tick; the piece it is in; readings written by this call."""
 
 
 class Clock(NamedTuple):
@@ -148,7 +148,7 @@ def run(modes, clock, cursor, pieces, signal, out):  # type: ignore[no-untyped-d
     steps = Steps(np.empty(room), np.empty((4, room)))
     task = Task(clock, pieces, coefficients, steps, out)
     at = cursor[0]
-    at.put, out[:] = 0, 0.0
+    at.written, out[:] = 0, 0.0
     for tick in range(pieces.first.shape[0] - 1):
         at.since_s, at.piece = 0.0, pieces.first[tick]
         while at.piece < pieces.first[tick + 1]:  # from one rough instant to the next
@@ -160,7 +160,7 @@ def run(modes, clock, cursor, pieces, signal, out):  # type: ignore[no-untyped-d
             _smooth_stretch(modes, task, at, last)
             at.piece = last + 1
         at.due -= clock.tick
-    return at.put
+    return at.written
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -171,7 +171,7 @@ def _smooth_stretch(modes, task, at, last):  # type: ignore[no-untyped-def]
     while at.due < clock.tick and tick_s * (at.due / clock.tick) <= until:
         _odd_steps(modes, task, at, last, tick_s * (at.due / clock.tick))
         if at.substep == 0:
-            task.out[at.put] = _output(modes)
+            task.out[at.written] = _output(modes)
         _count(clock, at, 1)
         _whole_steps(modes, task, at, last)
     _odd_steps(modes, task, at, last, until)
@@ -272,7 +272,7 @@ def _follow_real(mode, task, at, count):  # type: ignore[no-untyped-def]
     d, out, substeps = task.steps.d, task.out, task.clock.substeps
     decay, residue, z = mode.decay_re, mode.residue_re, mode.z_re
     w0, w1, w2, w3 = mode.w0_re, mode.w1_re, mode.w2_re, mode.w3_re
-    put, substep = at.put, at.substep
+    put, substep = at.written, at.substep
     for m in range(count):
         z = decay * z + ((w0 * d[0, m] + w1 * d[1, m]) + (w2 * d[2, m] + w3 * d[3, m]))
         if substep == 0:
@@ -289,7 +289,7 @@ def _follow_pair(mode, task, at, count):  # type: ignore[no-untyped-def]
     decay_re, decay_im, residue_re, residue_im = mode.decay_re, mode.decay_im, mode.residue_re, mode.residue_im
     w0_re, w1_re, w2_re, w3_re = mode.w0_re, mode.w1_re, mode.w2_re, mode.w3_re
     w0_im, w1_im, w2_im, w3_im = mode.w0_im, mode.w1_im, mode.w2_im, mode.w3_im
-    z_re, z_im, put, substep = mode.z_re, mode.z_im, at.put, at.substep
+    z_re, z_im, put, substep = mode.z_re, mode.z_im, at.written, at.substep
     for m in range(count):
         u_re = (w0_re * d[0, m] + w1_re * d[1, m]) + (w2_re * d[2, m] + w3_re * d[3, m])
         u_im = (w0_im * d[0, m] + w1_im * d[1, m]) + (w2_im * d[2, m] + w3_im * d[3, m])
@@ -318,7 +318,7 @@ def _count(clock, at, steps):  # type: ignore[no-untyped-def]
     """Count steps that have been run, and the conversions at which some of them ended."""
     at.due += steps * clock.step
     for _ in range(steps):
-        at.put += at.substep == 0
+        at.written += at.substep == 0
         at.substep = at.substep + 1 if at.substep + 1 < clock.substeps else 0
 
 

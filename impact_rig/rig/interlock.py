@@ -90,7 +90,8 @@ def mean_square(values: NDArray[np.float64]) -> NDArray[np.float64]:
     total = np.zeros(len(values))
     for column in values.T:
         total += column * column
-    return total / values.shape[1]
+    total /= values.shape[1]
+    return total
 
 
 def largest(position: NDArray[np.float64], velocity: NDArray[np.float64], step_s: float) -> NDArray[np.float64]:
