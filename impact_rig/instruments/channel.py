@@ -18,7 +18,7 @@ from impact_rig.instruments.clock import ScanClock
 from impact_rig.instruments.conversion import Converter, OutputStage
 from impact_rig.instruments.faults import FaultBoard
 from impact_rig.instruments.motion import Motion
-from impact_rig.instruments.pieces import NODES, Pieces, first_value, polynomials
+from impact_rig.instruments.pieces import Pieces, first_value
 from impact_rig.instruments.response import Response
 from impact_rig.instruments.sensor import Sensor
 
@@ -164,22 +164,33 @@ class Channel:
         self.response.adopt(modes, clock, keep_state=unchanged)
         self._awake = self._awake and unchanged
 
-    def respond(
+    def see(
         self, stretch: Stretch, pieces: Pieces, nodes: Instants, values: NDArray[np.float64], kicks: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Return what the sensor's dynamics put out at the conversions in the next ticks [unit], shape (n,).
+        """Put the calibration sine, if one is on, in place of what the sensor would see; return the kicks that remain.
 
         Args:
             stretch: the ticks.
             pieces: the same, cut.
             nodes: where the quantity was sampled, `pieces.nodes()`.
-            values: what it is there, shape (pieces · NODES,).
+            values: what it is there, shape (pieces · NODES,); changed in place.
             kicks: jump of the quantity's integral at the start of each piece, shape (pieces,).
         """
         if self._replace(stretch, nodes, values) and self.sine is not None:
             tick = pieces.segment - stretch.first_segment + stretch.first_tick
             kicks = np.where(self.sine.covers(tick), 0.0, kicks)
-        coefficients = polynomials(values.reshape(-1, NODES))
+        return kicks
+
+    def respond(
+        self, pieces: Pieces, coefficients: NDArray[np.float64], kicks: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return what the sensor's dynamics put out at the conversions in the next ticks [unit], shape (n,).
+
+        Args:
+            pieces: the ticks, cut.
+            coefficients: polynomial of the quantity on each piece, shape (pieces, NODES).
+            kicks: jump of its integral at the start of each piece, shape (pieces,).
+        """
         if not self._awake:
             self._awake = True
             if self.sensor.settled:

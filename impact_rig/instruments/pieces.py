@@ -74,10 +74,15 @@ class Pieces(NamedTuple):
         return nodes
 
 
-def polynomials(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the coefficients of each piece's polynomial in x = −1 … 1, constant first; shapes (n, NODES)."""
-    coefficients: NDArray[np.float64] = _to_monomials(values)
-    return coefficients
+def polynomials(values: NDArray[np.float64], pieces: int) -> NDArray[np.float64]:
+    """Return the coefficients of each polynomial in x = −1 … 1, constant first, shape (quantities, pieces, NODES).
+
+    Args:
+        values: some quantities at the nodes of all pieces, shape (quantities, pieces · NODES).
+        pieces: how many.
+    """
+    coefficients: NDArray[np.float64] = _to_monomials(values.reshape(-1, NODES))
+    return coefficients.reshape(-1, pieces, NODES)
 
 
 def first_value(coefficients: NDArray[np.float64]) -> float:

@@ -317,9 +317,9 @@ def _output(modes):  # type: ignore[no-untyped-def]
 def _count(clock, at, steps):  # type: ignore[no-untyped-def]
     """Count steps that have been run, and the conversions at which some of them ended."""
     at.due += steps * clock.step
-    for _ in range(steps):
-        at.written += at.substep == 0
-        at.substep = at.substep + 1 if at.substep + 1 < clock.substeps else 0
+    # multiples of substeps in substep … substep + steps − 1
+    at.written += (at.substep + steps - 1) // clock.substeps - (at.substep - 1) // clock.substeps
+    at.substep = (at.substep + steps) % clock.substeps
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
