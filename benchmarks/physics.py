@@ -20,6 +20,7 @@ from collections.abc import Callable
 import numpy as np
 
 from benchmarks.physics_peers import peer_c, scipy_wall_s
+from impact_rig.arithmetic.random import Random
 from impact_rig.config import RigConfig, from_flat
 from impact_rig.physics import SEGMENT, FunctionGenerator, Simulation
 from impact_rig.physics.properties import hertz_stiffness_n_m32, sphere_mass_kg
@@ -75,7 +76,7 @@ def wall_s(gap_m: float, end_s: float = END_S, *, sphere: bool = True) -> float:
 def coupled(gap_m: float) -> tuple[Simulation, FunctionGenerator]:
     """Return the default rig, shaker and all, and its drive in ticks of 10 ms."""
     config = from_flat(RigConfig(), {"barriers.gap_m": gap_m, "drive.amplitude": 0.52})
-    return Simulation(config), FunctionGenerator(config.drive, config.shaker, np.random.default_rng(1))
+    return Simulation(config), FunctionGenerator(config.drive, config.shaker, Random(1))
 
 
 def coupled_wall_s(gap_m: float) -> float:

@@ -14,7 +14,7 @@ from impact_rig.config import RigConfig
 from impact_rig.physics import contact as contact_laws
 from impact_rig.physics.contact import ContactPair, Force
 from impact_rig.physics.forcing import bound_omega
-from impact_rig.physics.linear import Constants, constants, input_vectors, modes, state_matrix
+from impact_rig.physics.linear import Constants, constants, input_vectors, modes, state_matrix, static_answer
 from impact_rig.physics.outcome import TABLE, tabulate
 from impact_rig.physics.parameters import DRIVES, PARAMETERS, SYSTEM
 from impact_rig.physics.properties import effective_mass_kg, hertz_stiffness_n_m32, sphere_mass_kg
@@ -105,5 +105,5 @@ def _systems(c: Constants, kind: str, sphere_kg: float) -> NDArray[np.void]:
         system.rate[:kept] = found.rate
         system.right[:kept, :n], system.left[:kept, :n] = found.right, found.left
         system.b_0[:n], system.b_1[:n] = b_0, b_1
-        system.static[:n] = -np.linalg.solve(matrix, push)
+        system.static[:n] = static_answer(matrix, push)
     return systems
