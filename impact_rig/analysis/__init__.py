@@ -5,4 +5,4 @@ module: `sine` (IEEE 1057 fits), `transmissibility`, `tracker` (the same, stream
 `drop`, `stepped`, `figures`. Import the module you need: this package imports none of them by itself.
 """
 
-import impact_rig.compiled  # noqa: F401  # first: throws away what was compiled from other sources
+import impact_rig.compiled  # noqa: F401  # first: finds what was compiled from these sources
