@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
@@ -10,10 +11,12 @@ from pathlib import Path
 import attrs
 import numpy as np
 import pytest
+from rich.console import Console
 
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))  # the tool is no part of the package
 
+from tools.portability import __main__ as command  # noqa: E402
 from tools.portability import digests  # noqa: E402
 from tools.portability.masks import BARE, LIBRARIES, LLVM_GENERIC, Mask, full_environment  # noqa: E402
 from tools.portability.runs import LONG, SHORT, known  # noqa: E402
@@ -115,3 +118,23 @@ def test_what_is_written_is_read(tmp_path: Path) -> None:
     missing = digests.different(one, {("default", "daq/scan"): digests.digest(np.arange(3.0))})
     assert missing == {"default": "daq/scan"}, "a topic that is not there at all is a difference"
     assert os.fspath(digests.FILE.relative_to(ROOT)) == "test/data/digests.txt"
+
+
+def test_the_figure_says_whether_all_agree_and_keeps_its_neighbours(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    figures = tmp_path / "bench.json"
+    figures.write_text('{"cold_start_s": 1.5}')
+    monkeypatch.setattr(command, "FIGURES", figures)
+    good = command.Outcome("all", "yes", len(RUNS), {})
+    for outcome, well in [
+        (good, True),
+        (attrs.evolve(good, different={"default": "daq/scan"}), False),
+        (attrs.evolve(good, held="NO"), False),
+        (attrs.evolve(good, equal=0), False),
+    ]:
+        code = command.report(Console(quiet=True), [good, outcome], complete=True)
+        assert (code == 0) == well
+        assert json.loads(figures.read_text()) == {"cold_start_s": 1.5, "portable_bits": int(well)}
+    command.report(Console(quiet=True), [good], complete=False)
+    assert json.loads(figures.read_text())["portable_bits"] == 0, "one mask alone proves nothing"

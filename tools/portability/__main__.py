@@ -30,7 +30,8 @@ from tools.portability.masks import BARE, MASKS, Mask, full_environment
 from tools.portability.runs import LONG, SHORT, Run, known
 
 FIGURES = Path("build", "bench.json")
-CACHES = Path("build", "portability")
+WORK = Path("build", "portability")
+"""Caches of compiled code, and what the processes complained of."""
 EMULATOR = "qemu-x86_64"
 EMULATED = ("Nehalem", "EPYC")
 """An Intel CPU without AVX and an AMD one with AVX2 and FMA; NumPy's wheels need at least SSE4.2."""
@@ -78,13 +79,13 @@ def main() -> int:
             digests.write(found)
             console.print(f"written: {digests.FILE}")
         outcomes = [bench.judged("this machine", "-", ALL_RUNS, found)]
-        bare = bench.machine(BARE)
+        bare = bench.machine(full_environment(BARE))
         for mask in MASKS:
             if arguments.only in (None, mask.name):
                 outcomes.append(bench.masked(mask, bare))
         for cpu in EMULATED:
             if arguments.only in (None, cpu) and shutil.which(EMULATOR):
-                outcomes.append(bench.emulated(cpu))
+                outcomes.append(bench.emulated(cpu, bare))
     return report(console, outcomes, complete=arguments.only is None)
 
 
@@ -97,25 +98,30 @@ class Bench:
         self._reference = scratch / "reference"
         self._said: list[str] = []
 
-    def machine(self, mask: Mask) -> Machine:
-        """Return what a process under this mask runs on."""
-        command = [sys.executable, "-m", "tools.portability.machine"]
-        done = subprocess.run(command, env=full_environment(mask), check=True, capture_output=True, text=True)
+    def machine(self, environment: dict[str, str], prefix: tuple[str, ...] = ()) -> Machine:
+        """Return what a process with this environment runs on."""
+        command = [*prefix, sys.executable, "-m", "tools.portability.machine"]
+        done = subprocess.run(command, env=environment, check=True, capture_output=True, text=True)
         return Machine(**json.loads(done.stdout))
 
     def masked(self, mask: Mask, bare: Machine) -> Outcome:
         """Record every run under a mask."""
-        held = mask.verdict(self.machine(mask), bare)
         environment = full_environment(mask)
+        held = mask.verdict(self.machine(environment), bare)
         if mask.recompiles:
-            environment["NUMBA_CACHE_DIR"] = str((CACHES / mask.name).absolute())
+            environment["NUMBA_CACHE_DIR"] = str((WORK / mask.name).absolute())
         return self.judged(mask.name, held, ALL_RUNS, self.record(mask.name, environment, ["long", "short"]))
 
-    def emulated(self, cpu: str) -> Outcome:
+    def emulated(self, cpu: str, bare: Machine) -> Outcome:
         """Record the short runs on another CPU, interpreted: compiling there would take minutes."""
-        environment = full_environment(BARE) | {"NUMBA_DISABLE_JIT": "1", "_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1"}
-        found = self.record(cpu, environment, ["short"], (EMULATOR, "-cpu", cpu))
-        return self.judged(f"{EMULATOR} -cpu {cpu}", "emulated", known(SHORT), found)
+        emulator = (EMULATOR, "-cpu", cpu)
+        environment = full_environment(BARE) | {
+            "_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1"
+        }  # else it starts itself anew, bare
+        seen = self.machine(environment, emulator)
+        held = "NO" if seen == bare else f"LLVM sees {seen.llvm[0]}"
+        found = self.record(cpu, environment | {"NUMBA_DISABLE_JIT": "1"}, ["short"], emulator)
+        return self.judged(" ".join(emulator), held, known(SHORT), found)
 
     def record(
         self, name: str, environment: dict[str, str], runs: list[str], prefix: tuple[str, ...] = (), save: bool = False
@@ -125,17 +131,19 @@ class Bench:
         output.unlink(missing_ok=True)
         keep = "--save" if save else "--against"
         command = [*prefix, sys.executable, "-m", "tools.portability.child", str(output), *runs, keep]
+        command.append(str(self._reference))
         self._said, began = [], time.monotonic()
+        WORK.mkdir(parents=True, exist_ok=True)
         with (
+            (WORK / f"{name}.log").open("w", encoding="utf-8") as log,
             self._console.status(f"{name}: starting, compiling") as status,
-            subprocess.Popen(
-                [*command, str(self._reference)], env=environment, stdout=subprocess.PIPE, text=True
-            ) as child,
+            subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=log, text=True) as child,
         ):
             for line in child.stdout or ():
                 self._said.append(line.strip())
                 status.update(f"{name}: {line.strip()} after {time.monotonic() - began:.0f} s")
-        self._console.print(f"{name}: {time.monotonic() - began:.0f} s")
+        trouble = f", {log.name} says why" if child.returncode else ""
+        self._console.print(f"{name}: {time.monotonic() - began:.0f} s{trouble}")
         return digests.read(output) if output.exists() else {}
 
     def judged(self, name: str, held: str, runs: Sequence[Run], found: digests.Digests) -> Outcome:
