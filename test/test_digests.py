@@ -22,6 +22,7 @@ from tools.portability.masks import BARE, LIBRARIES, LLVM_GENERIC, Mask, full_en
 from tools.portability.runs import LONG, SHORT, known  # noqa: E402
 
 RUNS = known((*LONG, *SHORT))
+pytestmark = pytest.mark.timeout(900)  # on a busy machine with an empty cache the first of them compiles for minutes
 
 
 @attrs.frozen
@@ -70,7 +71,6 @@ def test_no_library_decides_a_bit(compiled: Recorded, directory: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(900)  # compiles everything
 def test_the_compiler_decides_no_bit(compiled: Recorded, directory: Path) -> None:
     """Numba compiles for a CPU without vectors or fused multiply-add."""
     masked = record(
