@@ -15,6 +15,8 @@ import math
 import numpy as np
 from numba import njit
 
+import impact_rig.compiled  # noqa: F401  # first: finds what was compiled from these sources
+
 PI = 3.141592653589793
 TWO_PI = 6.283185307179586
 

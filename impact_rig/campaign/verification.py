@@ -6,9 +6,10 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
+from impact_rig.arithmetic import ARITHMETIC
 from impact_rig.blocks import Table
 from impact_rig.errors import CommandError, ConfigError, RecordingError, SimulationError
-from impact_rig.recording import Run
+from impact_rig.recording import Run, arithmetic_of
 from impact_rig.rig import resimulate
 from impact_rig.simtime import NS_PER_S
 
@@ -32,7 +33,7 @@ class Verdict:
 
     def __str__(self) -> str:
         if self.identical is None:
-            return f"not verifiable: {self.reason}"
+            return f"not verifiable here: {self.reason}"
         if self.identical:
             return f"identical: {self.scans} scans re-simulated bit for bit"
         return f"different after {self.scans} identical scans: {self.reason}"
@@ -44,6 +45,8 @@ def verify(run: Run) -> Verdict:
     Raises:
         RecordingError: the run holds no scans, or is damaged.
     """
+    if arithmetic_of(run.provenance) not in ("", str(ARITHMETIC)):
+        return Verdict(None, 0, f"recorded with arithmetic {arithmetic_of(run.provenance)}, this is {ARITHMETIC}")
     scans = iter(run.tables("daq/scan", recorded_order=True))
     try:
         journal = list(run.tables("rig/journal", recorded_order=True))

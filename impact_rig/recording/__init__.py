@@ -2,7 +2,7 @@
 
 from impact_rig.recording.contiguity import Contiguity, Gap, check_contiguity, scan_rate_hz
 from impact_rig.recording.exports import export
-from impact_rig.recording.provenance import CONFIGURATION, Attachment, Provenance
+from impact_rig.recording.provenance import CONFIGURATION, Attachment, Provenance, arithmetic_of
 from impact_rig.recording.reader import Message, RecordedTopic, Run, open_run
 from impact_rig.recording.recovery import RecoverReport, recover
 from impact_rig.recording.run_info import RunInfo, TopicInfo, info
@@ -27,6 +27,7 @@ __all__ = [
     "RunWriter",
     "Topic",
     "TopicInfo",
+    "arithmetic_of",
     "check_contiguity",
     "export",
     "info",

@@ -19,6 +19,7 @@ from impact_rig.rig import Rig
 TICK = 10_000_000
 POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
 Messages = list[tuple[str, Table]]
+PROVENANCE = Provenance(version="0", seed=5, wall_start_ns=0)
 
 
 def messages(seconds: int = 12, **values: object) -> Messages:
@@ -55,11 +56,11 @@ def spikes(start: int) -> Fault:
     return Fault(kind="spike_train", channel="laser", start=start, value=1e-3, rate_hz=100.0 / 3.0)
 
 
-def record(directory: Path, found: Iterable[tuple[str, Table]]) -> Path:
+def record(directory: Path, found: Iterable[tuple[str, Table]], provenance: Provenance | None = PROVENANCE) -> Path:
     """Write messages to a run and return its directory."""
     writer = RunWriter(
         directory,
-        provenance=Provenance(version="0", seed=5, wall_start_ns=0),
+        provenance=provenance,
         clock=time.monotonic,
         rig_start_ns=0,
     )

@@ -8,12 +8,13 @@ from pathlib import Path
 import attrs
 import numpy as np
 import pytest
-from recorded_rig import TICK, Messages, messages, record
+from recorded_rig import PROVENANCE, TICK, Messages, messages, record
 
+from impact_rig.arithmetic import ARITHMETIC
 from impact_rig.campaign import reanalysis
 from impact_rig.campaign.verification import Verdict, verify
 from impact_rig.cli import main
-from impact_rig.recording import open_run
+from impact_rig.recording import Provenance, arithmetic_of, open_run, recover
 
 
 @pytest.fixture(scope="module")
@@ -113,6 +114,46 @@ def test_without_its_whole_journal_a_run_is_not_verifiable(
     found = verdict(tmp_path, edited(whole, "rig/journal", change))
     assert found.identical is None
     assert reason in found.reason
+
+
+class _OfBefore(Provenance):
+    """What a recorder wrote before there was a version of the arithmetic."""
+
+    def to_record(self) -> dict[str, str]:
+        return {key: value for key, value in super().to_record().items() if key != "arithmetic"}
+
+
+@pytest.mark.parametrize(
+    "provenance",
+    [attrs.evolve(PROVENANCE, arithmetic=1), _OfBefore(version="0", seed=5, wall_start_ns=0)],
+    ids=["named", "unwritten"],
+)
+def test_a_run_of_another_arithmetic_is_not_accused(whole: Messages, tmp_path: Path, provenance: Provenance) -> None:
+    """Its bits cannot be made here: one changed scan among them is not found, and nothing is called different."""
+
+    def change(rows: np.ndarray) -> np.ndarray:
+        rows["laser"][0] += 1e-6
+        return rows
+
+    run = record(tmp_path / "run", edited(whole, "daq/scan", change), provenance)
+    with open_run(run) as opened:
+        found = verify(opened)
+    assert found == Verdict(None, 0, f"recorded with arithmetic 1, this is {ARITHMETIC}")
+    assert str(found).startswith("not verifiable here: recorded with arithmetic 1")
+
+
+def test_a_run_of_another_recorder_is_verified_by_its_journal(whole: Messages, tmp_path: Path) -> None:
+    with open_run(record(tmp_path / "run", whole, None)) as opened:
+        assert opened.provenance == {}
+        assert verify(opened).identical
+
+
+def test_a_rescued_run_keeps_its_arithmetic(whole: Messages, tmp_path: Path) -> None:
+    old = _OfBefore(version="0", seed=5, wall_start_ns=0)
+    rescued = tmp_path / "rescued"
+    recover(record(tmp_path / "run", whole[:200], old), rescued)
+    with open_run(rescued) as opened:
+        assert arithmetic_of(opened.provenance) == "1"
 
 
 def test_the_command_line_says_it_all(
