@@ -1,7 +1,7 @@
 """Work and losses of a flight, by Gauss–Legendre quadrature of its closed form.
 
-    columns  ∫ c_1 (v_1 − v_b)² dt        shaker  ∫ c_f v_b² + R i² dt        friction  force times the distance slid
-    work     ∫ K_f i v_b dt (current),  ∫ U i dt (voltage),  ∫ [k_1 (x_b − x_1) − c_1 (v_1 − v_b)] v_b dt (prescribed)
+columns  ∫ c_1 (v_1 − v_b)² dt        shaker  ∫ c_f v_b² + R i² dt        friction  force times the distance slid
+work     ∫ K_f i v_b dt (current),  ∫ U i dt (voltage),  ∫ [k_1 (x_b − x_1) − c_1 (v_1 − v_b)] v_b dt (prescribed)
 """
 
 from __future__ import annotations

@@ -33,9 +33,7 @@ from impact_rig.arithmetic.precise import (
 )
 from impact_rig.config import RigConfig
 from impact_rig.errors import ConfigError
-
-X1, V1, XB, VB, COIL = range(5)
-"""Places in the state y; a prescribed base has the first two only, a current drive the first four."""
+from impact_rig.physics.state import COIL, V1, VB, X1, XB
 
 _WORST_CONDITION = Decimal("1e7")  # how much larger than the motion its modes may be
 _GOOD_SIZE = Decimal("0.1")  # of the largest entry of a residue

@@ -24,6 +24,7 @@ STANDARD_GRAVITY = 9.80665
 CONTACT_RTOL = 1e-9
 """Default relative tolerance of the contact integrators, of each step."""
 
+
 class Model(NamedTuple):
     """Everything constant between two changes of the configuration.
 

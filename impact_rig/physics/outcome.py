@@ -227,4 +227,3 @@ def leap(p, table, s, k):  # type: ignore[no-untyped-def]
     s.deepest = math.sqrt(found[DEPTH] * depth)
     s.w, s.w_rate = 0.0, -away
     s.t += duration
-

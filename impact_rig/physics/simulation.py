@@ -13,7 +13,7 @@ from impact_rig.errors import SimulationError
 from impact_rig.physics import contact as contact_laws
 from impact_rig.physics.event_loop import NEED_ROOM, STUCK, Desk, new_desk, run
 from impact_rig.physics.forcing import SEGMENT, Forcing, drive
-from impact_rig.physics.model import CONTACT_RTOL, Model, build
+from impact_rig.physics.model import CONTACT_RTOL, build
 from impact_rig.physics.motion import Motion
 from impact_rig.physics.parameters import LOOSE, PRESCRIBED
 from impact_rig.physics.state import ATTACHED, COIL, CONTACT, FREE, LEDGER, STATE, STRUCTURE, V1, VB, X1, XB, record

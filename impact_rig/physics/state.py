@@ -18,7 +18,10 @@ FREE, CONTACT, ATTACHED = range(3)
 """Phases: in flight; touching a wall that yields; one body with the superior base."""
 
 X1, V1, XB, VB, COIL = range(5)
-"""Places in a structural state y: superior base [m], [m/s], inferior base [m], [m/s], coil current [A]."""
+"""Places in a structural state y: superior base [m], [m/s], inferior base [m], [m/s], coil current [A].
+
+A prescribed base has the first two only, a current drive the first four.
+"""
 STRUCTURE = 5
 
 ORDERS = 6

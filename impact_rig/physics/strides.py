@@ -26,7 +26,10 @@ def stride(distance, speed, acceleration, jerk, horizon):  # type: ignore[no-unt
     """Return a time, at most `horizon` [s], in which a point cannot cover `distance` [m]."""
     h = horizon
     if jerk > 0.0:
-        h = min(h, 3.0 * abs(acceleration) / jerk + math.sqrt(6.0 * abs(speed) / jerk) + power(6.0 * distance / jerk, _THIRD))
+        h = min(
+            h,
+            3.0 * abs(acceleration) / jerk + math.sqrt(6.0 * abs(speed) / jerk) + power(6.0 * distance / jerk, _THIRD),
+        )
     safe = 0.0
     for _ in range(_ROUNDS):
         half = 0.5 * (acceleration + jerk * h / 3.0)

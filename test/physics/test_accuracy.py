@@ -7,14 +7,14 @@ import math
 import attrs
 import numpy as np
 import pytest
+from impact_rig.physics.collision import begin
+from impact_rig.physics.series import CENTRE, ORDER, SPEED, WIDTH, evaluate, expand, new_series
 from mechanics_kit import benchmark_rig, hit, lock_in, rig, sine, sphere_kg, stiffness
 
 from impact_rig.config import RigConfig
 from impact_rig.physics import Simulation, restitution
-from impact_rig.physics.collision import begin
 from impact_rig.physics.forcing import Forcing
 from impact_rig.physics.model import CONTACT_RTOL, Parameters, build
-from impact_rig.physics.series import CENTRE, ORDER, SPEED, WIDTH, evaluate, expand, new_series
 from impact_rig.physics.state import BETA, GAP, RATE, SIDE, STATE, T, Y
 
 FREQUENCY_HZ = 9.1

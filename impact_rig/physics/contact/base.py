@@ -33,7 +33,7 @@ _FORCE = types.UniTuple(types.float64, 5)(*6 * (types.float64,))
 ForceFunction = Callable[[float, float, float, float, float, float], tuple[float, float, float, float, float]]
 
 
-def compiled_force(function: ForceFunction) -> Any:  # noqa: ANN401  # Numba's function pointers have no type to name
+def compiled_force(function: ForceFunction) -> Any:  # Numba's function pointers have no type to name
     """Compile a law's force so that one event loop calls them all: they are pointers of one type."""
     return cfunc(_FORCE, cache=True)(function)
 
