@@ -16,7 +16,7 @@ from impact_rig.physics.contact import ContactPair, Force
 from impact_rig.physics.forcing import bound_omega
 from impact_rig.physics.linear import Constants, constants, input_vectors, modes, state_matrix, static_answer
 from impact_rig.physics.outcome import TABLE, tabulate
-from impact_rig.physics.parameters import DRIVES, PARAMETERS, SYSTEM
+from impact_rig.physics.parameters import DRIVES, PARAMETERS, PRESCRIBED, SYSTEM
 from impact_rig.physics.properties import effective_mass_kg, hertz_stiffness_n_m32, sphere_mass_kg
 from impact_rig.physics.state import V1, record
 
@@ -61,6 +61,7 @@ def build(config: RigConfig, rtol: float = CONTACT_RTOL) -> Model:
     p.m, p.m_eff, p.per_m_eff, p.per_m_1 = mass, m_eff, 1.0 / m_eff, 1.0 / c.m_1
     p.per_m_pair, p.per_m_base, p.share = 1.0 / (c.m_1 + mass), 1.0 / c.m_base, mass / (c.m_1 + mass)
     p.pair_stiffness, p.pair_damping = p.share * c.k_1 / c.m_1, p.share * c.c_1 / c.m_1
+    p.feedback = p.share * p.per_m_1 * (p.per_m_pair + (0.0 if p.drive == PRESCRIBED else p.per_m_base))
     p.half_gap = config.barriers.gap_m / 2.0
     p.friction = config.sphere.guide_friction * STANDARD_GRAVITY
     _set_law(p, force, m_eff)

@@ -29,7 +29,6 @@ from impact_rig.physics.touching import (
     contact_time,
     dissipated,
     peak_in_step,
-    pushed_back,
     take_step,
 )
 
@@ -48,6 +47,7 @@ MOST_1, MOST_2, MOST_3 = 3e-4, 2e-7, 1e-10
 """Largest η_1, η_2 (and α and γ), η_3 (not tabulated): what is neglected then moves no outcome by 1e-10."""
 _NARROWER = 0.8
 _NARROWINGS = 24
+_MARGIN = 1.1  # of the range in which the sphere leaves by itself, for the derivatives at its end
 _WEAKEST = 0.3  # of the energy with which the sphere leaves: there the outcome turns steep, as the sphere stays
 _TAIL = 1e-11  # of the largest coefficient
 _TIGHT = 1e-12
@@ -74,6 +74,7 @@ def _contact(p, force, eta, s, k, out):  # type: ignore[no-untyped-def]  # compi
     out[:] = 0.0
     k.thrust[:] = 0.0
     k.rest = k.reach = 1e300
+    k.terms = 3
     for _ in range(_MOST_STEPS):
         t = s.t
         k.thrust[0] = eta[0] + t * (eta[1] + t * eta[2])
@@ -82,9 +83,8 @@ def _contact(p, force, eta, s, k, out):  # type: ignore[no-untyped-def]  # compi
         if ended not in (NOTHING, LEFT, TURNED):
             return False
         since = k.since[LAST]
-        pushed, moment = pushed_back(p, k, s.step)
-        out[MOMENT] += since * out[SUM] + moment
-        out[SUM] += pushed
+        out[MOMENT] += since * out[SUM] + k.moment[LAST]
+        out[SUM] += k.impulse[LAST]
         out[LOST] += dissipated(k, s.step)
         out[PEAK] = max(out[PEAK], peak_in_step(p, force, s, k))
         s.w, s.w_rate, s.t = max(0.0, k.w[LAST]), 0.0 if ended == TURNED else k.rate[LAST], t + since
@@ -144,7 +144,7 @@ def tabulate(p, force):  # type: ignore[no-untyped-def]  # a record and a compil
     least = _WEAKEST * _rebound(p, force, 0.0, s, k)
     low, high = -WIDEST, WIDEST
     for _ in range(_NARROWINGS):
-        fits = _rebound(p, force, low, s, k) > 0.0, _rebound(p, force, high, s, k) > least
+        fits = _rebound(p, force, _MARGIN * low, s, k) > 0.0, _rebound(p, force, high, s, k) > least
         if all(fits):
             middle, half = 0.5 * (low + high), 0.5 * (high - low)
             values = np.zeros((DEGREE, COLUMNS))
@@ -205,7 +205,7 @@ def look_up(p, table, s, k, rest):  # type: ignore[no-untyped-def]
             + alpha * further[BY_STIFFNESS * DECISIVE + q]
             + gamma * further[BY_DAMPING * DECISIVE + q]
         )
-    return table.outcome[DURATION] * t_0 < rest
+    return table.outcome[DURATION] * t_0 < min(rest, k.reach)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -218,7 +218,7 @@ def leap(p, table, s, k):  # type: ignore[no-untyped-def]
     impulse = p.k_1 * found[SUM] * depth * t_0
     moment = p.k_1 * found[MOMENT] * depth * t_0 * t_0 + p.c_1 * found[SUM] * depth * t_0
     sphere = s.y[V1] + s.side * (1.0 - p.share) * speed
-    moved(p, k, duration, s.y)
+    moved(k, duration, s.y)
     kicked(p, s.side, impulse, moment, s.y)
     s.impulse = -s.side * p.m * (s.y[V1] - s.side * (1.0 - p.share) * away - sphere)
     s.elapsed = duration

@@ -6,8 +6,8 @@ During a contact the structural state y is that of the pair, as if the sphere di
     (m_1 + m) x_1*'' = Q,    Q = −k_1 (x_1* − x_b) − c_1 (v_1* − v_b)
     (m_a + m_b) x_b'' = K_f i − c_f x_b' − k_f x_b − Q,    L i' = U − R i − K_f x_b'   (voltage drive)
 
-The contact force is inner to the pair and does not appear. What the indentation adds, side σ (k_1 δ + c_1 δ') to Q, is
-a millionth of Q: it is added at the end of each step (`kicked`), not followed within it. Q presses sphere and wall
+The contact force is inner to the pair and does not appear. What the indentation adds to Q, side σ (k_1 δ + c_1 δ'),
+is a millionth of Q: each step adds its effect at its end (`kicked`). Q presses sphere and wall
 together with the relative acceleration −side Q / m_1, the `thrust`.
 """
 
@@ -19,21 +19,30 @@ from impact_rig.arithmetic.elementary import sincos
 from impact_rig.physics.parameters import PRESCRIBED, VOLTAGE
 from impact_rig.physics.state import COIL, STRUCTURE, TERMS, V1, VB, X1, XB
 
-_REACH = 0.25  # radians of the fastest motion in one step: the first neglected term is 0.25^12 / 12! = 1e-16
+FEW = 8
+_FEW_REACH, _REACH = 0.03, 0.25  # radians of the fastest motion in one step: what FEW and TERMS leave out is 1e-16
+_AMPLE = 4.0  # how much longer a step may turn out than it was foreseen
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def expand(p, f, s, k):  # type: ignore[no-untyped-def]  # compiled: types are inferred
-    """Fill `k.path` and `k.thrust` with the pair's Taylor coefficients about the state s, drive included."""
+    """Fill `k.path` and `k.thrust` with the pair's Taylor coefficients about the state s, drive included.
+
+    As many terms as the step that is foreseen needs, and how long they hold: `k.terms`, `k.reach`.
+    """
     path = k.path
-    k.fastest = max(p.fastest, f.omega)
-    k.reach = _REACH / k.fastest
+    fastest = max(p.fastest, f.omega)
+    foreseen = _AMPLE * s.next_step * max(s.w, 0.5 * s.next_step * abs(s.w_rate))
+    k.terms, k.reach = FEW, _FEW_REACH / fastest
+    if foreseen > k.reach:
+        k.terms, k.reach = TERMS, _REACH / fastest
+    k.fastest = fastest
     for q in range(STRUCTURE):
         path[q, 0] = s.y[q]
     level = f.amplitude + f.slope * s.t
     sine, cosine = sincos(f.omega * s.t + f.phase)  # then their coefficients, order by order
     drive = level * sine
-    for n in range(TERMS):
+    for n in range(k.terms):
         per = 1.0 / (n + 1)
         sine_next, cosine_next = f.omega * cosine * per, -f.omega * sine * per
         drive_next = level * sine_next + f.slope * sine
@@ -41,7 +50,7 @@ def expand(p, f, s, k):  # type: ignore[no-untyped-def]  # compiled: types are i
             path[XB, n], path[VB, n] = drive, (n + 1) * drive_next
         columns = -p.k_1 * (path[X1, n] - path[XB, n]) - p.c_1 * (path[V1, n] - path[VB, n])
         k.thrust[n] = -s.side * columns * p.per_m_1
-        if n + 1 < TERMS:
+        if n + 1 < k.terms:
             path[X1, n + 1] = path[V1, n] * per
             path[V1, n + 1] = columns * p.per_m_pair * per
             if p.drive != PRESCRIBED:
@@ -58,15 +67,6 @@ def expand(p, f, s, k):  # type: ignore[no-untyped-def]  # compiled: types are i
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def terms_for(k, since):  # type: ignore[no-untyped-def]
-    """Return how many Taylor terms leave 1e-16 after so many seconds."""
-    angle = abs(since) * k.fastest
-    if angle < 5e-3:
-        return 6
-    return 8 if angle < 0.03 else TERMS
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
 def polynomial(coefficients, x, terms):  # type: ignore[no-untyped-def]
     """Return the Taylor polynomial at x, from its first terms."""
     total = coefficients[terms - 1]
@@ -76,11 +76,10 @@ def polynomial(coefficients, x, terms):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def moved(p, k, since, y):  # type: ignore[no-untyped-def]
+def moved(k, since, y):  # type: ignore[no-untyped-def]
     """Fill y with the pair's state `since` seconds after the start of the step."""
-    terms = terms_for(k, since)
     for q in range(STRUCTURE):
-        y[q] = polynomial(k.path[q], since, terms)
+        y[q] = polynomial(k.path[q], since, k.terms)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -90,4 +89,7 @@ def kicked(p, side, impulse, moment, y):  # type: ignore[no-untyped-def]
     y[X1] += side * p.share * moment * p.per_m_pair
     if p.drive != PRESCRIBED:
         y[VB] -= side * p.share * impulse * p.per_m_base
-        y[XB] -= side * p.share * moment * p.per_m_base
+        moved_base = -side * p.share * moment * p.per_m_base
+        y[XB] += moved_base
+        if p.drive == VOLTAGE:
+            y[COIL] -= p.force_factor * p.per_inductance * moved_base

@@ -33,6 +33,7 @@ PARAMETERS = np.dtype(
         ("share", "f8"),  # σ = m / (m_1 + m): the structure's part in a relative motion
         ("pair_stiffness", "f8"),  # σ k_1 / m_1 [1/s²]: what the columns do to the indentation
         ("pair_damping", "f8"),  # σ c_1 / m_1 [1/s]
+        ("feedback", "f8"),  # relative acceleration by the columns per force on the pair [1/kg²]
         ("half_gap", "f8"),  # [m]
         ("friction", "f8"),  # μ g [m/s²]
         ("stiffness", "f8"),  # the contact law's numbers, see `contact.base.Force`

@@ -22,7 +22,7 @@ from impact_rig.physics.flight import launch
 from impact_rig.physics.forcing import Forcing, bound_omega, drive, particular, transfer, turned
 from impact_rig.physics.hermite import quintic
 from impact_rig.physics.indentation import begin_step, solve
-from impact_rig.physics.pair import expand, moved
+from impact_rig.physics.pair import expand, kicked, moved
 from impact_rig.physics.parameters import HELD, LOOSE, PRESCRIBED, VOLTAGE
 from impact_rig.physics.state import ATTACHED, COIL, CONTACT, FLIGHT, PRESS, STATE, V1, VB, X1, XB, record
 from impact_rig.physics.touching import FAILED, LEFT, RELEASED, conclude, first_step, take_step
@@ -37,7 +37,7 @@ _REACH = 0.5  # radians of the fastest motion per polynomial: the first neglecte
 _MOST_STEPS = 500
 _ROOT_ROUNDS = 60  # Newton needs three to six
 _ROOT_FOUND = 1e-9  # of the step
-_CORRECTIONS = 1  # of its length: interpolation leaves parts in 1e5, the first correction their square
+_CORRECTIONS = 2  # of its length: interpolation leaves parts in 1e4, each correction the square
 
 
 class Trajectory(NamedTuple):
@@ -252,12 +252,10 @@ def _inside(model, step, k, end, since):  # type: ignore[no-untyped-def]
     """Return (w, δ') `since` seconds after the start of a step: the step is taken again to end there."""
     if step.step == 0.0 or since <= 0.0:
         return step.w, step.w_rate
-    if since >= end[0]:
-        return end[1], end[2]
-    h = _length_to(step, end, since)
+    h = step.step if since >= end[0] else _length_to(step, end, since)
     for _ in range(_CORRECTIONS):
         solve(model.parameters[0], model.force, step, k, h)
-        if k.w[LAST] > 0.0:
+        if k.w[LAST] > 0.0 and since < end[0]:
             h = min(step.step, h - (k.since[LAST] - since) / k.w[LAST])
     solve(model.parameters[0], model.force, step, k, h)
     return max(k.w[LAST], 0.0), k.rate[LAST]
@@ -269,7 +267,9 @@ def _in_contact(model, f, step, k, end, t, out):  # type: ignore[no-untyped-def]
     p, side = model.parameters[0], step.side
     since = min(max(t - step.t, 0.0), end[0])
     w, rate = _inside(model, step, k, end, since)
-    moved(p, k, since, k.y)
+    moved(k, since, k.y)
+    if since > 0.0:
+        kicked(p, side, k.impulse[LAST], k.moment[LAST], k.y)
     depth = w * w
     elastic, lossy, _, _, _ = model.force(p.stiffness, p.factor, step.per_v0, step.deepest, w, rate)
     force = max(0.0, elastic + lossy) if p.clipped else elastic + lossy

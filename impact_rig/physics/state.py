@@ -114,11 +114,14 @@ PRESS = np.dtype(
         ("w", "f8", (STAGES,)),  # at the stages: sqrt of the indentation [m^0.5],
         ("rate", "f8", (STAGES,)),  # δ' [m/s],
         ("since", "f8", (STAGES,)),  # time since the start of the step [s],
+        ("pushed", "f8", (STAGES,)),  # the thrust [m/s²],
         ("slope", "f8", (STAGES,)),  # dδ'/ds [m^1.5/s²],
         ("by_w", "f8", (STAGES,)),  # its derivatives
         ("by_rate", "f8", (STAGES,)),
         ("force", "f8", (STAGES,)),  # [N]
         ("lossy", "f8", (STAGES,)),  # the part of it that dissipates [N]
+        ("impulse", "f8", (STAGES,)),  # ∫ (k_1 δ + c_1 δ') dt so far [N s], what the indentation does to the pair,
+        ("moment", "f8", (STAGES,)),  # and its integral [N s²]
         ("matrix", "f8", (STAGES, STAGES)),
         ("miss", "f8", (STAGES,)),
         ("start_slope", "f8"),  # dδ'/ds at the start of the step

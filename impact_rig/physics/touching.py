@@ -30,7 +30,7 @@ _IN_ORDER = (LEFT, TIME, RELEASED, TURNED, RELOADED)  # what lies behind LEFT me
 
 _REJECTIONS = 60
 _LANDINGS = 12  # Newton needs two to four
-_LANDED = 1e-13  # of the quantity's own scale
+_LANDED = 1e-10  # of the quantity's own scale: as near as Newton's method solves a step
 _SMALLEST = 1e-300
 _FIRST_STEP = 0.2
 _HOP = 3.0
@@ -53,7 +53,7 @@ def _overshoot(p, s, k, event):  # type: ignore[no-untyped-def]  # compiled: typ
     if event == TIME:
         return (k.since[LAST] - k.rest) / k.rest
     if event == RELEASED:
-        return -k.force[LAST] / max(k.start_force, s.peak_force, _SMALLEST) if p.clipped and w > 0.0 else -1.0
+        return -k.force[LAST] / max(k.start_force, s.peak_force, _SMALLEST) if p.clipped else -1.0
     if event == TURNED:
         return -rate / s.w_rate if s.w_rate > 0.0 and s.w >= s.deepest else -1.0
     return (w - s.deepest) / s.deepest if p.remembers and s.w < s.deepest else -1.0
@@ -111,7 +111,7 @@ def take_step(p, force, s, k):  # type: ignore[no-untyped-def]
         elif k.since[LAST] > k.reach:
             s.step *= 0.9 * k.reach / k.since[LAST]
         else:
-            error = estimate(k, s.step)
+            error = estimate(p, k, s.step)
             if error <= 1.0:
                 break
             s.step = rescaled(s.step, error)
@@ -120,23 +120,11 @@ def take_step(p, force, s, k):  # type: ignore[no-untyped-def]
     s.next_step = rescaled(s.step, error)
     ended = NOTHING
     for event in _IN_ORDER:
-        if _overshoot(p, s, k, event) > 0.0:
+        if _overshoot(p, s, k, event) > _LANDED:
             if not _land(p, force, s, k, event):
                 return FAILED
             ended = event
     return ended
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def pushed_back(p, k, h):  # type: ignore[no-untyped-def]
-    """Return ∫ (k_1 δ + c_1 δ') dt over the step [N s], and its integral [N s²]: what moves the pair."""
-    impulse, moment = 0.0, 0.0
-    for i in range(STAGES):
-        w = k.w[i]
-        part = h * MATRIX[LAST, i] * w * (p.k_1 * w * w + p.c_1 * k.rate[i])
-        impulse += part
-        moment += part * (k.since[LAST] - k.since[i])
-    return impulse, moment
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -178,7 +166,8 @@ def peak_in_step(p, force, s, k):  # type: ignore[no-untyped-def]
 def account_step(p, f, s, k, ledger):  # type: ignore[no-untyped-def]
     """Add the work of the drive and the losses outside the contact during the step."""
     for i in range(STAGES):
-        moved(p, k, k.since[i], k.y)
+        moved(k, k.since[i], k.y)
+        kicked(p, s.side, k.impulse[i], k.moment[i], k.y)
         k.y[X1] -= p.share * s.side * k.w[i] * k.w[i]
         k.y[V1] -= p.share * s.side * k.rate[i]
         add_powers(p, f, k.y, s.t + k.since[i], s.step * MATRIX[LAST, i] * k.w[i], ledger)
@@ -188,10 +177,9 @@ def account_step(p, f, s, k, ledger):  # type: ignore[no-untyped-def]
 def conclude(p, s, k, ended, t_end):  # type: ignore[no-untyped-def]
     """Move the state to the end of the step, with the impulse on the sphere and the deepest point."""
     since, w, rate = k.since[LAST], max(k.w[LAST], 0.0), k.rate[LAST]
-    impulse, moment = pushed_back(p, k, s.step)
     sphere = s.y[V1] + s.side * (1.0 - p.share) * s.w_rate
-    moved(p, k, since, s.y)
-    kicked(p, s.side, impulse, moment, s.y)
+    moved(k, since, s.y)
+    kicked(p, s.side, k.impulse[LAST], k.moment[LAST], s.y)
     s.impulse -= s.side * p.m * (s.y[V1] + s.side * (1.0 - p.share) * rate - sphere)
     s.elapsed += since
     s.w = 0.0 if ended == LEFT else w

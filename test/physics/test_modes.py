@@ -108,5 +108,5 @@ def test_a_change_of_the_gap_computes_no_mode_again(monkeypatch: pytest.MonkeyPa
     before = model.build(config)
     monkeypatch.setattr(linear, "_refined", lambda _: pytest.fail("modes were computed again"))
     after = model.build(from_flat(config, {"barriers.gap_m": 0.0042}))
-    assert after.p.half_gap == 0.0021
-    assert after.loose is before.loose
+    assert after.parameters[0].half_gap == 0.0021
+    assert after.systems is before.systems
