@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import config
+from numba.core import config
 
 DISABLED = bool(getattr(config, "DISABLE_JIT", False))
 """Whether compiled functions run as plain Python in this process."""

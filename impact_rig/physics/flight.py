@@ -60,7 +60,7 @@ def launch(system, f, k, y, t):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def look(system, f, k, t, order):  # type: ignore[no-untyped-def]
-    """Fill `k.value`, `k.slope` and `k.bend`, the derivatives of x_1 at t from `order` on, and `k.bound` on the next."""
+    """Fill `k.value`, `k.slope`, `k.bend`: the derivatives of x_1 at t from `order` on; `k.bound` bounds the next."""
     since = t - k.begin
     turn = turned(f.omega * t)
     forced = (k.forced[order] + k.forced_growing[order] * t) * turn

@@ -23,6 +23,7 @@ from impact_rig.physics.collocation import INVERSE, LAST, MATRIX, NODES, REAL_EI
 
 ERROR_ORDER = 8.0  # of the estimate: 6 of a smooth step, 10 of a stiff one, by the ease
 _EASE = 1e4  # the estimate is of order 5, the step of order 9, but on a stiff contact of order 5 too
+_STRICT = 0.03  # what is left out adds up over the steps of a long contact, always with one sign
 _ROUNDS = 12
 _JACOBIANS = 0  # rounds that renew it, beside the first: later ones only polish
 _CONVERGED = 0.3  # of the step's tolerance
@@ -180,7 +181,7 @@ def estimate(p, k, h):  # type: ignore[no-untyped-def]
     ease = max(1.0, _EASE / (1.0 + stiff * stiff))
     angle = k.fastest * k.since[LAST]
     left_out = k.w[LAST] * p.feedback * (p.k_1 * k.moment[LAST] + p.c_1 * k.impulse[LAST]) * angle * angle
-    return max(abs(filtered * defect) / ease, abs(filtered * left_out) / REAL_EIGENVALUE) / k.tolerance
+    return max(abs(filtered * defect) / ease, abs(filtered * left_out) / _STRICT) / k.tolerance
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

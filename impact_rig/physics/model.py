@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,7 +74,7 @@ def build(config: RigConfig, rtol: float = CONTACT_RTOL) -> Model:
     return Model(rows, systems, table.view(np.recarray), force.function)
 
 
-def _set_law(p, force: Force, m_eff: float) -> None:  # type: ignore[no-untyped-def]  # a record
+def _set_law(p: Any, force: Force, m_eff: float) -> None:
     """Set what the contact law decides."""
     p.stiffness, p.factor, p.restitution = force.stiffness, force.factor, force.restitution
     p.rigid, p.clipped, p.remembers = force.rigid, force.clipped, force.remembers
@@ -84,7 +84,7 @@ def _set_law(p, force: Force, m_eff: float) -> None:  # type: ignore[no-untyped-
 
 
 @lru_cache(maxsize=32)
-def _table(force: Force) -> NDArray[np.void]:
+def _table(force: Force) -> Any:
     """Return the outcomes of a law, in its own units: masses, stiffness and approach speed are 1."""
     p = record(PARAMETERS)[0]
     _set_law(p, force, 1.0)
@@ -93,7 +93,7 @@ def _table(force: Force) -> NDArray[np.void]:
 
 
 @lru_cache(maxsize=32)
-def _systems(c: Constants, kind: str, sphere_kg: float) -> NDArray[np.void]:
+def _systems(c: Constants, kind: str, sphere_kg: float) -> Any:
     """Return the two linear systems: a change of gap or law does not come here."""
     systems = record(SYSTEM, 2)
     for system, mass in zip(systems, (c.m_1, c.m_1 + sphere_kg), strict=True):

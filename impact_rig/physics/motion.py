@@ -34,7 +34,7 @@ class Motion:
         model: Model,
         first_segment: int,
         segments: NDArray[np.void],
-        knots: NDArray[np.float64],
+        knots: NDArray[np.void],
         first: NDArray[np.int64],
         impacts: NDArray[np.void],
     ) -> None:

@@ -13,6 +13,7 @@ quantity is a Chebyshev series in η_0 for the contact itself, its first two der
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -124,14 +125,14 @@ def _sensitive(p, force, eta_0, s, k, out):  # type: ignore[no-untyped-def]
     return ended
 
 
-def _rebound(p, force, eta_0, s, k):  # type: ignore[no-untyped-def]
+def _rebound(p: Any, force: Any, eta_0: float, s: Any, k: Any) -> float:
     """Return the energy with which the sphere leaves under η_0, 0 where it does not leave by itself."""
     out = np.zeros(QUANTITIES)
     left = _contact(p, force, np.array([eta_0, 0.0, 0.0]), s, k, out)
-    return out[SEPARATION] * out[SEPARATION] if left else 0.0
+    return float(out[SEPARATION] * out[SEPARATION]) if left else 0.0
 
 
-def tabulate(p, force):  # type: ignore[no-untyped-def]  # a record and a compiled force
+def tabulate(p: Any, force: Any) -> Any:
     """Return the table of a law, TABLE shape (1,), its range as wide as the series hold.
 
     Args:

@@ -9,8 +9,9 @@ which is enough to evaluate the motion up to the next knot.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
-from numpy.typing import NDArray
 
 from impact_rig.physics.collocation import STAGES
 
@@ -138,6 +139,6 @@ PRESS = np.dtype(
 """One step of a contact."""
 
 
-def record(kind: np.dtype, rows: int = 1) -> NDArray[np.void]:  # type: ignore[type-arg]
+def record(kind: np.dtype[np.void], rows: int = 1) -> Any:
     """Return zeroed rows of a record type, shape (rows,), whose elements have named fields in plain Python too."""
     return np.zeros(rows, kind).view(np.recarray)

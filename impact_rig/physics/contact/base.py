@@ -22,13 +22,14 @@ from collections.abc import Callable
 from typing import Any, ClassVar, NamedTuple, Protocol
 
 import attrs
-from numba import cfunc, types
+from numba import cfunc
+from numba.core import types
 
 from impact_rig.config import Contact
 from impact_rig.errors import ConfigError
 from impact_rig.physics import restitution as closed_form
 
-_FORCE = types.UniTuple(types.float64, 5)(*6 * (types.float64,))
+_FORCE = types.UniTuple(types.float64, 5)(*6 * (types.float64,))  # type: ignore[attr-defined]  # made on demand
 
 ForceFunction = Callable[[float, float, float, float, float, float], tuple[float, float, float, float, float]]
 

@@ -24,4 +24,4 @@ class ZhiyingQishao(HystereticLaw):
     def hysteresis_factor(self) -> float:
         """Return a, dimensionless."""
         e = self.restitution
-        return 0.75 * (1.0 - e * e) * exp(2.0 * (1.0 - e))
+        return 0.75 * (1.0 - e * e) * float(exp(2.0 * (1.0 - e)))
