@@ -21,7 +21,9 @@ from types import FrameType
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 AGAIN_S = 1.0
 """When `Told` is raised again, if the program has not ended."""
-PATIENCE_S = 30.0
+LAST_S = 5.0
+"""How long the interpreter may take for its own end."""
+PATIENCE_S = 15.0
 """How long an ending may take before it is cut short."""
 PARENT_VARIABLE = "IMPACT_RIG_EXIT_WITH"
 """Environment: id of the process with which this one ends, however that one ended."""
@@ -57,7 +59,8 @@ class Ending:
 
         Args:
             work: what the program does.
-            interrupting: a signal raises `Told`; otherwise the work looks at `told` itself.
+            interrupting: a signal raises `Told`; otherwise the work looks at `told` itself, and when it was told and
+                has done its work, nothing of the interpreter's own end is waited for.
         """
         signal.signal(signal.SIGALRM, self._remind)
         sys.unraisablehook = self._unraisable
@@ -66,9 +69,14 @@ class Ending:
             code = self._do(work, self._interrupt if interrupting else _do_nothing)
         except Told:  # in the very moment when the work was done
             self._over()
+        if self.told and not interrupting:
+            self._end_here()
         if self.told:
             self._say()
-            return self._code(self.told)
+            code = self._code(self.told)
+            last = threading.Timer(LAST_S, os._exit, (code,))  # threads of others may not come to an end
+            last.daemon = True
+            last.start()
         return code
 
     def _do(self, work: Callable[[], int], answer: Callable[[], None]) -> int:
@@ -104,6 +112,9 @@ class Ending:
 
     def _end_here(self) -> None:
         self._say()
+        for stream in (sys.stdout, sys.stderr):
+            with contextlib.suppress(OSError, ValueError, RuntimeError):  # closed, or being written to just now
+                stream.flush()
         os._exit(self._code(self.told))
 
     def _say(self) -> None:

@@ -7,7 +7,7 @@ import multiprocessing
 import os
 import signal
 from collections.abc import Generator, Sequence
-from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 
 from impact_rig.campaign.in_process import execute
@@ -43,25 +43,26 @@ def run_parallel(jobs: Sequence[Job], workers: int | None = None) -> Generator[t
     # spawned, not forked: a copy of a process that has threads (ROS, progress display) may hold their locks for ever
     context = multiprocessing.get_context("spawn")
     others = set(multiprocessing.active_children())
-    with ProcessPoolExecutor(count, context, initializer=_begin_worker, initargs=(os.getpid(),)) as pool:
+    pool = ProcessPoolExecutor(count, context, initializer=_begin_worker, initargs=(os.getpid(),))
+    running: dict[Future[Outcome], Job] = {}
+    try:
         with held():  # the workers begin here: signals are the parent's, which ends in order
-            running = {pool.submit(execute, job): job for job in itertools.islice(waiting, AHEAD * count)}
-        try:
-            while running:
-                for future in wait(running, return_when=FIRST_COMPLETED).done:
-                    job = running.pop(future)
-                    following = next(waiting, None)
-                    if following is not None:
-                        running[pool.submit(execute, following)] = following
-                    yield job, future.result()
-        except BrokenProcessPool as error:
-            raise WorkerDiedError("a worker process was killed; run the campaign again to go on") from error
-        finally:
-            with unhurried():
-                if running:
-                    for worker in set(multiprocessing.active_children()) - others:
-                        worker.kill()  # it has nothing to save
-                pool.shutdown(wait=True, cancel_futures=True)
+            running |= {pool.submit(execute, job): job for job in itertools.islice(waiting, AHEAD * count)}
+        while running:
+            for future in wait(running, return_when=FIRST_COMPLETED).done:
+                job = running.pop(future)
+                following = next(waiting, None)
+                if following is not None:
+                    running[pool.submit(execute, following)] = following
+                yield job, future.result()
+    except BrokenProcessPool as error:
+        raise WorkerDiedError("a worker process was killed; run the campaign again to go on") from error
+    finally:
+        with unhurried():
+            if running:
+                for worker in set(multiprocessing.active_children()) - others:
+                    worker.kill()  # it has nothing to save
+            pool.shutdown(wait=not running, cancel_futures=True)
 
 
 def _begin_worker(parent: int) -> None:
