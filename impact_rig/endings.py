@@ -59,8 +59,7 @@ class Ending:
 
         Args:
             work: what the program does.
-            interrupting: a signal raises `Told`; otherwise the work looks at `told` itself, and when it was told and
-                has done its work, nothing of the interpreter's own end is waited for.
+            interrupting: a signal raises `Told`; otherwise the work looks at `told` itself.
         """
         signal.signal(signal.SIGALRM, self._remind)
         sys.unraisablehook = self._unraisable
@@ -69,8 +68,6 @@ class Ending:
             code = self._do(work, self._interrupt if interrupting else _do_nothing)
         except Told:  # in the very moment when the work was done
             self._over()
-        if self.told and not interrupting:
-            self._end_here()
         if self.told:
             self._say()
             code = self._code(self.told)

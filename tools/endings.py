@@ -78,6 +78,7 @@ def wait_until_taken(pid: int) -> None:
 
 def end_program(words: Sequence[str | Path], number: int, instant_s: float, folder: Path, tally: Tally) -> None:
     """Run `impact-rig` with these words, send it a signal and look at what is left."""
+    before = children()
     with (folder / "stderr").open("w+b") as error:
         process = subprocess.Popen(  # noqa: S603  # our own program
             [sys.executable, "-c", SCRIPT, *map(str, words)],
@@ -109,7 +110,7 @@ def end_program(words: Sequence[str | Path], number: int, instant_s: float, fold
         tally.endings, tally.done = tally.endings - 1, tally.done + 1  # it was done when the signal came
     elif code != 128 + number or said != f"impact-rig {words[0]}: {WORDS[signal.Signals(number)]}\n":
         tally.faults.append(f"{where}: exit code {code}, {said[-600:]!r}")
-    tally.faults += [f"{where}: {fault}" for fault in (*left_behind(), *unreadable(folder))]
+    tally.faults += [f"{where}: {fault}" for fault in (*left_behind(before), *unreadable(folder))]
 
 
 def end_nodes(number: int, instant_s: float, folder: Path, tally: Tally) -> None:
@@ -168,10 +169,15 @@ def adopt_orphans() -> None:
     ctypes.CDLL(None).prctl(set_child_subreaper, 1, 0, 0, 0)
 
 
-def left_behind() -> Iterator[str]:
-    """Yield the processes that outlive their program, and end them."""
+def children() -> set[int]:
+    """Return the processes whose parent this one is."""
+    return set(map(int, Path(f"/proc/self/task/{os.getpid()}/children").read_text().split()))
+
+
+def left_behind(before: set[int]) -> Iterator[str]:
+    """Yield the processes that outlive their program, and end them; those of `before` are others'."""
     deadline = time.monotonic() + GRACE_S
-    for pid in map(int, Path(f"/proc/self/task/{os.getpid()}/children").read_text().split()):
+    for pid in children() - before:
         command = Path(f"/proc/{pid}/cmdline").read_bytes().replace(b"\0", b" ").decode(errors="replace")
         descriptor = os.pidfd_open(pid)
         ended, _, _ = select.select([descriptor], [], [], max(0.0, deadline - time.monotonic()))
