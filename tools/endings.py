@@ -319,7 +319,7 @@ def main() -> int:
             tally = bench.end(what)
             faults.update(tally.faults)
             table.add_row(what, f"{tally.endings}", f"{tally.done}", f"{tally.slowest_s:.1f}", f"{len(tally.faults)}")
-    Console().print(table)
+    Console(markup=False).print(table)
     print(*faults, sep="\n")  # noqa: T201  # a tool talks
     return 1 if faults else 0
 
