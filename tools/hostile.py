@@ -7,12 +7,12 @@ others and send no control character to the terminal. The table is that of docs/
 
 from __future__ import annotations
 
+import json
 import os
 import struct
 import subprocess
 import sys
 import tempfile
-import time
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
@@ -265,30 +265,29 @@ class Cost:
         return found
 
 
+LAUNCHER = """
+import json, os, subprocess, sys, time
+began = time.monotonic()
+with open("stdout", "wb") as output, open("stderr", "wb") as error:
+    process = subprocess.Popen(sys.argv[2:], stdin=subprocess.DEVNULL, stdout=output, stderr=error)
+while not (ended := os.wait4(process.pid, os.WNOHANG))[0]:
+    if time.monotonic() - began > float(sys.argv[1]):
+        process.kill()
+    time.sleep(0.01)
+code, usage = os.waitstatus_to_exitcode(ended[1]), ended[2]
+print(json.dumps([code, time.monotonic() - began, usage.ru_utime + usage.ru_stime, usage.ru_maxrss * 1024 / 1e6]))
+"""
+"""Starts a program and measures it, in a small process of its own: the peak of memory begins with the parent's."""
+
+
 def cost(arguments: Sequence[str | Path], folder: Path) -> Cost:
     """Run `impact-rig` with these arguments and return what it took."""
-    script = "import sys; from impact_rig.cli import main; sys.exit(main())"
-    with tempfile.TemporaryFile(dir=folder) as output, tempfile.TemporaryFile(dir=folder) as error:
-        began = time.monotonic()
-        process = subprocess.Popen(  # noqa: S603  # our own program
-            [sys.executable, "-c", script, *map(str, arguments)],
-            stdin=subprocess.DEVNULL, stdout=output, stderr=error, cwd=folder,
-        )  # fmt: skip
-        while True:
-            pid, status, usage = os.wait4(process.pid, os.WNOHANG)
-            if pid:
-                break
-            if time.monotonic() - began > PATIENCE_S:
-                process.kill()
-            time.sleep(0.01)
-        process.returncode = os.waitstatus_to_exitcode(status)
-        written = []
-        for file in (output, error):
-            file.seek(0)
-            written.append(file.read().decode(errors="replace"))
-    wall_s = time.monotonic() - began
-    cpu_s = usage.ru_utime + usage.ru_stime
-    return Cost(process.returncode, wall_s, cpu_s, usage.ru_maxrss * 1024 / 1e6, "".join(written), written[1])
+    program = [sys.executable, "-c", "import sys; from impact_rig.cli import main; sys.exit(main())"]
+    command = [sys.executable, "-S", "-c", LAUNCHER, str(PATIENCE_S), *program, *map(str, arguments)]
+    measured = subprocess.run(command, cwd=folder, check=True, capture_output=True)  # noqa: S603  # our own program
+    code, wall_s, cpu_s, peak_mb = json.loads(measured.stdout)
+    written = [(folder / name).read_text(encoding="utf-8", errors="replace") for name in ("stdout", "stderr")]
+    return Cost(code, wall_s, cpu_s, peak_mb, "".join(written), written[1])
 
 
 def words(command: str, path: Path, folder: Path) -> list[str | Path]:
