@@ -68,10 +68,10 @@ setup(
         "pytest11": ["impact_rig.testing.plugin = impact_rig.testing.plugin"],
         "console_scripts": [
             "impact-rig = impact_rig.cli:main",
-            "rig_node = impact_rig.nodes.rig_node:main",
-            "analysis_node = impact_rig.nodes.analysis_node:main",
-            "recorder_node = impact_rig.nodes.recorder_node:main",
-            "stepped_sine_node = impact_rig.nodes.stepped_sine_node:main",
+            "rig_node = impact_rig.nodes.__main__:rig",
+            "analysis_node = impact_rig.nodes.__main__:analysis",
+            "recorder_node = impact_rig.nodes.__main__:recorder",
+            "stepped_sine_node = impact_rig.nodes.__main__:stepped_sine",
         ],
     },
 )

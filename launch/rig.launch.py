@@ -7,6 +7,8 @@ Examples:
     ros2 launch impact_rig rig.launch.py --show-args
 """
 
+import os
+
 from launch import LaunchContext, LaunchDescription
 from launch.actions import DeclareLaunchArgument, OpaqueFunction, SetEnvironmentVariable, Shutdown
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
@@ -15,6 +17,7 @@ from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import FindPackageShare
 
 from impact_rig.config import from_flat, load
+from impact_rig.endings import PARENT_VARIABLE
 
 
 def start_nodes(context: LaunchContext) -> list[Node]:
@@ -114,6 +117,8 @@ def generate_launch_description() -> LaunchDescription:
                 description="Who can see the rig: this machine, its network, or as the environment says.",
             ),
             SetEnvironmentVariable("ROS_AUTOMATIC_DISCOVERY_RANGE", LaunchConfiguration("discovery")),
+            # launch ends its nodes after Ctrl-C only, not when it is told or killed otherwise: they end with it
+            SetEnvironmentVariable(PARENT_VARIABLE, str(os.getpid())),
             OpaqueFunction(function=start_nodes),
         ]
     )

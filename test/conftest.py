@@ -8,6 +8,7 @@ import os
 import random
 import select
 import signal
+import sys
 import tempfile
 import threading
 import time
@@ -61,6 +62,46 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 def pytest_runtest_setup(item: pytest.Item) -> None:
     if item.get_closest_marker("ros") and _why_no_ros():
         pytest.skip(_why_no_ros())
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_timeout_set_timer(item: pytest.Item, settings: object) -> None:
+    """Stop a test's clock while Numba compiles: on a new machine that takes minutes, and is nobody's fault."""
+    if "numba" not in sys.modules or item is _Compiling.item:
+        return
+    _Compiling.item, _Compiling.settings = item, settings
+    if not _Compiling.listening:
+        from numba.core import event
+
+        event.register("numba:compiler_lock", _listener(event.Listener))
+        _Compiling.listening = True
+
+
+class _Compiling:
+    """How deep in the compiler the main thread is, and whose clock stands still."""
+
+    listening = False
+    depth = 0
+    item: pytest.Item | None = None
+    settings: object = None
+
+
+def _listener(base: type) -> object:
+    class Listener(base):  # type: ignore[misc]  # Numba's is loaded late
+        def on_start(self, _event: object) -> None:
+            if threading.current_thread() is threading.main_thread():
+                _Compiling.depth += 1
+                if _Compiling.depth == 1 and _Compiling.item is not None:
+                    _Compiling.item.ihook.pytest_timeout_cancel_timer(item=_Compiling.item)
+
+        def on_end(self, _event: object) -> None:
+            if threading.current_thread() is threading.main_thread():
+                _Compiling.depth -= 1
+                if _Compiling.depth == 0 and _Compiling.item is not None:
+                    item = _Compiling.item
+                    item.ihook.pytest_timeout_set_timer(item=item, settings=_Compiling.settings)
+
+    return Listener()
 
 
 def _why_no_ros() -> str:

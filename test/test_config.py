@@ -178,7 +178,7 @@ def test_sections_are_frozen():
         ("? [a, b]\n: 1", "not a YAML file"),
         ("[" * 3000, "not a YAML file"),
         ("barriers: " * 50, "not a YAML file"),
-        ("#" * 1_000_001, "must be below 1000000 bytes"),
+        ("#" * 1_000_001, "larger than 1000000 bytes"),
     ],
     ids=lambda value: repr(value)[:30],
 )

@@ -97,11 +97,13 @@ def values(key: str, value: object) -> list[object]:
         items = [value]
     if not 1 <= len(items) <= MAX_VALUES:
         raise wrong(key, f"a list of 1 to {MAX_VALUES} values", value)
+    known: set[object] = set()
     for i, item in enumerate(items):
-        if isinstance(item, (list, dict)):
+        if isinstance(item, (list, dict, set)):
             raise wrong(f"{key}[{i}]", "one value", item)
-        if item in items[:i]:
+        if item in known:
             raise ConfigError(f"{key} must not repeat a value, got {item!r} twice")
+        known.add(item)
     return items
 
 

@@ -6,7 +6,7 @@ Results travel back, nothing is written there.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Sequence
 from typing import TYPE_CHECKING
 
 from impact_rig.campaign.code import fingerprint
@@ -31,7 +31,7 @@ def dask_runner(address: str) -> Runner:
     except ImportError as error:
         raise ConfigError("--through dask needs Dask: pip install 'impact_rig[cluster]'") from error
 
-    def run(jobs: Sequence[Job]) -> Iterator[tuple[Job, Outcome]]:
+    def run(jobs: Sequence[Job]) -> Generator[tuple[Job, Outcome], None, None]:
         try:
             client = Client(address, timeout=CONNECT_S, set_as_default=False)
         except (OSError, ValueError) as error:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from impact_rig import files
 from impact_rig.campaign.paper import REDUCTION_PERCENT, Reductions
 
 OURS, PAPER = "#1f6f8b", "#d1495b"
@@ -58,5 +59,6 @@ def draw_reductions(reductions: Reductions, path: Path) -> Path:
     right.margins(y=0.2)
     for axes in (left, right):
         axes.spines[["top", "right"]].set_visible(False)
-    figure.savefig(path, dpi=140)
+    with files.written_whole(path) as file:
+        figure.savefig(file, format="png", dpi=140)
     return path

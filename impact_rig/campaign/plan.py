@@ -7,14 +7,16 @@ runs; the message names key, value, range and file.
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import attrs
-import yaml
 
+from impact_rig import budget, files, plain_yaml
 from impact_rig.analysis.settings import TrackerSettings
 from impact_rig.analysis.stepped import Direction
+from impact_rig.budget import BudgetError
 from impact_rig.campaign import axes
 from impact_rig.campaign.axes import NO_SPHERE
 from impact_rig.campaign.job import Job
@@ -52,6 +54,12 @@ class Study:
     traces: bool = False
     vary: Mapping[str, tuple[Value, ...]] = attrs.field(factory=dict)
     """Every other axis: configuration value by dotted name, laws, restitutions, starts and seeds among them."""
+
+    @property
+    def points(self) -> int:
+        """How many measurements it asks for, repetitions included."""
+        axes = (self.frequencies_hz, self.gaps_m, self.currents_a, *self.vary.values())
+        return self.repetitions * math.prod(map(len, axes))
 
 
 @attrs.frozen(eq=False, kw_only=True)
@@ -156,23 +164,25 @@ def load_campaign(
 
     Raises:
         ConfigError: the file cannot be read or is wrong; the message names key, value, range and file.
+        BudgetError: it asks for too many points.
     """
     try:
-        text = path.read_text(encoding="utf-8")
-        if len(text) > MAX_FILE_BYTES:
-            raise ConfigError(f"a campaign file must be below {MAX_FILE_BYTES} bytes")
-        document = yaml.safe_load(text)
+        text = str(files.read_bytes(path, MAX_FILE_BYTES), "utf-8")
+        document = plain_yaml.load(text, MAX_FILE_BYTES)
     except OSError as error:
         raise ConfigError(f"cannot read campaign: {error.strerror} ({path})") from error
-    except (yaml.YAMLError, ValueError, RecursionError) as error:  # ValueError: a date that is none
+    except ValueError as error:  # PlainYamlError, or it is not UTF-8
         raise ConfigError(f"not a YAML file: {' '.join(str(error).split())} ({path})") from error
     try:
         top = axes.mapping("a campaign", document)
         base = resolved or from_flat(_base(top, path.parent), overrides or {})
         campaign = _read(top, base, text, path.stem)
+        budget.allow("points in a campaign", sum(study.points for study in campaign.studies), budget.POINTS)
         campaign.planned()
     except ConfigError as error:
         raise ConfigError(f"{error} ({path})") from error
+    except BudgetError as error:
+        raise BudgetError(f"{error} ({path})") from error
     return campaign
 
 

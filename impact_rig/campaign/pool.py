@@ -6,12 +6,13 @@ import itertools
 import multiprocessing
 import os
 import signal
-from collections.abc import Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
+from collections.abc import Generator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 
 from impact_rig.campaign.in_process import execute
 from impact_rig.campaign.job import Job, Outcome
+from impact_rig.endings import SIGNALS, end_with, held, unhurried
 from impact_rig.errors import ImpactRigError
 
 AHEAD = 2
@@ -22,10 +23,10 @@ class WorkerDiedError(ImpactRigError, RuntimeError):
     """A worker process was ended from outside."""
 
 
-def run_parallel(jobs: Sequence[Job], workers: int | None = None) -> Iterator[tuple[Job, Outcome]]:
+def run_parallel(jobs: Sequence[Job], workers: int | None = None) -> Generator[tuple[Job, Outcome], None, None]:
     """Yield every job with its outcome, in the order in which they are done.
 
-    Whoever stops asking (Ctrl-C) lets the jobs under way end; what they gave is lost, nothing else.
+    Who stops asking (Ctrl-C) loses the jobs under way, nothing else. Workers end with this process, however it ends.
 
     Args:
         jobs: what to run.
@@ -41,22 +42,31 @@ def run_parallel(jobs: Sequence[Job], workers: int | None = None) -> Iterator[tu
     waiting = iter(jobs)
     # spawned, not forked: a copy of a process that has threads (ROS, progress display) may hold their locks for ever
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(count, context, initializer=_ignore_interrupts) as pool:
-        running = {pool.submit(execute, job): job for job in itertools.islice(waiting, AHEAD * count)}
-        try:
-            while running:
-                for future in wait(running, return_when=FIRST_COMPLETED).done:
-                    job = running.pop(future)
-                    following = next(waiting, None)
-                    if following is not None:
-                        running[pool.submit(execute, following)] = following
-                    yield job, future.result()
-        except BrokenProcessPool as error:
-            raise WorkerDiedError("a worker process was killed; run the campaign again to go on") from error
-        finally:
-            pool.shutdown(wait=True, cancel_futures=True)
+    others = set(multiprocessing.active_children())
+    pool = ProcessPoolExecutor(count, context, initializer=_begin_worker, initargs=(os.getpid(),))
+    running: dict[Future[Outcome], Job] = {}
+    try:
+        with held():  # the workers begin here: signals are the parent's, which ends in order
+            running |= {pool.submit(execute, job): job for job in itertools.islice(waiting, AHEAD * count)}
+        while running:
+            for future in wait(running, return_when=FIRST_COMPLETED).done:
+                job = running.pop(future)
+                following = next(waiting, None)
+                if following is not None:
+                    running[pool.submit(execute, following)] = following
+                yield job, future.result()
+    except BrokenProcessPool as error:
+        raise WorkerDiedError("a worker process was killed; run the campaign again to go on") from error
+    finally:
+        with unhurried():
+            if running:
+                for worker in set(multiprocessing.active_children()) - others:
+                    worker.kill()  # it has nothing to save
+            pool.shutdown(wait=not running, cancel_futures=True)
 
 
-def _ignore_interrupts() -> None:
-    """Leave Ctrl-C to the parent, which ends in order."""
+def _begin_worker(parent: int) -> None:
+    """Leave Ctrl-C to the parent, which ends in order, and never outlive it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)
+    end_with(parent, lambda: os._exit(1))

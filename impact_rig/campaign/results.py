@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -11,6 +12,7 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
+from impact_rig import files
 from impact_rig.analysis.stepped import Direction
 from impact_rig.campaign.axes import NO_SPHERE
 from impact_rig.campaign.job import Outcome
@@ -193,15 +195,16 @@ def write_csv(path: Path, points: Sequence[Point]) -> Path:
     Numbers are written so that they read back as the same doubles; nothing stands where nothing was measured.
     """
     axes = list(dict.fromkeys(name for point in points for name in point.axes))
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow([*COLUMNS, *axes])
-        for p in points:
-            numbers = (p.dt, p.u_dt, p.phase_rad, p.base_m, p.laser_m, p.impacts_per_cycle)
-            writer.writerow([
-                p.study, "" if p.gap_m == NO_SPHERE else p.gap_m, p.frequency_hz, p.current_a, p.direction,
-                *("" if math.isnan(number) else repr(number) for number in numbers),
-                p.regime, len(p.rows), int(p.settled), p.status, int(p.reference), p.key,
-                *(p.axes.get(name, "") for name in axes),
-            ])  # fmt: skip
+    text = io.StringIO(newline="")
+    writer = csv.writer(text)
+    writer.writerow([*COLUMNS, *axes])
+    for p in points:
+        numbers = (p.dt, p.u_dt, p.phase_rad, p.base_m, p.laser_m, p.impacts_per_cycle)
+        writer.writerow([
+            p.study, "" if p.gap_m == NO_SPHERE else p.gap_m, p.frequency_hz, p.current_a, p.direction,
+            *("" if math.isnan(number) else repr(number) for number in numbers),
+            p.regime, len(p.rows), int(p.settled), p.status, int(p.reference), p.key,
+            *(p.axes.get(name, "") for name in axes),
+        ])  # fmt: skip
+    files.write_text(path, text.getvalue())
     return path

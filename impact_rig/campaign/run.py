@@ -12,16 +12,18 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import platform
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from importlib import metadata
 from pathlib import Path
 
 import attrs
 
+from impact_rig import files
 from impact_rig.campaign import statements
 from impact_rig.campaign.axes import NO_SPHERE
 from impact_rig.campaign.code import fingerprint
@@ -39,7 +41,7 @@ CAMPAIGN_FILE, CONFIGURATION_FILE, PROVENANCE_FILE = "campaign.yaml", "configura
 CSV_FILE = "points.csv"
 LIBRARIES = ("numpy", "scipy", "numba", "llvmlite", "attrs", "matplotlib")
 
-Runner = Callable[[Sequence[Job]], Iterator[tuple[Job, Outcome]]]
+Runner = Callable[[Sequence[Job]], Generator[tuple[Job, Outcome], None, None]]
 """A way of measuring: yields every job with its outcome, in any order."""
 
 
@@ -106,16 +108,16 @@ def prepare(campaign: Campaign, directory: Path, through: str) -> Store:
         raise RecordingError(f"{directory} is not empty and holds no campaign: choose another --output")
     store = Store(directory)
     try:
-        (directory / CAMPAIGN_FILE).write_text(campaign.text, encoding="utf-8")
-        (directory / CONFIGURATION_FILE).write_text(dump(campaign.base), encoding="utf-8")
+        files.write_text(directory / CAMPAIGN_FILE, campaign.text)
+        files.write_text(directory / CONFIGURATION_FILE, dump(campaign.base))
         provenance = json.dumps(_provenance(through), indent=2)
-        (directory / PROVENANCE_FILE).write_text(f"{provenance}\n", encoding="utf-8")
+        files.write_text(directory / PROVENANCE_FILE, f"{provenance}\n")
     except OSError as error:
         raise RecordingError(f"cannot write {directory}: {error.strerror}") from error
     return store
 
 
-def measure(jobs: Sequence[Job], store: Store, runner: Runner) -> Iterator[tuple[Job, Outcome]]:
+def measure(jobs: Sequence[Job], store: Store, runner: Runner) -> Generator[tuple[Job, Outcome], None, None]:
     """Yield every job with its outcome as soon as it is stored: those stored already first, then the measured ones.
 
     Raises:
@@ -128,9 +130,12 @@ def measure(jobs: Sequence[Job], store: Store, runner: Runner) -> Iterator[tuple
             missing.append(job)
         else:
             yield job, outcome
-    for job, outcome in runner(missing) if missing else ():
-        store.put(job, outcome)
-        yield job, outcome
+    if not missing:
+        return
+    with contextlib.closing(runner(missing)) as measured:
+        for job, outcome in measured:
+            store.put(job, outcome)
+            yield job, outcome
 
 
 def finished(campaign: Campaign, directory: Path) -> Finished:

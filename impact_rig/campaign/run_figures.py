@@ -13,6 +13,7 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
+from impact_rig import files
 from impact_rig.analysis import figures
 from impact_rig.analysis.tracker import Findings
 from impact_rig.blocks import SCAN, Table
@@ -220,7 +221,8 @@ def _joined(tables: Sequence[Table], origin_ns: int) -> NDArray[np.void]:
 
 def _save(figure: Figure, path: Path) -> Path:
     try:
-        figure.savefig(path, dpi=150)
+        with files.written_whole(path, replace=False) as file:
+            figure.savefig(file, format=path.suffix[1:], dpi=150)
     except OSError as error:
         raise RecordingError(f"{path} cannot be written: {error.strerror}") from error
     return path

@@ -8,18 +8,21 @@ from __future__ import annotations
 import io
 import json
 import math
-import os
+import zipfile
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from impact_rig import files
 from impact_rig.blocks import TRANSMISSIBILITY
 from impact_rig.campaign.code import fingerprint
 from impact_rig.campaign.job import Job, Outcome
 from impact_rig.errors import RecordingError
 
 FOLDER = "points"
+MAX_RESULT_BYTES, MAX_TRACE_BYTES = 10 * 2**20, 64 * 2**20
+"""A file in a directory that somebody else made is not believed to be small."""
 _TEXTS = frozenset(name for name in TRANSMISSIBILITY.names or () if TRANSMISSIBILITY[name].kind == "S")
 
 
@@ -47,7 +50,7 @@ class Store:
         be taken `as_it_is`.
         """
         try:
-            found = json.loads(self._path(job, "json").read_text(encoding="utf-8"))
+            found = json.loads(files.read_bytes(self._path(job, "json"), MAX_RESULT_BYTES))
             failure = str(found["failure"])
             trace = self._trace(job) if job.traces else {}
             incomplete = job.traces and not (trace or failure)
@@ -62,7 +65,7 @@ class Store:
                 lost_scans=int(found["lost_scans"]),
                 trace=trace,
             )
-        except (OSError, ValueError, KeyError, TypeError):
+        except (OSError, ValueError, KeyError, TypeError, RecursionError, zipfile.BadZipFile):
             return None
 
     def put(self, job: Job, outcome: Outcome) -> None:
@@ -86,10 +89,9 @@ class Store:
         }
         try:
             if outcome.trace:
-                packed = io.BytesIO()
-                np.savez_compressed(packed, **dict(outcome.trace))  # type: ignore[arg-type]  # none is called allow_pickle
-                _replace(self._path(job, "npz"), packed.getvalue())
-            _replace(self._path(job, "json"), (json.dumps(content, indent=1) + "\n").encode())
+                with files.written_whole(self._path(job, "npz")) as file:
+                    np.savez_compressed(file, **dict(outcome.trace))  # type: ignore[arg-type]  # none is called allow_pickle
+            files.write_text(self._path(job, "json"), json.dumps(content, indent=1) + "\n")
         except OSError as error:
             raise RecordingError(f"cannot write {self._folder}: {error.strerror}") from error
 
@@ -97,21 +99,15 @@ class Store:
         path = self._path(job, "npz")
         if not path.exists():
             return {}
-        with np.load(path, allow_pickle=False) as arrays:
+        packed = io.BytesIO(files.read_bytes(path, MAX_TRACE_BYTES))
+        with zipfile.ZipFile(packed) as archive:
+            if sum(member.file_size for member in archive.infolist()) > MAX_TRACE_BYTES:
+                raise ValueError(f"{path} holds more than {MAX_TRACE_BYTES} bytes")
+        with np.load(packed, allow_pickle=False) as arrays:
             return dict(arrays)
 
     def _path(self, job: Job, suffix: str) -> Path:
         return self._folder / f"{job.key}.{suffix}"
-
-
-def _replace(path: Path, content: bytes) -> None:
-    """Write a file so that it is there whole, or not at all, even if the machine stops."""
-    partial = path.with_suffix(f"{path.suffix}.{os.getpid()}.part")
-    with partial.open("wb") as file:
-        file.write(content)
-        file.flush()
-        os.fsync(file.fileno())
-    partial.replace(path)
 
 
 def _plain(row: np.void) -> dict[str, object]:

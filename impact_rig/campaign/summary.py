@@ -9,6 +9,7 @@ from pathlib import Path
 import attrs
 
 import impact_rig
+from impact_rig import files
 from impact_rig.campaign.paper import REDUCTION_PERCENT, Reductions
 
 FILE_NAME = "summary.json"
@@ -55,7 +56,7 @@ def write_summary(
         **(more or {}),
     }
     path = directory / FILE_NAME
-    path.write_text(json.dumps(_finite(content), indent=2) + "\n", encoding="utf-8")
+    files.write_text(path, json.dumps(_finite(content), indent=2) + "\n")
     return path
 
 

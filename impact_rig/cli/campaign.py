@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import time
 from pathlib import Path
 
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table as TextTable
 
 from impact_rig.campaign import paper, pool, run
@@ -15,6 +15,7 @@ from impact_rig.campaign.job import Job
 from impact_rig.campaign.plan import load_campaign
 from impact_rig.campaign.statements import Verdict
 from impact_rig.campaign.store import Store
+from impact_rig.cli.terminal import Console, Words, tell_program
 from impact_rig.errors import ConfigError
 
 WAYS = ("process", "ros", "dask")
@@ -69,7 +70,7 @@ def _run(arguments: argparse.Namespace) -> int:
     _print_verdicts(console, verdicts)
     _print_failed(console, done)
     console.print(f"{len(done.points)} points; figures for programs: {run.CSV_FILE}, summary.json")
-    print(directory)  # noqa: T201  # the last line is for programs
+    tell_program(directory)
     wanted = [verdict for verdict in verdicts if verdict.result is not None or not arguments.only]
     sound = close and not done.failed() and all(verdict.word == "pass" for verdict in wanted)
     return 1 if arguments.check and not sound else 0
@@ -105,13 +106,13 @@ def _runner(way: str, address: str, arguments: argparse.Namespace, directory: Pa
 
 def _measure(jobs: list[Job], store: Store, runner: run.Runner, console: Console) -> None:
     columns = (
-        TextColumn("{task.description}"), BarColumn(24), MofNCompleteColumn(), TimeElapsedColumn(),
-        TextColumn("left"), TimeRemainingColumn(), TextColumn("{task.fields[state]}"),
+        Words("{task.description}"), BarColumn(24), MofNCompleteColumn(), TimeElapsedColumn(),
+        Words("left"), TimeRemainingColumn(), Words("{task.fields[state]}"),
     )  # fmt: skip
     failed = 0
-    with Progress(*columns, console=console) as progress:
+    with Progress(*columns, console=console) as progress, contextlib.closing(run.measure(jobs, store, runner)) as done:
         task = progress.add_task("runs", total=len(jobs), state="starting (the first time compiles)")
-        for job, outcome in run.measure(jobs, store, runner):
+        for job, outcome in done:
             failed += bool(outcome.failure)
             trouble = f", {failed} failed" if failed else ""
             progress.update(task, advance=1, state=f"{job.describe()}{trouble}")

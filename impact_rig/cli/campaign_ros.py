@@ -7,7 +7,7 @@ of their own; the rig steps one turn at a time, and a step is answered when the 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Sequence
 from pathlib import Path
 
 import attrs
@@ -34,7 +34,7 @@ GRACE_S = 0.005
 def ros_runner(directory: Path, *, record: bool = False) -> Runner:
     """Return a runner whose processes log into `directory`/logs, and whose runs are recorded in `directory`/runs."""
 
-    def run(jobs: Sequence[Job]) -> Iterator[tuple[Job, Outcome]]:
+    def run(jobs: Sequence[Job]) -> Generator[tuple[Job, Outcome], None, None]:
         # rate and block length of a rig node are fixed at its start
         for (rate, scans), group in itertools.groupby(sorted(jobs, key=_fixed), key=_fixed):
             yield from _run_group(list(group), rate, scans, directory, record)
@@ -49,7 +49,7 @@ def _fixed(job: Job) -> tuple[int, int]:
 
 def _run_group(
     jobs: Sequence[Job], rate: int, scans: int, directory: Path, record: bool
-) -> Iterator[tuple[Job, Outcome]]:
+) -> Generator[tuple[Job, Outcome], None, None]:
     peers = ["analysis", "recorder"] if record else ["analysis"]
     with isolated_domain() as domain_id, Processes(domain_id, directory / "logs") as processes:
         processes.start("rig", {

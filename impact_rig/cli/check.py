@@ -6,9 +6,10 @@ import argparse
 import math
 from pathlib import Path
 
-from rich.console import Console
 from rich.table import Table as TextTable
+from rich.text import Text
 
+from impact_rig.cli.terminal import Console
 from impact_rig.config import RigConfig, load
 from impact_rig.errors import ConfigError
 from impact_rig.instruments import check_known_input
@@ -60,7 +61,7 @@ def _check_instruments(config: RigConfig, console: Console) -> bool:
             f"{math.degrees(check.phase_rad):+.3f}°",
             f"{100.0 * check.residual / check.residual_limit:.0f} %",
             _POLARITY[check.polarity],
-            "[green]ok[/green]" if check.ok else "[red]not ok[/red]",
+            Text("ok", "green") if check.ok else Text("not ok", "red"),
         )
     console.print(table)
     return all(check.ok for check in checks)

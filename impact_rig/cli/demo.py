@@ -10,14 +10,14 @@ from pathlib import Path
 import attrs
 import numpy as np
 from numpy.typing import NDArray
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, Progress, TimeElapsedColumn
 from rich.table import Table as TextTable
 
 from impact_rig.campaign import paper
 from impact_rig.campaign.figures import draw_reductions
 from impact_rig.campaign.paper import Reductions
 from impact_rig.campaign.summary import Statement, write_summary
+from impact_rig.cli.terminal import Console, Words, tell_program
 from impact_rig.config import RigConfig, from_flat
 from impact_rig.errors import ImpactRigError
 from impact_rig.recording import RunInfo, info
@@ -103,11 +103,11 @@ def run(arguments: argparse.Namespace) -> int:
     console.print(f"{simulated_s:.0f} s of rig time in {wall_s:.0f} s, {lost} blocks lost.")
     failed = [name for name, statement in statements.items() if not statement.passed]
     if failed:
-        console.print(f"[red]not as expected: {', '.join(failed)}[/red]")
+        console.print(f"not as expected: {', '.join(failed)}", style="red")
     console.print(
         f"figure: reductions.png, figures for programs: summary.json, runs: {', '.join(c.name for c in CASES)}"
     )
-    print(directory)  # noqa: T201  # the last line is for programs
+    tell_program(directory)
     return 1 if failed else 0
 
 
@@ -117,9 +117,9 @@ def _measure(config: RigConfig, directory: Path, console: Console) -> dict[float
     from impact_rig.testing import Client, Processes, isolated_domain  # noqa: PLC0415
 
     columns = (
-        TextColumn("{task.description:<12}"),
+        Words("{task.description:<12}"),
         BarColumn(24),
-        TextColumn("{task.fields[state]:<36}"),
+        Words("{task.fields[state]:<36}"),
         TimeElapsedColumn(),
     )
     rows: dict[float, NDArray[np.void]] = {}

@@ -7,9 +7,9 @@ import json
 from collections.abc import Sequence
 from pathlib import Path
 
-from rich.console import Console
 from rich.table import Table as TextTable
 
+from impact_rig import files
 from impact_rig.analysis.words import Status
 from impact_rig.campaign import run
 from impact_rig.campaign.axes import NO_SPHERE
@@ -20,6 +20,7 @@ from impact_rig.campaign.identification.fit import Identified, identify
 from impact_rig.campaign.identification.measurements import Gains, Measured, reduced_of, sine_of
 from impact_rig.campaign.identification.pluck import measured_decay, recorded_decay
 from impact_rig.campaign.paper import CURRENT_A, FREQUENCIES_HZ, FREQUENCY_HZ, REDUCTION_PERCENT
+from impact_rig.cli.terminal import Console, tell_program
 from impact_rig.config import RigConfig, dump, load
 from impact_rig.errors import ConfigError, ImpactRigError
 from impact_rig.recording import open_run
@@ -55,7 +56,7 @@ def _run(arguments: argparse.Namespace) -> int:
     found = identify(measured, done.campaign.base, on_step=lambda what: console.print(f"{what} ..."))
     _print(console, found)
     _write(arguments.directory, found)
-    print(arguments.directory.resolve())  # noqa: T201  # the last line is for programs
+    tell_program(arguments.directory.resolve())
     return 0
 
 
@@ -157,6 +158,6 @@ def _write(directory: Path, found: Identified) -> None:
         "chi_square": found.chi_square,
         "degrees_of_freedom": found.freedom,
     }
-    (directory / JSON_FILE).write_text(json.dumps(content, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
+    files.write_text(directory / JSON_FILE, json.dumps(content, indent=2, ensure_ascii=False) + "\n")
     if all(map(information.determined, NAMES)):
-        (directory / CONFIGURATION_FILE).write_text(dump(found.config), encoding="utf-8")
+        files.write_text(directory / CONFIGURATION_FILE, dump(found.config))

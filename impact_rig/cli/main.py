@@ -1,40 +1,72 @@
-"""Parse the command line and run one subcommand; errors become one clear line and exit code 1."""
+"""Parse the command line and run one subcommand; errors become one clear line and exit code 1.
+
+Loads the file of the chosen subcommand only, and that after the signals are taken.
+"""
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
-import impact_rig
-from impact_rig.cli import campaign, check, demo, identify, replay, report, runs
-from impact_rig.errors import ImpactRigError
+from impact_rig.endings import Ending
+
+if TYPE_CHECKING:
+    import argparse
 
 EXIT_ERROR = 1
-EXIT_INTERRUPTED = 130
+PROGRAM = "impact-rig"
+FILES = {
+    "check": "check", "demo": "demo", "campaign": "campaign", "report": "report", "info": "runs", "recover": "runs",
+    "export": "runs", "analyze": "runs", "verify": "runs", "replay": "replay", "identify": "identify",
+}  # fmt: skip
+"""Subcommand -> the module that has it."""
 
 
-def command_line() -> argparse.ArgumentParser:
-    """Return the parser of all subcommands."""
-    parser = argparse.ArgumentParser(
-        prog="impact-rig", description="The test rig of an impact damper as virtual hardware."
-    )
-    parser.add_argument("--version", action="version", version=f"impact-rig {impact_rig.__version__}")
+def command_line(command: str = "") -> argparse.ArgumentParser:
+    """Return the parser of all subcommands, or of those in the file of one."""
+    import argparse  # noqa: PLC0415  # after the signals are taken
+    import importlib  # noqa: PLC0415
+
+    import impact_rig  # noqa: PLC0415
+
+    parser = argparse.ArgumentParser(prog=PROGRAM, description="The test rig of an impact damper as virtual hardware.")
+    parser.add_argument("--version", action="version", version=f"{PROGRAM} {impact_rig.__version__}")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    for module in (check, demo, campaign, report, runs, replay, identify):
-        module.add_commands(commands)
+    wanted = [FILES[command]] if command in FILES else [] if command == "--version" else FILES.values()
+    for name in dict.fromkeys(wanted):
+        importlib.import_module(f"impact_rig.cli.{name}").add_commands(commands)
     return parser
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run `impact-rig` and return the exit code."""
-    chosen = command_line().parse_args(arguments)
+    """Run `impact-rig` and return the exit code.
+
+    Args:
+        arguments: of the command line; None: this is the program, which takes those it was given, and the signals.
+    """
+    if arguments is not None:
+        return _run(_parse(arguments), None)
+    words = sys.argv[1:]
+    ending = Ending(" ".join([PROGRAM, *words[:1]]) if words and words[0] in FILES else PROGRAM)
+    chosen = _parse(words)
+    return ending.run(lambda: _run(chosen, ending))
+
+
+def _parse(arguments: Sequence[str]) -> argparse.Namespace:
+    return command_line(arguments[0] if arguments else "").parse_args(arguments)
+
+
+def _run(chosen: argparse.Namespace, ending: Ending | None) -> int:
+    from impact_rig.errors import ImpactRigError  # noqa: PLC0415
+    from impact_rig.escapes import visible  # noqa: PLC0415
+
     try:
         result: int = chosen.run(chosen)
     except ImpactRigError as error:
-        print(f"impact-rig {chosen.command}: {error}", file=sys.stderr)  # noqa: T201  # a command line tool talks
+        if ending is None or not ending.told:  # else it is only what became of the signal
+            about_content = isinstance(error, (ValueError, OSError))  # not the last lines of a process that died
+            text = visible(str(error), lines=not about_content)
+            print(f"{PROGRAM} {chosen.command}: {text}", file=sys.stderr)  # noqa: T201  # a command line tool talks
         return EXIT_ERROR
-    except KeyboardInterrupt:
-        print(f"impact-rig {chosen.command}: interrupted", file=sys.stderr)  # noqa: T201
-        return EXIT_INTERRUPTED
     return result

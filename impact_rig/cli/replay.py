@@ -7,11 +7,11 @@ import math
 import os
 from pathlib import Path
 
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, Progress, TimeRemainingColumn
 
+from impact_rig.cli.terminal import Console, Words
 from impact_rig.errors import ImpactRigError
-from impact_rig.recording import open_run
+from impact_rig.recording import Run, open_run
 from impact_rig.simtime import NS_PER_S
 
 FASTEST = "max"
@@ -37,21 +37,22 @@ def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
 def run(arguments: argparse.Namespace) -> int:
     """Replay and return the exit code."""
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    with open_run(arguments.path) as opened:
+        return _play(opened, arguments)
+
+
+def _play(opened: Run, arguments: argparse.Namespace) -> int:
     try:
         from impact_rig.nodes.player import Player, on_graph  # noqa: PLC0415  # the other subcommands do without ROS
     except ImportError as error:
         raise ImpactRigError(f"replay needs ROS 2: {error}") from error
     columns = (
-        TextColumn("{task.fields[state]:<8}"),
+        Words("{task.fields[state]:<8}"),
         BarColumn(24),
-        TextColumn("{task.completed:.1f} of {task.total:.1f} s"),
+        Words("{task.completed:.1f} of {task.total:.1f} s"),
         TimeRemainingColumn(),
     )
-    with (
-        open_run(arguments.path) as opened,
-        on_graph("player") as (node, spin),
-        Progress(*columns, console=Console()) as progress,
-    ):
+    with on_graph("player") as (node, spin), Progress(*columns, console=Console()) as progress:
         player = Player(
             opened,
             node,

@@ -5,6 +5,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from impact_rig.cli.terminal import tell_program
+
 
 def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Register the subcommand."""
@@ -18,5 +20,5 @@ def _run(arguments: argparse.Namespace) -> int:
     from impact_rig.campaign.report import build_report  # noqa: PLC0415  # loads SciPy, which no other command needs
 
     path = build_report(arguments.directory, arguments.output)
-    print(path)  # noqa: T201  # for people and programs
+    tell_program(path)
     return 0

@@ -8,12 +8,12 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.console import Console
 from rich.table import Table as TextTable
 
-from impact_rig.campaign import reanalysis, run_figures
-from impact_rig.campaign.verification import verify
+from impact_rig.cli.terminal import Console
 from impact_rig.recording import export, info, open_run, recover
+
+FIGURE_FORMATS = ("png", "svg")  # of campaign.run_figures, which is too heavy for a parser
 
 
 def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -38,7 +38,7 @@ def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
         metavar="DIR",
         help="also draw its last settled measurement (time traces, phase plane, spectrum) and the curves it holds",
     )
-    parser.add_argument("--format", choices=run_figures.FORMATS, default="png", help="of the figures (default: png)")
+    parser.add_argument("--format", choices=FIGURE_FORMATS, default="png", help="of the figures (default: png)")
     parser.set_defaults(run=_analyze)
     parser = commands.add_parser("verify", help="re-simulate a run from its journal and compare every scan")
     parser.add_argument("path", type=Path, metavar="RUN")
@@ -52,7 +52,7 @@ def _info(arguments: argparse.Namespace) -> int:
     size = sum(size for _, size in found.files)
     console.print(f"{found.duration_s:.3f} s of rig time, {len(found.files)} file(s), {size / 1e6:.2f} MB")
     for key, value in found.provenance.items():
-        console.print(f"{key}: {value}", highlight=False)
+        console.print(f"{key}: {value}")
     table = TextTable()
     for heading, side in (
         ("topic", "left"),
@@ -75,19 +75,21 @@ def _info(arguments: argparse.Namespace) -> int:
 
 def _recover(arguments: argparse.Namespace) -> int:
     report = recover(arguments.path, arguments.out)
-    Console().print(str(report), highlight=False)
+    Console().print(str(report))
     return 0
 
 
 def _export(arguments: argparse.Namespace) -> int:
     with open_run(arguments.path) as run:
-        Console().print(str(export(run, arguments.topic, arguments.target)), highlight=False)
+        Console().print(str(export(run, arguments.topic, arguments.target)))
     return 0
 
 
 def _analyze(arguments: argparse.Namespace) -> int:
     console = Console()
     with open_run(arguments.path) as run:
+        from impact_rig.campaign import reanalysis, run_figures  # noqa: PLC0415  # heavy: after the run has been opened
+
         if arguments.figures is not None:
             run_figures.prepare(arguments.figures, arguments.format)
         findings = list(reanalysis.analyze(run))
@@ -97,12 +99,12 @@ def _analyze(arguments: argparse.Namespace) -> int:
         if same is None:
             console.print("no live results are in this run: nothing to compare with")
         else:
-            console.print("identical to the live results" if same else "[red]not identical to the live results[/red]")
+            console.print(f"{'' if same else 'not '}identical to the live results", style=None if same else "red")
         if arguments.figures is not None:
             stretch, files = run_figures.draw(run, findings, arguments.figures, arguments.format)
-            console.print(f"drawn: {stretch}", highlight=False)
+            console.print(f"drawn: {stretch}")
             for file in files:
-                console.print(f"wrote {file}", highlight=False, soft_wrap=True)
+                console.print(f"wrote {file}", soft_wrap=True)
     return 1 if same is False else 0
 
 
@@ -121,6 +123,8 @@ def _print_measurements(console: Console, rows: NDArray[np.void]) -> None:
 
 def _verify(arguments: argparse.Namespace) -> int:
     with open_run(arguments.path) as run:
+        from impact_rig.campaign.verification import verify  # noqa: PLC0415  # as above
+
         verdict = verify(run)
-    Console().print(f"{arguments.path}: {verdict}", style="green" if verdict.identical else "red", highlight=False)
+    Console().print(f"{arguments.path}: {verdict}", style="green" if verdict.identical else "red")
     return 0 if verdict.identical else 1

@@ -14,13 +14,13 @@ from pathlib import Path
 import attrs
 import yaml
 
+from impact_rig import files, plain_yaml
 from impact_rig.config.fields import METADATA_KEY, FieldInfo, info
 from impact_rig.config.rig import RigConfig
 from impact_rig.errors import ConfigError
 
 MAX_FILE_BYTES = 1_000_000
 MAX_KEYS = 2000
-"""YAML lets a short file name one section exponentially often, or inside itself."""
 MAX_DEPTH = 20
 
 Value = bool | int | float | str | tuple[str, ...]
@@ -35,14 +35,10 @@ def load(path: Path | str, overrides: Mapping[str, object] | None = None) -> Rig
     """
     path = Path(path)
     try:
-        if path.stat().st_size > MAX_FILE_BYTES:
-            raise ConfigError(f"a configuration file must be below {MAX_FILE_BYTES} bytes ({path})")
-        document = yaml.safe_load(path.read_text(encoding="utf-8"))
+        document = plain_yaml.load(str(files.read_bytes(path, MAX_FILE_BYTES), "utf-8"), MAX_FILE_BYTES)
     except OSError as error:
         raise ConfigError(f"cannot read configuration: {error.strerror} ({path})") from error
-    except (yaml.YAMLError, UnicodeDecodeError, RecursionError, ValueError) as error:
-        if isinstance(error, ConfigError):
-            raise
+    except ValueError as error:  # PlainYamlError, or it is not UTF-8
         raise ConfigError(f"not a YAML file: {' '.join(str(error).split())} ({path})") from error
     try:
         return from_flat(RigConfig(), {**flatten(_unwrap(document)), **(overrides or {})})

@@ -15,6 +15,7 @@ from impact_rig.analysis.tables import settings_table
 from impact_rig.analysis.tracker import Findings, Tracker
 from impact_rig.analysis.warm_up import compile_tracker
 from impact_rig.blocks import Table
+from impact_rig.endings import Ending
 from impact_rig.errors import CodecError, ConfigError
 from impact_rig.nodes import process, topics
 from impact_rig.nodes.diagnostics import Level, Status
@@ -174,10 +175,6 @@ def _gap(settings: AnalysisSettings) -> float:
     return math.nan if settings.gap_m == UNKNOWN_GAP else settings.gap_m
 
 
-def main() -> None:
+def main(ending: Ending) -> None:
     """Run the analysis node."""
-    process.main(AnalysisNode)
-
-
-if __name__ == "__main__":
-    main()
+    process.main(AnalysisNode, ending)

@@ -7,7 +7,6 @@ in what happens on configure, activate, deactivate and clean up.
 
 from __future__ import annotations
 
-import os
 import sys
 import time
 from collections.abc import Callable
@@ -22,6 +21,7 @@ from rclpy.publisher import Publisher
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
 from impact_rig.errors import ImpactRigError
+from impact_rig.escapes import visible
 from impact_rig.nodes import diagnostics, topics
 from impact_rig.nodes.diagnostics import CpuMeter, Level, Status
 from impact_rig.nodes.guard import Refusals, describe, guarded, guarded_answer, guarded_service
@@ -36,8 +36,6 @@ ERROR_MEMORY_S = 5.0
 """An exception of a callback is shown in diagnostics this long."""
 WARN_PERIOD_S = 1.0
 """Least time between two warnings of one reason."""
-PARENT_VARIABLE = "IMPACT_RIG_EXIT_WITH"
-"""Environment: id of the process with which a node ends, however that one ended."""
 
 
 class ManagedNode(LifecycleNode, Generic[S]):
@@ -65,7 +63,6 @@ class ManagedNode(LifecycleNode, Generic[S]):
         self._diagnostics = self.create_publisher(
             topics.DIAGNOSTICS.message_type(), topics.DIAGNOSTICS.name, topics.DIAGNOSTICS.qos.profile()
         )
-        self._parent = int(os.environ.get(PARENT_VARIABLE, "0"))
         self._reporter = self.steady_timer(CHANGE_PERIOD_S, self._report_when_due)
         self._starter = self.steady_timer(0.001, self._autostart) if self.autostarts() else None
 
@@ -170,8 +167,8 @@ class ManagedNode(LifecycleNode, Generic[S]):
         now = time.monotonic()
         if now - self._warned.get(key, -WARN_PERIOD_S) >= WARN_PERIOD_S:
             self._warned[key] = now
-            logger = self.get_logger()
-            logger.error(message) if error else logger.warning(message)
+            logger, text = self.get_logger(), visible(message)
+            logger.error(text) if error else logger.warning(text)
 
     # Lifecycle: every transition is guarded and says why it failed
 
@@ -291,10 +288,6 @@ class ManagedNode(LifecycleNode, Generic[S]):
     # Diagnostics
 
     def _report_when_due(self) -> None:
-        if self._parent and os.getppid() != self._parent:
-            self.get_logger().warning("the process that started this node is gone: ending")
-            self.context.try_shutdown()
-            return
         level, message = self._judged(self.status())
         now = time.monotonic()
         if now - self._reported_at >= DIAGNOSTICS_PERIOD_S or (level, message) != self._reported:

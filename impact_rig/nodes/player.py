@@ -13,6 +13,7 @@ from typing import Any  # rclpy publishers and messages
 
 from rclpy.context import Context
 from rclpy.duration import Duration
+from rclpy.exceptions import NameValidationException
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
@@ -20,7 +21,8 @@ from std_msgs.msg import Header
 from std_srvs.srv import SetBool
 
 from impact_rig import codec
-from impact_rig.errors import ImpactRigError
+from impact_rig.endings import unhurried
+from impact_rig.errors import ImpactRigError, RecordingError
 from impact_rig.nodes import topics
 from impact_rig.nodes.convert import clock_message
 from impact_rig.nodes.guard import guarded_service
@@ -35,6 +37,10 @@ from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S
 MADE_HERE = (topics.CLOCK.name, topics.ACK.name)
 """Never replayed: the player makes the clock, and today's peers acknowledge."""
 SPIN_S = 0.05
+LAST_NS = (2**31 - 1) * NS_PER_S
+"""builtin_interfaces/Time counts seconds in 32 bits."""
+LONGEST_PAUSE_NS = 3600 * NS_PER_S
+"""Between two messages; the player would stand still, or fill it with ticks of /clock."""
 WINDOW = 16
 """Blocks ahead of the slowest peer."""
 PEER_TIMEOUT_S = 10.0
@@ -55,9 +61,10 @@ def on_graph(name: str) -> Iterator[tuple[Node, Spin]]:
     try:
         yield node, lambda longest_s: executor.spin_once(timeout_sec=longest_s)
     finally:
-        executor.shutdown()
-        node.destroy_node()
-        context.try_shutdown()
+        with unhurried():
+            executor.shutdown()
+            node.destroy_node()
+            context.try_shutdown()
 
 
 class Player:
@@ -73,7 +80,8 @@ class Player:
         paused: begin paused.
 
     Raises:
-        RecordingError: a chosen topic is not in the run, or it has no daq/scan.
+        RecordingError: a chosen topic is not in the run, it has no daq/scan, or what ROS does not have: the name of
+            a topic, a time.
         ImpactRigError: no peers to set the pace, or an interface is not installed.
     """
 
@@ -92,6 +100,8 @@ class Player:
             raise ImpactRigError(f"peers acknowledge {topics.SCAN.name}: choose it as well")
         if factor is None and not peers:
             raise ImpactRigError("the highest rate needs peers that acknowledge: without them messages would be lost")
+        if run.end_ns > LAST_NS:
+            raise RecordingError(f"{run.path}: log time {run.end_ns} ns is no ROS time (at most {LAST_NS} ns)")
         self._run, self._node, self._spin = run, node, spin
         self._factor = factor
         self._scan = run.resolve(topics.SCAN.name)
@@ -124,6 +134,9 @@ class Player:
         self._pacer.rebase(self.start_ns)
         clock_ns = self.start_ns
         for message in self._run.messages(self._names):
+            if message.log_time > self.now_ns + LONGEST_PAUSE_NS:
+                pause_h = (message.log_time - self.now_ns) / NS_PER_S / 3600
+                raise RecordingError(f"{self._run.path}: {message.topic} comes {pause_h:.4g} h after everything else")
             while message.log_time > self.start_ns and self._must_wait(message.log_time):
                 yield from self._rest(self._time_left_s(message.log_time))
             self.now_ns = max(self.now_ns, message.log_time)
@@ -180,6 +193,8 @@ class Player:
         )
         try:
             return self._node.create_publisher(topics.message_class(topic.type_name), topic.name, profile)
+        except NameValidationException as error:
+            raise RecordingError(f"{self._run.path}: {topic.name!r} is not the name of a topic") from error
         except (ImportError, AttributeError, ValueError) as error:
             raise ImpactRigError(f"{topic.name}: the interface {topic.type_name!r} is not installed") from error
 

@@ -2,23 +2,26 @@
 
 `EventsExecutor` costs a third to a sixth of the default executor; its `spin()` busy-loops in Jazzy, so it is driven by
 `spin_once`. Where rclpy does not have it, the default one runs. Signals are noted, not raised: neither a callback nor
-the clean-up is interrupted, however often Ctrl-C arrives, and the last messages still find a valid context.
+the clean-up is interrupted, however often Ctrl-C arrives, and the last messages still find a valid context. They reach
+the main thread only, never one of DDS.
 """
 
 from __future__ import annotations
 
+import contextlib
 import gc
 import os
 import signal
 import sys
+import threading
 from collections.abc import Callable
-from types import FrameType
 from typing import Any  # executors have no common type
 
 import rclpy
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 
+from impact_rig.endings import SIGNALS, Ending, held
 from impact_rig.nodes.guard import describe
 from impact_rig.nodes.managed import ManagedNode
 
@@ -32,22 +35,28 @@ EXECUTOR_VARIABLE = "IMPACT_RIG_EXECUTOR"
 def make_executor(context: Any = None) -> Any:
     """Return the cheapest executor this rclpy has."""
     if os.environ.get(EXECUTOR_VARIABLE, "") != "default":
+        handlers = {number: signal.getsignal(number) for number in SIGNALS}
         try:
             from rclpy.experimental.events_executor import EventsExecutor  # noqa: PLC0415  # absent before rclpy 7.1.2
 
-            return EventsExecutor(context=context)
+            with contextlib.redirect_stderr(sys.__stderr__):  # it wants a file behind it, which a test may have changed
+                return EventsExecutor(context=context)
         except ImportError:
             pass
+        finally:
+            if threading.current_thread() is threading.main_thread():
+                for number, handler in handlers.items():
+                    signal.signal(number, handler)  # an events executor may take them for itself
     return SingleThreadedExecutor(context=context)
 
 
-def run(make_node: Callable[[], ManagedNode[Any]], arguments: list[str] | None = None) -> int:
+def run(make_node: Callable[[], ManagedNode[Any]], ending: Ending) -> int:
     """Spin the node until a signal or a shutdown; return the exit code."""
     try:
-        rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
-        executor = make_executor()
-        stop = _StopOnSignal()  # after the executor, which takes SIGINT and SIGTERM for itself
-        node = make_node()
+        with held():
+            rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+            executor = make_executor()
+            node = make_node()
     except Exception as error:  # rclpy's own, which it does not export: arguments, parameter files, names
         print(f"cannot start: {' '.join(str(error).split())}", file=sys.stderr)  # noqa: T201  # there is no logger yet
         rclpy.try_shutdown()
@@ -55,7 +64,7 @@ def run(make_node: Callable[[], ManagedNode[Any]], arguments: list[str] | None =
     try:
         executor.add_node(node)
         frozen = False
-        while rclpy.ok() and not stop.asked:
+        while rclpy.ok() and not ending.told:
             try:
                 executor.spin_once(timeout_sec=SPIN_S)
             except (ExternalShutdownException, KeyboardInterrupt):
@@ -77,18 +86,6 @@ def run(make_node: Callable[[], ManagedNode[Any]], arguments: list[str] | None =
     return 0
 
 
-class _StopOnSignal:
-    """Notes SIGINT and SIGTERM instead of raising in the middle of a callback; more of them change nothing."""
-
-    def __init__(self) -> None:
-        self.asked = False
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, self._note)
-
-    def _note(self, _number: int, _frame: FrameType | None) -> None:
-        self.asked = True
-
-
-def main(make_node: Callable[[], ManagedNode[Any]]) -> None:
-    """Entry point of the console scripts."""
-    sys.exit(run(make_node))
+def main(make_node: Callable[[], ManagedNode[Any]], ending: Ending) -> None:
+    """Run a node as a program, from when its imports are done."""
+    sys.exit(ending.run(lambda: run(make_node, ending), interrupting=False))

@@ -20,6 +20,7 @@ from std_srvs.srv import Trigger
 import impact_rig
 from impact_rig import codec
 from impact_rig.blocks import Table
+from impact_rig.endings import Ending
 from impact_rig.errors import CodecError, RecordingError
 from impact_rig.nodes import process, topics
 from impact_rig.nodes.deferred import Answer, DeferredService
@@ -379,10 +380,6 @@ def _environment() -> bytes:
     ).encode()
 
 
-def main() -> None:
+def main(ending: Ending) -> None:
     """Run the recorder node."""
-    process.main(RecorderNode)
-
-
-if __name__ == "__main__":
-    main()
+    process.main(RecorderNode, ending)

@@ -10,6 +10,7 @@ from std_msgs.msg import Float64, Header
 from std_srvs.srv import SetBool, Trigger
 
 from impact_rig.config import RigConfig
+from impact_rig.endings import Ending
 from impact_rig.errors import CommandError
 from impact_rig.nodes import process, topics
 from impact_rig.nodes.deferred import Answer, DeferredService
@@ -386,10 +387,6 @@ class RigNode(ManagedNode[RigConfig]):
         )
 
 
-def main() -> None:
+def main(ending: Ending) -> None:
     """Run the rig node."""
-    process.main(RigNode)
-
-
-if __name__ == "__main__":
-    main()
+    process.main(RigNode, ending)

@@ -11,6 +11,7 @@ from std_srvs.srv import Trigger
 from impact_rig import codec
 from impact_rig.analysis.stepped import Command, State, SteppedSine
 from impact_rig.blocks import Table
+from impact_rig.endings import Ending
 from impact_rig.errors import CodecError, ConfigError
 from impact_rig.nodes import process, topics
 from impact_rig.nodes.diagnostics import Level, Status
@@ -218,10 +219,6 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
             self._outlets[topics.CURVE.name].publish(codec.encode(Table(self._began_ns, sweep.rows)))
 
 
-def main() -> None:
+def main(ending: Ending) -> None:
     """Run the stepped-sine node."""
-    process.main(SteppedSineNode)
-
-
-if __name__ == "__main__":
-    main()
+    process.main(SteppedSineNode, ending)

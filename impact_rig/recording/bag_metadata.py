@@ -12,6 +12,7 @@ from pathlib import Path
 
 import attrs
 
+from impact_rig import files
 from impact_rig.errors import RecordingError
 from impact_rig.recording.topics import INFINITE_NS, SERIALIZATION, Topic, dump_yaml
 
@@ -47,7 +48,7 @@ class FileSpan:
 
 def information(
     topics: Sequence[tuple[Topic, int]],
-    files: Sequence[FileSpan],
+    spans: Sequence[FileSpan],
     *,
     ros_distro: str,
     custom_data: Mapping[str, str] | None = None,
@@ -56,12 +57,12 @@ def information(
 
     Args:
         topics: each with its number of messages.
-        files: in the order they were written; at least one.
+        spans: of the files, in the order they were written; at least one.
         ros_distro: such as `jazzy`.
         custom_data: free text for other tools.
     """
-    start_ns, end_ns = min(file.start_ns for file in files), max(file.end_ns for file in files)
-    total = FileSpan("", sum(file.count for file in files), start_ns, end_ns)
+    start_ns, end_ns = min(span.start_ns for span in spans), max(span.end_ns for span in spans)
+    total = FileSpan("", sum(span.count for span in spans), start_ns, end_ns)
     return {
         "version": VERSION,
         "storage_identifier": "mcap",
@@ -83,15 +84,15 @@ def information(
         ],
         "compression_format": "",
         "compression_mode": "",
-        "relative_file_paths": [file.path for file in files],
+        "relative_file_paths": [span.path for span in spans],
         "files": [
             {
-                "path": file.path,
-                "starting_time": {"nanoseconds_since_epoch": file.start_ns},
-                "duration": {"nanoseconds": file.duration_ns},
-                "message_count": file.count,
+                "path": span.path,
+                "starting_time": {"nanoseconds_since_epoch": span.start_ns},
+                "duration": {"nanoseconds": span.duration_ns},
+                "message_count": span.count,
             }
-            for file in files
+            for span in spans
         ],
         "custom_data": dict(custom_data) if custom_data else None,
         "ros_distro": ros_distro,
@@ -104,18 +105,14 @@ def record(info: Information) -> dict[str, str]:
 
 
 def write(directory: Path, info: Information) -> Path:
-    """Write `metadata.yaml` whole or not at all: under another name first, then renamed.
+    """Write `metadata.yaml` whole or not at all.
 
     Raises:
         RecordingError: it cannot be written.
     """
     path = directory / FILE_NAME
-    partial = directory / f".{FILE_NAME}.partial"
     try:
-        with partial.open("w", encoding="utf-8") as file:
-            file.write(dump_yaml({TOP_KEY: info}) + "\n")
-        partial.replace(path)
+        files.write_text(path, dump_yaml({TOP_KEY: info}) + "\n")
     except OSError as error:
-        partial.unlink(missing_ok=True)
         raise RecordingError(f"{path} cannot be written: {error.strerror}") from error
     return path

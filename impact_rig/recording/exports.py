@@ -8,18 +8,22 @@ from __future__ import annotations
 
 import csv
 import importlib
+import io
+import os
 import zipfile
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
+from impact_rig import files
 from impact_rig.errors import RecordingError
 from impact_rig.recording.reader import Run
 
 STAMP = "stamp_ns"
-_BATCH_ROWS = 100_000
+_BATCH_BYTES = 4 * 2**20  # a text takes four times as much when it is decoded, a number when it is written
 
 Columns = dict[str, NDArray[np.generic]]
 
@@ -36,19 +40,18 @@ def export(run: Run, topic: str, target: Path) -> Path:
     write = _WRITERS.get(target.suffix)
     if write is None:
         raise RecordingError(f"{target} must end in one of {', '.join(_WRITERS)}")
-    if target.exists():
-        raise RecordingError(f"{target} exists already and is not overwritten")
-    batches = _batches(run, topic)
-    partial = target.with_name(f".{target.name}.partial")
+    kept = RecordingError(f"{target} exists already and is not overwritten")
+    if os.path.lexists(target):
+        raise kept
     try:
-        write(partial, batches)
-        partial.replace(target)
+        with files.written_whole(target, replace=False) as file:
+            write(file, _batches(run, topic))
+    except RecordingError:
+        raise
+    except FileExistsError as error:
+        raise kept from error
     except OSError as error:
-        if isinstance(error, RecordingError):
-            raise
         raise RecordingError(f"{target} cannot be written: {error.strerror}") from error
-    finally:
-        partial.unlink(missing_ok=True)
     return target
 
 
@@ -65,8 +68,8 @@ def _batches(run: Run, topic: str) -> Iterator[Columns]:
             raise RecordingError(f"topic {topic} changes its columns at {table.stamp_ns} ns")
         rows.append(table.rows)
         stamps.append(np.full(len(table.rows), table.stamp_ns, np.int64))
-        waiting += len(table.rows)
-        if waiting >= _BATCH_ROWS:
+        waiting += table.rows.nbytes
+        if waiting >= _BATCH_BYTES:
             yield _columns(rows, stamps)
             rows, stamps, waiting = [], [], 0
     if dtype is None:
@@ -84,26 +87,27 @@ def _columns(rows: list[NDArray[np.void]], stamps: list[NDArray[np.int64]]) -> C
     return columns
 
 
-def _write_csv(path: Path, batches: Iterator[Columns]) -> None:
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        for number, columns in enumerate(batches):
-            if number == 0:
-                writer.writerow(columns)
-            writer.writerows(zip(*(column.tolist() for column in columns.values()), strict=True))
+def _write_csv(file: BinaryIO, batches: Iterator[Columns]) -> None:
+    text = io.TextIOWrapper(file, encoding="utf-8", newline="")
+    writer = csv.writer(text)
+    for number, columns in enumerate(batches):
+        if number == 0:
+            writer.writerow(columns)
+        writer.writerows(zip(*(column.tolist() for column in columns.values()), strict=True))
+    text.detach()
 
 
-def _write_npz(path: Path, batches: Iterator[Columns]) -> None:
+def _write_npz(file: BinaryIO, batches: Iterator[Columns]) -> None:
     parts = list(batches)
     columns = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     # np.savez would take columns called `file` or `allow_pickle` for its own arguments
-    with zipfile.ZipFile(path, "w") as archive:
+    with zipfile.ZipFile(file, "w") as archive:
         for name, column in columns.items():
-            with archive.open(f"{name}.npy", "w", force_zip64=True) as file:
-                np.lib.format.write_array(file, column, allow_pickle=False)
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
+                np.lib.format.write_array(member, column, allow_pickle=False)
 
 
-def _write_parquet(path: Path, batches: Iterator[Columns]) -> None:
+def _write_parquet(file: BinaryIO, batches: Iterator[Columns]) -> None:
     try:
         arrow, parquet = importlib.import_module("pyarrow"), importlib.import_module("pyarrow.parquet")
     except ImportError as error:
@@ -112,14 +116,14 @@ def _write_parquet(path: Path, batches: Iterator[Columns]) -> None:
     try:
         for columns in batches:
             table = arrow.table({name: arrow.array(column) for name, column in columns.items()})
-            writer = writer or parquet.ParquetWriter(path, table.schema)
+            writer = writer or parquet.ParquetWriter(file, table.schema)
             writer.write_table(table)
     finally:
         if writer is not None:
             writer.close()
 
 
-_WRITERS: Mapping[str, Callable[[Path, Iterator[Columns]], None]] = {
+_WRITERS: Mapping[str, Callable[[BinaryIO, Iterator[Columns]], None]] = {
     ".csv": _write_csv,
     ".npz": _write_npz,
     ".parquet": _write_parquet,

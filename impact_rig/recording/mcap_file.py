@@ -16,6 +16,7 @@ from pathlib import Path
 from mcap.writer import CompressionType, Writer
 
 from impact_rig.errors import RecordingError
+from impact_rig.files import NEW_FILE
 from impact_rig.recording import schema
 from impact_rig.recording.provenance import Attachment
 from impact_rig.recording.topics import SERIALIZATION, Topic
@@ -188,7 +189,7 @@ class McapFile:
 
 def _create(path: Path) -> int:
     try:
-        return os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
+        return os.open(path, NEW_FILE, 0o644)
     except FileExistsError as error:
         raise RecordingError(f"{path} exists already and is not overwritten") from error
     except OSError as error:

@@ -9,7 +9,10 @@ from pathlib import Path
 
 import attrs
 
+from impact_rig import budget
+from impact_rig.budget import BudgetError
 from impact_rig.errors import RecordingError
+from impact_rig.files import open_regular
 from impact_rig.recording import records
 from impact_rig.recording.provenance import Attachment
 from impact_rig.recording.records import DamageError
@@ -40,7 +43,7 @@ class McapSource:
     def __init__(self, path: Path) -> None:
         self.path = path
         try:
-            self._fd = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+            self._fd = open_regular(path)
         except OSError as error:
             raise RecordingError(f"{path} cannot be opened: {error.strerror}") from error
         try:
@@ -50,6 +53,9 @@ class McapSource:
         except DamageError as error:
             self.close()
             raise DamageError(f"{path}: {error}; {_REMEDY}") from error
+        except BudgetError as error:
+            self.close()
+            raise BudgetError(f"{path}: {error}") from error
         except OSError as error:
             self.close()
             raise RecordingError(f"{path} cannot be read: {error.strerror}") from error
@@ -67,8 +73,10 @@ class McapSource:
             RecordingError: the chunk is damaged.
         """
         try:
-            content = self._record(index.offset, index.length, records.CHUNK)
-            return records.decompress(records.parse_chunk(content))
+            chunk = records.parse_chunk(self._record(index.offset, index.length, records.CHUNK))
+            if chunk.uncompressed_size != index.uncompressed_size:
+                raise DamageError("its size is not that in the index")  # noqa: TRY301  (one place words both kinds)
+            return records.decompress(chunk)
         except DamageError as error:
             where = f"{self.path}: the chunk at byte {index.offset} is damaged"
             raise DamageError(f"{where}: {error}; {_REMEDY}") from error
@@ -107,6 +115,7 @@ class McapSource:
     def _record(self, offset: int, length: int, opcode: int) -> memoryview:
         if length > self.size - offset:
             raise DamageError(f"it claims {length} bytes of a file of {self.size}")
+        budget.allow("bytes in a record", length, budget.CHUNK_BYTES + budget.MIB)
         try:
             view = memoryview(os.pread(self._fd, length, offset))
         except OSError as error:  # a bad sector, or the run has been closed meanwhile
@@ -140,6 +149,7 @@ def read_summary(fd: int, size: int) -> Summary:
         raise DamageError("it has no index")
     if not magic <= start <= footer_offset:
         raise DamageError("its footer points outside the file")
+    budget.allow("bytes in an index", footer_offset - start, budget.INDEX_BYTES)
     section = os.pread(fd, footer_offset - start, start)
     guarded = records.FOOTER_BYTES - 4  # the checksum covers the footer up to itself
     if crc not in (0, zlib.crc32(tail[:guarded], zlib.crc32(section))):
@@ -182,7 +192,17 @@ def parse_summary(section: memoryview) -> Summary:
         raise DamageError(f"its index lists {len(chunks)} of {statistics.chunk_count} chunks")
     if statistics.message_count and not chunks:
         raise DamageError("its messages are not in chunks, which alone carry checksums")
+    _refuse_shared_bytes(chunks)
     return Summary(schemas, channels, tuple(chunks), tuple(attachments), tuple(metadata), statistics)
+
+
+def _refuse_shared_bytes(chunks: list[records.ChunkIndex]) -> None:
+    """Refuse an index that lists a chunk, or a part of one, twice: a short file would have to be read for ever."""
+    ends_at = 0
+    for index in sorted(chunks, key=lambda index: index.offset):
+        if index.offset < ends_at:
+            raise DamageError(f"its index lists the chunk at byte {index.offset} twice, or inside another")
+        ends_at = index.offset + index.length
 
 
 def topics_of(summary: Summary) -> dict[int, Topic]:

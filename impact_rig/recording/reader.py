@@ -8,26 +8,23 @@ from __future__ import annotations
 
 import bisect
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from types import TracebackType
-from typing import NamedTuple
+from typing import Any, NamedTuple  # Any: what YAML may hold
 
 import attrs
-import yaml
 
-from impact_rig import codec
+from impact_rig import budget, codec, files, plain_yaml
 from impact_rig.blocks import Table
+from impact_rig.budget import Account, BudgetError
 from impact_rig.errors import CodecError, RecordingError
 from impact_rig.recording import bag_metadata, records
 from impact_rig.recording.mcap_source import McapSource
 from impact_rig.recording.provenance import RECORD_NAME, verify
 from impact_rig.recording.records import DamageError
 from impact_rig.recording.topics import POINT_CLOUD, Topic, resolve
-
-MAX_METADATA_BYTES = 10_000_000
-"""A `metadata.yaml` of a thousand files is a tenth of that."""
 
 _TRAILING_NUMBER = re.compile(r"_(\d+)$")
 
@@ -79,6 +76,7 @@ class Run:
             for file in run_files(path):
                 self.sources.append(McapSource(file))
             self.topics = self._merge_topics()
+            self._refuse_excess()
         except BaseException:
             self.close()
             raise
@@ -186,6 +184,26 @@ class Run:
     def _with_messages(self) -> list[McapSource]:
         return [source for source in self.sources if source.summary.statistics.message_count]
 
+    def _refuse_excess(self) -> None:
+        """Refuse what the index alone shows to be beyond the budget.
+
+        Raises:
+            BudgetError: it is.
+        """
+        account = self._account()
+        try:
+            for source in self.sources:
+                for index in source.summary.chunks:
+                    account.chunk(index.uncompressed_size)
+            budget.allow("topics", len(self.topics), budget.TOPICS)
+            texts = sum(len(recorded.topic.offered_qos_text) for recorded in self.topics.values())
+            budget.allow("characters of QoS profiles", texts, budget.QOS_CHARACTERS)
+        except BudgetError as error:
+            raise BudgetError(f"{self.path}: {error}") from error
+
+    def _account(self) -> Account:
+        return Account(sum(source.size for source in self.sources))
+
     def _merge_topics(self) -> dict[str, RecordedTopic]:
         merged: dict[str, RecordedTopic] = {}
         for source in self.sources:
@@ -206,17 +224,21 @@ class Run:
             and (start_ns is None or index.end_ns >= start_ns)
             and (end_ns is None or index.start_ns < end_ns)
         ]
-        running_number = {id(place): number for number, place in enumerate(places)}
+        recorded = list(places)
+        running_number = {id(place): number for number, place in enumerate(recorded)}
         if not recorded_order:
             places.sort(key=lambda place: place.index.start_ns)
         pending: list[_Item] = []
+        account = self._account()
         with ThreadPoolExecutor(1, thread_name_prefix="read-ahead") as pool:
             ahead = [pool.submit(place.source.chunk, place.index) for place in places[:1]]
             for number, place in enumerate(places):
                 content = ahead.pop().result()
                 following = places[number + 1] if number + 1 < len(places) else None
                 if following is not None:
+                    self._refuse_hoard(pending, recorded, (place, following))
                     ahead.append(pool.submit(following.source.chunk, following.index))
+                self._count(content, account)
                 pending += _items(place, content, names, running_number[id(place)])
                 cut = len(pending)
                 if not recorded_order:
@@ -227,6 +249,32 @@ class Run:
                     if (start_ns is None or log_time >= start_ns) and (end_ns is None or log_time < end_ns):
                         yield message
                 del pending[:cut]
+
+    def _refuse_hoard(self, pending: list[_Item], recorded: Sequence[_Place], coming: Iterable[_Place]) -> None:
+        """Refuse to hold many chunks because each has a message that is much later than the others.
+
+        Raises:
+            BudgetError: they are too large together.
+        """
+        held = [*(recorded[number] for number in {item[1] for item in pending}), *coming]
+        size = sum(place.index.uncompressed_size for place in held) + budget.MESSAGE_BYTES * len(pending)
+        try:
+            budget.allow("bytes held until their time has come", size, budget.HELD_BYTES)
+        except BudgetError as error:
+            raise BudgetError(f"{self.path}: {error}") from error
+
+    def _count(self, content: memoryview, account: Account) -> None:
+        """Count the records of a chunk before any of them becomes an object.
+
+        Raises:
+            DamageError: they are no records.
+            BudgetError: there are too many.
+        """
+        most = round(budget.HELD_BYTES // budget.MESSAGE_BYTES * budget.factor())
+        try:
+            account.records(records.count(content, most))
+        except BudgetError as error:
+            raise BudgetError(f"{self.path}: {error}") from error
 
 
 def open_run(path: Path | str) -> Run:
@@ -261,14 +309,16 @@ def _split_order(file: Path) -> tuple[str, int]:
 def _listed_files(directory: Path) -> list[str]:
     path = directory / bag_metadata.FILE_NAME
     try:
-        if path.stat().st_size > MAX_METADATA_BYTES:
-            raise ValueError(f"it has more than {MAX_METADATA_BYTES} bytes")  # noqa: TRY301  (one place words it)
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+        size = path.stat().st_size
+        budget.allow(f"bytes in {path}", size, budget.METADATA_BYTES)
+        content: Any = plain_yaml.load(str(files.read_bytes(path, size), "utf-8"), size)
         listed = content[bag_metadata.TOP_KEY]["relative_file_paths"]
         return [str(name) for name in listed]
     except FileNotFoundError:
         return []
-    except (OSError, ValueError, yaml.YAMLError, KeyError, TypeError, RecursionError) as error:
+    except OSError as error:
+        raise RecordingError(f"{path} cannot be read: {error.strerror}") from error
+    except (ValueError, KeyError, TypeError) as error:
         raise RecordingError(f"{path} cannot be understood: {error}") from error
 
 

@@ -22,9 +22,6 @@ HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, CHUNK_INDEX = ra
 ATTACHMENT, ATTACHMENT_INDEX, STATISTICS, METADATA, METADATA_INDEX, SUMMARY_OFFSET, DATA_END = range(9, 16)
 
 RECORD_HEAD: Final = struct.Struct("<BQ")
-MAX_CHUNK_BYTES: Final = 256 * 2**20
-"""A chunk that claims to be larger when decompressed is taken for damaged."""
-
 _CHUNK_HEAD: Final = struct.Struct("<QQQI")
 _MESSAGE_HEAD: Final = struct.Struct("<BQHIQQ")
 _FOOTER: Final = struct.Struct("<QQI")
@@ -295,8 +292,6 @@ def decompress(chunk: Chunk, *, need_crc: bool = False) -> memoryview:
         DamageError: size or checksum differ, or the data cannot be decompressed.
     """
     size = chunk.uncompressed_size
-    if size > MAX_CHUNK_BYTES:
-        raise DamageError(f"a chunk claims {size} bytes, more than {MAX_CHUNK_BYTES}")
     if chunk.compression not in _DECOMPRESS:
         raise DamageError(f"unknown compression {chunk.compression!r}")
     data = _DECOMPRESS[chunk.compression](chunk.data, size)
@@ -329,6 +324,25 @@ def messages(records: memoryview, wanted: frozenset[int] | None) -> Iterator[Raw
             offset = end
         else:
             _, _, offset = split(records, offset)
+
+
+def count(records: memoryview, most: int) -> int:
+    """Return how many records decompressed chunk content holds, or a number above `most` as soon as it is that many.
+
+    Raises:
+        DamageError: the content is not a sequence of records.
+    """
+    offset, stop, found = 0, len(records), 0
+    unpack, head = RECORD_HEAD.unpack_from, RECORD_HEAD.size
+    while offset < stop and found <= most:
+        if offset + head > stop:
+            raise DamageError(f"no whole record at byte {offset}")
+        _, length = unpack(records, offset)
+        offset += head + length
+        found += 1
+    if offset > stop:
+        raise DamageError(f"a record ends {offset - stop} bytes behind its chunk")
+    return found
 
 
 def definitions(records: memoryview) -> Iterator[Schema | Channel]:

@@ -7,11 +7,13 @@ one: everything in the result is as it was recorded. What is left out is listed.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import attrs
 
+from impact_rig.budget import Account, BudgetError
+from impact_rig.endings import unhurried
 from impact_rig.errors import RecordingError
 from impact_rig.recording import bag_metadata, mcap_source, provenance, records
 from impact_rig.recording.provenance import Attachment, Provenance
@@ -37,6 +39,7 @@ class RecoverReport:
         expected_messages: how many there were, if an intact index tells; None otherwise.
         damages: what is left out and why, in order (at most 1000 are listed).
         damage_count: how many there are.
+        account: what reading has cost.
     """
 
     directory: Path
@@ -45,6 +48,7 @@ class RecoverReport:
     expected_messages: int | None = 0
     damages: list[Damage] = attrs.field(factory=list)
     damage_count: int = 0
+    account: Account = attrs.field(factory=lambda: Account(0), repr=False)
 
     @property
     def lost_bytes(self) -> int:
@@ -71,7 +75,7 @@ def recover(path: Path | str, out: Path | str, *, accept_unchecked: bool = False
     """
     source, target = Path(path), Path(out)
     files = _files(source)
-    report = RecoverReport(target)
+    report = RecoverReport(target, account=Account(_bytes(files)))
     salvages = [_Salvage(file, report, accept_unchecked=accept_unchecked) for file in files]
     origin = next((salvage.provenance for salvage in salvages if salvage.provenance is not None), None)
     attachments = {found.name: found for salvage in salvages for found in salvage.attachments}
@@ -98,7 +102,8 @@ def recover(path: Path | str, out: Path | str, *, accept_unchecked: bool = False
                 report.messages += 1
     finally:
         if writer is not None:
-            writer.finish()
+            with unhurried():
+                writer.finish()
     if writer is None:
         reasons = "; ".join(dict.fromkeys(damage.reason for damage in report.damages)) or "it holds no messages"
         raise RecordingError(f"nothing can be recovered from {source}: {reasons}")
@@ -108,12 +113,17 @@ def recover(path: Path | str, out: Path | str, *, accept_unchecked: bool = False
 def _files(path: Path) -> list[Path]:
     try:
         return run_files(path)
-    except RecordingError:
+    except (RecordingError, BudgetError):
         # what metadata.yaml says of a damaged run may be damaged too: the files that are there count
         files = sorted(path.glob("*.mcap"))
         if not files:
             raise
         return files
+
+
+def _bytes(files: Iterable[Path]) -> int:
+    """Return the size of recordings and their tails."""
+    return sum(path.stat().st_size for file in files for path in (file, tail_of(file)) if path.exists())
 
 
 class _Salvage:
@@ -179,11 +189,14 @@ class _Salvage:
 
     def _messages(self, file: DamagedFile, found: Found) -> Iterator[tuple[Topic, records.RawMessage]]:
         try:
-            content = records.decompress(records.parse_chunk(file.content(found)), need_crc=not self._accept_unchecked)
+            chunk = records.parse_chunk(file.content(found))
+            self._report.account.chunk(chunk.uncompressed_size)
+            content = records.decompress(chunk, need_crc=not self._accept_unchecked)
+            self._report.account.records(records.count(content, most=len(content)))
             for definition in records.definitions(content):
                 self._define(definition)
             messages = list(records.messages(content, None))
-        except DamageError as error:
+        except (DamageError, BudgetError) as error:
             self._report.note(self._damage(found, str(error)))
             return
         self._report.chunks += 1

@@ -17,12 +17,12 @@ from types import TracebackType
 
 import attrs
 
+from impact_rig import budget
+from impact_rig.budget import BudgetError
 from impact_rig.errors import RecordingError
+from impact_rig.files import open_regular
 from impact_rig.recording import records
 from impact_rig.recording.records import RECORD_HEAD, DamageError
-
-MAX_RECORD_BYTES = 512 * 2**20
-"""A record that claims more is taken for damaged."""
 
 _CHUNK_FIXED = struct.Struct("<QQQII")  # times, size, checksum, length of the compression's name
 _LONGEST_NAME = 16
@@ -72,7 +72,7 @@ class DamagedFile:
     def __init__(self, path: Path) -> None:
         self.path = path
         try:
-            self._fd = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+            self._fd = open_regular(path)
             self.size = os.fstat(self._fd).st_size
         except OSError as error:
             raise RecordingError(f"{path} cannot be opened: {error.strerror}") from error
@@ -121,8 +121,10 @@ class DamagedFile:
         opcode, length = RECORD_HEAD.unpack_from(head)
         if length > self.size - offset - RECORD_HEAD.size:
             raise DamageError("the file ends inside a record, or the length of the record is damaged")
-        if length > MAX_RECORD_BYTES:
-            raise DamageError(f"a record claims {length} bytes")
+        try:
+            budget.allow("bytes in a record", length, budget.CHUNK_BYTES + budget.MIB)
+        except BudgetError as error:
+            raise DamageError(str(error)) from error
         found = Found(opcode, offset, RECORD_HEAD.size + length)
         if opcode == records.CHUNK:
             _check_chunk_head(head, length)

@@ -17,7 +17,7 @@ ENCODING = "ros2msg"
 
 _SEPARATOR = "=" * 80
 _NAME = re.compile(r"([A-Za-z]\w*)/(?:msg/)?([A-Za-z]\w*)")
-_FIELD = re.compile(r"^\s*([A-Za-z][\w/]*)(?:<=\d+)?(?:\[[^\]]*\])?\s+[A-Za-z]\w*", re.MULTILINE)
+_FIELD = re.compile(r"^[ \t]*([A-Za-z][\w/]*)(?:<=\d+)?(?:\[[^\]\n]*\])?[ \t]+[A-Za-z]\w*", re.MULTILINE)
 _PRIMITIVE = re.compile(r"bool|byte|char|float(32|64)|u?int(8|16|32|64)|w?string")
 _MAX_TYPES = 200  # no message of common_interfaces comes near; a circular or hostile definition does not run away
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping
 
 import attrs
 import yaml
 
+from impact_rig import plain_yaml
 from impact_rig.errors import RecordingError
 from impact_rig.simtime import NS_PER_S
 
@@ -16,6 +18,9 @@ INFINITE_NS = 2**63 - 1
 SERIALIZATION = "cdr"
 POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
 SCAN_TOPIC = "daq/scan"
+
+MAX_QOS_CHARACTERS = 65_536
+"""Of a text with the profiles that a topic's publishers offered; a hundred publishers have half of that."""
 
 QosYaml = dict[str, str | int | bool | dict[str, int]]
 
@@ -75,12 +80,8 @@ class Topic:
     )
 
     def offered_qos_yaml(self) -> list[QosYaml]:
-        """Return the offered profiles as `metadata.yaml` holds them; a text that is no YAML list counts as none."""
-        try:
-            profiles = yaml.safe_load(self.offered_qos_text)
-        except (yaml.YAMLError, ValueError, RecursionError):  # ValueError: a date that is none
-            return []
-        return profiles if isinstance(profiles, list) else []
+        """Return the offered profiles as `metadata.yaml` holds them; a text that is no plain list counts as none."""
+        return [dict(profile) for profile in _profiles(self.offered_qos_text)]
 
     def channel_metadata(self) -> dict[str, str]:
         """Return the metadata of the topic's MCAP channel."""
@@ -96,6 +97,28 @@ class Topic:
             type_hash=metadata.get("topic_type_hash", ""),
             offered_qos_text=metadata.get("offered_qos_profiles", ""),
         )
+
+
+@functools.lru_cache(maxsize=1024)
+def _profiles(text: str) -> tuple[QosYaml, ...]:
+    """Return the policies in a text, which is somebody else's: each by its name, nothing else, nothing expanded."""
+    try:
+        found = plain_yaml.load(text, MAX_QOS_CHARACTERS)
+    except plain_yaml.PlainYamlError:
+        return ()
+    profiles = found if isinstance(found, list) else []
+    return tuple(_profile(profile) for profile in profiles if isinstance(profile, dict))
+
+
+def _profile(found: Mapping[object, object]) -> QosYaml:
+    profile: QosYaml = {}
+    for name in Qos().to_yaml():
+        value = found.get(name)
+        if isinstance(value, (str, int)):
+            profile[name] = value
+        elif isinstance(value, dict):
+            profile[name] = {unit: int(value[unit]) for unit in ("sec", "nsec") if isinstance(value.get(unit), int)}
+    return profile
 
 
 def matches(name: str, wanted: str) -> bool:

@@ -14,6 +14,7 @@ from types import TracebackType
 
 import attrs
 
+from impact_rig import files
 from impact_rig.errors import RecordingError
 from impact_rig.recording import bag_metadata
 from impact_rig.recording.bag_metadata import FileSpan
@@ -46,7 +47,7 @@ class RunWriter:
 
     Args:
         directory: the run directory, created with its parents; files are named after it. It may exist, but must hold
-            neither `*.mcap`, `*.mcap.tail` nor `metadata.yaml`: nothing is ever overwritten.
+            neither `*.mcap`, `*.mcap.tail` nor `metadata.yaml` (nothing is ever overwritten), and be one's own.
         provenance: goes into the `impact_rig` metadata record of every file; None: there is no such record.
         attachments: go into every file.
         clock: monotonic seconds of wall time; decides when an open chunk is due.
@@ -365,6 +366,7 @@ class _StopOnError:
 def _make_room(directory: Path) -> None:
     try:
         directory.mkdir(parents=True, exist_ok=True)
+        files.refuse_foreign(directory)
         present = sorted(path.name for path in directory.iterdir())
     except FileExistsError as error:
         raise RecordingError(f"{directory} is a file, not a directory to record into") from error

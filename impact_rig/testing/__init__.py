@@ -29,13 +29,14 @@ from impact_rig.testing.domain import isolated_domain
 from impact_rig.testing.processes import NodeProcess, ProcessDiedError, Processes
 
 if TYPE_CHECKING:
-    from impact_rig.testing.client import Client, ServiceFailedError, WaitTimeoutError
+    from impact_rig.testing.client import Client, ServiceFailedError
     from impact_rig.testing.collector import Collector
     from impact_rig.testing.faults import Fault
     from impact_rig.testing.golden import Golden, first_difference
     from impact_rig.testing.ros_rig import RosRig
     from impact_rig.testing.stepped_rig import NotReachedError, SteppedRig
     from impact_rig.testing.virtual_rig import VirtualRig
+    from impact_rig.testing.waiting import WaitTimeoutError
 
 __all__ = [
     "Client",
@@ -65,7 +66,7 @@ _LATER = {
     "ServiceFailedError": "client",
     "SteppedRig": "stepped_rig",
     "VirtualRig": "virtual_rig",
-    "WaitTimeoutError": "client",
+    "WaitTimeoutError": "waiting",
     "first_difference": "golden",
 }
 """What is imported only when it is used -> its module."""

@@ -28,6 +28,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from impact_rig import codec
 from impact_rig.blocks import Table
+from impact_rig.endings import unhurried
 from impact_rig.errors import ConfigError, ImpactRigError
 from impact_rig.nodes import topics
 from impact_rig.nodes.guard import with_info
@@ -38,6 +39,7 @@ from impact_rig.testing.graph import is_heard, published
 from impact_rig.testing.hosting import HostedNodes, acknowledge_callbacks
 from impact_rig.testing.parameters import ros_parameters
 from impact_rig.testing.processes import ParameterValue, Processes
+from impact_rig.testing.waiting import SPIN_S, Spinner, WaitTimeoutError
 
 T = TypeVar("T")
 
@@ -47,7 +49,6 @@ START_TIMEOUT_S = 240.0
 """A node's first start on a machine compiles the physics."""
 AGAIN_S = 2.0
 """When a question that may be asked twice is asked again."""
-SPIN_S = 0.1
 _TRANSITIONS = {
     "configure": Transition.TRANSITION_CONFIGURE,
     "cleanup": Transition.TRANSITION_CLEANUP,
@@ -57,10 +58,6 @@ _TRANSITIONS = {
     "shutdown_inactive": Transition.TRANSITION_INACTIVE_SHUTDOWN,
     "shutdown_active": Transition.TRANSITION_ACTIVE_SHUTDOWN,
 }
-
-
-class WaitTimeoutError(ImpactRigError, TimeoutError):
-    """Something awaited did not happen in time."""
 
 
 class ServiceFailedError(ImpactRigError, RuntimeError):
@@ -92,6 +89,7 @@ class Client:
         self.diagnostics: dict[str, DiagnosticStatus] = {}
         """Latest status of each node, by name relative to the namespace."""
         self._hosted = HostedNodes(self.node, self.executor)
+        self._spinner = Spinner(self.executor)
         self._publishers: dict[str, Any] = {}
         self._heard: set[Any] = set()
         self._clients: dict[tuple[str, Any], Any] = {}
@@ -109,11 +107,12 @@ class Client:
 
     def close(self) -> None:
         """Destroy the node, the nodes it hosts and the context."""
-        self._hosted.stop_working()
-        self.executor.shutdown()
-        self._hosted.destroy()
-        self.node.destroy_node()
-        self.context.try_shutdown()
+        with unhurried():
+            self._hosted.stop_working()
+            self.executor.shutdown()
+            self._hosted.destroy()
+            self.node.destroy_node()
+            self.context.try_shutdown()
 
     # Waiting
 
@@ -124,13 +123,13 @@ class Client:
             WaitTimeoutError: it did not become true in time; names `what`.
             ProcessDiedError: a watched process ended.
         """
-        deadline = time.monotonic() + timeout_s
+        deadline = self._spinner.waited_s() + timeout_s
         while not (found := condition()):
             if self._processes is not None:
                 self._processes.check()
-            if time.monotonic() > deadline:
+            if self._spinner.waited_s() > deadline:
                 raise WaitTimeoutError(f"waited {timeout_s:g} s in vain for {what}{self._troubles()}")
-            self.executor.spin_once(timeout_sec=SPIN_S)
+            self._spinner.spin()
         return found
 
     def spin_for(self, duration_s: float) -> None:
@@ -139,7 +138,7 @@ class Client:
         while (left := deadline - time.monotonic()) > 0:
             if self._processes is not None:
                 self._processes.check()
-            self.executor.spin_once(timeout_sec=min(left, SPIN_S))
+            self._spinner.spin(min(left, SPIN_S))
 
     def wait_active(self, *nodes: str, timeout_s: float = START_TIMEOUT_S) -> None:
         """Wait until these nodes are in the lifecycle state `active`.
@@ -254,15 +253,15 @@ class Client:
         """
         client = self.prepare(service_type, name)
         self.wait_until(client.service_is_ready, f"service {name}", timeout_s)
-        deadline = time.monotonic() + timeout_s
+        left = timeout_s
         while True:
             future = client.call_async(request)
-            left = deadline - time.monotonic()
             try:
                 self.wait_until(future.done, f"an answer of {name}", min(again_s, left))
             except WaitTimeoutError:
                 client.remove_pending_request(future)
-                if left <= again_s:
+                left -= again_s
+                if left <= 0.0:
                     raise
             else:
                 return future.result()

@@ -18,14 +18,14 @@ from types import TracebackType
 import attrs
 
 import impact_rig
+from impact_rig.endings import PARENT_VARIABLE, unhurried
 from impact_rig.errors import ImpactRigError
 
 STOP_TIMEOUT_S = 10.0
 """How long a process may take to end after SIGINT (a recorder finishes its file) before it is killed."""
 QUOTED_LINES = 15
-NODES = {name: f"impact_rig.nodes.{name}_node" for name in ("rig", "analysis", "recorder", "stepped_sine")}
-"""Node name -> module run with `python -m`."""
-_PARENT_VARIABLE = "IMPACT_RIG_EXIT_WITH"  # read by nodes.managed, which this module does not import (it needs rclpy)
+NODES = ("rig", "analysis", "recorder", "stepped_sine")
+"""Nodes of this package: arguments of `python -m impact_rig.nodes`."""
 
 ParameterValue = bool | int | float | str | Sequence[str] | Sequence[float]
 
@@ -107,7 +107,7 @@ class Processes:
         """Start one node.
 
         Args:
-            node: a key of `NODES`, or a module with a `main`; with `command` only its name.
+            node: one of `NODES`, or a module that is a program; with `command` only its name.
             parameters: ROS parameters, `section.key` -> value; on top of the file.
             name: node name, default the key; also the name of its log file.
             parameters_file: ROS 2 parameter file.
@@ -125,16 +125,16 @@ class Processes:
         for key, value in (parameters or {}).items():
             arguments += ["-p", f"{key}:={_yaml(value)}"]
         log = self.directory / f"{name}.log"
-        with log.open("ab") as output:
+        with unhurried(), log.open("ab") as output:
             process = subprocess.Popen(  # noqa: S603  # what the caller asked for, arguments as a list
-                [*(command or (sys.executable, "-m", NODES.get(node, node))), "--ros-args", *arguments],
+                [*(command or _command(node)), "--ros-args", *arguments],
                 stdin=subprocess.DEVNULL,
                 stdout=output,
                 stderr=subprocess.STDOUT,
                 env=self._environment(environment or {}),
                 start_new_session=True,  # Ctrl-C reaches us alone; we end them in order
             )
-        self.running[name] = NodeProcess(name, log, process)
+            self.running[name] = NodeProcess(name, log, process)
         return self.running[name]
 
     def check(self) -> None:
@@ -151,7 +151,11 @@ class Processes:
 
     def stop(self, *names: str, timeout_s: float = STOP_TIMEOUT_S) -> dict[str, int]:
         """End the named processes, or all: SIGINT, then SIGTERM, then SIGKILL; return their exit codes."""
-        chosen = [self.running.pop(name) for name in (names or tuple(self.running))]
+        with unhurried():
+            return self._stop(names or tuple(self.running), timeout_s)
+
+    def _stop(self, names: Sequence[str], timeout_s: float) -> dict[str, int]:
+        chosen = [self.running.pop(name) for name in names]
         for number, patience in ((signal.SIGINT, timeout_s), (signal.SIGTERM, 2.0), (signal.SIGKILL, 5.0)):
             waiting = [process for process in chosen if process.exit_code is None]
             for process in waiting:
@@ -173,9 +177,14 @@ class Processes:
             "ROS_LOG_DIR": str(self.directory),
             "PYTHONPATH": f"{source}{os.pathsep}{path}" if path else source,
             "PYTHONUNBUFFERED": "1",
-            _PARENT_VARIABLE: str(os.getpid()),
+            PARENT_VARIABLE: str(os.getpid()),
             **more,
         }
+
+
+def _command(node: str) -> list[str]:
+    module = ["impact_rig.nodes", node] if node in NODES else [node]
+    return [sys.executable, "-m", *module]
 
 
 def _yaml(value: ParameterValue) -> str:

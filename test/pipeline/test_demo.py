@@ -43,7 +43,7 @@ def node_pid(demo: subprocess.Popen[str], node: str) -> int | None:
             parent = int((entry / "stat").read_text().rpartition(")")[2].split()[1])
         except (OSError, ValueError):
             continue
-        if parent == demo.pid and f"impact_rig.nodes.{node}_node".encode() in words:
+        if parent == demo.pid and words[2:4] == [b"impact_rig.nodes", node.encode()]:
             return int(entry.name)
     return None
 

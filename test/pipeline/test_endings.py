@@ -137,7 +137,7 @@ def test_a_start_that_cannot_be_understood_ends_with_one_clear_line(what: str, t
         arguments = ["--params-file", str(path)]
     with isolated_domain() as domain_id:
         ended = subprocess.run(
-            [sys.executable, "-m", "impact_rig.nodes.recorder_node", "--ros-args", *arguments],
+            [sys.executable, "-m", "impact_rig.nodes", "recorder", "--ros-args", *arguments],
             env={**os.environ, "ROS_DOMAIN_ID": str(domain_id)},
             capture_output=True,
             text=True,

@@ -88,7 +88,7 @@ def test_parquet_without_pyarrow_says_what_to_install(run, tmp_path, monkeypatch
 
 
 def test_large_tables_are_written_in_batches(run, tmp_path, monkeypatch):
-    monkeypatch.setattr("impact_rig.recording.exports._BATCH_ROWS", 250)
+    monkeypatch.setattr("impact_rig.recording.exports._BATCH_BYTES", 10_000)
     stamps, _ = expected()
     with np.load(export(run, "daq/scan", tmp_path / "scan.npz")) as found:
         np.testing.assert_array_equal(found["stamp_ns"], stamps)

@@ -137,4 +137,4 @@ def test_a_node_ends_when_the_process_that_started_it_is_killed(tmp_path: Path) 
         assert ended, "the node is still running"
     finally:
         os.close(watched)
-    assert "the process that started this node is gone" in (tmp_path / "recorder.log").read_text()
+    assert "terminated, as the process that started it is gone" in (tmp_path / "recorder.log").read_text()

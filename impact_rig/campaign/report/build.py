@@ -7,6 +7,7 @@ import math
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+from impact_rig import files
 from impact_rig.campaign import run
 from impact_rig.campaign.axes import NO_SPHERE
 from impact_rig.campaign.paper import FREQUENCIES_HZ, FREQUENCY_HZ, REDUCTION_PERCENT
@@ -49,7 +50,7 @@ def build_report(directory: Path, target: Path | None = None) -> Path:
         folder.mkdir(exist_ok=True)
         for one in drawn:
             one.save(folder)
-        target.write_text(page(done.campaign.title, parts), encoding="utf-8")
+        files.write_text(target, page(done.campaign.title, parts))
     except OSError as error:
         raise RecordingError(f"cannot write the report: {error.strerror} ({error.filename})") from error
     return target

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from impact_rig import files
 from impact_rig.campaign.report.palette import GRID, INK, MUTED, themed
 
 if TYPE_CHECKING:
@@ -109,5 +110,6 @@ class Drawn:
 
     def save(self, folder: Path) -> None:
         """Write both files."""
-        (folder / f"{self.name}.svg").write_text(self.svg, encoding="utf-8")
-        (folder / f"{self.name}.png").write_bytes(self.png)
+        files.write_text(folder / f"{self.name}.svg", self.svg)
+        with files.written_whole(folder / f"{self.name}.png") as file:
+            file.write(self.png)

@@ -1,0 +1,194 @@
+"""How a program of this package ends when it is told to, by SIGINT, SIGTERM or the end of the process that started it.
+
+The program's first import installs this, before anything heavy is loaded. While nothing is begun (imports), it ends on
+the spot. Afterwards the first signal raises `Told` in the main thread, so that files and processes are closed on the
+way out; more signals change nothing. What must not be interrupted on that way stands in `unhurried`. An exception that
+somebody else's code swallows, as callbacks do, is raised again.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from types import FrameType
+
+SIGNALS = (signal.SIGINT, signal.SIGTERM)
+AGAIN_S = 1.0
+"""When `Told` is raised again, if the program has not ended."""
+LAST_S = 5.0
+"""How long the interpreter may take for its own end."""
+PATIENCE_S = 15.0
+"""How long an ending may take before it is cut short."""
+PARENT_VARIABLE = "IMPACT_RIG_EXIT_WITH"
+"""Environment: id of the process with which this one ends, however that one ended."""
+_WORDS = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated"}
+
+
+class Told(KeyboardInterrupt):
+    """The program was told to end."""
+
+
+class Ending:
+    """Takes SIGINT and SIGTERM for a program; until `run`, they end it on the spot.
+
+    Args:
+        name: of the program, for the one line that is printed when it is told to end.
+        code: exit code for a signal by its number; default: 128 + number, as shells have it.
+    """
+
+    def __init__(self, name: str, code: Callable[[int], int] = lambda number: 128 + number) -> None:
+        self.name = name
+        self.told = 0
+        """Number of the first signal; 0: none yet."""
+        self.reason = ""
+        """Why, where the signal alone does not say it."""
+        self._code = code
+        self._told_at = 0.0
+        self._answer = self._end_here
+        for number in SIGNALS:
+            signal.signal(number, self._take)
+
+    def run(self, work: Callable[[], int], *, interrupting: bool = True) -> int:
+        """Do the work, and return its exit code or that of the first signal.
+
+        Args:
+            work: what the program does.
+            interrupting: a signal raises `Told`; otherwise the work looks at `told` itself.
+        """
+        signal.signal(signal.SIGALRM, self._remind)
+        sys.unraisablehook = self._unraisable
+        code = 0
+        try:
+            code = self._do(work, self._interrupt if interrupting else _do_nothing)
+        except Told:  # in the very moment when the work was done
+            self._over()
+        if self.told:
+            self._say()
+            code = self._code(self.told)
+            last = threading.Timer(LAST_S, os._exit, (code,))  # threads of others may not come to an end
+            last.daemon = True
+            last.start()
+        return code
+
+    def _do(self, work: Callable[[], int], answer: Callable[[], None]) -> int:
+        try:
+            self._answer = answer
+            return work()
+        except BaseException:  # what the first signal became on its way through somebody else's code
+            if not self.told:
+                raise
+            return 0
+        finally:
+            self._over()
+
+    def _over(self) -> None:
+        """Take no notice of signals any more: the work is done, and its exit code is known."""
+        for number in (*SIGNALS, signal.SIGALRM):
+            signal.signal(number, signal.SIG_IGN)  # Python would restore the default, which kills, on its way out
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+
+    def _take(self, number: int, _frame: FrameType | None) -> None:
+        if not self.told:
+            self.told, self._told_at = number, time.monotonic()
+            self._answer()
+
+    def _interrupt(self) -> None:
+        signal.setitimer(signal.ITIMER_REAL, AGAIN_S, AGAIN_S)
+        _raise_unless_unhurried()
+
+    def _remind(self, _number: int, _frame: FrameType | None) -> None:
+        if time.monotonic() - self._told_at > PATIENCE_S:
+            self._end_here()
+        _raise_unless_unhurried()
+
+    def _end_here(self) -> None:
+        self._say()
+        for stream in (sys.stdout, sys.stderr):
+            with contextlib.suppress(OSError, ValueError, RuntimeError):  # closed, or being written to just now
+                stream.flush()
+        os._exit(self._code(self.told))
+
+    def _say(self) -> None:
+        with contextlib.suppress(OSError):  # who listened may be gone
+            os.write(2, f"{self.name}: {_WORDS[signal.Signals(self.told)]}{self.reason}\n".encode())
+
+    def _unraisable(self, unraisable: sys.UnraisableHookArgs) -> None:
+        if not isinstance(unraisable.exc_value, Told):
+            sys.__unraisablehook__(unraisable)
+
+
+def _do_nothing() -> None:
+    """Leave it to the work to see that the program was told."""
+
+
+class _Unhurried:
+    """Depth of `unhurried` blocks of the main thread."""
+
+    depth = 0
+    owed = False
+
+
+@contextlib.contextmanager
+def unhurried() -> Iterator[None]:
+    """Finish this block before a signal is answered, in the main thread: it closes files or ends processes."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    _Unhurried.depth += 1
+    try:
+        yield
+    finally:
+        _Unhurried.depth -= 1
+        if _Unhurried.owed and not _Unhurried.depth:
+            _Unhurried.owed = False
+            raise Told
+
+
+@contextlib.contextmanager
+def held() -> Iterator[None]:
+    """Let signals wait during this block; processes and threads that begin in it get none, unless they want to."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def end_with(process: int, end: Callable[[], None]) -> None:
+    """Call `end` in a thread when another process has ended, however it ended, or at once if it is gone already."""
+    try:
+        descriptor = os.pidfd_open(process)
+    except ProcessLookupError:
+        end()
+        return
+    except OSError:  # a kernel or container without it: watch whether somebody else becomes the parent
+        parent = os.getppid()
+        wait: Callable[[], object] = lambda: _poll(parent)  # noqa: E731  # the other one is a method
+    else:
+        waiter = select.poll()
+        waiter.register(descriptor, select.POLLIN)
+        wait = waiter.poll
+
+    def watch() -> None:
+        wait()
+        end()
+
+    threading.Thread(target=watch, name="parent", daemon=True).start()
+
+
+def _poll(parent: int) -> None:
+    while os.getppid() == parent:
+        time.sleep(0.5)
+
+
+def _raise_unless_unhurried() -> None:
+    if _Unhurried.depth:
+        _Unhurried.owed = True
+    else:
+        raise Told
