@@ -7,7 +7,7 @@ import sys
 from collections.abc import Sequence
 
 import impact_rig
-from impact_rig.cli import campaign, check, demo, identify, replay, report, runs
+from impact_rig.cli import campaign, check, demo, identify, recovery, replay, report, runs
 from impact_rig.errors import ImpactRigError
 
 EXIT_ERROR = 1
@@ -21,7 +21,7 @@ def command_line() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"impact-rig {impact_rig.__version__}")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    for module in (check, demo, campaign, report, runs, replay, identify):
+    for module in (check, demo, campaign, report, runs, recovery, replay, identify):
         module.add_commands(commands)
     return parser
 
