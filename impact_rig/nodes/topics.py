@@ -29,7 +29,7 @@ class Qos(enum.Enum):
     DATA = (DATA_DEPTH, False)
     STATE = (DATA_DEPTH, True)  # every change arrives, and whoever joins late still gets the last ones
     HISTORY = (HISTORY_DEPTH, True)
-    EVENT = (100, False)  # commands, remarks, diagnostics, clock
+    EVENT = (10, False)  # commands, remarks, diagnostics, clock
 
     @property
     def depth(self) -> int:
