@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import time
 from collections.abc import Callable
 from typing import Any  # rclpy messages and responses
@@ -42,6 +43,8 @@ TURN_S = 0.02
 one subscription for as long as there are any would never come to services and timers."""
 AWAY_S = 1.0
 """A gap this long between two calls of the work timer: this process was suspended, not the peers."""
+DISCOVERY_S = 1.0
+"""Nodes on one machine find each other in 0.2 to 0.4 s."""
 WARM_UP_NS = 50_000_000
 """Simulated once while configuring, so that compiled code is loaded before the first block is due."""
 
@@ -50,10 +53,12 @@ class RigNode(ManagedNode[RigConfig]):
     """Publishes the rig's blocks; commands, services and parameters go to `Rig`.
 
     Args:
+        discovery_s: how old the node must be before it looks who else is there; a new process finds others by and by.
         kwargs: passed to rclpy's Node.
     """
 
-    def __init__(self, **kwargs: Any) -> None:
+    def __init__(self, discovery_s: float = 0.0, **kwargs: Any) -> None:
+        self._discovered_at = time.monotonic() + discovery_s
         super().__init__("rig", RigSchema(), **kwargs)
         self._rig: Rig | None = None
         self._outlets: Outlets | None = None
@@ -88,6 +93,7 @@ class RigNode(ManagedNode[RigConfig]):
         """Check that this rig can be built and published, load compiled code, create the publishers."""
         Rig(self.settings).advance(WARM_UP_NS)
         self._outlets = Outlets(self, self.settings)
+        time.sleep(max(0.0, self._discovered_at - time.monotonic()))
 
     def activate(self) -> None:
         """Begin, once nobody else publishes here; in realtime also once the peers listen, or after `start_wait_s`."""
@@ -411,7 +417,7 @@ class RigNode(ManagedNode[RigConfig]):
 
 def main() -> None:
     """Run the rig node."""
-    process.main(RigNode)
+    process.main(functools.partial(RigNode, discovery_s=DISCOVERY_S))
 
 
 if __name__ == "__main__":
