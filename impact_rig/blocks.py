@@ -146,7 +146,13 @@ TRANSMISSIBILITY_COLUMNS = (
 TRANSMISSIBILITY = row_type(TRANSMISSIBILITY_COLUMNS)
 
 SETTINGS_COLUMNS = (
-    Column("key", "-", "Setting, or `gap_m`: the operator's label (0 = no sphere, NaN = unknown).", TEXT),
+    Column(
+        "key",
+        "-",
+        "Setting; `gap_m`: the operator's label (0 = no sphere, NaN = unknown); `machine`: number of the machine that "
+        "analyses, with its libraries.",
+        TEXT,
+    ),
     Column("value", "as the key", "In force from the stamp on."),
 )
 SETTINGS = row_type(SETTINGS_COLUMNS)

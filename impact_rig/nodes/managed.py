@@ -143,9 +143,13 @@ class ManagedNode(LifecycleNode, Generic[S]):
             qos_overriding_options=QoSOverridingOptions.with_default_policies(),
         )
 
-    def subscribe(self, topic: topics.Topic, callback: Callable[..., None], raw: bool = False) -> Any:
-        """Create a guarded subscription to a row of the topics table; `raw` gives CDR bytes."""
-        return self.create_subscription(topic.message_type(), topic.name, callback, topic.qos.profile(), raw=raw)
+    def subscribe(
+        self, topic: topics.Topic, callback: Callable[..., None], raw: bool = False, depth: int | None = None
+    ) -> Any:
+        """Create a guarded subscription to a row of the topics table, perhaps deeper; `raw` gives CDR bytes."""
+        profile = topic.qos.profile()
+        profile.depth = depth or profile.depth
+        return self.create_subscription(topic.message_type(), topic.name, callback, profile, raw=raw)
 
     def service(self, service_type: Any, name: str, callback: Callable[[Any, Any], Any]) -> Any:
         """Create a guarded service; private names (`~/name`) are the convention."""

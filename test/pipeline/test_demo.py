@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from impact_rig.campaign import reanalysis
+from impact_rig.campaign import live_comparison, reanalysis
 from impact_rig.campaign.paper import REDUCTION_PERCENT
 from impact_rig.cli.demo import MEASUREMENTS
 from impact_rig.recording import check_contiguity, open_run
@@ -85,7 +85,8 @@ def test_the_demo_reproduces_the_paper_and_loses_nothing(tmp_path: Path) -> None
         with open_run(run.parent) as opened:
             blocks = [(table.stamp_ns, len(table.rows)) for table in opened.tables("daq/scan", recorded_order=True)]
             again = reanalysis.measurements(reanalysis.analyze(opened))
-            assert reanalysis.same_as_live(opened, again), f"{run.parent.name}: live and re-analysed results differ"
+            comparison = live_comparison.compare(opened, again)
+            assert comparison.identical, f"{run.parent.name}: {comparison}"
             assert len(again) >= MEASUREMENTS
         assert check_contiguity(blocks, 10_000).whole, f"{run.parent.name}: blocks are missing or come twice"
         assert len(blocks) > 1000

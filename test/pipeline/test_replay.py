@@ -19,7 +19,7 @@ from rclpy.parameter import Parameter
 from std_srvs.srv import SetBool
 
 from impact_rig.blocks import Table
-from impact_rig.campaign import reanalysis
+from impact_rig.campaign import live_comparison, reanalysis
 from impact_rig.nodes.analysis_node import AnalysisNode
 from impact_rig.nodes.recorder_node import RecorderNode
 from impact_rig.nodes.rig_node import RigNode
@@ -101,7 +101,7 @@ def test_a_live_analysis_finds_in_a_replay_what_it_found_before(client: Client, 
     with open_run(run) as opened:
         recorded = list(opened.tables("daq/scan", recorded_order=True))
         again = reanalysis.measurements(reanalysis.analyze(opened))
-        assert reanalysis.same_as_live(opened, again)
+        assert live_comparison.compare(opened, again).identical
     client.wait_until(lambda: len(scans) == len(recorded) == BLOCKS, "every block")
     assert content(scans.tables()) == content(recorded)
     settled = [table for table in again if table.rows["settled"][0] == 1]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import struct
 import sys
+from collections import Counter
 from pathlib import Path
 
 import attrs
@@ -103,12 +104,14 @@ def fill(writer: RunWriter, blocks: int, *, first: int = 0, topics: tuple[Topic,
     """Record `blocks` blocks and what comes with them; return what was sent, in order."""
     for known in topics:
         writer.add_topic(known)
-    sent = []
+    sent: list[Sent] = []
+    counts = Counter[str]()
 
     def send(where: Topic, data: bytes, log_time: int) -> None:
         publish_time = START_NS + len(sent) * 1000 + first
-        writer.write(where.name, data, publish_time, len(sent))
-        sent.append(Sent(where.name, data, log_time, publish_time, len(sent)))
+        counts[where.name] += 1
+        writer.write(where.name, data, publish_time, counts[where.name])
+        sent.append(Sent(where.name, data, log_time, publish_time, counts[where.name]))
 
     for number in range(first, first + blocks):
         stamp = START_NS + number * 10_000_000
