@@ -22,6 +22,7 @@ from pathlib import Path
 
 import attrs
 
+from impact_rig.analysis.calibration import Calibration
 from impact_rig.campaign import statements
 from impact_rig.campaign.axes import NO_SPHERE
 from impact_rig.campaign.code import fingerprint
@@ -34,6 +35,7 @@ from impact_rig.campaign.store import FOLDER, Store
 from impact_rig.campaign.summary import write_summary
 from impact_rig.config import dump, load
 from impact_rig.errors import ConfigError, RecordingError
+from impact_rig.instruments.chain import Chain
 
 CAMPAIGN_FILE, CONFIGURATION_FILE, PROVENANCE_FILE = "campaign.yaml", "configuration.yaml", "provenance.json"
 CSV_FILE = "points.csv"
@@ -72,15 +74,8 @@ class Finished:
         """Return the reductions at 9.1 Hz for the paper's gaps; NaN or absent where not measured."""
         curves = self.curves
         found = {gap: curves.at(gap, FREQUENCY_HZ) for gap in (NO_SPHERE, *REDUCTION_PERCENT)}
-        without = found.pop(NO_SPHERE)
-        return Reductions(
-            dt_no_sphere=without.dt if without else float("nan"),
-            dt={gap: point.dt for gap, point in found.items() if point} if without else {},
-            dt_uncertainty={
-                NO_SPHERE: without.u_dt if without else float("nan"),
-                **{gap: point.u_dt for gap, point in found.items() if point},
-            },
-        )
+        info = Chain(self.campaign.planned()[0].job.config()).info()
+        return Reductions.of({gap: point.rows for gap, point in found.items() if point}, Calibration.from_info(info))
 
     def failed(self) -> list[Point]:
         """Return the points without a settled measurement."""

@@ -123,7 +123,7 @@ def _print_reductions(console: Console, done: run.Finished) -> bool:
     reductions = done.reductions()
     if not reductions.dt:
         return False
-    ours, spread, errors = reductions.percent(), reductions.percent_uncertainty(), reductions.errors()
+    ours, spread, errors = reductions.percent(), reductions.percent_uncertainty, reductions.errors()
     table = TextTable(title=f"Reduction of DT at {paper.FREQUENCY_HZ} Hz against no sphere (fitted, not predicted)")
     for heading in ("gap [mm]", "DT", "± 2u", "paper [%]", "ours [%]", "± 2u", "difference"):
         table.add_column(heading, justify="right")
@@ -132,7 +132,7 @@ def _print_reductions(console: Console, done: run.Finished) -> bool:
     for gap, value in sorted(ours.items()):
         table.add_row(
             f"{gap * 1e3:g}", f"{reductions.dt[gap]:.2f}", f"{2 * u[gap]:.2f}",
-            f"{paper.REDUCTION_PERCENT[gap]:.1f}", f"{value:.1f}", f"{2 * spread[gap]:.1f}",
+            f"{paper.REDUCTION_PERCENT[gap]:.1f}", f"{value:.2f}", f"{2 * spread[gap]:.2f}",
             f"{round(errors[gap], 1) + 0.0:+.1f}",
         )  # fmt: skip
     console.print(table)

@@ -103,9 +103,9 @@ def test_every_colour_follows_the_theme(reported):
 
 def test_the_page_tells_what_the_data_say(page, reported):
     done = run.open_finished(reported)
-    ours = done.reductions().percent()
-    for gap, value in ours.items():
-        assert f"{value:.1f} ± " in page.text, gap
+    reductions = done.reductions()
+    for gap, value in reductions.percent().items():
+        assert f"{value:.2f} ± {2 * reductions.percent_uncertainty[gap]:.2f}" in page.text, gap
     for verdict in done.verdicts():
         assert verdict.text in page.text
         assert f"{verdict.word} {verdict.detail}" in page.text

@@ -109,7 +109,7 @@ def _opening(done: Finished) -> Iterator[str]:
 
 def _reductions(done: Finished) -> Iterator[str]:
     reductions = done.reductions()
-    ours, spread, errors = reductions.percent(), reductions.percent_uncertainty(), reductions.errors()
+    ours, spread, errors = reductions.percent(), reductions.percent_uncertainty, reductions.errors()
     if not ours:
         return
     u = reductions.dt_uncertainty
@@ -117,7 +117,7 @@ def _reductions(done: Finished) -> Iterator[str]:
     rows += [
         [
             f"{gap * 1e3:g}", f"{reductions.dt[gap]:.2f} ± {2 * u[gap]:.2f}", f"{REDUCTION_PERCENT[gap]:.1f}",
-            f"{ours[gap]:.1f} ± {2 * spread[gap]:.1f}", f"{round(errors[gap], 1) + 0.0:+.1f}",
+            f"{ours[gap]:.2f} ± {2 * spread[gap]:.2f}", f"{round(errors[gap], 1) + 0.0:+.1f}",
         ]
         for gap in sorted(ours)
     ]  # fmt: skip

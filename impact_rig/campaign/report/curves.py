@@ -106,7 +106,7 @@ def figure_8(curves: Curves) -> Iterator[Drawn]:
 
 def reductions_by_gap(reductions: Reductions) -> Iterator[Drawn]:
     """Draw our reductions beside the paper's."""
-    ours, spread = reductions.percent(), reductions.percent_uncertainty()
+    ours, spread = reductions.percent(), reductions.percent_uncertainty
     if not ours:
         return
     figure, (axis,) = new_axes(3.0)
