@@ -5,8 +5,8 @@ Three ways to a row, tried in this order after each window once enough windows h
 1. steady: the bias a dying transient leaves in the last `windows` windows is below `settle_tolerance` or twice the
    noise, and the amplitude repeats from cycle to cycle (or after a few). That is all one can see of it in these
    windows, but not little enough: the first row after a change would be taken as soon as the bias is just below the
-   limit, and carry it, the same in every run. So it is waited for on, until the bias is `REMNANT` of the noise at the
-   pace at which it has died so far;
+   limit, and carry it, the same in every run. So it is waited for on, until at the pace at which it has died so far
+   the bias is `REMNANT` of the limit;
 2. stationary: the last `long_windows` windows have neither trend nor changing fluctuation: modulated or chaotic;
 3. the bound `wait_limit_s` is reached: numbers as they are, status `not_settled`.
 """
@@ -29,8 +29,8 @@ from impact_rig.analysis.words import MEASURED, Status
 CYCLE_MULTIPLE = 6
 """Windows hold a multiple of 6 cycles: orbits of period 2, 3 and 6 close in each, those of period 4 and 8 in pairs."""
 NOISE_FACTOR = 2.0
-REMNANT = 0.1
-"""Share of the noise's standard uncertainty that a transient may leave in the first measurement after a change."""
+REMNANT = 0.02
+"""Share of the limit on the bias that a transient may leave in the first measurement after a change."""
 
 
 def window_cycles(frequency_hz: float, settings: TrackerSettings) -> int:
@@ -101,15 +101,14 @@ class Judge:
 
     def _steady(self) -> Measurement | None:
         newest = abs(self._ratios[-1])
-        noise = self._noise(newest)
-        limit = max(self._settings.settle_tolerance * newest, NOISE_FACTOR * noise)
+        limit = max(self._settings.settle_tolerance * newest, NOISE_FACTOR * self._noise(newest))
         bias = self._bias()
         if abs(bias) > limit:
             return None
         if not self._reported and newest > 0.0:
             if self._due is None:
                 taken = self._whole - self._settings.windows
-                self._due = self._whole + more_windows(taken, limit / newest, REMNANT * noise / newest)
+                self._due = self._whole + more_windows(taken, limit / newest, REMNANT)
             if self._whole < self._due:
                 return None
         found = self._measure(self._settings.windows, bias)

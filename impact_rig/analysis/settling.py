@@ -42,20 +42,18 @@ def transient_bias(windows: Complex, measured: int) -> complex:
     return max((mean - _limit(windows[-span:].reshape(4, -1).mean(axis=1)) for span in spans), key=abs)
 
 
-def more_windows(taken: int, reached: float, wanted: float) -> int:
+def more_windows(taken: int, reached: float, share: float) -> int:
     """Return for how many more windows a dying transient must be waited for, at the pace it has died so far.
 
-    One that began as large as the response itself and took n windows to fall to a share ε of it takes
-    n ln(ε/ε') / ln(1/ε) more to fall to ε'. A transient below the noise cannot be followed any further, its pace can.
+    One that began as large as the response itself and took n windows to fall to a part ε of it takes
+    n ln(s) / ln(ε) more to fall by another factor s. A transient below the noise cannot be followed, its pace can.
 
     Args:
         taken: windows from the change of the drive to the first of those that are measured, n.
-        reached: share of the response that the transient has fallen to, ε.
-        wanted: share that it shall fall to, ε'.
+        reached: part of the response that the transient has fallen to, ε.
+        share: s, 0 < s < 1.
     """
-    if not 0.0 < wanted < reached < 1.0:
-        return 0
-    return math.ceil(taken * math.log(reached / wanted) / -math.log(reached))
+    return math.ceil(taken * math.log(share) / math.log(reached)) if 0.0 < reached < 1.0 else 0
 
 
 def _limit(quarters: Complex) -> complex:

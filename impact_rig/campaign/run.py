@@ -74,8 +74,12 @@ class Finished:
         """Return the reductions at 9.1 Hz for the paper's gaps; NaN or absent where not measured."""
         curves = self.curves
         found = {gap: curves.at(gap, FREQUENCY_HZ) for gap in (NO_SPHERE, *REDUCTION_PERCENT)}
-        info = Chain(self.campaign.planned()[0].job.config()).info()
-        return Reductions.of({gap: point.rows for gap, point in found.items() if point}, Calibration.from_info(info))
+        return Reductions.of({gap: point.rows for gap, point in found.items() if point}, self.calibration)
+
+    @property
+    def calibration(self) -> Calibration:
+        """What the certificate of the reference rig says."""
+        return Calibration.from_info(Chain(self.campaign.planned()[0].job.config()).info())
 
     def failed(self) -> list[Point]:
         """Return the points without a settled measurement."""

@@ -181,7 +181,7 @@ def _studies(done: Finished) -> Iterator[Drawn]:
         known = set(study.frequencies_hz) == set(FREQUENCIES_HZ) or max(study.frequencies_hz) - FREQUENCY_HZ < PEAK_HZ
         if known and len(study.frequencies_hz) > 1 and all(point.reference for point in own):
             continue  # the paper's own curves and their peaks, above
-        yield from study_figures(study.name, own, done.curves)
+        yield from study_figures(study.name, own, done.curves, done.calibration)
 
 
 def _failed(failed: Sequence[Point]) -> str:
