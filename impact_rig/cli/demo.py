@@ -53,9 +53,7 @@ CASES = (Case(0.0), *(Case(gap) for gap in paper.REDUCTION_PERCENT))
 
 def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Register the subcommand."""
-    parser = commands.add_parser(
-        "demo", help="measure the paper's five reductions through the topics, in about a minute"
-    )
+    parser = commands.add_parser("demo", help="measure the paper's five reductions through the topics")
     parser.add_argument(
         "--output", type=Path, help="directory for runs, figure and summary (default: runs/demo_<date>)"
     )
