@@ -33,11 +33,11 @@ class Kind(enum.StrEnum):
     """What it is worth that a statement holds."""
 
     FIT = "fit"
-    """Constants were chosen so that it holds; others would break it."""
+    """It holds for the constants that were chosen; others of them would break it (`margins`)."""
     FOLLOWS = "follows from the fit"
     """It says again what was fitted: the natural frequency, or the five reductions."""
     PREDICTION = "prediction"
-    """Nothing was chosen for it, and no variation of what was chosen breaks it."""
+    """No variation of what was chosen breaks it."""
 
 
 class MissingError(LookupError):
@@ -231,7 +231,7 @@ _STATEMENTS: tuple[tuple[str, Kind, str, Callable[[Curves], Judgement]], ...] = 
     ),
     (
         "natural_frequency_unchanged",
-        Kind.PREDICTION,
+        Kind.FIT,
         f"The natural frequency is virtually unchanged (here: the peak moves by less than {SHIFT_LIMIT_PERCENT:g} %).",
         _frequency_unchanged,
     ),

@@ -140,9 +140,9 @@ def _statements(done: Finished) -> Iterator[str]:
     if all(verdict.result is None for verdict in verdicts):
         return
     yield paragraph(
-        "Each verdict is computed from the points of this campaign. What it is worth stands beside it: a statement for "
-        "which constants were chosen is a fit, one that says again what was fitted follows from it, and only the rest "
-        "are predictions. Limits in words of ours (“here”) are not the paper’s."
+        "Each verdict is computed from the points of this campaign. What it is worth stands beside it: a statement "
+        "that other values of the chosen constants would break is a fit, one that says again what was fitted follows "
+        "from it, and only the rest are predictions. Limits in words of ours (“here”) are not the paper’s."
     )
     yield table(
         ["", "statement", "verdict", "worth", "figures"],
