@@ -122,7 +122,7 @@ DAQ_INFO = row_type(DAQ_INFO_COLUMNS)
 
 TRANSMISSIBILITY_COLUMNS = (
     Column("time", "s", "Since the stamp, which is that of the last scan measured: 0."),
-    Column("frequency", "Hz", "Drive frequency as measured."),
+    Column("frequency", "Hz", "Drive frequency as commanded."),
     Column("transmissibility", "-", "Displacement transmissibility |X_1| / |X_b| at the drive frequency."),
     Column("phase", "rad", "Phase of x_1 relative to x_b; negative = lagging."),
     Column("transmissibility_uncertainty", "-", "Standard uncertainty."),

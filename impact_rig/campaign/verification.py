@@ -22,6 +22,34 @@ _NO_JOURNAL = (ConfigError, CommandError, SimulationError)
 """What a journal raises that is incomplete, or no rig's."""
 
 
+@attrs.frozen
+class Verdict:
+    """What `verify` found.
+
+    Attributes:
+        identical: True, False, or None where the run cannot be verified.
+        scans: scans that were compared.
+        reason: the first difference, or why the run cannot be verified; empty when identical.
+    """
+
+    identical: bool | None
+    scans: int
+    reason: str = ""
+
+    def __str__(self) -> str:
+        if self.identical is None:
+            return f"not verifiable here: {self.reason}"
+        if self.identical:
+            return f"identical: {self.scans} scans re-simulated bit for bit"
+        return f"different after {self.scans} identical scans: {self.reason}"
+
+
+def verify(run: Run) -> Verdict:
+    """Re-simulate a run from its journal and compare every scan, bit for bit; a start or reset begins a new journal.
+
+    Raises:
+        RecordingError: the run holds no scans, or is damaged.
+    """
     if arithmetic_of(run.provenance) not in ("", str(ARITHMETIC)):
         return Verdict(None, 0, f"recorded with arithmetic {arithmetic_of(run.provenance)}, this is {ARITHMETIC}")
     scans = run.tables("daq/scan", recorded_order=True)
@@ -81,35 +109,7 @@ def _assigned(scans: Iterable[Table], journals: list[list[Table]], first: int) -
 def _verify(journal: list[Table], scans: Iterator[Table]) -> tuple[Verdict, Block | None]:
     """Compare the blocks of one journal; return also the block that would come next."""
     compared = 0
-attrs.frozen
-class Verdict:
-    """What `verify` found.
-
-    Attributes:
-        identical: True, False, or None where the run cannot be verified.
-        scans: scans that were compared.
-        reason: the first difference, or why the run cannot be verified; empty when identical.
-    """
-
-    identical: bool | None
-    scans: int
-    reason: str = ""
-
-    def __str__(self) -> str:
-        if self.identical is None:
-            return f"not verifiable here: {self.reason}"
-        if self.identical:
-            return f"identical: {self.scans} scans re-simulated bit for bit"
-        return f"different after {self.scans} identical scans: {self.reason}"
-
-
-def verify(run: Run) -> Verdict:
-    """Re-simulate a run from its journal and compare every scan, bit for bit; a start or reset begins a new journal.
-
-    Raises:
-        RecordingError: the run holds no scans, or is damaged.
-    """
-@    try:
+    try:
         blocks = resimulate(journal)
         block = next(blocks)
         for table in scans:

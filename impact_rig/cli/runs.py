@@ -82,7 +82,7 @@ def _export(arguments: argparse.Namespace) -> int:
 def _analyze(arguments: argparse.Namespace) -> int:
     console = Console()
     with open_run(arguments.path) as run:
-        from impact_rig.campaign import reanalysis, run_figures  # noqa: PLC0415  # heavy: after the run has been opened
+        from impact_rig.campaign import live_comparison, reanalysis, run_figures  # noqa: PLC0415  # heavy: after the run has been opened
 
         if arguments.figures is not None:
             run_figures.prepare(arguments.figures, arguments.format)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+import attrs
 import numpy as np
 import pytest
 from recorded_rig import PROVENANCE, TICK, Messages, edited, messages, published, record

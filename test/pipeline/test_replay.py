@@ -28,13 +28,13 @@ from impact_rig.recording import open_run
 from impact_rig.testing import Client, isolated_domain
 
 pytestmark = [pytest.mark.ros, pytest.mark.pipeline]
-BLOCKS = 1200
+BLOCKS = 1600
 TICK_NS = 10_000_000
 
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Twelve seconds of the rig without its sphere, analysed live, the recorder started after a reset."""
+    """Sixteen seconds of the rig without its sphere, analysed live, the recorder started after a reset."""
     directory = tmp_path_factory.mktemp("replay")
     with isolated_domain() as domain_id, Client(domain_id) as client:
         for node, values in (
