@@ -1,8 +1,7 @@
 """Contact laws, one file each, found by name.
 
-To add a law: write `contact/<name>.py` with a class that gives `hysteresis_factor`, add it to `_LAWS` here and its
-name to
-`impact_rig.config.CONTACT_LAWS`; the parametrised tests then hold it to the closed form by themselves.
+docs/physics.md shows how to add one. A law of the Hunt–Crossley form says only its factor; any other brings a force of
+its own, as `base` explains.
 """
 
 from __future__ import annotations
