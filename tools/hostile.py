@@ -25,6 +25,7 @@ from rich.table import Table as TextTable
 
 from impact_rig import codec
 from impact_rig.blocks import SCAN, Table
+from impact_rig.cli.recovery import INCOMPLETE
 from impact_rig.recording import schema_text
 from impact_rig.recording.records import (
     CHANNEL,
@@ -256,7 +257,7 @@ class Cost:
     def faults(self) -> list[str]:
         """Say what is not as it must be, apart from cost."""
         found = []
-        if self.code not in (0, 1):
+        if self.code not in (0, 1, INCOMPLETE):
             found.append(f"exit code {self.code}")
         if "Traceback" in self.output or len(self.error.splitlines()) > 1:
             found.append("more than one line of error")

@@ -5,6 +5,8 @@ matrix routine may add in any order it likes. Whatever decides a sample or an im
 in here and with those operations in a written order, and with nothing of libm, BLAS or LAPACK.
 """
 
+import impact_rig.compiled  # noqa: F401  # first: compiled code is kept by the content of its sources
+
 ARITHMETIC = 2
 """Version of the arithmetic: it rises when the same seed and commands give other bits than before.
 

@@ -132,12 +132,10 @@ def test_a_classical_method_has_order_two_and_a_half_on_the_same_contact():
     assert -np.polyfit(np.log(counts), np.log(errors), 1)[0] == pytest.approx(2.5, abs=0.3), errors
 
 
-def test_the_error_of_a_contact_follows_the_tolerance():
-    exact = restitution.realised(8.0 * 0.65 / (5.0 * 0.35))
-    tolerances = 10.0 ** -np.arange(3, 12)
-    errors = [
-        np.mean([abs(hit(v, law="flores", rtol=rtol).restitution / exact - 1.0) for v in np.geomspace(0.1, 1.0, 5)])
-        for rtol in tolerances
-    ]
-    assert (np.array(errors) <= 10.0 * tolerances).all(), errors
-    assert np.polyfit(np.log(tolerances), np.log(errors), 1)[0] == pytest.approx(1.0, abs=0.2), errors
+@pytest.mark.parametrize("law", ["flores", "kelvin_voigt"])
+def test_the_error_of_a_contact_follows_the_tolerance(law):
+    """From the default tolerance on Flores' contacts are looked up, which is as good as the tightest one."""
+    exact = restitution.realised(8.0 * 0.65 / (5.0 * 0.35)) if law == "flores" else 0.35
+    for rtol in 10.0 ** -np.arange(3, 13):
+        errors = [abs(hit(v, law=law, rtol=rtol).restitution / exact - 1.0) for v in np.geomspace(0.1, 1.0, 5)]
+        assert np.mean(errors) <= 10.0 * rtol, (rtol, errors)

@@ -81,16 +81,16 @@ LONG = (
 )
 
 SHORT = (
-    Run("short_current", 0.3, {"drive.amplitude": 2.0, "barriers.gap_m": 5e-4}),
-    Run("short_friction", 0.3, {**HARD, "sphere.guide_friction": 0.2, "contact.law": "exact"}),
-    Run("short_hertzian", 0.5, HARD),
-    Run("short_ideal", 0.2, {**HARD, "drive.waveform": "chirp", "instruments.ideal": True}),
-    Run("short_impulsive", 0.3, {**HARD, "contact.law": "restitution"}),
-    Run("short_linear", 0.3, {**HARD, "contact.law": "kelvin_voigt", "contact.release": "force"}),
-    Run("short_no_sphere", 0.2, {**PAPER, "sphere.present": False, "instruments.faults.planned": SHORT_FAULTS}),
-    Run("short_random", 0.2, {"drive.waveform": "random", "drive.amplitude": 2.0, "daq.rate_hz": 50_000}),
-    Run("short_voltage", 0.3, {"drive.kind": "voltage", "drive.amplitude": 8.0, "barriers.gap_m": 5e-4}),
-    Run("short_walton_braun", 0.3, {**HARD, "contact.law": "walton_braun"}),
+    Run("short_friction", 0.2, {**HARD, "sphere.guide_friction": 0.2, "contact.law": "restitution"}),
+    Run("short_hertzian", 0.1, HARD),
+    Run(
+        "short_ideal", 0.1, {**HARD, "drive.waveform": "chirp", "instruments.ideal": True, "contact.law": "restitution"}
+    ),
+    Run("short_linear", 0.1, {**HARD, "contact.law": "kelvin_voigt", "contact.release": "force"}),
+    Run("short_no_sphere", 0.1, {**PAPER, "sphere.present": False, "instruments.faults.planned": SHORT_FAULTS}),
+    Run("short_random", 0.1, {"drive.waveform": "random", "drive.amplitude": 2.0, "daq.rate_hz": 50_000}),
+    Run("short_voltage", 0.1, {"drive.kind": "voltage", "drive.amplitude": 8.0, "barriers.gap_m": 5e-4}),
+    Run("short_walton_braun", 0.1, {**HARD, "contact.law": "walton_braun"}),
 )
 
 
