@@ -45,7 +45,7 @@ one subscription for as long as there are any would never come to services and t
 AWAY_S = 1.0
 """A gap this long between two calls of the work timer: this process was suspended, not the peers."""
 DISCOVERY_S = 3.0
-"""Nodes on one machine find each other in 0.2 to 0.4 s."""
+"""Nodes on one machine find each other in 0.2 to 0.4 s, on a busy one in two."""
 WARM_UP_NS = 50_000_000
 """Simulated once while configuring, so that compiled code is loaded before the first block is due."""
 
