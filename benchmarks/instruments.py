@@ -13,10 +13,10 @@ from collections.abc import Callable
 
 import numpy as np
 
+from impact_rig.arithmetic.random import Random
 from impact_rig.config import RigConfig, from_flat
 from impact_rig.instruments import Chain, chain, conversion, response
 from impact_rig.instruments.faults import FaultBoard
-from impact_rig.instruments.noise import Noise
 from impact_rig.physics import FunctionGenerator, Motion, Simulation
 
 RATE_HZ = 50_000
@@ -26,7 +26,7 @@ STAGES = (
     ("sample the motion", Motion, "quantities"),
     ("cut it into pieces", chain, "cut"),
     ("sensor dynamics", response.Response, "run"),
-    ("noise", Noise, "take"),
+    ("noise", Random, "normal"),
     ("output stage", conversion, "to_volts"),
     ("converter", conversion, "to_units"),
     ("faults", FaultBoard, "on_cable"),
@@ -40,7 +40,7 @@ class Bench:
     def __init__(self) -> None:
         config = from_flat(RigConfig(), {"daq.rate_hz": RATE_HZ})
         self.chain = Chain(config)
-        self._generator = FunctionGenerator(config.drive, config.shaker, np.random.default_rng(1))
+        self._generator = FunctionGenerator(config.drive, config.shaker, Random(1))
         self._generator.set_amplitude(0.52)
         self._simulation = Simulation(config)
         self._ticks = 0

@@ -19,7 +19,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from benchmarks.physics_peers import plain_c, scipy_wall_s
+from benchmarks.physics_peers import peer_c, scipy_wall_s
+from impact_rig.arithmetic.random import Random
 from impact_rig.config import RigConfig, from_flat
 from impact_rig.physics import SEGMENT, FunctionGenerator, Simulation
 from impact_rig.physics.properties import hertz_stiffness_n_m32, sphere_mass_kg
@@ -75,7 +76,7 @@ def wall_s(gap_m: float, end_s: float = END_S, *, sphere: bool = True) -> float:
 def coupled(gap_m: float) -> tuple[Simulation, FunctionGenerator]:
     """Return the default rig, shaker and all, and its drive in ticks of 10 ms."""
     config = from_flat(RigConfig(), {"barriers.gap_m": gap_m, "drive.amplitude": 0.52})
-    return Simulation(config), FunctionGenerator(config.drive, config.shaker, np.random.default_rng(1))
+    return Simulation(config), FunctionGenerator(config.drive, config.shaker, Random(1))
 
 
 def coupled_wall_s(gap_m: float) -> float:
@@ -104,8 +105,8 @@ def speeds() -> dict[str, float]:
         "mechanics_{}_gap10mm": lambda: wall_s(10e-3) / END_S,
         "coupled_{}_gap2mm": lambda: coupled_wall_s(2e-3) / END_S,
         "coupled_{}_gap6mm": lambda: coupled_wall_s(6e-3) / END_S,
-        "plain_c_{}_gap2mm": lambda: plain_c(2e-3, END_S, LATE_S, problem(2e-3).parameters)[0] / END_S,
-        "plain_c_{}_gap6mm": lambda: plain_c(6e-3, END_S, LATE_S, problem(6e-3).parameters)[0] / END_S,
+        "peer_c_{}_gap2mm": lambda: peer_c(2e-3, END_S)[0] / END_S,
+        "peer_c_{}_gap6mm": lambda: peer_c(6e-3, END_S)[0] / END_S,
         "solve_ivp_{}_gap6mm": lambda: (
             scipy_wall_s(SCIPY_END_S, problem(6e-3).parameters, FREQUENCY_HZ, BASE_M) / SCIPY_END_S
         ),
@@ -124,15 +125,15 @@ def speeds() -> dict[str, float]:
         **{name.format("x_realtime"): 1.0 / statistics.median(turn[name] for turn in turns) for name in takes},
         "mechanics_over_solve_ivp": ahead("mechanics_{}_gap6mm", "solve_ivp_{}_gap6mm"),
         "mechanics_over_solve_ivp_any_step": ahead("mechanics_{}_gap6mm", "solve_ivp_any_step_{}_gap6mm"),
-        "mechanics_over_plain_c_gap2mm": ahead("mechanics_{}_gap2mm", "plain_c_{}_gap2mm"),
-        "mechanics_over_plain_c_gap6mm": ahead("mechanics_{}_gap6mm", "plain_c_{}_gap6mm"),
+        "mechanics_over_peer_c_gap2mm": ahead("mechanics_{}_gap2mm", "peer_c_{}_gap2mm"),
+        "mechanics_over_peer_c_gap6mm": ahead("mechanics_{}_gap6mm", "peer_c_{}_gap6mm"),
     }
 
 
 def accuracy() -> dict[str, float]:
     """Amplitudes against the reference, at the settings whose speed is measured."""
-    _, of_c = plain_c(6e-3, END_S, LATE_S, problem(6e-3).parameters)
-    amplitudes = {"mechanics": amplitude_m(6e-3), "plain_c": of_c}
+    _, of_c = peer_c(6e-3, END_S)
+    amplitudes = {"mechanics": amplitude_m(6e-3), "peer_c": of_c}
     return {
         f"{name}_amplitude_error_percent_gap6mm": 100.0 * abs(value / REFERENCE_AMPLITUDE_M - 1.0)
         for name, value in amplitudes.items()

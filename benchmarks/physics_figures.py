@@ -74,7 +74,7 @@ def contact_order() -> None:
     counts = np.unique(np.geomspace(10, 3000, 25).astype(int))
     classical = [abs(_rk4(k, factor, int(n)) / exact - 1.0) for n in counts]
     figure, axes = plt.subplots(figsize=(7.0, 4.5), layout="constrained")
-    axes.loglog(*zip(*ours, strict=True), "o-", label="Taylor series in √δ and s, tolerance 1e-1 … 1e-13")
+    axes.loglog(*zip(*ours, strict=True), "o-", label="collocation in √δ and s, tolerance 1e-1 … 1e-13")
     axes.loglog(counts, classical, "s-", label="RK4 in δ and t, equal steps")
     axes.loglog(counts, classical[8] * (counts / counts[8]) ** -2.5, "k:", label="order 2.5")
     axes.set(

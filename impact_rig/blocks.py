@@ -122,7 +122,7 @@ DAQ_INFO = row_type(DAQ_INFO_COLUMNS)
 
 TRANSMISSIBILITY_COLUMNS = (
     Column("time", "s", "Since the stamp, which is that of the last scan measured: 0."),
-    Column("frequency", "Hz", "Drive frequency as measured."),
+    Column("frequency", "Hz", "Drive frequency as commanded."),
     Column("transmissibility", "-", "Displacement transmissibility |X_1| / |X_b| at the drive frequency."),
     Column("phase", "rad", "Phase of x_1 relative to x_b; negative = lagging."),
     Column("transmissibility_uncertainty", "-", "Standard uncertainty."),
@@ -146,7 +146,13 @@ TRANSMISSIBILITY_COLUMNS = (
 TRANSMISSIBILITY = row_type(TRANSMISSIBILITY_COLUMNS)
 
 SETTINGS_COLUMNS = (
-    Column("key", "-", "Setting, or `gap_m`: the operator's label (0 = no sphere, NaN = unknown).", TEXT),
+    Column(
+        "key",
+        "-",
+        "Setting; `gap_m`: the operator's label (0 = no sphere, NaN = unknown); `machine`: number of the machine that "
+        "analyses, with its libraries.",
+        TEXT,
+    ),
     Column("value", "as the key", "In force from the stamp on."),
 )
 SETTINGS = row_type(SETTINGS_COLUMNS)

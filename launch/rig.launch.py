@@ -3,6 +3,7 @@
 Examples:
     ros2 launch impact_rig rig.launch.py
     ros2 launch impact_rig rig.launch.py mode:=freewheel config:=/path/to/mine.yaml record:=false
+    ros2 launch impact_rig rig.launch.py namespace:=rig2 clock:=/clock
     ros2 launch impact_rig rig.launch.py mode:=stepped peers:=analysis,recorder,my_controller
     ros2 launch impact_rig rig.launch.py --show-args
 """
@@ -25,17 +26,20 @@ def start_nodes(context: LaunchContext) -> list[Node]:
     path = LaunchConfiguration("config").perform(context)
     mode = LaunchConfiguration("mode").perform(context)
     factor = LaunchConfiguration("factor").perform(context)
+    start_wait = LaunchConfiguration("start_wait").perform(context)
     peers = [name for name in LaunchConfiguration("peers").perform(context).split(",") if name]
     given = {}  # only what was given goes on top of the file
     if mode:
         given["time.mode"] = mode
     if factor:
         given["time.factor"] = float(factor)
+    if start_wait:
+        given["time.start_wait_s"] = float(start_wait)
     if peers:
         given["time.peers"] = peers
     file = load(path)
-    if (mode or file.time.mode) != "realtime" and not (peers or file.time.peers):
-        # not in real time, the rig waits for these two, so that no block is lost
+    if not (peers or file.time.peers):
+        # scan 0 waits for these two, and not in real time every block, so that none is lost
         given["time.peers"] = ["analysis", "recorder"]
     time = from_flat(file, given).time
     follow_rig_time = {"use_sim_time": time.is_simulated}
@@ -43,6 +47,8 @@ def start_nodes(context: LaunchContext) -> list[Node]:
         "package": "impact_rig",
         "namespace": LaunchConfiguration("namespace"),
         "output": "screen",
+        # rig time of two rigs is two times: each namespace has its own clock
+        "remappings": [("/clock", LaunchConfiguration("clock"))],
         "ros_arguments": ["--log-level", LaunchConfiguration("log_level")],
         "sigterm_timeout": "15",  # seconds after Ctrl-C in which a run's file is finished
     }
@@ -92,8 +98,18 @@ def generate_launch_description() -> LaunchDescription:
             DeclareLaunchArgument(
                 "peers",
                 default_value="",
-                description="Nodes that the rig waits for when not in realtime, with commas between; empty: as in the "
-                "file, or else analysis,recorder.",
+                description="Nodes that the rig waits for, with commas between: before scan 0, and for every block "
+                "when not in realtime; empty: as in the file, or else analysis,recorder.",
+            ),
+            DeclareLaunchArgument(
+                "start_wait",
+                default_value="",
+                description="How long scan 0 waits for them in realtime, in seconds; empty: as in the file.",
+            ),
+            DeclareLaunchArgument(
+                "clock",
+                default_value="clock",
+                description="Topic of rig time; relative: one per namespace, /clock: the one that everybody follows.",
             ),
             DeclareLaunchArgument(
                 "record",

@@ -82,7 +82,15 @@ def test_the_parameters_are_those_of_the_nodes():
         known = {field for field, _, _ in schema.fields()} | {CONFIG_FILE}
         assert parameters(nodes[name]) <= known, name
     rig = {field for field, _, _ in schemas["rig"].fields()}
-    assert {"time.mode", "time.factor", "time.peers"} == given() <= rig
+    assert {"time.mode", "time.factor", "time.peers", "time.start_wait_s"} == given() <= rig
+
+
+def test_every_namespace_has_its_own_clock():
+    """All nodes are started with `common`: those that follow rig time, and the one that makes it."""
+    assert all(any(word.arg is None for word in call.keywords) for call in calls("Node")), "**common"
+    pairs = [ast.unparse(node) for node in ast.walk(TREE) if isinstance(node, ast.Tuple)]
+    assert "('/clock', LaunchConfiguration('clock'))" in pairs
+    assert not text(keyword(declared()["clock"], "default_value")).startswith("/")
 
 
 def test_launch_itself_reads_it():

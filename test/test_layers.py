@@ -53,6 +53,11 @@ def test_numerics_load_no_figures_and_no_tables():
     assert _imported_by([name for name in NUMERICS if name in WITHOUT_ROS]).isdisjoint({"matplotlib", "rich"})
 
 
+def test_recordings_are_read_without_a_compiler():
+    """`impact-rig info` must not take half a second and 60 MB for Numba."""
+    assert _imported_by(["impact_rig.recording"]).isdisjoint({"numba", "scipy", "matplotlib"})
+
+
 def test_importing_the_package_itself_is_cheap():
     assert _imported_by(["impact_rig"]).isdisjoint({"rclpy", "numba", "numpy", "scipy", "matplotlib", "rich"})
 

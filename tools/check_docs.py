@@ -11,12 +11,21 @@ Every code block has an owner, known by its page and the words behind its fence:
 - nobody, for a reason that stands behind its language: `sh not run: needs an apt-installed Jazzy`.
 
 Blocks of `text` are formulas, trees and output. Commands, paths and links are checked in running text, too.
+
+Figures, too, have an owner. A section of README or docs that holds one in its text or tables (a decimal fraction, or a
+number with a unit) begins with a comment that says who answers for it, or the page does before its first section:
+
+    <!-- figures: make bench ONLY=analysis; test/analysis/test_x.py::test_y; config/nominal.yaml -->
+
+that is, commands that print it, tests that hold it, or the file that defines it. What is named must exist; whether it
+says the same is for the reader to try, and that is what the name is for.
 """
 
 from __future__ import annotations
 
 import argparse
 import importlib.util
+import itertools
 import os
 import re
 import shlex
@@ -47,8 +56,12 @@ RUN_BY_TEST_DOCS = {"python", "python title", "yaml"}
 NOT_RUN = "not run: "
 MADE = {"build", "install", "log", "runs", "failed_runs"}
 """Folders that a checkout may have and the repository has not."""
-NO_PATHS = {"impact_rig/topic"}  # a record's name
+NO_PATHS = {"impact_rig/topic", "impact_rig/losses", "impact_rig/recovered"}  # names of records
 _PATH = re.compile(r"[\w.-]+(?:/[\w.-]+)*/?")
+_OWNERS = re.compile(r"<!-- figures: (.*?) -->", re.DOTALL)
+_FIGURE = re.compile(
+    r"\d+\.\d+|\d\s?(?:%|×|°|points?\b|[mµn]?s\b|min\b|[kMG]B\b|k?Hz\b|k?S/s|[mµ]?m\b|m/s|[mµ]?V\b|m?A\b|k?g\b|ppm\b)"
+)
 _ENDINGS = (".py", ".md", ".yaml", ".xml", ".json", ".toml", ".txt", ".rst", ".sh", ".c")
 
 
@@ -80,14 +93,24 @@ class Block:
 
 
 @attrs.frozen
+class Section:
+    """Text under one heading: where it is, its first figure if it has one, and who answers for its figures."""
+
+    line: int
+    figure: str | None
+    owners: tuple[str, ...]
+
+
+@attrs.frozen
 class Page:
-    """What is in a page: code blocks, pieces of code in running text, links, and anchors of its headings."""
+    """What is in a page: code blocks, pieces of code in running text, links, anchors of its headings, sections."""
 
     name: str
     blocks: tuple[Block, ...]
     words: tuple[tuple[int, str], ...]
     links: tuple[tuple[int, str], ...]
     anchors: frozenset[str]
+    sections: tuple[Section, ...]
 
     @classmethod
     def parse(cls, name: str, text: str) -> Page:
@@ -107,7 +130,20 @@ class Page:
                     elif child.type in {"link_open", "image"}:
                         links.append((line, str(child.attrs.get("href") or child.attrs.get("src"))))
             heading = token.type == "heading_open"
-        return cls(name, tuple(blocks), tuple(words), tuple(links), frozenset(anchors))
+        return cls(name, tuple(blocks), tuple(words), tuple(links), frozenset(anchors), tuple(_sections(text)))
+
+
+def _sections(text: str) -> Iterator[Section]:
+    """Yield the sections of a page, what stands before the second heading as the first of them."""
+    tokens = MarkdownIt("commonmark").enable("table").parse(text)
+    headings = [i for i, token in enumerate(tokens) if token.type == "heading_open"]
+    for begin, end in itertools.pairwise([0, *headings[1:], len(tokens)]):
+        own = tokens[begin:end]
+        prose = [child.content for token in own for child in token.children or () if child.type == "text"]
+        figure = next((found[0] for words in prose if (found := _FIGURE.search(words))), None)
+        comments = "".join(token.content for token in own if token.type == "html_block")
+        owners = [one.strip() for named in _OWNERS.findall(comments) for one in named.split(";")]
+        yield Section((own[0].map or [0])[0] + 1 if own else 1, figure, tuple(owners))
 
 
 @cache
@@ -134,6 +170,8 @@ def faults(page: Page) -> Iterator[str]:
                 if not known and not block.info.startswith(NOT_RUN):
                     yield f"{where}: {command[0]} is no program that can be checked"
                 yield from (f"{where}: {fault}" for fault in command_faults(command, whole=True))
+    if page.name == "README.md" or page.name.startswith("docs/"):
+        yield from figure_faults(page)
     titles = {block.info.removeprefix("title=") for block in page.blocks}
     for line, text in page.words:
         where = f"{page.name}:{line}"
@@ -150,6 +188,25 @@ def faults(page: Page) -> Iterator[str]:
             yield f"{page.name}:{line}: there is no {link}"
         elif anchor and anchor not in pages()[path.resolve().relative_to(ROOT).as_posix()].anchors:
             yield f"{page.name}:{line}: {target or page.name} has no heading #{anchor}"
+
+
+# --- Figures ----------------------------------------------------------------------------------------------------------
+def figure_faults(page: Page) -> Iterator[str]:
+    """Yield the sections whose figures nobody answers for, and owners that are not there."""
+    for section in page.sections:
+        where = f"{page.name}:{section.line}"
+        if section.figure and not (section.owners or page.sections[0].owners):
+            yield f"{where}: no command prints and no test holds figures such as {section.figure!r}"
+        for owner in section.owners:
+            path, _, test = owner.partition("::")
+            if owner.split(" ")[0] in PROGRAMS:
+                yield from (
+                    f"{where}: {fault}" for words in commands(owner) for fault in command_faults(words, whole=True)
+                )
+            elif not (ROOT / path).exists():
+                yield f"{where}: there is no {path}, which is to answer for figures"
+            elif test and f"def {test}(" not in (ROOT / path).read_text(encoding="utf-8"):
+                yield f"{where}: {path} has no {test}"
 
 
 # --- Paths ------------------------------------------------------------------------------------------------------------
@@ -302,6 +359,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--run", action="store_true", help="run the commands as well")
     arguments = parser.parse_args()
+    sys.path.insert(0, str(ROOT))  # modules that the pages run, `python -m benchmarks`
     found = [fault for page in pages().values() for fault in faults(page)]
     blocks = [block for page in pages().values() for block in page.blocks]
     if arguments.run:

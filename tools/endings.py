@@ -1,8 +1,9 @@
 """End every program at random instants: `python tools/endings.py`, half an hour; `--times 2 verify` for a moment.
 
 Each program gets SIGINT, as Ctrl-C sends it to its whole group, and SIGTERM, alone, at random instants from when it
-takes signals (its first import) to its end, early ones more often. It must answer with one line and 128 + the signal's
-number (nodes: 0, since launch takes anything else for a crash), leave no process, and every file must be readable.
+takes signals (its first import) to its end, early ones more often; one that has ended by itself before is run again. It
+must answer with one line and 128 + the signal's number (nodes: 0, since launch takes anything else for a crash), leave
+no process, and every file must be readable.
 `driven` ends rigs that are driven and recorded, half of them by a second SIGINT on top. The table is that of
 docs/reliability.md.
 """
@@ -26,6 +27,7 @@ import zipfile
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from typing import IO
 
 import attrs
 import yaml
@@ -41,6 +43,8 @@ NODES = ("rig", "analysis", "recorder")
 PATIENCE_S, GRACE_S = 40.0, 3.0
 LONGEST_S = {"demo": 15.0, "campaign": 8.0}
 """Instants of programs that run for long are drawn from their first seconds, in which everything begins."""
+MOST_DRAWS = 5
+"""Instants drawn for each ending that is asked for: a program that is never there to be told is not being ended."""
 PLAN = "studies:\n  s:\n    frequencies_hz: [8.9, 9.1, 9.3, 9.5]\n    gaps_m: [none, 0.002, 0.004, 0.006]\n"
 SCRIPT = "import sys; from impact_rig.cli import main; sys.exit(main())"
 
@@ -51,7 +55,7 @@ class Tally:
 
     Attributes:
         endings: how many were told to end.
-        done: how many had ended by themselves before.
+        done: how many had ended by themselves before, and do not count.
         slowest_s: longest time from the signal to the end [s].
         faults: what was not as it must be.
     """
@@ -76,15 +80,32 @@ def wait_until_taken(pid: int) -> None:
     raise ImpactRigError(f"process {pid} takes no signals")
 
 
+def start(words: Sequence[str | Path], folder: Path, error: IO[bytes]) -> subprocess.Popen[bytes]:
+    """Start `impact-rig` with these words, in a group of its own, and return when it takes signals."""
+    process = subprocess.Popen(  # noqa: S603  # our own program
+        [sys.executable, "-c", SCRIPT, *map(str, words)],
+        stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=error, cwd=folder, start_new_session=True,
+    )  # fmt: skip
+    wait_until_taken(process.pid)
+    return process
+
+
+def lasts_s(words: Sequence[str | Path], folder: Path) -> float:
+    """Return how long `impact-rig` with these words takes from its first signal on [s]; it must succeed."""
+    with (folder / "stderr").open("w+b") as error:
+        process = start(words, folder, error)
+        began = time.monotonic()
+        if process.wait() != 0:
+            error.seek(0)
+            raise ImpactRigError(f"{words[0]} ended with {process.returncode}: {error.read().decode()[-600:]}")
+        return time.monotonic() - began
+
+
 def end_program(words: Sequence[str | Path], number: int, instant_s: float, folder: Path, tally: Tally) -> None:
     """Run `impact-rig` with these words, send it a signal and look at what is left."""
     before = children()
     with (folder / "stderr").open("w+b") as error:
-        process = subprocess.Popen(  # noqa: S603  # our own program
-            [sys.executable, "-c", SCRIPT, *map(str, words)],
-            stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=error, cwd=folder, start_new_session=True,
-        )  # fmt: skip
-        wait_until_taken(process.pid)
+        process = start(words, folder, error)
         try:
             process.wait(instant_s)
         except subprocess.TimeoutExpired:
@@ -260,23 +281,30 @@ class Bench:
             return tally
         longest_s = 10.0 if what == "nodes" else LONGEST_S.get(what) or self._lasts_s(what)
         for number in (signal.SIGINT, signal.SIGTERM):
-            for _ in range(self.times):
+            enough = tally.endings + self.times
+            for _ in range(MOST_DRAWS * self.times):
+                if tally.endings == enough:
+                    break
                 instant_s = math.exp(self._random.uniform(math.log(0.005), math.log(longest_s)))
-                with self._into() as name:
-                    if what == "nodes":
-                        end_nodes(number, instant_s, Path(name), tally)
-                    else:
-                        end_program(self.programs[what](Path(name)), number, instant_s, Path(name), tally)
+                self._end_once(what, number, instant_s, tally)
+            else:
+                tally.faults.append(f"{what}: {tally.done} had ended before they were told")
         return tally
+
+    def _end_once(self, what: str, number: int, instant_s: float, tally: Tally) -> None:
+        with self._into() as name:
+            if what == "nodes":
+                end_nodes(number, instant_s, Path(name), tally)
+            else:
+                end_program(self.programs[what](Path(name)), number, instant_s, Path(name), tally)
 
     def _into(self) -> tempfile.TemporaryDirectory[str]:
         return tempfile.TemporaryDirectory(dir=self.folder)
 
     def _lasts_s(self, what: str) -> float:
         with self._into() as name:
-            began = time.monotonic()
-            self._finish(self.programs[what](Path(name)))
-            return time.monotonic() - began
+            words = self.programs[what](Path(name))  # makes what it works on
+            return lasts_s(words, Path(name))
 
     def _finish(self, words: Sequence[str | Path]) -> None:
         command = [sys.executable, "-c", SCRIPT, *map(str, words)]

@@ -4,5 +4,3 @@ Nothing here imports ROS, the physics or the instruments, so live, replayed and 
 module: `sine` (IEEE 1057 fits), `transmissibility`, `tracker` (the same, streaming), `impacts`, `frf`, `decay`,
 `drop`, `stepped`, `figures`. Import the module you need: this package imports none of them by itself.
 """
-
-import impact_rig.compiled  # noqa: F401  # first: throws away what was compiled from other sources

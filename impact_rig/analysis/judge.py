@@ -3,7 +3,10 @@
 Three ways to a row, tried in this order after each window once enough windows have passed since the last row:
 
 1. steady: the bias a dying transient leaves in the last `windows` windows is below `settle_tolerance` or twice the
-   noise, and the amplitude repeats from cycle to cycle (or after a few);
+   noise, and the amplitude repeats from cycle to cycle (or after a few). That is all one can see of it in these
+   windows, but not little enough: the first row after a change would be taken as soon as the bias is just below the
+   limit, and carry it, the same in every run. So it is waited for on, until at the pace at which it has died so far
+   the bias is `REMNANT` of the limit;
 2. stationary: the last `long_windows` windows have neither trend nor changing fluctuation: modulated or chaotic;
 3. the bound `wait_limit_s` is reached: numbers as they are, status `not_settled`.
 """
@@ -19,13 +22,15 @@ import numpy as np
 from impact_rig.analysis.calibration import BASE, LASER, Calibration
 from impact_rig.analysis.cycles import Cycles, concatenate
 from impact_rig.analysis.settings import TrackerSettings
-from impact_rig.analysis.settling import is_stationary, transient_bias
+from impact_rig.analysis.settling import is_stationary, more_windows, transient_bias
 from impact_rig.analysis.transmissibility import Measurement, complex_transmissibility, interruption, measure
 from impact_rig.analysis.words import MEASURED, Status
 
 CYCLE_MULTIPLE = 6
 """Windows hold a multiple of 6 cycles: orbits of period 2, 3 and 6 close in each, those of period 4 and 8 in pairs."""
 NOISE_FACTOR = 2.0
+REMNANT = 0.02
+"""Share of the limit on the bias that a transient may leave in the first measurement after a change."""
 
 
 def window_cycles(frequency_hz: float, settings: TrackerSettings) -> int:
@@ -53,6 +58,8 @@ class Judge:
         self._waited_windows = 0
         self._window_s = window_cycles(frequency_hz, settings) / frequency_hz
         self._broken: Status | None = None
+        self._whole = 0  # windows since the change of the drive, or since the last broken one
+        self._due: int | None = None  # of them, before the first measurement
 
     def add(self, window: Cycles) -> Measurement | None:
         """Take the next window; return a measurement if one is due.
@@ -67,6 +74,7 @@ class Judge:
         if broken:
             return self._break(broken)
         self._broken = None
+        self._whole += 1
         self._windows.append(window)
         self._ratios.append(complex_transmissibility(window, self._calibration, self._frequency_hz))
         short = self._settings.windows
@@ -85,6 +93,7 @@ class Judge:
     def _break(self, status: Status) -> Measurement | None:
         self._windows.clear()
         self._ratios.clear()
+        self._whole, self._due = 0, None
         if status is self._broken and self._since_row < self._settings.windows:
             return None
         self._broken, self._since_row = status, 0
@@ -96,6 +105,12 @@ class Judge:
         bias = self._bias()
         if abs(bias) > limit:
             return None
+        if not self._reported and newest > 0.0:
+            if self._due is None:
+                taken = self._whole - self._settings.windows
+                self._due = self._whole + more_windows(taken, limit / newest, REMNANT)
+            if self._whole < self._due:
+                return None
         found = self._measure(self._settings.windows, bias)
         return found if found.steady or found.status not in MEASURED else None
 

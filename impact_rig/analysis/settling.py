@@ -7,6 +7,8 @@ of a mean *including* the part that differences of neighbours cannot show.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from impact_rig.analysis.calibration import Complex
@@ -38,6 +40,20 @@ def transient_bias(windows: Complex, measured: int) -> complex:
     mean = complex(windows[-measured:].mean())
     spans = [span for span in (8, 16) if span <= len(windows)]
     return max((mean - _limit(windows[-span:].reshape(4, -1).mean(axis=1)) for span in spans), key=abs)
+
+
+def more_windows(taken: int, reached: float, share: float) -> int:
+    """Return for how many more windows a dying transient must be waited for, at the pace it has died so far.
+
+    One that began as large as the response itself and took n windows to fall to a part ε of it takes
+    n ln(s) / ln(ε) more to fall by another factor s. A transient below the noise cannot be followed, its pace can.
+
+    Args:
+        taken: windows from the change of the drive to the first of those that are measured, n.
+        reached: part of the response that the transient has fallen to, ε.
+        share: s, 0 < s < 1.
+    """
+    return math.ceil(taken * math.log(share) / math.log(reached)) if 0.0 < reached < 1.0 else 0
 
 
 def _limit(quarters: Complex) -> complex:

@@ -13,8 +13,10 @@ from impact_rig.analysis.transmissibility import Measurement
 from impact_rig.analysis.words import Status
 from impact_rig.blocks import DETECTED_IMPACTS, SETTINGS, TRANSMISSIBILITY, Table
 from impact_rig.errors import ConfigError
+from impact_rig.machine import fingerprint
 from impact_rig.simtime import COMMAND_GRID_NS, COMMAND_GRID_S
 
+MACHINE = "machine"
 GAP = "gap_m"
 SETTLED = (Status.OK, Status.ACCELEROMETER_OVER_RANGE)
 
@@ -78,9 +80,9 @@ def impact_tables(found: Impacts, rate_hz: int, start_ns: int) -> list[Table]:
 
 
 def settings_table(settings: TrackerSettings, gap_m: float, stamp_ns: int) -> Table:
-    """Return `analysis/settings`: the settings and the operator's label, from an instant on."""
+    """Return `analysis/settings`: settings and the operator's label from an instant on, and which machine analyses."""
     values = {attribute.name: getattr(settings, attribute.name) for attribute in attrs.fields(TrackerSettings)}
-    return Table(stamp_ns, np.array([*values.items(), (GAP, gap_m)], dtype=SETTINGS))
+    return Table(stamp_ns, np.array([*values.items(), (GAP, gap_m), (MACHINE, fingerprint())], dtype=SETTINGS))
 
 
 def read_settings(table: Table) -> tuple[TrackerSettings, float]:
@@ -91,11 +93,18 @@ def read_settings(table: Table) -> tuple[TrackerSettings, float]:
     """
     values = dict(zip(table.rows["key"].astype(str).tolist(), table.rows["value"].tolist(), strict=True))
     gap_m = float(values.pop(GAP, np.nan))
+    values.pop(MACHINE, None)
     defaults = TrackerSettings()
     unknown = sorted(set(values) - {attribute.name for attribute in attrs.fields(TrackerSettings)})
     if unknown:
         raise ConfigError(f"analysis/settings has an unknown key: {', '.join(unknown)}")
     return TrackerSettings(**{key: _as_set(getattr(defaults, key), value) for key, value in values.items()}), gap_m
+
+
+def machine_of(table: Table) -> int | None:
+    """Return the fingerprint in `analysis/settings` of the machine that analyses, see `machine`; None without."""
+    found = table.rows["value"][table.rows["key"] == MACHINE.encode()]
+    return int(found[0]) if len(found) and np.isfinite(found[0]) else None
 
 
 def _as_set(default: float, value: float) -> Any:  # int or float, as the setting is; the validator decides

@@ -17,7 +17,7 @@ def draw_reductions(reductions: Reductions, path: Path) -> Path:
 
     gaps = sorted(reductions.dt)
     names = [f"{gap * 1e3:g}" for gap in gaps]
-    ours, spread = reductions.percent(), reductions.percent_uncertainty()
+    ours, spread = reductions.percent(), reductions.percent_uncertainty
     figure = Figure(figsize=(9.0, 3.8), layout="constrained")
     FigureCanvasAgg(figure)
     left, right = figure.subplots(1, 2, width_ratios=[1.0, 1.35])

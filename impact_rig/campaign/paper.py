@@ -11,6 +11,12 @@ import math
 from collections.abc import Mapping
 
 import attrs
+import numpy as np
+from numpy.typing import NDArray
+
+from impact_rig.analysis.calibration import Calibration
+from impact_rig.analysis.reduction import combined, reduction
+from impact_rig.campaign.axes import NO_SPHERE
 
 FREQUENCY_HZ = 9.1
 """Where the paper compares the gaps: the natural frequency it prints."""
@@ -32,24 +38,37 @@ class Reductions:
     Attributes:
         dt_no_sphere: transmissibility without the sphere.
         dt: transmissibility by gap.
-        dt_uncertainty: its standard uncertainty by gap; key 0: without the sphere.
+        dt_uncertainty: its standard uncertainty by gap; key `NO_SPHERE`: without the sphere.
+        percent_uncertainty: standard uncertainty of `percent` in points, by gap: see `analysis.reduction`.
     """
 
     dt_no_sphere: float
     dt: Mapping[float, float]
     dt_uncertainty: Mapping[float, float]
+    percent_uncertainty: Mapping[float, float]
+
+    @classmethod
+    def of(cls, rows: Mapping[float, NDArray[np.void]], calibration: Calibration) -> Reductions:
+        """Return what measurements give; nothing but NaN if there are none without the sphere.
+
+        Args:
+            rows: settled rows of `transmissibility/table` by gap; key `NO_SPHERE`: without the sphere.
+            calibration: of the instruments that measured them all.
+        """
+        without = rows.get(NO_SPHERE)
+        if without is None:
+            return cls(math.nan, {}, {NO_SPHERE: math.nan}, {})
+        gaps = [gap for gap in rows if gap != NO_SPHERE]
+        return cls(
+            dt_no_sphere=float(np.mean(without["transmissibility"])),
+            dt={gap: float(np.mean(rows[gap]["transmissibility"])) for gap in gaps},
+            dt_uncertainty={gap: combined(found) for gap, found in rows.items()},
+            percent_uncertainty={gap: reduction(without, rows[gap], calibration).u_points for gap in gaps},
+        )
 
     def percent(self) -> dict[float, float]:
         """Return 100 (1 − DT / DT without sphere) by gap."""
         return {gap: 100.0 * (1.0 - value / self.dt_no_sphere) for gap, value in self.dt.items()}
-
-    def percent_uncertainty(self) -> dict[float, float]:
-        """Return the standard uncertainty of `percent` in points, taking the runs as independent (an upper bound)."""
-        without = self.dt_uncertainty.get(0.0, 0.0) / self.dt_no_sphere
-        return {
-            gap: 100.0 * value / self.dt_no_sphere * math.hypot(self.dt_uncertainty.get(gap, 0.0) / value, without)
-            for gap, value in self.dt.items()
-        }
 
     def errors(self) -> dict[float, float]:
         """Return ours less the paper's, in points, for the paper's gaps."""

@@ -18,7 +18,6 @@ from impact_rig.recording import Run
 _NEEDED = ("daq/info", "shaker/applied", "daq/scan")
 _NOTES = "notes"
 _SETTINGS = "analysis/settings"
-_TABLE = "transmissibility/table"
 
 
 def analyze(run: Run, settings: TrackerSettings | None = None) -> Iterator[Findings]:
@@ -64,31 +63,6 @@ def _has(run: Run, topic: str) -> bool:
 def measurements(findings: Iterator[Findings]) -> list[Table]:
     """Return the measurements in findings, one table each."""
     return [table for found in findings for table in found.measurements]
-
-
-def same_as_live(run: Run, offline: list[Table]) -> bool | None:
-    """Return whether every measurement recorded live was found again, bit for bit, and in the same order.
-
-    None: no live measurement was recorded, so there is nothing to compare with.
-    """
-    if not _has(run, _TABLE):
-        return None
-    scans, tables = run.resolve("daq/scan"), run.resolve(_TABLE)
-    first_ns: int | None = None
-    live: list[Table] = []
-    for message in run.messages((scans, tables), recorded_order=True):
-        if message.topic == scans:
-            first_ns = codec.decode(message.data).stamp_ns if first_ns is None else first_ns
-        elif first_ns is not None:  # what a latched topic hands to a recorder that comes is from before its first scan
-            table = codec.decode(message.data)
-            live += [table] if table.stamp_ns >= first_ns else []
-    if not live:
-        return None
-    shared = offline[: len(live)]  # a recorder that stops before the analysis misses its last words
-    return len(live) <= len(offline) and all(
-        a.stamp_ns == b.stamp_ns and a.rows.tobytes() == b.rows.astype(a.rows.dtype).tobytes()
-        for a, b in zip(live, shared, strict=True)
-    )
 
 
 def rows(tables: list[Table]) -> NDArray[np.void]:

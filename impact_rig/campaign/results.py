@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig import files
+from impact_rig.analysis.reduction import combined
 from impact_rig.analysis.stepped import Direction
 from impact_rig.campaign.axes import NO_SPHERE
 from impact_rig.campaign.job import Outcome
@@ -69,8 +70,8 @@ class Point:
 
     @property
     def u_dt(self) -> float:
-        """Its standard uncertainty; repetitions do not lessen it, for the calibration's errors are common to them."""
-        return math.sqrt(float(np.mean(self.rows["transmissibility_uncertainty"] ** 2))) if len(self.rows) else NAN
+        """Its standard uncertainty."""
+        return combined(self.rows) if len(self.rows) else NAN
 
     @property
     def phase_rad(self) -> float:

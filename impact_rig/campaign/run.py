@@ -24,6 +24,7 @@ from pathlib import Path
 import attrs
 
 from impact_rig import files
+from impact_rig.analysis.calibration import Calibration
 from impact_rig.campaign import statements
 from impact_rig.campaign.axes import NO_SPHERE
 from impact_rig.campaign.code import fingerprint
@@ -36,6 +37,7 @@ from impact_rig.campaign.store import FOLDER, Store
 from impact_rig.campaign.summary import write_summary
 from impact_rig.config import dump, load
 from impact_rig.errors import ConfigError, RecordingError
+from impact_rig.instruments.chain import Chain
 
 CAMPAIGN_FILE, CONFIGURATION_FILE, PROVENANCE_FILE = "campaign.yaml", "configuration.yaml", "provenance.json"
 CSV_FILE = "points.csv"
@@ -74,15 +76,12 @@ class Finished:
         """Return the reductions at 9.1 Hz for the paper's gaps; NaN or absent where not measured."""
         curves = self.curves
         found = {gap: curves.at(gap, FREQUENCY_HZ) for gap in (NO_SPHERE, *REDUCTION_PERCENT)}
-        without = found.pop(NO_SPHERE)
-        return Reductions(
-            dt_no_sphere=without.dt if without else float("nan"),
-            dt={gap: point.dt for gap, point in found.items() if point} if without else {},
-            dt_uncertainty={
-                NO_SPHERE: without.u_dt if without else float("nan"),
-                **{gap: point.u_dt for gap, point in found.items() if point},
-            },
-        )
+        return Reductions.of({gap: point.rows for gap, point in found.items() if point}, self.calibration)
+
+    @property
+    def calibration(self) -> Calibration:
+        """What the certificate of the reference rig says."""
+        return Calibration.from_info(Chain(self.campaign.planned()[0].job.config()).info())
 
     def failed(self) -> list[Point]:
         """Return the points without a settled measurement."""

@@ -169,11 +169,10 @@ def measured_curves(rows: NDArray[np.void]) -> dict[str, NDArray[np.void]]:
     A gap measured at one frequency only is no curve: there are curves where one gap has at least two frequencies.
     """
     rows = rows[rows["settled"] == 1.0]
-    commanded = np.round(rows["frequency"] - rows["frequency_deviation"], 6)
     curves: dict[str, NDArray[np.void]] = {}
     for gap in sorted(set(np.nan_to_num(rows["gap"], nan=math.inf))):
         chosen = np.isnan(rows["gap"]) if math.isinf(gap) else rows["gap"] == gap
-        steps = np.diff(commanded[chosen])
+        steps = np.diff(rows["frequency"][chosen])
         if not np.any(steps):
             continue
         moves = np.flatnonzero(steps)

@@ -42,7 +42,7 @@ def write_summary(
         "dt_no_sphere": reductions.dt_no_sphere,
         "dt": _by_millimetre(reductions.dt),
         "reductions_percent": _by_millimetre(reductions.percent()),
-        "reductions_uncertainty_points": _by_millimetre(reductions.percent_uncertainty()),
+        "reductions_uncertainty_points": _by_millimetre(reductions.percent_uncertainty),
         "paper_reductions_percent": _by_millimetre(REDUCTION_PERCENT),
         "max_abs_error_points": reductions.max_abs_error(),
         "rms_error_points": reductions.rms_error(),

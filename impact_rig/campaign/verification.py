@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Iterable, Iterator
+
 import attrs
 import numpy as np
 from numpy.typing import NDArray
 
+from impact_rig import codec
+from impact_rig.arithmetic import ARITHMETIC
 from impact_rig.blocks import Table
 from impact_rig.errors import CommandError, ConfigError, RecordingError, SimulationError
-from impact_rig.recording import Run
-from impact_rig.rig import resimulate
-from impact_rig.simtime import NS_PER_S
+from impact_rig.recording import Run, arithmetic_of
+from impact_rig.rig import Block, Kind, resimulate
+from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S
 
+_BEGINS = (Kind.START.value.encode(), Kind.RESET.value.encode())
 _NO_JOURNAL = (ConfigError, CommandError, SimulationError)
 """What a journal raises that is incomplete, or no rig's."""
 
@@ -32,45 +38,106 @@ class Verdict:
 
     def __str__(self) -> str:
         if self.identical is None:
-            return f"not verifiable: {self.reason}"
+            return f"not verifiable here: {self.reason}"
         if self.identical:
             return f"identical: {self.scans} scans re-simulated bit for bit"
         return f"different after {self.scans} identical scans: {self.reason}"
 
 
 def verify(run: Run) -> Verdict:
-    """Re-simulate a run from its journal and compare every scan, bit for bit.
+    """Re-simulate a run from its journal and compare every scan, bit for bit; a start or reset begins a new journal.
 
     Raises:
         RecordingError: the run holds no scans, or is damaged.
     """
-    scans = iter(run.tables("daq/scan", recorded_order=True))
+    if arithmetic_of(run.provenance) not in ("", str(ARITHMETIC)):
+        return Verdict(None, 0, f"recorded with arithmetic {arithmetic_of(run.provenance)}, this is {ARITHMETIC}")
+    scans = run.tables("daq/scan", recorded_order=True)
     try:
-        journal = list(run.tables("rig/journal", recorded_order=True))
+        journals, first = _journals(run)
+    except RecordingError as error:
+        return Verdict(None, 0, str(error))
+    if not journals:
+        return Verdict(None, 0, "the journal is empty")
+    compared, rest = 0, None
+    for number, stretch in itertools.groupby(_assigned(scans, journals, first), key=lambda pair: pair[0]):
+        if rest is not None and _is_missing(rest, journals[number][0].stamp_ns):
+            return _missing(rest, compared)
+        verdict, rest = _verify(journals[number], (table for _, table in stretch))
+        compared += verdict.scans
+        if not verdict.identical:
+            return attrs.evolve(verdict, scans=compared)
+    return Verdict(True, compared) if compared else Verdict(None, 0, "the run holds no block of daq/scan")
+
+
+def _journals(run: Run) -> tuple[list[list[Table]], int]:
+    """Return the journals of a run, each from its start or reset on, and which of them the first scan belongs to.
+
+    Rows before the first start or reset are a journal without its beginning.
+    """
+    found: list[list[Table]] = []
+    for table in run.tables("rig/journal", recorded_order=True):
+        for rows in np.split(table.rows, np.flatnonzero(np.isin(table.rows["kind"], _BEGINS))):
+            if len(rows) and (not found or rows["kind"][0] in _BEGINS):
+                found.append([])
+            if len(rows):
+                found[-1].append(Table(table.stamp_ns, rows))
+    scan, journal = run.resolve("daq/scan"), run.resolve("rig/journal")
+    both = run.messages([scan, journal], recorded_order=True)
+    early = itertools.takewhile(lambda message: message.topic == journal, both)
+    begun = sum(int(np.isin(codec.decode(message.data).rows["kind"], _BEGINS).sum()) for message in early)
+    return found, max(0, begun - 1)
+
+
+def _assigned(scans: Iterable[Table], journals: list[list[Table]], first: int) -> Iterator[tuple[int, Table]]:
+    """Yield every block with the number of the journal it belongs to."""
+    number, before_ns = first, None
+    for table in scans:
+        while number + 1 < len(journals):
+            following, begun_ns = journals[number + 1][0], journals[number][0].stamp_ns
+            if following.rows["kind"][0] == Kind.RESET.value.encode() or following.stamp_ns > begun_ns:
+                is_next = table.stamp_ns >= following.stamp_ns  # stamps go on
+            else:
+                is_next = before_ns is not None and table.stamp_ns <= before_ns  # the rig was started anew, at 0 again
+            if not is_next:
+                break
+            number, before_ns = number + 1, None
+        before_ns = table.stamp_ns
+        yield number, table
+
+
+def _verify(journal: list[Table], scans: Iterator[Table]) -> tuple[Verdict, Block | None]:
+    """Compare the blocks of one journal; return also the block that would come next."""
+    compared = 0
+    try:
         blocks = resimulate(journal)
         block = next(blocks)
-    except (RecordingError, *_NO_JOURNAL) as error:
-        return Verdict(None, 0, str(error))
-    compared = 0
-    for table in scans:
-        try:
+        for table in scans:
             while block.scan.stamp_ns < table.stamp_ns:  # the recorder came later than the rig's first block
-                if compared:
-                    return Verdict(False, compared, f"daq/scan: the block at {_s(block.scan.stamp_ns)} s is missing")
+                if compared and not block.lost:
+                    return _missing(block, compared), None
                 block = next(blocks)
-        except _NO_JOURNAL as error:
-            return Verdict(None, compared, str(error))
-        difference = _difference(table, block.scan)
-        if difference:
-            return Verdict(False, compared, difference)
-        compared += len(table.rows)
-        try:
+            difference = _difference(table, block.scan)
+            if difference:
+                return Verdict(False, compared, difference), None
+            compared += len(table.rows)
             block = next(blocks)
-        except _NO_JOURNAL as error:
-            return Verdict(None, compared, str(error))
-    if compared == 0:
-        return Verdict(None, 0, "the run holds no block of daq/scan")
-    return Verdict(True, compared)
+    except _NO_JOURNAL as error:
+        return Verdict(None, compared, str(error)), None
+    return Verdict(True, compared), block
+
+
+def _is_missing(block: Block, reset_ns: int) -> bool:
+    """Return whether a block should have come before a reset.
+
+    The rig simulates whole ticks, and a reset drops what it has not yet cut into a block: less than a tick.
+    """
+    on_grid = (block.end_ns - block.scan.stamp_ns) % COMMAND_GRID_NS == 0
+    return not block.lost and block.end_ns + (0 if on_grid else COMMAND_GRID_NS) <= reset_ns
+
+
+def _missing(block: Block, compared: int) -> Verdict:
+    return Verdict(False, compared, f"daq/scan: the block at {_s(block.scan.stamp_ns)} s is missing")
 
 
 def _difference(logged: Table, again: Table) -> str:

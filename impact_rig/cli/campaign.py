@@ -12,6 +12,7 @@ from rich.table import Table as TextTable
 
 from impact_rig.campaign import paper, pool, run
 from impact_rig.campaign.job import Job
+from impact_rig.campaign.margins import Variation, variations
 from impact_rig.campaign.plan import load_campaign
 from impact_rig.campaign.statements import Verdict
 from impact_rig.campaign.store import Store
@@ -68,6 +69,7 @@ def _run(arguments: argparse.Namespace) -> int:
     verdicts = done.verdicts()
     close = _print_reductions(console, done)
     _print_verdicts(console, verdicts)
+    _print_margins(console, variations(done.points))
     _print_failed(console, done)
     console.print(f"{len(done.points)} points; figures for programs: {run.CSV_FILE}, summary.json")
     tell_program(directory)
@@ -124,7 +126,7 @@ def _print_reductions(console: Console, done: run.Finished) -> bool:
     reductions = done.reductions()
     if not reductions.dt:
         return False
-    ours, spread, errors = reductions.percent(), reductions.percent_uncertainty(), reductions.errors()
+    ours, spread, errors = reductions.percent(), reductions.percent_uncertainty, reductions.errors()
     table = TextTable(title=f"Reduction of DT at {paper.FREQUENCY_HZ} Hz against no sphere (fitted, not predicted)")
     for heading in ("gap [mm]", "DT", "± 2u", "paper [%]", "ours [%]", "± 2u", "difference"):
         table.add_column(heading, justify="right")
@@ -133,7 +135,7 @@ def _print_reductions(console: Console, done: run.Finished) -> bool:
     for gap, value in sorted(ours.items()):
         table.add_row(
             f"{gap * 1e3:g}", f"{reductions.dt[gap]:.2f}", f"{2 * u[gap]:.2f}",
-            f"{paper.REDUCTION_PERCENT[gap]:.1f}", f"{value:.1f}", f"{2 * spread[gap]:.1f}",
+            f"{paper.REDUCTION_PERCENT[gap]:.1f}", f"{value:.2f}", f"{2 * spread[gap]:.2f}",
             f"{round(errors[gap], 1) + 0.0:+.1f}",
         )  # fmt: skip
     console.print(table)
@@ -146,14 +148,28 @@ def _print_reductions(console: Console, done: run.Finished) -> bool:
 def _print_verdicts(console: Console, verdicts: list[Verdict]) -> None:
     if all(verdict.result is None for verdict in verdicts):
         return  # a campaign about something else
-    table = TextTable(title="The paper's statements (out of sample)")
-    for heading in ("", "statement", "verdict", "figures"):
+    table = TextTable(title="The paper's statements, and what it is worth that they hold")
+    for heading in ("", "statement", "verdict", "worth", "figures"):
         table.add_column(heading)
     colours = {"pass": "green", "FAIL": "red"}
     for number, verdict in enumerate(verdicts, 1):
         table.add_row(
-            str(number), verdict.text, verdict.word, verdict.detail, style=colours.get(verdict.word, "bright_black")
-        )
+            str(number), verdict.text, verdict.word, verdict.kind.value, verdict.detail,
+            style=colours.get(verdict.word, "bright_black"),
+        )  # fmt: skip
+    console.print(table)
+
+
+def _print_margins(console: Console, varied: list[Variation]) -> None:
+    if not varied:
+        return
+    table = TextTable(title="The figure of each statement on rigs of which one constant differs")
+    for heading in ("rig", *(str(number) for number in range(1, len(varied[0].verdicts) + 1))):
+        table.add_column(heading)
+    for one in varied:
+        changed = ", ".join(f"{name.rpartition('.')[2]} {value}" for name, value in one.changed.items())
+        cells = ["" if v.result is None else f"{v.result.value:.4g} {v.word}" for v in one.verdicts]
+        table.add_row(changed or "the rig itself", *cells)
     console.print(table)
 
 

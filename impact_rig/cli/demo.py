@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from rich.progress import BarColumn, Progress, TimeElapsedColumn
 from rich.table import Table as TextTable
 
+from impact_rig.analysis.calibration import Calibration
 from impact_rig.campaign import paper
 from impact_rig.campaign.figures import draw_reductions
 from impact_rig.campaign.paper import Reductions
@@ -52,9 +53,7 @@ CASES = (Case(0.0), *(Case(gap) for gap in paper.REDUCTION_PERCENT))
 
 def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Register the subcommand."""
-    parser = commands.add_parser(
-        "demo", help="measure the paper's five reductions through the topics, in about a minute"
-    )
+    parser = commands.add_parser("demo", help="measure the paper's five reductions through the topics")
     parser.add_argument(
         "--output", type=Path, help="directory for runs, figure and summary (default: runs/demo_<date>)"
     )
@@ -81,12 +80,12 @@ def run(arguments: argparse.Namespace) -> int:
         f"impact_rig demo: rig, analysis and recorder as three processes, {arguments.rate} scans/s, freewheel"
     )
     started = time.monotonic()
-    rows = _measure(config, directory, console)
+    rows, calibration = _measure(config, directory, console)
     wall_s = time.monotonic() - started
     runs = [info(directory / case.name) for case in CASES]
     lost = sum(_lost_blocks(run) for run in runs)
     simulated_s = sum(_scanned_s(run) for run in runs)
-    reductions = _reductions(rows)
+    reductions = Reductions.of(rows, calibration)
     closed_form = _closed_form(config)
     statements = {
         "dt_no_sphere_agrees_with_closed_form": _judge(abs(reductions.dt_no_sphere / closed_form - 1.0), LINEAR_LIMIT),
@@ -111,7 +110,8 @@ def run(arguments: argparse.Namespace) -> int:
     return 1 if failed else 0
 
 
-def _measure(config: RigConfig, directory: Path, console: Console) -> dict[float, NDArray[np.void]]:
+def _measure(config: RigConfig, directory: Path, console: Console) -> tuple[dict[float, NDArray[np.void]], Calibration]:
+    """Return the settled measurements by gap, and the certificate that the rig published."""
     # rclpy is needed from here on: `impact-rig --help` and the other subcommands do without
     from impact_rig.nodes import topics  # noqa: PLC0415
     from impact_rig.testing import Client, Processes, isolated_domain  # noqa: PLC0415
@@ -139,6 +139,7 @@ def _measure(config: RigConfig, directory: Path, console: Console) -> dict[float
             client.wait_active("rig", "analysis", "recorder")
             progress.update(starting, total=1, completed=1, state="running")
             table = client.collect(topics.TRANSMISSIBILITY_TABLE.name)
+            certificate = client.collect("daq/info")
             for case in CASES:
                 task = progress.add_task(case.label, total=MEASUREMENTS, state="preparing")
                 client.pause()
@@ -167,17 +168,8 @@ def _measure(config: RigConfig, directory: Path, console: Console) -> dict[float
                 client.pause()
                 client.trigger("recorder/stop")
             progress.update(starting, state="done")
-    return rows
-
-
-def _reductions(rows: dict[float, NDArray[np.void]]) -> Reductions:
-    mean = {gap: float(np.mean(found["transmissibility"])) for gap, found in rows.items()}
-    spread = {
-        gap: float(np.sqrt(np.mean(found["transmissibility_uncertainty"] ** 2) / len(found)))
-        for gap, found in rows.items()
-    }
-    without = mean.pop(0.0)
-    return Reductions(without, mean, spread)
+            calibration = Calibration.from_info(certificate.tables()[0].rows)
+    return rows, calibration
 
 
 def _closed_form(config: RigConfig) -> float:
@@ -211,7 +203,7 @@ def _new_directory(wanted: Path | None) -> Path:
 
 
 def _print_table(console: Console, reductions: Reductions, closed_form: float) -> None:
-    ours, spread, errors = reductions.percent(), reductions.percent_uncertainty(), reductions.errors()
+    ours, spread, errors = reductions.percent(), reductions.percent_uncertainty, reductions.errors()
     table = TextTable(title=f"Reduction of DT at {paper.FREQUENCY_HZ} Hz against no sphere")
     for heading in ("gap [mm]", "DT", "this run [%]", "± 2u", "paper [%]", "difference"):
         table.add_column(heading, justify="right")
@@ -220,7 +212,7 @@ def _print_table(console: Console, reductions: Reductions, closed_form: float) -
     )
     for gap, value in sorted(ours.items()):
         table.add_row(
-            f"{gap * 1e3:g}", f"{reductions.dt[gap]:.2f}", f"{value:.1f}", f"{2 * spread[gap]:.1f}",
+            f"{gap * 1e3:g}", f"{reductions.dt[gap]:.2f}", f"{value:.2f}", f"{2 * spread[gap]:.2f}",
             f"{paper.REDUCTION_PERCENT[gap]:.1f}", f"{errors[gap]:+.1f}",
         )  # fmt: skip
     console.print(table)

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 EXIT_ERROR = 1
 PROGRAM = "impact-rig"
 FILES = {
-    "check": "check", "demo": "demo", "campaign": "campaign", "report": "report", "info": "runs", "recover": "runs",
+    "check": "check", "demo": "demo", "campaign": "campaign", "report": "report", "info": "runs", "recover": "recovery",
     "export": "runs", "analyze": "runs", "verify": "runs", "replay": "replay", "identify": "identify",
 }  # fmt: skip
 """Subcommand -> the module that has it."""

@@ -13,12 +13,16 @@ def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser = commands.add_parser("report", help="write a campaign's report: one HTML page, figures as PNG and SVG")
     parser.add_argument("directory", type=Path, metavar="DIR", help="directory of a campaign")
     parser.add_argument("--output", type=Path, metavar="FILE", help="the page (default: DIR/report.html)")
+    parser.add_argument(
+        "--margins", type=Path, metavar="DIR",
+        help="campaign that varies constants (config/campaigns/margins.yaml): what the statements owe to them",
+    )  # fmt: skip
     parser.set_defaults(run=_run)
 
 
 def _run(arguments: argparse.Namespace) -> int:
     from impact_rig.campaign.report import build_report  # noqa: PLC0415  # loads SciPy, which no other command needs
 
-    path = build_report(arguments.directory, arguments.output)
+    path = build_report(arguments.directory, arguments.output, arguments.margins)
     tell_program(path)
     return 0

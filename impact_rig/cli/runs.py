@@ -1,4 +1,4 @@
-"""Subcommands on recorded runs: info, analyze, verify, recover, export."""
+"""Subcommands on recorded runs: info, analyze, verify, export."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from rich.table import Table as TextTable
 
 from impact_rig.cli.terminal import Console
-from impact_rig.recording import export, info, open_run, recover
+from impact_rig.recording import export, info, open_run
 
 FIGURE_FORMATS = ("png", "svg")  # of campaign.run_figures, which is too heavy for a parser
 
@@ -21,10 +21,6 @@ def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser = commands.add_parser("info", help="what a run holds and whether it is whole")
     parser.add_argument("path", type=Path, metavar="RUN", help="run directory or .mcap file")
     parser.set_defaults(run=_info)
-    parser = commands.add_parser("recover", help="save every whole chunk of a damaged or unfinished run")
-    parser.add_argument("path", type=Path, metavar="RUN")
-    parser.add_argument("out", type=Path, metavar="OUT", help="new run directory")
-    parser.set_defaults(run=_recover)
     parser = commands.add_parser("export", help="write a table topic as .csv, .npz or .parquet")
     parser.add_argument("path", type=Path, metavar="RUN")
     parser.add_argument("topic", help="e.g. transmissibility/table")
@@ -48,9 +44,13 @@ def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
 def _info(arguments: argparse.Namespace) -> int:
     console = Console()
     found = info(arguments.path)
-    console.print(f"{found.path}: {found.verdict}", style="green" if found.intact else "red")
+    proven = found.intact and found.accounted and found.recovered is None
+    style = "green" if proven else "yellow" if found.intact else "red"
+    console.print(f"{found.path}: {found.verdict}", style=style)
     size = sum(size for _, size in found.files)
     console.print(f"{found.duration_s:.3f} s of rig time, {len(found.files)} file(s), {size / 1e6:.2f} MB")
+    if found.recovered is not None:
+        console.print(f"recovered from {found.recovered.source}", highlight=False)
     for key, value in found.provenance.items():
         console.print(f"{key}: {value}")
     table = TextTable()
@@ -73,12 +73,6 @@ def _info(arguments: argparse.Namespace) -> int:
     return 0 if found.intact else 1
 
 
-def _recover(arguments: argparse.Namespace) -> int:
-    report = recover(arguments.path, arguments.out)
-    Console().print(str(report))
-    return 0
-
-
 def _export(arguments: argparse.Namespace) -> int:
     with open_run(arguments.path) as run:
         Console().print(str(export(run, arguments.topic, arguments.target)))
@@ -88,24 +82,22 @@ def _export(arguments: argparse.Namespace) -> int:
 def _analyze(arguments: argparse.Namespace) -> int:
     console = Console()
     with open_run(arguments.path) as run:
-        from impact_rig.campaign import reanalysis, run_figures  # noqa: PLC0415  # heavy: after the run has been opened
+        from impact_rig.campaign import live_comparison, reanalysis, run_figures  # noqa: PLC0415  # heavy: after the run has been opened
 
         if arguments.figures is not None:
             run_figures.prepare(arguments.figures, arguments.format)
         findings = list(reanalysis.analyze(run))
         found = reanalysis.measurements(iter(findings))
-        same = reanalysis.same_as_live(run, found)
+        comparison = live_comparison.compare(run, found)
         _print_measurements(console, reanalysis.rows(found))
-        if same is None:
-            console.print("no live results are in this run: nothing to compare with")
-        else:
-            console.print(f"{'' if same else 'not '}identical to the live results", style=None if same else "red")
+        style = {True: "green", False: "red", None: "yellow"}[comparison.same]
+        console.print(str(comparison), style=style)
         if arguments.figures is not None:
             stretch, files = run_figures.draw(run, findings, arguments.figures, arguments.format)
             console.print(f"drawn: {stretch}")
             for file in files:
                 console.print(f"wrote {file}", soft_wrap=True)
-    return 1 if same is False else 0
+    return 1 if comparison.same is False else 0
 
 
 def _print_measurements(console: Console, rows: NDArray[np.void]) -> None:

@@ -25,6 +25,7 @@ CONTACT_LAWS = (
     "hu_guo",
     "exact",
     "kelvin_voigt",
+    "walton_braun",
     "restitution",
 )
 
@@ -147,7 +148,9 @@ class Contact:
     speed_floor_m_s: float = quantity(
         1e-3, "m/s", "Floor of the approach speed in c = a K / v0, singular as v0 -> 0.", above=0, at_most=0.1
     )
-    contact_time_s: float = quantity(45e-6, "s", "Contact time of the linear law kelvin_voigt.", above=0, at_most=0.01)
+    contact_time_s: float = quantity(
+        45e-6, "s", "Contact time of the linear laws kelvin_voigt and walton_braun.", above=0, at_most=0.01
+    )
     release: str = choice(
         "position", ("position", "force"), "kelvin_voigt lets go at zero indentation, or already at zero force."
     )

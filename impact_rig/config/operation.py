@@ -37,11 +37,16 @@ class Time:
         read_only=True,
     )
     factor: float = quantity(1.0, "-", "Speed of realtime, times real time.", above=0, at_most=1000)
-    peers: tuple[str, ...] = names((), "Peers whose daq/ack freewheel and stepped wait for.")
+    peers: tuple[str, ...] = names(
+        (), "Peers whose daq/ack freewheel and stepped wait for; in realtime scan 0 waits for them."
+    )
     ack_window: int = integer(
         16, "blocks", "How far freewheel runs ahead of the slowest peer.", at_least=1, at_most=1000
     )
     peer_timeout_s: float = quantity(3.0, "s", "A peer silent for this long pauses the rig.", above=0)
+    start_wait_s: float = quantity(
+        120.0, "s", "How long realtime waits before scan 0 for all peers to listen.", at_least=0, at_most=3600
+    )
     publish_clock: str = choice("auto", ("auto", "on", "off"), "Publish /clock; auto: whenever not in real time x 1.")
 
     def __attrs_post_init__(self) -> None:

@@ -18,6 +18,7 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
+from impact_rig.arithmetic.random import Random
 from impact_rig.blocks import DAQ_INFO
 from impact_rig.config.instruments import Adc
 from impact_rig.instruments.clock import ScanClock
@@ -44,21 +45,21 @@ class BoardErrors:
     offset: float = 0.0
 
 
-def draw(rng: np.random.Generator) -> Errors:
+def draw(random: Random) -> Errors:
     """Draw the errors of a channel."""
-    gain, offset, p, q = rng.uniform(-1.0, 1.0, 4)
+    gain, offset, p, q = 2.0 * random.uniform(4) - 1.0
     return Errors(float(gain), float(offset), float(0.5 * (p + q)), float(0.5 * (p - q)))
 
 
-def draw_board(rng: np.random.Generator) -> BoardErrors:
+def draw_board(random: Random) -> BoardErrors:
     """Draw the errors of the converter."""
-    gain, offset = rng.uniform(-1.0, 1.0, 2)
+    gain, offset = 2.0 * random.uniform(2) - 1.0
     return BoardErrors(float(gain), float(offset))
 
 
 def lsb_v(sensor: Sensor, adc: Adc) -> float:
     """Return the converter's step on this channel [V]."""
-    return float(2.0 * sensor.adc_range_v / 2**adc.bits)
+    return float(2.0 * sensor.adc_range_v / (1 << adc.bits))
 
 
 def converter_noise_v(sensor: Sensor, adc: Adc) -> float:
@@ -69,20 +70,26 @@ def converter_noise_v(sensor: Sensor, adc: Adc) -> float:
 def gain_uncertainty(sensor: Sensor, adc: Adc) -> float:
     """Return the relative standard uncertainty of the sensitivity, for signals anywhere within the range."""
     slope = 1.5 * sensor.linearity / sensor.half_range
-    return math.sqrt(sensor.gain_tolerance**2 / 3 + adc.gain_tolerance**2 / 3 + slope**2 * _VARIANCE_C)
+    even = _square(sensor.gain_tolerance) / 3.0 + _square(adc.gain_tolerance) / 3.0
+    return math.sqrt(even + _square(slope) * _VARIANCE_C)
 
 
 def offset_uncertainty(sensor: Sensor, adc: Adc) -> float:
     """Return the standard uncertainty of the zero [unit]."""
     board = adc.offset_tolerance * sensor.adc_range_v / sensor.volt_per_unit
     middle = 0.5 * sensor.linearity
-    return math.sqrt(sensor.offset_tolerance**2 / 3 + board**2 / 3 + middle**2 * _VARIANCE_C)
+    even = _square(sensor.offset_tolerance) / 3.0 + _square(board) / 3.0
+    return math.sqrt(even + _square(middle) * _VARIANCE_C)
 
 
 def total_noise(sensor: Sensor, adc: Adc) -> float:
     """Return the rms of everything random on a reading [unit]: sensor, its resolution, converter, its resolution."""
-    steps = sensor.resolution**2 / 12 + (lsb_v(sensor, adc) / sensor.volt_per_unit) ** 2 / 12
-    return math.sqrt(sensor.noise**2 + (converter_noise_v(sensor, adc) / sensor.volt_per_unit) ** 2 + steps)
+    steps = _square(sensor.resolution) / 12.0 + _square(lsb_v(sensor, adc) / sensor.volt_per_unit) / 12.0
+    return math.sqrt(_square(sensor.noise) + _square(converter_noise_v(sensor, adc) / sensor.volt_per_unit) + steps)
+
+
+def _square(value: float) -> float:
+    return value * value
 
 
 def certificate(sensors: list[Sensor], adc: Adc, clock: ScanClock, ideal: bool) -> NDArray[np.void]:

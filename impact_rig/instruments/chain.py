@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from impact_rig.arithmetic.random import Random
 from impact_rig.blocks import CHANNELS, SCAN
 from impact_rig.config import RigConfig
 from impact_rig.errors import CommandError, ConfigError
@@ -18,8 +19,7 @@ from impact_rig.instruments.channel import Channel, Instants, Sine, Stretch
 from impact_rig.instruments.clock import scan_clock
 from impact_rig.instruments.faults import Fault, FaultBoard, planned
 from impact_rig.instruments.motion import Motion
-from impact_rig.instruments.noise import Noise
-from impact_rig.instruments.pieces import PIECES_PER_PERIOD, Pieces, cut
+from impact_rig.instruments.pieces import PIECES_PER_PERIOD, Limits, Pieces, cut, polynomials
 from impact_rig.instruments.sensor import Sensor
 from impact_rig.simtime import COMMAND_GRID_NS, COMMAND_GRID_S, NS_PER_S
 
@@ -30,6 +30,7 @@ _LONGEST_PULSE_PIECE_S = 16e-6
 """Integration steps inside a contact are joined up to this: three polynomials hold one of 40 µs to 0.1 %."""
 _TICKS_AT_ONCE = 25
 """Arrays of a quarter of a second fit into the caches; the bits are the same for any number."""
+_ACCELEROMETER = CHANNELS.index("accelerometer")
 _ERRORS, _NOISE, _CONVERTER_NOISE, _BOARD = range(4)
 
 
@@ -86,21 +87,22 @@ class Chain:
         self._clock = scan_clock(config)
         adc, ideal = config.instruments.adc, config.instruments.ideal
         self._sensors = sensors(config)
-        board = calibration.draw_board(np.random.default_rng(self._seed(_BOARD, 0)))
+        board = calibration.draw_board(Random(self._seed(_BOARD, 0)))
         self._channels = [
             Channel(
                 sensor,
                 adc,
                 self._clock,
                 index,
-                calibration.draw(np.random.default_rng(self._seed(_ERRORS, index))),
+                calibration.draw(Random(self._seed(_ERRORS, index))),
                 board,
-                Noise(self._seed(_NOISE, index)),
-                Noise(self._seed(_CONVERTER_NOISE, index)),
+                Random(self._seed(_NOISE, index)),
+                Random(self._seed(_CONVERTER_NOISE, index)),
                 ideal,
             )
             for index, sensor in enumerate(self._sensors)
         ]
+        self._quantities = tuple(sensor.quantity for sensor in self._sensors)
         rate = config.daq.rate_hz
         self._faults = FaultBoard([planned(fault, rate) for fault in config.instruments.faults.parsed()], rate)
         self._blank = np.zeros(0, dtype=SCAN)  # the rows of the last read, empty: blocks are all of one length
@@ -234,23 +236,26 @@ class Chain:
 
     def _acquire(self, stretch: Stretch, rough: Instants, blows: NDArray[np.void]) -> None:
         longest = min(_LONGEST_PIECE_S, 1.0 / (PIECES_PER_PERIOD * self._config.shaker.frequency_max_hz))
-        pieces = cut(rough, stretch.first_segment, stretch.ticks, stretch.tick_s, longest, _LONGEST_PULSE_PIECE_S)
+        pieces = cut(
+            rough, stretch.first_segment, stretch.ticks, Limits(stretch.tick_s, longest, _LONGEST_PULSE_PIECE_S)
+        )
         nodes = pieces.nodes()
-        names = tuple(channel.sensor.quantity for channel in self._channels)
-        still = np.zeros(len(pieces.start))
-        kicks = _kicks(blows, stretch, pieces, self._config.structure.mass_kg) if len(blows) else still
-        for channel, values in zip(self._channels, stretch.motion.quantities(names, *nodes), strict=True):
-            kicked = channel.sensor.quantity == "a_1"  # of the four the only one that an impact makes jump
-            clean = channel.respond(stretch, pieces, nodes, values, kicks if kicked else still)
-            channel.convert(clean, self._faults)
+        values = stretch.motion.quantities(self._quantities, *nodes)
+        kicks = [np.zeros(len(pieces.start))] * len(self._channels)
+        if len(blows):  # of the four only the acceleration is made to jump by an impact
+            kicks[_ACCELEROMETER] = _kicks(blows, stretch, pieces, self._config.structure.mass_kg)
+        for index, channel in enumerate(self._channels):
+            kicks[index] = channel.see(stretch, pieces, nodes, values[index], kicks[index])
+        coefficients = polynomials(values, len(pieces.start))
+        for index, channel in enumerate(self._channels):
+            channel.convert(channel.respond(pieces, coefficients[index], kicks[index]), self._faults)
 
     def _acquire_directly(self, stretch: Stretch) -> None:
         # ideal instruments have no skew: all channels are converted at the same instants
         ticks, first_segment, tick_s = stretch.ticks, stretch.first_segment, stretch.tick_s
         for channel in self._channels:
             instants = channel.response.instants(ticks, first_segment, tick_s)
-        names = tuple(channel.sensor.quantity for channel in self._channels)
-        for channel, values in zip(self._channels, stretch.motion.quantities(names, *instants), strict=True):
+        for channel, values in zip(self._channels, stretch.motion.quantities(self._quantities, *instants), strict=True):
             channel.convert(channel.read_directly(stretch, instants, values), self._faults)
 
     def _seed(self, purpose: int, index: int) -> np.random.SeedSequence:

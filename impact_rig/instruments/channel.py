@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections import deque
 
 import attrs
@@ -10,6 +9,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from impact_rig.arithmetic.elementary import TWO_PI, sincos
+from impact_rig.arithmetic.random import Random
 from impact_rig.config.instruments import Adc
 from impact_rig.instruments import conversion
 from impact_rig.instruments.calibration import BoardErrors, Errors
@@ -17,8 +18,7 @@ from impact_rig.instruments.clock import ScanClock
 from impact_rig.instruments.conversion import Converter, OutputStage
 from impact_rig.instruments.faults import FaultBoard
 from impact_rig.instruments.motion import Motion
-from impact_rig.instruments.noise import Noise
-from impact_rig.instruments.pieces import NODES, Pieces, polynomials
+from impact_rig.instruments.pieces import Pieces, first_value
 from impact_rig.instruments.response import Response
 from impact_rig.instruments.sensor import Sensor
 
@@ -61,14 +61,15 @@ class Sine:
     def replace(self, values: NDArray[np.float64], stretch: Stretch, at: Instants) -> None:
         """Overwrite the values, shape (n,), at those instants that lie in the sine's ticks."""
         tick = at[0] - stretch.first_segment + (stretch.first_tick - self.first_tick)
-        _sine(tick, at[1], self.ticks, stretch.tick_s, 2.0 * math.pi * self.frequency_hz, self.amplitude, values)
+        _sine(tick, at[1], self.ticks, stretch.tick_s, TWO_PI * self.frequency_hz, self.amplitude, values)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _sine(tick, offset, ticks, tick_s, omega, amplitude, values):  # type: ignore[no-untyped-def]  # compiled: inferred
     for i in range(values.shape[0]):
         if 0 <= tick[i] < ticks:
-            values[i] = amplitude * math.sin(omega * (tick[i] * tick_s + offset[i]))
+            sine, _ = sincos(omega * (tick[i] * tick_s + offset[i]))
+            values[i] = amplitude * sine
 
 
 class Queue:
@@ -128,8 +129,8 @@ class Channel:
         index: int,
         errors: Errors,
         board: BoardErrors,
-        noise: Noise,
-        converter_noise: Noise,
+        noise: Random,
+        converter_noise: Random,
         ideal: bool,
     ) -> None:
         self.sensor = sensor
@@ -163,27 +164,37 @@ class Channel:
         self.response.adopt(modes, clock, keep_state=unchanged)
         self._awake = self._awake and unchanged
 
-    def respond(
+    def see(
         self, stretch: Stretch, pieces: Pieces, nodes: Instants, values: NDArray[np.float64], kicks: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Return what the sensor's dynamics put out at the conversions in the next ticks [unit], shape (n,).
+        """Put the calibration sine, if one is on, in place of what the sensor would see; return the kicks that remain.
 
         Args:
             stretch: the ticks.
             pieces: the same, cut.
             nodes: where the quantity was sampled, `pieces.nodes()`.
-            values: what it is there, shape (pieces · NODES,).
+            values: what it is there, shape (pieces · NODES,); changed in place.
             kicks: jump of the quantity's integral at the start of each piece, shape (pieces,).
         """
         if self._replace(stretch, nodes, values) and self.sine is not None:
             tick = pieces.segment - stretch.first_segment + stretch.first_tick
             kicks = np.where(self.sine.covers(tick), 0.0, kicks)
-        coefficients = polynomials(values.reshape(-1, NODES))
+        return kicks
+
+    def respond(
+        self, pieces: Pieces, coefficients: NDArray[np.float64], kicks: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return what the sensor's dynamics put out at the conversions in the next ticks [unit], shape (n,).
+
+        Args:
+            pieces: the ticks, cut.
+            coefficients: polynomial of the quantity on each piece, shape (pieces, NODES).
+            kicks: jump of its integral at the start of each piece, shape (pieces,).
+        """
         if not self._awake:
             self._awake = True
             if self.sensor.settled:
-                start = coefficients[0, ::2].sum() - coefficients[0, 1::2].sum()
-                self.response.state[:] = self.response.modes.settled(float(start))
+                self.response.settle(first_value(coefficients))
         return self.response.run(pieces, coefficients, kicks)
 
     def read_directly(self, stretch: Stretch, instants: Instants, values: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -203,11 +214,9 @@ class Channel:
             readings, clipped = clean, np.zeros(len(clean), dtype=np.bool_)
             faults.on_cable(sensor.name, readings, clipped, first_scan, 1.0, 0.0)
         else:
-            white = self._noise.take(len(clean))
-            volts, clipped = conversion.to_volts(self._stage, clean, white, self._coloured)
+            volts, clipped = conversion.to_volts(self._stage, clean, self._noise, self._coloured)
             faults.on_cable(sensor.name, volts, clipped, first_scan, sensor.volt_per_unit, sensor.offset_v)
-            white = self._converter_noise.take(len(volts))
-            readings = conversion.to_units(self._converter, volts, white, clipped)
+            readings = conversion.to_units(self._converter, volts, self._converter_noise, clipped)
         faults.behind_converter(sensor.name, readings, clipped, first_scan, self._last)
         if len(readings):
             self._last = float(readings[-1])

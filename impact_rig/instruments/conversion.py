@@ -1,8 +1,12 @@
 """From a sensor's clean output to readings: linearity, noise, end of range, volts; codes, SI units.
 
 A sensor's noise is as wide as the sensor: white noise behind a first-order low-pass at its bandwidth, sampled exactly.
-From one conversion to the next n ← a n + √(1 − a²) w with a = e^{−2π f_c h}: its rms is the specification's at every
-scan rate, its spectrum a Lorentzian.
+From one conversion to the next n ← a n + σ √(1 − a²) w with a = e^{−2π f_c h} and white w: its rms σ is the
+specification's at every scan rate, its spectrum a Lorentzian. With u = −1 … 1 over the range,
+
+    value = clean + L (c_2 P_2(u) + c_3 P_3(u)) + n, rounded to the output's own step, held within its range
+    volts = gain value + offset
+    code  = round((g (volts + σ_c w) + o) / lsb), held within the converter's codes;   reading = code scale + zero
 """
 
 from __future__ import annotations
@@ -14,6 +18,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from impact_rig.arithmetic.elementary import TWO_PI, exp
+from impact_rig.arithmetic.random import Random, fill_normal
 from impact_rig.config.instruments import Adc
 from impact_rig.instruments import calibration
 from impact_rig.instruments.calibration import BoardErrors, Errors
@@ -58,7 +64,7 @@ def output_stage(sensor: Sensor, errors: Errors, scan_period_s: float) -> Output
         per_half_range=1.0 / sensor.half_range,
         bend_2=sensor.linearity * errors.c_2,
         bend_3=sensor.linearity * errors.c_3,
-        memory=math.exp(-2.0 * math.pi * sensor.bandwidth_hz * scan_period_s),
+        memory=exp(-TWO_PI * sensor.bandwidth_hz * scan_period_s),
         noise=sensor.noise,
         resolution=sensor.resolution,
         low=sensor.low,
@@ -76,43 +82,45 @@ def converter(sensor: Sensor, adc: Adc, errors: BoardErrors) -> Converter:
         gain=1.0 + errors.gain * adc.gain_tolerance,
         offset=errors.offset * adc.offset_tolerance * sensor.adc_range_v,
         lsb=lsb,
-        lowest=-(2.0 ** (adc.bits - 1)),
-        highest=2.0 ** (adc.bits - 1) - 1.0,
+        lowest=-float(1 << (adc.bits - 1)),
+        highest=float((1 << (adc.bits - 1)) - 1),
         scale=lsb / sensor.volt_per_unit,
         zero=-sensor.offset_v / sensor.volt_per_unit,
     )
 
 
 def to_volts(
-    stage: OutputStage, clean: NDArray[np.float64], white: NDArray[np.float64], memory: NDArray[np.float64]
+    stage: OutputStage, clean: NDArray[np.float64], random: Random, memory: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """Return (volts at the cable, whether the sensor was at an end of its range), both shape (n,).
 
     Args:
         stage: the sensor's output stage.
         clean: output of its dynamics [unit], shape (n,).
-        white: standard normal numbers, shape (n,).
-        memory: the noise's last value, shape (1,), carried on.
+        random: the sensor's noise comes from it.
+        memory: the noise's last value [unit], shape (1,), carried on.
     """
     clipped = np.empty(len(clean), dtype=np.bool_)
     volts = np.empty(len(clean))
-    _to_volts(stage, clean, white, memory, volts, clipped)
+    _to_volts(stage, clean, random.state, memory, volts, clipped)
     return volts, clipped
 
 
 def to_units(
-    adc: Converter, volts: NDArray[np.float64], white: NDArray[np.float64], clipped: NDArray[np.bool_]
+    adc: Converter, volts: NDArray[np.float64], random: Random, clipped: NDArray[np.bool_]
 ) -> NDArray[np.float64]:
     """Return the readings [unit], shape (n,), and add to `clipped` where the converter was at an end of its range."""
     readings = np.empty(len(volts))
-    _to_units(adc, volts, white, readings, clipped)
+    _to_units(adc, volts, random.state, readings, clipped)
     return readings
 
 
-@njit(cache=True, nogil=True)
-def _to_volts(stage, clean, white, state, volts, clipped):  # type: ignore[no-untyped-def]  # types are inferred
+@njit(cache=True, nogil=True, error_model="numpy")
+def _to_volts(stage, clean, random, memory, volts, clipped):  # type: ignore[no-untyped-def]  # types are inferred
+    white = volts  # each number gives way to the volts it goes into
+    fill_normal(random, white)
     fresh = stage.noise * math.sqrt(1.0 - stage.memory * stage.memory)
-    coloured = state[0]
+    coloured = memory[0]
     for i in range(clean.shape[0]):
         value = clean[i]
         u = min(1.0, max(-1.0, (value - stage.middle) * stage.per_half_range))
@@ -123,11 +131,13 @@ def _to_volts(stage, clean, white, state, volts, clipped):  # type: ignore[no-un
             value = stage.resolution * np.rint(value / stage.resolution)
         clipped[i] = value <= stage.low or value >= stage.high
         volts[i] = stage.gain * min(stage.high, max(stage.low, value)) + stage.offset
-    state[0] = coloured
+    memory[0] = coloured
 
 
-@njit(cache=True, nogil=True)
-def _to_units(adc, volts, white, readings, clipped):  # type: ignore[no-untyped-def]
+@njit(cache=True, nogil=True, error_model="numpy")
+def _to_units(adc, volts, random, readings, clipped):  # type: ignore[no-untyped-def]
+    white = readings  # each number gives way to the reading it goes into
+    fill_normal(random, white)
     per_lsb = 1.0 / adc.lsb
     for i in range(volts.shape[0]):
         code = np.rint((adc.gain * (volts[i] + adc.noise * white[i]) + adc.offset) * per_lsb)

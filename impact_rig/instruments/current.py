@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-
+from impact_rig.arithmetic.elementary import TWO_PI
 from impact_rig.config.instruments import Current
 from impact_rig.instruments.sensor import Sensor
 from impact_rig.instruments.transfer import lag
@@ -16,7 +15,7 @@ def sensor(config: Current) -> Sensor:
         name="current",
         quantity="current",
         unit="A",
-        low_pass=lag(1.0 / (2.0 * math.pi * config.bandwidth_hz)),
+        low_pass=lag(1.0 / (TWO_PI * config.bandwidth_hz)),
         lag_order=1,
         bandwidth_hz=config.bandwidth_hz,
         volt_per_unit=1.0 / config.sensitivity_a_v,

@@ -12,6 +12,7 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
+from impact_rig.arithmetic.random import Random
 from impact_rig.blocks import FAULTS
 from impact_rig.config.faults import PlannedFault, check_kind
 from impact_rig.errors import CommandError, ConfigError
@@ -109,7 +110,7 @@ class _Active:
     number: int
     fault: Fault
     end: float  # first scan it no longer acts on
-    rng: np.random.Generator
+    random: Random
 
     def overlap(self, first: int, count: int) -> slice:
         """Return the part of the scans first … first + count it acts on."""
@@ -132,8 +133,8 @@ class FaultBoard:
         """Put a fault on the board and return its number."""
         self._last_number += 1
         end = fault.start + fault.duration if fault.duration else math.inf
-        rng = np.random.default_rng(np.random.SeedSequence(fault.seed, spawn_key=(_STREAM,)))
-        self._faults.append(_Active(self._last_number, fault, end, rng))
+        random = Random(np.random.SeedSequence(fault.seed, spawn_key=(_STREAM,)))
+        self._faults.append(_Active(self._last_number, fault, end, random))
         return self._last_number
 
     def numbers(self) -> tuple[int, ...]:
@@ -176,9 +177,9 @@ class FaultBoard:
             case "gain_error":
                 volts += value * (volts - zero)
             case "added_noise":
-                volts += gain * value * active.rng.standard_normal(len(volts))
+                volts += gain * value * active.random.normal(len(volts))
             case "spike_train":
-                chance = active.rng.random(len(volts)) * self._rate_hz / max(fault.rate_hz, 1e-300)
+                chance = active.random.uniform(len(volts)) * self._rate_hz / max(fault.rate_hz, 1e-300)
                 volts += gain * value * np.where(chance < 0.5, 1.0, np.where(chance < 1.0, -1.0, 0.0))
             case "saturation":
                 limit = abs(gain * value)

@@ -6,8 +6,7 @@ x_1 is negative. Out of range it holds the end it left by, and says so.
 
 from __future__ import annotations
 
-import math
-
+from impact_rig.arithmetic.elementary import TWO_PI
 from impact_rig.config.instruments import Laser
 from impact_rig.instruments.sensor import Sensor
 from impact_rig.instruments.transfer import lag
@@ -21,7 +20,7 @@ def sensor(config: Laser) -> Sensor:
         unit="m",
         low_pass=lag(config.lag_s),
         lag_order=1,
-        bandwidth_hz=1.0 / (2.0 * math.pi * config.lag_s),
+        bandwidth_hz=1.0 / (TWO_PI * config.lag_s),
         volt_per_unit=-config.output_v / (2.0 * config.half_range_m),
         offset_v=0.5 * config.output_v,
         low=-config.half_range_m,

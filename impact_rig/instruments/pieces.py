@@ -1,23 +1,52 @@
 """A motion cut into smooth pieces, each a polynomial: what the sensors' exact response is computed from.
 
-Between breakpoints every quantity is smooth, so eight samples at Chebyshev points give it to 2 (ω h / 4)^8 / 8!: below
-1e-5 at half a period, 1e-15 at the rig's 9 Hz. A contact of 40 µs becomes three pieces, a flight of 10 ms four: some
-five thousand instants per second instead of one per scan and channel, and none of them depends on the scan rate.
+Between breakpoints every quantity is smooth, so eight samples at Chebyshev points x_j = cos((2j + 1) π/16) give it to
+2 (ω h / 4)^8 / 8!: below 1e-5 at half a period, 1e-15 at the rig's 9 Hz. A contact of 40 µs becomes three pieces, a
+flight of 10 ms four: some five thousand instants per second instead of one per scan and channel, and none of them
+depends on the scan rate.
+
+    u(x) = Σ_k c_k x^k, c = V⁻¹ u(x_j), V_jk = x_j^k;   column j of V⁻¹ holds Lagrange's Π_{i≠j} (x − x_i) / (x_j − x_i)
 """
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from impact_rig.arithmetic.precise import ONE, ZERO, pi, precise, unit
+
 NODES = 8
-_X = np.cos(np.pi * (2 * np.arange(NODES)[::-1] + 1) / (2 * NODES))  # Chebyshev points on [-1, 1], ends excluded
-_TO_MONOMIALS = np.ascontiguousarray(np.linalg.inv(np.vander(_X, increasing=True)))
 PIECES_PER_PERIOD = 2.0
 """Of the fastest drive."""
+
+
+@precise
+def _chebyshev() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the nodes, ascending, shape (NODES,), and V⁻¹, shape (NODES, NODES), of many digits and rounded once."""
+    x = [unit(pi() * (2 * j + 1) / (2 * NODES)).real for j in reversed(range(NODES))]
+    inverse = np.empty((NODES, NODES))
+    for j, node in enumerate(x):
+        factors, scale = [ONE], ONE  # coefficients of Π (x − x_i), constant first
+        for other in x[:j] + x[j + 1 :]:
+            factors = [above - other * here for above, here in zip([ZERO, *factors], [*factors, ZERO], strict=True)]
+            scale *= node - other
+        inverse[:, j] = [float(factor / scale) for factor in factors]
+    return np.array([float(node) for node in x]), inverse
+
+
+_X, _TO_MONOMIALS = _chebyshev()
+
+
+class Limits(NamedTuple):
+    """How ticks are cut [s]: length of a tick, longest piece of a flight, longest joined neighbours."""
+
+    tick_s: float
+    longest_s: float
+    joined_s: float
 
 
 class Pieces(NamedTuple):
@@ -41,45 +70,49 @@ class Pieces(NamedTuple):
 
     def nodes(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
         """Return the nodes of all pieces as (segment, offset [s]), shape (n · NODES,)."""
-        nodes: tuple[NDArray[np.int64], NDArray[np.float64]] = _nodes(self.start, self.end, self.segment, _X)
+        nodes: tuple[NDArray[np.int64], NDArray[np.float64]] = _nodes(self.start, self.end, self.segment)
         return nodes
 
 
-def polynomials(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the coefficients of each piece's polynomial in x = −1 … 1, constant first; shapes (n, NODES)."""
-    coefficients: NDArray[np.float64] = _to_monomials(values, _TO_MONOMIALS)
-    return coefficients
+def polynomials(values: NDArray[np.float64], pieces: int) -> NDArray[np.float64]:
+    """Return the coefficients of each polynomial in x = −1 … 1, constant first, shape (quantities, pieces, NODES).
+
+    Args:
+        values: some quantities at the nodes of all pieces, shape (quantities, pieces · NODES).
+        pieces: how many.
+    """
+    coefficients: NDArray[np.float64] = _to_monomials(values.reshape(-1, NODES))
+    return coefficients.reshape(-1, pieces, NODES)
 
 
-def cut(
-    rough: tuple[NDArray[np.int64], NDArray[np.float64]],
-    first_segment: int,
-    ticks: int,
-    tick_s: float,
-    longest_s: float,
-    joined_s: float,
-) -> Pieces:
+def first_value(coefficients: NDArray[np.float64]) -> float:
+    """Return the value at the very start, x = −1 of the first piece."""
+    value = 0.0
+    for c in coefficients[0, ::-1]:
+        value = float(c) - value
+    return value
+
+
+def cut(rough: tuple[NDArray[np.int64], NDArray[np.float64]], first_segment: int, ticks: int, limits: Limits) -> Pieces:
     """Cut ticks of a motion at its breakpoints.
 
     Args:
         rough: the motion's breakpoints (segment, offset [s]), in order; those of other ticks do not matter.
         first_segment: segment of the first tick.
         ticks: how many.
-        tick_s: duration of one tick [s].
-        longest_s: flights are cut into equal parts of at most this.
-        joined_s: neighbours between breakpoints are joined as long as they are together no longer than this.
+        limits: flights are cut into equal parts of at most `longest_s`; neighbours between breakpoints are joined as
+            long as they are together no longer than `joined_s`.
     """
-    low, high = np.searchsorted(rough[0], (first_segment, first_segment + ticks))
-    segment = np.ascontiguousarray(rough[0][low:high], dtype=np.int64)
-    offset = np.ascontiguousarray(rough[1][low:high], dtype=np.float64)
-    first, start, end, hard, of = _cut(segment, offset, first_segment, ticks, tick_s, longest_s, joined_s)
-    return Pieces(first, start, end, hard, of, tick_s)
+    segment, offset = rough
+    low, high = segment.searchsorted(first_segment), segment.searchsorted(first_segment + ticks)
+    first, start, end, hard, of = _cut(segment[low:high], offset[low:high], first_segment, ticks, limits)
+    return Pieces(first, start, end, hard, of, limits.tick_s)
 
 
-@njit(cache=True, nogil=True)
-def _cut(segment, offset, first_segment, ticks, tick_s, longest_s, joined_s):  # type: ignore[no-untyped-def]
-    per_tick = int(np.ceil(tick_s / longest_s)) + 1
-    size = ticks * per_tick + 2 * offset.shape[0]
+@njit(cache=True, nogil=True, error_model="numpy")
+def _cut(segment, offset, first_segment, ticks, limits):  # type: ignore[no-untyped-def]  # compiled: types are inferred
+    tick_s, longest_s = limits.tick_s, limits.longest_s
+    size = ticks * (math.ceil(tick_s / longest_s) + 1) + 2 * offset.shape[0]
     first = np.empty(ticks + 1, np.int64)
     start, end = np.empty(size), np.empty(size)
     hard, of = np.empty(size, np.bool_), np.empty(size, np.int64)
@@ -88,21 +121,13 @@ def _cut(segment, offset, first_segment, ticks, tick_s, longest_s, joined_s):  #
         first[k] = n
         while b < segment.shape[0] and segment[b] < first_segment + k:
             b += 1
+        behind = b
+        while behind < segment.shape[0] and segment[behind] == first_segment + k:
+            behind += 1
         since = 0.0
         while since < tick_s:
-            until = tick_s
-            while b < segment.shape[0] and segment[b] == first_segment + k and offset[b] <= since:
-                b += 1
-            ahead = b
-            while ahead < segment.shape[0] and segment[ahead] == first_segment + k and offset[ahead] < tick_s:
-                if ahead > b and offset[ahead] - since > joined_s:
-                    break
-                until = offset[ahead]
-                ahead += 1
-            if ahead > b and tick_s - since <= joined_s:
-                until = tick_s
-            b = ahead
-            parts = max(1, int(np.ceil((until - since) / longest_s)))
+            b, until = _next_break(offset, b, behind, since, limits)
+            parts = max(1, math.ceil((until - since) / longest_s))
             for i in range(parts):
                 start[n] = since + (until - since) * (i / parts)
                 end[n] = until if i == parts - 1 else since + (until - since) * ((i + 1) / parts)
@@ -111,30 +136,45 @@ def _cut(segment, offset, first_segment, ticks, tick_s, longest_s, joined_s):  #
                 n += 1
             since = until
     first[ticks] = n
-    return first, start[:n].copy(), end[:n].copy(), hard[:n].copy(), of[:n].copy()
+    return first, start[:n], end[:n], hard[:n], of[:n]
 
 
-@njit(cache=True, nogil=True)
-def _nodes(start, end, segment, x):  # type: ignore[no-untyped-def]
-    n, nodes = start.shape[0], x.shape[0]
-    segments, offsets = np.empty(n * nodes, np.int64), np.empty(n * nodes)
+@njit(cache=True, nogil=True, error_model="numpy")
+def _next_break(offset, b, behind, since, limits):  # type: ignore[no-untyped-def]
+    """Return the first breakpoint not yet reached, and where the pieces from `since` to it, or those joined, end."""
+    tick_s, joined_s = limits.tick_s, limits.joined_s
+    while b < behind and offset[b] <= since:
+        b += 1
+    ahead, until = b, tick_s
+    while ahead < behind and offset[ahead] < tick_s:
+        if ahead > b and offset[ahead] - since > joined_s:
+            break
+        until = offset[ahead]
+        ahead += 1
+    if ahead > b and tick_s - since <= joined_s:
+        until = tick_s
+    return ahead, until
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _nodes(start, end, segment):  # type: ignore[no-untyped-def]
+    n = start.shape[0]
+    segments, offsets = np.empty(n * NODES, np.int64), np.empty(n * NODES)
     for i in range(n):
         centre, half = 0.5 * (start[i] + end[i]), 0.5 * (end[i] - start[i])
-        for j in range(nodes):
-            segments[i * nodes + j] = segment[i]
-            offsets[i * nodes + j] = centre + half * x[j]
+        for j in range(NODES):
+            segments[i * NODES + j] = segment[i]
+            offsets[i * NODES + j] = centre + half * _X[j]
     return segments, offsets
 
 
-@njit(cache=True, nogil=True)
-def _to_monomials(values, matrix):  # type: ignore[no-untyped-def]
-    # a loop and not BLAS: the bits must not depend on how many pieces there are
-    n, nodes = values.shape
-    coefficients = np.empty((n, nodes))
-    for i in range(n):
-        for j in range(nodes):
+@njit(cache=True, nogil=True, error_model="numpy")
+def _to_monomials(values):  # type: ignore[no-untyped-def]
+    coefficients = np.empty(values.shape)
+    for i in range(values.shape[0]):
+        for j in range(NODES):
             total = 0.0
-            for k in range(nodes):
-                total += matrix[j, k] * values[i, k]
+            for k in range(NODES):
+                total += _TO_MONOMIALS[j, k] * values[i, k]
             coefficients[i, j] = total
     return coefficients

@@ -1,12 +1,13 @@
 """The exact response of a sensor's modes to a motion, read off at the instants of conversion.
 
-Each mode follows z' = p z + u. Over a step of length h in which u = Σ d_j (τ − 1/2)^j, τ = t/h in 0 … 1 and j = 0 … 3,
+Each mode follows z' = p z + u, the output is Σ Re(r z). Over a step of length h in which u = Σ d_j (τ − 1/2)^j, with
+τ = t/h and j = 0 … 3,
 
-    z(h) = e^{ph} z(0) + Σ_j d_j W_j,    W_j = h ∫_0^1 e^{ph(1−τ)} (τ − 1/2)^j dτ
+    z(h) = e^{ph} z(0) + Σ_j d_j W_j                                            W_j in `weights`
 
-exactly, however long the step is against 1/p. Steps end at conversions and wherever the motion is rough; those between
-two conversions all have the same length and share their weights. A step is at most 100 µs and a quarter of a piece, and
-u is taken from the piece's polynomial: no pulse falls between two scans.
+exactly. Steps end at conversions and wherever the motion is rough; those between two conversions are "whole": all of
+the same length, they share their weights. A step is at most 100 µs and a quarter of a piece, and u is taken from the
+piece's polynomial, d_j = (h / half piece)^j u^(j)(x) / j!: no pulse falls between two scans.
 """
 
 from __future__ import annotations
@@ -18,31 +19,49 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from impact_rig.arithmetic.records import records
 from impact_rig.instruments.clock import ScanClock
 from impact_rig.instruments.pieces import NODES, Pieces
 from impact_rig.instruments.transfer import Modes
+from impact_rig.instruments.weights import Weights, weigh
 
-TERMS = 4
-LAST = NODES - 1
+HIGHEST = NODES - 1
 SHORT = 0.25
 """A step is at most this part of its piece: four terms about its middle then hold what eight hold on the piece."""
 
+MODE = np.dtype(
+    [(name, "f8") for name in ("pole_re", "pole_im", "residue_re", "residue_im", "z_re", "z_im", *Weights._fields)]
+)
+"""Pole [rad/s], residue, value z now [unit s], and the weights of a whole step."""
 
-class _Steps(NamedTuple):
-    """The scan clock, for compiled code."""
+CURSOR = np.dtype([("due", "i8"), ("substep", "i8"), ("since_s", "f8"), ("piece", "i8"), ("written", "i8")])
+"""Where a response is: the next step's end in this tick [clock units] and its number in the scan (0: a conversion);
+time run of this tick; the piece it is in; readings written by this call."""
+
+
+class Clock(NamedTuple):
+    """The scan clock, for compiled code [clock units]."""
 
     step: int
     tick: int
     substeps: int
 
 
-class _Running(NamedTuple):
-    """Modes and the weights of a whole step, for compiled code."""
+class Steps(NamedTuple):
+    """Whole steps run together: middle in their piece (−1 … 1), shape (n,), and d_j about it, shape (4, n)."""
 
-    poles: NDArray[np.complex128]
-    residues: NDArray[np.complex128]
-    decay: NDArray[np.complex128]
-    weights: NDArray[np.complex128]
+    middle: NDArray[np.float64]
+    d: NDArray[np.float64]
+
+
+class Task(NamedTuple):
+    """What does not change during a run: the clock, the pieces with their polynomials, room for steps and outputs."""
+
+    clock: Clock
+    pieces: Pieces
+    coefficients: NDArray[np.float64]
+    steps: Steps
+    out: NDArray[np.float64]
 
 
 class Response:
@@ -50,29 +69,31 @@ class Response:
 
     Attributes:
         modes: the chain's partial fractions.
-        state: their values now, complex, shape (k,).
         converted: how many scans have been converted.
     """
 
     def __init__(self, modes: Modes, clock: ScanClock, channel: int) -> None:
         self.modes = modes
-        self.state = np.zeros(len(modes.poles), dtype=np.complex128)
         self.converted = 0
-        self._clock = clock
         self._channel = channel
-        self._cursor = np.array([clock.skews[channel], 0], dtype=np.int64)  # next step's end in this tick, its substep
-        self._weights_for = math.nan
-        self._decay = np.empty(0, dtype=np.complex128)
-        self._weights = np.empty((0, TERMS), dtype=np.complex128)
+        self._cursor = records(1, CURSOR)
+        self._cursor["due"] = clock.skews[channel]
+        self._weights_for = math.nan  # tick for which whole steps are weighed
+        self._set(modes, clock)
 
     def adopt(self, modes: Modes, clock: ScanClock, *, keep_state: bool) -> None:
         """Go on with other modes, or another clock of the same rate; without `keep_state` the modes start from zero."""
-        self._cursor[0] += clock.skews[self._channel] - self._clock.skews[self._channel]
-        self._clock = clock
-        self._weights_for = math.nan
-        if not keep_state:
-            self.state = np.zeros(len(modes.poles), dtype=np.complex128)
-        self.modes = modes
+        self._cursor["due"] += clock.skews[self._channel] - self._scan_clock.skews[self._channel]
+        before = self._modes
+        self._set(modes, clock)
+        if keep_state:
+            self._modes["z_re"], self._modes["z_im"] = before["z_re"], before["z_im"]
+
+    def settle(self, level: float) -> None:
+        """Go on as if the input had been at `level` for ever: z = −level / pole."""
+        real, imag = self._modes["pole_re"], self._modes["pole_im"]
+        square = real * real + imag * imag
+        self._modes["z_re"], self._modes["z_im"] = -level * real / square, level * imag / square
 
     def run(self, pieces: Pieces, coefficients: NDArray[np.float64], kicks: NDArray[np.float64]) -> NDArray[np.float64]:
         """Run over the next ticks and return the output at each conversion in them, shape (n,).
@@ -82,204 +103,237 @@ class Response:
             coefficients: polynomial of the input on each piece, shape (pieces, NODES).
             kicks: impulse of the input at the start of each piece (its unit times seconds), shape (pieces,).
         """
-        clock, tick_s = self._clock, pieces.tick_s
-        if self._weights_for != tick_s:
-            self._decay, self._weights = step_weights(self.modes.poles, tick_s * clock.step_fraction())
-            self._weights_for = tick_s
-        running = _Running(self.modes.poles, self.modes.residues, self._decay, self._weights)
-        out = np.empty((len(pieces.first) - 1) * (clock.scans_per_tick() + 1))
-        count = _run(pieces, coefficients, kicks, self._steps(), self._cursor, running, self.state, out)
+        if self._weights_for != pieces.tick_s:
+            weigh_whole(self._modes, pieces.tick_s * self._scan_clock.step_fraction())
+            self._weights_for = pieces.tick_s
+        out = np.empty((len(pieces.first) - 1) * self._most)
+        count = run(self._modes, self._clock, self._cursor, pieces, (coefficients, kicks), out)
         self.converted += count
         return out[:count]
 
     def instants(self, ticks: int, first_segment: int, tick_s: float) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
         """Return the next conversions themselves as (segment, offset [s]): for instruments without dynamics."""
-        clock = self._clock
-        size = ticks * (clock.scans_per_tick() + 1)
-        segment, offset = np.empty(size, np.int64), np.empty(size)
-        count = _instants(ticks, first_segment, tick_s, self._steps(), self._cursor, segment, offset)
+        segment, offset = np.empty(ticks * self._most, np.int64), np.empty(ticks * self._most)
+        count = instants(self._clock, self._cursor, ticks, tick_s, segment, offset)
         self.converted += count
-        return segment[:count], offset[:count]
+        return segment[:count] + first_segment, offset[:count]
 
-    def _steps(self) -> _Steps:
-        return _Steps(self._clock.step, self._clock.tick, self._clock.substeps)
-
-
-@njit(cache=True, nogil=True)
-def weigh(z, h):  # type: ignore[no-untyped-def]  # compiled: types are inferred
-    """Return e^z and W_0 … W_3 for z = p h, from φ_k(z) = ∫_0^1 e^{z(1−τ)} τ^{k−1} / (k−1)! dτ."""
-    size = abs(z.real) + abs(z.imag)
-    if size < 2.0:  # Taylor for φ_4, then downwards: no cancellation
-        terms = 8 if size < 0.1 else 13 if size < 0.5 else 22
-        term = 1.0 / 24.0 + 0.0j
-        phi4 = term
-        for i in range(1, terms):
-            term *= z / (i + 4)
-            phi4 += term
-        phi3 = 1.0 / 6.0 + z * phi4
-        phi2 = 0.5 + z * phi3
-        phi1 = 1.0 + z * phi2
-        e = 1.0 + z * phi1
-    else:
-        decay = math.exp(z.real)
-        e = complex(decay * math.cos(z.imag), decay * math.sin(z.imag))
-        phi1 = (e - 1.0) / z
-        phi2 = (phi1 - 1.0) / z
-        phi3 = (phi2 - 0.5) / z
-        phi4 = (phi3 - 1.0 / 6.0) / z
-    return (
-        e,
-        h * phi1,
-        h * (phi2 - 0.5 * phi1),
-        h * (2.0 * phi3 - phi2 + 0.25 * phi1),
-        h * (6.0 * phi4 - 3.0 * phi3 + 0.75 * phi2 - 0.125 * phi1),
-    )
+    def _set(self, modes: Modes, clock: ScanClock) -> None:
+        self.modes = modes
+        self._modes = records(len(modes.poles), MODE)
+        self._modes["pole_re"], self._modes["pole_im"] = modes.poles.real, modes.poles.imag
+        self._modes["residue_re"], self._modes["residue_im"] = modes.residues.real, modes.residues.imag
+        self._weights_for = math.nan
+        self._scan_clock: ScanClock = clock
+        self._clock: Clock = Clock(clock.step, clock.tick, clock.substeps)
+        self._most: int = clock.scans_per_tick() + 1  # conversions in a tick
 
 
-@njit(cache=True, nogil=True)
-def step_weights(poles, h):  # type: ignore[no-untyped-def]
-    """Return e^{ph}, shape (k,), and W, shape (k, TERMS), for steps of length h."""
-    decay, weights = np.empty_like(poles), np.empty((poles.shape[0], TERMS), np.complex128)
-    for k in range(poles.shape[0]):
-        decay[k], weights[k, 0], weights[k, 1], weights[k, 2], weights[k, 3] = weigh(poles[k] * h, h)
-    return decay, weights
+@njit(cache=True, nogil=True, error_model="numpy")
+def weigh_whole(modes, h):  # type: ignore[no-untyped-def]  # compiled: types are inferred
+    """Give every mode the weights of whole steps of h seconds."""
+    for k in range(modes.shape[0]):
+        mode = modes[k]
+        w = weigh(mode.pole_re, mode.pole_im, h)
+        mode.decay_re, mode.decay_im = w.decay_re, w.decay_im
+        mode.w0_re, mode.w0_im, mode.w1_re, mode.w1_im = w.w0_re, w.w0_im, w.w1_re, w.w1_im
+        mode.w2_re, mode.w2_im, mode.w3_re, mode.w3_im = w.w2_re, w.w2_im, w.w3_re, w.w3_im
 
 
-@njit(cache=True, nogil=True, inline="always")
-def _local(c, i, x, r):  # type: ignore[no-untyped-def]
-    """Return d_0 … d_3 of piece i about x for a step of r half pieces: its Taylor coefficients there, scaled."""
-    d0, d1, d2, d3 = c[i, LAST], 0.0, 0.0, 0.0
-    for k in range(LAST - 1, -1, -1):
-        d3 = d3 * x + d2
-        d2 = d2 * x + d1
-        d1 = d1 * x + d0
-        d0 = d0 * x + c[i, k]
-    return d0, d1 * r, d2 * r * r, d3 * r * r * r
-
-
-@njit(cache=True, nogil=True)
-def _odd(poles, state, c, i, last, start, end, pos, t):  # type: ignore[no-untyped-def]
-    """Go from pos to t, which is no whole step; return the piece that was used last."""
-    parts = max(1, math.ceil((t - pos) / (SHORT * (end[i] - start[i]))))
-    for part in range(parts):
-        low = pos + (t - pos) * (part / parts)
-        high = t if part + 1 == parts else pos + (t - pos) * ((part + 1) / parts)
-        h, middle = high - low, 0.5 * (low + high)
-        while i < last and end[i] < middle:
-            i += 1
-        per_half = 2.0 / (end[i] - start[i])
-        d0, d1, d2, d3 = _local(c, i, (middle - 0.5 * (start[i] + end[i])) * per_half, h * per_half)
-        for k in range(poles.shape[0]):
-            e, w0, w1, w2, w3 = weigh(poles[k] * h, h)
-            state[k] = e * state[k] + (w0 * d0 + w1 * d1 + w2 * d2 + w3 * d3)
-    return i
-
-
-@njit(cache=True, nogil=True)
-def _whole(mode, running, state, n, d, sub, substeps, out, count):  # type: ignore[no-untyped-def]
-    """Run one mode over n whole steps with the inputs d, adding to `out` what it puts out at every conversion."""
-    decay, residue = running.decay[mode], running.residues[mode]
-    w0, w1 = running.weights[mode, 0], running.weights[mode, 1]
-    w2, w3 = running.weights[mode, 2], running.weights[mode, 3]
-    real, imag = state[mode].real, state[mode].imag
-    if running.poles[mode].imag == 0.0:
-        for m in range(n):
-            answer = (w0.real * d[0, m] + w1.real * d[1, m]) + (w2.real * d[2, m] + w3.real * d[3, m])
-            real = decay.real * real + answer
-            if sub == 0:
-                out[count] += residue.real * real
-                count += 1
-            sub = sub + 1 if sub + 1 < substeps else 0
-    else:
-        for m in range(n):
-            answer = (w0.real * d[0, m] + w1.real * d[1, m]) + (w2.real * d[2, m] + w3.real * d[3, m])
-            beside = (w0.imag * d[0, m] + w1.imag * d[1, m]) + (w2.imag * d[2, m] + w3.imag * d[3, m])
-            before = real
-            real = (decay.real * real + answer) - decay.imag * imag
-            imag = (decay.real * imag + beside) + decay.imag * before
-            if sub == 0:
-                out[count] += residue.real * real - residue.imag * imag
-                count += 1
-            sub = sub + 1 if sub + 1 < substeps else 0
-    state[mode] = complex(real, imag)
-
-
-@njit(cache=True, nogil=True)
-def _run(pieces, c, kicks, clock, cursor, running, state, out):  # type: ignore[no-untyped-def]
-    first, start, end, tick_s = pieces.first, pieces.start, pieces.end, pieces.tick_s
-    modes = running.poles.shape[0]
-    whole = tick_s * (clock.step / clock.tick)
+@njit(cache=True, nogil=True, error_model="numpy")
+def run(modes, clock, cursor, pieces, signal, out):  # type: ignore[no-untyped-def]
+    """Run the modes over all pieces, `signal` = (coefficients, kicks); fill `out`, return the number of readings."""
+    coefficients, kicks = signal
     room = clock.tick // clock.step + 2
-    places, d = np.empty(room), np.empty((TERMS, room))
-    out[:] = 0.0
-    count = 0
-    due, sub = cursor[0], cursor[1]
-    for k in range(first.shape[0] - 1):
-        pos = 0.0
-        i = first[k]
-        while i < first[k + 1]:  # from one rough instant to the next
-            last = i
+    steps = Steps(np.empty(room), np.empty((4, room)))
+    task = Task(clock, pieces, coefficients, steps, out)
+    at = cursor[0]
+    at.written, out[:] = 0, 0.0
+    for tick in range(pieces.first.shape[0] - 1):
+        at.since_s, at.piece = 0.0, pieces.first[tick]
+        while at.piece < pieces.first[tick + 1]:  # from one rough instant to the next
+            last = at.piece
             while not pieces.hard[last]:
                 last += 1
-            until = end[last]
-            for mode in range(modes):
-                state[mode] += kicks[i]
-            while due < clock.tick and tick_s * (due / clock.tick) <= until:
-                t = tick_s * (due / clock.tick)  # up to the next step's end
-                if t > pos:
-                    i = _odd(running.poles, state, c, i, last, start, end, pos, t)
-                    pos = t
-                if sub == 0:
-                    for mode in range(modes):
-                        z, residue = state[mode], running.residues[mode]
-                        out[count] += residue.real * z.real - residue.imag * z.imag
-                    count += 1
-                sub = sub + 1 if sub + 1 < clock.substeps else 0
-                due += clock.step
-                while whole <= SHORT * (end[i] - start[i]):  # whole steps, as many as have their middle in one piece
-                    per_half, centre = 2.0 / (end[i] - start[i]), 0.5 * (start[i] + end[i])
-                    bound = until if i == last else min(until, end[i] + 0.5 * whole)
-                    n = 0
-                    while due < clock.tick:
-                        t = tick_s * (due / clock.tick)
-                        if t > bound:
-                            break
-                        places[n] = (t - 0.5 * whole - centre) * per_half
-                        pos = t
-                        n += 1
-                        due += clock.step
-                    r = whole * per_half
-                    for m in range(n):
-                        d[0, m], d[1, m], d[2, m], d[3, m] = _local(c, i, places[m], r)
-                    for mode in range(modes):
-                        _whole(mode, running, state, n, d, sub, clock.substeps, out, count)
-                    for _ in range(n):
-                        count += sub == 0
-                        sub = sub + 1 if sub + 1 < clock.substeps else 0
-                    if i == last or bound == until or due >= clock.tick:
-                        break
-                    i += 1
-            if until > pos:
-                i = _odd(running.poles, state, c, i, last, start, end, pos, until)
-            pos = until
-            i = last + 1
-        due -= clock.tick
-    cursor[0], cursor[1] = due, sub
+            for k in range(modes.shape[0]):
+                modes[k].z_re += kicks[at.piece]
+            _smooth_stretch(modes, task, at, last)
+            at.piece = last + 1
+        at.due -= clock.tick
+    return at.written
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _smooth_stretch(modes, task, at, last):  # type: ignore[no-untyped-def]
+    """Run to the end of the piece `last`, between which and here the motion is smooth."""
+    clock, tick_s = task.clock, task.pieces.tick_s
+    until = task.pieces.end[last]
+    while at.due < clock.tick and tick_s * (at.due / clock.tick) <= until:
+        _odd_steps(modes, task, at, last, tick_s * (at.due / clock.tick))
+        if at.substep == 0:
+            task.out[at.written] = _output(modes)
+        _count(clock, at, 1)
+        _whole_steps(modes, task, at, last)
+    _odd_steps(modes, task, at, last, until)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _odd_steps(modes, task, at, last, t):  # type: ignore[no-untyped-def]
+    """Go on to the time t, which is no whole step away; through as many pieces as lie between."""
+    start, end = task.pieces.start, task.pieces.end
+    since = at.since_s
+    if not t > since:
+        return
+    parts = max(1, math.ceil((t - since) / (SHORT * (end[at.piece] - start[at.piece]))))
+    for part in range(parts):
+        low = since + (t - since) * (part / parts)
+        high = t if part + 1 == parts else since + (t - since) * ((part + 1) / parts)
+        h, middle = high - low, 0.5 * (low + high)
+        while at.piece < last and end[at.piece] < middle:
+            at.piece += 1
+        first, final = start[at.piece], end[at.piece]
+        per_half = 2.0 / (final - first)
+        d_0, d_1, d_2, d_3 = _about(
+            task.coefficients, at.piece, (middle - 0.5 * (first + final)) * per_half, h * per_half
+        )
+        for k in range(modes.shape[0]):
+            mode = modes[k]
+            w = weigh(mode.pole_re, mode.pole_im, h)
+            z_re, z_im = mode.z_re, mode.z_im
+            u_re = (w.w0_re * d_0 + w.w1_re * d_1) + (w.w2_re * d_2 + w.w3_re * d_3)
+            u_im = (w.w0_im * d_0 + w.w1_im * d_1) + (w.w2_im * d_2 + w.w3_im * d_3)
+            mode.z_re = (w.decay_re * z_re + u_re) - w.decay_im * z_im
+            mode.z_im = (w.decay_re * z_im + u_im) + w.decay_im * z_re
+    at.since_s = t
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _whole_steps(modes, task, at, last):  # type: ignore[no-untyped-def]
+    """Run whole steps from a conversion on, piece by piece, each in the piece that holds its middle."""
+    start, end, clock = task.pieces.start, task.pieces.end, task.clock
+    whole = task.pieces.tick_s * (clock.step / clock.tick)
+    until = end[last]
+    while whole <= SHORT * (end[at.piece] - start[at.piece]):
+        bound = until if at.piece == last else min(until, end[at.piece] + 0.5 * whole)
+        count = _steps_in_piece(task, at, whole, bound)
+        for k in range(modes.shape[0]):
+            if modes[k].pole_im == 0.0:
+                _follow_real(modes[k], task, at, count)
+            else:
+                _follow_pair(modes[k], task, at, count)
+        _count(clock, at, count)
+        if at.piece == last or bound == until or at.due >= clock.tick:
+            break
+        at.piece += 1
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _steps_in_piece(task, at, whole, bound):  # type: ignore[no-untyped-def]
+    """Note the inputs of the whole steps that end by `bound`, go on to the last's end; return how many there are."""
+    clock, steps, tick_s = task.clock, task.steps, task.pieces.tick_s
+    first, final = task.pieces.start[at.piece], task.pieces.end[at.piece]
+    per_half, centre = 2.0 / (final - first), 0.5 * (first + final)
+    due, t, count = at.due, at.since_s, 0
+    while due < clock.tick:
+        ends = tick_s * (due / clock.tick)
+        if ends > bound:
+            break
+        steps.middle[count] = (ends - 0.5 * whole - centre) * per_half
+        t = ends
+        count += 1
+        due += clock.step
+    at.since_s = t
+    _expand(task.coefficients, at.piece, whole * per_half, steps.middle[:count], steps.d)
     return count
 
 
-@njit(cache=True, nogil=True)
-def _instants(ticks, first_segment, tick_s, clock, cursor, segment, offset):  # type: ignore[no-untyped-def]
+@njit(cache=True, nogil=True, error_model="numpy")
+def _expand(coefficients, piece, r, middle, d):  # type: ignore[no-untyped-def]
+    """Fill in d_j about the middles of steps of r half pieces."""
+    for m in range(middle.shape[0]):
+        d[0, m], d[1, m], d[2, m], d[3, m] = _about(coefficients, piece, middle[m], r)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _about(coefficients, piece, x, r):  # type: ignore[no-untyped-def]
+    """Return d_0 … d_3 about x in a piece, for a step of r half pieces: d_j = r^j u^(j)(x) / j!, by Horner's rule."""
+    d_0, d_1, d_2, d_3 = coefficients[piece, HIGHEST], 0.0, 0.0, 0.0
+    for k in range(HIGHEST - 1, -1, -1):
+        d_3 = d_3 * x + d_2
+        d_2 = d_2 * x + d_1
+        d_1 = d_1 * x + d_0
+        d_0 = d_0 * x + coefficients[piece, k]
+    return d_0, d_1 * r, d_2 * r * r, d_3 * r * r * r
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _follow_real(mode, task, at, count):  # type: ignore[no-untyped-def]
+    """Run a real mode over the noted whole steps; add what it puts out at every conversion to the readings."""
+    d, out, substeps = task.steps.d, task.out, task.clock.substeps
+    decay, residue, z = mode.decay_re, mode.residue_re, mode.z_re
+    w0, w1, w2, w3 = mode.w0_re, mode.w1_re, mode.w2_re, mode.w3_re
+    put, substep = at.written, at.substep
+    for m in range(count):
+        z = decay * z + ((w0 * d[0, m] + w1 * d[1, m]) + (w2 * d[2, m] + w3 * d[3, m]))
+        if substep == 0:
+            out[put] += residue * z
+            put += 1
+        substep = substep + 1 if substep + 1 < substeps else 0
+    mode.z_re = z
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _follow_pair(mode, task, at, count):  # type: ignore[no-untyped-def]
+    """The same for a complex mode, which stands for itself and its conjugate."""
+    d, out, substeps = task.steps.d, task.out, task.clock.substeps
+    decay_re, decay_im, residue_re, residue_im = mode.decay_re, mode.decay_im, mode.residue_re, mode.residue_im
+    w0_re, w1_re, w2_re, w3_re = mode.w0_re, mode.w1_re, mode.w2_re, mode.w3_re
+    w0_im, w1_im, w2_im, w3_im = mode.w0_im, mode.w1_im, mode.w2_im, mode.w3_im
+    z_re, z_im, put, substep = mode.z_re, mode.z_im, at.written, at.substep
+    for m in range(count):
+        u_re = (w0_re * d[0, m] + w1_re * d[1, m]) + (w2_re * d[2, m] + w3_re * d[3, m])
+        u_im = (w0_im * d[0, m] + w1_im * d[1, m]) + (w2_im * d[2, m] + w3_im * d[3, m])
+        before = z_re
+        z_re = (decay_re * z_re + u_re) - decay_im * z_im
+        z_im = (decay_re * z_im + u_im) + decay_im * before
+        if substep == 0:
+            out[put] += residue_re * z_re - residue_im * z_im
+            put += 1
+        substep = substep + 1 if substep + 1 < substeps else 0
+    mode.z_re, mode.z_im = z_re, z_im
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _output(modes):  # type: ignore[no-untyped-def]
+    """Return Σ Re(residue z)."""
+    total = 0.0
+    for k in range(modes.shape[0]):
+        mode = modes[k]
+        total += mode.residue_re * mode.z_re - mode.residue_im * mode.z_im
+    return total
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _count(clock, at, steps):  # type: ignore[no-untyped-def]
+    """Count steps that have been run, and the conversions at which some of them ended."""
+    at.due += steps * clock.step
+    # multiples of substeps in substep … substep + steps − 1
+    at.written += (at.substep + steps - 1) // clock.substeps - (at.substep - 1) // clock.substeps
+    at.substep = (at.substep + steps) % clock.substeps
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def instants(clock, cursor, ticks, tick_s, segment, offset):  # type: ignore[no-untyped-def]
+    """Fill in when the next conversions come: tick and offset into it [s]; return how many."""
+    at = cursor[0]
     count = 0
-    due, sub = cursor[0], cursor[1]
-    for k in range(ticks):
-        while due < clock.tick:
-            if sub == 0:
-                segment[count] = first_segment + k
-                offset[count] = max(0.0, tick_s * (due / clock.tick))
+    for tick in range(ticks):
+        while at.due < clock.tick:
+            if at.substep == 0:
+                segment[count] = tick
+                offset[count] = max(0.0, tick_s * (at.due / clock.tick))
                 count += 1
-            sub = sub + 1 if sub + 1 < clock.substeps else 0
-            due += clock.step
-        due -= clock.tick
-    cursor[0], cursor[1] = due, sub
+            at.substep = at.substep + 1 if at.substep + 1 < clock.substeps else 0
+            at.due += clock.step
+        at.due -= clock.tick
     return count

@@ -3,16 +3,26 @@
 A chain H(s) is run as Σ r_k / (s − p_k): every mode is one complex number that follows z' = p z + u, exactly, however
 its input is cut into steps. So there is no discretised filter and no sampling rate in here: a 25 kHz resonance is the
 same at 1 kS/s and at 250 kS/s.
+
+Poles, zeros and residues have 70 digits and are rounded once, at the end: every machine gets the same ones.
+
+    r_k = g Π_j (p_k − q_j) / Π_{j≠k} (p_k − p_j) at distinct poles
+    Butterworth: p_k = ω e^{jπ(2k + n + 1)/2n}, k = 0 … n − 1, g = ω^n
+    resonance: p = −ω/2Q ± j ω √(1 − 1/4Q²), g = ω²
 """
 
 from __future__ import annotations
 
+import functools
+from decimal import Decimal
+
 import attrs
 import numpy as np
 from numpy.typing import NDArray
-from scipy import signal
 
-_DISTINCT = 1e-5
+from impact_rig.arithmetic.precise import ONE, TWO, ZERO, Complex, modulus, pi, precise, product, unit
+
+_DISTINCT = Decimal("1e-5")
 """Poles nearer to each other than this, relative, are moved apart by it: partial fractions need distinct poles."""
 
 
@@ -28,92 +38,106 @@ class Modes:
     poles: NDArray[np.complex128]
     residues: NDArray[np.complex128]
 
-    def settled(self, level: float) -> NDArray[np.complex128]:
-        """Return the modes' values after the input has been at `level` for ever."""
-        settled: NDArray[np.complex128] = -level / self.poles
-        return settled
-
     def same_as(self, other: Modes) -> bool:
         """Whether both describe the same chain, bit for bit."""
         return np.array_equal(self.poles, other.poles) and np.array_equal(self.residues, other.residues)
 
 
-@attrs.frozen(eq=False)
+@attrs.frozen
 class Transfer:
     """H(s) = gain Π(s − zero) / Π(s − pole); a product of two is the cascade.
 
     Attributes:
-        zeros: complex, shape (m,) [rad/s].
-        poles: complex, shape (n,) [rad/s].
+        zeros: of many digits [rad/s].
+        poles: of many digits, both of a conjugate pair [rad/s].
         gain: leading coefficient.
     """
 
-    zeros: NDArray[np.complex128]
-    poles: NDArray[np.complex128]
-    gain: float
+    zeros: tuple[Complex, ...]
+    poles: tuple[Complex, ...]
+    gain: Decimal
 
+    @precise
     def __mul__(self, other: Transfer) -> Transfer:
-        return Transfer(
-            np.concatenate([self.zeros, other.zeros]),
-            np.concatenate([self.poles, other.poles]),
-            self.gain * other.gain,
-        )
+        return Transfer(self.zeros + other.zeros, self.poles + other.poles, self.gain * other.gain)
 
     def response(self, frequency_hz: NDArray[np.float64] | float) -> NDArray[np.complex128]:
-        """Return H(j 2π f), same shape as the frequencies."""
+        """Return H(j 2π f), same shape as the frequencies: for whoever judges readings, no reading depends on it."""
         s = 2j * np.pi * np.asarray(frequency_hz, dtype=np.float64)[..., None]
-        ratio = self.gain * np.prod(s - self.zeros, axis=-1) / np.prod(s - self.poles, axis=-1)
+        above, below = (np.array([complex(place) for place in places]) for places in (self.zeros, self.poles))
+        ratio = float(self.gain) * np.prod(s - above, axis=-1) / np.prod(s - below, axis=-1)
         return np.asarray(ratio, dtype=np.complex128)
 
+    @precise
     def delay_s(self) -> float:
         """Return the group delay at low frequency [s]: −Σ Re(1/p) of a low-pass without zeros."""
-        return float(-np.sum((1.0 / self.poles).real))
+        return float(sum((-pole.real / pole.square() for pole in self.poles), ZERO))
 
     def modes(self) -> Modes:
         """Return the partial fractions of H."""
-        poles = _distinct(self.poles)
-        kept = poles[poles.imag >= 0.0]
-        residues = np.empty(len(kept), dtype=np.complex128)
-        for k, pole in enumerate(kept):
-            others = poles[poles != pole]
-            residue = self.gain * np.prod(pole - self.zeros) / np.prod(pole - others)
-            residues[k] = 2.0 * residue if pole.imag > 0.0 else residue.real
-        return Modes(kept, residues)
+        return _modes(self)
 
 
+@functools.lru_cache(maxsize=64)  # a change that leaves a sensor's dynamics alone recomputes none of them
+@precise
+def _modes(chain: Transfer) -> Modes:
+    upper = _distinct(chain.poles)
+    poles = [*upper, *(pole.conjugate() for pole in upper if pole.imag)]
+    residues = []
+    for k, pole in enumerate(upper):
+        above = product(pole - zero for zero in chain.zeros)
+        below = product(pole - other for j, other in enumerate(poles) if j != k)
+        weight = TWO if pole.imag else ONE  # the conjugate's part is the conjugate of this one
+        residues.append(Complex(weight * chain.gain) * above / below)
+    return Modes(np.array([complex(p) for p in upper]), np.array([complex(r) for r in residues]))
+
+
+def _distinct(poles: tuple[Complex, ...]) -> list[Complex]:
+    """Return those poles that are not below the real axis, each further than `_DISTINCT` from all others."""
+    upper: list[Complex] = []
+    for pole in poles:
+        if pole.imag < 0:
+            continue
+        moved = pole
+        while any(modulus(moved - other) < _DISTINCT * modulus(other) for other in upper):
+            moved = moved * Complex(ONE + TWO * _DISTINCT)
+        upper.append(moved)
+    return upper
+
+
+@functools.lru_cache
+@precise
 def lag(time_constant_s: float) -> Transfer:
     """Return a first-order lag 1 / (1 + τ s)."""
-    return Transfer(np.empty(0, complex), np.array([-1.0 / time_constant_s + 0j]), 1.0 / time_constant_s)
+    rate = ONE / Decimal(time_constant_s)
+    return Transfer((), (Complex(-rate),), rate)
 
 
+@functools.lru_cache
+@precise
 def high_pass(corner_hz: float) -> Transfer:
     """Return a first-order high-pass s / (s + ω)."""
-    return Transfer(np.zeros(1, complex), np.array([-2.0 * np.pi * corner_hz + 0j]), 1.0)
+    return Transfer((Complex(ZERO),), (Complex(-TWO * pi() * Decimal(corner_hz)),), ONE)
 
 
+@functools.lru_cache
+@precise
 def butterworth(order: int, corner_hz: float) -> Transfer:
     """Return a Butterworth low-pass: unit gain, −3 dB at the corner."""
-    zeros, poles, gain = signal.butter(order, 2.0 * np.pi * corner_hz, analog=True, output="zpk")
-    poles = np.asarray(poles, dtype=np.complex128)
-    # scipy leaves a rounding error on the real pole of an odd order
-    poles = np.where(np.abs(poles.imag) < 1e-12 * np.abs(poles), poles.real + 0j, poles)
-    return Transfer(np.asarray(zeros, dtype=np.complex128), poles, float(gain))
+    omega = TWO * pi() * Decimal(corner_hz)
+    upper = [unit(pi() * (2 * k + order + 1) / (2 * order)) for k in range(order // 2)]
+    poles = [Complex(omega) * pole for one in upper for pole in (one, one.conjugate())]
+    if order % 2:
+        poles.append(Complex(-omega))
+    return Transfer((), tuple(poles), omega**order)
 
 
+@functools.lru_cache
+@precise
 def resonance(frequency_hz: float, quality: float) -> Transfer:
     """Return ω² / (s² + s ω/Q + ω²), Q > 1/2: a sensor below its mounted resonance."""
-    omega = 2.0 * np.pi * frequency_hz
-    damping = omega / (2.0 * quality)
-    damped = np.sqrt(omega**2 - damping**2)
-    return Transfer(np.empty(0, complex), np.array([-damping + 1j * damped, -damping - 1j * damped]), omega**2)
-
-
-def _distinct(poles: NDArray[np.complex128]) -> NDArray[np.complex128]:
-    """Return the poles, conjugates exactly paired, each further than `_DISTINCT` from all others."""
-    upper: list[complex] = []
-    for pole in poles[poles.imag >= 0.0]:
-        moved = complex(pole)
-        while any(abs(moved - other) < _DISTINCT * abs(other) for other in upper):
-            moved *= 1.0 + 2.0 * _DISTINCT
-        upper.append(moved)
-    return np.array([*upper, *(pole.conjugate() for pole in upper if pole.imag > 0.0)], dtype=np.complex128)
+    omega = TWO * pi() * Decimal(frequency_hz)
+    damping = omega / (TWO * Decimal(quality))
+    damped = (omega * omega - damping * damping).sqrt()
+    pole = Complex(-damping, damped)
+    return Transfer((), (pole, pole.conjugate()), omega * omega)

@@ -12,7 +12,7 @@ from impact_rig import codec
 from impact_rig.analysis.labels import parse_label
 from impact_rig.analysis.settings import TrackerSettings
 from impact_rig.analysis.tables import settings_table
-from impact_rig.analysis.tracker import Findings, Tracker
+from impact_rig.analysis.tracker import LONGEST_S, Findings, Tracker
 from impact_rig.analysis.warm_up import compile_tracker
 from impact_rig.blocks import Table
 from impact_rig.endings import Ending
@@ -143,9 +143,16 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
         try:
             self._publish(self._tracker.feed(scan))
         finally:  # a block that cannot be measured must not hold up a rig that waits for us
-            if len(scan.rows):
-                self._newest_ns = scan.stamp_ns + round(float(scan.rows["time"][-1]) * NS_PER_S)
+            self._newest_ns = self._last_instant(scan)
             self._ack.publish(Header(stamp=time_message(scan.stamp_ns), frame_id=self.get_name()))
+
+    def _last_instant(self, scan: Table) -> int:
+        """Return when the block's last scan was; of times that are none its stamp, which is reported."""
+        last_s = float(scan.rows["time"][-1]) if len(scan.rows) else 0.0
+        if not abs(last_s) <= LONGEST_S:
+            self.refuse(topics.SCAN.name, f"the block at {scan.stamp_ns} ns ends at the time {last_s!r} s")
+            return scan.stamp_ns
+        return scan.stamp_ns + round(last_s * NS_PER_S)
 
     def _publish(self, findings: Findings) -> None:
         for table in findings.impacts:

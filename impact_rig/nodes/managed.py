@@ -49,6 +49,8 @@ class ManagedNode(LifecycleNode, Generic[S]):
 
     def __init__(self, name: str, schema: Schema[S], **kwargs: Any) -> None:
         super().__init__(name, **kwargs)
+        self.is_told_to_end: Callable[[], bool] = lambda: False
+        """Whether the process is about to end: that others end as well is no news then."""
         self.steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.refusals = Refusals()
         self.parameters = Parameters(self, schema, kwargs.get("cli_args") or sys.argv)
@@ -143,9 +145,13 @@ class ManagedNode(LifecycleNode, Generic[S]):
             qos_overriding_options=QoSOverridingOptions.with_default_policies(),
         )
 
-    def subscribe(self, topic: topics.Topic, callback: Callable[..., None], raw: bool = False) -> Any:
-        """Create a guarded subscription to a row of the topics table; `raw` gives CDR bytes."""
-        return self.create_subscription(topic.message_type(), topic.name, callback, topic.qos.profile(), raw=raw)
+    def subscribe(
+        self, topic: topics.Topic, callback: Callable[..., None], raw: bool = False, depth: int | None = None
+    ) -> Any:
+        """Create a guarded subscription to a row of the topics table, perhaps deeper; `raw` gives CDR bytes."""
+        profile = topic.qos.profile()
+        profile.depth = depth or profile.depth
+        return self.create_subscription(topic.message_type(), topic.name, callback, profile, raw=raw)
 
     def service(self, service_type: Any, name: str, callback: Callable[[Any, Any], Any]) -> Any:
         """Create a guarded service; private names (`~/name`) are the convention."""
@@ -288,6 +294,8 @@ class ManagedNode(LifecycleNode, Generic[S]):
     # Diagnostics
 
     def _report_when_due(self) -> None:
+        if self.is_told_to_end():
+            return
         level, message = self._judged(self.status())
         now = time.monotonic()
         if now - self._reported_at >= DIAGNOSTICS_PERIOD_S or (level, message) != self._reported:

@@ -34,7 +34,11 @@ class Outlets:
         per_second = config.daq.rate_hz // config.daq.block_scans
         depth = max(LEAST_DEPTH, 2 * per_second)  # for a slow subscriber, without holding seconds of large blocks
         bulky = (topics.SCAN, topics.TRUTH_SCAN)
-        self._publishers = {t.name: node.publisher(t, depth if t in bulky else None) for t in PUBLISHED}
+        self._publishers = {
+            t.name: node.publisher(t, depth if t in bulky else None)
+            for t in PUBLISHED
+            if t is not topics.CLOCK or config.time.publishes_clock
+        }
         self._info = b""
         self._monitors: Monitors | None = None
 
@@ -42,6 +46,10 @@ class Outlets:
     def scan(self) -> Any:
         """The publisher of daq/scan."""
         return self._publishers[topics.SCAN.name]
+
+    def names(self) -> list[str]:
+        """Return the topics that are published now."""
+        return list(self._publishers)
 
     def destroy(self) -> None:
         """Destroy the publishers."""
@@ -64,7 +72,9 @@ class Outlets:
             self._publishers[topic.name].publish(message)
 
     def clock(self, now_ns: int) -> None:
-        """Publish rig time."""
+        """Publish rig time; a rig that does not has no publisher either, since a clock must have only one."""
+        if topics.CLOCK.name not in self._publishers:
+            self._publishers[topics.CLOCK.name] = self._node.publisher(topics.CLOCK)
         self._publishers[topics.CLOCK.name].publish(clock_message(now_ns))
 
     def changes(self, rig: Rig) -> None:
@@ -85,12 +95,16 @@ class Outlets:
             self._info = encoded
             self._publishers[topics.INFO.name].publish(encoded)
             self._settle(topics.INFO)
-        self._publishers[topics.CONFIGURATION.name].publish(String(data=dump(rig.config)))
+        self.announce(rig.config)
+
+    def announce(self, config: RigConfig) -> None:
+        """Publish the configuration alone: a recorder opens its file by it, before there is a rig."""
+        self._publishers[topics.CONFIGURATION.name].publish(String(data=dump(config)))
 
     def settle_history(self) -> None:
         """Wait until subscribers that have just come have what was published before."""
         for topic in (topics.INFO, topics.APPLIED, topics.JOURNAL):
-            self._settle(topic)
+            self._publishers[topic.name].wait_for_all_acked(DELIVERY)
 
     def forget(self) -> None:
         """Publish the calibration again when next asked: a new rig begins."""

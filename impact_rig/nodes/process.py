@@ -61,6 +61,7 @@ def run(make_node: Callable[[], ManagedNode[Any]], ending: Ending) -> int:
         print(f"cannot start: {' '.join(str(error).split())}", file=sys.stderr)  # noqa: T201  # there is no logger yet
         rclpy.try_shutdown()
         return EXIT_USAGE
+    node.is_told_to_end = lambda: bool(ending.told)
     try:
         executor.add_node(node)
         frozen = False

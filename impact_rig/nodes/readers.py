@@ -65,8 +65,8 @@ class Readers:
                 for info in self._look()
                 if any(qos_check_compatible(one, info.qos_profile)[0] != QoSCompatibility.ERROR for one in offered)
             ]
-            if self._missing <= {info.node_name for info in matching} and self.subscribers >= len(matching):
-                self._missing = set()
+            if self.subscribers >= len(matching):
+                self._missing -= {info.node_name for info in matching}
         return not self._missing
 
     def knows(self, name: str) -> bool:

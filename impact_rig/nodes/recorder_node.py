@@ -3,23 +3,15 @@
 from __future__ import annotations
 
 import functools
-import json
 import math
-import os
-import platform
 import time
-from collections import Counter
-from pathlib import Path
 from typing import Any  # rclpy messages and handles
 
-import numpy as np
-import yaml
 from std_msgs.msg import Header, String
 from std_srvs.srv import Trigger
 
 import impact_rig
 from impact_rig import codec
-from impact_rig.blocks import Table
 from impact_rig.endings import Ending
 from impact_rig.errors import CodecError, RecordingError
 from impact_rig.nodes import process, topics
@@ -27,20 +19,27 @@ from impact_rig.nodes.deferred import Answer, DeferredService
 from impact_rig.nodes.diagnostics import Level, Status
 from impact_rig.nodes.managed import ManagedNode
 from impact_rig.nodes.parameters import SectionSchema
+from impact_rig.nodes.recorder_content import calibration_yaml, environment, parameters, qos, run_directory
 from impact_rig.nodes.settings import RecorderSettings
 from impact_rig.nodes.stamps import time_message
-from impact_rig.recording import CONFIGURATION, Attachment, Provenance, Qos, RunWriter, Topic, schema_text
+from impact_rig.recording import CONFIGURATION, Account, Attachment, Provenance, RunWriter, Topic, schema_text
 
 FLUSH_S = 0.2
 AWAITED = (topics.INFO, topics.APPLIED, topics.JOURNAL, topics.CONFIGURATION, topics.ANALYSIS_SETTINGS)
 """What was published before and belongs to every run; ~/start is answered when it has arrived."""
 AWAIT_S = 2.0
-SINGLE_PUBLISHERS = ("rig", "analysis")
-"""Topics of these nodes have one publisher: a gap in its sequence numbers is a loss."""
+RESULTS = frozenset({topics.TRANSMISSIBILITY_TABLE.name, topics.CURVE.name})
+"""What was measured before a recording is latched, and none of its results: left out."""
+BULKY = (topics.SCAN, topics.TRUTH_SCAN)
+QUIET_S = 0.1
+"""A configuration this old is the one in force: who comes late is handed every earlier one first."""
+CALIBRATION = "calibration.yaml"
 
 
 class RecorderNode(ManagedNode[RecorderSettings]):
-    """Writes what it receives, and acknowledges every block, recording or not.
+    """Writes what it receives; acknowledges every block that is written, or that nobody asked it to record.
+
+    A recorder that was to record and cannot acknowledges nothing: a rig that waits for it stops and names it.
 
     Args:
         kwargs: passed to rclpy's Node.
@@ -51,15 +50,17 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         self._writer: RunWriter | None = None
         self._failure = ""
         self._configuration: str | None = None
+        self._configured_at = math.inf
         self._waiting = False
         self._deadline = math.inf
-        self._added: set[str] = set()
-        self._sequences: dict[str, int] = {}
-        self._lost: Counter[str] = Counter()
+        self._added: dict[str, str] = {}
+        self._account = Account()
         self._newest_ns = 0
         self._certificates = 0
         self._awaited: set[str] = set()
         self._opened_at = 0.0
+        self._opened_ns = 0
+        self._scans: Any = None
         self._permanent: list[Any] = []
         self._recorded: list[Any] = []
         self._ack: Any = None
@@ -78,17 +79,16 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         self._ack = self.publisher(topics.ACK)
 
     def activate(self) -> None:
-        """Listen for the configuration and the scans; start recording if `record` says so."""
+        """Listen for the configuration; record if `record` says so, else only follow the scans."""
         self._failure = ""
-        self._configuration = None
+        self._configuration, self._configured_at = None, math.inf
         self._newest_ns = 0
-        self._permanent = [
-            self.subscribe(topics.CONFIGURATION, self._on_configuration),
-            self.subscribe(topics.SCAN, functools.partial(self._on_message, topics.SCAN), raw=True),
-        ]
+        self._permanent = [self.subscribe(topics.CONFIGURATION, self._on_configuration)]
         self._timer = self.steady_timer(FLUSH_S, self._on_timer)
         if self.settings.record:
             self._start(patiently=True)
+        else:
+            self._follow_scans()
 
     def deactivate(self) -> None:
         """Finish the run and stop listening."""
@@ -96,9 +96,9 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         if self._timer is not None:
             self.destroy_timer(self._timer)
             self._timer = None
-        for inlet in self._permanent:
+        for inlet in [*self._permanent, *([self._scans] if self._scans is not None else [])]:
             self.destroy_subscription(inlet)
-        self._permanent = []
+        self._permanent, self._scans = [], None
 
     def cleanup(self) -> None:
         """Destroy the publisher."""
@@ -114,7 +114,8 @@ class RecorderNode(ManagedNode[RecorderSettings]):
     def status(self) -> Status:
         """Return what is being written, and what was lost."""
         writer = self._writer
-        values: dict[str, object] = {f"lost.{name}": count for name, count in self._lost.items() if count}
+        lost = self._account.lost()
+        values: dict[str, object] = {f"lost.{self._added[name]}": count for name, count in lost.items()}
         if writer is not None:
             values |= {
                 "directory": str(writer.directory),
@@ -124,8 +125,8 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         if self.state != "active":
             return Status(Level.WARN, self.state, values)
         if self._failure:
-            return Status(Level.ERROR, self._failure, values)
-        if any(self._lost.values()):
+            return Status(Level.ERROR, f"{self._failure}; no block is acknowledged until ~/start or ~/stop", values)
+        if lost:
             return Status(Level.ERROR, "messages were lost before they reached the recorder", values)
         if self._waiting:
             return Status(Level.OK, "waiting for the rig's configuration", values)
@@ -152,8 +153,12 @@ class RecorderNode(ManagedNode[RecorderSettings]):
 
     def _on_stop(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         directory = self._writer.directory if self._writer else None
+        self._failure = ""
         self._finish()
-        response.success, response.message = True, str(directory) if directory else "nothing was being recorded"
+        if self.active:
+            self._follow_scans()
+        done = str(directory) if directory else "nothing was being recorded"
+        response.success, response.message = not self._failure, self._failure or done
         return response
 
     def _start(self, patiently: bool = False) -> None:
@@ -164,7 +169,9 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         self._open_when_ready()
 
     def _open_when_ready(self) -> None:
-        if not self._waiting or (self._configuration is None and time.monotonic() < self._deadline):
+        now = time.monotonic()
+        in_force = now - self._configured_at >= QUIET_S
+        if not self._waiting or not (in_force or now >= self._deadline):
             return
         self._waiting = False
         if self._configuration is None:
@@ -174,35 +181,43 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         except RecordingError as error:
             self._fail(error)
             return
-        self._added, self._sequences, self._lost = set(), {}, Counter()
         self._certificates = 0
         # subscribed anew for each run: what is transient-local (journal, calibration, ...) then belongs to every run
-        self._recorded = [
-            self.subscribe(topic, functools.partial(self._on_message, topic), raw=True)
-            for topic in topics.TOPICS
-            if topic is not topics.SCAN
-        ]
+        self._recorded = [self._listen(topic) for topic in topics.TOPICS if topic is not topics.SCAN]
         self._awaited = {topic.name for topic in AWAITED if self.count_publishers(topic.name)}
         self._opened_at = time.monotonic()
+        self._follow_scans()  # last: a rig that waits for this subscription finds the run open
         self.get_logger().info(f"recording {self._writer.directory}")
+
+    def _follow_scans(self) -> None:
+        if self._scans is None:
+            self._scans = self._listen(topics.SCAN)
+
+    def _listen(self, topic: topics.Topic) -> Any:
+        """Subscribe with a queue that outlasts a stall: a burst of small messages must not push each other out."""
+        depth = None if topic in BULKY else topics.HISTORY_DEPTH
+        return self.subscribe(topic, functools.partial(self._on_message, topic), raw=True, depth=depth)
 
     def _open(self, configuration: str | None) -> RunWriter:
         settings = self.settings
         name = settings.name or time.strftime("run_%Y%m%d_%H%M%S")
-        values = _parameters(configuration)
+        values = parameters(configuration)
         mode = str(values.get("time", {}).get("mode", "unknown"))
-        attachments = [Attachment("environment.json", _environment(), "application/json")]
+        attachments = [Attachment("environment.json", environment(), "application/json")]
         if configuration is not None:
             attachments.append(Attachment(CONFIGURATION, configuration.encode(), "application/yaml"))
+        self._added, self._account = {}, Account(self._publishing)
+        self._opened_ns = time.time_ns()
         return RunWriter(
-            _directory(settings.directory) / name,
+            run_directory(settings.directory) / name,
             provenance=Provenance(
                 version=impact_rig.__version__,
                 seed=int(values.get("daq", {}).get("seed", -1)),
-                wall_start_ns=time.time_ns(),
+                wall_start_ns=self._opened_ns,
                 extra={"mode": mode, "namespace": self.get_namespace()},
             ),
             attachments=tuple(attachments),
+            account=self._account,
             clock=time.monotonic,
             compression=settings.compression,
             max_file_bytes=settings.max_file_mb * 1_000_000,
@@ -241,13 +256,25 @@ class RecorderNode(ManagedNode[RecorderSettings]):
 
     # Messages
 
+    def _publishing(self, name: str) -> dict[str, str]:
+        """Return the publishers of a topic, as the graph has them: identifier -> node."""
+        return {
+            bytes(found.endpoint_gid).hex(): f"{found.node_namespace.rstrip('/')}/{found.node_name}"
+            for found in self.get_publishers_info_by_topic(name)
+        }
+
     def _on_configuration(self, message: String) -> None:
-        self._configuration = message.data
-        self._open_when_ready()
+        self._configuration, self._configured_at = message.data, time.monotonic()
+        if self._writer is not None:  # a further file of a split run begins with what is in force then
+            self._writer.supersede(Attachment(CONFIGURATION, message.data.encode(), "application/yaml"))
 
     def _on_timer(self) -> None:
+        if self._waiting and math.isinf(self._deadline) and self.count_publishers(topics.SCAN.name):
+            # a rig that is there and does not say what it is
+            self._deadline = time.monotonic() + self.settings.configuration_wait_s
         self._open_when_ready()
-        if self._awaited and time.monotonic() - self._opened_at > AWAIT_S:
+        came_late = self._begin.waiting or self._newest_ns > 0  # otherwise the rig has not begun
+        if self._awaited and came_late and time.monotonic() - self._opened_at > AWAIT_S:
             self.get_logger().warning(f"nothing was heard on {', '.join(sorted(self._awaited))}")
             self._awaited = set()
         if self._writer is not None:
@@ -265,23 +292,17 @@ class RecorderNode(ManagedNode[RecorderSettings]):
                     self._writer.secure()  # what is acknowledged outlives this process
             except RecordingError as error:
                 self._fail(error)
-        if topic is topics.SCAN:
+        if topic is topics.SCAN and not self._failure:
             self._acknowledge(data)
-            if self._waiting:  # a rig that runs and does not say what it is
-                self._deadline = min(self._deadline, time.monotonic() + self.settings.configuration_wait_s)
 
     def _write(self, writer: RunWriter, topic: topics.Topic, data: bytes, info: dict[str, Any]) -> None:
-        sequence = int(info["publication_sequence_number"])
+        if topic.name in RESULTS and int(info["source_timestamp"]) < self._opened_ns:
+            return
         name = self.resolve_topic_name(topic.name)
         if name not in self._added:
-            self._added.add(name)
+            self._added[name] = topic.name
             writer.add_topic(self._describe(topic, name))
-        if topic.publisher in SINGLE_PUBLISHERS:
-            before = self._sequences.get(name)
-            if before is not None and sequence > before + 1:
-                self._lost[topic.name] += sequence - before - 1
-            self._sequences[name] = sequence
-        writer.write(name, data, int(info["source_timestamp"]), sequence)
+        writer.write(name, data, int(info["source_timestamp"]), int(info["publication_sequence_number"]))
         if topic is topics.INFO:
             self._attach_calibration(writer, data)
         if topic.name in self._awaited:
@@ -296,8 +317,8 @@ class RecorderNode(ManagedNode[RecorderSettings]):
             self.refuse(topics.INFO.name, str(error))
             return
         self._certificates += 1
-        number = "" if self._certificates == 1 else f"_{self._certificates}"
-        writer.attach(Attachment(f"calibration{number}.yaml", text.encode(), "application/yaml"))
+        name = CALIBRATION if self._certificates == 1 else f"calibration_{self._certificates}.yaml"
+        writer.attach(Attachment(name, text.encode(), "application/yaml"), instead_of=CALIBRATION)
 
     def _describe(self, topic: topics.Topic, name: str) -> Topic:
         publishers = self.get_publishers_info_by_topic(name)
@@ -307,7 +328,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
             type_name=topic.type_name,
             schema=schema_text(topic.type_name),
             type_hash=type_hash,
-            offered_qos=tuple(_qos(publisher.qos_profile) for publisher in publishers),
+            offered_qos=tuple(qos(publisher.qos_profile) for publisher in publishers),
         )
 
     def _acknowledge(self, data: bytes) -> None:
@@ -318,66 +339,6 @@ class RecorderNode(ManagedNode[RecorderSettings]):
             return
         self._newest_ns = stamp
         self._ack.publish(Header(stamp=time_message(stamp), frame_id=self.get_name()))
-
-
-def _directory(text: str) -> Path:
-    try:
-        return Path(text).expanduser()
-    except RuntimeError as error:  # ~nobody
-        raise RecordingError(f"directory {text!r} cannot be used: {error}") from error
-
-
-def calibration_yaml(info: Table) -> str:
-    """Return daq/info as YAML: one mapping per channel, and the instant from which it holds."""
-    channels: dict[str, dict[str, str | float]] = {}
-    for row in info.rows:
-        values = {name: row[name] for name in info.rows.dtype.names or ()}
-        plain = {
-            name: value.decode(errors="replace") if isinstance(value, bytes) else float(value)
-            for name, value in values.items()
-        }
-        channels[str(plain.pop("name", len(channels)))] = plain
-    text: str = yaml.safe_dump({"stamp_ns": info.stamp_ns, "channels": channels}, sort_keys=False)
-    return text
-
-
-def _qos(profile: Any) -> Qos:
-    return Qos(
-        history=profile.history.name.lower(),
-        depth=profile.depth,
-        reliability=profile.reliability.name.lower(),
-        durability=profile.durability.name.lower(),
-        deadline_ns=profile.deadline.nanoseconds,
-        lifespan_ns=profile.lifespan.nanoseconds,
-        liveliness=profile.liveliness.name.lower(),
-        liveliness_lease_ns=profile.liveliness_lease_duration.nanoseconds,
-    )
-
-
-def _parameters(configuration: str | None) -> dict[str, Any]:
-    """Return the nested values of a rig's configuration; empty if it is none (it comes from the network)."""
-    try:
-        document = yaml.safe_load(configuration or "")
-        values = document["/**"]["ros__parameters"]
-    except (yaml.YAMLError, KeyError, TypeError, ValueError, RecursionError):  # a date that is none, nesting
-        return {}
-    sections = values if isinstance(values, dict) else {}
-    return {name: section for name, section in sections.items() if isinstance(section, dict)}
-
-
-def _environment() -> bytes:
-    """Return what the run depended on, as JSON."""
-    return json.dumps(
-        {
-            "impact_rig": impact_rig.__version__,
-            "python": platform.python_version(),
-            "numpy": np.__version__,
-            "machine": platform.machine(),
-            "system": platform.platform(),
-            "ros_distro": os.environ.get("ROS_DISTRO", ""),
-        },
-        indent=1,
-    ).encode()
 
 
 def main(ending: Ending) -> None:

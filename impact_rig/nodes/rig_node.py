@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import time
 from collections.abc import Callable
 from typing import Any  # rclpy messages and responses
@@ -13,6 +14,7 @@ from impact_rig.config import RigConfig
 from impact_rig.endings import Ending
 from impact_rig.errors import CommandError
 from impact_rig.nodes import process, topics
+from impact_rig.nodes.beginning import Beginning, Rivals
 from impact_rig.nodes.deferred import Answer, DeferredService
 from impact_rig.nodes.diagnostics import Status
 from impact_rig.nodes.guard import describe, guarded
@@ -22,6 +24,7 @@ from impact_rig.nodes.parameters import RigSchema
 from impact_rig.nodes.readers import Readers
 from impact_rig.nodes.rig_status import RigStatus
 from impact_rig.nodes.stamps import nanoseconds
+from impact_rig.nodes.steps import Steps
 from impact_rig.nodes.work_timer import WorkTimer
 from impact_rig.pacing import AckWindow, Pacer
 from impact_rig.rig import Block, Rig
@@ -41,6 +44,8 @@ TURN_S = 0.02
 one subscription for as long as there are any would never come to services and timers."""
 AWAY_S = 1.0
 """A gap this long between two calls of the work timer: this process was suspended, not the peers."""
+DISCOVERY_S = 3.5
+"""A new process sees most others in 0.2 s; an announcement it misses comes again 3 s later (tools/discovery.py)."""
 WARM_UP_NS = 50_000_000
 """Simulated once while configuring, so that compiled code is loaded before the first block is due."""
 
@@ -49,10 +54,12 @@ class RigNode(ManagedNode[RigConfig]):
     """Publishes the rig's blocks; commands, services and parameters go to `Rig`.
 
     Args:
+        discovery_s: how old the node must be before it looks who else is there; a new process finds others by and by.
         kwargs: passed to rclpy's Node.
     """
 
-    def __init__(self, **kwargs: Any) -> None:
+    def __init__(self, discovery_s: float = 0.0, **kwargs: Any) -> None:
+        self._discovered_at = time.monotonic() + discovery_s
         super().__init__("rig", RigSchema(), **kwargs)
         self._rig: Rig | None = None
         self._outlets: Outlets | None = None
@@ -60,10 +67,11 @@ class RigNode(ManagedNode[RigConfig]):
         self._pacer = Pacer(time.monotonic_ns)
         self._window = AckWindow((), 1, NS_PER_S, time.monotonic_ns)
         self._readers: Readers | None = None
-        self._paused = False
-        self._steps_left = 0
+        self._rivals: Rivals | None = None
+        self._beginning: Beginning | None = None
+        self._paused = self._history_settled = False
         self._base_ns = self._clock_offset_ns = 0
-        self._worked_at = self._turn_began = self._stepped_at = 0.0
+        self._worked_at = self._turn_began = 0.0
         self._figures = RigStatus()
         self.subscribe(topics.FREQUENCY, self._on_frequency)
         self.subscribe(topics.CURRENT, self._on_current)
@@ -73,7 +81,8 @@ class RigNode(ManagedNode[RigConfig]):
         self.service(Trigger, "~/stop", self._on_stop)
         self.service(Trigger, "~/clear_trip", self._on_clear_trip)
         self.service(Trigger, "~/pluck", self._on_pluck)
-        self._step = DeferredService(self, Trigger, "~/step", self._on_step, guarded(self._work, self.report_failure))
+        work = guarded(self._work, self.report_failure)
+        self._steps = Steps(self, self._no_step, lambda: self.settings.step.blocks, work)
 
     # Lifecycle
 
@@ -85,35 +94,58 @@ class RigNode(ManagedNode[RigConfig]):
         """Check that this rig can be built and published, load compiled code, create the publishers."""
         Rig(self.settings).advance(WARM_UP_NS)
         self._outlets = Outlets(self, self.settings)
+        time.sleep(max(0.0, self._discovered_at - time.monotonic()))
 
     def activate(self) -> None:
-        """Start a new rig: scan 0 is now in realtime, at 0 otherwise."""
+        """Begin, once nobody else publishes here; in realtime also once the peers listen, or after `start_wait_s`."""
         config = self.settings
+        realtime = config.time.mode == "realtime"
+        assert self._outlets is not None
+        self._readers = Readers(self, self._outlets.scan)
+        self._readers.expect(config.time.peers)
+        self._rivals = Rivals(self, self._outlets.names)
+        readers = self._readers if realtime else None
+        self._beginning = Beginning(self, self._rivals, readers, config.time.start_wait_s)
+        self._outlets.forget()
+        self._history_settled = False
+        self._paused = False
+        self._steps.left = 0
+        self._figures = RigStatus()
+        self._timer.start(AHEAD_PERIOD_S, 0.0)
+        self._begin_if_possible()
+        if self._rig is None:
+            self._outlets.announce(config)
+
+    def _begin_if_possible(self) -> None:
+        """Start a new rig: scan 0 is now in realtime, at 0 otherwise."""
+        if self._beginning is None or self._beginning.obstacle() is not None:
+            return
+        config = self.settings
+        if config.time.mode == "realtime" and config.time.peers:
+            absent = ", ".join(self._readers.missing()) if self._readers else ""
+            self.get_logger().info("scan 0" + (f" without {absent}, which did not come in time" if absent else ""))
         self._clock_offset_ns = time.time_ns() - time.monotonic_ns()
         self._base_ns = time.time_ns() if config.time.mode == "realtime" else 0
         self._pacer = Pacer(time.monotonic_ns, config.time.factor)  # beside the stamp: both mean the same instant
         self._rig = Rig(config, self._base_ns)
-        self._paused = False
-        self._steps_left = 0
-        self._figures = RigStatus()
+        self._beginning = None
         self._window = AckWindow(
             config.time.peers, config.time.ack_window, round(config.time.peer_timeout_s * NS_PER_S), time.monotonic_ns
         )
         assert self._outlets is not None
-        self._readers = Readers(self, self._outlets.scan)
-        self._readers.expect(config.time.peers)
-        self._outlets.forget()
         self._flush(self._rig)
         self._publish_configuration(self._rig)
+        if config.time.peers and config.time.mode == "realtime":
+            self._outlets.settle_history()
         self._worked_at = time.monotonic()
         self._start_timer()
 
     def deactivate(self) -> None:
         """Stop the rig; what was not published is dropped."""
         self._timer.stop()
-        self._rig = self._readers = None
-        for service in (self._step, self._pause):
-            service.reply(False, "the rig was deactivated")
+        self._rig = self._readers = self._rivals = self._beginning = None
+        self._steps.refuse("the rig was deactivated")
+        self._pause.reply(False, "the rig was deactivated")
 
     def cleanup(self) -> None:
         """Destroy the publishers."""
@@ -157,10 +189,12 @@ class RigNode(ManagedNode[RigConfig]):
         if now - self._worked_at > AWAY_S:
             self._window.excuse()
         self._worked_at = now
-        if rig is None or self._paused:
+        if self._paused:
             return
         try:
-            if self.settings.time.mode == "realtime":
+            if rig is None:
+                self._begin_if_possible()
+            elif self.settings.time.mode == "realtime":
                 self._catch_up(rig, now + WORK_S)
             else:
                 self._run_ahead(rig, now + WORK_S)
@@ -184,14 +218,15 @@ class RigNode(ManagedNode[RigConfig]):
     def _run_ahead(self, rig: Rig, deadline: float) -> None:
         """Publish as many blocks as the window (and a step) allows, until the deadline."""
         mode = self.settings.time.mode
-        limit = self._steps_left if mode == "stepped" else self._window.window
+        limit = self._steps.left if mode == "stepped" else self._window.window
         assert self._outlets is not None
         assert self._readers is not None
-        if self._readers.missing():
-            if not self._readers.all_matched():
-                self._refuse_step_without(self._readers)
-                return
+        if not self._readers.all_matched():
+            self._steps.refuse_without(self._readers, self.settings.time.peer_timeout_s)
+            return
+        if not self._history_settled:
             self._outlets.settle_history()
+            self._history_settled = True
         batch = self._batch()
         while limit > 0 and not self._window.silent():
             room = min(self._window.room(), limit, batch)
@@ -200,27 +235,11 @@ class RigNode(ManagedNode[RigConfig]):
             blocks = rig.advance(rig.block_end_ns(room))
             self._publish(rig, blocks)
             if mode == "stepped":
-                self._steps_left -= len(blocks)
-                limit = self._steps_left
+                self._steps.left -= len(blocks)
+                limit = self._steps.left
             if time.monotonic() > deadline:
                 break
-        self._answer_step(rig)
-
-    def _refuse_step_without(self, readers: Readers) -> None:
-        patience = self.settings.time.peer_timeout_s
-        if self._step.waiting and readers.overdue(patience) and time.monotonic() - self._stepped_at > patience:
-            self._steps_left = 0
-            self._step.reply(False, f"peer {', '.join(readers.missing())} is not there")
-
-    def _answer_step(self, rig: Rig) -> None:
-        if not self._step.waiting:
-            return
-        silent = self._window.silent()
-        if silent:
-            self._steps_left = 0
-            self._step.reply(False, f"peer {', '.join(silent)} does not acknowledge")
-        elif self._steps_left <= 0 and self._window.outstanding() == 0:
-            self._step.reply(True, f"at {rig.next_block_ns / NS_PER_S:.9f} s")
+        self._steps.answer(self._window, rig.next_block_ns / NS_PER_S)
 
     # Publishing
 
@@ -256,7 +275,7 @@ class RigNode(ManagedNode[RigConfig]):
 
     def _command(self, name: str, **values: float) -> None:
         if self._rig is None:
-            self.refuse("inactive", f"{name} while the rig is {self.state}")
+            self.refuse("inactive", f"{name}: {self._why_not()}")
             return
         try:
             self._rig.command(**values)
@@ -284,22 +303,19 @@ class RigNode(ManagedNode[RigConfig]):
             if self.settings.time.mode != "realtime" and time.monotonic() - self._turn_began < TURN_S:
                 self._work()
 
-    def _on_step(self, _request: Trigger.Request) -> Answer | None:
+    def _no_step(self) -> str:
+        """Return why there can be no step now, or nothing."""
         if self._rig is None:
-            return False, f"cannot step while the rig is {self.state}"
+            return self._why_not()
         if self.settings.time.mode != "stepped":
-            return False, f"time.mode must be stepped, it is {self.settings.time.mode}"
-        if self._paused:
-            return False, "the rig is paused"
-        self._steps_left += self.settings.step.blocks
-        self._stepped_at = time.monotonic()
-        return None
+            return f"time.mode must be stepped, it is {self.settings.time.mode}"
+        return "the rig is paused" if self._paused else ""
 
     def _on_pause(self, request: SetBool.Request) -> Answer | None:
         """Pause, or go on; a pause is answered when the peers have processed all that was out."""
         rig = self._rig
         if rig is None:
-            return False, f"the rig is {self.state}, activate it first"
+            return False, self._why_not()
         if request.data:
             self._paused = True
             return None
@@ -344,14 +360,24 @@ class RigNode(ManagedNode[RigConfig]):
 
     def _running(self) -> Rig:
         if self._rig is None:
-            raise CommandError(f"the rig is {self.state}, activate it first")
+            raise CommandError(self._why_not())
         return self._rig
+
+    def _why_not(self) -> str:
+        """Return why there is no rig to talk to."""
+        obstacle = self._beginning.obstacle() if self._beginning is not None else None
+        return f"the rig has not begun, {obstacle[1]}" if obstacle else f"the rig is {self.state}, activate it first"
 
     # Parameters and diagnostics
 
     def settings_changed(self, settings: RigConfig, changes: dict[str, Any]) -> None:
         """Give the running rig what changed; the validator has already accepted it."""
-        if self._rig is None or self._readers is None:
+        if self._readers is None:
+            return
+        if "time.peers" in changes:
+            self._readers.expect(settings.time.peers)
+            self._history_settled = False
+        if self._rig is None:
             return
         self._rig.configure(changes)
         self._flush(self._rig)
@@ -359,7 +385,6 @@ class RigNode(ManagedNode[RigConfig]):
             self._window.set_peers(settings.time.peers)
             self._window.window = settings.time.ack_window
             self._window.timeout_ns = round(settings.time.peer_timeout_s * NS_PER_S)
-            self._readers.expect(settings.time.peers)
         if "time.factor" in changes:
             self._pacer.rebase(self._rig.next_block_ns - self._base_ns, settings.time.factor)
         self._publish_configuration(self._rig)
@@ -370,7 +395,10 @@ class RigNode(ManagedNode[RigConfig]):
             self._start_timer()
 
     def status(self) -> Status:
-        """Return mode, time, lateness, peers, shaker, over-ranges."""
+        """Return mode, time, lateness, peers, shaker, over-ranges; or why the rig has not begun."""
+        obstacle = self._beginning.obstacle() if self._beginning is not None else None
+        if obstacle is not None:
+            return Status(*obstacle, {"mode": self.settings.time.mode})
         if self._readers is not None:
             for name in self._readers.gone(self._window.lost()):
                 self._window.forget(name)
@@ -382,6 +410,7 @@ class RigNode(ManagedNode[RigConfig]):
             self._pacer,
             self._window,
             self._readers,
+            self._rivals,
             self._paused,
             (time.time_ns() - time.monotonic_ns() - self._clock_offset_ns) / NS_PER_S,
         )
@@ -389,4 +418,4 @@ class RigNode(ManagedNode[RigConfig]):
 
 def main(ending: Ending) -> None:
     """Run the rig node."""
-    process.main(RigNode, ending)
+    process.main(functools.partial(RigNode, discovery_s=DISCOVERY_S), ending)

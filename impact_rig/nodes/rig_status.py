@@ -8,6 +8,7 @@ from collections import Counter, deque
 
 from impact_rig.blocks import CHANNELS
 from impact_rig.config import RigConfig
+from impact_rig.nodes.beginning import Rivals
 from impact_rig.nodes.diagnostics import Level, Status, worst
 from impact_rig.nodes.readers import Readers
 from impact_rig.pacing import AckWindow, Pacer
@@ -71,6 +72,7 @@ class RigStatus:
         pacer: Pacer,
         window: AckWindow,
         readers: Readers | None,
+        rivals: Rivals | None,
         paused: bool,
         clock_step_s: float,
     ) -> Status:
@@ -83,19 +85,25 @@ class RigStatus:
             pacer: of realtime.
             window: how far the readers of daq/scan are.
             readers: of daq/scan in the graph; None while there is no rig.
+            rivals: other publishers of its topics; None while there is no rig.
             paused: by ~/pause.
             clock_step_s: what the system clock was moved by since the activation.
         """
-        if rig is None or readers is None:
+        if rig is None or readers is None or rivals is None:
             return Status(Level.WARN, state, {"mode": config.time.mode})
         realtime = config.time.mode == "realtime"
         silent = () if realtime else window.silent()
-        missing = () if realtime else readers.missing()
+        missing = () if readers.all_matched() else readers.missing()
+        others = rivals.sentence()
         behind = window.behind()
         troubles = [(Level.OK, f"running, {config.time.mode}")]
         if paused:
             troubles.append((Level.WARN, "paused"))
-        if missing:
+        if others:
+            troubles.append((Level.ERROR, others))
+        if missing and realtime:
+            troubles.append((Level.WARN, f"running without peer {', '.join(missing)}"))
+        elif missing:
             level = Level.ERROR if readers.overdue(config.time.peer_timeout_s) else Level.WARN
             troubles.append((level, f"waiting for peer {', '.join(missing)}"))
         if silent:
@@ -145,6 +153,7 @@ class RigStatus:
             "slips": pacer.slips,
             "slipped_s": pacer.slipped_ns / NS_PER_S,
             "clock_step_s": clock_step_s,
+            "other_publishers": others,
             "subscribers": readers.subscribers,
             "other_acks": self.other_acks,
         }

@@ -29,8 +29,7 @@ class Qos(enum.Enum):
     DATA = (DATA_DEPTH, False)
     STATE = (DATA_DEPTH, True)  # every change arrives, and whoever joins late still gets the last ones
     HISTORY = (HISTORY_DEPTH, True)
-    LATCHED = (1, True)  # configuration and calibration
-    EVENT = (10, False)  # commands, remarks, diagnostics, clock
+    EVENT = (10, False)  # commands, remarks, diagnostics
 
     @property
     def depth(self) -> int:
@@ -103,7 +102,7 @@ def _table(
 SCAN = _table("daq/scan", Qos.DATA, "rig", blocks.SCAN_COLUMNS, "One block of scans; stamp = first scan.")
 INFO = _table(
     "daq/info",
-    Qos.LATCHED,
+    Qos.STATE,
     "rig",
     blocks.DAQ_INFO_COLUMNS,
     "Calibration, one row per channel; stamp = from when it holds.",
@@ -163,7 +162,7 @@ JOURNAL = _table(
 CONFIGURATION = Topic(
     "rig/configuration",
     "std_msgs/msg/String",
-    Qos.LATCHED,
+    Qos.STATE,
     "rig",
     "The configuration in force, complete, as a ROS 2 parameter file.",
     (Column("data", "-", "YAML that `--params-file` and `impact-rig check` take."),),
@@ -217,7 +216,7 @@ ANALYSIS_SETTINGS = _table(
 )
 CURVE = _table(
     "transmissibility/curve",
-    Qos.LATCHED,
+    Qos.STATE,
     "stepped_sine",
     blocks.TRANSMISSIBILITY_COLUMNS,
     "The stepped sine so far, one row per measurement; stamp = its begin.",
@@ -277,7 +276,7 @@ DIAGNOSTICS = Topic(
 CLOCK = Topic(
     "/clock",
     "rosgraph_msgs/msg/Clock",
-    Qos.EVENT,
+    Qos.DATA,
     "rig",
     "Rig time, by default whenever not in real time x 1 (time.publish_clock).",
     (Column("clock", "-", "End of the newest block."),),

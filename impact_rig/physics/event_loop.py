@@ -1,7 +1,13 @@
-"""The event loop: fly, collide, ride, leave — segment by segment of the drive.
+"""The event loop: fly, touch, leave — segment by segment of the drive.
 
-Each verb is a file. Every segment starts from its own time zero, and the loop always stops at its end, so nothing
-depends on how a run was cut.
+Each phase of the motion goes on until something happens or the segment ends; what happened decides the next phase:
+
+    FREE      in flight                      until a wall is touched, or friction stops the sphere
+    CONTACT   touching a wall that yields    until the sphere leaves, or only rings any more
+    ATTACHED  one body with the base         until the base pulls away
+
+Every segment starts from its own time zero, and the loop always stops at its end, so nothing depends on how a run was
+cut.
 """
 
 from __future__ import annotations
@@ -13,279 +19,366 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from impact_rig.physics import riding
-from impact_rig.physics.collision import (
-    FAILED,
-    LEFT_WALL,
-    NOT_STIFF,
-    STIFF,
-    begin,
-    collide,
-    grip,
-)
-from impact_rig.physics.contact.base import ForceKind
-from impact_rig.physics.flight import STOPPED, aim, carry, flight_energy, fly, rounding, wall
-from impact_rig.physics.forcing import Forcing, transfer
-from impact_rig.physics.linear import V1, X1
-from impact_rig.physics.series import WIDTH, Series, new_series
+from impact_rig.physics.energy import account_flight
+from impact_rig.physics.flight import STOPPED, aim, carry, fly, look, rounding
+from impact_rig.physics.forcing import Forcing, bound_omega, transfer
+from impact_rig.physics.foresight import forget
+from impact_rig.physics.indentation import turned_at
+from impact_rig.physics.outcome import leap, look_up
+from impact_rig.physics.pair import expand
+from impact_rig.physics.parameters import HELD, LOOSE
 from impact_rig.physics.state import (
-    APPROACH,
     ATTACHED,
-    BEGIN_OFFSET,
-    BEGIN_SEGMENT,
-    BETA,
-    COLLISION,
-    ELAPSED,
+    CONTACT,
+    FLIGHT,
     FREE,
-    GAP,
-    GRIP,
-    IMPULSE,
-    LEDGER_CONTACT,
-    LOST,
-    PEAK_FORCE,
-    PEAK_INDENTATION,
-    PHASE,
-    RATE,
-    RIDING,
-    SIDE,
-    SLID,
-    STEP,
-    T,
-    Y,
-    add_knot,
+    IMPACT,
+    LEDGER,
+    LOG,
+    PRESS,
+    STATE,
+    V1,
+    X1,
+    record,
+)
+from impact_rig.physics.touching import (
+    FAILED,
+    LEFT,
+    NOTHING,
+    RELEASED,
+    SETTLED,
+    TIME,
+    TURNED,
+    account_step,
+    conclude,
+    dissipated,
+    first_step,
+    peak_in_step,
+    settles,
+    take_step,
 )
 
 DONE, NEED_ROOM, STUCK = range(3)
 """How `run` ends: all segments done; call again with more room in the log; no progress."""
 
 _SPEED_RESOLUTION = 2.0**-48
-_ROOM = 1000  # more knots than one phase call leaves
+_STEPS = 500  # of a contact in one call of its phase
+ROOM = 2 * _STEPS
+"""Knots that must be free before a phase is entered."""
 _EVENTS_PER_SEGMENT = 10_000_000
-_HERTZIAN = int(ForceKind.HERTZIAN)
-_IMPULSIVE = int(ForceKind.IMPULSIVE)
 
 
-class Work(NamedTuple):
-    """Scratch arrays of the compiled functions."""
+class Desk(NamedTuple):
+    """What the event loop works on.
 
-    steady: NDArray[np.complex128]
-    growing: NDArray[np.complex128]
-    answer: NDArray[np.complex128]
-    drift: NDArray[np.complex128]
-    modal: NDArray[np.complex128]
-    jerk: NDArray[np.float64]
-    y: NDArray[np.float64]
-    z: NDArray[np.float64]
-    at: NDArray[np.float64]
-    powers: NDArray[np.float64]
-    stage: NDArray[np.float64]
-    slope: NDArray[np.float64]
-    speed: NDArray[np.float64]
-    depth: NDArray[np.float64]
-    u: NDArray[np.float64]
-    du: NDArray[np.float64]
-    stiff: NDArray[np.float64]
-    damp: NDArray[np.float64]
-    matrix: NDArray[np.float64]
-    right: NDArray[np.float64]
-    change: NDArray[np.float64]
-    series: Series
+    Attributes:
+        states: records of STATE: the state, and one to follow a contact on the side.
+        flight: one record of FLIGHT.
+        press: one record of PRESS.
+        ledger: one record of LEDGER.
+        filled: one record of LOG: how many knots and impacts there are.
+        knots: records of STATE.
+        impacts: records of IMPACT.
+        first: row of each segment's first knot.
+    """
+
+    states: NDArray[np.void]
+    flight: NDArray[np.void]
+    press: NDArray[np.void]
+    ledger: NDArray[np.void]
+    filled: NDArray[np.void]
+    knots: NDArray[np.void]
+    impacts: NDArray[np.void]
+    first: NDArray[np.int64]
 
 
-def new_work(n: int) -> Work:
-    """Return scratch arrays for n structural states."""
-    stages = riding.STAGES
-    modal = [np.zeros(n, complex) for _ in range(5)]
-    states = [np.zeros(5), np.zeros(WIDTH), np.zeros(WIDTH)]
-    tables = [np.zeros((stages, width)) for width in (4, WIDTH, WIDTH)]
-    per_stage = [np.zeros(stages) for _ in range(6)]
-    newton = [np.zeros((stages, stages)), np.zeros(stages), np.zeros(stages)]
-    return Work(*modal, np.zeros(3), *states, *tables, *per_stage, *newton, new_series())  # type: ignore[call-arg, arg-type]  # in the order of the fields
+def new_desk(knots: int, impacts: int) -> Desk:
+    """Return a desk with room for so many knots and impacts."""
+    return Desk(
+        record(STATE, 2),
+        record(FLIGHT),
+        record(PRESS),
+        record(LEDGER),
+        record(LOG),
+        record(STATE, knots),
+        record(IMPACT, impacts),
+        np.zeros(1, np.int64),
+    )
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
-def _touch(p, s, side, segment):  # type: ignore[no-untyped-def]  # compiled: types are inferred
-    """Begin a contact with the wall just reached: from (x_1, v_1, d, d') to the pair's centre of mass and (w, δ')."""
-    speed = max(side * s[RATE], p.touch_speed)
-    s[SIDE] = side
-    s[Y + X1] += p.share * s[GAP]
-    s[Y + V1] += p.share * s[RATE]  # not `speed`: the least speed must not change the pair's momentum
-    s[PHASE] = COLLISION
-    s[GAP] = 0.0
-    s[RATE] = speed
-    s[BETA] = p.force.damping / max(speed, p.speed_floor) if p.force.kind == _HERTZIAN else 0.0
-    s[APPROACH] = speed
-    s[BEGIN_SEGMENT] = segment
-    s[BEGIN_OFFSET] = s[T]
-    s[PEAK_FORCE] = 0.0
-    s[PEAK_INDENTATION] = 0.0
-    s[IMPULSE] = 0.0
-    s[LOST] = 0.0
-    s[ELAPSED] = 0.0
-    begin(p, speed, s)
+@njit(cache=True, nogil=True, error_model="numpy")
+def _add_knot(desk):  # type: ignore[no-untyped-def]  # compiled: types are inferred
+    """Append the state as a knot."""
+    desk.knots[desk.filled[0].knots] = desk.states[0]
+    desk.filled[0].knots += 1
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _fly_on(p, s, d, rate):  # type: ignore[no-untyped-def]
     """Set a flight that starts at d with the relative speed d'; guide friction works against it from the start."""
-    s[PHASE] = FREE
-    s[GAP] = d
-    s[RATE] = rate
-    s[SIDE] = np.sign(rate) if p.friction > 0.0 else 0.0
-    s[STEP] = 0.0
-    s[SLID] = d
+    s.phase, s.side = FREE, 0.0
+    s.d, s.d_rate, s.begin_d = d, rate, d
+    s.slide = np.sign(rate) if p.friction > 0.0 else 0.0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _hold(s, d, side):  # type: ignore[no-untyped-def]
+    """Let the sphere move with the base, pressed by a wall or held by friction (side 0)."""
+    s.phase, s.side, s.slide = ATTACHED, side, 0.0
+    s.d, s.d_rate = d, 0.0
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _least_speed(p, s):  # type: ignore[no-untyped-def]
     """Return the least relative speed [m/s] that the rounding of the structure's speed leaves standing."""
-    return max(p.touch_speed, _SPEED_RESOLUTION * abs(s[Y + V1]))
+    return max(p.touch_speed, _SPEED_RESOLUTION * abs(s.y[V1]))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _part(p, s, way):  # type: ignore[no-untyped-def]
     """Let a sphere at rest on the base begin to slide: with the least speed, and nothing added to the momentum."""
+    if s.side != 0.0:
+        s.dent, s.dent_side = max(0.0, s.side * s.d - p.half_gap), s.side
     rate = way * _least_speed(p, s)
-    s[Y + V1] -= p.share * rate
-    _fly_on(p, s, s[GAP], rate)
-
-
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
-def _note(log, segment, offset, side, approach, separation, force, indentation, impulse, duration, lost):  # type: ignore[no-untyped-def]
-    """Append an impact."""
-    row = log.impacts[log.filled[1]]
-    row[0], row[1], row[2], row[3], row[4] = segment, offset, side, approach, separation
-    row[5], row[6], row[7], row[8], row[9] = force, indentation, impulse, duration, lost
-    log.filled[1] += 1
-
-
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
-def _leave(p, s, log):  # type: ignore[no-untyped-def]
-    """End a contact: note the impact and return to (x_1, v_1, d, d')."""
-    side, speed = s[SIDE], s[RATE]
-    _note(
-        log, s[BEGIN_SEGMENT], s[BEGIN_OFFSET], side, s[APPROACH], -speed,
-        s[PEAK_FORCE], s[PEAK_INDENTATION], s[IMPULSE], s[ELAPSED], s[LOST]
-    )  # fmt: skip
-    s[Y + X1] -= p.share * side * p.half_gap
-    s[Y + V1] -= p.share * side * speed
-    _fly_on(p, s, side * p.half_gap, side * speed)
+    s.y[V1] -= p.share * rate
+    _fly_on(p, s, s.d, rate)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _bounce(p, s, side, segment, acceleration, noise, log, ledger):  # type: ignore[no-untyped-def]
+def _touch(p, s, side, segment):  # type: ignore[no-untyped-def]
+    """Begin a contact with the wall just reached: y becomes that of the pair."""
+    speed = max(side * s.d_rate, p.touch_speed)
+    if s.dent_side != side:
+        s.dent, s.dent_side = 0.0, side
+    s.y[V1] += p.share * s.d_rate  # not `speed`: the least speed must not change the pair's momentum
+    s.phase, s.side = CONTACT, side
+    s.d, s.d_rate, s.slide = side * (p.half_gap + s.dent), 0.0, 0.0
+    s.w, s.speed, s.deepest = 0.0, speed, 0.0
+    s.per_v0 = 1.0 / max(speed, p.speed_floor)
+    s.next_step, s.whole = 0.0, 0
+    s.approach, s.begin_segment, s.begin_t = speed, segment, s.t
+    s.elapsed, s.peak_force, s.impulse, s.lost = 0.0, 0.0, 0.0, 0.0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _note(desk, s, separation, indentation):  # type: ignore[no-untyped-def]
+    """Append the contact of s as an impact."""
+    row = desk.impacts[desk.filled[0].impacts]
+    row.segment, row.offset, row.wall = s.begin_segment, s.begin_t, int(s.side)
+    row.approach_speed, row.separation_speed = s.approach, separation
+    row.peak_force, row.peak_indentation = s.peak_force, indentation
+    row.impulse, row.duration, row.energy_lost = s.impulse, s.elapsed, s.lost
+    desk.filled[0].impacts += 1
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _leave(model, s, desk, settled):  # type: ignore[no-untyped-def]
+    """End a contact: note the impact, give y back to the structure, and fly on from the surface that is left.
+
+    What the contact still holds is lost: it relaxes alone, or rings out.
+    """
+    p, depth, side = model.parameters[0], s.w * s.w, s.side
+    if depth > 0.0:
+        _, _, stored, _, _ = model.force.one(p.stiffness, p.factor, s.per_v0, turned_at(s), s.w, s.speed)
+        s.lost += stored
+        desk.ledger[0].contact += stored
+    _note(desk, s, -s.speed, s.deepest * s.deepest)
+    s.y[X1] -= p.share * side * depth
+    s.y[V1] -= p.share * side * s.speed
+    d = s.d + side * depth
+    if settled:  # at a turning point: the indentation's rate is zero
+        _hold(s, d, side)
+    else:
+        s.dent += depth
+        _fly_on(p, s, d, side * s.speed)
+    s.w, s.speed, s.step, s.whole = 0.0, 0.0, 0.0, 0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _bounce(p, s, side, acceleration, noise, desk):  # type: ignore[no-untyped-def]
     """Reverse the relative speed at once, or let a sphere ride that no longer bounces off a pressing wall.
 
     A bounce lower than the `noise` [m] of the positions would be thrown up again by their rounding, for ever.
     """
-    speed = max(0.0, side * s[RATE])
-    e = p.force.restitution
+    speed = max(0.0, side * s.d_rate)
+    e = p.restitution
     least = max(p.touch_speed, math.sqrt(2.0 * abs(acceleration) * noise))
     rides = e * speed <= least and side * acceleration <= 0.0
     if rides:
         e = 0.0
-    lost = 0.5 * p.m_eff * speed * speed * (1.0 - e * e)
-    ledger[LEDGER_CONTACT] += lost
     away = 0.0 if rides else max(e * speed, _least_speed(p, s))
-    s[Y + V1] += p.share * side * (speed + away)
+    s.y[V1] += p.share * side * (speed + away)
+    s.side, s.approach, s.elapsed, s.peak_force = side, speed, 0.0, 0.0
+    s.impulse, s.lost = p.m_eff * speed * (1.0 + e), 0.5 * p.m_eff * speed * speed * (1.0 - e * e)
+    desk.ledger[0].contact += s.lost
     if speed > p.touch_speed:
-        _note(log, segment, s[T], side, speed, e * speed, 0.0, 0.0, p.m_eff * speed * (1.0 + e), 0.0, lost)
+        _note(desk, s, e * speed, 0.0)
     if rides:
-        s[PHASE], s[SIDE], s[GAP], s[RATE] = ATTACHED, side, side * p.half_gap, 0.0
+        _hold(s, side * p.half_gap, side)
     else:
         _fly_on(p, s, side * p.half_gap, -side * away)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
-def _free_phase(p, system, f, work, s, t_end, segment, log, ledger, account):  # type: ignore[no-untyped-def]
+@njit(cache=True, nogil=True, error_model="numpy")
+def _free_phase(model, f, desk, t_end, segment, account):  # type: ignore[no-untyped-def]
     """Fly, and begin whatever the flight ends in."""
-    add_knot(log, s)
-    begin_t, push = s[T], s[SIDE] * p.m * p.friction
-    s[SLID] = s[GAP]
-    touched = fly(p, system, f, work, s, t_end)
+    p, system = model.parameters[0], model.systems[LOOSE]
+    s, k = desk.states[0], desk.flight[0]
+    _add_knot(desk)
+    k.push = s.slide * p.m * p.friction
+    s.begin_d = s.d
+    touched = fly(p, system, f, k, s, t_end)
     if account:
-        flight_energy(p, system, f, work, push, begin_t, s[T], s, ledger)
+        account_flight(p, system, f, k, s.t, desk.ledger[0])
+        desk.ledger[0].friction += abs(k.push) * abs(s.d - s.begin_d)
     if touched == 0:
         return
-    _, _, acceleration, _ = wall(system, f, work, push, s[T] - begin_t, s[T], 0)
-    acceleration = (p.c.m_1 * acceleration - push) * p.per_m_pair  # of both together, were they held
+    look(system, f, k, s.t, 0)
+    acceleration = (p.m_1 * k.bend - k.push) * p.per_m_pair  # of both together, were they held
     if touched == STOPPED:
         if abs(acceleration) <= p.friction:
-            s[Y + V1] += p.share * s[RATE]
-            s[PHASE], s[SIDE], s[RATE] = ATTACHED, 0.0, 0.0
+            s.y[V1] += p.share * s.d_rate
+            _hold(s, s.d, 0.0)
         else:
             _part(p, s, -np.sign(acceleration))
-    elif p.force.kind == _IMPULSIVE:
-        _bounce(p, s, touched, segment, acceleration, rounding(p, system, work, s[T]), log, ledger)
+    elif p.rigid:
+        s.begin_segment, s.begin_t = segment, s.t
+        _bounce(p, s, float(touched), acceleration, rounding(p, system, k, s.t), desk)
     else:
-        _touch(p, s, touched, segment)
+        _touch(p, s, float(touched), segment)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _attached_phase(p, system, f, work, s, t_end, log, ledger, account):  # type: ignore[no-untyped-def]
+def _attached_phase(model, f, desk, t_end, account):  # type: ignore[no-untyped-def]
     """Move as one body until sphere and base part."""
-    add_knot(log, s)
-    begin_t = s[T]
-    parted = carry(p, system, f, work, s, t_end)
+    p, system = model.parameters[0], model.systems[HELD]
+    s, k = desk.states[0], desk.flight[0]
+    _add_knot(desk)
+    k.push = 0.0
+    parted = carry(p, system, f, k, s, t_end)
     if account:
-        flight_energy(p, system, f, work, 0.0, begin_t, s[T], s, ledger)
+        account_flight(p, system, f, k, s.t, desk.ledger[0])
     if parted != 0.0:
         _part(p, s, parted)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def run(model, segments, first, base, s, work, log, ledger, account):  # type: ignore[no-untyped-def]
-    """Advance s through `segments[first:]`, numbered from `base`; return (how it ended, the segment it is in).
+def _leap_over(model, f, desk, t_end, account):  # type: ignore[no-untyped-def]
+    """Take a contact that has just begun as a whole, from the table; return whether that was possible."""
+    p, table = model.parameters[0], model.table[0]
+    s, k = desk.states[0], desk.press[0]
+    if not look_up(p, table, s, k, t_end - s.t):
+        return False
+    s.whole = 1
+    _add_knot(desk)
+    if account:
+        desk.states[1] = s
+        follow(model, f, desk.states[1], k, desk.ledger[0])
+        expand(p, f, s, k)
+    leap(p, table, s, k)
+    return True
 
-    Knots, impacts and energies go to `log` and `ledger`; flights are accounted for only if `account`, because it
-    costs as much as flying.
-    """
-    p = model.p
-    omega, aimed = -1.0, -1
-    for index in range(first, segments.shape[0]):
-        row = segments[index]
-        f = Forcing(row["omega"], row["phase"], row["amplitude"], row["slope"])
-        t_end = row["duration"]
-        if s[T] == 0.0:
-            log.first[index] = log.filled[0]
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def follow(model, f, s, k, ledger):  # type: ignore[no-untyped-def]
+    """Account for the contact that begins at s, step by step, without letting it decide anything."""
+    p = model.parameters[0]
+    forget(k)
+    for _ in range(_STEPS):
+        expand(p, f, s, k)
+        k.rest = math.inf
+        if s.next_step == 0.0:
+            s.next_step = first_step(p, s.approach, k.thrust[0])
+        ended = take_step(p, model.force, s, k)
+        account_step(p, f, s, k, ledger)
+        conclude(p, s, k, ended, 0.0)
+        if ended not in (NOTHING, TURNED):
+            return
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _contact_phase(model, f, desk, t_end, account):  # type: ignore[no-untyped-def]
+    """Go on with a contact; return LEFT, RELEASED or SETTLED where it ends, or what else stopped it."""
+    p, s, k, ledger = model.parameters[0], desk.states[0], desk.press[0], desk.ledger[0]
+    forget(k)
+    for _ in range(_STEPS):
+        expand(p, f, s, k)
+        if s.next_step == 0.0:
+            if _leap_over(model, f, desk, t_end, account):
+                ledger.contact += s.lost
+                return LEFT
+            s.next_step = first_step(p, s.approach, k.thrust[0])
+        k.rest = t_end - s.t
+        ended = take_step(p, model.force, s, k)
+        if ended == FAILED:
+            return FAILED
+        _add_knot(desk)
+        lost = dissipated(k, s.step)
+        ledger.contact += lost
+        s.lost += lost
+        s.peak_force = max(s.peak_force, peak_in_step(p, model.force, s, k))
+        if account:
+            account_step(p, f, s, k, ledger)
+        conclude(p, s, k, ended, t_end)
+        if ended in (LEFT, TIME, RELEASED):
+            break
+        if ended == TURNED and p.remembers and settles(p, model.force, s, k):
+            ended = SETTLED
+            break
+    s.step = 0.0
+    _add_knot(desk)
+    return ended
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _ready(model, f, desk, t_end, fresh):  # type: ignore[no-untyped-def]
+    """Prepare the closed form of a flight: a new frequency or system, or a new segment."""
+    k = desk.flight[0]
+    which = HELD if desk.states[0].phase == ATTACHED else LOOSE
+    system = model.systems[which]
+    if f.omega != k.omega or which != k.system:
+        transfer(system, f.omega, k)
+        k.omega, k.system = f.omega, which
+        k.reach = bound_omega(system, f.omega)
         fresh = True
+    if fresh:
+        aim(system, f, k, t_end)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def run(model, segments, index, base, desk, account):  # type: ignore[no-untyped-def]
+    """Advance the state through `segments[index:]`, numbered from `base`; return (how it ended, the segment it is in).
+
+    Flights are accounted for only if `account`, because it costs as much as flying.
+    """
+    s = desk.states[0]
+    desk.flight[0].omega = -1.0
+    while index < segments.shape[0]:
+        row = segments[index]
+        f = Forcing(row.omega, row.phase, row.amplitude, row.slope)
+        t_end, fresh = row.duration, True
+        if s.t == 0.0:
+            desk.first[index] = desk.filled[0].knots
         for _ in range(_EVENTS_PER_SEGMENT):
-            if log.filled[0] + _ROOM > log.knots.shape[0] or log.filled[1] + 2 > log.impacts.shape[0]:
+            if desk.filled[0].knots + ROOM > desk.knots.shape[0] or desk.filled[0].impacts + 2 > desk.impacts.shape[0]:
                 return NEED_ROOM, index
-            phase = s[PHASE]
-            if phase in (FREE, ATTACHED):
-                attached = 1 if phase == ATTACHED else 0
-                system = model.attached if attached else model.loose
-                if attached != aimed or f.omega != omega:
-                    transfer(system, f.omega, work.answer, work.drift)
-                    omega, aimed, fresh = f.omega, attached, True
-                if fresh:
-                    aim(f, work, t_end)
-                    fresh = False
-                if attached:
-                    _attached_phase(p, system, f, work, s, t_end, log, ledger, account)
-                else:
-                    _free_phase(p, system, f, work, s, t_end, base + index, log, ledger, account)
-            elif phase == COLLISION:
-                ended = collide(p, f, work.series, work.at, s, t_end, log, ledger, account)
-                if ended == LEFT_WALL:
-                    _leave(p, s, log)
-                elif ended == STIFF:
-                    s[PHASE] = RIDING
-                    s[GAP] *= s[GAP]  # riding counts in δ
-                elif ended == FAILED:
+            if s.phase == CONTACT:
+                ended = _contact_phase(model, f, desk, t_end, account)
+                if ended == FAILED:
                     return STUCK, index
+                if ended in (LEFT, RELEASED, SETTLED):
+                    _leave(model, s, desk, ended == SETTLED)
             else:
-                ended = riding.ride(p, f, work, s, t_end, log, ledger)
-                if ended == NOT_STIFF:
-                    s[PHASE] = COLLISION
-                    s[GAP] = np.sqrt(s[GAP])
-                    s[GRIP] = grip(p, s)
-                elif ended == FAILED:
-                    return STUCK, index
-            if s[T] >= t_end:
+                _ready(model, f, desk, t_end, fresh)
+                fresh = False
+                if s.phase == FREE:
+                    _free_phase(model, f, desk, t_end, base + index, account)
+                else:
+                    _attached_phase(model, f, desk, t_end, account)
+            if s.t >= t_end:
                 break
         else:
             return STUCK, index
-        s[T] = 0.0
-    return DONE, segments.shape[0]
+        s.t = 0.0
+        index += 1
+    return DONE, index

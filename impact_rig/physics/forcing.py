@@ -1,4 +1,10 @@
-"""The drive inside one segment: u(t) = (A + B t) sin(ω t + φ), and the linear systems' particular answer to it."""
+"""The drive inside one segment: u(t) = (A + B t) sin(ω t + φ), and the linear systems' particular answer to it.
+
+With y' = M y + b_0 u + b_1 u' and the resolvent R(ω) = (jω − M)^-1,
+
+    y_p(t) = Im[(P + Q t) exp(jωt)],   H = R (b_0 + jω b_1),   G = R (b_1 − H)
+    Q = B e^{jφ} H,                    P = A e^{jφ} H + B e^{jφ} G
+"""
 
 from __future__ import annotations
 
@@ -6,6 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
+
+from impact_rig.arithmetic.elementary import modulus, sincos
 
 SEGMENT = np.dtype([("duration", "f8"), ("omega", "f8"), ("phase", "f8"), ("amplitude", "f8"), ("slope", "f8")])
 """Drive segments, in order: seconds, rad/s, rad, and amplitude and its rate in A, m or V by drive."""
@@ -23,54 +31,77 @@ class Forcing(NamedTuple):
 @njit(cache=True, nogil=True, error_model="numpy")
 def drive(f, t):  # type: ignore[no-untyped-def]  # compiled: types are inferred
     """Return u and u' at t."""
-    angle = f.omega * t + f.phase
     level = f.amplitude + f.slope * t
-    s, c = np.sin(angle), np.cos(angle)
-    return level * s, f.slope * s + level * f.omega * c
+    sine, cosine = sincos(f.omega * t + f.phase)
+    return level * sine, f.slope * sine + level * f.omega * cosine
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def turned(angle):  # type: ignore[no-untyped-def]
+    """Return exp(j angle)."""
+    sine, cosine = sincos(angle)
+    return complex(cosine, sine)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def size(z):  # type: ignore[no-untyped-def]
+    """Return |z|."""
+    return modulus(z.real, z.imag)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def bound_omega(system, omega):  # type: ignore[no-untyped-def]
     """Return the fastest rate [1/s] of the drive and the modes."""
     fastest = max(omega, 1e-9)
-    for k in range(system.modes.rate.shape[0]):
-        fastest = max(fastest, abs(system.modes.rate[k]))
+    for k in range(system.modes):
+        fastest = max(fastest, size(system.rate[k]))
     return fastest
 
 
-@njit(cache=True, nogil=True)
-def _resolvent(modes, omega, vector, out):  # type: ignore[no-untyped-def]
-    """Out = (jω − M)^-1 vector; each kept mode stands for itself and its conjugate."""
-    out[:] = 0.0
-    for k in range(modes.rate.shape[0]):
-        rate = modes.rate[k]
+@njit(cache=True, nogil=True, error_model="numpy")
+def _half_reciprocal(z):  # type: ignore[no-untyped-def]
+    """Return 1 / (2 z)."""
+    scale = 0.5 / (z.real * z.real + z.imag * z.imag)
+    return complex(z.real * scale, -z.imag * scale)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _resolve(system, omega, vector, out):  # type: ignore[no-untyped-def]
+    """Fill out = (jω − M)^-1 vector; each kept mode stands for itself and its conjugate."""
+    n = system.states
+    for i in range(n):
+        out[i] = 0.0j
+    for k in range(system.modes):
+        rate = system.rate[k]
         plus, minus = 0.0j, 0.0j
-        for i in range(vector.shape[0]):
-            plus += modes.left[k, i] * vector[i]
-            minus += np.conj(modes.left[k, i]) * vector[i]
-        plus *= 0.5 / (1j * omega - rate)
-        minus *= 0.5 / (1j * omega - np.conj(rate))
-        for i in range(vector.shape[0]):
-            out[i] += modes.right[k, i] * plus + np.conj(modes.right[k, i]) * minus
+        for i in range(n):
+            left = system.left[k, i]
+            plus += left * vector[i]
+            minus += complex(left.real, -left.imag) * vector[i]
+        plus *= _half_reciprocal(complex(-rate.real, omega - rate.imag))
+        minus *= _half_reciprocal(complex(-rate.real, omega + rate.imag))
+        for i in range(n):
+            right = system.right[k, i]
+            out[i] += right * plus + complex(right.real, -right.imag) * minus
 
 
-@njit(cache=True, nogil=True)
-def transfer(system, omega, answer, drift):  # type: ignore[no-untyped-def]
-    """Fill H = R (b0 + jω b1) and G = R b1 − R H, R = (jω − M)^-1: answers to a steady and a growing drive."""
-    n = system.b0.shape[0]
+@njit(cache=True, nogil=True, error_model="numpy")
+def transfer(system, omega, k):  # type: ignore[no-untyped-def]
+    """Fill `k.answer` (H) and `k.drift` (G): what the system does for a steady and for a growing drive."""
+    n = system.states
     vector = np.empty(n, np.complex128)
     for i in range(n):
-        vector[i] = system.b0[i] + 1j * omega * system.b1[i]
-    _resolvent(system.modes, omega, vector, answer)
+        vector[i] = complex(system.b_0[i], omega * system.b_1[i])
+    _resolve(system, omega, vector, k.answer)
     for i in range(n):
-        vector[i] = system.b1[i] - answer[i]
-    _resolvent(system.modes, omega, vector, drift)
+        vector[i] = complex(system.b_1[i] - k.answer[i].real, -k.answer[i].imag)
+    _resolve(system, omega, vector, k.drift)
 
 
-@njit(cache=True, nogil=True)
-def particular(f, answer, drift, steady, growing):  # type: ignore[no-untyped-def]
-    """Fill P and Q of y_p(t) = Im[(P + Q t) exp(jωt)]: P = A H + B G, Q = B H with the phase in A and B."""
-    turn = np.cos(f.phase) + 1j * np.sin(f.phase)
-    for i in range(answer.shape[0]):
-        growing[i] = f.slope * turn * answer[i]
-        steady[i] = f.amplitude * turn * answer[i] + f.slope * turn * drift[i]
+@njit(cache=True, nogil=True, error_model="numpy")
+def particular(system, f, k):  # type: ignore[no-untyped-def]
+    """Fill `k.steady` (P) and `k.growing` (Q) for this segment's amplitude and phase."""
+    turn = turned(f.phase)
+    for i in range(system.states):
+        k.growing[i] = f.slope * turn * k.answer[i]
+        k.steady[i] = f.amplitude * turn * k.answer[i] + f.slope * turn * k.drift[i]

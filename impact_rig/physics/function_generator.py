@@ -11,14 +11,14 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import signal
 
+from impact_rig.arithmetic.elementary import PI, TWO_PI
+from impact_rig.arithmetic.random import Random
 from impact_rig.config import Drive, Shaker
 from impact_rig.errors import CommandError
+from impact_rig.physics.band_pass import BandNoise, band_pass
 from impact_rig.physics.forcing import SEGMENT
 from impact_rig.simtime import COMMAND_GRID_S
-
-_NOISE_CHUNK = 256  # ticks of noise made at once: fixed, so that chunks do not depend on the calls
 
 
 class FunctionGenerator:
@@ -33,36 +33,30 @@ class FunctionGenerator:
         tick: number of ticks generated so far.
     """
 
-    def __init__(self, drive: Drive, shaker: Shaker, rng: np.random.Generator, tick_s: float = COMMAND_GRID_S) -> None:
+    def __init__(self, drive: Drive, shaker: Shaker, random: Random, tick_s: float = COMMAND_GRID_S) -> None:
         self._drive = drive
         self._tick_s = tick_s
         self._ramp_ticks = math.ceil(shaker.ramp_s / tick_s - 1e-9)
-        self._rng = rng
         self.tick = 0
         self.frequency_hz = drive.frequency_hz
         self._anchor_tick, self._anchor_phase = 0, 0.0
         self._ramp = (0, 0.0, drive.amplitude)  # first tick, amplitude there, target
         if self._ramp_ticks == 0 or drive.amplitude == 0.0:
             self._ramp = (0, drive.amplitude, drive.amplitude)
-        self._noise: NDArray[np.float64] = np.empty(0)
-        self._noise_start = 0
+        self._noise: BandNoise | None = None
         if drive.waveform == "random":
             if drive.random_high_hz >= 0.45 / tick_s:
                 raise CommandError(
                     f"drive.random_high_hz must be < {0.45 / tick_s:g} Hz, the band of a {tick_s:g} s grid, "
                     f"got {drive.random_high_hz:g}"
                 )
-            band = (drive.random_low_hz, drive.random_high_hz)
-            self._filter = signal.butter(4, band, "bandpass", fs=1.0 / tick_s, output="sos")
-            self._filter_state = np.zeros((len(self._filter), 2))
-            _, response = signal.sosfreqz(self._filter, 8192)
-            self._noise_scale = 1.0 / math.sqrt(float(np.mean(np.abs(response) ** 2)))
+            self._noise = BandNoise(band_pass(drive.random_low_hz, drive.random_high_hz, tick_s), random)
 
     @property
     def phase_rad(self) -> float:
         """Phase of the sine at the next tick, in [0, 2π)."""
         turns = self.frequency_hz * self._tick_s * (self.tick - self._anchor_tick)
-        return math.fmod(self._anchor_phase + 2.0 * math.pi * math.fmod(turns, 1.0), 2.0 * math.pi)
+        return math.fmod(self._anchor_phase + TWO_PI * math.fmod(turns, 1.0), TWO_PI)
 
     @property
     def amplitude(self) -> float:
@@ -104,7 +98,7 @@ class FunctionGenerator:
     def copy(self) -> FunctionGenerator:
         """Return a generator that goes on from here on its own, with the same noise."""
         twin = copy.copy(self)
-        twin._rng = copy.deepcopy(self._rng)
+        twin._noise = self._noise and self._noise.copy()
         return twin
 
     def segments(self, count: int) -> NDArray[np.void]:
@@ -113,15 +107,15 @@ class FunctionGenerator:
         rows = np.zeros(count, SEGMENT)
         rows["duration"] = self._tick_s
         level = self._amplitude_at(np.append(ticks, self.tick + count))
-        if self._drive.waveform == "random":
-            level = level * self._noise_at(self.tick, count + 1)
-            rows["phase"] = math.pi / 2.0
+        if self._noise is not None:
+            level = level * self._noise.numbers(self.tick, count + 1)
+            rows["phase"] = PI / 2.0
         elif self._drive.waveform == "chirp":
             self._fill_chirp(rows)
         else:
             turns = self.frequency_hz * self._tick_s * (ticks - self._anchor_tick)
-            rows["omega"] = 2.0 * math.pi * self.frequency_hz
-            rows["phase"] = np.fmod(self._anchor_phase + 2.0 * math.pi * np.fmod(turns, 1.0), 2.0 * math.pi)
+            rows["omega"] = TWO_PI * self.frequency_hz
+            rows["phase"] = np.fmod(self._anchor_phase + TWO_PI * np.fmod(turns, 1.0), TWO_PI)
         rows["amplitude"] = level[:-1]
         rows["slope"] = np.diff(level) / self._tick_s
         self.tick += count
@@ -133,8 +127,8 @@ class FunctionGenerator:
         for i in range(len(rows)):
             place = ((self.tick + i) % per_sweep) / per_sweep
             frequency = drive.frequency_hz + place * (drive.chirp_end_hz - drive.frequency_hz)
-            rows[i]["omega"], rows[i]["phase"] = 2.0 * math.pi * frequency, self._anchor_phase
-            self._anchor_phase = math.fmod(self._anchor_phase + 2.0 * math.pi * frequency * self._tick_s, 2.0 * math.pi)
+            rows[i]["omega"], rows[i]["phase"] = TWO_PI * frequency, self._anchor_phase
+            self._anchor_phase = math.fmod(self._anchor_phase + TWO_PI * frequency * self._tick_s, TWO_PI)
 
     def _amplitude_at(self, tick: NDArray[np.int64]) -> NDArray[np.float64]:
         first, start, target = self._ramp
@@ -142,13 +136,3 @@ class FunctionGenerator:
             return np.full(tick.shape, target)
         part = np.clip((tick - first) / self._ramp_ticks, 0.0, 1.0)
         return np.asarray(start + (target - start) * part)
-
-    def _noise_at(self, tick: int, count: int) -> NDArray[np.float64]:
-        while self._noise_start + len(self._noise) < tick + count:
-            white = self._rng.standard_normal(_NOISE_CHUNK) * self._noise_scale
-            made, self._filter_state = signal.sosfilt(self._filter, white, zi=self._filter_state)
-            kept = self._noise[max(0, tick - self._noise_start) :]
-            self._noise_start += len(self._noise) - len(kept)
-            self._noise = np.concatenate([kept, made])
-        start = tick - self._noise_start
-        return self._noise[start : start + count]

@@ -10,18 +10,33 @@ base (m_1 + m).
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from decimal import Decimal
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from impact_rig.arithmetic.elementary import TWO_PI
+from impact_rig.arithmetic.precise import (
+    ONE,
+    TWO,
+    Complex,
+    Matrix,
+    dot,
+    evaluate,
+    evaluate_with_slope,
+    modulus,
+    precise,
+    resolvent,
+    roots,
+)
 from impact_rig.config import RigConfig
 from impact_rig.errors import ConfigError
+from impact_rig.physics.state import COIL, V1, VB, X1, XB
 
-X1, V1, XB, VB, COIL = range(5)
-"""Places in the state y; a prescribed base has the first two only, a current drive the first four."""
-
-_WORST_CONDITION = 1e7
+_WORST_CONDITION = Decimal("1e7")  # how much larger than the motion its modes may be
+_GOOD_SIZE = Decimal("0.1")  # of the largest entry of a residue
 _DETUNING = 1e-9  # relative nudge of the damping that separates two coinciding eigenvalues
 
 
@@ -40,7 +55,10 @@ class Constants(NamedTuple):
 
 
 class Modes(NamedTuple):
-    """Modes of y' = M y; complex pairs are kept once with doubled right vectors. Shapes: (k,), (k, n), (k, n)."""
+    """Modes of y' = M y; complex pairs are kept once with doubled right vectors. Shapes: (k,), (k, n), (k, n).
+
+    Each left vector is 1 at one place of the state, so that the modal coordinate counts in that place's unit.
+    """
 
     rate: NDArray[np.complex128]
     right: NDArray[np.complex128]
@@ -50,11 +68,11 @@ class Modes(NamedTuple):
 def constants(config: RigConfig) -> Constants:
     """Return the constants of motion of a configuration: k_1 = m_1 ω_n², c_1 = 2 ζ m_1 ω_n."""
     structure, shaker = config.structure, config.shaker
-    omega_n = 2.0 * math.pi * structure.natural_frequency_hz
+    omega_n = TWO_PI * structure.natural_frequency_hz
     return Constants(
         m_1=structure.mass_kg,
         c_1=2.0 * structure.damping_ratio * structure.mass_kg * omega_n,
-        k_1=structure.mass_kg * omega_n**2,
+        k_1=structure.mass_kg * (omega_n * omega_n),
         m_base=shaker.armature_mass_kg + shaker.base_mass_kg,
         c_f=shaker.damping_n_s_m,
         k_f=shaker.suspension_stiffness_n_m,
@@ -95,35 +113,88 @@ def input_vectors(c: Constants, kind: str, mass: float) -> tuple[NDArray[np.floa
 
 
 def modes(matrix: NDArray[np.float64]) -> Modes:
-    """Return the modes of a stable real matrix.
+    """Return the modes of a real matrix, computed with many digits and rounded once; real ones first, then pairs.
 
-    Coinciding eigenvalues (critical damping) have no full set of modes: the damping is then nudged by parts in 1e9.
+    (s I − M)⁻¹ = adj(s I − M) / p(s) has the residue right · left at each root of p, a matrix of rank one. Coinciding
+    eigenvalues (critical damping) have no full set of modes: the damping is then nudged by parts in 1e9.
 
     Raises:
-        ConfigError: the matrix has no usable modes or is not stable: masses or stiffnesses are too far apart.
+        ConfigError: the matrix has no usable modes: masses or stiffnesses are too far apart.
     """
+    if not np.all(np.isfinite(matrix)):
+        raise ConfigError("structure and shaker have no modes: masses, stiffnesses or dampings are out of all bounds")
     for attempt in range(3):
         nudged = matrix.copy()
-        nudged[np.diag_indices_from(nudged)] *= 1.0 + attempt * _DETUNING
-        # Time scales differ by decades: balance lengths and speeds before the eigenvalues are taken.
-        scale = np.ones(len(matrix))
-        scale[[X1, XB] if len(matrix) > 2 else [X1]] = 1.0 / max(1e-300, math.sqrt(abs(matrix[V1, X1])))
-        balanced = nudged * scale[np.newaxis, :] / scale[:, np.newaxis]
-        rate, right = np.linalg.eig(balanced)
-        if not np.all(np.isfinite(right)):
-            break
-        if np.linalg.cond(right) < _WORST_CONDITION:
-            left = np.linalg.inv(right) / scale[np.newaxis, :]
-            right = right * scale[:, np.newaxis]
-            return _halved(rate.astype(complex), right.astype(complex), left.astype(complex))
+        for i in range(len(nudged)):
+            nudged[i, i] *= 1.0 + attempt * _DETUNING
+        found = _refined(nudged)
+        if found is not None:
+            return found
     raise ConfigError("structure and shaker have no separable modes: masses, stiffnesses or dampings are too far apart")
 
 
-def _halved(rate: NDArray[np.complex128], right: NDArray[np.complex128], left: NDArray[np.complex128]) -> Modes:
-    kept = rate.imag >= 0.0
-    weight = np.where(rate.imag[kept] > 0.0, 2.0, 1.0)
-    return Modes(
-        np.ascontiguousarray(rate[kept]),
-        np.ascontiguousarray((right[:, kept] * weight).T),
-        np.ascontiguousarray(left[kept]),
-    )
+def static_answer(matrix: NDArray[np.float64], push: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the state −M⁻¹ push in which y' = M y + push rests, shape (n,), computed with many digits.
+
+    Raises:
+        ConfigError: there is none.
+    """
+    answer = _rest(matrix, push)
+    if answer is None or not np.all(np.isfinite(answer)):
+        raise ConfigError("structure and shaker have no position of rest: stiffnesses are out of all bounds")
+    return answer
+
+
+@precise
+def _rest(matrix: NDArray[np.float64], push: NDArray[np.float64]) -> NDArray[np.float64] | None:
+    polynomial, adjugate = resolvent(_exactly(matrix))
+    if not polynomial[0]:
+        return None
+    pushes = [Decimal(float(value)) for value in push]
+    return np.array([float(dot(row, pushes) / polynomial[0]) for row in adjugate[0]])
+
+
+@precise
+def _refined(matrix: NDArray[np.float64]) -> Modes | None:
+    """Return the modes, or None where two of them are too much alike to be told apart."""
+    polynomial, adjugate = resolvent(_exactly(matrix))
+    scale = _balance(matrix)
+    start = np.linalg.eigvals(matrix * scale[np.newaxis, :] / scale[:, np.newaxis])  # the roots do not depend on it
+    rates = roots(polynomial, [complex(value) for value in start])
+    if rates is None:
+        return None
+    scales = [Decimal(float(value)) for value in scale]
+    right, left = [], []
+    for rate in rates:
+        _, slope = evaluate_with_slope(polynomial, rate)
+        if not slope.square():
+            return None
+        residue = _residue(adjugate, rate, slope)
+        size = [[scales[j] / scales[i] * modulus(z) for j, z in enumerate(row)] for i, row in enumerate(residue)]
+        largest = max(max(row) for row in size)
+        if not largest < _WORST_CONDITION:
+            return None
+        # the first entry of a good size, so that no last digit decides between two equal ones
+        i, j = next((i, j) for i, row in enumerate(size) for j, value in enumerate(row) if value > _GOOD_SIZE * largest)
+        weight = Complex(TWO if rate.imag else ONE)
+        right.append([complex(weight * row[j]) for row in residue])
+        left.append([complex(z / residue[i][j]) for z in residue[i]])
+    return Modes(np.array([complex(rate) for rate in rates]), np.array(right), np.array(left))
+
+
+def _residue(adjugate: Sequence[Matrix], rate: Complex, slope: Complex) -> list[list[Complex]]:
+    """Return adj(s I − M) / p'(s) at a root s = `rate` of p."""
+    n = len(adjugate)
+    per_slope = Complex(ONE) / slope
+    return [[evaluate([power[i][j] for power in adjugate], rate) * per_slope for j in range(n)] for i in range(n)]
+
+
+def _balance(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return units, shape (n,), in which lengths and speeds are of one size: time scales differ by decades."""
+    scale = np.ones(len(matrix))
+    scale[[X1, XB] if len(matrix) > 2 else [X1]] = 1.0 / max(1e-300, math.sqrt(abs(matrix[V1, X1])))
+    return scale
+
+
+def _exactly(matrix: NDArray[np.float64]) -> Matrix:
+    return [[Decimal(float(value)) for value in row] for row in matrix]

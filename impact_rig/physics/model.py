@@ -2,61 +2,42 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from functools import lru_cache
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from impact_rig.arithmetic.elementary import power
 from impact_rig.config import RigConfig
 from impact_rig.physics import contact as contact_laws
-from impact_rig.physics.contact import ContactPair, ForceModel
-from impact_rig.physics.linear import Constants, Modes, constants, input_vectors, modes, state_matrix
+from impact_rig.physics.contact import CompiledForce, ContactPair, Force
+from impact_rig.physics.forcing import bound_omega
+from impact_rig.physics.linear import Constants, constants, input_vectors, modes, state_matrix, static_answer
+from impact_rig.physics.outcome import TABLE, tabulate
+from impact_rig.physics.parameters import DRIVES, PARAMETERS, PRESCRIBED, SYSTEM
 from impact_rig.physics.properties import effective_mass_kg, hertz_stiffness_n_m32, sphere_mass_kg
+from impact_rig.physics.state import V1, record
 
 STANDARD_GRAVITY = 9.80665
 CONTACT_RTOL = 1e-9
 """Default relative tolerance of the contact integrators, of each step."""
 
-PRESCRIBED, CURRENT, VOLTAGE = range(3)
-DRIVES = ("prescribed", "current", "voltage")
-
-
-class LinearSystem(NamedTuple):
-    """One linear system (sphere loose or attached): modes, inputs and the static answer to a unit force on x_1."""
-
-    modes: Modes
-    b0: NDArray[np.float64]
-    b1: NDArray[np.float64]
-    static: NDArray[np.float64]
-
-
-class Parameters(NamedTuple):
-    """The scalars of the equations of motion; SI. Kept apart from arrays: compiled calls copy it for free."""
-
-    c: Constants
-    drive: int
-    sphere_present: bool
-    m: float
-    m_eff: float
-    per_m_eff: float  # reciprocals, because a division costs as much as the rest of a stage
-    per_m_1: float
-    per_m_pair: float
-    per_m_base: float
-    share: float  # m / (m_1 + m): the structure's part in a relative motion
-    half_gap: float
-    force: ForceModel
-    speed_floor: float
-    touch_speed: float  # the least approach speed a contact can start with
-    friction: float  # μ g [m/s^2]
-    rtol: float
-
 
 class Model(NamedTuple):
-    """Everything constant between two changes of the configuration."""
+    """Everything constant between two changes of the configuration.
 
-    p: Parameters
-    loose: LinearSystem
-    attached: LinearSystem
+    Attributes:
+        parameters: one record of PARAMETERS.
+        systems: records of SYSTEM, LOOSE and HELD.
+        table: one record of `outcome.TABLE`.
+        force: the contact law's compiled force.
+    """
+
+    parameters: NDArray[np.void]
+    systems: NDArray[np.void]
+    table: NDArray[np.void]
+    force: CompiledForce
 
 
 def build(config: RigConfig, rtol: float = CONTACT_RTOL) -> Model:
@@ -65,37 +46,65 @@ def build(config: RigConfig, rtol: float = CONTACT_RTOL) -> Model:
     Raises:
         ConfigError: the masses and stiffnesses have no usable modes.
     """
-    c = constants(config)
-    kind = config.drive.kind
+    c, kind = constants(config), config.drive.kind
     mass = sphere_mass_kg(config.sphere)
     m_eff = effective_mass_kg(c.m_1, mass)
-    pair = ContactPair(hertz_stiffness_n_m32(config.sphere, config.barriers), m_eff)
-    force = contact_laws.from_config(config.contact).force_model(pair)
-    floor = config.contact.speed_floor_m_s
-    parameters = Parameters(
-        c=c,
-        drive=DRIVES.index(kind),
-        sphere_present=config.sphere.present,
-        m=mass,
-        m_eff=m_eff,
-        per_m_eff=1.0 / m_eff,
-        per_m_1=1.0 / c.m_1,
-        per_m_pair=1.0 / (c.m_1 + mass),
-        per_m_base=1.0 / c.m_base,
-        share=mass / (c.m_1 + mass),
-        half_gap=config.barriers.gap_m / 2.0,
-        force=force._replace(kind=int(force.kind)),
-        speed_floor=floor,
-        touch_speed=1e-6 * floor,
-        friction=config.sphere.guide_friction * STANDARD_GRAVITY,
-        rtol=rtol,
-    )
-    return Model(parameters, _system(c, kind, c.m_1), _system(c, kind, c.m_1 + mass))
+    law = contact_laws.from_config(config.contact)
+    force = law.force(ContactPair(hertz_stiffness_n_m32(config.sphere, config.barriers), m_eff))
+    systems = _systems(c, kind, mass)
+    rows = record(PARAMETERS)
+    p = rows[0]
+    p.drive, p.sphere_present = DRIVES.index(kind), config.sphere.present
+    p.m_1, p.c_1, p.k_1, p.m_base, p.c_f, p.k_f = c.m_1, c.c_1, c.k_1, c.m_base, c.c_f, c.k_f
+    p.force_factor, p.resistance, p.per_inductance = c.force_factor, c.resistance, 1.0 / c.inductance
+    p.m, p.m_eff, p.per_m_eff, p.per_m_1 = mass, m_eff, 1.0 / m_eff, 1.0 / c.m_1
+    p.per_m_pair, p.share = 1.0 / (c.m_1 + mass), mass / (c.m_1 + mass)
+    p.per_m_base = 0.0 if p.drive == PRESCRIBED else 1.0 / c.m_base  # nothing moves a prescribed base
+    p.pair_stiffness, p.pair_damping = p.share * c.k_1 / c.m_1, p.share * c.c_1 / c.m_1
+    p.half_gap = config.barriers.gap_m / 2.0
+    p.friction = config.sphere.guide_friction * STANDARD_GRAVITY
+    _set_law(p, force, m_eff)
+    p.speed_floor = config.contact.speed_floor_m_s
+    p.touch_speed = 1e-6 * p.speed_floor
+    p.fastest = max(bound_omega(system, 0.0) for system in systems)
+    p.rtol = rtol
+    tabulated = force.scale_free and rtol >= CONTACT_RTOL
+    table = _table(force._replace(stiffness=1.0)).copy() if tabulated else record(TABLE)
+    return Model(rows, systems, table.view(np.recarray), force.function)
 
 
-def _system(c: Constants, kind: str, mass: float) -> LinearSystem:
-    matrix = state_matrix(c, kind, mass)
-    b0, b1 = input_vectors(c, kind, mass)
-    push = np.zeros(len(b0))
-    push[1] = 1.0 / mass
-    return LinearSystem(modes(matrix), b0, b1, np.asarray(-np.linalg.solve(matrix, push), np.float64))
+def _set_law(p: Any, force: Force, m_eff: float) -> None:
+    """Set what the contact law decides."""
+    p.stiffness, p.factor, p.restitution = force.stiffness, force.factor, force.restitution
+    p.rigid, p.clipped, p.remembers = force.rigid, force.clipped, force.remembers
+    if not force.rigid:
+        p.time_scale = power(m_eff / force.stiffness, 1.0 / (force.exponent + 1.0))
+        p.time_power = (1.0 - force.exponent) / (1.0 + force.exponent)
+
+
+@lru_cache(maxsize=32)
+def _table(force: Force) -> Any:
+    """Return the outcomes of a law, in its own units: masses, stiffness and approach speed are 1."""
+    p = record(PARAMETERS)[0]
+    _set_law(p, force, 1.0)
+    p.m = p.m_1 = p.m_eff = p.per_m_eff = p.speed_floor = 1.0
+    return tabulate(p, force.function)
+
+
+@lru_cache(maxsize=32)
+def _systems(c: Constants, kind: str, sphere_kg: float) -> Any:
+    """Return the two linear systems: a change of gap or law does not come here."""
+    systems = record(SYSTEM, 2)
+    for system, mass in zip(systems, (c.m_1, c.m_1 + sphere_kg), strict=True):
+        matrix = state_matrix(c, kind, mass)
+        b_0, b_1 = input_vectors(c, kind, mass)
+        found, n = modes(matrix), len(b_0)
+        kept = len(found.rate)
+        push = np.zeros(n)
+        push[V1] = 1.0 / mass
+        system.states, system.modes = n, kept
+        system.rate[:kept] = found.rate
+        system.right[:kept, :n], system.left[:kept, :n] = found.right, found.left
+        system.b_0[:n], system.b_1[:n] = b_0, b_1
+        system.static[:n] = static_answer(matrix, push)
+    return systems

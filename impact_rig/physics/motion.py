@@ -5,17 +5,17 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_rig.physics.event_loop import new_work
 from impact_rig.physics.model import Model
-from impact_rig.physics.sampling import QUANTITIES, TERMS, sample
-from impact_rig.physics.state import FREE, IMPACT_COLUMNS, PHASE, T
+from impact_rig.physics.sampling import QUANTITIES, Query, Trajectory, new_bench, sample
+from impact_rig.physics.state import CONTACT, FREE, IMPACT
 
-IMPACT = np.dtype([(name, "i8" if name == "segment" else "i1" if name == "wall" else "f8") for name in IMPACT_COLUMNS])
-"""One row per finished contact: `segment` and `offset` [s] of its start; see `blocks.IMPACTS` for the rest."""
+__all__ = ["IMPACT", "SAMPLE", "Motion"]
 
 SAMPLE = np.dtype([(name, "f8") for name in QUANTITIES])
 
 _ALL = np.arange(len(QUANTITIES))
+_PARTS = 3
+"""Pieces in which a contact that was looked up as a whole is smooth enough for the instruments' polynomials."""
 
 
 class Motion:
@@ -34,7 +34,7 @@ class Motion:
         model: Model,
         first_segment: int,
         segments: NDArray[np.void],
-        knots: NDArray[np.float64],
+        knots: NDArray[np.void],
         first: NDArray[np.int64],
         impacts: NDArray[np.void],
     ) -> None:
@@ -42,9 +42,8 @@ class Motion:
         self.segments = segments
         self.impacts = impacts
         self._model = model
-        self._knots = knots
-        self._first = first
-        self._work = new_work(len(model.loose.b0))
+        self._trajectory = Trajectory(segments, first_segment, knots, first)
+        self._bench = new_bench()
 
     @property
     def last_segment(self) -> int:
@@ -75,13 +74,29 @@ class Motion:
 
         These are the segments' starts, the contacts' starts and ends, and the integration steps inside contacts.
         """
-        segment = self.first_segment + np.repeat(np.arange(len(self.segments)), np.diff(self._first))
-        return segment, self._knots[:, T].copy()
+        segment, offset, _ = self._refined()
+        return segment, offset
 
     def in_contact(self) -> NDArray[np.bool_]:
-        """Return for every breakpoint whether the sphere touches a wall from there on."""
-        touching: NDArray[np.bool_] = self._knots[:, PHASE] != FREE
-        return touching
+        """Return for every breakpoint whether the sphere touches a wall, or is held, from there on."""
+        return self._refined()[2]
+
+    def _refined(self) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.bool_]]:
+        """Return (segment, offset, whether touching) of the knots and of places inside contacts taken as a whole."""
+        knots, first = self._trajectory.knots, self._trajectory.first
+        segment = self.first_segment + np.repeat(np.arange(len(self.segments)), np.diff(first))
+        offset, phase = knots["t"].copy(), np.asarray(knots["phase"])
+        whole = np.flatnonzero((phase == CONTACT) & (knots["whole"] != 0))
+        length = offset[whole + 1] - offset[whole]
+        inside = np.concatenate([offset[whole] + length * (part / _PARTS) for part in range(1, _PARTS)])
+        places = np.tile(whole + 1, _PARTS - 1)
+        order = np.argsort(places, kind="stable")
+        places = places[order]
+        return (
+            np.insert(segment, places, segment[places - 1]),
+            np.insert(offset, places, inside[order]),
+            np.insert(phase != FREE, places, True),
+        )
 
     def _evaluate(
         self, wanted: NDArray[np.int64], segment: NDArray[np.int64], offset_s: NDArray[np.float64]
@@ -96,17 +111,6 @@ class Motion:
                 f"got {segment.min()} to {segment.max()}"
             )
         out = np.empty((len(wanted), len(segment)))
-        sample(
-            self._model,
-            self.segments,
-            self.first_segment,
-            self._knots,
-            self._first,
-            wanted,
-            segment,
-            offset_s,
-            self._work,
-            np.empty((len(wanted), TERMS)),
-            out,
-        )
+        query = Query(np.ascontiguousarray(wanted, np.int64), segment, offset_s, out)
+        sample(self._model, self._trajectory, query, self._bench)
         return out

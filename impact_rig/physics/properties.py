@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 
+from impact_rig.arithmetic.elementary import PI
 from impact_rig.config import Barriers, Sphere
 
 
 def sphere_mass_kg(sphere: Sphere) -> float:
     """Return m = ρ π d³ / 6 [kg]."""
-    return sphere.density_kg_m3 * math.pi * sphere.diameter_m**3 / 6.0
+    return sphere.density_kg_m3 * PI * (sphere.diameter_m * sphere.diameter_m * sphere.diameter_m) / 6.0
 
 
 def hertz_stiffness_n_m32(sphere: Sphere, barriers: Barriers) -> float:
@@ -17,10 +18,14 @@ def hertz_stiffness_n_m32(sphere: Sphere, barriers: Barriers) -> float:
 
     K = 4 sqrt(R) / {3 [(1 − ν₁²)/E₁ + (1 − ν₂²)/E₂]}: the paper's Eq. (4), Goldsmith (1960).
     """
-    compliance = (1.0 - sphere.poisson_ratio**2) / sphere.young_modulus_pa + (
-        1.0 - barriers.poisson_ratio**2
-    ) / barriers.young_modulus_pa
+    compliance = _compliance(sphere.poisson_ratio, sphere.young_modulus_pa) + _compliance(
+        barriers.poisson_ratio, barriers.young_modulus_pa
+    )
     return 4.0 * math.sqrt(sphere.diameter_m / 2.0) / (3.0 * compliance)
+
+
+def _compliance(poisson_ratio: float, young_modulus_pa: float) -> float:
+    return (1.0 - poisson_ratio * poisson_ratio) / young_modulus_pa
 
 
 def effective_mass_kg(first_kg: float, second_kg: float) -> float:

@@ -10,13 +10,18 @@ Integrate δ' dδ' = −(K/m)(1 + a δ'/v0) δⁿ dδ from v0 in and from −e v
 from __future__ import annotations
 
 import math
+from decimal import Decimal
 
-from scipy.optimize import brentq
 from scipy.special import lambertw
+
+from impact_rig.arithmetic.precise import ONE, TWO, ZERO, precise
 
 _SERIES_BELOW = (
     1e-3  # the closed form loses digits as a -> 0, where the series e = 1 − 2a/3 + 4a²/9 − … is exact enough
 )
+
+
+_CLOSE = Decimal("1e-20")
 
 
 def realised(hysteresis_factor: float) -> float:
@@ -30,11 +35,23 @@ def realised(hysteresis_factor: float) -> float:
     return float((1.0 + lambertw(-x * math.exp(-x)).real) / a)
 
 
+@precise
 def factor_returning(restitution: float) -> float:
-    """Return the factor `a` whose realised restitution is `restitution` in (0, 1]."""
-    e = restitution
-    if not 0.0 < e <= 1.0:
-        raise ValueError(f"restitution must be > 0 and <= 1, got {e!r}")
-    if e == 1.0:
+    """Return the factor `a` whose realised restitution is `restitution` in (0, 1].
+
+    The simulation runs on it, so it is found in portable arithmetic: by bisection between 0 and 1/e of the equation
+    above, whose two sides agree to many digits where e is close to 1.
+    """
+    if not 0.0 < restitution <= 1.0:
+        raise ValueError(f"restitution must be > 0 and <= 1, got {restitution!r}")
+    if restitution == 1.0:
         return 0.0
-    return float(brentq(lambda a: realised(a) - e, 0.0, 2.0 / e, xtol=1e-15, rtol=8.9e-16))
+    e = Decimal(restitution)
+    low, high = ZERO, ONE / e
+    while high - low > _CLOSE * high:
+        a = (low + high) / TWO
+        if ((ONE + a) / (ONE - a * e)).ln() > a * (ONE + e):
+            high = a
+        else:
+            low = a
+    return float(low)

@@ -2,33 +2,100 @@
 
 In flight the closed form is expanded into short Taylor polynomials anchored at fixed places of the flight, so a
 sample costs a dozen multiplications and does not depend on which other samples are asked for. Inside a contact the
-collision's own series is evaluated; riding steps are interpolated.
+step is solved again and interpolated; a contact that was looked up as a whole is integrated here first. With F the
+contact force and Q that of the columns,
+
+    x_1 = x_1* − side σ δ,    x_2 = x_1 + side (g/2 + δ),    a_1 = (Q + side F) / m_1,    a_2 = −side F / m
 """
 
 from __future__ import annotations
 
-import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
-from impact_rig.physics.dynamics import contact_force, rates
-from impact_rig.physics.flight import prepare
-from impact_rig.physics.forcing import Forcing, bound_omega, drive, particular, transfer
-from impact_rig.physics.hermite import cubic, quintic
-from impact_rig.physics.linear import COIL as COIL_STATE
-from impact_rig.physics.linear import V1, VB, X1, XB
-from impact_rig.physics.model import PRESCRIBED, VOLTAGE
-from impact_rig.physics.series import CENTRE, COIL, SPEED, V_BASE, V_CENTRE, X_BASE, evaluate, expand, reached
-from impact_rig.physics.state import ATTACHED, BETA, COLLISION, FREE, GAP, GRIP, PHASE, RATE, SIDE, STEP, T, Y
+from impact_rig.arithmetic.elementary import exp, sincos
+from impact_rig.physics.collocation import LAST
+from impact_rig.physics.flight import launch
+from impact_rig.physics.forcing import Forcing, bound_omega, drive, particular, transfer, turned
+from impact_rig.physics.foresight import foreseen, forget, remember
+from impact_rig.physics.indentation import begin_step, solve
+from impact_rig.physics.pair import add_recoil, expand, moved
+from impact_rig.physics.parameters import HELD, LOOSE, PRESCRIBED, VOLTAGE
+from impact_rig.physics.state import ATTACHED, COIL, CONTACT, FLIGHT, PRESS, STATE, V1, VB, X1, XB, record
+from impact_rig.physics.touching import FAILED, LEFT, RELEASED, conclude, first_step, take_step
 
 X_B, X_1, X_2, V_B, V_1, V_2, A_B, A_1, A_2, CURRENT, FORCE_LEFT, FORCE_RIGHT = range(12)
 QUANTITIES = (
     "x_b", "x_1", "x_2", "v_b", "v_1", "v_2", "a_b", "a_1", "a_2", "current", "force_left", "force_right"
 )  # fmt: skip
 
-TERMS = 14
+FLIGHT_TERMS = 14
 _REACH = 0.5  # radians of the fastest motion per polynomial: the first neglected term is 0.25^14 / 14! = 4e-20
+_MOST_STEPS = 500
+_ROOT_ROUNDS = 60  # Newton needs three to six
+_ROOT_FOUND = 1e-9  # of the step
+_CORRECTIONS = 2  # of its length: interpolation leaves parts in 1e4, each correction the square
+
+
+class Trajectory(NamedTuple):
+    """Knots of consecutive drive segments.
+
+    Attributes:
+        segments: the drive.
+        base: number of the first segment.
+        knots: records of STATE.
+        first: row of each segment's first knot, and the number of knots.
+    """
+
+    segments: NDArray[np.void]
+    base: int
+    knots: NDArray[np.void]
+    first: NDArray[np.int64]
+
+
+class Query(NamedTuple):
+    """Quantities wanted at instants.
+
+    Attributes:
+        wanted: places in QUANTITIES, shape (q,).
+        segment: shape (n,).
+        offset: time since the segment's start [s], shape (n,).
+        out: shape (q, n).
+    """
+
+    wanted: NDArray[np.int64]
+    segment: NDArray[np.int64]
+    offset: NDArray[np.float64]
+    out: NDArray[np.float64]
+
+
+class Bench(NamedTuple):
+    """Scratch memory of the sampler.
+
+    Attributes:
+        flight: one record of FLIGHT.
+        press: one record of PRESS.
+        steps: records of STATE: the steps of a contact that was looked up as a whole, and one more.
+        polynomials: one for each quantity, shape (QUANTITIES, FLIGHT_TERMS).
+        every: all quantities at one instant, shape (QUANTITIES,).
+    """
+
+    flight: NDArray[np.void]
+    press: NDArray[np.void]
+    steps: NDArray[np.void]
+    polynomials: NDArray[np.float64]
+    every: NDArray[np.float64]
+
+
+def new_bench() -> Bench:
+    """Return scratch memory."""
+    n = len(QUANTITIES)
+    return Bench(
+        record(FLIGHT), record(PRESS), record(STATE, _MOST_STEPS + 1), np.zeros((n, FLIGHT_TERMS)), np.zeros(n)
+    )
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -37,230 +104,277 @@ def _add_oscillation(poly, value, growth, rate, order):  # type: ignore[no-untyp
     for _ in range(order):
         value, growth = rate * value + growth, rate * growth
     term, before = 1.0 + 0.0j, 0.0j
-    for k in range(TERMS):
-        poly[k] += (value * term + growth * before).real
+    for k in range(FLIGHT_TERMS):
+        poly[k] += (value * term).real + (growth * before).real
         before = term
-        term = term * rate / (k + 1)
+        term = term * rate * (1.0 / (k + 1))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _flight_polynomial(p, system, f, work, push, since, t, quantity, poly):  # type: ignore[no-untyped-def]
-    """Fill the Taylor polynomial around t of a quantity of the linear system (not of the sphere)."""
+def _row_and_order(p, quantity):  # type: ignore[no-untyped-def]
+    """Return (state, derivative of it, whether it is the drive itself) that a quantity of the structure is."""
+    prescribed = p.drive == PRESCRIBED
+    if quantity in (X_1, V_1, A_1):
+        return X1 if quantity == X_1 else V1, 1 if quantity == A_1 else 0, False
+    if quantity == CURRENT:
+        return COIL, 0, p.drive != VOLTAGE
+    order = 2 if quantity == A_B else 1 if quantity == V_B else 0
+    if prescribed:
+        return XB, order, True
+    return XB if order == 0 else VB, max(0, order - 1), False
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _expand_flight(p, system, f, k, quantity, poly, since):  # type: ignore[no-untyped-def]
+    """Fill the Taylor polynomial of a quantity of the structure, `since` seconds after the flight's beginning."""
     poly[:] = 0.0
-    row, order, of_drive = X1, 0, False
-    if quantity == V_1:
-        row = V1
-    elif quantity == A_1:
-        row, order = V1, 1
-    elif quantity == X_B:
-        row, of_drive = XB, p.drive == PRESCRIBED
-    elif quantity == V_B:
-        row, order, of_drive = VB, 1 if p.drive == PRESCRIBED else 0, p.drive == PRESCRIBED
-    elif quantity == A_B:
-        row, order, of_drive = VB, 2 if p.drive == PRESCRIBED else 1, p.drive == PRESCRIBED
-    elif quantity == CURRENT:
-        row, of_drive = COIL_STATE, p.drive != VOLTAGE
-    turn = complex(math.cos(f.omega * t), math.sin(f.omega * t)) * (-1j)  # Im z = Re(−j z)
+    t = k.begin + since
+    row, order, of_drive = _row_and_order(p, quantity)
+    jw = complex(0.0, f.omega)
+    turn = turned(f.omega * t) * complex(0.0, -1.0)  # Im z = Re(−j z)
     if of_drive:
-        start = complex(math.cos(f.phase), math.sin(f.phase)) * turn
-        _add_oscillation(poly, (f.amplitude + f.slope * t) * start, f.slope * start, 1j * f.omega, order)
+        start = turned(f.phase) * turn
+        _add_oscillation(poly, (f.amplitude + f.slope * t) * start, f.slope * start, jw, order)
         return
-    _add_oscillation(
-        poly, (work.steady[row] + work.growing[row] * t) * turn, work.growing[row] * turn, 1j * f.omega, order
-    )
-    modes = system.modes
-    for k in range(modes.rate.shape[0]):
-        value = modes.right[k, row] * work.modal[k] * np.exp(modes.rate[k] * since)
-        _add_oscillation(poly, value, 0.0j, modes.rate[k], order)
+    _add_oscillation(poly, (k.steady[row] + k.growing[row] * t) * turn, k.growing[row] * turn, jw, order)
+    for m in range(system.modes):
+        rate = system.rate[m]
+        decay = exp(rate.real * since)
+        sine, cosine = sincos(rate.imag * since)
+        value = system.right[m, row] * k.modal[m] * complex(decay * cosine, decay * sine)
+        _add_oscillation(poly, value, 0.0j, rate, order)
     if order == 0:
-        poly[0] += system.static[row] * push
+        poly[0] += system.static[row] * k.push
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _from_contact(p, f, knot, t, w, speed, centre, v_centre, x_base, v_base, coil, grip, out):  # type: ignore[no-untyped-def]
-    """Fill all quantities from a contact's state."""
-    side = knot[SIDE]
-    u, du = drive(f, t)
-    force, _ = contact_force(p.force, w, speed, knot[BETA])
-    force *= grip
-    _, centre_rate, table, _, _, _, _, _ = rates(
-        p, side, knot[BETA], u, du, w, speed, centre, v_centre, x_base, v_base, coil
-    )
-    offset = side * (p.half_gap + w * w)
-    out[X_1] = centre - p.share * offset
-    out[X_2] = out[X_1] + offset
-    out[V_1] = v_centre - p.share * side * speed
-    out[V_2] = out[V_1] + side * speed
-    out[A_2] = -side * force / p.m
-    out[A_1] = centre_rate * (p.c.m_1 + p.m) * p.per_m_1 + side * force * p.per_m_1
-    out[X_B], out[V_B], out[A_B], out[CURRENT] = x_base, v_base, table, u
-    if p.drive == PRESCRIBED:
-        out[X_B], out[V_B] = u, du
-        out[A_B] = 2.0 * f.slope * f.omega * math.cos(f.omega * t + f.phase) - f.omega**2 * u
-        out[CURRENT] = 0.0
-    elif p.drive == VOLTAGE:
-        out[CURRENT] = coil
+def _evaluate(poly, x):  # type: ignore[no-untyped-def]
+    """Return a flight's polynomial at x."""
+    total = poly[FLIGHT_TERMS - 1]
+    for k in range(FLIGHT_TERMS - 2, -1, -1):
+        total = total * x + poly[k]
+    return total
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _of_structure(knot, quantity):  # type: ignore[no-untyped-def]
+    """Return the quantity of the structure that this one follows from in flight."""
+    if knot.phase == ATTACHED:  # one body: the sphere moves as the base, and a wall may push it
+        if quantity in (X_2, V_2, A_2):
+            return quantity - 1
+        if quantity >= FORCE_LEFT:
+            return A_1
+    return quantity
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _in_flight(p, knot, quantity, poly, x, since):  # type: ignore[no-untyped-def]
+    """Return a quantity in flight, x from the polynomial's anchor and `since` from the knot."""
+    if knot.phase == ATTACHED:
+        if quantity == CURRENT and p.drive == PRESCRIBED:
+            return 0.0
+        value = _evaluate(poly, x)
+        if quantity == X_2:
+            return value + knot.d
+        if quantity >= FORCE_LEFT:
+            side = 1.0 if quantity == FORCE_RIGHT else -1.0
+            return max(0.0, -side * p.m * value) if knot.side == side else 0.0
+        return value
+    braking = -knot.slide * p.friction
+    if quantity == X_2:
+        return knot.y[X1] + knot.d + since * (knot.y[V1] + knot.d_rate + 0.5 * since * braking)
+    if quantity == V_2:
+        return knot.y[V1] + knot.d_rate + since * braking
+    if quantity == A_2:
+        return braking
+    if quantity >= FORCE_LEFT or (quantity == CURRENT and p.drive == PRESCRIBED):
+        return 0.0
+    return _evaluate(poly, x)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def trace(model, f, k, steps):  # type: ignore[no-untyped-def]
+    """Integrate the contact that begins at the last record of `steps` into the others, its end too; return how many."""
+    p, s = model.parameters[0], steps[_MOST_STEPS]
+    k.rest = np.inf
+    forget(k)
+    for n in range(_MOST_STEPS - 1):
+        expand(p, f, s, k)
+        if n == 0:
+            s.next_step = first_step(p, s.approach, k.thrust[0])
+        ended = take_step(p, model.force, s, k)
+        steps[n] = s
+        conclude(p, s, k, ended, np.inf)
+        if ended in (LEFT, RELEASED, FAILED):
+            s.step = 0.0
+            steps[n + 1] = s
+            return n + 2
+    return _MOST_STEPS - 1
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def before(knots, low, high, t):  # type: ignore[no-untyped-def]
+    """Return the last row in [low, high) that is not after t, or low."""
+    while high - low > 1:
+        middle = (low + high) // 2
+        if knots[middle].t <= t:
+            low = middle
+        else:
+            high = middle
+    return low
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _length_to(step, k, end, since):  # type: ignore[no-untyped-def]
+    """Return the length of the step that takes about `since` seconds, by the polynomial of the whole one.
+
+    `step` is the record where it begins, `end` = (time it takes [s], w, δ').
+    """
+    low, high = 0.0, 1.0
+    x = min(1.0, since / end[0])
+    for _ in range(_ROOT_ROUNDS):
+        t, w, _ = foreseen(step, k, x)
+        if t > since:
+            high = x
+        else:
+            low = x
+        move = (since - t) / (w * step.step) if w > 0.0 else np.inf
+        x += move
+        if not low < x < high:
+            x = 0.5 * (low + high)
+        if abs(move) <= _ROOT_FOUND or high - low <= _ROOT_FOUND:
+            break
+    return x * step.step
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _inside(model, step, k, end, since):  # type: ignore[no-untyped-def]
+    """Return (w, δ') `since` seconds after the start of a step: the step is taken again to end there."""
+    if step.step == 0.0 or since <= 0.0:
+        return step.w, step.speed
+    h = step.step if since >= end[0] else _length_to(step, k, end, since)
+    for _ in range(_CORRECTIONS):
+        solve(model.parameters[0], model.force, step, k, h)
+        if k.w[LAST] > 0.0 and since < end[0]:
+            h = min(step.step, h - (k.since[LAST] - since) / k.w[LAST])
+    solve(model.parameters[0], model.force, step, k, h)
+    return max(k.w[LAST], 0.0), k.speed[LAST]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _in_contact(model, f, step, k, end, t, out):  # type: ignore[no-untyped-def]
+    """Fill all quantities at t, within the step of a contact that begins at the record `step`; `k` expanded there."""
+    p, side = model.parameters[0], step.side
+    since = min(max(t - step.t, 0.0), end[0])
+    w, speed = _inside(model, step, k, end, since)
+    moved(k, since, k.y)
+    if since > 0.0:
+        add_recoil(p, side, k, LAST, k.y)
+    depth = w * w
+    elastic, lossy, _, _, _ = model.force.one(p.stiffness, p.factor, step.per_v0, k.turned_at, w, speed)
+    force = max(0.0, elastic + lossy) if p.clipped else elastic + lossy
+    u, _ = drive(f, t)
+    offset = step.d + side * depth
+    x_b, v_b = k.y[XB], k.y[VB]
+    out[X_1] = k.y[X1] - p.share * side * depth
+    out[V_1] = k.y[V1] - p.share * side * speed
+    out[X_2], out[V_2] = out[X_1] + offset, out[V_1] + side * speed
+    columns = -p.k_1 * (out[X_1] - x_b) - p.c_1 * (out[V_1] - v_b)
+    out[A_1], out[A_2] = (columns + side * force) * p.per_m_1, -side * force / p.m
+    out[X_B], out[V_B] = x_b, v_b
     out[FORCE_LEFT] = force if side < 0.0 else 0.0
     out[FORCE_RIGHT] = force if side > 0.0 else 0.0
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _in_collision(p, f, knot, work, fresh, t, out):  # type: ignore[no-untyped-def]
-    if fresh:
-        expand(p, f, knot, work.series)
-    end = work.series.t[0]
-    x = 0.0
-    if t > end and knot[STEP] > 0.0:
-        x = reached(work.series.t, t - end, knot[STEP])
-    w, _ = evaluate(work.series, x, work.at)
-    at = work.at
-    _from_contact(
-        p,
-        f,
-        knot,
-        t,
-        max(w, 0.0),
-        at[SPEED],
-        at[CENTRE],
-        at[V_CENTRE],
-        at[X_BASE],
-        at[V_BASE],
-        at[COIL],
-        knot[GRIP],
-        out,
-    )
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _riding_rates(p, f, knot):  # type: ignore[no-untyped-def]
-    u, du = drive(f, knot[T])
-    w = math.sqrt(knot[GAP])
-    relative, centre, table, coil, _, _, _, _ = rates(
-        p, knot[SIDE], knot[BETA], u, du, w, knot[RATE], knot[Y], knot[Y + 1], knot[Y + 2], knot[Y + 3], knot[Y + 4]
-    )
-    return relative, centre, table, coil
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _in_riding(p, f, knot, after, t, out):  # type: ignore[no-untyped-def]
-    h = knot[STEP]
-    if h <= 0.0:
-        w = math.sqrt(knot[GAP])
-        _from_contact(
-            p, f, knot, t, w, knot[RATE], knot[Y], knot[Y + 1], knot[Y + 2], knot[Y + 3], knot[Y + 4], 1.0, out
-        )
+    if p.drive == PRESCRIBED:
+        _, cosine = sincos(f.omega * t + f.phase)
+        out[A_B], out[CURRENT] = 2.0 * f.slope * f.omega * cosine - f.omega * f.omega * u, 0.0
         return
-    at = t - knot[T]
-    r0, c0, b0, i0 = _riding_rates(p, f, knot)
-    r1, c1, b1, i1 = _riding_rates(p, f, after)
-    depth, speed, _ = quintic(knot[GAP], knot[RATE], r0, after[GAP], after[RATE], r1, h, at)
-    centre, v_centre, _ = quintic(knot[Y], knot[Y + 1], c0, after[Y], after[Y + 1], c1, h, at)
-    x_base, v_base, _ = quintic(knot[Y + 2], knot[Y + 3], b0, after[Y + 2], after[Y + 3], b1, h, at)
-    coil = cubic(knot[Y + 4], i0, after[Y + 4], i1, h, at)
-    w = math.sqrt(max(depth, 0.0))
-    _from_contact(p, f, knot, t, w, speed, centre, v_centre, x_base, v_base, coil, 1.0, out)
+    out[CURRENT] = k.y[COIL] if p.drive == VOLTAGE else u
+    table = p.force_factor * out[CURRENT] - p.c_f * v_b - p.k_f * x_b - columns
+    out[A_B] = table * p.per_m_base
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def sample(model, segments, base, knots, first, wanted, which, offsets, work, poly, out):  # type: ignore[no-untyped-def]
-    """Fill out[q, i] with quantity wanted[q] at `offsets[i]` seconds into segment `which[i]`.
+def _solve_again(model, f, step, k):  # type: ignore[no-untyped-def]
+    """Let `k` be expanded about the record `step`; return how its step ends: (time it takes [s], w, δ')."""
+    p = model.parameters[0]
+    expand(p, f, step, k)
+    begin_step(p, model.force, step, k)
+    if step.step == 0.0:
+        return 0.0, step.w, step.speed
+    forget(k)
+    solve(p, model.force, step, k, step.step)
+    remember(step, k, step.step)
+    return k.since[LAST], max(k.w[LAST], 0.0), k.speed[LAST]
 
-    `first[j]` is the row of the first knot of segment base + j; consecutive queries in the same piece reuse its
-    coefficients.
-    """
-    p = model.p
-    every = np.empty(13)
-    n_wanted = wanted.shape[0]
-    current_segment, current_knot, anchor = -1, -1, -1
-    f = Forcing(0.0, 0.0, 0.0, 0.0)
-    omega, reach, aimed = -1.0, 0.0, False
-    system = model.loose
-    for i in range(offsets.shape[0]):
-        segment = which[i] - base
-        t = offsets[i]
-        if segment != current_segment:
-            row = segments[segment]
-            f = Forcing(row["omega"], row["phase"], row["amplitude"], row["slope"])
-            current_segment, current_knot, anchor = segment, -1, -1
-        low, high = first[segment], first[segment + 1]
-        if (
-            current_knot < low
-            or knots[current_knot, T] > t
-            or (current_knot + 1 < high and knots[current_knot + 1, T] <= t)
-        ):
-            while high - low > 1:
-                middle = (low + high) // 2
-                if knots[middle, T] <= t:
-                    low = middle
-                else:
-                    high = middle
-            fresh = low != current_knot
-            current_knot = low
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _sample_contact(model, f, knots, rows, query, bench):  # type: ignore[no-untyped-def]
+    """Fill the query's instants rows[0] … rows[1] − 1, all in the contact whose knot is `knots[rows[2]]`."""
+    k, knot = bench.press[0], knots[rows[2]]
+    steps, low, high, current = knots, rows[2], rows[2] + 1, -1
+    if knot.whole:
+        steps = bench.steps
+        steps[_MOST_STEPS] = knot
+        low, high = 0, trace(model, f, k, steps)
+    end = 0.0, 0.0, 0.0
+    for i in range(rows[0], rows[1]):
+        t = query.offset[i]
+        row = before(steps, low, high, t)
+        if row != current:
+            current, end = row, _solve_again(model, f, steps[row], k)
+        _in_contact(model, f, steps[row], k, end, t, bench.every)
+        for q in range(query.wanted.shape[0]):
+            query.out[q, i] = bench.every[query.wanted[q]]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _sample_flight(model, f, knot, rows, query, bench):  # type: ignore[no-untyped-def]
+    """Fill the query's instants rows[0] … rows[1] − 1, all in the flight that begins at the knot."""
+    p, k = model.parameters[0], bench.flight[0]
+    which = HELD if knot.phase == ATTACHED else LOOSE
+    system = model.systems[which]
+    if f.omega != k.omega or which != k.system:
+        transfer(system, f.omega, k)
+        k.omega, k.system, k.reach = f.omega, which, _REACH / bound_omega(system, f.omega)
+    particular(system, f, k)
+    k.push = 0.0 if knot.phase == ATTACHED else knot.slide * p.m * p.friction
+    launch(system, f, k, knot.y, knot.t)
+    anchor = -1
+    for i in range(rows[0], rows[1]):
+        since = query.offset[i] - knot.t
+        place = int(since / k.reach)
+        middle = (place + 0.5) * k.reach
+        if place != anchor:
+            anchor = place
+            for q in range(query.wanted.shape[0]):
+                quantity = _of_structure(knot, query.wanted[q])
+                if quantity not in (X_2, V_2, A_2, FORCE_LEFT, FORCE_RIGHT):
+                    _expand_flight(p, system, f, k, quantity, bench.polynomials[q], middle)
+        for q in range(query.wanted.shape[0]):
+            query.out[q, i] = _in_flight(p, knot, query.wanted[q], bench.polynomials[q], since - middle, since)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def sample(model, trajectory, query, bench):  # type: ignore[no-untyped-def]
+    """Fill `query.out`: runs of instants in one piece of the trajectory are evaluated together."""
+    n = query.offset.shape[0]
+    rows = np.empty(3, np.int64)
+    bench.flight[0].omega = -1.0
+    i = 0
+    while i < n:
+        segment = query.segment[i] - trajectory.base
+        drive_row = trajectory.segments[segment]
+        f = Forcing(drive_row.omega, drive_row.phase, drive_row.amplitude, drive_row.slope)
+        low, high = trajectory.first[segment], trajectory.first[segment + 1]
+        row = before(trajectory.knots, low, high, query.offset[i])
+        begin = trajectory.knots[row].t
+        end = trajectory.knots[row + 1].t if row + 1 < high else np.inf
+        rows[0], rows[2] = i, row
+        i += 1
+        while i < n and query.segment[i] - trajectory.base == segment and begin <= query.offset[i] < end:
+            i += 1
+        rows[1] = i
+        if trajectory.knots[row].phase == CONTACT:
+            _sample_contact(model, f, trajectory.knots, rows, query, bench)
         else:
-            fresh = False
-        knot = knots[current_knot]
-        phase = knot[PHASE]
-        if phase in (FREE, ATTACHED):
-            attached = phase == ATTACHED
-            slide = 0.0 if attached else knot[SIDE]
-            push = slide * p.m * p.friction
-            if fresh:
-                system = model.attached if attached else model.loose
-                if f.omega != omega or attached != aimed:
-                    omega, aimed = f.omega, attached
-                    transfer(system, omega, work.answer, work.drift)
-                    reach = _REACH / bound_omega(system, omega)
-                particular(f, work.answer, work.drift, work.steady, work.growing)
-                prepare(system, f, work, knot[Y:], push, knot[T])
-                anchor = -1
-            place = int((t - knot[T]) / reach)
-            x = t - knot[T] - (place + 0.5) * reach
-            if place != anchor:
-                anchor = place
-                since = (place + 0.5) * reach
-                for q in range(n_wanted):
-                    quantity = wanted[q]
-                    if attached:  # one body: the sphere moves as the base, and a wall may push it
-                        if quantity in (X_2, V_2, A_2):
-                            quantity -= 1
-                        elif quantity >= FORCE_LEFT:
-                            quantity = A_1
-                    _flight_polynomial(p, system, f, work, push, since, knot[T] + since, quantity, poly[q])
-            since = t - knot[T]
-            for q in range(n_wanted):
-                quantity = wanted[q]
-                if attached and quantity != CURRENT:
-                    total = poly[q, TERMS - 1]
-                    for k in range(TERMS - 2, -1, -1):
-                        total = total * x + poly[q, k]
-                    if quantity == X_2:
-                        total += knot[GAP]
-                    elif quantity == FORCE_LEFT:
-                        total = max(0.0, p.m * total) if knot[SIDE] < 0.0 else 0.0
-                    elif quantity == FORCE_RIGHT:
-                        total = max(0.0, -p.m * total) if knot[SIDE] > 0.0 else 0.0
-                    out[q, i] = total
-                elif quantity == X_2:
-                    out[q, i] = (
-                        knot[Y + X1]
-                        + knot[GAP]
-                        + since * (knot[Y + V1] + knot[RATE] - 0.5 * since * slide * p.friction)
-                    )
-                elif quantity == V_2:
-                    out[q, i] = knot[Y + V1] + knot[RATE] - since * slide * p.friction
-                elif quantity == A_2:
-                    out[q, i] = -slide * p.friction
-                elif quantity >= FORCE_LEFT or (quantity == CURRENT and p.drive == PRESCRIBED):
-                    out[q, i] = 0.0
-                else:
-                    total = poly[q, TERMS - 1]
-                    for k in range(TERMS - 2, -1, -1):
-                        total = total * x + poly[q, k]
-                    out[q, i] = total
-        else:
-            if phase == COLLISION:
-                _in_collision(p, f, knot, work, fresh, t, every)
-            else:
-                _in_riding(p, f, knot, knots[current_knot + 1], t, every)
-            for q in range(n_wanted):
-                out[q, i] = every[wanted[q]]
+            _sample_flight(model, f, trajectory.knots[row], rows, query, bench)

@@ -11,28 +11,13 @@ from numpy.typing import NDArray
 from impact_rig.config import RigConfig
 from impact_rig.errors import SimulationError
 from impact_rig.physics import contact as contact_laws
-from impact_rig.physics.event_loop import NEED_ROOM, STUCK, new_work, run
-from impact_rig.physics.forcing import Forcing, drive
-from impact_rig.physics.linear import V1, VB, X1, XB
-from impact_rig.physics.model import CONTACT_RTOL, PRESCRIBED, Parameters, build
-from impact_rig.physics.motion import IMPACT, Motion
-from impact_rig.physics.state import (
-    ATTACHED,
-    COLLISION,
-    FREE,
-    GAP,
-    IMPACT_COLUMNS,
-    KNOT,
-    LEDGER,
-    PHASE,
-    RATE,
-    RIDING,
-    SIDE,
-    STATE,
-    Log,
-    T,
-    Y,
-)
+from impact_rig.physics.event_loop import NEED_ROOM, STUCK, Desk, new_desk, run
+from impact_rig.physics.forcing import SEGMENT, Forcing, drive
+from impact_rig.physics.indentation import turned_at
+from impact_rig.physics.model import CONTACT_RTOL, build
+from impact_rig.physics.motion import Motion
+from impact_rig.physics.parameters import LOOSE, PRESCRIBED
+from impact_rig.physics.state import ATTACHED, COIL, CONTACT, FREE, LEDGER, STATE, STRUCTURE, V1, VB, X1, XB, record
 
 MOST_KNOTS = 200_000
 """Contacts, rides and flights in one drive segment (10 ms); a chattering sphere makes some ten of them."""
@@ -79,7 +64,7 @@ class Simulation:
         self._rtol = rtol
         self._account = account
         self._config = config
-        self._log = _room(1 << 15, 1 << 11)  # pages that are not touched take no memory
+        self._desk = new_desk(1 << 15, 1 << 11)  # pages that are not touched take no memory
         self.reset()
 
     @property
@@ -88,9 +73,10 @@ class Simulation:
         return self._config
 
     @property
-    def parameters(self) -> Parameters:
+    def parameters(self) -> np.record:
         """The numbers of the equations of motion in force, SI."""
-        return self._model.p
+        record_: np.record = self._model.parameters[0]
+        return record_
 
     @property
     def realised_restitution(self) -> float:
@@ -101,18 +87,18 @@ class Simulation:
         """Put everything to rest at zero, the sphere at its start, and free a locked base."""
         self._model = build(self._config, self._rtol)
         self.locked = False
-        self._begin(np.zeros(5))
+        self._begin(np.zeros(STRUCTURE))
         self.segment = 0
 
     def configure(self, config: RigConfig) -> None:
         """Go on with another configuration: the structure keeps its motion, the sphere rests at its start again."""
         y = self._structure()
         self._config = config
-        kind_changed = len(build(config, self._rtol).loose.b0) != len(self._model.loose.b0)
+        model = build(config, self._rtol)
         if not self.locked:
-            self._model = build(config, self._rtol)
-        if kind_changed and not self.locked:
-            y = np.zeros(5)
+            if model.systems[LOOSE].states != self._model.systems[LOOSE].states:  # another kind of drive
+                y = np.zeros(STRUCTURE)
+            self._model = model
         self._begin(y)
 
     def pluck(self, displacement_m: float) -> None:
@@ -120,7 +106,7 @@ class Simulation:
         locked = attrs.evolve(self._config, drive=attrs.evolve(self._config.drive, kind="prescribed"))
         self._model = build(locked, self._rtol)
         self.locked = True
-        y = np.zeros(5)
+        y = np.zeros(STRUCTURE)
         y[X1] = displacement_m
         self._begin(y)
 
@@ -134,7 +120,7 @@ class Simulation:
         v_b: float = 0.0,
     ) -> None:
         """Set the state by hand: superior base, sphere relative to it (d = x_2 − x_1), base of a free shaker."""
-        y = np.zeros(5)
+        y = np.zeros(STRUCTURE)
         y[X1], y[V1], y[XB], y[VB] = x_1, v_1, x_b, v_b
         self._begin(y)
         self._put_sphere(d, d_rate)
@@ -146,112 +132,98 @@ class Simulation:
         Raises:
             SimulationError: the integration makes no progress, or needs more than `MOST_KNOTS` steps in a segment.
         """
-        segments = np.ascontiguousarray(segments)
+        segments = np.ascontiguousarray(segments, SEGMENT).view(np.recarray)
         if self.locked:
             segments = segments.copy()
             segments["amplitude"] = segments["slope"] = 0.0
-        log = self._log
-        log.filled[:] = 0
-        log = log._replace(first=np.zeros(len(segments) + 1, np.int64))
+        desk = self._desk._replace(first=np.zeros(len(segments) + 1, np.int64))
+        filled = desk.filled[0]
+        filled.knots = filled.impacts = 0
         index = 0
         while True:
-            ended, index = run(
-                self._model, segments, index, self.segment, self._state, self._work, log, self._ledger, self._account
-            )
+            ended, index = run(self._model, segments, index, self.segment, desk, self._account)
             if ended == STUCK:
                 raise SimulationError(
-                    f"no progress in drive segment {self.segment + index} at {self._state[T]:.9f} s of it, "
-                    f"phase {int(self._state[PHASE])}"
+                    f"no progress in drive segment {self.segment + index} at {desk.states[0].t:.9f} s of it, "
+                    f"phase {desk.states[0].phase}"
                 )
             if ended != NEED_ROOM:
                 break
-            if log.filled[0] - log.first[index] > MOST_KNOTS:
+            if filled.knots - desk.first[index] > MOST_KNOTS:
                 raise SimulationError(
                     f"more than {MOST_KNOTS} contacts, rides and flights in drive segment {self.segment + index}, "
-                    f"at {self._state[T]:.9f} s of it: the motion cannot be resolved"
+                    f"at {desk.states[0].t:.9f} s of it: the motion cannot be resolved"
                 )
-            log = _grown(log)
-        self._log = log
-        if self._model.p.drive == PRESCRIBED and len(segments):  # not integrated, but the columns' energy depends on it
+            desk = self._desk = _grown(desk)
+        if self._model.parameters[0].drive == PRESCRIBED and len(segments):  # not integrated, but energy depends on it
             last = segments[-1]
-            f = Forcing(last["omega"], last["phase"], last["amplitude"], last["slope"])
-            self._state[Y + XB], self._state[Y + VB] = drive(f, last["duration"])
-        knots, impacts = int(log.filled[0]), int(log.filled[1])
-        log.first[-1] = knots
-        rows = np.zeros(impacts, IMPACT)
-        for column, name in enumerate(IMPACT_COLUMNS):
-            rows[name] = log.impacts[:impacts, column]
-        motion = Motion(self._model, self.segment, segments, log.knots[:knots].copy(), log.first, rows)
+            f = Forcing(last.omega, last.phase, last.amplitude, last.slope)
+            desk.states[0].y[XB], desk.states[0].y[VB] = drive(f, last.duration)
+        knots, impacts = int(filled.knots), int(filled.impacts)
+        desk.first[-1] = knots
+        motion = Motion(
+            self._model, self.segment, segments, desk.knots[:knots].copy(), desk.first,
+            desk.impacts[:impacts].copy().view(np.ndarray),
+        )  # fmt: skip
         self.segment += len(segments)
         return motion
 
     def copy(self) -> Simulation:
         """Return a simulation that goes on from here on its own; scratch memory is shared, so advance them in turn."""
         twin = copy.copy(self)
-        twin._state, twin._ledger = self._state.copy(), self._ledger.copy()
+        twin._desk = self._desk._replace(states=self._desk.states.copy(), ledger=self._desk.ledger.copy())
         return twin
 
     def energy(self) -> EnergyAccount:
         """Return the energy account since the reset; only the contacts' share is kept unless `account` is on."""
-        work, columns, shaker, contact, friction = (float(term) for term in self._ledger)
+        ledger = self._desk.ledger[0]
+        work, columns, shaker, contact, friction = (float(ledger[name]) for name in LEDGER.names or ())
         return EnergyAccount(work, columns, shaker, contact, friction, self.stored_energy() - self._stored)
 
     def stored_energy(self) -> float:
         """Return kinetic plus potential energy [J], at the end of the last segment."""
-        p, s = self._model.p, self._state
-        y = self._structure()
-        x_b, v_b = y[XB], y[VB]
-        total = 0.5 * p.c.m_1 * y[V1] ** 2 + 0.5 * p.c.k_1 * (y[X1] - x_b) ** 2
-        if len(self._model.loose.b0) > 2:
-            total += 0.5 * p.c.m_base * v_b**2 + 0.5 * p.c.k_f * x_b**2
-        if len(self._model.loose.b0) > 4:
-            total += 0.5 * p.c.inductance * y[4] ** 2
+        p, s, y = self._model.parameters[0], self._desk.states[0], self._structure()
+        stretch = y[X1] - y[XB]
+        total = 0.5 * p.m_1 * y[V1] * y[V1] + 0.5 * p.k_1 * stretch * stretch
+        if p.drive != PRESCRIBED:
+            total += 0.5 * p.m_base * y[VB] * y[VB] + 0.5 * p.k_f * y[XB] * y[XB]
+            total += 0.5 * y[COIL] * y[COIL] / p.per_inductance
         if p.sphere_present:
-            pressed = s[PHASE] in (COLLISION, RIDING)
-            rate = s[SIDE] * s[RATE] if pressed else s[RATE]
-            total += 0.5 * p.m * (y[V1] + rate) ** 2
+            pressed = s.phase == CONTACT
+            speed = y[V1] + (s.side * s.speed if pressed else s.d_rate)
+            total += 0.5 * p.m * speed * speed
             if pressed:
-                depth = s[GAP] if s[PHASE] == RIDING else s[GAP] ** 2
-                linear = p.force.kind == int(contact_laws.ForceKind.LINEAR)
-                total += p.force.stiffness * (0.5 * depth**2 if linear else 0.4 * depth**2.5)
+                total += self._model.force.one(p.stiffness, p.factor, s.per_v0, turned_at(s), s.w, s.speed)[2]
         return float(total)
 
     def _begin(self, y: NDArray[np.float64]) -> None:
-        self._state = np.zeros(STATE)
-        self._state[Y : Y + 5] = y
-        self._put_sphere(_PLACES[self._config.sphere.start] * self._model.p.half_gap, 0.0)
-        self._work = new_work(len(self._model.loose.b0))
-        self._ledger = np.zeros(LEDGER)
+        self._desk = self._desk._replace(states=record(STATE, 2), ledger=record(LEDGER))
+        self._desk.states[0].y[:] = y
+        self._put_sphere(_PLACES[self._config.sphere.start] * self._model.parameters[0].half_gap, 0.0)
         self._stored = self.stored_energy()
 
     def _put_sphere(self, d: float, d_rate: float) -> None:
         """Set the sphere; where the guide has friction, one at rest is held and a sliding one braked."""
-        s = self._state
-        s[PHASE], s[SIDE], s[GAP], s[RATE] = FREE, 0.0, d, d_rate
-        if self._model.p.friction > 0.0 and self._model.p.sphere_present:
-            s[PHASE] = FREE if d_rate else ATTACHED
-            s[SIDE] = np.sign(d_rate)
+        p, s = self._model.parameters[0], self._desk.states[0]
+        s.phase, s.side, s.slide, s.d, s.d_rate = FREE, 0.0, 0.0, d, d_rate
+        if p.friction > 0.0 and p.sphere_present:
+            s.phase = FREE if d_rate else ATTACHED
+            s.slide = np.sign(d_rate)
 
     def _structure(self) -> NDArray[np.float64]:
-        """Return y = (x_1, v_1, x_b, v_b, i) whatever the phase."""
-        p, s = self._model.p, self._state
-        y = s[Y : Y + 5].copy()
-        if s[PHASE] in (COLLISION, RIDING):
-            depth = s[GAP] if s[PHASE] == RIDING else s[GAP] ** 2
-            y[X1] -= p.share * s[SIDE] * (p.half_gap + depth)
-            y[V1] -= p.share * s[SIDE] * s[RATE]
+        """Return y = (x_1, v_1, x_b, v_b, i) whatever the phase, shape (STRUCTURE,)."""
+        p, s = self._model.parameters[0], self._desk.states[0]
+        y: NDArray[np.float64] = s.y.copy()
+        if s.phase == CONTACT:
+            y[X1] -= p.share * s.side * s.w * s.w
+            y[V1] -= p.share * s.side * s.speed
         return y
 
 
-def _room(knots: int, impacts: int) -> Log:
-    return Log(
-        np.zeros((knots, KNOT)), np.zeros((impacts, len(IMPACT_COLUMNS))), np.zeros(2, np.int64), np.zeros(1, np.int64)
-    )
-
-
-def _grown(log: Log) -> Log:
-    knots = np.zeros((_GROWTH * len(log.knots), KNOT))
-    knots[: len(log.knots)] = log.knots
-    impacts = np.zeros((_GROWTH * len(log.impacts), len(IMPACT_COLUMNS)))
-    impacts[: len(log.impacts)] = log.impacts
-    return log._replace(knots=knots, impacts=impacts)
+def _grown(desk: Desk) -> Desk:
+    """Return the desk with more room in its log, what is in it kept."""
+    knots = record(STATE, _GROWTH * len(desk.knots))
+    knots[: len(desk.knots)] = desk.knots
+    impacts = record(desk.impacts.dtype, _GROWTH * len(desk.impacts))
+    impacts[: len(desk.impacts)] = desk.impacts
+    return desk._replace(knots=knots, impacts=impacts)

@@ -1,47 +1,67 @@
-"""Layout of the state that the event loop carries and of the knots it leaves behind.
+"""The state that the event loop carries, the knots it leaves behind, and the scratch memory of the kernels.
 
-A trajectory is a list of knots. A knot holds the state at one instant and the phase of motion that goes on from
-there, which is enough to evaluate the motion up to the next knot: in closed form in flight, by Hermite interpolation
-between the steps of a contact.
+Everything is a record with named fields, SI units, and one meaning of a field in every phase. A record is an element of
+a recarray: compiled code and plain Python both read and write `state.d_rate`.
+
+A trajectory is a list of knots. A knot is the state at one instant and the phase of motion that goes on from there,
+which is enough to evaluate the motion up to the next knot.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
-from numba import njit
-from numpy.typing import NDArray
 
-FREE, COLLISION, RIDING, ATTACHED = range(4)
-"""Phases: in flight; in a collision; pressed on a wall by a compliant contact; one body with the superior base."""
+from impact_rig.physics.collocation import STAGES
 
-T = 0  # time since the start of the drive segment [s]
-PHASE = 1
-SIDE = 2  # wall in contact: -1 left, +1 right; in FREE the sign of the sphere's sliding (friction only)
-GAP = 3  # FREE, ATTACHED: d = x_2 - x_1 [m]; COLLISION: sqrt(δ) [m^0.5]; RIDING: δ [m]
-RATE = 4  # d' in FREE, δ' in contact [m/s]
-Y = 5  # y = (x_1, v_1, x_b, v_b, i); in contact the pair's centre of mass replaces (x_1, v_1)
-BETA = 10  # contact: damping over approach speed, a / v0 [s/m]
-UNIT = 11  # contact: unit of the regularised variable [s/m^0.5]
-GRIP = 12  # contact: 1, or 0 once the force would pull
-STEP = 13  # contact: length of the step that starts here (in UNIT, or seconds when RIDING); 0 ends a contact
-KNOT = 14  # a knot is the state up to here
+FREE, CONTACT, ATTACHED = range(3)
+"""Phases: in flight; touching a wall that yields; one body with the superior base."""
 
-APPROACH = 14  # the contact under way: approach speed, where it started, what it has done so far
-BEGIN_SEGMENT = 15
-BEGIN_OFFSET = 16
-PEAK_FORCE = 17
-PEAK_INDENTATION = 18
-IMPULSE = 19
-LOST = 20
-ELAPSED = 21
-NEXT_STEP = 22  # what riding's step control proposes [s]
-SLID = 23  # FREE with friction: d where this flight began
-STATE = 24
+X1, V1, XB, VB, COIL = range(5)
+"""Places in a structural state y: superior base [m], [m/s], inferior base [m], [m/s], coil current [A].
 
-LEDGER_WORK, LEDGER_COLUMNS, LEDGER_SHAKER, LEDGER_CONTACT, LEDGER_FRICTION = range(5)
-LEDGER = 5
+A prescribed base has the first two only, a current drive the first four.
+"""
+STRUCTURE = 5
+
+ORDERS = 6
+"""Derivatives of x_1 that a flight looks at: 0 … 5."""
+TERMS = 12
+"""Taylor terms of the structure's motion within one step of a contact."""
+
+STATE = np.dtype(
+    [
+        ("t", "f8"),  # time since the start of the drive segment [s]
+        ("phase", "i8"),
+        ("y", "f8", (STRUCTURE,)),  # structure; in a contact less what the indentation moves it by, see `contact`
+        ("d", "f8"),  # flight: sphere relative to the superior base, x_2 − x_1 [m]
+        ("d_rate", "f8"),  # its rate [m/s]
+        ("slide", "f8"),  # flight: which way the sphere slides on a guide with friction, −1, 0 or 1
+        ("side", "f8"),  # wall that is touched or presses, −1 left, 1 right, 0 none
+        ("w", "f8"),  # contact: square root of the indentation [m^0.5]
+        ("speed", "f8"),  # contact: rate of the indentation δ' [m/s], positive while it grows
+        ("deepest", "f8"),  # contact: the largest w so far [m^0.5]
+        ("per_v0", "f8"),  # contact: 1 over the approach speed, floored [s/m]
+        ("whole", "i8"),  # contact: from here to the next knot it is one table look-up
+        ("step", "f8"),  # contact: length of the step that starts here [s/m^0.5], 0 where none does
+        ("dent", "f8"),  # indentation at which a wall let the sphere go, until it is out of there [m]
+        ("dent_side", "f8"),  # which wall that is
+        ("next_step", "f8"),  # contact: what the step control proposes [s/m^0.5]
+        ("begin_segment", "i8"),  # contact: where it began …
+        ("begin_t", "f8"),  # [s]
+        ("approach", "f8"),  # … how fast [m/s], and what it has done so far:
+        ("elapsed", "f8"),  # [s]
+        ("peak_force", "f8"),  # [N]
+        ("impulse", "f8"),  # [N s]
+        ("lost", "f8"),  # [J]
+        ("begin_d", "f8"),  # flight: d where it began [m]
+    ],
+    align=True,
+)
+
+LEDGER = np.dtype([(name, "f8") for name in ("work", "columns", "shaker", "contact", "friction")])
+"""Energies since the reset [J]: work of the drive, losses by place."""
 
 IMPACT_COLUMNS = (
     "segment",
@@ -55,22 +75,77 @@ IMPACT_COLUMNS = (
     "duration",
     "energy_lost",
 )
+IMPACT = np.dtype([(name, "i8" if name == "segment" else "i1" if name == "wall" else "f8") for name in IMPACT_COLUMNS])
+"""One row per finished contact: `segment` and `offset` [s] of its start; see `blocks.IMPACTS` for the rest."""
+
+LOG = np.dtype([("knots", "i8"), ("impacts", "i8")])
+"""How many rows of each are filled."""
+
+FLIGHT = np.dtype(
+    [
+        ("omega", "f8"),  # the drive that `answer` and `drift` belong to [rad/s]
+        ("system", "i8"),  # the linear system they belong to
+        ("reach", "f8"),  # time in which a Taylor polynomial holds [s]
+        ("answer", "c16", (STRUCTURE,)),  # to a drive of constant amplitude
+        ("drift", "c16", (STRUCTURE,)),  # to one whose amplitude grows
+        ("steady", "c16", (STRUCTURE,)),  # P and Q of y_p(t) = Im[(P + Q t) exp(jωt)]
+        ("growing", "c16", (STRUCTURE,)),
+        ("forced", "c16", (ORDERS,)),  # P and Q of the derivatives of x_1
+        ("forced_growing", "c16", (ORDERS,)),
+        ("forced_size", "f8", (ORDERS,)),  # a bound on each within the segment
+        ("begin", "f8"),  # when the flight began [s]
+        ("push", "f8"),  # constant force on the structure [N]: guide friction
+        ("modal", "c16", (STRUCTURE,)),  # amplitude of each mode at `begin`
+        ("wave", "c16", (ORDERS, STRUCTURE)),  # its part in the derivatives of x_1
+        ("wave_size", "f8", (ORDERS, STRUCTURE)),
+        ("value", "f8"),  # derivatives of x_1 looked at last: from some order on, three …
+        ("slope", "f8"),
+        ("bend", "f8"),
+        ("bound", "f8"),  # … and a bound on the next one from there on
+        ("y", "f8", (STRUCTURE,)),
+    ],
+    align=True,
+)
+"""What is known of the flight under way."""
+
+PRESS = np.dtype(
+    [
+        ("path", "f8", (STRUCTURE, TERMS)),  # Taylor polynomials of y about the start of the step
+        ("thrust", "f8", (TERMS,)),  # of the acceleration that presses sphere and wall together [m/s²]
+        ("w", "f8", (STAGES,)),  # at the stages: sqrt of the indentation [m^0.5],
+        ("speed", "f8", (STAGES,)),  # δ' [m/s],
+        ("since", "f8", (STAGES,)),  # time since the start of the step [s],
+        ("thrust_at", "f8", (STAGES,)),  # the thrust, recoil included [m/s²],
+        ("force", "f8", (STAGES,)),  # [N],
+        ("lossy", "f8", (STAGES,)),  # the part of it that dissipates [N],
+        ("force_by_w", "f8", (STAGES,)),  # its derivatives,
+        ("force_by_speed", "f8", (STAGES,)),
+        ("slope", "f8", (STAGES,)),  # dδ'/ds [m^1.5/s²],
+        ("slope_by_w", "f8", (STAGES,)),  # its derivatives
+        ("slope_by_speed", "f8", (STAGES,)),
+        ("recoil", "f8", (STRUCTURE, STAGES)),  # z, what the indentation moves the pair by, per side σ, see `pair`,
+        ("recoil_slope", "f8", (STRUCTURE, STAGES)),  # and dz/ds
+        ("matrix", "f8", (STAGES, STAGES)),  # what Newton's method multiplies the miss of the equations with
+        ("miss", "f8", (STAGES,)),
+        ("known", "f8", (STAGES + 1,)),  # the polynomial of a step, see `foresight` [m/s],
+        ("known_length", "f8"),  # the length of that step, 0 where none is known,
+        ("known_since", "f8"),  # and how far from its start the next one starts
+        ("fastest_time", "f8"),  # time in which the fastest motion of structure or drive goes one radian [s]
+        ("turned_at", "f8"),  # the branch of the law that the step is on, see `contact.base` [m^0.5]
+        ("start_slope", "f8"),  # dδ'/ds at the start of the step
+        ("start_force", "f8"),
+        ("tolerance", "f8"),  # how wrong the step's speeds may be [m/s],
+        ("goal", "f8"),  # and how near Newton's method must come to what the step says
+        ("terms", "i8"),  # Taylor terms that suffice for the step
+        ("reach", "f8"),  # longest step that the polynomials hold for [s]
+        ("rest", "f8"),  # time left to the end of the drive segment [s]
+        ("y", "f8", (STRUCTURE,)),
+    ],
+    align=True,
+)
+"""One step of a contact."""
 
 
-class Log(NamedTuple):
-    """What a run leaves behind: knots (n, KNOT), impacts (k, IMPACT_COLUMNS), and how many are filled."""
-
-    knots: NDArray[np.float64]
-    impacts: NDArray[np.float64]
-    filled: NDArray[np.int64]  # knots, impacts
-    first: NDArray[np.int64]  # row of each segment's first knot
-
-
-@njit(cache=True, nogil=True, forceinline=True)
-def add_knot(log, s):  # type: ignore[no-untyped-def]  # compiled: types are inferred
-    """Append the state as a knot; the event loop makes room before it calls a phase."""
-    row = log.filled[0]
-    if row < log.knots.shape[0]:
-        for q in range(KNOT):
-            log.knots[row, q] = s[q]
-    log.filled[0] = row + 1
+def record(kind: np.dtype[np.void], rows: int = 1) -> Any:
+    """Return zeroed rows of a record type, shape (rows,), whose elements have named fields in plain Python too."""
+    return np.zeros(rows, kind).view(np.recarray)

@@ -1,7 +1,9 @@
 """Table topics as files other programs read: CSV, NumPy's NPZ and Parquet.
 
 Every row becomes one row, with the stamp of its message in front: `stamp_ns` is an exact integer, `time` counts from it
-in seconds. Numbers in CSV are written so that reading them back gives the same bits.
+in seconds. `earlier` is 1 where the message was published before the recording began: what a latched topic hands to a
+recorder that comes, such as the journal since the rig's start or the commands of cases before this run. Numbers in CSV
+are written so that reading them back gives the same bits.
 """
 
 from __future__ import annotations
@@ -22,7 +24,7 @@ from impact_rig import files
 from impact_rig.errors import RecordingError
 from impact_rig.recording.reader import Run
 
-STAMP = "stamp_ns"
+STAMP, EARLIER = "stamp_ns", "earlier"
 _BATCH_BYTES = 4 * 2**20  # a text takes four times as much when it is decoded, a number when it is written
 
 Columns = dict[str, NDArray[np.generic]]
@@ -60,27 +62,38 @@ def _batches(run: Run, topic: str) -> Iterator[Columns]:
     dtype: np.dtype[np.void] | None = None
     rows: list[NDArray[np.void]] = []
     stamps: list[NDArray[np.int64]] = []
+    earlier: list[NDArray[np.uint8]] = []
     waiting = 0
-    for table in run.tables(topic):
+    began_ns = _wall_start_ns(run)
+    for published_ns, table in run.published_tables(topic):
         if dtype is None:
             dtype = table.rows.dtype
         elif dtype != table.rows.dtype:
             raise RecordingError(f"topic {topic} changes its columns at {table.stamp_ns} ns")
         rows.append(table.rows)
         stamps.append(np.full(len(table.rows), table.stamp_ns, np.int64))
+        earlier.append(np.full(len(table.rows), published_ns < began_ns, np.uint8))
         waiting += table.rows.nbytes
         if waiting >= _BATCH_BYTES:
-            yield _columns(rows, stamps)
-            rows, stamps, waiting = [], [], 0
+            yield _columns(rows, stamps, earlier)
+            rows, stamps, earlier, waiting = [], [], [], 0
     if dtype is None:
         raise RecordingError(f"topic {topic} holds no message, so its columns are not known")
     if rows:
-        yield _columns(rows, stamps)
+        yield _columns(rows, stamps, earlier)
 
 
-def _columns(rows: list[NDArray[np.void]], stamps: list[NDArray[np.int64]]) -> Columns:
+def _wall_start_ns(run: Run) -> int:
+    """Return when the recording began; 0 where its recorder does not say."""
+    text = run.provenance.get("wall_start_ns", "")
+    return int(text) if text.isdecimal() else 0
+
+
+def _columns(
+    rows: list[NDArray[np.void]], stamps: list[NDArray[np.int64]], earlier: list[NDArray[np.uint8]]
+) -> Columns:
     joined = np.concatenate(rows)
-    columns: Columns = {STAMP: np.concatenate(stamps)}
+    columns: Columns = {STAMP: np.concatenate(stamps), EARLIER: np.concatenate(earlier)}
     for name in joined.dtype.names or ():
         column = joined[name]
         columns[name] = np.char.decode(column, "utf-8", "replace") if column.dtype.kind == "S" else column

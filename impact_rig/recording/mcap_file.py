@@ -32,6 +32,7 @@ COMPRESSIONS: Mapping[str, CompressionType] = {
 MIN_FREE_BYTES = 8 * 2**20
 """A recording stops when less is free: enough for its index and for whatever else the machine must still log."""
 _INDEX_BYTES_PER_CHUNK = 128  # a ChunkIndex record without its 10 bytes per channel
+_CLOSING_BYTES_PER_TOPIC = 1024  # its part of the metadata records that end a file
 _INDEX_BYTES_FIXED = 4096  # statistics, summary offsets, footer, metadata and attachment indexes
 
 
@@ -101,7 +102,9 @@ class McapFile:
             self._schema_ids[topic.type_name] = int(known)
         self._channels += 1
         metadata = topic.channel_metadata()
-        self._index_bytes += len(topic.name) + sum(len(k) + len(v) for k, v in metadata.items()) + 64
+        self._index_bytes += (
+            _CLOSING_BYTES_PER_TOPIC + len(topic.name) + sum(len(k) + len(v) for k, v in metadata.items()) + 64
+        )
         return self._writer.register_channel(topic.name, SERIALIZATION, self._schema_ids[topic.type_name], metadata)
 
     def add_message(self, channel: int, log_time: int, data: bytes, publish_time: int, sequence: int) -> bool:

@@ -12,12 +12,18 @@ from collections.abc import Mapping
 
 import attrs
 
+from impact_rig.arithmetic import ARITHMETIC
+
 RECORD_NAME = "impact_rig"
 """Metadata record with the package version, the seed and the wall-clock start."""
 TOPIC_RECORD_NAME = "impact_rig/topic"
 """Metadata record repeating a channel and its schema outside the chunks: a lost chunk does not cost the others."""
 CONFIGURATION = "config.yaml"
 """Attachment with the resolved configuration."""
+
+ARITHMETIC_KEY = "arithmetic"
+UNWRITTEN_ARITHMETIC = "1"
+"""Of recordings from before it was written down."""
 
 _CRC_KEY = "crc32"
 
@@ -31,12 +37,14 @@ class Provenance:
         seed: of noise, calibration errors and random drive.
         wall_start_ns: system time when the recording began [ns since the epoch].
         extra: whatever else identifies the run.
+        arithmetic: version of the arithmetic that made the samples.
     """
 
     version: str
     seed: int
     wall_start_ns: int
     extra: Mapping[str, str] = attrs.field(factory=dict)
+    arithmetic: int = ARITHMETIC
 
     def to_record(self) -> dict[str, str]:
         """Return the content of the metadata record."""
@@ -44,6 +52,7 @@ class Provenance:
             "version": self.version,
             "seed": str(self.seed),
             "wall_start_ns": str(self.wall_start_ns),
+            ARITHMETIC_KEY: str(self.arithmetic),
             **dict(self.extra),
         }
 
@@ -53,9 +62,15 @@ class Provenance:
         extra = dict(record)
         try:
             version, seed, start = extra.pop("version"), int(extra.pop("seed")), int(extra.pop("wall_start_ns"))
+            arithmetic = int(extra.pop(ARITHMETIC_KEY, UNWRITTEN_ARITHMETIC))
         except (KeyError, ValueError):
             return None
-        return cls(version=version, seed=seed, wall_start_ns=start, extra=extra)
+        return cls(version=version, seed=seed, wall_start_ns=start, extra=extra, arithmetic=arithmetic)
+
+
+def arithmetic_of(record: Mapping[str, str]) -> str:
+    """Return the version of the arithmetic that a run's metadata record names; of another recorder's file nothing."""
+    return record.get(ARITHMETIC_KEY, UNWRITTEN_ARITHMETIC) if record else ""
 
 
 @attrs.frozen

@@ -116,21 +116,30 @@ class Run:
         Raises:
             RecordingError: the record is damaged.
         """
-        for name, content in self.sources[0].metadata():
-            if name == RECORD_NAME:
-                verified = verify(content)
-                if verified is None:
-                    raise DamageError(f"{self.path}: the metadata record {name!r} does not fit its checksum")
-                return verified
+        return self.record(RECORD_NAME)
+
+    def record(self, name: str) -> dict[str, str]:
+        """Return the last metadata record of this name that carries its own checksum; empty if there is none.
+
+        Raises:
+            RecordingError: the record is damaged.
+        """
+        for source in reversed(self.sources):
+            for found, content in reversed(source.metadata()):
+                if found == name:
+                    verified = verify(content)
+                    if verified is None:
+                        raise DamageError(f"{self.path}: the metadata record {name!r} does not fit its checksum")
+                    return verified
         return {}
 
     def attachments(self) -> dict[str, bytes]:
-        """Return the files kept inside the recording, by name.
+        """Return the files kept inside the recording, by name; of several with one name the first: the run's start.
 
         Raises:
             RecordingError: one is damaged.
         """
-        return {found.name: found.data for source in self.sources for found in source.attachments()}
+        return {found.name: found.data for source in reversed(self.sources) for found in source.attachments()}
 
     def resolve(self, wanted: str) -> str:
         """Return the full name of the topic `wanted`, which may lack its namespace.
@@ -168,18 +177,31 @@ class Run:
         Raises:
             RecordingError: the topic is not there, carries no tables, or is damaged.
         """
+        name = self._table_topic(topic)
+        return (table for _, table in self._tables(name, self.messages([name], recorded_order=recorded_order)))
+
+    def published_tables(self, topic: str) -> Iterator[tuple[int, Table]]:
+        """Return the tables of a topic like `tables`, each with its publish time [ns of the system's clock].
+
+        Raises:
+            RecordingError: as `tables`.
+        """
+        name = self._table_topic(topic)
+        return self._tables(name, self.messages([name]))
+
+    def _tables(self, name: str, messages: Iterator[Message]) -> Iterator[tuple[int, Table]]:
+        for message in messages:
+            try:
+                yield message.publish_time, codec.decode(message.data)
+            except CodecError as error:
+                raise RecordingError(f"{self.path}: {name} at {message.log_time} ns is no table: {error}") from error
+
+    def _table_topic(self, topic: str) -> str:
         name = self.resolve(topic)
         type_name = self.topics[name].topic.type_name
         if type_name != POINT_CLOUD:
             raise RecordingError(f"topic {name} carries {type_name}, not tables ({POINT_CLOUD})")
-        return self._tables(name, self.messages([name], recorded_order=recorded_order))
-
-    def _tables(self, name: str, messages: Iterator[Message]) -> Iterator[Table]:
-        for message in messages:
-            try:
-                yield codec.decode(message.data)
-            except CodecError as error:
-                raise RecordingError(f"{self.path}: {name} at {message.log_time} ns is no table: {error}") from error
+        return name
 
     def _with_messages(self) -> list[McapSource]:
         return [source for source in self.sources if source.summary.statistics.message_count]

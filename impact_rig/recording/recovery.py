@@ -10,56 +10,20 @@ import contextlib
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-import attrs
-
 from impact_rig.budget import Account, BudgetError
 from impact_rig.endings import unhurried
 from impact_rig.errors import RecordingError
-from impact_rig.recording import bag_metadata, mcap_source, provenance, records
+from impact_rig.recording import bag_metadata, losses, mcap_source, provenance, records, recovery_record
 from impact_rig.recording.provenance import Attachment, Provenance
 from impact_rig.recording.reader import run_files
 from impact_rig.recording.records import DamageError
+from impact_rig.recording.recovery_record import Recovered
+from impact_rig.recording.recovery_report import FileReport, RecoverReport
 from impact_rig.recording.salvage import Damage, DamagedFile, Found
 from impact_rig.recording.tail import FOLLOWS, tail_of
 from impact_rig.recording.tail import RECORD_NAME as TAIL_RECORD_NAME
 from impact_rig.recording.topics import Topic
 from impact_rig.recording.writer import RunWriter
-
-_MAX_LISTED = 1000
-
-
-@attrs.define
-class RecoverReport:
-    """What `recover` found.
-
-    Attributes:
-        directory: the new run.
-        messages: messages given back.
-        chunks: whole chunks they came from.
-        expected_messages: how many there were, if an intact index tells; None otherwise.
-        damages: what is left out and why, in order (at most 1000 are listed).
-        damage_count: how many there are.
-        account: what reading has cost.
-    """
-
-    directory: Path
-    messages: int = 0
-    chunks: int = 0
-    expected_messages: int | None = 0
-    damages: list[Damage] = attrs.field(factory=list)
-    damage_count: int = 0
-    account: Account = attrs.field(factory=lambda: Account(0), repr=False)
-
-    @property
-    def lost_bytes(self) -> int:
-        """Bytes of the listed damages."""
-        return sum(damage.length for damage in self.damages)
-
-    def note(self, damage: Damage) -> None:
-        """Count and list a damage."""
-        self.damage_count += 1
-        if len(self.damages) < _MAX_LISTED:
-            self.damages.append(damage)
 
 
 def recover(path: Path | str, out: Path | str, *, accept_unchecked: bool = False) -> RecoverReport:
@@ -74,11 +38,13 @@ def recover(path: Path | str, out: Path | str, *, accept_unchecked: bool = False
         RecordingError: nothing whole was found (then nothing is written), `path` cannot be read or `out` written.
     """
     source, target = Path(path), Path(out)
-    files = _files(source)
-    report = RecoverReport(target, account=Account(_bytes(files)))
+    report = RecoverReport(target)
+    files = _files(source, report)
+    report.account = Account(_bytes(files))
     salvages = [_Salvage(file, report, accept_unchecked=accept_unchecked) for file in files]
     origin = next((salvage.provenance for salvage in salvages if salvage.provenance is not None), None)
     attachments = {found.name: found for salvage in salvages for found in salvage.attachments}
+    accounts = [salvage.losses for salvage in salvages if salvage.losses]
     largest = max(file.stat().st_size for file in files) if len(files) > 1 else 0
     writer: RunWriter | None = None
     try:
@@ -91,6 +57,10 @@ def recover(path: Path | str, out: Path | str, *, accept_unchecked: bool = False
                         attachments=attachments.values(),
                         clock=lambda: 0.0,  # chunks are closed by size only
                         max_file_bytes=largest,
+                        closing=lambda: {
+                            losses.RECORD_NAME: accounts[-1] if accounts else {},
+                            recovery_record.NAME: _record(source, report).to_record(),
+                        },
                     )
                     for known in salvages:
                         known.introduce_topics(writer)
@@ -99,7 +69,7 @@ def recover(path: Path | str, out: Path | str, *, accept_unchecked: bool = False
                 writer.write_at(
                     topic.name, bytes(message.data), message.log_time, message.publish_time, message.sequence
                 )
-                report.messages += 1
+                salvage.figures.count(topic, message)
     finally:
         if writer is not None:
             with unhurried():
@@ -110,14 +80,25 @@ def recover(path: Path | str, out: Path | str, *, accept_unchecked: bool = False
     return report
 
 
-def _files(path: Path) -> list[Path]:
+def _record(source: Path, report: RecoverReport) -> Recovered:
+    return Recovered(
+        source=source.name,
+        damages=report.damage_count,
+        lost_bytes=report.lost_bytes,
+        missing_messages=report.missing_messages,
+        unfinished=report.expected_messages is None,
+    )
+
+
+def _files(path: Path, report: RecoverReport) -> list[Path]:
     try:
         return run_files(path)
-    except (RecordingError, BudgetError):
+    except (RecordingError, BudgetError) as error:
         # what metadata.yaml says of a damaged run may be damaged too: the files that are there count
         files = sorted(path.glob("*.mcap"))
         if not files:
             raise
+        report.note(Damage(path.name, 0, 0, str(error)))
         return files
 
 
@@ -129,12 +110,16 @@ def _bytes(files: Iterable[Path]) -> int:
 class _Salvage:
     """One damaged file: first pass on construction (definitions, attachments, provenance), second for the messages."""
 
-    def __init__(self, path: Path, report: RecoverReport, *, accept_unchecked: bool) -> None:
+    def __init__(
+        self, path: Path, report: RecoverReport, *, accept_unchecked: bool, figures: FileReport | None = None
+    ) -> None:
         self.path = path
         self.attachments: list[Attachment] = []
         self.follows: int | None = None
         """Of a tail: size of the recording when the chunk began whose messages it holds [bytes]."""
         self.provenance: Provenance | None = None
+        self.losses: dict[str, str] = {}
+        self.figures = figures or report.file(path)
         self._report = report
         self._accept_unchecked = accept_unchecked
         self._schemas: dict[int, records.Schema] = {}
@@ -173,9 +158,9 @@ class _Salvage:
         with DamagedFile(self.path) as file:
             for found in file.walk():
                 if isinstance(found, Found) and found.opcode == records.CHUNK:
-                    chunks = self._report.chunks
+                    chunks = self.figures.chunks
                     yield from self._messages(file, found)
-                    last = found.offset if self._report.chunks > chunks else last
+                    last = found.offset if self.figures.chunks > chunks else last
         yield from self._open_chunk(last)
 
     def _open_chunk(self, last: int) -> Iterator[tuple[Topic, records.RawMessage]]:
@@ -185,7 +170,8 @@ class _Salvage:
             return
         follows = _Salvage(tail, RecoverReport(self._report.directory), accept_unchecked=False).follows
         if follows is not None and follows > last:
-            yield from _Salvage(tail, self._report, accept_unchecked=False).messages()
+            self._report.heal(self.path.name, follows)  # the chunk itself may have been cut short in the writing
+            yield from _Salvage(tail, self._report, accept_unchecked=False, figures=self.figures).messages()
 
     def _messages(self, file: DamagedFile, found: Found) -> Iterator[tuple[Topic, records.RawMessage]]:
         try:
@@ -199,7 +185,7 @@ class _Salvage:
         except (DamageError, BudgetError) as error:
             self._report.note(self._damage(found, str(error)))
             return
-        self._report.chunks += 1
+        self.figures.chunks += 1
         unknown = 0
         for message in messages:
             topic = self._topics.get(message.channel_id)
@@ -215,11 +201,9 @@ class _Salvage:
             summary = mcap_source.read_summary(file.fd, file.size)
             self._topics.update(mcap_source.topics_of(summary))
         except DamageError:
-            self._report.expected_messages = None
             return
         self._schemas.update(summary.schemas)
-        if self._report.expected_messages is not None:
-            self._report.expected_messages += summary.statistics.message_count
+        self.figures.expect(summary.statistics)
 
     def _define(self, definition: records.Schema | records.Channel) -> None:
         if isinstance(definition, records.Schema):
@@ -251,6 +235,8 @@ class _Salvage:
             self.provenance = Provenance.from_record(verified)
         elif name == provenance.TOPIC_RECORD_NAME:
             self._take_topic(verified)
+        elif name == losses.RECORD_NAME:
+            self.losses = verified
         elif name == TAIL_RECORD_NAME:
             with contextlib.suppress(KeyError, ValueError):
                 self.follows = int(verified[FOLLOWS])

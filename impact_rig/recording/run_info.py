@@ -9,10 +9,12 @@ import attrs
 
 from impact_rig import codec
 from impact_rig.errors import CodecError
+from impact_rig.recording import losses, recovery_record
 from impact_rig.recording.contiguity import Contiguity, check_contiguity, scan_rate_hz
 from impact_rig.recording.provenance import CONFIGURATION
 from impact_rig.recording.reader import Message, Run, open_run
 from impact_rig.recording.records import DamageError
+from impact_rig.recording.recovery_record import Recovered
 from impact_rig.recording.topics import SCAN_TOPIC, matches
 from impact_rig.simtime import NS_PER_S
 
@@ -55,7 +57,10 @@ class RunInfo:
         provenance: version, seed, wall_start_ns, ...; empty for other recorders' files.
         attachments: name and size [bytes].
         configuration: text of the attached configuration; None if there is none.
-        intact: whether every checksum fits and no block is missing.
+        lost: messages that never reached the recorder, by topic; only topics that lack any.
+        accounted: whether the recorder kept account of them.
+        recovered: what a recovery has left out; None: this is the run as it was recorded.
+        intact: whether every checksum fits and nothing is known to be missing.
         verdict: the same as a sentence.
     """
 
@@ -69,6 +74,9 @@ class RunInfo:
     provenance: Mapping[str, str]
     attachments: Mapping[str, int]
     configuration: str | None
+    lost: Mapping[str, int]
+    accounted: bool
+    recovered: Recovered | None
     intact: bool
     verdict: str
 
@@ -109,14 +117,20 @@ def info(path: Path | str) -> RunInfo:
         problem = ""
         provenance: Mapping[str, str] = {}
         attachments: Mapping[str, bytes] = {}
+        account: Mapping[str, list[losses.Stream]] = {}
+        recovered: Recovered | None = None
         try:
             provenance = run.provenance
             attachments = run.attachments()
+            account = losses.read_record(run.record(losses.RECORD_NAME))
+            recovered = recovery_record.read(run.record(recovery_record.NAME))
             for message in run.messages(recorded_order=True):
                 tally.add(message)
         except DamageError as error:
             problem = str(error)
         scans = check_contiguity(tally.blocks, tally.rate_hz) if tally.rate_hz else None
+        lost = losses.lost(account)
+        missing = [*_gaps(scans), *_losses(lost), *_unwritten(account, tally), *_left_out(recovered)]
         configuration = attachments.get(CONFIGURATION)
         return RunInfo(
             path=run.path,
@@ -129,22 +143,57 @@ def info(path: Path | str) -> RunInfo:
             provenance=provenance,
             attachments={name: len(data) for name, data in attachments.items()},
             configuration=None if configuration is None else configuration.decode("utf-8", errors="replace"),
-            intact=not problem and (scans is None or scans.whole),
-            verdict=problem or _verdict(scans),
+            lost=lost,
+            accounted=bool(account),
+            recovered=recovered,
+            intact=not problem and not missing,
+            verdict=problem or _verdict(scans, missing, accounted=bool(account), recovered=recovered is not None),
         )
 
 
-def _verdict(scans: Contiguity | None) -> str:
-    if scans is None:
-        return f"every checksum fits; there is no {SCAN_TOPIC}"
-    if scans.whole:
-        return f"whole: every checksum fits, {scans.blocks} blocks of {SCAN_TOPIC} without a gap"
-    parts = [f"every checksum fits, but {len(scans.gaps)} gaps in {SCAN_TOPIC}"]
+def _verdict(scans: Contiguity | None, missing: list[str], *, accounted: bool, recovered: bool) -> str:
+    """Return the sentence; only a run whose recorder kept account and missed nothing is called whole."""
+    begin = "recovered: every checksum fits" if recovered else "every checksum fits"
+    if missing:
+        return f"{begin}, but {'; '.join(missing)}"
+    found = f"{scans.blocks} blocks of {SCAN_TOPIC} without a gap" if scans else f"there is no {SCAN_TOPIC}"
+    if recovered:
+        return f"{begin}, {found}; what the recorder had missed is not known"
+    if not accounted:
+        return f"{begin}, {found}; its recorder kept no account of lost messages"
+    return f"whole: {begin}, {found}, no message lost on any topic"
+
+
+def _gaps(scans: Contiguity | None) -> list[str]:
+    if scans is None or scans.whole:
+        return []
+    parts = [f"{len(scans.gaps)} gaps in {SCAN_TOPIC}"]
     if scans.lost_blocks:
         parts.append(f"{scans.lost_blocks} blocks ({scans.lost_scans} scans) are missing")
     if scans.restarts:
         parts.append(f"the stamps go back {scans.restarts} times")
-    return "; ".join(parts)
+    return parts
+
+
+def _losses(lost: Mapping[str, int]) -> list[str]:
+    if not lost:
+        return []
+    return ["messages were lost on the way to the recorder: " + ", ".join(f"{n} of {name}" for name, n in lost.items())]
+
+
+def _unwritten(account: Mapping[str, list[losses.Stream]], tally: _Tally) -> list[str]:
+    """Return what the recorder received and the files do not hold."""
+    received = {name: sum(stream.received for stream in streams) for name, streams in account.items()}
+    held = {topic.name: topic.count for topic in tally.topics()}
+    short = [f"{n - held.get(name, 0)} of {name}" for name, n in received.items() if n > held.get(name, 0)]
+    return [f"messages that were received are not in it: {', '.join(short)}"] if short else []
+
+
+def _left_out(recovered: Recovered | None) -> list[str]:
+    if recovered is None or not recovered.incomplete:
+        return []
+    count = "an unknown number of" if recovered.missing_messages is None else str(recovered.missing_messages)
+    return [f"{count} messages ({recovered.lost_bytes} bytes in {recovered.damages} places) could not be given back"]
 
 
 @attrs.define

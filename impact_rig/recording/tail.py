@@ -16,6 +16,8 @@ from impact_rig.recording.mcap_file import McapFile
 from impact_rig.recording.provenance import protect
 from impact_rig.recording.topics import Topic
 
+SUFFIX = ".tail"
+"""What follows the name of the recording."""
 RECORD_NAME = "impact_rig_tail"
 FOLLOWS = "follows"
 """Key of that record: size of the recording when its open chunk began [bytes]."""
@@ -23,7 +25,7 @@ FOLLOWS = "follows"
 
 def tail_of(recording: Path) -> Path:
     """Return where the tail of an MCAP file is, if there is one."""
-    return recording.with_name(recording.name + ".tail")
+    return recording.with_name(recording.name + SUFFIX)
 
 
 class Tail(McapFile):

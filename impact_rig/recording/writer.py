@@ -8,7 +8,7 @@ when the run is finished; a directory without it was cut short and is completed 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from types import TracebackType
 
@@ -19,6 +19,8 @@ from impact_rig.errors import RecordingError
 from impact_rig.recording import bag_metadata
 from impact_rig.recording.bag_metadata import FileSpan
 from impact_rig.recording.log_time import LogTime
+from impact_rig.recording.losses import RECORD_NAME as LOSSES_RECORD_NAME
+from impact_rig.recording.losses import Account
 from impact_rig.recording.mcap_file import McapFile
 from impact_rig.recording.provenance import RECORD_NAME, TOPIC_RECORD_NAME, Attachment, Provenance, protect
 from impact_rig.recording.schema import starts_with_header
@@ -49,7 +51,9 @@ class RunWriter:
         directory: the run directory, created with its parents; files are named after it. It may exist, but must hold
             neither `*.mcap`, `*.mcap.tail` nor `metadata.yaml` (nothing is ever overwritten), and be one's own.
         provenance: goes into the `impact_rig` metadata record of every file; None: there is no such record.
-        attachments: go into every file.
+        attachments: go into every file, see `attach`.
+        account: counts what is received and finds what is lost; None: one of its own, that knows no graph.
+        closing: asked for further metadata records, by name, when a file is finished.
         clock: monotonic seconds of wall time; decides when an open chunk is due.
         compression: `none`, `lz4` or `zstd`.
         chunk_bytes: see `CHUNK_BYTES`.
@@ -70,6 +74,8 @@ class RunWriter:
         provenance: Provenance | None,
         clock: Callable[[], float],
         attachments: Iterable[Attachment] = (),
+        account: Account | None = None,
+        closing: Callable[[], Mapping[str, Mapping[str, str]]] = dict,
         compression: str = "zstd",
         chunk_bytes: int = CHUNK_BYTES,
         max_file_bytes: int = 0,
@@ -80,7 +86,9 @@ class RunWriter:
     ) -> None:
         self.directory = directory
         self._provenance = provenance
-        self._attachments = list(attachments)
+        self._in_force = {attachment.name: attachment for attachment in attachments}
+        self._account = account or Account()
+        self._closing = closing
         self._clock = clock
         self._compression = compression
         self._chunk_bytes = chunk_bytes
@@ -150,7 +158,7 @@ class RunWriter:
             topic_name: of a topic added before.
             data: CDR bytes as received.
             publish_time_ns: DDS source time.
-            sequence: publication sequence number of the publisher (its low 32 bits are kept).
+            sequence: publication sequence number of the publisher (its low 32 bits are kept); 0: it has none.
 
         Raises:
             RecordingError: unknown topic (the run goes on); or the run had to stop, now or earlier: see `closed`.
@@ -160,6 +168,7 @@ class RunWriter:
             raise RecordingError(f"topic {topic_name} has not been added to the recording")
         log_time = self._log_time.of(data, publish_time_ns, has_header=channel.has_header, is_scan=channel.is_scan)
         self.write_at(topic_name, data, log_time, publish_time_ns, sequence)
+        self._account.take(topic_name, sequence)
 
     def write_at(self, topic_name: str, data: bytes, log_time_ns: int, publish_time_ns: int, sequence: int = 0) -> None:
         """Record one message at a log time that is known already; otherwise like `write`."""
@@ -201,17 +210,25 @@ class RunWriter:
             with self._stopping_on_error:
                 self._flush_if_due()
 
-    def attach(self, attachment: Attachment) -> None:
-        """Keep a file inside the recording (and inside every further file of a split run).
+    def attach(self, attachment: Attachment, instead_of: str = "") -> None:
+        """Keep a file inside the recording; a further file of a split run repeats what is in force then.
+
+        Args:
+            attachment: the file.
+            instead_of: what it supersedes: the name that the first of its series had.
 
         Raises:
             RecordingError: the run had to stop, now or earlier.
         """
         self._refuse_if_closed()
-        self._attachments.append(attachment)
+        self.supersede(attachment, instead_of)
         with self._stopping_on_error:
             self._write_attachment(attachment)
             self._file.commit()
+
+    def supersede(self, attachment: Attachment, instead_of: str = "") -> None:
+        """Let further files of a split run hold this instead; the present one keeps what it has."""
+        self._in_force[instead_of or attachment.name] = attachment
 
     def finish(self) -> Path:
         """Finish the run and return its directory; a second call, or one after an error, does nothing.
@@ -246,7 +263,7 @@ class RunWriter:
         file.add_metadata(bag_metadata.RECORD_NAME, bag_metadata.record(self._information()))
         if self._provenance is not None:
             file.add_metadata(RECORD_NAME, protect(self._provenance.to_record()))
-        for attachment in self._attachments:
+        for attachment in self._in_force.values():
             self._write_attachment(attachment)
         for channel in self._channels.values():
             self._register(channel)
@@ -280,6 +297,9 @@ class RunWriter:
         try:
             self._file.close_chunk()
             self._file.add_metadata(bag_metadata.RECORD_NAME, bag_metadata.record(self._information()))
+            for name, record in {LOSSES_RECORD_NAME: self._account.to_record(), **self._closing()}.items():
+                if record:
+                    self._file.add_metadata(name, protect(record))
             self._file.finish()
             self._drop_tail()
         finally:

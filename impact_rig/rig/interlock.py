@@ -12,6 +12,7 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
+from impact_rig.arithmetic.elementary import exp
 from impact_rig.config import Drive, Shaker
 from impact_rig.errors import CommandError
 from impact_rig.physics import Motion
@@ -64,14 +65,14 @@ class Interlock:
             return None
         travel, velocity, current = _looks(motion, ("x_b", "v_b", "current"), tick_s)
         worst = largest(travel, velocity, tick_s / LOOKS_PER_TICK)
-        square = np.square(current[:, 1:]).mean(axis=1)
-        gain = -math.expm1(-tick_s / CURRENT_TIME_S)
+        square = mean_square(current[:, 1:])
+        gain = 1.0 - exp(-tick_s / CURRENT_TIME_S)
         limit, limit_rms = shaker.travel_limit_m, shaker.current_limit_a_rms
         for tick in range(len(worst)):
             self._mean_square += gain * (square[tick] - self._mean_square)
             if worst[tick] > limit:
                 return Trip(tick, OVER_TRAVEL, float(worst[tick]), limit)
-            if self._mean_square > (OVER_CURRENT_MARGIN * limit_rms) ** 2:
+            if math.sqrt(self._mean_square) > OVER_CURRENT_MARGIN * limit_rms:
                 return Trip(tick, OVER_CURRENT, math.sqrt(self._mean_square), limit_rms)
         return None
 
@@ -82,6 +83,15 @@ def _looks(motion: Motion, names: tuple[str, ...], tick_s: float) -> NDArray[np.
     segment = motion.first_segment + np.repeat(np.arange(ticks, dtype=np.int64), LOOKS_PER_TICK + 1)
     offset = np.tile(np.arange(LOOKS_PER_TICK + 1) * (tick_s / LOOKS_PER_TICK), ticks)
     return motion.quantities(names, segment, offset).reshape(len(names), ticks, LOOKS_PER_TICK + 1)
+
+
+def mean_square(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the mean of the squares in each row, added up in order: NumPy's own sums need not be in any."""
+    total = np.zeros(len(values))
+    for column in values.T:
+        total += column * column
+    total /= values.shape[1]
+    return total
 
 
 def largest(position: NDArray[np.float64], velocity: NDArray[np.float64], step_s: float) -> NDArray[np.float64]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from impact_rig.arithmetic.random import Random
 from impact_rig.config import RigConfig
 from impact_rig.errors import CommandError, ConfigError, SimulationError
 from impact_rig.physics import FunctionGenerator, Simulation
@@ -24,7 +25,7 @@ def generator(config: RigConfig) -> FunctionGenerator:
     seeds = np.random.SeedSequence(config.daq.seed, spawn_key=(DRIVE_SEED,))
     try:
         check_amplitude(config.drive.amplitude, config.drive, config.shaker)
-        return FunctionGenerator(config.drive, config.shaker, np.random.default_rng(seeds))
+        return FunctionGenerator(config.drive, config.shaker, Random(seeds))
     except CommandError as error:
         raise ConfigError(f"drive: {error}") from error
 
@@ -36,7 +37,7 @@ def built(config: RigConfig) -> Simulation:
         ConfigError: they do not.
     """
     try:
-        trial, drive = Simulation(config), FunctionGenerator(config.drive, config.shaker, np.random.default_rng(0))
+        trial, drive = Simulation(config), FunctionGenerator(config.drive, config.shaker, Random(0))
         drive.set_amplitude(1.0)
         motion = trial.advance(drive.segments(TRIAL_TICKS))
         last = motion.sample(np.array([motion.last_segment]), np.array([COMMAND_GRID_S]))

@@ -136,7 +136,7 @@ class VirtualRig(SteppedRig):
             for topic in TOPICS:
                 writer.add_topic(Topic(name=f"/{topic}", type_name=POINT_CLOUD, schema=schema))
             for topic, table in (*self._early, *self._order):
-                writer.write(f"/{topic}", codec.encode(table), table.stamp_ns)
+                writer.write(f"/{topic}", codec.encode(table), provenance.wall_start_ns)
         return directory
 
     def close(self) -> None:

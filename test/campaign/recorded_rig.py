@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import functools
 import time
 from collections.abc import Callable, Iterable
 from pathlib import Path
+
+import attrs
+import numpy as np
 
 from impact_rig import codec
 from impact_rig.analysis.settings import TrackerSettings
@@ -19,10 +23,32 @@ from impact_rig.rig import Rig
 TICK = 10_000_000
 POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
 Messages = list[tuple[str, Table]]
+PROVENANCE = Provenance(version="0", seed=5, wall_start_ns=0)
 
 
-def messages(seconds: int = 12, **values: object) -> Messages:
-    """A rig whose operator does a little of everything, and its analysis."""
+def published(rig: Rig, blocks: int) -> Messages:
+    """Advance by so many blocks, and return what the node would publish."""
+    found: Messages = []
+    for _ in range(blocks):
+        measured = rig.advance(rig.block_end_ns(1))
+        for topic, tables in (("rig/journal", rig.take_journal()), ("shaker/applied", rig.take_applied())):
+            found += [(topic, table) for table in tables]
+        found += [("daq/scan", block.scan) for block in measured if not block.lost]
+    return found
+
+
+def edited(found: Messages, topic: str, change: Callable[[np.ndarray], np.ndarray | None]) -> Messages:
+    """Messages with the rows of a topic's tables passed through `change` (None: the table is left out)."""
+    result: Messages = []
+    for name, table in found:
+        rows = change(table.rows.copy()) if name == topic else table.rows
+        if rows is not None:
+            result.append((name, attrs.evolve(table, rows=rows)))
+    return result
+
+
+def messages(seconds: int = 12, again: tuple[int, ...] = (), **values: object) -> Messages:
+    """A rig whose operator does a little of everything, and its analysis; `again`: blocks at which he commands anew."""
     rig = Rig(from_flat(RigConfig(), {"daq.seed": 5, "sphere.present": False, **values}))
     tracker = Tracker()
     found: Messages = [("daq/info", rig.info())]
@@ -35,6 +61,8 @@ def messages(seconds: int = 12, **values: object) -> Messages:
         seconds * 100 - 30: lambda: rig.inject(spikes(rig.frontier_sample + 50)),
         seconds * 100 - 20: rig.stop,
     }
+    for number, block in enumerate(again):
+        deeds[block] = functools.partial(rig.command, frequency_hz=9.2 + 0.1 * number)
     for block in range(seconds * 100):
         if block in deeds:
             deeds[block]()
@@ -55,11 +83,11 @@ def spikes(start: int) -> Fault:
     return Fault(kind="spike_train", channel="laser", start=start, value=1e-3, rate_hz=100.0 / 3.0)
 
 
-def record(directory: Path, found: Iterable[tuple[str, Table]]) -> Path:
+def record(directory: Path, found: Iterable[tuple[str, Table]], provenance: Provenance | None = PROVENANCE) -> Path:
     """Write messages to a run and return its directory."""
     writer = RunWriter(
         directory,
-        provenance=Provenance(version="0", seed=5, wall_start_ns=0),
+        provenance=provenance,
         clock=time.monotonic,
         rig_start_ns=0,
     )

@@ -14,6 +14,7 @@ import pytest
 
 from impact_rig.campaign import run
 from impact_rig.campaign.in_process import execute
+from impact_rig.campaign.margins import variations
 from impact_rig.campaign.plan import load_campaign
 from impact_rig.campaign.report.palette import DARK, NAMES
 from impact_rig.cli import main
@@ -103,16 +104,47 @@ def test_every_colour_follows_the_theme(reported):
 
 def test_the_page_tells_what_the_data_say(page, reported):
     done = run.open_finished(reported)
-    ours = done.reductions().percent()
-    for gap, value in ours.items():
-        assert f"{value:.1f} ± " in page.text, gap
+    reductions = done.reductions()
+    for gap, value in reductions.percent().items():
+        assert f"{value:.2f} ± {2 * reductions.percent_uncertainty[gap]:.2f}" in page.text, gap
     for verdict in done.verdicts():
         assert verdict.text in page.text
-        assert f"{verdict.word} {verdict.detail}" in page.text
+        assert f"{verdict.word} {verdict.kind.value} {verdict.detail}" in page.text
     assert "a fit, not a validation" in page.text
     assert "really returns 0.309" in page.text
     assert "<trip> no sphere 9.1 reset the rig tripped: over_travel" in page.text
     assert "structure.damping_ratio" in page.text
+
+
+MARGINS = """\
+set: { instruments.ideal: true }
+analysis: { settle_tolerance: 0.01 }
+studies:
+  m_b:
+    frequencies_hz: [7.5, 8.0, 8.5, 8.9, 9.0, 9.1, 9.2, 9.5, 10.0, 10.5]
+    gaps_m: none
+    vary: { shaker.base_mass_kg: [1.84, 0.84] }
+"""
+
+
+def test_the_page_tells_what_each_verdict_is_worth_and_owes_to_the_choice(reported, tmp_path, capsys):
+    (tmp_path / "margins.yaml").write_text(MARGINS)
+    varied = load_campaign(tmp_path / "margins.yaml")
+    store = run.prepare(varied, tmp_path / "margins", "process")
+    for job in run.unique_jobs(varied.planned()):
+        store.put(job, execute(job))
+    page, margins = str(tmp_path / "page.html"), str(tmp_path / "margins")
+    assert main(["report", str(reported), "--output", page, "--margins", margins]) == 0
+    text = Page(Path(page).read_text()).text
+    for verdict in run.open_finished(reported).verdicts():
+        assert f"{verdict.word} {verdict.kind.value} {verdict.detail}" in text
+    (itself, changed) = variations(run.open_finished(tmp_path / "margins").points)
+    for one, name in ((itself, "the rig itself"), (changed, "shaker.base_mass_kg = 0.84")):
+        peak, amplitudes = (f"{v.result.value:.4g} {v.word}" for v in one.verdicts[:2])
+        assert f"{name} {peak} {amplitudes}" in text
+    assert changed.verdicts[1].word == "FAIL"
+    assert main(["report", str(reported), "--margins", str(reported)]) == 1
+    assert "holds no campaign that varies constants" in capsys.readouterr().err
 
 
 def test_figures_lie_beside_the_page(reported):

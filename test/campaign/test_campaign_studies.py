@@ -39,7 +39,7 @@ def drawn(done, monkeypatch):
     def draw(study):
         monkeypatch.setattr(studies, "Drawn", lambda _name, figure, caption: (figure, caption))
         points = [point for point in done.points if point.study == study]
-        ((figure, caption),) = studies.study_figures(study, points, done.curves)
+        ((figure, caption),) = studies.study_figures(study, points, done.curves, done.calibration)
         (axis,) = figure.axes
         return points, axis, caption
 
@@ -67,5 +67,6 @@ def test_transmissibility_is_drawn_over_the_frequency(drawn):
 
 
 def test_two_points_are_no_figure(done):
-    assert not list(studies.study_figures("pair", [p for p in done.points if p.study == "pair"], done.curves))
-    assert not list(studies.study_figures("pair", [], done.curves))
+    pair = [point for point in done.points if point.study == "pair"]
+    assert not list(studies.study_figures("pair", pair, done.curves, done.calibration))
+    assert not list(studies.study_figures("pair", [], done.curves, done.calibration))

@@ -115,5 +115,6 @@ def filtered(transfer: Transfer, time_s: np.ndarray, values: np.ndarray) -> np.n
     """Return the answer of a transfer function to densely sampled values, by scipy's state space: another road."""
     scale = 1e5  # time in tens of microseconds keeps the state matrix well conditioned
     order = len(transfer.poles) - len(transfer.zeros)
-    system = signal.ZerosPolesGain(transfer.zeros / scale, transfer.poles / scale, transfer.gain / scale**order)
+    zeros, poles = (np.array([complex(place) for place in places]) for places in (transfer.zeros, transfer.poles))
+    system = signal.ZerosPolesGain(zeros / scale, poles / scale, float(transfer.gain) / scale**order)
     return signal.lsim(system.to_ss(), values, (time_s - time_s[0]) * scale)[1]

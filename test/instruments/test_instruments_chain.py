@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from instruments_kit import AnalyticMotion, configured, fitted, hertz_pulse, measured, sine, steps_of
 
+from impact_rig.arithmetic.random import Random
 from impact_rig.blocks import CHANNELS, DAQ_INFO, SCAN
 from impact_rig.config import from_flat
 from impact_rig.errors import CommandError, ConfigError
@@ -69,7 +70,7 @@ def test_no_bit_depends_on_how_the_simulated_rig_is_called():
     config = configured(50_000)
 
     def record(ticks_per_call):
-        generator = FunctionGenerator(config.drive, config.shaker, np.random.default_rng(1))
+        generator = FunctionGenerator(config.drive, config.shaker, Random(1))
         generator.set_amplitude(0.52)
         simulation, chain = Simulation(config), Chain(config)
         for first in range(0, 60, ticks_per_call):

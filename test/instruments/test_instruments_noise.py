@@ -5,40 +5,15 @@ import math
 import numpy as np
 import pytest
 from instruments_kit import AnalyticMotion, configured, measured
-from scipy import signal, stats
+from scipy import signal
 
 from impact_rig.blocks import CHANNELS
 from impact_rig.instruments import Chain
 from impact_rig.instruments.calibration import converter_noise_v, lsb_v
 from impact_rig.instruments.chain import sensors
-from impact_rig.instruments.noise import Noise
 
 SIGMAS = 4.5  # two-sided chance of a false alarm per comparison: 7e-6
 N = 200_000
-
-
-def stream(seed=1):
-    return Noise(np.random.SeedSequence(seed))
-
-
-def test_stream_is_standard_normal():
-    numbers = stream().take(1_000_000)
-    assert abs(np.mean(numbers)) < SIGMAS / 1e3
-    assert abs(np.var(numbers) - 1) < SIGMAS * math.sqrt(2 / 1e6)
-    assert abs(stats.kurtosis(numbers)) < SIGMAS * math.sqrt(24 / 1e6)
-    assert stats.kstest(numbers[:200_000], "norm").pvalue > 1e-4
-    beyond = np.sum(np.abs(numbers) > 3.7)  # the ziggurat's tail is code of its own
-    expected = 2e6 * stats.norm.sf(3.7)
-    assert abs(beyond - expected) < SIGMAS * math.sqrt(expected)
-    for lag in (1, 2, 17):
-        assert abs(np.mean(numbers[lag:] * numbers[:-lag])) < SIGMAS / 1e3
-
-
-def test_stream_is_the_same_however_it_is_taken():
-    whole = stream().take(1000)
-    parts = stream()
-    np.testing.assert_array_equal(np.concatenate([parts.take(n) for n in (1, 0, 7, 500, 492)]), whole)
-    assert not np.array_equal(stream(2).take(1000), whole)
 
 
 def expected_spectrum(sensor, adc, rate_hz, frequency_hz):

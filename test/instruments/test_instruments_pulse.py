@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from instruments_kit import IMPACT, AnalyticMotion, configured, filtered, hertz_pulse, measured, steps_of
 
+from impact_rig.arithmetic.random import Random
 from impact_rig.instruments import Chain
 from impact_rig.instruments.chain import sensors
 from impact_rig.physics import FunctionGenerator, Simulation
@@ -41,7 +42,7 @@ def test_pulse_agrees_with_the_convolution_of_the_force(rate_hz, start_s, durati
 @pytest.mark.parametrize("rate_hz", RATES)
 def test_pulses_of_the_simulated_rig_agree_with_its_true_acceleration(rate_hz):
     config = configured(rate_hz, exact=True)
-    generator = FunctionGenerator(config.drive, config.shaker, np.random.default_rng(1))
+    generator = FunctionGenerator(config.drive, config.shaker, Random(1))
     generator.set_amplitude(0.52)
     chain, simulation = Chain(config), Simulation(config)
     chain.acquire(simulation.advance(generator.segments(100)), 0, 100)

@@ -13,10 +13,14 @@ import pytest
 pytest.importorskip("rclpy", reason="no ROS 2 here")
 
 from nodes_support import host_rig
+from rclpy.serialization import deserialize_message
 
+from impact_rig import codec
 from impact_rig.analysis.labels import GapLabel, parse_label
 from impact_rig.analysis.tracker import Tracker
+from impact_rig.blocks import SCAN, Table
 from impact_rig.errors import ConfigError
+from impact_rig.nodes import topics
 from impact_rig.nodes.analysis_node import AnalysisNode
 from impact_rig.testing import Client
 from impact_rig.testing.parameters import ros_parameters
@@ -83,6 +87,23 @@ def test_nothing_is_left_to_compile_once_it_is_configured() -> None:
     kit = Path(__file__).parents[1] / "analysis"
     done = subprocess.run([sys.executable, "-c", WHAT_IS_COMPILED, kit], capture_output=True, text=True, check=False)
     assert done.stdout.split("\n")[-2:] == ["[1, 1] [1, 1]", ""], done.stderr
+
+
+@pytest.mark.parametrize("last_s", [math.nan, math.inf, 1e300])
+def test_a_time_that_is_none_is_a_status_and_the_block_is_acknowledged(client: Client, last_s: float) -> None:
+    """A rig that waits for the analysis must not stand still because of what it has measured."""
+    node = client.host(AnalysisNode)
+    client.wait_active("analysis")
+    acknowledged = client.collect("daq/ack")
+    rows = np.zeros(10, SCAN)
+    rows["time"][-1] = last_s
+    rows["time"][:-1] = np.arange(9) / 1e4
+    client.publish(topics.SCAN, deserialize_message(codec.encode(Table(7, rows)), topics.SCAN.message_type()))
+    client.wait_until(lambda: acknowledged.messages, "the acknowledgement")
+    assert acknowledged.messages[0].stamp.nanosec == 7
+    assert "exception" not in node.refusals.counts
+    assert node.refusals.counts["daq/scan"] == 1
+    assert "ends at the time" in node.refusals.last["daq/scan"]
 
 
 def test_labels_come_as_remarks_or_as_a_parameter(client: Client) -> None:

@@ -101,6 +101,19 @@ def test_a_node_survives_bugs_in_callbacks_and_says_so(user: Client) -> None:
     assert node.refusals.counts == {"exception": 2, "refuse": 1}
 
 
+def test_a_node_that_is_told_to_end_has_no_more_news(user: Client) -> None:
+    """A rig that was ended together with its analysis still warned that the analysis had gone."""
+    node = user.host(Small)
+    user.wait_active("small")
+    reports = user.listen("/diagnostics")
+    user.wait_until(lambda: reports.messages, "a report")
+    node.is_told_to_end = lambda: True
+    ticks = node._ticks
+    node.status = lambda: Status(Level.ERROR, "somebody has gone", {})  # would be reported within 0.1 s
+    user.wait_until(lambda: node._ticks > ticks + 100, "a second of its timer")
+    assert not any("somebody has gone" in report.status[0].message for report in reports.messages)
+
+
 def test_a_service_may_answer_later_on_every_executor(user: Client) -> None:
     user.host(Small)
     user.wait_active("small")

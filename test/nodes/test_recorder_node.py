@@ -1,18 +1,26 @@
-"""The recorder writes every message it gets, says what it cannot, and never holds up the rig."""
+"""The recorder writes every message it gets, says what it did not get, and acknowledges nothing it cannot write."""
 
 from __future__ import annotations
 
+import functools
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
 
 pytest.importorskip("rclpy", reason="no ROS 2 here")
 
 from nodes_support import host_rig
+from rclpy.node import Node
+from std_msgs.msg import Float64, Header
 
+from impact_rig import codec
+from impact_rig.blocks import TRANSMISSIBILITY, Table
+from impact_rig.nodes import topics
 from impact_rig.nodes.recorder_node import RecorderNode
-from impact_rig.recording import open_run
+from impact_rig.recording import info, open_run
+from impact_rig.recording.losses import RECORD_NAME, read_record
 from impact_rig.testing import Client, ServiceFailedError
 from impact_rig.testing.parameters import ros_parameters
 
@@ -38,7 +46,7 @@ def test_a_run_holds_every_message_and_the_configuration(client: Client, tmp_pat
     client.note("first light")
     client.step(50)
     client.trigger("recorder/stop")
-    assert not any(recorder._lost.values())
+    assert recorder._account.lost() == {}
     with open_run(tmp_path / "run") as run:
         assert run.topics[run.resolve("daq/scan")].count == 50
         assert run.provenance["seed"] == "77"
@@ -54,17 +62,24 @@ def test_a_run_holds_every_message_and_the_configuration(client: Client, tmp_pat
         assert max(times) < 10**9, "rig time, not the system's"
 
 
-def test_nothing_is_overwritten_and_the_rig_goes_on(client: Client, tmp_path: Path) -> None:
+def test_a_recorder_that_cannot_write_holds_up_who_waits_for_it_until_it_is_told_what_to_do(
+    client: Client, tmp_path: Path
+) -> None:
+    """Nothing is overwritten; a rig that waits for the recorder says by name why it does not go on."""
     (tmp_path / "run").mkdir()
     (tmp_path / "run" / "metadata.yaml").write_text("precious")
     host_recorder(client, tmp_path)
-    host_rig(client, time__peers=["recorder"])
+    host_rig(client, time__peers=["recorder"], time__peer_timeout_s=0.3)
     client.wait_until(lambda: client.status("recorder").message.startswith("recording stopped"), "the reason")
+    assert client.status("recorder").level == b"\2"
     client.wait_active("rig", "recorder")
-    client.step(30)
+    with pytest.raises(ServiceFailedError, match="peer recorder"):
+        client.step(30)
     with pytest.raises(ServiceFailedError, match="run"):
         client.trigger("recorder/start")
     assert (tmp_path / "run" / "metadata.yaml").read_text() == "precious"
+    client.trigger("recorder/stop")
+    client.step(30)
     client.set_parameters("recorder", {"name": "other"})
     client.trigger("recorder/start")
     client.step(3)
@@ -86,6 +101,116 @@ def test_start_and_stop_in_every_state(client: Client, tmp_path: Path) -> None:
         client.trigger("recorder/start")
     with open_run(tmp_path / "run") as run:
         assert run.attachments()["environment.json"]
+
+
+def test_a_recorder_whose_disk_fails_acknowledges_no_more(client: Client, tmp_path: Path) -> None:
+    """What it did not write, a rig in lockstep must not take for recorded."""
+    recorder = host_recorder(client, tmp_path)
+    host_rig(client, time__peers=["recorder"], time__peer_timeout_s=0.3)
+    client.wait_active("rig", "recorder")
+    client.wait_until(lambda: recording(client), "the recorder")
+    client.step(5)
+    recorder._writer._file.close()  # its descriptor is gone: every further write fails
+    client.wait_until(lambda: client.status("recorder").message.startswith("recording stopped"), "the reason")
+    with pytest.raises(ServiceFailedError, match="peer recorder does not acknowledge"):
+        client.step(5)
+    client.wait_until(lambda: "peer recorder silent" in client.status("rig").message, "the rig to name it")
+
+
+def test_every_change_of_calibration_and_configuration_is_kept_however_fast_they_come(
+    client: Client, tmp_path: Path
+) -> None:
+    """The recorder is busy elsewhere while all of them are made."""
+    recorder = host_recorder(client, tmp_path)
+    rig = host_rig(client, time__peers=["recorder"])
+    client.wait_active("rig", "recorder")
+    client.wait_until(lambda: recording(client), "the recorder")
+    client.step(1)
+    changes = 300
+    for number in range(changes):  # nothing is spun meanwhile
+        (result,) = rig.set_parameters(ros_parameters({"instruments.laser.lag_s": 1e-3 + 1e-6 * number}))
+        assert result.successful
+    assert recorder.active
+    client.step(1)
+    client.trigger("recorder/stop")
+    found = info(tmp_path / "run")
+    assert (found.lost, found.intact) == ({}, True)
+    with open_run(tmp_path / "run") as run:
+        lags = [table.rows["lag"][1] for table in run.tables("daq/info")]
+        assert run.topics[run.resolve("rig/configuration")].count == changes + 1
+    assert lags[1:] == [pytest.approx(1e-3 + 1e-6 * number) for number in range(changes)]
+
+
+def test_a_second_publisher_and_a_third_reader_are_no_loss(client: Client, tmp_path: Path) -> None:
+    """Three nodes acknowledge, two operators command: each counts its own messages."""
+    host_recorder(client, tmp_path)
+    host_rig(client, time__peers=["recorder"])
+    client.wait_active("rig", "recorder")
+    client.wait_until(lambda: recording(client), "the recorder")
+    others = [client.host(Node, node_name=f"operator_{number}") for number in range(2)]
+    outlets = [
+        (node.create_publisher(Float64, topics.FREQUENCY.name, topics.FREQUENCY.qos.profile()),
+         node.create_publisher(Header, topics.ACK.name, topics.ACK.qos.profile()))
+        for node in others
+    ]  # fmt: skip
+    client.wait_until(
+        lambda: all(one.get_subscription_count() > 1 for pair in outlets for one in pair), "the listeners"
+    )
+    for number in range(30):
+        frequency, acknowledgement = outlets[number % 3 // 2]  # the one speaks twice as often as the other
+        frequency.publish(Float64(data=9.0 + 0.01 * number))
+        acknowledgement.publish(Header(frame_id=f"operator_{number % 3 // 2}"))
+        client.step(1)
+    client.trigger("recorder/stop")
+    found = info(tmp_path / "run")
+    assert found.verdict.startswith("whole: ")
+    assert client.status("recorder").level == b"\0"
+
+
+def test_messages_that_never_arrived_are_told_by_topic_and_kept_in_the_file(client: Client, tmp_path: Path) -> None:
+    recorder = host_recorder(client, tmp_path)
+    host_rig(client, time__peers=["recorder"])
+    client.wait_active("rig", "recorder")
+    client.wait_until(lambda: recording(client), "the recorder")
+    client.step(1)
+    (inlet,) = [one for one in recorder._recorded if one.topic_name == "/shaker/applied"]
+    really, arrived = inlet.callback, []
+
+    def deaf(*arguments: object) -> object:
+        arrived.append(arguments)
+        return None if len(arrived) % 3 == 2 else really(*arguments)
+
+    inlet.callback = functools.wraps(really)(deaf)
+    for number in range(9):
+        client.command(frequency_hz=9.0 + 0.01 * number)
+    client.wait_until(lambda: len(arrived) == 9, "the commands")
+    client.wait_until(lambda: client.status("recorder").level == b"\2", "an error")
+    assert client.figures("recorder")["lost.shaker/applied"] == "3"
+    client.trigger("recorder/stop")
+    found = info(tmp_path / "run")
+    assert (found.lost, found.intact) == ({"/shaker/applied": 3}, False)
+    with open_run(tmp_path / "run") as run:
+        (stream,) = read_record(run.record(RECORD_NAME))["/shaker/applied"]
+    assert stream.publisher == "/rig"
+
+
+def test_results_of_before_are_not_those_of_a_run(client: Client, tmp_path: Path) -> None:
+    """A latched topic hands a recorder that comes what earlier cases measured."""
+    node = client.host(Node, node_name="analysis")
+    profile = topics.TRANSMISSIBILITY_TABLE.qos.profile()
+    table = node.create_publisher(topics.SCAN.message_type(), topics.TRANSMISSIBILITY_TABLE.name, profile)
+    rows = np.zeros(1, TRANSMISSIBILITY)
+    for stamp in (1, 2, 3):
+        table.publish(codec.encode(Table(stamp, rows)))
+    host_recorder(client, tmp_path, configuration_wait_s=0.0)
+    host_rig(client, time__peers=["recorder"])
+    client.wait_active("recorder")
+    client.wait_until(lambda: recording(client) and table.get_subscription_count(), "the recorder")
+    table.publish(codec.encode(Table(4, rows)))
+    client.step(1)
+    client.trigger("recorder/stop")
+    with open_run(tmp_path / "run") as run:
+        assert [found.stamp_ns for found in run.tables("transmissibility/table")] == [4]
 
 
 def test_the_calibration_is_attached_for_people(client: Client, tmp_path: Path) -> None:

@@ -11,11 +11,10 @@ from mechanics_kit import benchmark_rig, hit, lock_in, rig, sine, sphere_kg, sti
 
 from impact_rig.config import RigConfig
 from impact_rig.physics import Simulation, restitution
-from impact_rig.physics.collision import begin
-from impact_rig.physics.forcing import Forcing
-from impact_rig.physics.model import CONTACT_RTOL, Parameters, build
-from impact_rig.physics.series import CENTRE, ORDER, SPEED, WIDTH, evaluate, expand, new_series
-from impact_rig.physics.state import BETA, GAP, RATE, SIDE, STATE, T, Y
+from impact_rig.physics.collocation import LAST
+from impact_rig.physics.indentation import begin_step, solve
+from impact_rig.physics.model import CONTACT_RTOL, Model, build
+from impact_rig.physics.state import PRESS, STATE, record
 
 FREQUENCY_HZ = 9.1
 GAPS_M = (2e-3, 4e-3, 6e-3, 8e-3, 10e-3)
@@ -85,28 +84,31 @@ def test_the_benchmark_problem_gives_the_reference_amplitude(gap):
     assert late.sum() / 100 == pytest.approx({6e-3: 2.5, 10e-3: 2.0}[gap], abs=0.02)
 
 
-def contact_by_equal_steps(p: Parameters, speed: float, length: float, steps: int) -> np.ndarray:
+def contact_by_equal_steps(model: Model, speed: float, length: float, steps: int) -> np.ndarray:
     """(sqrt(δ), δ') after a given way in the regularised variable, from the touch on."""
-    f, a, at, s = Forcing(1.0, 0.0, 0.0, 0.0), new_series(), np.zeros(WIDTH), np.zeros(STATE)
-    s[SIDE], s[RATE], s[BETA] = 1.0, speed, p.force.damping / speed
-    s[Y : Y + 2] = p.share * p.half_gap, p.share * speed
-    begin(p, speed, s)
+    p, s, k = model.parameters[0], record(STATE)[0], record(PRESS)[0]
+    p.rtol = 1e-16
+    s.side, s.speed, s.per_v0 = 1.0, speed, 1.0 / speed
+    k.terms = 1  # a structure at rest
     for _ in range(steps):
-        expand(p, f, s, a)
-        s[GAP], s[T] = evaluate(a, length / steps, at)
-        s[RATE], s[Y : Y + 5] = at[SPEED], at[CENTRE : CENTRE + 5]
-    return s[[GAP, RATE]].copy()
+        begin_step(p, model.force, s, k)
+        solve(p, model.force, s, k, length / steps)
+        s.w, s.speed = k.w[LAST], k.speed[LAST]
+        s.deepest = max(s.deepest, s.w)
+    return np.array([s.w, s.speed])
 
 
-def test_a_contact_is_integrated_at_the_order_of_its_series():
-    """From the touch on, where δ^1.5 has its kink: nothing of it is left in sqrt(δ)."""
-    p, speed, length = build(benchmark_rig()).p, 0.3, 5.0  # the way ends when the sphere is all but out again
-    exact = contact_by_equal_steps(p, speed, length, 60)
-    assert exact[1] < -0.9 * speed * restitution.realised(p.force.damping)
-    counts = np.arange(8, 19)
-    errors = [np.abs(contact_by_equal_steps(p, speed, length, n) / exact - 1.0).max() for n in counts]
+def test_a_contact_is_integrated_at_the_order_of_its_method():
+    """From the touch on, where δ^1.5 has its kink: nothing of it is left in sqrt(δ). Radau IIA: 2 · 5 − 1."""
+    model, speed = build(benchmark_rig()), 0.3
+    scale = (model.parameters[0].m_eff * speed**2 / model.parameters[0].stiffness) ** 0.4
+    length = 3.0 * math.sqrt(scale) / speed  # the sphere is on its way out again
+    exact = contact_by_equal_steps(model, speed, length, 96)
+    assert exact[1] < 0.0
+    counts = np.array([6, 8, 10, 12, 14, 16])
+    errors = [np.abs(contact_by_equal_steps(model, speed, length, n) / exact - 1.0).max() for n in counts]
     order = -np.polyfit(np.log(counts), np.log(errors), 1)[0]
-    assert order == pytest.approx(ORDER, abs=2.0), errors
+    assert order == pytest.approx(9.0, abs=1.0), errors
 
 
 def test_a_classical_method_has_order_two_and_a_half_on_the_same_contact():
@@ -130,12 +132,15 @@ def test_a_classical_method_has_order_two_and_a_half_on_the_same_contact():
     assert -np.polyfit(np.log(counts), np.log(errors), 1)[0] == pytest.approx(2.5, abs=0.3), errors
 
 
-def test_the_error_of_a_contact_follows_the_tolerance():
-    exact = restitution.realised(8.0 * 0.65 / (5.0 * 0.35))
-    tolerances = 10.0 ** -np.arange(3, 12)
+@pytest.mark.parametrize("law", ["flores", "kelvin_voigt"])
+def test_the_error_of_a_contact_follows_the_tolerance(law):
+    """From the default tolerance on Flores' contacts are looked up, which is as good as the tightest one."""
+    exact = restitution.realised(8.0 * 0.65 / (5.0 * 0.35)) if law == "flores" else 0.35
+    tolerances = 10.0 ** -np.arange(3, 13)
     errors = [
-        np.mean([abs(hit(v, law="flores", rtol=rtol).restitution / exact - 1.0) for v in np.geomspace(0.1, 1.0, 5)])
+        np.mean([abs(hit(v, law=law, rtol=rtol).restitution / exact - 1.0) for v in np.geomspace(0.1, 1.0, 5)])
         for rtol in tolerances
     ]
     assert (np.array(errors) <= 10.0 * tolerances).all(), errors
-    assert np.polyfit(np.log(tolerances), np.log(errors), 1)[0] == pytest.approx(1.0, abs=0.2), errors
+    if law == "kelvin_voigt":
+        assert np.polyfit(np.log(tolerances), np.log(errors), 1)[0] >= 0.8, errors

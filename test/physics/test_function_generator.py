@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import signal
 
+from impact_rig.arithmetic.random import Random
 from impact_rig.config import Drive, Shaker
 from impact_rig.errors import CommandError
 from impact_rig.physics import FunctionGenerator
@@ -22,7 +23,7 @@ def generator(seed: int = 1, ramp_s: float = 0.0, **drive: object) -> FunctionGe
     return FunctionGenerator(
         attrs.evolve(Drive(), amplitude=0.5, **drive),
         attrs.evolve(Shaker(), ramp_s=ramp_s),
-        np.random.default_rng(seed),
+        Random(seed),
     )
 
 

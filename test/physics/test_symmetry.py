@@ -24,9 +24,14 @@ def test_the_mirror_image_of_a_start_gives_the_mirror_image_of_the_run(law, gap)
     right, left = (motion.impacts for motion in runs)
     assert len(right) == len(left) > 5
     assert (right["wall"] == -left["wall"]).all()
-    first = 10  # chaos doubles the last digit with each impact
-    for name in ("approach_speed", "peak_force", "duration", "energy_lost"):
-        assert left[name][:first] == pytest.approx(right[name][:first], rel=1e-8), name
+    first = slice(10)  # chaos doubles the last digit with each impact
+    # A touch is seen within the rounding r of the positions: at the speed v that is a time r / v, in which the base's
+    # acceleration a changes the speed by a r / v. Of a chatter's last bounces that is what their speed is known to.
+    speed = right["approach_speed"][first]
+    rounding = np.spacing(3e-3 + 0.5 * gap)
+    known = 1e-8 + 10.0 * (2.0 * math.pi * 9.105) ** 2 * 3e-3 * rounding / (speed * speed)
+    for name, power in {"approach_speed": 1.0, "peak_force": 1.2, "duration": 0.2, "energy_lost": 2.0}.items():
+        assert (np.abs(left[name] - right[name])[first] <= max(1.0, power) * known * right[name][first]).all(), name
     t = np.linspace(0.0, 0.01, 11)[:-1]
     x = [motion.quantity("x_1", np.zeros(10, int), t) for motion in runs]
     assert np.abs(x[0] + x[1]).max() <= 1e-12 * np.abs(x[0]).max()

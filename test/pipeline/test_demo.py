@@ -10,11 +10,14 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from impact_rig.campaign import reanalysis
+from impact_rig.analysis.calibration import Calibration
+from impact_rig.analysis.reduction import Reduction, reduction
+from impact_rig.campaign import live_comparison, reanalysis
 from impact_rig.campaign.paper import REDUCTION_PERCENT
-from impact_rig.cli.demo import MEASUREMENTS
+from impact_rig.cli.demo import CASES, MEASUREMENTS
 from impact_rig.recording import check_contiguity, open_run
 
 pytestmark = [pytest.mark.ros, pytest.mark.pipeline, pytest.mark.timeout(300)]
@@ -60,6 +63,18 @@ def wait_for(demo: subprocess.Popen[str], path: Path, size: int = 0) -> None:
             pytest.fail(f"the demo ended before it made {path.name}:\n{demo.communicate()[0]}")
 
 
+def recorded_reductions(directory: Path) -> dict[str, Reduction]:
+    """Return the reductions by gap in mm, as the recorded certificate and measurements give them."""
+    rows = {}
+    for case in CASES:
+        with open_run(directory / case.name) as run:
+            calibration = Calibration.from_info(next(run.tables("daq/info")).rows)
+            found = np.concatenate([table.rows for table in run.tables("transmissibility/table")])
+        rows[case.gap_m] = found[(found["settled"] == 1.0) & (found["gap"] == case.gap_m)][:MEASUREMENTS]
+    without = rows.pop(0.0)
+    return {f"{gap * 1e3:g}": reduction(without, own, calibration) for gap, own in rows.items()}
+
+
 def end(demo: subprocess.Popen[str]) -> None:
     if demo.poll() is None:
         os.killpg(demo.pid, signal.SIGKILL)
@@ -81,11 +96,15 @@ def test_the_demo_reproduces_the_paper_and_loses_nothing(tmp_path: Path) -> None
     assert summary["dt_no_sphere"] == pytest.approx(summary["dt_no_sphere_closed_form"], rel=0.02)
     assert summary["lost_blocks"] == 0
     assert (tmp_path / "demo" / "reductions.png").stat().st_size > 10_000
+    found = recorded_reductions(tmp_path / "demo")
+    assert summary["reductions_percent"] == {gap: one.percent for gap, one in found.items()}
+    assert summary["reductions_uncertainty_points"] == {gap: one.u_points for gap, one in found.items()}
     for run in sorted((tmp_path / "demo").glob("*/metadata.yaml")):
         with open_run(run.parent) as opened:
             blocks = [(table.stamp_ns, len(table.rows)) for table in opened.tables("daq/scan", recorded_order=True)]
             again = reanalysis.measurements(reanalysis.analyze(opened))
-            assert reanalysis.same_as_live(opened, again), f"{run.parent.name}: live and re-analysed results differ"
+            comparison = live_comparison.compare(opened, again)
+            assert comparison.identical, f"{run.parent.name}: {comparison}"
             assert len(again) >= MEASUREMENTS
         assert check_contiguity(blocks, 10_000).whole, f"{run.parent.name}: blocks are missing or come twice"
         assert len(blocks) > 1000

@@ -12,8 +12,12 @@ import pytest
 pytest.importorskip("rclpy", reason="no ROS 2 here")
 
 from impact_rig.analysis.tracker import Tracker
-from impact_rig.recording import open_run, recover
+from impact_rig.campaign import reanalysis
+from impact_rig.campaign.live_comparison import compare
+from impact_rig.campaign.verification import verify
+from impact_rig.recording import info, open_run, recover
 from impact_rig.rig import resimulate
+from impact_rig.simtime import NS_PER_S
 from impact_rig.testing import Client, ProcessDiedError, Processes, isolated_domain
 
 pytestmark = [pytest.mark.ros, pytest.mark.pipeline]
@@ -79,6 +83,7 @@ def test_a_killed_process_is_named_with_its_last_words_and_its_file_is_recovered
     processes: Processes, client: Client, tmp_path: Path
 ) -> None:
     start_all(processes, client, tmp_path, time__mode="freewheel")
+    acknowledged = client.listen("daq/ack")
     client.wait_until(lambda: float(client.figures("recorder").get("messages", 0)) > 3000, "a recording")
     processes.running["recorder"].signal(signal.SIGKILL)
     with pytest.raises(
@@ -88,23 +93,30 @@ def test_a_killed_process_is_named_with_its_last_words_and_its_file_is_recovered
     processes.stop("recorder")
     client.wait_until(lambda: "peer recorder silent" in client.status("rig").message, "the rig to name the dead peer")
     assert processes.stop() == {"rig": 0, "analysis": 0}
-    report = recover(tmp_path / "run", tmp_path / "recovered")
-    assert report is not None
+    last_ns = max(
+        ack.stamp.sec * NS_PER_S + ack.stamp.nanosec for ack in acknowledged.messages if ack.frame_id == "recorder"
+    )
+    recover(tmp_path / "run", tmp_path / "recovered")
     with open_run(tmp_path / "recovered") as run:
         stamps = [table.stamp_ns for table in run.tables("daq/scan")]
-        assert stamps[:3] == [0, TICK, 2 * TICK]
-        assert set(np.diff(stamps)) == {TICK}
+    assert stamps == list(range(0, len(stamps) * TICK, TICK))
+    assert stamps[-1] >= last_ns > 0, "what the recorder has acknowledged is on disk"
 
 
-def test_realtime_survives_a_suspension_and_two_rigs_share_a_domain(
+def test_realtime_survives_a_suspension_and_a_second_rig_in_its_place(
     processes: Processes, client: Client, tmp_path: Path
 ) -> None:
     """SIGSTOP for longer than the pacer catches up: time is given up, said, and the stamps stay contiguous."""
     processes.start("rig", {"time.peers": [""]})
-    processes.start("rig", {"daq.seed": 2}, name="other_rig")
-    client.wait_active("rig", "other_rig")
+    client.wait_active("rig")
     scans = client.collect("daq/scan")
-    client.wait_until(lambda: len(scans) > 50, "blocks of both rigs")
+    processes.start("rig", {"daq.seed": 2}, name="other_rig")
+    client.wait_active("other_rig")
+    client.wait_until(lambda: "waiting to be alone" in client.status("other_rig").message, "the second to hold back")
+    assert "/lab/rig publishes daq/scan" in client.status("other_rig").message
+    client.wait_until(lambda: "/lab/other_rig publishes" in client.status("rig").message, "the first to say so")
+    client.wait_until(lambda: len(scans) > 50, "blocks of the first alone")
+    assert set(np.diff([table.stamp_ns for table in scans.tables()])) == {TICK}
     processes.stop("other_rig")
     processes.running["rig"].signal(signal.SIGSTOP)
     client.spin_for(1.5)
@@ -117,3 +129,32 @@ def test_realtime_survives_a_suspension_and_two_rigs_share_a_domain(
     stamps = [table.stamp_ns for table in scans.tables()]
     assert set(np.diff(stamps)) == {TICK}
     assert processes.stop() == {"rig": 0}
+
+
+def test_a_run_in_real_time_is_whole_from_scan_0_on_and_is_found_again(
+    processes: Processes, client: Client, tmp_path: Path
+) -> None:
+    """As the launch file starts it: recorder and analysis come after the rig, which waits for them."""
+    processes.start("rig", {**RIG, "time.factor": 4.0, "time.start_wait_s": 3600.0, "sphere.present": False})
+    client.wait_active("rig")
+    client.wait_until(lambda: "waiting for peer analysis, recorder" in client.status("rig").message, "the rig to wait")
+    processes.start("recorder", {"directory": str(tmp_path), "name": "run"})
+    processes.start("analysis", {"gap_m": 0.0})
+    client.wait_active("analysis", "recorder")
+    client.wait_until(lambda: float(client.figures("rig").get("rig_time_s", 0)) > 0, "scan 0")
+    assert client.figures("rig")["mode"] == "realtime"
+    assert "peer" not in client.status("rig").message, "it began because both were there, not because it was tired"
+    client.command(frequency_hz=9.1, current_a=0.52)
+    table = client.collect("transmissibility/table")
+    client.wait_until(lambda: (table.rows()["settled"] == 1).any() if len(table) else False, "a measurement", 300.0)
+    assert processes.stop("recorder", "analysis", "rig") == {"recorder": 0, "analysis": 0, "rig": 0}
+    found = info(tmp_path / "run")
+    assert found.verdict.startswith("whole: "), found.verdict
+    with open_run(tmp_path / "run") as run:
+        (calibration,) = run.tables("daq/info")
+        assert next(run.tables("daq/scan")).stamp_ns == calibration.stamp_ns
+        assert calibration.rows["since_start"][0] == 0.0
+        comparison = compare(run, reanalysis.measurements(reanalysis.analyze(run)))
+        assert comparison.identical, comparison
+        assert comparison.left_out[0] == 0
+        assert verify(run).identical

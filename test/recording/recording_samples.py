@@ -5,10 +5,12 @@ from __future__ import annotations
 import json
 import struct
 import sys
+from collections import Counter
 from pathlib import Path
 
 import attrs
 import numpy as np
+from mcap.writer import CompressionType, Writer
 
 from impact_rig import codec
 from impact_rig.blocks import APPLIED, SCAN, Table
@@ -103,12 +105,14 @@ def fill(writer: RunWriter, blocks: int, *, first: int = 0, topics: tuple[Topic,
     """Record `blocks` blocks and what comes with them; return what was sent, in order."""
     for known in topics:
         writer.add_topic(known)
-    sent = []
+    sent: list[Sent] = []
+    counts = Counter[str]()
 
     def send(where: Topic, data: bytes, log_time: int) -> None:
         publish_time = START_NS + len(sent) * 1000 + first
-        writer.write(where.name, data, publish_time, len(sent))
-        sent.append(Sent(where.name, data, log_time, publish_time, len(sent)))
+        counts[where.name] += 1
+        writer.write(where.name, data, publish_time, counts[where.name])
+        sent.append(Sent(where.name, data, log_time, publish_time, counts[where.name]))
 
     for number in range(first, first + blocks):
         stamp = START_NS + number * 10_000_000
@@ -120,3 +124,14 @@ def fill(writer: RunWriter, blocks: int, *, first: int = 0, topics: tuple[Topic,
             send(NOTES_TOPIC, string(f"gap {number} mm"), last)
             send(ACK_TOPIC, header(last, "analysis"), last)
     return sent
+
+
+def foreign_file(path, *, chunked=True, crc=True):
+    """A file of another writer."""
+    writer = Writer(str(path), compression=CompressionType.NONE, use_chunking=chunked, enable_crcs=crc)
+    writer.start("ros2")
+    schema = writer.register_schema(POINT_CLOUD, "ros2msg", SCAN_TOPIC.schema.encode())
+    channel = writer.register_channel("/daq/scan", "cdr", schema)
+    for number in range(3):
+        writer.add_message(channel, number, scan_block(number), number)
+    writer.finish()

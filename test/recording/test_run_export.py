@@ -25,7 +25,7 @@ def run(record):
         rows = np.zeros(2, JOURNAL)
         rows["key"] = [b"barriers.gap_m", "µ".encode()]
         rows["value"] = [0.1 + 0.2, np.nan]
-        writer.write(JOURNAL_NAME, codec.encode(Table(START_NS, rows)), 0)
+        writer.write(JOURNAL_NAME, codec.encode(Table(START_NS, rows)), START_NS - 1)
     with open_run(writer.directory) as opened:
         yield opened
 
@@ -39,7 +39,7 @@ def expected():
 def test_npz(run, tmp_path):
     stamps, rows = expected()
     with np.load(export(run, "daq/scan", tmp_path / "scan.npz")) as found:
-        assert found.files == ["stamp_ns", *rows.dtype.names]
+        assert found.files == ["stamp_ns", "earlier", *rows.dtype.names]
         assert found["stamp_ns"].dtype == np.int64
         np.testing.assert_array_equal(found["stamp_ns"], stamps)
         for name in rows.dtype.names:
@@ -51,9 +51,9 @@ def test_csv_reads_back_to_the_same_bits(run, tmp_path):
     stamps, rows = expected()
     with export(run, "/rig/daq/scan", tmp_path / "scan.csv").open(newline="") as file:
         header, *lines = csv.reader(file)
-    assert header == ["stamp_ns", *rows.dtype.names]
+    assert header == ["stamp_ns", "earlier", *rows.dtype.names]
     assert [int(line[0]) for line in lines] == stamps.tolist()
-    for number, name in enumerate(rows.dtype.names, start=1):
+    for number, name in enumerate(rows.dtype.names, start=2):
         column = np.array([float(line[number]) for line in lines]).astype(rows[name].dtype)
         assert column.tobytes() == rows[name].tobytes()
 
@@ -68,11 +68,18 @@ def test_text_becomes_text(run, tmp_path):
         assert found["key"].tolist() == ["barriers.gap_m", "µ"]
 
 
+def test_rows_published_before_the_recording_began_are_marked(run, tmp_path):
+    """Thirteen of sixteen rows of a run were those of the cases before it, and nothing said so."""
+    for topic, earlier in (("daq/scan", 0), ("rig/journal", 1)):
+        with np.load(export(run, topic, tmp_path / f"{earlier}.npz")) as found:
+            assert (found["earlier"] == earlier).all()
+
+
 def test_parquet(run, tmp_path):
     parquet = pytest.importorskip("pyarrow.parquet")
     stamps, rows = expected()
     table = parquet.read_table(export(run, "daq/scan", tmp_path / "scan.parquet"))
-    assert table.column_names == ["stamp_ns", *rows.dtype.names]
+    assert table.column_names == ["stamp_ns", "earlier", *rows.dtype.names]
     np.testing.assert_array_equal(table["stamp_ns"].to_numpy(), stamps)
     for name in rows.dtype.names:
         assert table[name].to_numpy().tobytes() == rows[name].tobytes()

@@ -31,7 +31,9 @@ def test_a_whole_run_in_figures(record):
         sent = fill(writer, 50)
     found = info(writer.directory)
     assert found.intact
-    assert found.verdict == "whole: every checksum fits, 50 blocks of daq/scan without a gap"
+    assert found.verdict == (
+        "whole: every checksum fits, 50 blocks of daq/scan without a gap, no message lost on any topic"
+    )
     assert found.messages == len(sent)
     assert found.rate_hz == RATE_HZ
     assert found.duration_s == pytest.approx(0.49)
@@ -74,7 +76,7 @@ def test_a_run_without_scans(record):
         writer.write(NOTES_TOPIC.name, string("alone"), 17)
     found = info(writer.directory)
     assert found.intact
-    assert found.verdict == "every checksum fits; there is no daq/scan"
+    assert found.verdict == "whole: every checksum fits, there is no daq/scan, no message lost on any topic"
     assert (found.rate_hz, found.scans, found.topics[0].rate_hz) == (None, None, None)
     assert found.start_ns == 17  # nothing else is known: the publish time
 

@@ -14,13 +14,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from mcap.writer import CompressionType, Writer
 from recording_samples import (
-    POINT_CLOUD,
     PROVENANCE,
-    SCAN_TOPIC,
     HandClock,
     fill,
+    foreign_file,
     scan_block,
     string,
 )
@@ -274,17 +272,6 @@ def test_files_that_are_no_recordings(tmp_path, content):
         open_run(tmp_path / "x.mcap")
     with pytest.raises(RecordingError, match="nothing can be recovered"):
         recover(tmp_path / "x.mcap", tmp_path / "out")
-
-
-def foreign_file(path, *, chunked=True, crc=True):
-    """A file of another writer."""
-    writer = Writer(str(path), compression=CompressionType.NONE, use_chunking=chunked, enable_crcs=crc)
-    writer.start("ros2")
-    schema = writer.register_schema(POINT_CLOUD, "ros2msg", SCAN_TOPIC.schema.encode())
-    channel = writer.register_channel("/daq/scan", "cdr", schema)
-    for number in range(3):
-        writer.add_message(channel, number, scan_block(number), number)
-    writer.finish()
 
 
 def test_chunks_without_checksum_are_taken_only_on_request(tmp_path):

@@ -100,6 +100,28 @@ def test_a_node_can_answer_or_acknowledge_and_is_named_when_it_falls_silent(rig:
         rig.step(20)
 
 
+def test_a_running_rig_takes_changes_and_faults_and_has_its_own_analysis(rig: RosRig) -> None:
+    """As docs/testing.md says it is done through topics; without ROS it is `configure` and `inject`."""
+    rig.processes.start("analysis")
+    assert rig.follow("analysis") is None, "it acknowledges by itself"
+    acknowledged = rig.listen("daq/ack")
+    rig.step(10)
+    rig.client.set_parameters(
+        "rig", {"barriers.gap_m": 0.004, "instruments.faults.planned": ["stuck channel=laser start_s=0"]}
+    )
+    rig.step(20)
+    assert rig.time_s == pytest.approx(0.3)
+    laser = rig.rows()["laser"]
+    assert len(set(laser[:1000])) > 5
+    assert len(set(laser[-1000:])) == 1
+    assert "analysis" in {message.frame_id for message in acknowledged.messages}
+    (started,) = (row for row in rig.rows("truth/faults") if row["active"] and row["kind"] == b"stuck")
+    assert started["channel"] == b"laser"
+    assert ("parameter", "barriers.gap_m", 0.004) in {
+        (row["kind"].decode(), row["key"].decode(), float(row["value"])) for row in rig.rows("rig/journal")
+    }
+
+
 def test_a_node_that_does_not_listen_cannot_be_in_lockstep(rig: RosRig) -> None:
     with pytest.raises(ConfigError, match="'deaf' does not subscribe to daq/scan"):
         rig.host(lambda **kwargs: Node("deaf", **kwargs))

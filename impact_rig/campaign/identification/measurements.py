@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from impact_rig.analysis.calibration import BASE, CURRENT, LASER, U_CUBIC, Calibration
 from impact_rig.analysis.decay import Decay
+from impact_rig.analysis.reduction import repeatability
 from impact_rig.campaign.axes import NO_SPHERE
 from impact_rig.campaign.identification.fisher import Real
 from impact_rig.campaign.results import Curves, Point
@@ -151,13 +152,7 @@ def reduced_of(curves: Curves, frequency_hz: float, gaps_m: Sequence[float], gai
 
 def _noise(point: Point, gains: Gains) -> float:
     """Return the relative standard uncertainty of DT less what the calibration contributes to it."""
-    calibration = gains.calibration
-    common = sum(
-        calibration.gain_uncertainty_at(channel, level) ** 2
-        for channel, level in ((LASER, point.laser_m), (BASE, point.base_m))
-        if math.isfinite(_half_range(calibration, channel))
-    )
-    return math.sqrt(max((point.u_dt / point.dt) ** 2 - common, LEAST_NOISE**2))
+    return max(repeatability(point.rows, gains.calibration), LEAST_NOISE)
 
 
 @attrs.frozen(eq=False, kw_only=True)

@@ -10,7 +10,8 @@ from pathlib import Path
 from impact_rig import files
 from impact_rig.campaign import run
 from impact_rig.campaign.axes import NO_SPHERE
-from impact_rig.campaign.paper import FREQUENCIES_HZ, FREQUENCY_HZ, REDUCTION_PERCENT
+from impact_rig.campaign.margins import Variation, variations
+from impact_rig.campaign.paper import CURRENT_A, FREQUENCIES_HZ, FREQUENCY_HZ, REDUCTION_PERCENT
 from impact_rig.campaign.report import curves as papers
 from impact_rig.campaign.report.drawing import Drawn, style
 from impact_rig.campaign.report.motion import phase_plane, time_trace
@@ -19,7 +20,7 @@ from impact_rig.campaign.report.studies import study_figures
 from impact_rig.campaign.results import Point
 from impact_rig.campaign.run import Finished
 from impact_rig.config import Origin, RigConfig, fields, to_flat
-from impact_rig.errors import RecordingError
+from impact_rig.errors import ConfigError, RecordingError
 from impact_rig.physics.contact import from_config
 
 PAGE_FILE, FIGURES_FOLDER = "report.html", "figures"
@@ -27,24 +28,28 @@ PEAK_HZ = 0.1
 """Studies that stay this near to 9.1 Hz are shown as the peaks of the curves."""
 
 
-def build_report(directory: Path, target: Path | None = None) -> Path:
+def build_report(directory: Path, target: Path | None = None, margins: Path | None = None) -> Path:
     """Write the report of the campaign in a directory, and its figures; return the page.
 
     Args:
         directory: of the campaign.
         target: the page; `report.html` in the directory if None.
+        margins: directory of a campaign that varies constants, for the table of what the statements owe to them.
 
     Raises:
-        ConfigError: the directory holds no campaign.
+        ConfigError: a directory holds no campaign, or that of the margins no variation.
         RecordingError: nothing was measured yet, or the page cannot be written.
     """
     done = run.open_finished(directory)
     if not done.points:
         raise RecordingError(f"{directory} holds no measured point yet")
+    varied = variations(run.open_finished(margins).points) if margins else variations(done.points)
+    if margins and not varied:
+        raise ConfigError(f"{margins} holds no campaign that varies constants: see config/campaigns/margins.yaml")
     target = target or directory / PAGE_FILE
     drawn: list[Drawn] = []
     with style():
-        parts = list(filter(None, _parts(done, drawn, target.parent)))
+        parts = list(filter(None, _parts(done, varied, drawn, target.parent)))
     try:
         folder = directory / FIGURES_FOLDER
         folder.mkdir(exist_ok=True)
@@ -56,7 +61,7 @@ def build_report(directory: Path, target: Path | None = None) -> Path:
     return target
 
 
-def _parts(done: Finished, drawn: list[Drawn], folder: Path) -> Iterator[str]:
+def _parts(done: Finished, varied: list[Variation], drawn: list[Drawn], folder: Path) -> Iterator[str]:
     """Yield the parts of the page that goes into `folder`; figures are appended to `drawn`."""
 
     def keep(found: Iterator[Drawn]) -> str:
@@ -72,7 +77,8 @@ def _parts(done: Finished, drawn: list[Drawn], folder: Path) -> Iterator[str]:
     yield from _opening(done)
     yield section("Reductions: the paper and this rig", *_reductions(done), reductions)
     yield section("The paper's statements", *_statements(done))
-    yield section("What was fitted, and what was not", *_fitted(config))
+    yield section("What was chosen, and what a verdict is worth", *_chosen(config))
+    yield section("What the statements owe to the choice", *_margins(varied))
     yield section("Without sphere, and all gaps", keep(whole))
     yield section("Each gap beside the curve without sphere", keep(papers.figure_8(curves)))
     yield section("Peak, amplitudes, regimes", keep(details))
@@ -110,7 +116,7 @@ def _opening(done: Finished) -> Iterator[str]:
 
 def _reductions(done: Finished) -> Iterator[str]:
     reductions = done.reductions()
-    ours, spread, errors = reductions.percent(), reductions.percent_uncertainty(), reductions.errors()
+    ours, spread, errors = reductions.percent(), reductions.percent_uncertainty, reductions.errors()
     if not ours:
         return
     u = reductions.dt_uncertainty
@@ -118,7 +124,7 @@ def _reductions(done: Finished) -> Iterator[str]:
     rows += [
         [
             f"{gap * 1e3:g}", f"{reductions.dt[gap]:.2f} ± {2 * u[gap]:.2f}", f"{REDUCTION_PERCENT[gap]:.1f}",
-            f"{ours[gap]:.1f} ± {2 * spread[gap]:.1f}", f"{round(errors[gap], 1) + 0.0:+.1f}",
+            f"{ours[gap]:.2f} ± {2 * spread[gap]:.2f}", f"{round(errors[gap], 1) + 0.0:+.1f}",
         ]
         for gap in sorted(ours)
     ]  # fmt: skip
@@ -134,35 +140,57 @@ def _statements(done: Finished) -> Iterator[str]:
     verdicts = done.verdicts()
     if all(verdict.result is None for verdict in verdicts):
         return
-    yield paragraph("None of these was used in the fit. Each verdict is computed from the points of this campaign.")
+    yield paragraph(
+        "Each verdict is computed from the points of this campaign. What it is worth stands beside it: a statement "
+        "that other values of the chosen constants would break is a fit, one that says again what was fitted follows "
+        "from it, and only the rest are predictions. Limits in words of ours (“here”) are not the paper’s."
+    )
     yield table(
-        ["", "statement", "verdict", "figures"],
-        [[str(i), verdict.text, verdict.word, verdict.detail] for i, verdict in enumerate(verdicts, 1)],
+        ["", "statement", "verdict", "worth", "figures"],
+        [[str(i), one.text, one.word, one.kind.value, one.detail] for i, one in enumerate(verdicts, 1)],
     )
 
 
-def _fitted(config: RigConfig) -> Iterator[str]:
+def _chosen(config: RigConfig) -> Iterator[str]:
     values = to_flat(config)
     rows = [
         [name, _text(values[name]), about.unit, about.doc]
         for name, about, _ in fields()
         if about.origin is Origin.IDENTIFIED
     ]
+    rows.append(["current", _text(CURRENT_A), "A", "Constant coil current, peak."])
     yield paragraph(
-        "Fitted: the values below, and the current, were chosen so that the five reductions and the published "
-        "natural frequency come out. The five reductions of this page are therefore a fit, not a validation; they "
-        "determine the product m₁ζ, not m₁ and ζ apart (docs/identification.md)."
+        f"The paper prints neither amplitudes nor these {len(rows)} constants; they were chosen so that its five "
+        "reductions, its natural frequency and its statements come out. The five reductions of this page are "
+        "therefore a fit, not a validation; they determine the product m₁ζ, not m₁ and ζ apart "
+        "(docs/identification.md)."
     )
     yield table(["value", "", "unit", "meaning"], rows, [1])
     yield paragraph(
-        "Out of sample: the shape of all curves away from 9.1 Hz, the seven statements, regimes, impacts per cycle, "
-        "the optimum gap and everything beyond 10 mm."
+        "For nothing on this page beyond that was anything chosen: DT above resonance, regimes, impacts per cycle, the "
+        "optimum gap and everything beyond 10 mm."
     )
     law = from_config(config.contact)
     yield paragraph(
         f"The contact law {config.contact.law.replace('_', ' ')} with the nominal restitution {law.restitution:g} "
         f"really returns {law.realised_restitution():.3f}."
     )
+
+
+def _margins(varied: list[Variation]) -> Iterator[str]:
+    if not varied:
+        return
+    yield paragraph(
+        "One constant differs from the rig of this page, the others are held: the figure of each statement, and "
+        "whether it still holds. Empty: not judged."
+    )
+    judged = [verdict.result for verdict in varied[0].verdicts]
+    rows = [["limit", *("" if result is None else f"{result.limit:.4g}" for result in judged)]]
+    for one in varied:
+        names = [f"{name} = {_text(value)}" for name, value in one.changed.items()]
+        words = ["" if v.result is None else f"{v.result.value:.4g} {v.word}" for v in one.verdicts]
+        rows.append([", ".join(names) or "the rig itself", *words])
+    yield table(["rig", *(str(i) for i in range(1, len(judged) + 1))], rows)
 
 
 def _motions(done: Finished) -> Iterator[Drawn]:
@@ -182,7 +210,7 @@ def _studies(done: Finished) -> Iterator[Drawn]:
         known = set(study.frequencies_hz) == set(FREQUENCIES_HZ) or max(study.frequencies_hz) - FREQUENCY_HZ < PEAK_HZ
         if known and len(study.frequencies_hz) > 1 and all(point.reference for point in own):
             continue  # the paper's own curves and their peaks, above
-        yield from study_figures(study.name, own, done.curves)
+        yield from study_figures(study.name, own, done.curves, done.calibration)
 
 
 def _failed(failed: Sequence[Point]) -> str:

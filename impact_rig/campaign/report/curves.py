@@ -106,7 +106,7 @@ def figure_8(curves: Curves) -> Iterator[Drawn]:
 
 def reductions_by_gap(reductions: Reductions) -> Iterator[Drawn]:
     """Draw our reductions beside the paper's."""
-    ours, spread = reductions.percent(), reductions.percent_uncertainty()
+    ours, spread = reductions.percent(), reductions.percent_uncertainty
     if not ours:
         return
     figure, (axis,) = new_axes(3.0)
@@ -121,7 +121,7 @@ def reductions_by_gap(reductions: Reductions) -> Iterator[Drawn]:
     axis.set(xlabel="gap (mm)", ylabel="reduction of DT at 9.1 Hz (%)", title="Reduction by the sphere", ylim=(20, 55))
     axis.set_xticks(millimetres)
     axis.legend(loc="lower right")
-    caption = "Reduction at 9.1 Hz by gap. Three constants of the rig were fitted to these five numbers."
+    caption = "Reduction at 9.1 Hz by gap. A fit: constants of the rig were chosen on these five numbers."
     yield Drawn("reductions", figure, caption)
 
 

@@ -4,7 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
+import numpy as np
+
+from impact_rig.analysis.calibration import Calibration
+from impact_rig.analysis.reduction import reduction
 from impact_rig.campaign.axes import NO_SPHERE
+from impact_rig.campaign.report.curves import COVERAGE
 from impact_rig.campaign.report.drawing import Drawn, legend_below, new_axes
 from impact_rig.campaign.report.palette import SERIES
 from impact_rig.campaign.results import Curves, Point
@@ -20,8 +25,11 @@ MOST_LINES = 2 * len(SERIES)
 """The second half is dashed."""
 
 
-def study_figures(study: str, points: Sequence[Point], curves: Curves) -> Iterator[Drawn]:
-    """Draw a study; nothing if it has less than three settled points along any axis."""
+def study_figures(study: str, points: Sequence[Point], curves: Curves, calibration: Calibration) -> Iterator[Drawn]:
+    """Draw a study; nothing if it has less than three settled points along any axis.
+
+    Reductions are taken against the reference rig, so a study of several sets of instruments shows DT itself.
+    """
     settled = [point for point in points if point.settled]
     if not settled:
         return
@@ -35,7 +43,8 @@ def study_figures(study: str, points: Sequence[Point], curves: Curves) -> Iterat
     if counts[along] < 3:
         return
     others = [name for name in names if name != along and counts[name] > 1]
-    relative = along != "frequency_hz" and all(curves.at(NO_SPHERE, p.frequency_hz) for p in settled)
+    one_set = not any(name.startswith(("daq.", "instruments.")) for name in names)
+    relative = along != "frequency_hz" and one_set and all(curves.at(NO_SPHERE, p.frequency_hz) for p in settled)
     lines: dict[str, list[Point]] = {}
     for point in settled:
         if point.gap_m == NO_SPHERE and (relative or along == "gap_m"):
@@ -50,8 +59,9 @@ def study_figures(study: str, points: Sequence[Point], curves: Curves) -> Iterat
     for (shade, style), (label, line) in zip(styles, lines.items(), strict=False):
         ordered = line if along == "frequency_hz" else sorted(line, key=lambda p: float(places[id(p)][along]))
         x = [factor * float(places[id(p)][along]) for p in ordered]
-        y = [_height(p, curves) if relative else p.dt for p in ordered]
-        bars = [2.0 * p.u_dt * (100.0 / _without(p, curves) if relative else 1.0) for p in ordered]
+        drawn = [_reduction(p, curves, calibration) if relative else (p.dt, p.u_dt) for p in ordered]
+        y, u = zip(*drawn, strict=True)
+        bars = COVERAGE * np.array(u)
         axis.errorbar(x, y, bars, color=shade, linestyle=style, marker="o", markersize=3.0, linewidth=1.0, label=label)
     axis.set(
         xlabel=f"{name} ({unit})" if unit else name,
@@ -85,11 +95,9 @@ def _word(name: str, value: float | str) -> str:
     return text if isinstance(value, str) else f"{title} {text} {unit}".strip()
 
 
-def _without(point: Point, curves: Curves) -> float:
+def _reduction(point: Point, curves: Curves, calibration: Calibration) -> tuple[float, float]:
+    """Return the reduction in percent and its standard uncertainty in points."""
     without = curves.at(NO_SPHERE, point.frequency_hz)
     assert without is not None
-    return without.dt
-
-
-def _height(point: Point, curves: Curves) -> float:
-    return 100.0 * (1.0 - point.dt / _without(point, curves))
+    found = reduction(without.rows, point.rows, calibration)
+    return found.percent, found.u_points

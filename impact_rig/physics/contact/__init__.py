@@ -1,14 +1,13 @@
 """Contact laws, one file each, found by name.
 
-To add a law: write `contact/<name>.py` with a class that gives `hysteresis_factor`, add it to `_LAWS` here and its
-name to
-`impact_rig.config.CONTACT_LAWS`; the parametrised tests then hold it to the closed form by themselves.
+docs/physics.md shows how to add one. A law of the Hunt–Crossley form says only its factor; any other brings a force of
+its own, as `base` explains.
 """
 
 from __future__ import annotations
 
 from impact_rig.config import Contact
-from impact_rig.physics.contact.base import ContactLaw, ContactPair, ForceKind, ForceModel, HystereticLaw
+from impact_rig.physics.contact.base import CompiledForce, ContactLaw, ContactPair, Force, HystereticLaw
 from impact_rig.physics.contact.exact import Exact
 from impact_rig.physics.contact.flores import Flores
 from impact_rig.physics.contact.gonthier import Gonthier
@@ -20,6 +19,7 @@ from impact_rig.physics.contact.impulsive import Restitution
 from impact_rig.physics.contact.kelvin_voigt import KelvinVoigt
 from impact_rig.physics.contact.lankarani_nikravesh import LankaraniNikravesh
 from impact_rig.physics.contact.lee_wang import LeeWang
+from impact_rig.physics.contact.walton_braun import WaltonBraun
 from impact_rig.physics.contact.zhiying_qishao import ZhiyingQishao
 
 _LAWS: tuple[type[ContactLaw], ...] = (
@@ -34,6 +34,7 @@ _LAWS: tuple[type[ContactLaw], ...] = (
     HuGuo,
     Exact,
     KelvinVoigt,
+    WaltonBraun,
     Restitution,
 )
 
@@ -49,4 +50,4 @@ def from_config(contact: Contact) -> ContactLaw:
     return law
 
 
-__all__ = ["LAWS", "ContactLaw", "ContactPair", "ForceKind", "ForceModel", "HystereticLaw", "from_config"]
+__all__ = ["LAWS", "CompiledForce", "ContactLaw", "ContactPair", "Force", "HystereticLaw", "from_config"]

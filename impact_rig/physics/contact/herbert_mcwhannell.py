@@ -23,4 +23,4 @@ class HerbertMcWhannell(HystereticLaw):
     def hysteresis_factor(self) -> float:
         """Return a, dimensionless."""
         e = self.restitution
-        return 6.0 * (1.0 - e) / ((2.0 * e - 1.0) ** 2 + 3.0)
+        return 6.0 * (1.0 - e) / ((2.0 * e - 1.0) * (2.0 * e - 1.0) + 3.0)

@@ -11,7 +11,13 @@ from typing import ClassVar
 import attrs
 
 from impact_rig.config import Contact
-from impact_rig.physics.contact.base import ContactPair, ForceKind, ForceModel, check_restitution
+from impact_rig.physics.contact.base import ContactPair, Force, check_restitution, compiled_force
+
+
+@compiled_force
+def _never(stiffness, factor, per_v0, turned_at, w, speed):  # type: ignore[no-untyped-def]  # noqa: ARG001
+    """Return no force: a rigid wall is never indented."""
+    return 0.0, 0.0, 0.0, 0.0, 0.0
 
 
 @attrs.frozen
@@ -21,9 +27,9 @@ class Restitution:
     name: ClassVar[str] = "restitution"
     restitution: float = attrs.field(validator=check_restitution)
 
-    def force_model(self, pair: ContactPair) -> ForceModel:  # noqa: ARG002  # an impulse needs no stiffness
-        """Return the jump of the relative speed."""
-        return ForceModel(ForceKind.IMPULSIVE, 0.0, 0.0, self.restitution, True)
+    def force(self, pair: ContactPair) -> Force:  # noqa: ARG002  # an impulse needs no stiffness
+        """Return a rigid wall."""
+        return Force(_never, 0.0, 0.0, 1.0, self.restitution, rigid=True)
 
     def realised_restitution(self) -> float:
         """Return e."""

@@ -15,8 +15,15 @@ from typing import ClassVar
 
 import attrs
 
+from impact_rig.arithmetic.elementary import PI, log
 from impact_rig.config import Contact
-from impact_rig.physics.contact.base import ContactPair, ForceKind, ForceModel, check_restitution
+from impact_rig.physics.contact.base import ContactPair, Force, check_restitution, compiled_force
+
+
+@compiled_force
+def _spring_damper(stiffness, factor, per_v0, turned_at, w, speed):  # type: ignore[no-untyped-def]  # noqa: ARG001
+    """F = k w² + c δ'."""
+    return stiffness * w * w, factor * speed, 0.5 * stiffness * w * w * w * w, 2.0 * stiffness * w, factor
 
 
 @attrs.frozen
@@ -28,12 +35,12 @@ class KelvinVoigt:
     contact_time_s: float = attrs.field(default=45e-6, validator=attrs.validators.gt(0.0))
     pulls: bool = True
 
-    def force_model(self, pair: ContactPair) -> ForceModel:
+    def force(self, pair: ContactPair) -> Force:
         """Return the force between the bodies of `pair`."""
-        log_e = math.log(self.restitution)
-        stiffness = pair.effective_mass * (math.pi**2 + log_e**2) / self.contact_time_s**2
+        log_e = log(self.restitution)
+        stiffness = pair.effective_mass * (PI * PI + log_e * log_e) / (self.contact_time_s * self.contact_time_s)
         damping = -2.0 * pair.effective_mass * log_e / self.contact_time_s
-        return ForceModel(ForceKind.LINEAR, stiffness, damping, self.restitution, not self.pulls)
+        return Force(_spring_damper, stiffness, damping, 1.0, self.restitution, clipped=not self.pulls)
 
     def realised_restitution(self) -> float:
         """Return e, or the larger value that release at zero force gives.

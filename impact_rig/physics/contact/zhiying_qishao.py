@@ -3,16 +3,15 @@
     F = K δ^(3/2) (1 + a δ'/v0),   a = ¾ (1 − e²) exp[2 (1 − e)]        δ [m], δ', v0 [m/s], F [N] positive in
     compression
 
-Source: Zhiying & Qishao (2006), J. Vib. Shock 25, 46–50.
+Source: Qin & Lu (2006), J. Dynamics and Control 4(4), 294–298.
 Returns 0.361 for e = 0.35.
 """
 
 from __future__ import annotations
 
-import math
-
 import attrs
 
+from impact_rig.arithmetic.elementary import exp
 from impact_rig.physics.contact.base import HystereticLaw
 
 
@@ -25,4 +24,4 @@ class ZhiyingQishao(HystereticLaw):
     def hysteresis_factor(self) -> float:
         """Return a, dimensionless."""
         e = self.restitution
-        return 0.75 * (1.0 - e * e) * math.exp(2.0 * (1.0 - e))
+        return 0.75 * (1.0 - e * e) * float(exp(2.0 * (1.0 - e)))

@@ -1,0 +1,82 @@
+"""Reduction of the transmissibility, 100 (1 − DT / DT_0): both measured with the same instruments.
+
+A transmissibility is measured as DT' = DT (1 + g_1 + b_1(A_1) − g_b − b_b(A_b) + ε) with laser (1) and base sensor (b):
+
+    g      error of the sensitivity, the same in both measurements
+    b(A)   what the sensor's curve adds at amplitude A: c_3 (L/R) (1.875 (A/R)² − 1.5), `calibration`; c_3 is the same
+    ε      noise, scatter, remnant of a transient: of one measurement alone
+
+In the quotient Q = DT / DT_0 every g cancels, and of b all but the difference of the squared amplitudes:
+
+    u²(Q)/Q² = Σ_{1,b} [1.875 (L/R) u(c_3) (A² − A_0²)/R²]² + u²(ε) + u²(ε_0)
+
+and 100 Q has the uncertainty of the reduction in points. u(ε) is what the stated uncertainty of a row leaves when the
+sensitivities are taken out; n rows that follow each other have n errors ε of their own (a transient's remnant dies
+from row to row), so their mean has √Σu²(ε) / n. Zero errors do not act on the amplitude of a sine.
+"""
+
+from __future__ import annotations
+
+import math
+
+import attrs
+import numpy as np
+from numpy.typing import NDArray
+
+from impact_rig.analysis.calibration import BASE, LASER, Calibration
+
+AMPLITUDES = ((LASER, "laser_amplitude"), (BASE, "base_amplitude"))
+
+
+@attrs.frozen
+class Reduction:
+    """By how much the transmissibility is lower than without the damper.
+
+    Attributes:
+        percent: 100 (1 − DT / DT_0).
+        u_points: its standard uncertainty.
+    """
+
+    percent: float
+    u_points: float
+
+
+def reduction(without: NDArray[np.void], rows: NDArray[np.void], calibration: Calibration) -> Reduction:
+    """Return the reduction of the mean transmissibility.
+
+    Args:
+        without: settled rows of `transmissibility/table` without the damper, shape (n,), n >= 1.
+        rows: those with it, by the same instruments, shape (k,), k >= 1.
+        calibration: of these instruments.
+    """
+    quotient = float(np.mean(rows["transmissibility"]) / np.mean(without["transmissibility"]))
+    variance = repeatability(without, calibration) ** 2 + repeatability(rows, calibration) ** 2
+    for channel, amplitude in AMPLITUDES:
+        bent, bent_without = (
+            calibration.curvature_uncertainty(channel, float(np.mean(one[amplitude]))) for one in (rows, without)
+        )
+        variance += (bent - bent_without) ** 2
+    return Reduction(100.0 * (1.0 - quotient), 100.0 * quotient * math.sqrt(variance))
+
+
+def combined(rows: NDArray[np.void]) -> float:
+    """Return the standard uncertainty of the mean transmissibility itself; repetitions hardly lessen it.
+
+    What dominates it are the sensitivities, whose errors are the same in all rows.
+    """
+    return math.sqrt(float(np.mean(rows["transmissibility_uncertainty"] ** 2)))
+
+
+def repeatability(rows: NDArray[np.void], calibration: Calibration) -> float:
+    """Return the relative standard uncertainty of the mean transmissibility without that of the sensitivities.
+
+    Args:
+        rows: settled rows of `transmissibility/table` of one setting, shape (n,), n >= 1.
+        calibration: of the instruments.
+    """
+    sensitivities = np.array([
+        sum(calibration.gain_uncertainty_at(channel, float(row[amplitude])) ** 2 for channel, amplitude in AMPLITUDES)
+        for row in rows
+    ])  # fmt: skip
+    relative = rows["transmissibility_uncertainty"] / rows["transmissibility"]
+    return math.sqrt(float(np.sum(np.maximum(relative**2 - sensitivities, 0.0)))) / len(rows)

@@ -1,0 +1,15 @@
+"""Arithmetic that every machine does alike: elementary functions, refined constants, random numbers.
+
+IEEE 754 fixes +, −, ×, ÷, sqrt, comparison and rounding to the last bit; it fixes neither sine nor exponential, and a
+matrix routine may add in any order it likes. Whatever decides a sample or an impact is therefore computed with what is
+in here and with those operations in a written order, and with nothing of libm, BLAS or LAPACK.
+"""
+
+ARITHMETIC = 2
+"""Version of the arithmetic: it rises when the same seed and commands give other bits than before.
+
+A recording carries it; what another version recorded can be replayed and analysed, but not re-simulated bit for bit.
+1 was never written down: it used the libraries of the machine.
+"""
+
+__all__ = ["ARITHMETIC"]

@@ -1,0 +1,229 @@
+"""Numbers of 70 digits, for constants that are computed once and rounded once: the same bits on every machine.
+
+`decimal` rounds +, −, ×, ÷, sqrt, exp and ln correctly by its specification, so that its results depend on no library
+of the machine. Digits that cancellation takes are not missed: what is rounded to 16 at the end had 70 on the way.
+
+    polynomial p(s) = Σ c_j s^j                    roots by Aberth's method: Newton steps that repel each other
+    resolvent (s I − M)⁻¹ = Σ_j B_j s^j / p(s)     B and p by the recurrence of Faddeev and LeVerrier
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Iterable, Sequence
+from decimal import MAX_EMAX, MIN_EMIN, ROUND_HALF_EVEN, Context, Decimal, DivisionByZero, InvalidOperation
+from decimal import localcontext as local_context
+from typing import ParamSpec, TypeVar
+
+import attrs
+
+DIGITS = 70
+CONTEXT = Context(
+    prec=DIGITS, rounding=ROUND_HALF_EVEN, Emin=MIN_EMIN, Emax=MAX_EMAX, traps=[InvalidOperation, DivisionByZero]
+)
+_SETTLED = Decimal("1e-30")
+"""A root is final when its last correction was smaller than this, relative to it: the next is of order its square."""
+_BLUR = Decimal("1e-40")
+"""An imaginary part below this part of the root is none."""
+_MOST_CORRECTIONS = 120
+
+ZERO, ONE, TWO = Decimal(0), Decimal(1), Decimal(2)
+Matrix = Sequence[Sequence[Decimal]]
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+def precise(function: Callable[P, R]) -> Callable[P, R]:
+    """Let a function compute with `DIGITS` digits, whatever the calling thread's context says."""
+
+    @functools.wraps(function)
+    def in_context(*args: P.args, **kwargs: P.kwargs) -> R:
+        with local_context(CONTEXT):
+            return function(*args, **kwargs)
+
+    return in_context
+
+
+@attrs.frozen
+class Complex:
+    """A complex number of Decimals; its operators compute in the context of whoever calls them."""
+
+    real: Decimal
+    imag: Decimal = ZERO
+
+    def __add__(self, other: Complex) -> Complex:
+        return Complex(self.real + other.real, self.imag + other.imag)
+
+    def __sub__(self, other: Complex) -> Complex:
+        return Complex(self.real - other.real, self.imag - other.imag)
+
+    def __mul__(self, other: Complex) -> Complex:
+        return Complex(self.real * other.real - self.imag * other.imag, self.real * other.imag + self.imag * other.real)
+
+    def __truediv__(self, other: Complex) -> Complex:
+        size = other.square()
+        return Complex(
+            (self.real * other.real + self.imag * other.imag) / size,
+            (self.imag * other.real - self.real * other.imag) / size,
+        )
+
+    def __neg__(self) -> Complex:
+        return Complex(-self.real, -self.imag)
+
+    def __complex__(self) -> complex:
+        return complex(float(self.real), float(self.imag))
+
+    def square(self) -> Decimal:
+        """Return the squared modulus."""
+        return self.real * self.real + self.imag * self.imag
+
+    def conjugate(self) -> Complex:
+        """Return the complex conjugate."""
+        return Complex(self.real, -self.imag)
+
+
+def exactly(value: complex) -> Complex:
+    """Return a float or a complex as it is."""
+    return Complex(Decimal(value.real), Decimal(value.imag))
+
+
+def product(factors: Iterable[Complex]) -> Complex:
+    """Return the product, 1 of none."""
+    total = Complex(ONE)
+    for factor in factors:
+        total = total * factor
+    return total
+
+
+@functools.cache
+@precise
+def pi() -> Decimal:
+    """Return π = 16 atan(1/5) − 4 atan(1/239) (Machin)."""
+    return 16 * _arc_tangent_of_inverse(5) - 4 * _arc_tangent_of_inverse(239)
+
+
+def _arc_tangent_of_inverse(n: int) -> Decimal:
+    power, total, k = ONE / n, ZERO, 0
+    while total + power / (2 * k + 1) != total:
+        total += power / (2 * k + 1)
+        power /= -n * n
+        k += 1
+    return total
+
+
+@precise
+def unit(angle: Decimal) -> Complex:
+    """Return e^{i angle}, angle in radians: the Taylor series, to `DIGITS` digits for a few turns."""
+    term, total, k = Complex(ONE), Complex(ONE), 0
+    while True:
+        k += 1
+        term = Complex(-term.imag * angle / k, term.real * angle / k)
+        following = total + term
+        if following == total and k > abs(angle):
+            return total
+        total = following
+
+
+def evaluate(coefficients: Sequence[Decimal], s: Complex) -> Complex:
+    """Return p(s) = Σ c_j s^j."""
+    value = Complex(ZERO)
+    for c in reversed(coefficients):
+        value = value * s
+        value = Complex(value.real + c, value.imag)
+    return value
+
+
+def evaluate_with_slope(coefficients: Sequence[Decimal], s: Complex) -> tuple[Complex, Complex]:
+    """Return p(s) and p'(s)."""
+    value, slope = Complex(ZERO), Complex(ZERO)
+    for c in reversed(coefficients):
+        slope = slope * s + value
+        value = value * s
+        value = Complex(value.real + c, value.imag)
+    return value, slope
+
+
+@precise
+def roots(coefficients: Sequence[Decimal], start: Sequence[complex]) -> list[Complex] | None:
+    """Return the roots of a real polynomial, or None where two of them are too near to each other to be told apart.
+
+    The first real ones by size, then one of each conjugate pair (imaginary part > 0) by imaginary part.
+
+    Args:
+        coefficients: constant first.
+        start: rough values of all roots, in any order; the result does not depend on them.
+    """
+    found = [exactly(z * complex(1.0, 1e-14 * k)) for k, z in enumerate(start)]  # equal ones are moved apart
+    for _ in range(_MOST_CORRECTIONS):
+        settled = True
+        for k, z in enumerate(found):
+            step = _correction(coefficients, z, [other for j, other in enumerate(found) if j != k])
+            if step is None:
+                return None
+            found[k] = z - step
+            settled = settled and step.square() <= _SETTLED * _SETTLED * z.square()
+        if settled:
+            return _paired(found)
+    return None
+
+
+def _correction(coefficients: Sequence[Decimal], z: Complex, others: list[Complex]) -> Complex | None:
+    """Return Aberth's step p / (p' − p Σ 1 / (z − other)), or None where two roots have met."""
+    value, slope = evaluate_with_slope(coefficients, z)
+    if not value.square():
+        return value
+    repelled = slope
+    for other in others:
+        apart = z - other
+        if not apart.square():
+            return None
+        repelled = repelled - value / apart
+    return value / repelled if repelled.square() else None
+
+
+def _paired(found: list[Complex]) -> list[Complex] | None:
+    """Return real roots and upper ones, in order; None where the others are not their conjugates."""
+    real = [Complex(z.real) for z in found if abs(z.imag) <= _BLUR * abs(z.real)]
+    upper = [z for z in found if z.imag > _BLUR * abs(z.real)]
+    if len(real) + 2 * len(upper) != len(found):
+        return None
+    return sorted(real, key=lambda z: -z.real) + sorted(upper, key=lambda z: z.imag)
+
+
+@precise
+def resolvent(matrix: Matrix) -> tuple[list[Decimal], list[list[list[Decimal]]]]:
+    """Return p and B of (s I − M)⁻¹ = Σ_j B_j s^j / p(s): shapes (n + 1,) and (n, n, n), constants first.
+
+    B_{n−1} = I, c_n = 1; then c_j = −trace(M B_j) / (n − j), B_{j−1} = M B_j + c_j I.
+    """
+    n = len(matrix)
+    places = range(n)
+    polynomial = [ZERO] * n + [ONE]
+    adjugate = [[[ONE if i == j else ZERO for j in places] for i in places]]
+    for j in reversed(places):
+        moved = [[dot(matrix[i], [row[m] for row in adjugate[0]]) for m in places] for i in places]
+        polynomial[j] = -sum((moved[i][i] for i in places), ZERO) / (n - j)
+        if j:
+            for i in places:
+                moved[i][i] += polynomial[j]
+            adjugate.insert(0, moved)
+    return polynomial, adjugate
+
+
+def dot(first: Sequence[Decimal], second: Sequence[Decimal]) -> Decimal:
+    """Return Σ first second; terms with a zero are left out."""
+    return sum((a * b for a, b in zip(first, second, strict=True) if a and b), ZERO)
+
+
+def modulus(z: Complex) -> Decimal:
+    """Return |z|."""
+    return z.square().sqrt()
+
+
+def square_root(z: Complex) -> Complex:
+    """Return the root of z with a real part >= 0: (a + i Im z / a) / 2, a² = 2 (|z| + Re z), or its mirror image."""
+    if z.real < 0:
+        mirrored = square_root(-z)
+        return Complex(abs(mirrored.imag), mirrored.real.copy_sign(z.imag))
+    real = ((modulus(z) + z.real) / 2).sqrt()
+    return Complex(real, z.imag / (2 * real) if real else ZERO)

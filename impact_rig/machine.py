@@ -1,0 +1,61 @@
+"""Which machine and libraries computed a result: on the same ones it can be asked for again bit for bit.
+
+Floating point is not the same everywhere: BLAS, the C library and compiled code choose instructions by the processor.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import os
+import platform
+from pathlib import Path
+
+import numba
+import numpy as np
+from llvmlite import binding
+
+_DECIDING = (
+    "NUMBA_CPU_NAME",
+    "NUMBA_CPU_FEATURES",
+    "OPENBLAS_CORETYPE",
+    "GLIBC_TUNABLES",
+    "NPY_DISABLE_CPU_FEATURES",
+)
+"""Environment variables by which the same machine computes as another one."""
+_FINGERPRINT_BYTES = 6
+"""Of a hash: exact as a 64-bit float, the only number that travels in a table."""
+
+
+@functools.cache
+def identity() -> dict[str, str]:
+    """Return what decides the last bits of a result, by name."""
+    features = binding.get_host_cpu_features()
+    overrides = (f"{name}={os.environ[name]}" for name in _DECIDING if name in os.environ)
+    return {
+        "processor": _processor(),
+        "processor_kind": binding.get_host_cpu_name(),
+        "processor_features": ",".join(sorted(name for name, there in features.items() if there)),
+        "overrides": " ".join(overrides),
+        "c_library": " ".join(platform.libc_ver()),
+        "python": platform.python_version(),
+        "numpy": np.__version__,
+        "numba": numba.__version__,
+    }
+
+
+def fingerprint() -> int:
+    """Return a number below 2**48 that is the same for the same identity."""
+    text = "\n".join(f"{name}={value}" for name, value in sorted(identity().items()))
+    return int.from_bytes(hashlib.sha256(text.encode()).digest()[:_FINGERPRINT_BYTES], "big")
+
+
+def _processor() -> str:
+    """Return the model of the processor; what Python knows where the system has no /proc/cpuinfo."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
+    except OSError:
+        lines = []
+    return next(
+        (line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")), platform.processor()
+    )

@@ -1,0 +1,63 @@
+"""Steps: blocks that ~/step has asked for, answered when the last of them is out and acknowledged."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any  # settings of any node
+
+from std_srvs.srv import Trigger
+
+from impact_rig.nodes.deferred import Answer, DeferredService
+from impact_rig.nodes.managed import ManagedNode
+from impact_rig.nodes.readers import Readers
+from impact_rig.pacing import AckWindow
+
+
+class Steps:
+    """The service ~/step and the blocks it still owes.
+
+    Args:
+        node: owner.
+        refusal: returns why no step can be taken now, or nothing.
+        blocks: returns how many blocks a step has.
+        work: called once a step is asked for.
+    """
+
+    def __init__(
+        self, node: ManagedNode[Any], refusal: Callable[[], str], blocks: Callable[[], int], work: Callable[[], None]
+    ) -> None:
+        self._refusal = refusal
+        self._blocks = blocks
+        self._service = DeferredService(node, Trigger, "~/step", self._on_step, work)
+        self._asked_at = 0.0
+        self.left = 0
+        """Blocks not published yet."""
+
+    def refuse(self, message: str) -> None:
+        """Answer what waits with a refusal; what is left is dropped."""
+        self.left = 0
+        self._service.reply(False, message)
+
+    def refuse_without(self, readers: Readers, patience_s: float) -> None:
+        """Refuse when a peer has not been there for so long."""
+        if self._service.waiting and readers.overdue(patience_s) and time.monotonic() - self._asked_at > patience_s:
+            self.refuse(f"peer {', '.join(readers.missing())} is not there")
+
+    def answer(self, window: AckWindow, now_s: float) -> None:
+        """Answer when all is out and acknowledged, at this rig time, or when a peer has fallen silent."""
+        if not self._service.waiting:
+            return
+        silent = window.silent()
+        if silent:
+            self.refuse(f"peer {', '.join(silent)} does not acknowledge")
+        elif self.left <= 0 and window.outstanding() == 0:
+            self._service.reply(True, f"at {now_s:.9f} s")
+
+    def _on_step(self, _request: Trigger.Request) -> Answer | None:
+        refusal = self._refusal()
+        if refusal:
+            return False, refusal
+        self.left += self._blocks()
+        self._asked_at = time.monotonic()
+        return None

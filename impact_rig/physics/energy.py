@@ -1,0 +1,56 @@
+"""Work and losses of a flight, by Gauss–Legendre quadrature of its closed form.
+
+columns  ∫ c_1 (v_1 − v_b)² dt        shaker  ∫ c_f v_b² + R i² dt        friction  force times the distance slid
+work     ∫ K_f i v_b dt (current),  ∫ U i dt (voltage),  ∫ [k_1 (x_b − x_1) − c_1 (v_1 − v_b)] v_b dt (prescribed)
+"""
+
+from __future__ import annotations
+
+import math
+
+from numba import njit
+
+from impact_rig.physics.collocation import GAUSS_NODES, GAUSS_WEIGHTS, POINTS
+from impact_rig.physics.flight import arrive
+from impact_rig.physics.forcing import drive, size
+from impact_rig.physics.parameters import PRESCRIBED, VOLTAGE
+from impact_rig.physics.state import COIL, V1, VB, X1, XB
+
+_PANEL = 1.0  # radians (or e-foldings) of the fastest motion per quadrature panel: 8 Gauss points leave 1e-14
+_FORGOTTEN = 50.0  # e-foldings after which a mode no longer needs panels of its own
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def add_powers(p, f, y, t, weight, ledger):  # type: ignore[no-untyped-def]  # compiled: types are inferred
+    """Add weight [s] times the powers at t; of a prescribed base y need not hold the motion."""
+    u, du = drive(f, t)
+    x_b, v_b = (u, du) if p.drive == PRESCRIBED else (y[XB], y[VB])
+    stretch = y[V1] - v_b
+    ledger.columns += weight * p.c_1 * stretch * stretch
+    if p.drive == PRESCRIBED:
+        ledger.work += weight * (p.k_1 * (x_b - y[X1]) - p.c_1 * stretch) * v_b
+        return
+    ledger.shaker += weight * p.c_f * v_b * v_b
+    if p.drive == VOLTAGE:
+        ledger.work += weight * u * y[COIL]
+        ledger.shaker += weight * p.resistance * y[COIL] * y[COIL]
+    else:
+        ledger.work += weight * p.force_factor * u * v_b
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def account_flight(p, system, f, k, end, ledger):  # type: ignore[no-untyped-def]
+    """Add the work and the losses of the flight that began at `k.begin` and ended at `end`."""
+    duration, done = end - k.begin, 0.0
+    while done < duration:
+        fastest = max(f.omega, _PANEL / duration)
+        for m in range(system.modes):
+            if -system.rate[m].real * done < _FORGOTTEN:
+                fastest = max(fastest, size(system.rate[m]))
+        rest = duration - done
+        width = rest / math.ceil(rest * fastest / _PANEL)
+        for point in range(POINTS):
+            t = k.begin + done + 0.5 * width * (1.0 + GAUSS_NODES[point])
+            arrive(system, f, k, t)
+            add_powers(p, f, k.y, t, 0.5 * width * GAUSS_WEIGHTS[point], ledger)
+        done += width

@@ -1,0 +1,270 @@
+"""What a fast contact does, looked up: its outcome depends on so little that it is tabulated once per law.
+
+In units of δ_0 = v t_0 and t_0 = (m_eff/K)^(1/(n+1)) v^((1−n)/(1+n)) a contact of a law without a scale of its own is
+
+    ξ'' = −F(ξ, ξ') + η_0 + η_1 θ + η_2 θ² − α ξ − γ ξ',    ξ = 0, ξ' = 1 at θ = 0
+    η_j = thrust_j t_0^(j+1) / v,   α = t_0² σ k_1 / m_1,   γ = t_0 σ c_1 / m_1
+
+with the thrust's Taylor coefficients about the touch. η_0 is a few hundredths and the rest parts of a million: each
+quantity is a Chebyshev series in η_0 for the contact itself, its first two derivatives by η_1 and its first ones by
+η_2, α and γ. Contacts beyond the table's range are integrated step by step; those inside end within 1e-10 of that.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from impact_rig.arithmetic.elementary import PI, sincos
+from impact_rig.physics.collocation import LAST, MATRIX, STAGES
+from impact_rig.physics.foresight import forget
+from impact_rig.physics.pair import moved
+from impact_rig.physics.state import PRESS, STATE, V1, VB, X1, XB, record
+from impact_rig.physics.touching import (
+    LEFT,
+    NOTHING,
+    TURNED,
+    contact_time,
+    dissipated,
+    peak_in_step,
+    take_step,
+)
+
+SEPARATION, DURATION, LOST, PEAK, DEPTH, SUM, MOMENT = range(7)
+"""Quantities, in units made of m_eff, v and t_0: separation speed, duration, energy lost, peak force, largest
+indentation, ∫ ξ dθ and ∫ (θ_end − θ) ξ dθ."""
+QUANTITIES = 7
+TWICE, BY_2, BY_STIFFNESS, BY_DAMPING = range(4)
+DECISIVE = 3  # the first quantities, which have further derivatives: by η_1 twice, by η_2, α and γ
+COLUMNS = 2 * QUANTITIES + 4 * DECISIVE
+"""Of the series: all quantities, their derivatives by η_1, and the further ones of the decisive three."""
+DEGREE = 20
+_DEGREE_1, _DEGREE_2 = 14, 7  # of the derivatives, whose factors are below MOST_1 and MOST_2
+
+WIDEST = 0.1  # of |η_0|
+MOST_1, MOST_2, MOST_3 = 3e-4, 2e-7, 1e-10
+"""Largest η_1, η_2 (and α and γ), η_3 (not tabulated): what is neglected then moves no outcome by 1e-10."""
+_NARROWER = 0.8
+_NARROWINGS = 24
+_MARGIN = 1.1  # of the range in which the sphere leaves by itself, for the derivatives at its end
+_WEAKEST = 0.3  # of the energy with which the sphere leaves: there the outcome turns steep, as the sphere stays
+_TAIL = 1e-11  # of the largest coefficient
+_TIGHT = 1e-12
+_NUDGE = 1e-4
+_MOST_STEPS = 400
+
+TABLE = np.dtype(
+    [
+        ("low", "f8"),  # range of η_0
+        ("high", "f8"),  # 0 where nothing is tabulated
+        ("series", "f8", (DEGREE, COLUMNS)),
+        ("value", "f8", (COLUMNS,)),  # at the η_0 looked up last
+        ("outcome", "f8", (QUANTITIES,)),
+    ],
+    align=True,
+)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _contact(p, force, eta, s, k, out):  # type: ignore[no-untyped-def]  # compiled: types are inferred
+    """Integrate one contact in its own units under the thrust `eta`; fill `out`, return whether the sphere left."""
+    s.w, s.speed, s.deepest, s.per_v0, s.peak_force, s.t = 0.0, 1.0, 0.0, 1.0, 0.0, 0.0
+    s.next_step = 0.1
+    forget(k)
+    out[:] = 0.0
+    k.thrust[:] = 0.0
+    k.rest = k.reach = 1e300
+    k.terms = 3
+    for _ in range(_MOST_STEPS):
+        t = s.t
+        k.thrust[0] = eta[0] + t * (eta[1] + t * eta[2])
+        k.thrust[1], k.thrust[2] = eta[1] + 2.0 * t * eta[2], eta[2]
+        ended = take_step(p, force, s, k)
+        if ended not in (NOTHING, LEFT, TURNED):
+            return False
+        since = k.since[LAST]
+        out[MOMENT] += since * out[SUM]
+        for i in range(STAGES):
+            area = s.step * MATRIX[LAST, i] * k.w[i] * k.w[i] * k.w[i]
+            out[SUM] += area
+            out[MOMENT] += (since - k.since[i]) * area
+        out[LOST] += dissipated(k, s.step)
+        out[PEAK] = max(out[PEAK], peak_in_step(p, force, s, k))
+        s.w, s.speed, s.t = max(0.0, k.w[LAST]), 0.0 if ended == TURNED else k.speed[LAST], t + since
+        s.deepest = max(s.deepest, s.w)
+        if ended == LEFT:
+            out[SEPARATION], out[DURATION], out[DEPTH] = -s.speed, s.t, s.deepest * s.deepest
+            return True
+    return False
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _nudged(p, force, eta_0, nudges, s, k):  # type: ignore[no-untyped-def]
+    """Integrate one contact under η_0 and `nudges` = (η_1, η_2, α, γ); return whether it ended, and its outcome."""
+    eta, out = np.zeros(3), np.empty(QUANTITIES)
+    eta[0], eta[1], eta[2] = eta_0, nudges[0], nudges[1]
+    p.pair_stiffness, p.pair_damping = nudges[2], nudges[3]
+    return _contact(p, force, eta, s, k, out), out
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _derivatives(p, force, eta_0, which, s, k):  # type: ignore[no-untyped-def]
+    """Return whether every contact ended, and two derivatives by one of (η_1, η_2, α, γ), from differences."""
+    nudges = np.zeros(4)
+    left, plain = _nudged(p, force, eta_0, nudges, s, k)
+    nudge = MOST_1 if which == 0 else _NUDGE
+    nudges[which] = nudge
+    left_up, up = _nudged(p, force, eta_0, nudges, s, k)
+    nudges[which] = -nudge
+    left_down, down = _nudged(p, force, eta_0, nudges, s, k)
+    twice = 0.5 * (up + down - 2.0 * plain) / (nudge * nudge)
+    return left and left_up and left_down, (up - down) / (2.0 * nudge), twice
+
+
+def _rebound(p: Any, force: Any, eta_0: float, s: Any, k: Any) -> float:
+    """Return the energy with which the sphere leaves under η_0, 0 where it does not leave by itself."""
+    out = np.zeros(QUANTITIES)
+    left = _contact(p, force, np.array([eta_0, 0.0, 0.0]), s, k, out)
+    return float(out[SEPARATION] * out[SEPARATION]) if left else 0.0
+
+
+def tabulate(p: Any, force: Any) -> Any:
+    """Return the table of a law, TABLE shape (1,), its range as wide as the series hold.
+
+    Args:
+        p: a record of the law's numbers in its own units, stiffness and masses 1; changed on the way.
+        force: the law's compiled force.
+    """
+    table, s, k = record(TABLE), record(STATE)[0], record(PRESS)[0]
+    p.rtol = _TIGHT
+    least = _WEAKEST * _rebound(p, force, 0.0, s, k)
+    low, high = -WIDEST, WIDEST
+    for _ in range(_NARROWINGS):
+        fits = _rebound(p, force, _MARGIN * low, s, k) > 0.0, _rebound(p, force, high, s, k) > least
+        if all(fits):
+            series = _series(p, force, (low, high), s, k)
+            if series is not None:
+                table.series[0], table.low[0], table.high[0] = series, low, high
+                return table
+            fits = False, False
+        low, high = low if fits[0] else _NARROWER * low, high if fits[1] else _NARROWER * high
+    return table
+
+
+def _series(p: Any, force: Any, limits: tuple[float, float], s: Any, k: Any) -> NDArray[np.float64] | None:
+    """Return the series over a range of η_0, shape (DEGREE, COLUMNS); None where they do not hold.
+
+    The less a column counts, the fewer contacts it is made of.
+    """
+    series = np.zeros((DEGREE, COLUMNS))
+
+    def fill(degree: int, columns: slice, outcome: Callable[[float], tuple[bool, NDArray[np.float64]]]) -> bool:
+        found = [outcome(eta_0) for eta_0 in _nodes(limits, degree)]
+        series[:degree, columns] = _chebyshev(np.array([values for _, values in found]))
+        return all(ended for ended, _ in found)
+
+    def by(which: int, quantities: int) -> Callable[[float], tuple[bool, NDArray[np.float64]]]:
+        def outcome(eta_0: float) -> tuple[bool, NDArray[np.float64]]:
+            ended, first, second = _derivatives(p, force, eta_0, which, s, k)
+            return ended, first[:quantities] if which else np.concatenate([first, second[:DECISIVE]])
+
+        return outcome
+
+    plain = fill(DEGREE, slice(QUANTITIES), lambda eta_0: _nudged(p, force, eta_0, np.zeros(4), s, k))
+    decisive = np.abs(series[:, :DECISIVE])
+    if not plain or (decisive[-2:] > _TAIL * decisive.max(axis=0)).any():
+        return None
+    start = 2 * QUANTITIES
+    complete = fill(_DEGREE_1, slice(QUANTITIES, start + DECISIVE), by(0, QUANTITIES))
+    for which in (BY_2, BY_STIFFNESS, BY_DAMPING):
+        columns = slice(start + which * DECISIVE, start + (which + 1) * DECISIVE)
+        complete &= fill(_DEGREE_2, columns, by(which, DECISIVE))
+    return series if complete else None
+
+
+def _nodes(limits: tuple[float, float], degree: int) -> list[float]:
+    """Return the places of a Chebyshev series within limits."""
+    middle, half = 0.5 * (limits[0] + limits[1]), 0.5 * (limits[1] - limits[0])
+    return [middle + half * sincos(PI * (j + 0.5) / degree)[1] for j in range(degree)]
+
+
+def _chebyshev(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the coefficients of the Chebyshev series through the values at its nodes, shape (degree, columns)."""
+    series, degree = np.zeros_like(values), len(values)
+    for n in range(degree):
+        for j in range(degree):
+            cosine = sincos(n * PI * (j + 0.5) / degree)[1]
+            series[n] += values[j] * (cosine * (1.0 if n == 0 else 2.0) / degree)
+    return series
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def look_up(p, table, s, k, rest):  # type: ignore[no-untyped-def]
+    """Fill `table.outcome` for the contact that begins at s, `k` expanded about it.
+
+    Returns whether it is tabulated and over within `rest` seconds.
+    """
+    speed = s.speed
+    if table.high == 0.0 or speed < p.speed_floor:  # a floored approach speed is a scale of its own
+        return False
+    t_0 = contact_time(p, speed)
+    eta_0 = k.thrust[0] * t_0 / speed
+    square = t_0 * t_0 / speed
+    eta_1, eta_2, eta_3 = k.thrust[1] * square, k.thrust[2] * square * t_0, k.thrust[3] * square * t_0 * t_0
+    alpha, gamma = p.pair_stiffness * t_0 * t_0, p.pair_damping * t_0
+    if not table.low <= eta_0 <= table.high or max(abs(eta_2), alpha, gamma) > MOST_2:
+        return False
+    if abs(eta_1) > MOST_1 or abs(eta_3) > MOST_3:
+        return False
+    x = (2.0 * eta_0 - table.high - table.low) / (table.high - table.low)
+    value, series = table.value, table.series
+    before, now = 1.0, x
+    for j in range(COLUMNS):
+        value[j] = series[0, j] + series[1, j] * x
+    for n in range(2, DEGREE):
+        before, now = now, 2.0 * x * now - before
+        for j in range(COLUMNS):
+            value[j] += series[n, j] * now
+    for q in range(QUANTITIES):
+        table.outcome[q] = value[q] + eta_1 * value[QUANTITIES + q]
+    further = value[2 * QUANTITIES :]
+    for q in range(DECISIVE):
+        table.outcome[q] += (
+            eta_1 * eta_1 * further[TWICE * DECISIVE + q]
+            + eta_2 * further[BY_2 * DECISIVE + q]
+            + alpha * further[BY_STIFFNESS * DECISIVE + q]
+            + gamma * further[BY_DAMPING * DECISIVE + q]
+        )
+    return table.outcome[DURATION] * t_0 < min(rest, k.reach)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def leap(p, table, s, k):  # type: ignore[no-untyped-def]
+    """Move s from the touch to the end of the contact that `look_up` found."""
+    found, speed = table.outcome, s.speed
+    t_0 = contact_time(p, speed)
+    depth = speed * t_0
+    duration, away = found[DURATION] * t_0, found[SEPARATION] * speed
+    impulse = p.k_1 * found[SUM] * depth * t_0
+    moment = p.k_1 * found[MOMENT] * depth * t_0 * t_0 + p.c_1 * found[SUM] * depth * t_0
+    sphere = s.y[V1] + s.side * (1.0 - p.share) * speed
+    moved(k, duration, s.y)
+    kick = (
+        s.side * p.share
+    )  # the first order of `pair.improve_recoil`: `look_up` has seen to it that the next one is nothing
+    s.y[V1] += kick * impulse * p.per_m_pair
+    s.y[X1] += kick * moment * p.per_m_pair
+    s.y[VB] -= kick * impulse * p.per_m_base
+    s.y[XB] -= kick * moment * p.per_m_base
+    s.impulse = -s.side * p.m * (s.y[V1] - s.side * (1.0 - p.share) * away - sphere)
+    s.elapsed = duration
+    s.peak_force = found[PEAK] * p.m_eff * speed / t_0
+    s.lost = found[LOST] * p.m_eff * speed * speed
+    s.deepest = math.sqrt(found[DEPTH] * depth)
+    s.w, s.speed = 0.0, -away
+    s.t += duration

@@ -1,0 +1,261 @@
+"""A contact from touch to release: steps of the indentation, ended exactly where something happens.
+
+A step ends where its error allows, and earlier at the first of these events:
+
+    LEFT      w = 0            the sphere is off the wall
+    TIME      t = t_end        the drive segment is over
+    RELEASED  F = 0, δ > 0     the law would pull: it lets go, and the surface stays behind until the sphere is out
+    TURNED    δ' = 0           the largest indentation, where a law with a memory changes branch
+    RELOADED  w = deepest      it presses further than before
+
+A step that overshoots an event is taken again, its length found by Newton's method, until it ends there.
+"""
+
+from __future__ import annotations
+
+import math
+
+from numba import njit
+
+from impact_rig.arithmetic.elementary import power
+from impact_rig.physics.collocation import GAUSS_NODES, GAUSS_WEIGHTS, LAST, MATRIX, POINTS, STAGES
+from impact_rig.physics.energy import add_powers
+from impact_rig.physics.foresight import foreseen, remember, slope_foreseen
+from impact_rig.physics.indentation import begin_step, estimate, rescaled, solve, turned_at
+from impact_rig.physics.pair import add_recoil, moved
+from impact_rig.physics.state import V1, X1
+
+NOTHING, LEFT, TIME, RELEASED, TURNED, RELOADED, FAILED, SETTLED = range(8)
+_IN_ORDER = (LEFT, TIME, RELEASED, TURNED, RELOADED)  # what lies behind LEFT means nothing: it comes first
+
+_REJECTIONS = 60
+_LANDINGS = 12  # Newton needs two to four
+_LANDED = 1e-10  # of the quantity's own scale: as near as Newton's method solves a step
+_SMALLEST = 1e-300
+_FIRST_STEP = 0.2
+_HOP = 3.0
+_GUESSES, _NEAR = 12, 1e-6  # of the event's scale: as good as a step's polynomial is
+_PEAK_FOUND = 1e-5  # of a step: the force is flat there
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _force_slope(p, force, s, k, point):  # type: ignore[no-untyped-def]
+    """Return the force at a point (w, δ', dδ'/ds) of the step, and its derivative along the motion, dF/ds."""
+    w, speed, slope = point
+    elastic, lossy, _, by_w, by_speed = force.one(p.stiffness, p.factor, s.per_v0, k.turned_at, w, speed)
+    return elastic + lossy, 0.5 * by_w * speed + by_speed * slope
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _beyond(p, force, s, k, event, at):  # type: ignore[no-untyped-def]  # compiled: types are inferred
+    """Return how far a point of the step is beyond an event, in units of the event's scale; at most 0 before it.
+
+    The point is `at` = (time since the start of the step, w, δ').
+    """
+    since, w, speed = at
+    if event == LEFT:
+        return -w / max(s.w, s.deepest, _SMALLEST)
+    if event == TIME:
+        return (since - k.rest) / k.rest
+    if event == RELEASED:
+        if not p.clipped:
+            return -1.0
+        elastic, lossy, _, _, _ = force.one(p.stiffness, p.factor, s.per_v0, k.turned_at, w, speed)
+        return -(elastic + lossy) / max(k.start_force, s.peak_force, _SMALLEST)
+    if event == TURNED:
+        return -speed / s.speed if k.turned_at == 0.0 and s.speed > 0.0 else -1.0
+    return (w - s.deepest) / s.deepest if p.remembers and s.w < s.deepest else -1.0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _slope_beyond(p, force, s, k, event):  # type: ignore[no-untyped-def]
+    """Return the derivative of `_beyond` at the end of the step with respect to its length."""
+    w, speed = k.w[LAST], k.speed[LAST]
+    if event == LEFT:
+        return -0.5 * speed / max(s.w, s.deepest, _SMALLEST)
+    if event == TIME:
+        return w / k.rest
+    if event == RELEASED:
+        _, slope = _force_slope(p, force, s, k, (w, speed, k.slope[LAST]))
+        return -slope / max(k.start_force, s.peak_force, _SMALLEST)
+    if event == TURNED:
+        return -k.slope[LAST] / s.speed
+    return 0.5 * speed / s.deepest
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _about(p, force, s, k, event):  # type: ignore[no-untyped-def]
+    """Return about how long a step is up to an event that it went beyond, by the Illinois method on its polynomial."""
+    low, high, x, last = 0.0, 1.0, 1.0, 0
+    before = _beyond(p, force, s, k, event, foreseen(s, k, low))
+    behind = _beyond(p, force, s, k, event, foreseen(s, k, high))
+    before = before if before < 0.0 else -behind  # the step may have started at the same event
+    for _ in range(_GUESSES):
+        x = (low * behind - high * before) / (behind - before)
+        beyond = _beyond(p, force, s, k, event, foreseen(s, k, x))
+        if abs(beyond) <= _NEAR:
+            break
+        if beyond > 0.0:
+            high, behind = x, beyond
+            before *= 0.5 if last == 1 else 1.0
+            last = 1
+        else:
+            low, before = x, beyond
+            behind *= 0.5 if last == -1 else 1.0
+            last = -1
+    return x * s.step
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _land(p, force, s, k, event):  # type: ignore[no-untyped-def]
+    """Take the step again until it ends at the event, its length in `s.step`; return whether that succeeded."""
+    low, high = 0.0, s.step
+    s.step = _about(p, force, s, k, event)
+    for _ in range(_LANDINGS):
+        if not solve(p, force, s, k, s.step):
+            return False
+        beyond = _beyond(p, force, s, k, event, (k.since[LAST], k.w[LAST], k.speed[LAST]))
+        if abs(beyond) <= _LANDED:
+            break
+        if beyond > 0.0:
+            high = s.step
+        else:
+            low = s.step
+        slope = _slope_beyond(p, force, s, k, event)
+        s.step = s.step - beyond / slope if slope > 0.0 else low
+        if not low < s.step < high:
+            s.step = 0.5 * (low + high)
+    remember(s, k, s.step)
+    return True
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def take_step(p, force, s, k):  # type: ignore[no-untyped-def]
+    """Solve the next step, its length in `s.step`, and propose one in `s.next_step`; return the event it ends at.
+
+    `k` must have been expanded about s, and hold the `rest` of the segment.
+    """
+    begin_step(p, force, s, k)
+    s.step = s.next_step
+    error = 0.0
+    for _ in range(_REJECTIONS):
+        if not solve(p, force, s, k, s.step):
+            s.step *= 0.25
+        elif k.since[LAST] > k.reach:
+            s.step *= 0.9 * k.reach / k.since[LAST]
+        else:
+            remember(s, k, s.step)
+            error = estimate(k, s.step)
+            if error <= 1.0:
+                break
+            s.step = rescaled(s.step, error)
+    else:
+        return FAILED
+    s.next_step = rescaled(s.step, error)
+    ended = NOTHING
+    for event in _IN_ORDER:
+        if _beyond(p, force, s, k, event, (k.since[LAST], k.w[LAST], k.speed[LAST])) > _LANDED:
+            if not _land(p, force, s, k, event):
+                return FAILED
+            ended = event
+    return ended
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def dissipated(k, h):  # type: ignore[no-untyped-def]
+    """Return the energy that the contact loses during the step [J], by the quadrature of the collocation."""
+    lost = 0.0
+    for i in range(STAGES):
+        lost += h * MATRIX[LAST, i] * k.w[i] * k.lossy[i] * k.speed[i]
+    return lost
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def peak_in_step(p, force, s, k):  # type: ignore[no-untyped-def]
+    """Return the largest force of the step [N]: at an end, or where dF/ds = 0 inside, found between the ends."""
+    w, speed, slope = k.w[LAST], k.speed[LAST], k.slope[LAST]
+    _, rising = _force_slope(p, force, s, k, (s.w, s.speed, k.start_slope))
+    last, falling = _force_slope(p, force, s, k, (w, speed, slope))
+    peak = max(k.start_force, last)
+    if not rising > 0.0 > falling:
+        return peak
+    low, high = 0.0, 1.0
+    while high - low > _PEAK_FOUND:
+        middle = 0.5 * (low + high)
+        _, inside, speed = foreseen(s, k, middle)
+        _, rising = _force_slope(p, force, s, k, (inside, speed, slope_foreseen(k, middle)))
+        if rising > 0.0:
+            low = middle
+        else:
+            high = middle
+    if solve(p, force, s, k, low * s.step):  # a step that ends at the peak; then the step itself again
+        found, _ = _force_slope(p, force, s, k, (k.w[LAST], k.speed[LAST], k.slope[LAST]))
+        peak = max(peak, found)
+    solve(p, force, s, k, s.step)
+    return peak
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def account_step(p, f, s, k, ledger):  # type: ignore[no-untyped-def]
+    """Add the work of the drive and the losses outside the contact during the step.
+
+    First of the pair as if nothing were indented, whose motion is smooth in time whatever the indentation does, then
+    what the indentation changes, which is known at the stages only.
+    """
+    half = 0.5 * k.since[LAST]
+    for point in range(POINTS):
+        since = half * (1.0 + GAUSS_NODES[point])
+        moved(k, since, k.y)
+        add_powers(p, f, k.y, s.t + since, half * GAUSS_WEIGHTS[point], ledger)
+    for i in range(STAGES):
+        weight = s.step * MATRIX[LAST, i] * k.w[i]
+        moved(k, k.since[i], k.y)
+        add_powers(p, f, k.y, s.t + k.since[i], -weight, ledger)
+        add_recoil(p, s.side, k, i, k.y)
+        k.y[X1] -= p.share * s.side * k.w[i] * k.w[i]
+        k.y[V1] -= p.share * s.side * k.speed[i]
+        add_powers(p, f, k.y, s.t + k.since[i], weight, ledger)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def conclude(p, s, k, ended, t_end):  # type: ignore[no-untyped-def]
+    """Move the state to the end of the step, with the impulse on the sphere and the deepest point."""
+    since, w, speed = k.since[LAST], max(k.w[LAST], 0.0), k.speed[LAST]
+    sphere = s.y[V1] + s.side * (1.0 - p.share) * s.speed
+    moved(k, since, s.y)
+    add_recoil(p, s.side, k, LAST, s.y)
+    s.impulse -= s.side * p.m * (s.y[V1] + s.side * (1.0 - p.share) * speed - sphere)
+    s.elapsed += since
+    k.known_since = k.known_length  # the next step starts where this one ends
+    s.w = 0.0 if ended == LEFT else w
+    s.speed = 0.0 if ended == TURNED else speed
+    if ended == RELOADED:
+        s.w = s.deepest
+    s.deepest = max(s.deepest, s.w)
+    s.t = t_end if ended == TIME else s.t + since
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def settles(p, force, s, k):  # type: ignore[no-untyped-def]
+    """Whether a law without damping only rings about its rest any more, slower than the floored approach speed.
+
+    At a turning point the ringing has the speed amplitude |δ''| / ω, ω the contact's own frequency. Where it is three
+    times as strong as what presses, the sphere hops for as long as a ringing lasts: no longer than that is no flight.
+    """
+    elastic, lossy, _, by_w, _ = force.one(p.stiffness, p.factor, s.per_v0, turned_at(s), s.w, s.speed)
+    thrust = k.thrust[0]
+    ringing = abs(thrust - (elastic + lossy) * p.per_m_eff)
+    return ringing <= _HOP * thrust and ringing <= p.speed_floor * math.sqrt(0.5 * by_w * p.per_m_eff / s.w)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def contact_time(p, speed):  # type: ignore[no-untyped-def]
+    """Return t_0 = (m_eff / K)^(1/(n+1)) v^((1−n)/(1+n)) [s], the time scale of a contact with F ~ K δ^n."""
+    return p.time_scale * power(speed, p.time_power)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def first_step(p, speed, thrust):  # type: ignore[no-untyped-def]
+    """Return a first step [s/m^0.5]: a part of ∫ dt/√(v t) up to the time scale of the law, or of the thrust."""
+    scale = min(contact_time(p, speed), speed / max(abs(thrust), _SMALLEST))
+    return _FIRST_STEP * math.sqrt(scale / speed)

@@ -1,0 +1,132 @@
+"""A rig begins when it is alone at its topics and, in realtime, when its peers listen: visibly, and bounded."""
+
+from __future__ import annotations
+
+import pytest
+
+pytest.importorskip("rclpy", reason="no ROS 2 here")
+
+from nodes_support import host_rig
+from rclpy.node import Node
+
+from impact_rig.nodes import topics
+from impact_rig.nodes.analysis_node import AnalysisNode
+from impact_rig.nodes.recorder_node import RecorderNode
+from impact_rig.nodes.rig_node import RigNode
+from impact_rig.recording import info, open_run
+from impact_rig.testing import Client, Collector, ServiceFailedError, WaitTimeoutError
+from impact_rig.testing.parameters import ros_parameters
+
+pytestmark = pytest.mark.ros
+LEVELS = {"ok": b"\0", "warn": b"\1", "error": b"\2"}
+
+
+def test_a_realtime_recording_begins_with_scan_0(client: Client, tmp_path) -> None:
+    """However late recorder and analysis come: they are what the rig was told to wait for."""
+    host_rig(client, "realtime", time__peers=["analysis", "recorder"], time__start_wait_s=3600.0)
+    client.wait_active("rig")
+    client.wait_until(lambda: "waiting for peer analysis, recorder" in client.status("rig").message, "the diagnostic")
+    assert client.status("rig").level == LEVELS["warn"]
+    with pytest.raises(ServiceFailedError, match="the rig has not begun, waiting for peer"):
+        client.trigger("rig/reset")
+    client.host(RecorderNode, parameter_overrides=ros_parameters({"directory": str(tmp_path), "name": "run"}))
+    client.wait_until(lambda: "waiting for peer analysis, at most" in client.status("rig").message, "the recorder")
+    client.host(AnalysisNode)
+    client.wait_active("analysis")
+    scans = client.collect("daq/scan")
+    client.wait_until(lambda: len(scans) > 20, "blocks")
+    client.trigger("recorder/stop")
+    with open_run(tmp_path / "run") as run:
+        (calibration,) = run.tables("daq/info")
+        first = next(run.tables("daq/scan"))
+        journal = next(run.tables("rig/journal"))
+    assert calibration.rows["since_start"][0] == 0.0
+    assert first.stamp_ns == calibration.stamp_ns == journal.stamp_ns
+    assert info(tmp_path / "run").intact
+    assert int(client.figures("analysis")["unconfigured_scans"]) == 0
+
+
+def test_realtime_goes_on_without_a_peer_that_does_not_come(client: Client) -> None:
+    host_rig(client, "realtime", time__peers=["nobody"], time__start_wait_s=0.3)
+    client.wait_active("rig")
+    scans = client.collect("daq/scan")
+    client.wait_until(lambda: len(scans) > 5, "blocks all the same")
+    client.wait_until(lambda: "running without peer nobody" in client.status("rig").message, "the diagnostic")
+    assert client.status("rig").level == LEVELS["warn"]
+
+
+def other(client: Client, topic: topics.Topic) -> Node:
+    """Return a node that publishes one of the rig's topics."""
+    node = client.host(Node, node_name="intruder")
+    node.create_publisher(topic.message_type(), topic.name, topic.qos.profile())
+    return node
+
+
+@pytest.mark.parametrize("topic", [topics.SCAN, topics.CLOCK], ids=lambda topic: topic.name)
+def test_a_rig_that_is_not_alone_says_by_whom_and_goes_on(client: Client, topic: topics.Topic) -> None:
+    host_rig(client, time__peers=["client"])
+    client.wait_active("rig")
+    scans = client.collect("daq/scan", acknowledge=True)
+    client.step(3)
+    other(client, topic)
+    expected = f"/intruder publishes {topic.name} as well"
+    client.wait_until(lambda: expected in client.status("rig").message, "the diagnostic")
+    assert client.status("rig").level == LEVELS["error"]
+    assert client.figures("rig")["other_publishers"] == expected
+    client.step(3)
+    assert len(scans) == 6
+
+
+def starts(journal: Collector) -> int:
+    """Return how many starts a journal holds."""
+    return [row["kind"] for row in journal.rows()].count(b"start")
+
+
+@pytest.mark.parametrize("mode", ["realtime", "stepped"])
+def test_a_second_rig_waits_until_the_first_is_gone(client: Client, mode: str) -> None:
+    """Two rigs with one name in one namespace were merged into one recording."""
+    first = host_rig(client, "realtime")
+    client.wait_active("rig")
+    scans = client.collect("daq/scan")
+    journal = client.collect("rig/journal")
+    client.wait_until(lambda: len(scans) > 3, "blocks of the first")
+    client.wait_until(lambda: starts(journal) == 1, "its start, which is handed over again to whoever comes late")
+    second: RigNode = client.host(
+        RigNode,
+        parameter_overrides=ros_parameters({"time.mode": mode, "daq.seed": 2, "output.autostart": False}),
+    )
+    second.trigger_configure()
+    second.trigger_activate()
+    client.wait_until(lambda: second.status().level == 2, "the second to hold back")
+    assert "waiting to be alone: another /rig publishes daq/scan" in second.status().message
+    assert starts(journal) == 1, "not a word of the second in the journal"
+    client.wait_until(lambda: "another /rig publishes daq/scan" in first.status().message, "the first to say so")
+    first.trigger_deactivate()
+    first.trigger_cleanup()
+    client.wait_until(lambda: starts(journal) == 2, "the second to begin")
+
+
+def test_a_rig_in_real_time_has_no_clock_to_quarrel_about(client: Client) -> None:
+    host_rig(client, "realtime")
+    client.wait_active("rig")
+    scans = client.collect("daq/scan")
+    client.wait_until(lambda: len(scans) > 3, "blocks")
+    assert client.node.count_publishers("/clock") == 0
+
+
+def test_a_clock_can_belong_to_a_namespace(client: Client) -> None:
+    """As the launch file does it: two rigs that are not in real time side by side."""
+    remapped = ["--ros-args", "-r", "/clock:=clock"]
+    for name in ("one", "two"):
+        client.host(
+            lambda name=name, **kwargs: RigNode(**{**kwargs, "namespace": f"/{name}", "cli_args": remapped}),
+            parameter_overrides=ros_parameters({"time.mode": "stepped"}),
+        )
+    client.wait_until(lambda: client.status("one/rig").message == "running, stepped", "the first")
+    client.wait_until(lambda: client.status("two/rig").message == "running, stepped", "the second")
+    client.trigger("one/rig/step")
+    client.trigger("two/rig/step")
+    clocks = [client.node.count_publishers(name) for name in ("/clock", "/one/clock", "/two/clock")]
+    assert clocks == [0, 1, 1]
+    with pytest.raises(WaitTimeoutError):
+        client.wait_until(lambda: client.status("one/rig").level != LEVELS["ok"], "a quarrel", 1.5)

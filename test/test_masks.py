@@ -1,0 +1,78 @@
+"""A mask that did not take hold proves nothing: each is seen in the process it was put on."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+sys.path.insert(0, str(ROOT))  # the tool is no part of the package
+
+from tools.portability.machine import Machine  # noqa: E402
+from tools.portability.masks import (  # noqa: E402
+    ALL,
+    BARE,
+    GLIBC_BASELINE,
+    HASWELL,
+    LLVM_GENERIC,
+    MASKS,
+    NUMPY_BASELINE,
+    PRESCOTT,
+    Mask,
+    full_environment,
+)
+
+
+def machine(mask: Mask) -> Machine:
+    command = [sys.executable, "-m", "tools.portability.machine"]
+    done = subprocess.run(command, cwd=ROOT, env=full_environment(mask), check=True, capture_output=True, text=True)
+    return Machine(**json.loads(done.stdout))
+
+
+@pytest.fixture(scope="module")
+def bare() -> Machine:
+    return machine(BARE)
+
+
+@pytest.fixture(scope="module")
+def masked() -> Machine:
+    """Under all masks at once: each library is asked by itself."""
+    return machine(ALL)
+
+
+def test_numpy_uses_its_baseline(masked: Machine) -> None:
+    assert masked.numpy == []
+
+
+def test_llvm_compiles_for_a_cpu_without_vectors(masked: Machine) -> None:
+    """The target that Numba hands to LLVM, and the machine code that comes back."""
+    assert masked.llvm == ["generic", ""]
+    assert not masked.vectors
+
+
+def test_every_openblas_chose_its_oldest_core(masked: Machine) -> None:
+    assert PRESCOTT.held(masked, masked)
+    assert masked.openblas, "neither NumPy nor SciPy brought an OpenBLAS: this mask says nothing here"
+
+
+def test_glibc_chose_other_functions(masked: Machine, bare: Machine) -> None:
+    """Where a CPU has FMA: sin lies elsewhere in libm, and exp, log and pow (wrappers) give other last bits."""
+    if not bare.vectors:
+        pytest.skip("this CPU has no AVX: glibc has nothing to choose from")
+    assert masked.glibc.keys() == bare.glibc.keys()
+    assert all(masked.glibc[name] != bare.glibc[name] for name in ("sin", "cos", "exp", "log", "pow"))
+
+
+@pytest.mark.parametrize("mask", [HASWELL, LLVM_GENERIC, NUMPY_BASELINE, GLIBC_BASELINE], ids=lambda mask: mask.name)
+def test_a_mask_of_its_own_takes_hold_alone(mask: Mask, bare: Machine) -> None:
+    assert mask.verdict(machine(mask), bare) != "NO"
+
+
+@pytest.mark.parametrize("mask", MASKS, ids=lambda mask: mask.name)
+def test_a_mask_that_did_not_take_hold_is_seen(mask: Mask, bare: Machine) -> None:
+    """The unmasked machine passes for a masked one only where the CPU has nothing to hide."""
+    assert mask.verdict(bare, bare) in ("NO", "nothing to mask")

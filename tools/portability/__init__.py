@@ -1,0 +1,1 @@
+"""Proves that every machine gives the same bits: fixed runs, their digests, and masks that make one CPU look older."""

@@ -1,0 +1,123 @@
+"""The runs whose bits are fixed, and what of them is compared. Their one definition: the command and the tests use it.
+
+Each is a rig driven directly, without ROS. The short ones are for interpreters and emulated CPUs, which are slow.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import attrs
+import numpy as np
+from numpy.lib.recfunctions import repack_fields
+from numpy.typing import NDArray
+
+from impact_rig.blocks import Table
+from impact_rig.config import RigConfig, from_flat
+from impact_rig.physics.contact import LAWS
+from impact_rig.rig import Rig
+from impact_rig.simtime import NS_PER_S
+
+Streams = dict[str, NDArray[np.void]]
+"""Rows by topic, in their order."""
+
+PAPER = {"drive.amplitude": 0.52}
+FAULTS = (
+    "spike_train channel=accelerometer start_s=1 duration_s=2 value=50 rate_hz=200 seed=7",
+    "added_noise channel=laser start_s=2 duration_s=3 value=1e-4 seed=8",
+    "clock_drift start_s=3 duration_s=2 value=40",
+)
+SHORT_FAULTS = (
+    "spike_train channel=accelerometer duration_s=0.1 value=50 rate_hz=500 seed=7",
+    "added_noise channel=laser start_s=0.02 value=1e-4 seed=8",
+    "gain_error channel=base start_s=0.05 value=0.01",
+    "stuck channel=current start_s=0.1 duration_s=0.02",
+    "saturation channel=laser start_s=0.12 value=1e-4",
+    "dropout channel=accelerometer start_s=0.15 duration_s=0.01",
+)
+HARD = {"drive.kind": "prescribed", "drive.amplitude": 0.003, "barriers.gap_m": 0.002, "output.truth_scan": True}
+"""A base whose motion is given hits the sphere within the first cycle."""
+
+
+@attrs.frozen
+class Run:
+    """One fixed run.
+
+    Attributes:
+        name: in the file of digests.
+        seconds: of rig time.
+        values: what differs from the default configuration.
+        commands: (frequency [Hz], amplitude) by the second at which they are commanded.
+    """
+
+    name: str
+    seconds: float
+    values: Mapping[str, object]
+    commands: Mapping[float, tuple[float, float]] = attrs.field(factory=dict)
+
+
+LONG = (
+    Run("chirp", 20, {"drive.kind": "prescribed", "drive.waveform": "chirp", "drive.amplitude": 5e-4}),
+    Run("default", 20, {**PAPER, "output.truth_scan": True}, {10.0: (9.3, 0.6)}),
+    Run("friction", 20, {**PAPER, "sphere.guide_friction": 0.1}),
+    Run("gap_2mm", 20, {**PAPER, "barriers.gap_m": 0.002}),
+    Run("gap_8mm", 120, {**PAPER, "barriers.gap_m": 0.008, "daq.rate_hz": 1000}),  # chaotic: one bit grows to all
+    Run("kelvin_voigt", 20, {**PAPER, "contact.law": "kelvin_voigt"}),
+    Run("no_sphere", 20, {**PAPER, "sphere.present": False}),
+    Run(
+        "random",
+        6,
+        {
+            "drive.waveform": "random",
+            "drive.amplitude": 0.5,
+            "daq.rate_hz": 50_000,
+            "instruments.adc.anti_alias": "butterworth",
+            "instruments.faults.planned": FAULTS,
+        },
+    ),
+    Run("restitution", 20, {**PAPER, "contact.law": "restitution"}),
+    Run("voltage", 20, {"drive.kind": "voltage", "drive.amplitude": 1.0}),
+    Run("walton_braun", 20, {**PAPER, "contact.law": "walton_braun"}),
+)
+
+SHORT = (
+    Run("short_friction", 0.2, {**HARD, "sphere.guide_friction": 0.2, "contact.law": "restitution"}),
+    Run("short_hertzian", 0.1, HARD),
+    Run(
+        "short_ideal", 0.1, {**HARD, "drive.waveform": "chirp", "instruments.ideal": True, "contact.law": "restitution"}
+    ),
+    Run("short_linear", 0.1, {**HARD, "contact.law": "kelvin_voigt", "contact.release": "force"}),
+    Run("short_no_sphere", 0.1, {**PAPER, "sphere.present": False, "instruments.faults.planned": SHORT_FAULTS}),
+    Run("short_random", 0.1, {"drive.waveform": "random", "drive.amplitude": 2.0, "daq.rate_hz": 50_000}),
+    Run("short_voltage", 0.1, {"drive.kind": "voltage", "drive.amplitude": 8.0, "barriers.gap_m": 5e-4}),
+    Run("short_walton_braun", 0.1, {**HARD, "contact.law": "walton_braun"}),
+)
+
+
+def known(runs: tuple[Run, ...]) -> tuple[Run, ...]:
+    """Return those of the runs whose contact law there is."""
+    return tuple(run for run in runs if run.values.get("contact.law", "flores") in LAWS)
+
+
+def record(run: Run) -> Streams:
+    """Run it and return everything that its topics would have carried."""
+    rig = Rig(from_flat(RigConfig(), {"daq.block_scans": 1000, **run.values}))
+    tables: dict[str, list[Table]] = {"daq/info": [rig.info()]}
+    for second, (frequency_hz, amplitude) in [*run.commands.items(), (run.seconds, (0.0, 0.0))]:
+        for block in rig.advance(round(second * NS_PER_S)):
+            found = {"daq/scan": block.scan, "truth/impacts": block.impacts, "truth/faults": block.faults}
+            found["truth/scan"] = block.truth or Table(block.scan.stamp_ns, block.monitor)
+            for topic, table in found.items():
+                tables.setdefault(topic, []).extend([table] if table is not None else [])
+        if second < run.seconds:
+            rig.command(frequency_hz, amplitude)
+    tables["rig/journal"], tables["shaker/applied"] = rig.take_journal(), rig.take_applied()
+    return {topic: _rows(found) for topic, found in sorted(tables.items()) if found}
+
+
+def _rows(tables: list[Table]) -> NDArray[np.void]:
+    """Return all rows without gaps between their columns; what names the version of the package is blanked."""
+    rows = repack_fields(np.concatenate([table.rows for table in tables]))
+    if "kind" in rows.dtype.names and "text" in rows.dtype.names:
+        rows["text"][np.isin(rows["kind"], [b"start", b"reset"])] = b""
+    return rows
