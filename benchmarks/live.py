@@ -17,9 +17,9 @@ from pathlib import Path
 import numpy as np
 
 from impact_rig import codec
-from impact_rig.recording import info
-from impact_rig.testing import Client, Processes, isolated_domain
-from impact_rig.testing.processes import ParameterValue
+from impact_rig.client import Client, Processes, isolated_domain
+from impact_rig.client.processes import ParameterValue
+from impact_rig.runs import info
 
 RATES_HZ = (10_000, 50_000)
 BLOCK_NS = 10_000_000

@@ -18,7 +18,7 @@ from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import FindPackageShare
 
 from impact_rig.config import from_flat, load
-from impact_rig.endings import PARENT_VARIABLE
+from impact_rig.system.endings import PARENT_VARIABLE
 
 
 def start_nodes(context: LaunchContext) -> list[Node]:

@@ -19,7 +19,9 @@ from typing import IO
 import pytest
 from hypothesis import HealthCheck, settings
 
-from impact_rig.testing.domain import remove_litter
+from impact_rig.client.domain import remove_litter
+
+pytest.register_assert_rewrite("kits")
 
 REQUIRE_ROS = os.environ.get("IMPACT_RIG_REQUIRE_ROS") == "1"
 DOMAINS = range(50, 100)  # 0 to 101 are safe on Linux; people and `make demo` use low numbers

@@ -12,7 +12,7 @@ from impact_rig.campaign.plan import load_campaign
 from impact_rig.config import Origin, RigConfig
 from impact_rig.config.load import flatten
 from impact_rig.config.template import COMMAND, nominal
-from impact_rig.resources import config_dir
+from impact_rig.system.resources import config_dir
 
 CAMPAIGNS = [config_dir() / "paper.yaml", *sorted(config_dir().glob("campaigns/*.yaml"))]
 FILES = [path for path in sorted(config_dir().glob("*.yaml")) if path not in CAMPAIGNS]

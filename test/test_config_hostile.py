@@ -21,8 +21,8 @@ from impact_rig.blocks import CHANNELS
 from impact_rig.cli.main import EXIT_ERROR, main
 from impact_rig.config import RigConfig
 from impact_rig.errors import ConfigError
-from impact_rig.resources import config_dir
 from impact_rig.rig import Rig
+from impact_rig.system.resources import config_dir
 
 CASES = int(os.environ.get("IMPACT_RIG_HOSTILE", "120"))
 pytestmark = pytest.mark.timeout(120 + CASES)

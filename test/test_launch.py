@@ -11,7 +11,7 @@ from collections.abc import Iterator
 import pytest
 
 from impact_rig import config
-from impact_rig.resources import share_dir
+from impact_rig.system.resources import share_dir
 
 FILE = share_dir() / "launch" / "rig.launch.py"
 TREE = ast.parse(FILE.read_text(encoding="utf-8"), FILE.name)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from impact_rig.testing import Processes
+from impact_rig.client import Processes
 
 ROOT = Path(__file__).parents[1]
 SOURCES = sorted(
@@ -18,7 +18,7 @@ SOURCES = sorted(
 MODULES = {"pickle", "cPickle", "marshal", "shelve", "dill", "cloudpickle", "joblib"}
 CALLS = {"eval", "exec", "yaml.load", "yaml.unsafe_load", "yaml.full_load", "os.system", "os.popen", "tempfile.mktemp"}
 ARGUMENTS = {"shell", "allow_pickle"}
-STARTERS = {"impact_rig/testing/processes.py"}
+STARTERS = {"impact_rig/client/processes.py"}
 """The one module of the package that starts programs; others are listed where they are tools of developers."""
 
 

@@ -17,7 +17,7 @@ from xml.etree import ElementTree as ET
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))  # not in the environment: what is started must find what is installed
 
-from impact_rig.testing import Client, Processes, isolated_domain  # noqa: E402  # found by the line above
+from impact_rig.client import Client, Processes, isolated_domain  # noqa: E402  # found by the line above
 
 WORKSPACE = ROOT / "build" / "colcon"
 PREFIX = WORKSPACE / "install" / "impact_rig"

@@ -44,12 +44,12 @@ from impact_rig.cli.main import command_line
 ROOT = Path(__file__).parents[1]
 SCRATCH = ROOT / "build" / "docs"
 RUN_BY = {
-    ("docs/analysis.md", "python"): "test/analysis/test_analysis_guide.py",
-    ("docs/recording.md", "python"): "test/recording/test_recording_guide.py",
-    ("docs/recording.md", "python notebook"): "test/recording/test_recording_guide.py",
-    ("docs/testing.md", "python title"): "test/testing/test_testing_guide.py",
-    ("docs/testing.md", "sh"): "test/testing/test_testing_guide.py",
-    ("docs/testing.md", "sh fails"): "test/testing/test_testing_guide.py",
+    ("docs/analysis.md", "python"): "test/analysis/test_guide.py",
+    ("docs/recording.md", "python"): "test/recording/test_guide.py",
+    ("docs/recording.md", "python notebook"): "test/recording/test_guide.py",
+    ("docs/testing.md", "python title"): "test/testing/test_guide.py",
+    ("docs/testing.md", "sh"): "test/testing/test_guide.py",
+    ("docs/testing.md", "sh fails"): "test/testing/test_guide.py",
     ("examples/README.md", "sh"): "test/testing/test_examples.py",
 }
 RUN_BY_TEST_DOCS = {"python", "python title", "yaml"}

@@ -19,8 +19,8 @@ from contextlib import ExitStack, contextmanager
 from rich.console import Console
 from rich.table import Table
 
+from impact_rig.client import isolated_domain
 from impact_rig.nodes.rig_node import DISCOVERY_S
-from impact_rig.testing import isolated_domain
 
 STARTS = 40
 SOON_S = 1.0

@@ -34,9 +34,10 @@ import yaml
 from rich.console import Console
 from rich.table import Table as TextTable
 
+from impact_rig.client import Client, Processes, isolated_domain
 from impact_rig.errors import ImpactRigError
 from impact_rig.recording import open_run
-from impact_rig.testing import Client, Processes, VirtualRig, isolated_domain
+from impact_rig.testing import VirtualRig
 
 WORDS = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated"}
 NODES = ("rig", "analysis", "recorder")

@@ -20,10 +20,11 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table as TextTable
 
+from impact_rig.client import Client, Collector, Processes, isolated_domain
+from impact_rig.client.collector import Received
 from impact_rig.nodes.stamps import nanoseconds
-from impact_rig.recording import open_run, recover
-from impact_rig.testing import Client, Collector, Processes, isolated_domain
-from impact_rig.testing.collector import Received
+from impact_rig.recording import open_run
+from impact_rig.runs import recover
 
 TICK_NS = 10_000_000
 PEERS = ("analysis", "recorder", "client")

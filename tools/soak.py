@@ -23,8 +23,9 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table as TextTable
 
-from impact_rig.recording import check_contiguity, open_run
-from impact_rig.testing import Client, Processes, isolated_domain
+from impact_rig.client import Client, Processes, isolated_domain
+from impact_rig.recording import open_run
+from impact_rig.runs import check_contiguity
 
 NODES = ("rig", "analysis", "recorder")
 SAMPLES = 60

@@ -14,11 +14,11 @@ from xml.etree import ElementTree as ET
 
 from rclpy.parameter import Parameter
 
+from impact_rig.client import Client, isolated_domain
 from impact_rig.nodes.analysis_node import AnalysisNode
 from impact_rig.nodes.recorder_node import RecorderNode
 from impact_rig.nodes.rig_node import RigNode
 from impact_rig.nodes.stepped_sine_node import SteppedSineNode
-from impact_rig.testing import Client, isolated_domain
 
 NAMESPACE = "/rig"
 NODES = {"rig": RigNode, "analysis": AnalysisNode, "recorder": RecorderNode, "stepped_sine": SteppedSineNode}

@@ -13,8 +13,8 @@ from impact_rig.analysis.transmissibility import Measurement
 from impact_rig.analysis.words import Status
 from impact_rig.blocks import DETECTED_IMPACTS, SETTINGS, TRANSMISSIBILITY, Table
 from impact_rig.errors import ConfigError
-from impact_rig.machine import fingerprint
 from impact_rig.simtime import COMMAND_GRID_NS, COMMAND_GRID_S
+from impact_rig.system.machine import fingerprint
 
 MACHINE = "machine"
 GAP = "gap_m"

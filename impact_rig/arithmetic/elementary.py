@@ -15,7 +15,7 @@ import math
 import numpy as np
 from numba import njit
 
-import impact_rig.compiled  # noqa: F401  # first: finds what was compiled from these sources
+import impact_rig.system.compiled  # noqa: F401  # first: finds what was compiled from these sources
 
 PI = 3.141592653589793
 TWO_PI = 6.283185307179586

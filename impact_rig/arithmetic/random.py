@@ -17,7 +17,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-import impact_rig.compiled  # noqa: F401  # first: finds what was compiled from these sources
+import impact_rig.system.compiled  # noqa: F401  # first: finds what was compiled from these sources
 from impact_rig.arithmetic.elementary import exp, log
 from impact_rig.arithmetic.records import DISABLED
 

@@ -12,8 +12,8 @@ from concurrent.futures.process import BrokenProcessPool
 
 from impact_rig.campaign.in_process import execute
 from impact_rig.campaign.job import Job, Outcome
-from impact_rig.endings import SIGNALS, end_with, held, unhurried
 from impact_rig.errors import ImpactRigError
+from impact_rig.system.endings import SIGNALS, end_with, held, unhurried
 
 AHEAD = 2
 """Jobs handed out per worker: enough to keep it busy, few enough to stop soon after Ctrl-C."""

@@ -12,13 +12,13 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_rig import files
 from impact_rig.analysis.reduction import combined
 from impact_rig.analysis.stepped import Direction
 from impact_rig.campaign.axes import NO_SPHERE
 from impact_rig.campaign.job import Outcome
 from impact_rig.campaign.plan import RESET, Planned
 from impact_rig.config.load import Value
+from impact_rig.system import files
 
 NAN = math.nan
 SKIPPED = "over_range"

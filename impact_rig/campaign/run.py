@@ -23,7 +23,6 @@ from pathlib import Path
 
 import attrs
 
-from impact_rig import files
 from impact_rig.analysis.calibration import Calibration
 from impact_rig.campaign import statements
 from impact_rig.campaign.axes import NO_SPHERE
@@ -38,6 +37,7 @@ from impact_rig.campaign.summary import write_summary
 from impact_rig.config import dump, load
 from impact_rig.errors import ConfigError, RecordingError
 from impact_rig.instruments.chain import Chain
+from impact_rig.system import files
 
 CAMPAIGN_FILE, CONFIGURATION_FILE, PROVENANCE_FILE = "campaign.yaml", "configuration.yaml", "provenance.json"
 CSV_FILE = "points.csv"

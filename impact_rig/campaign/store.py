@@ -14,11 +14,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_rig import files
 from impact_rig.blocks import TRANSMISSIBILITY
 from impact_rig.campaign.code import fingerprint
 from impact_rig.campaign.job import Job, Outcome
 from impact_rig.errors import RecordingError
+from impact_rig.system import files
 
 FOLDER = "points"
 MAX_RESULT_BYTES, MAX_TRACE_BYTES = 10 * 2**20, 64 * 2**20

@@ -9,8 +9,8 @@ from pathlib import Path
 import attrs
 
 import impact_rig
-from impact_rig import files
 from impact_rig.campaign.paper import REDUCTION_PERCENT, Reductions
+from impact_rig.system import files
 
 FILE_NAME = "summary.json"
 

@@ -12,12 +12,12 @@ from rich.table import Table as TextTable
 
 from impact_rig.campaign import paper, pool, run
 from impact_rig.campaign.job import Job
-from impact_rig.campaign.margins import Variation, variations
 from impact_rig.campaign.plan import load_campaign
 from impact_rig.campaign.statements import Verdict
 from impact_rig.campaign.store import Store
 from impact_rig.cli.terminal import Console, Words, tell_program
 from impact_rig.errors import ConfigError
+from impact_rig.studies.margins import Variation, variations
 
 WAYS = ("process", "ros", "dask")
 POINTS_LIMIT, RMS_LIMIT = 2.0, 1.0

@@ -17,13 +17,13 @@ from impact_rig.analysis.stepped import Command
 from impact_rig.campaign.bench import Trace, Turn, columns, operate
 from impact_rig.campaign.job import TRACE_TURNS, Job, Outcome
 from impact_rig.campaign.run import Runner
+from impact_rig.client import Client, Processes, isolated_domain
 from impact_rig.config import RigConfig, to_flat
 from impact_rig.errors import ImpactRigError
 from impact_rig.nodes import topics
 from impact_rig.rig import Kind
 from impact_rig.rig.interlock import OVER_TRAVEL, Trip, check_amplitude, check_frequency
 from impact_rig.simtime import NS_PER_S
-from impact_rig.testing import Client, Processes, isolated_domain
 
 FIXED = ("time.", "step.", "daq.rate_hz", "daq.block_scans", "output.autostart")
 """Parameters that are read-only, or that say how the rig is driven here."""

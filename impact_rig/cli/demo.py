@@ -15,13 +15,13 @@ from rich.table import Table as TextTable
 
 from impact_rig.analysis.calibration import Calibration
 from impact_rig.campaign import paper
-from impact_rig.campaign.figures import draw_reductions
 from impact_rig.campaign.paper import Reductions
 from impact_rig.campaign.summary import Statement, write_summary
 from impact_rig.cli.terminal import Console, Words, tell_program
 from impact_rig.config import RigConfig, from_flat
 from impact_rig.errors import ImpactRigError
-from impact_rig.recording import RunInfo, info
+from impact_rig.report.reductions import draw_reductions
+from impact_rig.runs import RunInfo, info
 from impact_rig.simtime import NS_PER_S
 
 MEASUREMENTS = 2
@@ -113,8 +113,8 @@ def run(arguments: argparse.Namespace) -> int:
 def _measure(config: RigConfig, directory: Path, console: Console) -> tuple[dict[float, NDArray[np.void]], Calibration]:
     """Return the settled measurements by gap, and the certificate that the rig published."""
     # rclpy is needed from here on: `impact-rig --help` and the other subcommands do without
+    from impact_rig.client import Client, Processes, isolated_domain  # noqa: PLC0415
     from impact_rig.nodes import topics  # noqa: PLC0415
-    from impact_rig.testing import Client, Processes, isolated_domain  # noqa: PLC0415
 
     columns = (
         Words("{task.description:<12}"),

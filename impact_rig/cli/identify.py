@@ -9,22 +9,22 @@ from pathlib import Path
 
 from rich.table import Table as TextTable
 
-from impact_rig import files
 from impact_rig.analysis.words import Status
 from impact_rig.campaign import run
 from impact_rig.campaign.axes import NO_SPHERE
-from impact_rig.campaign.identification import paper_fit
-from impact_rig.campaign.identification.constants import NAMES, UNITS
-from impact_rig.campaign.identification.fisher import Information
-from impact_rig.campaign.identification.fit import Identified, identify
-from impact_rig.campaign.identification.measurements import Gains, Measured, reduced_of, sine_of
-from impact_rig.campaign.identification.pluck import measured_decay, recorded_decay
 from impact_rig.campaign.paper import CURRENT_A, FREQUENCIES_HZ, FREQUENCY_HZ, REDUCTION_PERCENT
 from impact_rig.cli.terminal import Console, tell_program
 from impact_rig.config import RigConfig, dump, load
 from impact_rig.errors import ConfigError, ImpactRigError
 from impact_rig.recording import open_run
 from impact_rig.rig import Rig
+from impact_rig.studies.identification import paper_fit
+from impact_rig.studies.identification.constants import NAMES, UNITS
+from impact_rig.studies.identification.fisher import Information
+from impact_rig.studies.identification.fit import Identified, identify
+from impact_rig.studies.identification.measurements import Gains, Measured, reduced_of, sine_of
+from impact_rig.studies.identification.pluck import measured_decay, recorded_decay
+from impact_rig.system import files
 
 JSON_FILE, CONFIGURATION_FILE = "identification.json", "identified.yaml"
 

@@ -9,7 +9,7 @@ import sys
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from impact_rig.endings import Ending
+from impact_rig.system.endings import Ending
 
 if TYPE_CHECKING:
     import argparse
@@ -59,7 +59,7 @@ def _parse(arguments: Sequence[str]) -> argparse.Namespace:
 
 def _run(chosen: argparse.Namespace, ending: Ending | None) -> int:
     from impact_rig.errors import ImpactRigError  # noqa: PLC0415
-    from impact_rig.escapes import visible  # noqa: PLC0415
+    from impact_rig.system.escapes import visible  # noqa: PLC0415
 
     try:
         result: int = chosen.run(chosen)

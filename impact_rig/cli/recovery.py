@@ -8,7 +8,7 @@ from pathlib import Path
 from rich.table import Table
 
 from impact_rig.cli.terminal import Console
-from impact_rig.recording import RecoverReport, recover
+from impact_rig.runs import RecoverReport, recover
 
 INCOMPLETE = 3
 """Exit code when the new run lacks something of the old one."""

@@ -21,7 +21,7 @@ def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    from impact_rig.campaign.report import build_report  # noqa: PLC0415  # loads SciPy, which no other command needs
+    from impact_rig.report import build_report  # noqa: PLC0415  # loads SciPy, which no other command needs
 
     path = build_report(arguments.directory, arguments.output, arguments.margins)
     tell_program(path)

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from rich.table import Table as TextTable
 
 from impact_rig.cli.terminal import Console
-from impact_rig.recording import export, info, open_run
+from impact_rig.recording import open_run
+from impact_rig.runs import export, info
 
 FIGURE_FORMATS = ("png", "svg")  # of campaign.run_figures, which is too heavy for a parser
 
@@ -82,7 +83,8 @@ def _export(arguments: argparse.Namespace) -> int:
 def _analyze(arguments: argparse.Namespace) -> int:
     console = Console()
     with open_run(arguments.path) as run:
-        from impact_rig.campaign import live_comparison, reanalysis, run_figures  # noqa: PLC0415  # heavy: after the run has been opened
+        from impact_rig.runs import figures as run_figures  # noqa: PLC0415  # heavy: after the run has been opened
+        from impact_rig.runs import live_comparison, reanalysis  # noqa: PLC0415  # as above
 
         if arguments.figures is not None:
             run_figures.prepare(arguments.figures, arguments.format)
@@ -115,7 +117,7 @@ def _print_measurements(console: Console, rows: NDArray[np.void]) -> None:
 
 def _verify(arguments: argparse.Namespace) -> int:
     with open_run(arguments.path) as run:
-        from impact_rig.campaign.verification import verify  # noqa: PLC0415  # as above
+        from impact_rig.runs.verification import verify  # noqa: PLC0415  # as above
 
         verdict = verify(run)
     Console().print(f"{arguments.path}: {verdict}", style="green" if verdict.identical else "red")

@@ -14,7 +14,7 @@ from rich import console as rich_console
 from rich.progress import Task, TextColumn
 from rich.text import Text
 
-from impact_rig.escapes import visible
+from impact_rig.system.escapes import visible
 
 
 class Console(rich_console.Console):

@@ -14,10 +14,10 @@ from pathlib import Path
 import attrs
 import yaml
 
-from impact_rig import files, plain_yaml
 from impact_rig.config.fields import METADATA_KEY, FieldInfo, info
 from impact_rig.config.rig import RigConfig
 from impact_rig.errors import ConfigError
+from impact_rig.system import files, plain_yaml
 
 MAX_FILE_BYTES = 1_000_000
 MAX_KEYS = 2000

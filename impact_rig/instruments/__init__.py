@@ -1,6 +1,6 @@
 """The rig's instruments: sensors, conditioning, the multiplexed converter, calibration and faults; no ROS."""
 
-import impact_rig.compiled  # noqa: F401  # first: finds what was compiled from these sources
+import impact_rig.system.compiled  # noqa: F401  # first: finds what was compiled from these sources
 from impact_rig.instruments.chain import Chain
 from impact_rig.instruments.checks import ChannelCheck, check_known_input, check_polarity
 from impact_rig.instruments.faults import Fault

@@ -11,7 +11,7 @@ import signal
 import sys
 import time
 
-from impact_rig.endings import PARENT_VARIABLE, PATIENCE_S, Ending, end_with
+from impact_rig.system.endings import PARENT_VARIABLE, PATIENCE_S, Ending, end_with
 
 
 def rig() -> None:

@@ -15,7 +15,6 @@ from impact_rig.analysis.tables import settings_table
 from impact_rig.analysis.tracker import LONGEST_S, Findings, Tracker
 from impact_rig.analysis.warm_up import compile_tracker
 from impact_rig.blocks import Table
-from impact_rig.endings import Ending
 from impact_rig.errors import CodecError, ConfigError
 from impact_rig.nodes import process, topics
 from impact_rig.nodes.diagnostics import Level, Status
@@ -24,6 +23,7 @@ from impact_rig.nodes.parameters import SectionSchema
 from impact_rig.nodes.settings import UNKNOWN_GAP, AnalysisSettings
 from impact_rig.nodes.stamps import time_message
 from impact_rig.simtime import NS_PER_S
+from impact_rig.system.endings import Ending
 
 PUBLISHED = [topic for topic in topics.TOPICS if topic.publisher == "analysis"]
 

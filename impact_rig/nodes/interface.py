@@ -19,9 +19,9 @@ from impact_rig.nodes import figures, services, topics
 from impact_rig.nodes.parameters import RigSchema, Schema, SectionSchema, Value
 from impact_rig.nodes.services import Situation
 from impact_rig.nodes.settings import AnalysisSettings, RecorderSettings, SteppedSineSettings
-from impact_rig.resources import share_dir
 from impact_rig.rig import takes_effect
 from impact_rig.rig.journal import Kind
+from impact_rig.system.resources import share_dir
 
 COMMAND = "python -m impact_rig.nodes.interface"
 _SECTION = re.compile(r"(<!-- generated: (?P<name>[\w ]+) -->\n).*?(<!-- end -->)", re.DOTALL)

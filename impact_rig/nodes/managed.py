@@ -21,11 +21,11 @@ from rclpy.publisher import Publisher
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
 from impact_rig.errors import ImpactRigError
-from impact_rig.escapes import visible
 from impact_rig.nodes import diagnostics, topics
 from impact_rig.nodes.diagnostics import CpuMeter, Level, Status
 from impact_rig.nodes.guard import Refusals, describe, guarded, guarded_answer, guarded_service
 from impact_rig.nodes.parameters import Parameters, Schema
+from impact_rig.system.escapes import visible
 
 S = TypeVar("S")
 

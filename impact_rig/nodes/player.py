@@ -21,18 +21,18 @@ from std_msgs.msg import Header
 from std_srvs.srv import SetBool
 
 from impact_rig import codec
-from impact_rig.endings import unhurried
 from impact_rig.errors import ImpactRigError, RecordingError
 from impact_rig.nodes import topics
 from impact_rig.nodes.convert import clock_message
 from impact_rig.nodes.guard import guarded_service
+from impact_rig.nodes.pacing import AckWindow, Pacer
 from impact_rig.nodes.process import make_executor
 from impact_rig.nodes.readers import Readers
 from impact_rig.nodes.stamps import nanoseconds
-from impact_rig.pacing import AckWindow, Pacer
 from impact_rig.recording import Message, RecordedTopic, Run
 from impact_rig.recording.topics import matches
 from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S
+from impact_rig.system.endings import unhurried
 
 MADE_HERE = (topics.CLOCK.name, topics.ACK.name)
 """Never replayed: the player makes the clock, and today's peers acknowledge."""

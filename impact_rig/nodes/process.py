@@ -21,9 +21,9 @@ import rclpy
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 
-from impact_rig.endings import SIGNALS, Ending, held
 from impact_rig.nodes.guard import describe
 from impact_rig.nodes.managed import ManagedNode
+from impact_rig.system.endings import SIGNALS, Ending, held
 
 SPIN_S = 0.2
 EXIT_USAGE = 2

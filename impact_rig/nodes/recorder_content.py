@@ -13,8 +13,8 @@ import yaml
 import impact_rig
 from impact_rig.blocks import Table
 from impact_rig.errors import RecordingError
-from impact_rig.machine import identity
 from impact_rig.recording import Qos
+from impact_rig.system.machine import identity
 
 
 def run_directory(text: str) -> Path:

@@ -12,7 +12,6 @@ from std_srvs.srv import Trigger
 
 import impact_rig
 from impact_rig import codec
-from impact_rig.endings import Ending
 from impact_rig.errors import CodecError, RecordingError
 from impact_rig.nodes import process, topics
 from impact_rig.nodes.deferred import Answer, DeferredService
@@ -23,6 +22,7 @@ from impact_rig.nodes.recorder_content import calibration_yaml, environment, par
 from impact_rig.nodes.settings import RecorderSettings
 from impact_rig.nodes.stamps import time_message
 from impact_rig.recording import CONFIGURATION, Account, Attachment, Provenance, RunWriter, Topic, schema_text
+from impact_rig.system.endings import Ending
 
 FLUSH_S = 0.2
 AWAITED = (topics.INFO, topics.APPLIED, topics.JOURNAL, topics.CONFIGURATION, topics.ANALYSIS_SETTINGS)

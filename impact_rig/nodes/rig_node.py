@@ -11,7 +11,6 @@ from std_msgs.msg import Float64, Header
 from std_srvs.srv import SetBool, Trigger
 
 from impact_rig.config import RigConfig
-from impact_rig.endings import Ending
 from impact_rig.errors import CommandError
 from impact_rig.nodes import process, topics
 from impact_rig.nodes.beginning import Beginning, Rivals
@@ -20,15 +19,16 @@ from impact_rig.nodes.diagnostics import Status
 from impact_rig.nodes.guard import describe, guarded
 from impact_rig.nodes.managed import ManagedNode
 from impact_rig.nodes.outlets import Outlets
+from impact_rig.nodes.pacing import AckWindow, Pacer
 from impact_rig.nodes.parameters import RigSchema
 from impact_rig.nodes.readers import Readers
 from impact_rig.nodes.rig_status import RigStatus
 from impact_rig.nodes.stamps import nanoseconds
 from impact_rig.nodes.steps import Steps
 from impact_rig.nodes.work_timer import WorkTimer
-from impact_rig.pacing import AckWindow, Pacer
 from impact_rig.rig import Block, Rig
 from impact_rig.simtime import NS_PER_S
+from impact_rig.system.endings import Ending
 
 WORK_S = 0.02
 """Wall time one call of the work timer may fill before commands and services get their turn."""

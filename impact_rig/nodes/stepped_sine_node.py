@@ -11,7 +11,6 @@ from std_srvs.srv import Trigger
 from impact_rig import codec
 from impact_rig.analysis.stepped import Command, State, SteppedSine
 from impact_rig.blocks import Table
-from impact_rig.endings import Ending
 from impact_rig.errors import CodecError, ConfigError
 from impact_rig.nodes import process, topics
 from impact_rig.nodes.diagnostics import Level, Status
@@ -19,6 +18,7 @@ from impact_rig.nodes.managed import ManagedNode
 from impact_rig.nodes.parameters import SectionSchema
 from impact_rig.nodes.settings import SteppedSineSettings
 from impact_rig.simtime import NS_PER_S
+from impact_rig.system.endings import Ending
 
 WATCH_S = 0.1
 """How often the node looks for the rig, while a sweep waits to begin."""

@@ -10,8 +10,8 @@ from std_srvs.srv import Trigger
 
 from impact_rig.nodes.deferred import Answer, DeferredService
 from impact_rig.nodes.managed import ManagedNode
+from impact_rig.nodes.pacing import AckWindow
 from impact_rig.nodes.readers import Readers
-from impact_rig.pacing import AckWindow
 
 
 class Steps:

@@ -4,7 +4,7 @@ Never imports rclpy. `Simulation` advances by drive segments made by `FunctionGe
 which instruments sample.
 """
 
-import impact_rig.compiled  # noqa: F401  # first: finds what was compiled from these sources
+import impact_rig.system.compiled  # noqa: F401  # first: finds what was compiled from these sources
 from impact_rig.physics.forcing import SEGMENT
 from impact_rig.physics.function_generator import FunctionGenerator
 from impact_rig.physics.motion import IMPACT, SAMPLE, Motion

@@ -12,9 +12,9 @@ from pathlib import Path
 
 import attrs
 
-from impact_rig import files
 from impact_rig.errors import RecordingError
 from impact_rig.recording.topics import INFINITE_NS, SERIALIZATION, Topic, dump_yaml
+from impact_rig.system import files
 
 VERSION = 9
 FILE_NAME = "metadata.yaml"

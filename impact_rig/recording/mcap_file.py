@@ -16,10 +16,10 @@ from pathlib import Path
 from mcap.writer import CompressionType, Writer
 
 from impact_rig.errors import RecordingError
-from impact_rig.files import NEW_FILE
 from impact_rig.recording import schema
 from impact_rig.recording.provenance import Attachment
 from impact_rig.recording.topics import SERIALIZATION, Topic
+from impact_rig.system.files import NEW_FILE
 
 PROFILE = "ros2"
 LIBRARY = "impact_rig"

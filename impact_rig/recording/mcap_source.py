@@ -9,14 +9,14 @@ from pathlib import Path
 
 import attrs
 
-from impact_rig import budget
-from impact_rig.budget import BudgetError
 from impact_rig.errors import RecordingError
-from impact_rig.files import open_regular
 from impact_rig.recording import records
 from impact_rig.recording.provenance import Attachment
 from impact_rig.recording.records import DamageError
 from impact_rig.recording.topics import Topic
+from impact_rig.system import budget
+from impact_rig.system.budget import BudgetError
+from impact_rig.system.files import open_regular
 
 _REMEDY = "impact-rig recover gives back what is whole"
 

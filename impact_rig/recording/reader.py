@@ -16,15 +16,16 @@ from typing import Any, NamedTuple  # Any: what YAML may hold
 
 import attrs
 
-from impact_rig import budget, codec, files, plain_yaml
+from impact_rig import codec
 from impact_rig.blocks import Table
-from impact_rig.budget import Account, BudgetError
 from impact_rig.errors import CodecError, RecordingError
 from impact_rig.recording import bag_metadata, records
 from impact_rig.recording.mcap_source import McapSource
 from impact_rig.recording.provenance import RECORD_NAME, verify
 from impact_rig.recording.records import DamageError
 from impact_rig.recording.topics import POINT_CLOUD, Topic, resolve
+from impact_rig.system import budget, files, plain_yaml
+from impact_rig.system.budget import Account, BudgetError
 
 _TRAILING_NUMBER = re.compile(r"_(\d+)$")
 

@@ -8,9 +8,9 @@ from collections.abc import Mapping
 import attrs
 import yaml
 
-from impact_rig import plain_yaml
 from impact_rig.errors import RecordingError
 from impact_rig.simtime import NS_PER_S
+from impact_rig.system import plain_yaml
 
 INFINITE_NS = 2**63 - 1
 """A duration without end, as ROS writes it (RMW_DURATION_INFINITE: 9223372036 s 854775807 ns)."""

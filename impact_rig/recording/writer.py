@@ -14,7 +14,6 @@ from types import TracebackType
 
 import attrs
 
-from impact_rig import files
 from impact_rig.errors import RecordingError
 from impact_rig.recording import bag_metadata
 from impact_rig.recording.bag_metadata import FileSpan
@@ -26,6 +25,7 @@ from impact_rig.recording.provenance import RECORD_NAME, TOPIC_RECORD_NAME, Atta
 from impact_rig.recording.schema import starts_with_header
 from impact_rig.recording.tail import Tail
 from impact_rig.recording.topics import INFINITE_NS, SCAN_TOPIC, Topic, matches
+from impact_rig.system import files
 
 CHUNK_BYTES = 512 * 1024
 """Uncompressed size at which a chunk is closed: 4 MiB stall the writer for 25 ms, a few hundred KiB for 1-3 ms."""

@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 import pytest
-from campaign_kit import TINY
+from kits.campaign import TINY
 
 from impact_rig.campaign.in_process import execute
 from impact_rig.campaign.job import Job, Outcome

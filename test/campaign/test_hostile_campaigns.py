@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from impact_rig import budget
-from impact_rig.budget import BudgetError
 from impact_rig.campaign import run
 from impact_rig.campaign.plan import load_campaign
 from impact_rig.campaign.store import FOLDER, MAX_TRACE_BYTES, Store
 from impact_rig.config import load
 from impact_rig.errors import ConfigError
+from impact_rig.system import budget
+from impact_rig.system.budget import BudgetError
 
 TOOL: dict[str, Any] = runpy.run_path(str(Path(__file__).parents[2] / "tools" / "hostile.py"))
 TINY = "studies:\n  s:\n    frequencies_hz: 9.1\n    gaps_m: 0.002\n    traces: true\n"

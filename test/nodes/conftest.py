@@ -8,7 +8,7 @@ import pytest
 
 pytest.importorskip("rclpy", reason="no ROS 2 here")
 
-from impact_rig.testing import Client, isolated_domain
+from impact_rig.client import Client, isolated_domain
 
 
 @pytest.fixture

@@ -12,18 +12,18 @@ import pytest
 
 pytest.importorskip("rclpy", reason="no ROS 2 here")
 
-from nodes_support import host_rig
+from kits.nodes import host_rig
 from rclpy.serialization import deserialize_message
 
 from impact_rig import codec
 from impact_rig.analysis.labels import GapLabel, parse_label
 from impact_rig.analysis.tracker import Tracker
 from impact_rig.blocks import SCAN, Table
+from impact_rig.client import Client
+from impact_rig.client.parameters import ros_parameters
 from impact_rig.errors import ConfigError
 from impact_rig.nodes import topics
 from impact_rig.nodes.analysis_node import AnalysisNode
-from impact_rig.testing import Client
-from impact_rig.testing.parameters import ros_parameters
 
 pytestmark = pytest.mark.ros
 
@@ -60,10 +60,10 @@ WHAT_IS_COMPILED = """
 import sys
 sys.path.insert(0, sys.argv[1])
 from rclpy.context import Context
-from tracker_kit import run_scenario
+from kits.tracker import run_scenario
 from impact_rig.analysis import cycles, impacts
 from impact_rig.nodes.analysis_node import AnalysisNode
-from impact_rig.testing import isolated_domain
+from impact_rig.client import isolated_domain
 
 def compiled():
     return [len(function.signatures) for function in (cycles._accumulate, impacts._detect)]
@@ -84,8 +84,9 @@ with isolated_domain() as domain_id:
 
 def test_nothing_is_left_to_compile_once_it_is_configured() -> None:
     """A bug once: on a new machine the first block was acknowledged too late, and a rig in lockstep gave up."""
-    kit = Path(__file__).parents[1] / "analysis"
-    done = subprocess.run([sys.executable, "-c", WHAT_IS_COMPILED, kit], capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [sys.executable, "-c", WHAT_IS_COMPILED, Path(__file__).parents[1]], capture_output=True, text=True, check=False
+    )
     assert done.stdout.split("\n")[-2:] == ["[1, 1] [1, 1]", ""], done.stderr
 
 

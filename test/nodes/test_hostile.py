@@ -13,9 +13,9 @@ import pytest
 
 pytest.importorskip("rclpy", reason="no ROS 2 here")
 
-from hostile_kit import CASES, FIELDS, Attacked, cases, texts
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from kits.hostile import CASES, FIELDS, Attacked, cases, texts
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from rcl_interfaces.msg import Parameter, ParameterValue
@@ -23,11 +23,11 @@ from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from std_msgs.msg import Float64, Header
 from std_srvs.srv import SetBool, Trigger
 
+from impact_rig.client import isolated_domain
 from impact_rig.config import RigConfig, from_flat
 from impact_rig.errors import ConfigError
 from impact_rig.nodes import services, topics
 from impact_rig.recording import open_run
-from impact_rig.testing import isolated_domain
 
 pytestmark = [pytest.mark.ros, pytest.mark.pipeline, pytest.mark.timeout(120 + CASES)]
 QUEUE = topics.Qos.EVENT.depth

@@ -8,16 +8,16 @@ import pytest
 
 pytest.importorskip("rclpy", reason="no ROS 2 here")
 
-from hostile_kit import CASES, FIELDS, cases, texts
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from kits.hostile import CASES, FIELDS, cases, texts
 from rclpy.lifecycle import TransitionCallbackReturn
 
+from impact_rig.client import Client, isolated_domain
+from impact_rig.client.parameters import ros_parameters
 from impact_rig.config import RigConfig, from_flat
 from impact_rig.errors import ConfigError
 from impact_rig.nodes.rig_node import RigNode
-from impact_rig.testing import Client, isolated_domain
-from impact_rig.testing.parameters import ros_parameters
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(120 + CASES)]
 

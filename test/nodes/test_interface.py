@@ -9,19 +9,19 @@ import pytest
 
 pytest.importorskip("rclpy", reason="no ROS 2 here")
 
-from nodes_support import host_rig
+from kits.nodes import host_rig
 from rcl_interfaces.srv import DescribeParameters, ListParameters
 from std_msgs.msg import Float64, Header
 from std_srvs.srv import SetBool, Trigger
 
+from impact_rig.client import Client, isolated_domain
+from impact_rig.client.parameters import ros_parameters
 from impact_rig.nodes import figures, interface, services, topics
 from impact_rig.nodes.analysis_node import AnalysisNode
 from impact_rig.nodes.recorder_node import RecorderNode
 from impact_rig.nodes.rig_node import RigNode
 from impact_rig.nodes.services import Situation
 from impact_rig.nodes.stepped_sine_node import SteppedSineNode
-from impact_rig.testing import Client, isolated_domain
-from impact_rig.testing.parameters import ros_parameters
 
 pytestmark = pytest.mark.ros
 

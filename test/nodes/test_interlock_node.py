@@ -8,13 +8,13 @@ import pytest
 
 pytest.importorskip("rclpy", reason="no ROS 2 here")
 
-from nodes_support import host_rig
+from kits.nodes import host_rig
 
-from impact_rig.campaign.verification import verify
+from impact_rig.client import Client, ServiceFailedError, WaitTimeoutError
+from impact_rig.client.parameters import ros_parameters
 from impact_rig.nodes.recorder_node import RecorderNode
 from impact_rig.recording import open_run
-from impact_rig.testing import Client, ServiceFailedError, WaitTimeoutError
-from impact_rig.testing.parameters import ros_parameters
+from impact_rig.runs.verification import verify
 
 pytestmark = pytest.mark.ros
 

@@ -17,6 +17,8 @@ from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
+from impact_rig.client import Client, ServiceFailedError, isolated_domain
+from impact_rig.client.parameters import ros_parameters
 from impact_rig.config.fields import integer, names, quantity, switch
 from impact_rig.errors import CommandError, ConfigError
 from impact_rig.nodes import topics
@@ -25,8 +27,6 @@ from impact_rig.nodes.diagnostics import Level, Status
 from impact_rig.nodes.managed import ManagedNode
 from impact_rig.nodes.parameters import SectionSchema
 from impact_rig.nodes.process import EXECUTOR_VARIABLE
-from impact_rig.testing import Client, ServiceFailedError, isolated_domain
-from impact_rig.testing.parameters import ros_parameters
 
 pytestmark = pytest.mark.ros
 

@@ -10,19 +10,19 @@ import pytest
 
 pytest.importorskip("rclpy", reason="no ROS 2 here")
 
+from kits.nodes import host_rig
 from lifecycle_msgs.msg import TransitionEvent
 from lifecycle_msgs.srv import GetAvailableStates, GetAvailableTransitions
-from nodes_support import host_rig
 from rcl_interfaces.msg import ParameterEvent, ParameterType
 from rcl_interfaces.srv import GetParameterTypes, ListParameters
 from rclpy.qos import qos_profile_parameter_events
 
 from impact_rig import config
+from impact_rig.client import Client, Collector, isolated_domain
 from impact_rig.config import RigConfig
 from impact_rig.nodes import topics
 from impact_rig.nodes.stamps import nanoseconds
 from impact_rig.simtime import NS_PER_S
-from impact_rig.testing import Client, Collector, isolated_domain
 
 pytestmark = pytest.mark.ros
 MONITORS = ("accelerometer", "laser", "base_displacement", "truth/joint_states")

@@ -11,18 +11,19 @@ import yaml
 
 pytest.importorskip("rclpy", reason="no ROS 2 here")
 
-from nodes_support import host_rig
+from kits.nodes import host_rig
 from rclpy.node import Node
 from std_msgs.msg import Float64, Header
 
 from impact_rig import codec
 from impact_rig.blocks import TRANSMISSIBILITY, Table
+from impact_rig.client import Client, ServiceFailedError
+from impact_rig.client.parameters import ros_parameters
 from impact_rig.nodes import topics
 from impact_rig.nodes.recorder_node import RecorderNode
-from impact_rig.recording import info, open_run
+from impact_rig.recording import open_run
 from impact_rig.recording.losses import RECORD_NAME, read_record
-from impact_rig.testing import Client, ServiceFailedError
-from impact_rig.testing.parameters import ros_parameters
+from impact_rig.runs import info
 
 pytestmark = pytest.mark.ros
 

@@ -6,16 +6,17 @@ import pytest
 
 pytest.importorskip("rclpy", reason="no ROS 2 here")
 
-from nodes_support import host_rig
+from kits.nodes import host_rig
 from rclpy.node import Node
 
+from impact_rig.client import Client, Collector, ServiceFailedError, WaitTimeoutError
+from impact_rig.client.parameters import ros_parameters
 from impact_rig.nodes import topics
 from impact_rig.nodes.analysis_node import AnalysisNode
 from impact_rig.nodes.recorder_node import RecorderNode
 from impact_rig.nodes.rig_node import RigNode
-from impact_rig.recording import info, open_run
-from impact_rig.testing import Client, Collector, ServiceFailedError, WaitTimeoutError
-from impact_rig.testing.parameters import ros_parameters
+from impact_rig.recording import open_run
+from impact_rig.runs import info
 
 pytestmark = pytest.mark.ros
 LEVELS = {"ok": b"\0", "warn": b"\1", "error": b"\2"}

@@ -9,12 +9,12 @@ import pytest
 
 pytest.importorskip("rclpy", reason="no ROS 2 here")
 
-from nodes_support import host_rig, same_as_resimulated
+from kits.nodes import host_rig, same_as_resimulated
 from std_msgs.msg import Float64
 
+from impact_rig.client import Client, ServiceFailedError
 from impact_rig.errors import ConfigError
 from impact_rig.nodes import topics
-from impact_rig.testing import Client, ServiceFailedError
 
 pytestmark = pytest.mark.ros
 

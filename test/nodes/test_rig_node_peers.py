@@ -6,13 +6,13 @@ import pytest
 
 pytest.importorskip("rclpy", reason="no ROS 2 here")
 
-from nodes_support import TICK, host_rig
+from kits.nodes import TICK, host_rig
 from rclpy.qos import DurabilityPolicy
 from std_msgs.msg import Header
 
+from impact_rig.client import Client, ServiceFailedError, WaitTimeoutError
 from impact_rig.errors import ConfigError
 from impact_rig.nodes import topics
-from impact_rig.testing import Client, ServiceFailedError, WaitTimeoutError
 
 pytestmark = pytest.mark.ros
 

@@ -7,16 +7,16 @@ import pytest
 
 pytest.importorskip("rclpy", reason="no ROS 2 here")
 
-from nodes_support import host_rig
+from kits.nodes import host_rig
 from std_srvs.srv import Trigger
 
+from impact_rig.client import Client, ServiceFailedError
+from impact_rig.client.parameters import ros_parameters
 from impact_rig.config import RigConfig
 from impact_rig.errors import ConfigError
 from impact_rig.nodes.analysis_node import AnalysisNode
 from impact_rig.nodes.stepped_sine_node import SteppedSineNode
 from impact_rig.physics.closed_form import transmissibility
-from impact_rig.testing import Client, ServiceFailedError
-from impact_rig.testing.parameters import ros_parameters
 
 pytestmark = pytest.mark.ros
 

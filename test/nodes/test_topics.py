@@ -10,13 +10,13 @@ import pytest
 
 pytest.importorskip("rclpy", reason="no ROS 2 here")
 
-from nodes_support import host_rig
+from kits.nodes import host_rig
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 
+from impact_rig.client import Client
 from impact_rig.codec import MAX_MESSAGE_BYTES
 from impact_rig.nodes import topics
 from impact_rig.nodes.analysis_node import AnalysisNode
-from impact_rig.testing import Client
 
 pytestmark = pytest.mark.ros
 

@@ -7,7 +7,7 @@ import math
 import attrs
 import numpy as np
 import pytest
-from mechanics_kit import benchmark_rig, hit, lock_in, rig, sine, sphere_kg, stiffness
+from kits.mechanics import benchmark_rig, hit, lock_in, rig, sine, sphere_kg, stiffness
 
 from impact_rig.config import RigConfig
 from impact_rig.physics import Simulation, restitution

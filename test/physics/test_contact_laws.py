@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from mechanics_kit import OF_HYSTERETIC_FORM, gauss, hit, of, sphere_kg, stiffness
+from kits.mechanics import OF_HYSTERETIC_FORM, gauss, hit, of, sphere_kg, stiffness
 from scipy.integrate import quad
 from scipy.optimize import brentq, minimize_scalar
 from scipy.special import gamma

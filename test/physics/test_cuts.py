@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from mechanics_kit import TWO_PI, rig, sine
+from kits.mechanics import TWO_PI, rig, sine
 
 from impact_rig.config import RigConfig
 from impact_rig.physics import SEGMENT, Simulation

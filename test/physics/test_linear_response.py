@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from mechanics_kit import TWO_PI, at_rest, lock_in, of, prescribed, rig, sine, transmissibility
+from kits.mechanics import TWO_PI, at_rest, lock_in, of, prescribed, rig, sine, transmissibility
 from scipy.integrate import solve_ivp
 
 from impact_rig.config import RigConfig

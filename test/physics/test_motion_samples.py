@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from mechanics_kit import TWO_PI, gauss, rig, sine, sphere_kg, stiffness
+from kits.mechanics import TWO_PI, gauss, rig, sine, sphere_kg, stiffness
 
 from impact_rig.config import RigConfig
 from impact_rig.physics import Motion, Simulation

@@ -11,7 +11,7 @@ import math
 import attrs
 import numpy as np
 import pytest
-from mechanics_kit import TWO_PI, hit, prescribed, sine, sphere_kg
+from kits.mechanics import TWO_PI, hit, prescribed, sine, sphere_kg
 
 from impact_rig.config import RigConfig
 from impact_rig.physics import Motion, Simulation

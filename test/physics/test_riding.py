@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from mechanics_kit import rig, sine
+from kits.mechanics import rig, sine
 
 from impact_rig.config import RigConfig
 from impact_rig.physics import Motion, Simulation

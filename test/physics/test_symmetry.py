@@ -7,7 +7,7 @@ import math
 import attrs
 import numpy as np
 import pytest
-from mechanics_kit import hit, rig, sine, sphere_kg
+from kits.mechanics import hit, rig, sine, sphere_kg
 
 from impact_rig.physics import Simulation
 

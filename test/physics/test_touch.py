@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from mechanics_kit import TWO_PI, at_rest, prescribed, rig, sine
+from kits.mechanics import TWO_PI, at_rest, prescribed, rig, sine
 
 from impact_rig.physics import Simulation
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import event, given, settings
 from hypothesis import strategies as st
-from mechanics_kit import limit_case, rig, sine
+from kits.mechanics import limit_case, rig, sine
 
 from impact_rig.config import RigConfig
 from impact_rig.config.mechanics import CONTACT_LAWS, FASTEST_HZ

@@ -15,10 +15,10 @@ import pytest
 
 from impact_rig.analysis.calibration import Calibration
 from impact_rig.analysis.reduction import Reduction, reduction
-from impact_rig.campaign import live_comparison, reanalysis
 from impact_rig.campaign.paper import REDUCTION_PERCENT
 from impact_rig.cli.demo import CASES, MEASUREMENTS
-from impact_rig.recording import check_contiguity, open_run
+from impact_rig.recording import open_run
+from impact_rig.runs import check_contiguity, live_comparison, reanalysis
 
 pytestmark = [pytest.mark.ros, pytest.mark.pipeline, pytest.mark.timeout(300)]
 

@@ -16,8 +16,9 @@ import pytest
 
 pytest.importorskip("rclpy", reason="no ROS 2 here")
 
-from impact_rig.recording import check_contiguity, open_run, recover
-from impact_rig.testing import Client, Processes, isolated_domain
+from impact_rig.client import Client, Processes, isolated_domain
+from impact_rig.recording import open_run
+from impact_rig.runs import check_contiguity, recover
 
 pytestmark = [pytest.mark.ros, pytest.mark.pipeline]
 ALL = ("rig", "analysis", "recorder")

@@ -11,9 +11,10 @@ import pytest
 
 pytest.importorskip("rclpy", reason="no ROS 2 here")
 
+from impact_rig.client import Client, Collector, Processes, isolated_domain
 from impact_rig.nodes.stamps import nanoseconds
-from impact_rig.recording import open_run, recover
-from impact_rig.testing import Client, Collector, Processes, isolated_domain
+from impact_rig.recording import open_run
+from impact_rig.runs import recover
 
 pytestmark = [pytest.mark.ros, pytest.mark.pipeline, pytest.mark.timeout(300)]
 RATE_HZ = 50_000

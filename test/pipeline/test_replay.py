@@ -19,13 +19,13 @@ from rclpy.parameter import Parameter
 from std_srvs.srv import SetBool
 
 from impact_rig.blocks import Table
-from impact_rig.campaign import live_comparison, reanalysis
+from impact_rig.client import Client, isolated_domain
 from impact_rig.nodes.analysis_node import AnalysisNode
 from impact_rig.nodes.recorder_node import RecorderNode
 from impact_rig.nodes.rig_node import RigNode
 from impact_rig.nodes.stamps import nanoseconds
 from impact_rig.recording import open_run
-from impact_rig.testing import Client, isolated_domain
+from impact_rig.runs import live_comparison, reanalysis
 
 pytestmark = [pytest.mark.ros, pytest.mark.pipeline]
 BLOCKS = 1600

@@ -12,13 +12,13 @@ import pytest
 pytest.importorskip("rclpy", reason="no ROS 2 here")
 
 from impact_rig.analysis.tracker import Tracker
-from impact_rig.campaign import reanalysis
-from impact_rig.campaign.live_comparison import compare
-from impact_rig.campaign.verification import verify
-from impact_rig.recording import info, open_run, recover
+from impact_rig.client import Client, ProcessDiedError, Processes, isolated_domain
+from impact_rig.recording import open_run
 from impact_rig.rig import resimulate
+from impact_rig.runs import info, reanalysis, recover
+from impact_rig.runs.live_comparison import compare
+from impact_rig.runs.verification import verify
 from impact_rig.simtime import NS_PER_S
-from impact_rig.testing import Client, ProcessDiedError, Processes, isolated_domain
 
 pytestmark = [pytest.mark.ros, pytest.mark.pipeline]
 TICK = 10_000_000

@@ -21,8 +21,8 @@ import pytest
 
 pytest.importorskip("rclpy", reason="no ROS 2 here")
 
-from impact_rig import endings
-from impact_rig.endings import PARENT_VARIABLE
+from impact_rig.system import endings
+from impact_rig.system.endings import PARENT_VARIABLE
 
 pytestmark = [pytest.mark.ros, pytest.mark.pipeline]
 TOOL: dict[str, Any] = runpy.run_path(str(Path(__file__).parents[2] / "tools" / "endings.py"))
@@ -61,7 +61,7 @@ def test_a_program_that_is_told_to_end_while_it_imports_says_so_in_one_line(
 
 PAUSING = """
 import os, sys, threading, time
-from impact_rig.endings import Ending, unhurried
+from impact_rig.system.endings import Ending, unhurried
 ending = Ending("program")
 def ready():
     print("ready", flush=True)

@@ -13,14 +13,15 @@ from typing import Any
 
 import pytest
 
-from impact_rig import budget
-from impact_rig.budget import BudgetError
 from impact_rig.cli.recovery import INCOMPLETE
 from impact_rig.errors import ImpactRigError
-from impact_rig.recording import export, info, open_run, recover
+from impact_rig.recording import open_run
 from impact_rig.recording.records import DamageError
 from impact_rig.recording.schema import starts_with_header
 from impact_rig.recording.topics import Topic
+from impact_rig.runs import export, info, recover
+from impact_rig.system import budget
+from impact_rig.system.budget import BudgetError
 
 TOOL: dict[str, Any] = runpy.run_path(str(Path(__file__).parents[2] / "tools" / "hostile.py"))
 RECORDINGS: dict[str, Callable[[Path], Path]] = TOOL["RECORDINGS"]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from rig_kit import TICK, config
+from kits.rig import TICK, config
 
 from impact_rig.rig import Block, Rig
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from rig_kit import TICK, paper_rig
+from kits.rig import TICK, paper_rig
 
 from impact_rig.errors import CommandError, ConfigError
 from impact_rig.rig import Rig

@@ -16,11 +16,12 @@ from rclpy.parameter import Parameter
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Float64, Header
 
-from impact_rig.campaign.verification import verify
+from impact_rig.client import Client, ServiceFailedError, isolated_domain
 from impact_rig.errors import CommandError, ConfigError
 from impact_rig.nodes.rig_node import RigNode
 from impact_rig.recording import open_run
-from impact_rig.testing import Client, Fault, RosRig, ServiceFailedError, VirtualRig, isolated_domain
+from impact_rig.runs.verification import verify
+from impact_rig.testing import Fault, RosRig, VirtualRig
 
 pytestmark = pytest.mark.ros
 LINEAR = {"sphere.present": False}

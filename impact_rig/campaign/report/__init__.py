@@ -1,5 +1,0 @@
-"""The report of a campaign: one HTML page that needs nothing else, and its figures beside it."""
-
-from impact_rig.campaign.report.build import build_report
-
-__all__ = ["build_report"]

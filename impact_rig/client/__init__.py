@@ -1,0 +1,46 @@
+"""Programs that use a rig over ROS: processes of nodes, a client of their topics and services, a domain of its own.
+
+    with isolated_domain() as domain_id, Processes(domain_id, logs) as processes:
+        processes.start("rig", {"time.mode": "stepped", "barriers.gap_m": 0.006})
+        with Client(domain_id, processes=processes) as client:
+            client.wait_active("rig")
+            scans = client.collect("daq/scan")
+            client.command(frequency_hz=9.1, current_a=0.52)
+            client.step(blocks=100)
+
+Importing this does not import rclpy: it is loaded when something that needs it is asked for.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING
+
+from impact_rig.client.domain import isolated_domain
+from impact_rig.client.processes import NodeProcess, ProcessDiedError, Processes
+
+if TYPE_CHECKING:
+    from impact_rig.client.client import Client, ServiceFailedError
+    from impact_rig.client.collector import Collector
+    from impact_rig.client.waiting import WaitTimeoutError
+
+__all__ = [
+    "Client",
+    "Collector",
+    "NodeProcess",
+    "ProcessDiedError",
+    "Processes",
+    "ServiceFailedError",
+    "WaitTimeoutError",
+    "isolated_domain",
+]
+
+_LATER = {"Client": "client", "Collector": "collector", "ServiceFailedError": "client", "WaitTimeoutError": "waiting"}
+"""What is imported only when it is used -> its module."""
+
+
+def __getattr__(name: str) -> object:
+    """Import what was asked for."""
+    if name not in _LATER:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(importlib.import_module(f"impact_rig.client.{_LATER[name]}"), name)

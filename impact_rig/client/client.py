@@ -1,0 +1,398 @@
+"""A client of the rig's graph: waits on conditions, commands, steps, sets parameters and collects topics.
+
+It spins in the caller's thread, only while it waits; no thread is started and nothing sleeps for a fixed time. Every
+wait has a deadline and names what it waited for; with `processes` given, a node process that dies ends the wait at once
+with its last words.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+import time
+from collections.abc import Callable, Mapping, Sequence
+from types import TracebackType
+from typing import Any, TypeVar  # rclpy handles; message classes have no common base
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticStatus
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState, GetState
+from rcl_interfaces.srv import GetParameters, SetParametersAtomically
+from rclpy.context import Context
+from rclpy.node import Node
+from rclpy.parameter import parameter_value_to_python
+from rclpy.qos import QoSProfile
+from std_msgs.msg import Float64, Header, String
+from std_srvs.srv import SetBool, Trigger
+
+from impact_rig import codec
+from impact_rig.blocks import Table
+from impact_rig.client.collector import Collector, Received
+from impact_rig.client.graph import is_heard, published
+from impact_rig.client.hosting import HostedNodes, acknowledge_callbacks
+from impact_rig.client.parameters import ros_parameters
+from impact_rig.client.processes import ParameterValue, Processes
+from impact_rig.client.waiting import SPIN_S, Spinner, WaitTimeoutError
+from impact_rig.errors import ConfigError, ImpactRigError
+from impact_rig.nodes import topics
+from impact_rig.nodes.guard import with_info
+from impact_rig.nodes.process import make_executor
+from impact_rig.nodes.stamps import time_message
+from impact_rig.system.endings import unhurried
+
+T = TypeVar("T")
+
+DEFAULT_TIMEOUT_S = 10.0
+"""Discovery takes 0.2 to 2 s; compiled code may load in the first seconds of a node."""
+START_TIMEOUT_S = 240.0
+"""A node's first start on a machine compiles the physics."""
+AGAIN_S = 2.0
+"""When a question that may be asked twice is asked again."""
+_TRANSITIONS = {
+    "configure": Transition.TRANSITION_CONFIGURE,
+    "cleanup": Transition.TRANSITION_CLEANUP,
+    "activate": Transition.TRANSITION_ACTIVATE,
+    "deactivate": Transition.TRANSITION_DEACTIVATE,
+    "shutdown_unconfigured": Transition.TRANSITION_UNCONFIGURED_SHUTDOWN,
+    "shutdown_inactive": Transition.TRANSITION_INACTIVE_SHUTDOWN,
+    "shutdown_active": Transition.TRANSITION_ACTIVE_SHUTDOWN,
+}
+
+
+class ServiceFailedError(ImpactRigError, RuntimeError):
+    """A service answered that it could not do what was asked."""
+
+
+class Client:
+    """One ROS node that plays the user.
+
+    Args:
+        domain_id: ROS domain.
+        namespace: namespace of the rig's nodes; topics and node names below are relative to it.
+        processes: watched during every wait.
+        name: node name, and the name in its acknowledgements.
+    """
+
+    def __init__(
+        self, domain_id: int, namespace: str = "", processes: Processes | None = None, name: str = "client"
+    ) -> None:
+        self._processes = processes
+        self.name = name
+        self.context = Context()
+        self.context.init(args=[], domain_id=domain_id)
+        self.executor = make_executor(self.context)
+        self.node = Node(
+            name, namespace=namespace, context=self.context, use_global_arguments=False, enable_rosout=False
+        )
+        self.executor.add_node(self.node)
+        self.diagnostics: dict[str, DiagnosticStatus] = {}
+        """Latest status of each node, by name relative to the namespace."""
+        self._hosted = HostedNodes(self.node, self.executor)
+        self._spinner = Spinner(self.executor)
+        self._publishers: dict[str, Any] = {}
+        self._heard: set[Any] = set()
+        self._clients: dict[tuple[str, Any], Any] = {}
+        self._subscribe(topics.DIAGNOSTICS, self._on_diagnostics)
+        self._applied = Collector(topics.APPLIED)
+        self._subscribe(topics.APPLIED, self._applied.take, raw=True)
+
+    def __enter__(self) -> Client:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Destroy the node, the nodes it hosts and the context."""
+        with unhurried():
+            self._hosted.stop_working()
+            self.executor.shutdown()
+            self._hosted.destroy()
+            self.node.destroy_node()
+            self.context.try_shutdown()
+
+    # Waiting
+
+    def wait_until(self, condition: Callable[[], T | None], what: str, timeout_s: float = DEFAULT_TIMEOUT_S) -> T:
+        """Spin until `condition()` is true, and return what it gave.
+
+        Raises:
+            WaitTimeoutError: it did not become true in time; names `what`.
+            ProcessDiedError: a watched process ended.
+        """
+        deadline = self._spinner.waited_s() + timeout_s
+        while not (found := condition()):
+            if self._processes is not None:
+                self._processes.check()
+            if self._spinner.waited_s() > deadline:
+                raise WaitTimeoutError(f"waited {timeout_s:g} s in vain for {what}{self._troubles()}")
+            self._spinner.spin()
+        return found
+
+    def spin_for(self, duration_s: float) -> None:
+        """Let things happen for a while of wall time: for benchmarks and demonstrations, not for tests."""
+        deadline = time.monotonic() + duration_s
+        while (left := deadline - time.monotonic()) > 0:
+            if self._processes is not None:
+                self._processes.check()
+            self._spinner.spin(min(left, SPIN_S))
+
+    def wait_active(self, *nodes: str, timeout_s: float = START_TIMEOUT_S) -> None:
+        """Wait until these nodes are in the lifecycle state `active`.
+
+        Raises:
+            WaitTimeoutError: one is not in time.
+            ServiceFailedError: one says that it cannot be configured, and why.
+        """
+        for node in nodes:
+            is_active = functools.partial(self._is_in_state, node, "active", timeout_s)
+            self.wait_until(is_active, f"{node} to be active", timeout_s)
+
+    def host(self, make_node: Callable[..., Any], **kwargs: Any) -> Any:
+        """Run a node in this process, in this client's executor, with this client's context and namespace.
+
+        No thread: the node works while the client waits. A class that does not hand keyword arguments on to `Node` gets
+        the context as the default one, and no namespace.
+        """
+        return self._hosted.start(make_node, **kwargs)
+
+    def acknowledge_callbacks(self, node: Any) -> int:
+        """Acknowledge every block of daq/scan for a hosted node, once its callback has returned.
+
+        The node need not know of daq/ack. Returns how many subscriptions to daq/scan it has.
+        """
+        return acknowledge_callbacks(node, self.node.resolve_topic_name(topics.SCAN.name), self.acknowledge_for)
+
+    # Commands
+
+    def command(
+        self,
+        frequency_hz: float | None = None,
+        current_a: float | None = None,
+        timeout_s: float = DEFAULT_TIMEOUT_S,
+    ) -> np.void:
+        """Command frequency and current (peak) and wait for the rig's rows in shaker/applied; return the last one.
+
+        Its `sample` is the first scan the commands act on.
+
+        Raises:
+            WaitTimeoutError: the rig did not accept; the message ends with the rig's last refusal.
+        """
+        row: np.void | None = None
+        for topic, column, value in (
+            (topics.FREQUENCY, "frequency", frequency_hz),
+            (topics.CURRENT, "current", current_a),
+        ):
+            if value is None:
+                continue
+            before = len(self._applied)
+            self.publish(topic, Float64(data=value), timeout_s, listener="rig")
+            accepted = functools.partial(self._accepted, before, column, value)
+            row = self.wait_until(accepted, f"{column} = {value:g} in shaker/applied", timeout_s).rows[-1]
+        assert row is not None, "command() needs a frequency or a current"
+        return row
+
+    def publish(
+        self, topic: topics.Topic, message: Any, timeout_s: float = DEFAULT_TIMEOUT_S, listener: str | None = None
+    ) -> None:
+        """Publish a message once somebody listens: everybody the graph knows, and the node `listener` among them."""
+        publisher = self._publisher(topic)
+        if publisher not in self._heard:
+            heard = functools.partial(is_heard, self.node, publisher, listener)
+            self.wait_until(heard, f"{listener or 'somebody'} to subscribe {topic.name}", timeout_s)
+            self._heard.add(publisher)
+        publisher.publish(message)
+
+    def note(self, text: str) -> None:
+        """Publish an operator's remark; recorded with the run."""
+        self.publish(topics.NOTES, String(data=text))
+
+    def step(self, blocks: int | None = None, timeout_s: float = START_TIMEOUT_S) -> str:
+        """Advance a stepped rig and return when the last block is out and acknowledged."""
+        if blocks is not None:
+            self.set_parameters("rig", {"step.blocks": blocks})
+        return self.trigger("rig/step", timeout_s)
+
+    def pause(self, paused: bool = True) -> None:
+        """Pause the rig, or let it go on."""
+        response = self.call(SetBool, "rig/pause", SetBool.Request(data=paused))
+        if not response.success:
+            raise ServiceFailedError(f"rig/pause: {response.message}")
+
+    def trigger(self, name: str, timeout_s: float = DEFAULT_TIMEOUT_S) -> str:
+        """Call a Trigger service, e.g. `rig/reset`, `recorder/start`; return its message.
+
+        Raises:
+            ServiceFailedError: it answered `success = False`.
+        """
+        response = self.call(Trigger, name, Trigger.Request(), timeout_s)
+        if not response.success:
+            raise ServiceFailedError(f"{name}: {response.message}")
+        return str(response.message)
+
+    def call(
+        self,
+        service_type: Any,
+        name: str,
+        request: Any,
+        timeout_s: float = DEFAULT_TIMEOUT_S,
+        again_s: float = math.inf,
+    ) -> Any:
+        """Call any service and return its response.
+
+        Args:
+            service_type: class of the service.
+            name: service name.
+            request: the request.
+            timeout_s: how long to wait for the service, and then for its answer.
+            again_s: ask again after this long, where it does no harm: on a busy machine DDS loses the answer to a
+                client that the server has not discovered within 100 ms.
+        """
+        client = self.prepare(service_type, name)
+        self.wait_until(client.service_is_ready, f"service {name}", timeout_s)
+        left = timeout_s
+        while True:
+            future = client.call_async(request)
+            try:
+                self.wait_until(future.done, f"an answer of {name}", min(again_s, left))
+            except WaitTimeoutError:
+                client.remove_pending_request(future)
+                left -= again_s
+                if left <= 0.0:
+                    raise
+            else:
+                return future.result()
+
+    def prepare(self, service_type: Any, name: str) -> Any:
+        """Return the client of a service, made if there is none: one made early has been discovered when it is used."""
+        client = self._clients.get((name, service_type))
+        if client is None:
+            client = self._clients[name, service_type] = self.node.create_client(service_type, name)
+        return client
+
+    # Parameters and lifecycle
+
+    def set_parameters(self, node: str, values: Mapping[str, ParameterValue]) -> None:
+        """Set parameters, all or none.
+
+        Raises:
+            ConfigError: the node refused; its reason.
+        """
+        request = SetParametersAtomically.Request(
+            parameters=[parameter.to_parameter_msg() for parameter in ros_parameters(values)]
+        )
+        name = f"{node}/set_parameters_atomically"
+        result = self.call(SetParametersAtomically, name, request, again_s=AGAIN_S).result
+        if not result.successful:
+            raise ConfigError(result.reason)
+
+    def get_parameters(self, node: str, names: Sequence[str]) -> dict[str, Any]:
+        """Return parameter values by name."""
+        request = GetParameters.Request(names=list(names))
+        response = self.call(GetParameters, f"{node}/get_parameters", request, again_s=AGAIN_S)
+        return {name: parameter_value_to_python(value) for name, value in zip(names, response.values, strict=True)}
+
+    def state(self, node: str, timeout_s: float = DEFAULT_TIMEOUT_S) -> str:
+        """Return the label of a node's lifecycle state."""
+        response = self.call(GetState, f"{node}/get_state", GetState.Request(), timeout_s, AGAIN_S)
+        return str(response.current_state.label)
+
+    def change_state(self, node: str, transition: str, timeout_s: float = START_TIMEOUT_S) -> bool:
+        """Request a lifecycle transition (`configure`, `activate`, `deactivate`, `cleanup`); return its success."""
+        request = ChangeState.Request(transition=Transition(id=_TRANSITIONS[transition]))
+        return bool(self.call(ChangeState, f"{node}/change_state", request, timeout_s).success)
+
+    def status(self, node: str) -> DiagnosticStatus:
+        """Return a node's latest diagnostics; an empty status before the first was heard."""
+        return self.diagnostics.get(node, DiagnosticStatus(name=node))
+
+    def figures(self, node: str) -> dict[str, str]:
+        """Return the figures of a node's latest diagnostics."""
+        return {value.key: value.value for value in self.status(node).values}
+
+    # Topics
+
+    def collect(self, name: str, acknowledge: bool = False, timeout_s: float = DEFAULT_TIMEOUT_S) -> Collector:
+        """Subscribe to a topic of the table and keep everything that arrives; returns once a publisher is matched.
+
+        Args:
+            name: topic name as in the table, e.g. `daq/scan`.
+            acknowledge: answer every message with daq/ack, as a peer named like this client must.
+            timeout_s: how long to wait for a publisher.
+        """
+        topic = topics.by_name(name)
+        collector = Collector(topic, self._acknowledge if acknowledge else None)
+        subscription = self._subscribe(topic, collector.take, raw=topic.columns is not None)
+        self.wait_until(subscription.get_publisher_count, f"a publisher of {name}", timeout_s)
+        return collector
+
+    def listen(
+        self,
+        name: str,
+        on_message: Callable[[Received], None] | None = None,
+        timeout_s: float = DEFAULT_TIMEOUT_S,
+    ) -> Collector:
+        """Subscribe to any topic, e.g. an output of the pipeline under test, and keep everything that arrives.
+
+        Type and reliability are those of its publisher, which must be there; tables come as with `collect`.
+
+        Args:
+            name: topic name, relative to the namespace.
+            on_message: called after a message is kept.
+            timeout_s: how long to wait for a publisher.
+        """
+        full_name = self.node.resolve_topic_name(name)
+        topic, profile = self.wait_until(lambda: published(self.node, name), f"a publisher of {full_name}", timeout_s)
+        collector = Collector(topic, on_message)
+        is_table = topic.type_name == topics.SCAN.type_name
+        subscription = self._subscribe(topic, collector.take, is_table, profile)
+        self.wait_until(subscription.get_publisher_count, f"a publisher of {full_name} to match", timeout_s)
+        return collector
+
+    def acknowledge_for(self, peer: str, stamp_ns: int) -> None:
+        """Tell the rig that a peer, which does not do so itself, has processed everything up to a block."""
+        self._publisher(topics.ACK).publish(Header(stamp=time_message(stamp_ns), frame_id=peer))
+
+    def _publisher(self, topic: topics.Topic) -> Any:
+        """Return the publisher of a topic, made if there is none."""
+        publisher = self._publishers.get(topic.name)
+        if publisher is None:
+            publisher = self.node.create_publisher(topic.message_type(), topic.name, topic.qos.profile())
+            self._publishers[topic.name] = publisher
+        return publisher
+
+    def _subscribe(
+        self, topic: topics.Topic, callback: Callable[..., None], raw: bool = False, profile: QoSProfile | None = None
+    ) -> Any:
+        profile = profile or topic.qos.profile()
+        return self.node.create_subscription(topic.message_type(), topic.name, with_info(callback), profile, raw=raw)
+
+    def _acknowledge(self, message: Received) -> None:
+        self.acknowledge_for(self.name, codec.header_stamp_ns(message.data))
+
+    def _is_in_state(self, node: str, state: str, timeout_s: float) -> bool:
+        present = self.state(node, timeout_s)
+        status = self.status(node)
+        if present == "unconfigured" and state == "active" and status.message.startswith("cannot configure"):
+            raise ServiceFailedError(f"{node}: {status.message}")
+        return present == state
+
+    def _accepted(self, before: int, column: str, value: float) -> Table | None:
+        for table in reversed(self._applied.tables(before)):
+            if table.rows[column][-1] == value:
+                return table
+        return None
+
+    def _on_diagnostics(self, message: Any) -> None:
+        prefix = self.node.get_namespace().strip("/")
+        for status in message.status:
+            name = status.name.removeprefix(prefix).lstrip("/")
+            self.diagnostics[name] = status
+
+    def _troubles(self) -> str:
+        """Return what nodes that are not well say: most waits in vain have their reason there."""
+        bad = [f"{name}: {status.message}" for name, status in self.diagnostics.items() if status.level != b"\0"]
+        return f" ({'; '.join(bad)})" if bad else ""

@@ -1,0 +1,201 @@
+"""Node processes: started in their own process groups, watched, ended in order, their last words quoted when they die.
+
+Nothing here needs rclpy in this process; the children are the real console entry points.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from types import TracebackType
+
+import attrs
+
+import impact_rig
+from impact_rig.errors import ImpactRigError
+from impact_rig.system.endings import PARENT_VARIABLE, unhurried
+
+STOP_TIMEOUT_S = 10.0
+"""How long a process may take to end after SIGINT (a recorder finishes its file) before it is killed."""
+QUOTED_LINES = 15
+NODES = ("rig", "analysis", "recorder", "stepped_sine")
+"""Nodes of this package: arguments of `python -m impact_rig.nodes`."""
+
+ParameterValue = bool | int | float | str | Sequence[str] | Sequence[float]
+
+
+class ProcessDiedError(ImpactRigError, RuntimeError):
+    """A node process ended by itself; the message has its exit code and its last log lines."""
+
+
+@attrs.define(eq=False)
+class NodeProcess:
+    """One node process and its log file."""
+
+    name: str
+    log: Path
+    process: subprocess.Popen[bytes]
+
+    @property
+    def pid(self) -> int:
+        """Process id, also the id of its process group."""
+        return self.process.pid
+
+    @property
+    def exit_code(self) -> int | None:
+        """Exit code, negative signal number, or None while it runs."""
+        return self.process.poll()
+
+    def last_words(self) -> str:
+        """Return the end of its log."""
+        lines = self.log.read_text(errors="replace").splitlines()[-QUOTED_LINES:]
+        return "\n".join(f"    {line}" for line in lines) or "    (no output)"
+
+    def signal(self, number: int) -> None:
+        """Send a signal to the whole group; a process that is already gone is fine."""
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(self.pid, number)
+
+    def wait(self, timeout_s: float) -> int | None:
+        """Return the exit code, or None if it still runs after the timeout."""
+        try:
+            return self.process.wait(timeout_s)
+        except subprocess.TimeoutExpired:
+            return None
+
+
+class Processes:
+    """Starts node processes on one ROS domain and ends every one of them, whatever happens.
+
+    Args:
+        domain_id: ROS domain, see `domain.isolated_domain`.
+        directory: where logs go; made if missing.
+        namespace: ROS namespace of all nodes, e.g. `/rig1`; empty for none.
+    """
+
+    def __init__(self, domain_id: int, directory: Path, namespace: str = "") -> None:
+        self.domain_id = domain_id
+        self.directory = directory
+        self.namespace = namespace
+        self.running: dict[str, NodeProcess] = {}
+        directory.mkdir(parents=True, exist_ok=True)
+
+    def __enter__(self) -> Processes:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.stop()
+
+    def start(
+        self,
+        node: str,
+        parameters: Mapping[str, ParameterValue] | None = None,
+        *,
+        name: str | None = None,
+        parameters_file: Path | None = None,
+        environment: Mapping[str, str] | None = None,
+        command: Sequence[str] | None = None,
+    ) -> NodeProcess:
+        """Start one node.
+
+        Args:
+            node: one of `NODES`, or a module that is a program; with `command` only its name.
+            parameters: ROS parameters, `section.key` -> value; on top of the file.
+            name: node name, default the key; also the name of its log file.
+            parameters_file: ROS 2 parameter file.
+            environment: more environment variables.
+            command: program and arguments that start the node, instead of a module; `--ros-args …` is appended.
+        """
+        name = name or node
+        if name in self.running and self.running[name].exit_code is None:
+            raise ImpactRigError(f"process {name!r} is already running")
+        arguments = ["-r", f"__node:={name}"]
+        if self.namespace:
+            arguments += ["-r", f"__ns:={self.namespace}"]
+        if parameters_file is not None:
+            arguments += ["--params-file", str(parameters_file)]
+        for key, value in (parameters or {}).items():
+            arguments += ["-p", f"{key}:={_yaml(value)}"]
+        log = self.directory / f"{name}.log"
+        with unhurried(), log.open("ab") as output:
+            process = subprocess.Popen(  # noqa: S603  # what the caller asked for, arguments as a list
+                [*(command or _command(node)), "--ros-args", *arguments],
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=subprocess.STDOUT,
+                env=self._environment(environment or {}),
+                start_new_session=True,  # Ctrl-C reaches us alone; we end them in order
+            )
+            self.running[name] = NodeProcess(name, log, process)
+        return self.running[name]
+
+    def check(self) -> None:
+        """Raise if any process has ended by itself.
+
+        Raises:
+            ProcessDiedError: names the process, its exit code and its last log lines.
+        """
+        for process in self.running.values():
+            code = process.exit_code
+            if code is not None:
+                how = f"was ended by {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"
+                raise ProcessDiedError(f"the {process.name} process {how}; its last lines:\n{process.last_words()}")
+
+    def stop(self, *names: str, timeout_s: float = STOP_TIMEOUT_S) -> dict[str, int]:
+        """End the named processes, or all: SIGINT, then SIGTERM, then SIGKILL; return their exit codes."""
+        with unhurried():
+            return self._stop(names or tuple(self.running), timeout_s)
+
+    def _stop(self, names: Sequence[str], timeout_s: float) -> dict[str, int]:
+        chosen = [self.running.pop(name) for name in names]
+        for number, patience in ((signal.SIGINT, timeout_s), (signal.SIGTERM, 2.0), (signal.SIGKILL, 5.0)):
+            waiting = [process for process in chosen if process.exit_code is None]
+            for process in waiting:
+                process.signal(number)
+            deadline = time.monotonic() + patience
+            for process in waiting:
+                process.wait(max(0.0, deadline - time.monotonic()))
+        for process in chosen:
+            process.signal(signal.SIGKILL)  # whatever a child of it left behind in the group
+        return {process.name: process.process.wait() for process in chosen}
+
+    def _environment(self, more: Mapping[str, str]) -> dict[str, str]:
+        source = str(Path(impact_rig.__file__).parents[1])
+        path = os.environ.get("PYTHONPATH", "")
+        return {
+            **os.environ,
+            "ROS_DOMAIN_ID": str(self.domain_id),
+            "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+            "ROS_LOG_DIR": str(self.directory),
+            "PYTHONPATH": f"{source}{os.pathsep}{path}" if path else source,
+            "PYTHONUNBUFFERED": "1",
+            PARENT_VARIABLE: str(os.getpid()),
+            **more,
+        }
+
+
+def _command(node: str) -> list[str]:
+    module = ["impact_rig.nodes", node] if node in NODES else [node]
+    return [sys.executable, "-m", *module]
+
+
+def _yaml(value: ParameterValue) -> str:
+    """Return a parameter value as the command line wants it: a YAML flow scalar or list."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, float):
+        text = repr(value)
+        return text if "." in text or "n" in text else text.replace("e", ".0e")  # YAML 1.1 floats need a point
+    if isinstance(value, int):
+        return str(value)
+    if isinstance(value, str):
+        return "'" + value.replace("'", "''") + "'"
+    return "[" + ", ".join(_yaml(item) for item in value or ("",)) + "]"

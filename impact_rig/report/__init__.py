@@ -1,0 +1,5 @@
+"""The report of a campaign: one HTML page that needs nothing else, and its figures beside it."""
+
+from impact_rig.report.build import build_report
+
+__all__ = ["build_report"]

@@ -1,0 +1,115 @@
+"""Draws a figure once and gives it as PNG, as SVG, and as SVG for the page; matplotlib is imported here only."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from impact_rig.report.palette import GRID, INK, MUTED, themed
+from impact_rig.system import files
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+WIDTH_INCH = 4.4
+"""About as wide as a phone: shown there at its own size, its 9 pt stay legible; wide pages show several abreast."""
+LABELS_INCH = 0.48
+"""Height of the numbers and the name beneath an axis."""
+STYLE: dict[str, object] = {
+    "font.size": 9.0,
+    "axes.titlesize": 9.5,
+    "legend.fontsize": 8.0,
+    "svg.fonttype": "none",  # text stays text: it can be searched, and is drawn as sharp as the page
+    "axes.edgecolor": MUTED,
+    "axes.labelcolor": INK,
+    "text.color": INK,
+    "xtick.color": INK,
+    "ytick.color": INK,
+    "grid.color": GRID,
+    "grid.linewidth": 0.6,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "legend.frameon": False,
+    "lines.linewidth": 1.3,
+    "lines.markersize": 4.0,
+}
+
+
+@contextlib.contextmanager
+def style() -> Iterator[None]:
+    """Apply the style of the report to everything that is drawn within."""
+    from matplotlib import rc_context  # noqa: PLC0415  # a second of import: only when something is drawn
+
+    with rc_context(STYLE):  # type: ignore[arg-type]  # its key type is a literal of all settings
+        yield
+
+
+def new_axes(height_inch: float = 3.0, ratios: tuple[float, ...] = (1.0,)) -> tuple[Figure, list[Axes]]:
+    """Return a figure, free of pyplot's global state, and its axes above one another."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415  # as above
+    from matplotlib.figure import Figure as MatplotlibFigure  # noqa: PLC0415  # as above
+
+    figure = MatplotlibFigure(figsize=(WIDTH_INCH, height_inch), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(len(ratios), 1, sharex=True, squeeze=False, height_ratios=ratios)[:, 0]
+    return figure, list(axes)
+
+
+def legend_below(axis: Axes, columns: int, *others: Axes) -> None:
+    """Put a legend beneath the lowest axes of a figure, where it hides nothing; entries of `others` come first."""
+    from matplotlib.transforms import ScaledTranslation  # noqa: PLC0415  # as above
+
+    handles, labels = [], []
+    for one in (*others, axis):
+        found = one.get_legend_handles_labels()
+        handles += found[0]
+        labels += found[1]
+    # of the axes, not of the figure: only that leaves room for it in matplotlib 3.6, which Ubuntu 24.04 has
+    figure = axis.get_figure()
+    assert figure is not None
+    below = axis.transAxes + ScaledTranslation(0.0, -LABELS_INCH, figure.dpi_scale_trans)
+    axis.legend(
+        handles, labels, loc="upper center", bbox_to_anchor=(0.5, 0.0), bbox_transform=below, ncols=columns,
+        borderaxespad=0.0, columnspacing=1.2, handlelength=1.6,
+    )  # fmt: skip
+
+
+class Drawn:
+    """A figure in its three forms.
+
+    Args:
+        name: of the files, and of the identifiers in the page.
+        figure: drawn.
+        caption: sentence(s) below it, also read aloud in its place.
+    """
+
+    def __init__(self, name: str, figure: Figure, caption: str) -> None:
+        from matplotlib import rc_context  # noqa: PLC0415  # as above
+
+        self.name, self.caption = name, caption
+        vector, raster = io.StringIO(), io.BytesIO()
+        with rc_context({"svg.hashsalt": name}):  # the same drawing gives the same file
+            figure.savefig(vector, format="svg", transparent=True, metadata={"Date": None})
+        figure.savefig(raster, format="png", dpi=160, facecolor="white")
+        self.svg, self.png = vector.getvalue(), raster.getvalue()
+
+    def inline(self) -> str:
+        """Return the drawing as an element of the page."""
+        body = themed(self.svg[self.svg.index("<svg") :])
+        body = re.sub(r"<metadata>.*?</metadata>", "", body, flags=re.DOTALL)
+        # several drawings share a page: their identifiers must not
+        body = re.sub(r'(\bid="|href="#|url\(#)', rf"\g<1>{self.name}-", body)
+        return re.sub(r'<svg height="[^"]*"', "<svg", body, count=1).replace(' width="', ' data-width="', 1)
+
+    def save(self, folder: Path) -> None:
+        """Write both files."""
+        files.write_text(folder / f"{self.name}.svg", self.svg)
+        with files.written_whole(folder / f"{self.name}.png") as file:
+            file.write(self.png)

@@ -1,0 +1,103 @@
+"""One figure for any study: DT, or its reduction, over the axis with the most values, a line per other value."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from impact_rig.analysis.calibration import Calibration
+from impact_rig.analysis.reduction import reduction
+from impact_rig.campaign.axes import NO_SPHERE
+from impact_rig.campaign.results import Curves, Point
+from impact_rig.report.curves import COVERAGE
+from impact_rig.report.drawing import Drawn, legend_below, new_axes
+from impact_rig.report.palette import SERIES
+
+AXIS_NAMES = {
+    "frequency_hz": ("frequency", "Hz", 1.0),
+    "gap_m": ("gap", "mm", 1e3),
+    "current_a": ("current", "A", 1.0),
+    "contact.restitution": ("nominal restitution", "", 1.0),
+    "sphere.density_kg_m3": ("density of the sphere", "kg/m³", 1.0),
+}
+MOST_LINES = 2 * len(SERIES)
+"""The second half is dashed."""
+
+
+def study_figures(study: str, points: Sequence[Point], curves: Curves, calibration: Calibration) -> Iterator[Drawn]:
+    """Draw a study; nothing if it has less than three settled points along any axis.
+
+    Reductions are taken against the reference rig, so a study of several sets of instruments shows DT itself.
+    """
+    settled = [point for point in points if point.settled]
+    if not settled:
+        return
+    places = {id(point): _place(point) for point in settled}
+    names = list(next(iter(places.values())))
+    numeric = [name for name in names if all(isinstance(places[id(p)][name], float) for p in settled)]
+    counts = {name: len({places[id(p)][name] for p in settled}) for name in names}
+    if not numeric:
+        return
+    along = max(numeric, key=lambda name: counts[name])
+    if counts[along] < 3:
+        return
+    others = [name for name in names if name != along and counts[name] > 1]
+    one_set = not any(name.startswith(("daq.", "instruments.")) for name in names)
+    relative = along != "frequency_hz" and one_set and all(curves.at(NO_SPHERE, p.frequency_hz) for p in settled)
+    lines: dict[str, list[Point]] = {}
+    for point in settled:
+        if point.gap_m == NO_SPHERE and (relative or along == "gap_m"):
+            continue
+        label = ", ".join(_word(name, places[id(point)][name]) for name in others)
+        lines.setdefault(label, []).append(point)
+    if len(lines) > MOST_LINES:
+        return
+    figure, (axis,) = new_axes(3.5)
+    name, unit, factor = AXIS_NAMES.get(along, (along.rpartition(".")[2], "", 1.0))
+    styles = [(shade, line) for line in ("-", "--") for shade in SERIES]
+    for (shade, style), (label, line) in zip(styles, lines.items(), strict=False):
+        ordered = line if along == "frequency_hz" else sorted(line, key=lambda p: float(places[id(p)][along]))
+        x = [factor * float(places[id(p)][along]) for p in ordered]
+        drawn = [_reduction(p, curves, calibration) if relative else (p.dt, p.u_dt) for p in ordered]
+        y, u = zip(*drawn, strict=True)
+        bars = COVERAGE * np.array(u)
+        axis.errorbar(x, y, bars, color=shade, linestyle=style, marker="o", markersize=3.0, linewidth=1.0, label=label)
+    axis.set(
+        xlabel=f"{name} ({unit})" if unit else name,
+        ylabel="reduction of DT (%)" if relative else "transmissibility",
+        title=f"Study: {study}",
+    )
+    if len(lines) > 1:
+        legend_below(axis, 2)
+    yield Drawn(f"study_{study}", figure, f"Study “{study}”: {len(settled)} settled points, ± 2u.")
+
+
+def _place(point: Point) -> dict[str, float | str]:
+    """Return where a point lies on every axis; numbers as floats."""
+    place: dict[str, float | str] = {
+        "frequency_hz": point.frequency_hz,
+        "gap_m": point.gap_m,
+        "current_a": point.current_a,
+        "direction": point.direction,
+    }
+    for name, value in point.axes.items():
+        number = isinstance(value, (int, float)) and not isinstance(value, bool) and name != "daq.seed"
+        place[name] = float(value) if number else str(value)  # type: ignore[arg-type]  # a number is one
+    return place
+
+
+def _word(name: str, value: float | str) -> str:
+    title, unit, factor = AXIS_NAMES.get(name, (name.rpartition(".")[2], "", 1.0))
+    if name == "gap_m" and value == NO_SPHERE:
+        return "no sphere"
+    text = f"{factor * value:g}" if isinstance(value, float) else value.replace("_", " ")
+    return text if isinstance(value, str) else f"{title} {text} {unit}".strip()
+
+
+def _reduction(point: Point, curves: Curves, calibration: Calibration) -> tuple[float, float]:
+    """Return the reduction in percent and its standard uncertainty in points."""
+    without = curves.at(NO_SPHERE, point.frequency_hz)
+    assert without is not None
+    found = reduction(without.rows, point.rows, calibration)
+    return found.percent, found.u_points

@@ -1,0 +1,25 @@
+"""What is done with recorded runs: summed up, checked, analysed again, simulated again, recovered, exported, drawn."""
+
+from impact_rig.runs.contiguity import Contiguity, Gap, check_contiguity, scan_rate_hz
+from impact_rig.runs.exports import export
+from impact_rig.runs.info import RunInfo, TopicInfo, info
+from impact_rig.runs.recovery import recover
+from impact_rig.runs.recovery_record import Recovered
+from impact_rig.runs.recovery_report import FileReport, RecoverReport
+from impact_rig.runs.salvage import Damage
+
+__all__ = [
+    "Contiguity",
+    "Damage",
+    "FileReport",
+    "Gap",
+    "RecoverReport",
+    "Recovered",
+    "RunInfo",
+    "TopicInfo",
+    "check_contiguity",
+    "export",
+    "info",
+    "recover",
+    "scan_rate_hz",
+]

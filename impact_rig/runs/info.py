@@ -1,0 +1,246 @@
+"""What a run holds and whether it is whole, for one screen: every message is read, so every checksum is checked."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import attrs
+
+from impact_rig import codec
+from impact_rig.errors import CodecError
+from impact_rig.recording import losses
+from impact_rig.recording.provenance import CONFIGURATION
+from impact_rig.recording.reader import Message, Run, open_run
+from impact_rig.recording.records import DamageError
+from impact_rig.recording.topics import SCAN_TOPIC, matches
+from impact_rig.runs import recovery_record
+from impact_rig.runs.contiguity import Contiguity, check_contiguity, scan_rate_hz
+from impact_rig.runs.recovery_record import Recovered
+from impact_rig.simtime import NS_PER_S
+
+
+@attrs.frozen
+class TopicInfo:
+    """A topic in figures.
+
+    Attributes:
+        name: of the topic.
+        type_name: of its messages.
+        count: messages read.
+        rate_hz: messages per second of rig time between its first and last; None with fewer than two instants.
+        first_ns: earliest log time; 0 without messages.
+        last_ns: latest log time; 0 without messages.
+        bytes: CDR bytes of all its messages.
+    """
+
+    name: str
+    type_name: str
+    count: int
+    rate_hz: float | None
+    first_ns: int
+    last_ns: int
+    bytes: int
+
+
+@attrs.frozen
+class RunInfo:
+    """A run in figures.
+
+    Attributes:
+        path: what was opened.
+        files: name and size [bytes] of every file.
+        start_ns: earliest log time.
+        end_ns: latest log time.
+        topics: in the order they were registered.
+        rate_hz: scans per second of `daq/scan`; None without it.
+        scans: whether its blocks follow each other; None without it.
+        provenance: version, seed, wall_start_ns, ...; empty for other recorders' files.
+        attachments: name and size [bytes].
+        configuration: text of the attached configuration; None if there is none.
+        lost: messages that never reached the recorder, by topic; only topics that lack any.
+        accounted: whether the recorder kept account of them.
+        recovered: what a recovery has left out; None: this is the run as it was recorded.
+        intact: whether every checksum fits and nothing is known to be missing.
+        verdict: the same as a sentence.
+    """
+
+    path: Path
+    files: tuple[tuple[str, int], ...]
+    start_ns: int
+    end_ns: int
+    topics: tuple[TopicInfo, ...]
+    rate_hz: int | None
+    scans: Contiguity | None
+    provenance: Mapping[str, str]
+    attachments: Mapping[str, int]
+    configuration: str | None
+    lost: Mapping[str, int]
+    accounted: bool
+    recovered: Recovered | None
+    intact: bool
+    verdict: str
+
+    @property
+    def duration_s(self) -> float:
+        """Rig time from the first to the last block of daq/scan [s]; of all messages where there is none.
+
+        What was published before (journal, calibration) keeps its stamp, which may be hours older.
+        """
+        scans = [topic for topic in self.topics if matches(topic.name, SCAN_TOPIC)]
+        if not scans:
+            return (self.end_ns - self.start_ns) / NS_PER_S
+        return (max(topic.last_ns for topic in scans) - min(topic.first_ns for topic in scans)) / NS_PER_S
+
+    @property
+    def messages(self) -> int:
+        """Messages read."""
+        return sum(topic.count for topic in self.topics)
+
+    @property
+    def bytes(self) -> int:
+        """Size of all files."""
+        return sum(size for _, size in self.files)
+
+
+def info(path: Path | str) -> RunInfo:
+    """Read a whole run and return what it holds.
+
+    Args:
+        path: a run directory or an MCAP file.
+
+    Raises:
+        RecordingError: there is no recording, it is not finished or its index is damaged. A damaged chunk does not
+            raise: the verdict names it, and the figures are of what comes before it.
+    """
+    with open_run(path) as run:
+        tally = _Tally(run)
+        problem = ""
+        provenance: Mapping[str, str] = {}
+        attachments: Mapping[str, bytes] = {}
+        account: Mapping[str, list[losses.Stream]] = {}
+        recovered: Recovered | None = None
+        try:
+            provenance = run.provenance
+            attachments = run.attachments()
+            account = losses.read_record(run.record(losses.RECORD_NAME))
+            recovered = recovery_record.read(run.record(recovery_record.NAME))
+            for message in run.messages(recorded_order=True):
+                tally.add(message)
+        except DamageError as error:
+            problem = str(error)
+        scans = check_contiguity(tally.blocks, tally.rate_hz) if tally.rate_hz else None
+        lost = losses.lost(account)
+        missing = [*_gaps(scans), *_losses(lost), *_unwritten(account, tally), *_left_out(recovered)]
+        configuration = attachments.get(CONFIGURATION)
+        return RunInfo(
+            path=run.path,
+            files=tuple((source.path.name, source.size) for source in run.sources),
+            start_ns=run.start_ns,
+            end_ns=run.end_ns,
+            topics=tally.topics(),
+            rate_hz=tally.rate_hz,
+            scans=scans,
+            provenance=provenance,
+            attachments={name: len(data) for name, data in attachments.items()},
+            configuration=None if configuration is None else configuration.decode("utf-8", errors="replace"),
+            lost=lost,
+            accounted=bool(account),
+            recovered=recovered,
+            intact=not problem and not missing,
+            verdict=problem or _verdict(scans, missing, accounted=bool(account), recovered=recovered is not None),
+        )
+
+
+def _verdict(scans: Contiguity | None, missing: list[str], *, accounted: bool, recovered: bool) -> str:
+    """Return the sentence; only a run whose recorder kept account and missed nothing is called whole."""
+    begin = "recovered: every checksum fits" if recovered else "every checksum fits"
+    if missing:
+        return f"{begin}, but {'; '.join(missing)}"
+    found = f"{scans.blocks} blocks of {SCAN_TOPIC} without a gap" if scans else f"there is no {SCAN_TOPIC}"
+    if recovered:
+        return f"{begin}, {found}; what the recorder had missed is not known"
+    if not accounted:
+        return f"{begin}, {found}; its recorder kept no account of lost messages"
+    return f"whole: {begin}, {found}, no message lost on any topic"
+
+
+def _gaps(scans: Contiguity | None) -> list[str]:
+    if scans is None or scans.whole:
+        return []
+    parts = [f"{len(scans.gaps)} gaps in {SCAN_TOPIC}"]
+    if scans.lost_blocks:
+        parts.append(f"{scans.lost_blocks} blocks ({scans.lost_scans} scans) are missing")
+    if scans.restarts:
+        parts.append(f"the stamps go back {scans.restarts} times")
+    return parts
+
+
+def _losses(lost: Mapping[str, int]) -> list[str]:
+    if not lost:
+        return []
+    return ["messages were lost on the way to the recorder: " + ", ".join(f"{n} of {name}" for name, n in lost.items())]
+
+
+def _unwritten(account: Mapping[str, list[losses.Stream]], tally: _Tally) -> list[str]:
+    """Return what the recorder received and the files do not hold."""
+    received = {name: sum(stream.received for stream in streams) for name, streams in account.items()}
+    held = {topic.name: topic.count for topic in tally.topics()}
+    short = [f"{n - held.get(name, 0)} of {name}" for name, n in received.items() if n > held.get(name, 0)]
+    return [f"messages that were received are not in it: {', '.join(short)}"] if short else []
+
+
+def _left_out(recovered: Recovered | None) -> list[str]:
+    if recovered is None or not recovered.incomplete:
+        return []
+    count = "an unknown number of" if recovered.missing_messages is None else str(recovered.missing_messages)
+    return [f"{count} messages ({recovered.lost_bytes} bytes in {recovered.damages} places) could not be given back"]
+
+
+@attrs.define
+class _Count:
+    count: int = 0
+    bytes: int = 0
+    first_ns: int = 0
+    last_ns: int = 0
+
+
+class _Tally:
+    """Adds up the messages of a run."""
+
+    def __init__(self, run: Run) -> None:
+        self._types = {name: recorded.topic.type_name for name, recorded in run.topics.items()}
+        self._counts = {name: _Count() for name in run.topics}
+        self._scan_topics = {name for name in run.topics if matches(name, SCAN_TOPIC)}
+        self.blocks: list[tuple[int, int]] = []
+        self.rate_hz: int | None = None
+
+    def add(self, message: Message) -> None:
+        """Count one message; a block of scans is also noted with its stamp."""
+        count = self._counts[message.topic]
+        count.first_ns = message.log_time if not count.count else min(count.first_ns, message.log_time)
+        count.last_ns = max(count.last_ns, message.log_time)
+        count.count += 1
+        count.bytes += len(message.data)
+        if message.topic in self._scan_topics:
+            self._add_block(message)
+
+    def _add_block(self, message: Message) -> None:
+        try:
+            table = codec.decode(message.data)
+        except CodecError as error:
+            raise DamageError(f"{message.topic} at {message.log_time} ns is no table: {error}") from error
+        self.blocks.append((table.stamp_ns, len(table.rows)))
+        if self.rate_hz is None:
+            self.rate_hz = scan_rate_hz(table)
+
+    def topics(self) -> tuple[TopicInfo, ...]:
+        """Return the figures of every topic."""
+        found = []
+        for name, count in self._counts.items():
+            span_s = (count.last_ns - count.first_ns) / NS_PER_S
+            rate = (count.count - 1) / span_s if count.count > 1 and span_s > 0 else None
+            found.append(
+                TopicInfo(name, self._types[name], count.count, rate, count.first_ns, count.last_ns, count.bytes)
+            )
+        return tuple(found)

@@ -1,0 +1,199 @@
+"""Whether an analysis of a recording found what the live one had found, where both saw the same data.
+
+A measurement begins at the last change (a command, a label, a reset) or where the data begin. So live and file agree
+from the first change on that both saw; before it, one of them has seen more, and the two cannot be compared.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterable, Sequence
+
+import attrs
+import numpy as np
+
+from impact_rig import codec
+from impact_rig.analysis.settings import TrackerSettings
+from impact_rig.analysis.tables import machine_of
+from impact_rig.analysis.words import Status
+from impact_rig.blocks import Table
+from impact_rig.recording import Run
+from impact_rig.recording.topics import matches
+from impact_rig.runs import check_contiguity
+from impact_rig.simtime import NS_PER_S
+from impact_rig.system.machine import fingerprint
+
+TOLERANCE = 1e-9
+"""Relative, between machines that differ in the last bits."""
+ABSOLUTE = frozenset({"phase", "phase_uncertainty", "frequency_deviation", "thd", "spread"})
+"""Columns that can be near zero beside what they were computed from: compared to 1e-9 of their unit."""
+LAST_WORDS_S = 1.0
+"""A recorder that stops first may miss what the analysis said of this last stretch, and of what it holds back."""
+
+_SETTINGS, _TABLE, _SCANS, _INFO = "analysis/settings", "transmissibility/table", "daq/scan", "daq/info"
+
+
+@attrs.frozen
+class Comparison:
+    """What comparing found.
+
+    Attributes:
+        same: whether all that could be compared agrees; None: nothing could be.
+        identical: whether it agrees bit for bit.
+        compared: rows compared.
+        elsewhere: whether the live analysis ran on another machine or with other libraries; None: not recorded.
+        reason: the first difference, or why nothing could be compared; empty where all agrees.
+        left_out: live and offline rows that could not be compared.
+    """
+
+    same: bool | None
+    identical: bool = False
+    compared: int = 0
+    elsewhere: bool | None = None
+    reason: str = ""
+    left_out: tuple[int, int] = (0, 0)
+
+    def __str__(self) -> str:
+        if self.same is None:
+            return f"nothing to compare with: {self.reason}"
+        live, offline = self.left_out
+        rest = f"; not compared: {live} live and {offline} rows found here, of data the other did not see"
+        return self._sentence() + (rest if live or offline else "")
+
+    def _sentence(self) -> str:
+        if not self.same:
+            return f"not identical to the live results: {self.reason}"
+        if self.identical:
+            return f"identical to the live results: {self.compared} rows, bit for bit"
+        where = "it is not recorded on which machine" if self.elsewhere is None else "on another machine or libraries"
+        return f"equal to the live results to {TOLERANCE:g}, not bit for bit: {self.compared} rows, made {where}"
+
+
+@attrs.frozen(eq=False)
+class _Row:
+    """A measurement: the stretch it belongs to begins after scan `begin` and it ends with scan `end`."""
+
+    begin: int
+    end: int
+    stamp_ns: int
+    values: np.void
+
+    @property
+    def lost_blocks(self) -> bool:
+        return bool(self.values["status"] == Status.LOST_BLOCKS.value.encode())
+
+
+def compare(run: Run, offline: Iterable[Table]) -> Comparison:
+    """Compare the measurements of an offline analysis with those the live one published.
+
+    Raises:
+        RecordingError: the run is damaged.
+    """
+    if not any(matches(name, _TABLE) for name in run.topics):
+        return Comparison(None, reason="no live results are in this run")
+    rate_hz = round(float(next(run.tables(_INFO)).rows["rate"][0]))
+    blocks, tables = _recorded(run)
+    live = _rows(tables, rate_hz)
+    if not live:
+        return Comparison(None, reason="no live results are in this run")
+    ours = _rows(offline, rate_hz)
+    gaps = check_contiguity(blocks, rate_hz).gaps
+    data_begin, data_end = _scan(blocks[0][0], rate_hz) - 1, _scan(blocks[-1][0], rate_hz) + blocks[-1][1] - 1
+    our_cuts = [data_begin, *(_scan(gap.stamp_ns, rate_hz) - 1 for gap in gaps)]
+    live_cuts = _cuts(live)
+    theirs = [row for row in live if row.end <= data_end and _comparable(row, live_cuts, our_cuts, ours)]
+    found = [row for row in ours if _comparable(row, our_cuts, live_cuts, live)]
+    left_out = len(live) - len(theirs), len(ours) - len(found)
+    if not theirs:
+        return Comparison(None, reason="live analysis and recording saw no change from the same data on")
+    machines = {machine for table in _settings(run) if (machine := machine_of(table)) is not None}
+    elsewhere = machines != {fingerprint()} if machines else None
+    late = data_end - round((TrackerSettings().hold_s + LAST_WORDS_S) * rate_hz)
+    reason, identical = _difference(theirs, found, late, exact=elsewhere is False)
+    return Comparison(not reason, identical and not reason, len(theirs), elsewhere, reason, left_out)
+
+
+def _recorded(run: Run) -> tuple[list[tuple[int, int]], list[Table]]:
+    """Return stamp and length of every block, and the live measurements of these blocks.
+
+    What a latched topic hands to a recorder that comes was measured before its first scan.
+    """
+    scans, name = run.resolve(_SCANS), run.resolve(_TABLE)
+    blocks: list[tuple[int, int]] = []
+    tables: list[Table] = []
+    for message in run.messages((scans, name), recorded_order=True):
+        table = codec.decode(message.data)
+        if message.topic == scans:
+            blocks.append((table.stamp_ns, len(table.rows)))
+        elif blocks and table.stamp_ns >= blocks[0][0]:
+            tables.append(table)
+    return blocks, tables
+
+
+def _settings(run: Run) -> Iterable[Table]:
+    return run.tables(_SETTINGS) if any(matches(name, _SETTINGS) for name in run.topics) else ()
+
+
+def _rows(tables: Iterable[Table], rate_hz: int) -> list[_Row]:
+    found = []
+    for table in tables:
+        end = _scan(table.stamp_ns, rate_hz)
+        found += [_Row(end - round(float(row["waited"]) * rate_hz), end, table.stamp_ns, row) for row in table.rows]
+    return found
+
+
+def _scan(stamp_ns: int, rate_hz: int) -> int:
+    return (stamp_ns * rate_hz + NS_PER_S // 2) // NS_PER_S
+
+
+def _cuts(live: Sequence[_Row]) -> list[int]:
+    """Return where the data of the live analysis begin, and go on after lost blocks."""
+    after_loss = (row.begin for before, row in itertools.pairwise(live) if before.lost_blocks)
+    return [min(row.begin for row in live), *after_loss]
+
+
+def _comparable(row: _Row, own_cuts: Sequence[int], other_cuts: Sequence[int], others: Sequence[_Row]) -> bool:
+    """Return whether the other side saw all that a measurement was made from, and began it at the same change."""
+    if row.lost_blocks or row.end <= other_cuts[0] or any(row.begin < cut <= row.end for cut in other_cuts):
+        return False
+    return row.begin not in own_cuts or row.begin in other_cuts or any(row.begin == other.begin for other in others)
+
+
+def _difference(live: Sequence[_Row], ours: Sequence[_Row], late: int, *, exact: bool) -> tuple[str, bool]:
+    """Return the first difference, and whether all bits agree."""
+    identical = True
+    for theirs, found in zip(live, ours, strict=False):
+        where = f"at {theirs.stamp_ns / NS_PER_S:.9f} s"
+        if theirs.end != found.end:
+            return f"live measured {where}, here at {found.stamp_ns / NS_PER_S:.9f} s", False
+        column = _different(theirs.values, found.values, exact=True)
+        if column:
+            identical = False
+            if exact:
+                return _named(where, column, theirs, found), False
+            column = _different(theirs.values, found.values, exact=False)
+            if column:
+                return _named(where, column, theirs, found), False
+    if len(live) > len(ours):
+        return f"the live result at {live[len(ours)].stamp_ns / NS_PER_S:.9f} s was not found again", False
+    missing = [row for row in ours[len(live) :] if row.end <= late]
+    if missing:
+        return f"the live analysis said nothing at {missing[0].stamp_ns / NS_PER_S:.9f} s: had it ended?", False
+    return "", identical
+
+
+def _named(where: str, column: str, theirs: _Row, found: _Row) -> str:
+    return f"{column} {where}: live {theirs.values[column]!r}, here {found.values[column]!r}"
+
+
+def _different(theirs: np.void, ours: np.void, *, exact: bool) -> str:
+    """Return the first column that differs, bit for bit or beyond the tolerance; empty if none does."""
+    for name in ours.dtype.names or ():
+        a, b = theirs[name].astype(ours.dtype[name]), ours[name]
+        if a.tobytes() == b.tobytes():
+            continue
+        if exact or ours.dtype[name].kind != "f":
+            return str(name)
+        if not np.isclose(a, b, rtol=TOLERANCE, atol=TOLERANCE if name in ABSOLUTE else 0.0, equal_nan=True):
+            return str(name)
+    return ""

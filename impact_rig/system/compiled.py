@@ -1,0 +1,125 @@
+"""Compiled code is kept by the content of its sources; importing this module sees to it, before any is loaded.
+
+Numba keeps compiled functions next to their sources and compiles one again when its own file has changed, but not when
+a function it calls has: after an upgrade or an edit in place, old and new code would run mixed, or fail to load. Here
+all compiled code of the package lives in one directory, named by a digest of every file that decides it. A branch
+switch and back, a stash, or an edit of any other file throws nothing away, and code of other sources is never seen.
+
+The directory is `__pycache__/compiled-<digest>` of the package; below `NUMBA_CACHE_DIR` where that is set, below the
+user's cache directory where the package cannot be written. Of the digests, the last few that were used are kept.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import hashlib
+import os
+import re
+import shutil
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+from numba.core import caching, config
+
+ROOT = Path(__file__).parents[1]
+KEPT = 6
+"""States of the sources whose compiled code is kept, the present one included."""
+
+_HOLDS_COMPILED_CODE = re.compile(r"^(from|import) numba\b", re.MULTILINE)
+
+
+def sources(root: Path = ROOT) -> list[Path]:
+    """Return the files below `root` that decide compiled code.
+
+    They are those that hold some, and those that these import from: Numba compiles imported constants in.
+    """
+    texts = {path: path.read_text(encoding="utf-8") for path in root.rglob("*.py")}
+    holders = {path for path, text in texts.items() if _HOLDS_COMPILED_CODE.search(text)}
+    imported = re.compile(rf"^from {root.name}\.([\w.]+) import", re.MULTILINE)
+    found = set(holders)
+    for holder in holders:
+        for module in imported.findall(texts[holder]):
+            stem = root.joinpath(*module.split("."))
+            found.update({stem.with_suffix(".py"), stem / "__init__.py"} & texts.keys())
+    return sorted(found)
+
+
+def digest(root: Path = ROOT) -> str:
+    """Return what tells one state of the compiled code's sources from another: their names and contents, no times."""
+    found = hashlib.sha256()
+    for path in sources(root):
+        content = path.read_bytes()
+        found.update(f"{path.relative_to(root).as_posix()} {len(content)}\n".encode())
+        found.update(content)
+    return found.hexdigest()[:16]
+
+
+class Locator(caching._CacheLocator):  # type: ignore[misc]  # Numba is untyped
+    """Tells Numba where one function's compiled code is, and that it is fresh: the directory's name says so."""
+
+    def __init__(self, function: Callable[..., object], directory: Path) -> None:
+        self._line = function.__code__.co_firstlineno
+        self._directory = directory
+
+    def get_cache_path(self) -> str:
+        """Return the directory."""
+        return str(self._directory)
+
+    def get_source_stamp(self) -> str:
+        """Return the same for all that is in the directory, whatever the clock says."""
+        return "by content"
+
+    def get_disambiguator(self) -> str:
+        """Return what tells functions of one name in one file apart."""
+        return str(self._line)
+
+
+class Cache:
+    """The compiled code of the package at `root`, as its sources are now."""
+
+    def __init__(self, root: Path) -> None:
+        self._root = root
+        self._name = f"compiled-{digest(root)}"
+
+    def from_function(self, function: Callable[..., object], file: str) -> Locator | None:
+        """Return where `function` is kept, or None if it is not of this package: Numba's question."""
+        if not Path(file).is_relative_to(self._root) or self.directory is None:
+            return None
+        return Locator(function, self.directory / Path(file).relative_to(self._root).parent)
+
+    @functools.cached_property
+    def directory(self) -> Path | None:
+        """The first of the possible places that can be written; None: there is none, let Numba find one."""
+        for place in self._places():
+            directory = place / self._name
+            with contextlib.suppress(OSError):
+                new = not directory.exists()
+                directory.mkdir(parents=True, exist_ok=True)
+                os.utime(directory)  # used now
+                if new:
+                    _forget(place)
+                return directory
+        return None
+
+    def _places(self) -> Iterator[Path]:
+        if config.CACHE_DIR:
+            yield Path(config.CACHE_DIR)
+        else:
+            yield self._root / "__pycache__"
+            yield Path(caching.AppDirs(appname=self._root.name, appauthor=False).user_cache_dir)
+
+
+def _forget(place: Path) -> None:
+    """Delete all but the last used; a process that still runs such code has it in memory."""
+    used = sorted(place.glob("compiled-*"), key=lambda path: path.stat().st_mtime_ns, reverse=True)
+    for directory in used[KEPT:]:
+        shutil.rmtree(directory, ignore_errors=True)
+
+
+def keep_by_content(root: Path = ROOT) -> None:
+    """Let Numba ask for the package at `root` here before it looks elsewhere."""
+    caching.CacheImpl._locator_classes.insert(0, Cache(root))
+
+
+keep_by_content()

@@ -1,0 +1,113 @@
+"""Files in directories that others may write to: what is opened is a regular file, what is written was never a link.
+
+Reading never waits (a FIFO has no writer), never runs on (a device has no end) and stops at a limit. Writing goes to a
+new file of a name nobody can guess, which is put in place when it is whole: a link or file that somebody laid out
+under a predictable name is neither followed nor kept from being seen.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import secrets
+import stat
+from collections.abc import Iterator
+from pathlib import Path
+from typing import BinaryIO
+
+from impact_rig.system.endings import unhurried
+
+NEW_FILE = os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
+"""How a file is opened that must not be there yet, not even as a link."""
+
+
+def open_regular(path: Path) -> int:
+    """Return a descriptor of a regular file, open for reading.
+
+    Raises:
+        OSError: it cannot be opened, or is a directory, FIFO, socket or device.
+    """
+    descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)  # a FIFO is not waited for
+    mode = os.fstat(descriptor).st_mode
+    if not stat.S_ISREG(mode):
+        os.close(descriptor)
+        if stat.S_ISDIR(mode):
+            raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
+        raise OSError(errno.EINVAL, "not a regular file", str(path))
+    return descriptor
+
+
+def read_bytes(path: Path, limit: int) -> bytes:
+    """Return the content of a regular file of at most `limit` bytes.
+
+    Raises:
+        OSError: it cannot be read, is no regular file, or is larger; nothing of a larger one is read.
+    """
+    with os.fdopen(open_regular(path), "rb") as file:
+        if os.fstat(file.fileno()).st_size <= limit:
+            content = file.read(limit + 1)
+            if len(content) <= limit:
+                return content
+    raise OSError(errno.EFBIG, f"larger than {limit} bytes", str(path))
+
+
+@contextlib.contextmanager
+def written_whole(path: Path, *, replace: bool = True) -> Iterator[BinaryIO]:
+    """Give a new file, open for writing, and put it in the place `path` after the block.
+
+    If the block fails, nothing is left. What is in the place already is replaced, a link itself and not what it points
+    to; or, with `replace=False`, kept.
+
+    Args:
+        path: where the file shall be.
+        replace: whether something else may be there.
+
+    Raises:
+        OSError: the file cannot be made or put in its place; FileExistsError if it must not replace what is there.
+    """
+    partial = path.with_name(f".{path.name[:100]}.{secrets.token_hex(8)}.partial")
+    try:
+        with os.fdopen(os.open(partial, NEW_FILE, 0o666), "w+b") as file:
+            yield file
+            file.flush()
+            os.fsync(file.fileno())
+        if replace:
+            partial.replace(path)
+        else:
+            _put(partial, path)
+    finally:
+        with unhurried():
+            partial.unlink(missing_ok=True)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file whole or not at all; what is there is replaced.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    with written_whole(path) as file:
+        file.write(text.encode())
+
+
+def refuse_foreign(directory: Path) -> None:
+    """Refuse a directory, or a link to one, that belongs to somebody else: the owner can change what is in it.
+
+    Raises:
+        PermissionError: it does; the error says whose it is.
+    """
+    owners = {directory.stat().st_uid, directory.lstat().st_uid} - {os.geteuid()}
+    if owners:
+        raise PermissionError(errno.EPERM, f"it belongs to another user (id {min(owners)})", str(directory))
+
+
+def _put(partial: Path, path: Path) -> None:
+    """Move a file to a place where nothing is, not even a link that leads nowhere."""
+    try:
+        os.link(partial, path)
+    except FileExistsError:
+        raise
+    except OSError:  # a file system without hard links: hold the place, then fill it
+        os.close(os.open(path, NEW_FILE, 0o666))
+        partial.replace(path)

@@ -1,0 +1,123 @@
+"""Frequency responses: agree with pyFRF and scipy on the same records, recover a known system, refuse nonsense."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from kits.records import F_N, channel_response, info_rows, linear_transmissibility
+from scipy import signal
+
+from impact_rig.analysis.frf import frf, transmissibility_frf
+from impact_rig.blocks import SCAN
+
+RATE = 1000.0
+
+
+def records(noise_x=0.0, noise_y=0.0, n=60_000, seed=1):
+    """A two-pole band-pass filter driven by noise: x, y and its exact response."""
+    rng = np.random.default_rng(seed)
+    clean = rng.standard_normal(n)
+    b, a = signal.iirpeak(60.0, 5.0, fs=RATE)
+    y = signal.lfilter(b, a, clean)
+    return clean + noise_x * rng.standard_normal(n), y + noise_y * rng.standard_normal(n), (b, a)
+
+
+def test_h1_h2_and_coherence_agree_with_scipy():
+    x, y, _ = records(0.3, 0.1)
+    found = frf(x, y, RATE, 2000)
+    f, s_xy = signal.csd(x, y, RATE, nperseg=2000)
+    s_xx, s_yy = (signal.welch(one, RATE, nperseg=2000)[1] for one in (x, y))
+    assert np.array_equal(found.frequency_hz, f)
+    assert np.allclose(found.h1, s_xy / s_xx)
+    assert np.allclose(found.h2, s_yy / np.conj(s_xy))
+    assert np.allclose(found.coherence, signal.coherence(x, y, RATE, nperseg=2000)[1])
+
+
+@pytest.mark.parametrize("estimator", ["h1", "h2", "hv"])
+def test_estimators_agree_with_pyfrf(estimator):
+    """Same segments and overlap; pyFRF's Hann window is the symmetric one, which shows where there is little signal."""
+    FRF = pytest.importorskip("pyFRF").FRF
+    x, y, _ = records(0.3, 0.1)
+    segment = 2000
+    peer = FRF(
+        int(RATE),
+        exc=x - x.mean(),
+        resp=y - y.mean(),
+        exc_type="f",
+        resp_type="d",
+        window="hann",
+        fft_len=segment,
+        nperseg=segment,
+        noverlap=segment // 2,
+    )
+    expected = {"h1": peer.get_H1, "h2": peer.get_H2, "hv": peer.get_Hv}[estimator]()[0, 0]
+    found = getattr(frf(x, y, RATE, segment), estimator)
+    assert np.allclose(found[5:-5], expected[5:-5], rtol=0.02)
+    assert np.allclose(found[100:140], expected[100:140], rtol=5e-4)  # 50 to 70 Hz, the resonance
+
+
+def test_estimators_stand_in_their_known_order():
+    """Noise on both channels: |H1| too small, |H2| too large, Hv with the right κ between and nearest to the truth."""
+    x, y, (b, a) = records(0.5, 0.05, n=400_000)
+    found = frf(x, y, RATE, 1000, noise_ratio=0.01)
+    band = (found.frequency_hz > 50) & (found.frequency_hz < 70)
+    truth = np.abs(signal.freqz(b, a, found.frequency_hz, fs=RATE)[1][band])
+    h1, h2, hv = (np.abs(one[band]) for one in (found.h1, found.h2, found.hv))
+    assert np.all(h1 < hv)
+    assert np.all(hv < h2)
+    assert np.abs(hv / truth - 1).mean() < 0.03 < np.abs(h1 / truth - 1).mean()
+
+
+def test_uncertainty_is_that_of_repeated_records():
+    repeats = [frf(*records(0.0, 0.5, n=20_000, seed=s)[:2], RATE, 1000) for s in range(60)]
+    band = (repeats[0].frequency_hz > 20) & (repeats[0].frequency_hz < 150)
+    values = np.array([one.h1[band] for one in repeats])
+    scatter = np.std(np.abs(values), axis=0) / np.abs(values.mean(axis=0))
+    told = np.mean([one.u_relative[band] for one in repeats], axis=0)
+    assert np.median(scatter / told) == pytest.approx(1.0, abs=0.15)
+
+
+def linear_rig(base, rate_hz, info):
+    """Scans of the linear rig for any base motion, through lag and skew, by the discrete Fourier transform."""
+    frequency = np.fft.rfftfreq(len(base), 1 / rate_hz)
+    spectrum = np.fft.rfft(base)
+    rows = np.zeros(len(base), SCAN)
+    for name, ratio in (("base", 1.0), ("laser", linear_transmissibility(frequency, zeta=0.02))):
+        rows[name] = np.fft.irfft(spectrum * ratio * channel_response(info, name, frequency), len(base))
+    return rows
+
+
+@pytest.mark.parametrize("waveform", ["chirp", "random"])
+def test_a_sweep_recovers_the_transmissibility(waveform):
+    """A periodic chirp or random record: closed form, lag and skew taken back, phase negative."""
+    rate, segment = 1000, 20_000
+    info = info_rows(rate, gain_u=2e-3)
+    time = np.arange(segment) / rate
+    rng = np.random.default_rng(2)
+    if waveform == "chirp":
+        base, options = np.tile(1e-4 * signal.chirp(time, 5.0, time[-1], 15.0), 4), {"window": "boxcar", "overlap": 0.0}
+    else:
+        base, options = 1e-4 * rng.standard_normal(30 * segment), {}
+    found = transmissibility_frf(linear_rig(base, rate, info), info, segment, **options)
+    band = (found.frequency_hz > 7) & (found.frequency_hz < 12) & (np.abs(found.frequency_hz - F_N) > 0.3)
+    truth = linear_transmissibility(found.frequency_hz[band], zeta=0.02)
+    for estimate in (found.h1, found.h2, found.hv):
+        assert np.allclose(estimate[band], truth, rtol=0.005 if waveform == "chirp" else 0.05)
+        assert np.all(np.angle(estimate[band]) < 0)
+    assert np.all(found.coherence[band] > 0.99)
+    assert np.all(found.u_relative[band] >= np.hypot(2e-3, 2e-3) * 0.999)
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "segment", "message"),
+    [
+        (np.ones(100), np.ones(99), 50, "equal length"),
+        (np.arange(100.0), np.arange(100.0), 101, "segment must be 8 to 100"),
+        (np.arange(100.0), np.arange(100.0), 0, "segment must be 8 to 100"),
+        (np.arange(100.0), np.full(100, np.nan), 50, "finite"),
+        (np.zeros(100), np.arange(100.0), 50, "constant"),
+    ],
+)
+def test_nonsense_is_refused(x, y, segment, message):
+    with pytest.raises(ValueError, match=message):
+        frf(x, y, RATE, segment)

@@ -1,0 +1,92 @@
+"""A reduction is worth what its two measurements do not share: gains cancel, curves nearly, noise not at all."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from kits.records import info_rows
+
+from impact_rig.analysis.calibration import BASE, LASER, Calibration
+from impact_rig.analysis.reduction import reduction, repeatability
+from impact_rig.blocks import TRANSMISSIBILITY
+
+DRAWS = 4000
+NOISE = 1e-4
+LASER_M, BASE_M = (5.9e-3, 4.0e-3), (55e-6, 90e-6)
+"""Amplitudes without and with the damper."""
+TRUTH = 100.0 * (1.0 - (LASER_M[1] / BASE_M[1]) / (LASER_M[0] / BASE_M[0]))
+
+
+def certificate(gain_u=2e-3, laser_linearity_m=30e-6):
+    info = info_rows(gain_u=gain_u)
+    info["linearity"][[LASER, BASE]] = laser_linearity_m, 30e-6
+    calibration = Calibration.from_info(info)
+    curve = calibration.linearity / calibration.high  # the certificate counts its slope at mid-range among the gains
+    info["sensitivity_uncertainty"] = np.hypot(gain_u, 1.5 * curve / np.sqrt(6))
+    return Calibration.from_info(info)
+
+
+def measured(calibration, case, gains=(0.0, 0.0), curves=(0.0, 0.0), noise=(0.0,)):
+    """Return the rows that sensors with these errors give, a row per value of noise."""
+    rows = np.zeros(len(noise), TRANSMISSIBILITY)
+    seen, variance = [], NOISE**2
+    for channel, gain, c_3, amplitude in zip((LASER, BASE), gains, curves, (LASER_M[case], BASE_M[case]), strict=True):
+        half, linearity = calibration.high[channel], calibration.linearity[channel]
+        seen.append(amplitude * (1 + gain + c_3 * linearity / half * (1.875 * (amplitude / half) ** 2 - 1.5)))
+        variance += calibration.gain_uncertainty_at(channel, seen[-1]) ** 2
+    rows["laser_amplitude"], rows["base_amplitude"] = seen
+    rows["transmissibility"] = seen[0] / seen[1] * (1 + np.array(noise))
+    rows["transmissibility_uncertainty"] = rows["transmissibility"] * np.sqrt(variance)
+    return rows
+
+
+@pytest.mark.parametrize("linearity_m", [0.0, 30e-6, 300e-6])
+@pytest.mark.parametrize("repetitions", [1, 3])
+def test_the_uncertainty_covers_the_truth_when_calibrations_are_drawn_anew(linearity_m, repetitions):
+    """Gains and curves drawn for each experiment, the same in both measurements; noise drawn for each row."""
+    rng, calibration = np.random.default_rng(1), certificate(laser_linearity_m=linearity_m)
+    inside = []
+    for _ in range(DRAWS):
+        gains = rng.uniform(-1, 1, 2) * 2e-3 * np.sqrt(3)
+        curves = 0.5 * (rng.uniform(-1, 1, 2) - rng.uniform(-1, 1, 2))
+        without, with_damper = (
+            measured(calibration, case, gains, curves, rng.normal(0, NOISE, repetitions)) for case in (0, 1)
+        )
+        found = reduction(without, with_damper, calibration)
+        inside.append(abs(found.percent - TRUTH) <= 2 * found.u_points)
+    assert 0.945 < np.mean(inside) < 0.976  # 0.954 if noise dominates, 0.966 if the curve does
+
+
+def test_errors_of_the_sensitivities_cancel():
+    calibration = certificate(laser_linearity_m=0.0)
+    clean, wrong = (
+        reduction(measured(calibration, 0, gains), measured(calibration, 1, gains), calibration)
+        for gains in ((0.0, 0.0), (0.01, -0.02))
+    )
+    assert clean.percent == pytest.approx(TRUTH, rel=1e-12)
+    assert wrong.percent == pytest.approx(TRUTH, rel=1e-12)
+    coarse = certificate(gain_u=0.05, laser_linearity_m=0.0)
+    rougher = reduction(measured(coarse, 0), measured(coarse, 1), coarse)
+    assert rougher.u_points == pytest.approx(clean.u_points, rel=1e-9)
+
+
+def test_repetitions_lessen_the_noise_and_nothing_else():
+    calibration = certificate(laser_linearity_m=300e-6)
+    one, many = (
+        reduction(*(measured(calibration, case, noise=(0.0,) * n) for case in (0, 1)), calibration) for n in (1, 10_000)
+    )
+    share = 1.875 * (LASER_M[0] ** 2 - LASER_M[1] ** 2) / calibration.high[LASER] ** 2
+    curve = (100.0 - TRUTH) * calibration.linearity[LASER] / calibration.high[LASER] / np.sqrt(6) * share
+    noise = (100.0 - TRUTH) * NOISE * np.sqrt(2)
+    assert many.u_points == pytest.approx(curve, rel=1e-3)
+    assert one.u_points == pytest.approx(np.hypot(curve, noise), rel=1e-3)
+    assert repeatability(measured(calibration, 0, noise=(0.0,) * 4), calibration) == pytest.approx(NOISE / 2)
+
+
+def test_ideal_instruments_add_nothing():
+    info = info_rows(gain_u=0.0, ideal=True)
+    info["range_low"], info["range_high"] = -np.inf, np.inf
+    ideal = Calibration.from_info(info)
+    rows = measured(certificate(), 0)
+    rows["transmissibility_uncertainty"] = NOISE * rows["transmissibility"]
+    assert reduction(rows, rows, ideal).u_points == pytest.approx(100.0 * NOISE * np.sqrt(2))

@@ -1,0 +1,155 @@
+"""The streaming measurement: settles, says how it knows, and forgets what it has measured."""
+
+from __future__ import annotations
+
+import tracemalloc
+
+import attrs
+import numpy as np
+import pytest
+from kits.records import F_N, add_impacts, blocks, feed_all, info_rows, linear_transmissibility, words
+from kits.tracker import RATE, record, tracker
+
+from impact_rig.analysis.settings import TrackerSettings
+from impact_rig.analysis.transmissibility import measure_record
+from impact_rig.blocks import Table
+from impact_rig.errors import ConfigError
+from impact_rig.simtime import NS_PER_S
+
+
+def test_a_settled_response_is_measured_window_after_window():
+    measurements, _ = feed_all(tracker(), blocks(record(seconds=17.0), RATE, 20))
+    truth = linear_transmissibility(9.1)
+    assert words(measurements) == ["ok"] * 3
+    for number, table in enumerate(measurements, start=1):
+        row = table.rows[0]
+        assert abs(row["transmissibility"] - abs(truth)) < 3 * row["transmissibility_uncertainty"]
+        assert abs(row["phase"] - np.angle(truth)) < 3 * row["phase_uncertainty"]
+        assert row["transmissibility_uncertainty"] < 0.003 * abs(truth)
+        assert (row["settled"], row["cycles"], row["gap"], row["frequency"]) == (1, 48, 0.006, 9.1)
+        # windows count from the command: the k-th row ends with the last scan of cycle 48 k
+        last = int(np.ceil(48 * number * RATE / 9.1)) - 1
+        assert table.stamp_ns == last * NS_PER_S // RATE
+        assert row["time"] == 0
+        assert row["waited"] == pytest.approx((last + 1) / RATE)
+
+
+def test_streaming_gives_what_the_whole_record_gives():
+    rows = record(seconds=48 / 9.1 + 0.2)
+    row = feed_all(tracker(), blocks(rows, RATE, 20))[0][0].rows[0]
+    whole = measure_record(rows[: int(np.ceil(48 * RATE / 9.1))], info_rows(RATE), 9.1)
+    assert row["transmissibility"] == pytest.approx(whole.transmissibility, rel=1e-12)
+    assert row["phase"] == pytest.approx(whole.phase_rad, rel=1e-12)
+    # its uncertainty holds the bias of a transient as well, here noise
+    assert whole.u_transmissibility <= row["transmissibility_uncertainty"] < 1.5 * whole.u_transmissibility
+
+
+def transient_ratio(frequency_hz, tau_s):
+    """DT whose free vibration dies with tau against the drive: what a command change leaves behind."""
+    truth = linear_transmissibility(frequency_hz)
+    beat = 2 * np.pi * (F_N - frequency_hz)
+    return lambda t: truth * (1 - np.exp((-1 / tau_s + 1j * beat) * t))
+
+
+@pytest.mark.parametrize(("frequency_hz", "tau_s"), [(9.1, 0.34), (9.1, 3.9), (9.0, 3.9), (10.0, 0.34), (8.5, 3.9)])
+def test_a_transient_is_waited_for_no_longer_than_needed(frequency_hz, tau_s):
+    """Settled means: bias below 5e-4; the wait is what that takes plus the measurement itself, not a fixed time."""
+    rows = record(frequency_hz, 55.0, transient=transient_ratio(frequency_hz, tau_s))
+    measurements, _ = feed_all(tracker(frequency_hz), blocks(rows, RATE, 20))
+    row = measurements[0].rows[0]
+    truth = abs(linear_transmissibility(frequency_hz))
+    assert row["status"] == b"ok"
+    assert row["transmissibility"] == pytest.approx(truth, rel=1e-3)
+    assert abs(row["transmissibility"] - truth) < 3 * row["transmissibility_uncertainty"]
+    assert row["waited"] < tau_s * np.log(1 / 2e-4) + 2 * 48 / frequency_hz
+
+
+@pytest.mark.parametrize(("frequency_hz", "tau_s"), [(9.3, 0.34), (9.1, 0.34), (9.3, 1.0)])
+def test_the_first_row_after_a_change_is_as_good_as_any_other(frequency_hz, tau_s):
+    """Over 120 draws of noise its mean error is none: at most 3.3 standard errors of that mean, 0.3 of a row's u."""
+    truth, info = linear_transmissibility(frequency_hz), info_rows(RATE, gain_u=0.0)
+    off = []
+    for seed in range(120):
+        rows = record(frequency_hz, 25.0, seed=seed, transient=transient_ratio(frequency_hz, tau_s))
+        row = feed_all(tracker(frequency_hz, info=info), blocks(rows, RATE, 200))[0][0].rows[0]
+        assert row["settled"] == 1
+        off.append((
+            (row["transmissibility"] - abs(truth)) / row["transmissibility_uncertainty"],
+            (row["phase"] - np.angle(truth)) / row["phase_uncertainty"],
+        ))  # fmt: skip
+    assert np.all(np.abs(np.mean(off, axis=0)) < 3.3 / np.sqrt(len(off))), np.mean(off, axis=0)
+
+
+def test_the_bound_of_waiting_is_kept_and_named():
+    """A response that never settles (growing drift) is reported with numbers, settled = 0, at the bound."""
+    truth = linear_transmissibility(9.1)
+    rows = record(9.1, 25.0, transient=lambda t: truth * (0.3 + 0.02 * t))
+    slow = TrackerSettings(window_s=0.1, wait_limit_s=10.0)
+    measurements, _ = feed_all(tracker(tracker_settings=slow), blocks(rows, RATE, 20))
+    assert words(measurements) == ["not_settled"] * 2
+    first = measurements[0].rows[0]
+    assert first["settled"] == 0
+    assert np.isfinite(first["transmissibility"])
+    assert 10.0 <= first["waited"] < 11.0
+
+
+def test_a_modulated_response_is_labelled_and_measured_long():
+    truth = linear_transmissibility(9.2)
+    rows = record(9.2, 30.0, transient=lambda t: truth * (1 + 0.03 * np.cos(2.7 * t)))
+    measurements, _ = feed_all(tracker(9.2), blocks(rows, RATE, 20))
+    row = measurements[0].rows[0]
+    assert (row["status"], row["regime"], row["method"]) == (b"ok", b"modulated", b"block_bootstrap")
+    assert row["cycles"] == 192
+    assert abs(row["transmissibility"] - abs(truth)) < 3 * row["transmissibility_uncertainty"]
+
+
+def test_impacts_per_cycle_come_from_the_accelerometer():
+    rows = record(9.1, 7.0, rate_hz=50_000)
+    times = (np.arange(2 * 62) + 0.3) / (2 * 9.1)
+    signs = np.tile([1, -1], 62)
+    add_impacts(rows["accelerometer"], 50_000, times, np.full(len(times), 0.3), signs)
+    measurements, impacts = feed_all(tracker(rate_hz=50_000), blocks(rows, 50_000, 500))
+    row = measurements[0].rows[0]
+    assert row["impacts_per_cycle"] == 2.0
+    assert (row["regime"], row["period"]) == (b"periodic", 1)
+    seconds = np.concatenate([table.stamp_ns / NS_PER_S + table.rows["time"] for table in impacts])
+    assert np.allclose(seconds, times[: len(seconds)], atol=20e-6)
+    assert np.array_equal(np.concatenate([table.rows["sign"] for table in impacts]), signs[: len(seconds)])
+
+
+def test_memory_does_not_grow_with_the_stream():
+    made = tracker(tracker_settings=TrackerSettings())
+    rows = record(seconds=30.0)
+    tables = list(blocks(rows, RATE, 20))
+    at = 0
+
+    def minute():
+        nonlocal at
+        for _ in range(2):
+            for table in tables:
+                made.feed(Table(at * NS_PER_S // RATE, table.rows))
+                at += len(table.rows)
+
+    minute()
+    tracemalloc.start()
+    try:
+        before = tracemalloc.get_traced_memory()[0]
+        for _ in range(4):
+            minute()
+        grown = tracemalloc.get_traced_memory()[0] - before
+    finally:
+        tracemalloc.stop()
+    assert grown < 300_000, f"{grown} bytes in 4 minutes"
+
+
+def test_settings_refuse_nonsense_by_name():
+    with pytest.raises(ConfigError, match="windows must be >= 8"):
+        TrackerSettings(windows=3)
+    with pytest.raises(ConfigError, match="hold_s"):
+        TrackerSettings(hold_s=-1.0)
+    assert all(field.default is not attrs.NOTHING for field in attrs.fields(TrackerSettings))
+
+
+def test_windows_that_never_fill_are_refused():
+    with pytest.raises(ConfigError, match="windows must be <= long_windows = 32, got 40"):
+        TrackerSettings(windows=40)

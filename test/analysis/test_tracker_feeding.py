@@ -1,0 +1,85 @@
+"""No bit of a measurement depends on how the tracker is fed: cuts, lateness, time base, repetition."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from kits.records import applied, blocks, feed_all, info_rows, words
+from kits.tracker import QUICK, RATE, fingerprint, record, run_scenario, tracker
+
+from impact_rig.analysis.tracker import Tracker
+from impact_rig.blocks import Table
+from impact_rig.simtime import NS_PER_S
+
+
+@pytest.mark.parametrize("size", [1, 7, 100, 1999, 40_000])
+def test_no_bit_depends_on_the_block_length(size):
+    assert fingerprint(*run_scenario(size)[:2]) == fingerprint(*run_scenario(20)[:2])
+
+
+@settings(max_examples=5)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_no_bit_depends_on_any_cut(seed):
+    def sizes():
+        rng = np.random.default_rng(seed)
+        while True:
+            yield int(rng.integers(1, 300))
+
+    assert fingerprint(*run_scenario(sizes)[:2]) == fingerprint(*run_scenario(20)[:2])
+
+
+@pytest.mark.parametrize("late_ns", [10_000_000, 40_000_000])
+def test_a_command_delivered_late_changes_nothing(late_ns):
+    """Topics overtake each other; scans are held back for 50 ms of rig time."""
+    measurements, impacts, made = run_scenario(20, late_ns=late_ns)
+    assert fingerprint(measurements, impacts) == fingerprint(*run_scenario(20)[:2])
+    assert made.counters.late_events == 0
+
+
+def test_a_command_later_than_that_is_counted():
+    made = run_scenario(20, late_ns=200_000_000)[2]
+    assert made.counters.late_events == 1
+
+
+@pytest.mark.parametrize("start_ns", [1_763_700_000_123_456_789, -5_000_000_000])
+def test_the_time_base_only_shifts_the_stamps(start_ns):
+    here, there = run_scenario(20)[0], run_scenario(20, start_ns=start_ns)[0]
+    assert [table.stamp_ns + start_ns for table in here] == [table.stamp_ns for table in there]
+    assert [table.rows.tobytes() for table in here] == [table.rows.tobytes() for table in there]
+
+
+def test_stamps_of_a_period_that_is_no_whole_nanosecond_are_followed():
+    """At 25 600 S/s the stamps are rounded down; over a minute that must never look like a lost block."""
+    made = tracker(73.0, rate_hz=25_600)
+    rows = record(73.0, 6.0, rate_hz=25_600)
+    measurements, _ = feed_all(made, blocks(rows, 25_600, 97))
+    assert made.counters.lost_scans == 0
+    assert set(words(measurements)) == {"ok"}
+
+
+def test_repeating_a_command_or_label_disturbs_nothing():
+    rows = record(seconds=13.0)
+    made = tracker()
+    found = []
+    for number, table in enumerate(blocks(rows, RATE, 20)):
+        if number % 100 == 50:
+            made.command(applied(9.1, at_ns=table.stamp_ns))
+            made.label(0.006, table.stamp_ns)
+            made.configure(Table(table.stamp_ns, info_rows(RATE, since_start=table.stamp_ns / NS_PER_S)))
+        found += made.feed(table).measurements
+    assert words(found) == ["ok", "ok"]
+
+
+def test_who_joins_late_takes_scan_0_from_the_calibration():
+    """A rig recalibrated long after its start: windows are counted from its scan 0 all the same."""
+    rows = record(seconds=9.0)
+    since_s = 3.0
+    late = Tracker(QUICK)
+    late.configure(Table(round(since_s * NS_PER_S), info_rows(RATE, since_start=since_s)))
+    late.command(applied(9.1, at_ns=0))
+    late.label(0.006, 0)
+    expected, _ = feed_all(tracker(), blocks(rows, RATE, 20))
+    found, _ = feed_all(late, blocks(rows, RATE, 20))
+    assert [t.rows.tobytes() for t in found] == [t.rows.tobytes() for t in expected]

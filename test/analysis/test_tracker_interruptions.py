@@ -1,0 +1,130 @@
+"""The streaming measurement survives every interruption by name: holes, resets, changes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from kits.records import applied, blocks, feed_all, info_rows, linear_transmissibility, words
+from kits.tracker import RATE, record, run_scenario, tracker
+
+from impact_rig.blocks import Table
+from impact_rig.simtime import NS_PER_S
+
+
+def test_every_interruption_is_named_and_none_is_averaged_in():
+    measurements, impacts, made = run_scenario(20)
+    assert words(measurements) == [
+        "ok",
+        "command_changed",
+        "ok",
+        "over_range",
+        "ok",
+        "not_finite",
+        "ok",
+        "lost_blocks",
+        "ok",
+    ]
+    for table in measurements:
+        row = table.rows[0]
+        if row["settled"]:
+            truth = linear_transmissibility(row["frequency"])
+            assert abs(row["transmissibility"] - abs(truth)) < 4 * row["transmissibility_uncertainty"]
+        else:
+            assert np.isnan(row["transmissibility"])
+            assert np.isnan(row["laser_amplitude"])
+    assert made.counters.lost_scans == int(29.1 * RATE) - int(29.013 * RATE)
+    assert made.counters.impacts == sum(len(table.rows) for table in impacts) > 500
+    assert made.counters.measurements == 5
+    assert made.counters.refusals == 4
+
+
+def test_a_hole_inside_a_block_is_found():
+    rows = record(seconds=6.5)
+    table = next(blocks(rows, RATE, len(rows)))
+    holed = Table(0, np.delete(table.rows, slice(12_000, 12_010)))
+    made = tracker()
+    found = made.feed(holed)
+    assert "lost_blocks" in words(found.measurements)
+    assert made.counters.lost_scans == 10
+
+
+@pytest.mark.parametrize("times", ["another_rate", "nan", "backwards", "jitter"])
+def test_scans_that_are_no_runs_are_lost_not_measured(times):
+    """Another rate than daq/info says, or times that are none: counted, and no recursion."""
+    made = tracker()
+    rows = record(seconds=1.0)[:200].copy()
+    rows["time"] = np.arange(200) / RATE
+    if times == "another_rate":
+        rows["time"] /= 5
+    elif times == "nan":
+        rows["time"][-1] = np.nan
+    elif times == "backwards":
+        rows["time"] = rows["time"][::-1]
+    else:
+        rows["time"] += np.where(np.arange(200) % 2, 0.9, 0.0) / RATE
+    found = made.feed(Table(0, rows))
+    assert found.measurements == ()
+    assert made.counters.lost_scans > 0
+
+
+def test_a_repeated_block_is_dropped_and_a_jump_back_starts_anew():
+    made = tracker()
+    rows = record(seconds=7.0)
+    tables = list(blocks(rows, RATE, 100))
+    feed_all(made, [*tables[:50], tables[49]])
+    assert made.counters.duplicate_scans == 100
+    measurements, _ = feed_all(made, tables)  # from scan 0 again: the rig was reset
+    assert words(measurements) == ["restarted", "ok"]
+    assert made.counters.restarts == 1
+    fresh, _ = feed_all(tracker(), tables)
+    assert measurements[1].rows.tobytes() == fresh[0].rows.tobytes(), "nothing of the first life may remain"
+
+
+@pytest.mark.parametrize("late", [0, 1, 2])
+@pytest.mark.parametrize("silence_ns", [0, 3_700_000], ids=["seamless", "a_part_of_a_block_dropped"])
+def test_after_a_reset_everything_is_as_in_a_new_record(late, silence_ns):
+    """However late its announcement comes within the time scans are held back."""
+    reset_ns = 8 * NS_PER_S + silence_ns
+    fresh = record(seconds=6.0, seed=2)
+    announcement = Table(reset_ns, info_rows(RATE))
+    expected, _ = feed_all(tracker(start_ns=reset_ns), blocks(fresh, RATE, 20, start_ns=reset_ns))
+
+    made = tracker()
+    found = []
+    for table in blocks(record(seconds=8.0), RATE, 20):
+        found += made.feed(table).measurements
+    for number, table in enumerate(blocks(fresh, RATE, 20, start_ns=reset_ns)):
+        if number == late:
+            made.configure(announcement)
+        found += made.feed(table).measurements
+    found += made.flush().measurements
+    gap_seen_first = silence_ns and late
+    assert words(found) == ["ok", "lost_blocks" if gap_seen_first else "restarted", "ok"]
+    after = [table for table in found if table.stamp_ns >= reset_ns]
+    assert [table.stamp_ns for table in after] == [table.stamp_ns for table in expected]
+    assert b"".join(table.rows.tobytes() for table in after) == b"".join(t.rows.tobytes() for t in expected)
+
+
+@pytest.mark.parametrize("kind", ["label", "calibration", "current"])
+def test_every_change_starts_a_new_measurement(kind):
+    rows = record(seconds=16.0)
+    made = tracker()
+    found = []
+    for table in blocks(rows, RATE, 20):
+        if table.stamp_ns == 8 * NS_PER_S:
+            if kind == "label":
+                made.label(0.010, table.stamp_ns)
+            elif kind == "current":
+                made.command(applied(9.1, current_a=0.6, at_ns=table.stamp_ns))
+            else:
+                info = info_rows(RATE, since_start=table.stamp_ns / NS_PER_S)
+                info["sensitivity_uncertainty"] = 0.01
+                made.configure(Table(table.stamp_ns, info))
+        found += made.feed(table).measurements
+    changed = {"label": "label_changed", "calibration": "calibration_changed", "current": "command_changed"}[kind]
+    assert words(found) == ["ok", changed, "ok"]
+    before, after = found[0].rows[0], found[2].rows[0]
+    assert after["waited"] == pytest.approx(before["waited"], abs=1 / RATE)
+    assert after["gap"] == (0.010 if kind == "label" else 0.006)
+    if kind == "calibration":
+        assert after["transmissibility_uncertainty"] > 5 * before["transmissibility_uncertainty"]

@@ -1,0 +1,76 @@
+"""What cannot be measured gets a name and no number."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from kits.records import blocks, feed_all, info_rows, words
+from kits.tracker import RATE, record, tracker
+
+from impact_rig.analysis.tracker import Counters, Tracker
+from impact_rig.analysis.words import MEASURED, Status
+from impact_rig.blocks import Table
+from impact_rig.errors import ConfigError
+from impact_rig.simtime import NS_PER_S
+
+
+def _silence(rows, rng):
+    for name, rms in (("laser", 3e-6), ("base", 1e-6), ("current", 2e-3), ("accelerometer", 0.05)):
+        rows[name] = rms * rng.standard_normal(len(rows))
+
+
+def _swap(rows, _):
+    rows["laser"], rows["base"] = rows["base"].copy(), rows["laser"].copy()
+
+
+@pytest.mark.parametrize(
+    ("spoil", "status"),
+    [
+        (_silence, "silence"),
+        (lambda rows, _: rows["laser"].fill(1e-3), "constant"),
+        (lambda rows, _: rows["base"].fill(np.nan), "not_finite"),
+        (lambda rows, _: rows["laser"].fill(0.5), "over_range"),
+        (_swap, "swapped_channels"),
+    ],
+    ids=["silence", "constant", "nan", "clipped", "swapped"],
+)
+def test_a_spoiled_stream_gets_a_name_and_no_number(spoil, status):
+    rows = record(seconds=20.0)
+    spoil(rows, np.random.default_rng(7))
+    measurements, _ = feed_all(tracker(), blocks(rows, RATE, 20))
+    assert measurements
+    assert set(words(measurements)) == {status}
+    assert len(measurements) <= 5, "a lasting fault is told about once per measurement, not once per window"
+    assert all(np.isnan(table.rows[0]["transmissibility"]) for table in measurements)
+
+
+@pytest.mark.parametrize("frequency_hz", [0.0, -1.0, np.nan, 900.0])
+def test_an_unusable_frequency_is_named(frequency_hz):
+    measurements, _ = feed_all(tracker(frequency_hz), blocks(record(seconds=2.5), RATE, 20))
+    assert set(words(measurements)) == {"no_frequency"}
+
+
+def test_without_a_command_it_says_so_once_a_second():
+    measurements, _ = feed_all(tracker(None), blocks(record(seconds=3.6), RATE, 20))
+    assert words(measurements) == ["no_frequency"] * 3
+    assert [table.stamp_ns for table in measurements] == [k * NS_PER_S - NS_PER_S // RATE for k in (1, 2, 3)]
+
+
+def test_scans_before_the_calibration_are_counted_not_measured():
+    made = Tracker()
+    feed_all(made, blocks(record(seconds=0.5), RATE, 20))
+    assert made.counters == Counters(unconfigured_scans=RATE // 2)
+    assert made.flush().measurements == ()
+
+
+def test_a_bad_calibration_is_refused_and_the_old_one_kept():
+    made = tracker()
+    with pytest.raises(ConfigError):
+        made.configure(Table(0, info_rows(RATE)[:3]))
+    measurements, _ = feed_all(made, blocks(record(seconds=6.0), RATE, 20))
+    assert words(measurements) == ["ok"]
+
+
+def test_words_that_carry_numbers_are_the_documented_ones():
+    assert {Status.OK, Status.ACCELEROMETER_OVER_RANGE, Status.NOT_SETTLED} == MEASURED
+    assert all(len(status.value) < 32 for status in Status), "text columns hold 32 bytes"

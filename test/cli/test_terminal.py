@@ -1,0 +1,74 @@
+"""Text from outside reaches the terminal as text: nothing in it is markup, colour or a command."""
+
+from __future__ import annotations
+
+import ast
+import io
+from pathlib import Path
+
+import pytest
+from rich.progress import Progress
+from rich.table import Table
+
+from impact_rig.cli import main
+from impact_rig.cli.terminal import Console, Words
+from impact_rig.system.escapes import visible
+
+CLI = Path(__file__).parents[2] / "impact_rig" / "cli"
+TRICKS = "run [gap=2mm] x [/red] :smile: \x1b[31m\x1b]0;title\x07 \u202e \r\n\ud800"
+SHOWN = "run [gap=2mm] x [/red] :smile: \\x1b[31m\\x1b]0;title\\x07 \\u202e \\r\\n\\ud800"
+
+
+def test_what_cannot_be_seen_is_shown_as_its_escape() -> None:
+    assert visible(TRICKS) == SHOWN
+    assert visible("gap 6 mm, ±2u, χ², 测") == "gap 6 mm, ±2u, χ², 测"
+    assert visible("a\nb\x1b", lines=True) == "a\nb\\x1b"
+
+
+def drawn(what: object) -> str:
+    console = Console()
+    console.file = io.StringIO()
+    console.width = 200
+    console.print(what)
+    return console.file.getvalue()
+
+
+def test_text_is_printed_whole() -> None:
+    assert drawn(TRICKS) == f"{SHOWN}\n"
+
+
+def test_text_in_tables_and_headings_is_printed_whole() -> None:
+    table = Table(TRICKS, title=TRICKS, caption=TRICKS)
+    table.add_row(TRICKS)
+    assert drawn(table).count(SHOWN) == 4
+
+
+def test_text_in_a_progress_display_is_printed_whole() -> None:
+    console = Console()
+    console.file = io.StringIO()
+    console.width = 200
+    with Progress(Words("{task.description}"), Words("{task.fields[state]}"), console=console) as progress:
+        progress.add_task(TRICKS, state=TRICKS)
+    assert console.file.getvalue().count(SHOWN) == 2
+
+
+@pytest.mark.parametrize("name", ["run [gap=2mm] x", "[/red]", "\x1b[31m"])
+@pytest.mark.parametrize("command", ["info", "check", "campaign", "verify"])
+def test_the_name_of_a_file_is_printed_whole(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], command: str, name: str
+) -> None:
+    assert main([command, str(tmp_path / name)]) == 1
+    shown = capsys.readouterr().err
+    assert visible(name) in shown
+    assert "\x1b" not in shown
+
+
+def test_there_is_one_way_to_the_terminal() -> None:
+    """Whoever imports rich's own console, or its columns that read markup, has found a second one."""
+    for path in CLI.glob("*.py"):
+        if path.name == "terminal.py":
+            continue
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ImportFrom):
+                assert node.module != "rich.console", path
+                assert "TextColumn" not in {alias.name for alias in node.names}, path

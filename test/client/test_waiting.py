@@ -1,0 +1,83 @@
+"""Waiting: only the time in which nothing could happen counts, and a test's own limits are not spent on compiling."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+
+
+class Worker:
+    """An executor whose callback takes its time, like a hosted node that compiles."""
+
+    def __init__(self, works_s: float) -> None:
+        self._works_s = works_s
+
+    def spin_once(self, timeout_sec: float) -> None:
+        time.sleep(self._works_s or timeout_sec)
+
+
+def test_the_work_of_a_hosted_node_does_not_eat_the_time_to_wait() -> None:
+    pytest.importorskip("rclpy", reason="no ROS 2 here")
+    from impact_rig.client.waiting import Spinner
+
+    busy = Spinner(Worker(works_s=1.0))
+    began = busy.waited_s()
+    busy.spin(0.05)
+    assert busy.waited_s() - began < 0.5
+    idle = Spinner(Worker(works_s=0.0))
+    began = idle.waited_s()
+    idle.spin(0.05)
+    assert idle.waited_s() - began >= 0.05
+
+
+def run_pytest(tmp_path: Path, source: str, *options: str) -> subprocess.CompletedProcess[str]:
+    (tmp_path / "test_it.py").write_text(source)
+    command = [sys.executable, "-m", "pytest", "-p", "conftest", "-p", "no:cacheprovider", *options, "test_it.py"]
+    environment = {**os.environ, "PYTHONPATH": f"{ROOT / 'test'}{os.pathsep}{ROOT}"}
+    return subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+
+
+def test_compiling_is_not_part_of_a_tests_time(tmp_path: Path) -> None:
+    pytest.importorskip("pytest_timeout")
+    lines = "\n".join(f"    x = x * 1.0{n} + y[{n}] / (x + {n}.5)" for n in range(400))
+    source = (
+        "import time\nimport numba, numpy as np, pytest\n"
+        f"@numba.njit\ndef large(x, y):\n{lines}\n    return x\n"
+        "@pytest.mark.timeout(LIMIT)\n"
+        "def test_large():\n"
+        "    began = time.monotonic()\n"
+        "    large(1.0, np.ones(400))\n"
+        "    print('took', time.monotonic() - began)\n"
+        "def test_endless():\n"
+        "    time.sleep(100)\n"
+    )
+    once = run_pytest(tmp_path, source.replace("LIMIT", "0"), "-s", "-k", "large")
+    takes_s = float(once.stdout.split("took ")[1].split()[0])
+    limit = f"{takes_s / 4.0:.3f}"
+    again = run_pytest(tmp_path, source.replace("LIMIT", limit), "-k", "large")
+    assert again.returncode == 0, again.stdout
+    endless = run_pytest(tmp_path, source.replace("LIMIT", limit), "-k", "endless", "--timeout", "1")
+    assert "Timeout" in endless.stdout + endless.stderr
+
+
+@pytest.mark.ros
+def test_a_client_works_where_pytest_captures_what_is_printed(tmp_path: Path) -> None:
+    """Under `pytest -s` with `capsys` there is no file behind sys.stderr."""
+    pytest.importorskip("rclpy", reason="no ROS 2 here")
+    done = run_pytest(
+        tmp_path,
+        "from rclpy.context import Context\nfrom impact_rig.nodes.process import make_executor\n"
+        "def test_it(capsys):\n"
+        "    context = Context()\n    context.init(args=[])\n"
+        "    make_executor(context).shutdown()\n    context.try_shutdown()\n"
+        "    print('seen')\n    assert capsys.readouterr().out == 'seen\\n'\n",
+        "-s",
+    )
+    assert done.returncode == 0, done.stdout + done.stderr

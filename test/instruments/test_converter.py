@@ -1,0 +1,105 @@
+"""The converter: steps, clipping, flags, ranges, and what it cannot do."""
+
+import numpy as np
+import pytest
+from kits.instruments import EXACT, AnalyticMotion, configured, measured, sine
+
+from impact_rig.blocks import CHANNELS
+from impact_rig.config import RigConfig, from_flat
+from impact_rig.errors import ConfigError
+from impact_rig.instruments import Chain
+from impact_rig.instruments.chain import sensors
+
+BIT = {name: 1 << index for index, name in enumerate(CHANNELS)}
+
+
+def exact_16_bit(**changes):
+    return from_flat(configured(10_000, exact=True, **changes), {"instruments.adc.bits": 16})
+
+
+@pytest.mark.parametrize(("channel", "quantity", "peak"), [("base", "x_b", 1e-4), ("current", "current", 0.05)])
+def test_readings_are_whole_steps_of_16_bits(channel, quantity, peak):
+    config = exact_16_bit()
+    scans = measured(Chain(config), AnalyticMotion(**{quantity: sine(3.0, peak)}), 1.0)
+    sensor = next(sensor for sensor in sensors(config) if sensor.name == channel)
+    step = 2 * sensor.adc_range_v / 2**16 / abs(sensor.volt_per_unit)
+    codes = scans[channel] / step
+    np.testing.assert_allclose(codes, np.rint(codes), atol=1e-6)
+    assert set(np.unique(np.diff(np.unique(np.rint(codes))))) == {1.0}  # every code within the swing occurs
+
+
+def test_quantisation_error_is_spread_over_one_step():
+    config = exact_16_bit()
+    scans = measured(Chain(config), AnalyticMotion(x_b=lambda t: 1e-4 * t), 5.0)
+    step = 2 * 10.0 / 2**16 / 800.0
+    error = scans["base"] - np.polyval(np.polyfit(scans["time"], scans["base"], 1), scans["time"])
+    assert np.max(np.abs(error)) < 0.51 * step
+    assert np.std(error) == pytest.approx(step / np.sqrt(12), rel=0.01)
+
+
+def test_laser_reads_in_steps_of_its_resolution():
+    config = from_flat(configured(10_000, exact=True), {"instruments.laser.resolution_m": 8e-6})
+    scans = measured(Chain(config), AnalyticMotion(x_1=sine(3.0, 1e-4)), 1.0)
+    levels = np.unique(np.round(scans["laser"] / 8e-6, 3))
+    np.testing.assert_allclose(np.diff(levels), 1.0, atol=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("channel", "quantity", "peak", "limit"),
+    [
+        ("accelerometer", "a_1", 2500.0, 5.0 / 28e-3 * 9.80665),  # the converter's ± 5 V
+        ("laser", "x_1", 12e-3, 10e-3),  # end of the measuring range
+        ("base", "x_b", 15e-3, 12.5e-3),
+        ("current", "current", 40.0, 25.0),
+    ],
+)
+def test_beyond_the_range_it_clips_and_says_so(channel, quantity, peak, limit):
+    config = configured(10_000, exact=True)
+    sensor = next(sensor for sensor in sensors(config) if sensor.name == channel)
+    scans = measured(Chain(config), AnalyticMotion(**{quantity: sine(5.0, peak)}), 2.0)
+    flagged = scans["status"] & BIT[channel] > 0
+    assert np.max(np.abs(scans[channel])) == pytest.approx(limit, rel=1e-5)
+    np.testing.assert_array_equal(flagged, np.abs(scans[channel]) >= limit * (1 - 1e-6))
+    assert 0.1 < np.mean(flagged) < 0.6
+    assert not np.any(scans["status"] & ~np.uint8(BIT[channel]))  # nobody else's bit
+    assert sensor.measuring_range()[1] == pytest.approx(limit, rel=1e-6)
+
+
+def test_within_the_range_nothing_is_flagged():
+    scans = measured(Chain(configured(10_000)), AnalyticMotion(x_1=sine(9.1, 5.9e-3), a_1=sine(9.1, 20.0)), 1.0)
+    assert not np.any(scans["status"])
+
+
+def test_a_smaller_range_clips_earlier_and_resolves_more():
+    config = exact_16_bit(current__adc_range_v=0.2)
+    info = Chain(config).info()[3]
+    assert info["range_high"] == pytest.approx(1.0)
+    assert info["resolution"] == pytest.approx(2 * 0.2 / 2**16 * 5.0)
+
+
+def test_a_range_the_board_does_not_have_is_refused():
+    with pytest.raises(
+        ConfigError, match=r"laser\.adc_range_v must be one of 10, 5, 2, 1, 0\.5, 0\.2, 0\.1 V, got 3 V"
+    ):
+        from_flat(RigConfig(), {"instruments.laser.adc_range_v": 3})
+
+
+def test_more_conversions_than_the_board_can_do_are_refused():
+    Chain(configured(250_000))
+    slow_board = configured(100_000, adc__aggregate_limit_hz=250e3)
+    with pytest.raises(ConfigError, match=r"daq\.rate_hz must be <= 62500 Hz: 4 channels .* got 100000 Hz"):
+        Chain(slow_board)
+
+
+def test_inverted_wiring_turns_the_sign():
+    straight = measured(Chain(configured(exact=True)), AnalyticMotion(x_b=sine(9.1, 1e-3)), 0.2)
+    turned = measured(Chain(configured(exact=True, base__inverted=True)), AnalyticMotion(x_b=sine(9.1, 1e-3)), 0.2)
+    np.testing.assert_allclose(turned["base"], -straight["base"], atol=1e-8)
+
+
+def test_exact_means_exact():
+    """What the other tests rely on: every error of the instruments has a switch in the kit."""
+    tolerances = [name for name, value in EXACT.items() if value == 0]
+    assert len(tolerances) == 18
+    for sensor in sensors(configured(exact=True)):
+        assert sensor.gain_tolerance == sensor.offset_tolerance == sensor.noise == sensor.linearity == 0

@@ -1,0 +1,226 @@
+"""Faults on demand: each does what it says, where it says, and is written down."""
+
+import attrs
+import numpy as np
+import pytest
+from kits.instruments import AnalyticMotion, configured, measured, sine
+
+from impact_rig.blocks import FAULTS
+from impact_rig.config import RigConfig, from_flat
+from impact_rig.config.faults import FAULT_KINDS, parse
+from impact_rig.errors import CommandError, ConfigError
+from impact_rig.instruments import Chain, Fault
+
+START, DURATION = 300, 400
+INSIDE = slice(START, START + DURATION)
+MOTION = AnalyticMotion(x_1=sine(9.1, 5e-3), x_b=sine(9.1, 1e-3), current=sine(9.1, 0.5), a_1=sine(9.1, 15.0))
+
+
+def with_fault(kind, channel="laser", seconds=0.1, **fault):
+    """Return (scans with, scans without the fault), of the same rig with all its noise."""
+    config = configured(10_000)
+    chain = Chain(config)
+    chain.inject(Fault(kind=kind, channel=channel, start=START, duration=DURATION, **fault))
+    return measured(chain, MOTION, seconds), measured(Chain(config), MOTION, seconds)
+
+
+def outside(scans):
+    return np.concatenate([scans[:START], scans[START + DURATION :]])
+
+
+@pytest.mark.parametrize("kind", [kind for kind in FAULT_KINDS if kind not in ("lost_block", "clock_drift")])
+def test_a_fault_acts_on_its_scans_of_its_channel_only(kind):
+    faulty, sound = with_fault(kind, value=1e-3, rate_hz=500.0)
+    assert not np.array_equal(faulty["laser"][INSIDE], sound["laser"][INSIDE])
+    np.testing.assert_array_equal(outside(faulty), outside(sound))
+    for name in ("accelerometer", "base", "current"):
+        np.testing.assert_array_equal(faulty[name], sound[name])
+
+
+def test_dropout_reads_zero_volts():
+    faulty, _ = with_fault("dropout")
+    # 0 V is 10 mm of distance too few; the converter still makes its noise of 0.28 mV
+    np.testing.assert_allclose(faulty["laser"][INSIDE], 10e-3, atol=5 * 280e-6 / 500)
+    assert np.std(faulty["laser"][INSIDE]) > 0
+    assert not np.any(faulty["status"])
+
+
+def test_stuck_repeats_the_last_reading():
+    faulty, sound = with_fault("stuck")
+    assert set(faulty["laser"][INSIDE]) == {sound["laser"][START - 1]}
+
+
+def test_stuck_goes_on_over_calls():
+    chain = Chain(configured(10_000))
+    chain.inject(Fault(kind="stuck", channel="base", start=150))
+    scans = measured(chain, MOTION, 0.1, ticks_per_call=1)
+    assert set(scans["base"][150:]) == {scans["base"][149]}
+
+
+@pytest.mark.parametrize(("channel", "value", "tolerance"), [("laser", 1e-3, 2e-6), ("base", -2e-4, 2e-6)])
+def test_offset_step_adds_its_value(channel, value, tolerance):
+    faulty, sound = with_fault("offset_step", channel, value=value)
+    difference = (faulty[channel] - sound[channel])[INSIDE]
+    np.testing.assert_allclose(difference, value, atol=tolerance)
+
+
+def test_gain_error_stretches():
+    faulty, sound = with_fault("gain_error", "base", value=0.05)
+    np.testing.assert_allclose(faulty["base"][INSIDE], 1.05 * sound["base"][INSIDE], atol=2e-6)
+
+
+def test_added_noise_has_its_rms_and_its_seed():
+    faulty, sound = with_fault("added_noise", "base", value=1e-4, seed=1)
+    noise = (faulty["base"] - sound["base"])[INSIDE]
+    assert np.std(noise) == pytest.approx(1e-4, rel=4.5 / np.sqrt(2 * DURATION))
+    again, _ = with_fault("added_noise", "base", value=1e-4, seed=1)
+    other, _ = with_fault("added_noise", "base", value=1e-4, seed=2)
+    np.testing.assert_array_equal(faulty, again)
+    assert not np.array_equal(faulty["base"], other["base"])
+
+
+def test_spike_train_has_its_rate_and_size():
+    config = configured(10_000)
+    chain = Chain(config)
+    chain.inject(Fault(kind="spike_train", channel="base", value=2e-3, rate_hz=50.0, seed=5))
+    spikes = measured(chain, MOTION, 20.0)["base"] - measured(Chain(config), MOTION, 20.0)["base"]
+    hit = np.abs(spikes) > 1e-4
+    np.testing.assert_allclose(np.abs(spikes[hit]), 2e-3, atol=2e-6)
+    assert np.sum(hit) == pytest.approx(1000, abs=4.5 * np.sqrt(1000))
+    assert np.sum(spikes[hit] > 0) == pytest.approx(np.sum(hit) / 2, abs=4.5 * np.sqrt(np.sum(hit)) / 2)
+
+
+def test_saturation_limits_and_flags():
+    faulty, sound = with_fault("saturation", "laser", value=2e-3)
+    assert np.max(np.abs(faulty["laser"][INSIDE])) < 2.01e-3
+    beyond = np.abs(sound["laser"][INSIDE]) > 2.01e-3
+    assert np.all(faulty["status"][INSIDE][beyond] == 0b10)
+    assert 0.3 < np.mean(beyond) < 1.0
+    assert not np.any(outside(faulty)["status"])
+
+
+def test_faults_compose():
+    config = configured(10_000)
+    chain = Chain(config)
+    for value in (1e-4, 2e-4):
+        chain.inject(Fault(kind="offset_step", channel="base", start=START, duration=DURATION, value=value))
+    difference = measured(chain, MOTION, 0.1)["base"] - measured(Chain(config), MOTION, 0.1)["base"]
+    np.testing.assert_allclose(difference[INSIDE], 3e-4, atol=2e-6)
+
+
+def test_ideal_instruments_can_fail_too():
+    config = from_flat(configured(10_000), {"instruments.ideal": True})
+    chain = Chain(config)
+    chain.inject(Fault(kind="offset_step", channel="laser", start=START, duration=DURATION, value=1e-3))
+    difference = measured(chain, MOTION, 0.1)["laser"] - measured(Chain(config), MOTION, 0.1)["laser"]
+    np.testing.assert_allclose(difference[INSIDE], 1e-3, atol=1e-15)
+    assert not np.any(outside(difference))
+
+
+def test_lost_blocks_are_counted_by_the_board():
+    chain = Chain(configured(10_000))
+    chain.inject(Fault(kind="lost_block", start=250, duration=100))
+    assert [first for first in range(0, 600, 100) if chain.block_lost(first, 100)] == [200, 300]
+
+
+def test_clock_drift_adds_up():
+    chain = Chain(configured(25_600))
+    chain.inject(Fault(kind="clock_drift", start=256, duration=512, value=30.0))
+    chain.inject(Fault(kind="clock_drift", start=512, value=-10.0))
+    assert [chain.clock_ppm(tick) for tick in range(5)] == [0.0, 30.0, 20.0, -10.0, -10.0]
+
+
+def test_starts_and_ends_are_written_down_once_each():
+    chain = Chain(configured(10_000))
+    first = chain.inject(Fault(kind="stuck", channel="base", start=150, duration=100))
+    second = chain.inject(Fault(kind="dropout", channel="laser", start=99, value=0.5))
+    chain.acquire(MOTION, 0, 6)
+    chain.clear(second)
+    rows = np.concatenate([chain.fault_rows(start, 100) for start in range(0, 1000, 100)])
+    assert rows.dtype == FAULTS
+    expected = [(99, second, b"dropout", 1), (150, first, b"stuck", 1), (250, first, b"stuck", 0)]
+    assert [(row["sample"], row["id"], row["kind"], row["active"]) for row in rows] == [
+        *expected,
+        (600, second, b"dropout", 0),
+    ]
+    np.testing.assert_allclose(rows["time"], [99e-4, 50e-4, 50e-4, 0.0])
+    np.testing.assert_allclose(rows["duration"], [0.0, 0.01, 0.01, 0.0])  # as planned; 0 = until it is cleared
+
+
+def test_a_fault_without_end_says_so_and_can_be_cleared():
+    chain = Chain(configured(10_000))
+    number = chain.inject(Fault(kind="dropout", channel="laser", start=100))
+    assert chain.fault_rows(100, 100)["duration"][0] == 0
+    chain.acquire(MOTION, 0, 3)
+    chain.clear()
+    ends = chain.fault_rows(300, 100)
+    assert [(row["sample"], row["kind"], row["active"]) for row in ends] == [(300, b"dropout", 0)]
+    with pytest.raises(CommandError, match="no fault number 7"):
+        chain.clear(7)
+    chain.acquire(MOTION, 3, 3)
+    laser = chain.read(chain.ready)["laser"]
+    assert np.all(laser[100:300] > 9.9e-3)
+    assert np.all(laser[300:] < 6e-3)
+    assert number == 1
+
+
+def test_the_past_cannot_be_changed():
+    chain = Chain(configured(10_000))
+    chain.acquire(MOTION, 0, 5)
+    with pytest.raises(CommandError, match="must start at scan >= 500, got 499"):
+        chain.inject(Fault(kind="dropout", channel="laser", start=499))
+
+
+@pytest.mark.parametrize(
+    ("fault", "message"),
+    [
+        ({"kind": "gremlin"}, "fault kind must be one of dropout, stuck"),
+        ({"kind": "stuck"}, "stuck needs a channel, one of accelerometer, laser, base, current, got ''"),
+        ({"kind": "lost_block", "channel": "laser"}, "lost_block is a fault of the whole board"),
+        ({"kind": "stuck", "channel": "base", "start": -1}, "start of stuck must be finite and >= 0, got -1"),
+        ({"kind": "gain_error", "channel": "base", "value": np.nan}, "value of gain_error must be finite, got nan"),
+    ],
+)
+def test_nonsense_is_refused_by_name(fault, message):
+    with pytest.raises(CommandError, match=message):
+        Fault(**fault)
+
+
+def test_a_journal_row_gives_the_fault_again():
+    fault = Fault(kind="added_noise", channel="accelerometer", start=7, duration=123_456_789, value=0.25, seed=99)
+    key, value, text = fault.journal()
+    assert len(key.encode()) <= 32
+    assert len(text.encode()) <= 32
+    assert Fault.from_journal(key, value, text, 7) == fault
+    for wrong in (("stuck", 0.0, "1/2/3"), ("stuck/base", 0.0, "1/x/3")):
+        with pytest.raises(CommandError, match="not a fault of a journal"):
+            Fault.from_journal(*wrong, start=0)
+
+
+def test_planned_faults_come_with_the_configuration():
+    line = "offset_step channel=laser start_s=0.03 duration_s=0.04 value=1e-3"
+    config = from_flat(configured(10_000), {"instruments.faults.planned": [line]})
+    faulty, sound = measured(Chain(config), MOTION, 0.1), measured(Chain(configured(10_000)), MOTION, 0.1)
+    np.testing.assert_allclose((faulty["laser"] - sound["laser"])[INSIDE], 1e-3, atol=2e-6)
+    np.testing.assert_array_equal(outside(faulty), outside(sound))
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("gremlin channel=laser", r"instruments\.faults\.planned: fault kind must be one of"),
+        ("stuck channel=lser", r"planned: stuck needs a channel"),
+        ("stuck channel=laser start=2", r"key of a fault must be one of channel, start_s, .* got 'start'"),
+        ("stuck channel=laser start_s=soon", r"start_s of a fault must be a number, got 'soon'"),
+        ("stuck channel=laser duration_s=-1", r"duration_s of a fault must be finite and >= 0, got -1"),
+        ("stuck channel=laser seed=inf", r"seed of a fault must be finite and >= 0, got inf"),
+    ],
+)
+def test_a_badly_planned_fault_is_refused_by_name(line, message):
+    with pytest.raises(ConfigError, match=message):
+        from_flat(RigConfig(), {"instruments.faults.planned": [line]})
+
+
+def test_planned_values_arrive():
+    fault = parse("spike_train channel=base start_s=1 duration_s=2 value=-3e-4 seed=5 rate_hz=7")
+    assert attrs.astuple(fault) == ("spike_train", "base", 1.0, 2.0, -3e-4, 5, 7.0)

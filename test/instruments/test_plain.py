@@ -1,0 +1,23 @@
+"""The kernels of the instruments and of the drive are ordinary Python as well, and give the same bits."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+from kits.plain_chain import digests
+
+
+def test_plain_python_gives_the_bits_of_compiled_code():
+    program = Path(__file__).parents[1] / "kits" / "plain_chain.py"
+    plain = subprocess.run(
+        [sys.executable, "-W", "error", str(program)],
+        env=os.environ | {"NUMBA_DISABLE_JIT": "1", "PYTHONPATH": str(program.parents[1])},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert plain.returncode == 0, plain.stderr
+    assert plain.stdout.split() == digests()

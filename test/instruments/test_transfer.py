@@ -1,0 +1,84 @@
+"""Partial fractions against the transfer functions they stand for, and the step weights against quadrature."""
+
+import numpy as np
+import pytest
+from kits.instruments import configured
+from scipy import integrate, signal
+
+from impact_rig.instruments import transfer
+from impact_rig.instruments.chain import sensors
+from impact_rig.instruments.weights import weigh
+
+FREQUENCIES = np.geomspace(0.1, 60e3, 50)
+
+
+def chains():
+    return [
+        pytest.param(sensor.transfer, id=f"{sensor.name}, anti-alias {anti_alias}")
+        for anti_alias in ("off", "butterworth")
+        for sensor in sensors(configured(adc__anti_alias=anti_alias))
+    ]
+
+
+@pytest.mark.parametrize("chain", chains())
+def test_modes_sum_up_to_the_transfer_function(chain):
+    modes = chain.modes()
+    s = 2j * np.pi * FREQUENCIES[:, None]
+    pairs = modes.poles.imag > 0
+    own = modes.residues / (s - modes.poles)
+    conjugate = modes.residues.conj() / (s - modes.poles.conj())
+    total = np.sum(np.where(pairs, 0.5 * (own + conjugate), own), axis=1)
+    np.testing.assert_allclose(total, chain.response(FREQUENCIES), rtol=1e-8, atol=1e-10)
+
+
+def test_butterworth_and_lag_are_what_scipy_says():
+    for order in (1, 2, 3, 8):
+        b, a = signal.butter(order, 2 * np.pi * 1e3, analog=True)
+        _, expected = signal.freqs(b, a, 2 * np.pi * FREQUENCIES)
+        np.testing.assert_allclose(transfer.butterworth(order, 1e3).response(FREQUENCIES), expected, rtol=1e-9)
+    _, expected = signal.freqs([1.0], [0.7e-3, 1.0], 2 * np.pi * FREQUENCIES)
+    np.testing.assert_allclose(transfer.lag(0.7e-3).response(FREQUENCIES), expected, rtol=1e-12)
+
+
+def test_resonance_peaks_with_its_quality():
+    sensor = transfer.resonance(25e3, 30.0)
+    assert abs(sensor.response(25e3)) == pytest.approx(30.0)
+    assert abs(sensor.response(1.0)) == pytest.approx(1.0, rel=1e-8)
+
+
+def test_equal_poles_are_no_trouble():
+    twice = transfer.lag(1e-3) * transfer.lag(1e-3)
+    modes = twice.modes()
+    impulse = np.sum((modes.residues * np.exp(modes.poles * 1e-3)).real)
+    assert impulse == pytest.approx(1e-3 / 1e-3**2 * np.exp(-1.0), rel=1e-4)  # t/τ² e^{-t/τ} at t = τ
+
+
+def test_delay_is_the_slope_of_the_phase():
+    for sensor in sensors(configured()):
+        low = sensor.low_pass
+        slope = -np.angle(low.response(0.1)) / (2 * np.pi * 0.1)
+        assert low.delay_s() == pytest.approx(float(slope), rel=1e-6)
+
+
+def pairs(numbers):
+    return [complex(real, imag) for real, imag in zip(numbers[::2], numbers[1::2], strict=True)]
+
+
+@pytest.mark.parametrize("scale", [1e-4, 0.05, 0.3, 0.499, 0.501, 1.9, 2.1, 15.0, 80.0])
+@pytest.mark.parametrize("direction", [-1.0, -0.02 + 1j, -0.7 + 0.7j])
+def test_step_weights_are_their_integrals(scale, direction):
+    h = 1e-4
+    pole = complex(scale * direction / h)
+    decay, *weights = pairs(weigh(pole.real, pole.imag, h))
+    assert decay == pytest.approx(np.exp(pole * h), rel=1e-12)
+    for j in range(4):
+
+        def integrand(tau, part, j=j):
+            value = np.exp(pole * h * (1 - tau)) * (tau - 0.5) ** j
+            return value.real if part == 0 else value.imag
+
+        expected = h * sum(
+            unit * integrate.quad(integrand, 0, 1, args=(part,), epsabs=1e-14, epsrel=1e-12, limit=200)[0]
+            for part, unit in ((0, 1), (1, 1j))
+        )
+        assert weights[j] == pytest.approx(expected, rel=1e-9, abs=1e-12 * h)

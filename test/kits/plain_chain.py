@@ -1,0 +1,52 @@
+"""Print digests of short, eventful runs of the instruments: compiled, or plain Python where the JIT is off."""
+
+from __future__ import annotations
+
+import hashlib
+
+import numpy as np
+from kits.instruments import IMPACT, AnalyticMotion, configured
+
+from impact_rig.arithmetic.random import Random
+from impact_rig.config import Drive, Shaker
+from impact_rig.instruments import Chain, Fault
+from impact_rig.physics.function_generator import FunctionGenerator
+
+TICKS = 4
+
+
+def cubic(scale: float):
+    """A motion of whole operations only: the digest must not depend on the test's own sine."""
+    return lambda t: scale * ((t - 0.011) * (t - 0.023)) * (t - 0.037)
+
+
+def scans(*, ideal: bool = False, rate_hz: int = 10_000) -> np.ndarray:
+    blow = np.array([(1, 0.0043, 1, 0.01, 0.0), (2, 0.0061, -1, 0.02, 0.0)], IMPACT)
+    motion = AnalyticMotion(
+        breakpoints=(0.0143, 0.02502, 0.02505, 0.0261),
+        impacts=blow,
+        a_1=cubic(1e5),
+        x_1=cubic(10.0),
+        x_b=cubic(3.0),
+        current=cubic(1e4),
+    )
+    chain = Chain(configured(rate_hz, ideal=ideal, adc__anti_alias="butterworth"))
+    for number, kind in enumerate(("added_noise", "spike_train")):
+        chain.inject(Fault(kind=kind, channel="laser", start=20 + 50 * number, duration=40, value=1e-4, rate_hz=3e3))
+    chain.calibrate("base", 30.0, 1e-3, 2)
+    chain.acquire(motion, 0, TICKS)
+    return chain.read(chain.ready)
+
+
+def drive() -> np.ndarray:
+    noisy = Drive(waveform="random", amplitude=0.5)
+    return FunctionGenerator(noisy, Shaker(), Random(1)).segments(300)
+
+
+def digests() -> list[str]:
+    made = [scans(), scans(rate_hz=1_000), scans(ideal=True), drive()]
+    return [hashlib.sha256(rows.tobytes()).hexdigest() for rows in made]
+
+
+if __name__ == "__main__":
+    print("\n".join(digests()))  # noqa: T201

@@ -1,0 +1,192 @@
+"""Pacing without a wall clock: the clock is a number the test turns."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from impact_rig.nodes.pacing import KEPT, AckWindow, Pacer
+from impact_rig.simtime import NS_PER_S
+
+MS = 1_000_000
+
+
+class FakeClock:
+    def __init__(self) -> None:
+        self.now = 123_456_789
+
+    def __call__(self) -> int:
+        return self.now
+
+
+def test_due_time_follows_the_clock_without_drift() -> None:
+    clock = FakeClock()
+    pacer = Pacer(clock, factor=2.0)
+    pacer.rebase(0)
+    for _ in range(1000):
+        clock.now += 3_333_333  # irregular wake-ups do not accumulate
+        due = pacer.due_ns(int((clock.now - 123_456_789) * 2) - 10 * MS)
+    assert due == 2 * 3_333_333 * 1000
+    assert pacer.slips == 0
+
+
+def test_a_suspended_process_is_rebased_and_says_by_how_much() -> None:
+    clock = FakeClock()
+    pacer = Pacer(clock)
+    pacer.rebase(0)
+    clock.now += 5 * NS_PER_S
+    assert pacer.due_ns(produced_ns=100 * MS) == 100 * MS, "no burst of five seconds"
+    assert (pacer.slips, pacer.slipped_ns) == (1, 4900 * MS)
+    clock.now += 10 * MS
+    assert pacer.due_ns(100 * MS) == 110 * MS
+
+
+def test_lateness_is_measured_from_the_absolute_deadline() -> None:
+    clock = FakeClock()
+    pacer = Pacer(clock, factor=0.5)
+    pacer.rebase(0)
+    assert pacer.lateness() is None
+    clock.now += 20 * MS + 700_000
+    pacer.published(10 * MS)  # due after 20 ms at half speed
+    late = pacer.lateness()
+    assert late is not None
+    assert late.worst_ms == pytest.approx(0.7)
+
+
+def test_the_wait_until_a_block_is_due_is_in_clock_time() -> None:
+    clock = FakeClock()
+    pacer = Pacer(clock, factor=4.0)
+    clock.now += 1 * MS
+    assert pacer.wait_ns(10 * MS) == 2_500_000 - 1 * MS
+    assert pacer.wait_ns(0) == -1 * MS
+
+
+def test_window_follows_the_slowest_peer() -> None:
+    clock = FakeClock()
+    window = AckWindow(("a", "b"), 4, 3 * NS_PER_S, clock)
+    for stamp in (0, 10, 20):
+        window.published(stamp)
+    assert window.room() == 1
+    assert window.acknowledge("a", 20)
+    assert window.room() == 1
+    assert window.acknowledge("b", 10)
+    assert window.room() == 3
+    assert window.behind() == {"a": 0, "b": 1}
+
+
+@pytest.mark.parametrize(("peer", "stamp"), [("nobody", 0), ("a", 21), ("", 0)])
+def test_senseless_acknowledgements_are_refused(peer: str, stamp: int) -> None:
+    window = AckWindow(("a",), 4, NS_PER_S, FakeClock())
+    assert not window.acknowledge("a", 0), "nothing was published yet"
+    window.published(20)
+    assert not window.acknowledge(peer, stamp)
+    assert window.outstanding() == 1
+
+
+def test_only_a_peer_that_owes_something_is_silent() -> None:
+    clock = FakeClock()
+    window = AckWindow(("a", "b"), 4, 3 * NS_PER_S, clock)
+    clock.now += 100 * NS_PER_S  # a rig that pauses for long does not make its peers silent
+    window.published(0)
+    window.acknowledge("a", 0)
+    assert window.silent() == ()
+    clock.now += 3 * NS_PER_S + 1
+    assert window.silent() == ("b",)
+    window.excuse()
+    assert window.silent() == ()
+    clock.now += 4 * NS_PER_S
+    window.forgive()
+    assert (window.silent(), window.room()) == ((), 4)
+
+
+def test_without_peers_there_is_always_room() -> None:
+    window = AckWindow((), 4, NS_PER_S, FakeClock())
+    for stamp in range(100):
+        window.published(stamp)
+    assert (window.room(), window.silent()) == (4, ())
+
+
+def test_new_peers_owe_nothing_of_the_past() -> None:
+    window = AckWindow(("a",), 4, NS_PER_S, FakeClock())
+    window.published(0)
+    window.set_peers(("a", "b"))
+    assert window.behind() == {"a": 1, "b": 0}
+    window.set_peers(("b",))
+    assert window.room() == 4
+    window.watch("c")
+    window.acknowledge("c", 0)
+    for stamp in (1, 2, 3):
+        window.published(stamp)
+    assert window.behind()["c"] == 3, "watched before"
+    window.set_peers(("c",))
+    assert window.room() == 4
+
+
+@given(st.lists(st.tuples(st.sampled_from(["publish", "a", "b"]), st.integers(-5, 400)), max_size=200))
+def test_window_is_never_overrun_by_any_acknowledgements(steps: list[tuple[str, int]]) -> None:
+    """Whatever peers send, the rig is at most `window` blocks ahead of what each of them really acknowledged."""
+    window = AckWindow(("a", "b"), 3, NS_PER_S, FakeClock())
+    published, last = 0, {"a": -1, "b": -1}
+    for who, stamp in steps:
+        if who == "publish":
+            if window.room() > 0:
+                window.published(10 * published)
+                published += 1
+        elif window.acknowledge(who, stamp):
+            last[who] = max(last[who], stamp)
+        for name, seen in last.items():
+            acknowledged = 0 if seen < 0 else min(seen // 10 + 1, published)
+            assert window.behind()[name] == published - acknowledged
+        assert 0 <= window.room() <= 3
+
+
+def test_a_reader_that_nobody_waits_for_is_counted_too() -> None:
+    window = AckWindow(("peer",), 4, NS_PER_S, FakeClock())
+    for stamp in range(10):
+        window.published(stamp)
+    window.acknowledge("peer", 9)
+    assert not window.acknowledge("plotter", 3), "nobody watches it yet"
+    window.watch("plotter")
+    for stamp in (3, 4, 7, 6, 7):
+        assert window.acknowledge("plotter", stamp)
+    assert (window.behind(), window.lost()) == ({"peer": 0, "plotter": 2}, {"peer": 0, "plotter": 2})
+    assert (window.room(), window.silent()) == (4, ()), "only peers are waited for"
+    window.forget("plotter")
+    assert window.readers == ("peer",)
+
+
+def test_what_a_forgiven_peer_passes_over_still_counts_as_lost() -> None:
+    window = AckWindow(("a",), 4, NS_PER_S, FakeClock())
+    for stamp in range(4):
+        window.published(stamp)
+    window.acknowledge("a", 0)
+    window.forgive()
+    assert window.behind() == {"a": 0}
+    window.published(4)
+    window.acknowledge("a", 4)
+    assert (window.behind(), window.lost()) == ({"a": 0}, {"a": 3})
+
+
+def test_a_peer_that_left_and_comes_back_has_lost_nothing_of_the_time_between() -> None:
+    window = AckWindow(("a",), 4, NS_PER_S, FakeClock())
+    window.published(0)
+    window.acknowledge("a", 0)
+    for stamp in (1, 2, 3):
+        window.published(stamp)
+    window.forget("a")
+    assert window.behind() == {"a": 3}, "a peer is waited for, there or not"
+    window.forgive()
+    window.published(4)
+    window.acknowledge("a", 4)
+    assert (window.behind(), window.lost()) == ({"a": 0}, {"a": 0})
+
+
+def test_remembered_stamps_are_bounded() -> None:
+    window = AckWindow((), 1, NS_PER_S, FakeClock())
+    window.watch("late")
+    for stamp in range(3 * KEPT):
+        window.published(stamp)
+    assert window.acknowledge("late", 0)
+    assert KEPT <= window.behind()["late"] <= 2 * KEPT, "further behind than is remembered"
+    assert len(window._stamps) < 2 * KEPT

@@ -1,0 +1,202 @@
+"""What goes in comes out: bytes, times, sequence numbers, order, attachments."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from kits.recording import (
+    ALL_TOPICS,
+    CONFIG,
+    NOTES_TOPIC,
+    PROVENANCE,
+    SCAN_TOPIC,
+    START_NS,
+    HandClock,
+    fill,
+    scan_block,
+    string,
+    topic,
+)
+
+from impact_rig import codec
+from impact_rig.errors import RecordingError
+from impact_rig.recording import Attachment, RunWriter, open_run
+from impact_rig.recording.topics import resolve
+
+
+def as_sent(message):
+    return (message.topic, bytes(message.data), message.log_time, message.publish_time, message.sequence)
+
+
+def as_tuple(sent):
+    return (sent.topic, sent.data, sent.log_time, sent.publish_time, sent.sequence)
+
+
+@pytest.mark.parametrize("compression", ["none", "lz4", "zstd"])
+def test_every_message_comes_back_as_sent(record, compression):
+    with record(compression=compression, chunk_bytes=40_000) as writer:
+        sent = fill(writer, 50)
+    with open_run(writer.directory) as run:
+        assert [as_sent(m) for m in run.messages(recorded_order=True)] == [as_tuple(s) for s in sent]
+        assert run.message_count == len(sent)
+        assert {name: found.count for name, found in run.topics.items()} == {
+            known.name: sum(s.topic == known.name for s in sent) for known in ALL_TOPICS
+        }
+        assert [found.topic for found in run.topics.values()] == [
+            type(known).from_channel(known.name, known.type_name, known.schema, known.channel_metadata())
+            for known in ALL_TOPICS
+        ]
+
+
+def test_log_time_order_and_ties(record):
+    with record(chunk_bytes=20_000) as writer:
+        sent = fill(writer, 50)
+    in_order = sorted(range(len(sent)), key=lambda i: (sent[i].log_time, i))
+    with open_run(writer.directory) as run:
+        assert [as_sent(m) for m in run.messages()] == [as_tuple(sent[i]) for i in in_order]
+
+
+def test_selected_topics_and_times(record):
+    with record(chunk_bytes=20_000) as writer:
+        sent = fill(writer, 50)
+    begin, end = START_NS + 100_000_000, START_NS + 300_000_000
+    with open_run(writer.directory) as run:
+        got = [as_sent(m) for m in run.messages(["notes", "/rig/daq/ack"], start_ns=begin, end_ns=end)]
+    wanted = [s for s in sent if s.topic in {"/rig/notes", "/rig/daq/ack"} and begin <= s.log_time < end]
+    assert got == [as_tuple(s) for s in wanted]
+    assert len(got) == 8
+
+
+def test_tables_are_decoded(record):
+    with record() as writer:
+        fill(writer, 20)
+    with open_run(writer.directory) as run:
+        tables = list(run.tables("daq/scan"))
+        with pytest.raises(RecordingError, match="carries std_msgs/msg/String, not tables"):
+            run.tables("notes")
+    assert [table.stamp_ns for table in tables] == [START_NS + i * 10_000_000 for i in range(20)]
+    np.testing.assert_array_equal(tables[3].rows, codec.decode(scan_block(3)).rows)
+
+
+def test_attachments_and_provenance(record):
+    with record() as writer:
+        fill(writer, 5)
+        writer.attach(Attachment("calibration.yaml", b"laser: 1\n"))
+        fill(writer, 5, first=5)
+    with open_run(writer.directory) as run:
+        assert run.attachments() == {"config.yaml": CONFIG, "calibration.yaml": b"laser: 1\n"}
+        assert run.provenance == PROVENANCE.to_record()
+
+
+def test_a_topic_appearing_late_is_recorded_from_then_on(record):
+    late = topic("/rig/late", "std_msgs/msg/String")
+    with record(chunk_bytes=20_000) as writer:
+        fill(writer, 30)
+        writer.add_topic(late)
+        writer.write(late.name, string("here"), 5)
+        fill(writer, 30, first=30)
+    with open_run(writer.directory) as run:
+        (message,) = run.messages(["late"])
+        assert bytes(message.data) == string("here")
+        assert message.log_time == START_NS + 29 * 10_000_000 + 9_900_000
+
+
+def test_a_publisher_that_restarts_changes_nothing_and_another_type_is_refused(record):
+    with record() as writer:
+        fill(writer, 3)
+        writer.add_topic(SCAN_TOPIC)
+        with pytest.raises(RecordingError, match="is recorded as sensor_msgs/msg/PointCloud2: what is std_msgs"):
+            writer.add_topic(topic(SCAN_TOPIC.name, "std_msgs/msg/String"))
+        assert not writer.closed
+        sent = fill(writer, 3, first=3)
+    with open_run(writer.directory) as run:
+        assert len(list(run.messages(["daq/scan"]))) == 6
+        assert as_sent(list(run.messages(recorded_order=True))[-1]) == as_tuple(sent[-1])
+
+
+def test_a_clock_that_jumps_back_loses_nothing(record, clock):
+    with record(chunk_bytes=20_000) as writer:
+        first = fill(writer, 20, first=1000)
+        clock.now_s -= 50.0
+        second = fill(writer, 20)  # stamps ten seconds earlier
+    with open_run(writer.directory) as run:
+        times = [m.log_time for m in run.messages()]
+        assert times == sorted(s.log_time for s in first + second)
+        assert run.start_ns == START_NS
+        assert run.end_ns == max(s.log_time for s in first)
+
+
+def test_an_empty_run_can_be_opened(record):
+    with record() as writer:
+        pass
+    with open_run(writer.directory) as run:
+        assert list(run.messages()) == []
+        assert (run.message_count, run.start_ns, run.end_ns) == (0, 0, 0)
+
+
+def test_reading_on_after_closing_is_an_error(record):
+    with record(chunk_bytes=20_000) as writer:
+        fill(writer, 50)
+    with open_run(writer.directory) as run:
+        messages = run.messages()
+        next(messages)
+    with pytest.raises(RecordingError, match="cannot be read at byte"):
+        list(messages)
+
+
+def test_unknown_topics_name_those_that_exist(record):
+    with record() as writer:
+        fill(writer, 2)
+    with open_run(writer.directory) as run, pytest.raises(RecordingError, match=r"no topic 'scans'.*/rig/daq/scan"):
+        run.messages(["scans"])
+
+
+def test_a_topic_is_found_without_its_namespace():
+    names = ["/rig/impacts", "/rig/truth/impacts", "/rig/notes"]
+    assert resolve("impacts", names) == "/rig/impacts"
+    assert resolve("truth/impacts", names) == resolve("/rig/truth/impacts", names) == "/rig/truth/impacts"
+    with pytest.raises(RecordingError, match="'notes' is ambiguous: /left/notes, /right/notes"):
+        resolve("notes", ["/left/notes", "/right/notes"])
+
+
+NAMES = st.text("abcdefghij_", min_size=1, max_size=12).map(lambda name: f"/{name}")
+MESSAGES = st.lists(
+    st.tuples(
+        st.integers(0, 4),
+        st.binary(max_size=300),
+        st.integers(0, 2**63 - 1),
+        st.integers(0, 2**63 - 1),
+        st.integers(0, 2**32 - 1),
+    ),
+    max_size=60,
+)
+
+
+@settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    names=st.lists(NAMES, min_size=5, max_size=5, unique=True),
+    messages=MESSAGES,
+    compression=st.sampled_from(["none", "lz4", "zstd"]),
+    chunk_bytes=st.sampled_from([1, 200, 100_000]),
+    max_file_bytes=st.sampled_from([0, 1, 20_000]),
+)
+def test_any_bytes_at_any_time_round_trip(tmp_path_factory, names, messages, compression, chunk_bytes, max_file_bytes):
+    directory = tmp_path_factory.mktemp("any") / "run"
+    with RunWriter(
+        directory,
+        provenance=None,
+        clock=HandClock(),
+        compression=compression,
+        chunk_bytes=chunk_bytes,
+        max_file_bytes=max_file_bytes,
+    ) as writer:
+        for name in names:
+            writer.add_topic(topic(name, NOTES_TOPIC.type_name))
+        for index, data, log_time, publish_time, sequence in messages:
+            writer.write_at(names[index], data, log_time, publish_time, sequence)
+    with open_run(directory) as run:
+        sent = [(names[i], *rest) for i, *rest in messages]
+        assert [as_sent(m) for m in run.messages(recorded_order=True)] == sent
+        assert [as_sent(m) for m in run.messages()] == sorted(sent, key=lambda message: message[2])

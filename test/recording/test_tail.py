@@ -1,0 +1,160 @@
+"""What was secured survives a process killed at any instant: nothing of it missing, nothing twice, nothing else."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+from kits.recording import NOTES_TOPIC, SCAN_TOPIC, scan_block, string
+
+from impact_rig.errors import RecordingError
+from impact_rig.recording import open_run
+from impact_rig.recording.tail import Tail, tail_of
+from impact_rig.runs import recover
+
+BLOCKS = 12
+
+
+def given_back(directory, out):
+    """Recover a run and return its messages' data, in order."""
+    try:
+        recover(directory, out)
+    except RecordingError as error:
+        if "nothing can be recovered" not in str(error):
+            raise
+        return []
+    with open_run(out) as run:
+        found = [bytes(message.data) for message in run.messages(recorded_order=True)]
+    shutil.rmtree(out)
+    return found
+
+
+def write(writer, number):
+    """Write a block and, with every third, a note; return their data."""
+    data = [scan_block(number, scans=20)]
+    writer.write(SCAN_TOPIC.name, data[0], 0, number)
+    if number % 3 == 0:
+        if number == 3:
+            writer.add_topic(NOTES_TOPIC)  # while a chunk is open
+        if number:
+            data.append(string(f"note {number}"))
+            writer.write(NOTES_TOPIC.name, data[1], 0, number)
+    return data
+
+
+@pytest.mark.parametrize("options", [{"chunk_bytes": 2500}, {"max_file_bytes": 3000, "chunk_bytes": 1500}])
+def test_killed_after_any_call_all_that_was_secured_is_given_back(record, tmp_path, options):
+    """A directory as a killed process leaves it is a copy of what is on disk between two calls."""
+    writer = record(tail=True, **options)
+    writer.add_topic(SCAN_TOPIC)
+    sent, secured, copies = [], 0, 0
+    for number in range(BLOCKS):
+        for call in (lambda n=number: sent.extend(write(writer, n)), writer.secure):
+            call()
+            if call == writer.secure:
+                secured = len(sent)
+            if secured:
+                shutil.copytree(writer.directory, tmp_path / "killed")
+                found = given_back(tmp_path / "killed", tmp_path / "out")
+                assert len(found) >= secured
+                assert found == sent[: len(found)]
+                shutil.rmtree(tmp_path / "killed")
+                copies += 1
+    assert copies > BLOCKS
+    writer.finish()
+    assert not list(writer.directory.glob("*.tail"))
+    with open_run(writer.directory) as run:
+        assert [bytes(message.data) for message in run.messages(recorded_order=True)] == sent
+
+
+@pytest.mark.parametrize("chunk_bytes", range(1500, 5000, 100))
+def test_a_topic_that_comes_when_a_chunk_is_nearly_full_costs_nothing(record, tmp_path, chunk_bytes):
+    """Its definition may fill the chunk: what is secured after that belongs to the next one."""
+    writer = record(tail=True, chunk_bytes=chunk_bytes)
+    writer.add_topic(SCAN_TOPIC)
+    sent = []
+    for number in range(4):
+        if number == 3:
+            writer.add_topic(NOTES_TOPIC)
+        sent.append(scan_block(number, scans=16))
+        writer.write(SCAN_TOPIC.name, sent[-1], 0, number)
+        writer.secure()
+    shutil.copytree(writer.directory, tmp_path / "killed")
+    assert given_back(tmp_path / "killed", tmp_path / "out") == sent
+    writer.finish()
+
+
+def test_killed_between_chunk_and_removal_nothing_is_given_back_twice(record, tmp_path, monkeypatch):
+    """The one instant at which both files hold the same messages."""
+    instants = []
+
+    def remove(tail):
+        shutil.copytree(tail.path.parent, tmp_path / f"killed{len(instants)}")
+        instants.append(len(sent))
+        really_remove(tail)
+
+    really_remove = Tail.remove
+    monkeypatch.setattr(Tail, "remove", remove)
+    writer = record(tail=True, chunk_bytes=2500)
+    writer.add_topic(SCAN_TOPIC)
+    sent = []
+    for number in range(BLOCKS):
+        sent.append(scan_block(number, scans=20))
+        writer.write(SCAN_TOPIC.name, sent[-1], 0, number)
+        writer.secure()
+    writer.finish()
+    assert len(instants) > 3
+    for case, count in enumerate(instants):
+        assert tail_of(tmp_path / f"killed{case}" / writer.files[0].name).exists()
+        assert given_back(tmp_path / f"killed{case}", tmp_path / "out") == sent[:count]
+
+
+def test_a_chunk_cut_short_while_it_was_written_is_replaced_by_the_tail(record, tmp_path):
+    """The process was killed inside the write of a chunk, or inside that of the tail."""
+    writer = record(tail=True, chunk_bytes=10_000)
+    writer.add_topic(SCAN_TOPIC)
+    sent = []
+    for number in range(4):
+        sent.append(scan_block(number, scans=20))
+        writer.write(SCAN_TOPIC.name, sent[-1], 0, number)
+        writer.secure()
+    kept = tmp_path / "kept"
+    shutil.copytree(writer.directory, kept)
+    writer.finish()
+    recording, tail = kept / "run.mcap", tail_of(kept / "run.mcap")
+    begun, whole, secured = recording.stat().st_size, writer.files[0].read_bytes(), tail.read_bytes()
+    for size in range(begun, begun + 200, 29):
+        recording.write_bytes(whole[:size])
+        assert given_back(kept, tmp_path / "out") == sent
+    recording.write_bytes(whole[:begun])
+    counts = []
+    for size in range(0, len(secured), 97):
+        tail.write_bytes(secured[:size])
+        found = given_back(kept, tmp_path / "out")
+        assert found == sent[: len(found)]
+        counts.append(len(found))
+    assert counts == sorted(counts)
+    assert set(counts) == {0, 1, 2, 3, 4}
+
+
+def test_a_run_without_a_tail_has_no_second_file(record):
+    writer = record()
+    writer.add_topic(SCAN_TOPIC)
+    writer.write(SCAN_TOPIC.name, scan_block(0), 0, 0)
+    writer.secure()
+    assert [path.name for path in writer.directory.iterdir()] == ["run.mcap"]
+    writer.finish()
+
+
+def test_a_tail_of_somebody_else_is_not_overwritten(record):
+    writer = record(tail=True)
+    writer.add_topic(SCAN_TOPIC)
+    other = tail_of(Path(writer.files[0]))
+    other.write_text("mine")
+    with pytest.raises(RecordingError, match=r"run.mcap.tail exists already and is not overwritten"):
+        writer.write(SCAN_TOPIC.name, scan_block(0), 0, 0)
+    assert other.read_text() == "mine"
+    (writer.directory / "run.mcap").unlink()
+    with pytest.raises(RecordingError, match=r"holds a recording already \(run.mcap.tail\)"):
+        record(tail=True)

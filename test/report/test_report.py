@@ -1,0 +1,168 @@
+"""The report is one page that needs nothing else, and shows what was measured."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+import sys
+from html.parser import HTMLParser
+from pathlib import Path
+
+import attrs
+import pytest
+
+from impact_rig.campaign import run
+from impact_rig.campaign.in_process import execute
+from impact_rig.campaign.plan import load_campaign
+from impact_rig.cli import main
+from impact_rig.report.palette import DARK, NAMES
+from impact_rig.studies.margins import variations
+from impact_rig.system.resources import config_dir
+
+CHECK = Path(__file__).parents[2] / "tools" / "check_report" / "check.py"
+VOID = {"meta", "link", "br", "use"}
+
+
+class Page(HTMLParser):
+    """Collects identifiers, addresses, text and unbalanced elements."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.identifiers, self.addresses, self.open, self.words = [], [], [], []
+        self.feed(text)
+
+    def handle_starttag(self, tag, attributes):
+        values = dict(attributes)
+        if "id" in values:
+            self.identifiers.append(values["id"])
+        self.addresses += [values[name] for name in ("src", "href", "xlink:href") if name in values]
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag, attributes):
+        self.handle_starttag(tag, attributes)
+        if tag not in VOID:
+            self.open.pop()
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag, f"</{tag}> closes nothing"
+
+    def handle_data(self, data):
+        self.words.append(data)
+
+    @property
+    def text(self):
+        return " ".join(" ".join(self.words).split())
+
+
+@pytest.fixture(scope="module")
+def reported(tmp_path_factory):
+    """A campaign with the paper's curves at three frequencies, a point that fails, and its page."""
+    folder = tmp_path_factory.mktemp("report")
+    file = folder / "short.yaml"
+    campaign = load_campaign(config_dir() / "paper.yaml").only(("curves",))
+    text = campaign.text.replace("[7.5, 8.0, 8.5, 8.9, 9.0, 9.1, 9.2, 9.5, 10.0, 10.5]", "[9.0, 9.1, 9.2]")
+    text = text[: text.index("  peak:")] + "  <trip>: { frequencies_hz: 9.1, gaps_m: none, currents_a: 18 }\n"
+    file.write_text(f"analysis: {{ settle_tolerance: 0.01 }}\n{text}")
+    short = load_campaign(file)
+    store = run.prepare(short, folder / "out", "process")
+    for job in run.unique_jobs(short.planned()):
+        fewer = job if job.frequencies_hz == (9.1,) else attrs.evolve(job, traces=False)
+        store.put(job, execute(fewer))
+    run.write_results(run.finished(short, folder / "out"), 1.0)
+    assert main(["report", str(folder / "out")]) == 0
+    return folder / "out"
+
+
+@pytest.fixture(scope="module")
+def page(reported):
+    return Page((reported / "report.html").read_text())
+
+
+def test_the_page_is_whole_and_fetches_nothing(page, reported):
+    assert page.open == []
+    assert len(page.identifiers) == len(set(page.identifiers))
+    for address in page.addresses:
+        local = address.startswith(("#", "data:")) or (reported / address).is_file()
+        assert local, f"{address} is somewhere else"
+    text = (reported / "report.html").read_text()
+    assert "<script" not in text
+    assert "@import" not in text
+    assert all(target.startswith("#") for target in re.findall(r"url\(([^)]*)\)", text))
+
+
+def test_every_colour_follows_the_theme(reported):
+    text = (reported / "report.html").read_text()
+    drawings = re.findall(r"<svg.*?</svg>", text, flags=re.DOTALL)
+    assert drawings
+    for drawing in drawings:
+        assert not [light for light in NAMES if light in drawing]
+        assert "#000000" not in drawing, "drawn in the default black, unseen in the dark"
+    assert set(DARK) == set(NAMES.values())
+
+
+def test_the_page_tells_what_the_data_say(page, reported):
+    done = run.open_finished(reported)
+    reductions = done.reductions()
+    for gap, value in reductions.percent().items():
+        assert f"{value:.2f} ± {2 * reductions.percent_uncertainty[gap]:.2f}" in page.text, gap
+    for verdict in done.verdicts():
+        assert verdict.text in page.text
+        assert f"{verdict.word} {verdict.kind.value} {verdict.detail}" in page.text
+    assert "a fit, not a validation" in page.text
+    assert "really returns 0.309" in page.text
+    assert "<trip> no sphere 9.1 reset the rig tripped: over_travel" in page.text
+    assert "structure.damping_ratio" in page.text
+
+
+MARGINS = """\
+set: { instruments.ideal: true }
+analysis: { settle_tolerance: 0.01 }
+studies:
+  m_b:
+    frequencies_hz: [7.5, 8.0, 8.5, 8.9, 9.0, 9.1, 9.2, 9.5, 10.0, 10.5]
+    gaps_m: none
+    vary: { shaker.base_mass_kg: [1.84, 0.84] }
+"""
+
+
+def test_the_page_tells_what_each_verdict_is_worth_and_owes_to_the_choice(reported, tmp_path, capsys):
+    (tmp_path / "margins.yaml").write_text(MARGINS)
+    varied = load_campaign(tmp_path / "margins.yaml")
+    store = run.prepare(varied, tmp_path / "margins", "process")
+    for job in run.unique_jobs(varied.planned()):
+        store.put(job, execute(job))
+    page, margins = str(tmp_path / "page.html"), str(tmp_path / "margins")
+    assert main(["report", str(reported), "--output", page, "--margins", margins]) == 0
+    text = Page(Path(page).read_text()).text
+    for verdict in run.open_finished(reported).verdicts():
+        assert f"{verdict.word} {verdict.kind.value} {verdict.detail}" in text
+    (itself, changed) = variations(run.open_finished(tmp_path / "margins").points)
+    for one, name in ((itself, "the rig itself"), (changed, "shaker.base_mass_kg = 0.84")):
+        peak, amplitudes = (f"{v.result.value:.4g} {v.word}" for v in one.verdicts[:2])
+        assert f"{name} {peak} {amplitudes}" in text
+    assert changed.verdicts[1].word == "FAIL"
+    assert main(["report", str(reported), "--margins", str(reported)]) == 1
+    assert "holds no campaign that varies constants" in capsys.readouterr().err
+
+
+def test_figures_lie_beside_the_page(reported):
+    names = {path.stem for path in (reported / "figures").glob("*.svg")}
+    assert names == {path.stem for path in (reported / "figures").glob("*.png")}
+    assert {"fig6_without_sphere", "fig7_all_gaps", "fig8a_gap_2mm", "fig8e_gap_10mm", "regimes", "reductions"} <= names
+    assert len((reported / "points.csv").read_text().splitlines()) == 1 + 6 * 3 + 1
+    assert {"trace_gap_2mm", "phase_gap_10mm", "amplitudes"} <= names
+
+
+def test_a_directory_without_campaign_is_refused(tmp_path, capsys):
+    assert main(["report", str(tmp_path)]) == 1
+    assert "holds no campaign" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not any(map(shutil.which, ("chromium", "google-chrome"))), reason="no browser is installed")
+def test_a_browser_finds_nothing_wrong(reported, tmp_path):
+    command = [sys.executable, CHECK, reported / "report.html", tmp_path]
+    found = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert found.returncode == 0, found.stdout + found.stderr

@@ -1,0 +1,53 @@
+"""Blocks: when they come, what is in them, and that they are the receiver's own."""
+
+from __future__ import annotations
+
+import attrs
+import numpy as np
+from kits.rig import START_NS, TICK, config, same
+
+from impact_rig.rig import Rig
+from impact_rig.simtime import NS_PER_S, stamp_ns
+
+
+def test_a_block_comes_when_it_is_complete_and_not_before() -> None:
+    rig = Rig(config(), START_NS)
+    assert rig.advance(START_NS + TICK - 1) == []
+    assert [block.number for block in rig.advance(START_NS + TICK)] == [0]
+    assert rig.advance(START_NS + TICK) == []
+    assert rig.frontier_ns == START_NS + TICK
+
+
+def test_a_long_block_is_simulated_tick_by_tick() -> None:
+    """So that a command in realtime waits for one tick, not for a block."""
+    rig = Rig(config(daq__block_scans=10_000))
+    assert rig.advance(25 * TICK + 1) == []
+    assert rig.frontier_ns == 25 * TICK
+
+
+def test_monitor_instants_are_scans_at_the_asked_rate() -> None:
+    blocks = Rig(config(daq__rate_hz=25_600, daq__block_scans=256, output__monitor_rate_hz=200.0)).advance(NS_PER_S)
+    indices = np.concatenate([block.first_sample + block.monitor_scans for block in blocks])
+    assert np.array_equal(indices, np.arange(200) * 128)
+    for block in blocks:
+        assert np.array_equal(block.monitor["time"], block.monitor_scans / 25_600)
+
+
+def test_memory_stays_bounded() -> None:
+    """What is handed out is forgotten: nothing in the rig grows with its running time."""
+    rig = Rig(config())
+    rig.advance(100 * TICK)
+    kept = [len(part) for part in (rig._truth._states, rig._truth._impacts)]
+    rig.advance(400 * TICK)
+    assert [len(part) for part in (rig._truth._states, rig._truth._impacts)] <= [max(k, 1) for k in kept]
+
+
+def test_blocks_are_values_of_their_own() -> None:
+    """A later advance must not write into a block that was handed out."""
+    rig = Rig(config())
+    (block,) = rig.advance(TICK)
+    before = attrs.evolve(block), block.scan.rows.copy(), block.monitor.copy()
+    rig.advance(20 * TICK)
+    assert same(block.scan.rows, before[1])
+    assert same(block.monitor, before[2])
+    assert stamp_ns(0, 10_000) == block.scan.stamp_ns

@@ -1,0 +1,52 @@
+"""Planned faults come and go with their lines; a lost block is told as one."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from kits.rig import TICK, config, resimulated
+
+from impact_rig.errors import ConfigError
+from impact_rig.rig import Rig
+
+
+def test_faults_come_and_go_with_the_list_of_planned_ones() -> None:
+    """Counted from when it is set; journaled as what it is, so a re-simulation has it too."""
+    rig = Rig(config(instruments__faults__planned=["stuck channel=base start_s=0.005"]))
+    blocks = rig.advance(10 * TICK)
+    rig.configure({"instruments.faults.planned": ["dropout channel=laser start_s=0.02 duration_s=0.03"]})
+    blocks += rig.advance(30 * TICK)
+    rows = np.concatenate([block.faults.rows for block in blocks if block.faults is not None])
+    found = [(row["kind"], row["channel"], row["sample"], row["active"], row["id"]) for row in rows]
+    assert found == [
+        (b"stuck", b"base", 50, 1, 1),
+        (b"stuck", b"base", 1000, 0, 1),
+        (b"dropout", b"laser", 1200, 1, 2),
+        (b"dropout", b"laser", 1500, 0, 2),
+    ]
+    with pytest.raises(ConfigError, match="fault kind must be one of"):
+        rig.configure({"instruments.faults.planned": ["explosion"]})
+    rig.configure({"instruments.faults.planned": []})  # it has ended: nothing to clear
+    blocks += rig.advance(40 * TICK)
+    resimulated(blocks, rig.take_journal())
+    rig.reset()
+    assert all(block.faults is None for block in rig.advance(rig.frontier_ns + 10 * TICK))
+
+
+def test_a_blank_line_plans_no_fault() -> None:
+    """Neither at the start, where it takes no number of the board, nor when it comes later."""
+    stuck, dropout = "stuck channel=base", "dropout channel=laser"
+    rig = Rig(config(instruments__faults__planned=[" ", stuck, dropout]))
+    rig.configure({"instruments.faults.planned": [" ", "  ", stuck]})
+    blocks = rig.advance(20 * TICK)
+    rows = np.concatenate([block.faults.rows for block in blocks if block.faults is not None])
+    assert [(row["kind"], row["active"]) for row in rows] == [(b"stuck", 1)]
+
+
+def test_a_lost_block_is_numbered_and_marked() -> None:
+    planned = ("lost_block start_s=0.03 duration_s=0.02",)
+    blocks = Rig(config(instruments__faults__planned=planned)).advance(10 * TICK)
+    assert [block.number for block in blocks if block.lost] == [3, 4]
+    assert len(blocks) == 10
+    states = [(row["kind"], row["active"]) for block in blocks if block.faults is not None for row in block.faults.rows]
+    assert states == [(b"lost_block", 1), (b"lost_block", 0)]

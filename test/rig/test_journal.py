@@ -1,0 +1,86 @@
+"""The journal tells everything: the same samples come out of it again."""
+
+from __future__ import annotations
+
+import pytest
+from kits.rig import START_NS, TICK, config, impacts, resimulated, same
+
+from impact_rig.blocks import Table
+from impact_rig.config import RigConfig, from_flat, to_flat
+from impact_rig.errors import ConfigError
+from impact_rig.instruments.faults import Fault
+from impact_rig.rig import Block, Rig
+from impact_rig.rig.journal import Kind, read, short_key, values_of
+
+
+def eventful(chosen: RigConfig, cuts: int) -> tuple[list[Block], list[Table], Rig]:
+    """A run with every kind of input; `cuts` advances between two of them."""
+    rig, blocks = Rig(chosen, START_NS), []
+
+    def go(ticks: int) -> None:
+        end = rig.start_ns + ticks * TICK
+        for k in range(1, cuts + 1):
+            blocks.extend(rig.advance(rig.frontier_ns + (end - rig.frontier_ns) * k // cuts))
+
+    go(13)
+    rig.command(current_a=0.4)
+    rig.command(frequency_hz=9.05, current_a=0.45)
+    go(29)
+    rig.configure({"barriers.gap_m": 0.003, "contact.law": "lankarani_nikravesh", "contact.restitution": 0.5})
+    rig.configure({"instruments.laser.lag_s": 1e-3})
+    rig.inject(Fault(kind="offset_step", channel="laser", start=4000, duration=300, value=1e-3, seed=7))
+    go(37)
+    rig.command(frequency_hz=12.0)
+    go(50)
+    rig.stop()
+    go(55)
+    rig.clear_trip()
+    rig.command(current_a=0.52)
+    rig.clear_fault()
+    go(70)
+    rig.pluck(0.001)
+    go(80)
+    return blocks, rig.take_journal(), rig
+
+
+@pytest.mark.parametrize("cuts", [1, 5])
+def test_the_journal_is_all_a_resimulation_needs(cuts: int) -> None:
+    blocks, journal, _ = eventful(config(daq__block_scans=250, daq__seed=9), cuts)
+    assert len(blocks) > 30
+    assert same(impacts(resimulated(blocks, journal)), impacts(blocks))
+
+
+def test_a_resimulation_begins_at_the_last_reset() -> None:
+    _, _, rig = eventful(config(), 2)
+    rig.reset()
+    blocks = rig.advance(rig.start_ns + 10 * TICK)
+    rig.command(current_a=0.3)
+    blocks += rig.advance(rig.start_ns + 20 * TICK)
+    resimulated(blocks, rig.take_journal())
+
+
+def test_a_journal_with_a_missing_row_is_refused() -> None:
+    _, journal, _ = eventful(config(), 1)
+    with pytest.raises(ConfigError, match=r"row 3 is missing"):
+        read([journal[0], *journal[2:]])
+    with pytest.raises(ConfigError, match="empty"):
+        read([])
+
+
+def test_journal_rows_carry_every_kind_of_value_exactly() -> None:
+    changes = {
+        "barriers.gap_m": 0.1 + 0.2,
+        "daq.seed": 2**53,
+        "sphere.present": False,
+        "contact.law": "lankarani_nikravesh",
+        "instruments.faults.planned": ("stuck channel=laser start_s=1 duration_s=0.5", "lost_block start_s=2.5 seed=3"),
+    }
+    rig = Rig(from_flat(RigConfig(), changes))
+    initial = [entry for entry in read(rig.take_journal()) if entry.kind is Kind.INITIAL]
+    assert values_of(initial) == changes
+
+
+def test_short_keys_of_configuration_values_are_unique() -> None:
+    names = list(to_flat(RigConfig()))
+    assert len({short_key(name) for name in names}) == len(names)
+    assert all(len(short_key(name).encode()) <= 32 for name in names)

@@ -1,0 +1,93 @@
+"""Parameters at run time: all or none, at the command instant."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+from kits.rig import TICK, config, resimulated, same, samples
+
+from impact_rig.blocks import CHANNELS
+from impact_rig.config import RigConfig, to_flat
+from impact_rig.errors import CommandError, ConfigError
+from impact_rig.rig import Block, Rig
+
+_NAMES = st.sampled_from([*to_flat(RigConfig()), "barriers.gap", "", "x" * 400])
+
+
+_VALUES = st.one_of(st.floats(), st.integers(), st.booleans(), st.text(max_size=8), st.none(), st.tuples(st.text()))
+
+
+@given(st.dictionaries(_NAMES, _VALUES, min_size=1, max_size=3))
+@example({"structure.mass_kg": 1.8e14, "shaker.damping_n_s_m": 1.8e14})  # the sphere touches without end
+@settings(max_examples=2000)
+def test_any_change_of_parameters_is_taken_whole_or_refused_whole(hammered: Rig, changes: dict[str, object]) -> None:
+    before = hammered.config
+    try:
+        after = hammered.configure(changes)
+    except (ConfigError, CommandError):
+        assert hammered.config is before
+        return
+    scans = samples(hammered.advance(hammered.frontier_ns + TICK))
+    assert all(np.isfinite(scans[name]).all() for name in CHANNELS), changes
+    values = to_flat(after)
+    for name, value in changes.items():
+        if not isinstance(values[name], tuple):  # an empty text in a list of names means nothing
+            assert values[name] == (float(value) if isinstance(values[name], float) else value)
+    # put back: a rig that is slow by right, with a shaker at MHz, would slow down all that come after
+    default = to_flat(config())
+    hammered.configure({name: default[name] for name in changes if name in default})
+    hammered.take_journal()
+
+
+def test_two_changes_of_one_instant_are_two() -> None:
+    """There and back: nothing differs in the end, but the sphere was put to its start."""
+    rig = Rig(config(drive__amplitude=0.52, barriers__gap_m=0.006))
+    blocks = rig.advance(300 * TICK)
+    rig.configure({"barriers.gap_m": 0.004, "contact.law": "hunt_crossley"})
+    rig.configure({"barriers.gap_m": 0.006, "contact.law": "flores"})
+    blocks += rig.advance(400 * TICK)
+    resimulated(blocks, rig.take_journal())
+
+
+def test_a_gap_change_rests_the_sphere_at_its_start() -> None:
+    rig = Rig(config(output__monitor_rate_hz=200.0))
+    before = rig.advance(50 * TICK)
+    rig.configure({"barriers.gap_m": 0.008})
+    after = rig.advance(51 * TICK)[0].monitor[0]
+    assert after["x_2"] - after["x_1"] == pytest.approx(-0.004, abs=1e-15)
+    last = before[-1].monitor[-1]
+    gone_on = last["x_1"] + last["v_1"] * 5e-3
+    assert after["x_1"] == pytest.approx(gone_on, abs=2e-4), "the structure keeps its motion"
+
+
+def test_a_refused_change_changes_nothing() -> None:
+    rig = Rig(config())
+    rig.take_journal()
+    with pytest.raises(ConfigError, match=r"barriers.gap_m must be > 0"):
+        rig.configure({"barriers.gap_m": -0.002, "contact.law": "hertz"})
+    assert rig.config == config()
+    assert rig.take_journal() == []
+    with pytest.raises(ConfigError, match="fixed at start"):
+        rig.configure({"daq.block_scans": 7})
+
+
+def test_publishing_options_change_no_sample_and_are_not_journaled(reference: list[Block]) -> None:
+    rig = Rig(config())
+    blocks = rig.advance(20 * TICK)
+    rig.take_journal()
+    rig.configure({"output.truth_scan": True, "output.monitor_rate_hz": 50.0, "time.ack_window": 3})
+    assert rig.take_journal() == []
+    more = rig.advance(60 * TICK)
+    assert same(samples(blocks + more), samples(reference))
+    assert more[5].truth is not None
+    assert len(more[5].truth.rows) == 100
+    assert sum(len(block.monitor) for block in more[-20:]) == 10
+
+
+def test_a_seed_is_taken_at_the_next_reset() -> None:
+    rig, other = Rig(config()), Rig(config(daq__seed=5))
+    rig.configure({"daq.seed": 5})
+    rig.reset()
+    assert same(samples(rig.advance(rig.start_ns + 5 * TICK)), samples(other.advance(5 * TICK)))

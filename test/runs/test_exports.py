@@ -1,0 +1,132 @@
+"""Exported tables hold the recorded bits."""
+
+from __future__ import annotations
+
+import csv
+import sys
+
+import numpy as np
+import pytest
+from kits.recording import APPLIED_TOPIC, SCAN_TOPIC, START_NS, fill, scan_block
+
+from impact_rig import codec
+from impact_rig.blocks import JOURNAL, Table
+from impact_rig.errors import RecordingError
+from impact_rig.recording import open_run
+from impact_rig.runs import export
+
+JOURNAL_NAME = "/rig/rig/journal"
+
+
+@pytest.fixture
+def run(record):
+    with record() as writer:
+        fill(writer, 30)
+        writer.add_topic(type(SCAN_TOPIC)(name=JOURNAL_NAME, type_name=SCAN_TOPIC.type_name, schema=SCAN_TOPIC.schema))
+        rows = np.zeros(2, JOURNAL)
+        rows["key"] = [b"barriers.gap_m", "µ".encode()]
+        rows["value"] = [0.1 + 0.2, np.nan]
+        writer.write(JOURNAL_NAME, codec.encode(Table(START_NS, rows)), START_NS - 1)
+    with open_run(writer.directory) as opened:
+        yield opened
+
+
+def expected():
+    rows = np.concatenate([codec.decode(scan_block(number)).rows for number in range(30)])
+    stamps = np.repeat(START_NS + np.arange(30) * 10_000_000, 100)
+    return stamps, rows
+
+
+def test_npz(run, tmp_path):
+    stamps, rows = expected()
+    with np.load(export(run, "daq/scan", tmp_path / "scan.npz")) as found:
+        assert found.files == ["stamp_ns", "earlier", *rows.dtype.names]
+        assert found["stamp_ns"].dtype == np.int64
+        np.testing.assert_array_equal(found["stamp_ns"], stamps)
+        for name in rows.dtype.names:
+            assert found[name].tobytes() == rows[name].tobytes()
+            assert found[name].dtype == rows[name].dtype
+
+
+def test_csv_reads_back_to_the_same_bits(run, tmp_path):
+    stamps, rows = expected()
+    with export(run, "/rig/daq/scan", tmp_path / "scan.csv").open(newline="") as file:
+        header, *lines = csv.reader(file)
+    assert header == ["stamp_ns", "earlier", *rows.dtype.names]
+    assert [int(line[0]) for line in lines] == stamps.tolist()
+    for number, name in enumerate(rows.dtype.names, start=2):
+        column = np.array([float(line[number]) for line in lines]).astype(rows[name].dtype)
+        assert column.tobytes() == rows[name].tobytes()
+
+
+def test_text_becomes_text(run, tmp_path):
+    with export(run, "rig/journal", tmp_path / "journal.csv").open(newline="", encoding="utf-8") as file:
+        first, second = csv.DictReader(file)
+    assert (first["key"], second["key"]) == ("barriers.gap_m", "µ")
+    assert float(first["value"]) == 0.1 + 0.2
+    assert second["value"] == "nan"
+    with np.load(export(run, "rig/journal", tmp_path / "journal.npz")) as found:
+        assert found["key"].tolist() == ["barriers.gap_m", "µ"]
+
+
+def test_rows_published_before_the_recording_began_are_marked(run, tmp_path):
+    """Thirteen of sixteen rows of a run were those of the cases before it, and nothing said so."""
+    for topic, earlier in (("daq/scan", 0), ("rig/journal", 1)):
+        with np.load(export(run, topic, tmp_path / f"{earlier}.npz")) as found:
+            assert (found["earlier"] == earlier).all()
+
+
+def test_parquet(run, tmp_path):
+    parquet = pytest.importorskip("pyarrow.parquet")
+    stamps, rows = expected()
+    table = parquet.read_table(export(run, "daq/scan", tmp_path / "scan.parquet"))
+    assert table.column_names == ["stamp_ns", "earlier", *rows.dtype.names]
+    np.testing.assert_array_equal(table["stamp_ns"].to_numpy(), stamps)
+    for name in rows.dtype.names:
+        assert table[name].to_numpy().tobytes() == rows[name].tobytes()
+    journal = parquet.read_table(export(run, "rig/journal", tmp_path / "journal.parquet"))
+    assert journal["key"].to_pylist() == ["barriers.gap_m", "µ"]
+
+
+def test_parquet_without_pyarrow_says_what_to_install(run, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pyarrow", None)  # not to be imported
+    with pytest.raises(RecordingError, match="Parquet needs pyarrow, which is not installed: pip install pyarrow"):
+        export(run, "daq/scan", tmp_path / "scan.parquet")
+    assert list(tmp_path.glob("*.parquet")) == []
+
+
+def test_large_tables_are_written_in_batches(run, tmp_path, monkeypatch):
+    monkeypatch.setattr("impact_rig.runs.exports._BATCH_BYTES", 10_000)
+    stamps, _ = expected()
+    with np.load(export(run, "daq/scan", tmp_path / "scan.npz")) as found:
+        np.testing.assert_array_equal(found["stamp_ns"], stamps)
+    lines = export(run, "daq/scan", tmp_path / "scan.csv").read_text().splitlines()
+    assert len(lines) == len(stamps) + 1
+
+
+def test_refusals_name_what_would_be_right(run, tmp_path, record):
+    with pytest.raises(RecordingError, match=r"must end in one of \.csv, \.npz, \.parquet"):
+        export(run, "daq/scan", tmp_path / "scan.xlsx")
+    with pytest.raises(RecordingError, match="carries std_msgs/msg/String, not tables"):
+        export(run, "notes", tmp_path / "notes.csv")
+    (tmp_path / "mine.csv").write_text("mine")
+    with pytest.raises(RecordingError, match="exists already and is not overwritten"):
+        export(run, "daq/scan", tmp_path / "mine.csv")
+    assert (tmp_path / "mine.csv").read_text() == "mine"
+    with pytest.raises(RecordingError, match="cannot be written: No such file or directory"):
+        export(run, "daq/scan", tmp_path / "nowhere" / "scan.csv")
+
+
+def test_a_topic_without_messages_or_with_changing_columns_is_refused(record, tmp_path):
+    with record("other") as writer:
+        writer.add_topic(SCAN_TOPIC)
+        writer.add_topic(APPLIED_TOPIC)
+        writer.write(SCAN_TOPIC.name, scan_block(0), 0)
+        writer.write(SCAN_TOPIC.name, codec.encode(Table(START_NS + 1, np.zeros(1, JOURNAL))), 0)
+    with open_run(writer.directory) as run:
+        with pytest.raises(RecordingError, match="changes its columns at"):
+            export(run, "daq/scan", tmp_path / "scan.csv")
+        with pytest.raises(RecordingError, match="holds no message"):
+            export(run, "shaker/applied", tmp_path / "applied.csv")
+    assert list(tmp_path.glob("*.csv")) == []
+    assert list(tmp_path.glob(".*partial")) == []

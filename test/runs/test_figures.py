@@ -1,0 +1,137 @@
+"""`impact-rig analyze RUN --figures DIR`: what is drawn of a run, and that it says so."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import attrs
+import numpy as np
+import pytest
+from kits.recorded_rig import Messages, record
+
+from impact_rig.blocks import SCAN, TRANSMISSIBILITY
+from impact_rig.cli import main
+from impact_rig.recording import open_run
+from impact_rig.runs import figures as run_figures
+from impact_rig.runs import reanalysis
+from impact_rig.testing import VirtualRig
+
+pytest.importorskip("matplotlib")
+pytestmark = pytest.mark.ros  # runs carry the schemas of the messages
+
+POINT_S = 13.0
+"""Rig time at each point of the sweep: enough for a settled measurement and not for two."""
+TOPICS = ("daq/info", "shaker/applied", "daq/scan")
+CLI = [sys.executable, "-c", "import sys; from impact_rig.cli import main; sys.exit(main())"]
+
+
+@pytest.fixture(scope="module")
+def measured() -> Messages:
+    """Two points of a sweep with the sphere, a settled measurement each."""
+    rig = VirtualRig({"barriers.gap_m": 0.006, "daq.rate_hz": 5000, "daq.block_scans": 50})
+    for frequency_hz in (9.0, 9.1):
+        rig.command(frequency_hz=frequency_hz, current_a=0.52)
+        rig.run(seconds=POINT_S)
+    found = [(topic, table) for topic in TOPICS for table in rig.tables(topic)]
+    return sorted(found, key=lambda one: one[1].stamp_ns)
+
+
+@pytest.fixture(scope="module")
+def run(measured: Messages, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return record(tmp_path_factory.mktemp("figures") / "swept", measured)
+
+
+def stretch_of(path: Path) -> run_figures.Stretch:
+    with open_run(path) as opened:
+        return run_figures.last_stretch(opened, list(reanalysis.analyze(opened)))
+
+
+def test_the_command_line_draws_and_names_what_it_wrote(run: Path, tmp_path: Path) -> None:
+    where = tmp_path / "new" / "figures"
+    command = [*CLI, "analyze", str(run), "--figures", str(where)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "of the last settled measurement" in done.stdout
+    assert "nothing to compare with" in done.stdout
+    assert sorted(where.iterdir()) == [where / f"{name}.png" for name in sorted(run_figures.NAMES)]
+    for file in where.iterdir():
+        assert f"wrote {file}\n" in done.stdout
+        header = file.read_bytes()[:24]
+        assert header.startswith(b"\x89PNG")
+        assert int.from_bytes(header[16:20]) > 1000, "pixels wide"
+
+
+def test_another_format_and_nothing_overwritten(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    command = ["analyze", str(run), "--figures", str(tmp_path), "--format", "svg"]
+    assert main(command) == 0
+    assert "<svg" in (tmp_path / "spectrum.svg").read_text(encoding="utf-8")
+    assert main(command) == 1
+    assert f"{tmp_path}/time_traces.svg exists already and is not overwritten" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("where", ["/proc/figures", "/proc"], ids=["not made", "not written to"])
+def test_a_directory_that_cannot_be_written_is_an_error(
+    where: str, run: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["analyze", str(run), "--figures", where]) == 1
+    assert f"impact-rig analyze: figures cannot be written to {where}: " in capsys.readouterr().err
+
+
+def test_what_is_drawn_is_the_last_settled_measurement(run: Path) -> None:
+    with open_run(run) as opened:
+        rows = reanalysis.rows(reanalysis.measurements(reanalysis.analyze(opened)))
+    last = rows[rows["settled"] == 1.0][-1]
+    stretch = stretch_of(run)
+    assert stretch.settled
+    assert stretch.drive_hz == pytest.approx(9.1, abs=1e-3)
+    assert len(stretch.rows) == pytest.approx(last["cycles"] / stretch.drive_hz * stretch.rate_hz, abs=2)
+    assert np.allclose(np.diff(stretch.rows["time"]), 1.0 / stretch.rate_hz)
+    assert stretch.rows["time"][0] > POINT_S, "after the second command"
+    # an impact at either end may be counted with the cycle before or after
+    assert len(stretch.impact_times) == pytest.approx(last["impacts_per_cycle"] * last["cycles"], abs=2)
+    tail = stretch.newest(4)
+    assert len(tail.rows) == round(4 / stretch.drive_hz * stretch.rate_hz)
+    assert np.all(tail.impact_times >= tail.rows["time"][0])
+
+
+def test_where_nothing_settled_it_is_the_end_after_the_last_gap(measured: Messages, tmp_path: Path) -> None:
+    scans = [one for one in measured if one[0] == "daq/scan"][:400]
+    kept = [one for one in measured if one[0] != "daq/scan"] + scans[:100] + scans[150:]
+    stretch = stretch_of(record(tmp_path / "gap", kept))
+    assert not stretch.settled
+    assert stretch.rows["time"][[0, -1]] == pytest.approx([1.5, 4.0], abs=1e-3)
+    short = record(tmp_path / "short", kept[:-300])
+    assert main(["analyze", str(short), "--figures", str(tmp_path)]) == 0
+    few = record(tmp_path / "few", [one for one in kept if one[0] != "daq/scan"] + scans[:10] + scans[20:21])
+    with pytest.raises(OSError, match="50 scans without a gap at its end are too few to draw, at least 100"):
+        stretch_of(few)
+    none = record(tmp_path / "none", [(name, attrs.evolve(table, rows=np.empty(0, SCAN))) for name, table in scans[:1]])
+    assert main(["analyze", str(none), "--figures", str(tmp_path)]) == 1
+
+
+def test_after_a_reset_time_begins_anew(measured: Messages, tmp_path: Path) -> None:
+    """The same four seconds twice: rig time goes back, and what was before is not mixed in."""
+    four = [one for one in measured if one[1].stamp_ns < 4_000_000_000]
+    stretch = stretch_of(record(tmp_path / "reset", [*four, *four[:200]]))
+    assert stretch.rows["time"][0] == 0.0
+    assert len(stretch.rows) == len(np.unique(stretch.rows["time"])) < 200 * 50
+
+
+def test_curves_are_by_gap_and_direction_and_need_two_frequencies() -> None:
+    rows = np.zeros(9, TRANSMISSIBILITY)
+    rows["settled"] = 1.0
+    rows["frequency"] = (8.0, 9.0, 9.0, 10.0, 9.0, 8.0, 9.1, 7.0, 8.0)
+    rows["gap"] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.002, np.nan, np.nan)
+    curves = run_figures.measured_curves(rows)
+    assert {label: found["frequency"].tolist() for label, found in curves.items()} == {
+        "no sphere, up": [8.0, 9.0, 9.0, 10.0],
+        "no sphere, down": [9.0, 8.0],
+        "gap unknown": [7.0, 8.0],
+    }
+    repeated = rows[:3].copy()
+    repeated["frequency"], repeated["frequency_deviation"] = 9.1, (2e-6, -1e-6, 3e-6)
+    assert run_figures.measured_curves(repeated) == {}, "what is measured again at one frequency is no sweep"
+    rows["settled"] = 0.0
+    assert run_figures.measured_curves(rows) == {}

@@ -1,0 +1,200 @@
+"""What `info` says of a run, and the rule by which blocks follow each other."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from kits.recording import (
+    APPLIED_TOPIC,
+    CONFIG,
+    NOTES_TOPIC,
+    PROVENANCE,
+    RATE_HZ,
+    SCAN_TOPIC,
+    START_NS,
+    fill,
+    scan_block,
+    string,
+)
+
+from impact_rig import codec
+from impact_rig.blocks import SCAN, Table
+from impact_rig.errors import RecordingError
+from impact_rig.recording import open_run
+from impact_rig.runs import check_contiguity, info, recover
+from impact_rig.simtime import stamp_ns
+
+
+def test_a_whole_run_in_figures(record):
+    with record(chunk_bytes=20_000) as writer:
+        sent = fill(writer, 50)
+    found = info(writer.directory)
+    assert found.intact
+    assert found.verdict == (
+        "whole: every checksum fits, 50 blocks of daq/scan without a gap, no message lost on any topic"
+    )
+    assert found.messages == len(sent)
+    assert found.rate_hz == RATE_HZ
+    assert found.duration_s == pytest.approx(0.49)
+    assert found.files == (("run.mcap", writer.files[0].stat().st_size),)
+    assert found.bytes == writer.bytes_written
+    assert found.provenance == PROVENANCE.to_record()
+    assert found.configuration == CONFIG.decode()
+    assert found.attachments == {"config.yaml": len(CONFIG)}
+    scans, applied = found.topics[:2]
+    assert (scans.name, scans.type_name, scans.count) == (SCAN_TOPIC.name, SCAN_TOPIC.type_name, 50)
+    assert scans.rate_hz == pytest.approx(100.0)
+    assert (scans.first_ns, scans.last_ns) == (START_NS, START_NS + 490_000_000)
+    assert scans.bytes == sum(len(s.data) for s in sent if s.topic == SCAN_TOPIC.name)
+    assert (applied.name, applied.rate_hz) == (APPLIED_TOPIC.name, pytest.approx(20.0))
+
+
+def test_missing_blocks_are_counted(record):
+    with record() as writer:
+        fill(writer, 10)
+        fill(writer, 10, first=13)
+        fill(writer, 10, first=24)
+    found = info(writer.directory)
+    assert not found.intact
+    assert found.verdict == ("every checksum fits, but 2 gaps in daq/scan; 4 blocks (400 scans) are missing")
+    assert [(gap.block, gap.missing_scans) for gap in found.scans.gaps] == [(10, 300), (20, 100)]
+
+
+def test_a_rig_that_was_reset_is_told_apart_from_loss(record):
+    with record() as writer:
+        fill(writer, 10)
+        fill(writer, 10)
+    found = info(writer.directory)
+    assert (found.scans.lost_blocks, found.scans.restarts) == (0, 1)
+    assert "the stamps go back 1 times" in found.verdict
+
+
+def test_a_run_without_scans(record):
+    with record() as writer:
+        writer.add_topic(NOTES_TOPIC)
+        writer.write(NOTES_TOPIC.name, string("alone"), 17)
+    found = info(writer.directory)
+    assert found.intact
+    assert found.verdict == "whole: every checksum fits, there is no daq/scan, no message lost on any topic"
+    assert (found.rate_hz, found.scans, found.topics[0].rate_hz) == (None, None, None)
+    assert found.start_ns == 17  # nothing else is known: the publish time
+
+
+def test_the_start_of_rig_time_may_be_given(record):
+    with record(rig_start_ns=0) as writer:
+        writer.add_topic(NOTES_TOPIC)
+        writer.write(NOTES_TOPIC.name, string("before the first scan"), START_NS)
+        fill(writer, 3)
+    with open_run(writer.directory) as run:
+        assert [m.log_time for m in run.messages(["notes"])] == [0, START_NS + 9_900_000]
+
+
+def test_messages_too_short_for_a_header_are_kept(record):
+    with record() as writer:
+        fill(writer, 3)
+        writer.write(SCAN_TOPIC.name, b"\0\1", 5)
+        writer.write(APPLIED_TOPIC.name, b"", -5)
+    with open_run(writer.directory) as run:
+        last = list(run.messages(["shaker/applied"]))[-1]
+    assert (bytes(last.data), last.log_time, last.publish_time) == (b"", START_NS + 29_900_000, 0)
+    assert "is no table" in info(writer.directory).verdict
+
+
+def test_a_damaged_chunk_becomes_the_verdict(record, tmp_path):
+    with record(chunk_bytes=20_000) as writer:
+        fill(writer, 50)
+    with open_run(writer.directory) as run:
+        index = run.sources[0].summary.chunks[3]
+    data = bytearray(writer.files[0].read_bytes())
+    data[index.offset + 100] ^= 1
+    writer.files[0].write_bytes(data)
+    found = info(writer.directory)
+    assert not found.intact
+    assert f"the chunk at byte {index.offset} is damaged" in found.verdict
+    assert 0 < found.messages < 50
+    assert recover(writer.directory, tmp_path / "out").messages > found.messages
+
+
+def test_an_unfinished_run_says_what_to_do(record):
+    writer = record()
+    fill(writer, 5)
+    with pytest.raises(RecordingError, match="impact-rig recover"):
+        info(writer.directory)
+    writer.finish()
+
+
+@pytest.mark.parametrize("last_s", [np.nan, np.inf, 1e300])
+def test_a_scan_with_an_impossible_time_is_kept(record, last_s):
+    rows = np.zeros(2, SCAN)
+    rows["time"][-1] = last_s
+    with record() as writer:
+        fill(writer, 1)
+        writer.write(SCAN_TOPIC.name, codec.encode(Table(START_NS + 10_000_000, rows)), 2**70)
+        writer.write(NOTES_TOPIC.name, string("after"), 1)
+    with open_run(writer.directory) as run:
+        assert run.message_count == 7
+        assert all(0 <= m.log_time < 2**63 for m in run.messages())
+
+
+RATES = st.sampled_from([10_000, 50_000, 25_600, 44_100, 100_003])
+
+
+@given(rate=RATES, start=st.integers(0, 2**61), first=st.integers(0, 10**9), lengths=st.lists(st.integers(1, 999)))
+def test_blocks_by_the_rule_are_contiguous(rate, start, first, lengths):
+    """`start_ns + i * 10**9 // rate_hz`, from whichever index on, whether or not the start is known."""
+    blocks, index = [], first
+    for length in lengths:
+        blocks.append((stamp_ns(index, rate, start), length))
+        index += length
+    for known in (start, None):
+        result = check_contiguity(blocks, rate, known)
+        assert result.whole
+        assert (result.blocks, result.scans, result.lost_blocks) == (len(lengths), sum(lengths), 0)
+
+
+@given(
+    rate=RATES,
+    start=st.integers(0, 2**61),
+    lengths=st.lists(st.integers(2, 999), min_size=3, max_size=20),
+    data=st.data(),
+)
+def test_every_missing_scan_is_found(rate, start, lengths, data):
+    at = data.draw(st.integers(1, len(lengths) - 1))
+    missing = data.draw(st.integers(1, 5000))
+    blocks, index = [], 0
+    for number, length in enumerate(lengths):
+        index += missing if number == at else 0
+        blocks.append((stamp_ns(index, rate, start), length))
+        index += length
+    for known in (start, None):
+        result = check_contiguity(blocks, rate, known)
+        (gap,) = result.gaps
+        assert (gap.block, gap.missing_scans, result.lost_scans) == (at, missing, missing)
+        assert result.lost_blocks == -(-missing // lengths[at - 1])
+
+
+@pytest.mark.parametrize("known", [START_NS, None], ids=["start known", "start unknown"])
+def test_a_stamp_off_the_grid_is_a_gap(known):
+    blocks = [(START_NS, 100), (START_NS + 10_000_000, 100), (START_NS + 20_000_001, 100)]
+    (gap,) = check_contiguity(blocks, RATE_HZ, known).gaps
+    assert (gap.expected_ns, gap.stamp_ns, gap.missing_scans) == (START_NS + 20_000_000, START_NS + 20_000_001, 0)
+
+
+def test_a_block_that_comes_twice_is_no_loss():
+    blocks = [(START_NS, 100), (START_NS + 10_000_000, 100), (START_NS + 10_000_000, 100), (START_NS + 20_000_000, 100)]
+    result = check_contiguity(blocks, RATE_HZ, START_NS)
+    assert (result.lost_blocks, result.restarts) == (0, 1)
+    assert not result.whole
+
+
+def test_no_block_at_all_is_whole():
+    assert check_contiguity([], RATE_HZ).whole
+
+
+def test_a_block_with_a_single_scan_has_no_rate(record):
+    with record() as writer:
+        writer.add_topic(SCAN_TOPIC)
+        writer.write(SCAN_TOPIC.name, scan_block(0, scans=1), 0)
+    assert info(writer.directory).rate_hz is None

@@ -1,0 +1,96 @@
+"""`impact-rig recover`: what was given back and what is missing, and a run that says where it comes from."""
+
+from __future__ import annotations
+
+import pytest
+from kits.recording import SCAN_TOPIC, fill, foreign_file, scan_block
+
+from impact_rig.cli import main
+from impact_rig.cli.recovery import INCOMPLETE
+from impact_rig.recording import open_run
+from impact_rig.runs import info, recover
+
+BLOCK_S = 0.01
+
+
+@pytest.fixture(autouse=True)
+def wide(monkeypatch):
+    monkeypatch.setenv("COLUMNS", "120")
+
+
+def said(capsys):
+    return " ".join(capsys.readouterr().out.split())
+
+
+def test_a_cut_file_is_told_with_a_code_of_its_own(record, tmp_path, capsys):
+    with record(chunk_bytes=20_000) as writer:
+        fill(writer, 40)
+    path = writer.files[0]
+    data = path.read_bytes()
+    path.write_bytes(data[: len(data) * 2 // 3])
+    assert main(["recover", str(writer.directory), str(tmp_path / "out")]) == INCOMPLETE
+    with open_run(tmp_path / "out") as run:
+        back = run.message_count
+    text = said(capsys)
+    assert "RecoverReport(" not in text
+    assert f"{back} messages given back; an unknown number of messages" in text
+    assert "the file ends inside a record" in text
+    found = info(tmp_path / "out")
+    assert found.recovered.source == "run"
+    assert found.recovered.unfinished
+    assert not found.intact
+    assert found.verdict.startswith("recovered: every checksum fits, but an unknown number of messages")
+    assert main(["info", str(tmp_path / "out")]) == 1
+    assert "recovered from run" in said(capsys)
+
+
+def test_messages_seconds_and_bytes_are_told_by_file(record, tmp_path):
+    """A damaged chunk in the middle of the second file: the first is complete, the second lacks what the chunk held."""
+    with record(max_file_duration_ns=190_000_000, chunk_bytes=20_000) as writer:
+        sent = fill(writer, 40)
+    first, second = writer.files
+    with open_run(second) as part:
+        index = part.sources[0].summary.chunks[1]
+        inside = [m for m in part.messages() if index.start_ns <= m.log_time <= index.end_ns]
+    data = bytearray(second.read_bytes())
+    data[index.offset + index.length - 3] ^= 0xFF
+    second.write_bytes(data)
+    report = recover(writer.directory, tmp_path / "out")
+    whole, damaged = report.files
+    assert (whole.name, whole.missing_messages, whole.missing_s, whole.lost_bytes) == (first.name, 0, 0.0, 0)
+    assert damaged.name == second.name
+    assert damaged.missing_messages == report.missing_messages == len(sent) - report.messages
+    lost_blocks = sum(message.topic == SCAN_TOPIC.name for message in inside)
+    assert lost_blocks > 0
+    assert damaged.missing_s == pytest.approx(lost_blocks * BLOCK_S)
+    assert damaged.lost_bytes == index.length
+    assert not report.complete
+
+
+def test_an_intact_run_is_given_back_with_code_zero_and_marked(record, tmp_path, capsys):
+    with record() as writer:
+        sent = fill(writer, 10)
+    assert main(["recover", str(writer.directory), str(tmp_path / "out")]) == 0
+    assert f"all {len(sent)} messages are given back" in said(capsys)
+    found = info(tmp_path / "out")
+    assert found.intact
+    assert found.recovered is not None
+    assert "whole" not in found.verdict
+
+
+def test_chunks_without_checksum_need_the_switch(tmp_path, capsys):
+    path = tmp_path / "bag.mcap"
+    foreign_file(path, crc=False)
+    assert main(["recover", str(path), str(tmp_path / "refused")]) == 1
+    assert "a chunk carries no checksum" in " ".join(capsys.readouterr().err.split())
+    main(["recover", str(path), str(tmp_path / "out"), "--accept-unchecked"])
+    with open_run(tmp_path / "out") as run:
+        assert [bytes(message.data) for message in run.messages()] == [scan_block(number) for number in range(3)]
+
+
+def test_what_the_recorder_had_missed_stays_known(record, tmp_path):
+    with record() as writer:
+        fill(writer, 5)
+        writer.write(SCAN_TOPIC.name, scan_block(5), 0, 9)
+    recover(writer.directory, tmp_path / "out")
+    assert info(tmp_path / "out").lost == info(writer.directory).lost == {SCAN_TOPIC.name: 3}

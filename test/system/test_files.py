@@ -1,0 +1,132 @@
+"""Files in directories that others may write to: nothing of theirs is followed, waited for or overwritten."""
+
+from __future__ import annotations
+
+import os
+import re
+import stat
+from pathlib import Path
+
+import pytest
+
+from impact_rig.system import files
+
+MINE, THEIRS = b"whole\n", b"not to be touched\n"
+
+
+@pytest.fixture
+def victim(tmp_path: Path) -> Path:
+    path = tmp_path / "victim"
+    path.write_bytes(THEIRS)
+    return path
+
+
+def test_a_file_is_there_whole_or_not_at_all(tmp_path: Path) -> None:
+    path = tmp_path / "out.txt"
+
+    def fail_half_way() -> None:
+        with files.written_whole(path) as file:
+            file.write(MINE)
+            assert not path.exists()
+            raise RuntimeError
+
+    with pytest.raises(RuntimeError):
+        fail_half_way()
+    assert list(tmp_path.iterdir()) == []
+    with files.written_whole(path) as file:
+        file.write(MINE)
+    assert path.read_bytes() == MINE
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_new_file_has_the_permissions_of_any_other(tmp_path: Path) -> None:
+    (tmp_path / "other").write_text("")
+    files.write_text(tmp_path / "mine", "")
+    assert stat.S_IMODE((tmp_path / "mine").stat().st_mode) == stat.S_IMODE((tmp_path / "other").stat().st_mode)
+
+
+def test_names_on_the_way_cannot_be_guessed(tmp_path: Path) -> None:
+    found = set()
+    for _ in range(20):
+        with files.written_whole(tmp_path / "out") as file:
+            found.add(Path(f"/proc/self/fd/{file.fileno()}").readlink().name)
+    assert len(found) == 20
+    assert all(re.fullmatch(r"\.out\.[0-9a-f]{16}\.partial", name) for name in found)
+
+
+def test_a_link_in_the_place_is_replaced_and_not_followed(tmp_path: Path, victim: Path) -> None:
+    (tmp_path / "out").symlink_to(victim)
+    files.write_text(tmp_path / "out", MINE.decode())
+    assert victim.read_bytes() == THEIRS
+    assert not (tmp_path / "out").is_symlink()
+    assert (tmp_path / "out").read_bytes() == MINE
+
+
+@pytest.mark.parametrize("what", ["file", "link", "link to nowhere"])
+def test_what_must_be_kept_is_kept(tmp_path: Path, victim: Path, what: str) -> None:
+    path = tmp_path / "out"
+    if what == "file":
+        path.write_bytes(THEIRS)
+    else:
+        path.symlink_to(victim if what == "link" else tmp_path / "nowhere")
+
+    def write() -> None:
+        with files.written_whole(path, replace=False) as file:
+            file.write(MINE)
+
+    with pytest.raises(FileExistsError):
+        write()
+    assert victim.read_bytes() == THEIRS
+    assert not (tmp_path / "nowhere").exists()
+    assert not list(tmp_path.glob(".*"))
+
+
+def test_what_must_be_kept_is_kept_without_hard_links(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As on FAT: there is no such file system to test on, so the call that it lacks is taken away."""
+
+    def refuse(*_: object) -> None:
+        raise PermissionError
+
+    monkeypatch.setattr(os, "link", refuse)
+    path = tmp_path / "out"
+    with files.written_whole(path, replace=False) as file:
+        file.write(MINE)
+    assert path.read_bytes() == MINE
+    with pytest.raises(FileExistsError), files.written_whole(path, replace=False):
+        pass
+    assert path.read_bytes() == MINE
+
+
+def test_only_regular_files_are_opened_and_a_fifo_is_not_waited_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "fifo")
+    (tmp_path / "device").symlink_to("/dev/zero")
+    for name in ("fifo", "device"):
+        with pytest.raises(OSError, match="not a regular file"):
+            files.read_bytes(tmp_path / name, 100)
+    with pytest.raises(IsADirectoryError):
+        files.read_bytes(tmp_path, 100)
+
+
+def test_a_file_that_is_too_large_is_not_read(tmp_path: Path) -> None:
+    path = tmp_path / "large"
+    with path.open("wb") as file:
+        file.truncate(2**40)
+    with pytest.raises(OSError, match="larger than 100 bytes"):
+        files.read_bytes(path, 100)
+    path.write_bytes(bytes(100))
+    assert len(files.read_bytes(path, 100)) == 100
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can give a directory away")
+def test_a_directory_of_somebody_else_is_refused(tmp_path: Path) -> None:
+    files.refuse_foreign(tmp_path)
+    directory = tmp_path / "theirs"
+    directory.mkdir()
+    os.chown(directory, 4321, -1)
+    with pytest.raises(PermissionError, match="another user"):
+        files.refuse_foreign(directory)
+    link = tmp_path / "link"
+    link.symlink_to(tmp_path)
+    os.chown(link, 4321, -1, follow_symlinks=False)
+    with pytest.raises(PermissionError, match="another user"):
+        files.refuse_foreign(link)
