@@ -11,11 +11,12 @@ from pathlib import Path
 
 import numpy as np
 
+from impact_rig import topics
 from impact_rig.columns import TEXT
 from impact_rig.config import FieldInfo
 from impact_rig.config.faults import FAULT_KINDS
 from impact_rig.config.template import scalar
-from impact_rig.nodes import figures, services, topics
+from impact_rig.nodes import figures, services
 from impact_rig.nodes.parameters import RigSchema, Schema, SectionSchema, Value
 from impact_rig.nodes.services import Situation
 from impact_rig.nodes.settings import AnalysisSettings, RecorderSettings, SteppedSineSettings
