@@ -93,9 +93,9 @@ def test_the_committed_digests_are_those_of_the_runs() -> None:
     assert [line for line in header if line.startswith("#")] == digests.HEADER.splitlines()
     committed = digests.read()
     assert {run for run, _ in committed} == {run.name for run in RUNS}
-    assert all({(run.name, "daq/scan"), (run.name, "rig/journal")} <= committed.keys() for run in RUNS)
+    assert all({(run.name, "daq/scan"), (run.name, "rig/journal")} <= committed.keys() for run in RUNS if run.seconds)
     hits = {run for run, topic in committed if topic == "truth/impacts"}
-    assert {run.name for run in RUNS} - hits == {"no_sphere", "short_no_sphere"}
+    assert {run.name for run in RUNS} - hits == {"no_sphere", "short_no_sphere", "short_contacts"}
 
 
 def test_one_changed_bit_changes_a_digest_and_is_found() -> None:

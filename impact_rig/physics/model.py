@@ -84,11 +84,16 @@ def _set_law(p: Any, force: Force, m_eff: float) -> None:
 
 @lru_cache(maxsize=32)
 def _table(force: Force) -> Any:
-    """Return the outcomes of a law, in its own units: masses, stiffness and approach speed are 1."""
+    """Return the outcomes of a law, in its own units."""
+    return tabulate(unit_parameters(force), force.function)
+
+
+def unit_parameters(force: Force) -> Any:
+    """Return one record of PARAMETERS for a law in its own units: masses, stiffness and approach speed are 1."""
     p = record(PARAMETERS)[0]
     _set_law(p, force, 1.0)
     p.m = p.m_1 = p.m_eff = p.per_m_eff = p.speed_floor = 1.0
-    return tabulate(p, force.function)
+    return p
 
 
 @lru_cache(maxsize=32)

@@ -54,7 +54,8 @@ _NARROWINGS = 24
 _MARGIN = 1.1  # of the range in which the sphere leaves by itself, for the derivatives at its end
 _WEAKEST = 0.3  # of the energy with which the sphere leaves: there the outcome turns steep, as the sphere stays
 _TAIL = 1e-11  # of the largest coefficient
-_TIGHT = 1e-12
+RTOL = 1e-12
+"""Of the contacts that the table is made of."""
 _NUDGE = 1e-4
 _MOST_STEPS = 400
 
@@ -104,7 +105,7 @@ def _contact(p, force, eta, s, k, out):  # type: ignore[no-untyped-def]  # compi
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _nudged(p, force, eta_0, nudges, s, k):  # type: ignore[no-untyped-def]
+def nudged(p, force, eta_0, nudges, s, k):  # type: ignore[no-untyped-def]
     """Integrate one contact under η_0 and `nudges` = (η_1, η_2, α, γ); return whether it ended, and its outcome."""
     eta, out = np.zeros(3), np.empty(QUANTITIES)
     eta[0], eta[1], eta[2] = eta_0, nudges[0], nudges[1]
@@ -113,15 +114,15 @@ def _nudged(p, force, eta_0, nudges, s, k):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _derivatives(p, force, eta_0, which, s, k):  # type: ignore[no-untyped-def]
+def derivatives(p, force, eta_0, which, s, k):  # type: ignore[no-untyped-def]
     """Return whether every contact ended, and two derivatives by one of (η_1, η_2, α, γ), from differences."""
     nudges = np.zeros(4)
-    left, plain = _nudged(p, force, eta_0, nudges, s, k)
+    left, plain = nudged(p, force, eta_0, nudges, s, k)
     nudge = MOST_1 if which == 0 else _NUDGE
     nudges[which] = nudge
-    left_up, up = _nudged(p, force, eta_0, nudges, s, k)
+    left_up, up = nudged(p, force, eta_0, nudges, s, k)
     nudges[which] = -nudge
-    left_down, down = _nudged(p, force, eta_0, nudges, s, k)
+    left_down, down = nudged(p, force, eta_0, nudges, s, k)
     twice = 0.5 * (up + down - 2.0 * plain) / (nudge * nudge)
     return left and left_up and left_down, (up - down) / (2.0 * nudge), twice
 
@@ -141,7 +142,7 @@ def tabulate(p: Any, force: Any) -> Any:
         force: the law's compiled force.
     """
     table, s, k = record(TABLE), record(STATE)[0], record(PRESS)[0]
-    p.rtol = _TIGHT
+    p.rtol = RTOL
     least = _WEAKEST * _rebound(p, force, 0.0, s, k)
     low, high = -WIDEST, WIDEST
     for _ in range(_NARROWINGS):
@@ -170,12 +171,12 @@ def _series(p: Any, force: Any, limits: tuple[float, float], s: Any, k: Any) -> 
 
     def by(which: int, quantities: int) -> Callable[[float], tuple[bool, NDArray[np.float64]]]:
         def outcome(eta_0: float) -> tuple[bool, NDArray[np.float64]]:
-            ended, first, second = _derivatives(p, force, eta_0, which, s, k)
+            ended, first, second = derivatives(p, force, eta_0, which, s, k)
             return ended, first[:quantities] if which else np.concatenate([first, second[:DECISIVE]])
 
         return outcome
 
-    plain = fill(DEGREE, slice(QUANTITIES), lambda eta_0: _nudged(p, force, eta_0, np.zeros(4), s, k))
+    plain = fill(DEGREE, slice(QUANTITIES), lambda eta_0: nudged(p, force, eta_0, np.zeros(4), s, k))
     decisive = np.abs(series[:, :DECISIVE])
     if not plain or (decisive[-2:] > _TAIL * decisive.max(axis=0)).any():
         return None

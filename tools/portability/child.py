@@ -3,19 +3,28 @@
     python -m tools.portability.child OUTPUT RUN... [--save DIRECTORY | --against DIRECTORY]
 
 OUTPUT gets one line per topic; `--save` keeps the rows, `--against` says on stdout where they differ from kept ones.
+Where nothing is compiled, the tables of outcomes are kept ones too: they are made of hundreds of contacts, of which some
+are a run of their own (`short_contacts`).
 """
 
 from __future__ import annotations
 
 import argparse
+import hashlib
 import sys
 import traceback
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numba import config
+from numpy.typing import NDArray
 
+from impact_rig.physics import model
 from tools.portability import digests
-from tools.portability.runs import LONG, SHORT, Streams, known, record
+from tools.portability.runs import LONG, SHORT, Streams, known
+
+TABLES = "tables.npz"
 
 
 def main() -> int:
@@ -26,12 +35,13 @@ def main() -> int:
     parser.add_argument("--save", type=Path)
     parser.add_argument("--against", type=Path)
     arguments = parser.parse_args()
+    tables = Tables(arguments.against if config.DISABLE_JIT else None)
     found: digests.Digests = {}
     failed = 0
     for run in known((*LONG, *SHORT)):
         if {run.name, "long" if run in LONG else "short"} & set(arguments.runs):
             try:
-                streams = record(run)
+                streams = run.record(run)
             except Exception as error:  # the other runs are still worth knowing
                 traceback.print_exc()
                 _say(f"{run.name} failed: {error!r}")
@@ -44,8 +54,36 @@ def main() -> int:
                 np.savez(arguments.save / f"{run.name}.npz", **streams)
             if arguments.against and (difference := _difference(arguments.against / f"{run.name}.npz", streams)):
                 _say(f"{run.name} differs: {difference}")
+    if arguments.save:
+        tables.keep(arguments.save)
     arguments.output.write_text("".join(f"{line}\n" for line in digests.lines(found)), encoding="utf-8")
     return 1 if failed else 0
+
+
+class Tables:
+    """The tables of outcomes that models asked for, by the numbers of their law; from then on models ask here.
+
+    Args:
+        directory: where tables were kept, if they are not to be made again.
+    """
+
+    def __init__(self, directory: Path | None) -> None:
+        self._make = model.tabulate
+        self._known: dict[str, NDArray[np.void]] = {}
+        if directory:
+            with np.load(directory / TABLES) as kept:
+                self._known.update(kept)
+        model.tabulate = self._of
+
+    def _of(self, p: Any, force: Any) -> Any:
+        law = hashlib.sha256(p.tobytes()).hexdigest()
+        if law not in self._known:
+            self._known[law] = self._make(p, force)
+        return self._known[law].view(np.recarray)
+
+    def keep(self, directory: Path) -> None:
+        """Write them into `directory`."""
+        np.savez(directory / TABLES, **self._known)
 
 
 def _say(line: str) -> None:

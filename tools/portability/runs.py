@@ -5,7 +5,7 @@ Each is a rig driven directly, without ROS. The short ones are for interpreters 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import attrs
 import numpy as np
@@ -15,7 +15,12 @@ from numpy.typing import NDArray
 from impact_rig import topics
 from impact_rig.blocks import Table
 from impact_rig.config import RigConfig, from_flat
-from impact_rig.physics.contact import LAWS
+from impact_rig.physics import contact as contact_laws
+from impact_rig.physics import outcome
+from impact_rig.physics.contact import LAWS, ContactPair
+from impact_rig.physics.model import unit_parameters
+from impact_rig.physics.state import PRESS, STATE
+from impact_rig.physics.state import record as state_record
 from impact_rig.rig import Rig
 from impact_rig.simtime import NS_PER_S
 
@@ -49,12 +54,14 @@ class Run:
         seconds: of rig time.
         values: what differs from the default configuration.
         commands: (frequency [Hz], amplitude) by the second at which they are commanded.
+        record: returns everything that its topics would have carried.
     """
 
     name: str
     seconds: float
     values: Mapping[str, object]
     commands: Mapping[float, tuple[float, float]] = attrs.field(factory=dict)
+    record: Callable[[Run], Streams] = attrs.field(default=lambda run: _rig(run))  # noqa: PLW0108  # it stands below
 
 
 LONG = (
@@ -82,6 +89,7 @@ LONG = (
 )
 
 SHORT = (
+    Run("short_contacts", 0, {}, record=lambda _: {"contacts": _contacts()}),
     Run("short_friction", 0.2, {**HARD, "sphere.guide_friction": 0.2, "contact.law": "restitution"}),
     Run("short_hertzian", 0.1, HARD),
     Run(
@@ -89,7 +97,7 @@ SHORT = (
     ),
     Run("short_linear", 0.1, {**HARD, "contact.law": "kelvin_voigt", "contact.release": "force"}),
     Run("short_no_sphere", 0.1, {**PAPER, "sphere.present": False, "instruments.faults.planned": SHORT_FAULTS}),
-    Run("short_random", 0.1, {"drive.waveform": "random", "drive.amplitude": 2.0, "daq.rate_hz": 50_000}),
+    Run("short_random", 0.05, {"drive.waveform": "random", "drive.amplitude": 2.0, "daq.rate_hz": 50_000}),
     Run("short_voltage", 0.1, {"drive.kind": "voltage", "drive.amplitude": 8.0, "barriers.gap_m": 5e-4}),
     Run("short_walton_braun", 0.1, {**HARD, "contact.law": "walton_braun"}),
 )
@@ -100,8 +108,7 @@ def known(runs: tuple[Run, ...]) -> tuple[Run, ...]:
     return tuple(run for run in runs if run.values.get("contact.law", "flores") in LAWS)
 
 
-def record(run: Run) -> Streams:
-    """Run it and return everything that its topics would have carried."""
+def _rig(run: Run) -> Streams:
     rig = Rig(from_flat(RigConfig(), {"daq.block_scans": 1000, **run.values}))
     tables: dict[str, list[Table]] = {topics.INFO.name: [rig.info()]}
     for second, (frequency_hz, amplitude) in [*run.commands.items(), (run.seconds, (0.0, 0.0))]:
@@ -118,6 +125,16 @@ def record(run: Run) -> Streams:
             rig.command(frequency_hz, amplitude)
     tables[topics.JOURNAL.name], tables[topics.APPLIED.name] = rig.take_journal(), rig.take_applied()
     return {topic: _rows(found) for topic, found in sorted(tables.items()) if found}
+
+
+def _contacts() -> NDArray[np.void]:
+    """Return some of the contacts that the table of outcomes is made of, and what follows from their differences."""
+    force = contact_laws.from_config(RigConfig().contact).force(ContactPair(1.0, 1.0))
+    p, s, k = unit_parameters(force), state_record(STATE)[0], state_record(PRESS)[0]
+    p.rtol = outcome.RTOL
+    found = [outcome.derivatives(p, force.function, eta_0, which, s, k)[1:] for eta_0, which in ((0.02, 0), (-0.01, 1))]
+    kind = [(f"{order}_{quantity}", "f8") for order in ("first", "second") for quantity in range(outcome.QUANTITIES)]
+    return np.array([tuple(np.concatenate(pair)) for pair in found], kind)
 
 
 def _rows(tables: list[Table]) -> NDArray[np.void]:
