@@ -27,7 +27,7 @@ from rich.table import Table
 from tools.portability import digests
 from tools.portability.machine import Machine
 from tools.portability.masks import BARE, MASKS, Mask, full_environment
-from tools.portability.runs import LONG, SHORT, Run, known
+from tools.portability.runs import INTERPRETED_ELSEWHERE, LONG, SHORT, Run, known
 
 FIGURES = Path("build", "bench.json")
 WORK = Path("build", "portability")
@@ -114,15 +114,16 @@ class Bench:
         return self.judged(mask.name, held, ALL_RUNS, self.record(mask.name, environment, ["long", "short"]))
 
     def emulated(self, cpu: str, bare: Machine) -> Outcome:
-        """Record the short runs on another CPU, interpreted: compiling there would take minutes."""
+        """Record two short runs on another CPU, interpreted: compiling there would take minutes."""
         emulator = (EMULATOR, "-cpu", cpu)
         environment = full_environment(BARE) | {
             "_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1"
         }  # else it starts itself anew, bare
         seen = self.machine(environment, emulator)
         held = "NO" if seen == bare else f"LLVM sees {seen.llvm[0]}"
-        found = self.record(cpu, environment | {"NUMBA_DISABLE_JIT": "1"}, ["short"], emulator)
-        return self.judged(" ".join(emulator), held, known(SHORT), found)
+        found = self.record(cpu, environment | {"NUMBA_DISABLE_JIT": "1"}, [*INTERPRETED_ELSEWHERE], emulator)
+        runs = [run for run in SHORT if run.name in INTERPRETED_ELSEWHERE]
+        return self.judged(" ".join(emulator), held, runs, found)
 
     def record(
         self, name: str, environment: dict[str, str], runs: list[str], prefix: tuple[str, ...] = (), save: bool = False

@@ -3,8 +3,8 @@
     python -m tools.portability.child OUTPUT RUN... [--save DIRECTORY | --against DIRECTORY]
 
 OUTPUT gets one line per topic; `--save` keeps the rows, `--against` says on stdout where they differ from kept ones.
-Where nothing is compiled, the tables of outcomes are kept ones too: they are made of hundreds of contacts, of which some
-are a run of their own (`short_contacts`).
+Where nothing is compiled, the tables of outcomes are kept ones too: they are made of hundreds of contacts, some of
+which are a run of their own (`short_contacts`).
 """
 
 from __future__ import annotations

@@ -102,6 +102,9 @@ SHORT = (
     Run("short_walton_braun", 0.1, {**HARD, "contact.law": "walton_braun"}),
 )
 
+INTERPRETED_ELSEWHERE = ("short_contacts", "short_hertzian")
+"""What an emulated CPU runs, interpreted: contacts alone, and a rig with all its instruments."""
+
 
 def known(runs: tuple[Run, ...]) -> tuple[Run, ...]:
     """Return those of the runs whose contact law there is."""
