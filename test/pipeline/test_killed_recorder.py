@@ -39,6 +39,7 @@ def kill_and_recover(live: Live, directory: Path, after_s: float) -> None:
     client.wait_until((directory / "run" / "run.mcap").exists, "the recorder", 60.0)
     acks = client.listen("daq/ack")
     client.spin_for(after_s)
+    client.wait_until(lambda: len(acks) > 50, "acknowledgements")
     recorder.signal(signal.SIGKILL)
     processes.stop("recorder")
     client.spin_for(0.1)
@@ -51,7 +52,6 @@ def kill_and_recover(live: Live, directory: Path, after_s: float) -> None:
     assert set(np.diff(stamps)) <= {10_000_000}
     assert [published[stamp] for stamp in stamps] == [rows for _, rows in kept]
     acknowledged = {nanoseconds(header.stamp) for header in acks.messages}
-    assert len(acknowledged) > 50
     assert acknowledged <= set(stamps)
 
 
