@@ -24,6 +24,7 @@ from impact_rig.instruments.clock import ScanClock
 from impact_rig.instruments.pieces import NODES, Pieces
 from impact_rig.instruments.transfer import Modes
 from impact_rig.instruments.weights import Weights, weigh
+from impact_rig.system.compiled import Direct
 
 HIGHEST = NODES - 1
 SHORT = 0.25
@@ -140,6 +141,7 @@ def weigh_whole(modes, h):  # type: ignore[no-untyped-def]  # compiled: types ar
         mode.w2_re, mode.w2_im, mode.w3_re, mode.w3_im = w.w2_re, w.w2_im, w.w3_re, w.w3_im
 
 
+@Direct
 @njit(cache=True, nogil=True, error_model="numpy")
 def run(modes, clock, cursor, pieces, signal, out):  # type: ignore[no-untyped-def]
     """Run the modes over all pieces, `signal` = (coefficients, kicks); fill `out`, return the number of readings."""

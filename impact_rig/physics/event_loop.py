@@ -57,6 +57,7 @@ from impact_rig.physics.touching import (
     settles,
     take_step,
 )
+from impact_rig.system.compiled import Direct
 
 DONE, NEED_ROOM, STUCK = range(3)
 """How `run` ends: all segments done; call again with more room in the log; no progress."""
@@ -345,6 +346,7 @@ def _ready(model, f, desk, t_end, fresh):  # type: ignore[no-untyped-def]
         aim(system, f, k, t_end)
 
 
+@Direct
 @njit(cache=True, nogil=True, error_model="numpy")
 def run(model, segments, index, base, desk, account):  # type: ignore[no-untyped-def]
     """Advance the state through `segments[index:]`, numbered from `base`; return (how it ended, the segment it is in).

@@ -26,6 +26,7 @@ from impact_rig.physics.pair import add_recoil, expand, moved
 from impact_rig.physics.parameters import HELD, LOOSE, PRESCRIBED, VOLTAGE
 from impact_rig.physics.state import ATTACHED, COIL, CONTACT, FLIGHT, PRESS, STATE, V1, VB, X1, XB, record
 from impact_rig.physics.touching import FAILED, LEFT, RELEASED, conclude, first_step, take_step
+from impact_rig.system.compiled import Direct
 
 X_B, X_1, X_2, V_B, V_1, V_2, A_B, A_1, A_2, CURRENT, FORCE_LEFT, FORCE_RIGHT = range(12)
 QUANTITIES = (
@@ -354,6 +355,7 @@ def _sample_flight(model, f, knot, rows, query, bench):  # type: ignore[no-untyp
             query.out[q, i] = _in_flight(p, knot, query.wanted[q], bench.polynomials[q], since - middle, since)
 
 
+@Direct
 @njit(cache=True, nogil=True, error_model="numpy")
 def sample(model, trajectory, query, bench):  # type: ignore[no-untyped-def]
     """Fill `query.out`: runs of instants in one piece of the trajectory are evaluated together."""

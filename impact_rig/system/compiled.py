@@ -19,6 +19,7 @@ import re
 import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 from numba.core import caching, config
 
@@ -108,6 +109,30 @@ class Cache:
         else:
             yield self._root / "__pycache__"
             yield Path(caching.AppDirs(appname=self._root.name, appauthor=False).user_cache_dir)
+
+
+class Direct:
+    """A compiled function that is called without Numba's look at the types of its arguments, after the first call.
+
+    Where arguments are tuples of records that look takes a millisecond: more than the work of a block. It is needed
+    once, as long as every call has the same types, which is the caller's promise: nothing checks it afterwards.
+
+    Args:
+        function: what `njit` made; where nothing is compiled, it is called as it is.
+    """
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        self._function = function
+        self._call: Callable[..., Any] | None = None
+
+    def __call__(self, *arguments: Any) -> Any:
+        """Call the function."""
+        if self._call is not None:
+            return self._call(*arguments)
+        result = self._function(*arguments)
+        compiled = list(getattr(self._function, "overloads", {}).values())
+        self._call = compiled[0].entry_point if len(compiled) == 1 else self._function
+        return result
 
 
 def _forget(place: Path) -> None:
