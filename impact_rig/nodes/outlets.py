@@ -9,7 +9,7 @@ from std_msgs.msg import String
 
 from impact_rig import codec, topics
 from impact_rig.config import RigConfig, dump
-from impact_rig.nodes.convert import Monitors, clock_message
+from impact_rig.nodes.convert import CLOCK, Monitors
 from impact_rig.nodes.managed import ManagedNode
 from impact_rig.rig import Block, Rig
 
@@ -64,17 +64,21 @@ class Outlets:
             (topics.FAULTS, block.faults),
             (topics.TRUTH_SCAN, block.truth),
         ):
-            if table is not None:
+            if table is not None and (topic.qos.transient_local or self._heard(topic)):
                 self._publishers[topic.name].publish(codec.encode(table))
         assert self._monitors is not None
-        for topic, message in self._monitors.messages(block):
-            self._publishers[topic.name].publish(message)
+        for topic, data in self._monitors.messages(block, self._heard):
+            self._publishers[topic.name].publish(data)
+
+    def _heard(self, topic: topics.Topic) -> bool:
+        """Whether anybody listens: what nobody hears is not even made."""
+        return bool(self._publishers[topic.name].get_subscription_count())
 
     def clock(self, now_ns: int) -> None:
         """Publish rig time; a rig that does not has no publisher either, since a clock must have only one."""
         if topics.CLOCK.name not in self._publishers:
             self._publishers[topics.CLOCK.name] = self._node.publisher(topics.CLOCK)
-        self._publishers[topics.CLOCK.name].publish(clock_message(now_ns))
+        self._publishers[topics.CLOCK.name].publish(CLOCK.render(now_ns))
 
     def changes(self, rig: Rig) -> None:
         """Publish the new rows of rig/journal and shaker/applied: causes before effects."""

@@ -23,7 +23,7 @@ from std_srvs.srv import SetBool
 from impact_rig import codec, topics
 from impact_rig.errors import ImpactRigError, RecordingError
 from impact_rig.nodes import messages
-from impact_rig.nodes.convert import clock_message
+from impact_rig.nodes.convert import CLOCK
 from impact_rig.nodes.guard import guarded_service
 from impact_rig.nodes.pacing import AckWindow, Pacer
 from impact_rig.nodes.process import make_executor
@@ -141,7 +141,7 @@ class Player:
                 yield from self._rest(self._time_left_s(message.log_time))
             self.now_ns = max(self.now_ns, message.log_time)
             while clock_ns <= message.log_time:
-                self._clock.publish(clock_message(clock_ns))
+                self._clock.publish(CLOCK.render(clock_ns))
                 clock_ns += COMMAND_GRID_NS
             self._publish(message)
         while self._window.outstanding():
