@@ -61,6 +61,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         self._configured_at = math.inf
         self._waiting = False
         self._deadline = math.inf
+        self._resolved: dict[str, str] = {}
         self._added: dict[str, str] = {}
         self._account = Account()
         self._newest_ns = 0
@@ -306,7 +307,9 @@ class RecorderNode(ManagedNode[RecorderSettings]):
     def _write(self, writer: RunWriter, topic: topics.Topic, data: bytes, info: dict[str, Any]) -> None:
         if topic.name in RESULTS and int(info["source_timestamp"]) < self._opened_ns:
             return
-        name = self.resolve_topic_name(topic.name)
+        name = self._resolved.get(topic.name)
+        if name is None:
+            name = self._resolved[topic.name] = self.resolve_topic_name(topic.name)
         if name not in self._added:
             self._added[name] = topic.name
             writer.add_topic(self._describe(topic, name))

@@ -21,6 +21,8 @@ from impact_rig.recording.description import SERIALIZATION, TopicDescription
 from impact_rig.recording.provenance import Attachment
 from impact_rig.system.files import NEW_FILE
 
+SEQUENCE_MASK = 0xFFFFFFFF
+"""MCAP keeps the low 32 bits of a sequence number."""
 PROFILE = "ros2"
 LIBRARY = "impact_rig"
 COMPRESSIONS: Mapping[str, CompressionType] = {
@@ -49,6 +51,9 @@ class _Buffer(io.BytesIO):
 
     def drain(self) -> None:
         self.committed += super().tell()
+        self.empty()
+
+    def empty(self) -> None:
         self.seek(0)
         self.truncate()
 
@@ -60,12 +65,13 @@ class McapFile:
         path: must not exist.
         compression: `none`, `lz4` or `zstd`.
         chunk_bytes: a chunk is closed when it holds more than this.
+        chunked: whether messages and definitions go into chunks.
 
     Raises:
         RecordingError: the file exists or cannot be created, or the limits leave no room for a single chunk.
     """
 
-    def __init__(self, path: Path, *, compression: str, chunk_bytes: int) -> None:
+    def __init__(self, path: Path, *, compression: str, chunk_bytes: int, chunked: bool = True) -> None:
         if compression not in COMPRESSIONS:
             raise RecordingError(f"compression must be one of {', '.join(COMPRESSIONS)}, got {compression!r}")
         self.path = path
@@ -78,7 +84,9 @@ class McapFile:
         self.finished = False
         self._fd = _create(path)
         self._buffer = _Buffer()
-        self._writer = Writer(self._buffer, chunk_size=chunk_bytes, compression=COMPRESSIONS[compression])
+        self._writer = Writer(
+            self._buffer, chunk_size=chunk_bytes, compression=COMPRESSIONS[compression], use_chunking=chunked
+        )
         try:
             self._writer.start(PROFILE, LIBRARY)
             self.commit()
@@ -110,7 +118,7 @@ class McapFile:
     def add_message(self, channel: int, log_time: int, data: bytes, publish_time: int, sequence: int) -> bool:
         """Add a message to the open chunk; return whether that closed the chunk (then it waits for `commit`)."""
         self._largest_message = max(self._largest_message, len(data))
-        self._writer.add_message(channel, log_time, data, publish_time, sequence & 0xFFFFFFFF)
+        self._writer.add_message(channel, log_time, data, publish_time, sequence & SEQUENCE_MASK)
         return self._buffer.pending() > 0
 
     def add_metadata(self, name: str, record: Mapping[str, str]) -> None:
@@ -122,6 +130,17 @@ class McapFile:
         """Add an attachment; it waits for `commit`."""
         self._index_bytes += len(attachment.name) + len(attachment.media_type) + 128
         self._writer.add_attachment(create_time, log_time, attachment.name, attachment.media_type, attachment.data)
+
+    def add_record(self, record: bytes) -> None:
+        """Add a complete record as it is; it waits for `commit`."""
+        self._buffer.write(record)
+
+    def take_back(self) -> bytes:
+        """Return the records that wait for `commit`, which they then do no more."""
+        self.close_chunk()
+        records = self._buffer.getvalue()
+        self._buffer.empty()
+        return records
 
     def close_chunk(self) -> None:
         """End the open chunk, if it holds a message; it waits for `commit`."""

@@ -22,8 +22,8 @@ HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, CHUNK_INDEX = ra
 ATTACHMENT, ATTACHMENT_INDEX, STATISTICS, METADATA, METADATA_INDEX, SUMMARY_OFFSET, DATA_END = range(9, 16)
 
 RECORD_HEAD: Final = struct.Struct("<BQ")
-_CHUNK_HEAD: Final = struct.Struct("<QQQI")
-_MESSAGE_HEAD: Final = struct.Struct("<BQHIQQ")
+CHUNK_HEAD: Final = struct.Struct("<QQQI")
+MESSAGE_HEAD: Final = struct.Struct("<BQHIQQ")
 _FOOTER: Final = struct.Struct("<QQI")
 _STATISTICS: Final = struct.Struct("<QHIIIIQQ")
 FOOTER_BYTES: Final = RECORD_HEAD.size + _FOOTER.size
@@ -199,7 +199,7 @@ def parse_channel(content: memoryview) -> Channel:
 def parse_chunk(content: memoryview) -> Chunk:
     """Return a chunk, still compressed."""
     fields = Fields(content)
-    _, _, size, crc = _CHUNK_HEAD.unpack(fields.take(_CHUNK_HEAD.size))
+    _, _, size, crc = CHUNK_HEAD.unpack(fields.take(CHUNK_HEAD.size))
     compression = fields.text()
     data = fields.take(fields.u8())
     fields.end()
@@ -311,7 +311,7 @@ def messages(records: memoryview, wanted: frozenset[int] | None) -> Iterator[Raw
         DamageError: the content is not a sequence of records.
     """
     offset, stop = 0, len(records)
-    unpack, head = _MESSAGE_HEAD.unpack_from, _MESSAGE_HEAD.size
+    unpack, head = MESSAGE_HEAD.unpack_from, MESSAGE_HEAD.size
     skip = head - RECORD_HEAD.size
     while offset < stop:
         if offset + head <= stop and records[offset] == MESSAGE:

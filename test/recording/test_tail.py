@@ -129,7 +129,7 @@ def test_a_chunk_cut_short_while_it_was_written_is_replaced_by_the_tail(record, 
         assert given_back(kept, tmp_path / "out") == sent
     recording.write_bytes(whole[:begun])
     counts = []
-    for size in range(0, len(secured), 97):
+    for size in [*range(0, len(secured), 97), len(secured)]:
         tail.write_bytes(secured[:size])
         found = given_back(kept, tmp_path / "out")
         assert found == sent[: len(found)]
