@@ -96,9 +96,9 @@ def _words(arguments: argparse.Namespace) -> tuple[Path, str, str]:
 
 def _runner(way: str, address: str, arguments: argparse.Namespace, directory: Path) -> run.Runner:
     if way == "ros":
-        from impact_rig.cli.campaign_ros import ros_runner  # noqa: PLC0415  # needs rclpy
+        from impact_rig.client.campaign import stepped_runner  # noqa: PLC0415  # needs rclpy
 
-        return ros_runner(directory, record=arguments.record)
+        return stepped_runner(directory, record=arguments.record)
     if way == "dask":
         from impact_rig.campaign.cluster import dask_runner  # noqa: PLC0415  # needs dask
 

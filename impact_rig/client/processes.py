@@ -18,7 +18,7 @@ from types import TracebackType
 import attrs
 
 import impact_rig
-from impact_rig.errors import ImpactRigError
+from impact_rig.errors import GoneError, ImpactRigError
 from impact_rig.system.endings import PARENT_VARIABLE, unhurried
 
 STOP_TIMEOUT_S = 10.0
@@ -30,7 +30,7 @@ NODES = ("rig", "analysis", "recorder", "stepped_sine")
 ParameterValue = bool | int | float | str | Sequence[str] | Sequence[float]
 
 
-class ProcessDiedError(ImpactRigError, RuntimeError):
+class ProcessDiedError(GoneError):
     """A node process ended by itself; the message has its exit code and its last log lines."""
 
 
