@@ -1,17 +1,46 @@
 """Drop test → coefficient of restitution: a sphere dropped from H0 on the fixed barrier rebounds to H1.
 
 e = √(H1/H0),   (u(e)/e)² = ¼ [(u(H1)/H1)² + (u(H0)/H0)²]
+
+The operator notes the heights as a remark on the topic `notes`: `drop h0_m=0.2 h1_m=0.0245`.
 """
 
 from __future__ import annotations
 
 import math
+import re
 
 import attrs
 import numpy as np
 
 from impact_rig.analysis.calibration import Real
 from impact_rig.analysis.words import Status
+
+_NUMBER = r"[0-9.eE+-]{1,32}"
+_PATTERN = re.compile(rf"\s*drop\s+h0_m\s*=\s*(?P<h0>{_NUMBER})\s+h1_m\s*=\s*(?P<h1>{_NUMBER})\s*")
+
+
+@attrs.frozen
+class Drop:
+    """Heights of one drop [m]: where the sphere was let go, and how high it came back."""
+
+    h0_m: float
+    h1_m: float
+
+    def text(self) -> str:
+        """Return the remark; `parse_drop` reads it back exactly."""
+        return f"drop h0_m={self.h0_m!r} h1_m={self.h1_m!r}"
+
+
+def parse_drop(remark: str) -> Drop | None:
+    """Return the drop in a remark, or None if it is any other remark."""
+    match = _PATTERN.fullmatch(remark)
+    if match is None:
+        return None
+    try:
+        return Drop(float(match["h0"]), float(match["h1"]))
+    except ValueError:
+        return None
 
 
 @attrs.frozen(kw_only=True)

@@ -40,10 +40,10 @@ class ProcessApparatus:
     def set(self, setpoint: Setpoint) -> None:
         """Command frequency, then current."""
         rig = self._rig
-        rig.command(frequency_hz=setpoint.frequency_hz)
-        rig.command(current_a=setpoint.current_a)
+        rig.accept(frequency_hz=setpoint.frequency_hz)
+        rig.accept(current_a=setpoint.current_a)
         for table in rig.take_applied():
-            self._tracker.command(table)
+            self._tracker.on_applied(table)
             self._applied += Applied.of(table, self.now_ns())
 
     def rest(self) -> None:

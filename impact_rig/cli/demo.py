@@ -12,14 +12,13 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 from rich.progress import BarColumn, Progress, TaskID, TimeElapsedColumn
-from rich.table import Table as TextTable
 
 from impact_rig.analysis.calibration import Calibration
 from impact_rig.campaign import paper
 from impact_rig.campaign.job import Job
 from impact_rig.campaign.paper import Reductions
 from impact_rig.campaign.summary import Statement, write_summary
-from impact_rig.cli.terminal import Console, Words, tell_program
+from impact_rig.cli.terminal import Console, TextTable, Words, tell_program
 from impact_rig.config import RigConfig, from_flat
 from impact_rig.errors import ImpactRigError
 from impact_rig.operate.plan import Direction
@@ -70,7 +69,7 @@ class Case:
 CASES = (Case(0.0), *(Case(gap) for gap in paper.REDUCTION_PERCENT))
 
 
-def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Register the subcommand."""
     parser = commands.add_parser("demo", help="measure the paper's five reductions through the topics")
     parser.add_argument(

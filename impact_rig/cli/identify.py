@@ -7,13 +7,11 @@ import json
 from collections.abc import Sequence
 from pathlib import Path
 
-from rich.table import Table as TextTable
-
 from impact_rig.analysis.words import Status
 from impact_rig.campaign import run
 from impact_rig.campaign.axes import NO_SPHERE
 from impact_rig.campaign.paper import CURRENT_A, FREQUENCIES_HZ, FREQUENCY_HZ, REDUCTION_PERCENT
-from impact_rig.cli.terminal import Console, tell_program
+from impact_rig.cli.terminal import Console, TextTable, tell_program
 from impact_rig.config import RigConfig, dump, load
 from impact_rig.errors import ConfigError, ImpactRigError
 from impact_rig.recording import open_run
@@ -29,7 +27,7 @@ from impact_rig.system import files
 JSON_FILE, CONFIGURATION_FILE = "identification.json", "identified.yaml"
 
 
-def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Register the subcommand."""
     parser = commands.add_parser("identify", help="constants of the rig from measured runs, and what they cannot tell")
     parser.add_argument("directory", nargs="?", type=Path, metavar="DIR", help="directory of a campaign")

@@ -73,12 +73,11 @@ class RosApparatus(abc.ABC):
         """
         check_frequency(setpoint.frequency_hz, self._config.shaker)
         check_amplitude(setpoint.current_a, self._config.drive, self._config.shaker)
-        for row in (
-            self._client.command(frequency_hz=setpoint.frequency_hz),
-            self._client.command(current_a=setpoint.current_a),
-        ):
-            accepted = Setpoint(float(row["frequency"]), float(row["current"]))
-            self._applied.append(Applied(accepted, self._applied_ns(row["sample"])))
+        before = len(self._client.applied)
+        self._client.command(frequency_hz=setpoint.frequency_hz)
+        self._client.command(current_a=setpoint.current_a)
+        for table in self._client.applied.tables(before):
+            self._take(table)
 
     def finish(self) -> None:
         """End the recording of a job, however it ended."""
@@ -99,8 +98,8 @@ class RosApparatus(abc.ABC):
         return 0
 
     @abc.abstractmethod
-    def _applied_ns(self, sample: int) -> int:
-        """Return the rig time of an accepted change."""
+    def _take(self, applied: Table) -> None:
+        """Keep accepted changes for the next news."""
 
     def _start_recording(self, run_name: str) -> None:
         if self._record:
@@ -198,8 +197,8 @@ class SteppedApparatus(RosApparatus):
         """Return how many scans never arrived here; the analysis acknowledges each block, or the rig waits."""
         return self._scans.lost() * self._block_scans
 
-    def _applied_ns(self, _sample: int) -> int:
-        return self.now_ns()
+    def _take(self, applied: Table) -> None:
+        self._applied += Applied.of(applied, self.now_ns())
 
     def _step(self) -> None:
         self._client.step()
@@ -239,11 +238,11 @@ class FreewheelApparatus(RosApparatus):
         self._measured.clear()
         self._journal.clear()
         self._take_applied()
-        self._config, self._gap_m, self._now_ns = job.config(), job.gap_m, 0
+        self._config, self._gap_m = job.config(), job.gap_m
         return self
 
     def now_ns(self) -> int:
-        """Return the newest instant heard of since the reset."""
+        """Return the newest instant heard of; stamps go on over a reset."""
         return self._now_ns
 
     def set(self, setpoint: Setpoint) -> None:
@@ -266,9 +265,10 @@ class FreewheelApparatus(RosApparatus):
         """Let the rig stand still."""
         self._client.pause()
 
-    def _applied_ns(self, sample: int) -> int:
-        self._now_ns = max(self._now_ns, int(sample) * NS_PER_S // self._config.daq.rate_hz)
-        return self._now_ns
+    def _take(self, applied: Table) -> None:
+        found = Applied.of(applied)
+        self._applied += found
+        self._now_ns = max([self._now_ns, *(one.at_ns for one in found)])
 
     def _heard(self) -> tuple[list[Table], str | None] | None:
         """Return the measurements of this job since the last command, or why there are no more."""

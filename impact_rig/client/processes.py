@@ -131,7 +131,7 @@ class Processes:
                 stdin=subprocess.DEVNULL,
                 stdout=output,
                 stderr=subprocess.STDOUT,
-                env=self._environment(environment or {}),
+                env=self.environment(environment or {}),
                 start_new_session=True,  # Ctrl-C reaches us alone; we end them in order
             )
             self.running[name] = NodeProcess(name, log, process)
@@ -167,7 +167,8 @@ class Processes:
             process.signal(signal.SIGKILL)  # whatever a child of it left behind in the group
         return {process.name: process.process.wait() for process in chosen}
 
-    def _environment(self, more: Mapping[str, str]) -> dict[str, str]:
+    def environment(self, more: Mapping[str, str]) -> dict[str, str]:
+        """Return the environment that a node is started with: this process's, its own domain, this machine only."""
         source = str(Path(impact_rig.__file__).parents[1])
         path = os.environ.get("PYTHONPATH", "")
         return {

@@ -13,7 +13,7 @@ from impact_rig import codec
 from impact_rig.blocks import Table
 from impact_rig.errors import CodecError, ConfigError
 from impact_rig.nodes import process, topics
-from impact_rig.nodes.diagnostics import Level, Status
+from impact_rig.nodes.diagnostics import Health, Level
 from impact_rig.nodes.managed import ManagedNode
 from impact_rig.nodes.parameters import SectionSchema
 from impact_rig.nodes.settings import SteppedSineSettings
@@ -95,24 +95,24 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
         """Return the newest instant heard of; 0 (a stamp nobody filled in) before the first."""
         return self._now_ns or 0
 
-    def status(self) -> Status:
+    def status(self) -> Health:
         """Return how far the sweep is."""
         if self.state != "active":
-            return Status(Level.WARN, self.state, {})
+            return Health(Level.WARN, self.state, {})
         if self._pending:
-            return Status(Level.WARN, self._missing() or "about to begin", {})
+            return Health(Level.WARN, self._missing() or "about to begin", {})
         if self._operator is None:
-            return Status(Level.OK, "idle", {})
+            return Health(Level.OK, "idle", {})
         sweep = self._operator.sweep
         done, count = sweep.progress
         values = {"points_done": done, "points": count, "frequency_hz": sweep.frequency_hz, "skipped": sweep.skipped}
         match sweep.state:
             case State.RUNNING:
-                return Status(Level.OK, f"point {done + 1} of {count}: {sweep.frequency_hz:g} Hz", values)
+                return Health(Level.OK, f"point {done + 1} of {count}: {sweep.frequency_hz:g} Hz", values)
             case State.ABORTED:
-                return Status(Level.ERROR, f"aborted: {sweep.reason}", values)
+                return Health(Level.ERROR, f"aborted: {sweep.reason}", values)
             case _:
-                return Status(Level.OK, f"finished, {count} points", values)
+                return Health(Level.OK, f"finished, {count} points", values)
 
     # Start and stop
 

@@ -123,7 +123,7 @@ class _Salvage:
         self.figures = figures or report.file(path)
         self._report = report
         self._accept_unchecked = accept_unchecked
-        self._schemas: dict[int, records.Schema] = {}
+        self._schemas: dict[int, records.SchemaRecord] = {}
         self._topics: dict[int, Topic] = {}
         with DamagedFile(path) as file:
             self._read_summary(file)
@@ -206,8 +206,8 @@ class _Salvage:
         self._schemas.update(summary.schemas)
         self.figures.expect(summary.statistics)
 
-    def _define(self, definition: records.Schema | records.Channel) -> None:
-        if isinstance(definition, records.Schema):
+    def _define(self, definition: records.SchemaRecord | records.ChannelRecord) -> None:
+        if isinstance(definition, records.SchemaRecord):
             self._schemas[definition.id] = definition
             return
         schema = self._schemas.get(definition.schema_id)

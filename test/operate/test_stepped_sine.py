@@ -153,7 +153,7 @@ def test_closed_loop_with_the_tracker_gives_the_curve():
     while one.state is State.RUNNING:
         now = at * S // rate
         if command:
-            tracker.command(applied(command.frequency_hz, command.current_a, at_ns=now))
+            tracker.on_applied(applied(command.frequency_hz, command.current_a, at_ns=now))
             one.on_applied(command.frequency_hz, command.current_a, now)
             current, played = records[command.frequency_hz], 0
             command = None

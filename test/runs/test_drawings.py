@@ -14,8 +14,8 @@ from kits.recorded_rig import Messages, record
 from impact_rig.blocks import SCAN, TRANSMISSIBILITY
 from impact_rig.cli import main
 from impact_rig.recording import open_run
-from impact_rig.runs import figures as run_figures
-from impact_rig.runs import reanalysis
+from impact_rig.runs import drawings, reanalysis
+from impact_rig.runs.stretch import Stretch, last_stretch
 from impact_rig.testing import VirtualRig
 
 pytest.importorskip("matplotlib")
@@ -43,9 +43,9 @@ def run(measured: Messages, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return record(tmp_path_factory.mktemp("figures") / "swept", measured)
 
 
-def stretch_of(path: Path) -> run_figures.Stretch:
+def stretch_of(path: Path) -> Stretch:
     with open_run(path) as opened:
-        return run_figures.last_stretch(opened, list(reanalysis.analyze(opened)))
+        return last_stretch(opened, list(reanalysis.analyze(opened)))
 
 
 def test_the_command_line_draws_and_names_what_it_wrote(run: Path, tmp_path: Path) -> None:
@@ -55,7 +55,7 @@ def test_the_command_line_draws_and_names_what_it_wrote(run: Path, tmp_path: Pat
     assert done.returncode == 0, done.stderr
     assert "of the last settled measurement" in done.stdout
     assert "nothing to compare with" in done.stdout
-    assert sorted(where.iterdir()) == [where / f"{name}.png" for name in sorted(run_figures.NAMES)]
+    assert sorted(where.iterdir()) == [where / f"{name}.png" for name in sorted(drawings.NAMES)]
     for file in where.iterdir():
         assert f"wrote {file}\n" in done.stdout
         header = file.read_bytes()[:24]
@@ -124,7 +124,7 @@ def test_curves_are_by_gap_and_direction_and_need_two_frequencies() -> None:
     rows["settled"] = 1.0
     rows["frequency"] = (8.0, 9.0, 9.0, 10.0, 9.0, 8.0, 9.1, 7.0, 8.0)
     rows["gap"] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.002, np.nan, np.nan)
-    curves = run_figures.measured_curves(rows)
+    curves = drawings.measured_curves(rows)
     assert {label: found["frequency"].tolist() for label, found in curves.items()} == {
         "no sphere, up": [8.0, 9.0, 9.0, 10.0],
         "no sphere, down": [9.0, 8.0],
@@ -132,6 +132,6 @@ def test_curves_are_by_gap_and_direction_and_need_two_frequencies() -> None:
     }
     repeated = rows[:3].copy()
     repeated["frequency"], repeated["frequency_deviation"] = 9.1, (2e-6, -1e-6, 3e-6)
-    assert run_figures.measured_curves(repeated) == {}, "what is measured again at one frequency is no sweep"
+    assert drawings.measured_curves(repeated) == {}, "what is measured again at one frequency is no sweep"
     rows["settled"] = 0.0
-    assert run_figures.measured_curves(rows) == {}
+    assert drawings.measured_curves(rows) == {}
