@@ -78,8 +78,8 @@ def _as_live(console: Console, run: Run, arguments: argparse.Namespace) -> int:
     style = {True: "green", False: "red", None: "yellow"}[comparison.same]
     console.print(str(comparison), style=style)
     if arguments.figures is not None:
-        stretch, files = drawings.draw(run, findings, arguments.figures, arguments.format)
-        console.print(f"drawn: {stretch}")
+        excerpt, files = drawings.draw(run, findings, arguments.figures, arguments.format)
+        console.print(f"drawn: {excerpt}")
         for file in files:
             console.print(f"wrote {file}", soft_wrap=True)
     return 1 if comparison.same is False else 0
@@ -129,11 +129,11 @@ def _frf(console: Console, run: Run, arguments: argparse.Namespace) -> int:
 def _sine(console: Console, run: Run, arguments: argparse.Namespace) -> int:
     from impact_rig.analysis.drawings import sine_fits  # noqa: PLC0415  # heavy: after the run is open
     from impact_rig.runs import reanalysis  # noqa: PLC0415  # as above
-    from impact_rig.runs.stretch import calibration_rows, last_stretch  # noqa: PLC0415  # as above
+    from impact_rig.runs.excerpt import calibration_rows, last_excerpt  # noqa: PLC0415  # as above
     from impact_rig.runs.wholes import sines_of  # noqa: PLC0415  # as above
 
     _prepare(arguments, "sine")
-    found = sines_of(run, last_stretch(run, list(reanalysis.analyze(run))))
+    found = sines_of(run, last_excerpt(run, list(reanalysis.analyze(run))))
     info = calibration_rows(run)
     units = {row["name"].decode(): row["unit"].decode() for row in info}
     reference, measured = found.reference, found.measured
@@ -147,14 +147,14 @@ def _sine(console: Console, run: Run, arguments: argparse.Namespace) -> int:
             f"{fit.offset:.4g}", f"{fit.residual_rms:.2g}",
         )  # fmt: skip
     console.print(table)
-    console.print(f"{found.stretch}; phases are those of the samples to the current's, lag and skew in them")
+    console.print(f"{found.excerpt}; phases are those of the samples to the current's, lag and skew in them")
     phase, u_phase = math.degrees(measured.phase_rad), math.degrees(measured.u_phase_rad)
     console.print(
         f"DT {measured.transmissibility:.3f} ± {2 * measured.u_transmissibility:.3f}, phase {phase:.2f}° ± "
         f"{2 * u_phase:.2f}°, lag and skew corrected ({measured.status.value})"
     )
-    rows = found.stretch.rows[: round(DRAWN_CYCLES / reference.frequency_hz * found.stretch.rate_hz)]
-    _draw(console, run, arguments, "sine", lambda: sine_fits(rows, found.fits, units, found.stretch.rate_hz))
+    rows = found.excerpt.rows[: round(DRAWN_CYCLES / reference.frequency_hz * found.excerpt.rate_hz)]
+    _draw(console, run, arguments, "sine", lambda: sine_fits(rows, found.fits, units, found.excerpt.rate_hz))
     return 0
 
 

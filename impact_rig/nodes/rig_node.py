@@ -24,7 +24,7 @@ from impact_rig.nodes.parameters import RigSchema
 from impact_rig.nodes.readers import Readers
 from impact_rig.nodes.rig_status import RigStatus
 from impact_rig.nodes.stamps import nanoseconds
-from impact_rig.nodes.steps import Steps
+from impact_rig.nodes.steps import StepRequests
 from impact_rig.nodes.work_timer import WorkTimer
 from impact_rig.rig import Block, Rig
 from impact_rig.simtime import NS_PER_S
@@ -82,7 +82,7 @@ class RigNode(ManagedNode[RigConfig]):
         self.service(Trigger, "~/clear_trip", self._on_clear_trip)
         self.service(Trigger, "~/pluck", self._on_pluck)
         work = guarded(self._work, self.report_failure)
-        self._steps = Steps(self, self._no_step, lambda: self.settings.step.blocks, work)
+        self._steps = StepRequests(self, self._no_step, lambda: self.settings.step.blocks, work)
 
     # Lifecycle
 

@@ -16,7 +16,7 @@ from impact_rig.analysis.tracker import Findings
 from impact_rig.errors import RecordingError
 from impact_rig.recording import Run
 from impact_rig.runs import reanalysis
-from impact_rig.runs.stretch import Stretch, last_stretch
+from impact_rig.runs.excerpt import Excerpt, last_excerpt
 from impact_rig.system import files
 
 if TYPE_CHECKING:
@@ -49,7 +49,7 @@ def prepare(directory: Path, suffix: str, names: Sequence[str] = NAMES) -> None:
         raise RecordingError(f"{directory / there[0]}.{suffix} exists already and is not overwritten")
 
 
-def draw(run: Run, found: Sequence[Findings], directory: Path, suffix: str = "png") -> tuple[Stretch, list[Path]]:
+def draw(run: Run, found: Sequence[Findings], directory: Path, suffix: str = "png") -> tuple[Excerpt, list[Path]]:
     """Draw a run and return what was drawn, and the files written to `directory`.
 
     Args:
@@ -61,28 +61,28 @@ def draw(run: Run, found: Sequence[Findings], directory: Path, suffix: str = "pn
     Raises:
         RecordingError: too few scans, or a file cannot be written.
     """
-    stretch = last_stretch(run, found)
-    traced = stretch.newest(TRACED_CYCLES)
+    excerpt = last_excerpt(run, found)
+    traced = excerpt.newest(TRACED_CYCLES)
     drawn = {
         "time_traces": drawings.time_traces(traced.rows, traced.impact_times),
         "phase_plane": drawings.phase_plane(
-            stretch.rows["laser"], stretch.rate_hz, 1.0 / (SMOOTHED_CYCLE * stretch.drive_hz or math.inf)
+            excerpt.rows["laser"], excerpt.rate_hz, 1.0 / (SMOOTHED_CYCLE * excerpt.drive_hz or math.inf)
         ),
         "spectrum": drawings.spectrum(
-            1e3 * stretch.rows["laser"], stretch.rate_hz, "mm", stretch.drive_hz,
-            min(HARMONICS * stretch.drive_hz or UNDRIVEN_HZ, stretch.rate_hz / 2.0),
+            1e3 * excerpt.rows["laser"], excerpt.rate_hz, "mm", excerpt.drive_hz,
+            min(HARMONICS * excerpt.drive_hz or UNDRIVEN_HZ, excerpt.rate_hz / 2.0),
         ),
     }  # fmt: skip
     for figure, what in (
         ("time_traces", f"{traced}\nred: impacts found in the acceleration"),
-        ("phase_plane", f"phase plane, {stretch}"),
-        ("spectrum", f"spectrum of $x_1$, {stretch}"),
+        ("phase_plane", f"phase plane, {excerpt}"),
+        ("spectrum", f"spectrum of $x_1$, {excerpt}"),
     ):
         titled(drawn[figure], run, what)
     curves = measured_curves(reanalysis.rows(reanalysis.measurements(iter(found))))
     if curves:
         drawn["curves"] = titled(drawings.transmissibility_curves(curves), run, "settled measurements, ±2u")
-    return stretch, [save(figure, directory / f"{stem}.{suffix}") for stem, figure in drawn.items()]
+    return excerpt, [save(figure, directory / f"{stem}.{suffix}") for stem, figure in drawn.items()]
 
 
 def measured_curves(rows: NDArray[np.void]) -> dict[str, NDArray[np.void]]:

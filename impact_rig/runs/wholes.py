@@ -6,7 +6,7 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_rig.analysis.drop import Drop, Restitution, parse_drop, restitution_of_drops
+from impact_rig.analysis.drop import Drop, DropTest, parse_drop, restitution_of_drops
 from impact_rig.analysis.frf import Frf, transmissibility_frf
 from impact_rig.analysis.sine import SineFit, fit_sine, fit_sine_frequency
 from impact_rig.analysis.transmissibility import Measurement, measure_record
@@ -14,29 +14,29 @@ from impact_rig.analysis.words import Status
 from impact_rig.blocks import CHANNELS
 from impact_rig.errors import RecordingError
 from impact_rig.recording import Run
+from impact_rig.runs.excerpt import Excerpt, calibration_rows, last_record
 from impact_rig.runs.reanalysis import remarks
-from impact_rig.runs.stretch import Stretch, calibration_rows, last_record
 
 EXCITED = 0.9
 """Coherence from which a frequency counts as one that the drive excites."""
 
 
 @attrs.frozen(eq=False)
-class Response:
+class FrequencyResponse:
     """The frequency response x_1 / x_b of a record, with noise, sweep or sine as the drive made it.
 
     Attributes:
         frf: all lines.
         excited: indices of the lines with a coherence of at least `EXCITED`, but for the mean, shape (k,), k > 0.
-        stretch: the scans.
+        excerpt: the scans.
     """
 
     frf: Frf
     excited: NDArray[np.intp]
-    stretch: Stretch
+    excerpt: Excerpt
 
 
-def response_of(run: Run, segment_s: float) -> Response:
+def response_of(run: Run, segment_s: float) -> FrequencyResponse:
     """Return the frequency response of the last record of a run.
 
     Args:
@@ -46,11 +46,11 @@ def response_of(run: Run, segment_s: float) -> Response:
     Raises:
         RecordingError: the record is too short, stands still, or nothing in it is excited well enough.
     """
-    stretch = last_record(run)
+    excerpt = last_record(run)
     try:
-        found = transmissibility_frf(stretch.rows, calibration_rows(run), round(segment_s * stretch.rate_hz))
+        found = transmissibility_frf(excerpt.rows, calibration_rows(run), round(segment_s * excerpt.rate_hz))
     except ValueError as error:  # ConfigError is one
-        seconds = len(stretch.rows) / stretch.rate_hz
+        seconds = len(excerpt.rows) / excerpt.rate_hz
         raise RecordingError(f"{run.path}: no frequency response of its last {seconds:g} s: {error}") from error
     excited = np.flatnonzero(np.nan_to_num(found.coherence) >= EXCITED)
     excited = excited[excited > 0]
@@ -59,54 +59,54 @@ def response_of(run: Run, segment_s: float) -> Response:
             f"{run.path}: base and laser have a coherence of {EXCITED} at no frequency: drive the rig with a chirp or "
             "noise (drive.waveform), or take longer segments"
         )
-    return Response(found, excited, stretch)
+    return FrequencyResponse(found, excited, excerpt)
 
 
 @attrs.frozen(eq=False)
 class Sines:
-    """A stretch as sines of one frequency.
+    """An excerpt as sines of one frequency.
 
     Attributes:
         reference: the current with its frequency refined, four parameters and the harmonics.
         fits: every channel at that frequency, by name.
-        measured: the transmissibility of the whole stretch at the commanded frequency.
-        stretch: the scans.
+        measured: the transmissibility of the whole excerpt at the commanded frequency.
+        excerpt: the scans.
     """
 
     reference: SineFit
     fits: dict[str, SineFit]
     measured: Measurement
-    stretch: Stretch
+    excerpt: Excerpt
 
 
-def sines_of(run: Run, stretch: Stretch, harmonics: int = 1) -> Sines:
-    """Fit sines to a stretch of a run.
+def sines_of(run: Run, excerpt: Excerpt, harmonics: int = 1) -> Sines:
+    """Fit sines to an excerpt of a run.
 
     Args:
         run: the open run.
-        stretch: of it; its drive frequency must be known.
+        excerpt: of it; its drive frequency must be known.
         harmonics: in the fits, the drive included.
 
     Raises:
         RecordingError: no drive frequency is known, or the current holds no sine of about that frequency.
     """
-    if not stretch.drive_hz > 0.0:
-        raise RecordingError(f"{run.path} holds no drive frequency (shaker/applied) for {stretch}")
-    samples = {name: np.asarray(stretch.rows[name], dtype=np.float64) for name in CHANNELS}
-    reference = fit_sine_frequency(samples["current"], stretch.rate_hz, stretch.drive_hz, harmonics)
+    if not excerpt.drive_hz > 0.0:
+        raise RecordingError(f"{run.path} holds no drive frequency (shaker/applied) for {excerpt}")
+    samples = {name: np.asarray(excerpt.rows[name], dtype=np.float64) for name in CHANNELS}
+    reference = fit_sine_frequency(samples["current"], excerpt.rate_hz, excerpt.drive_hz, harmonics)
     if reference.status is not Status.OK:
         raise RecordingError(
-            f"{run.path}: the current is no sine of {stretch.drive_hz:g} Hz, {stretch}: {reference.status.value}"
+            f"{run.path}: the current is no sine of {excerpt.drive_hz:g} Hz, {excerpt}: {reference.status.value}"
         )
     return Sines(
         reference=reference,
-        fits={name: fit_sine(y, stretch.rate_hz, reference.frequency_hz, harmonics) for name, y in samples.items()},
-        measured=measure_record(stretch.rows, calibration_rows(run), stretch.drive_hz),
-        stretch=stretch,
+        fits={name: fit_sine(y, excerpt.rate_hz, reference.frequency_hz, harmonics) for name, y in samples.items()},
+        measured=measure_record(excerpt.rows, calibration_rows(run), excerpt.drive_hz),
+        excerpt=excerpt,
     )
 
 
-def drops_of(run: Run, u_m: float) -> tuple[list[Drop], Restitution]:
+def drops_of(run: Run, u_m: float) -> tuple[list[Drop], DropTest]:
     """Return the drops that the operator noted with a run, and the coefficient of restitution they give.
 
     Args:

@@ -17,7 +17,7 @@ from impact_rig.physics.closed_form import transmissibility
 from impact_rig.physics.contact import from_config
 from impact_rig.recording import open_run
 from impact_rig.runs import reanalysis, wholes
-from impact_rig.runs.stretch import last_stretch
+from impact_rig.runs.excerpt import last_excerpt
 from impact_rig.testing import VirtualRig
 
 pytestmark = pytest.mark.ros  # runs carry the schemas of the messages
@@ -109,7 +109,7 @@ def test_a_rig_at_rest_has_no_frequency_response(tmp_path: Path) -> None:
 def test_sines_agree_with_the_measurement_of_the_same_scans(steady: Path) -> None:
     with open_run(steady) as run:
         findings = list(reanalysis.analyze(run))
-        found = wholes.sines_of(run, last_stretch(run, findings))
+        found = wholes.sines_of(run, last_excerpt(run, findings))
         rows = reanalysis.rows(reanalysis.measurements(iter(findings)))
     row = rows[rows["settled"] == 1.0][-1]
     assert found.reference.frequency_hz == pytest.approx(9.3, abs=4 * found.reference.u_frequency_hz)

@@ -1,4 +1,4 @@
-"""Stretches of a run: contiguous scans that are drawn, or measured as one record."""
+"""Excerpts of a run: contiguous scans that are drawn, or measured as one record."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ MOST_SCANS = 20_000_000
 
 
 @attrs.frozen(eq=False)
-class Stretch:
+class Excerpt:
     """Contiguous scans that are drawn.
 
     Attributes:
@@ -44,7 +44,7 @@ class Stretch:
     impact_times: NDArray[np.float64]
     settled: bool
 
-    def newest(self, cycles: int) -> Stretch:
+    def newest(self, cycles: int) -> Excerpt:
         """Return the last cycles of the drive; everything where there is none."""
         scans = round(cycles / self.drive_hz * self.rate_hz) if self.drive_hz else len(self.rows)
         rows = self.rows[-scans:]
@@ -56,7 +56,7 @@ class Stretch:
         return f"{self.rows['time'][0]:.2f} s to {self.rows['time'][-1]:.2f} s, {where}"
 
 
-def last_stretch(run: Run, found: Sequence[Findings]) -> Stretch:
+def last_excerpt(run: Run, found: Sequence[Findings]) -> Excerpt:
     """Return the scans of the last settled measurement, or the last `UNSETTLED_S` of the run.
 
     Raises:
@@ -91,10 +91,10 @@ def last_stretch(run: Run, found: Sequence[Findings]) -> Stretch:
     impacts = [_joined(one.impacts, origin_ns)["time"] for one in found[first : last + 1] if one.impacts]
     times = np.concatenate(impacts) if impacts else np.empty(0)
     times = times[(times >= rows["time"][0]) & (times <= rows["time"][-1])]
-    return Stretch(rows, rate_hz, drive_hz, times, settled=bool(settled))
+    return Excerpt(rows, rate_hz, drive_hz, times, settled=bool(settled))
 
 
-def last_record(run: Run) -> Stretch:
+def last_record(run: Run) -> Excerpt:
     """Return the last scans of a run without a gap, at most `MOST_SCANS`, whatever the drive did meanwhile.
 
     Raises:
@@ -107,7 +107,7 @@ def last_record(run: Run) -> Stretch:
         raise RecordingError(
             f"{run.path}: {len(rows)} scans without a gap at its end, at least {FEWEST_SCANS} are needed"
         )
-    return Stretch(rows, rate_hz, 0.0, np.empty(0), settled=False)
+    return Excerpt(rows, rate_hz, 0.0, np.empty(0), settled=False)
 
 
 def calibration_rows(run: Run) -> NDArray[np.void]:
