@@ -84,7 +84,7 @@ def analyse(directory: Path) -> int:
             elif topic.endswith("info"):
                 tracker.configure(table)
             else:
-                tracker.command(table)
+                tracker.on_applied(table)
     return found + len(tracker.flush().measurements)
 
 
@@ -94,7 +94,7 @@ def feed(tables: list[Table]) -> float:
     tracker.configure(info())
     command = np.zeros(1, APPLIED)
     command["frequency"], command["current"] = FREQUENCY_HZ, 0.52
-    tracker.command(Table(0, command))
+    tracker.on_applied(Table(0, command))
     begin = time.perf_counter()
     for table in tables:
         tracker.feed(table)

@@ -35,7 +35,7 @@ STORED_PROVENANCE = {key: value for key, value in PROVENANCE.to_record().items()
 def _rig() -> Rig:
     rig = Rig(from_flat(RigConfig(), {"drive.amplitude": 0.3, "barriers.gap_m": 0.002, "daq.seed": 5}))
     rig.advance(20_000_000)
-    rig.command(8.0, 0.4)
+    rig.accept(8.0, 0.4)
     rig.configure({"barriers.gap_m": 0.003, "sphere.start": "right"})
     return rig
 
@@ -203,7 +203,7 @@ def streams(draw: st.DrawFn) -> list[tuple[str, Table]]:
 def analysis(stream: list[tuple[str, Table]]) -> None:
     """Every table is taken or refused by name; what is found has numbers where it says it was measured."""
     tracker = Tracker()
-    takers = {"info": tracker.configure, "applied": tracker.command, "scan": tracker.feed}
+    takers = {"info": tracker.configure, "applied": tracker.on_applied, "scan": tracker.feed}
     for kind, table in stream:
         found = takers[kind](codec.decode(codec.encode(Table(table.stamp_ns, np.array(table.rows)))))
         for measured in getattr(found, "measurements", ()):

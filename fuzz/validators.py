@@ -120,8 +120,8 @@ def texts(words: list[str]) -> tuple[int, int]:
 
 
 OPERATIONS = st.one_of(
-    st.tuples(st.just("command"), ANY_NUMBER | st.none(), ANY_NUMBER | st.none()),
-    st.tuples(st.just("command"), st.floats(5, 200), st.floats(0, 1)),
+    st.tuples(st.just("accept"), ANY_NUMBER | st.none(), ANY_NUMBER | st.none()),
+    st.tuples(st.just("accept"), st.floats(5, 200), st.floats(0, 1)),
     st.tuples(st.just("configure"), CHANGES),
     st.tuples(st.just("pluck"), ANY_NUMBER | st.floats(-0.006, 0.006)),
     st.tuples(

@@ -21,5 +21,9 @@ class RecordingError(ImpactRigError, OSError):
     """A run cannot be written or read; what was already on disk is untouched."""
 
 
+class GoneError(ImpactRigError, RuntimeError):
+    """A process that one works with has ended by itself: it says nothing about what was asked of it."""
+
+
 class SimulationError(ImpactRigError, RuntimeError):
     """The simulation cannot go on (a fault of the model or its tolerances, never of a user's command)."""

@@ -77,10 +77,10 @@ def test_a_journal_row_far_in_the_future_costs_only_what_is_looked_at() -> None:
     ("topic", "rows", "words"),
     [
         ("configure", decoders.INFO.rows[["name", "rate"]], "daq/info lacks the column unit, range_low"),
-        ("command", decoders.APPLIED.rows[["time", "sample"]], "shaker/applied lacks the column frequency"),
+        ("on_applied", decoders.APPLIED.rows[["time", "sample"]], "shaker/applied lacks the column frequency"),
         ("feed", decoders.SCANS[0].rows[["time"]], "daq/scan lacks the column accelerometer"),
-        ("command", np.full(1, np.nan, [(name, "f8") for name in blocks.APPLIED.names]), "time must be within"),
-        ("command", np.full(1, 1e305, [(name, "f8") for name in blocks.APPLIED.names]), "time must be within"),
+        ("on_applied", np.full(1, np.nan, [(name, "f8") for name in blocks.APPLIED.names]), "time must be within"),
+        ("on_applied", np.full(1, 1e305, [(name, "f8") for name in blocks.APPLIED.names]), "time must be within"),
     ],
 )
 def test_a_table_without_its_columns_is_refused_by_name(topic: str, rows: np.ndarray, words: str) -> None:
@@ -121,7 +121,7 @@ def test_a_command_of_no_frequency_to_speak_of_is_not_measured() -> None:
     tracker.configure(decoders.INFO)
     applied = decoders.APPLIED.rows.copy()
     applied["frequency"] = 2.5e-65
-    tracker.command(Table(0, applied))
+    tracker.on_applied(Table(0, applied))
     found = [table.rows for scan in decoders.SCANS for table in tracker.feed(scan).measurements]
     assert all(rows["settled"][0] == 0 for rows in found)
 

@@ -89,7 +89,7 @@ def measured(rate_hz: int, seed: int) -> tuple[dict[float, list[Table]], Calibra
     tracker.configure(Table(0, info))
     command = np.zeros(1, APPLIED)
     command["frequency"], command["current"] = FREQUENCY_HZ, CURRENT_A
-    tracker.command(Table(0, command))
+    tracker.on_applied(Table(0, command))
     for case, (gap_m, motion) in enumerate(zip(CASES_M, session(), strict=True)):
         chain.acquire(motion, case * CASE_TICKS, CASE_TICKS)
         tracker.label(gap_m, round(case * CASE_S * NS_PER_S))

@@ -47,7 +47,7 @@ class Decay:
     cycles: int = 0
 
 
-class Method(Protocol):
+class DecayMethod(Protocol):
     """`fit_decay` or `log_decrement`."""
 
     def __call__(self, y: Real, rate_hz: float, u_clock: float = 0.0) -> Decay:
@@ -55,7 +55,7 @@ class Method(Protocol):
 
 
 def measure_decay(
-    rows: NDArray[np.void], info: NDArray[np.void], method: Method | None = None, u_clock: float = 0.0
+    rows: NDArray[np.void], info: NDArray[np.void], method: DecayMethod | None = None, u_clock: float = 0.0
 ) -> Decay:
     """Measure the free decay of the superior base in scans that begin after its release; the base must be locked.
 

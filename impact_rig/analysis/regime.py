@@ -30,7 +30,7 @@ LINE_SHARE = 0.8
 
 
 @attrs.frozen
-class Response:
+class Behaviour:
     """What a response does.
 
     Attributes:
@@ -46,7 +46,7 @@ class Response:
     steady: bool
 
 
-def classify(deviation: Complex, noise_variance: float, tolerance: float, strikes: NDArray[np.uint8]) -> Response:
+def classify(deviation: Complex, noise_variance: float, tolerance: float, strikes: NDArray[np.uint8]) -> Behaviour:
     """Return what a response does.
 
     Args:
@@ -60,7 +60,7 @@ def classify(deviation: Complex, noise_variance: float, tolerance: float, strike
     """
     n = len(deviation)
     if n < 4 or not np.all(np.isfinite(deviation)):
-        return Response(Regime.UNKNOWN, float("nan"), float("nan"), steady=False)
+        return Behaviour(Regime.UNKNOWN, float("nan"), float("nan"), steady=False)
     spread = float(np.sqrt(np.mean(np.abs(deviation - deviation.mean()) ** 2)))
     limit = max(NOISE_FACTOR * noise_variance, tolerance**2)
     steady = False
@@ -70,11 +70,11 @@ def classify(deviation: Complex, noise_variance: float, tolerance: float, strike
             continue
         steady = True
         if _strikes_repeat(strikes, period):
-            return Response(Regime.PERIODIC, float(period), spread, steady)
+            return Behaviour(Regime.PERIODIC, float(period), spread, steady)
     phases = 2.0 * np.pi * np.arange(strikes.shape[1]) / strikes.shape[1]
     telling = strikes @ np.exp(2j * phases) if steady else deviation
     regime = Regime.MODULATED if _line_share(telling) >= LINE_SHARE else Regime.CHAOTIC
-    return Response(regime, float("nan"), spread, steady)
+    return Behaviour(regime, float("nan"), spread, steady)
 
 
 def _strikes_repeat(strikes: NDArray[np.uint8], period: int) -> bool:

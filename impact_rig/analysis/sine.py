@@ -66,6 +66,12 @@ class SineFit:
         """Phase of the fundamental: 0 is a cosine."""
         return float(np.angle(self.phasors[0]))
 
+    def values(self, time: Real) -> Real:
+        """Return the fitted sine and its harmonics at `time` [s since the first sample], shape (n,)."""
+        order = np.arange(1, len(self.phasors) + 1)
+        turns = np.exp(2j * math.pi * self.frequency_hz * time[:, None] * order)
+        return np.asarray(self.offset + (turns @ self.phasors).real)
+
 
 def fit_sine(y: Real, rate_hz: float, frequency_hz: float, harmonics: int = 1) -> SineFit:
     """Fit offset and harmonics at a known frequency: three parameters for harmonics = 1.

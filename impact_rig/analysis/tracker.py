@@ -145,7 +145,7 @@ class Tracker:
         else:
             self._resets.append(_Reset(start_ns, calibration))
 
-    def command(self, applied: Table) -> None:
+    def on_applied(self, applied: Table) -> None:
         """Take `shaker/applied`: each row acts from its stamp plus time.
 
         Raises:

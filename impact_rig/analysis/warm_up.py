@@ -28,5 +28,5 @@ def compile_tracker() -> None:
     applied["frequency"] = DRIVE_HZ
     tracker = Tracker()
     tracker.configure(Table(0, info))
-    tracker.command(Table(0, applied))
+    tracker.on_applied(Table(0, applied))
     tracker.feed(Table(0, scans))

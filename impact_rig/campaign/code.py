@@ -8,7 +8,7 @@ from pathlib import Path
 
 import impact_rig
 
-DECIDING = ("arithmetic", "physics", "instruments", "rig", "analysis", "config", "blocks.py", "simtime.py")
+DECIDING = ("arithmetic", "physics", "instruments", "rig", "analysis", "operate", "config", "blocks.py", "simtime.py")
 """What decides a measured number; the rest of the package commands, stores and shows."""
 
 

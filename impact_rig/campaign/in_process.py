@@ -5,19 +5,18 @@ What the analysis sees is what the rig publishes: calibration, accepted commands
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
-from impact_rig.analysis.stepped import Command
 from impact_rig.analysis.tracker import Tracker
-from impact_rig.campaign.bench import Trace, Turn, columns, operate
-from impact_rig.campaign.job import TRACE_TURNS, Job, Outcome
+from impact_rig.campaign.execution import Trace, columns, run_job
+from impact_rig.campaign.job import TRACE_BLOCKS, Job, Outcome
+from impact_rig.operate.operator import Applied, News
+from impact_rig.operate.plan import Setpoint
 from impact_rig.rig import Block, Rig
 
 
-class ProcessBench:
-    """A `Bench` in this process.
+class ProcessApparatus:
+    """A `JobApparatus` in this process.
 
     Args:
         job: what it is made for.
@@ -29,6 +28,7 @@ class ProcessBench:
     def __init__(self, job: Job) -> None:
         self._rig = Rig(job.config())
         self._tracker = Tracker(job.settings())
+        self._applied: list[Applied] = []
         info = self._rig.info()
         self._tracker.configure(info)
         self._tracker.label(job.gap_m, info.stamp_ns)
@@ -37,29 +37,33 @@ class ProcessBench:
         """Return the rig time since the reset."""
         return self._rig.next_block_ns - self._rig.start_ns
 
-    def command(self, command: Command) -> Sequence[tuple[float, float]]:
-        """Command frequency, then current; return the accepted changes."""
+    def set(self, setpoint: Setpoint) -> None:
+        """Command frequency, then current."""
         rig = self._rig
-        rig.command(frequency_hz=command.frequency_hz)
-        rig.command(current_a=command.current_a)
-        applied = rig.take_applied()
-        for table in applied:
-            self._tracker.command(table)
-        return [(float(row["frequency"]), float(row["current"])) for table in applied for row in table.rows]
+        rig.accept(frequency_hz=setpoint.frequency_hz)
+        rig.accept(current_a=setpoint.current_a)
+        for table in rig.take_applied():
+            self._tracker.on_applied(table)
+            self._applied += Applied.of(table, self.now_ns())
 
-    def turn(self) -> Turn:
+    def rest(self) -> None:
+        """Do nothing: this rig is given up."""
+
+    def wait(self) -> News:
         """Let one block pass."""
         rows: list[np.void] = []
         for block in self._advance():
             for table in self._tracker.feed(block.scan).measurements:
                 rows.extend(table.rows)
-        return Turn(rows, self._rig.latched)
+        applied, self._applied = self._applied, []
+        stopped = None if self._rig.latched is None else f"the rig tripped: {self._rig.latched}"
+        return News(now_ns=self.now_ns(), applied=applied, rows=rows, stopped=stopped)
 
     def trace(self) -> Trace:
         """Let a few blocks pass and return their scans and truth."""
         self._rig.configure({"output.truth_scan": True})  # changes what is handed out, not one sample
         self._advance()  # half of its truth was not kept
-        blocks = [block for _ in range(TRACE_TURNS) for block in self._advance()]
+        blocks = [block for _ in range(TRACE_BLOCKS) for block in self._advance()]
         scans = np.concatenate([block.scan.rows for block in blocks])
         truth = np.concatenate([block.truth.rows for block in blocks if block.truth is not None])
         return columns(scans, truth, self._rig.rate_hz)
@@ -74,4 +78,4 @@ class ProcessBench:
 
 def execute(job: Job) -> Outcome:
     """Measure a job in this process."""
-    return operate(job, ProcessBench)
+    return run_job(job, ProcessApparatus)

@@ -20,22 +20,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig.analysis.settings import TrackerSettings
-from impact_rig.analysis.stepped import Direction, Plan
 from impact_rig.blocks import TRANSMISSIBILITY
 from impact_rig.campaign.axes import NO_SPHERE
 from impact_rig.config import RigConfig, from_flat
 from impact_rig.config.load import Value
+from impact_rig.operate.plan import Direction, Plan
 from impact_rig.rig.journal import not_default
 from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S
 
-TURNS_PER_S = 4
+LOOKS_PER_S = 4
 """The operator looks at the measurements this often, in rig time, and commands then: part of a job's definition,
 because in a sweep it decides when the next frequency begins."""
 MAX_BLOCK_SCANS = 4000  # so that a block of truth fits a message
 DWELL_FACTOR = 2.5
 """A point may take this many times the analysis's own bound before it is given up."""
-TRACE_TURNS = 2
-"""Turns that are kept as a trace after the last measurement."""
+TRACE_BLOCKS = 2
+"""Blocks that are kept as a trace after the last measurement."""
 
 
 @attrs.frozen(kw_only=True)
@@ -63,13 +63,13 @@ class Job:
     traces: bool
 
     def config(self) -> RigConfig:
-        """Return the rig's configuration; one block is one turn.
+        """Return the rig's configuration; one block from one look to the next.
 
         Raises:
             ConfigError: a value is wrong.
         """
         config = from_flat(RigConfig(), self.changes)
-        scans = max(1, min(config.daq.rate_hz // TURNS_PER_S, MAX_BLOCK_SCANS))
+        scans = max(1, min(config.daq.rate_hz // LOOKS_PER_S, MAX_BLOCK_SCANS))
         return from_flat(config, {"daq.block_scans": scans})
 
     def settings(self) -> TrackerSettings:
@@ -102,7 +102,7 @@ class Job:
             "analysis": attrs.asdict(self.settings()),
             "plan": attrs.asdict(self.plan()),
             "gap_m": self.gap_m,
-            "turn": [TURNS_PER_S, COMMAND_GRID_NS, NS_PER_S],
+            "turn": [LOOKS_PER_S, COMMAND_GRID_NS, NS_PER_S],
         }
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
 

@@ -14,7 +14,6 @@ from pathlib import Path
 import attrs
 
 from impact_rig.analysis.settings import TrackerSettings
-from impact_rig.analysis.stepped import Direction
 from impact_rig.campaign import axes
 from impact_rig.campaign.axes import NO_SPHERE
 from impact_rig.campaign.job import Job
@@ -22,6 +21,7 @@ from impact_rig.campaign.paper import CURRENT_A
 from impact_rig.config import CONTACT_LAWS, RigConfig, from_flat, load, to_flat
 from impact_rig.config.load import MAX_FILE_BYTES, Value, flatten
 from impact_rig.errors import ConfigError
+from impact_rig.operate.plan import Direction
 from impact_rig.system import budget, files, plain_yaml
 from impact_rig.system.budget import BudgetError
 

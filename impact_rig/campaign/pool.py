@@ -12,14 +12,14 @@ from concurrent.futures.process import BrokenProcessPool
 
 from impact_rig.campaign.in_process import execute
 from impact_rig.campaign.job import Job, Outcome
-from impact_rig.errors import ImpactRigError
+from impact_rig.errors import GoneError
 from impact_rig.system.endings import SIGNALS, end_with, held, unhurried
 
 AHEAD = 2
 """Jobs handed out per worker: enough to keep it busy, few enough to stop soon after Ctrl-C."""
 
 
-class WorkerDiedError(ImpactRigError, RuntimeError):
+class WorkerDiedError(GoneError):
     """A worker process was ended from outside."""
 
 

@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig.analysis.reduction import combined
-from impact_rig.analysis.stepped import Direction
 from impact_rig.campaign.axes import NO_SPHERE
 from impact_rig.campaign.job import Outcome
 from impact_rig.campaign.plan import RESET, Planned
 from impact_rig.config.load import Value
+from impact_rig.operate.plan import Direction
 from impact_rig.system import files
 
 NAN = math.nan
@@ -118,7 +118,7 @@ def points_of(planned: Planned, outcome: Outcome) -> list[Point]:
     """Return the points of one job in the order of the visit."""
     job = planned.job
     visits = job.plan().points()
-    turn = len(job.frequencies_hz)
+    once = len(job.frequencies_hz)
     rows, taken = outcome.rows, 0
     skipped = list(outcome.skipped_hz)
     found = []
@@ -132,8 +132,8 @@ def points_of(planned: Planned, outcome: Outcome) -> list[Point]:
             taken += len(own)
             failure = _failure(own, outcome.failure, job.repetitions)
         direction = RESET
-        if turn > 1:
-            down = job.direction is Direction.DOWN or place >= turn
+        if once > 1:
+            down = job.direction is Direction.DOWN or place >= once
             direction = Direction.DOWN.value if down else Direction.UP.value
         found.append(
             Point(

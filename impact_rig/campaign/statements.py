@@ -2,7 +2,7 @@
 
 Every judge returns what it found and whether the statement holds, or says which points it would need. Six constants of
 the rig were chosen so that the five reductions and these statements come out (`report.build` names them), so a
-verdict is one of three things, `Kind`. How much a statement owes to the choice is told by `margins`.
+verdict is one of three things, `Worth`. How much a statement owes to the choice is told by `margins`.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ PEAK_STEP_HZ = 0.0101
 GAPS_M = tuple(REDUCTION_PERCENT)
 
 
-class Kind(enum.StrEnum):
+class Worth(enum.StrEnum):
     """What it is worth that a statement holds."""
 
     FIT = "fit"
@@ -58,7 +58,7 @@ class Verdict:
 
     name: str
     text: str
-    kind: Kind
+    kind: Worth
     result: Statement | None
     detail: str
 
@@ -197,41 +197,41 @@ def peak_hz(curves: Curves, gap_m: float) -> float:
     return (left + middle) / 2.0 + rise * (right - left) / (2.0 * (rise - fall))
 
 
-_STATEMENTS: tuple[tuple[str, Kind, str, Callable[[Curves], Judgement]], ...] = (
-    ("dt_peaks_at_9_1_hz", Kind.FOLLOWS, "Without sphere DT peaks at 9.1 Hz.", _peak_without_sphere),
+_STATEMENTS: tuple[tuple[str, Worth, str, Callable[[Curves], Judgement]], ...] = (
+    ("dt_peaks_at_9_1_hz", Worth.FOLLOWS, "Without sphere DT peaks at 9.1 Hz.", _peak_without_sphere),
     (
         "amplitudes_at_resonance",
-        Kind.FIT,
+        Worth.FIT,
         "There the base amplitude is smallest and the superior base's largest.",
         _amplitudes_at_peak,
     ),
     (
         "reduction_grows_with_gap",
-        Kind.FOLLOWS,
+        Worth.FOLLOWS,
         "The reduction at 9.1 Hz grows with the gap from 2 to 10 mm.",
         _grows_with_gap,
     ),
     (
         "lower_above_resonance",
-        Kind.PREDICTION,
+        Worth.PREDICTION,
         "At 9.2 and 9.5 Hz DT is below the curve without sphere for every gap.",
         _lower_above_resonance,
     ),
     (
         "curves_agree_far_from_resonance",
-        Kind.FIT,
+        Worth.FIT,
         f"At {', '.join(f'{f:g}' for f in FAR_HZ)} Hz curves tend to coincide (here: within {FAR_LIMIT_PERCENT:g} %).",
         _agree_far_away,
     ),
     (
         "reduction_falls_beyond_optimal_gap",
-        Kind.PREDICTION,
+        Worth.PREDICTION,
         "Beyond an optimal gap, among orbits that impact, the reduction falls again.",
         _falls_beyond_optimum,
     ),
     (
         "natural_frequency_unchanged",
-        Kind.FIT,
+        Worth.FIT,
         f"The natural frequency is virtually unchanged (here: the peak moves by less than {SHIFT_LIMIT_PERCENT:g} %).",
         _frequency_unchanged,
     ),

@@ -8,14 +8,13 @@ import time
 from pathlib import Path
 
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeElapsedColumn, TimeRemainingColumn
-from rich.table import Table as TextTable
 
 from impact_rig.campaign import paper, pool, run
 from impact_rig.campaign.job import Job
 from impact_rig.campaign.plan import load_campaign
 from impact_rig.campaign.statements import Verdict
 from impact_rig.campaign.store import Store
-from impact_rig.cli.terminal import Console, Words, tell_program
+from impact_rig.cli.terminal import Console, TextTable, Words, tell_program
 from impact_rig.errors import ConfigError
 from impact_rig.studies.margins import Variation, variations
 
@@ -26,7 +25,7 @@ SHOWN = 20
 """Failing points that are printed; all of them are in the CSV."""
 
 
-def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Register the subcommand."""
     parser = commands.add_parser("campaign", help="measure all points of a campaign file; run again to resume")
     parser.add_argument("file", nargs="?", type=Path, metavar="FILE", help="campaign file, e.g. config/paper.yaml")
@@ -96,9 +95,9 @@ def _words(arguments: argparse.Namespace) -> tuple[Path, str, str]:
 
 def _runner(way: str, address: str, arguments: argparse.Namespace, directory: Path) -> run.Runner:
     if way == "ros":
-        from impact_rig.cli.campaign_ros import ros_runner  # noqa: PLC0415  # needs rclpy
+        from impact_rig.client.campaign import stepped_runner  # noqa: PLC0415  # needs rclpy
 
-        return ros_runner(directory, record=arguments.record)
+        return stepped_runner(directory, record=arguments.record)
     if way == "dask":
         from impact_rig.campaign.cluster import dask_runner  # noqa: PLC0415  # needs dask
 

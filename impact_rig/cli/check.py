@@ -6,10 +6,9 @@ import argparse
 import math
 from pathlib import Path
 
-from rich.table import Table as TextTable
 from rich.text import Text
 
-from impact_rig.cli.terminal import Console
+from impact_rig.cli.terminal import Console, TextTable
 from impact_rig.config import RigConfig, load
 from impact_rig.errors import ConfigError
 from impact_rig.instruments import check_known_input
@@ -19,7 +18,7 @@ from impact_rig.rig import Rig
 _POLARITY = {1: "right", 0: "no signal", -1: "reversed"}
 
 
-def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Register the subcommand."""
     parser = commands.add_parser("check", help="validate a configuration file without starting anything")
     parser.add_argument("path", type=Path, metavar="FILE")

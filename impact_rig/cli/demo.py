@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import datetime as dt
 import time
 from pathlib import Path
@@ -10,24 +11,27 @@ from pathlib import Path
 import attrs
 import numpy as np
 from numpy.typing import NDArray
-from rich.progress import BarColumn, Progress, TimeElapsedColumn
-from rich.table import Table as TextTable
+from rich.progress import BarColumn, Progress, TaskID, TimeElapsedColumn
 
 from impact_rig import topics
 from impact_rig.analysis.calibration import Calibration
 from impact_rig.campaign import paper
+from impact_rig.campaign.job import Job
 from impact_rig.campaign.paper import Reductions
 from impact_rig.campaign.summary import Statement, write_summary
-from impact_rig.cli.terminal import Console, Words, tell_program
+from impact_rig.cli.terminal import Console, TextTable, Words, tell_program
 from impact_rig.config import RigConfig, from_flat
 from impact_rig.errors import ImpactRigError
+from impact_rig.operate.plan import Direction
+from impact_rig.operate.stepped_sine import SteppedSine
+from impact_rig.recording import open_run
 from impact_rig.report.reductions import draw_reductions
+from impact_rig.rig.journal import not_default
 from impact_rig.runs import RunInfo, info
 from impact_rig.simtime import NS_PER_S
 
 MEASUREMENTS = 2
 """Settled measurements per case; each takes 5 s of rig time, or 21 s where the response is not periodic."""
-CASE_TIMEOUT_S = 120.0
 LINEAR_LIMIT = 0.02
 POINTS_LIMIT = 3.0
 
@@ -48,11 +52,25 @@ class Case:
         """Name for people."""
         return f"gap {self.gap_m * 1e3:g} mm" if self.gap_m else "no sphere"
 
+    def job(self, config: RigConfig) -> Job:
+        """Return what is measured, on a rig of this configuration."""
+        sphere = {"sphere.present": True, "barriers.gap_m": self.gap_m} if self.gap_m else {"sphere.present": False}
+        return Job(
+            changes=not_default(from_flat(config, sphere)),
+            analysis={},
+            gap_m=self.gap_m,
+            frequencies_hz=(paper.FREQUENCY_HZ,),
+            direction=Direction.UP,
+            current_a=paper.CURRENT_A,
+            repetitions=MEASUREMENTS,
+            traces=False,
+        )
+
 
 CASES = (Case(0.0), *(Case(gap) for gap in paper.REDUCTION_PERCENT))
 
 
-def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Register the subcommand."""
     parser = commands.add_parser("demo", help="measure the paper's five reductions through the topics")
     parser.add_argument(
@@ -81,12 +99,12 @@ def run(arguments: argparse.Namespace) -> int:
         f"impact_rig demo: rig, analysis and recorder as three processes, {arguments.rate} scans/s, freewheel"
     )
     started = time.monotonic()
-    rows, calibration = _measure(config, directory, console)
+    rows = _measure(config, directory, console)
     wall_s = time.monotonic() - started
     runs = [info(directory / case.name) for case in CASES]
     lost = sum(_lost_blocks(run) for run in runs)
     simulated_s = sum(_scanned_s(run) for run in runs)
-    reductions = Reductions.of(rows, calibration)
+    reductions = Reductions.of(rows, _calibration(directory / CASES[0].name))
     closed_form = _closed_form(config)
     statements = {
         "dt_no_sphere_agrees_with_closed_form": _judge(abs(reductions.dt_no_sphere / closed_form - 1.0), LINEAR_LIMIT),
@@ -111,66 +129,63 @@ def run(arguments: argparse.Namespace) -> int:
     return 1 if failed else 0
 
 
-def _measure(config: RigConfig, directory: Path, console: Console) -> tuple[dict[float, NDArray[np.void]], Calibration]:
-    """Return the settled measurements by gap, and the certificate that the rig published."""
-    # rclpy is needed from here on: `impact-rig --help` and the other subcommands do without
-    from impact_rig import topics  # noqa: PLC0415
-    from impact_rig.client import Client, Processes, isolated_domain  # noqa: PLC0415
+def _measure(config: RigConfig, directory: Path, console: Console) -> dict[float, NDArray[np.void]]:
+    """Return the settled measurements by gap; every case is recorded in a directory of its name."""
+    from impact_rig.client.campaign import freewheel_runner  # noqa: PLC0415  # needs rclpy
 
-    columns = (
-        Words("{task.description:<12}"),
-        BarColumn(24),
-        Words("{task.fields[state]:<36}"),
-        TimeElapsedColumn(),
-    )
+    jobs = {case.job(config).key: case for case in CASES}
     rows: dict[float, NDArray[np.void]] = {}
-    with (
-        isolated_domain() as domain_id,
-        Processes(domain_id, directory / "logs") as processes,
-        Progress(*columns, console=console) as progress,
-    ):
-        starting = progress.add_task("processes", total=None, state="starting (the first time compiles)")
-        processes.start("rig", {
-            "time.mode": "freewheel", "time.peers": config.time.peers, "daq.rate_hz": config.daq.rate_hz,
-            "daq.block_scans": config.daq.block_scans, "daq.seed": config.daq.seed,
-        })  # fmt: skip
-        processes.start("analysis")
-        processes.start("recorder", {"record": False, "directory": str(directory)})
-        with Client(domain_id, processes=processes, name="operator") as client:
-            client.wait_active("rig", "analysis", "recorder")
-            progress.update(starting, total=1, completed=1, state="running")
-            table = client.collect(topics.TRANSMISSIBILITY_TABLE.name)
-            certificate = client.collect(topics.INFO.name)
-            for case in CASES:
-                task = progress.add_task(case.label, total=MEASUREMENTS, state="preparing")
-                client.pause()
-                client.set_parameters("rig", {"sphere.present": case.gap_m > 0.0, "barriers.gap_m": case.gap_m or 1e-3})
-                client.trigger("rig/reset")
-                client.set_parameters("analysis", {"gap_m": case.gap_m})
-                client.set_parameters("recorder", {"name": case.name})
-                client.trigger("recorder/start")
-                table.clear()
-                client.pause(False)
-                client.command(frequency_hz=paper.FREQUENCY_HZ, current_a=paper.CURRENT_A)
+    with Screen(console) as screen:
+        runner = freewheel_runner(directory, config, lambda job: jobs[job.key].name, screen.show)
+        with contextlib.closing(runner([case.job(config) for case in CASES])) as done:
+            for job, outcome in done:
+                if outcome.failure:
+                    raise ImpactRigError(f"{jobs[job.key].label}: {outcome.failure}")
+                rows[job.gap_m] = outcome.rows
+        screen.done()
+    return rows
 
-                def settled(case: Case = case, task: int = task) -> NDArray[np.void]:
-                    found = table.rows()
-                    good = found[(found["settled"] == 1.0) & (found["gap"] == case.gap_m)]
-                    state = f"DT {good['transmissibility'][-1]:.2f}" if len(good) else "settling"
-                    progress.update(task, completed=len(good), state=state)  # type: ignore[arg-type]  # rich's TaskID
-                    return np.asarray(good)
 
-                client.wait_until(
-                    lambda: len(settled()) >= MEASUREMENTS,
-                    f"{MEASUREMENTS} settled measurements, {case.label}",
-                    CASE_TIMEOUT_S,
-                )
-                rows[case.gap_m] = settled()[:MEASUREMENTS]
-                client.pause()
-                client.trigger("recorder/stop")
-            progress.update(starting, state="done")
-            calibration = Calibration.from_info(certificate.tables()[0].rows)
-    return rows, calibration
+class Screen:
+    """The progress of the demo, a line a case.
+
+    Args:
+        console: where it is drawn.
+    """
+
+    def __init__(self, console: Console) -> None:
+        words, state = Words("{task.description:<12}"), Words("{task.fields[state]:<36}")
+        self._progress = Progress(words, BarColumn(24), state, TimeElapsedColumn(), console=console)
+        self._starting = self._progress.add_task("processes", total=None, state="starting (the first time compiles)")
+        self._tasks: dict[float, TaskID] = {}
+
+    def __enter__(self) -> Screen:
+        self._progress.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._progress.stop()
+
+    def show(self, job: Job, sweep: SteppedSine | None) -> None:
+        """Show where a job stands."""
+        if sweep is None:
+            self._progress.update(self._starting, total=1, completed=1, state="running")
+            label = Case(job.gap_m).label
+            self._tasks[job.gap_m] = self._progress.add_task(label, total=MEASUREMENTS, state="preparing")
+            return
+        rows = sweep.rows
+        state = f"DT {rows['transmissibility'][-1]:.2f}" if len(rows) else "settling"
+        self._progress.update(self._tasks[job.gap_m], completed=len(rows), state=state)
+
+    def done(self) -> None:
+        """Show that everything is measured."""
+        self._progress.update(self._starting, state="done")
+
+
+def _calibration(run: Path) -> Calibration:
+    """Return what the certificate says that the rig published."""
+    with open_run(run) as recorded:
+        return Calibration.from_info(next(recorded.tables(topics.INFO.name)).rows)
 
 
 def _closed_form(config: RigConfig) -> float:

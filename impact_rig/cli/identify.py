@@ -7,13 +7,12 @@ import json
 from collections.abc import Sequence
 from pathlib import Path
 
-from rich.table import Table as TextTable
-
+from impact_rig.analysis.decay import fit_decay, log_decrement
 from impact_rig.analysis.words import Status
 from impact_rig.campaign import run
 from impact_rig.campaign.axes import NO_SPHERE
 from impact_rig.campaign.paper import CURRENT_A, FREQUENCIES_HZ, FREQUENCY_HZ, REDUCTION_PERCENT
-from impact_rig.cli.terminal import Console, tell_program
+from impact_rig.cli.terminal import Console, TextTable, tell_program
 from impact_rig.config import RigConfig, dump, load
 from impact_rig.errors import ConfigError, ImpactRigError
 from impact_rig.recording import open_run
@@ -29,11 +28,14 @@ from impact_rig.system import files
 JSON_FILE, CONFIGURATION_FILE = "identification.json", "identified.yaml"
 
 
-def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Register the subcommand."""
     parser = commands.add_parser("identify", help="constants of the rig from measured runs, and what they cannot tell")
     parser.add_argument("directory", nargs="?", type=Path, metavar="DIR", help="directory of a campaign")
     parser.add_argument("--decay", type=Path, metavar="RUN", help="recorded run with a pluck (default: pluck the rig)")
+    parser.add_argument(
+        "--decrement", action="store_true", help="take the free decay by its logarithmic decrement, not by a fit"
+    )
     parser.add_argument(
         "--without", nargs="+", choices=("decay", "sine", "reductions"), default=(), help="leave these data out"
     )
@@ -65,12 +67,13 @@ def _measured(done: run.Finished, arguments: argparse.Namespace, console: Consol
     base, curves = done.campaign.base, done.curves
     gains = Gains.of(Rig(base).info().rows)
     decay = sine = reduced = None
+    method = log_decrement if arguments.decrement else fit_decay
     if "decay" not in arguments.without:
         if arguments.decay is None:
-            decay = measured_decay(base)
+            decay = measured_decay(base, method)
         else:
             with open_run(arguments.decay) as recorded:
-                decay = recorded_decay(recorded)
+                decay = recorded_decay(recorded, method)
         if decay.status is not Status.OK:
             raise ImpactRigError(f"the free decay cannot be measured: {decay.status.value}")
         console.print(

@@ -1,6 +1,6 @@
 """Parse the command line and run one subcommand; errors become one clear line and exit code 1.
 
-Loads the file of the chosen subcommand only, and that after the signals are taken.
+Loads the module of the chosen subcommand only, and that after the signals are taken.
 """
 
 from __future__ import annotations
@@ -16,15 +16,14 @@ if TYPE_CHECKING:
 
 EXIT_ERROR = 1
 PROGRAM = "impact-rig"
-FILES = {
-    "check": "check", "demo": "demo", "campaign": "campaign", "report": "report", "info": "runs", "recover": "recovery",
-    "export": "runs", "analyze": "runs", "verify": "runs", "replay": "replay", "identify": "identify",
-}  # fmt: skip
-"""Subcommand -> the module that has it."""
+COMMANDS = (
+    "demo", "campaign", "report", "identify", "info", "analyze", "verify", "replay", "recover", "export", "check",
+)  # fmt: skip
+"""Subcommands in the order of the help; each is the module of its name."""
 
 
 def command_line(command: str = "") -> argparse.ArgumentParser:
-    """Return the parser of all subcommands, or of those in the file of one."""
+    """Return the parser of all subcommands, or of one of them."""
     import argparse  # noqa: PLC0415  # after the signals are taken
     import importlib  # noqa: PLC0415
 
@@ -33,9 +32,8 @@ def command_line(command: str = "") -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog=PROGRAM, description="The test rig of an impact damper as virtual hardware.")
     parser.add_argument("--version", action="version", version=f"{PROGRAM} {impact_rig.__version__}")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    wanted = [FILES[command]] if command in FILES else [] if command == "--version" else FILES.values()
-    for name in dict.fromkeys(wanted):
-        importlib.import_module(f"impact_rig.cli.{name}").add_commands(commands)
+    for name in [command] if command in COMMANDS else [] if command == "--version" else COMMANDS:
+        importlib.import_module(f"impact_rig.cli.{name}").add_command(commands)
     return parser
 
 
@@ -48,7 +46,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if arguments is not None:
         return _run(_parse(arguments), None)
     words = sys.argv[1:]
-    ending = Ending(" ".join([PROGRAM, *words[:1]]) if words and words[0] in FILES else PROGRAM)
+    ending = Ending(" ".join([PROGRAM, *words[:1]]) if words and words[0] in COMMANDS else PROGRAM)
     chosen = _parse(words)
     return ending.run(lambda: _run(chosen, ending))
 

@@ -17,7 +17,7 @@ from impact_rig.simtime import NS_PER_S
 FASTEST = "max"
 
 
-def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Register the subcommand."""
     parser = commands.add_parser("replay", help="publish a run onto the graph again, with /clock")
     parser.add_argument("path", type=Path, metavar="RUN", help="run directory or .mcap file")

@@ -8,7 +8,7 @@ from pathlib import Path
 from impact_rig.cli.terminal import tell_program
 
 
-def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Register the subcommand."""
     parser = commands.add_parser("report", help="write a campaign's report: one HTML page, figures as PNG and SVG")
     parser.add_argument("directory", type=Path, metavar="DIR", help="directory of a campaign")

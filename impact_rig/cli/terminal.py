@@ -12,9 +12,12 @@ from typing import Any  # what rich's methods take
 
 from rich import console as rich_console
 from rich.progress import Task, TextColumn
+from rich.table import Table as TextTable
 from rich.text import Text
 
 from impact_rig.system.escapes import visible
+
+__all__ = ["Console", "TextTable", "Words", "tell_program"]
 
 
 class Console(rich_console.Console):

@@ -94,8 +94,9 @@ class Client:
         self._heard: set[Any] = set()
         self._clients: dict[tuple[str, Any], Any] = {}
         self._subscribe(topics.DIAGNOSTICS, self._on_diagnostics)
-        self._applied = Collector(topics.APPLIED)
-        self._subscribe(topics.APPLIED, self._applied.take, raw=True)
+        self.applied = Collector(topics.APPLIED)
+        """What the rig has accepted since this client is there: `shaker/applied`."""
+        self._subscribe(topics.APPLIED, self.applied.take, raw=True)
 
     def __enter__(self) -> Client:
         return self
@@ -188,7 +189,7 @@ class Client:
         ):
             if value is None:
                 continue
-            before = len(self._applied)
+            before = len(self.applied)
             self.publish(topic, Float64(data=value), timeout_s, listener="rig")
             accepted = functools.partial(self._accepted, before, column, value)
             row = self.wait_until(accepted, f"{column} = {value:g} in shaker/applied", timeout_s).rows[-1]
@@ -199,7 +200,7 @@ class Client:
         self, topic: topics.Topic, message: Any, timeout_s: float = DEFAULT_TIMEOUT_S, listener: str | None = None
     ) -> None:
         """Publish a message once somebody listens: everybody the graph knows, and the node `listener` among them."""
-        publisher = self._publisher(topic)
+        publisher = self.publisher(topic)
         if publisher not in self._heard:
             heard = functools.partial(is_heard, self.node, publisher, listener)
             self.wait_until(heard, f"{listener or 'somebody'} to subscribe {topic.name}", timeout_s)
@@ -354,9 +355,9 @@ class Client:
 
     def acknowledge_for(self, peer: str, stamp_ns: int) -> None:
         """Tell the rig that a peer, which does not do so itself, has processed everything up to a block."""
-        self._publisher(topics.ACK).publish(Header(stamp=time_message(stamp_ns), frame_id=peer))
+        self.publisher(topics.ACK).publish(Header(stamp=time_message(stamp_ns), frame_id=peer))
 
-    def _publisher(self, topic: topics.Topic) -> Any:
+    def publisher(self, topic: topics.Topic) -> Any:
         """Return the publisher of a topic, made if there is none."""
         publisher = self._publishers.get(topic.name)
         if publisher is None:
@@ -383,7 +384,7 @@ class Client:
         return present == state
 
     def _accepted(self, before: int, column: str, value: float) -> Table | None:
-        for table in reversed(self._applied.tables(before)):
+        for table in reversed(self.applied.tables(before)):
             if table.rows[column][-1] == value:
                 return table
         return None

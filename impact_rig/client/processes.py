@@ -18,7 +18,7 @@ from types import TracebackType
 import attrs
 
 import impact_rig
-from impact_rig.errors import ImpactRigError
+from impact_rig.errors import GoneError, ImpactRigError
 from impact_rig.system.endings import PARENT_VARIABLE, unhurried
 
 STOP_TIMEOUT_S = 10.0
@@ -30,7 +30,7 @@ NODES = ("rig", "analysis", "recorder", "stepped_sine")
 ParameterValue = bool | int | float | str | Sequence[str] | Sequence[float]
 
 
-class ProcessDiedError(ImpactRigError, RuntimeError):
+class ProcessDiedError(GoneError):
     """A node process ended by itself; the message has its exit code and its last log lines."""
 
 
@@ -131,7 +131,7 @@ class Processes:
                 stdin=subprocess.DEVNULL,
                 stdout=output,
                 stderr=subprocess.STDOUT,
-                env=self._environment(environment or {}),
+                env=self.environment(environment or {}),
                 start_new_session=True,  # Ctrl-C reaches us alone; we end them in order
             )
             self.running[name] = NodeProcess(name, log, process)
@@ -167,7 +167,8 @@ class Processes:
             process.signal(signal.SIGKILL)  # whatever a child of it left behind in the group
         return {process.name: process.process.wait() for process in chosen}
 
-    def _environment(self, more: Mapping[str, str]) -> dict[str, str]:
+    def environment(self, more: Mapping[str, str]) -> dict[str, str]:
+        """Return the environment that a node is started with: this process's, its own domain, this machine only."""
         source = str(Path(impact_rig.__file__).parents[1])
         path = os.environ.get("PYTHONPATH", "")
         return {

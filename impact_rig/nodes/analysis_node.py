@@ -17,7 +17,7 @@ from impact_rig.analysis.warm_up import compile_tracker
 from impact_rig.blocks import Table
 from impact_rig.errors import CodecError, ConfigError
 from impact_rig.nodes import process
-from impact_rig.nodes.diagnostics import Level, Status
+from impact_rig.nodes.diagnostics import Health, Level
 from impact_rig.nodes.managed import ManagedNode
 from impact_rig.nodes.parameters import SectionSchema
 from impact_rig.nodes.settings import UNKNOWN_GAP, AnalysisSettings
@@ -98,18 +98,18 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
         """Return the instant of the newest scan; 0 (a stamp nobody filled in) before the first."""
         return self._newest_ns or 0
 
-    def status(self) -> Status:
+    def status(self) -> Health:
         """Return the tracker's counters and the latest value."""
         tracker = self._tracker
         if tracker is None:
-            return Status(Level.WARN, self.state, {})
+            return Health(Level.WARN, self.state, {})
         counters = tracker.counters
         values = {"transmissibility": self._latest, "gap_m": self.settings.gap_m, **attrs.asdict(counters)}
         if self._newest_ns is None:
-            return Status(Level.OK, "waiting for daq/scan", values)
+            return Health(Level.OK, "waiting for daq/scan", values)
         if counters.lost_scans:
-            return Status(Level.WARN, "scans were lost", values)
-        return Status(Level.OK, "measuring", values)
+            return Health(Level.WARN, "scans were lost", values)
+        return Health(Level.OK, "measuring", values)
 
     def _label(self, gap_m: float, stamp_ns: int) -> None:
         """Label the scans from `stamp_ns` on, and tell whoever records them."""
@@ -129,7 +129,7 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
     def _on_applied(self, data: bytes) -> None:
         applied = self._decode(topics.APPLIED, data)
         if applied is not None and self._tracker is not None:
-            self._tracker.command(applied)
+            self._tracker.on_applied(applied)
 
     def _on_note(self, message: String) -> None:
         label = parse_label(message.data)

@@ -21,7 +21,7 @@ class Level(enum.IntEnum):
 
 
 @attrs.frozen
-class Status:
+class Health:
     """The state of one node: level, one sentence, figures."""
 
     level: Level
@@ -53,7 +53,7 @@ def worst(*statuses: tuple[Level, str]) -> tuple[Level, str]:
     return level, "; ".join(messages)
 
 
-def to_message(name: str, hardware: str, status: Status, stamp_ns: int) -> DiagnosticArray:
+def to_message(name: str, hardware: str, status: Health, stamp_ns: int) -> DiagnosticArray:
     """Return the message for one status."""
     values = [KeyValue(key=key, value=_text(value)) for key, value in status.values.items()]
     message = DiagnosticArray()

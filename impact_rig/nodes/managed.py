@@ -23,7 +23,7 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from impact_rig import topics
 from impact_rig.errors import ImpactRigError
 from impact_rig.nodes import diagnostics, messages
-from impact_rig.nodes.diagnostics import CpuMeter, Level, Status
+from impact_rig.nodes.diagnostics import CpuMeter, Health, Level
 from impact_rig.nodes.guard import Refusals, describe, guarded, guarded_answer, guarded_service
 from impact_rig.nodes.parameters import Parameters, Schema
 from impact_rig.system.escapes import visible
@@ -89,9 +89,9 @@ class ManagedNode(LifecycleNode, Generic[S]):
     def settings_in_force(self) -> None:
         """Follow up once the new settings are in `self.settings`."""
 
-    def status(self) -> Status:
+    def status(self) -> Health:
         """Return the node's state for diagnostics, whatever lifecycle state it is in."""
-        return Status(Level.OK, self.state, {})
+        return Health(Level.OK, self.state, {})
 
     def autostarts(self) -> bool:
         """Say whether the node configures and activates itself."""
@@ -314,11 +314,11 @@ class ManagedNode(LifecycleNode, Generic[S]):
             **{f"refused.{reason}": count for reason, count in sorted(self.refusals.counts.items())},
             **{f"last_refused.{reason}": text for reason, text in sorted(self.refusals.last.items())},
         }
-        full = Status(level, message, values)
+        full = Health(level, message, values)
         name = self.get_fully_qualified_name().lstrip("/")
         self._diagnostics.publish(diagnostics.to_message(name, name, full, self.rig_time_ns()))
 
-    def _judged(self, status: Status) -> tuple[Level, str]:
+    def _judged(self, status: Health) -> tuple[Level, str]:
         """Return the node's own status, or the last error while it is fresh."""
         at, message = self._last_error
         if time.monotonic() - at < ERROR_MEMORY_S:

@@ -15,7 +15,7 @@ from impact_rig import codec, topics
 from impact_rig.errors import CodecError, RecordingError
 from impact_rig.nodes import process
 from impact_rig.nodes.deferred import Answer, DeferredService
-from impact_rig.nodes.diagnostics import Level, Status
+from impact_rig.nodes.diagnostics import Health, Level
 from impact_rig.nodes.managed import ManagedNode
 from impact_rig.nodes.parameters import SectionSchema
 from impact_rig.nodes.recorder_content import calibration_yaml, environment, parameters, qos, run_directory
@@ -120,7 +120,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         """Return the stamp of the newest block; 0 (a stamp nobody filled in) before the first."""
         return self._newest_ns
 
-    def status(self) -> Status:
+    def status(self) -> Health:
         """Return what is being written, and what was lost."""
         writer = self._writer
         lost = self._account.lost()
@@ -132,16 +132,16 @@ class RecorderNode(ManagedNode[RecorderSettings]):
                 "megabytes": writer.bytes_written / 1e6,
             }
         if self.state != "active":
-            return Status(Level.WARN, self.state, values)
+            return Health(Level.WARN, self.state, values)
         if self._failure:
-            return Status(Level.ERROR, f"{self._failure}; no block is acknowledged until ~/start or ~/stop", values)
+            return Health(Level.ERROR, f"{self._failure}; no block is acknowledged until ~/start or ~/stop", values)
         if lost:
-            return Status(Level.ERROR, "messages were lost before they reached the recorder", values)
+            return Health(Level.ERROR, "messages were lost before they reached the recorder", values)
         if self._waiting:
-            return Status(Level.OK, "waiting for the rig's configuration", values)
+            return Health(Level.OK, "waiting for the rig's configuration", values)
         if self._awaited:
-            return Status(Level.OK, f"recording, waiting for {', '.join(sorted(self._awaited))}", values)
-        return Status(Level.OK, "recording" if writer is not None else "not recording", values)
+            return Health(Level.OK, f"recording, waiting for {', '.join(sorted(self._awaited))}", values)
+        return Health(Level.OK, "recording" if writer is not None else "not recording", values)
 
     # Start and stop
 

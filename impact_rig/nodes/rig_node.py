@@ -16,7 +16,7 @@ from impact_rig.errors import CommandError
 from impact_rig.nodes import process
 from impact_rig.nodes.beginning import Beginning, Rivals
 from impact_rig.nodes.deferred import Answer, DeferredService
-from impact_rig.nodes.diagnostics import Status
+from impact_rig.nodes.diagnostics import Health
 from impact_rig.nodes.guard import describe, guarded
 from impact_rig.nodes.managed import ManagedNode
 from impact_rig.nodes.outlets import Outlets
@@ -25,14 +25,14 @@ from impact_rig.nodes.parameters import RigSchema
 from impact_rig.nodes.readers import Readers
 from impact_rig.nodes.rig_status import RigStatus
 from impact_rig.nodes.stamps import nanoseconds
-from impact_rig.nodes.steps import Steps
+from impact_rig.nodes.steps import StepRequests
 from impact_rig.nodes.work_timer import WorkTimer
 from impact_rig.rig import Block, Rig
 from impact_rig.simtime import NS_PER_S
 from impact_rig.system.endings import Ending
 
 WORK_S = 0.02
-"""Wall time one call of the work timer may fill before commands and services get their turn."""
+"""Wall time one call of the work timer may fill before commands and services are looked at."""
 LARGEST_BATCH_S = 0.2
 """Rig time simulated at once, for the same reason."""
 SMALLEST_BATCH_NS = 50_000_000
@@ -40,7 +40,7 @@ SMALLEST_BATCH_NS = 50_000_000
 SHORTEST_PERIOD_S, LONGEST_PERIOD_S = 0.001, 0.05
 AHEAD_PERIOD_S = 0.005
 """Period of the work timer where acknowledgements drive the work."""
-TURN_S = 0.02
+SLICE_S = 0.02
 """How long after a call of the timer acknowledgements may drive the work: an executor that hands over the messages of
 one subscription for as long as there are any would never come to services and timers."""
 AWAY_S = 1.0
@@ -72,7 +72,7 @@ class RigNode(ManagedNode[RigConfig]):
         self._beginning: Beginning | None = None
         self._paused = self._history_settled = False
         self._base_ns = self._clock_offset_ns = 0
-        self._worked_at = self._turn_began = 0.0
+        self._worked_at = self._slice_began = 0.0
         self._figures = RigStatus()
         self.subscribe(topics.FREQUENCY, self._on_frequency)
         self.subscribe(topics.CURRENT, self._on_current)
@@ -83,7 +83,7 @@ class RigNode(ManagedNode[RigConfig]):
         self.service(Trigger, "~/clear_trip", self._on_clear_trip)
         self.service(Trigger, "~/pluck", self._on_pluck)
         work = guarded(self._work, self.report_failure)
-        self._steps = Steps(self, self._no_step, lambda: self.settings.step.blocks, work)
+        self._steps = StepRequests(self, self._no_step, lambda: self.settings.step.blocks, work)
 
     # Lifecycle
 
@@ -181,7 +181,7 @@ class RigNode(ManagedNode[RigConfig]):
     def _on_timer(self) -> None:
         self._work()
         self._answer_pause()
-        self._turn_began = time.monotonic()
+        self._slice_began = time.monotonic()
         if self._rig is not None and self.settings.time.mode == "realtime" and not self._paused:
             self._timer.keep_in_step(self._wait_s())
 
@@ -269,17 +269,17 @@ class RigNode(ManagedNode[RigConfig]):
     # Commands
 
     def _on_frequency(self, message: Float64) -> None:
-        self._command(topics.FREQUENCY.name, frequency_hz=message.data)
+        self._accept(topics.FREQUENCY.name, frequency_hz=message.data)
 
     def _on_current(self, message: Float64) -> None:
-        self._command(topics.CURRENT.name, current_a=message.data)
+        self._accept(topics.CURRENT.name, current_a=message.data)
 
-    def _command(self, name: str, **values: float) -> None:
+    def _accept(self, name: str, **values: float) -> None:
         if self._rig is None:
             self.refuse("inactive", f"{name}: {self._why_not()}")
             return
         try:
-            self._rig.command(**values)
+            self._rig.accept(**values)
         except CommandError as error:
             self.refuse(name, str(error))
             return
@@ -301,7 +301,7 @@ class RigNode(ManagedNode[RigConfig]):
         window.acknowledge(name, stamp)
         if name in window.peers:
             self._answer_pause()
-            if self.settings.time.mode != "realtime" and time.monotonic() - self._turn_began < TURN_S:
+            if self.settings.time.mode != "realtime" and time.monotonic() - self._slice_began < SLICE_S:
                 self._work()
 
     def _no_step(self) -> str:
@@ -395,11 +395,11 @@ class RigNode(ManagedNode[RigConfig]):
         if self._rig is not None:
             self._start_timer()
 
-    def status(self) -> Status:
+    def status(self) -> Health:
         """Return mode, time, lateness, peers, shaker, over-ranges; or why the rig has not begun."""
         obstacle = self._beginning.obstacle() if self._beginning is not None else None
         if obstacle is not None:
-            return Status(*obstacle, {"mode": self.settings.time.mode})
+            return Health(*obstacle, {"mode": self.settings.time.mode})
         if self._readers is not None:
             for name in self._readers.gone(self._window.lost()):
                 self._window.forget(name)

@@ -9,7 +9,7 @@ from collections import Counter, deque
 from impact_rig.blocks import CHANNELS
 from impact_rig.config import RigConfig
 from impact_rig.nodes.beginning import Rivals
-from impact_rig.nodes.diagnostics import Level, Status, worst
+from impact_rig.nodes.diagnostics import Health, Level, worst
 from impact_rig.nodes.pacing import AckWindow, Pacer
 from impact_rig.nodes.readers import Readers
 from impact_rig.rig import Block, Rig
@@ -75,7 +75,7 @@ class RigStatus:
         rivals: Rivals | None,
         paused: bool,
         clock_step_s: float,
-    ) -> Status:
+    ) -> Health:
         """Return the node's status.
 
         Args:
@@ -90,7 +90,7 @@ class RigStatus:
             clock_step_s: what the system clock was moved by since the activation.
         """
         if rig is None or readers is None or rivals is None:
-            return Status(Level.WARN, state, {"mode": config.time.mode})
+            return Health(Level.WARN, state, {"mode": config.time.mode})
         realtime = config.time.mode == "realtime"
         silent = () if realtime else window.silent()
         missing = () if readers.all_matched() else readers.missing()
@@ -167,4 +167,4 @@ class RigStatus:
         values |= {f"behind.{name}": count for name, count in behind.items()}
         values |= {f"lost_blocks.{name}": count for name, count in window.lost().items()}
         values |= {f"over_range.{name}": self.over_range[name] for name in CHANNELS}
-        return Status(level, message, values)
+        return Health(level, message, values)

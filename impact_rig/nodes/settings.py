@@ -7,10 +7,10 @@ from typing import Any  # attrs fields have no static type
 import attrs
 
 from impact_rig.analysis.settings import TrackerSettings
-from impact_rig.analysis.stepped import Direction, Plan
 from impact_rig.config import FieldInfo
 from impact_rig.config.fields import METADATA_KEY, Origin, choice, integer, quantities, quantity, switch
 from impact_rig.errors import ConfigError
+from impact_rig.operate.plan import Direction, Plan
 
 UNKNOWN_GAP = -1.0
 
@@ -55,7 +55,7 @@ class SteppedSineSettings:
     current_a: float = quantity(
         0.52, "A", "Peak current at all points (m or V by drive.kind).", Origin.IDENTIFIED, above=0, at_most=1000
     )
-    direction: str = choice("up", tuple(Direction), "Order of the visit; up_down keeps the state at the turn.")
+    direction: str = choice("up", tuple(Direction), "Order of the visit; up_down keeps the state between the two.")
     measurements_per_point: int = integer(1, "-", "Measurements taken at each point.", at_least=1, at_most=1000)
     dwell_limit_s: float = quantity(
         150.0, "s", "Rig time at one point after which the sweep is aborted.", above=0, at_most=1e5

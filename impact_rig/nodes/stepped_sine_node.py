@@ -1,23 +1,25 @@
-"""A stepped-sine sweep through the topics, as an operator would drive it; `SteppedSine` decides, this node talks."""
+"""A stepped-sine sweep through the topics: the operator's loop, fed by this node's callbacks; it is the apparatus."""
 
 from __future__ import annotations
 
 import functools
+from collections.abc import Callable
 from typing import Any  # rclpy messages
 
 from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
 
 from impact_rig import codec, topics
-from impact_rig.analysis.stepped import Command, State, SteppedSine
 from impact_rig.blocks import Table
 from impact_rig.errors import CodecError, ConfigError
 from impact_rig.nodes import process
-from impact_rig.nodes.diagnostics import Level, Status
+from impact_rig.nodes.diagnostics import Health, Level
 from impact_rig.nodes.managed import ManagedNode
 from impact_rig.nodes.parameters import SectionSchema
 from impact_rig.nodes.settings import SteppedSineSettings
-from impact_rig.simtime import NS_PER_S
+from impact_rig.operate.operator import Applied, News, Operator
+from impact_rig.operate.plan import Setpoint
+from impact_rig.operate.stepped_sine import State, SteppedSine
 from impact_rig.system.endings import Ending
 
 WATCH_S = 0.1
@@ -35,7 +37,7 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("stepped_sine", SectionSchema(SteppedSineSettings), **kwargs)
-        self._sweep: SteppedSine | None = None
+        self._operator: Operator | None = None
         self._outlets: dict[str, Any] = {}
         self._inlets: list[Any] = []
         self._timer: Any = None
@@ -67,8 +69,8 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
 
     def deactivate(self) -> None:
         """Abort a running sweep, the shaker at rest, and stop listening."""
-        if self._sweep is not None and self.context.ok():
-            self._send(self._sweep.abort("the node was deactivated"))
+        if self._operator is not None and self.context.ok():
+            self._operator.abort("the node was deactivated")
         if self._timer is not None:
             self.destroy_timer(self._timer)
             self._timer = None
@@ -79,7 +81,7 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
     def cleanup(self) -> None:
         """Destroy the publishers."""
         self.deactivate()
-        self._sweep = None
+        self._operator = None
         for outlet in self._outlets.values():
             self.destroy_publisher(outlet)
         self._outlets = {}
@@ -93,24 +95,24 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
         """Return the newest instant heard of; 0 (a stamp nobody filled in) before the first."""
         return self._now_ns or 0
 
-    def status(self) -> Status:
+    def status(self) -> Health:
         """Return how far the sweep is."""
         if self.state != "active":
-            return Status(Level.WARN, self.state, {})
+            return Health(Level.WARN, self.state, {})
         if self._pending:
-            return Status(Level.WARN, self._missing() or "about to begin", {})
-        sweep = self._sweep
-        if sweep is None:
-            return Status(Level.OK, "idle", {})
+            return Health(Level.WARN, self._missing() or "about to begin", {})
+        if self._operator is None:
+            return Health(Level.OK, "idle", {})
+        sweep = self._operator.sweep
         done, count = sweep.progress
         values = {"points_done": done, "points": count, "frequency_hz": sweep.frequency_hz, "skipped": sweep.skipped}
         match sweep.state:
             case State.RUNNING:
-                return Status(Level.OK, f"point {done + 1} of {count}: {sweep.frequency_hz:g} Hz", values)
+                return Health(Level.OK, f"point {done + 1} of {count}: {sweep.frequency_hz:g} Hz", values)
             case State.ABORTED:
-                return Status(Level.ERROR, f"aborted: {sweep.reason}", values)
+                return Health(Level.ERROR, f"aborted: {sweep.reason}", values)
             case _:
-                return Status(Level.OK, f"finished, {count} points", values)
+                return Health(Level.OK, f"finished, {count} points", values)
 
     # Start and stop
 
@@ -130,15 +132,15 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
     def _on_stop(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         response.success, response.message = True, "the shaker is told to rest"
         self._pending = False
-        if self._sweep is not None and self._running:
-            self._send(self._sweep.abort("stopped by the operator"))
+        if self._operator is not None and self._operator.busy:
+            self._operator.abort("stopped by the operator")
         else:
             response.message = "no sweep is under way"
         return response
 
     @property
     def _running(self) -> bool:
-        return self._sweep is not None and self._sweep.state is State.RUNNING
+        return self._operator is not None and self._operator.busy
 
     def _missing(self) -> str:
         """Return who is not there yet; empty when a sweep can begin."""
@@ -153,32 +155,43 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
             self._begin()
 
     def _begin(self) -> None:
-        assert self._now_ns is not None
         self._pending = False
-        self._began_ns = self._now_ns
-        self._sweep = SteppedSine(self.settings.plan())
-        self._send(self._sweep.start(self._now_ns))
+        self._began_ns = self.now_ns()
+        self._operator = Operator(SteppedSine(self.settings.plan()), self, self._publish_curve)
+        self._operator.begin()
 
-    def _send(self, command: Command | None) -> None:
-        """Send what the sweep wants next; a current of zero comes alone, the frequency does not matter then."""
-        if command is None:
-            return
-        if command.current_a:
-            self._outlets[topics.FREQUENCY.name].publish(Float64(data=command.frequency_hz))
-        self._outlets[topics.CURRENT.name].publish(Float64(data=command.current_a))
-        assert self._sweep is not None
-        if self._sweep.state is State.ABORTED:
-            self.get_logger().error(f"sweep aborted: {self._sweep.reason}")
-        elif self._sweep.state is State.FINISHED:
-            self.get_logger().info(f"sweep finished: {len(self._sweep.rows)} measurements")
+    # What the operator's loop asks of an apparatus
+
+    def now_ns(self) -> int:
+        """Return the newest instant heard of."""
+        return self.rig_time_ns()
+
+    def set(self, setpoint: Setpoint) -> None:
+        """Send frequency and current; `shaker/applied` tells that they are in force."""
+        self._outlets[topics.FREQUENCY.name].publish(Float64(data=setpoint.frequency_hz))
+        self._outlets[topics.CURRENT.name].publish(Float64(data=setpoint.current_a))
+
+    def rest(self) -> None:
+        """Set the current to zero, and say why."""
+        assert self._operator is not None
+        self._outlets[topics.CURRENT.name].publish(Float64(data=0.0))
+        sweep = self._operator.sweep
+        if sweep.state is State.ABORTED:
+            self.get_logger().error(f"sweep aborted: {sweep.reason}")
+        else:
+            self.get_logger().info(f"sweep finished: {len(sweep.rows)} measurements")
+
+    def _publish_curve(self, sweep: SteppedSine) -> None:
+        if sweep.measured:
+            self._outlets[topics.CURVE.name].publish(codec.encode(Table(self._began_ns, sweep.rows)))
 
     # Messages
 
-    def _table(self, topic: topics.Topic, callback: Any) -> Any:
-        """Subscribe to a table topic; `callback` gets the sweep, and tables newer than its begin."""
+    def _table(self, topic: topics.Topic, callback: Callable[[Operator, Table], None]) -> Any:
+        """Subscribe to a table topic; `callback` gets the operator, and tables newer than the sweep's begin."""
         return self.subscribe(topic, functools.partial(self._on_table, topic, callback), raw=True)
 
-    def _on_table(self, topic: topics.Topic, callback: Any, data: bytes) -> None:
+    def _on_table(self, topic: topics.Topic, callback: Callable[[Operator, Table], None], data: bytes) -> None:
         try:
             table = codec.decode(data)
         except CodecError as error:
@@ -188,8 +201,8 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
         missing = set(topic.columns.names or ()) - set(table.rows.dtype.names or ())
         if missing:
             self.refuse(topic.name, f"columns missing: {', '.join(sorted(missing))}")
-        elif self._sweep is not None and self._running and table.stamp_ns >= self._began_ns:
-            callback(self._sweep, table)
+        elif self._operator is not None and self._operator.busy and table.stamp_ns >= self._began_ns:
+            callback(self._operator, table)
 
     def _on_time(self, data: bytes) -> None:
         try:
@@ -197,26 +210,20 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
         except CodecError as error:
             self.refuse(topics.BASE_DISPLACEMENT.name, str(error))
             return
-        if self._sweep is not None:
-            self._send(self._sweep.on_time(self._now_ns))
+        if self._operator is not None:
+            self._operator.hear(News(now_ns=self._now_ns))
 
-    def _on_applied(self, sweep: SteppedSine, table: Table) -> None:
-        for row in table.rows:
-            instant = table.stamp_ns + round(float(row["time"]) * NS_PER_S)
-            self._send(sweep.on_applied(float(row["frequency"]), float(row["current"]), instant))
+    def _on_applied(self, operator: Operator, table: Table) -> None:
+        operator.hear(News(now_ns=self.now_ns(), applied=Applied.of(table)))
 
-    def _on_journal(self, sweep: SteppedSine, table: Table) -> None:
+    def _on_journal(self, operator: Operator, table: Table) -> None:
         for row in table.rows:
             if bytes(row["kind"]) in STOPPING:
                 cause = f" ({bytes(row['key']).decode(errors='replace')})" if row["key"] else ""
-                self._send(sweep.abort(f"the rig {STOPPING[bytes(row['kind'])]}{cause}"))
+                operator.abort(f"the rig {STOPPING[bytes(row['kind'])]}{cause}")
 
-    def _on_measurement(self, sweep: SteppedSine, table: Table) -> None:
-        before = len(sweep.rows)
-        for row in table.rows:
-            self._send(sweep.on_measurement(row, table.stamp_ns))
-        if len(sweep.rows) > before:
-            self._outlets[topics.CURVE.name].publish(codec.encode(Table(self._began_ns, sweep.rows)))
+    def _on_measurement(self, operator: Operator, table: Table) -> None:
+        operator.hear(News(now_ns=table.stamp_ns, rows=table.rows))
 
 
 def main(ending: Ending) -> None:

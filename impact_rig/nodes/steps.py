@@ -14,7 +14,7 @@ from impact_rig.nodes.pacing import AckWindow
 from impact_rig.nodes.readers import Readers
 
 
-class Steps:
+class StepRequests:
     """The service ~/step and the blocks it still owes.
 
     Args:

@@ -25,8 +25,8 @@ _REMEDY = "impact-rig recover gives back what is whole"
 class Summary:
     """The index of a file, whose checksum has been verified (where the writer computed one)."""
 
-    schemas: Mapping[int, records.Schema]
-    channels: Mapping[int, records.Channel]
+    schemas: Mapping[int, records.SchemaRecord]
+    channels: Mapping[int, records.ChannelRecord]
     chunks: tuple[records.ChunkIndex, ...]
     attachments: tuple[tuple[int, int], ...]
     metadata: tuple[tuple[int, int], ...]
@@ -163,8 +163,8 @@ def parse_summary(section: memoryview) -> Summary:
     Raises:
         DamageError: it is not a sequence of records, or there are no statistics.
     """
-    schemas: dict[int, records.Schema] = {}
-    channels: dict[int, records.Channel] = {}
+    schemas: dict[int, records.SchemaRecord] = {}
+    channels: dict[int, records.ChannelRecord] = {}
     chunks: list[records.ChunkIndex] = []
     attachments: list[tuple[int, int]] = []
     metadata: list[tuple[int, int]] = []

@@ -25,7 +25,7 @@ from impact_rig.recording.mcap_source import McapSource
 from impact_rig.recording.provenance import RECORD_NAME, verify
 from impact_rig.recording.records import DamageError
 from impact_rig.system import budget, files, plain_yaml
-from impact_rig.system.budget import Account, BudgetError
+from impact_rig.system.budget import BudgetError, Spending
 
 _TRAILING_NUMBER = re.compile(r"_(\d+)$")
 
@@ -224,8 +224,8 @@ class Run:
         except BudgetError as error:
             raise BudgetError(f"{self.path}: {error}") from error
 
-    def _account(self) -> Account:
-        return Account(sum(source.size for source in self.sources))
+    def _account(self) -> Spending:
+        return Spending(sum(source.size for source in self.sources))
 
     def _merge_topics(self) -> dict[str, RecordedTopic]:
         merged: dict[str, RecordedTopic] = {}
@@ -286,7 +286,7 @@ class Run:
         except BudgetError as error:
             raise BudgetError(f"{self.path}: {error}") from error
 
-    def _count(self, content: memoryview, account: Account) -> None:
+    def _count(self, content: memoryview, account: Spending) -> None:
         """Count the records of a chunk before any of them becomes an object.
 
         Raises:

@@ -35,7 +35,7 @@ class DamageError(RecordingError):
     """Bytes are not the record they claim to be."""
 
 
-class Schema(NamedTuple):
+class SchemaRecord(NamedTuple):
     """A message type and its definition."""
 
     id: int
@@ -44,7 +44,7 @@ class Schema(NamedTuple):
     data: bytes
 
 
-class Channel(NamedTuple):
+class ChannelRecord(NamedTuple):
     """A topic: its schema, encoding and metadata."""
 
     id: int
@@ -180,18 +180,18 @@ def parse_header(content: memoryview) -> tuple[str, str]:
     return profile, library
 
 
-def parse_schema(content: memoryview) -> Schema:
+def parse_schema(content: memoryview) -> SchemaRecord:
     """Return a schema."""
     fields = Fields(content)
-    schema = Schema(fields.u2(), fields.text(), fields.text(), bytes(fields.take(fields.u4())))
+    schema = SchemaRecord(fields.u2(), fields.text(), fields.text(), bytes(fields.take(fields.u4())))
     fields.end()
     return schema
 
 
-def parse_channel(content: memoryview) -> Channel:
+def parse_channel(content: memoryview) -> ChannelRecord:
     """Return a channel."""
     fields = Fields(content)
-    channel = Channel(fields.u2(), fields.u2(), fields.text(), fields.text(), fields.mapping())
+    channel = ChannelRecord(fields.u2(), fields.u2(), fields.text(), fields.text(), fields.mapping())
     fields.end()
     return channel
 
@@ -345,7 +345,7 @@ def count(records: memoryview, most: int) -> int:
     return found
 
 
-def definitions(records: memoryview) -> Iterator[Schema | Channel]:
+def definitions(records: memoryview) -> Iterator[SchemaRecord | ChannelRecord]:
     """Yield schemas and channels in decompressed chunk content (or in a summary section).
 
     Raises:

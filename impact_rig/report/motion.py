@@ -1,4 +1,4 @@
-"""Time traces and phase planes of single runs, from their last turns."""
+"""Time traces and phase planes of single runs, from their last blocks."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def time_trace(trace: Trace, gap_m: float, frequency_hz: float) -> Drawn:
     """Draw the motion over time.
 
     Args:
-        trace: columns of `campaign.bench.columns`.
+        trace: columns of `campaign.execution.columns`.
         gap_m: of the run.
         frequency_hz: of the drive.
     """

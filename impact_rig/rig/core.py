@@ -190,8 +190,8 @@ class Rig:
 
     # Inputs: each takes effect at the frontier and leaves a journal row
 
-    def command(self, frequency_hz: float | None = None, current_a: float | None = None) -> Table:
-        """Command frequency and amplitude (A peak; m or V by `drive.kind`, rms for random); return the applied row.
+    def accept(self, frequency_hz: float | None = None, current_a: float | None = None) -> Table:
+        """Take commanded frequency and amplitude (A peak; m, V by `drive.kind`; rms if random); return the applied row.
 
         Raises:
             CommandError: out of range, not finite, or the shaker is latched or locked; nothing is changed.

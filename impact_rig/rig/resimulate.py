@@ -47,9 +47,9 @@ def apply(rig: Rig, group: list[Entry]) -> None:
     if entry.kind is Kind.PARAMETER:
         rig.configure(values_of(group))
     elif entry.kind is Kind.COMMAND and entry.key == "frequency":
-        rig.command(frequency_hz=entry.value)
+        rig.accept(frequency_hz=entry.value)
     elif entry.kind is Kind.COMMAND and entry.key == "current":
-        rig.command(current_a=entry.value)
+        rig.accept(current_a=entry.value)
     elif entry.kind is Kind.PLUCK:
         rig.pluck(entry.value)
     elif entry.kind is Kind.STOP:

@@ -37,7 +37,7 @@ def analyze(run: Run, settings: TrackerSettings | None = None) -> Iterator[Findi
         if topic == topics.INFO.name:
             tracker.configure(table)
         elif topic == topics.APPLIED.name:
-            tracker.command(table)
+            tracker.on_applied(table)
         else:
             yield tracker.feed(table)
     yield tracker.flush()
@@ -51,9 +51,12 @@ def _as_set_live(run: Run) -> tuple[TrackerSettings, list[GapLabel]]:
     if _has(run, _SETTINGS):
         found = [(table.stamp_ns, *read_settings(table)) for table in run.tables(_SETTINGS, recorded_order=True)]
         return found[-1][1], [GapLabel(gap_m, stamp_ns) for stamp_ns, _, gap_m in found]
-    remarks = run.messages([run.resolve(_NOTES)]) if _has(run, _NOTES) else ()
-    labels = [parse_label(_text(message.data)) for message in remarks]
-    return TrackerSettings(), [label for label in labels if label is not None]
+    return TrackerSettings(), [label for label in map(parse_label, remarks(run)) if label is not None]
+
+
+def remarks(run: Run) -> list[str]:
+    """Return what the operator noted, in order."""
+    return [_text(message.data) for message in run.messages([run.resolve(_NOTES)])] if _has(run, _NOTES) else []
 
 
 def _has(run: Run, topic: str) -> bool:

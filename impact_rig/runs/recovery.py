@@ -23,7 +23,7 @@ from impact_rig.runs import recovery_record
 from impact_rig.runs.recovery_record import Recovered
 from impact_rig.runs.recovery_report import FileReport, RecoverReport
 from impact_rig.runs.salvage import Damage, DamagedFile, Found
-from impact_rig.system.budget import Account, BudgetError
+from impact_rig.system.budget import BudgetError, Spending
 from impact_rig.system.endings import unhurried
 
 
@@ -41,7 +41,7 @@ def recover(path: Path | str, out: Path | str, *, accept_unchecked: bool = False
     source, target = Path(path), Path(out)
     report = RecoverReport(target)
     files = _files(source, report)
-    report.account = Account(_bytes(files))
+    report.account = Spending(_bytes(files))
     salvages = [_Salvage(file, report, accept_unchecked=accept_unchecked) for file in files]
     origin = next((salvage.provenance for salvage in salvages if salvage.provenance is not None), None)
     attachments = {found.name: found for salvage in salvages for found in salvage.attachments}
@@ -123,7 +123,7 @@ class _Salvage:
         self.figures = figures or report.file(path)
         self._report = report
         self._accept_unchecked = accept_unchecked
-        self._schemas: dict[int, records.Schema] = {}
+        self._schemas: dict[int, records.SchemaRecord] = {}
         self._topics: dict[int, TopicDescription] = {}
         with DamagedFile(path) as file:
             self._read_summary(file)
@@ -206,8 +206,8 @@ class _Salvage:
         self._schemas.update(summary.schemas)
         self.figures.expect(summary.statistics)
 
-    def _define(self, definition: records.Schema | records.Channel) -> None:
-        if isinstance(definition, records.Schema):
+    def _define(self, definition: records.SchemaRecord | records.ChannelRecord) -> None:
+        if isinstance(definition, records.SchemaRecord):
             self._schemas[definition.id] = definition
             return
         schema = self._schemas.get(definition.schema_id)

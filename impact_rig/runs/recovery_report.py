@@ -14,7 +14,7 @@ from impact_rig.recording.tail import SUFFIX
 from impact_rig.runs.contiguity import check_contiguity, scan_rate_hz
 from impact_rig.runs.salvage import Damage
 from impact_rig.simtime import NS_PER_S
-from impact_rig.system.budget import Account
+from impact_rig.system.budget import Spending
 
 _MAX_LISTED = 1000
 
@@ -99,7 +99,7 @@ class RecoverReport:
     files: list[FileReport] = attrs.field(factory=list)
     damages: list[Damage] = attrs.field(factory=list)
     damage_count: int = 0
-    account: Account = attrs.field(factory=lambda: Account(0), repr=False)
+    account: Spending = attrs.field(factory=lambda: Spending(0), repr=False)
 
     @property
     def messages(self) -> int:

@@ -23,7 +23,7 @@ _NO_JOURNAL = (ConfigError, CommandError, SimulationError)
 
 
 @attrs.frozen
-class Verdict:
+class Verification:
     """What `verify` found.
 
     Attributes:
@@ -44,30 +44,30 @@ class Verdict:
         return f"different after {self.scans} identical scans: {self.reason}"
 
 
-def verify(run: Run) -> Verdict:
+def verify(run: Run) -> Verification:
     """Re-simulate a run from its journal and compare every scan, bit for bit; a start or reset begins a new journal.
 
     Raises:
         RecordingError: the run holds no scans, or is damaged.
     """
     if arithmetic_of(run.provenance) not in ("", str(ARITHMETIC)):
-        return Verdict(None, 0, f"recorded with arithmetic {arithmetic_of(run.provenance)}, this is {ARITHMETIC}")
+        return Verification(None, 0, f"recorded with arithmetic {arithmetic_of(run.provenance)}, this is {ARITHMETIC}")
     scans = run.tables(topics.SCAN.name, recorded_order=True)
     try:
         journals, first = _journals(run)
     except RecordingError as error:
-        return Verdict(None, 0, str(error))
+        return Verification(None, 0, str(error))
     if not journals:
-        return Verdict(None, 0, "the journal is empty")
+        return Verification(None, 0, "the journal is empty")
     compared, rest = 0, None
     for number, stretch in itertools.groupby(_assigned(scans, journals, first), key=lambda pair: pair[0]):
         if rest is not None and _is_missing(rest, journals[number][0].stamp_ns):
             return _missing(rest, compared)
-        verdict, rest = _verify(journals[number], (table for _, table in stretch))
-        compared += verdict.scans
-        if not verdict.identical:
-            return attrs.evolve(verdict, scans=compared)
-    return Verdict(True, compared) if compared else Verdict(None, 0, "the run holds no block of daq/scan")
+        found, rest = _verify(journals[number], (table for _, table in stretch))
+        compared += found.scans
+        if not found.identical:
+            return attrs.evolve(found, scans=compared)
+    return Verification(True, compared) if compared else Verification(None, 0, "the run holds no block of daq/scan")
 
 
 def _journals(run: Run) -> tuple[list[list[Table]], int]:
@@ -106,7 +106,7 @@ def _assigned(scans: Iterable[Table], journals: list[list[Table]], first: int) -
         yield number, table
 
 
-def _verify(journal: list[Table], scans: Iterator[Table]) -> tuple[Verdict, Block | None]:
+def _verify(journal: list[Table], scans: Iterator[Table]) -> tuple[Verification, Block | None]:
     """Compare the blocks of one journal; return also the block that would come next."""
     compared = 0
     try:
@@ -119,12 +119,12 @@ def _verify(journal: list[Table], scans: Iterator[Table]) -> tuple[Verdict, Bloc
                 block = next(blocks)
             difference = _difference(table, block.scan)
             if difference:
-                return Verdict(False, compared, difference), None
+                return Verification(False, compared, difference), None
             compared += len(table.rows)
             block = next(blocks)
     except _NO_JOURNAL as error:
-        return Verdict(None, compared, str(error)), None
-    return Verdict(True, compared), block
+        return Verification(None, compared, str(error)), None
+    return Verification(True, compared), block
 
 
 def _is_missing(block: Block, reset_ns: int) -> bool:
@@ -136,8 +136,8 @@ def _is_missing(block: Block, reset_ns: int) -> bool:
     return not block.lost and block.end_ns + (0 if on_grid else COMMAND_GRID_NS) <= reset_ns
 
 
-def _missing(block: Block, compared: int) -> Verdict:
-    return Verdict(False, compared, f"daq/scan: the block at {_s(block.scan.stamp_ns)} s is missing")
+def _missing(block: Block, compared: int) -> Verification:
+    return Verification(False, compared, f"daq/scan: the block at {_s(block.scan.stamp_ns)} s is missing")
 
 
 def _difference(logged: Table, again: Table) -> str:

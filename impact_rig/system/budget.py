@@ -70,7 +70,7 @@ def factor() -> float:
 
 
 @attrs.define
-class Account:
+class Spending:
     """What one pass through the chunks of a recording has cost so far.
 
     Attributes:

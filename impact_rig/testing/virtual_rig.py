@@ -143,7 +143,7 @@ class VirtualRig(SteppedRig):
         self._listeners.clear()
 
     def _command(self, frequency_hz: float | None, current_a: float | None) -> int:
-        table = self.core.command(frequency_hz, current_a)
+        table = self.core.accept(frequency_hz, current_a)
         self._changes()
         return int(table.rows["sample"][-1])
 

@@ -65,7 +65,7 @@ def test_repeating_a_command_or_label_disturbs_nothing():
     found = []
     for number, table in enumerate(blocks(rows, RATE, 20)):
         if number % 100 == 50:
-            made.command(applied(9.1, at_ns=table.stamp_ns))
+            made.on_applied(applied(9.1, at_ns=table.stamp_ns))
             made.label(0.006, table.stamp_ns)
             made.configure(Table(table.stamp_ns, info_rows(RATE, since_start=table.stamp_ns / NS_PER_S)))
         found += made.feed(table).measurements
@@ -78,7 +78,7 @@ def test_who_joins_late_takes_scan_0_from_the_calibration():
     since_s = 3.0
     late = Tracker(QUICK)
     late.configure(Table(round(since_s * NS_PER_S), info_rows(RATE, since_start=since_s)))
-    late.command(applied(9.1, at_ns=0))
+    late.on_applied(applied(9.1, at_ns=0))
     late.label(0.006, 0)
     expected, _ = feed_all(tracker(), blocks(rows, RATE, 20))
     found, _ = feed_all(late, blocks(rows, RATE, 20))

@@ -115,7 +115,7 @@ def test_every_change_starts_a_new_measurement(kind):
             if kind == "label":
                 made.label(0.010, table.stamp_ns)
             elif kind == "current":
-                made.command(applied(9.1, current_a=0.6, at_ns=table.stamp_ns))
+                made.on_applied(applied(9.1, current_a=0.6, at_ns=table.stamp_ns))
             else:
                 info = info_rows(RATE, since_start=table.stamp_ns / NS_PER_S)
                 info["sensitivity_uncertainty"] = 0.01

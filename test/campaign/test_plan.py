@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from impact_rig.analysis.stepped import Direction
 from impact_rig.campaign.plan import load_campaign
 from impact_rig.errors import ConfigError
+from impact_rig.operate.plan import Direction
 from impact_rig.system.resources import config_dir
 
 

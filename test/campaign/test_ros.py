@@ -14,11 +14,11 @@ pytestmark = [pytest.mark.ros, pytest.mark.pipeline, pytest.mark.timeout(200)]
 
 
 def test_ros_and_process_give_the_same_bits(tmp_path, measured):
-    from impact_rig.cli.campaign_ros import ros_runner
+    from impact_rig.client.campaign import stepped_runner
 
     point, _, sweep, _, trip, refused = (job for job, _ in measured.values())
     jobs = [point, sweep, trip, refused]
-    found = {job.key: outcome for job, outcome in ros_runner(tmp_path, record=True)(jobs)}
+    found = {job.key: outcome for job, outcome in stepped_runner(tmp_path, record=True)(jobs)}
     assert set(found) == {job.key for job in jobs}
     for key, outcome in found.items():
         assert_same(outcome, measured[key][1])

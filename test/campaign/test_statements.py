@@ -9,7 +9,7 @@ import pytest
 from impact_rig.blocks import TRANSMISSIBILITY
 from impact_rig.campaign.paper import CURRENT_A, FREQUENCIES_HZ, REDUCTION_PERCENT
 from impact_rig.campaign.results import Curves, Point
-from impact_rig.campaign.statements import Kind, judge, peak_hz
+from impact_rig.campaign.statements import Worth, judge, peak_hz
 from impact_rig.config import Origin, RigConfig, fields, from_flat
 from impact_rig.physics.closed_form import base_amplitude, transmissibility
 from impact_rig.studies.margins import variations
@@ -127,7 +127,7 @@ def test_a_fit_is_what_another_choice_of_constants_breaks():
     assert [dict(one.changed) for one in found] == rigs
     amplitudes = [next(v for v in one.verdicts if v.name == "amplitudes_at_resonance") for one in found]
     assert [verdict.word for verdict in amplitudes] == ["pass", "FAIL", "FAIL", "FAIL"]
-    assert amplitudes[0].kind is Kind.FIT
+    assert amplitudes[0].kind is Worth.FIT
     assert 0.98 < amplitudes[0].result.value < 1.0
     peaks = [next(v for v in one.verdicts if v.name == "dt_peaks_at_9_1_hz") for one in found]
     assert {verdict.word for verdict in peaks} == {"pass"}, "f_n alone decides it"

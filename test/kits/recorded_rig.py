@@ -22,6 +22,7 @@ from impact_rig.rig import Rig
 
 TICK = 10_000_000
 POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
+STRING = "std_msgs/msg/String"
 Messages = list[tuple[str, Table]]
 PROVENANCE = Provenance(version="0", seed=5, wall_start_ns=0)
 
@@ -56,13 +57,13 @@ def messages(seconds: int = 12, again: tuple[int, ...] = (), **values: object) -
     tracker.configure(rig.info())
     tracker.label(0.0, 0)
     deeds: dict[int, Callable[[], object]] = {
-        7: lambda: rig.command(frequency_hz=9.1, current_a=0.52),
+        7: lambda: rig.accept(frequency_hz=9.1, current_a=0.52),
         seconds * 100 - 40: lambda: rig.configure({"barriers.gap_m": 0.004, "sphere.present": True}),
         seconds * 100 - 30: lambda: rig.inject(spikes(rig.frontier_sample + 50)),
         seconds * 100 - 20: rig.stop,
     }
     for number, block in enumerate(again):
-        deeds[block] = functools.partial(rig.command, frequency_hz=9.2 + 0.1 * number)
+        deeds[block] = functools.partial(rig.accept, frequency_hz=9.2 + 0.1 * number)
     for block in range(seconds * 100):
         if block in deeds:
             deeds[block]()
@@ -71,7 +72,7 @@ def messages(seconds: int = 12, again: tuple[int, ...] = (), **values: object) -
             found += [(topic, table) for table in tables]
             if topic == "shaker/applied":
                 for table in tables:
-                    tracker.command(table)
+                    tracker.on_applied(table)
         for one in blocks:
             found.append(("daq/scan", one.scan))
             found += [("transmissibility/table", table) for table in tracker.feed(one.scan).measurements]
@@ -83,7 +84,27 @@ def spikes(start: int) -> Fault:
     return Fault(kind="spike_train", channel="laser", start=start, value=1e-3, rate_hz=100.0 / 3.0)
 
 
-def record(directory: Path, found: Iterable[tuple[str, Table]], provenance: Provenance | None = PROVENANCE) -> Path:
+@attrs.frozen(eq=False)
+class Remark:
+    """What an operator notes, where a table would be."""
+
+    text: str
+    stamp_ns: int
+
+    def encoded(self) -> bytes:
+        """Return a serialized std_msgs/String."""
+        content = self.text.encode() + b"\0"
+        return b"\0\1\0\0" + len(content).to_bytes(4, "little") + content
+
+
+def note(text: str, stamp_ns: int) -> tuple[str, Remark]:
+    """Return a remark on the topic `notes`, for `record`."""
+    return "notes", Remark(text, stamp_ns)
+
+
+def record(
+    directory: Path, found: Iterable[tuple[str, Table | Remark]], provenance: Provenance | None = PROVENANCE
+) -> Path:
     """Write messages to a run and return its directory."""
     writer = RunWriter(
         directory,
@@ -93,9 +114,9 @@ def record(directory: Path, found: Iterable[tuple[str, Table]], provenance: Prov
     )
     with writer:
         for name in sorted({name for name, _ in found}):
-            writer.add_topic(
-                TopicDescription(name=f"/rig/{name}", type_name=POINT_CLOUD, schema=schema_text(POINT_CLOUD))
-            )
-        for name, table in found:
-            writer.write(f"/rig/{name}", codec.encode(table), table.stamp_ns)
+            kind = STRING if name == "notes" else POINT_CLOUD
+            writer.add_topic(TopicDescription(name=f"/rig/{name}", type_name=kind, schema=schema_text(kind)))
+        for name, one in found:
+            data = one.encoded() if isinstance(one, Remark) else codec.encode(one)
+            writer.write(f"/rig/{name}", data, one.stamp_ns)
     return writer.directory

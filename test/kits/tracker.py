@@ -18,7 +18,7 @@ def tracker(frequency_hz=9.1, *, rate_hz=RATE, tracker_settings=QUICK, start_ns=
     made = Tracker(tracker_settings)
     made.configure(Table(start_ns, info_rows(rate_hz) if info is None else info))
     if frequency_hz is not None:
-        made.command(applied(frequency_hz, at_ns=start_ns))
+        made.on_applied(applied(frequency_hz, at_ns=start_ns))
     made.label(gap_m, start_ns)
     return made
 
@@ -54,7 +54,7 @@ def run_scenario(sizes, *, late_ns=0, rate_hz=RATE, start_ns=0):
         for table in blocks(part, rate_hz, sizes() if callable(sizes) else sizes, start_ns=start_ns, first=first):
             end_ns = table.stamp_ns + len(table.rows) * NS_PER_S // rate_hz
             if not told and end_ns > change_ns + late_ns:  # the rig accepts a command before it simulates its instant
-                made.command(applied(9.5, at_ns=change_ns))
+                made.on_applied(applied(9.5, at_ns=change_ns))
                 told = True
             found.append(made.feed(table))
     found.append(made.flush())

@@ -44,7 +44,7 @@ def test_rows_are_those_of_the_tracker_bit_for_bit(client: Client) -> None:
     tracker.configure(info)
     tracker.label(0.006, info.stamp_ns)
     for table in heard["shaker/applied"].tables():
-        tracker.command(table)
+        tracker.on_applied(table)
     found = [tracker.feed(table) for table in scans.tables()]
     expected = [table for one in found for table in one.measurements]
     assert [t.stamp_ns for t in heard["transmissibility/table"].tables()] == [t.stamp_ns for t in expected]
@@ -66,7 +66,8 @@ from impact_rig.nodes.analysis_node import AnalysisNode
 from impact_rig.client import isolated_domain
 
 def compiled():
-    return [len(function.signatures) for function in (cycles._accumulate, impacts._detect)]
+    functions = [one for module in (cycles, impacts) for one in vars(module).values() if hasattr(one, "signatures")]
+    return sum(len(one.signatures) for one in functions), len(functions)
 
 context = Context()
 with isolated_domain() as domain_id:
@@ -75,7 +76,7 @@ with isolated_domain() as domain_id:
     node.trigger_configure()
     configured = compiled()
     run_scenario(20)
-    print(configured, compiled())
+    print(*configured, *compiled())
     node.close()
     node.destroy_node()
     context.try_shutdown()
@@ -87,7 +88,9 @@ def test_nothing_is_left_to_compile_once_it_is_configured() -> None:
     done = subprocess.run(
         [sys.executable, "-c", WHAT_IS_COMPILED, Path(__file__).parents[1]], capture_output=True, text=True, check=False
     )
-    assert done.stdout.split("\n")[-2:] == ["[1, 1] [1, 1]", ""], done.stderr
+    before, count, after, same = map(int, done.stdout.split("\n")[-2].split())
+    assert before == after, done.stderr
+    assert before >= count == same >= 2
 
 
 @pytest.mark.parametrize("last_s", [math.nan, math.inf, 1e300])
@@ -108,7 +111,7 @@ def test_a_time_that_is_none_is_a_status_and_the_block_is_acknowledged(client: C
 
 
 def test_labels_come_as_remarks_or_as_a_parameter(client: Client) -> None:
-    node = client.host(AnalysisNode)
+    client.host(AnalysisNode)
     host_rig(client, time__peers=["analysis"])
     client.wait_active("rig", "analysis")
     client.step(3)
@@ -116,9 +119,11 @@ def test_labels_come_as_remarks_or_as_a_parameter(client: Client) -> None:
     client.note(GapLabel(0.008, 50_000_000).text())
     client.note("the operator sneezed")
 
+    measured = client.collect("transmissibility/table")
+
     def labelled() -> bool:
-        client.step(10)  # a label acts when scans are measured, and remarks may arrive after them
-        return math.isclose(node._tracker._gap_m, 0.008)
+        client.step(100)  # a label acts when scans are measured, and remarks may arrive after them
+        return bool(np.any(measured.rows()["gap"] == 0.008))
 
     client.wait_until(labelled, "the label to be in force")
     with pytest.raises(ConfigError, match="inactive"):

@@ -70,7 +70,7 @@ def test_commands_of_any_value(attacked: Attacked, topic: topics.Topic, low: flo
     client.set_parameters("rig", {"shaker.travel_limit_m": 1.0})  # the interlock has tests of its own
     expected: list[float] = []
     sent = 0
-    applied, before = len(client._applied), attacked.refused("rig", topic.name)
+    applied, before = len(client.applied), attacked.refused("rig", topic.name)
 
     @batches
     @given(st.lists(numbers, min_size=QUEUE - 1, max_size=QUEUE - 1))
@@ -80,10 +80,10 @@ def test_commands_of_any_value(attacked: Attacked, topic: topics.Topic, low: flo
             client.publish(topic, Float64(data=value))
         expected.extend(value for value in (*values, high) if math.isfinite(value) and low <= value <= high)
         sent += QUEUE
-        client.wait_until(lambda: len(client._applied) - applied >= len(expected), "the rows of accepted commands")
+        client.wait_until(lambda: len(client.applied) - applied >= len(expected), "the rows of accepted commands")
 
     attack()
-    rows = [float(table.rows[column][0]) for table in client._applied.tables(applied)]
+    rows = [float(table.rows[column][0]) for table in client.applied.tables(applied)]
     assert rows == expected
     attacked.await_refusals("rig", topic.name, before + sent - len(expected))
     client.command(frequency_hz=9.1, current_a=0.0)
@@ -95,15 +95,15 @@ def test_ten_thousand_commands_a_second(attacked: Attacked) -> None:
     client = attacked.client
     client.command(frequency_hz=10.0)
     attacked.scans.clear()
-    applied, publisher, count = len(client._applied), client._publishers[topics.FREQUENCY.name], 10 * CASES
+    applied, publisher, count = len(client.applied), client.publisher(topics.FREQUENCY), 10 * CASES
     begin = time.perf_counter()
     for k in range(count):
         publisher.publish(Float64(data=10.0 + k / count))
         while time.perf_counter() - begin < k * 1e-4:
             pass
     last = 10.0 + (count - 1) / count
-    client.wait_until(lambda: client._applied.last().rows["frequency"][-1] == last, "the last command")
-    rows = [float(table.rows["frequency"][0]) for table in client._applied.tables(applied)]
+    client.wait_until(lambda: client.applied.last().rows["frequency"][-1] == last, "the last command")
+    rows = [float(table.rows["frequency"][0]) for table in client.applied.tables(applied)]
     assert rows == sorted(rows)
     assert attacked.scans.lost() == 0
     assert client.figures("rig")["slips"] == "0"

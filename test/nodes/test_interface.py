@@ -207,11 +207,11 @@ def test_a_service_is_taken_or_refused_with_a_message_as_the_page_says(
 @pytest.mark.parametrize("row", services.COMMANDS, ids=lambda row: row.name)
 def test_a_command_is_taken_or_refused_as_the_page_says(situated, situation: Situation, row: services.Input) -> None:
     client, node = situated
-    before, applied = node.refusals.total(), len(client._applied)
+    before, applied = node.refusals.total(), len(client.applied)
     client.publish(topics.by_name(row.name), Float64(data=10.0))
 
     def taken() -> bool:
-        return any(table.rows[row.name[7:]][0] == 10.0 for table in client._applied.tables(applied))
+        return any(table.rows[row.name[7:]][0] == 10.0 for table in client.applied.tables(applied))
 
     client.wait_until(lambda: node.refusals.total() > before or taken(), "an answer")
     assert taken() == (situation in row.taken)
@@ -240,9 +240,12 @@ def test_readers_are_told_apart_by_their_acknowledgements(client: Client) -> Non
         header = Header(frame_id=name)
         header.stamp.nanosec = scans.tables()[number].stamp_ns
         client.publish(topics.ACK, header)
-    client.wait_until(lambda: node._figures.other_acks == 2, "the acknowledgements")
-    node.report_now()
-    client.wait_until(lambda: client.figures("rig").get("other_acks") == "2", "the figures")
+
+    def told() -> bool:
+        node.report_now()
+        return client.figures("rig").get("other_acks") == "2"
+
+    client.wait_until(told, "the acknowledgements")
     found = client.figures("rig")
     assert (found["behind.client"], found["lost_blocks.client"]) == ("10", "3")
     assert int(found["subscribers"]) == 1

@@ -13,10 +13,18 @@ from kits.nodes import host_rig
 from impact_rig.client import Client, ServiceFailedError, WaitTimeoutError
 from impact_rig.client.parameters import ros_parameters
 from impact_rig.nodes.recorder_node import RecorderNode
+from impact_rig.nodes.rig_node import RigNode
 from impact_rig.recording import open_run
 from impact_rig.runs.verification import verify
 
 pytestmark = pytest.mark.ros
+
+
+def told(client: Client, node: RigNode) -> dict[str, str]:
+    """Return the figures of the rig as they are now."""
+    client.diagnostics.clear()
+    node.report_now()
+    return client.wait_until(lambda: client.figures("rig"), "the figures")
 
 
 def test_a_recorded_trip_latches_until_cleared_and_verifies_bit_for_bit(client: Client, tmp_path: Path) -> None:
@@ -34,9 +42,10 @@ def test_a_recorded_trip_latches_until_cleared_and_verifies_bit_for_bit(client: 
     with pytest.raises(WaitTimeoutError, match="latched"):
         client.command(current_a=0.1, timeout_s=0.3)
     client.step(200)
-    assert node._rig.latched is not None
+    assert told(client, node)["latched"]
     client.trigger("rig/clear_trip")
-    assert node._rig.amplitude == 0.0
+    found = told(client, node)
+    assert (found["latched"], float(found["current_a"])) == ("", 0.0)
     client.command(current_a=0.1)
     client.step(50)
     client.trigger("recorder/stop")

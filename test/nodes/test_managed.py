@@ -23,7 +23,7 @@ from impact_rig.client.parameters import ros_parameters
 from impact_rig.config.fields import integer, names, quantity, switch
 from impact_rig.errors import CommandError, ConfigError
 from impact_rig.nodes.deferred import DeferredService
-from impact_rig.nodes.diagnostics import Level, Status
+from impact_rig.nodes.diagnostics import Health, Level
 from impact_rig.nodes.managed import ManagedNode
 from impact_rig.nodes.parameters import SectionSchema
 from impact_rig.nodes.process import EXECUTOR_VARIABLE
@@ -53,7 +53,7 @@ class Small(ManagedNode[Settings]):
         self.changes: list[dict[str, Any]] = []
         self.service(Trigger, "~/raise", self._raise)
         self.service(Trigger, "~/refuse", self._refuse)
-        self._ticks = 0
+        self.ticks = 0
         self.later = DeferredService(self, Trigger, "~/later", lambda _: None, lambda: None)
 
     def configure(self) -> None:
@@ -66,12 +66,12 @@ class Small(ManagedNode[Settings]):
             raise CommandError("thirteen is refused by the node itself")
         self.changes.append(changes)
 
-    def status(self) -> Status:
-        return Status(Level.OK, "fine", {"ticks": self._ticks})
+    def status(self) -> Health:
+        return Health(Level.OK, "fine", {"ticks": self.ticks})
 
     def _tick(self) -> None:
-        self._ticks += 1
-        if self._ticks == 3 and self.settings.bugs:
+        self.ticks += 1
+        if self.ticks == 3 and self.settings.bugs:
             raise ZeroDivisionError("a bug in a timer")
         self.later.reply(True, "answered")
 
@@ -92,7 +92,7 @@ def user(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch):
 def test_a_node_survives_bugs_in_callbacks_and_says_so(user: Client) -> None:
     node = user.host(Small)
     user.wait_active("small")
-    user.wait_until(lambda: node._ticks > 5, "the timer to go on after its exception")
+    user.wait_until(lambda: node.ticks > 5, "the timer to go on after its exception")
     with pytest.raises(ServiceFailedError, match="KeyError: 'a bug in a service'"):
         user.trigger("small/raise")
     with pytest.raises(ServiceFailedError, match="not now"):
@@ -108,9 +108,9 @@ def test_a_node_that_is_told_to_end_has_no_more_news(user: Client) -> None:
     reports = user.listen("/diagnostics")
     user.wait_until(lambda: reports.messages, "a report")
     node.is_told_to_end = lambda: True
-    ticks = node._ticks
-    node.status = lambda: Status(Level.ERROR, "somebody has gone", {})  # would be reported within 0.1 s
-    user.wait_until(lambda: node._ticks > ticks + 100, "a second of its timer")
+    ticks = node.ticks
+    node.status = lambda: Health(Level.ERROR, "somebody has gone", {})  # would be reported within 0.1 s
+    user.wait_until(lambda: node.ticks > ticks + 100, "a second of its timer")
     assert not any("somebody has gone" in report.status[0].message for report in reports.messages)
 
 

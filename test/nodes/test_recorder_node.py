@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import functools
+import os
 from pathlib import Path
 
 import numpy as np
@@ -39,7 +41,7 @@ def recording(client: Client) -> bool:
 
 
 def test_a_run_holds_every_message_and_the_configuration(client: Client, tmp_path: Path) -> None:
-    recorder = host_recorder(client, tmp_path)
+    host_recorder(client, tmp_path)
     host_rig(client, time__peers=["recorder"], daq__seed=77, barriers__gap_m=0.002)
     client.wait_active("rig", "recorder")
     client.wait_until(lambda: recording(client), "the recorder")
@@ -47,7 +49,7 @@ def test_a_run_holds_every_message_and_the_configuration(client: Client, tmp_pat
     client.note("first light")
     client.step(50)
     client.trigger("recorder/stop")
-    assert recorder._account.lost() == {}
+    assert info(tmp_path / "run").lost == {}
     with open_run(tmp_path / "run") as run:
         assert run.topics[run.resolve("daq/scan")].count == 50
         assert run.provenance["seed"] == "77"
@@ -104,14 +106,23 @@ def test_start_and_stop_in_every_state(client: Client, tmp_path: Path) -> None:
         assert run.attachments()["environment.json"]
 
 
-def test_a_recorder_whose_disk_fails_acknowledges_no_more(client: Client, tmp_path: Path) -> None:
+def test_a_recorder_whose_disk_fails_acknowledges_no_more(
+    client: Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """What it did not write, a rig in lockstep must not take for recorded."""
-    recorder = host_recorder(client, tmp_path)
+    really = os.write
+
+    def full(descriptor: int, data: bytes) -> int:
+        if Path(f"/proc/self/fd/{descriptor}").readlink().is_relative_to(tmp_path):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return really(descriptor, data)
+
+    host_recorder(client, tmp_path)
     host_rig(client, time__peers=["recorder"], time__peer_timeout_s=0.3)
     client.wait_active("rig", "recorder")
     client.wait_until(lambda: recording(client), "the recorder")
     client.step(5)
-    recorder._writer._file.close()  # its descriptor is gone: every further write fails
+    monkeypatch.setattr(os, "write", full)  # from now on no file of the recording takes a byte
     client.wait_until(lambda: client.status("recorder").message.startswith("recording stopped"), "the reason")
     with pytest.raises(ServiceFailedError, match="peer recorder does not acknowledge"):
         client.step(5)
@@ -174,7 +185,7 @@ def test_messages_that_never_arrived_are_told_by_topic_and_kept_in_the_file(clie
     client.wait_active("rig", "recorder")
     client.wait_until(lambda: recording(client), "the recorder")
     client.step(1)
-    (inlet,) = [one for one in recorder._recorded if one.topic_name == "/shaker/applied"]
+    (inlet,) = [one for one in recorder.subscriptions if one.topic_name == "/shaker/applied"]
     really, arrived = inlet.callback, []
 
     def deaf(*arguments: object) -> object:
@@ -185,8 +196,8 @@ def test_messages_that_never_arrived_are_told_by_topic_and_kept_in_the_file(clie
     for number in range(9):
         client.command(frequency_hz=9.0 + 0.01 * number)
     client.wait_until(lambda: len(arrived) == 9, "the commands")
-    client.wait_until(lambda: client.status("recorder").level == b"\2", "an error")
-    assert client.figures("recorder")["lost.shaker/applied"] == "3"
+    client.wait_until(lambda: client.figures("recorder").get("lost.shaker/applied") == "3", "the losses to be counted")
+    assert client.status("recorder").level == b"\2"
     client.trigger("recorder/stop")
     found = info(tmp_path / "run")
     assert (found.lost, found.intact) == ({"/shaker/applied": 3}, False)

@@ -11,7 +11,7 @@ from kits.nodes import DRIVEN, TICK, host_rig
 from impact_rig.client import Client
 from impact_rig.config import RigConfig, from_flat, load
 from impact_rig.errors import SimulationError
-from impact_rig.rig import Block
+from impact_rig.rig import Block, Rig
 
 pytestmark = pytest.mark.ros
 
@@ -82,19 +82,22 @@ def test_qos_can_be_overridden(client: Client) -> None:
 
 
 @pytest.mark.parametrize("mode", ["realtime", "freewheel"])
-def test_a_simulation_that_cannot_go_on_deactivates_the_rig_and_can_be_started_again(client: Client, mode: str) -> None:
+def test_a_simulation_that_cannot_go_on_deactivates_the_rig_and_can_be_started_again(
+    client: Client, mode: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     node = host_rig(client, mode, time__peers=["client"])
     client.wait_active("rig")
     scans = client.collect("daq/scan", acknowledge=True)
     client.wait_until(lambda: len(scans) > 0, "the first block")
 
-    def stuck(_until_ns: int) -> list[Block]:
+    def stuck(_rig: Rig, _until_ns: int) -> list[Block]:
         raise SimulationError("no progress in drive segment 7")
 
-    node._rig.advance = stuck  # a fault put in by hand: no legal configuration is known that does this
-    client.wait_until(lambda: "no progress in drive segment 7" in client.status("rig").message, "the reason")
-    assert client.status("rig").level == b"\2"
-    assert client.state("rig") == "inactive"
+    with monkeypatch.context() as broken:  # by hand: no legal configuration is known that does this
+        broken.setattr(Rig, "advance", stuck)
+        client.wait_until(lambda: "no progress in drive segment 7" in client.status("rig").message, "the reason")
+        assert client.status("rig").level == b"\2"
+        assert client.state("rig") == "inactive"
     assert client.change_state("rig", "activate")
     scans.clear()
     client.wait_until(lambda: len(scans) > 5, "blocks of the next rig")

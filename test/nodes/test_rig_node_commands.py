@@ -61,7 +61,7 @@ def test_a_flood_of_commands_leaves_order_and_a_whole_journal(client: Client) ->
     client.wait_active("rig")
     journal, scans = client.collect("rig/journal"), client.collect("daq/scan")
     client.command(frequency_hz=10.0)
-    publisher = client._publishers["shaker/frequency"]
+    publisher = client.publisher(topics.FREQUENCY)
     for k in range(3000):
         publisher.publish(Float64(data=10.0 + k / 1000))
         if k % 20 == 0:

@@ -50,7 +50,7 @@ def _started(client: Client) -> bool:
 
 
 def current_now(client: Client) -> float:
-    return float(client._applied.tables()[-1].rows["current"][-1])
+    return float(client.applied.tables()[-1].rows["current"][-1])
 
 
 def test_the_curve_is_the_closed_form(sweeping: Client) -> None:

@@ -73,7 +73,7 @@ def test_a_stepped_run_is_whole_and_is_what_its_journal_says(
         tracker.configure(info)
         tracker.label(0.002, info.stamp_ns)
         for table in run.tables("shaker/applied"):
-            tracker.command(table)
+            tracker.on_applied(table)
         again = [row for table in recorded for found in tracker.feed(table).measurements for row in found.rows]
     assert measured.tobytes() == np.array(again, measured.dtype).tobytes()
     assert (measured["settled"] == 1).any()

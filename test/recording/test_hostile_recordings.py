@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from impact_rig.cli.recovery import INCOMPLETE
+from impact_rig.cli.recover import INCOMPLETE
 from impact_rig.errors import ImpactRigError
 from impact_rig.recording import open_run
 from impact_rig.recording.description import TopicDescription

@@ -19,7 +19,7 @@ from impact_rig.rig.journal import Kind, read
 def test_a_command_acts_at_the_first_instant_not_yet_simulated(reference: list[Block]) -> None:
     rig = Rig(config())
     blocks = rig.advance(20 * TICK + 3_000_000)
-    applied = rig.command(frequency_hz=11.0)
+    applied = rig.accept(frequency_hz=11.0)
     row = applied.rows[0]
     assert (int(row["sample"]), applied.stamp_ns) == (2000, 20 * TICK)
     assert (row["frequency"], row["current"]) == (11.0, 0.52)
@@ -32,7 +32,7 @@ def test_a_command_acts_from_its_scan_on_and_not_a_scan_later() -> None:
     """Ideal instruments read the drive itself: 9.1 Hz up to scan 2000, 11 Hz from there, without a jump of phase."""
     rig = Rig(config(instruments__ideal=True))
     blocks = rig.advance(20 * TICK + 3_000_000)
-    rig.command(frequency_hz=11.0)
+    rig.accept(frequency_hz=11.0)
     blocks += rig.advance(40 * TICK)
     time = np.arange(4000) / rig.rate_hz
     turns = np.where(time < 0.2, 9.1 * time, 9.1 * 0.2 + 11.0 * (time - 0.2))
@@ -43,7 +43,7 @@ def test_a_command_acts_from_its_scan_on_and_not_a_scan_later() -> None:
 def test_the_drive_has_no_jump_of_phase_at_a_command() -> None:
     rig = Rig(config(instruments__ideal=True))
     blocks = rig.advance(10 * TICK)
-    rig.command(frequency_hz=50.0)
+    rig.accept(frequency_hz=50.0)
     blocks += rig.advance(20 * TICK)
     current = samples(blocks)["current"]
     fastest = 0.52 * 2 * math.pi * 50.0 / 10_000
@@ -71,7 +71,7 @@ def test_a_refused_command_names_value_and_range_and_changes_nothing(
     rig = Rig(config())
     rig.take_journal()
     with pytest.raises(CommandError) as refusal:
-        rig.command(**command)
+        rig.accept(**command)
     for word in words:
         assert word in str(refusal.value)
     assert (rig.frequency_hz, rig.amplitude) == (9.1, 0.52)
@@ -89,7 +89,7 @@ def test_any_command_is_accepted_within_range_or_refused(hammered: Rig, frequenc
     """Whatever is sent, the drive stays finite and within the shaker's limits."""
     for command in ({"frequency_hz": frequency}, {"current_a": current}, {"frequency_hz": 5 + abs(frequency) % 195}):
         with contextlib.suppress(CommandError):
-            hammered.command(**command)
+            hammered.accept(**command)
     assert 5 <= hammered.frequency_hz <= 200
     assert 0 <= hammered.amplitude <= 15 * math.sqrt(2)
     assert all(0 <= table.rows["phase"][0] < 2 * math.pi for table in hammered.take_applied())
@@ -99,10 +99,10 @@ def test_any_command_is_accepted_within_range_or_refused(hammered: Rig, frequenc
 def test_the_drive_ramps_down_when_the_controller_dies() -> None:
     rig = Rig(config(output__command_timeout_s=0.2, instruments__ideal=True))
     rig.advance(15 * TICK)
-    rig.command(current_a=0.52)
+    rig.accept(current_a=0.52)
     current = samples(rig.advance(60 * TICK))["current"]
     at = [entry.sample for entry in read(rig.take_journal()) if entry.kind is Kind.TIMEOUT]
     assert at == [3500]
     assert np.abs(current[3500 + 1000 - 1500 :]).max() == 0
-    rig.command(current_a=0.1)
+    rig.accept(current_a=0.1)
     assert rig.amplitude == 0.1

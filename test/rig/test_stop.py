@@ -22,12 +22,12 @@ def test_the_emergency_stop_ramps_and_latches() -> None:
     assert np.abs(current[1000:]).max() == 0, "zero after shaker.ramp_s"
     for refused in ({"current_a": 0.1}, {"frequency_hz": 9.0}):
         with pytest.raises(CommandError, match="clear_trip"):
-            rig.command(**refused)
+            rig.accept(**refused)
     with pytest.raises(CommandError, match="clear_trip"):
         rig.reset()
     rig.clear_trip()
     assert rig.amplitude == 0
-    rig.command(current_a=0.1)
+    rig.accept(current_a=0.1)
 
 
 def travel(blocks: list[Block]) -> np.ndarray:

@@ -49,7 +49,7 @@ def measured_live(found: Messages, from_ns: int) -> Messages:
         if name == "daq/info":
             tracker.configure(table)
         elif name == "shaker/applied":
-            tracker.command(table)
+            tracker.on_applied(table)
         elif name == "daq/scan" and table.stamp_ns >= from_ns:
             result += [(TABLE, row) for row in tracker.feed(table).measurements]
     return result

@@ -16,7 +16,7 @@ from impact_rig.config import RigConfig, from_flat
 from impact_rig.recording import Provenance, arithmetic_of, open_run
 from impact_rig.rig import Rig
 from impact_rig.runs import reanalysis, recover
-from impact_rig.runs.verification import Verdict, verify
+from impact_rig.runs.verification import Verification, verify
 
 
 @pytest.fixture(scope="module")
@@ -24,7 +24,7 @@ def whole() -> Messages:
     return messages()
 
 
-def verdict(directory: Path, found: Messages) -> Verdict:
+def verdict(directory: Path, found: Messages) -> Verification:
     with open_run(record(directory / "run", found)) as run:
         return verify(run)
 
@@ -33,7 +33,7 @@ def test_a_run_is_what_its_journal_says(whole: Messages, tmp_path: Path) -> None
     """Commands, changed mechanics, a fault and an emergency stop: every scan again, bit for bit."""
     found = verdict(tmp_path, whole)
     scans = sum(len(table.rows) for name, table in whole if name == "daq/scan")
-    assert found == Verdict(True, scans)
+    assert found == Verification(True, scans)
 
 
 def test_a_recorder_that_came_late_can_verify_too(whole: Messages, tmp_path: Path) -> None:
@@ -130,7 +130,7 @@ def test_a_run_of_another_arithmetic_is_not_accused(whole: Messages, tmp_path: P
     run = record(tmp_path / "run", edited(whole, "daq/scan", change), provenance)
     with open_run(run) as opened:
         found = verify(opened)
-    assert found == Verdict(None, 0, f"recorded with arithmetic 1, this is {ARITHMETIC}")
+    assert found == Verification(None, 0, f"recorded with arithmetic 1, this is {ARITHMETIC}")
     assert str(found).startswith("not verifiable here: recorded with arithmetic 1")
 
 
@@ -153,7 +153,7 @@ def reset_rig() -> tuple[Messages, Messages, Messages]:
     rig = Rig(from_flat(RigConfig(), {"daq.seed": 5, "drive.amplitude": 0.52}))
     parts = []
     for seed in (6, 7, 8):
-        rig.command(frequency_hz=float(seed))
+        rig.accept(frequency_hz=float(seed))
         parts.append(published(rig, 30))
         rig.configure({"daq.seed": seed})
         rig.reset()
@@ -164,9 +164,9 @@ def test_a_run_goes_on_behind_a_reset(tmp_path: Path) -> None:
     """The journal of what came before was forgotten, and a sound run called different after no identical scan."""
     first, second, third = reset_rig()
     found = verdict(tmp_path / "whole", [*first, *second, *third])
-    assert found == Verdict(True, 3 * 30 * 100)
+    assert found == Verification(True, 3 * 30 * 100)
     late = [(name, table) for name, table in first if name != "daq/scan"]
-    assert verdict(tmp_path / "late", [*late, *second, *third]) == Verdict(True, 2 * 30 * 100)
+    assert verdict(tmp_path / "late", [*late, *second, *third]) == Verification(True, 2 * 30 * 100)
 
 
 def test_a_difference_behind_a_reset_is_found(tmp_path: Path) -> None:
@@ -195,7 +195,7 @@ def test_a_rig_that_was_started_again_begins_a_new_journal(tmp_path: Path) -> No
     """In stepped and freewheel its stamps begin at zero again."""
     first, _, _ = reset_rig()
     again = published(Rig(from_flat(RigConfig(), {"daq.seed": 9})), 20)
-    assert verdict(tmp_path, [*first, *again]) == Verdict(True, 50 * 100)
+    assert verdict(tmp_path, [*first, *again]) == Verification(True, 50 * 100)
 
 
 def test_a_block_withheld_by_a_fault_is_no_loss(tmp_path: Path) -> None:
@@ -204,7 +204,7 @@ def test_a_block_withheld_by_a_fault_is_no_loss(tmp_path: Path) -> None:
     found = published(rig, 40)
     scans = [table for name, table in found if name == "daq/scan"]
     assert len(scans) < 40
-    assert verdict(tmp_path, found) == Verdict(True, sum(len(table.rows) for table in scans))
+    assert verdict(tmp_path, found) == Verification(True, sum(len(table.rows) for table in scans))
 
 
 def test_the_command_line_says_it_all(

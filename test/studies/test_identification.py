@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 
 import attrs
 import numpy as np
@@ -24,7 +25,7 @@ from impact_rig.simtime import NS_PER_S
 from impact_rig.studies.identification.constants import NAMES, SCALED, logarithms, rig
 from impact_rig.studies.identification.fisher import information
 from impact_rig.studies.identification.fit import identify
-from impact_rig.studies.identification.measurements import NUISANCES, Gains, Measured, Sine, reduced_of, sine_of
+from impact_rig.studies.identification.measurements import NUISANCES, Gains, Measured, SineData, reduced_of, sine_of
 from impact_rig.studies.identification.paper_fit import fit_paper
 from impact_rig.studies.identification.pluck import DISPLACEMENT_M, RECORD_S, measured_decay, recorded_decay
 
@@ -46,7 +47,7 @@ def synthetic(rng):
     errors = np.append(rng.normal(0.0, gains.u), 0.0)
     on_laser, on_base, on_current = gains.relative(1, laser) @ errors, gains.relative(2, base) @ errors, errors[2]
     n, u = len(frequency), np.full(len(frequency), NOISE)
-    sine = Sine(
+    sine = SineData(
         frequency, np.abs(ratio) * np.exp(on_laser - on_base + rng.normal(0, NOISE, n)),
         np.angle(ratio) + rng.normal(0, NOISE, n), per_ampere * np.exp(on_base - on_current + rng.normal(0, NOISE, n)),
         laser, base, u, u,
@@ -178,6 +179,11 @@ def test_a_recorded_pluck_gives_what_a_pluck_of_our_own_gives(directory, tmp_pat
     arguments = ["identify", str(directory), "--without", "reductions", "sine", "--decay"]
     assert main([*arguments, str(tmp_path / "plucked")]) == 0
     assert f"free decay: f_n {decay.natural_frequency_hz:.6f}" in capsys.readouterr().out
+    assert main([*arguments, str(tmp_path / "plucked"), "--decrement"]) == 0
+    told = re.search(r"free decay: f_n ([0-9.]+) ± ([0-9.]+) Hz", capsys.readouterr().out)
+    found, u2 = map(float, told.groups())
+    assert found != round(decay.natural_frequency_hz, 6), "it is another estimate"
+    assert found == pytest.approx(decay.natural_frequency_hz, abs=2 * u2 + 1e-6)
     assert main([*arguments, str(tmp_path / "quiet")]) == 1
     assert "nothing was plucked in this run (rig/pluck)" in capsys.readouterr().err
 

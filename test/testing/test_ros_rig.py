@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -24,6 +26,7 @@ from impact_rig.runs.verification import verify
 from impact_rig.testing import Fault, RosRig, VirtualRig
 
 pytestmark = pytest.mark.ros
+PLUGIN = "impact_rig.testing.plugin"
 LINEAR = {"sphere.present": False}
 LOST = Fault(kind="lost_block", start_sample=1500, samples=250)
 
@@ -155,3 +158,25 @@ def test_a_rig_that_cannot_be_built_says_so_at_once(tmp_path: Path) -> None:
         client.host(RigNode, parameter_overrides=[Parameter("config_file", value=str(tmp_path / "none.yaml"))])
         with pytest.raises(ServiceFailedError, match=r"rig: cannot configure: cannot read configuration: .*none\.yaml"):
             client.wait_active("rig")
+
+
+WITH_CAPSYS = """
+import sys
+
+def test_what_is_printed(ros_rig, capsys):
+    rig = ros_rig({"sphere.present": False}, hosted=True)
+    rig.run(seconds=0.1)
+    print("spoken", file=sys.stderr)
+    assert len(rig.rows()) == 1000
+    assert "spoken" in capsys.readouterr().err
+"""
+
+
+@pytest.mark.parametrize("option", ["-s", "--capture=sys", "--capture=fd"])
+def test_a_test_may_use_capsys_however_pytest_captures(tmp_path: Path, option: str) -> None:
+    """A bug once: with `-s` the executor found no file behind sys.stderr, `UnsupportedOperation: fileno`."""
+    (tmp_path / "test_capsys.py").write_text(WITH_CAPSYS, encoding="utf-8")
+    command = [sys.executable, "-m", "pytest", "-q", "-p", PLUGIN, "-p", "no:cacheprovider", option, str(tmp_path)]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False, timeout=250)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "1 passed" in done.stdout

@@ -125,7 +125,7 @@ def _rig(run: Run) -> Streams:
             for topic, table in found.items():
                 tables.setdefault(topic, []).extend([table] if table is not None else [])
         if second < run.seconds:
-            rig.command(frequency_hz, amplitude)
+            rig.accept(frequency_hz, amplitude)
     tables[topics.JOURNAL.name], tables[topics.APPLIED.name] = rig.take_journal(), rig.take_applied()
     return {topic: _rows(found) for topic, found in sorted(tables.items()) if found}
 

@@ -28,7 +28,7 @@ NUISANCES = (*CALIBRATION, "DT without sphere")
 
 
 @attrs.frozen(eq=False)
-class Sine:
+class SineData:
     """The stepped sine without sphere; arrays of shape (n,), u_: standard uncertainty by noise alone, relative or rad.
 
     Attributes:
@@ -113,11 +113,11 @@ def _bend(calibration: Calibration, channel: int) -> float:
     return float(calibration.linearity[channel]) / half if math.isfinite(half) else 0.0
 
 
-def sine_of(points: Sequence[Point], gains: Gains) -> Sine:
+def sine_of(points: Sequence[Point], gains: Gains) -> SineData:
     """Return settled points without sphere as a stepped sine."""
     rows = np.concatenate([point.rows[:1] for point in points])
     u = np.array([_noise(point, gains) for point in points])
-    return Sine(
+    return SineData(
         frequency_hz=rows["frequency"].copy(),
         dt=rows["transmissibility"].copy(),
         phase_rad=rows["phase"].copy(),
@@ -161,5 +161,5 @@ class Measured:
 
     gains: Gains
     decay: Decay | None = None
-    sine: Sine | None = None
+    sine: SineData | None = None
     reduced: Reduced | None = None

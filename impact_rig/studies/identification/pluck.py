@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from impact_rig import topics
-from impact_rig.analysis.decay import Decay, measure_decay
+from impact_rig.analysis.decay import Decay, DecayMethod, fit_decay, measure_decay
 from impact_rig.config import RigConfig, from_flat
 from impact_rig.errors import RecordingError
 from impact_rig.recording import Run
@@ -19,18 +19,18 @@ SETTLE_S = 0.05
 """Left out at the beginning: the laser's lag dies away."""
 
 
-def measured_decay(config: RigConfig) -> Decay:
-    """Pluck the rig without its sphere and measure f_n and ζ."""
+def measured_decay(config: RigConfig, method: DecayMethod = fit_decay) -> Decay:
+    """Pluck the rig without its sphere and measure f_n and ζ by a fit, or by `method`."""
     config = from_flat(config, {"sphere.present": False, "daq.block_scans": min(config.daq.rate_hz, 10_000)})
     rig = Rig(config)
     rig.pluck(DISPLACEMENT_M)
     blocks = rig.advance(round(RECORD_S * NS_PER_S))
     rows = np.concatenate([block.scan.rows for block in blocks])
-    return measure_decay(rows[round(SETTLE_S * config.daq.rate_hz) :], rig.info().rows)
+    return measure_decay(rows[round(SETTLE_S * config.daq.rate_hz) :], rig.info().rows, method)
 
 
-def recorded_decay(run: Run) -> Decay:
-    """Measure the decay after the last pluck of a recorded run.
+def recorded_decay(run: Run, method: DecayMethod = fit_decay) -> Decay:
+    """Measure the decay after the last pluck of a recorded run by a fit, or by `method`.
 
     Raises:
         RecordingError: nothing was plucked, or the run holds no scans after it.
@@ -48,4 +48,4 @@ def recorded_decay(run: Run) -> Decay:
     parts = [table.rows for table in run.tables(topics.SCAN.name, recorded_order=True) if table.stamp_ns >= first]
     if not parts:
         raise RecordingError(f"{run.path}: no scans after the pluck")
-    return measure_decay(np.concatenate(parts), info.rows)
+    return measure_decay(np.concatenate(parts), info.rows, method)

@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from scipy import signal
 
 from impact_rig.analysis.calibration import Real
+from impact_rig.analysis.frf import Frf
+from impact_rig.analysis.sine import SineFit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -111,6 +113,70 @@ def spectrum(y: Real, rate_hz: float, unit: str, drive_hz: float | None = None, 
     axis.set_xlim(0.0, end)
     axis.set_xlabel("frequency (Hz)")
     axis.set_ylabel(f"amplitude ({unit})")
+    return figure
+
+
+def frequency_response(found: Frf, from_hz: float, upto_hz: float) -> Figure:
+    """Draw |H1|, |H2| and |Hv|, the phase of H1, and the coherence.
+
+    Args:
+        found: what is drawn.
+        from_hz: begin of the axis.
+        upto_hz: end of the axis.
+    """
+    shown = (found.frequency_hz >= from_hz) & (found.frequency_hz <= upto_hz)
+    frequency = found.frequency_hz[shown]
+    figure, (upper, middle, lower) = _axes(3)
+    for estimate, label, style in ((found.h1, "$H_1$", "-"), (found.h2, "$H_2$", "--"), (found.hv, "$H_v$", ":")):
+        upper.semilogy(frequency, np.abs(estimate[shown]), style, linewidth=0.9, label=label)
+    upper.set_ylabel("$|X_1|/|X_b|$")
+    upper.legend()
+    middle.plot(frequency, np.degrees(np.angle(found.h1[shown])), linewidth=0.9)
+    middle.set_ylabel("phase (°)")
+    lower.plot(frequency, found.coherence[shown], linewidth=0.9)
+    lower.set_ylabel("coherence")
+    lower.set_ylim(0.0, 1.05)
+    lower.set_xlabel("frequency (Hz)")
+    return figure
+
+
+def sine_fits(rows: NDArray[np.void], fits: Mapping[str, SineFit], units: Mapping[str, str], rate_hz: float) -> Figure:
+    """Draw the samples of every channel and the sine that was fitted to them, the residual's rms beside it.
+
+    Args:
+        rows: the first of the scans that were fitted (`blocks.SCAN`).
+        fits: by channel.
+        units: of the channels.
+        rate_hz: scans per second.
+    """
+    figure, axes = _axes(len(fits))
+    for axis, (name, fit) in zip(axes, fits.items(), strict=True):
+        axis.plot(rows["time"], rows[name], linewidth=0.8, label="samples")
+        axis.plot(rows["time"], fit.values(np.arange(len(rows)) / rate_hz), "--", linewidth=0.8, label="sine")
+        axis.set_ylabel(f"{name} ({units[name]})", fontsize="small")
+        axis.set_title(f"left over: {fit.residual_rms:.2g} {units[name]} rms", fontsize="small", loc="right")
+    axes[0].legend(loc="upper left", fontsize="small")
+    axes[-1].set_xlabel("time (s)")
+    return figure
+
+
+def restitution_by_drop(each: Real, mean: float, u_mean: float) -> Figure:
+    """Draw the restitution of every drop, and their mean with ±2u.
+
+    Args:
+        each: √(h1/h0), shape (n,).
+        mean: of them.
+        u_mean: its standard uncertainty.
+    """
+    from matplotlib.ticker import MaxNLocator  # noqa: PLC0415  # heavy: only when something is drawn
+
+    figure, (axis,) = _axes(1)
+    axis.plot(np.arange(1, len(each) + 1), each, "o", markersize=4.0)
+    axis.axhline(mean, linewidth=0.8)
+    axis.axhspan(mean - COVERAGE * u_mean, mean + COVERAGE * u_mean, alpha=0.2)
+    axis.set_xlabel("drop")
+    axis.set_ylabel("coefficient of restitution")
+    axis.xaxis.set_major_locator(MaxNLocator(integer=True))
     return figure
 
 

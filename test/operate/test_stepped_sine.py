@@ -7,10 +7,11 @@ import pytest
 from kits.records import applied, blocks, info_rows, linear_transmissibility, steady_record
 
 from impact_rig.analysis.settings import TrackerSettings
-from impact_rig.analysis.stepped import Command, Direction, Plan, State, SteppedSine
 from impact_rig.analysis.tracker import Tracker
 from impact_rig.blocks import TRANSMISSIBILITY, Table
 from impact_rig.errors import ConfigError
+from impact_rig.operate.plan import Direction, Plan, Setpoint
+from impact_rig.operate.stepped_sine import State, SteppedSine
 from impact_rig.simtime import NS_PER_S
 
 S = NS_PER_S
@@ -44,7 +45,7 @@ def test_points_are_visited_in_order_and_the_drive_ends_at_zero(direction, visit
         commands.append(one.on_measurement(row(one.frequency_hz), now + 5 * S))
     assert [c.frequency_hz for c in commands[:-1]] == visited
     assert all(c.current_a == 0.5 for c in commands[:-1])
-    assert commands[-1] == Command(visited[-1], 0.0)
+    assert commands[-1] == Setpoint(visited[-1], 0.0)
     assert one.state is State.FINISHED
     assert one.rows["frequency"].tolist() == visited
     assert one.progress == (len(visited), len(visited))
@@ -56,7 +57,7 @@ def test_several_measurements_per_point_and_rows_of_other_points_are_ignored():
     assert one.on_measurement(row(9.0), S) is None, "a row still under way from the point before"
     assert one.on_measurement(row(8.0), S) is None
     assert one.on_measurement(row(8.0, "command_changed"), S) is None
-    assert one.on_measurement(row(8.0), 2 * S) == Command(9.0, 0.5)
+    assert one.on_measurement(row(8.0), 2 * S) == Setpoint(9.0, 0.5)
     assert len(one.rows) == 2
 
 
@@ -65,7 +66,7 @@ def test_an_unsettled_point_is_kept_or_not(keep):
     one = sweep(keep_unsettled=keep, retries=0)
     one.start(0)
     answer = one.on_measurement(row(8.0, "not_settled"), S)
-    assert answer == (Command(9.0, 0.5) if keep else Command(8.0, 0.0))
+    assert answer == (Setpoint(9.0, 0.5) if keep else Setpoint(8.0, 0.0))
     assert one.state is (State.RUNNING if keep else State.ABORTED)
 
 
@@ -75,7 +76,7 @@ def test_refused_measurements_are_borne_so_often(status):
     one.start(0)
     assert one.on_measurement(row(8.0, status), S) is None
     assert one.on_measurement(row(8.0, status), 2 * S) is None
-    assert one.on_measurement(row(8.0, status), 3 * S) == Command(8.0, 0.0)
+    assert one.on_measurement(row(8.0, status), 3 * S) == Setpoint(8.0, 0.0)
     assert one.state is State.ABORTED
     assert one.reason == f"{status} at 8 Hz, 3 times"
 
@@ -85,7 +86,7 @@ def test_a_point_over_range_is_skipped_or_ends_the_sweep(skip):
     one = sweep(retries=0, skip_over_range=skip)
     one.start(0)
     answer = one.on_measurement(row(8.0, "over_range"), S)
-    assert answer == (Command(9.0, 0.5) if skip else Command(8.0, 0.0))
+    assert answer == (Setpoint(9.0, 0.5) if skip else Setpoint(8.0, 0.0))
     assert one.skipped == ([8.0] if skip else [])
 
 
@@ -93,19 +94,19 @@ def test_waiting_is_bounded():
     one = sweep(dwell_limit_s=30.0, accept_limit_s=2.0)
     one.start(0)
     assert one.on_time(2 * S) is None
-    assert one.on_time(3 * S) == Command(8.0, 0.0)
+    assert one.on_time(3 * S) == Setpoint(8.0, 0.0)
     assert one.reason == "8 Hz was not accepted within 2 s"
     one.start(0)
     one.on_applied(8.0, 0.5, S)
     assert one.on_time(31 * S) is None
-    assert one.on_time(32 * S) == Command(8.0, 0.0)
+    assert one.on_time(32 * S) == Setpoint(8.0, 0.0)
     assert one.reason == "no measurement at 8 Hz within 30 s"
 
 
 def test_a_trip_and_a_stranger_at_the_knob_end_the_sweep():
     one = sweep()
     one.start(0)
-    assert one.abort("over-travel") == Command(8.0, 0.0)
+    assert one.abort("over-travel") == Setpoint(8.0, 0.0)
     assert one.reason == "over-travel"
     assert one.abort("again") is None
     assert one.on_measurement(row(8.0), S) is None
@@ -114,7 +115,7 @@ def test_a_trip_and_a_stranger_at_the_knob_end_the_sweep():
     assert one.reason == ""
     assert one.on_applied(8.0, 0.0, 0) is None, "the frequency comes first, the current after it"
     one.on_applied(8.0, 0.5, 0)
-    assert one.on_applied(8.5, 0.5, S) == Command(8.0, 0.0)
+    assert one.on_applied(8.5, 0.5, S) == Setpoint(8.0, 0.0)
     assert one.reason == "somebody else set 8.5 Hz and 0.5 A"
 
 
@@ -152,7 +153,7 @@ def test_closed_loop_with_the_tracker_gives_the_curve():
     while one.state is State.RUNNING:
         now = at * S // rate
         if command:
-            tracker.command(applied(command.frequency_hz, command.current_a, at_ns=now))
+            tracker.on_applied(applied(command.frequency_hz, command.current_a, at_ns=now))
             one.on_applied(command.frequency_hz, command.current_a, now)
             current, played = records[command.frequency_hz], 0
             command = None

@@ -5,9 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from rich.table import Table
-
-from impact_rig.cli.terminal import Console
+from impact_rig.cli.terminal import Console, TextTable
 from impact_rig.runs import RecoverReport, recover
 
 INCOMPLETE = 3
@@ -16,7 +14,7 @@ LISTED = 20
 """Places that are shown one by one."""
 
 
-def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Register the subcommand."""
     parser = commands.add_parser(
         "recover",
@@ -62,7 +60,7 @@ def _verdict(report: RecoverReport) -> str:
 
 
 def _print_files(console: Console, report: RecoverReport) -> None:
-    table = Table()
+    table = TextTable()
     table.add_column("file", overflow="fold")
     for heading in (
         "bytes",

@@ -14,8 +14,8 @@ from kits.recorded_rig import Messages, record
 from impact_rig.blocks import SCAN, TRANSMISSIBILITY
 from impact_rig.cli import main
 from impact_rig.recording import open_run
-from impact_rig.runs import figures as run_figures
-from impact_rig.runs import reanalysis
+from impact_rig.runs import drawings, reanalysis
+from impact_rig.runs.excerpt import Excerpt, last_excerpt
 from impact_rig.testing import VirtualRig
 
 pytest.importorskip("matplotlib")
@@ -43,9 +43,9 @@ def run(measured: Messages, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return record(tmp_path_factory.mktemp("figures") / "swept", measured)
 
 
-def stretch_of(path: Path) -> run_figures.Stretch:
+def excerpt_of(path: Path) -> Excerpt:
     with open_run(path) as opened:
-        return run_figures.last_stretch(opened, list(reanalysis.analyze(opened)))
+        return last_excerpt(opened, list(reanalysis.analyze(opened)))
 
 
 def test_the_command_line_draws_and_names_what_it_wrote(run: Path, tmp_path: Path) -> None:
@@ -55,7 +55,7 @@ def test_the_command_line_draws_and_names_what_it_wrote(run: Path, tmp_path: Pat
     assert done.returncode == 0, done.stderr
     assert "of the last settled measurement" in done.stdout
     assert "nothing to compare with" in done.stdout
-    assert sorted(where.iterdir()) == [where / f"{name}.png" for name in sorted(run_figures.NAMES)]
+    assert sorted(where.iterdir()) == [where / f"{name}.png" for name in sorted(drawings.NAMES)]
     for file in where.iterdir():
         assert f"wrote {file}\n" in done.stdout
         header = file.read_bytes()[:24]
@@ -83,30 +83,30 @@ def test_what_is_drawn_is_the_last_settled_measurement(run: Path) -> None:
     with open_run(run) as opened:
         rows = reanalysis.rows(reanalysis.measurements(reanalysis.analyze(opened)))
     last = rows[rows["settled"] == 1.0][-1]
-    stretch = stretch_of(run)
-    assert stretch.settled
-    assert stretch.drive_hz == pytest.approx(9.1, abs=1e-3)
-    assert len(stretch.rows) == pytest.approx(last["cycles"] / stretch.drive_hz * stretch.rate_hz, abs=2)
-    assert np.allclose(np.diff(stretch.rows["time"]), 1.0 / stretch.rate_hz)
-    assert stretch.rows["time"][0] > POINT_S, "after the second command"
+    excerpt = excerpt_of(run)
+    assert excerpt.settled
+    assert excerpt.drive_hz == pytest.approx(9.1, abs=1e-3)
+    assert len(excerpt.rows) == pytest.approx(last["cycles"] / excerpt.drive_hz * excerpt.rate_hz, abs=2)
+    assert np.allclose(np.diff(excerpt.rows["time"]), 1.0 / excerpt.rate_hz)
+    assert excerpt.rows["time"][0] > POINT_S, "after the second command"
     # an impact at either end may be counted with the cycle before or after
-    assert len(stretch.impact_times) == pytest.approx(last["impacts_per_cycle"] * last["cycles"], abs=2)
-    tail = stretch.newest(4)
-    assert len(tail.rows) == round(4 / stretch.drive_hz * stretch.rate_hz)
+    assert len(excerpt.impact_times) == pytest.approx(last["impacts_per_cycle"] * last["cycles"], abs=2)
+    tail = excerpt.newest(4)
+    assert len(tail.rows) == round(4 / excerpt.drive_hz * excerpt.rate_hz)
     assert np.all(tail.impact_times >= tail.rows["time"][0])
 
 
 def test_where_nothing_settled_it_is_the_end_after_the_last_gap(measured: Messages, tmp_path: Path) -> None:
     scans = [one for one in measured if one[0] == "daq/scan"][:400]
     kept = [one for one in measured if one[0] != "daq/scan"] + scans[:100] + scans[150:]
-    stretch = stretch_of(record(tmp_path / "gap", kept))
-    assert not stretch.settled
-    assert stretch.rows["time"][[0, -1]] == pytest.approx([1.5, 4.0], abs=1e-3)
+    excerpt = excerpt_of(record(tmp_path / "gap", kept))
+    assert not excerpt.settled
+    assert excerpt.rows["time"][[0, -1]] == pytest.approx([1.5, 4.0], abs=1e-3)
     short = record(tmp_path / "short", kept[:-300])
     assert main(["analyze", str(short), "--figures", str(tmp_path)]) == 0
     few = record(tmp_path / "few", [one for one in kept if one[0] != "daq/scan"] + scans[:10] + scans[20:21])
     with pytest.raises(OSError, match="50 scans without a gap at its end are too few to draw, at least 100"):
-        stretch_of(few)
+        excerpt_of(few)
     none = record(tmp_path / "none", [(name, attrs.evolve(table, rows=np.empty(0, SCAN))) for name, table in scans[:1]])
     assert main(["analyze", str(none), "--figures", str(tmp_path)]) == 1
 
@@ -114,9 +114,9 @@ def test_where_nothing_settled_it_is_the_end_after_the_last_gap(measured: Messag
 def test_after_a_reset_time_begins_anew(measured: Messages, tmp_path: Path) -> None:
     """The same four seconds twice: rig time goes back, and what was before is not mixed in."""
     four = [one for one in measured if one[1].stamp_ns < 4_000_000_000]
-    stretch = stretch_of(record(tmp_path / "reset", [*four, *four[:200]]))
-    assert stretch.rows["time"][0] == 0.0
-    assert len(stretch.rows) == len(np.unique(stretch.rows["time"])) < 200 * 50
+    excerpt = excerpt_of(record(tmp_path / "reset", [*four, *four[:200]]))
+    assert excerpt.rows["time"][0] == 0.0
+    assert len(excerpt.rows) == len(np.unique(excerpt.rows["time"])) < 200 * 50
 
 
 def test_curves_are_by_gap_and_direction_and_need_two_frequencies() -> None:
@@ -124,7 +124,7 @@ def test_curves_are_by_gap_and_direction_and_need_two_frequencies() -> None:
     rows["settled"] = 1.0
     rows["frequency"] = (8.0, 9.0, 9.0, 10.0, 9.0, 8.0, 9.1, 7.0, 8.0)
     rows["gap"] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.002, np.nan, np.nan)
-    curves = run_figures.measured_curves(rows)
+    curves = drawings.measured_curves(rows)
     assert {label: found["frequency"].tolist() for label, found in curves.items()} == {
         "no sphere, up": [8.0, 9.0, 9.0, 10.0],
         "no sphere, down": [9.0, 8.0],
@@ -132,6 +132,6 @@ def test_curves_are_by_gap_and_direction_and_need_two_frequencies() -> None:
     }
     repeated = rows[:3].copy()
     repeated["frequency"], repeated["frequency_deviation"] = 9.1, (2e-6, -1e-6, 3e-6)
-    assert run_figures.measured_curves(repeated) == {}, "what is measured again at one frequency is no sweep"
+    assert drawings.measured_curves(repeated) == {}, "what is measured again at one frequency is no sweep"
     rows["settled"] = 0.0
-    assert run_figures.measured_curves(rows) == {}
+    assert drawings.measured_curves(rows) == {}

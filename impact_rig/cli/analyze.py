@@ -1,0 +1,196 @@
+"""`impact-rig analyze`: a run measured again, as the live node did, or as one whole record."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from impact_rig.cli.terminal import Console, TextTable
+from impact_rig.errors import ConfigError
+from impact_rig.recording import Run, open_run
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+FIGURE_FORMATS = ("png", "svg")  # of runs.drawings, which is too heavy for a parser
+SEGMENT_S = 10.0
+LINES = 15
+"""Lines of a frequency response that are printed."""
+DRAWN_CYCLES = 4
+
+
+def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Register the subcommand."""
+    parser = commands.add_parser("analyze", help="analyse a run again, as the live node did; says if the results agree")
+    parser.add_argument("path", type=Path, metavar="RUN", help="run directory or .mcap file")
+    instead = parser.add_argument_group("instead").add_mutually_exclusive_group()
+    instead.add_argument(
+        "--frf", action="store_true", help="frequency response x_1/x_b of a chirp or noise: H1, H2, Hv, coherence"
+    )
+    instead.add_argument(
+        "--sine", action="store_true", help="sines fitted to the last settled measurement, channel by channel"
+    )
+    instead.add_argument(
+        "--drop", type=float, metavar="U_M",
+        help="coefficient of restitution from remarks like `drop h0_m=0.2 h1_m=0.0245`; U_M: standard uncertainty of a "
+        "height [m]",
+    )  # fmt: skip
+    parser.add_argument(
+        "--segment", type=float, default=SEGMENT_S, metavar="S",
+        help=f"with --frf: length of a segment, the lines lie 1/S Hz apart (default: {SEGMENT_S:g} s)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--figures", type=Path, metavar="DIR",
+        help="also draw: its last settled measurement (time traces, phase plane, spectrum) and the curves it holds, or "
+        "what was asked for instead",
+    )  # fmt: skip
+    parser.add_argument("--format", choices=FIGURE_FORMATS, default="png", help="of the figures (default: png)")
+    parser.set_defaults(run=_run)
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    console = Console()
+    with open_run(arguments.path) as run:
+        if arguments.frf:
+            return _frf(console, run, arguments)
+        if arguments.sine:
+            return _sine(console, run, arguments)
+        if arguments.drop is not None:
+            return _drop(console, run, arguments)
+        return _as_live(console, run, arguments)
+
+
+def _as_live(console: Console, run: Run, arguments: argparse.Namespace) -> int:
+    from impact_rig.runs import drawings, live_comparison, reanalysis  # noqa: PLC0415  # heavy: after the run is open
+
+    if arguments.figures is not None:
+        drawings.prepare(arguments.figures, arguments.format)
+    findings = list(reanalysis.analyze(run))
+    found = reanalysis.measurements(iter(findings))
+    comparison = live_comparison.compare(run, found)
+    _print_measurements(console, reanalysis.rows(found))
+    style = {True: "green", False: "red", None: "yellow"}[comparison.same]
+    console.print(str(comparison), style=style)
+    if arguments.figures is not None:
+        excerpt, files = drawings.draw(run, findings, arguments.figures, arguments.format)
+        console.print(f"drawn: {excerpt}")
+        for file in files:
+            console.print(f"wrote {file}", soft_wrap=True)
+    return 1 if comparison.same is False else 0
+
+
+def _print_measurements(console: Console, rows: NDArray[np.void]) -> None:
+    table = TextTable()
+    for heading in ("f [Hz]", "DT", "u(DT)", "phase [deg]", "gap [mm]", "impacts/cycle", "regime", "status"):
+        table.add_column(heading, justify="right")
+    for row in rows:
+        table.add_row(
+            f"{row['frequency']:.3f}", f"{row['transmissibility']:.3f}", f"{row['transmissibility_uncertainty']:.3f}",
+            f"{math.degrees(row['phase']):.2f}", f"{row['gap'] * 1e3:g}", f"{row['impacts_per_cycle']:.2f}",
+            row["regime"].decode(), row["status"].decode(),
+        )  # fmt: skip
+    console.print(table)
+
+
+def _frf(console: Console, run: Run, arguments: argparse.Namespace) -> int:
+    from impact_rig.analysis.drawings import frequency_response  # noqa: PLC0415  # heavy: after the run is open
+    from impact_rig.runs.wholes import response_of  # noqa: PLC0415  # as above
+
+    if not (math.isfinite(arguments.segment) and arguments.segment > 0.0):
+        raise ConfigError(f"--segment must be > 0 and finite, got {arguments.segment!r}")
+    _prepare(arguments, "frf")
+    found = response_of(run, arguments.segment)
+    frf, excited = found.frf, found.excited
+    peak = int(excited[np.argmax(np.abs(frf.h1[excited]))])
+    shown = excited[np.linspace(0, len(excited) - 1, min(LINES, len(excited))).round().astype(int)]
+    table = TextTable(title=f"Frequency response x_1/x_b, {frf.averages:.1f} independent averages")
+    for heading in ("f [Hz]", "|H1|", "± 2u", "|H2|", "|Hv|", "phase [deg]", "coherence"):
+        table.add_column(heading, justify="right")
+    for line in sorted({*shown.tolist(), peak}):
+        size = abs(frf.h1[line])
+        table.add_row(
+            f"{frf.frequency_hz[line]:.3f}", f"{size:.3f}", f"{2 * size * frf.u_relative[line]:.3f}",
+            f"{abs(frf.h2[line]):.3f}", f"{abs(frf.hv[line]):.3f}", f"{math.degrees(np.angle(frf.h1[line])):.2f}",
+            f"{frf.coherence[line]:.4f}", style="bold" if line == peak else None,
+        )  # fmt: skip
+    console.print(table)
+    low, high, top = frf.frequency_hz[[excited[0], excited[-1], peak]]
+    console.print(f"{len(excited)} lines of {low:g} to {high:g} Hz are excited, largest at {top:g} Hz")
+    _draw(console, run, arguments, "frf", lambda: frequency_response(frf, low, high))
+    return 0
+
+
+def _sine(console: Console, run: Run, arguments: argparse.Namespace) -> int:
+    from impact_rig.analysis.drawings import sine_fits  # noqa: PLC0415  # heavy: after the run is open
+    from impact_rig.runs import reanalysis  # noqa: PLC0415  # as above
+    from impact_rig.runs.excerpt import calibration_rows, last_excerpt  # noqa: PLC0415  # as above
+    from impact_rig.runs.wholes import sines_of  # noqa: PLC0415  # as above
+
+    _prepare(arguments, "sine")
+    found = sines_of(run, last_excerpt(run, list(reanalysis.analyze(run))))
+    info = calibration_rows(run)
+    units = {row["name"].decode(): row["unit"].decode() for row in info}
+    reference, measured = found.reference, found.measured
+    table = TextTable(title=f"Sines of {reference.frequency_hz:.6f} ± {2 * reference.u_frequency_hz:.1g} Hz")
+    for heading in ("channel", "unit", "amplitude", "± 2u", "phase [deg]", "± 2u", "mean", "left over, rms"):
+        table.add_column(heading, justify="left" if heading in {"channel", "unit"} else "right")
+    for name, fit in found.fits.items():
+        table.add_row(
+            name, units[name], f"{fit.amplitude:.6g}", f"{2 * fit.u_amplitudes[0]:.2g}",
+            f"{math.degrees(fit.phase_rad - reference.phase_rad):.3f}", f"{2 * math.degrees(fit.u_phases_rad[0]):.2g}",
+            f"{fit.offset:.4g}", f"{fit.residual_rms:.2g}",
+        )  # fmt: skip
+    console.print(table)
+    console.print(f"{found.excerpt}; phases are those of the samples to the current's, lag and skew in them")
+    phase, u_phase = math.degrees(measured.phase_rad), math.degrees(measured.u_phase_rad)
+    console.print(
+        f"DT {measured.transmissibility:.3f} ± {2 * measured.u_transmissibility:.3f}, phase {phase:.2f}° ± "
+        f"{2 * u_phase:.2f}°, lag and skew corrected ({measured.status.value})"
+    )
+    rows = found.excerpt.rows[: round(DRAWN_CYCLES / reference.frequency_hz * found.excerpt.rate_hz)]
+    _draw(console, run, arguments, "sine", lambda: sine_fits(rows, found.fits, units, found.excerpt.rate_hz))
+    return 0
+
+
+def _drop(console: Console, run: Run, arguments: argparse.Namespace) -> int:
+    from impact_rig.analysis.drawings import restitution_by_drop  # noqa: PLC0415  # heavy: after the run is open
+    from impact_rig.runs.wholes import drops_of  # noqa: PLC0415  # as above
+
+    if not (math.isfinite(arguments.drop) and arguments.drop >= 0.0):
+        raise ConfigError(f"--drop must be >= 0 m and finite, got {arguments.drop!r}")
+    _prepare(arguments, "drop")
+    drops, found = drops_of(run, arguments.drop)
+    each = np.array([math.sqrt(one.h1_m / one.h0_m) for one in drops])
+    table = TextTable(title="Drop test")
+    for heading in ("drop", "from [m]", "back to [m]", "e"):
+        table.add_column(heading, justify="right")
+    for number, (one, e) in enumerate(zip(drops, each, strict=True), 1):
+        table.add_row(str(number), f"{one.h0_m:g}", f"{one.h1_m:g}", f"{e:.4f}")
+    console.print(table)
+    console.print(f"e = {found.restitution:.4f} ± {2 * found.u_restitution:.4f} (2u) from {found.drops} drops")
+    _draw(console, run, arguments, "drop", lambda: restitution_by_drop(each, found.restitution, found.u_restitution))
+    return 0
+
+
+def _prepare(arguments: argparse.Namespace, stem: str) -> None:
+    """See that a figure can be written before there is anything to draw."""
+    if arguments.figures is not None:
+        from impact_rig.runs.drawings import prepare  # noqa: PLC0415  # heavy: after the run is open
+
+        prepare(arguments.figures, arguments.format, [stem])
+
+
+def _draw(console: Console, run: Run, arguments: argparse.Namespace, stem: str, draw: Callable[[], Figure]) -> None:
+    """Draw and save a figure where figures are wanted, and name its file."""
+    if arguments.figures is None:
+        return
+    from impact_rig.runs.drawings import save, titled  # noqa: PLC0415  # heavy: after the run is open
+
+    file = save(titled(draw(), run), arguments.figures / f"{stem}.{arguments.format}")
+    console.print(f"wrote {file}", soft_wrap=True)

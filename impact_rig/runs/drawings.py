@@ -1,0 +1,130 @@
+"""Figures of one recorded run: its curves, and traces, phase plane and spectrum of its last settled measurement."""
+
+from __future__ import annotations
+
+import math
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from impact_rig.analysis import drawings
+from impact_rig.analysis.tracker import Findings
+from impact_rig.errors import RecordingError
+from impact_rig.recording import Run
+from impact_rig.runs import reanalysis
+from impact_rig.runs.excerpt import Excerpt, last_excerpt
+from impact_rig.system import files
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+FORMATS = ("png", "svg")
+NAMES = ("time_traces", "phase_plane", "spectrum", "curves")
+TRACED_CYCLES = 8
+SMOOTHED_CYCLE = 40.0
+"""The velocity of the phase plane is smoothed over this part of a cycle."""
+HARMONICS = 10.5
+UNDRIVEN_HZ = 100.0
+"""The spectrum ends after so many harmonics of the drive, or here where none is known."""
+
+
+def prepare(directory: Path, suffix: str, names: Sequence[str] = NAMES) -> None:
+    """Make the directory of the figures, so that a long analysis does not end in an error that could be foreseen.
+
+    Raises:
+        RecordingError: it cannot be made or written to, or there are figures in it already.
+    """
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=directory):
+            pass
+    except OSError as error:
+        raise RecordingError(f"figures cannot be written to {directory}: {error.strerror}") from error
+    there = [name for name in names if (directory / f"{name}.{suffix}").exists()]
+    if there:
+        raise RecordingError(f"{directory / there[0]}.{suffix} exists already and is not overwritten")
+
+
+def draw(run: Run, found: Sequence[Findings], directory: Path, suffix: str = "png") -> tuple[Excerpt, list[Path]]:
+    """Draw a run and return what was drawn, and the files written to `directory`.
+
+    Args:
+        run: an open run.
+        found: everything that `reanalysis.analyze` found in it.
+        directory: made by `prepare`.
+        suffix: one of `FORMATS`.
+
+    Raises:
+        RecordingError: too few scans, or a file cannot be written.
+    """
+    excerpt = last_excerpt(run, found)
+    traced = excerpt.newest(TRACED_CYCLES)
+    drawn = {
+        "time_traces": drawings.time_traces(traced.rows, traced.impact_times),
+        "phase_plane": drawings.phase_plane(
+            excerpt.rows["laser"], excerpt.rate_hz, 1.0 / (SMOOTHED_CYCLE * excerpt.drive_hz or math.inf)
+        ),
+        "spectrum": drawings.spectrum(
+            1e3 * excerpt.rows["laser"], excerpt.rate_hz, "mm", excerpt.drive_hz,
+            min(HARMONICS * excerpt.drive_hz or UNDRIVEN_HZ, excerpt.rate_hz / 2.0),
+        ),
+    }  # fmt: skip
+    for figure, what in (
+        ("time_traces", f"{traced}\nred: impacts found in the acceleration"),
+        ("phase_plane", f"phase plane, {excerpt}"),
+        ("spectrum", f"spectrum of $x_1$, {excerpt}"),
+    ):
+        titled(drawn[figure], run, what)
+    curves = measured_curves(reanalysis.rows(reanalysis.measurements(iter(found))))
+    if curves:
+        drawn["curves"] = titled(drawings.transmissibility_curves(curves), run, "settled measurements, ±2u")
+    return excerpt, [save(figure, directory / f"{stem}.{suffix}") for stem, figure in drawn.items()]
+
+
+def measured_curves(rows: NDArray[np.void]) -> dict[str, NDArray[np.void]]:
+    """Return label -> settled rows of `transmissibility/table`, one curve per gap and direction of the sweep.
+
+    A gap measured at one frequency only is no curve: there are curves where one gap has at least two frequencies.
+    """
+    rows = rows[rows["settled"] == 1.0]
+    curves: dict[str, NDArray[np.void]] = {}
+    for gap in sorted(set(np.nan_to_num(rows["gap"], nan=math.inf))):
+        chosen = np.isnan(rows["gap"]) if math.isinf(gap) else rows["gap"] == gap
+        steps = np.diff(rows["frequency"][chosen])
+        if not np.any(steps):
+            continue
+        moves = np.flatnonzero(steps)
+        # a point goes with the step that led to it, the first ones with the step that follows
+        upwards = steps[moves[np.maximum(np.searchsorted(moves, np.arange(len(steps) + 1)) - 1, 0)]] > 0
+        label = "gap unknown" if math.isinf(gap) else f"gap {gap * 1e3:g} mm" if gap else "no sphere"
+        for way, there in (("up", upwards), ("down", ~upwards)):
+            if np.all(there):
+                curves[label] = rows[chosen]
+            elif np.any(there):
+                curves[f"{label}, {way}"] = rows[chosen][there]
+    return curves
+
+
+def titled(figure: Figure, run: Run, what: str = "") -> Figure:
+    """Write over a figure which run it shows, and what of it; return it."""
+    name = run.path.name.replace("$", r"\$")  # would begin a formula
+    figure.suptitle(f"{name}: {what}" if what else name, fontsize="medium")
+    return figure
+
+
+def save(figure: Figure, path: Path) -> Path:
+    """Write a figure and return its path; nothing is overwritten.
+
+    Raises:
+        RecordingError: it cannot be written.
+    """
+    try:
+        with files.written_whole(path, replace=False) as file:
+            figure.savefig(file, format=path.suffix[1:], dpi=150)
+    except OSError as error:
+        raise RecordingError(f"{path} cannot be written: {error.strerror}") from error
+    return path

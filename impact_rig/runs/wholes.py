@@ -1,0 +1,125 @@
+"""What is measured of a run as a whole record, beside the live node's path: frequency response, sines, drop test."""
+
+from __future__ import annotations
+
+import attrs
+import numpy as np
+from numpy.typing import NDArray
+
+from impact_rig.analysis.drop import Drop, DropTest, parse_drop, restitution_of_drops
+from impact_rig.analysis.frf import Frf, transmissibility_frf
+from impact_rig.analysis.sine import SineFit, fit_sine, fit_sine_frequency
+from impact_rig.analysis.transmissibility import Measurement, measure_record
+from impact_rig.analysis.words import Status
+from impact_rig.blocks import CHANNELS
+from impact_rig.errors import RecordingError
+from impact_rig.recording import Run
+from impact_rig.runs.excerpt import Excerpt, calibration_rows, last_record
+from impact_rig.runs.reanalysis import remarks
+
+EXCITED = 0.9
+"""Coherence from which a frequency counts as one that the drive excites."""
+
+
+@attrs.frozen(eq=False)
+class FrequencyResponse:
+    """The frequency response x_1 / x_b of a record, with noise, sweep or sine as the drive made it.
+
+    Attributes:
+        frf: all lines.
+        excited: indices of the lines with a coherence of at least `EXCITED`, but for the mean, shape (k,), k > 0.
+        excerpt: the scans.
+    """
+
+    frf: Frf
+    excited: NDArray[np.intp]
+    excerpt: Excerpt
+
+
+def response_of(run: Run, segment_s: float) -> FrequencyResponse:
+    """Return the frequency response of the last record of a run.
+
+    Args:
+        run: an open run.
+        segment_s: length of a segment [s]: the lines lie 1 / segment_s apart.
+
+    Raises:
+        RecordingError: the record is too short, stands still, or nothing in it is excited well enough.
+    """
+    excerpt = last_record(run)
+    try:
+        found = transmissibility_frf(excerpt.rows, calibration_rows(run), round(segment_s * excerpt.rate_hz))
+    except ValueError as error:  # ConfigError is one
+        seconds = len(excerpt.rows) / excerpt.rate_hz
+        raise RecordingError(f"{run.path}: no frequency response of its last {seconds:g} s: {error}") from error
+    excited = np.flatnonzero(np.nan_to_num(found.coherence) >= EXCITED)
+    excited = excited[excited > 0]
+    if not len(excited):
+        raise RecordingError(
+            f"{run.path}: base and laser have a coherence of {EXCITED} at no frequency: drive the rig with a chirp or "
+            "noise (drive.waveform), or take longer segments"
+        )
+    return FrequencyResponse(found, excited, excerpt)
+
+
+@attrs.frozen(eq=False)
+class Sines:
+    """An excerpt as sines of one frequency.
+
+    Attributes:
+        reference: the current with its frequency refined, four parameters and the harmonics.
+        fits: every channel at that frequency, by name.
+        measured: the transmissibility of the whole excerpt at the commanded frequency.
+        excerpt: the scans.
+    """
+
+    reference: SineFit
+    fits: dict[str, SineFit]
+    measured: Measurement
+    excerpt: Excerpt
+
+
+def sines_of(run: Run, excerpt: Excerpt, harmonics: int = 1) -> Sines:
+    """Fit sines to an excerpt of a run.
+
+    Args:
+        run: the open run.
+        excerpt: of it; its drive frequency must be known.
+        harmonics: in the fits, the drive included.
+
+    Raises:
+        RecordingError: no drive frequency is known, or the current holds no sine of about that frequency.
+    """
+    if not excerpt.drive_hz > 0.0:
+        raise RecordingError(f"{run.path} holds no drive frequency (shaker/applied) for {excerpt}")
+    samples = {name: np.asarray(excerpt.rows[name], dtype=np.float64) for name in CHANNELS}
+    reference = fit_sine_frequency(samples["current"], excerpt.rate_hz, excerpt.drive_hz, harmonics)
+    if reference.status is not Status.OK:
+        raise RecordingError(
+            f"{run.path}: the current is no sine of {excerpt.drive_hz:g} Hz, {excerpt}: {reference.status.value}"
+        )
+    return Sines(
+        reference=reference,
+        fits={name: fit_sine(y, excerpt.rate_hz, reference.frequency_hz, harmonics) for name, y in samples.items()},
+        measured=measure_record(excerpt.rows, calibration_rows(run), excerpt.drive_hz),
+        excerpt=excerpt,
+    )
+
+
+def drops_of(run: Run, u_m: float) -> tuple[list[Drop], DropTest]:
+    """Return the drops that the operator noted with a run, and the coefficient of restitution they give.
+
+    Args:
+        run: an open run.
+        u_m: standard uncertainty of each height [m].
+
+    Raises:
+        RecordingError: no remark is a drop (the message says what one looks like), or they give no restitution.
+    """
+    drops = [drop for drop in map(parse_drop, remarks(run)) if drop is not None]
+    if not drops:
+        raise RecordingError(f"{run.path} holds no remark on `notes` like {Drop(0.2, 0.0245).text()!r}")
+    found = restitution_of_drops(np.array([one.h0_m for one in drops]), np.array([one.h1_m for one in drops]), u_m, u_m)
+    if found.status is not Status.OK:
+        raise RecordingError(f"{run.path}: its {len(drops)} drops give no restitution: {found.status.value}")
+    return drops, found

@@ -1,0 +1,188 @@
+"""`impact-rig analyze RUN --frf, --sine, --drop`: what is measured of a recorded run as one whole record."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from kits.recorded_rig import Messages, note, record
+
+from impact_rig.analysis.drop import Drop, parse_drop
+from impact_rig.cli import main
+from impact_rig.config import RigConfig, from_flat
+from impact_rig.errors import RecordingError
+from impact_rig.physics.closed_form import transmissibility
+from impact_rig.physics.contact import from_config
+from impact_rig.recording import open_run
+from impact_rig.runs import reanalysis, wholes
+from impact_rig.runs.excerpt import last_excerpt
+from impact_rig.testing import VirtualRig
+
+pytestmark = pytest.mark.ros  # runs carry the schemas of the messages
+
+TOPICS = ("daq/info", "shaker/applied", "daq/scan")
+RIG = {"sphere.present": False, "daq.rate_hz": 1000, "daq.block_scans": 100}
+
+
+def recorded(rig: VirtualRig) -> Messages:
+    found = [(topic, table) for topic in TOPICS for table in rig.tables(topic)]
+    return sorted(found, key=lambda one: one[1].stamp_ns)
+
+
+@pytest.fixture(scope="module")
+def swept(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Noise from 6 to 12 Hz for 100 s, without the sphere."""
+    noise = {
+        "drive.waveform": "random",
+        "drive.amplitude": 0.3,
+        "drive.random_low_hz": 6.0,
+        "drive.random_high_hz": 12.0,
+    }
+    rig = VirtualRig({**RIG, **noise})
+    rig.run(seconds=100.0)
+    return record(tmp_path_factory.mktemp("swept") / "swept", recorded(rig))
+
+
+@pytest.fixture(scope="module")
+def steady(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A settled measurement at 9.3 Hz."""
+    rig = VirtualRig(RIG)
+    rig.command(frequency_hz=9.3, current_a=0.3)
+    rig.run(seconds=13.0)
+    return record(tmp_path_factory.mktemp("steady") / "steady", recorded(rig))
+
+
+def test_a_frequency_response_is_the_closed_form_within_its_uncertainty(swept: Path) -> None:
+    with open_run(swept) as run:
+        found = wholes.response_of(run, 20.0)
+    frequency = found.frf.frequency_hz[found.excited]
+    # far from the peak: near it, lines of 0.05 Hz are too coarse (docs/analysis.md)
+    far = (np.abs(frequency - 9.1) > 1.0) & (frequency > 6.5) & (frequency < 11.5)
+    assert np.count_nonzero(far) > 30
+    truth = np.array([abs(transmissibility(from_flat(RigConfig(), RIG), f)) for f in frequency[far]])
+    off = np.abs(found.frf.h1[found.excited][far]) / truth - 1.0
+    assert np.mean(np.abs(off) < 2.0 * found.frf.u_relative[found.excited][far] + 0.01) > 0.9
+
+
+def test_the_command_prints_and_draws_a_frequency_response(
+    swept: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["analyze", str(swept), "--frf", "--segment", "20", "--figures", str(tmp_path / "new")]) == 0
+    told = capsys.readouterr().out
+    assert "coherence" in told
+    peak = float(re.search(r"largest at ([0-9.]+) Hz", told)[1])  # type: ignore[index]  # it is there
+    assert peak == pytest.approx(9.1, abs=0.06)
+    assert f"wrote {tmp_path}/new/frf.png\n" in told
+    assert (tmp_path / "new" / "frf.png").read_bytes().startswith(b"\x89PNG")
+    assert main(["analyze", str(swept), "--frf", "--figures", str(tmp_path / "new")]) == 1
+    assert "frf.png exists already and is not overwritten" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("segment", "words"),
+    [
+        ("nan", "--segment must be > 0 and finite, got nan"),
+        ("-1", "--segment must be > 0"),
+        ("200", "no frequency response of its last 100 s: segment must be 8 to 100000"),
+        ("1e-3", "segment must be 8 to 100000"),
+    ],
+)
+def test_a_segment_that_cannot_be_is_refused(
+    swept: Path, segment: str, words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["analyze", str(swept), "--frf", "--segment", segment]) == 1
+    assert words in capsys.readouterr().err.replace("\n", " ")
+
+
+def test_a_rig_at_rest_has_no_frequency_response(tmp_path: Path) -> None:
+    rig = VirtualRig({**RIG, "daq.block_scans": 1000})
+    rig.run(seconds=40.0)
+    with (
+        open_run(record(tmp_path / "rest", recorded(rig))) as run,
+        pytest.raises(RecordingError, match="at no frequency"),
+    ):
+        wholes.response_of(run, 1.0)
+
+
+def test_sines_agree_with_the_measurement_of_the_same_scans(steady: Path) -> None:
+    with open_run(steady) as run:
+        findings = list(reanalysis.analyze(run))
+        found = wholes.sines_of(run, last_excerpt(run, findings))
+        rows = reanalysis.rows(reanalysis.measurements(iter(findings)))
+    row = rows[rows["settled"] == 1.0][-1]
+    assert found.reference.frequency_hz == pytest.approx(9.3, abs=4 * found.reference.u_frequency_hz)
+    assert found.measured.transmissibility == pytest.approx(row["transmissibility"], rel=1e-4), "other cycles"
+    assert found.fits["base"].amplitude == pytest.approx(row["base_amplitude"], rel=1e-4)
+    assert found.fits["current"].amplitude == pytest.approx(row["current_amplitude"], rel=1e-4)
+    truth = abs(transmissibility(from_flat(RigConfig(), RIG), 9.3))
+    ratio = found.fits["laser"].amplitude / found.fits["base"].amplitude
+    assert ratio == pytest.approx(truth, rel=0.01), "lag and skew are not taken back: 0.1 % at 9.3 Hz"
+
+
+def test_the_command_prints_and_draws_sines(
+    steady: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "120")
+    assert main(["analyze", str(steady), "--sine", "--figures", str(tmp_path), "--format", "svg"]) == 0
+    told = capsys.readouterr().out
+    assert "of the last settled measurement" in told
+    for channel in ("accelerometer", "laser", "base", "current"):
+        assert channel in told
+    assert "<svg" in (tmp_path / "sine.svg").read_text(encoding="utf-8")
+
+
+def test_a_run_without_a_drive_has_no_sines(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rig = VirtualRig(RIG)
+    rig.run(seconds=2.0)
+    messages = [one for one in recorded(rig) if one[0] != "shaker/applied"]
+    assert main(["analyze", str(record(tmp_path / "still", messages)), "--sine"]) == 1
+    assert "shaker/applied" in capsys.readouterr().err
+
+
+def test_drops_noted_with_a_run_give_the_restitution_of_the_law(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A sphere that falls from h0 comes back to e² h0, where e is what the law of the configuration returns."""
+    e = from_config(RigConfig().contact).realised_restitution()
+    rng = np.random.default_rng(1)
+    noted = [Drop(0.2 + 0.01 * k, round(e**2 * (0.2 + 0.01 * k) + 2e-4 * rng.standard_normal(), 5)) for k in range(8)]
+    rig = VirtualRig(RIG)
+    rig.run(seconds=1.0)
+    remarks = ["the sphere is new", *(drop.text() for drop in noted)]
+    path = record(tmp_path / "drops", [*recorded(rig), *(note(text, 10 * k) for k, text in enumerate(remarks))])
+    assert main(["analyze", str(path), "--drop", "2e-4", "--figures", str(tmp_path)]) == 0
+    told = capsys.readouterr().out
+    value, u2 = map(float, re.search(r"e = ([0-9.]+) ± ([0-9.]+) \(2u\) from 8 drops", told).groups())  # type: ignore[union-attr]  # it is there
+    assert 0.0 < u2 < 0.01
+    assert value == pytest.approx(e, abs=1.5 * u2)
+    assert (tmp_path / "drop.png").read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize(
+    ("remarks", "u", "words"),
+    [
+        (["nothing fell"], "1e-3", "holds no remark on `notes` like 'drop h0_m=0.2 h1_m=0.0245'"),
+        ([], "1e-3", "holds no remark"),
+        (["drop h0_m=0.2 h1_m=0.3"], "1e-3", "its 1 drops give no restitution: no_fit"),
+        (["drop h0_m=0.2 h1_m=0.02"], "-1", "--drop must be >= 0 m and finite, got -1.0"),
+        (["drop h0_m=0.2 h1_m=0.02"], "inf", "--drop must be >= 0 m"),
+    ],
+)
+def test_a_drop_test_that_is_none_says_so(
+    tmp_path: Path, remarks: list[str], u: str, words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rig = VirtualRig(RIG)
+    rig.run(seconds=0.5)
+    path = record(tmp_path / "none", [*recorded(rig), *(note(text, k) for k, text in enumerate(remarks))])
+    assert main(["analyze", str(path), f"--drop={u}"]) == 1
+    assert words in capsys.readouterr().err.replace("\n", " ")
+
+
+@pytest.mark.parametrize(
+    "remark", ["drop", "drop h0_m=1", "drop h0_m=e h1_m=-", "xdrop h0_m=1 h1_m=1", "drop h0_m=1 h1_m=1 x"]
+)
+def test_other_remarks_are_no_drops(remark: str) -> None:
+    assert parse_drop(remark) is None
+    assert parse_drop(f"  {Drop(0.1, 1e-3).text()} ") == Drop(0.1, 1e-3)
