@@ -17,12 +17,12 @@ from impact_rig.analysis.labels import parse_label
 from impact_rig.analysis.settings import ImpactSettings, TrackerSettings
 from impact_rig.analysis.tables import read_settings
 from impact_rig.blocks import SETTINGS, Table
-from impact_rig.config import RigConfig, dump, fields, from_flat, load, to_flat
 from impact_rig.config.faults import FAULT_KINDS, parse
 from impact_rig.errors import ImpactRigError
 from impact_rig.instruments.faults import Fault
 from impact_rig.recording.schema import schema_text
 from impact_rig.rig import Rig
+from impact_rig.rig.config import RigConfig, dump, fields, from_flat, load, to_flat
 from impact_rig.rig.journal import read
 from impact_rig.system.resources import config_dir
 

@@ -17,11 +17,11 @@ from impact_rig import blocks  # noqa: E402
 from impact_rig.analysis.tables import read_settings  # noqa: E402
 from impact_rig.analysis.tracker import Tracker  # noqa: E402
 from impact_rig.blocks import Table  # noqa: E402
-from impact_rig.config import load  # noqa: E402
 from impact_rig.config.faults import parse  # noqa: E402
 from impact_rig.errors import ConfigError, RecordingError  # noqa: E402
 from impact_rig.recording import Topic, open_run  # noqa: E402
 from impact_rig.rig import resimulate  # noqa: E402
+from impact_rig.rig.config import load  # noqa: E402
 
 TARGETS = (*decoders.TARGETS, *validators.TARGETS)
 SLICE = 60

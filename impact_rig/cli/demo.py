@@ -18,9 +18,9 @@ from impact_rig.campaign import paper
 from impact_rig.campaign.paper import Reductions
 from impact_rig.campaign.summary import Statement, write_summary
 from impact_rig.cli.terminal import Console, Words, tell_program
-from impact_rig.config import RigConfig, from_flat
 from impact_rig.errors import ImpactRigError
 from impact_rig.report.reductions import draw_reductions
+from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.runs import RunInfo, info
 from impact_rig.simtime import NS_PER_S
 

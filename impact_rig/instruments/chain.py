@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from impact_rig.arithmetic.random import Random
 from impact_rig.blocks import CHANNELS, SCAN
-from impact_rig.config import RigConfig
 from impact_rig.errors import CommandError, ConfigError
 from impact_rig.instruments import accelerometer, base, calibration, current, laser
 from impact_rig.instruments.channel import Channel, Instants, Sine, Stretch
@@ -21,6 +20,7 @@ from impact_rig.instruments.faults import Fault, FaultBoard, planned
 from impact_rig.instruments.motion import Motion
 from impact_rig.instruments.pieces import PIECES_PER_PERIOD, Limits, Pieces, cut, polynomials
 from impact_rig.instruments.sensor import Sensor
+from impact_rig.instruments.setup import Setup
 from impact_rig.simtime import COMMAND_GRID_NS, COMMAND_GRID_S, NS_PER_S
 
 SEED_STREAM = 1
@@ -34,7 +34,7 @@ _ACCELEROMETER = CHANNELS.index("accelerometer")
 _ERRORS, _NOISE, _CONVERTER_NOISE, _BOARD = range(4)
 
 
-def sensors(config: RigConfig) -> list[Sensor]:
+def sensors(config: Setup) -> list[Sensor]:
     """Return the sensors of a configuration in scan order, the anti-alias filter of the board behind them."""
     instruments = config.instruments
     made = (
@@ -57,12 +57,12 @@ class Chain:
         ConfigError: the converter cannot do it.
     """
 
-    def __init__(self, config: RigConfig) -> None:
+    def __init__(self, config: Setup) -> None:
         self._config = config
         self.reset()
 
     @property
-    def config(self) -> RigConfig:
+    def config(self) -> Setup:
         """The configuration in force."""
         return self._config
 
@@ -109,7 +109,7 @@ class Chain:
         self._next_scan = 0
         self._tick = 0
 
-    def reconfigure(self, config: RigConfig) -> None:
+    def reconfigure(self, config: Setup) -> None:
         """Change the instruments from the next tick on; counters, noise and faults go on.
 
         Raises:

@@ -9,8 +9,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from impact_rig.arithmetic.elementary import TWO_PI, sincos
+from impact_rig.arithmetic.elementary import sincos
 from impact_rig.arithmetic.random import Random
+from impact_rig.arithmetic.scalars import TWO_PI
 from impact_rig.config.instruments import Adc
 from impact_rig.instruments import conversion
 from impact_rig.instruments.calibration import BoardErrors, Errors

@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig.blocks import CHANNELS, SCAN
-from impact_rig.config import RigConfig
-from impact_rig.config.faults import BOARD_KINDS, Faults
+from impact_rig.config.faults import BOARD_KINDS
 from impact_rig.instruments.chain import Chain, sensors
 from impact_rig.instruments.faults import Fault
+from impact_rig.instruments.setup import Setup
 
 _SETTLE_TICKS = 400  # 4 s: the 1 Hz high-pass forgets its start to e^-25
 _MEASURE_TICKS = 100
@@ -76,7 +76,7 @@ class _Rest:
 
 
 def check_known_input(
-    config: RigConfig, faults: Iterable[Fault] = (), frequency_hz: float = 10.0, fraction: float = 0.5
+    config: Setup, faults: Iterable[Fault] = (), frequency_hz: float = 10.0, fraction: float = 0.5
 ) -> list[ChannelCheck]:
     """Put a sine on every channel of a twin of the rig's instruments and judge what it reads.
 
@@ -92,13 +92,13 @@ def check_known_input(
     Raises:
         CommandError: a number out of range.
     """
-    bare = attrs.evolve(config, instruments=attrs.evolve(config.instruments, faults=Faults()))
-    chain = Chain(bare)
+    chain = Chain(config)
+    chain.clear()  # what the configuration plans
     for fault in faults:
         if fault.kind not in BOARD_KINDS:
             chain.inject(attrs.evolve(fault, start=0, duration=0))
     amplitudes = {}
-    for sensor in sensors(bare):
+    for sensor in sensors(config):
         low, high = sensor.measuring_range()
         amplitudes[sensor.name] = fraction * 0.5 * (high - low)
         chain.calibrate(sensor.name, frequency_hz, amplitudes[sensor.name], _SETTLE_TICKS + _MEASURE_TICKS)
@@ -113,7 +113,7 @@ def check_known_input(
     ]
 
 
-def check_polarity(config: RigConfig, faults: Iterable[Fault] = ()) -> dict[str, int]:
+def check_polarity(config: Setup, faults: Iterable[Fault] = ()) -> dict[str, int]:
     """Return for every channel 1 if a push to the right reads positive, −1 if negative, 0 if nothing comes through."""
     return {check.channel: check.polarity for check in check_known_input(config, faults)}
 

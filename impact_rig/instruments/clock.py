@@ -9,8 +9,8 @@ from __future__ import annotations
 import attrs
 
 from impact_rig.blocks import CHANNELS
-from impact_rig.config import RigConfig
 from impact_rig.errors import ConfigError
+from impact_rig.instruments.setup import Setup
 from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S
 
 LONGEST_STEP_HZ = 10_000
@@ -48,7 +48,7 @@ class ScanClock:
         return -(-self.tick // (self.step * self.substeps))
 
 
-def scan_clock(config: RigConfig) -> ScanClock:
+def scan_clock(config: Setup) -> ScanClock:
     """Return the clock of a configuration.
 
     Raises:

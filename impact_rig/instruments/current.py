@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from impact_rig.arithmetic.elementary import TWO_PI
+from impact_rig.arithmetic.scalars import TWO_PI
 from impact_rig.config.instruments import Current
 from impact_rig.instruments.sensor import Sensor
 from impact_rig.instruments.transfer import lag

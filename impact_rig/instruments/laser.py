@@ -6,7 +6,7 @@ x_1 is negative. Out of range it holds the end it left by, and says so.
 
 from __future__ import annotations
 
-from impact_rig.arithmetic.elementary import TWO_PI
+from impact_rig.arithmetic.scalars import TWO_PI
 from impact_rig.config.instruments import Laser
 from impact_rig.instruments.sensor import Sensor
 from impact_rig.instruments.transfer import lag

@@ -12,10 +12,10 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Imu, JointState, Range
 
 from impact_rig.blocks import CHANNELS
-from impact_rig.config import RigConfig
 from impact_rig.nodes import topics
 from impact_rig.nodes.stamps import time_message
 from impact_rig.rig import Block
+from impact_rig.rig.config import RigConfig
 from impact_rig.simtime import stamp_ns
 
 LASER_BIT = 1 << CHANNELS.index("laser")

@@ -8,11 +8,11 @@ from rclpy.duration import Duration
 from std_msgs.msg import String
 
 from impact_rig import codec
-from impact_rig.config import RigConfig, dump
 from impact_rig.nodes import topics
 from impact_rig.nodes.convert import Monitors, clock_message
 from impact_rig.nodes.managed import ManagedNode
 from impact_rig.rig import Block, Rig
+from impact_rig.rig.config import RigConfig, dump
 
 PUBLISHED = [topic for topic in topics.TOPICS if topic.publisher == "rig"]
 LEAST_DEPTH = 100

@@ -10,7 +10,6 @@ from typing import Any  # rclpy messages and responses
 from std_msgs.msg import Float64, Header
 from std_srvs.srv import SetBool, Trigger
 
-from impact_rig.config import RigConfig
 from impact_rig.errors import CommandError
 from impact_rig.nodes import process, topics
 from impact_rig.nodes.beginning import Beginning, Rivals
@@ -27,6 +26,7 @@ from impact_rig.nodes.stamps import nanoseconds
 from impact_rig.nodes.steps import Steps
 from impact_rig.nodes.work_timer import WorkTimer
 from impact_rig.rig import Block, Rig
+from impact_rig.rig.config import RigConfig
 from impact_rig.simtime import NS_PER_S
 from impact_rig.system.endings import Ending
 

@@ -7,12 +7,12 @@ import time
 from collections import Counter, deque
 
 from impact_rig.blocks import CHANNELS
-from impact_rig.config import RigConfig
 from impact_rig.nodes.beginning import Rivals
 from impact_rig.nodes.diagnostics import Level, Status, worst
 from impact_rig.nodes.pacing import AckWindow, Pacer
 from impact_rig.nodes.readers import Readers
 from impact_rig.rig import Block, Rig
+from impact_rig.rig.config import RigConfig
 from impact_rig.simtime import NS_PER_S
 
 RATE_WINDOW_S = 2.0

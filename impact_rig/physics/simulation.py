@@ -8,7 +8,6 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_rig.config import RigConfig
 from impact_rig.errors import SimulationError
 from impact_rig.physics import contact as contact_laws
 from impact_rig.physics.event_loop import NEED_ROOM, STUCK, Desk, new_desk, run
@@ -17,6 +16,7 @@ from impact_rig.physics.indentation import turned_at
 from impact_rig.physics.model import CONTACT_RTOL, build
 from impact_rig.physics.motion import Motion
 from impact_rig.physics.parameters import LOOSE, PRESCRIBED
+from impact_rig.physics.setup import Setup
 from impact_rig.physics.state import ATTACHED, COIL, CONTACT, FREE, LEDGER, STATE, STRUCTURE, V1, VB, X1, XB, record
 
 MOST_KNOTS = 200_000
@@ -60,7 +60,7 @@ class Simulation:
         segment: number of the next drive segment, counted since the reset.
     """
 
-    def __init__(self, config: RigConfig, *, rtol: float = CONTACT_RTOL, account: bool = False) -> None:
+    def __init__(self, config: Setup, *, rtol: float = CONTACT_RTOL, account: bool = False) -> None:
         self._rtol = rtol
         self._account = account
         self._config = config
@@ -68,7 +68,7 @@ class Simulation:
         self.reset()
 
     @property
-    def config(self) -> RigConfig:
+    def config(self) -> Setup:
         """The configuration in force."""
         return self._config
 
@@ -90,7 +90,7 @@ class Simulation:
         self._begin(np.zeros(STRUCTURE))
         self.segment = 0
 
-    def configure(self, config: RigConfig) -> None:
+    def configure(self, config: Setup) -> None:
         """Go on with another configuration: the structure keeps its motion, the sphere rests at its start again."""
         y = self._structure()
         self._config = config
@@ -103,8 +103,7 @@ class Simulation:
 
     def pluck(self, displacement_m: float) -> None:
         """Lock the base and release the superior base at rest from a displacement: a free decay, until `reset`."""
-        locked = attrs.evolve(self._config, drive=attrs.evolve(self._config.drive, kind="prescribed"))
-        self._model = build(locked, self._rtol)
+        self._model = build(self._config, self._rtol, kind="prescribed")
         self.locked = True
         y = np.zeros(STRUCTURE)
         y[X1] = displacement_m

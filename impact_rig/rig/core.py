@@ -15,13 +15,14 @@ import numpy as np
 
 import impact_rig
 from impact_rig.blocks import APPLIED, FRAME_DAQ, Table
-from impact_rig.config import Drive, RigConfig, from_flat
+from impact_rig.config import Drive
 from impact_rig.errors import CommandError
 from impact_rig.instruments.chain import Chain
 from impact_rig.instruments.faults import Fault
 from impact_rig.physics import FunctionGenerator, Motion, Simulation
 from impact_rig.rig.block import Block
 from impact_rig.rig.changes import INSTRUMENTS, MECHANICS, PLANNED, changed_values, until_reset
+from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.rig.interlock import Interlock, Trip, check_amplitude, check_frequency
 from impact_rig.rig.journal import Journal, Kind, not_default, sampled
 from impact_rig.rig.planned_faults import PlannedFaults

@@ -15,8 +15,8 @@ import numpy as np
 
 from impact_rig.blocks import JOURNAL, Table
 from impact_rig.columns import TEXT
-from impact_rig.config import RigConfig, to_flat
 from impact_rig.errors import ConfigError
+from impact_rig.rig.config import RigConfig, to_flat
 from impact_rig.simtime import NS_PER_S, stamp_ns
 
 Value = bool | int | float | str | tuple[str, ...]

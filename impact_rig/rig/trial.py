@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from impact_rig.arithmetic.random import Random
-from impact_rig.config import RigConfig
 from impact_rig.errors import CommandError, ConfigError, SimulationError
 from impact_rig.physics import FunctionGenerator, Simulation
+from impact_rig.rig.config import RigConfig
 from impact_rig.rig.interlock import check_amplitude
 from impact_rig.simtime import COMMAND_GRID_S
 

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig.blocks import SCAN, Table
-from impact_rig.config import RigConfig, from_flat, to_flat
 from impact_rig.errors import CommandError, ConfigError, ImpactRigError
+from impact_rig.rig.config import RigConfig, from_flat, to_flat
 from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S
 from impact_rig.testing.faults import Fault
 

@@ -10,12 +10,12 @@ from pathlib import Path
 import impact_rig
 from impact_rig import codec
 from impact_rig.blocks import Table
-from impact_rig.config import RigConfig, dump
 from impact_rig.errors import RecordingError
 from impact_rig.instruments.faults import Fault as CoreFault
 from impact_rig.recording import CONFIGURATION, Attachment, Provenance, RunWriter, Topic, schema_text
 from impact_rig.recording.topics import POINT_CLOUD
 from impact_rig.rig import Block, Rig
+from impact_rig.rig.config import RigConfig, dump
 from impact_rig.testing.faults import Fault
 from impact_rig.testing.stepped_rig import SCANS, TOPICS, SteppedRig, configured, first_sample
 

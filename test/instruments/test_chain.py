@@ -8,10 +8,10 @@ from kits.instruments import AnalyticMotion, configured, fitted, hertz_pulse, me
 
 from impact_rig.arithmetic.random import Random
 from impact_rig.blocks import CHANNELS, DAQ_INFO, SCAN
-from impact_rig.config import from_flat
 from impact_rig.errors import CommandError, ConfigError
 from impact_rig.instruments import Chain, Fault
 from impact_rig.physics import FunctionGenerator, Simulation
+from impact_rig.rig.config import from_flat
 
 TICKS = 30
 

@@ -6,10 +6,10 @@ import pytest
 from kits.instruments import AnalyticMotion, configured, measured, sine
 
 from impact_rig.blocks import FAULTS
-from impact_rig.config import RigConfig, from_flat
 from impact_rig.config.faults import FAULT_KINDS, parse
 from impact_rig.errors import CommandError, ConfigError
 from impact_rig.instruments import Chain, Fault
+from impact_rig.rig.config import RigConfig, from_flat
 
 START, DURATION = 300, 400
 INSIDE = slice(START, START + DURATION)

@@ -15,10 +15,10 @@ from impact_rig.analysis.settings import TrackerSettings
 from impact_rig.analysis.tables import settings_table
 from impact_rig.analysis.tracker import Tracker
 from impact_rig.blocks import Table
-from impact_rig.config import RigConfig, from_flat
 from impact_rig.instruments.faults import Fault
 from impact_rig.recording import Provenance, RunWriter, Topic, schema_text
 from impact_rig.rig import Rig
+from impact_rig.rig.config import RigConfig, from_flat
 
 TICK = 10_000_000
 POINT_CLOUD = "sensor_msgs/msg/PointCloud2"

@@ -11,11 +11,11 @@ pytest.importorskip("rclpy", reason="no ROS 2 here")
 
 from rclpy.serialization import serialize_message
 
-from impact_rig.config import RigConfig, from_flat
 from impact_rig.nodes import topics
 from impact_rig.nodes.convert import Monitors
 from impact_rig.nodes.stamps import nanoseconds
 from impact_rig.rig import Block, Rig
+from impact_rig.rig.config import RigConfig, from_flat
 
 pytestmark = pytest.mark.ros
 START_NS = 1_700_000_000_000_000_001

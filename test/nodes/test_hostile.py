@@ -24,10 +24,10 @@ from std_msgs.msg import Float64, Header
 from std_srvs.srv import SetBool, Trigger
 
 from impact_rig.client import isolated_domain
-from impact_rig.config import RigConfig, from_flat
 from impact_rig.errors import ConfigError
 from impact_rig.nodes import services, topics
 from impact_rig.recording import open_run
+from impact_rig.rig.config import RigConfig, from_flat
 
 pytestmark = [pytest.mark.ros, pytest.mark.pipeline, pytest.mark.timeout(120 + CASES)]
 QUEUE = topics.Qos.EVENT.depth

@@ -16,12 +16,13 @@ from std_srvs.srv import SetBool, Trigger
 
 from impact_rig.client import Client, isolated_domain
 from impact_rig.client.parameters import ros_parameters
-from impact_rig.nodes import figures, interface, services, topics
+from impact_rig.nodes import services, topics
 from impact_rig.nodes.analysis_node import AnalysisNode
 from impact_rig.nodes.recorder_node import RecorderNode
 from impact_rig.nodes.rig_node import RigNode
 from impact_rig.nodes.services import Situation
 from impact_rig.nodes.stepped_sine_node import SteppedSineNode
+from tools.generate import figures, interface
 
 pytestmark = pytest.mark.ros
 
@@ -31,20 +32,6 @@ OF_ROS = {
     "set_parameters_atomically", "get_type_description",
 }  # fmt: skip
 """Services that every lifecycle node of ROS has."""
-
-
-@pytest.mark.parametrize("name", interface.TABLES)
-def test_a_table_of_the_page_is_that_of_the_code(name: str) -> None:
-    text = interface.page().read_text(encoding="utf-8")
-    assert f"<!-- generated: {name} -->\n\n{interface.TABLES[name]()}\n<!-- end -->" in text, (
-        f"run `{interface.COMMAND}` and read what has changed"
-    )
-
-
-def test_the_page_has_no_other_markers() -> None:
-    text = interface.page().read_text(encoding="utf-8")
-    assert interface.rewritten(text) == text
-    assert text.count("<!-- generated") == text.count("<!-- end -->") == len(interface.TABLES)
 
 
 @pytest.mark.parametrize("topic", topics.TOPICS, ids=lambda topic: topic.name)

@@ -6,10 +6,10 @@ import pytest
 from kits.rig import START_NS, TICK, config, impacts, resimulated, same
 
 from impact_rig.blocks import Table
-from impact_rig.config import RigConfig, from_flat, to_flat
 from impact_rig.errors import ConfigError
 from impact_rig.instruments.faults import Fault
 from impact_rig.rig import Block, Rig
+from impact_rig.rig.config import RigConfig, from_flat, to_flat
 from impact_rig.rig.journal import Kind, read, short_key, values_of
 
 

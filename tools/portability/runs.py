@@ -13,9 +13,9 @@ from numpy.lib.recfunctions import repack_fields
 from numpy.typing import NDArray
 
 from impact_rig.blocks import Table
-from impact_rig.config import RigConfig, from_flat
 from impact_rig.physics.contact import LAWS
 from impact_rig.rig import Rig
+from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.simtime import NS_PER_S
 
 Streams = dict[str, NDArray[np.void]]

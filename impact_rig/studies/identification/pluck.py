@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from impact_rig.analysis.decay import Decay, measure_decay
-from impact_rig.config import RigConfig, from_flat
 from impact_rig.errors import RecordingError
 from impact_rig.recording import Run
 from impact_rig.rig import Kind, Rig
+from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.simtime import NS_PER_S
 
 DISPLACEMENT_M = 5e-3
