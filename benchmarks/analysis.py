@@ -12,10 +12,10 @@ from pathlib import Path
 
 import numpy as np
 
-from impact_rig import codec
+from impact_rig import codec, topics
 from impact_rig.analysis.tracker import Tracker
 from impact_rig.blocks import APPLIED, CHANNELS, DAQ_INFO, SCAN, Table
-from impact_rig.recording import Provenance, RunWriter, Topic, open_run, schema_text
+from impact_rig.recording import Provenance, RunWriter, TopicDescription, open_run, schema_text
 
 RATE_HZ = 50_000
 BLOCK_SCANS = 500
@@ -65,8 +65,8 @@ def write(directory: Path, tables: list[Table]) -> None:
     with RunWriter(
         directory, provenance=Provenance(version="benchmark", seed=1, wall_start_ns=0), clock=time.monotonic
     ) as run:
-        for name in ("daq/info", "shaker/applied", "daq/scan"):
-            run.add_topic(Topic(name=f"/rig/{name}", type_name=POINT_CLOUD, schema=schema_text(POINT_CLOUD)))
+        for name in (topics.INFO.name, topics.APPLIED.name, topics.SCAN.name):
+            run.add_topic(TopicDescription(name=f"/rig/{name}", type_name=POINT_CLOUD, schema=schema_text(POINT_CLOUD)))
         run.write("/rig/daq/info", codec.encode(info()), 0)
         run.write("/rig/shaker/applied", codec.encode(Table(0, command)), 0)
         for table in tables:
@@ -77,7 +77,7 @@ def analyse(directory: Path) -> int:
     """Read and analyse a run; return how many measurements it gave."""
     tracker, found = Tracker(), 0
     with open_run(directory) as run:
-        for topic, _, _, _, _, data in run.messages(["daq/info", "shaker/applied", "daq/scan"]):
+        for topic, _, _, _, _, data in run.messages([topics.INFO.name, topics.APPLIED.name, topics.SCAN.name]):
             table = codec.decode(data)
             if topic.endswith("scan"):
                 found += len(tracker.feed(table).measurements)

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from impact_rig import codec
+from impact_rig import codec, topics
 from impact_rig.client import Client, Processes, isolated_domain
 from impact_rig.client.processes import ParameterValue
 from impact_rig.runs import info
@@ -41,7 +41,7 @@ def run() -> dict[str, float]:
 def live(seconds: float, rate_hz: int) -> dict[str, float]:
     """Default instruments in real time, with analysis and recorder attached."""
     with _graph({"daq.rate_hz": rate_hz, "daq.block_scans": rate_hz // 100, **DRIVE}) as (client, processes, directory):
-        scans = client.collect("daq/scan")
+        scans = client.collect(topics.SCAN.name)
         client.spin_for(WARM_UP_S)
         scans.clear()
         before, began = {name: _cpu_s(processes.running[name].pid) for name in NODES}, time.monotonic()
@@ -104,7 +104,7 @@ def _start_s(cache: Path) -> float:
     ):
         began = time.monotonic()
         processes.start("rig", environment={"NUMBA_CACHE_DIR": str(cache)})
-        scans = client.collect("daq/scan", timeout_s=300.0)
+        scans = client.collect(topics.SCAN.name, timeout_s=300.0)
         client.wait_until(lambda: len(scans) > 0, "the first block", timeout_s=300.0)
         return time.monotonic() - began
 

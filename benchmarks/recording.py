@@ -12,9 +12,9 @@ from pathlib import Path
 
 import numpy as np
 
-from impact_rig import codec
+from impact_rig import codec, topics
 from impact_rig.blocks import SCAN, Table
-from impact_rig.recording import Provenance, RunWriter, Topic, open_run, schema_text
+from impact_rig.recording import Provenance, RunWriter, TopicDescription, open_run, schema_text
 from impact_rig.recording.mcap_file import COMPRESSIONS
 
 RATE_HZ = 50_000
@@ -48,9 +48,9 @@ def messages(pool: list[np.ndarray], count: int) -> list[bytes]:
 def writer(directory: Path, compression: str) -> RunWriter:
     provenance = Provenance(version="benchmark", seed=1, wall_start_ns=0)
     run = RunWriter(directory, provenance=provenance, clock=time.monotonic, compression=compression)
-    run.add_topic(Topic(name="/rig/daq/scan", type_name=POINT_CLOUD, schema=schema_text(POINT_CLOUD)))
+    run.add_topic(TopicDescription(name="/rig/daq/scan", type_name=POINT_CLOUD, schema=schema_text(POINT_CLOUD)))
     run.add_topic(
-        Topic(
+        TopicDescription(
             name="/rig/transmissibility", type_name="std_msgs/msg/Float64", schema=schema_text("std_msgs/msg/Float64")
         )
     )
@@ -94,7 +94,7 @@ def read_back(directory: Path, compression: str, sent: list[bytes]) -> float:
     scans = 0
     begin = time.perf_counter()
     with open_run(directory) as opened:
-        for table in opened.tables("daq/scan"):
+        for table in opened.tables(topics.SCAN.name):
             scans += len(table.rows)
     return scans / RATE_HZ / (time.perf_counter() - begin)
 

@@ -15,7 +15,7 @@ from fuzz.target import Target
 from impact_rig import blocks, codec
 from impact_rig.analysis.tracker import Tracker
 from impact_rig.blocks import Table
-from impact_rig.recording import Attachment, Provenance, RunWriter, Topic, open_run
+from impact_rig.recording import Attachment, Provenance, RunWriter, TopicDescription, open_run
 from impact_rig.recording.tail import tail_of
 from impact_rig.rig import Rig, resimulate
 from impact_rig.rig.config import RigConfig, from_flat
@@ -65,7 +65,9 @@ def _small_run(directory: Path, compression: str) -> tuple[bytes, tuple[bytes, b
     Returns:
         The file; the file and its tail as they were before the last chunk was closed; the messages.
     """
-    topics = [Topic(name=f"/{name}", type_name="std_msgs/msg/String", schema="string data\n") for name in "ab"]
+    topics = [
+        TopicDescription(name=f"/{name}", type_name="std_msgs/msg/String", schema="string data\n") for name in "ab"
+    ]
     sent = set()
     with RunWriter(
         directory,
@@ -220,7 +222,7 @@ TARGETS = (
         "mcap_read",
         mutated(FILES),
         mcap_read,
-        ("recording/reader.py", "recording/mcap_source.py", "recording/records.py", "recording/topics.py"),
+        ("recording/reader.py", "recording/mcap_source.py", "recording/records.py", "recording/description.py"),
     ),
     Target(
         "mcap_recover",

@@ -19,7 +19,7 @@ from impact_rig.analysis.tracker import Tracker  # noqa: E402
 from impact_rig.blocks import Table  # noqa: E402
 from impact_rig.config.faults import parse  # noqa: E402
 from impact_rig.errors import ConfigError, RecordingError  # noqa: E402
-from impact_rig.recording import Topic, open_run  # noqa: E402
+from impact_rig.recording import TopicDescription, open_run  # noqa: E402
 from impact_rig.rig import resimulate  # noqa: E402
 from impact_rig.rig.config import load  # noqa: E402
 
@@ -177,5 +177,5 @@ def test_yaml_inside_a_recording_is_not_believed(tmp_path: Path, text: str) -> N
     (tmp_path / "metadata.yaml").write_text(text)
     with pytest.raises(RecordingError, match="cannot be understood"):
         open_run(tmp_path)
-    topic = Topic(name="/a", type_name="a/msg/A", schema="", offered_qos_text=text)
+    topic = TopicDescription(name="/a", type_name="a/msg/A", schema="", offered_qos_text=text)
     assert not any(isinstance(profile, dict) for profile in topic.offered_qos_yaml())

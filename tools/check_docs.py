@@ -229,7 +229,7 @@ def is_path(text: str) -> bool:
 
 
 def exists(text: str) -> bool:
-    """Whether there is such a file or folder; `nodes/topics.py` may stand for `impact_rig/nodes/topics.py`."""
+    """Whether there is such a file or folder; `nodes/topics.py` may stand for `impact_rig/topics.py`."""
     return (ROOT / text).exists() or any(name.endswith(f"/{text}") for name in files())
 
 

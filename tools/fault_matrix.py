@@ -20,6 +20,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table as TextTable
 
+from impact_rig import topics
 from impact_rig.client import Client, Collector, Processes, isolated_domain
 from impact_rig.client.collector import Received
 from impact_rig.nodes.stamps import nanoseconds
@@ -68,8 +69,8 @@ class Graph:
 
     def read(self) -> None:
         """Read as a peer does, and what the recorder says it has."""
-        self.scans: Collector = self.client.collect("daq/scan", acknowledge=True)
-        self.client.listen("daq/ack", self._take_acknowledgement)
+        self.scans: Collector = self.client.collect(topics.SCAN.name, acknowledge=True)
+        self.client.listen(topics.ACK.name, self._take_acknowledgement)
 
     def _take_acknowledgement(self, message: Received) -> None:
         if message.data.frame_id == "recorder":
@@ -152,7 +153,10 @@ def late_joiner(graph: Graph, _node: str) -> float:
     """Somebody comes late and gets calibration, command, journal and configuration."""
     began = time.monotonic()
     with Client(graph.domain_id, name="late") as late:
-        wanted = [late.collect(name) for name in ("daq/info", "shaker/applied", "rig/journal", "rig/configuration")]
+        wanted = [
+            late.collect(name)
+            for name in (topics.INFO.name, topics.APPLIED.name, topics.JOURNAL.name, topics.CONFIGURATION.name)
+        ]
         late.wait_until(lambda: all(len(one) for one in wanted), "everything latched", TIMEOUT_S)
         took = time.monotonic() - began
     graph.flows(1)
@@ -219,7 +223,7 @@ def main() -> int:
                 recover(path, path.with_name(f"{path.name}_recovered"))
                 path = path.with_name(f"{path.name}_recovered")
             with open_run(path) as run:
-                stamps = [one.stamp_ns for one in run.tables("daq/scan", recorded_order=True)]
+                stamps = [one.stamp_ns for one in run.tables(topics.SCAN.name, recorded_order=True)]
             missing = sum(int(step) // TICK_NS - 1 for step in np.diff(stamps) if step > TICK_NS)
             # counted, as a rig that begins again has the same stamps; a recorder acknowledges before it records, too
             acknowledged = Counter({at: n for at, n in graph.acknowledged[number].items() if at >= stamps[0]})

@@ -23,6 +23,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table as TextTable
 
+from impact_rig import topics
 from impact_rig.client import Client, Processes, isolated_domain
 from impact_rig.recording import open_run
 from impact_rig.runs import check_contiguity
@@ -94,7 +95,7 @@ def soak(part: str, duration_s: float, directory: Path, console: Console) -> boo
             client.trigger("recorder/stop")
         codes = processes.stop()
     with open_run(directory / part) as run:
-        tables = run.tables("daq/scan", recorded_order=True)
+        tables = run.tables(topics.SCAN.name, recorded_order=True)
         contiguity = check_contiguity(((table.stamp_ns, len(table.rows)) for table in tables), rate)
     lost = {key: value for key, value in figures.items() if key.startswith("lost_blocks") and int(value)}
     for gap in contiguity.gaps[:10]:

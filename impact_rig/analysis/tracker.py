@@ -14,6 +14,7 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
+from impact_rig import topics
 from impact_rig.analysis.calibration import Calibration
 from impact_rig.analysis.cycles import Accumulator, Cycles, usable_harmonics
 from impact_rig.analysis.impacts import MIN_RATE_HZ, ImpactDetector, Impacts, counted, joined
@@ -123,7 +124,7 @@ class Tracker:
         Raises:
             ConfigError: the table does not describe the four channels.
         """
-        need_columns(info, DAQ_INFO, "daq/info")
+        need_columns(info, DAQ_INFO, topics.INFO.name)
         calibration = Calibration.from_info(info.rows)
         if not abs(info.rows["since_start"][0]) <= LONGEST_S:
             raise ConfigError(
@@ -150,7 +151,7 @@ class Tracker:
         Raises:
             ConfigError: the table is no such table, or its times are no numbers.
         """
-        need_columns(applied, APPLIED, "shaker/applied")
+        need_columns(applied, APPLIED, topics.APPLIED.name)
         if not (np.abs(applied.rows["time"]) <= LONGEST_S).all():
             raise ConfigError(f"shaker/applied: time must be within {LONGEST_S:g} s")
         for row in applied.rows:
@@ -167,7 +168,7 @@ class Tracker:
         Raises:
             ConfigError: the table is no such table.
         """
-        need_columns(scan, SCAN, "daq/scan")
+        need_columns(scan, SCAN, topics.SCAN.name)
         rows = scan.rows
         if self._calibration is None:
             self.counters.unconfigured_scans += len(rows)

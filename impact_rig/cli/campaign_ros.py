@@ -12,6 +12,7 @@ from pathlib import Path
 
 import attrs
 
+from impact_rig import topics
 from impact_rig.analysis.settings import TrackerSettings
 from impact_rig.analysis.stepped import Command
 from impact_rig.campaign.bench import Trace, Turn, columns, operate
@@ -19,7 +20,6 @@ from impact_rig.campaign.job import TRACE_TURNS, Job, Outcome
 from impact_rig.campaign.run import Runner
 from impact_rig.client import Client, Processes, isolated_domain
 from impact_rig.errors import ImpactRigError
-from impact_rig.nodes import topics
 from impact_rig.rig import Kind
 from impact_rig.rig.config import RigConfig, to_flat
 from impact_rig.rig.interlock import OVER_TRAVEL, Trip, check_amplitude, check_frequency

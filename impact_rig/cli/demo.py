@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from rich.progress import BarColumn, Progress, TimeElapsedColumn
 from rich.table import Table as TextTable
 
+from impact_rig import topics
 from impact_rig.analysis.calibration import Calibration
 from impact_rig.campaign import paper
 from impact_rig.campaign.paper import Reductions
@@ -113,8 +114,8 @@ def run(arguments: argparse.Namespace) -> int:
 def _measure(config: RigConfig, directory: Path, console: Console) -> tuple[dict[float, NDArray[np.void]], Calibration]:
     """Return the settled measurements by gap, and the certificate that the rig published."""
     # rclpy is needed from here on: `impact-rig --help` and the other subcommands do without
+    from impact_rig import topics  # noqa: PLC0415
     from impact_rig.client import Client, Processes, isolated_domain  # noqa: PLC0415
-    from impact_rig.nodes import topics  # noqa: PLC0415
 
     columns = (
         Words("{task.description:<12}"),
@@ -139,7 +140,7 @@ def _measure(config: RigConfig, directory: Path, console: Console) -> tuple[dict
             client.wait_active("rig", "analysis", "recorder")
             progress.update(starting, total=1, completed=1, state="running")
             table = client.collect(topics.TRANSMISSIBILITY_TABLE.name)
-            certificate = client.collect("daq/info")
+            certificate = client.collect(topics.INFO.name)
             for case in CASES:
                 task = progress.add_task(case.label, total=MEASUREMENTS, state="preparing")
                 client.pause()
@@ -189,7 +190,7 @@ def _lost_blocks(run: RunInfo) -> int:
 
 
 def _scanned_s(run: RunInfo) -> float:
-    scan = next(topic for topic in run.topics if topic.name.endswith("daq/scan"))
+    scan = next(topic for topic in run.topics if topic.name.endswith(topics.SCAN.name))
     return (scan.last_ns - scan.first_ns) / NS_PER_S
 
 

@@ -26,7 +26,7 @@ from rclpy.qos import QoSProfile
 from std_msgs.msg import Float64, Header, String
 from std_srvs.srv import SetBool, Trigger
 
-from impact_rig import codec
+from impact_rig import codec, topics
 from impact_rig.blocks import Table
 from impact_rig.client.collector import Collector, Received
 from impact_rig.client.graph import is_heard, published
@@ -35,7 +35,7 @@ from impact_rig.client.parameters import ros_parameters
 from impact_rig.client.processes import ParameterValue, Processes
 from impact_rig.client.waiting import SPIN_S, Spinner, WaitTimeoutError
 from impact_rig.errors import ConfigError, ImpactRigError
-from impact_rig.nodes import topics
+from impact_rig.nodes import messages
 from impact_rig.nodes.guard import with_info
 from impact_rig.nodes.process import make_executor
 from impact_rig.nodes.stamps import time_message
@@ -360,15 +360,17 @@ class Client:
         """Return the publisher of a topic, made if there is none."""
         publisher = self._publishers.get(topic.name)
         if publisher is None:
-            publisher = self.node.create_publisher(topic.message_type(), topic.name, topic.qos.profile())
+            publisher = self.node.create_publisher(messages.class_of(topic), topic.name, messages.profile(topic.qos))
             self._publishers[topic.name] = publisher
         return publisher
 
     def _subscribe(
         self, topic: topics.Topic, callback: Callable[..., None], raw: bool = False, profile: QoSProfile | None = None
     ) -> Any:
-        profile = profile or topic.qos.profile()
-        return self.node.create_subscription(topic.message_type(), topic.name, with_info(callback), profile, raw=raw)
+        profile = profile or messages.profile(topic.qos)
+        return self.node.create_subscription(
+            messages.class_of(topic), topic.name, with_info(callback), profile, raw=raw
+        )
 
     def _acknowledge(self, message: Received) -> None:
         self.acknowledge_for(self.name, codec.header_stamp_ns(message.data))

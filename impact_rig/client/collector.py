@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from impact_rig import codec
 from impact_rig.blocks import Table
-from impact_rig.nodes.topics import Topic
+from impact_rig.topics import Topic
 
 
 @attrs.frozen(eq=False)

@@ -7,7 +7,8 @@ from typing import Any  # rclpy handles
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
-from impact_rig.nodes import topics
+from impact_rig import topics
+from impact_rig.nodes import messages
 
 
 def subscribers(node: Node, topic: str) -> set[str]:
@@ -32,6 +33,6 @@ def published(node: Node, topic: str) -> tuple[topics.Topic, QoSProfile] | None:
     if not found:
         return None
     publisher = found[0]
-    profile = topics.Qos.DATA.profile()
+    profile = messages.profile(topics.Qos.DATA)
     profile.reliability = publisher.qos_profile.reliability
     return topics.Topic(topic, publisher.topic_type, topics.Qos.DATA, publisher.node_name, "", ()), profile

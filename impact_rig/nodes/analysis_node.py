@@ -8,7 +8,7 @@ from typing import Any  # rclpy messages
 import attrs
 from std_msgs.msg import Float64, Header, String
 
-from impact_rig import codec
+from impact_rig import codec, topics
 from impact_rig.analysis.labels import parse_label
 from impact_rig.analysis.settings import TrackerSettings
 from impact_rig.analysis.tables import settings_table
@@ -16,7 +16,7 @@ from impact_rig.analysis.tracker import LONGEST_S, Findings, Tracker
 from impact_rig.analysis.warm_up import compile_tracker
 from impact_rig.blocks import Table
 from impact_rig.errors import CodecError, ConfigError
-from impact_rig.nodes import process, topics
+from impact_rig.nodes import process
 from impact_rig.nodes.diagnostics import Level, Status
 from impact_rig.nodes.managed import ManagedNode
 from impact_rig.nodes.parameters import SectionSchema

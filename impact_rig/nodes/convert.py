@@ -11,8 +11,8 @@ from geometry_msgs.msg import Vector3Stamped
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Imu, JointState, Range
 
+from impact_rig import topics
 from impact_rig.blocks import CHANNELS
-from impact_rig.nodes import topics
 from impact_rig.nodes.stamps import time_message
 from impact_rig.rig import Block
 from impact_rig.rig.config import RigConfig

@@ -20,8 +20,9 @@ from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
+from impact_rig import topics
 from impact_rig.errors import ImpactRigError
-from impact_rig.nodes import diagnostics, topics
+from impact_rig.nodes import diagnostics, messages
 from impact_rig.nodes.diagnostics import CpuMeter, Level, Status
 from impact_rig.nodes.guard import Refusals, describe, guarded, guarded_answer, guarded_service
 from impact_rig.nodes.parameters import Parameters, Schema
@@ -63,7 +64,7 @@ class ManagedNode(LifecycleNode, Generic[S]):
         self._reported: tuple[Level, str] = (Level.OK, "")
         self._reported_at = -DIAGNOSTICS_PERIOD_S
         self._diagnostics = self.create_publisher(
-            topics.DIAGNOSTICS.message_type(), topics.DIAGNOSTICS.name, topics.DIAGNOSTICS.qos.profile()
+            messages.class_of(topics.DIAGNOSTICS), topics.DIAGNOSTICS.name, messages.profile(topics.DIAGNOSTICS.qos)
         )
         self._reporter = self.steady_timer(CHANGE_PERIOD_S, self._report_when_due)
         self._starter = self.steady_timer(0.001, self._autostart) if self.autostarts() else None
@@ -135,11 +136,11 @@ class ManagedNode(LifecycleNode, Generic[S]):
 
     def publisher(self, topic: topics.Topic, depth: int | None = None) -> Publisher:
         """Create the publisher of a row of the topics table, perhaps less deep; `qos_overrides` parameters apply."""
-        profile = topic.qos.profile()
+        profile = messages.profile(topic.qos)
         if depth is not None:
             profile.depth = min(depth, profile.depth)
         return self.create_publisher(
-            topic.message_type(),
+            messages.class_of(topic),
             topic.name,
             profile,
             qos_overriding_options=QoSOverridingOptions.with_default_policies(),
@@ -149,9 +150,9 @@ class ManagedNode(LifecycleNode, Generic[S]):
         self, topic: topics.Topic, callback: Callable[..., None], raw: bool = False, depth: int | None = None
     ) -> Any:
         """Create a guarded subscription to a row of the topics table, perhaps deeper; `raw` gives CDR bytes."""
-        profile = topic.qos.profile()
+        profile = messages.profile(topic.qos)
         profile.depth = depth or profile.depth
-        return self.create_subscription(topic.message_type(), topic.name, callback, profile, raw=raw)
+        return self.create_subscription(messages.class_of(topic), topic.name, callback, profile, raw=raw)
 
     def service(self, service_type: Any, name: str, callback: Callable[[Any, Any], Any]) -> Any:
         """Create a guarded service; private names (`~/name`) are the convention."""

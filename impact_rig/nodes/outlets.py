@@ -7,8 +7,7 @@ from typing import Any  # rclpy publishers
 from rclpy.duration import Duration
 from std_msgs.msg import String
 
-from impact_rig import codec
-from impact_rig.nodes import topics
+from impact_rig import codec, topics
 from impact_rig.nodes.convert import Monitors, clock_message
 from impact_rig.nodes.managed import ManagedNode
 from impact_rig.rig import Block, Rig

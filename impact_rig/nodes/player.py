@@ -20,9 +20,9 @@ from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Header
 from std_srvs.srv import SetBool
 
-from impact_rig import codec
+from impact_rig import codec, topics
 from impact_rig.errors import ImpactRigError, RecordingError
-from impact_rig.nodes import topics
+from impact_rig.nodes import messages
 from impact_rig.nodes.convert import clock_message
 from impact_rig.nodes.guard import guarded_service
 from impact_rig.nodes.pacing import AckWindow, Pacer
@@ -30,7 +30,7 @@ from impact_rig.nodes.process import make_executor
 from impact_rig.nodes.readers import Readers
 from impact_rig.nodes.stamps import nanoseconds
 from impact_rig.recording import Message, RecordedTopic, Run
-from impact_rig.recording.topics import matches
+from impact_rig.recording.description import matches
 from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S
 from impact_rig.system.endings import unhurried
 
@@ -108,14 +108,14 @@ class Player:
         wanted = [run.resolve(name) for name in chosen] if chosen else sorted(run.topics)
         self._names = [name for name in wanted if not any(matches(name, made) for made in MADE_HERE)]
         self._publishers = {name: self._publisher(run.topics[name]) for name in self._names}
-        self._clock = node.create_publisher(Clock, topics.CLOCK.name, topics.CLOCK.qos.profile())
+        self._clock = node.create_publisher(Clock, topics.CLOCK.name, messages.profile(topics.CLOCK.qos))
         self._readers = Readers(node, self._publishers[self._scan]) if peers else None
         if self._readers is not None:
             self._readers.expect(peers)
         self._window = AckWindow(peers, WINDOW, round(PEER_TIMEOUT_S * NS_PER_S), time.monotonic_ns)
         self._pacer = Pacer(time.monotonic_ns, factor or 1.0)
         ack = self._scan.removesuffix(topics.SCAN.name) + topics.ACK.name
-        node.create_subscription(Header, ack, self._on_ack, topics.ACK.qos.profile())
+        node.create_subscription(Header, ack, self._on_ack, messages.profile(topics.ACK.qos))
         node.create_service(SetBool, "~/pause", guarded_service(self._on_pause, self._report, self._report))
         self.paused = paused
         self.now_ns = self.start_ns = self._first_scan_ns()
@@ -192,7 +192,7 @@ class Player:
             durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
         )
         try:
-            return self._node.create_publisher(topics.message_class(topic.type_name), topic.name, profile)
+            return self._node.create_publisher(messages.message_class(topic.type_name), topic.name, profile)
         except NameValidationException as error:
             raise RecordingError(f"{self._run.path}: {topic.name!r} is not the name of a topic") from error
         except (ImportError, AttributeError, ValueError) as error:

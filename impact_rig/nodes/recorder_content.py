@@ -13,7 +13,7 @@ import yaml
 import impact_rig
 from impact_rig.blocks import Table
 from impact_rig.errors import RecordingError
-from impact_rig.recording import Qos
+from impact_rig.recording import OfferedQos
 from impact_rig.system.machine import identity
 
 
@@ -43,9 +43,9 @@ def calibration_yaml(info: Table) -> str:
     return text
 
 
-def qos(profile: Any) -> Qos:
+def qos(profile: Any) -> OfferedQos:
     """Return a profile of rclpy in the words of rosbag2."""
-    return Qos(
+    return OfferedQos(
         history=profile.history.name.lower(),
         depth=profile.depth,
         reliability=profile.reliability.name.lower(),

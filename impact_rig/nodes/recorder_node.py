@@ -11,9 +11,9 @@ from std_msgs.msg import Header, String
 from std_srvs.srv import Trigger
 
 import impact_rig
-from impact_rig import codec
+from impact_rig import codec, topics
 from impact_rig.errors import CodecError, RecordingError
-from impact_rig.nodes import process, topics
+from impact_rig.nodes import process
 from impact_rig.nodes.deferred import Answer, DeferredService
 from impact_rig.nodes.diagnostics import Level, Status
 from impact_rig.nodes.managed import ManagedNode
@@ -21,7 +21,15 @@ from impact_rig.nodes.parameters import SectionSchema
 from impact_rig.nodes.recorder_content import calibration_yaml, environment, parameters, qos, run_directory
 from impact_rig.nodes.settings import RecorderSettings
 from impact_rig.nodes.stamps import time_message
-from impact_rig.recording import CONFIGURATION, Account, Attachment, Provenance, RunWriter, Topic, schema_text
+from impact_rig.recording import (
+    CONFIGURATION,
+    Account,
+    Attachment,
+    Provenance,
+    RunWriter,
+    TopicDescription,
+    schema_text,
+)
 from impact_rig.system.endings import Ending
 
 FLUSH_S = 0.2
@@ -320,10 +328,10 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         name = CALIBRATION if self._certificates == 1 else f"calibration_{self._certificates}.yaml"
         writer.attach(Attachment(name, text.encode(), "application/yaml"), instead_of=CALIBRATION)
 
-    def _describe(self, topic: topics.Topic, name: str) -> Topic:
+    def _describe(self, topic: topics.Topic, name: str) -> TopicDescription:
         publishers = self.get_publishers_info_by_topic(name)
         type_hash = str(publishers[0].topic_type_hash) if publishers else ""
-        return Topic(
+        return TopicDescription(
             name=name,
             type_name=topic.type_name,
             schema=schema_text(topic.type_name),

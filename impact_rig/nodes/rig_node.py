@@ -10,8 +10,9 @@ from typing import Any  # rclpy messages and responses
 from std_msgs.msg import Float64, Header
 from std_srvs.srv import SetBool, Trigger
 
+from impact_rig import topics
 from impact_rig.errors import CommandError
-from impact_rig.nodes import process, topics
+from impact_rig.nodes import process
 from impact_rig.nodes.beginning import Beginning, Rivals
 from impact_rig.nodes.deferred import Answer, DeferredService
 from impact_rig.nodes.diagnostics import Status
@@ -290,7 +291,7 @@ class RigNode(ManagedNode[RigConfig]):
         if self._readers is None:
             return
         if window.newest_ns is None or stamp > window.newest_ns:
-            self.refuse("daq/ack", f"{name!r} acknowledged {stamp} ns, which was never published")
+            self.refuse(topics.ACK.name, f"{name!r} acknowledged {stamp} ns, which was never published")
             return
         if name not in window.readers:
             if not self._readers.knows(name):

@@ -9,6 +9,8 @@ import enum
 
 import attrs
 
+from impact_rig import topics
+
 TRIGGER, SET_BOOL = "std_srvs/srv/Trigger", "std_srvs/srv/SetBool"
 
 
@@ -48,8 +50,8 @@ class Input:
 
 
 COMMANDS = (
-    Input("shaker/frequency", "", "rig", "Drive frequency.", frozenset({Situation.RUNNING, Situation.PAUSED})),
-    Input("shaker/current", "", "rig", "Drive amplitude.", frozenset({Situation.RUNNING, Situation.PAUSED})),
+    Input(topics.FREQUENCY.name, "", "rig", "Drive frequency.", frozenset({Situation.RUNNING, Situation.PAUSED})),
+    Input(topics.CURRENT.name, "", "rig", "Drive amplitude.", frozenset({Situation.RUNNING, Situation.PAUSED})),
 )
 
 SERVICES = (

@@ -8,11 +8,11 @@ from typing import Any  # rclpy messages
 from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
 
-from impact_rig import codec
+from impact_rig import codec, topics
 from impact_rig.analysis.stepped import Command, State, SteppedSine
 from impact_rig.blocks import Table
 from impact_rig.errors import CodecError, ConfigError
-from impact_rig.nodes import process, topics
+from impact_rig.nodes import process
 from impact_rig.nodes.diagnostics import Level, Status
 from impact_rig.nodes.managed import ManagedNode
 from impact_rig.nodes.parameters import SectionSchema

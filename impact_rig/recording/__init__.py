@@ -1,10 +1,10 @@
 """MCAP files of a run: written and read. CDR bytes in, CDR bytes out; no ROS needed."""
 
+from impact_rig.recording.description import OfferedQos, TopicDescription
 from impact_rig.recording.losses import Account
 from impact_rig.recording.provenance import CONFIGURATION, Attachment, Provenance, arithmetic_of
 from impact_rig.recording.reader import Message, RecordedTopic, Run, open_run
 from impact_rig.recording.schema import schema_text
-from impact_rig.recording.topics import Qos, Topic
 from impact_rig.recording.writer import RunWriter
 
 __all__ = [
@@ -12,12 +12,12 @@ __all__ = [
     "Account",
     "Attachment",
     "Message",
+    "OfferedQos",
     "Provenance",
-    "Qos",
     "RecordedTopic",
     "Run",
     "RunWriter",
-    "Topic",
+    "TopicDescription",
     "arithmetic_of",
     "open_run",
     "schema_text",

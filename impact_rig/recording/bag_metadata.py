@@ -13,7 +13,7 @@ from pathlib import Path
 import attrs
 
 from impact_rig.errors import RecordingError
-from impact_rig.recording.topics import INFINITE_NS, SERIALIZATION, Topic, dump_yaml
+from impact_rig.recording.description import INFINITE_NS, SERIALIZATION, TopicDescription, dump_yaml
 from impact_rig.system import files
 
 VERSION = 9
@@ -47,7 +47,7 @@ class FileSpan:
 
 
 def information(
-    topics: Sequence[tuple[Topic, int]],
+    topics: Sequence[tuple[TopicDescription, int]],
     spans: Sequence[FileSpan],
     *,
     ros_distro: str,

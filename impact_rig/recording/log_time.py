@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from impact_rig import codec
 from impact_rig.errors import CodecError
-from impact_rig.recording.topics import INFINITE_NS
+from impact_rig.recording.description import INFINITE_NS
 from impact_rig.simtime import NS_PER_S
 
 _LONGEST_BLOCK_S = 1e6  # a `time` beyond this (or none at all, or NaN) is no instant of a block

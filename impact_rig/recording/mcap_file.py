@@ -17,8 +17,8 @@ from mcap.writer import CompressionType, Writer
 
 from impact_rig.errors import RecordingError
 from impact_rig.recording import schema
+from impact_rig.recording.description import SERIALIZATION, TopicDescription
 from impact_rig.recording.provenance import Attachment
-from impact_rig.recording.topics import SERIALIZATION, Topic
 from impact_rig.system.files import NEW_FILE
 
 PROFILE = "ros2"
@@ -93,7 +93,7 @@ class McapFile:
         """Bytes on disk."""
         return self._buffer.committed
 
-    def add_topic(self, topic: Topic) -> int:
+    def add_topic(self, topic: TopicDescription) -> int:
         """Register `topic` and return its channel id: 1 for the first, 2 for the next."""
         if topic.type_name not in self._schema_ids:
             data = topic.schema.encode()

@@ -11,9 +11,9 @@ import attrs
 
 from impact_rig.errors import RecordingError
 from impact_rig.recording import records
+from impact_rig.recording.description import TopicDescription
 from impact_rig.recording.provenance import Attachment
 from impact_rig.recording.records import DamageError
-from impact_rig.recording.topics import Topic
 from impact_rig.system import budget
 from impact_rig.system.budget import BudgetError
 from impact_rig.system.files import open_regular
@@ -205,7 +205,7 @@ def _refuse_shared_bytes(chunks: list[records.ChunkIndex]) -> None:
         ends_at = index.offset + index.length
 
 
-def topics_of(summary: Summary) -> dict[int, Topic]:
+def topics_of(summary: Summary) -> dict[int, TopicDescription]:
     """Return the topic of every channel id.
 
     Raises:
@@ -217,5 +217,5 @@ def topics_of(summary: Summary) -> dict[int, Topic]:
         if schema is None:
             raise DamageError(f"topic {channel.topic} has no schema")
         text = schema.data.decode("utf-8", errors="replace")
-        topics[channel.id] = Topic.from_channel(channel.topic, schema.name, text, channel.metadata)
+        topics[channel.id] = TopicDescription.from_channel(channel.topic, schema.name, text, channel.metadata)
     return topics

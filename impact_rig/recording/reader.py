@@ -16,14 +16,14 @@ from typing import Any, NamedTuple  # Any: what YAML may hold
 
 import attrs
 
-from impact_rig import codec
+from impact_rig import codec, topics
 from impact_rig.blocks import Table
 from impact_rig.errors import CodecError, RecordingError
 from impact_rig.recording import bag_metadata, records
+from impact_rig.recording.description import TopicDescription, resolve
 from impact_rig.recording.mcap_source import McapSource
 from impact_rig.recording.provenance import RECORD_NAME, verify
 from impact_rig.recording.records import DamageError
-from impact_rig.recording.topics import POINT_CLOUD, Topic, resolve
 from impact_rig.system import budget, files, plain_yaml
 from impact_rig.system.budget import Account, BudgetError
 
@@ -45,7 +45,7 @@ class Message(NamedTuple):
 class RecordedTopic:
     """A topic and how many messages of it a run holds."""
 
-    topic: Topic
+    topic: TopicDescription
     count: int
 
 
@@ -200,8 +200,8 @@ class Run:
     def _table_topic(self, topic: str) -> str:
         name = self.resolve(topic)
         type_name = self.topics[name].topic.type_name
-        if type_name != POINT_CLOUD:
-            raise RecordingError(f"topic {name} carries {type_name}, not tables ({POINT_CLOUD})")
+        if type_name != topics.TABLE:
+            raise RecordingError(f"topic {name} carries {type_name}, not tables ({topics.TABLE})")
         return name
 
     def _with_messages(self) -> list[McapSource]:

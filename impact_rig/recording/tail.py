@@ -12,9 +12,9 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from impact_rig.errors import RecordingError
+from impact_rig.recording.description import TopicDescription
 from impact_rig.recording.mcap_file import McapFile
 from impact_rig.recording.provenance import protect
-from impact_rig.recording.topics import Topic
 
 SUFFIX = ".tail"
 """What follows the name of the recording."""
@@ -41,7 +41,7 @@ class Tail(McapFile):
         RecordingError: it exists, or cannot be written.
     """
 
-    def __init__(self, recording: Path, follows: int, topics: Iterable[Topic], chunk_bytes: int) -> None:
+    def __init__(self, recording: Path, follows: int, topics: Iterable[TopicDescription], chunk_bytes: int) -> None:
         super().__init__(tail_of(recording), compression="none", chunk_bytes=chunk_bytes)
         self.add_metadata(RECORD_NAME, protect({FOLLOWS: str(follows)}))
         for topic in topics:

@@ -14,9 +14,11 @@ from types import TracebackType
 
 import attrs
 
+from impact_rig import topics
 from impact_rig.errors import RecordingError
 from impact_rig.recording import bag_metadata
 from impact_rig.recording.bag_metadata import FileSpan
+from impact_rig.recording.description import INFINITE_NS, TopicDescription, matches
 from impact_rig.recording.log_time import LogTime
 from impact_rig.recording.losses import RECORD_NAME as LOSSES_RECORD_NAME
 from impact_rig.recording.losses import Account
@@ -24,7 +26,6 @@ from impact_rig.recording.mcap_file import McapFile
 from impact_rig.recording.provenance import RECORD_NAME, TOPIC_RECORD_NAME, Attachment, Provenance, protect
 from impact_rig.recording.schema import starts_with_header
 from impact_rig.recording.tail import Tail
-from impact_rig.recording.topics import INFINITE_NS, SCAN_TOPIC, Topic, matches
 from impact_rig.system import files
 
 CHUNK_BYTES = 512 * 1024
@@ -37,7 +38,7 @@ CHUNK_OPEN_S = 0.5
 class _Channel:
     """A topic of the run and its place in the current file."""
 
-    topic: Topic
+    topic: TopicDescription
     has_header: bool
     is_scan: bool
     id: int = 0
@@ -128,7 +129,7 @@ class RunWriter:
         """The MCAP files of the run, in order."""
         return [self.directory / span.path for span in self._spans]
 
-    def add_topic(self, topic: Topic) -> None:
+    def add_topic(self, topic: TopicDescription) -> None:
         """Make a topic known; may be called at any time. Known with the same type: nothing happens.
 
         Raises:
@@ -138,7 +139,7 @@ class RunWriter:
         known = self._channels.get(topic.name)
         if known is None:
             channel = _Channel(
-                topic, starts_with_header(topic.type_name, topic.schema), matches(topic.name, SCAN_TOPIC)
+                topic, starts_with_header(topic.type_name, topic.schema), matches(topic.name, topics.SCAN.name)
             )
             with self._stopping_on_error:
                 self._file.close_chunk()  # a definition that filled it would close it behind the tail's back

@@ -13,6 +13,7 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
+from impact_rig import topics
 from impact_rig.analysis import figures
 from impact_rig.analysis.tracker import Findings
 from impact_rig.blocks import SCAN, Table
@@ -137,13 +138,13 @@ def last_stretch(run: Run, found: Sequence[Findings]) -> Stretch:
         for table in one.measurements
         if table.rows["settled"][0] == 1.0
     ]
-    rate_hz = float([table.rows["rate"][0] for table in run.tables("daq/info")][-1])
+    rate_hz = float([table.rows["rate"][0] for table in run.tables(topics.INFO.name)][-1])
     if settled:
         last, measured = settled[-1][0], settled[-1][1]
         drive_hz, end_ns = float(measured.rows["frequency"][0]), measured.stamp_ns
         span_s = float(measured.rows["cycles"][0]) / drive_hz
     else:
-        drive = [table.rows["frequency"][-1] for table in run.tables("shaker/applied", recorded_order=True)]
+        drive = [table.rows["frequency"][-1] for table in run.tables(topics.APPLIED.name, recorded_order=True)]
         last, drive_hz, end_ns, span_s = len(found), float(drive[-1]) if drive else 0.0, None, UNSETTLED_S
     first, origin_ns, tables = _newest_scans(run, last, span_s + HELD_S, rate_hz)
     rows = _joined(tables, origin_ns) if tables else np.empty(0, SCAN)
@@ -194,7 +195,7 @@ def _newest_scans(run: Run, last: int, span_s: float, rate_hz: float) -> tuple[i
     """
     kept: deque[Table] = deque()
     first, origin_ns = 0, 0
-    for number, table in enumerate(run.tables("daq/scan", recorded_order=True)):
+    for number, table in enumerate(run.tables(topics.SCAN.name, recorded_order=True)):
         if number > last:
             break
         expected_ns = kept[-1].stamp_ns + len(kept[-1].rows) * NS_PER_S / rate_hz if kept else -math.inf

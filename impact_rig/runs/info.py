@@ -7,13 +7,13 @@ from pathlib import Path
 
 import attrs
 
-from impact_rig import codec
+from impact_rig import codec, topics
 from impact_rig.errors import CodecError
 from impact_rig.recording import losses
+from impact_rig.recording.description import matches
 from impact_rig.recording.provenance import CONFIGURATION
 from impact_rig.recording.reader import Message, Run, open_run
 from impact_rig.recording.records import DamageError
-from impact_rig.recording.topics import SCAN_TOPIC, matches
 from impact_rig.runs import recovery_record
 from impact_rig.runs.contiguity import Contiguity, check_contiguity, scan_rate_hz
 from impact_rig.runs.recovery_record import Recovered
@@ -87,7 +87,7 @@ class RunInfo:
 
         What was published before (journal, calibration) keeps its stamp, which may be hours older.
         """
-        scans = [topic for topic in self.topics if matches(topic.name, SCAN_TOPIC)]
+        scans = [topic for topic in self.topics if matches(topic.name, topics.SCAN.name)]
         if not scans:
             return (self.end_ns - self.start_ns) / NS_PER_S
         return (max(topic.last_ns for topic in scans) - min(topic.first_ns for topic in scans)) / NS_PER_S
@@ -157,7 +157,7 @@ def _verdict(scans: Contiguity | None, missing: list[str], *, accounted: bool, r
     begin = "recovered: every checksum fits" if recovered else "every checksum fits"
     if missing:
         return f"{begin}, but {'; '.join(missing)}"
-    found = f"{scans.blocks} blocks of {SCAN_TOPIC} without a gap" if scans else f"there is no {SCAN_TOPIC}"
+    found = f"{scans.blocks} blocks of {topics.SCAN.name} without a gap" if scans else f"there is no {topics.SCAN.name}"
     if recovered:
         return f"{begin}, {found}; what the recorder had missed is not known"
     if not accounted:
@@ -168,7 +168,7 @@ def _verdict(scans: Contiguity | None, missing: list[str], *, accounted: bool, r
 def _gaps(scans: Contiguity | None) -> list[str]:
     if scans is None or scans.whole:
         return []
-    parts = [f"{len(scans.gaps)} gaps in {SCAN_TOPIC}"]
+    parts = [f"{len(scans.gaps)} gaps in {topics.SCAN.name}"]
     if scans.lost_blocks:
         parts.append(f"{scans.lost_blocks} blocks ({scans.lost_scans} scans) are missing")
     if scans.restarts:
@@ -211,7 +211,7 @@ class _Tally:
     def __init__(self, run: Run) -> None:
         self._types = {name: recorded.topic.type_name for name, recorded in run.topics.items()}
         self._counts = {name: _Count() for name in run.topics}
-        self._scan_topics = {name for name in run.topics if matches(name, SCAN_TOPIC)}
+        self._scan_topics = {name for name in run.topics if matches(name, topics.SCAN.name)}
         self.blocks: list[tuple[int, int]] = []
         self.rate_hz: int | None = None
 

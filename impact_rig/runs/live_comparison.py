@@ -12,13 +12,13 @@ from collections.abc import Iterable, Sequence
 import attrs
 import numpy as np
 
-from impact_rig import codec
+from impact_rig import codec, topics
 from impact_rig.analysis.settings import TrackerSettings
 from impact_rig.analysis.tables import machine_of
 from impact_rig.analysis.words import Status
 from impact_rig.blocks import Table
 from impact_rig.recording import Run
-from impact_rig.recording.topics import matches
+from impact_rig.recording.description import matches
 from impact_rig.runs import check_contiguity
 from impact_rig.simtime import NS_PER_S
 from impact_rig.system.machine import fingerprint
@@ -30,7 +30,12 @@ ABSOLUTE = frozenset({"phase", "phase_uncertainty", "frequency_deviation", "thd"
 LAST_WORDS_S = 1.0
 """A recorder that stops first may miss what the analysis said of this last stretch, and of what it holds back."""
 
-_SETTINGS, _TABLE, _SCANS, _INFO = "analysis/settings", "transmissibility/table", "daq/scan", "daq/info"
+_SETTINGS, _TABLE, _SCANS, _INFO = (
+    topics.ANALYSIS_SETTINGS.name,
+    topics.TRANSMISSIBILITY_TABLE.name,
+    topics.SCAN.name,
+    topics.INFO.name,
+)
 
 
 @attrs.frozen

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_rig import codec
+from impact_rig import codec, topics
 from impact_rig.analysis.labels import GapLabel, parse_label
 from impact_rig.analysis.settings import TrackerSettings
 from impact_rig.analysis.tables import read_settings
@@ -15,9 +15,9 @@ from impact_rig.analysis.tracker import Findings, Tracker
 from impact_rig.blocks import TRANSMISSIBILITY, Table
 from impact_rig.recording import Run
 
-_NEEDED = ("daq/info", "shaker/applied", "daq/scan")
+_NEEDED = (topics.INFO.name, topics.APPLIED.name, topics.SCAN.name)
 _NOTES = "notes"
-_SETTINGS = "analysis/settings"
+_SETTINGS = topics.ANALYSIS_SETTINGS.name
 
 
 def analyze(run: Run, settings: TrackerSettings | None = None) -> Iterator[Findings]:
@@ -34,9 +34,9 @@ def analyze(run: Run, settings: TrackerSettings | None = None) -> Iterator[Findi
     for message in run.messages(names, recorded_order=True):
         topic = names[message.topic]
         table = codec.decode(message.data)
-        if topic == "daq/info":
+        if topic == topics.INFO.name:
             tracker.configure(table)
-        elif topic == "shaker/applied":
+        elif topic == topics.APPLIED.name:
             tracker.command(table)
         else:
             yield tracker.feed(table)

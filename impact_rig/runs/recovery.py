@@ -12,12 +12,12 @@ from pathlib import Path
 
 from impact_rig.errors import RecordingError
 from impact_rig.recording import bag_metadata, losses, mcap_source, provenance, records
+from impact_rig.recording.description import TopicDescription
 from impact_rig.recording.provenance import Attachment, Provenance
 from impact_rig.recording.reader import run_files
 from impact_rig.recording.records import DamageError
 from impact_rig.recording.tail import FOLLOWS, tail_of
 from impact_rig.recording.tail import RECORD_NAME as TAIL_RECORD_NAME
-from impact_rig.recording.topics import Topic
 from impact_rig.recording.writer import RunWriter
 from impact_rig.runs import recovery_record
 from impact_rig.runs.recovery_record import Recovered
@@ -124,7 +124,7 @@ class _Salvage:
         self._report = report
         self._accept_unchecked = accept_unchecked
         self._schemas: dict[int, records.Schema] = {}
-        self._topics: dict[int, Topic] = {}
+        self._topics: dict[int, TopicDescription] = {}
         with DamagedFile(path) as file:
             self._read_summary(file)
             for found in file.walk():
@@ -142,7 +142,7 @@ class _Salvage:
         for _, topic in sorted(self._topics.items()):
             self.introduce(topic, writer)
 
-    def introduce(self, topic: Topic, writer: RunWriter) -> bool:
+    def introduce(self, topic: TopicDescription, writer: RunWriter) -> bool:
         """Make a topic known to `writer`; return False if it contradicts another of that name, which is noted."""
         try:
             writer.add_topic(topic)
@@ -153,7 +153,7 @@ class _Salvage:
             return False
         return True
 
-    def messages(self) -> Iterator[tuple[Topic, records.RawMessage]]:
+    def messages(self) -> Iterator[tuple[TopicDescription, records.RawMessage]]:
         """Yield the messages of all whole chunks in the order of the file, and those of the chunk that was open."""
         last = -1  # where the last whole chunk begins
         with DamagedFile(self.path) as file:
@@ -164,7 +164,7 @@ class _Salvage:
                     last = found.offset if self.figures.chunks > chunks else last
         yield from self._open_chunk(last)
 
-    def _open_chunk(self, last: int) -> Iterator[tuple[Topic, records.RawMessage]]:
+    def _open_chunk(self, last: int) -> Iterator[tuple[TopicDescription, records.RawMessage]]:
         """Yield the messages of the tail, unless a chunk that begins no earlier than `last` has made it superfluous."""
         tail = tail_of(self.path)
         if not tail.exists():
@@ -174,7 +174,7 @@ class _Salvage:
             self._report.heal(self.path.name, follows)  # the chunk itself may have been cut short in the writing
             yield from _Salvage(tail, self._report, accept_unchecked=False, figures=self.figures).messages()
 
-    def _messages(self, file: DamagedFile, found: Found) -> Iterator[tuple[Topic, records.RawMessage]]:
+    def _messages(self, file: DamagedFile, found: Found) -> Iterator[tuple[TopicDescription, records.RawMessage]]:
         try:
             chunk = records.parse_chunk(file.content(found))
             self._report.account.chunk(chunk.uncompressed_size)
@@ -213,7 +213,7 @@ class _Salvage:
         schema = self._schemas.get(definition.schema_id)
         if schema is not None:
             text = schema.data.decode("utf-8", errors="replace")
-            topic = Topic.from_channel(definition.topic, schema.name, text, definition.metadata)
+            topic = TopicDescription.from_channel(definition.topic, schema.name, text, definition.metadata)
             self._topics[definition.id] = topic
 
     def _take_attachment(self, file: DamagedFile, found: Found) -> None:
@@ -244,7 +244,7 @@ class _Salvage:
 
     def _take_topic(self, record: dict[str, str]) -> None:
         try:
-            topic = Topic.from_channel(record["name"], record["type_name"], record["schema"], record)
+            topic = TopicDescription.from_channel(record["name"], record["type_name"], record["schema"], record)
             self._topics.setdefault(int(record["id"]), topic)
         except (KeyError, ValueError):
             return

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import attrs
 
-from impact_rig import codec
+from impact_rig import codec, topics
 from impact_rig.errors import CodecError
+from impact_rig.recording.description import TopicDescription, matches
 from impact_rig.recording.records import RawMessage, Statistics
 from impact_rig.recording.tail import SUFFIX
-from impact_rig.recording.topics import SCAN_TOPIC, Topic, matches
 from impact_rig.runs.contiguity import check_contiguity, scan_rate_hz
 from impact_rig.runs.salvage import Damage
 from impact_rig.simtime import NS_PER_S
@@ -47,13 +47,13 @@ class FileReport:
         """Note what the index counts."""
         self.expected = statistics
 
-    def count(self, topic: Topic, message: RawMessage) -> None:
+    def count(self, topic: TopicDescription, message: RawMessage) -> None:
         """Count a message that is given back."""
         self.messages += 1
         time_ns = message.log_time
         self._first_ns = time_ns if self._first_ns is None else min(self._first_ns, time_ns)
         self._last_ns = max(self._last_ns, time_ns)
-        if matches(topic.name, SCAN_TOPIC):
+        if matches(topic.name, topics.SCAN.name):
             try:
                 table = codec.decode(message.data)
             except CodecError:

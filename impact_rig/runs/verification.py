@@ -9,7 +9,7 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_rig import codec
+from impact_rig import codec, topics
 from impact_rig.arithmetic import ARITHMETIC
 from impact_rig.blocks import Table
 from impact_rig.errors import CommandError, ConfigError, RecordingError, SimulationError
@@ -52,7 +52,7 @@ def verify(run: Run) -> Verdict:
     """
     if arithmetic_of(run.provenance) not in ("", str(ARITHMETIC)):
         return Verdict(None, 0, f"recorded with arithmetic {arithmetic_of(run.provenance)}, this is {ARITHMETIC}")
-    scans = run.tables("daq/scan", recorded_order=True)
+    scans = run.tables(topics.SCAN.name, recorded_order=True)
     try:
         journals, first = _journals(run)
     except RecordingError as error:
@@ -76,13 +76,13 @@ def _journals(run: Run) -> tuple[list[list[Table]], int]:
     Rows before the first start or reset are a journal without its beginning.
     """
     found: list[list[Table]] = []
-    for table in run.tables("rig/journal", recorded_order=True):
+    for table in run.tables(topics.JOURNAL.name, recorded_order=True):
         for rows in np.split(table.rows, np.flatnonzero(np.isin(table.rows["kind"], _BEGINS))):
             if len(rows) and (not found or rows["kind"][0] in _BEGINS):
                 found.append([])
             if len(rows):
                 found[-1].append(Table(table.stamp_ns, rows))
-    scan, journal = run.resolve("daq/scan"), run.resolve("rig/journal")
+    scan, journal = run.resolve(topics.SCAN.name), run.resolve(topics.JOURNAL.name)
     both = run.messages([scan, journal], recorded_order=True)
     early = itertools.takewhile(lambda message: message.topic == journal, both)
     begun = sum(int(np.isin(codec.decode(message.data).rows["kind"], _BEGINS).sum()) for message in early)

@@ -10,14 +10,22 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from impact_rig import topics
 from impact_rig.blocks import SCAN, Table
 from impact_rig.errors import CommandError, ConfigError, ImpactRigError
 from impact_rig.rig.config import RigConfig, from_flat, to_flat
 from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S
 from impact_rig.testing.faults import Fault
 
-SCANS = "daq/scan"
-TOPICS = (SCANS, "daq/info", "shaker/applied", "rig/journal", "truth/impacts", "truth/faults")
+SCANS = topics.SCAN.name
+TOPICS = (
+    SCANS,
+    topics.INFO.name,
+    topics.APPLIED.name,
+    topics.JOURNAL.name,
+    topics.IMPACTS_TRUTH.name,
+    topics.FAULTS.name,
+)
 """Tables that every rig under test keeps, and that are in the run of a failed test."""
 _GRID_PER_S = NS_PER_S // COMMAND_GRID_NS
 _DEFAULTS = to_flat(RigConfig())
@@ -202,13 +210,13 @@ class SteppedRig(abc.ABC):
         lines += [f"    {key} = {values[key]}" for key in changed]
         lines += [f"    fault: {fault}" for fault in self.faults]
         lines += [f"    scans {first} to {end - 1} were not published" for first, end in self.lost_samples()[:5]]
-        applied = {int(row["sample"]): row for row in self.rows("shaker/applied")}
+        applied = {int(row["sample"]): row for row in self.rows(topics.APPLIED.name)}
         for sample, row in list(applied.items())[-10:]:
             lines.append(f"    from scan {sample} on: {row['frequency']:g} Hz, {row['current']:g} A")
         return "\n".join(lines)
 
     def _start_ns(self) -> int:
-        info = self.tables("daq/info")
+        info = self.tables(topics.INFO.name)
         return info[0].stamp_ns if info else 0
 
     def _faults_so_far(self) -> str:

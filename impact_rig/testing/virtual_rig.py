@@ -8,12 +8,11 @@ from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 
 import impact_rig
-from impact_rig import codec
+from impact_rig import codec, topics
 from impact_rig.blocks import Table
 from impact_rig.errors import RecordingError
 from impact_rig.instruments.faults import Fault as CoreFault
-from impact_rig.recording import CONFIGURATION, Attachment, Provenance, RunWriter, Topic, schema_text
-from impact_rig.recording.topics import POINT_CLOUD
+from impact_rig.recording import CONFIGURATION, Attachment, Provenance, RunWriter, TopicDescription, schema_text
 from impact_rig.rig import Block, Rig
 from impact_rig.rig.config import RigConfig, dump
 from impact_rig.testing.faults import Fault
@@ -23,7 +22,7 @@ BATCH_BLOCKS = 50
 KEPT_BYTES = 256_000_000
 """Scans beyond this are forgotten, oldest first: 10 minutes at 10 kS/s."""
 
-ESSENTIAL = ("daq/info", "shaker/applied", "rig/journal")
+ESSENTIAL = (topics.INFO.name, topics.APPLIED.name, topics.JOURNAL.name)
 """Never forgotten: what they say holds until the next of them."""
 
 Listener = Callable[[Table], object]
@@ -53,7 +52,7 @@ class VirtualRig(SteppedRig):
         self._order: deque[tuple[str, Table]] = deque()
         self._early: list[tuple[str, Table]] = []
         self._bytes = 0
-        self._keep("daq/info", self.core.info())
+        self._keep(topics.INFO.name, self.core.info())
         self._changes()
 
     def connect(self, listener: Listener) -> None:
@@ -85,7 +84,7 @@ class VirtualRig(SteppedRig):
         self._changes()
         info = self.core.info()
         if codec.encode(info) != before:
-            self._keep("daq/info", info)
+            self._keep(topics.INFO.name, info)
         return self.config
 
     def inject(self, fault: Fault) -> int:
@@ -120,7 +119,7 @@ class VirtualRig(SteppedRig):
         Raises:
             RecordingError: it cannot be written; the message interfaces (`sensor_msgs`) are needed for its schemas.
         """
-        schema = schema_text(POINT_CLOUD)
+        schema = schema_text(topics.TABLE)
         provenance = Provenance(
             version=impact_rig.__version__,
             seed=self.config.daq.seed,
@@ -134,7 +133,7 @@ class VirtualRig(SteppedRig):
             directory, provenance=provenance, attachments=(configuration,), clock=time.monotonic, rig_start_ns=0
         ) as writer:
             for topic in TOPICS:
-                writer.add_topic(Topic(name=f"/{topic}", type_name=POINT_CLOUD, schema=schema))
+                writer.add_topic(TopicDescription(name=f"/{topic}", type_name=topics.TABLE, schema=schema))
             for topic, table in (*self._early, *self._order):
                 writer.write(f"/{topic}", codec.encode(table), provenance.wall_start_ns)
         return directory
@@ -152,8 +151,8 @@ class VirtualRig(SteppedRig):
         self.sample = block.first_sample + len(block.scan.rows)
         for topic, table in (
             (SCANS, None if block.lost else block.scan),
-            ("truth/impacts", block.impacts),
-            ("truth/faults", block.faults),
+            (topics.IMPACTS_TRUTH.name, block.impacts),
+            (topics.FAULTS.name, block.faults),
         ):
             if table is not None:
                 table.rows.flags.writeable = False  # as a subscriber gets it
@@ -163,7 +162,10 @@ class VirtualRig(SteppedRig):
                 listener(block.scan)
 
     def _changes(self) -> None:
-        for topic, tables in (("rig/journal", self.core.take_journal()), ("shaker/applied", self.core.take_applied())):
+        for topic, tables in (
+            (topics.JOURNAL.name, self.core.take_journal()),
+            (topics.APPLIED.name, self.core.take_applied()),
+        ):
             for table in tables:
                 self._keep(topic, table)
 

@@ -16,7 +16,7 @@ from impact_rig.analysis.tables import settings_table
 from impact_rig.analysis.tracker import Tracker
 from impact_rig.blocks import Table
 from impact_rig.instruments.faults import Fault
-from impact_rig.recording import Provenance, RunWriter, Topic, schema_text
+from impact_rig.recording import Provenance, RunWriter, TopicDescription, schema_text
 from impact_rig.rig import Rig
 from impact_rig.rig.config import RigConfig, from_flat
 
@@ -93,7 +93,9 @@ def record(directory: Path, found: Iterable[tuple[str, Table]], provenance: Prov
     )
     with writer:
         for name in sorted({name for name, _ in found}):
-            writer.add_topic(Topic(name=f"/rig/{name}", type_name=POINT_CLOUD, schema=schema_text(POINT_CLOUD)))
+            writer.add_topic(
+                TopicDescription(name=f"/rig/{name}", type_name=POINT_CLOUD, schema=schema_text(POINT_CLOUD))
+            )
         for name, table in found:
             writer.write(f"/rig/{name}", codec.encode(table), table.stamp_ns)
     return writer.directory

@@ -16,7 +16,7 @@ from mcap.writer import CompressionType, Writer
 
 from impact_rig import codec
 from impact_rig.blocks import APPLIED, SCAN, Table
-from impact_rig.recording import Attachment, Provenance, Qos, RunWriter, Topic, schema_text
+from impact_rig.recording import Attachment, OfferedQos, Provenance, RunWriter, TopicDescription, schema_text
 
 POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
 RATE_HZ = 10_000
@@ -63,21 +63,21 @@ def type_hash(type_name: str) -> str:
     return next(entry["hash_string"] for entry in description["type_hashes"] if entry["type_name"] == type_name)
 
 
-def topic(name: str, type_name: str, *qos: Qos) -> Topic:
-    return Topic(
+def topic(name: str, type_name: str, *qos: OfferedQos) -> TopicDescription:
+    return TopicDescription(
         name=name,
         type_name=type_name,
         schema=schema_text(type_name),
         type_hash=type_hash(type_name),
-        offered_qos=qos or (Qos(),),
+        offered_qos=qos or (OfferedQos(),),
     )
 
 
-SCAN_TOPIC = topic("/rig/daq/scan", POINT_CLOUD, Qos(history="keep_last", depth=100))
+SCAN_TOPIC = topic("/rig/daq/scan", POINT_CLOUD, OfferedQos(history="keep_last", depth=100))
 APPLIED_TOPIC = topic("/rig/shaker/applied", POINT_CLOUD)
 NOTES_TOPIC = topic("/rig/notes", "std_msgs/msg/String")
 FREQUENCY_TOPIC = topic("/rig/shaker/frequency", "std_msgs/msg/Float64")
-ACK_TOPIC = topic("/rig/daq/ack", "std_msgs/msg/Header", Qos(durability="transient_local", depth=1))
+ACK_TOPIC = topic("/rig/daq/ack", "std_msgs/msg/Header", OfferedQos(durability="transient_local", depth=1))
 ALL_TOPICS = (SCAN_TOPIC, APPLIED_TOPIC, NOTES_TOPIC, FREQUENCY_TOPIC, ACK_TOPIC)
 
 
@@ -123,14 +123,16 @@ class Sent:
     sequence: int
 
 
-def fill(writer: RunWriter, blocks: int, *, first: int = 0, topics: tuple[Topic, ...] = ALL_TOPICS) -> list[Sent]:
+def fill(
+    writer: RunWriter, blocks: int, *, first: int = 0, topics: tuple[TopicDescription, ...] = ALL_TOPICS
+) -> list[Sent]:
     """Record `blocks` blocks and what comes with them; return what was sent, in order."""
     for known in topics:
         writer.add_topic(known)
     sent: list[Sent] = []
     counts = Counter[str]()
 
-    def send(where: Topic, data: bytes, log_time: int) -> None:
+    def send(where: TopicDescription, data: bytes, log_time: int) -> None:
         publish_time = START_NS + len(sent) * 1000 + first
         counts[where.name] += 1
         writer.write(where.name, data, publish_time, counts[where.name])

@@ -15,14 +15,14 @@ pytest.importorskip("rclpy", reason="no ROS 2 here")
 from kits.nodes import host_rig
 from rclpy.serialization import deserialize_message
 
-from impact_rig import codec
+from impact_rig import codec, topics
 from impact_rig.analysis.labels import GapLabel, parse_label
 from impact_rig.analysis.tracker import Tracker
 from impact_rig.blocks import SCAN, Table
 from impact_rig.client import Client
 from impact_rig.client.parameters import ros_parameters
 from impact_rig.errors import ConfigError
-from impact_rig.nodes import topics
+from impact_rig.nodes import messages
 from impact_rig.nodes.analysis_node import AnalysisNode
 
 pytestmark = pytest.mark.ros
@@ -99,7 +99,7 @@ def test_a_time_that_is_none_is_a_status_and_the_block_is_acknowledged(client: C
     rows = np.zeros(10, SCAN)
     rows["time"][-1] = last_s
     rows["time"][:-1] = np.arange(9) / 1e4
-    client.publish(topics.SCAN, deserialize_message(codec.encode(Table(7, rows)), topics.SCAN.message_type()))
+    client.publish(topics.SCAN, deserialize_message(codec.encode(Table(7, rows)), messages.class_of(topics.SCAN)))
     client.wait_until(lambda: acknowledged.messages, "the acknowledgement")
     assert acknowledged.messages[0].stamp.nanosec == 7
     assert "exception" not in node.refusals.counts

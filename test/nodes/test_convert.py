@@ -11,7 +11,7 @@ pytest.importorskip("rclpy", reason="no ROS 2 here")
 
 from rclpy.serialization import serialize_message
 
-from impact_rig.nodes import topics
+from impact_rig import topics
 from impact_rig.nodes.convert import Monitors
 from impact_rig.nodes.stamps import nanoseconds
 from impact_rig.rig import Block, Rig

@@ -12,8 +12,8 @@ pytest.importorskip("rclpy", reason="no ROS 2 here")
 
 from kits.nodes import host_rig
 
+from impact_rig import topics
 from impact_rig.client import Client, isolated_domain
-from impact_rig.nodes import topics
 from impact_rig.nodes.diagnostics import CpuMeter, Level, worst
 from impact_rig.physics.contact import from_config
 from impact_rig.rig.config import RigConfig

@@ -23,9 +23,10 @@ from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from std_msgs.msg import Float64, Header
 from std_srvs.srv import SetBool, Trigger
 
+from impact_rig import topics
 from impact_rig.client import isolated_domain
 from impact_rig.errors import ConfigError
-from impact_rig.nodes import services, topics
+from impact_rig.nodes import messages, services
 from impact_rig.recording import open_run
 from impact_rig.rig.config import RigConfig, from_flat
 
@@ -257,7 +258,7 @@ def recorded(attacked: Attacked) -> Attacked:
 def test_bytes_that_are_no_message(recorded: Attacked, topic: topics.Topic) -> None:
     """The middleware hands anything on; whoever subscribes must live with it."""
     client = recorded.client
-    publisher = client.node.create_publisher(topic.message_type(), topic.name, topic.qos.profile())
+    publisher = client.node.create_publisher(messages.class_of(topic), topic.name, messages.profile(topic.qos))
     client.wait_until(publisher.get_subscription_count, f"a subscriber of {topic.name}")
 
     @settings(cases, max_examples=max(1, CASES // 8))

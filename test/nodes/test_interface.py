@@ -14,9 +14,10 @@ from rcl_interfaces.srv import DescribeParameters, ListParameters
 from std_msgs.msg import Float64, Header
 from std_srvs.srv import SetBool, Trigger
 
+from impact_rig import topics
 from impact_rig.client import Client, isolated_domain
 from impact_rig.client.parameters import ros_parameters
-from impact_rig.nodes import services, topics
+from impact_rig.nodes import messages, services
 from impact_rig.nodes.analysis_node import AnalysisNode
 from impact_rig.nodes.recorder_node import RecorderNode
 from impact_rig.nodes.rig_node import RigNode
@@ -44,11 +45,11 @@ def test_every_field_of_a_message_has_unit_and_meaning_and_exists(topic: topics.
         assert list(topic.columns.names or ()) == [field.name for field in topic.fields]
         return
     for field in topic.fields:
-        value = topic.message_type()()
+        value = messages.class_of(topic)()
         for part in re.sub(r"\[\d\]", "", field.name).split("."):
             value = value[0] if isinstance(value, list) and value else value
             if isinstance(value, list):  # an empty list of messages: look at what it would hold
-                value = topics.by_name("/diagnostics").message_type()
+                value = messages.class_of(topics.by_name("/diagnostics"))
                 continue
             assert hasattr(value, part), f"{topic.name}: {field.name}"
             value = getattr(value, part)

@@ -17,11 +17,11 @@ from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
+from impact_rig import topics
 from impact_rig.client import Client, ServiceFailedError, isolated_domain
 from impact_rig.client.parameters import ros_parameters
 from impact_rig.config.fields import integer, names, quantity, switch
 from impact_rig.errors import CommandError, ConfigError
-from impact_rig.nodes import topics
 from impact_rig.nodes.deferred import DeferredService
 from impact_rig.nodes.diagnostics import Level, Status
 from impact_rig.nodes.managed import ManagedNode

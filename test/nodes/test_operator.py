@@ -17,8 +17,8 @@ from rcl_interfaces.msg import ParameterEvent, ParameterType
 from rcl_interfaces.srv import GetParameterTypes, ListParameters
 from rclpy.qos import qos_profile_parameter_events
 
+from impact_rig import topics
 from impact_rig.client import Client, Collector, isolated_domain
-from impact_rig.nodes import topics
 from impact_rig.nodes.stamps import nanoseconds
 from impact_rig.rig import config
 from impact_rig.rig.config import RigConfig

@@ -15,11 +15,11 @@ from kits.nodes import host_rig
 from rclpy.node import Node
 from std_msgs.msg import Float64, Header
 
-from impact_rig import codec
+from impact_rig import codec, topics
 from impact_rig.blocks import TRANSMISSIBILITY, Table
 from impact_rig.client import Client, ServiceFailedError
 from impact_rig.client.parameters import ros_parameters
-from impact_rig.nodes import topics
+from impact_rig.nodes import messages
 from impact_rig.nodes.recorder_node import RecorderNode
 from impact_rig.recording import open_run
 from impact_rig.recording.losses import RECORD_NAME, read_record
@@ -150,8 +150,8 @@ def test_a_second_publisher_and_a_third_reader_are_no_loss(client: Client, tmp_p
     client.wait_until(lambda: recording(client), "the recorder")
     others = [client.host(Node, node_name=f"operator_{number}") for number in range(2)]
     outlets = [
-        (node.create_publisher(Float64, topics.FREQUENCY.name, topics.FREQUENCY.qos.profile()),
-         node.create_publisher(Header, topics.ACK.name, topics.ACK.qos.profile()))
+        (node.create_publisher(Float64, topics.FREQUENCY.name, messages.profile(topics.FREQUENCY.qos)),
+         node.create_publisher(Header, topics.ACK.name, messages.profile(topics.ACK.qos)))
         for node in others
     ]  # fmt: skip
     client.wait_until(
@@ -198,8 +198,8 @@ def test_messages_that_never_arrived_are_told_by_topic_and_kept_in_the_file(clie
 def test_results_of_before_are_not_those_of_a_run(client: Client, tmp_path: Path) -> None:
     """A latched topic hands a recorder that comes what earlier cases measured."""
     node = client.host(Node, node_name="analysis")
-    profile = topics.TRANSMISSIBILITY_TABLE.qos.profile()
-    table = node.create_publisher(topics.SCAN.message_type(), topics.TRANSMISSIBILITY_TABLE.name, profile)
+    profile = messages.profile(topics.TRANSMISSIBILITY_TABLE.qos)
+    table = node.create_publisher(messages.class_of(topics.SCAN), topics.TRANSMISSIBILITY_TABLE.name, profile)
     rows = np.zeros(1, TRANSMISSIBILITY)
     for stamp in (1, 2, 3):
         table.publish(codec.encode(Table(stamp, rows)))

@@ -9,9 +9,10 @@ pytest.importorskip("rclpy", reason="no ROS 2 here")
 from kits.nodes import host_rig
 from rclpy.node import Node
 
+from impact_rig import topics
 from impact_rig.client import Client, Collector, ServiceFailedError, WaitTimeoutError
 from impact_rig.client.parameters import ros_parameters
-from impact_rig.nodes import topics
+from impact_rig.nodes import messages
 from impact_rig.nodes.analysis_node import AnalysisNode
 from impact_rig.nodes.recorder_node import RecorderNode
 from impact_rig.nodes.rig_node import RigNode
@@ -59,7 +60,7 @@ def test_realtime_goes_on_without_a_peer_that_does_not_come(client: Client) -> N
 def other(client: Client, topic: topics.Topic) -> Node:
     """Return a node that publishes one of the rig's topics."""
     node = client.host(Node, node_name="intruder")
-    node.create_publisher(topic.message_type(), topic.name, topic.qos.profile())
+    node.create_publisher(messages.class_of(topic), topic.name, messages.profile(topic.qos))
     return node
 
 

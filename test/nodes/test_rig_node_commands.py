@@ -12,9 +12,9 @@ pytest.importorskip("rclpy", reason="no ROS 2 here")
 from kits.nodes import host_rig, same_as_resimulated
 from std_msgs.msg import Float64
 
+from impact_rig import topics
 from impact_rig.client import Client, ServiceFailedError
 from impact_rig.errors import ConfigError
-from impact_rig.nodes import topics
 
 pytestmark = pytest.mark.ros
 

@@ -10,9 +10,10 @@ from kits.nodes import TICK, host_rig
 from rclpy.qos import DurabilityPolicy
 from std_msgs.msg import Header
 
+from impact_rig import topics
 from impact_rig.client import Client, ServiceFailedError, WaitTimeoutError
 from impact_rig.errors import ConfigError
-from impact_rig.nodes import topics
+from impact_rig.nodes import messages
 
 pytestmark = pytest.mark.ros
 
@@ -67,9 +68,9 @@ def test_a_step_waits_for_the_slowest_peer(client: Client) -> None:
 
 def test_a_reader_that_cannot_match_holds_nobody_up(client: Client) -> None:
     """It asks for history that daq/scan does not offer; the peer is there all the same."""
-    profile = topics.SCAN.qos.profile()
+    profile = messages.profile(topics.SCAN.qos)
     profile.durability = DurabilityPolicy.TRANSIENT_LOCAL
-    client.node.create_subscription(topics.SCAN.message_type(), topics.SCAN.name, lambda _: None, profile)
+    client.node.create_subscription(messages.class_of(topics.SCAN), topics.SCAN.name, lambda _: None, profile)
     host_rig(client, time__peers=["client"])
     client.wait_active("rig")
     scans = client.collect("daq/scan", acknowledge=True)

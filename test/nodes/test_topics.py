@@ -13,9 +13,9 @@ pytest.importorskip("rclpy", reason="no ROS 2 here")
 from kits.nodes import host_rig
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 
+from impact_rig import topics
 from impact_rig.client import Client
 from impact_rig.codec import MAX_MESSAGE_BYTES
-from impact_rig.nodes import topics
 from impact_rig.nodes.analysis_node import AnalysisNode
 
 pytestmark = pytest.mark.ros

@@ -123,6 +123,6 @@ def test_plotjuggler_layout_plots_fields_that_exist():
 
 @pytest.mark.ros
 def test_layouts_name_topics_and_types_of_the_topic_table():
-    topics = pytest.importorskip("impact_rig.nodes.topics")
+    topics = pytest.importorskip("impact_rig.topics")
     known = {f"/rig/{topic.name}": topic.type_name for topic in topics.TOPICS}
     assert known.items() >= PLOTTED.items()

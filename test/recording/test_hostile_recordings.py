@@ -16,9 +16,9 @@ import pytest
 from impact_rig.cli.recovery import INCOMPLETE
 from impact_rig.errors import ImpactRigError
 from impact_rig.recording import open_run
+from impact_rig.recording.description import TopicDescription
 from impact_rig.recording.records import DamageError
 from impact_rig.recording.schema import starts_with_header
-from impact_rig.recording.topics import Topic
 from impact_rig.runs import export, info, recover
 from impact_rig.system import budget
 from impact_rig.system.budget import BudgetError
@@ -106,7 +106,7 @@ def test_an_index_that_lies_about_the_size_of_a_chunk_is_damage(tmp_path: Path) 
 
 def test_quality_of_service_is_read_by_field_and_never_expanded() -> None:
     def profiles(text: str) -> list[Any]:
-        return Topic(name="/a", type_name="b/msg/C", schema="", offered_qos_text=text).offered_qos_yaml()
+        return TopicDescription(name="/a", type_name="b/msg/C", schema="", offered_qos_text=text).offered_qos_yaml()
 
     assert profiles("- {durability: transient_local, depth: 3, deadline: {sec: 1, nsec: 2, x: 3}, extra: [1, 2]}") == [
         {"depth": 3, "durability": "transient_local", "deadline": {"sec": 1, "nsec": 2}}

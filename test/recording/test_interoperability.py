@@ -32,7 +32,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from impact_rig import codec
 from impact_rig.errors import RecordingError
-from impact_rig.recording import Qos, schema_text
+from impact_rig.recording import OfferedQos, schema_text
 
 INFINITE = {"sec": 9223372036, "nsec": 854775807}
 RIG_TYPES = [
@@ -255,7 +255,7 @@ def test_summary_channels_and_records_of_the_file(run):
 
 def test_no_offered_profile_is_an_empty_list():
     assert type(SCAN_TOPIC)(name="/t", type_name="std_msgs/msg/String", schema="string data").offered_qos_text == "[]"
-    assert Qos().to_yaml()["deadline"] == INFINITE
+    assert OfferedQos().to_yaml()["deadline"] == INFINITE
 
 
 @pytest.mark.parametrize("type_name", RIG_TYPES)

@@ -23,7 +23,7 @@ from kits.recording import (
 from impact_rig import codec
 from impact_rig.errors import RecordingError
 from impact_rig.recording import Attachment, RunWriter, open_run
-from impact_rig.recording.topics import resolve
+from impact_rig.recording.description import resolve
 
 
 def as_sent(message):

@@ -28,11 +28,12 @@ pytest.importorskip("rosbags", reason="an independent reader, only on PyPI")
 from rosbags.highlevel import AnyReader
 
 from impact_rig.errors import RecordingError
-from impact_rig.recording import Attachment, Provenance, RunWriter, Topic, open_run, records
+from impact_rig.recording import Attachment, Provenance, RunWriter, TopicDescription, open_run, records
 from impact_rig.runs import recover
 
 SMALL_TOPICS = tuple(
-    Topic(name=f"/rig/{name}", type_name="std_msgs/msg/String", schema="string data\n") for name in ("notes", "log")
+    TopicDescription(name=f"/rig/{name}", type_name="std_msgs/msg/String", schema="string data\n")
+    for name in ("notes", "log")
 )
 FLIPS = 300
 

@@ -28,7 +28,16 @@ from rosbags.typesys.store import Typestore
 
 from impact_rig import codec
 from impact_rig.blocks import SCAN, Table
-from impact_rig.recording import Attachment, Provenance, Qos, Run, RunWriter, Topic, open_run, schema_text
+from impact_rig.recording import (
+    Attachment,
+    OfferedQos,
+    Provenance,
+    Run,
+    RunWriter,
+    TopicDescription,
+    open_run,
+    schema_text,
+)
 
 HERE = Path(__file__).resolve().parent
 BUILD = HERE.parents[1] / "build" / "check_mcap_js"
@@ -89,12 +98,12 @@ def record(directory: Path, store: Typestore) -> None:
         scan = "sensor_msgs/msg/PointCloud2"
         for name, type_name in {"/rig/daq/scan": scan, **TYPES}.items():
             writer.add_topic(
-                Topic(
+                TopicDescription(
                     name=name,
                     type_name=type_name,
                     schema=schema_text(type_name),
                     type_hash=store.hash_rihs01(type_name),
-                    offered_qos=(Qos(),),
+                    offered_qos=(OfferedQos(),),
                 )
             )
         for number in range(100):

@@ -6,10 +6,11 @@ from collections.abc import Callable
 
 import numpy as np
 
+from impact_rig import topics
 from impact_rig.columns import TEXT
 from impact_rig.config import FieldInfo
 from impact_rig.config.faults import FAULT_KINDS
-from impact_rig.nodes import services, topics
+from impact_rig.nodes import services
 from impact_rig.nodes.parameters import RigSchema, Schema, SectionSchema, Value
 from impact_rig.nodes.services import Situation
 from impact_rig.nodes.settings import AnalysisSettings, RecorderSettings, SteppedSineSettings

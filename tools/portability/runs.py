@@ -12,6 +12,7 @@ import numpy as np
 from numpy.lib.recfunctions import repack_fields
 from numpy.typing import NDArray
 
+from impact_rig import topics
 from impact_rig.blocks import Table
 from impact_rig.physics.contact import LAWS
 from impact_rig.rig import Rig
@@ -102,16 +103,20 @@ def known(runs: tuple[Run, ...]) -> tuple[Run, ...]:
 def record(run: Run) -> Streams:
     """Run it and return everything that its topics would have carried."""
     rig = Rig(from_flat(RigConfig(), {"daq.block_scans": 1000, **run.values}))
-    tables: dict[str, list[Table]] = {"daq/info": [rig.info()]}
+    tables: dict[str, list[Table]] = {topics.INFO.name: [rig.info()]}
     for second, (frequency_hz, amplitude) in [*run.commands.items(), (run.seconds, (0.0, 0.0))]:
         for block in rig.advance(round(second * NS_PER_S)):
-            found = {"daq/scan": block.scan, "truth/impacts": block.impacts, "truth/faults": block.faults}
-            found["truth/scan"] = block.truth or Table(block.scan.stamp_ns, block.monitor)
+            found = {
+                topics.SCAN.name: block.scan,
+                topics.IMPACTS_TRUTH.name: block.impacts,
+                topics.FAULTS.name: block.faults,
+            }
+            found[topics.TRUTH_SCAN.name] = block.truth or Table(block.scan.stamp_ns, block.monitor)
             for topic, table in found.items():
                 tables.setdefault(topic, []).extend([table] if table is not None else [])
         if second < run.seconds:
             rig.command(frequency_hz, amplitude)
-    tables["rig/journal"], tables["shaker/applied"] = rig.take_journal(), rig.take_applied()
+    tables[topics.JOURNAL.name], tables[topics.APPLIED.name] = rig.take_journal(), rig.take_applied()
     return {topic: _rows(found) for topic, found in sorted(tables.items()) if found}
 
 

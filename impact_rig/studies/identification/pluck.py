@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from impact_rig import topics
 from impact_rig.analysis.decay import Decay, measure_decay
 from impact_rig.errors import RecordingError
 from impact_rig.recording import Run
@@ -36,15 +37,15 @@ def recorded_decay(run: Run) -> Decay:
     """
     plucks = [
         table.stamp_ns + round(float(row["time"]) * NS_PER_S)
-        for table in run.tables("rig/journal", recorded_order=True)
+        for table in run.tables(topics.JOURNAL.name, recorded_order=True)
         for row in table.rows
         if row["kind"] == Kind.PLUCK.value.encode()
     ]
     if not plucks:
         raise RecordingError(f"{run.path}: nothing was plucked in this run (rig/pluck)")
-    info = list(run.tables("daq/info", recorded_order=True))[-1]
+    info = list(run.tables(topics.INFO.name, recorded_order=True))[-1]
     first = plucks[-1] + round(SETTLE_S * NS_PER_S)
-    parts = [table.rows for table in run.tables("daq/scan", recorded_order=True) if table.stamp_ns >= first]
+    parts = [table.rows for table in run.tables(topics.SCAN.name, recorded_order=True) if table.stamp_ns >= first]
     if not parts:
         raise RecordingError(f"{run.path}: no scans after the pluck")
     return measure_decay(np.concatenate(parts), info.rows)

@@ -16,8 +16,6 @@ INFINITE_NS = 2**63 - 1
 """A duration without end, as ROS writes it (RMW_DURATION_INFINITE: 9223372036 s 854775807 ns)."""
 
 SERIALIZATION = "cdr"
-POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
-SCAN_TOPIC = "daq/scan"
 
 MAX_QOS_CHARACTERS = 65_536
 """Of a text with the profiles that a topic's publishers offered; a hundred publishers have half of that."""
@@ -26,7 +24,7 @@ QosYaml = dict[str, str | int | bool | dict[str, int]]
 
 
 @attrs.frozen(kw_only=True)
-class Qos:
+class OfferedQos:
     """The quality of service one publisher offers; policies as rosbag2 spells them: `policy.name.lower()` of rclpy.
 
     Fast DDS does not tell history and depth of a remote publisher: `unknown` and 0 are what rosbag2 records as well.
@@ -58,7 +56,7 @@ class Qos:
 
 
 @attrs.frozen(kw_only=True)
-class Topic:
+class TopicDescription:
     """A recorded topic.
 
     Attributes:
@@ -74,7 +72,7 @@ class Topic:
     type_name: str
     schema: str
     type_hash: str = ""
-    offered_qos: tuple[Qos, ...] = ()
+    offered_qos: tuple[OfferedQos, ...] = ()
     offered_qos_text: str = attrs.field(
         default=attrs.Factory(lambda self: dump_yaml([qos.to_yaml() for qos in self.offered_qos]), takes_self=True)
     )
@@ -88,7 +86,7 @@ class Topic:
         return {"offered_qos_profiles": self.offered_qos_text, "topic_type_hash": self.type_hash}
 
     @classmethod
-    def from_channel(cls, name: str, type_name: str, schema: str, metadata: Mapping[str, str]) -> Topic:
+    def from_channel(cls, name: str, type_name: str, schema: str, metadata: Mapping[str, str]) -> TopicDescription:
         """Return the topic that a channel and its schema describe."""
         return cls(
             name=name,
@@ -112,7 +110,7 @@ def _profiles(text: str) -> tuple[QosYaml, ...]:
 
 def _profile(found: Mapping[object, object]) -> QosYaml:
     profile: QosYaml = {}
-    for name in Qos().to_yaml():
+    for name in OfferedQos().to_yaml():
         value = found.get(name)
         if isinstance(value, (str, int)):
             profile[name] = value

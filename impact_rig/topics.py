@@ -1,18 +1,16 @@
 """The one table of topics: name, type, quality of service, who publishes, what is in it.
 
-Publishers, subscribers, the recorder and `docs/interface.md` read this table; nothing about a topic is written twice.
+Publishers, subscribers, recordings, the analysis of runs and `docs/interface.md` read this table; nothing about a topic
+is written twice. It needs no ROS: `impact_rig.nodes.messages` turns its rows into what rclpy takes.
 Names are relative: a launch file puts them under one namespace, except the two that are global by convention.
 """
 
 from __future__ import annotations
 
 import enum
-import importlib
-from typing import Any  # message classes have no common base
 
 import attrs
 import numpy as np
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
 from impact_rig import blocks
 from impact_rig.columns import Column, row_type
@@ -41,15 +39,6 @@ class Qos(enum.Enum):
         """Whether a late subscriber gets what was published before."""
         return self.value[1]
 
-    def profile(self) -> QoSProfile:
-        """Return a fresh rclpy profile (rclpy writes overrides into it)."""
-        return QoSProfile(
-            history=HistoryPolicy.KEEP_LAST,
-            depth=self.depth,
-            reliability=ReliabilityPolicy.RELIABLE,
-            durability=DurabilityPolicy.TRANSIENT_LOCAL if self.transient_local else DurabilityPolicy.VOLATILE,
-        )
-
 
 @attrs.frozen
 class Topic:
@@ -75,28 +64,15 @@ class Topic:
     columns: np.dtype[np.void] | None = None
     frame_id: str = ""
 
-    def message_type(self) -> Any:
-        """Import and return the message class."""
-        return message_class(self.type_name)
 
-
-def message_class(type_name: str) -> Any:
-    """Import and return the class of a message type, `package/msg/Type`.
-
-    Raises:
-        ImportError, AttributeError: it is not installed.
-    """
-    package, _, name = type_name.split("/")
-    return getattr(importlib.import_module(f"{package}.msg"), name)
-
-
-_TABLE = "sensor_msgs/msg/PointCloud2"
+TABLE = "sensor_msgs/msg/PointCloud2"
+"""The type of every table."""
 
 
 def _table(
     name: str, qos: Qos, publisher: str, fields: tuple[Column, ...], doc: str, frame_id: str = blocks.FRAME_DAQ
 ) -> Topic:
-    return Topic(name, _TABLE, qos, publisher, doc, fields, row_type(fields), frame_id)
+    return Topic(name, TABLE, qos, publisher, doc, fields, row_type(fields), frame_id)
 
 
 SCAN = _table("daq/scan", Qos.DATA, "rig", blocks.SCAN_COLUMNS, "One block of scans; stamp = first scan.")
