@@ -5,9 +5,12 @@ An alias names one value in many places, or inside itself: whoever prints or cop
 
 from __future__ import annotations
 
-import yaml
+from typing import Any  # PyYAML's nodes
 
-_Loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # libyaml's is ten times faster; PyYAML may be built without
+import yaml
+from yaml.composer import Composer
+
+_Fastest: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # libyaml's scanner is fast; PyYAML may be built without
 MAX_DEPTH = 100
 """libyaml's loader takes the stack for each level, and all of it ends the process."""
 
@@ -25,20 +28,29 @@ def load(text: str, limit: int) -> object:
     if len(text) > limit:
         raise PlainYamlError(f"it has more than {limit} characters")
     try:
-        _check(text)
         return _content(text)
     except (yaml.YAMLError, ValueError, RecursionError) as error:  # ValueError: a date that is none
         raise PlainYamlError(" ".join(str(error).split())) from error
 
 
-def _check(text: str) -> None:
-    depth = 0
-    for event in yaml.parse(text, _Loader):
-        if isinstance(event, yaml.AliasEvent):
+class _Loader(Composer, _Fastest):  # type: ignore[misc]  # chosen at run time
+    """Refuses, while it composes the nodes, what a plain text has not got: nothing is read twice."""
+
+    def __init__(self, text: str) -> None:
+        Composer.__init__(self)
+        _Fastest.__init__(self, text)
+        self._depth = 0
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        """Return the next node."""
+        if self.check_event(yaml.AliasEvent):
             raise PlainYamlError("an alias (*name) is not accepted")
-        depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
-        if depth > MAX_DEPTH:
+        if self._depth >= MAX_DEPTH and self.check_event(yaml.SequenceStartEvent, yaml.MappingStartEvent):
             raise PlainYamlError(f"it is nested deeper than {MAX_DEPTH} levels")
+        self._depth += 1
+        node = Composer.compose_node(self, parent, index)
+        self._depth -= 1
+        return node
 
 
 def _content(text: str) -> object:
