@@ -7,7 +7,7 @@ from impact_rig.system.lazily import lazily
 if TYPE_CHECKING:
     from impact_rig.instruments.chain import Chain
     from impact_rig.instruments.checks import ChannelCheck, check_known_input, check_polarity
-    from impact_rig.instruments.faults import Fault
+    from impact_rig.instruments.fault import Fault
     from impact_rig.instruments.motion import Motion
 
 __getattr__ = lazily(  # compiled code is loaded where it is used, not where a configuration is read
@@ -16,7 +16,7 @@ __getattr__ = lazily(  # compiled code is loaded where it is used, not where a c
     ChannelCheck="checks",
     check_known_input="checks",
     check_polarity="checks",
-    Fault="faults",
+    Fault="fault",
     Motion="motion",
 )
 

@@ -13,10 +13,9 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_rig.blocks import CHANNELS, SCAN
-from impact_rig.config.faults import BOARD_KINDS
 from impact_rig.instruments.chain import Chain, sensors
-from impact_rig.instruments.faults import Fault
+from impact_rig.instruments.fault import Fault
+from impact_rig.instruments.fault_kinds import BOARD_KINDS
 from impact_rig.instruments.setup import Setup
 
 _SETTLE_TICKS = 400  # 4 s: the 1 Hz high-pass forgets its start to e^-25
@@ -96,20 +95,20 @@ def check_known_input(
     chain.clear()  # what the configuration plans
     for fault in faults:
         if fault.kind not in BOARD_KINDS:
-            chain.inject(attrs.evolve(fault, start=0, duration=0))
+            chain.inject(attrs.evolve(fault, start_sample=0, samples=0))
     amplitudes = {}
     for sensor in sensors(config):
         low, high = sensor.measuring_range()
         amplitudes[sensor.name] = fraction * 0.5 * (high - low)
         chain.calibrate(sensor.name, frequency_hz, amplitudes[sensor.name], _SETTLE_TICKS + _MEASURE_TICKS)
-    rows = np.empty(0, dtype=SCAN)
+    rows = chain.read(0)
     for tick in range(0, _SETTLE_TICKS + _MEASURE_TICKS, _MEASURE_TICKS):
         chain.acquire(_Rest(), tick, _MEASURE_TICKS)
         first = chain.next_scan
         rows = chain.read(chain.ready)
     time = (first + np.arange(len(rows))) / config.daq.rate_hz
     return [
-        _judge(chain, index, time, rows[name], frequency_hz, amplitudes[name]) for index, name in enumerate(CHANNELS)
+        _judge(chain, index, time, rows[name], frequency_hz, amplitudes[name]) for index, name in enumerate(amplitudes)
     ]
 
 

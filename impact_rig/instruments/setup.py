@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from impact_rig.config.instruments import Instruments
 from impact_rig.config.mechanics import Shaker, Structure
 from impact_rig.config.operation import Daq
+from impact_rig.instruments.section import Instruments
 
 
 class Setup(Protocol):

@@ -17,6 +17,7 @@ from impact_rig.nodes.diagnostics import Level, Status
 from impact_rig.nodes.managed import ManagedNode
 from impact_rig.nodes.parameters import SectionSchema
 from impact_rig.nodes.settings import SteppedSineSettings
+from impact_rig.nodes.topics import MONITORS
 from impact_rig.simtime import NS_PER_S
 from impact_rig.system.endings import Ending
 
@@ -58,7 +59,7 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
         """Listen; begin the sweep as soon as the rig is there if `begin` says so."""
         self._now_ns, self._pending = None, self.settings.begin
         self._inlets = [
-            self.subscribe(topics.BASE_DISPLACEMENT, self._on_time, raw=True),
+            self.subscribe(MONITORS["base"], self._on_time, raw=True),
             self._table(topics.APPLIED, self._on_applied),
             self._table(topics.JOURNAL, self._on_journal),
             self._table(topics.TRANSMISSIBILITY_TABLE, self._on_measurement),
@@ -195,7 +196,7 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
         try:
             self._now_ns = codec.header_stamp_ns(data)
         except CodecError as error:
-            self.refuse(topics.BASE_DISPLACEMENT.name, str(error))
+            self.refuse(MONITORS["base"].name, str(error))
             return
         if self._sweep is not None:
             self._send(self._sweep.on_time(self._now_ns))

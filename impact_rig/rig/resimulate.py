@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator
 
 from impact_rig.blocks import Table
 from impact_rig.errors import ConfigError
-from impact_rig.instruments.faults import Fault
+from impact_rig.instruments.fault import Fault
 from impact_rig.rig.block import Block
 from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.rig.core import Rig

@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 from impact_rig import topics
 from impact_rig.analysis import figures
 from impact_rig.analysis.tracker import Findings
-from impact_rig.blocks import SCAN, Table
+from impact_rig.blocks import Table
 from impact_rig.errors import RecordingError
+from impact_rig.instruments.scan import SCAN
 from impact_rig.recording import Run
 from impact_rig.runs import reanalysis
 from impact_rig.simtime import NS_PER_S

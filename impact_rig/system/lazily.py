@@ -7,11 +7,17 @@ from collections.abc import Callable
 
 
 def lazily(package: str, **homes: str) -> Callable[[str], object]:
-    """Return the `__getattr__` of a package whose public names live in modules of its own: `homes`, name -> module."""
+    """Return the `__getattr__` of a package whose public names live elsewhere.
+
+    Args:
+        package: its name.
+        homes: the module of each name, of this package unless there is a dot in it.
+    """
 
     def find(name: str) -> object:
         if name not in homes:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
-        return getattr(importlib.import_module(f"{package}.{homes[name]}"), name)
+        home = homes[name]
+        return getattr(importlib.import_module(home if "." in home else f"{package}.{home}"), name)
 
     return find

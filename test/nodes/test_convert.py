@@ -11,9 +11,9 @@ pytest.importorskip("rclpy", reason="no ROS 2 here")
 
 from rclpy.serialization import serialize_message
 
-from impact_rig import topics
 from impact_rig.nodes.convert import Monitors
 from impact_rig.nodes.stamps import nanoseconds
+from impact_rig.nodes.topics import by_name
 from impact_rig.rig import Block, Rig
 from impact_rig.rig.config import RigConfig, from_flat
 
@@ -43,7 +43,7 @@ def test_every_monitor_comes_at_its_rate_with_stamps_of_scans_and_a_frame(defaul
     assert set(found) == {"accelerometer", "laser", "base_displacement", "truth/joint_states"}
     for name, messages in found.items():
         assert [nanoseconds(message.header.stamp) for message in messages] == stamps, "100 Hz: one per block"
-        assert messages[0].header.frame_id == topics.by_name(name).frame_id != ""
+        assert messages[0].header.frame_id == by_name(name).frame_id != ""
         serialize_message(messages[0])  # every field has its type
 
 

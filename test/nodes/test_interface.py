@@ -23,6 +23,7 @@ from impact_rig.nodes.recorder_node import RecorderNode
 from impact_rig.nodes.rig_node import RigNode
 from impact_rig.nodes.services import Situation
 from impact_rig.nodes.stepped_sine_node import SteppedSineNode
+from impact_rig.nodes.topics import TOPICS, by_name
 from tools.generate import figures, interface
 
 pytestmark = pytest.mark.ros
@@ -35,7 +36,7 @@ OF_ROS = {
 """Services that every lifecycle node of ROS has."""
 
 
-@pytest.mark.parametrize("topic", topics.TOPICS, ids=lambda topic: topic.name)
+@pytest.mark.parametrize("topic", TOPICS, ids=lambda topic: topic.name)
 def test_every_field_of_a_message_has_unit_and_meaning_and_exists(topic: topics.Topic) -> None:
     assert topic.fields
     for field in topic.fields:
@@ -49,7 +50,7 @@ def test_every_field_of_a_message_has_unit_and_meaning_and_exists(topic: topics.
         for part in re.sub(r"\[\d\]", "", field.name).split("."):
             value = value[0] if isinstance(value, list) and value else value
             if isinstance(value, list):  # an empty list of messages: look at what it would hold
-                value = messages.class_of(topics.by_name("/diagnostics"))
+                value = messages.class_of(by_name("/diagnostics"))
                 continue
             assert hasattr(value, part), f"{topic.name}: {field.name}"
             value = getattr(value, part)
@@ -195,7 +196,7 @@ def test_a_service_is_taken_or_refused_with_a_message_as_the_page_says(
 def test_a_command_is_taken_or_refused_as_the_page_says(situated, situation: Situation, row: services.Input) -> None:
     client, node = situated
     before, applied = node.refusals.total(), len(client._applied)
-    client.publish(topics.by_name(row.name), Float64(data=10.0))
+    client.publish(by_name(row.name), Float64(data=10.0))
 
     def taken() -> bool:
         return any(table.rows[row.name[7:]][0] == 10.0 for table in client._applied.tables(applied))

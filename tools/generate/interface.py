@@ -9,11 +9,13 @@ import numpy as np
 from impact_rig import topics
 from impact_rig.columns import TEXT
 from impact_rig.config import FieldInfo
-from impact_rig.config.faults import FAULT_KINDS
+from impact_rig.instruments import scan
+from impact_rig.instruments.fault_kinds import FAULT_KINDS
 from impact_rig.nodes import services
 from impact_rig.nodes.parameters import RigSchema, Schema, SectionSchema, Value
 from impact_rig.nodes.services import Situation
 from impact_rig.nodes.settings import AnalysisSettings, RecorderSettings, SteppedSineSettings
+from impact_rig.nodes.topics import TOPICS
 from impact_rig.rig import takes_effect
 from impact_rig.rig.journal import Kind
 from tools.generate import figures
@@ -30,8 +32,7 @@ SCHEMAS: dict[str, Schema[object]] = {
 
 def _topics() -> str:
     rows = (
-        (f"`{t.name}`", t.type_name.split("/")[-1], t.publisher, t.qos.name, t.frame_id or "-", t.doc)
-        for t in topics.TOPICS
+        (f"`{t.name}`", t.type_name.split("/")[-1], t.publisher, t.qos.name, t.frame_id or "-", t.doc) for t in TOPICS
     )
     return table(("topic", "type", "published by", "QoS", "frame", "content"), rows)
 
@@ -45,15 +46,16 @@ def _qualities() -> str:
 
 def _columns() -> str:
     parts = []
-    for topic in topics.TOPICS:
+    for topic in TOPICS:
         if topic.columns is not None:
-            rows = ((f"`{c.name}`", _kind(c.kind), c.unit, c.doc) for c in topic.fields)
+            columns = scan.COLUMNS if topic is topics.SCAN else topic.fields
+            rows = ((f"`{c.name}`", _kind(c.kind), c.unit, c.doc) for c in columns)
             parts.append(f"### `{topic.name}`\n\n" + table(("column", "type", "unit", "meaning"), rows))
     return "\n".join(parts)
 
 
 def _fields() -> str:
-    rows = ((f"`{t.name}`", f"`{c.name}`", c.unit, c.doc) for t in topics.TOPICS if t.columns is None for c in t.fields)
+    rows = ((f"`{t.name}`", f"`{c.name}`", c.unit, c.doc) for t in TOPICS if t.columns is None for c in t.fields)
     return table(("topic", "field", "unit", "meaning"), rows)
 
 

@@ -16,7 +16,7 @@ from collections.abc import Callable
 import attrs
 import numpy as np
 
-from impact_rig.analysis.calibration import BASE, CURRENT, LASER
+from impact_rig.analysis.channels import BASE, CURRENT, LASER
 from impact_rig.errors import ConfigError
 from impact_rig.physics.closed_form import base_amplitude, transmissibility
 from impact_rig.rig.config import RigConfig
