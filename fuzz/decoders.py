@@ -231,9 +231,9 @@ TARGETS = (
         | st.tuples(mutated(UNFINISHED), st.sampled_from(TAILS))
         | st.sampled_from(list(zip(UNFINISHED, TAILS, strict=True))),
         mcap_recover,
-        ("recording/recovery.py", "recording/salvage.py", "recording/tail.py"),
+        ("runs/recovery.py", "runs/salvage.py", "recording/tail.py"),
     ),
-    Target("journal", journals(), journal, ("rig/journal.py", "rig/resimulate.py")),
+    Target("journal", journals(), journal, ("rig/journal.py", "rig/resimulation.py")),
     Target(
         "analysis", streams(), analysis, ("analysis/calibration.py", "analysis/scan_buffer.py", "analysis/tracker.py")
     ),

@@ -169,9 +169,9 @@ TARGETS = (
         "configuration_file",
         mutated_lines(NOMINAL) | mutated_lines(dump(RigConfig())) | st.binary(max_size=100) | st.text(max_size=100),
         configuration_file,
-        ("config/load.py", "config/fields.py", "config/rig.py", "config/mechanics.py"),
+        ("config/tree.py", "config/fields.py", "rig/config.py", "config/mechanics.py"),
     ),
-    Target("parameters", CHANGES, parameters, ("config/load.py", "config/fields.py")),
+    Target("parameters", CHANGES, parameters, ("config/tree.py", "config/fields.py")),
     Target("settings", _settings(), settings, ("analysis/settings.py", "analysis/tables.py")),
     Target("texts", LINES, texts, ("analysis/labels.py", "instruments/fault.py", "recording/schema.py")),
     Target(

@@ -129,7 +129,7 @@ def test_limits_hold_on_both_sides(name):
         ({"barrier.gap_m": 0.002}, "unknown key 'barrier.gap_m', did you mean 'barriers.gap_m'?"),
         ({"barriers": {"gap_m": 0.002}}, "unknown key 'barriers'"),
         ({"barriers.gap_m.x": 1}, "unknown key 'barriers.gap_m.x'"),
-        ({"contact.law": "Flores"}, "contact.law must be one of flores, hertz"),
+        ({"contact.law": "Flores"}, "contact.law must be one of exact, flores"),
         ({"time.peers": ["analysis", 3]}, "time.peers must be a list of texts"),
         ({"time.peers": "analysis"}, "time.peers must be a list of texts"),
         ({"shaker.frequency_min_hz": 300.0}, "shaker.frequency_min_hz must be < frequency_max_hz = 200 Hz, got 300"),

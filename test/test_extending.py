@@ -134,6 +134,7 @@ def copy(tmp_path: Path) -> Copy:
 
 
 @pytest.mark.ros
+@pytest.mark.timeout(900)  # in a fresh clone it may be the first to compile
 @pytest.mark.parametrize("recipe", RECIPES, ids=lambda recipe: recipe.title)
 def test_a_recipe_is_the_whole_change(recipe: Recipe, copy: Copy):
     before = copy.state()

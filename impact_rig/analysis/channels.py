@@ -11,9 +11,10 @@ from impact_rig.columns import Column, row_type
 CHANNELS = ("accelerometer", "laser", "base", "current")
 """By name; arrays over channels have this order."""
 ACCELEROMETER, LASER, BASE, CURRENT = range(len(CHANNELS))
-SCAN = row_type((*topics.SCAN.fields, *(Column(name, "SI", "") for name in CHANNELS)))
+_TIME, _STATUS = topics.SCAN.fields
+SCAN = row_type((_TIME, *(Column(name, "SI", "") for name in CHANNELS), _STATUS))
 """What a row of `daq/scan` must at least have."""
-_FRAME = frozenset(topics.SCAN.columns.names or ()) if topics.SCAN.columns is not None else frozenset()
+_FRAME = (_TIME.name, _STATUS.name)
 
 
 def status_of(rows: NDArray[np.void]) -> NDArray[np.uint8]:

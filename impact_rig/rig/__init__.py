@@ -9,7 +9,7 @@ if TYPE_CHECKING:
     from impact_rig.rig.changes import takes_effect
     from impact_rig.rig.core import Rig
     from impact_rig.rig.journal import Journal, Kind
-    from impact_rig.rig.resimulate import resimulate
+    from impact_rig.rig.resimulation import resimulate
 
 __getattr__ = lazily(  # `rig.config` does without compiled code
     __name__,
@@ -18,7 +18,7 @@ __getattr__ = lazily(  # `rig.config` does without compiled code
     Rig="core",
     Journal="journal",
     Kind="journal",
-    resimulate="resimulate",
+    resimulate="resimulation",
 )
 
 __all__ = ["Block", "Journal", "Kind", "Rig", "resimulate", "takes_effect"]
