@@ -57,7 +57,7 @@ $(PACKAGE): $(ENVIRONMENT) setup.py setup.cfg package.xml
 	@touch $@
 
 # --- Targets ----------------------------------------------------------------------------------------------------------
-.PHONY: help demo campaign test lint format bench fuzz portability soak colcon venv lock clean
+.PHONY: help demo campaign test lint generate format bench fuzz portability soak colcon venv lock clean
 
 help: ## print this list
 	@echo 'impact_rig: make TARGET, where TARGET is one of'
@@ -92,6 +92,9 @@ lint: $(PACKAGE) ## check style, types and layers
 	@$(VENV)/bin/ruff format --check .
 	@$(VENV)/bin/mypy
 	@$(VENV)/bin/lint-imports
+
+generate: $(PACKAGE) ## rewrite the pages and files that are made from the code
+	@$(VENV)/bin/python -m tools.generate
 
 format: $(PACKAGE) ## bring the code into the one format
 	@$(VENV)/bin/ruff check --fix-only .

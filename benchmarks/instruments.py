@@ -14,10 +14,10 @@ from collections.abc import Callable
 import numpy as np
 
 from impact_rig.arithmetic.random import Random
-from impact_rig.config import RigConfig, from_flat
 from impact_rig.instruments import Chain, chain, conversion, response
-from impact_rig.instruments.faults import FaultBoard
+from impact_rig.instruments.fault_board import FaultBoard
 from impact_rig.physics import FunctionGenerator, Motion, Simulation
+from impact_rig.rig.config import RigConfig, from_flat
 
 RATE_HZ = 50_000
 BLOCK_SCANS = 500

@@ -11,11 +11,11 @@ mpl.use("agg")
 import numpy as np
 from matplotlib import pyplot as plt
 
-from impact_rig.config import RigConfig, from_flat
 from impact_rig.physics import SEGMENT, Motion, Simulation, restitution
 from impact_rig.physics.contact import LAWS
 from impact_rig.physics.model import CONTACT_RTOL
 from impact_rig.physics.properties import hertz_stiffness_n_m32, sphere_mass_kg
+from impact_rig.rig.config import RigConfig, from_flat
 
 FOLDER = Path("build") / "figures"
 SPEED_M_S, GAP_M = 0.3, 1e-3

@@ -15,10 +15,10 @@ from fuzz.target import Target
 from impact_rig import blocks, codec
 from impact_rig.analysis.tracker import Tracker
 from impact_rig.blocks import Table
-from impact_rig.config import RigConfig, from_flat
 from impact_rig.recording import Attachment, Provenance, RunWriter, TopicDescription, open_run
 from impact_rig.recording.tail import tail_of
 from impact_rig.rig import Rig, resimulate
+from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.runs import recover
 
 TABLES = {name: value for name, value in vars(blocks).items() if isinstance(value, np.dtype)}
@@ -233,7 +233,7 @@ TARGETS = (
         mcap_recover,
         ("runs/recovery.py", "runs/salvage.py", "recording/tail.py"),
     ),
-    Target("journal", journals(), journal, ("rig/journal.py", "rig/resimulate.py")),
+    Target("journal", journals(), journal, ("rig/journal.py", "rig/resimulation.py")),
     Target(
         "analysis", streams(), analysis, ("analysis/calibration.py", "analysis/scan_buffer.py", "analysis/tracker.py")
     ),

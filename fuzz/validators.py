@@ -17,12 +17,12 @@ from impact_rig.analysis.labels import parse_label
 from impact_rig.analysis.settings import ImpactSettings, TrackerSettings
 from impact_rig.analysis.tables import read_settings
 from impact_rig.blocks import SETTINGS, Table
-from impact_rig.config import RigConfig, dump, fields, from_flat, load, to_flat
-from impact_rig.config.faults import FAULT_KINDS, parse
 from impact_rig.errors import ImpactRigError
-from impact_rig.instruments.faults import Fault
+from impact_rig.instruments.fault import Fault
+from impact_rig.instruments.fault_kinds import FAULT_KINDS
 from impact_rig.recording.schema import schema_text
 from impact_rig.rig import Rig
+from impact_rig.rig.config import RigConfig, dump, fields, from_flat, load, to_flat
 from impact_rig.rig.journal import read
 from impact_rig.system.resources import config_dir
 
@@ -108,7 +108,7 @@ def texts(words: list[str]) -> tuple[int, int]:
         assert parse_label(label.text()) == label or math.isnan(label.gap_m)
     refused = 0
     for attempt in (
-        lambda: parse(" ".join(words)),
+        lambda: Fault.from_line(" ".join(words), 1000),
         lambda: Fault.from_journal("/".join(words[:2]), 1.0, "/".join(words[2:]), 0),
         lambda: schema_text("".join(words)),
     ):
@@ -147,7 +147,7 @@ def commands(operations: list[tuple[Any, ...]]) -> tuple[int, int]:
                 _advance(rig, *arguments)
             elif name == "fault":
                 kind, channel, start, value = arguments
-                rig.inject(Fault(kind=kind, channel=channel, start=start, value=value))
+                rig.inject(Fault(kind=kind, channel=channel, start_sample=start, value=value))
             else:
                 getattr(rig, name)(*arguments)
         except ImpactRigError:
@@ -169,11 +169,11 @@ TARGETS = (
         "configuration_file",
         mutated_lines(NOMINAL) | mutated_lines(dump(RigConfig())) | st.binary(max_size=100) | st.text(max_size=100),
         configuration_file,
-        ("config/load.py", "config/fields.py", "config/rig.py", "config/mechanics.py"),
+        ("config/tree.py", "config/fields.py", "rig/config.py", "config/mechanics.py"),
     ),
-    Target("parameters", CHANGES, parameters, ("config/load.py", "config/fields.py")),
+    Target("parameters", CHANGES, parameters, ("config/tree.py", "config/fields.py")),
     Target("settings", _settings(), settings, ("analysis/settings.py", "analysis/tables.py")),
-    Target("texts", LINES, texts, ("analysis/labels.py", "config/faults.py", "recording/schema.py")),
+    Target("texts", LINES, texts, ("analysis/labels.py", "instruments/fault.py", "recording/schema.py")),
     Target(
         "commands", st.lists(OPERATIONS, max_size=12), commands, ("rig/core.py", "rig/interlock.py", "rig/journal.py")
     ),

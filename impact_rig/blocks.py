@@ -1,7 +1,7 @@
 """The tables that travel: the columns of each table topic, their numpy type, and `Table`, a stamped structured array.
 
-Of each table there are its columns (`SCAN_COLUMNS`) and the type of its rows made from them (`SCAN`). `time` is always
-seconds since the table's stamp. `docs/interface.md` is written from these columns.
+Of each table there are its columns (`FAULTS_COLUMNS`) and the type of its rows made from them (`FAULTS`). `time` is
+always seconds since the table's stamp. `docs/interface.md` is written from these columns.
 """
 
 from __future__ import annotations
@@ -14,19 +14,11 @@ from impact_rig.columns import TEXT, Column, row_type
 
 FRAME_DAQ = "daq"
 
-CHANNELS = ("accelerometer", "laser", "base", "current")
-"""DAQ channels in scan order: channel j is converted j conversion intervals after the scan clock; its bit in `status`
-is 1 << j."""
-
-SCAN_COLUMNS = (
+SCAN_FRAME = (
     Column("time", "s", "Scan clock, since the stamp; a channel is converted its `skew` later (daq/info)."),
-    Column("accelerometer", "m/s^2", "Acceleration of the superior base."),
-    Column("laser", "m", "Displacement x_1 of the superior base."),
-    Column("base", "m", "Displacement x_b of the inferior base."),
-    Column("current", "A", "Coil current."),
     Column("status", "-", "Bit j: channel j (in the order of these columns, from 0) is over range or clipped.", "u1"),
 )
-SCAN = row_type(SCAN_COLUMNS)
+"""What a scan has besides its channels, which follow from the instruments: `impact_rig.instruments.scan`."""
 
 TRUTH_SCAN_COLUMNS = (
     Column("time", "s", "Scan clock, since the stamp."),

@@ -11,6 +11,7 @@ import attrs
 import numpy as np
 
 TEXT = "S32"
+TEXT_BYTES = 32
 """Text in a table: UTF-8 in 32 bytes."""
 NUMBER = "f8"
 """Also of indices: exact to 2**53, and `sensor_msgs/PointField` has no 64-bit integers."""

@@ -75,51 +75,13 @@ def _table(
     return Topic(name, TABLE, qos, publisher, doc, fields, row_type(fields), frame_id)
 
 
-SCAN = _table("daq/scan", Qos.DATA, "rig", blocks.SCAN_COLUMNS, "One block of scans; stamp = first scan.")
+SCAN = _table("daq/scan", Qos.DATA, "rig", blocks.SCAN_FRAME, "One block of scans; stamp = first scan.")
 INFO = _table(
     "daq/info",
     Qos.STATE,
     "rig",
     blocks.DAQ_INFO_COLUMNS,
     "Calibration, one row per channel; stamp = from when it holds.",
-)
-ACCELEROMETER = Topic(
-    "accelerometer",
-    "sensor_msgs/msg/Imu",
-    Qos.DATA,
-    "rig",
-    "The accelerometer at monitor rate (x; REP-145: other quantities are marked as not measured).",
-    (
-        Column("linear_acceleration.x", "m/s^2", "Acceleration of the superior base."),
-        Column("linear_acceleration_covariance", "(m/s^2)^2", "x: noise, squared; y and z, not measured: 1e9."),
-        Column("orientation_covariance", "-", "[0] = -1: not measured (REP-145)."),
-        Column("angular_velocity_covariance", "-", "[0] = -1: not measured (REP-145)."),
-    ),
-    frame_id="superior_base",
-)
-LASER = Topic(
-    "laser",
-    "sensor_msgs/msg/Range",
-    Qos.DATA,
-    "rig",
-    "Distance of the superior base, 0.050 m - x_1, at monitor rate; out of range is -Inf or +Inf (REP-117).",
-    (
-        Column("range", "m", "instruments.laser.distance_m - x_1; -Inf: too near, +Inf: too far, or no reading."),
-        Column("min_range", "m", "Near end of the measuring range."),
-        Column("max_range", "m", "Far end of the measuring range."),
-        Column("variance", "m^2", "Noise, squared."),
-        Column("field_of_view", "rad", "Of the beam."),
-    ),
-    frame_id="laser",
-)
-BASE_DISPLACEMENT = Topic(
-    "base_displacement",
-    "geometry_msgs/msg/Vector3Stamped",
-    Qos.DATA,
-    "rig",
-    "Displacement of the inferior base (x) at monitor rate.",
-    (Column("vector.x", "m", "Displacement x_b of the inferior base; y = z = 0."),),
-    frame_id="base_sensor",
 )
 APPLIED = _table(
     "shaker/applied",
@@ -261,9 +223,6 @@ CLOCK = Topic(
 TOPICS = (
     SCAN,
     INFO,
-    ACCELEROMETER,
-    LASER,
-    BASE_DISPLACEMENT,
     APPLIED,
     JOURNAL,
     CONFIGURATION,
@@ -283,16 +242,4 @@ TOPICS = (
     DIAGNOSTICS,
     CLOCK,
 )
-"""Every topic of the interface, in the order of the documentation."""
-
-
-def by_name(name: str) -> Topic:
-    """Return the topic of this (relative or absolute) name.
-
-    Raises:
-        KeyError: there is none.
-    """
-    return _BY_NAME[name]
-
-
-_BY_NAME = {topic.name: topic for topic in TOPICS}
+"""Every topic that is the same whatever the instruments; with those of their monitors: `impact_rig.nodes.topics`."""

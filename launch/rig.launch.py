@@ -17,7 +17,7 @@ from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import FindPackageShare
 
-from impact_rig.config import from_flat, load
+from impact_rig.rig.config import from_flat, load
 from impact_rig.system.endings import PARENT_VARIABLE
 
 

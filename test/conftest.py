@@ -22,6 +22,7 @@ from hypothesis import HealthCheck, settings
 from impact_rig.client.domain import remove_litter
 
 pytest.register_assert_rewrite("kits")
+sys.path.append(str(Path(__file__).parents[1]))  # for `tools`, which is no part of the package
 
 REQUIRE_ROS = os.environ.get("IMPACT_RIG_REQUIRE_ROS") == "1"
 DOMAINS = range(50, 100)  # 0 to 101 are safe on Linux; people and `make demo` use low numbers

@@ -10,10 +10,11 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from impact_rig import blocks
-from impact_rig.blocks import SCAN, Table
+from impact_rig.blocks import Table
 from impact_rig.codec import MAX_COLUMNS, decode, encode, header_stamp_ns
 from impact_rig.columns import TEXT
 from impact_rig.errors import CodecError
+from impact_rig.instruments.scan import SCAN
 
 TABLE_DTYPES = {
     name: value for name, value in vars(blocks).items() if isinstance(value, np.dtype) and value.names is not None

@@ -16,12 +16,11 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from impact_rig import config
-from impact_rig.blocks import CHANNELS
 from impact_rig.cli.main import EXIT_ERROR, main
-from impact_rig.config import RigConfig
 from impact_rig.errors import ConfigError
-from impact_rig.rig import Rig
+from impact_rig.instruments.scan import CHANNELS
+from impact_rig.rig import Rig, config
+from impact_rig.rig.config import RigConfig
 from impact_rig.system.resources import config_dir
 
 CASES = int(os.environ.get("IMPACT_RIG_HOSTILE", "120"))

@@ -13,9 +13,8 @@ pytest.importorskip("markdown_it", reason="comes with rich, except with Ubuntu's
 
 from impact_rig.campaign.paper import FREQUENCY_HZ, REDUCTION_PERCENT
 from impact_rig.campaign.plan import load_campaign
-from impact_rig.config import RigConfig, dump, load
 from impact_rig.physics.closed_form import transmissibility
-from impact_rig.physics.restitution import realised
+from impact_rig.rig.config import RigConfig, dump, load
 
 ROOT = Path(__file__).parents[1]
 TOOL = runpy.run_path(str(ROOT / "tools" / "check_docs.py"))
@@ -97,11 +96,7 @@ def test_shell_is_shell(block):
 @pytest.mark.parametrize("block", [block for block in OURS if block.language == "python"], ids=by_place)
 def test_python_runs(block, monkeypatch):
     monkeypatch.chdir(ROOT)
-    names = {}
-    exec(compile(block.content, by_place(block), "exec"), names)
-    if block.info == "title=physics/contact/my_law.py":
-        law = names["MyLaw"](restitution=0.35)
-        assert f"Returns {realised(law.hysteresis_factor()):.3f} for e = 0.35" in block.content
+    exec(compile(block.content, by_place(block), "exec"), {})
 
 
 @pytest.mark.parametrize("block", [block for block in OURS if block.language == "yaml"], ids=by_place)

@@ -17,11 +17,11 @@ from impact_rig import blocks  # noqa: E402
 from impact_rig.analysis.tables import read_settings  # noqa: E402
 from impact_rig.analysis.tracker import Tracker  # noqa: E402
 from impact_rig.blocks import Table  # noqa: E402
-from impact_rig.config import load  # noqa: E402
-from impact_rig.config.faults import parse  # noqa: E402
 from impact_rig.errors import ConfigError, RecordingError  # noqa: E402
+from impact_rig.instruments.fault import Fault  # noqa: E402
 from impact_rig.recording import TopicDescription, open_run  # noqa: E402
 from impact_rig.rig import resimulate  # noqa: E402
+from impact_rig.rig.config import load  # noqa: E402
 
 TARGETS = (*decoders.TARGETS, *validators.TARGETS)
 SLICE = 60
@@ -135,7 +135,7 @@ def test_recorded_settings_that_make_no_sense_are_refused(value: float) -> None:
 
 def test_a_fault_line_without_a_word_is_refused() -> None:
     with pytest.raises(ConfigError, match="fault kind must be one of"):
-        parse("")
+        Fault.from_line("", 1000)
 
 
 @pytest.mark.parametrize(

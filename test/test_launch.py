@@ -10,7 +10,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from impact_rig import config
+from impact_rig.rig import config
 from impact_rig.system.resources import share_dir
 
 FILE = share_dir() / "launch" / "rig.launch.py"

@@ -45,6 +45,7 @@ ROOT = Path(__file__).parents[1]
 SCRATCH = ROOT / "build" / "docs"
 RUN_BY = {
     ("docs/analysis.md", "python"): "test/analysis/test_guide.py",
+    ("docs/extending.md", "python title"): "test/test_extending.py",
     ("docs/recording.md", "python"): "test/recording/test_guide.py",
     ("docs/recording.md", "python notebook"): "test/recording/test_guide.py",
     ("docs/testing.md", "python title"): "test/testing/test_guide.py",

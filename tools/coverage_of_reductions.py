@@ -31,9 +31,9 @@ from impact_rig.analysis.tracker import Tracker
 from impact_rig.blocks import APPLIED, Table
 from impact_rig.campaign.axes import NO_SPHERE
 from impact_rig.campaign.paper import CURRENT_A, FREQUENCY_HZ
-from impact_rig.config import RigConfig, from_flat
 from impact_rig.instruments.chain import Chain
 from impact_rig.physics import FunctionGenerator, Motion, Simulation
+from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.simtime import NS_PER_S
 
 CASES_M = (NO_SPHERE, 0.008, 0.002)

@@ -24,10 +24,8 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_rig.blocks import CHANNELS
+from impact_rig.analysis.channels import CHANNELS
 from impact_rig.errors import ConfigError
-
-ACCELEROMETER, LASER, BASE, CURRENT = range(len(CHANNELS))
 
 Complex = NDArray[np.complex128]
 Real = NDArray[np.float64]
@@ -80,7 +78,7 @@ LARGEST = 1e100
 
 @attrs.frozen(eq=False)
 class Calibration:
-    """The columns of `daq/info` as arrays over `blocks.CHANNELS`.
+    """The columns of `daq/info` as arrays over `channels.CHANNELS`.
 
     Attributes:
         rate_hz: scans per second.
@@ -116,7 +114,7 @@ class Calibration:
                 is empty, a lag order is unknown, or a figure is beyond all measure.
         """
         names = [bytes(name).decode(errors="replace") for name in rows["name"]]
-        if sorted(names) != sorted(CHANNELS):
+        if any(names.count(channel) != 1 for channel in CHANNELS):
             raise ConfigError(f"daq/info must have one row for each of {', '.join(CHANNELS)}, got {', '.join(names)}")
         ordered = rows[[names.index(channel) for channel in CHANNELS]]
         rate = float(ordered["rate"][0])

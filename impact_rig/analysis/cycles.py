@@ -30,7 +30,7 @@ PHASE_BINS = 64
 
 @attrs.frozen(eq=False)
 class Cycles:
-    """n consecutive whole cycles of the drive, 4 channels in the order of `blocks.CHANNELS`, H harmonics.
+    """n consecutive whole cycles of the drive, 4 channels in the order of `channels.CHANNELS`, H harmonics.
 
     Attributes:
         first: index of each cycle's first scan, counted like `Accumulator.origin`, shape (n,).

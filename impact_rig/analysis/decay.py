@@ -18,7 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
-from impact_rig.analysis.calibration import LASER, Calibration, Complex, Real
+from impact_rig.analysis.calibration import Calibration, Complex, Real
+from impact_rig.analysis.channels import LASER, status_of
 from impact_rig.analysis.sine import least_squares, noise_density
 from impact_rig.analysis.words import Status
 
@@ -60,7 +61,7 @@ def measure_decay(
     """Measure the free decay of the superior base in scans that begin after its release; the base must be locked.
 
     Args:
-        rows: consecutive scans (`blocks.SCAN`).
+        rows: consecutive scans (`daq/scan`).
         info: rows of `daq/info`: rate, range and linearity of the laser.
         method: `fit_decay` if None.
         u_clock: relative standard uncertainty of the rate.
@@ -72,7 +73,7 @@ def measure_decay(
     y = np.asarray(rows["laser"], dtype=np.float64)
     with np.errstate(invalid="ignore"):
         clipped = np.any((y <= calibration.low[LASER]) | (y >= calibration.high[LASER]))
-    if clipped or np.any(rows["status"] & (1 << LASER)):
+    if clipped or np.any(status_of(rows) & (1 << LASER)):
         return Decay(status=Status.OVER_RANGE)
     found = (method or fit_decay)(y, calibration.rate_hz, u_clock)
     if found.status is not Status.OK:

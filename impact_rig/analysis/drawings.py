@@ -55,7 +55,7 @@ def time_traces(rows: NDArray[np.void], impact_times: Real | None = None) -> Fig
     """Draw base, superior base and acceleration over time, impacts marked by lines.
 
     Args:
-        rows: scans (`blocks.SCAN`).
+        rows: scans (`daq/scan`).
         impact_times: instants of impacts [s on the rows' time], shape (k,); None for none.
     """
     figure, axes = _axes(3)

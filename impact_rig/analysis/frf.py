@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import signal
 
-from impact_rig.analysis.calibration import BASE, LASER, Calibration, Complex, Real
+from impact_rig.analysis.calibration import Calibration, Complex, Real
+from impact_rig.analysis.channels import BASE, LASER
 
 
 @attrs.frozen(eq=False, kw_only=True)
@@ -99,7 +100,7 @@ def transmissibility_frf(
     """Return x_1 / x_b of a sweep or random record, skew and lag corrected; u_relative includes the calibration.
 
     Args:
-        rows: consecutive scans (`blocks.SCAN`).
+        rows: consecutive scans (`daq/scan`).
         info: rows of `daq/info`.
         segment: samples per segment.
         overlap: as in `frf`.

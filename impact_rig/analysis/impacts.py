@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 from scipy import signal
 
 import impact_rig.system.compiled  # noqa: F401  # first: finds what was compiled from these sources
-from impact_rig.analysis.calibration import ACCELEROMETER, Calibration, Real
+from impact_rig.analysis.calibration import Calibration, Real
+from impact_rig.analysis.channels import ACCELEROMETER
 from impact_rig.analysis.cycles import PHASE_BINS, Cycles
 from impact_rig.analysis.settings import ImpactSettings
 

@@ -19,7 +19,8 @@ from collections import deque
 import attrs
 import numpy as np
 
-from impact_rig.analysis.calibration import BASE, LASER, Calibration
+from impact_rig.analysis.calibration import Calibration
+from impact_rig.analysis.channels import BASE, LASER
 from impact_rig.analysis.cycles import Cycles, concatenate
 from impact_rig.analysis.settings import TrackerSettings
 from impact_rig.analysis.settling import is_stationary, more_windows, transient_bias

@@ -23,7 +23,8 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_rig.analysis.calibration import BASE, LASER, Calibration
+from impact_rig.analysis.calibration import Calibration
+from impact_rig.analysis.channels import BASE, LASER
 
 AMPLITUDES = ((LASER, "laser_amplitude"), (BASE, "base_amplitude"))
 

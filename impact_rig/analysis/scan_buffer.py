@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_rig.blocks import CHANNELS
+from impact_rig.analysis.channels import CHANNELS, status_of
 from impact_rig.simtime import NS_PER_S
 
 
@@ -52,7 +52,7 @@ class ScanBuffer:
             used = self.end - self.first
         for j, name in enumerate(CHANNELS):
             self.samples[j, used : used + new] = rows[name]
-        self.status[used : used + new] = rows["status"]
+        self.status[used : used + new] = status_of(rows)
         self.end += new
 
     def column(self, index: int) -> int:

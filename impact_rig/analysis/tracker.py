@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from impact_rig import topics
 from impact_rig.analysis.calibration import Calibration
+from impact_rig.analysis.channels import SCAN
 from impact_rig.analysis.cycles import Accumulator, Cycles, usable_harmonics
 from impact_rig.analysis.impacts import MIN_RATE_HZ, ImpactDetector, Impacts, counted, joined
 from impact_rig.analysis.judge import Judge, window_cycles
@@ -24,7 +25,7 @@ from impact_rig.analysis.settings import ImpactSettings, TrackerSettings
 from impact_rig.analysis.tables import impact_tables, measurement_table, need_columns
 from impact_rig.analysis.transmissibility import Measurement
 from impact_rig.analysis.words import MEASURED, Status
-from impact_rig.blocks import APPLIED, DAQ_INFO, SCAN, Table
+from impact_rig.blocks import APPLIED, DAQ_INFO, Table
 from impact_rig.errors import ConfigError
 from impact_rig.simtime import NS_PER_S, stamp_ns
 

@@ -19,14 +19,14 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_rig.analysis.calibration import ACCELEROMETER, BASE, CURRENT, LASER, Calibration, Complex, Real
+from impact_rig.analysis.calibration import Calibration, Complex, Real
+from impact_rig.analysis.channels import ACCELEROMETER, BASE, CHANNELS, CURRENT, LASER, status_of
 from impact_rig.analysis.cycles import RANGE_BIT, Accumulator, Cycles, usable_harmonics
 from impact_rig.analysis.impacts import MIN_RATE_HZ, ImpactDetector, counted
 from impact_rig.analysis.regime import classify
 from impact_rig.analysis.settings import TrackerSettings
 from impact_rig.analysis.spread import block_length, bootstrap_means, by_class_removed, student_factor, variance_of_mean
 from impact_rig.analysis.words import Method, Regime, Status
-from impact_rig.blocks import CHANNELS
 
 NAN = float("nan")
 MIN_CYCLES = 4
@@ -75,7 +75,7 @@ def measure_record(
     """Measure a whole record at one drive frequency: all its whole cycles, taken as settled.
 
     Args:
-        rows: consecutive scans (`blocks.SCAN`), shape (n,).
+        rows: consecutive scans (`daq/scan`), shape (n,).
         info: rows of `daq/info`.
         frequency_hz: of the drive.
         settings: only harmonics, tolerance, lag and bootstrap settings are used.
@@ -89,7 +89,7 @@ def measure_record(
         return Measurement(status=Status.NO_FREQUENCY, frequency_hz=frequency_hz)
     samples = np.stack([np.asarray(rows[name], dtype=np.float64) for name in CHANNELS])
     accumulator = Accumulator(calibration.rate_hz, frequency_hz, harmonics, 0, calibration.low, calibration.high)
-    accumulator.add(samples, np.ascontiguousarray(rows["status"]), 0, len(rows))
+    accumulator.add(samples, np.ascontiguousarray(status_of(rows)), 0, len(rows))
     if accumulator.pending_cycles < MIN_CYCLES:
         return Measurement(status=Status.TOO_FEW_CYCLES, frequency_hz=frequency_hz)
     cycles = accumulator.take(accumulator.pending_cycles)

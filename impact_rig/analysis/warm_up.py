@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from impact_rig.analysis.channels import CHANNELS, SCAN
 from impact_rig.analysis.tracker import Tracker
-from impact_rig.blocks import APPLIED, CHANNELS, DAQ_INFO, SCAN, Table
+from impact_rig.blocks import APPLIED, DAQ_INFO, Table
 
 RATE_HZ = 10_000
 DRIVE_HZ = 50.0

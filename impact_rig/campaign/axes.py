@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 
-from impact_rig.config.load import Value
+from impact_rig.config.tree import Value
 from impact_rig.errors import ConfigError
 
 NO_SPHERE = 0.0

@@ -12,9 +12,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_rig.blocks import CHANNELS
 from impact_rig.campaign.job import Job, Outcome
 from impact_rig.errors import GoneError, ImpactRigError
+from impact_rig.instruments.scan import channels_of
 from impact_rig.operate.operator import Note, PatientApparatus, operate, silent
 from impact_rig.operate.stepped_sine import State, SteppedSine
 from impact_rig.simtime import NS_PER_S
@@ -80,6 +80,6 @@ def columns(scans: NDArray[np.void], truth: NDArray[np.void], rate_hz: int) -> T
         rate_hz: scans per second.
     """
     found: dict[str, NDArray[np.generic]] = {"time": np.arange(len(scans)) / rate_hz}
-    for rows, names in ((scans, CHANNELS), (truth, TRUE_COLUMNS)):
+    for rows, names in ((scans, channels_of(scans)), (truth, TRUE_COLUMNS)):
         found.update({name: rows[name].astype(np.float32) for name in names})
     return found

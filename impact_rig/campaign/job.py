@@ -22,9 +22,9 @@ from numpy.typing import NDArray
 from impact_rig.analysis.settings import TrackerSettings
 from impact_rig.blocks import TRANSMISSIBILITY
 from impact_rig.campaign.axes import NO_SPHERE
-from impact_rig.config import RigConfig, from_flat
-from impact_rig.config.load import Value
+from impact_rig.config.tree import Value
 from impact_rig.operate.plan import Direction, Plan
+from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.rig.journal import not_default
 from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S
 

@@ -18,10 +18,11 @@ from impact_rig.campaign import axes
 from impact_rig.campaign.axes import NO_SPHERE
 from impact_rig.campaign.job import Job
 from impact_rig.campaign.paper import CURRENT_A
-from impact_rig.config import CONTACT_LAWS, RigConfig, from_flat, load, to_flat
-from impact_rig.config.load import MAX_FILE_BYTES, Value, flatten
+from impact_rig.config.tree import MAX_FILE_BYTES, Value, flatten
 from impact_rig.errors import ConfigError
 from impact_rig.operate.plan import Direction
+from impact_rig.physics.contact import LAWS
+from impact_rig.rig.config import RigConfig, from_flat, load, to_flat
 from impact_rig.system import budget, files, plain_yaml
 from impact_rig.system.budget import BudgetError
 
@@ -241,7 +242,7 @@ def _vary(where: str, given: Mapping[str, object]) -> dict[str, tuple[Value, ...
     vary: dict[str, tuple[Value, ...]] = {}
     if "laws" in given:
         key = f"{where}.laws"
-        vary["contact.law"] = tuple(axes.word(key, law, CONTACT_LAWS) for law in axes.values(key, given["laws"]))
+        vary["contact.law"] = tuple(axes.word(key, law, LAWS) for law in axes.values(key, given["laws"]))
     if "restitutions" in given:
         vary["contact.restitution"] = axes.numbers(f"{where}.restitutions", given["restitutions"], 0.0, 1.0)
     if "starts" in given:

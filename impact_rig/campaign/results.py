@@ -16,7 +16,7 @@ from impact_rig.analysis.reduction import combined
 from impact_rig.campaign.axes import NO_SPHERE
 from impact_rig.campaign.job import Outcome
 from impact_rig.campaign.plan import RESET, Planned
-from impact_rig.config.load import Value
+from impact_rig.config.tree import Value
 from impact_rig.operate.plan import Direction
 from impact_rig.system import files
 

@@ -34,9 +34,9 @@ from impact_rig.campaign.results import Curves, Point, points_of, write_csv
 from impact_rig.campaign.statements import Verdict
 from impact_rig.campaign.store import FOLDER, Store
 from impact_rig.campaign.summary import write_summary
-from impact_rig.config import dump, load
 from impact_rig.errors import ConfigError, RecordingError
 from impact_rig.instruments.chain import Chain
+from impact_rig.rig.config import dump, load
 from impact_rig.system import files
 
 CAMPAIGN_FILE, CONFIGURATION_FILE, PROVENANCE_FILE = "campaign.yaml", "configuration.yaml", "provenance.json"

@@ -9,11 +9,11 @@ from pathlib import Path
 from rich.text import Text
 
 from impact_rig.cli.terminal import Console, TextTable
-from impact_rig.config import RigConfig, load
 from impact_rig.errors import ConfigError
 from impact_rig.instruments import check_known_input
 from impact_rig.physics.contact import from_config
 from impact_rig.rig import Rig
+from impact_rig.rig.config import RigConfig, load
 
 _POLARITY = {1: "right", 0: "no signal", -1: "reversed"}
 

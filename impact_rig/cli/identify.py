@@ -13,10 +13,10 @@ from impact_rig.campaign import run
 from impact_rig.campaign.axes import NO_SPHERE
 from impact_rig.campaign.paper import CURRENT_A, FREQUENCIES_HZ, FREQUENCY_HZ, REDUCTION_PERCENT
 from impact_rig.cli.terminal import Console, TextTable, tell_program
-from impact_rig.config import RigConfig, dump, load
 from impact_rig.errors import ConfigError, ImpactRigError
 from impact_rig.recording import open_run
 from impact_rig.rig import Rig
+from impact_rig.rig.config import RigConfig, dump, load
 from impact_rig.studies.identification import paper_fit
 from impact_rig.studies.identification.constants import NAMES, UNITS
 from impact_rig.studies.identification.fisher import Information

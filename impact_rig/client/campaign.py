@@ -15,8 +15,8 @@ from impact_rig.client.client import Client
 from impact_rig.client.domain import isolated_domain
 from impact_rig.client.operator import FreewheelApparatus, RosApparatus, SteppedApparatus
 from impact_rig.client.processes import ParameterValue, Processes
-from impact_rig.config import RigConfig
 from impact_rig.operate.stepped_sine import SteppedSine
+from impact_rig.rig.config import RigConfig
 
 Watch = Callable[[Job, SteppedSine | None], None]
 """Told when a job is being prepared (no sweep yet), when its sweep begins, and of every measurement."""

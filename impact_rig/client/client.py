@@ -39,6 +39,7 @@ from impact_rig.nodes import messages
 from impact_rig.nodes.guard import with_info
 from impact_rig.nodes.process import make_executor
 from impact_rig.nodes.stamps import time_message
+from impact_rig.nodes.topics import by_name
 from impact_rig.system.endings import unhurried
 
 T = TypeVar("T")
@@ -324,7 +325,7 @@ class Client:
             acknowledge: answer every message with daq/ack, as a peer named like this client must.
             timeout_s: how long to wait for a publisher.
         """
-        topic = topics.by_name(name)
+        topic = by_name(name)
         collector = Collector(topic, self._acknowledge if acknowledge else None)
         subscription = self._subscribe(topic, collector.take, raw=topic.columns is not None)
         self.wait_until(subscription.get_publisher_count, f"a publisher of {name}", timeout_s)

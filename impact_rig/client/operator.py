@@ -12,11 +12,11 @@ from impact_rig.blocks import Table
 from impact_rig.campaign.execution import Trace, columns
 from impact_rig.campaign.job import TRACE_BLOCKS, Job
 from impact_rig.client.client import Client
-from impact_rig.config import RigConfig, to_flat
 from impact_rig.errors import ImpactRigError
 from impact_rig.operate.operator import Applied, News
 from impact_rig.operate.plan import Setpoint
 from impact_rig.rig import Kind
+from impact_rig.rig.config import RigConfig, to_flat
 from impact_rig.rig.interlock import OVER_TRAVEL, Trip, check_amplitude, check_frequency
 from impact_rig.simtime import NS_PER_S
 

@@ -1,4 +1,4 @@
-"""Configuration of the mechanics: structure, shaker, sphere, barriers, contact and drive.
+"""Configuration of the mechanics: structure, shaker, sphere, barriers and drive; the contact's is with its laws.
 
 Defaults are the paper's rig; the paper leaves m1, k1, c1, amplitudes and the shaker's constants open, so each field
 says where its value comes from. Ranges are wide enough for any rig of this kind and narrow enough to refuse a slip of
@@ -13,21 +13,6 @@ from impact_rig.config.fields import Origin, choice, quantity, switch
 
 FASTEST_HZ = 1e4
 """Far beyond any motion of this rig; at a hundred megahertz a tick would take minutes to simulate."""
-CONTACT_LAWS = (
-    "flores",
-    "hertz",
-    "hunt_crossley",
-    "herbert_mcwhannell",
-    "lee_wang",
-    "lankarani_nikravesh",
-    "gonthier",
-    "zhiying_qishao",
-    "hu_guo",
-    "exact",
-    "kelvin_voigt",
-    "walton_braun",
-    "restitution",
-)
 
 
 @attrs.frozen(kw_only=True)
@@ -129,28 +114,3 @@ class Barriers:
     )
     young_modulus_pa: float = quantity(70e9, "Pa", "Young's modulus of aluminium.", at_least=1e6, at_most=1e13)
     poisson_ratio: float = quantity(0.33, "-", "Poisson's ratio of aluminium.", at_least=0, at_most=0.5)
-
-
-@attrs.frozen(kw_only=True)
-class Contact:
-    """The contact between sphere and barrier."""
-
-    law: str = choice("flores", CONTACT_LAWS, "Contact law, by name.", Origin.PAPER)
-    restitution: float = quantity(
-        0.35, "-", "Coefficient of restitution e of the drop test.", Origin.PAPER, above=0, at_most=1
-    )
-    calibration: str = choice(
-        "nominal",
-        ("nominal", "exact"),
-        "nominal: e goes into the law as published; exact: the law is adjusted until it returns e.",
-        Origin.PAPER,
-    )
-    speed_floor_m_s: float = quantity(
-        1e-3, "m/s", "Floor of the approach speed in c = a K / v0, singular as v0 -> 0.", above=0, at_most=0.1
-    )
-    contact_time_s: float = quantity(
-        45e-6, "s", "Contact time of the linear laws kelvin_voigt and walton_braun.", above=0, at_most=0.01
-    )
-    release: str = choice(
-        "position", ("position", "force"), "kelvin_voigt lets go at zero indentation, or already at zero force."
-    )

@@ -1,9 +1,23 @@
 """The rig's instruments: sensors, conditioning, the multiplexed converter, calibration and faults; no ROS."""
 
-import impact_rig.system.compiled  # noqa: F401  # first: finds what was compiled from these sources
-from impact_rig.instruments.chain import Chain
-from impact_rig.instruments.checks import ChannelCheck, check_known_input, check_polarity
-from impact_rig.instruments.faults import Fault
-from impact_rig.instruments.motion import Motion
+from typing import TYPE_CHECKING
+
+from impact_rig.system.lazily import lazily
+
+if TYPE_CHECKING:
+    from impact_rig.instruments.chain import Chain
+    from impact_rig.instruments.checks import ChannelCheck, check_known_input, check_polarity
+    from impact_rig.instruments.fault import Fault
+    from impact_rig.instruments.motion import Motion
+
+__getattr__ = lazily(  # compiled code is loaded where it is used, not where a configuration is read
+    __name__,
+    Chain="chain",
+    ChannelCheck="checks",
+    check_known_input="checks",
+    check_polarity="checks",
+    Fault="fault",
+    Motion="motion",
+)
 
 __all__ = ["Chain", "ChannelCheck", "Fault", "Motion", "check_known_input", "check_polarity"]

@@ -8,33 +8,93 @@ The amplifier clips behind its filters.
 
 from __future__ import annotations
 
-from impact_rig.config.instruments import Accelerometer
+from collections.abc import Mapping
+
+import attrs
+
+from impact_rig.columns import Column
+from impact_rig.config.fields import integer, quantity, switch
+from impact_rig.instruments.instrument import Instrument
 from impact_rig.instruments.sensor import Sensor
 from impact_rig.instruments.transfer import butterworth, high_pass, resonance
+from impact_rig.topics import Qos, Topic
 
 STANDARD_GRAVITY = 9.80665
+UNKNOWN_VARIANCE = 1e9
+"""Variance of an axis that is not measured, (m/s²)²."""
+NOT_MEASURED = -1.0
+"""REP-145: first element of the covariance of a quantity the device does not measure at all."""
 
 
-def sensor(config: Accelerometer) -> Sensor:
-    """Return the accelerometer of a configuration."""
-    volt_per_unit = config.sensitivity_pc_g * config.amplifier_mv_pc * 1e-3 / STANDARD_GRAVITY
-    full = config.saturation_v / volt_per_unit
-    return Sensor(
-        name="accelerometer",
-        quantity="a_1",
-        unit="m/s^2",
-        low_pass=resonance(config.resonance_hz, config.quality)
-        * butterworth(config.low_pass_order, config.low_pass_hz),
-        high_pass=high_pass(config.high_pass_hz),
-        lag_order=0,
-        bandwidth_hz=config.low_pass_hz,
-        volt_per_unit=volt_per_unit,
-        low=-full,
-        high=full,
-        gain_tolerance=config.gain_tolerance,
-        offset_tolerance=config.offset_tolerance_v / volt_per_unit,
-        noise=config.noise_v_rms / volt_per_unit,
-        adc_range_v=config.adc_range_v,
-        inverted=config.inverted,
-        settled=False,
+@attrs.frozen(kw_only=True)
+class Accelerometer(Instrument):
+    """Piezoelectric accelerometer and charge amplifier on the superior base (Endevco 2226C class)."""
+
+    name = "accelerometer"
+    place = 0
+    senses = "a_1"
+    unit = "m/s^2"
+    doc = "Acceleration of the superior base."
+    monitor = Topic(
+        "accelerometer",
+        "sensor_msgs/msg/Imu",
+        Qos.DATA,
+        "rig",
+        "The accelerometer at monitor rate (x; REP-145: other quantities are marked as not measured).",
+        (
+            Column("linear_acceleration.x", "m/s^2", "Acceleration of the superior base."),
+            Column("linear_acceleration_covariance", "(m/s^2)^2", "x: noise, squared; y and z, not measured: 1e9."),
+            Column("orientation_covariance", "-", "[0] = -1: not measured (REP-145)."),
+            Column("angular_velocity_covariance", "-", "[0] = -1: not measured (REP-145)."),
+        ),
+        frame_id="superior_base",
     )
+
+    sensitivity_pc_g: float = quantity(2.8, "pC/g", "Charge sensitivity.", above=0)
+    amplifier_mv_pc: float = quantity(10.0, "mV/pC", "Gain of the charge amplifier.", above=0)
+    resonance_hz: float = quantity(25e3, "Hz", "Mounted resonance.", above=0)
+    quality: float = quantity(30.0, "-", "Quality factor of the resonance.", at_least=0.51, at_most=1000)
+    high_pass_hz: float = quantity(1.0, "Hz", "High-pass of the charge amplifier, first order.", above=0)
+    low_pass_hz: float = quantity(10e3, "Hz", "Low-pass of the charge amplifier, Butterworth.", above=0)
+    low_pass_order: int = integer(2, "-", "Order of the low-pass.", at_least=1, at_most=8)
+    noise_v_rms: float = quantity(
+        0.14e-3, "V", "Noise at the amplifier's output, rms within its bandwidth: 5 mg.", at_least=0, at_most=0.1
+    )
+    saturation_v: float = quantity(10.0, "V", "The amplifier's output clips here, either side.", above=0)
+    gain_tolerance: float = quantity(0.02, "-", "Limit of the relative error of the sensitivity.", at_least=0, below=1)
+    offset_tolerance_v: float = quantity(2e-3, "V", "Limit of the amplifier's offset.", at_least=0, at_most=1)
+    inverted: bool = switch(False, "Wired the wrong way round; the calibration does not know.")
+    adc_range_v: float = quantity(5.0, "V", "Input range of the converter, either side.", above=0)
+
+    def sensor(self) -> Sensor:
+        """Return the accelerometer's sensor."""
+        volt_per_unit = self.sensitivity_pc_g * self.amplifier_mv_pc * 1e-3 / STANDARD_GRAVITY
+        full = self.saturation_v / volt_per_unit
+        return Sensor(
+            name=self.name,
+            quantity=self.senses,
+            unit=self.unit,
+            low_pass=resonance(self.resonance_hz, self.quality) * butterworth(self.low_pass_order, self.low_pass_hz),
+            high_pass=high_pass(self.high_pass_hz),
+            lag_order=0,
+            bandwidth_hz=self.low_pass_hz,
+            volt_per_unit=volt_per_unit,
+            low=-full,
+            high=full,
+            gain_tolerance=self.gain_tolerance,
+            offset_tolerance=self.offset_tolerance_v / volt_per_unit,
+            noise=self.noise_v_rms / volt_per_unit,
+            adc_range_v=self.adc_range_v,
+            inverted=self.inverted,
+            settled=False,
+        )
+
+    def message(self, reading: float, clipped: bool, noise: float) -> Mapping[str, object]:  # noqa: ARG002
+        """Return the fields of an Imu; none of them says that a reading is clipped."""
+        unknown = [0.0, 0.0, 0.0, UNKNOWN_VARIANCE]
+        return {
+            "linear_acceleration.x": reading,
+            "linear_acceleration_covariance": [noise**2, *unknown, *unknown],
+            "orientation_covariance": [NOT_MEASURED, *8 * [0.0]],
+            "angular_velocity_covariance": [NOT_MEASURED, *8 * [0.0]],
+        }

@@ -2,27 +2,69 @@
 
 from __future__ import annotations
 
-from impact_rig.config.instruments import Base
+from collections.abc import Mapping
+
+import attrs
+
+from impact_rig.columns import Column
+from impact_rig.config.fields import quantity, switch
+from impact_rig.instruments.instrument import Instrument
 from impact_rig.instruments.sensor import Sensor
 from impact_rig.instruments.transfer import butterworth
+from impact_rig.topics import Qos, Topic
 
 
-def sensor(config: Base) -> Sensor:
-    """Return the base sensor of a configuration."""
-    return Sensor(
-        name="base",
-        quantity="x_b",
-        unit="m",
-        low_pass=butterworth(2, config.bandwidth_hz),
-        lag_order=0,
-        bandwidth_hz=config.bandwidth_hz,
-        volt_per_unit=config.output_v / config.half_range_m,
-        low=-config.half_range_m,
-        high=config.half_range_m,
-        gain_tolerance=config.gain_tolerance,
-        offset_tolerance=config.offset_tolerance_m,
-        linearity=config.linearity * config.half_range_m,
-        noise=config.noise_m_rms,
-        adc_range_v=config.adc_range_v,
-        inverted=config.inverted,
+@attrs.frozen(kw_only=True)
+class Base(Instrument):
+    """Inductive displacement sensor on the inferior base (Dornier IWA NT25 class)."""
+
+    name = "base"
+    place = 2
+    senses = "x_b"
+    unit = "m"
+    doc = "Displacement x_b of the inferior base."
+    monitor = Topic(
+        "base_displacement",
+        "geometry_msgs/msg/Vector3Stamped",
+        Qos.DATA,
+        "rig",
+        "Displacement of the inferior base (x) at monitor rate.",
+        (Column("vector.x", "m", "Displacement x_b of the inferior base; y = z = 0."),),
+        frame_id="base_sensor",
     )
+
+    half_range_m: float = quantity(12.5e-3, "m", "Half of the measuring range.", above=0, at_most=5)
+    output_v: float = quantity(10.0, "V", "Output at the end of the range.", above=0)
+    bandwidth_hz: float = quantity(1e3, "Hz", "Corner of its two-pole (Butterworth) filter.", above=0)
+    noise_m_rms: float = quantity(1e-6, "m", "Noise, rms within its bandwidth.", at_least=0, at_most=1e-4)
+    linearity: float = quantity(
+        0.0025, "-", "Limit of the departure from a straight line, of half_range_m.", at_least=0
+    )
+    gain_tolerance: float = quantity(0.002, "-", "Limit of the relative error of the sensitivity.", at_least=0, below=1)
+    offset_tolerance_m: float = quantity(10e-6, "m", "Limit of the zero error.", at_least=0, at_most=1e-3)
+    inverted: bool = switch(False, "Wired the wrong way round; the calibration does not know.")
+    adc_range_v: float = quantity(10.0, "V", "Input range of the converter, either side.", above=0)
+
+    def sensor(self) -> Sensor:
+        """Return the base's sensor."""
+        return Sensor(
+            name=self.name,
+            quantity=self.senses,
+            unit=self.unit,
+            low_pass=butterworth(2, self.bandwidth_hz),
+            lag_order=0,
+            bandwidth_hz=self.bandwidth_hz,
+            volt_per_unit=self.output_v / self.half_range_m,
+            low=-self.half_range_m,
+            high=self.half_range_m,
+            gain_tolerance=self.gain_tolerance,
+            offset_tolerance=self.offset_tolerance_m,
+            linearity=self.linearity * self.half_range_m,
+            noise=self.noise_m_rms,
+            adc_range_v=self.adc_range_v,
+            inverted=self.inverted,
+        )
+
+    def message(self, reading: float, clipped: bool, noise: float) -> Mapping[str, object]:  # noqa: ARG002
+        """Return the fields of a Vector3Stamped, which has no room for more."""
+        return {"vector.x": reading}

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from impact_rig.arithmetic.random import Random
 from impact_rig.blocks import DAQ_INFO
-from impact_rig.config.instruments import Adc
+from impact_rig.instruments.adc import Adc
 from impact_rig.instruments.clock import ScanClock
 from impact_rig.instruments.sensor import Sensor
 

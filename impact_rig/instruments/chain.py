@@ -11,16 +11,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig.arithmetic.random import Random
-from impact_rig.blocks import CHANNELS, SCAN
-from impact_rig.config import RigConfig
 from impact_rig.errors import CommandError, ConfigError
-from impact_rig.instruments import accelerometer, base, calibration, current, laser
+from impact_rig.instruments import calibration
 from impact_rig.instruments.channel import Channel, Instants, Sine, Stretch
 from impact_rig.instruments.clock import scan_clock
-from impact_rig.instruments.faults import Fault, FaultBoard, planned
+from impact_rig.instruments.fault import Fault
+from impact_rig.instruments.fault_board import FaultBoard
 from impact_rig.instruments.motion import Motion
 from impact_rig.instruments.pieces import PIECES_PER_PERIOD, Limits, Pieces, cut, polynomials
+from impact_rig.instruments.scan import row_type_of
 from impact_rig.instruments.sensor import Sensor
+from impact_rig.instruments.setup import Setup
 from impact_rig.simtime import COMMAND_GRID_NS, COMMAND_GRID_S, NS_PER_S
 
 SEED_STREAM = 1
@@ -30,21 +31,14 @@ _LONGEST_PULSE_PIECE_S = 16e-6
 """Integration steps inside a contact are joined up to this: three polynomials hold one of 40 µs to 0.1 %."""
 _TICKS_AT_ONCE = 25
 """Arrays of a quarter of a second fit into the caches; the bits are the same for any number."""
-_ACCELEROMETER = CHANNELS.index("accelerometer")
+_JUMPS = "a_1"
+"""The one quantity whose integral an instantaneous impact makes jump."""
 _ERRORS, _NOISE, _CONVERTER_NOISE, _BOARD = range(4)
 
 
-def sensors(config: RigConfig) -> list[Sensor]:
+def sensors(config: Setup) -> list[Sensor]:
     """Return the sensors of a configuration in scan order, the anti-alias filter of the board behind them."""
-    instruments = config.instruments
-    made = (
-        accelerometer.sensor(instruments.accelerometer),
-        laser.sensor(instruments.laser),
-        base.sensor(instruments.base),
-        current.sensor(instruments.current),
-    )
-    assert tuple(sensor.name for sensor in made) == CHANNELS
-    return [sensor.behind(instruments.adc) for sensor in made]
+    return [instrument.sensor().behind(config.instruments.adc) for instrument in config.instruments.fitted()]
 
 
 class Chain:
@@ -57,12 +51,12 @@ class Chain:
         ConfigError: the converter cannot do it.
     """
 
-    def __init__(self, config: RigConfig) -> None:
+    def __init__(self, config: Setup) -> None:
         self._config = config
         self.reset()
 
     @property
-    def config(self) -> RigConfig:
+    def config(self) -> Setup:
         """The configuration in force."""
         return self._config
 
@@ -88,34 +82,40 @@ class Chain:
         adc, ideal = config.instruments.adc, config.instruments.ideal
         self._sensors = sensors(config)
         board = calibration.draw_board(Random(self._seed(_BOARD, 0)))
+        places = [instrument.place for instrument in config.instruments.fitted()]
         self._channels = [
             Channel(
                 sensor,
                 adc,
                 self._clock,
                 index,
-                calibration.draw(Random(self._seed(_ERRORS, index))),
+                calibration.draw(Random(self._seed(_ERRORS, place))),
                 board,
-                Random(self._seed(_NOISE, index)),
-                Random(self._seed(_CONVERTER_NOISE, index)),
+                Random(self._seed(_NOISE, place)),
+                Random(self._seed(_CONVERTER_NOISE, place)),
                 ideal,
             )
-            for index, sensor in enumerate(self._sensors)
+            for index, (place, sensor) in enumerate(zip(places, self._sensors, strict=True))
         ]
+        self._names = tuple(sensor.name for sensor in self._sensors)
         self._quantities = tuple(sensor.quantity for sensor in self._sensors)
         rate = config.daq.rate_hz
-        self._faults = FaultBoard([planned(fault, rate) for fault in config.instruments.faults.parsed()], rate)
-        self._blank = np.zeros(0, dtype=SCAN)  # the rows of the last read, empty: blocks are all of one length
+        self._faults = FaultBoard(config.instruments.faults.faults(rate), rate)
+        self._blank = np.zeros(
+            0, dtype=row_type_of(config.instruments)
+        )  # the rows of the last read, empty: blocks are all of one length
         self._next_scan = 0
         self._tick = 0
 
-    def reconfigure(self, config: RigConfig) -> None:
+    def reconfigure(self, config: Setup) -> None:
         """Change the instruments from the next tick on; counters, noise and faults go on.
 
         Raises:
-            ConfigError: scan rate, seed or planned faults differ: they need a reset.
+            ConfigError: scan rate, channels, seed or planned faults differ: they need a reset.
         """
+        fitted = tuple(instrument.name for instrument in config.instruments.fitted())
         for key, old, new in (
+            ("the list of instruments that are present", self._names, fitted),
             ("daq.rate_hz", self._config.daq.rate_hz, config.daq.rate_hz),
             ("daq.seed", self._config.daq.seed, config.daq.seed),
             (
@@ -156,7 +156,7 @@ class Chain:
             self._tick += ticks
 
     def read(self, count: int) -> NDArray[np.void]:
-        """Return the next `count` scans as `blocks.SCAN` rows; `time` counts from the first of them.
+        """Return the next `count` scans as `scan.row_type_of` the instruments; `time` counts from the first of them.
 
         Raises:
             ValueError: fewer are ready.
@@ -164,9 +164,9 @@ class Chain:
         if not 0 <= count <= self.ready:
             raise ValueError(f"count must be 0 to {self.ready}, the scans that are ready, got {count}")
         if len(self._blank) != count:
-            self._blank = np.zeros(count, dtype=SCAN)
+            self._blank = np.zeros(count, dtype=self._blank.dtype)
             self._blank["time"] = np.arange(count) / self._config.daq.rate_hz
-        rows = self._blank.view(np.uint8).copy().view(SCAN)  # as bytes: ten times faster than row by row
+        rows = self._blank.view(np.uint8).copy().view(self._blank.dtype)  # as bytes: ten times faster than row by row
         for index, channel in enumerate(self._channels):
             rows[channel.sensor.name], clipped = channel.take(count)
             if clipped.any():
@@ -191,23 +191,25 @@ class Chain:
         Raises:
             CommandError: no such channel, or a number out of range.
         """
-        if channel not in CHANNELS:
-            raise CommandError(f"channel must be one of {', '.join(CHANNELS)}, got {channel!r}")
+        if channel not in self._names:
+            raise CommandError(f"channel must be one of {', '.join(self._names)}, got {channel!r}")
         highest = self._config.shaker.frequency_max_hz
         if not 0.0 < frequency_hz <= highest:
             raise CommandError(f"frequency_hz must be > 0 and <= {highest:g} Hz, got {frequency_hz!r} Hz")
         if not np.isfinite(amplitude) or ticks < 0:
             raise CommandError(f"amplitude must be finite and ticks >= 0, got {amplitude!r} and {ticks!r}")
-        self._channels[CHANNELS.index(channel)].sine = Sine(self._tick, ticks, frequency_hz, amplitude)
+        self._channels[self._names.index(channel)].sine = Sine(self._tick, ticks, frequency_hz, amplitude)
 
     def inject(self, fault: Fault) -> int:
         """Put a fault on the rig and return its number.
 
         Raises:
-            CommandError: it would start at a scan that has already been converted.
+            CommandError: it would start at a scan that has already been converted, or its channel is not there.
         """
-        if fault.start < self.first_open_scan:
-            raise CommandError(f"a fault must start at scan >= {self.first_open_scan}, got {fault.start}")
+        if fault.start_sample < self.first_open_scan:
+            raise CommandError(f"a fault must start at scan >= {self.first_open_scan}, got {fault.start_sample}")
+        if fault.channel and fault.channel not in self._names:
+            raise CommandError(f"{fault.kind} needs a channel that is present, {fault.channel} is not")
         return self._faults.add(fault)
 
     def clear(self, number: int | None = None) -> None:
@@ -242,8 +244,9 @@ class Chain:
         nodes = pieces.nodes()
         values = stretch.motion.quantities(self._quantities, *nodes)
         kicks = [np.zeros(len(pieces.start))] * len(self._channels)
-        if len(blows):  # of the four only the acceleration is made to jump by an impact
-            kicks[_ACCELEROMETER] = _kicks(blows, stretch, pieces, self._config.structure.mass_kg)
+        if len(blows) and _JUMPS in self._quantities:
+            jumps = _kicks(blows, stretch, pieces, self._config.structure.mass_kg)
+            kicks = [jumps if sensed == _JUMPS else none for sensed, none in zip(self._quantities, kicks, strict=True)]
         for index, channel in enumerate(self._channels):
             kicks[index] = channel.see(stretch, pieces, nodes, values[index], kicks[index])
         coefficients = polynomials(values, len(pieces.start))

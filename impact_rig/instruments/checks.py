@@ -13,11 +13,10 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_rig.blocks import CHANNELS, SCAN
-from impact_rig.config import RigConfig
-from impact_rig.config.faults import BOARD_KINDS, Faults
 from impact_rig.instruments.chain import Chain, sensors
-from impact_rig.instruments.faults import Fault
+from impact_rig.instruments.fault import Fault
+from impact_rig.instruments.fault_kinds import BOARD_KINDS
+from impact_rig.instruments.setup import Setup
 
 _SETTLE_TICKS = 400  # 4 s: the 1 Hz high-pass forgets its start to e^-25
 _MEASURE_TICKS = 100
@@ -76,7 +75,7 @@ class _Rest:
 
 
 def check_known_input(
-    config: RigConfig, faults: Iterable[Fault] = (), frequency_hz: float = 10.0, fraction: float = 0.5
+    config: Setup, faults: Iterable[Fault] = (), frequency_hz: float = 10.0, fraction: float = 0.5
 ) -> list[ChannelCheck]:
     """Put a sine on every channel of a twin of the rig's instruments and judge what it reads.
 
@@ -92,28 +91,28 @@ def check_known_input(
     Raises:
         CommandError: a number out of range.
     """
-    bare = attrs.evolve(config, instruments=attrs.evolve(config.instruments, faults=Faults()))
-    chain = Chain(bare)
+    chain = Chain(config)
+    chain.clear()  # what the configuration plans
     for fault in faults:
         if fault.kind not in BOARD_KINDS:
-            chain.inject(attrs.evolve(fault, start=0, duration=0))
+            chain.inject(attrs.evolve(fault, start_sample=0, samples=0))
     amplitudes = {}
-    for sensor in sensors(bare):
+    for sensor in sensors(config):
         low, high = sensor.measuring_range()
         amplitudes[sensor.name] = fraction * 0.5 * (high - low)
         chain.calibrate(sensor.name, frequency_hz, amplitudes[sensor.name], _SETTLE_TICKS + _MEASURE_TICKS)
-    rows = np.empty(0, dtype=SCAN)
+    rows = chain.read(0)
     for tick in range(0, _SETTLE_TICKS + _MEASURE_TICKS, _MEASURE_TICKS):
         chain.acquire(_Rest(), tick, _MEASURE_TICKS)
         first = chain.next_scan
         rows = chain.read(chain.ready)
     time = (first + np.arange(len(rows))) / config.daq.rate_hz
     return [
-        _judge(chain, index, time, rows[name], frequency_hz, amplitudes[name]) for index, name in enumerate(CHANNELS)
+        _judge(chain, index, time, rows[name], frequency_hz, amplitudes[name]) for index, name in enumerate(amplitudes)
     ]
 
 
-def check_polarity(config: RigConfig, faults: Iterable[Fault] = ()) -> dict[str, int]:
+def check_polarity(config: Setup, faults: Iterable[Fault] = ()) -> dict[str, int]:
     """Return for every channel 1 if a push to the right reads positive, −1 if negative, 0 if nothing comes through."""
     return {check.channel: check.polarity for check in check_known_input(config, faults)}
 

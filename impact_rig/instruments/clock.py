@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import attrs
 
-from impact_rig.blocks import CHANNELS
-from impact_rig.config import RigConfig
 from impact_rig.errors import ConfigError
+from impact_rig.instruments.setup import Setup
 from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S
 
 LONGEST_STEP_HZ = 10_000
@@ -48,13 +47,13 @@ class ScanClock:
         return -(-self.tick // (self.step * self.substeps))
 
 
-def scan_clock(config: RigConfig) -> ScanClock:
+def scan_clock(config: Setup) -> ScanClock:
     """Return the clock of a configuration.
 
     Raises:
         ConfigError: more conversions per second than the converter can do.
     """
-    rate, adc, channels = config.daq.rate_hz, config.instruments.adc, len(CHANNELS)
+    rate, adc, channels = config.daq.rate_hz, config.instruments.adc, len(config.instruments.fitted())
     if rate * channels > adc.aggregate_limit_hz:
         raise ConfigError(
             f"daq.rate_hz must be <= {int(adc.aggregate_limit_hz) // channels} Hz: {channels} channels share"

@@ -18,10 +18,11 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from impact_rig.arithmetic.elementary import TWO_PI, exp
+from impact_rig.arithmetic.elementary import exp
 from impact_rig.arithmetic.random import Random, fill_normal
-from impact_rig.config.instruments import Adc
+from impact_rig.arithmetic.scalars import TWO_PI
 from impact_rig.instruments import calibration
+from impact_rig.instruments.adc import Adc
 from impact_rig.instruments.calibration import BoardErrors, Errors
 from impact_rig.instruments.sensor import Sensor
 

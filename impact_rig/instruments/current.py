@@ -2,28 +2,50 @@
 
 from __future__ import annotations
 
-from impact_rig.arithmetic.elementary import TWO_PI
-from impact_rig.config.instruments import Current
+import attrs
+
+from impact_rig.arithmetic.scalars import TWO_PI
+from impact_rig.config.fields import quantity, switch
+from impact_rig.instruments.instrument import Instrument
 from impact_rig.instruments.sensor import Sensor
 from impact_rig.instruments.transfer import lag
 
 
-def sensor(config: Current) -> Sensor:
-    """Return the current monitor of a configuration."""
-    full = config.saturation_v * config.sensitivity_a_v
-    return Sensor(
-        name="current",
-        quantity="current",
-        unit="A",
-        low_pass=lag(1.0 / (TWO_PI * config.bandwidth_hz)),
-        lag_order=1,
-        bandwidth_hz=config.bandwidth_hz,
-        volt_per_unit=1.0 / config.sensitivity_a_v,
-        low=-full,
-        high=full,
-        gain_tolerance=config.gain_tolerance,
-        offset_tolerance=config.offset_tolerance_a,
-        noise=config.noise_a_rms,
-        adc_range_v=config.adc_range_v,
-        inverted=config.inverted,
-    )
+@attrs.frozen(kw_only=True)
+class Current(Instrument):
+    """Coil current monitor of the power amplifier, the phase reference."""
+
+    name = "current"
+    place = 3
+    senses = "current"
+    unit = "A"
+    doc = "Coil current."
+
+    sensitivity_a_v: float = quantity(5.0, "A/V", "Current per output voltage.", above=0)
+    bandwidth_hz: float = quantity(20e3, "Hz", "Corner of its first-order low-pass.", above=0)
+    noise_a_rms: float = quantity(2e-3, "A", "Noise, rms within its bandwidth.", at_least=0, at_most=1)
+    saturation_v: float = quantity(10.0, "V", "Its output clips here, either side.", above=0)
+    gain_tolerance: float = quantity(0.005, "-", "Limit of the relative error of the sensitivity.", at_least=0, below=1)
+    offset_tolerance_a: float = quantity(5e-3, "A", "Limit of the zero error.", at_least=0, at_most=1)
+    inverted: bool = switch(False, "Wired the wrong way round; the calibration does not know.")
+    adc_range_v: float = quantity(5.0, "V", "Input range of the converter, either side.", above=0)
+
+    def sensor(self) -> Sensor:
+        """Return the current's sensor."""
+        full = self.saturation_v * self.sensitivity_a_v
+        return Sensor(
+            name=self.name,
+            quantity=self.senses,
+            unit=self.unit,
+            low_pass=lag(1.0 / (TWO_PI * self.bandwidth_hz)),
+            lag_order=1,
+            bandwidth_hz=self.bandwidth_hz,
+            volt_per_unit=1.0 / self.sensitivity_a_v,
+            low=-full,
+            high=full,
+            gain_tolerance=self.gain_tolerance,
+            offset_tolerance=self.offset_tolerance_a,
+            noise=self.noise_a_rms,
+            adc_range_v=self.adc_range_v,
+            inverted=self.inverted,
+        )

@@ -6,30 +6,99 @@ x_1 is negative. Out of range it holds the end it left by, and says so.
 
 from __future__ import annotations
 
-from impact_rig.arithmetic.elementary import TWO_PI
-from impact_rig.config.instruments import Laser
+import math
+from collections.abc import Mapping
+
+import attrs
+
+from impact_rig.arithmetic.scalars import TWO_PI
+from impact_rig.columns import Column
+from impact_rig.config.fields import quantity, switch
+from impact_rig.errors import ConfigError
+from impact_rig.instruments.instrument import Instrument
 from impact_rig.instruments.sensor import Sensor
 from impact_rig.instruments.transfer import lag
+from impact_rig.topics import Qos, Topic
+
+CONE_RAD = 1e-3
+INFRARED = 1
+"""`Range.INFRARED`."""
 
 
-def sensor(config: Laser) -> Sensor:
-    """Return the laser of a configuration."""
-    return Sensor(
-        name="laser",
-        quantity="x_1",
-        unit="m",
-        low_pass=lag(config.lag_s),
-        lag_order=1,
-        bandwidth_hz=1.0 / (TWO_PI * config.lag_s),
-        volt_per_unit=-config.output_v / (2.0 * config.half_range_m),
-        offset_v=0.5 * config.output_v,
-        low=-config.half_range_m,
-        high=config.half_range_m,
-        gain_tolerance=config.gain_tolerance,
-        offset_tolerance=config.offset_tolerance_m,
-        linearity=config.linearity_m,
-        noise=config.noise_m_rms,
-        resolution=config.resolution_m,
-        adc_range_v=config.adc_range_v,
-        inverted=config.inverted,
+@attrs.frozen(kw_only=True)
+class Laser(Instrument):
+    """Laser triangulation sensor on the superior base (Wenglor YP06MGVL80 class), 0 V at the near end."""
+
+    name = "laser"
+    place = 1
+    senses = "x_1"
+    unit = "m"
+    doc = "Displacement x_1 of the superior base."
+    monitor = Topic(
+        "laser",
+        "sensor_msgs/msg/Range",
+        Qos.DATA,
+        "rig",
+        "Distance of the superior base, 0.050 m - x_1, at monitor rate; out of range is -Inf or +Inf (REP-117).",
+        (
+            Column("range", "m", "instruments.laser.distance_m - x_1; -Inf: too near, +Inf: too far, or no reading."),
+            Column("min_range", "m", "Near end of the measuring range."),
+            Column("max_range", "m", "Far end of the measuring range."),
+            Column("variance", "m^2", "Noise, squared."),
+            Column("field_of_view", "rad", "Of the beam."),
+        ),
+        frame_id="laser",
     )
+
+    distance_m: float = quantity(50e-3, "m", "Distance at x_1 = 0.", above=0, at_most=10)
+    half_range_m: float = quantity(10e-3, "m", "Half of the measuring range.", above=0, at_most=5)
+    output_v: float = quantity(10.0, "V", "Output at the far end of the range.", above=0)
+    lag_s: float = quantity(0.7e-3, "s", "Time constant of its first-order lag.", above=0, at_most=0.1)
+    resolution_m: float = quantity(8e-6, "m", "Step of its digital output stage.", at_least=0, at_most=1e-3)
+    noise_m_rms: float = quantity(2e-6, "m", "Noise ahead of that step, rms.", at_least=0, at_most=1e-3)
+    linearity_m: float = quantity(30e-6, "m", "Limit of the departure from a straight line.", at_least=0, at_most=1e-2)
+    gain_tolerance: float = quantity(0.002, "-", "Limit of the relative error of the sensitivity.", at_least=0, below=1)
+    offset_tolerance_m: float = quantity(50e-6, "m", "Limit of the zero error.", at_least=0, at_most=1e-2)
+    inverted: bool = switch(False, "Wired the wrong way round; the calibration does not know.")
+    adc_range_v: float = quantity(10.0, "V", "Input range of the converter, either side.", above=0)
+
+    def __attrs_post_init__(self) -> None:
+        if self.half_range_m >= self.distance_m:
+            raise ConfigError(f"half_range_m must be < distance_m = {self.distance_m:g} m, got {self.half_range_m:g} m")
+
+    def sensor(self) -> Sensor:
+        """Return the laser's sensor."""
+        return Sensor(
+            name=self.name,
+            quantity=self.senses,
+            unit=self.unit,
+            low_pass=lag(self.lag_s),
+            lag_order=1,
+            bandwidth_hz=1.0 / (TWO_PI * self.lag_s),
+            volt_per_unit=-self.output_v / (2.0 * self.half_range_m),
+            offset_v=0.5 * self.output_v,
+            low=-self.half_range_m,
+            high=self.half_range_m,
+            gain_tolerance=self.gain_tolerance,
+            offset_tolerance=self.offset_tolerance_m,
+            linearity=self.linearity_m,
+            noise=self.noise_m_rms,
+            resolution=self.resolution_m,
+            adc_range_v=self.adc_range_v,
+            inverted=self.inverted,
+        )
+
+    def message(self, reading: float, clipped: bool, noise: float) -> Mapping[str, object]:
+        """Return the fields of a Range; what is out of range is infinitely near or far (REP-117)."""
+        nearest, farthest = self.distance_m - self.half_range_m, self.distance_m + self.half_range_m
+        distance = self.distance_m - reading
+        if clipped or not nearest <= distance <= farthest:
+            distance = math.inf if distance > self.distance_m else -math.inf
+        return {
+            "radiation_type": INFRARED,
+            "field_of_view": CONE_RAD,
+            "min_range": nearest,
+            "max_range": farthest,
+            "range": distance,
+            "variance": noise**2,
+        }

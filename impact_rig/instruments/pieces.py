@@ -17,6 +17,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+import impact_rig.system.compiled  # noqa: F401  # first: finds what was compiled from these sources
 from impact_rig.arithmetic.precise import ONE, ZERO, pi, precise, unit
 
 NODES = 8

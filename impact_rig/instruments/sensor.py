@@ -6,7 +6,7 @@ import math
 
 import attrs
 
-from impact_rig.config.instruments import Adc
+from impact_rig.instruments.adc import Adc
 from impact_rig.instruments.transfer import Transfer, butterworth
 
 

@@ -9,6 +9,7 @@ import attrs
 from std_msgs.msg import Float64, Header, String
 
 from impact_rig import codec, topics
+from impact_rig.analysis.blockwise import ANALYSES, Blockwise
 from impact_rig.analysis.labels import parse_label
 from impact_rig.analysis.settings import TrackerSettings
 from impact_rig.analysis.tables import settings_table
@@ -22,10 +23,11 @@ from impact_rig.nodes.managed import ManagedNode
 from impact_rig.nodes.parameters import SectionSchema
 from impact_rig.nodes.settings import UNKNOWN_GAP, AnalysisSettings
 from impact_rig.nodes.stamps import time_message
+from impact_rig.nodes.topics import TOPICS
 from impact_rig.simtime import NS_PER_S
 from impact_rig.system.endings import Ending
 
-PUBLISHED = [topic for topic in topics.TOPICS if topic.publisher == "analysis"]
+PUBLISHED = [topic for topic in TOPICS if topic.publisher == "analysis"]
 
 
 class AnalysisNode(ManagedNode[AnalysisSettings]):
@@ -38,6 +40,7 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("analysis", SectionSchema(AnalysisSettings), **kwargs)
         self._tracker: Tracker | None = None
+        self._blockwise: list[Blockwise] = []
         self._outlets: dict[str, Any] = {}
         self._inlets: list[Any] = []
         self._ack: Any = None
@@ -58,6 +61,7 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
         """Start a new measurement."""
         names = [name for name, _, _ in SectionSchema(TrackerSettings).fields()]
         self._tracker = Tracker(TrackerSettings(**{name: getattr(self.settings, name) for name in names}))
+        self._blockwise = [analysis() for analysis in ANALYSES]
         self._newest_ns = None
         self._label(_gap(self.settings), 0)
         # calibration and present command first: both are transient-local, so they arrive though published long ago
@@ -142,6 +146,7 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
             return
         try:
             self._publish(self._tracker.feed(scan))
+            self._analyse(scan)
         finally:  # a block that cannot be measured must not hold up a rig that waits for us
             self._newest_ns = self._last_instant(scan)
             self._ack.publish(Header(stamp=time_message(scan.stamp_ns), frame_id=self.get_name()))
@@ -163,6 +168,14 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
                 if row["settled"] == 1:
                     self._latest = float(row["transmissibility"])
                     self._outlets[topics.TRANSMISSIBILITY.name].publish(Float64(data=self._latest))
+
+    def _analyse(self, scan: Table) -> None:
+        """Feed the analyses of blocks whose channels the scan has."""
+        for analysis in self._blockwise:
+            if set(analysis.needs) <= set(scan.rows.dtype.names or ()):
+                table = analysis.feed(scan)
+                if table is not None:
+                    self._outlets[analysis.topic.name].publish(codec.encode(table))
 
     def _decode(self, topic: topics.Topic, data: bytes) -> Table | None:
         try:

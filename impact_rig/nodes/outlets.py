@@ -8,12 +8,13 @@ from rclpy.duration import Duration
 from std_msgs.msg import String
 
 from impact_rig import codec, topics
-from impact_rig.config import RigConfig, dump
 from impact_rig.nodes.convert import CLOCK, Monitors
 from impact_rig.nodes.managed import ManagedNode
+from impact_rig.nodes.topics import MONITORS, TOPICS
 from impact_rig.rig import Block, Rig
+from impact_rig.rig.config import RigConfig, dump
 
-PUBLISHED = [topic for topic in topics.TOPICS if topic.publisher == "rig"]
+PUBLISHED = [topic for topic in TOPICS if topic.publisher == "rig"]
 LEAST_DEPTH = 100
 """Blocks kept for a slow subscriber: twice what comes in a second, but at least this."""
 DELIVERY = Duration(seconds=0.2)
@@ -33,10 +34,12 @@ class Outlets:
         per_second = config.daq.rate_hz // config.daq.block_scans
         depth = max(LEAST_DEPTH, 2 * per_second)  # for a slow subscriber, without holding seconds of large blocks
         bulky = (topics.SCAN, topics.TRUTH_SCAN)
+        fitted = {instrument.name for instrument in config.instruments.fitted()}
+        absent = [topic for name, topic in MONITORS.items() if name not in fitted]
         self._publishers = {
             t.name: node.publisher(t, depth if t in bulky else None)
             for t in PUBLISHED
-            if t is not topics.CLOCK or config.time.publishes_clock
+            if t not in absent and (t is not topics.CLOCK or config.time.publishes_clock)
         }
         self._info = b""
         self._monitors: Monitors | None = None

@@ -18,10 +18,11 @@ from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescri
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from impact_rig import config
-from impact_rig.config import FieldInfo, RigConfig
+from impact_rig.config import FieldInfo
 from impact_rig.config.fields import METADATA_KEY, info
 from impact_rig.errors import ConfigError
+from impact_rig.rig import config
+from impact_rig.rig.config import RigConfig
 
 Value = bool | int | float | str | tuple[str, ...] | tuple[float, ...]
 S = TypeVar("S")

@@ -29,6 +29,7 @@ from impact_rig.nodes.pacing import AckWindow, Pacer
 from impact_rig.nodes.process import make_executor
 from impact_rig.nodes.readers import Readers
 from impact_rig.nodes.stamps import nanoseconds
+from impact_rig.nodes.topics import TOPICS
 from impact_rig.recording import Message, RecordedTopic, Run
 from impact_rig.recording.description import matches
 from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S
@@ -183,7 +184,7 @@ class Player:
     def _publisher(self, recorded: RecordedTopic) -> Any:
         topic = recorded.topic
         offered = [qos for qos in topic.offered_qos_yaml() if isinstance(qos, dict)]
-        known = next((row for row in topics.TOPICS if matches(topic.name, row.name)), None)
+        known = next((row for row in TOPICS if matches(topic.name, row.name)), None)
         latched = any(qos.get("durability") == "transient_local" for qos in offered)
         profile = QoSProfile(
             history=HistoryPolicy.KEEP_LAST,

@@ -11,7 +11,6 @@ from std_msgs.msg import Float64, Header
 from std_srvs.srv import SetBool, Trigger
 
 from impact_rig import topics
-from impact_rig.config import RigConfig
 from impact_rig.errors import CommandError
 from impact_rig.nodes import process
 from impact_rig.nodes.beginning import Beginning, Rivals
@@ -28,6 +27,7 @@ from impact_rig.nodes.stamps import nanoseconds
 from impact_rig.nodes.steps import StepRequests
 from impact_rig.nodes.work_timer import WorkTimer
 from impact_rig.rig import Block, Rig
+from impact_rig.rig.config import RigConfig
 from impact_rig.simtime import NS_PER_S
 from impact_rig.system.endings import Ending
 

@@ -6,13 +6,13 @@ import math
 import time
 from collections import Counter, deque
 
-from impact_rig.blocks import CHANNELS
-from impact_rig.config import RigConfig
+from impact_rig.instruments.scan import channels_of
 from impact_rig.nodes.beginning import Rivals
 from impact_rig.nodes.diagnostics import Health, Level, worst
 from impact_rig.nodes.pacing import AckWindow, Pacer
 from impact_rig.nodes.readers import Readers
 from impact_rig.rig import Block, Rig
+from impact_rig.rig.config import RigConfig
 from impact_rig.simtime import NS_PER_S
 
 RATE_WINDOW_S = 2.0
@@ -45,7 +45,7 @@ class RigStatus:
             self.impacts += len(block.impacts.rows)
         status = block.scan.rows["status"]
         if status.any():
-            for bit, name in enumerate(CHANNELS):
+            for bit, name in enumerate(channels_of(block.scan.rows)):
                 self.over_range[name] += int(((status >> bit) & 1).sum())
         if block.faults is not None:
             for row in block.faults.rows:
@@ -166,5 +166,5 @@ class RigStatus:
             }
         values |= {f"behind.{name}": count for name, count in behind.items()}
         values |= {f"lost_blocks.{name}": count for name, count in window.lost().items()}
-        values |= {f"over_range.{name}": self.over_range[name] for name in CHANNELS}
+        values |= {f"over_range.{one.name}": self.over_range[one.name] for one in config.instruments.fitted()}
         return Health(level, message, values)

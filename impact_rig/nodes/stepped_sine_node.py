@@ -17,6 +17,7 @@ from impact_rig.nodes.diagnostics import Health, Level
 from impact_rig.nodes.managed import ManagedNode
 from impact_rig.nodes.parameters import SectionSchema
 from impact_rig.nodes.settings import SteppedSineSettings
+from impact_rig.nodes.topics import MONITORS
 from impact_rig.operate.operator import Applied, News, Operator
 from impact_rig.operate.plan import Setpoint
 from impact_rig.operate.stepped_sine import State, SteppedSine
@@ -60,7 +61,7 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
         """Listen; begin the sweep as soon as the rig is there if `begin` says so."""
         self._now_ns, self._pending = None, self.settings.begin
         self._inlets = [
-            self.subscribe(topics.BASE_DISPLACEMENT, self._on_time, raw=True),
+            self.subscribe(MONITORS["base"], self._on_time, raw=True),
             self._table(topics.APPLIED, self._on_applied),
             self._table(topics.JOURNAL, self._on_journal),
             self._table(topics.TRANSMISSIBILITY_TABLE, self._on_measurement),
@@ -208,7 +209,7 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
         try:
             self._now_ns = codec.header_stamp_ns(data)
         except CodecError as error:
-            self.refuse(topics.BASE_DISPLACEMENT.name, str(error))
+            self.refuse(MONITORS["base"].name, str(error))
             return
         if self._operator is not None:
             self._operator.hear(News(now_ns=self._now_ns))

@@ -4,10 +4,25 @@ Never imports rclpy. `Simulation` advances by drive segments made by `FunctionGe
 which instruments sample.
 """
 
-import impact_rig.system.compiled  # noqa: F401  # first: finds what was compiled from these sources
-from impact_rig.physics.forcing import SEGMENT
-from impact_rig.physics.function_generator import FunctionGenerator
-from impact_rig.physics.motion import IMPACT, SAMPLE, Motion
-from impact_rig.physics.simulation import EnergyAccount, Simulation
+from typing import TYPE_CHECKING
+
+from impact_rig.system.lazily import lazily
+
+if TYPE_CHECKING:
+    from impact_rig.physics.forcing import SEGMENT
+    from impact_rig.physics.function_generator import FunctionGenerator
+    from impact_rig.physics.motion import IMPACT, SAMPLE, Motion
+    from impact_rig.physics.simulation import EnergyAccount, Simulation
+
+__getattr__ = lazily(  # compiled code is loaded where it is used, not where a configuration is read
+    __name__,
+    SEGMENT="forcing",
+    FunctionGenerator="function_generator",
+    IMPACT="motion",
+    SAMPLE="motion",
+    Motion="motion",
+    EnergyAccount="simulation",
+    Simulation="simulation",
+)
 
 __all__ = ["IMPACT", "SAMPLE", "SEGMENT", "EnergyAccount", "FunctionGenerator", "Motion", "Simulation"]

@@ -7,11 +7,11 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_rig.config import RigConfig
 from impact_rig.physics.linear import constants
+from impact_rig.physics.setup import Setup
 
 
-def transmissibility(config: RigConfig, frequency_hz: NDArray[np.float64] | float) -> NDArray[np.complex128]:
+def transmissibility(config: Setup, frequency_hz: NDArray[np.float64] | float) -> NDArray[np.complex128]:
     """Return X_1 / X_b without the sphere: (1 + 2iζr) / (1 − r² + 2iζr), r = f / f_n; its phase is x_1 over x_b."""
     structure = config.structure
     r = np.asarray(frequency_hz, float) / structure.natural_frequency_hz
@@ -20,7 +20,7 @@ def transmissibility(config: RigConfig, frequency_hz: NDArray[np.float64] | floa
     return ratio
 
 
-def base_amplitude(config: RigConfig, frequency_hz: NDArray[np.float64] | float) -> NDArray[np.complex128]:
+def base_amplitude(config: Setup, frequency_hz: NDArray[np.float64] | float) -> NDArray[np.complex128]:
     """Return X_b per ampere of coil current without the sphere [m/A].
 
     X_b = K_f I / [k_f − (m_a + m_b) ω² + iωc_f − m_1 ω² T]: the structure pushes back on the base with m_1 ω² X_1.

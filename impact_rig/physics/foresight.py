@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from numba import njit
 
+import impact_rig.system.compiled  # noqa: F401  # first: finds what was compiled from these sources
 from impact_rig.physics.collocation import NODES, STAGES, TO_POLYNOMIAL
 
 _FAR = 1.6  # times its length: further on the polynomial is worse than a straight line

@@ -12,8 +12,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_rig.arithmetic.elementary import PI, TWO_PI
 from impact_rig.arithmetic.random import Random
+from impact_rig.arithmetic.scalars import PI, TWO_PI
 from impact_rig.config import Drive, Shaker
 from impact_rig.errors import CommandError
 from impact_rig.physics.band_pass import BandNoise, band_pass

@@ -40,7 +40,7 @@ _LEAST_PART = 1e-3  # of the floored approach speed: slower motion of a contact 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def turned_at(s):  # type: ignore[no-untyped-def]  # compiled: types are inferred
-    """Return the w from which the law unloads, 0 while it loads: see `contact.base`."""
+    """Return the w from which the law unloads, 0 while it loads: see `contact.law`."""
     return 0.0 if s.w >= s.deepest and s.speed > 0.0 else s.deepest
 
 

@@ -17,7 +17,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_rig.arithmetic.elementary import TWO_PI
 from impact_rig.arithmetic.precise import (
     ONE,
     TWO,
@@ -31,8 +30,9 @@ from impact_rig.arithmetic.precise import (
     resolvent,
     roots,
 )
-from impact_rig.config import RigConfig
+from impact_rig.arithmetic.scalars import TWO_PI
 from impact_rig.errors import ConfigError
+from impact_rig.physics.setup import Setup
 from impact_rig.physics.state import COIL, V1, VB, X1, XB
 
 _WORST_CONDITION = Decimal("1e7")  # how much larger than the motion its modes may be
@@ -65,7 +65,7 @@ class Modes(NamedTuple):
     left: NDArray[np.complex128]
 
 
-def constants(config: RigConfig) -> Constants:
+def constants(config: Setup) -> Constants:
     """Return the constants of motion of a configuration: k_1 = m_1 ω_n², c_1 = 2 ζ m_1 ω_n."""
     structure, shaker = config.structure, config.shaker
     omega_n = TWO_PI * structure.natural_frequency_hz

@@ -9,14 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig.arithmetic.elementary import power
-from impact_rig.config import RigConfig
 from impact_rig.physics import contact as contact_laws
-from impact_rig.physics.contact import CompiledForce, ContactPair, Force
+from impact_rig.physics.contact import ContactPair, Force
+from impact_rig.physics.contact.compiled_force import CompiledForce, compiled_force
 from impact_rig.physics.forcing import bound_omega
 from impact_rig.physics.linear import Constants, constants, input_vectors, modes, state_matrix, static_answer
 from impact_rig.physics.outcome import TABLE, tabulate
 from impact_rig.physics.parameters import DRIVES, PARAMETERS, PRESCRIBED, SYSTEM
 from impact_rig.physics.properties import effective_mass_kg, hertz_stiffness_n_m32, sphere_mass_kg
+from impact_rig.physics.setup import Setup
 from impact_rig.physics.state import V1, record
 
 STANDARD_GRAVITY = 9.80665
@@ -40,13 +41,13 @@ class Model(NamedTuple):
     force: CompiledForce
 
 
-def build(config: RigConfig, rtol: float = CONTACT_RTOL) -> Model:
-    """Return the model of a configuration.
+def build(config: Setup, rtol: float = CONTACT_RTOL, kind: str | None = None) -> Model:
+    """Return the model of a configuration, its `drive.kind` replaced by `kind` if there is one.
 
     Raises:
         ConfigError: the masses and stiffnesses have no usable modes.
     """
-    c, kind = constants(config), config.drive.kind
+    c, kind = constants(config), kind or config.drive.kind
     mass = sphere_mass_kg(config.sphere)
     m_eff = effective_mass_kg(c.m_1, mass)
     law = contact_laws.from_config(config.contact)
@@ -70,7 +71,7 @@ def build(config: RigConfig, rtol: float = CONTACT_RTOL) -> Model:
     p.rtol = rtol
     tabulated = force.scale_free and rtol >= CONTACT_RTOL
     table = _table(force._replace(stiffness=1.0)).copy() if tabulated else record(TABLE)
-    return Model(rows, systems, table.view(np.recarray), force.function)
+    return Model(rows, systems, table.view(np.recarray), compiled_force(force.function))
 
 
 def _set_law(p: Any, force: Force, m_eff: float) -> None:
@@ -85,7 +86,7 @@ def _set_law(p: Any, force: Force, m_eff: float) -> None:
 @lru_cache(maxsize=32)
 def _table(force: Force) -> Any:
     """Return the outcomes of a law, in its own units."""
-    return tabulate(unit_parameters(force), force.function)
+    return tabulate(unit_parameters(force), compiled_force(force.function))
 
 
 def unit_parameters(force: Force) -> Any:

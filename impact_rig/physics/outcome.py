@@ -20,7 +20,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from impact_rig.arithmetic.elementary import PI, sincos
+from impact_rig.arithmetic.elementary import sincos
+from impact_rig.arithmetic.scalars import PI
 from impact_rig.physics.collocation import LAST, MATRIX, STAGES
 from impact_rig.physics.foresight import forget
 from impact_rig.physics.pair import moved

@@ -35,7 +35,7 @@ PARAMETERS = np.dtype(
         ("pair_damping", "f8"),  # σ c_1 / m_1 [1/s]
         ("half_gap", "f8"),  # [m]
         ("friction", "f8"),  # μ g [m/s²]
-        ("stiffness", "f8"),  # the contact law's numbers, see `contact.base.Force`
+        ("stiffness", "f8"),  # the contact law's numbers, see `contact.law.Force`
         ("factor", "f8"),
         ("restitution", "f8"),
         ("rigid", "i8"),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from impact_rig.arithmetic.elementary import PI
+from impact_rig.arithmetic.scalars import PI
 from impact_rig.config import Barriers, Sphere
 
 

@@ -12,8 +12,6 @@ from __future__ import annotations
 import math
 from decimal import Decimal
 
-from scipy.special import lambertw
-
 from impact_rig.arithmetic.precise import ONE, TWO, ZERO, precise
 
 _SERIES_BELOW = (
@@ -26,6 +24,8 @@ _CLOSE = Decimal("1e-20")
 
 def realised(hysteresis_factor: float) -> float:
     """Return the restitution that the dimensionless damping factor `a` ≥ 0 gives."""
+    from scipy.special import lambertw  # noqa: PLC0415  # heavy, and no configuration needs it
+
     a = hysteresis_factor
     if a < 0.0 or not math.isfinite(a):
         raise ValueError(f"hysteresis factor must be >= 0, got {a!r}")

@@ -8,15 +8,15 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_rig.config import RigConfig
 from impact_rig.errors import SimulationError
 from impact_rig.physics import contact as contact_laws
 from impact_rig.physics.event_loop import NEED_ROOM, STUCK, Desk, new_desk, run
 from impact_rig.physics.forcing import SEGMENT, Forcing, drive
 from impact_rig.physics.indentation import turned_at
-from impact_rig.physics.model import CONTACT_RTOL, build
+from impact_rig.physics.model import CONTACT_RTOL, Model, build
 from impact_rig.physics.motion import Motion
 from impact_rig.physics.parameters import LOOSE, PRESCRIBED
+from impact_rig.physics.setup import Setup
 from impact_rig.physics.state import ATTACHED, COIL, CONTACT, FREE, LEDGER, STATE, STRUCTURE, V1, VB, X1, XB, record
 
 MOST_KNOTS = 200_000
@@ -60,15 +60,17 @@ class Simulation:
         segment: number of the next drive segment, counted since the reset.
     """
 
-    def __init__(self, config: RigConfig, *, rtol: float = CONTACT_RTOL, account: bool = False) -> None:
+    def __init__(
+        self, config: Setup, *, rtol: float = CONTACT_RTOL, account: bool = False, model: Model | None = None
+    ) -> None:
         self._rtol = rtol
         self._account = account
         self._config = config
         self._desk = new_desk(1 << 15, 1 << 11)  # pages that are not touched take no memory
-        self.reset()
+        self.reset(model)
 
     @property
-    def config(self) -> RigConfig:
+    def config(self) -> Setup:
         """The configuration in force."""
         return self._config
 
@@ -83,18 +85,23 @@ class Simulation:
         """The restitution that the configured contact law really returns."""
         return contact_laws.from_config(self._config.contact).realised_restitution()
 
-    def reset(self) -> None:
-        """Put everything to rest at zero, the sphere at its start, and free a locked base."""
-        self._model = build(self._config, self._rtol)
+    def reset(self, model: Model | None = None) -> None:
+        """Put everything to rest at zero, the sphere at its start, and free a locked base; `model` is that at hand."""
+        self._model = model or build(self._config, self._rtol)
         self.locked = False
         self._begin(np.zeros(STRUCTURE))
         self.segment = 0
 
-    def configure(self, config: RigConfig) -> None:
-        """Go on with another configuration: the structure keeps its motion, the sphere rests at its start again."""
+    def configure(self, config: Setup, model: Model | None = None) -> None:
+        """Go on with another configuration: the structure keeps its motion, the sphere rests at its start again.
+
+        Args:
+            config: the configuration.
+            model: its model, where that has been built.
+        """
         y = self._structure()
         self._config = config
-        model = build(config, self._rtol)
+        model = model or build(config, self._rtol)
         if not self.locked:
             if model.systems[LOOSE].states != self._model.systems[LOOSE].states:  # another kind of drive
                 y = np.zeros(STRUCTURE)
@@ -103,8 +110,7 @@ class Simulation:
 
     def pluck(self, displacement_m: float) -> None:
         """Lock the base and release the superior base at rest from a displacement: a free decay, until `reset`."""
-        locked = attrs.evolve(self._config, drive=attrs.evolve(self._config.drive, kind="prescribed"))
-        self._model = build(locked, self._rtol)
+        self._model = build(self._config, self._rtol, kind="prescribed")
         self.locked = True
         y = np.zeros(STRUCTURE)
         y[X1] = displacement_m

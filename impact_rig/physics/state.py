@@ -131,7 +131,7 @@ PRESS = np.dtype(
         ("known_length", "f8"),  # the length of that step, 0 where none is known,
         ("known_since", "f8"),  # and how far from its start the next one starts
         ("fastest_time", "f8"),  # time in which the fastest motion of structure or drive goes one radian [s]
-        ("turned_at", "f8"),  # the branch of the law that the step is on, see `contact.base` [m^0.5]
+        ("turned_at", "f8"),  # the branch of the law that the step is on, see `contact.law` [m^0.5]
         ("start_slope", "f8"),  # dδ'/ds at the start of the step
         ("start_force", "f8"),
         ("tolerance", "f8"),  # how wrong the step's speeds may be [m/s],

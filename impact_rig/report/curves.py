@@ -12,7 +12,6 @@ from impact_rig.campaign.axes import NO_SPHERE
 from impact_rig.campaign.paper import FREQUENCIES_HZ, FREQUENCY_HZ, REDUCTION_PERCENT, Reductions
 from impact_rig.campaign.results import Curves, Point
 from impact_rig.campaign.statements import MissingError, peak_hz
-from impact_rig.config import RigConfig
 from impact_rig.physics.closed_form import transmissibility
 from impact_rig.report.drawing import Drawn, legend_below, new_axes
 from impact_rig.report.palette import (
@@ -26,6 +25,7 @@ from impact_rig.report.palette import (
     QUIET,
     SERIES,
 )
+from impact_rig.rig.config import RigConfig
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -1,9 +1,24 @@
 """The rig without ROS: physics and instruments on one time base, with deterministic commands and a journal."""
 
-from impact_rig.rig.block import Block
-from impact_rig.rig.changes import takes_effect
-from impact_rig.rig.core import Rig
-from impact_rig.rig.journal import Journal, Kind
-from impact_rig.rig.resimulate import resimulate
+from typing import TYPE_CHECKING
+
+from impact_rig.system.lazily import lazily
+
+if TYPE_CHECKING:
+    from impact_rig.rig.block import Block
+    from impact_rig.rig.changes import takes_effect
+    from impact_rig.rig.core import Rig
+    from impact_rig.rig.journal import Journal, Kind
+    from impact_rig.rig.resimulation import resimulate
+
+__getattr__ = lazily(  # `rig.config` does without compiled code
+    __name__,
+    Block="block",
+    takes_effect="changes",
+    Rig="core",
+    Journal="journal",
+    Kind="journal",
+    resimulate="resimulation",
+)
 
 __all__ = ["Block", "Journal", "Kind", "Rig", "resimulate", "takes_effect"]

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import attrs
 
-from impact_rig.config import RigConfig, to_flat
 from impact_rig.errors import ConfigError
+from impact_rig.instruments.setup import Setup
+from impact_rig.rig.config import RigConfig, to_flat
 from impact_rig.rig.journal import NOT_SAMPLED, SAMPLED, Value
 
 MECHANICS = ("structure.", "shaker.", "sphere.", "barriers.", "contact.")
@@ -40,7 +41,7 @@ def changed_values(before: RigConfig, after: RigConfig) -> dict[str, Value]:
     return {name: value for name, value in to_flat(after).items() if value != old[name]}
 
 
-def until_reset(present: RigConfig, config: RigConfig) -> RigConfig:
+def until_reset(present: Setup, config: RigConfig) -> RigConfig:
     """Return `config` with the seed and the planned faults of `present`: the instruments draw both at a reset."""
     return attrs.evolve(
         config,

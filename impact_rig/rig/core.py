@@ -15,17 +15,18 @@ import numpy as np
 
 import impact_rig
 from impact_rig.blocks import APPLIED, FRAME_DAQ, Table
-from impact_rig.config import Drive, RigConfig, from_flat
+from impact_rig.config import Drive
 from impact_rig.errors import CommandError
 from impact_rig.instruments.chain import Chain
-from impact_rig.instruments.faults import Fault
+from impact_rig.instruments.fault import Fault
 from impact_rig.physics import FunctionGenerator, Motion, Simulation
 from impact_rig.rig.block import Block
 from impact_rig.rig.changes import INSTRUMENTS, MECHANICS, PLANNED, changed_values, until_reset
+from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.rig.interlock import Interlock, Trip, check_amplitude, check_frequency
 from impact_rig.rig.journal import Journal, Kind, not_default, sampled
-from impact_rig.rig.planned_faults import PlannedFaults
-from impact_rig.rig.trial import built, generator
+from impact_rig.rig.planned_faults import PlanInForce
+from impact_rig.rig.trial import generator, tried
 from impact_rig.rig.truth import TICKS_PER_S, Truth
 from impact_rig.simtime import COMMAND_GRID_NS, COMMAND_GRID_S, NS_PER_S, stamp_ns
 
@@ -50,7 +51,7 @@ class Rig:
     _generator: FunctionGenerator
     _simulation: Simulation
     _interlock: Interlock
-    _planned_faults: PlannedFaults
+    _planned_faults: PlanInForce
     _chain: Chain
     _truth: Truth
 
@@ -230,13 +231,12 @@ class Rig:
         replan = self._planned_faults.replan(config.instruments.faults.planned)
         if any(name.startswith("drive.") for name in changed):
             generator(config)  # taken at the next reset, refused here
-        if new_mechanics:
-            built(mechanics)  # what cannot be simulated is refused here, before anything is changed
+        model = tried(mechanics) if new_mechanics else None  # refused here, before anything is changed
         if new_instruments:
             Chain(instruments)
             self._chain.reconfigure(instruments)
-        if new_mechanics:
-            self._simulation.configure(mechanics)
+        if model is not None:
+            self._simulation.configure(mechanics, model)
             self._generator.set_ramp(config.shaker.ramp_s)
         self.config = config
         self._truth.configure(config.output.monitor_rate_hz, config.output.truth_scan)
@@ -291,7 +291,7 @@ class Rig:
         """
         number = self._chain.inject(fault)
         key, value, text = fault.journal()
-        self._journal.add(fault.start, Kind.FAULT, key, value, text.encode())
+        self._journal.add(fault.start_sample, Kind.FAULT, key, value, text.encode())
         return number
 
     def clear_fault(self, number: int | None = None) -> None:
@@ -317,8 +317,9 @@ class Rig:
 
     def _begin(self, kind: Kind, start_ns: int) -> None:
         config = self.config
-        parts = generator(config), built(config), Chain(config)  # what they refuse leaves everything as it is
-        self._generator, self._simulation, self._chain = parts
+        parts = generator(config), tried(config), Chain(config)  # what they refuse leaves everything as it is
+        self._generator, model, self._chain = parts
+        self._simulation = Simulation(config, account=True, model=model)
         self.start_ns = start_ns
         self._journal.restart(start_ns)
         self._ticks = 0
@@ -329,7 +330,7 @@ class Rig:
         self._timed_out = False
         self._info_sample = 0
         self._interlock = Interlock()
-        self._planned_faults = PlannedFaults(config.instruments.faults.planned, self.rate_hz)
+        self._planned_faults = PlanInForce(config.instruments.faults.planned, self.rate_hz)
         self._truth = Truth(self.rate_hz, config.output.monitor_rate_hz, config.output.truth_scan)
         self._note(kind, text=impact_rig.__version__.encode())
         self._journal.add_values(0, Kind.INITIAL, not_default(config).items())

@@ -14,9 +14,9 @@ import attrs
 import numpy as np
 
 from impact_rig.blocks import JOURNAL, Table
-from impact_rig.columns import TEXT
-from impact_rig.config import RigConfig, to_flat
+from impact_rig.columns import TEXT_BYTES
 from impact_rig.errors import ConfigError
+from impact_rig.rig.config import RigConfig, to_flat
 from impact_rig.simtime import NS_PER_S, stamp_ns
 
 Value = bool | int | float | str | tuple[str, ...]
@@ -24,7 +24,6 @@ Value = bool | int | float | str | tuple[str, ...]
 SEPARATOR = "\n"  # between the items of a list
 _LONGEST_S = 2.0**32  # two stamps cannot be further apart
 _MOST = 2.0**53  # to which whole numbers are exact in a table
-TEXT_BYTES = np.dtype(TEXT).itemsize
 NOT_SAMPLED = ("time.", "step.", "pluck.", "output.")
 """Sections that change when and what is published, but not one sample: they are not in the journal."""
 SAMPLED = frozenset({"output.command_timeout_s"})

@@ -7,8 +7,7 @@ from collections.abc import Callable, Iterable, Iterator
 
 import attrs
 
-from impact_rig.config.faults import parse
-from impact_rig.instruments.faults import Fault, planned
+from impact_rig.instruments.fault import Fault
 
 
 @attrs.frozen
@@ -19,7 +18,7 @@ class Replan:
     new: tuple[tuple[str, Fault], ...]
 
 
-class PlannedFaults:
+class PlanInForce:
     """Which line made which faults.
 
     Args:
@@ -41,7 +40,7 @@ class PlannedFaults:
         """
         before = Counter({line: len(numbers) for line, numbers in self._numbers.items()})
         after = Counter(_written(lines))
-        new = tuple((line, planned(parse(line), self._rate_hz)) for line in (after - before).elements())
+        new = tuple((line, Fault.from_line(line, self._rate_hz)) for line in (after - before).elements())
         return Replan(tuple((before - after).elements()), new)
 
     def put_into_force(
@@ -58,10 +57,10 @@ class PlannedFaults:
         for line in replan.gone:
             clear(self._numbers[line].pop())
         for line, fault in replan.new:
-            number = inject(attrs.evolve(fault, start=sample + fault.start))
+            number = inject(attrs.evolve(fault, start_sample=sample + fault.start_sample))
             self._numbers[line].append(number)
 
 
 def _written(lines: Iterable[str]) -> Iterator[str]:
-    """Yield the lines that say something, as `config.faults.Faults.parsed` reads them."""
+    """Yield the lines that say something, as `FaultPlan.faults` reads them."""
     return (line for line in lines if line.split())

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from impact_rig.arithmetic.random import Random
-from impact_rig.config import RigConfig
 from impact_rig.errors import CommandError, ConfigError, SimulationError
 from impact_rig.physics import FunctionGenerator, Simulation
+from impact_rig.physics.model import Model, build
+from impact_rig.rig.config import RigConfig
 from impact_rig.rig.interlock import check_amplitude
 from impact_rig.simtime import COMMAND_GRID_S
 
@@ -30,14 +31,15 @@ def generator(config: RigConfig) -> FunctionGenerator:
         raise ConfigError(f"drive: {error}") from error
 
 
-def built(config: RigConfig) -> Simulation:
-    """Return a new simulation of values that are not only legal one by one but give finite motion together.
+def tried(config: RigConfig) -> Model:
+    """Return the model of values that are not only legal one by one but give finite motion together.
 
     Raises:
         ConfigError: they do not.
     """
     try:
-        trial, drive = Simulation(config), FunctionGenerator(config.drive, config.shaker, Random(0))
+        model = build(config)
+        trial, drive = Simulation(config, model=model), FunctionGenerator(config.drive, config.shaker, Random(0))
         drive.set_amplitude(1.0)
         motion = trial.advance(drive.segments(TRIAL_TICKS))
         last = motion.sample(np.array([motion.last_segment]), np.array([COMMAND_GRID_S]))
@@ -47,4 +49,4 @@ def built(config: RigConfig) -> Simulation:
         raise ConfigError(f"these values together cannot be simulated: {error}") from error
     if not all(np.isfinite(last[name]).all() for name in last.dtype.names or ()):
         raise ConfigError("these values together give a motion that is not finite")
-    return Simulation(config, account=True)
+    return model

@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 
 from impact_rig import topics
 from impact_rig.analysis.tracker import Findings
-from impact_rig.blocks import SCAN, Table
+from impact_rig.blocks import Table
 from impact_rig.errors import RecordingError
+from impact_rig.instruments.scan import SCAN
 from impact_rig.recording import Run
 from impact_rig.simtime import NS_PER_S
 
@@ -32,7 +33,7 @@ class Excerpt:
     """Contiguous scans that are drawn.
 
     Attributes:
-        rows: scans (`blocks.SCAN`), `time` [s since the first scan of the run], shape (n,).
+        rows: scans (`daq/scan`), `time` [s since the first scan of the run], shape (n,).
         rate_hz: scans per second.
         drive_hz: drive frequency, 0 if unknown.
         impact_times: of the impacts detected in it [s as the rows' time], shape (k,).

@@ -11,8 +11,8 @@ from impact_rig.analysis.frf import Frf, transmissibility_frf
 from impact_rig.analysis.sine import SineFit, fit_sine, fit_sine_frequency
 from impact_rig.analysis.transmissibility import Measurement, measure_record
 from impact_rig.analysis.words import Status
-from impact_rig.blocks import CHANNELS
 from impact_rig.errors import RecordingError
+from impact_rig.instruments.scan import channels_of
 from impact_rig.recording import Run
 from impact_rig.runs.excerpt import Excerpt, calibration_rows, last_record
 from impact_rig.runs.reanalysis import remarks
@@ -92,7 +92,7 @@ def sines_of(run: Run, excerpt: Excerpt, harmonics: int = 1) -> Sines:
     """
     if not excerpt.drive_hz > 0.0:
         raise RecordingError(f"{run.path} holds no drive frequency (shaker/applied) for {excerpt}")
-    samples = {name: np.asarray(excerpt.rows[name], dtype=np.float64) for name in CHANNELS}
+    samples = {name: np.asarray(excerpt.rows[name], dtype=np.float64) for name in channels_of(excerpt.rows)}
     reference = fit_sine_frequency(samples["current"], excerpt.rate_hz, excerpt.drive_hz, harmonics)
     if reference.status is not Status.OK:
         raise RecordingError(

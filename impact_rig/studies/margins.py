@@ -12,7 +12,7 @@ import attrs
 from impact_rig.campaign.plan import RESET
 from impact_rig.campaign.results import Curves, Point
 from impact_rig.campaign.statements import Verdict, judge
-from impact_rig.config.load import Value
+from impact_rig.config.tree import Value
 
 
 @attrs.frozen(eq=False)

@@ -56,20 +56,31 @@ def digest(root: Path = ROOT) -> str:
     return found.hexdigest()[:16]
 
 
-class Locator(caching._CacheLocator):  # type: ignore[misc]  # Numba is untyped
-    """Tells Numba where one function's compiled code is, and that it is fresh: the directory's name says so."""
+@functools.cache
+def content_stamp(file: Path) -> str:
+    """Return what tells one content of a file from another."""
+    return hashlib.sha256(file.read_bytes()).hexdigest()[:16]
 
-    def __init__(self, function: Callable[..., object], directory: Path) -> None:
+
+class Locator(caching._CacheLocator):  # type: ignore[misc]  # Numba is untyped
+    """Tells Numba where one function's compiled code is, and of which content of its file.
+
+    For most files the directory's name says so; the force of a contact law, whose file says nothing of Numba, is
+    compiled by itself and called by its address: no other code depends on it.
+    """
+
+    def __init__(self, function: Callable[..., object], directory: Path, file: Path) -> None:
         self._line = function.__code__.co_firstlineno
         self._directory = directory
+        self._stamp = content_stamp(file)
 
     def get_cache_path(self) -> str:
         """Return the directory."""
         return str(self._directory)
 
     def get_source_stamp(self) -> str:
-        """Return the same for all that is in the directory, whatever the clock says."""
-        return "by content"
+        """Return what the file's content decides, whatever the clock says."""
+        return self._stamp
 
     def get_disambiguator(self) -> str:
         """Return what tells functions of one name in one file apart."""
@@ -87,7 +98,7 @@ class Cache:
         """Return where `function` is kept, or None if it is not of this package: Numba's question."""
         if not Path(file).is_relative_to(self._root) or self.directory is None:
             return None
-        return Locator(function, self.directory / Path(file).relative_to(self._root).parent)
+        return Locator(function, self.directory / Path(file).relative_to(self._root).parent, Path(file))
 
     @functools.cached_property
     def directory(self) -> Path | None:

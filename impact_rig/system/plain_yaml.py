@@ -45,7 +45,7 @@ class _Loader(Composer, _Fastest):  # type: ignore[misc]  # chosen at run time
         """Return the next node."""
         if self.check_event(yaml.AliasEvent):
             raise PlainYamlError("an alias (*name) is not accepted")
-        if self._depth > MAX_DEPTH:
+        if self._depth >= MAX_DEPTH and self.check_event(yaml.SequenceStartEvent, yaml.MappingStartEvent):
             raise PlainYamlError(f"it is nested deeper than {MAX_DEPTH} levels")
         self._depth += 1
         node = Composer.compose_node(self, parent, index)

@@ -12,11 +12,12 @@ Importing this imports neither rclpy nor compiled code: both are loaded when som
 
 from __future__ import annotations
 
-import importlib
 from typing import TYPE_CHECKING
 
+from impact_rig.system.lazily import lazily
+
 if TYPE_CHECKING:
-    from impact_rig.testing.faults import Fault
+    from impact_rig.instruments.fault import Fault
     from impact_rig.testing.golden import Golden, first_difference
     from impact_rig.testing.ros_rig import RosRig
     from impact_rig.testing.stepped_rig import NotReachedError, SteppedRig
@@ -24,20 +25,13 @@ if TYPE_CHECKING:
 
 __all__ = ["Fault", "Golden", "NotReachedError", "RosRig", "SteppedRig", "VirtualRig", "first_difference"]
 
-_LATER = {
-    "Fault": "faults",
-    "Golden": "golden",
-    "NotReachedError": "stepped_rig",
-    "RosRig": "ros_rig",
-    "SteppedRig": "stepped_rig",
-    "VirtualRig": "virtual_rig",
-    "first_difference": "golden",
-}
-"""What is imported only when it is used -> its module."""
-
-
-def __getattr__(name: str) -> object:
-    """Import what was asked for."""
-    if name not in _LATER:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(importlib.import_module(f"impact_rig.testing.{_LATER[name]}"), name)
+__getattr__ = lazily(
+    __name__,
+    Fault="impact_rig.instruments.fault",
+    Golden="golden",
+    NotReachedError="stepped_rig",
+    RosRig="ros_rig",
+    SteppedRig="stepped_rig",
+    VirtualRig="virtual_rig",
+    first_difference="golden",
+)

@@ -11,11 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig import topics
-from impact_rig.blocks import SCAN, Table
-from impact_rig.config import RigConfig, from_flat, to_flat
+from impact_rig.blocks import Table
 from impact_rig.errors import CommandError, ConfigError, ImpactRigError
+from impact_rig.instruments.fault import Fault
+from impact_rig.instruments.scan import SCAN
+from impact_rig.rig.config import RigConfig, from_flat, to_flat
 from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S
-from impact_rig.testing.faults import Fault
 
 SCANS = topics.SCAN.name
 TOPICS = (
@@ -198,7 +199,7 @@ class SteppedRig(abc.ABC):
     @property
     def faults(self) -> list[Fault]:
         """The faults that were planned."""
-        return [Fault.from_planned(fault, self.rate_hz) for fault in self.config.instruments.faults.parsed()]
+        return list(self.config.instruments.faults.faults(self.rate_hz))
 
     # Reports
 

@@ -10,12 +10,11 @@ from pathlib import Path
 import impact_rig
 from impact_rig import codec, topics
 from impact_rig.blocks import Table
-from impact_rig.config import RigConfig, dump
 from impact_rig.errors import RecordingError
-from impact_rig.instruments.faults import Fault as CoreFault
+from impact_rig.instruments.fault import Fault
 from impact_rig.recording import CONFIGURATION, Attachment, Provenance, RunWriter, TopicDescription, schema_text
 from impact_rig.rig import Block, Rig
-from impact_rig.testing.faults import Fault
+from impact_rig.rig.config import RigConfig, dump
 from impact_rig.testing.stepped_rig import SCANS, TOPICS, SteppedRig, configured, first_sample
 
 BATCH_BLOCKS = 50
@@ -93,17 +92,7 @@ class VirtualRig(SteppedRig):
         Raises:
             CommandError: unknown kind or channel, or too late.
         """
-        number = self.core.inject(
-            CoreFault(
-                kind=fault.kind,
-                channel=fault.channel,
-                start=fault.start_sample,
-                duration=fault.samples,
-                value=fault.value,
-                seed=fault.seed,
-                **({"rate_hz": fault.rate_hz} if fault.rate_hz else {}),
-            )
-        )
+        number = self.core.inject(fault)
         self._injected.append(fault)
         self._changes()
         return number

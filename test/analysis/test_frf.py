@@ -8,7 +8,7 @@ from kits.records import F_N, channel_response, info_rows, linear_transmissibili
 from scipy import signal
 
 from impact_rig.analysis.frf import frf, transmissibility_frf
-from impact_rig.blocks import SCAN
+from impact_rig.instruments.scan import SCAN
 
 RATE = 1000.0
 

@@ -18,12 +18,13 @@ from kits.records import (
     steady_record,
 )
 
-from impact_rig.analysis.calibration import BASE, LASER, Calibration, first_order, pure_delay, two_pole
+from impact_rig.analysis.calibration import Calibration, first_order, pure_delay, two_pole
+from impact_rig.analysis.channels import BASE, LASER
 from impact_rig.analysis.settings import TrackerSettings
 from impact_rig.analysis.transmissibility import measure_record
 from impact_rig.analysis.words import Method, Regime, Status
-from impact_rig.blocks import CHANNELS
 from impact_rig.errors import ConfigError
+from impact_rig.instruments.scan import CHANNELS
 
 COVERAGE = (0.93, 0.975)
 EXACT_RTOL = 1e-8

@@ -14,8 +14,8 @@ import pytest
 from impact_rig.campaign import run
 from impact_rig.campaign.plan import load_campaign
 from impact_rig.campaign.store import FOLDER, MAX_TRACE_BYTES, Store
-from impact_rig.config import load
 from impact_rig.errors import ConfigError
+from impact_rig.rig.config import load
 from impact_rig.system import budget
 from impact_rig.system.budget import BudgetError
 

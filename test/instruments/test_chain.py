@@ -8,11 +8,12 @@ from kits.instruments import AnalyticMotion, configured, fitted, hertz_pulse, me
 from kits.memory import growth
 
 from impact_rig.arithmetic.random import Random
-from impact_rig.blocks import CHANNELS, DAQ_INFO, SCAN
-from impact_rig.config import from_flat
+from impact_rig.blocks import DAQ_INFO
 from impact_rig.errors import CommandError, ConfigError
 from impact_rig.instruments import Chain, Fault
+from impact_rig.instruments.scan import CHANNELS, SCAN
 from impact_rig.physics import FunctionGenerator, Simulation
+from impact_rig.rig.config import from_flat
 
 TICKS = 30
 
@@ -49,9 +50,9 @@ def run(config, cuts=(TICKS,), block=None, motion=None, faults=()):
 
 
 FAULTS = (
-    Fault(kind="spike_train", channel="laser", start=100, duration=1500, value=1e-3, seed=3, rate_hz=200.0),
-    Fault(kind="added_noise", channel="base", start=333, duration=777, value=1e-5, seed=4),
-    Fault(kind="stuck", channel="current", start=901, duration=300),
+    Fault(kind="spike_train", channel="laser", start_sample=100, samples=1500, value=1e-3, seed=3, rate_hz=200.0),
+    Fault(kind="added_noise", channel="base", start_sample=333, samples=777, value=1e-5, seed=4),
+    Fault(kind="stuck", channel="current", start_sample=901, samples=300),
 )
 
 
@@ -118,7 +119,7 @@ def test_same_seed_same_bits_other_seed_other_noise():
 def test_reset_starts_over():
     chain = Chain(configured(10_000))
     before = measured(chain, lively_motion(), 0.1)
-    chain.inject(Fault(kind="dropout", channel="laser", start=chain.first_open_scan))
+    chain.inject(Fault(kind="dropout", channel="laser", start_sample=chain.first_open_scan))
     chain.reset()
     assert (chain.next_scan, chain.first_open_scan, chain.ready) == (0, 0, 0)
     np.testing.assert_array_equal(measured(chain, lively_motion(), 0.1), before)

@@ -3,10 +3,10 @@
 import pytest
 from kits.instruments import configured
 
-from impact_rig.blocks import CHANNELS
 from impact_rig.cli import main
-from impact_rig.config import RigConfig, dump, from_flat
 from impact_rig.instruments import Fault, check_known_input, check_polarity
+from impact_rig.instruments.scan import CHANNELS
+from impact_rig.rig.config import RigConfig, dump, from_flat
 
 
 @pytest.mark.parametrize("seed", range(1, 7))

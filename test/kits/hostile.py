@@ -14,8 +14,8 @@ import numpy as np
 from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 
-from impact_rig import config
 from impact_rig.client import Client, Processes
+from impact_rig.rig import config
 
 CASES = int(os.environ.get("IMPACT_RIG_HOSTILE", "120"))
 FIELDS = {name: (about, default) for name, about, default in config.fields()}

@@ -10,9 +10,9 @@ from collections.abc import Callable
 import numpy as np
 from scipy import signal
 
-from impact_rig.config import RigConfig, from_flat
 from impact_rig.instruments import Chain
 from impact_rig.instruments.transfer import Transfer
+from impact_rig.rig.config import RigConfig, from_flat
 
 TICK_S = 0.01
 IMPACT = np.dtype([("segment", "i8"), ("offset", "f8"), ("wall", "i1"), ("impulse", "f8"), ("duration", "f8")])

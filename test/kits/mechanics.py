@@ -8,10 +8,10 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_rig.config import RigConfig
 from impact_rig.physics import SEGMENT, Motion, Simulation
 from impact_rig.physics.contact import LAWS, HystereticLaw
 from impact_rig.physics.properties import hertz_stiffness_n_m32, sphere_mass_kg
+from impact_rig.rig.config import RigConfig
 
 TWO_PI = 2.0 * math.pi
 OF_HYSTERETIC_FORM = tuple(name for name, law in LAWS.items() if issubclass(law, HystereticLaw))

@@ -32,7 +32,9 @@ def scans(*, ideal: bool = False, rate_hz: int = 10_000) -> np.ndarray:
     )
     chain = Chain(configured(rate_hz, ideal=ideal, adc__anti_alias="butterworth"))
     for number, kind in enumerate(("added_noise", "spike_train")):
-        chain.inject(Fault(kind=kind, channel="laser", start=20 + 50 * number, duration=40, value=1e-4, rate_hz=3e3))
+        chain.inject(
+            Fault(kind=kind, channel="laser", start_sample=20 + 50 * number, samples=40, value=1e-4, rate_hz=3e3)
+        )
     chain.calibrate("base", 30.0, 1e-3, 2)
     chain.acquire(motion, 0, TICKS)
     return chain.read(chain.ready)

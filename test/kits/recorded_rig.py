@@ -15,10 +15,10 @@ from impact_rig.analysis.settings import TrackerSettings
 from impact_rig.analysis.tables import settings_table
 from impact_rig.analysis.tracker import Tracker
 from impact_rig.blocks import Table
-from impact_rig.config import RigConfig, from_flat
-from impact_rig.instruments.faults import Fault
+from impact_rig.instruments.fault import Fault
 from impact_rig.recording import Provenance, RunWriter, TopicDescription, schema_text
 from impact_rig.rig import Rig
+from impact_rig.rig.config import RigConfig, from_flat
 
 TICK = 10_000_000
 POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
@@ -81,7 +81,7 @@ def messages(seconds: int = 12, again: tuple[int, ...] = (), **values: object) -
 
 def spikes(start: int) -> Fault:
     """A fault with a rate that has more digits than a journal row."""
-    return Fault(kind="spike_train", channel="laser", start=start, value=1e-3, rate_hz=100.0 / 3.0)
+    return Fault(kind="spike_train", channel="laser", start_sample=start, value=1e-3, rate_hz=100.0 / 3.0)
 
 
 @attrs.frozen(eq=False)

@@ -7,7 +7,8 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 from scipy import signal
 
-from impact_rig.blocks import APPLIED, CHANNELS, DAQ_INFO, SCAN, Table
+from impact_rig.blocks import APPLIED, DAQ_INFO, Table
+from impact_rig.instruments.scan import CHANNELS, SCAN
 from impact_rig.simtime import stamp_ns
 
 F_N, ZETA = 9.105, 0.0044974

@@ -12,11 +12,11 @@ pytest.importorskip("rclpy", reason="no ROS 2 here")
 from rclpy.serialization import deserialize_message
 
 from impact_rig import topics
-from impact_rig.config import RigConfig, from_flat
 from impact_rig.nodes import messages
 from impact_rig.nodes.convert import Monitors
 from impact_rig.nodes.stamps import nanoseconds
 from impact_rig.rig import Block, Rig
+from impact_rig.rig.config import RigConfig, from_flat
 
 pytestmark = pytest.mark.ros
 START_NS = 1_700_000_000_000_000_001

@@ -25,10 +25,11 @@ from std_srvs.srv import SetBool, Trigger
 
 from impact_rig import topics
 from impact_rig.client import isolated_domain
-from impact_rig.config import RigConfig, from_flat
 from impact_rig.errors import ConfigError
 from impact_rig.nodes import messages, services
+from impact_rig.nodes.topics import TOPICS
 from impact_rig.recording import open_run
+from impact_rig.rig.config import RigConfig, from_flat
 
 pytestmark = [pytest.mark.ros, pytest.mark.pipeline, pytest.mark.timeout(120 + CASES)]
 QUEUE = topics.Qos.EVENT.depth
@@ -252,9 +253,7 @@ def recorded(attacked: Attacked) -> Attacked:
     return attacked
 
 
-@pytest.mark.parametrize(
-    "topic", [t for t in topics.TOPICS if not t.name.startswith("/")], ids=lambda topic: topic.name
-)
+@pytest.mark.parametrize("topic", [t for t in TOPICS if not t.name.startswith("/")], ids=lambda topic: topic.name)
 def test_bytes_that_are_no_message(recorded: Attacked, topic: topics.Topic) -> None:
     """The middleware hands anything on; whoever subscribes must live with it."""
     client = recorded.client

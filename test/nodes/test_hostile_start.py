@@ -15,9 +15,9 @@ from rclpy.lifecycle import TransitionCallbackReturn
 
 from impact_rig.client import Client, isolated_domain
 from impact_rig.client.parameters import ros_parameters
-from impact_rig.config import RigConfig, from_flat
 from impact_rig.errors import ConfigError
 from impact_rig.nodes.rig_node import RigNode
+from impact_rig.rig.config import RigConfig, from_flat
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(120 + CASES)]
 

@@ -17,12 +17,14 @@ from std_srvs.srv import SetBool, Trigger
 from impact_rig import topics
 from impact_rig.client import Client, isolated_domain
 from impact_rig.client.parameters import ros_parameters
-from impact_rig.nodes import figures, interface, messages, services
+from impact_rig.nodes import messages, services
 from impact_rig.nodes.analysis_node import AnalysisNode
 from impact_rig.nodes.recorder_node import RecorderNode
 from impact_rig.nodes.rig_node import RigNode
 from impact_rig.nodes.services import Situation
 from impact_rig.nodes.stepped_sine_node import SteppedSineNode
+from impact_rig.nodes.topics import TOPICS, by_name
+from tools.generate import figures, interface
 
 pytestmark = pytest.mark.ros
 
@@ -34,21 +36,7 @@ OF_ROS = {
 """Services that every lifecycle node of ROS has."""
 
 
-@pytest.mark.parametrize("name", interface.TABLES)
-def test_a_table_of_the_page_is_that_of_the_code(name: str) -> None:
-    text = interface.page().read_text(encoding="utf-8")
-    assert f"<!-- generated: {name} -->\n\n{interface.TABLES[name]()}\n<!-- end -->" in text, (
-        f"run `{interface.COMMAND}` and read what has changed"
-    )
-
-
-def test_the_page_has_no_other_markers() -> None:
-    text = interface.page().read_text(encoding="utf-8")
-    assert interface.rewritten(text) == text
-    assert text.count("<!-- generated") == text.count("<!-- end -->") == len(interface.TABLES)
-
-
-@pytest.mark.parametrize("topic", topics.TOPICS, ids=lambda topic: topic.name)
+@pytest.mark.parametrize("topic", TOPICS, ids=lambda topic: topic.name)
 def test_every_field_of_a_message_has_unit_and_meaning_and_exists(topic: topics.Topic) -> None:
     assert topic.fields
     for field in topic.fields:
@@ -62,7 +50,7 @@ def test_every_field_of_a_message_has_unit_and_meaning_and_exists(topic: topics.
         for part in re.sub(r"\[\d\]", "", field.name).split("."):
             value = value[0] if isinstance(value, list) and value else value
             if isinstance(value, list):  # an empty list of messages: look at what it would hold
-                value = messages.class_of(topics.by_name("/diagnostics"))
+                value = messages.class_of(by_name("/diagnostics"))
                 continue
             assert hasattr(value, part), f"{topic.name}: {field.name}"
             value = getattr(value, part)

@@ -17,10 +17,11 @@ from rcl_interfaces.msg import ParameterEvent, ParameterType
 from rcl_interfaces.srv import GetParameterTypes, ListParameters
 from rclpy.qos import qos_profile_parameter_events
 
-from impact_rig import config, topics
 from impact_rig.client import Client, Collector, isolated_domain
-from impact_rig.config import RigConfig
 from impact_rig.nodes.stamps import nanoseconds
+from impact_rig.nodes.topics import by_name
+from impact_rig.rig import config
+from impact_rig.rig.config import RigConfig
 from impact_rig.simtime import NS_PER_S
 
 pytestmark = pytest.mark.ros
@@ -56,7 +57,7 @@ def test_a_plotter_gets_even_steps_of_present_time_and_a_frame(plotted, name: st
     assert set(np.diff(stamps)) == {step}
     delays = np.array([one.received_system_ns for one in received]) - stamps
     assert 0 < np.median(delays) < LATE_S * NS_PER_S
-    assert {one.data.header.frame_id for one in received} == {topics.by_name(name).frame_id}
+    assert {one.data.header.frame_id for one in received} == {by_name(name).frame_id}
 
 
 def test_the_wire_says_what_is_not_measured(plotted) -> None:

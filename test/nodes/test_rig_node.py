@@ -9,9 +9,9 @@ pytest.importorskip("rclpy", reason="no ROS 2 here")
 from kits.nodes import DRIVEN, TICK, host_rig
 
 from impact_rig.client import Client
-from impact_rig.config import RigConfig, from_flat, load
 from impact_rig.errors import SimulationError
 from impact_rig.rig import Block, Rig
+from impact_rig.rig.config import RigConfig, from_flat, load
 
 pytestmark = pytest.mark.ros
 

@@ -13,10 +13,10 @@ pytest.importorskip("rclpy", reason="no ROS 2 here")
 from kits.nodes import host_rig
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 
-from impact_rig import topics
 from impact_rig.client import Client
 from impact_rig.codec import MAX_MESSAGE_BYTES
 from impact_rig.nodes.analysis_node import AnalysisNode
+from impact_rig.nodes.topics import TOPICS, by_name
 
 pytestmark = pytest.mark.ros
 
@@ -32,7 +32,7 @@ def test_the_readme_names_topics_with_the_types_they_have() -> None:
         padded = itertools.chain(listed, itertools.repeat(listed[-1]))  # the last one is that of all further names
         named.update(zip(re.findall(r"`([^`]+)`", names), padded, strict=False))
     assert len(named) >= 20
-    assert named == {name: topics.by_name(name).type_name.rpartition("/")[2] for name in named}
+    assert named == {name: by_name(name).type_name.rpartition("/")[2] for name in named}
 
 
 def test_nodes_publish_the_table_and_nothing_else(client: Client) -> None:
@@ -40,7 +40,7 @@ def test_nodes_publish_the_table_and_nothing_else(client: Client) -> None:
     client.host(AnalysisNode)
     client.wait_active("rig", "analysis")
     node = client.node
-    for topic in topics.TOPICS:
+    for topic in TOPICS:
         publishers = node.get_publishers_info_by_topic(topic.name)
         names = {publisher.node_name for publisher in publishers}
         if topic.publisher in ("rig", "analysis"):
@@ -52,7 +52,7 @@ def test_nodes_publish_the_table_and_nothing_else(client: Client) -> None:
             assert latched == topic.qos.transient_local, topic.name
     for name in ("rig", "analysis"):
         published = {topic for topic, _ in node.get_publisher_names_and_types_by_node(name, "/")}
-        own = {node.resolve_topic_name(topic.name) for topic in topics.TOPICS}
+        own = {node.resolve_topic_name(topic.name) for topic in TOPICS}
         of_ros = {"/parameter_events", "/rosout", f"/{name}/transition_event"}
         assert published <= own | of_ros
 

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from kits.mechanics import benchmark_rig, hit, lock_in, rig, sine, sphere_kg, stiffness
 
-from impact_rig.config import RigConfig
 from impact_rig.physics import Simulation, restitution
 from impact_rig.physics.collocation import LAST
 from impact_rig.physics.indentation import begin_step, solve
 from impact_rig.physics.model import CONTACT_RTOL, Model, build
 from impact_rig.physics.state import PRESS, STATE, record
+from impact_rig.rig.config import RigConfig
 
 FREQUENCY_HZ = 9.1
 GAPS_M = (2e-3, 4e-3, 6e-3, 8e-3, 10e-3)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from kits.mechanics import TWO_PI, rig, sine
 
-from impact_rig.config import RigConfig
 from impact_rig.physics import SEGMENT, Simulation
+from impact_rig.rig.config import RigConfig
 
 SEGMENTS = 700
 

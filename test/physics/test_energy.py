@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from kits.mechanics import benchmark_rig, limit_case, rig, sine
 
-from impact_rig.config import RigConfig
 from impact_rig.physics import EnergyAccount, Simulation
 from impact_rig.physics.contact import LAWS
+from impact_rig.rig.config import RigConfig
 
 GAPS_M = (2e-3, 4e-3, 6e-3, 8e-3, 10e-3)
 TOLERANCE = 1e-8  # of the work done over a thousand cycles

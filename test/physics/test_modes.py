@@ -7,9 +7,9 @@ import math
 import numpy as np
 import pytest
 
-from impact_rig.config import RigConfig, from_flat
 from impact_rig.errors import ConfigError
 from impact_rig.physics import linear, model
+from impact_rig.rig.config import RigConfig, from_flat
 
 KINDS = ("prescribed", "current", "voltage")
 LAST_DIGITS = 4.0 * np.finfo(float).eps

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from kits.mechanics import TWO_PI, gauss, rig, sine, sphere_kg, stiffness
 
-from impact_rig.config import RigConfig
 from impact_rig.physics import Motion, Simulation
+from impact_rig.rig.config import RigConfig
 
 SEGMENTS, TICK_S = 60, 0.01
 CONFIGS = {

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 from kits.mechanics import TWO_PI, hit, prescribed, sine, sphere_kg
 
-from impact_rig.config import RigConfig
 from impact_rig.physics import Motion, Simulation
 from impact_rig.physics.linear import constants
+from impact_rig.rig.config import RigConfig
 
 FREQUENCY_HZ = 9.105
 NO_IMPACT_AMPLITUDE_M = 2e-3  # X_s of all cases

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from kits.mechanics import rig, sine
 
-from impact_rig.config import RigConfig
 from impact_rig.physics import Motion, Simulation
 from impact_rig.physics.contact import LAWS
 from impact_rig.physics.model import CONTACT_RTOL
+from impact_rig.rig.config import RigConfig
 
 FREQUENCY_HZ, CYCLES = 9.1, 10
 CYCLE_S = 1.0 / FREQUENCY_HZ

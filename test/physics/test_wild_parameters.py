@@ -12,11 +12,12 @@ from hypothesis import event, given, settings
 from hypothesis import strategies as st
 from kits.mechanics import limit_case, rig, sine
 
-from impact_rig.config import RigConfig
-from impact_rig.config.mechanics import CONTACT_LAWS, FASTEST_HZ
+from impact_rig.config.mechanics import FASTEST_HZ
 from impact_rig.errors import ConfigError
 from impact_rig.physics import EnergyAccount, Motion, Simulation
+from impact_rig.physics.contact import LAWS
 from impact_rig.physics.model import CONTACT_RTOL, STANDARD_GRAVITY, build
+from impact_rig.rig.config import RigConfig
 
 FOUND = json.loads(Path(__file__).with_name("data").joinpath("found_rigs.json").read_text())
 ANY_FREQUENCY = {"frequency_min_hz": 1e-3, "frequency_max_hz": FASTEST_HZ}
@@ -58,7 +59,7 @@ def configs(draw: st.DrawFn) -> RigConfig:
         },
         barriers={"gap_m": draw(decades(1e-6, 1.0)), "young_modulus_pa": draw(decades(1e6, 1e12))},
         contact={
-            "law": draw(st.sampled_from(CONTACT_LAWS)),
+            "law": draw(st.sampled_from(tuple(LAWS))),
             "restitution": draw(st.floats(0.01, 0.99)),
             "speed_floor_m_s": draw(decades(1e-6, 1e-2)),
             "contact_time_s": draw(decades(1e-6, 1e-3)),

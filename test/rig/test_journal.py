@@ -6,10 +6,10 @@ import pytest
 from kits.rig import START_NS, TICK, config, impacts, resimulated, same
 
 from impact_rig.blocks import Table
-from impact_rig.config import RigConfig, from_flat, to_flat
 from impact_rig.errors import ConfigError
-from impact_rig.instruments.faults import Fault
+from impact_rig.instruments.fault import Fault
 from impact_rig.rig import Block, Rig
+from impact_rig.rig.config import RigConfig, from_flat, to_flat
 from impact_rig.rig.journal import Kind, read, short_key, values_of
 
 
@@ -28,7 +28,7 @@ def eventful(chosen: RigConfig, cuts: int) -> tuple[list[Block], list[Table], Ri
     go(29)
     rig.configure({"barriers.gap_m": 0.003, "contact.law": "lankarani_nikravesh", "contact.restitution": 0.5})
     rig.configure({"instruments.laser.lag_s": 1e-3})
-    rig.inject(Fault(kind="offset_step", channel="laser", start=4000, duration=300, value=1e-3, seed=7))
+    rig.inject(Fault(kind="offset_step", channel="laser", start_sample=4000, samples=300, value=1e-3, seed=7))
     go(37)
     rig.accept(frequency_hz=12.0)
     go(50)

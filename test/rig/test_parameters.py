@@ -8,10 +8,10 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from kits.rig import TICK, config, resimulated, same, samples
 
-from impact_rig.blocks import CHANNELS
-from impact_rig.config import RigConfig, to_flat
 from impact_rig.errors import CommandError, ConfigError
+from impact_rig.instruments.scan import CHANNELS
 from impact_rig.rig import Block, Rig
+from impact_rig.rig.config import RigConfig, to_flat
 
 _NAMES = st.sampled_from([*to_flat(RigConfig()), "barriers.gap", "", "x" * 400])
 

@@ -7,9 +7,9 @@ import pytest
 from kits.rig import TICK, config, resimulated, samples
 
 from impact_rig.blocks import Table
-from impact_rig.config import RigConfig
 from impact_rig.errors import CommandError
 from impact_rig.rig import Block, Rig
+from impact_rig.rig.config import RigConfig
 from impact_rig.rig.journal import Kind, read
 
 

@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 from kits.recorded_rig import Messages, record
 
-from impact_rig.blocks import SCAN, TRANSMISSIBILITY
+from impact_rig.blocks import TRANSMISSIBILITY
 from impact_rig.cli import main
+from impact_rig.instruments.scan import SCAN
 from impact_rig.recording import open_run
 from impact_rig.runs import drawings, reanalysis
 from impact_rig.runs.excerpt import Excerpt, last_excerpt

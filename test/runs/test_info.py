@@ -20,8 +20,9 @@ from kits.recording import (
 )
 
 from impact_rig import codec
-from impact_rig.blocks import SCAN, Table
+from impact_rig.blocks import Table
 from impact_rig.errors import RecordingError
+from impact_rig.instruments.scan import SCAN
 from impact_rig.recording import open_run
 from impact_rig.runs import check_contiguity, info, recover
 from impact_rig.simtime import stamp_ns

@@ -12,9 +12,9 @@ from kits.recorded_rig import PROVENANCE, TICK, Messages, edited, messages, publ
 
 from impact_rig.arithmetic import ARITHMETIC
 from impact_rig.cli import main
-from impact_rig.config import RigConfig, from_flat
 from impact_rig.recording import Provenance, arithmetic_of, open_run
 from impact_rig.rig import Rig
+from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.runs import reanalysis, recover
 from impact_rig.runs.verification import Verification, verify
 

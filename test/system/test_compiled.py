@@ -136,14 +136,23 @@ def test_a_directory_of_the_users_choice_is_used(package: Package, tmp_path: Pat
 
 
 def test_every_compiled_function_is_kept_by_content() -> None:
-    """Whoever holds compiled code, or the package around it, imports `impact_rig.system.compiled` before."""
+    """Whoever holds compiled code imports `impact_rig.system.compiled` before, itself or by what it imports."""
     holders = [path for path in compiled.sources() if "import njit" in path.read_text(encoding="utf-8")]
     assert len(holders) > 10
     for holder in holders:
-        around = [folder / "__init__.py" for folder in holder.parents if folder.is_relative_to(compiled.ROOT)]
-        assert any(imports_it(path) for path in (holder, *around)), holder
+        assert imports_it(holder, set()), holder
 
 
-def imports_it(path: Path) -> bool:
-    body = ast.parse(path.read_text(encoding="utf-8")).body
-    return any(isinstance(node, ast.Import) and node.names[0].name == "impact_rig.system.compiled" for node in body)
+def imports_it(path: Path, seen: set[Path]) -> bool:
+    """Whether a module of the package imports it when it is itself imported, however far down."""
+    seen.add(path)
+    names = set()
+    for node in ast.parse(path.read_text(encoding="utf-8")).body:
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            names |= {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
+    if "impact_rig.system.compiled" in names:
+        return True
+    files = (compiled.ROOT.parent.joinpath(*name.split(".")).with_suffix(".py") for name in names)
+    return any(imports_it(file, seen) for file in files if file not in seen and file.is_file())

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from impact_rig.analysis.sine import fit_sine
-from impact_rig.blocks import CHANNELS, Table
+from impact_rig.blocks import Table
 from impact_rig.errors import CommandError, ConfigError, RecordingError
+from impact_rig.instruments.scan import CHANNELS
 from impact_rig.recording import open_run
 from impact_rig.runs.verification import verify
 from impact_rig.testing import Fault, Golden, NotReachedError, VirtualRig, first_difference, virtual_rig
@@ -170,14 +171,19 @@ def test_a_report_tells_what_the_rig_was_and_what_happened() -> None:
 
 
 @pytest.mark.parametrize(
-    ("parameters", "faults", "words"),
+    ("parameters", "fault", "error", "words"),
     [
-        ({"barriers.gap_mm": 2}, [], "unknown key 'barriers.gap_mm', did you mean 'barriers.gap_m'"),
-        ({}, [Fault(kind="broken")], "fault kind must be one of"),
-        ({}, [Fault(kind="dropout", channel="lazer")], "needs a channel, one of"),
-        ({}, [Fault(kind="dropout", channel="laser", start_sample=-1)], "start_s of a fault must be finite and >= 0"),
+        ({"barriers.gap_mm": 2}, None, ConfigError, "unknown key 'barriers.gap_mm', did you mean 'barriers.gap_m'"),
+        ({}, {"kind": "broken"}, CommandError, "fault kind must be one of"),
+        ({}, {"kind": "dropout", "channel": "lazer"}, CommandError, "needs a channel, one of"),
+        (
+            {},
+            {"kind": "dropout", "channel": "laser", "start_sample": -1},
+            CommandError,
+            "start_sample of dropout must be finite and >= 0",
+        ),
     ],
 )
-def test_what_cannot_be_is_refused(parameters: dict[str, object], faults: list[Fault], words: str) -> None:
-    with pytest.raises(ConfigError, match=words):
-        VirtualRig(parameters, faults)
+def test_what_cannot_be_is_refused(parameters, fault, error: type[Exception], words: str) -> None:
+    with pytest.raises(error, match=words):
+        VirtualRig(parameters, [Fault(**fault)] if fault else [])

@@ -27,7 +27,8 @@ from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
 from impact_rig import codec
-from impact_rig.blocks import SCAN, Table
+from impact_rig.blocks import Table
+from impact_rig.instruments.scan import SCAN
 from impact_rig.recording import (
     Attachment,
     OfferedQos,

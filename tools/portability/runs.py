@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from impact_rig import topics
 from impact_rig.blocks import Table
-from impact_rig.config import RigConfig, from_flat
 from impact_rig.physics import contact as contact_laws
 from impact_rig.physics import outcome
 from impact_rig.physics.contact import LAWS, ContactPair
@@ -22,6 +21,7 @@ from impact_rig.physics.model import unit_parameters
 from impact_rig.physics.state import PRESS, STATE
 from impact_rig.physics.state import record as state_record
 from impact_rig.rig import Rig
+from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.simtime import NS_PER_S
 
 Streams = dict[str, NDArray[np.void]]
@@ -135,7 +135,8 @@ def _contacts() -> NDArray[np.void]:
     force = contact_laws.from_config(RigConfig().contact).force(ContactPair(1.0, 1.0))
     p, s, k = unit_parameters(force), state_record(STATE)[0], state_record(PRESS)[0]
     p.rtol = outcome.RTOL
-    found = [outcome.derivatives(p, force.function, eta_0, which, s, k)[1:] for eta_0, which in ((0.02, 0), (-0.01, 1))]
+    compiled = compiled_force(force.function)
+    found = [outcome.derivatives(p, compiled, eta_0, which, s, k)[1:] for eta_0, which in ((0.02, 0), (-0.01, 1))]
     kind = [(f"{order}_{quantity}", "f8") for order in ("first", "second") for quantity in range(outcome.QUANTITIES)]
     return np.array([tuple(np.concatenate(pair)) for pair in found], kind)
 

@@ -1,16 +1,10 @@
-"""Gonthier et al. contact, close to the asked restitution over the whole range.
-
-    F = K δ^(3/2) (1 + a δ'/v0),   a = (1 − e²) / e        δ [m], δ', v0 [m/s], F [N] positive in compression
-
-Source: Gonthier, McPhee, Lange & Piedbœuf (2004), Multibody Syst. Dyn. 11, 209–233.
-Returns 0.352 for e = 0.35.
-"""
+"""Gonthier et al. contact, close to the asked restitution over the whole range."""
 
 from __future__ import annotations
 
 import attrs
 
-from impact_rig.physics.contact.base import HystereticLaw
+from impact_rig.physics.contact.law import HystereticLaw
 
 
 @attrs.frozen
@@ -18,6 +12,9 @@ class Gonthier(HystereticLaw):
     """Hysteresis factor a = (1 − e²) / e."""
 
     name = "gonthier"
+    formula = "(1 − e²)/e"
+    source = "Gonthier, McPhee, Lange & Piedbœuf (2004), Multibody Syst. Dyn. 11, 209–233"
+    returns = 0.352
 
     def hysteresis_factor(self) -> float:
         """Return a, dimensionless."""

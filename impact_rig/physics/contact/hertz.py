@@ -1,16 +1,13 @@
 """Hertz contact without damping: the elastic limit and an oracle.
 
-    F = K δ^(3/2) (1 + a δ'/v0),   a = 0        δ [m], δ', v0 [m/s], F [N] positive in compression
-
-Source: Hertz (1882), J. Reine Angew. Math. 92, 156–171.
-Returns 1 whatever the nominal restitution.
+It returns 1 whatever the nominal restitution.
 """
 
 from __future__ import annotations
 
 import attrs
 
-from impact_rig.physics.contact.base import HystereticLaw
+from impact_rig.physics.contact.law import HystereticLaw
 
 
 @attrs.frozen
@@ -18,6 +15,10 @@ class Hertz(HystereticLaw):
     """Hysteresis factor a = 0."""
 
     name = "hertz"
+    formula = "0"
+    source = "Hertz (1882), J. Reine Angew. Math. 92, 156–171"
+    returns = 1.0
+    adjustable = False
 
     def hysteresis_factor(self) -> float:
         """Return a, dimensionless."""

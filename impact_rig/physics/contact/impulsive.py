@@ -1,31 +1,35 @@
 """Instantaneous restitution: no contact time, the relative speed jumps from v to −e v.
 
-Source: Newton (1687), Principia; the usual model of the impact damper literature before contact forces (Masri 1969).
 The sphere's momentum goes to the structure in no time; a sphere that no longer bounces rides on the wall.
 """
 
 from __future__ import annotations
 
-from typing import ClassVar
-
 import attrs
 
-from impact_rig.config import Contact
-from impact_rig.physics.contact.base import ContactPair, Force, check_restitution, compiled_force
+from impact_rig.physics.contact.law import ContactLaw, ContactPair, Force
 
 
-@compiled_force
-def _never(stiffness, factor, per_v0, turned_at, w, speed):  # type: ignore[no-untyped-def]  # noqa: ARG001
+def _never(
+    stiffness: float,  # noqa: ARG001  # nothing decides it
+    factor: float,  # noqa: ARG001
+    per_v0: float,  # noqa: ARG001
+    turned_at: float,  # noqa: ARG001
+    w: float,  # noqa: ARG001
+    speed: float,  # noqa: ARG001
+) -> tuple[float, float, float, float, float]:
     """Return no force: a rigid wall is never indented."""
     return 0.0, 0.0, 0.0, 0.0, 0.0
 
 
 @attrs.frozen
-class Restitution:
+class Restitution(ContactLaw):
     """Coefficient of restitution e."""
 
-    name: ClassVar[str] = "restitution"
-    restitution: float = attrs.field(validator=check_restitution)
+    name = "restitution"
+    formula = "instantaneous, δ' → −e δ'"
+    source = "Newton (1687), Principia; Masri (1969) for impact dampers"
+    returns = 0.350
 
     def force(self, pair: ContactPair) -> Force:  # noqa: ARG002  # an impulse needs no stiffness
         """Return a rigid wall."""
@@ -34,8 +38,3 @@ class Restitution:
     def realised_restitution(self) -> float:
         """Return e."""
         return self.restitution
-
-    @classmethod
-    def from_config(cls, contact: Contact) -> Restitution:
-        """Build the law from the configuration's `contact` section."""
-        return cls(contact.restitution)

@@ -1,16 +1,10 @@
-"""Lee and Wang contact.
-
-    F = K δ^(3/2) (1 + a δ'/v0),   a = 3 (1 − e) / 4        δ [m], δ', v0 [m/s], F [N] positive in compression
-
-Source: Lee & Wang (1983), J. Mech. Trans. Autom. Des. 105, 534–540.
-Returns 0.753 for e = 0.35.
-"""
+"""Lee and Wang contact."""
 
 from __future__ import annotations
 
 import attrs
 
-from impact_rig.physics.contact.base import HystereticLaw
+from impact_rig.physics.contact.law import HystereticLaw
 
 
 @attrs.frozen
@@ -18,6 +12,9 @@ class LeeWang(HystereticLaw):
     """Hysteresis factor a = 3 (1 − e) / 4."""
 
     name = "lee_wang"
+    formula = "3(1 − e)/4"
+    source = "Lee & Wang (1983), J. Mech. Trans. Autom. Des. 105, 534–540"
+    returns = 0.753
 
     def hysteresis_factor(self) -> float:
         """Return a, dimensionless."""

@@ -3,10 +3,9 @@
     loading    F = k_1 δ
     unloading  F = k_2 (δ − δ_p),   k_2 = k_1 / e²,   δ_p = (1 − e²) δ_max        below the largest indentation δ_max
 
-Source: Walton & Braun (1986), J. Rheology 30, 949–980, with a constant coefficient of restitution. Returns e, whatever
-the speed: the areas under the two lines are as 1 : e². The sphere lets go at δ_p, where the force is gone, and flies on
-from there; the dent belongs to one contact. k_1 follows from the contact time, a quarter period on each line:
-t_c = (π/2) (1 + e) √(m_eff / k_1).
+With a constant coefficient of restitution, which it returns whatever the speed: the areas under the two lines are as
+1 : e². The sphere lets go at δ_p, where the force is gone, and flies on from there; the dent belongs to one contact.
+k_1 follows from the contact time, a quarter period on each line: t_c = (π/2) (1 + e) √(m_eff / k_1).
 
 A pressed sphere rings on the unloading line for ever. Below `contact.speed_floor_m_s` the ringing is averaged: sphere
 and base go on as one body, and its energy is booked as lost.
@@ -14,17 +13,20 @@ and base go on as one body, and its energy is booked as lost.
 
 from __future__ import annotations
 
-from typing import ClassVar
-
 import attrs
 
-from impact_rig.arithmetic.elementary import PI
-from impact_rig.config import Contact
-from impact_rig.physics.contact.base import ContactPair, Force, check_restitution, compiled_force
+from impact_rig.arithmetic.scalars import PI
+from impact_rig.physics.contact.law import ContactLaw, ContactPair, Force, contact_time_s
 
 
-@compiled_force
-def _elastoplastic(stiffness, factor, per_v0, turned_at, w, speed):  # type: ignore[no-untyped-def]  # noqa: ARG001
+def _elastoplastic(
+    stiffness: float,
+    factor: float,
+    per_v0: float,  # noqa: ARG001  # this force knows no speed
+    turned_at: float,
+    w: float,
+    speed: float,  # noqa: ARG001  # as above
+) -> tuple[float, float, float, float, float]:
     """F on the loading line, or on the unloading line from where it turned; factor is e²."""
     if turned_at == 0.0:
         force = stiffness * w * w
@@ -35,12 +37,14 @@ def _elastoplastic(stiffness, factor, per_v0, turned_at, w, speed):  # type: ign
 
 
 @attrs.frozen
-class WaltonBraun:
+class WaltonBraun(ContactLaw):
     """Elastoplastic contact with restitution e and contact time t_c [s]."""
 
-    name: ClassVar[str] = "walton_braun"
-    restitution: float = attrs.field(validator=check_restitution)
-    contact_time_s: float = attrs.field(default=45e-6, validator=attrs.validators.gt(0.0))
+    name = "walton_braun"
+    formula = "loading along k_1 δ, unloading along k_1/e² (δ − δ_p), no damping"
+    source = "Walton & Braun (1986), J. Rheology 30, 949–980"
+    returns = 0.350
+    contact_time_s: float = contact_time_s()
 
     def loading_stiffness(self, pair: ContactPair) -> float:
         """Return k_1 [N/m]."""
@@ -55,8 +59,3 @@ class WaltonBraun:
     def realised_restitution(self) -> float:
         """Return e."""
         return self.restitution
-
-    @classmethod
-    def from_config(cls, contact: Contact) -> WaltonBraun:
-        """Build the law from the configuration's `contact` section."""
-        return cls(contact.restitution, contact.contact_time_s)

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from impact_rig.config import RigConfig, from_flat
-from impact_rig.config.load import Value
+from impact_rig.config.tree import Value
+from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.studies.identification.fisher import Real
 
 NAMES = ("f_n", "ζ", "m_1", "K_f", "k_f", "M", "c_f")

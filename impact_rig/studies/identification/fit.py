@@ -16,10 +16,10 @@ from collections.abc import Callable
 import attrs
 import numpy as np
 
-from impact_rig.analysis.calibration import BASE, CURRENT, LASER
-from impact_rig.config import RigConfig
+from impact_rig.analysis.channels import BASE, CURRENT, LASER
 from impact_rig.errors import ConfigError
 from impact_rig.physics.closed_form import base_amplitude, transmissibility
+from impact_rig.rig.config import RigConfig
 from impact_rig.studies.identification.constants import NAMES, SCALE, START, rig
 from impact_rig.studies.identification.fisher import Information, Real, information
 from impact_rig.studies.identification.impacts import simulated_log_ratios

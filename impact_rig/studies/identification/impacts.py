@@ -6,10 +6,10 @@ import numpy as np
 
 from impact_rig.campaign.in_process import execute
 from impact_rig.campaign.job import Job
-from impact_rig.config import RigConfig, from_flat, to_flat
 from impact_rig.errors import SimulationError
 from impact_rig.operate.plan import Direction
 from impact_rig.physics.closed_form import transmissibility
+from impact_rig.rig.config import RigConfig, from_flat, to_flat
 from impact_rig.studies.identification.fisher import Real
 from impact_rig.studies.identification.measurements import Reduced
 

@@ -13,7 +13,8 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_rig.analysis.calibration import BASE, CURRENT, LASER, U_CUBIC, Calibration
+from impact_rig.analysis.calibration import U_CUBIC, Calibration
+from impact_rig.analysis.channels import BASE, CURRENT, LASER
 from impact_rig.analysis.decay import Decay
 from impact_rig.analysis.reduction import repeatability
 from impact_rig.campaign.axes import NO_SPHERE

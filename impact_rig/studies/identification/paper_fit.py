@@ -13,7 +13,7 @@ import attrs
 import numpy as np
 
 from impact_rig.campaign.paper import CURRENT_A, FREQUENCY_HZ, REDUCTION_PERCENT
-from impact_rig.config import RigConfig
+from impact_rig.rig.config import RigConfig
 from impact_rig.studies.identification.constants import NAMES, logarithms, rig
 from impact_rig.studies.identification.fisher import Information, Real, information
 from impact_rig.studies.identification.impacts import simulated

@@ -6,10 +6,10 @@ import numpy as np
 
 from impact_rig import topics
 from impact_rig.analysis.decay import Decay, DecayMethod, fit_decay, measure_decay
-from impact_rig.config import RigConfig, from_flat
 from impact_rig.errors import RecordingError
 from impact_rig.recording import Run
 from impact_rig.rig import Kind, Rig
+from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.simtime import NS_PER_S
 
 DISPLACEMENT_M = 5e-3

@@ -1,20 +1,15 @@
-"""Write the complete default configuration as a commented ROS 2 parameter file: what `config/nominal.yaml` is.
-
-python -m impact_rig.config.template > config/nominal.yaml
-"""
+"""Write the complete default configuration as a commented ROS 2 parameter file: what `config/nominal.yaml` is."""
 
 from __future__ import annotations
 
-import sys
-
 import yaml
 
-from impact_rig.config.load import Value, fields
+from impact_rig.config.tree import Value
+from impact_rig.rig.config import fields
 
-COMMAND = "python -m impact_rig.config.template > config/nominal.yaml"
-HEADER = f"""\
+HEADER = """\
 # The paper's rig, complete: every parameter at its default. Written by
-#   {COMMAND}
+#   make generate
 #
 # Each line is `name: value  # unit; origin: meaning (range)`, where origin is one of
 #   paper       printed in the paper
@@ -51,7 +46,3 @@ def scalar(value: Value | tuple[float, ...]) -> str:
     plain = list(value or ("",)) if isinstance(value, tuple) else value
     text: str = yaml.safe_dump(plain, default_flow_style=True, width=float("inf"))
     return text.removesuffix("...\n").strip()
-
-
-if __name__ == "__main__":
-    sys.stdout.write(nominal())

@@ -7,10 +7,10 @@ import math
 from collections.abc import Iterable, Iterator
 
 from impact_rig.blocks import Table
-from impact_rig.config import RigConfig, from_flat
 from impact_rig.errors import ConfigError
-from impact_rig.instruments.faults import Fault
+from impact_rig.instruments.fault import Fault
 from impact_rig.rig.block import Block
+from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.rig.core import Rig
 from impact_rig.rig.journal import RESULTS, Entry, Kind, read, values_of
 from impact_rig.rig.truth import TICKS_PER_S

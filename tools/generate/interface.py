@@ -1,31 +1,26 @@
-"""Write the tables of `docs/interface.md` from the code: topics, columns, services, parameters, figures, states.
-
-python -m impact_rig.nodes.interface            rewrites the page's tables in place
-"""
+"""The tables of `docs/interface.md`: topics, columns, services, parameters, figures, states."""
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable, Iterable, Sequence
-from pathlib import Path
+from collections.abc import Callable
 
 import numpy as np
 
 from impact_rig import topics
 from impact_rig.columns import TEXT
 from impact_rig.config import FieldInfo
-from impact_rig.config.faults import FAULT_KINDS
-from impact_rig.config.template import scalar
-from impact_rig.nodes import figures, services
+from impact_rig.instruments import scan
+from impact_rig.instruments.fault_kinds import FAULT_KINDS
+from impact_rig.nodes import services
 from impact_rig.nodes.parameters import RigSchema, Schema, SectionSchema, Value
 from impact_rig.nodes.services import Situation
 from impact_rig.nodes.settings import AnalysisSettings, RecorderSettings, SteppedSineSettings
+from impact_rig.nodes.topics import TOPICS
 from impact_rig.rig import takes_effect
 from impact_rig.rig.journal import Kind
-from impact_rig.system.resources import share_dir
-
-COMMAND = "python -m impact_rig.nodes.interface"
-_SECTION = re.compile(r"(<!-- generated: (?P<name>[\w ]+) -->\n).*?(<!-- end -->)", re.DOTALL)
+from tools.generate import figures
+from tools.generate.markdown import table
+from tools.generate.nominal import scalar
 
 SCHEMAS: dict[str, Schema[object]] = {
     "rig": RigSchema(),  # type: ignore[dict-item]  # a protocol's type parameter is invariant
@@ -35,53 +30,33 @@ SCHEMAS: dict[str, Schema[object]] = {
 }
 
 
-def page() -> Path:
-    """Return the page, in a checkout."""
-    return share_dir() / "docs" / "interface.md"
-
-
-def rewritten(text: str) -> str:
-    """Return the page with its generated parts as the code has them.
-
-    Raises:
-        KeyError: a marker names no table.
-    """
-    return _SECTION.sub(lambda found: f"{found[1]}\n{TABLES[found['name']]()}\n{found[3]}", text)
-
-
-def _table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    lines = [" | ".join(heads), " | ".join("---" for _ in heads)]
-    lines += [" | ".join(cell.replace("|", "\\|") for cell in row) for row in rows]
-    return "".join(f"| {line} |\n" for line in lines)
-
-
 def _topics() -> str:
     rows = (
-        (f"`{t.name}`", t.type_name.split("/")[-1], t.publisher, t.qos.name, t.frame_id or "-", t.doc)
-        for t in topics.TOPICS
+        (f"`{t.name}`", t.type_name.split("/")[-1], t.publisher, t.qos.name, t.frame_id or "-", t.doc) for t in TOPICS
     )
-    return _table(("topic", "type", "published by", "QoS", "frame", "content"), rows)
+    return table(("topic", "type", "published by", "QoS", "frame", "content"), rows)
 
 
 def _qualities() -> str:
     rows = (
         (q.name, "reliable", str(q.depth), "transient local" if q.transient_local else "volatile") for q in topics.Qos
     )
-    return _table(("QoS", "reliability", "keep last", "durability"), rows)
+    return table(("QoS", "reliability", "keep last", "durability"), rows)
 
 
 def _columns() -> str:
     parts = []
-    for topic in topics.TOPICS:
+    for topic in TOPICS:
         if topic.columns is not None:
-            rows = ((f"`{c.name}`", _kind(c.kind), c.unit, c.doc) for c in topic.fields)
-            parts.append(f"### `{topic.name}`\n\n" + _table(("column", "type", "unit", "meaning"), rows))
+            columns = scan.COLUMNS if topic is topics.SCAN else topic.fields
+            rows = ((f"`{c.name}`", _kind(c.kind), c.unit, c.doc) for c in columns)
+            parts.append(f"### `{topic.name}`\n\n" + table(("column", "type", "unit", "meaning"), rows))
     return "\n".join(parts)
 
 
 def _fields() -> str:
-    rows = ((f"`{t.name}`", f"`{c.name}`", c.unit, c.doc) for t in topics.TOPICS if t.columns is None for c in t.fields)
-    return _table(("topic", "field", "unit", "meaning"), rows)
+    rows = ((f"`{t.name}`", f"`{c.name}`", c.unit, c.doc) for t in TOPICS if t.columns is None for c in t.fields)
+    return table(("topic", "field", "unit", "meaning"), rows)
 
 
 def _kind(code: str) -> str:
@@ -92,35 +67,35 @@ def _kind(code: str) -> str:
 
 
 def _journal() -> str:
-    return _table(("kind", "meaning"), ((f"`{kind.value}`", kind.doc) for kind in Kind))
+    return table(("kind", "meaning"), ((f"`{kind.value}`", kind.doc) for kind in Kind))
 
 
 def _faults() -> str:
-    return _table(("kind", "meaning"), ((f"`{kind}`", doc) for kind, doc in FAULT_KINDS.items()))
+    return table(("kind", "meaning"), ((f"`{kind}`", doc) for kind, doc in FAULT_KINDS.items()))
 
 
 def _services() -> str:
     rows = ((f"`{s.node}{s.name[1:]}`", s.type_name.split("/")[-1], s.doc) for s in services.SERVICES)
-    return _table(("service", "type", "what it does"), rows)
+    return table(("service", "type", "what it does"), rows)
 
 
 def _states() -> str:
     inputs = [row for row in (*services.COMMANDS, *services.SERVICES) if row.node == "rig"]
     rows = ((f"`{i.name}`", *("taken" if s in i.taken else "refused" for s in Situation)) for i in inputs)
-    return _table(("input of the rig", *(s.value for s in Situation)), rows)
+    return table(("input of the rig", *(s.value for s in Situation)), rows)
 
 
 def _parameters(node: str) -> Callable[[], str]:
-    def table() -> str:
+    def parameters() -> str:
         heads = ["parameter", "default", "unit", "range", "origin", "meaning"]
         rows = []
         for name, about, default in SCHEMAS[node].fields():
             legal = about.range_text() if _limited(about) else _type(default)
             row = [f"`{name}`", f"`{_shown(default)}`", about.unit, legal, about.origin.value, about.doc]
             rows.append([*row, "start only" if about.read_only else takes_effect(name)] if node == "rig" else row)
-        return _table([*heads, "acts from"] if node == "rig" else heads, rows)
+        return table([*heads, "acts from"] if node == "rig" else heads, rows)
 
-    return table
+    return parameters
 
 
 def _limited(about: FieldInfo) -> bool:
@@ -141,7 +116,7 @@ def _figures() -> str:
         for node, known in figures.FIGURES.items()
         for figure in known
     )
-    return _table(("node", "figure", "unit", "meaning"), rows)
+    return table(("node", "figure", "unit", "meaning"), rows)
 
 
 TABLES: dict[str, Callable[[], str]] = {
@@ -160,13 +135,3 @@ TABLES: dict[str, Callable[[], str]] = {
     "figures": _figures,
 }
 """Name in the page's markers -> its text."""
-
-
-def main() -> None:
-    """Rewrite the page."""
-    path = page()
-    path.write_text(rewritten(path.read_text(encoding="utf-8")), encoding="utf-8")
-
-
-if __name__ == "__main__":
-    main()

@@ -1,15 +1,21 @@
-"""`RigConfig`: everything that decides what a rig does, as one frozen value."""
+"""`RigConfig`: everything that decides what a rig does, as one frozen value, and the ways in and out of it.
+
+Laws and instruments bring their own sections; here the tree is put together. Nothing compiled is imported.
+"""
 
 from __future__ import annotations
 
 import attrs
 
-from impact_rig.blocks import SCAN, TRUTH_SCAN
+from impact_rig.blocks import TRUTH_SCAN
 from impact_rig.codec import MAX_MESSAGE_BYTES
-from impact_rig.config.instruments import Instruments
-from impact_rig.config.mechanics import Barriers, Contact, Drive, Shaker, Sphere, Structure
+from impact_rig.config.mechanics import Barriers, Drive, Shaker, Sphere, Structure
 from impact_rig.config.operation import Daq, Output, Pluck, Step, Time
+from impact_rig.config.tree import Tree
 from impact_rig.errors import ConfigError
+from impact_rig.instruments.scan import row_type_of
+from impact_rig.instruments.section import Instruments
+from impact_rig.physics.contact import Contact
 
 _OVERHEAD_BYTES = 1000
 """More than what a table's message holds besides its rows: header and columns."""
@@ -53,8 +59,14 @@ class RigConfig:
                 f"drive.frequency_hz must be within the shaker's {shaker.frequency_min_hz:g} to "
                 f"{shaker.frequency_max_hz:g} Hz, got {drive.frequency_hz:g}"
             )
-        dtype = TRUTH_SCAN if self.output.truth_scan else SCAN
-        most = (MAX_MESSAGE_BYTES - _OVERHEAD_BYTES) // dtype.itemsize
+        scan = row_type_of(self.instruments).itemsize
+        most = (MAX_MESSAGE_BYTES - _OVERHEAD_BYTES) // max(scan, TRUTH_SCAN.itemsize * self.output.truth_scan)
         if self.daq.block_scans > most:
             why = "with output.truth_scan" if self.output.truth_scan else f"({MAX_MESSAGE_BYTES} bytes per message)"
             raise ConfigError(f"daq.block_scans must be <= {most} {why}, got {self.daq.block_scans}")
+
+
+_TREE = Tree(RigConfig)
+load, dump = _TREE.load, _TREE.dump
+from_flat, to_flat = _TREE.from_flat, _TREE.to_flat
+fields = _TREE.fields

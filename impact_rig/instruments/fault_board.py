@@ -1,4 +1,4 @@
-"""Faults on demand: what can go wrong between a sensor and a file, each with its start, duration and seed.
+"""The faults of a rig as they act, each with what it carries from scan to scan.
 
 Faults of a channel act on the volts of its cable, so they pass through the converter like the real thing; `stuck` acts
 behind it. `lost_block` and `clock_drift` concern the whole board: the rig asks `FaultBoard` about them.
@@ -7,6 +7,7 @@ behind it. `lost_block` and `clock_drift` concern the whole board: the rig asks 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 
 import attrs
 import numpy as np
@@ -14,93 +15,10 @@ from numpy.typing import NDArray
 
 from impact_rig.arithmetic.random import Random
 from impact_rig.blocks import FAULTS
-from impact_rig.config.faults import PlannedFault, check_kind
-from impact_rig.errors import CommandError, ConfigError
+from impact_rig.errors import CommandError
+from impact_rig.instruments.fault import Fault
 
-DEFAULT_SPIKE_RATE_HZ = 10.0
 _STREAM = 2  # first number of the spawn key of every fault's generator
-
-
-def _six_digits(value: float) -> float:
-    """A journal row has room for no more, and the rate must come back from it unchanged."""
-    return float(f"{value:g}")
-
-
-@attrs.frozen(kw_only=True)
-class Fault:
-    """One fault; times in scans since reset.
-
-    Attributes:
-        kind: one of `config.faults.FAULT_KINDS`.
-        channel: the channel it is on, empty for faults of the whole board.
-        start: first scan it acts on.
-        duration: number of scans, 0 = until it is cleared.
-        value: its size, see `FAULT_KINDS`.
-        seed: seed of its own random numbers.
-        rate_hz: mean rate of a spike train.
-
-    Raises:
-        CommandError: no such kind or channel, or a number out of range.
-    """
-
-    kind: str
-    channel: str = ""
-    start: int = 0
-    duration: int = 0
-    value: float = 0.0
-    seed: int = 0
-    rate_hz: float = attrs.field(default=DEFAULT_SPIKE_RATE_HZ, converter=_six_digits)
-
-    def __attrs_post_init__(self) -> None:
-        try:
-            check_kind(self.kind, self.channel)
-        except ConfigError as error:
-            raise CommandError(str(error)) from error
-        for key, low in (("start", 0), ("duration", 0), ("seed", 0), ("rate_hz", 0), ("value", -math.inf)):
-            number = getattr(self, key)
-            if not math.isfinite(number) or number < low:
-                rule = "finite" if low < 0 else "finite and >= 0"
-                raise CommandError(f"{key} of {self.kind} must be {rule}, got {number!r}")
-
-    def journal(self) -> tuple[str, float, str]:
-        """Return (key, value, text) for a journal row; the row's sample is the start."""
-        return f"{self.kind}/{self.channel}", self.value, f"{self.duration}/{self.seed}/{self.rate_hz:g}"
-
-    @classmethod
-    def from_journal(cls, key: str, value: float, text: str, start: int) -> Fault:
-        """Return the fault of a journal row.
-
-        Raises:
-            CommandError: the row does not describe a fault.
-        """
-        try:
-            kind, channel = key.split("/")
-            duration, seed, rate = text.split("/")
-            numbers = int(duration), int(seed), float(rate)
-        except ValueError as error:
-            raise CommandError(f"not a fault of a journal: key {key!r}, text {text!r}") from error
-        return cls(
-            kind=kind,
-            channel=channel,
-            start=start,
-            duration=numbers[0],
-            value=value,
-            seed=numbers[1],
-            rate_hz=numbers[2],
-        )
-
-
-def planned(fault: PlannedFault, rate_hz: int) -> Fault:
-    """Return the fault that a configuration plans, its times in scans; a duration > 0 lasts at least one scan."""
-    return Fault(
-        kind=fault.kind,
-        channel=fault.channel,
-        start=math.ceil(fault.start_s * rate_hz - 1e-6),
-        duration=math.ceil(fault.duration_s * rate_hz - 1e-6),
-        value=fault.value,
-        seed=fault.seed,
-        rate_hz=fault.rate_hz or DEFAULT_SPIKE_RATE_HZ,
-    )
 
 
 @attrs.define(eq=False)
@@ -114,7 +32,7 @@ class _Active:
 
     def overlap(self, first: int, count: int) -> slice:
         """Return the part of the scans first … first + count it acts on."""
-        low = min(max(self.fault.start, first), first + count)
+        low = min(max(self.fault.start_sample, first), first + count)
         high = min(max(self.end, low), first + count)
         return slice(low - first, int(high) - first)
 
@@ -122,7 +40,7 @@ class _Active:
 class FaultBoard:
     """All faults of a rig, planned or injected."""
 
-    def __init__(self, faults: list[Fault], rate_hz: int) -> None:
+    def __init__(self, faults: Iterable[Fault], rate_hz: int) -> None:
         self._rate_hz = rate_hz
         self._faults: list[_Active] = []
         self._last_number = 0
@@ -132,7 +50,7 @@ class FaultBoard:
     def add(self, fault: Fault) -> int:
         """Put a fault on the board and return its number."""
         self._last_number += 1
-        end = fault.start + fault.duration if fault.duration else math.inf
+        end = fault.start_sample + fault.samples if fault.samples else math.inf
         random = Random(np.random.SeedSequence(fault.seed, spawn_key=(_STREAM,)))
         self._faults.append(_Active(self._last_number, fault, end, random))
         return self._last_number
@@ -151,8 +69,8 @@ class FaultBoard:
         if number is not None and not chosen:
             raise CommandError(f"no fault number {number}")
         for active in chosen:
-            active.end = min(active.end, max(scan, active.fault.start))
-        self._faults = [active for active in self._faults if active.end > active.fault.start]
+            active.end = min(active.end, max(scan, active.fault.start_sample))
+        self._faults = [active for active in self._faults if active.end > active.fault.start_sample]
 
     def on_cable(
         self, channel: str, volts: NDArray[np.float64], clipped: NDArray[np.bool_], first: int, gain: float, zero: float
@@ -206,7 +124,7 @@ class FaultBoard:
         self._faults = [active for active in self._faults if active.end >= first]
         events: list[tuple[int, int, int, _Active]] = []
         for active in self._faults:
-            for scan, starts in ((active.fault.start, 1), (active.end, 0)):
+            for scan, starts in ((active.fault.start_sample, 1), (active.end, 0)):
                 if first <= scan < first + count:
                     events.append((int(scan), 1 - starts, active.number, active))
         rows = np.zeros(len(events), dtype=FAULTS)
@@ -220,16 +138,16 @@ class FaultBoard:
                 fault.channel.encode(),
                 1 - ends,
                 fault.value,
-                fault.duration / self._rate_hz,
+                fault.samples / self._rate_hz,
             )
         return rows
 
     def block_lost(self, first: int, count: int) -> bool:
         """Whether a lost_block fault acts on any of these scans."""
         lost = (active for active in self._faults if active.fault.kind == "lost_block")
-        return any(active.fault.start < first + count and active.end > first for active in lost)
+        return any(active.fault.start_sample < first + count and active.end > first for active in lost)
 
     def clock_ppm(self, scan: int) -> float:
         """Return by how much the scan clock is off at a scan because of faults [ppm]."""
         drifts = (active for active in self._faults if active.fault.kind == "clock_drift")
-        return math.fsum(active.fault.value for active in drifts if active.fault.start <= scan < active.end)
+        return math.fsum(active.fault.value for active in drifts if active.fault.start_sample <= scan < active.end)

@@ -1,6 +1,7 @@
-"""What a contact law is: a name, a restitution, and a force that every phase of the motion can use.
+"""What a contact law is: a name, its origin, a restitution, and a force that every phase of the motion can use.
 
-A law says its force in a compiled function of its own, and the numbers that function is called with in a `Force`:
+A law says its force in a plain function of numbers, which is compiled when it is first used, and the numbers that
+function is called with in a `Force`:
 
     force(stiffness, factor, per_v0, turned_at, w, speed) -> (elastic, lossy, stored, ∂F/∂w, ∂F/∂δ')
     F = elastic + lossy
@@ -20,54 +21,15 @@ Nothing else of the package asks which law it is.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
-from typing import Any, ClassVar, NamedTuple, Protocol
+from typing import Any, ClassVar, NamedTuple
 
 import attrs
-from numba import cfunc, from_dtype, njit
-from numba.core import config, types
 
-from impact_rig.config import Contact
-from impact_rig.errors import ConfigError
+from impact_rig.config.fields import Origin, quantity
 from impact_rig.physics import restitution as closed_form
-from impact_rig.physics.collocation import STAGES
-from impact_rig.physics.parameters import PARAMETERS
-from impact_rig.physics.state import PRESS
-
-_ONE = types.UniTuple(types.float64, 5)(*6 * (types.float64,))  # type: ignore[attr-defined]  # made on demand
-_AT_STAGES = types.void(from_dtype(PARAMETERS), types.float64, from_dtype(PRESS))
 
 ForceFunction = Callable[[float, float, float, float, float, float], tuple[float, float, float, float, float]]
-
-
-class CompiledForce(NamedTuple):
-    """A law's force as function pointers, which have one type whatever the law: one event loop calls them all.
-
-    Attributes:
-        one: the law's function itself.
-        at_stages: called with (parameters, per_v0, press), fills the step's force, lossy, force_by_w, force_by_speed.
-    """
-
-    one: Any
-    at_stages: Any
-
-
-def compiled_force(function: ForceFunction) -> CompiledForce:
-    """Compile a law's force."""
-    inner: Any = njit(cache=True, error_model="numpy")(function)
-
-    def at_stages(p, per_v0, k):  # type: ignore[no-untyped-def]  # compiled: types are declared
-        for i in range(STAGES):
-            elastic, lossy, _, by_w, by_speed = inner(p.stiffness, p.factor, per_v0, k.turned_at, k.w[i], k.speed[i])
-            k.force[i], k.lossy[i] = elastic + lossy, lossy
-            k.force_by_w[i], k.force_by_speed[i] = by_w, by_speed
-
-    if config.DISABLE_JIT:
-        return CompiledForce(function, at_stages)
-    # by default it is random, and code that calls the function would never be found in the cache again
-    inner._set_uuid(f"{function.__module__}.{function.__qualname__}")
-    return CompiledForce(cfunc(_ONE, cache=True)(function), cfunc(_AT_STAGES, cache=True)(at_stages))
 
 
 class Force(NamedTuple):
@@ -85,7 +47,7 @@ class Force(NamedTuple):
         rigid: whether a contact takes no time, and the force is never asked for.
     """
 
-    function: CompiledForce
+    function: ForceFunction
     stiffness: float
     factor: float
     exponent: float
@@ -103,34 +65,54 @@ class ContactPair(NamedTuple):
     effective_mass: float
 
 
-class ContactLaw(Protocol):
-    """A contact law with its nominal restitution; registered by `name`."""
+def restitution() -> Any:
+    """Return the attrs field of the nominal coefficient of restitution e."""
+    return quantity(0.35, "-", "Coefficient of restitution e of the drop test.", Origin.PAPER, above=0, at_most=1)
+
+
+def contact_time_s() -> Any:
+    """Return the attrs field of t_c, which linear laws take in place of the Hertz stiffness."""
+    return quantity(45e-6, "s", "Contact time of laws that take it for a stiffness.", above=0, at_most=0.01)
+
+
+@attrs.frozen
+class ContactLaw:
+    """A contact law; its fields are the values of the configuration's `contact` section that it reads.
+
+    A field that the section has not got, made by `impact_rig.config.fields`, becomes a part of it.
+
+    Attributes:
+        name: by which it is chosen.
+        formula: its row in the table of laws, without `|`.
+        source: who published it, where.
+        returns: the restitution it gives for a nominal 0.35, to three digits.
+        adjustable: whether `calibration: exact` puts the law `exact` in its place.
+    """
 
     name: ClassVar[str]
-
-    @property
-    def restitution(self) -> float:
-        """Nominal coefficient of restitution e, 0 < e <= 1."""
+    formula: ClassVar[str]
+    source: ClassVar[str]
+    returns: ClassVar[float]
+    adjustable: ClassVar[bool] = False
+    restitution: float = restitution()
 
     def force(self, pair: ContactPair) -> Force:
         """Return the force between the bodies of `pair`."""
+        raise NotImplementedError
 
     def realised_restitution(self) -> float:
         """Return the restitution this law really gives, from its closed form."""
-
-    @classmethod
-    def from_config(cls, contact: Contact) -> ContactLaw:
-        """Build the law from the configuration's `contact` section."""
+        raise NotImplementedError
 
 
-def check_restitution(law: object, attribute: attrs.Attribute[float], value: float) -> None:
-    """Attrs validator: 0 < e <= 1."""
-    if not (math.isfinite(value) and 0.0 < value <= 1.0):
-        raise ConfigError(f"{type(law).__name__}.{attribute.name} must be > 0 and <= 1, got {value!r}")
-
-
-@compiled_force
-def _hertz_damped(stiffness, factor, per_v0, turned_at, w, speed):  # type: ignore[no-untyped-def]  # noqa: ARG001
+def _hertz_damped(
+    stiffness: float,
+    factor: float,
+    per_v0: float,
+    turned_at: float,  # noqa: ARG001  # this force has no memory
+    w: float,
+    speed: float,
+) -> tuple[float, float, float, float, float]:
     """F = K w³ (1 + a δ'/v0)."""
     hertz = stiffness * w * w * w
     damping = factor * per_v0
@@ -139,11 +121,10 @@ def _hertz_damped(stiffness, factor, per_v0, turned_at, w, speed):  # type: igno
 
 
 @attrs.frozen
-class HystereticLaw:
+class HystereticLaw(ContactLaw):
     """Hunt–Crossley form F = K δ^1.5 (1 + a δ'/v0); a law of this family says only what `a` is."""
 
-    name: ClassVar[str]
-    restitution: float = attrs.field(validator=check_restitution)
+    adjustable = True
 
     def hysteresis_factor(self) -> float:
         """Return a, dimensionless; c = a K / v0 with the approach speed of each contact."""
@@ -158,8 +139,3 @@ class HystereticLaw:
     def realised_restitution(self) -> float:
         """Return e_out from ln[(1 + a)/(1 − a e_out)] = a (1 + e_out)."""
         return closed_form.realised(self.hysteresis_factor())
-
-    @classmethod
-    def from_config(cls, contact: Contact) -> HystereticLaw:
-        """Build the law from the configuration's `contact` section."""
-        return cls(contact.restitution)

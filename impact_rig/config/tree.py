@@ -1,0 +1,176 @@
+"""Read and write a tree of sections: YAML files, flat ROS parameters, plain mappings — all through one validator.
+
+A configuration file is a ROS 2 parameter file (`/**: ros__parameters: section: key: value`), so the same file works
+with `--ros-args --params-file`; the two outer keys may be left out. A parameter's name is `section.key`, e.g.
+`barriers.gap_m`.
+"""
+
+from __future__ import annotations
+
+import difflib
+import functools
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Generic, TypeVar
+
+import attrs
+import yaml
+
+from impact_rig.config.fields import METADATA_KEY, FieldInfo, info
+from impact_rig.errors import ConfigError
+from impact_rig.system import files, plain_yaml
+
+MAX_FILE_BYTES = 1_000_000
+MAX_KEYS = 2000
+MAX_DEPTH = 20
+
+Value = bool | int | float | str | tuple[str, ...]
+Root = TypeVar("Root", bound=attrs.AttrsInstance)
+
+
+class Tree(Generic[Root]):
+    """A configuration whose root is the attrs class `root`: its fields are sections, those of sections values."""
+
+    def __init__(self, root: type[Root]) -> None:
+        self._root = root
+
+    @functools.cached_property
+    def _known(self) -> dict[str, FieldInfo]:
+        """What each value means, by dotted name, in order."""
+        return dict(_walk(self._root, ""))
+
+    def load(self, path: Path | str, overrides: Mapping[str, object] | None = None) -> Root:
+        """Return the configuration in the YAML file `path`, flat `overrides` (`section.key` -> value) on top.
+
+        Raises:
+            ConfigError: the file cannot be read, is not YAML, or holds an unknown key or a bad value; the message
+                names key, value, range and file.
+        """
+        path = Path(path)
+        try:
+            document = plain_yaml.load(str(files.read_bytes(path, MAX_FILE_BYTES), "utf-8"), MAX_FILE_BYTES)
+        except OSError as error:
+            raise ConfigError(f"cannot read configuration: {error.strerror} ({path})") from error
+        except ValueError as error:  # PlainYamlError, or it is not UTF-8
+            raise ConfigError(f"not a YAML file: {' '.join(str(error).split())} ({path})") from error
+        try:
+            return self.from_flat(self._root(), {**flatten(_unwrap(document)), **(overrides or {})})
+        except ConfigError as error:
+            raise ConfigError(f"{error} ({path})") from error
+
+    def from_flat(self, base: Root, changes: Mapping[str, object]) -> Root:
+        """Return `base` with the flat `changes` (`section.key` -> value) applied together: all of them, or none.
+
+        Raises:
+            ConfigError: unknown key, bad value, or a combination that makes no sense.
+        """
+        nested = _Nested()
+        for name, value in changes.items():
+            if name not in self._known:
+                raise ConfigError(f"unknown key {name!r}{self._suggestion(name)}")
+            *sections, key = name.split(".")
+            node = nested
+            for section in sections:
+                child = node.setdefault(section, _Nested())
+                assert isinstance(child, _Nested)
+                node = child
+            node[key] = value
+        changed = _evolve(base, nested)
+        assert isinstance(changed, self._root)
+        return changed
+
+    def to_flat(self, config: Root) -> dict[str, Value]:
+        """Return every value by its dotted name: what a run's attachment and the node's parameters hold."""
+        return {name: _lookup(config, name) for name in self._known}
+
+    def fields(self) -> Iterator[tuple[str, FieldInfo, Value]]:
+        """Yield (dotted name, what it means, default) of every configuration value, in order."""
+        default = self._root()
+        for name, about in self._known.items():
+            yield name, about, _lookup(default, name)
+
+    def dump(self, config: Root) -> str:
+        """Return `config` as a ROS 2 parameter file, complete: `load` of it gives `config` again."""
+        tree: dict[str, object] = {}
+        for name, value in self.to_flat(config).items():
+            *path, key = name.split(".")
+            node = tree
+            for part in path:
+                child = node.setdefault(part, {})
+                assert isinstance(child, dict)
+                node = child
+            node[key] = list(value or ("",)) if isinstance(value, tuple) else value  # ROS has no empty typed lists
+        text: str = yaml.safe_dump({"/**": {"ros__parameters": tree}}, sort_keys=False)
+        return text
+
+    def _suggestion(self, name: str) -> str:
+        close = difflib.get_close_matches(name, self._known, n=1)
+        return f", did you mean {close[0]!r}?" if close else ""
+
+
+def flatten(tree: object, prefix: str = "", depth: int = 0) -> dict[str, object]:
+    """Return a nested mapping as one level of dotted names.
+
+    Raises:
+        ConfigError: a key is not a text, the top is not a mapping, or there are too many keys or levels.
+    """
+    if depth > MAX_DEPTH:
+        raise ConfigError(f"a configuration has sections in at most {MAX_DEPTH} levels")
+    if not isinstance(tree, dict):
+        raise ConfigError(f"a configuration must be a mapping of sections, got {type(tree).__name__}")
+    flat: dict[str, object] = {}
+    for key, value in tree.items():
+        if not isinstance(key, str):
+            raise ConfigError(f"a key must be a text, got {key!r}")
+        name = f"{prefix}{key}"
+        if isinstance(value, dict) and value:
+            flat.update(flatten(value, f"{name}.", depth + 1))
+        else:
+            flat[name] = value
+        if len(flat) > MAX_KEYS:
+            raise ConfigError(f"a configuration has at most {MAX_KEYS} keys")
+    return flat
+
+
+def _unwrap(document: object) -> object:
+    if document is None:
+        return {}
+    if isinstance(document, dict) and len(document) == 1:
+        inner = next(iter(document.values()))
+        if isinstance(inner, dict) and set(inner) == {"ros__parameters"}:
+            return inner["ros__parameters"] or {}
+    return document
+
+
+def _walk(section: type[attrs.AttrsInstance], prefix: str) -> Iterator[tuple[str, FieldInfo]]:
+    for attribute in attrs.fields(attrs.resolve_types(section)):
+        name = f"{prefix}{attribute.name}"
+        if METADATA_KEY in attribute.metadata:
+            yield name, info(attribute)
+        else:
+            assert isinstance(attribute.type, type)
+            yield from _walk(attribute.type, f"{name}.")
+
+
+def _lookup(config: object, name: str) -> Value:
+    value = config
+    for part in name.split("."):
+        value = getattr(value, part)
+    assert isinstance(value, (bool, int, float, str, tuple))
+    return value
+
+
+def _evolve(section: attrs.AttrsInstance, changes: Mapping[str, object], prefix: str = "") -> attrs.AttrsInstance:
+    """Rebuild `section` bottom-up with the nested `changes`, each once: cross-checks see only the final combination."""
+    values = {
+        key: _evolve(getattr(section, key), value, f"{prefix}{key}.") if isinstance(value, _Nested) else value
+        for key, value in changes.items()
+    }
+    try:
+        return attrs.evolve(section, **values)  # type: ignore[misc]  # mypy's plugin wants one concrete attrs class
+    except ConfigError as error:
+        raise ConfigError(f"{prefix}{error}") from error
+
+
+class _Nested(dict[str, object]):
+    """Changes of a sub-section, as opposed to a value."""

@@ -1,0 +1,190 @@
+"""One fault on demand, from a test or a configuration to the journal and back, with exact numbers.
+
+A configuration plans faults in lines of text, times in seconds since the reset:
+
+    offset_step channel=laser start_s=2 duration_s=0.5 value=1e-3 seed=7
+
+`duration_s=0` (the default) lasts until it is cleared; `channel` is left out for faults of the whole board.
+"""
+
+from __future__ import annotations
+
+import base64
+import math
+import struct
+
+import attrs
+
+from impact_rig.columns import TEXT_BYTES
+from impact_rig.config.fields import names
+from impact_rig.errors import CommandError, ConfigError
+from impact_rig.instruments.fault_kinds import BOARD_KINDS, FAULT_KINDS
+from impact_rig.instruments.registry import INSTRUMENTS
+
+DEFAULT_SPIKE_RATE_HZ = 10.0
+MOST = 2**53
+"""Of the whole numbers: beyond, the journal's columns are not exact."""
+_PACKED = struct.Struct("<QQd")
+_NUMBERS = ("start_s", "duration_s", "value", "seed", "rate_hz")
+
+
+@attrs.frozen(kw_only=True)
+class Fault:
+    """One fault; times in scans since the reset.
+
+    Attributes:
+        kind: one of `FAULT_KINDS`.
+        channel: the channel it is on, empty for faults of the whole board.
+        start_sample: first scan it acts on.
+        samples: how many scans it lasts, 0 = until it is cleared.
+        value: its size, in the unit of the channel or as the kind says.
+        seed: of its own random numbers.
+        rate_hz: mean rate of a spike train.
+
+    Raises:
+        CommandError: no such kind or channel, or a number out of range.
+    """
+
+    kind: str
+    channel: str = ""
+    start_sample: int = 0
+    samples: int = 0
+    value: float = 0.0
+    seed: int = 0
+    rate_hz: float = DEFAULT_SPIKE_RATE_HZ
+
+    def __attrs_post_init__(self) -> None:
+        _check_kind(self.kind, self.channel)
+        for key in ("start_sample", "samples", "seed", "rate_hz", "value"):
+            number = getattr(self, key)
+            if not math.isfinite(number) or (number < 0 and key != "value"):
+                rule = "finite" if key == "value" else "finite and >= 0"
+                raise CommandError(f"{key} of {self.kind} must be {rule}, got {number!r}")
+        for key in ("start_sample", "samples", "seed"):
+            if getattr(self, key) > MOST:
+                raise CommandError(f"{key} of {self.kind} must be at most 2**53, got {getattr(self, key)}")
+
+    def line(self, scan_rate_hz: int) -> str:
+        """Return the fault as `instruments.faults.planned` takes it."""
+        numbers = (self.start_sample / scan_rate_hz, self.samples / scan_rate_hz, self.value, self.seed, self.rate_hz)
+        usual = dict.fromkeys(_NUMBERS, 0) | {"rate_hz": DEFAULT_SPIKE_RATE_HZ}
+        said = [f"{key}={number!r}" for key, number in zip(_NUMBERS, numbers, strict=True) if number != usual[key]]
+        return " ".join([self.kind, *([f"channel={self.channel}"] if self.channel else []), *said])
+
+    @classmethod
+    def from_line(cls, line: str, scan_rate_hz: int) -> Fault:
+        """Return the fault that one line of text describes; a duration > 0 lasts at least one scan.
+
+        Raises:
+            ConfigError: unknown kind, channel or key, or a value that is no number or out of range.
+        """
+        kind, *pairs = line.split() or [""]
+        texts = dict(pair.partition("=")[::2] for pair in pairs)
+        channel = texts.pop("channel", "")
+        values = {key: _number(line, key, text) for key, text in texts.items()}
+        try:
+            return cls(
+                kind=kind,
+                channel=channel,
+                start_sample=_scans(values.get("start_s", 0.0), scan_rate_hz),
+                samples=_scans(values.get("duration_s", 0.0), scan_rate_hz),
+                value=values.get("value", 0.0),
+                seed=int(values.get("seed", 0.0)),
+                rate_hz=values.get("rate_hz", 0.0) or DEFAULT_SPIKE_RATE_HZ,
+            )
+        except CommandError as error:
+            raise ConfigError(str(error)) from error
+
+    def journal(self) -> tuple[str, float, str]:
+        """Return (key, value, text) for a journal row; the row's sample is the start.
+
+        The text is readable where that fits into its cell, and packed where it does not.
+        """
+        text = f"{self.samples}/{self.seed}/{self.rate_hz!r}"
+        if len(text) > TEXT_BYTES:
+            text = "~" + base64.b85encode(_PACKED.pack(self.samples, self.seed, self.rate_hz)).decode()
+        return f"{self.kind}/{self.channel}", self.value, text
+
+    @classmethod
+    def from_journal(cls, key: str, value: float, text: str, start_sample: int) -> Fault:
+        """Return the fault of a journal row.
+
+        Raises:
+            CommandError: the row does not describe a fault.
+        """
+        try:
+            kind, channel = key.split("/")
+            if text.startswith("~"):
+                samples, seed, rate = _PACKED.unpack(base64.b85decode(text[1:]))
+            else:
+                samples, seed, rate = (one(word) for one, word in zip((int, int, float), text.split("/"), strict=True))
+        except (ValueError, struct.error) as error:
+            raise CommandError(f"not a fault of a journal: key {key!r}, text {text!r}") from error
+        return cls(
+            kind=kind,
+            channel=channel,
+            start_sample=start_sample,
+            samples=samples,
+            value=value,
+            seed=seed,
+            rate_hz=rate,
+        )
+
+    def __str__(self) -> str:
+        where = f" on {self.channel}" if self.channel else ""
+        until = f"sample {self.start_sample + self.samples}" if self.samples else "the end"
+        size = f", value {self.value:g}" if self.value else ""
+        return f"{self.kind}{where} from sample {self.start_sample} to {until}{size}"
+
+
+@attrs.frozen(kw_only=True)
+class FaultPlan:
+    """Faults on demand, planned from the start; off by default."""
+
+    planned: tuple[str, ...] = names(
+        (), "Faults: `kind channel=... start_s=... duration_s=... value=...`; start_s from the reset, or from when set."
+    )
+
+    def __attrs_post_init__(self) -> None:
+        try:
+            self.faults(scan_rate_hz=1)
+        except ConfigError as error:
+            raise ConfigError(f"planned: {error}") from error
+
+    def faults(self, scan_rate_hz: int) -> tuple[Fault, ...]:
+        """Return the planned faults.
+
+        Raises:
+            ConfigError: a line is wrong; the message quotes it.
+        """
+        return tuple(Fault.from_line(line, scan_rate_hz) for line in self.planned if line.split())
+
+
+def _check_kind(kind: str, channel: str) -> None:
+    """Refuse a kind that does not exist, or a channel that does not go with it."""
+    if kind not in FAULT_KINDS:
+        raise CommandError(f"fault kind must be one of {', '.join(FAULT_KINDS)}, got {kind!r}")
+    if kind in BOARD_KINDS:
+        if channel:
+            raise CommandError(f"{kind} is a fault of the whole board and takes no channel, got {channel!r}")
+        return
+    having = [name for name, instrument in INSTRUMENTS.items() if kind in instrument.faults]
+    if channel not in having:
+        raise CommandError(f"{kind} needs a channel, one of {', '.join(having)}, got {channel!r}")
+
+
+def _number(line: str, key: str, text: str) -> float:
+    if key not in _NUMBERS:
+        raise ConfigError(f"key of a fault must be one of channel, {', '.join(_NUMBERS)}, got {key!r} in {line!r}")
+    try:
+        number = float(text)
+    except ValueError as error:
+        raise ConfigError(f"{key} of a fault must be a number, got {text!r} in {line!r}") from error
+    if not math.isfinite(number) or (key != "value" and number < 0):
+        rule = "finite" if key == "value" else "finite and >= 0"
+        raise ConfigError(f"{key} of a fault must be {rule}, got {text} in {line!r}")
+    return number
+
+
+def _scans(seconds: float, rate_hz: int) -> int:
+    return math.ceil(seconds * rate_hz - 1e-6)

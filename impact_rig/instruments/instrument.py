@@ -1,0 +1,67 @@
+"""What an instrument is: a section of the configuration that knows its channel, its sensor and its monitor message."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import ClassVar
+
+import attrs
+
+from impact_rig.columns import Column
+from impact_rig.instruments.fault_kinds import CHANNEL_KINDS
+from impact_rig.instruments.sensor import Sensor
+from impact_rig.topics import Topic
+
+
+@attrs.frozen(kw_only=True)
+class Instrument:
+    """An instrument on one channel of the board; its fields, made by `impact_rig.config.fields`, are its section.
+
+    An instrument with a field `present` is scanned only while that is on; it must be read-only.
+
+    Attributes:
+        name: of the channel: its column of daq/scan and its section `instruments.<name>`.
+        place: in the scan, counted from 0, among all instruments; it seeds its noise, too.
+        senses: the motion's quantity.
+        unit: of the quantity.
+        doc: what its column holds.
+        faults: kinds that its channel can have.
+        monitor: the topic of its message at monitor rate, or None.
+    """
+
+    name: ClassVar[str]
+    place: ClassVar[int]
+    senses: ClassVar[str]
+    unit: ClassVar[str]
+    doc: ClassVar[str]
+    faults: ClassVar[frozenset[str]] = CHANNEL_KINDS
+    monitor: ClassVar[Topic | None] = None
+
+    @property
+    def adc_range_v(self) -> float:
+        """Input range of the converter, either side: every instrument has such a field [V]."""
+        raise NotImplementedError
+
+    @property
+    def fitted(self) -> bool:
+        """Whether the board scans it."""
+        return bool(getattr(self, "present", True))
+
+    def sensor(self) -> Sensor:
+        """Return what it does to its quantity."""
+        raise NotImplementedError
+
+    def message(self, reading: float, clipped: bool, noise: float) -> Mapping[str, object]:
+        """Return what its monitor message says of one reading: value by field, `linear_acceleration.x`.
+
+        Args:
+            reading: in the channel's unit.
+            clipped: whether it is over range.
+            noise: rms, as in daq/info.
+        """
+        raise NotImplementedError
+
+    @classmethod
+    def column(cls) -> Column:
+        """Return its column of daq/scan."""
+        return Column(cls.name, cls.unit, cls.doc)

@@ -1,0 +1,27 @@
+"""Which instruments there are: every module of this folder that defines one, in the order of their places."""
+
+from __future__ import annotations
+
+import importlib
+import re
+from pathlib import Path
+
+from impact_rig.instruments.instrument import Instrument
+
+_DEFINES_ONE = re.compile(r"^class \w+\(Instrument\)", re.MULTILINE)
+
+
+def _found() -> dict[str, type[Instrument]]:
+    found: list[type[Instrument]] = []
+    for path in Path(__file__).parent.glob("*.py"):
+        if _DEFINES_ONE.search(path.read_text(encoding="utf-8")):
+            module = importlib.import_module(f"{__package__}.{path.stem}")
+            own = [kind for kind in vars(module).values() if getattr(kind, "__module__", None) == module.__name__]
+            found += [kind for kind in own if isinstance(kind, type) and issubclass(kind, Instrument)]
+    ordered = sorted(found, key=lambda instrument: instrument.place)
+    assert [instrument.place for instrument in ordered] == list(range(len(ordered))), "each place is taken once"
+    return {instrument.name: instrument for instrument in ordered}
+
+
+INSTRUMENTS: dict[str, type[Instrument]] = _found()
+"""Every instrument by the name of its channel, in scan order."""

@@ -1,0 +1,69 @@
+"""What holds for every instrument that is in the folder, present by default or not."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import attrs
+import numpy as np
+import pytest
+
+from impact_rig.columns import Column
+from impact_rig.instruments import registry
+from impact_rig.instruments.checks import check_known_input
+from impact_rig.instruments.fault_kinds import CHANNEL_KINDS
+from impact_rig.instruments.registry import INSTRUMENTS
+from impact_rig.instruments.scan import CHANNELS, COLUMNS, SCAN, channels_of
+from impact_rig.recording import open_run
+from impact_rig.rig.config import RigConfig, fields, from_flat
+from impact_rig.testing import VirtualRig
+
+OPTIONAL = tuple(name for name, kind in INSTRUMENTS.items() if "present" in attrs.fields_dict(kind))
+ALL = {f"instruments.{name}.present": True for name in OPTIONAL}
+NAMES = {name for name, _, _ in fields()}
+
+
+def test_every_instrument_of_the_folder_is_found():
+    files = Path(registry.__file__).parent.glob("*.py")
+    assert sum("(Instrument):" in path.read_text(encoding="utf-8") for path in files) == len(INSTRUMENTS)
+
+
+def test_an_optional_instrument_is_off_and_costs_nothing():
+    assert set(CHANNELS) == set(INSTRUMENTS) - set(OPTIONAL)
+    assert SCAN.itemsize == 8 * (1 + len(CHANNELS)) + 1
+    assert CHANNELS[:4] == ("accelerometer", "laser", "base", "current"), "their bits and noise depend on it"
+
+
+@pytest.mark.parametrize("instrument", INSTRUMENTS.values(), ids=INSTRUMENTS)
+def test_an_instrument_says_what_it_is(instrument):
+    assert Column(instrument.name, instrument.unit, instrument.doc) in COLUMNS
+    assert instrument.doc.endswith(".")
+    assert instrument.faults <= CHANNEL_KINDS
+    assert {f"instruments.{instrument.name}.{field}" for field in ("adc_range_v", "inverted")} <= NAMES
+    if instrument.monitor is not None:
+        assert instrument.monitor.publisher == "rig"
+        said = {column.name for column in instrument.monitor.fields}
+        assert said <= set(instrument().message(0.0, clipped=False, noise=0.0))
+
+
+@pytest.mark.parametrize("name", INSTRUMENTS)
+def test_its_channel_reads_a_known_sine(name):
+    check = {one.channel: one for one in check_known_input(from_flat(RigConfig(), ALL))}[name]
+    assert check.ok, check
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> np.ndarray:
+    pytest.importorskip("sensor_msgs", reason="no ROS 2 here")
+    rig = VirtualRig({"drive.amplitude": 0.52, **ALL})
+    rig.run(seconds=1.5)
+    with open_run(rig.save(tmp_path_factory.mktemp("runs") / "run")) as run:
+        return np.concatenate([table.rows for table in run.tables(run.resolve("daq/scan"))])
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize("name", INSTRUMENTS)
+def test_its_channel_is_recorded(recorded, name):
+    assert channels_of(recorded) == tuple(INSTRUMENTS)
+    assert np.isfinite(recorded[name]).all()
+    assert recorded[name].any()

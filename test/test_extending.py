@@ -1,0 +1,156 @@
+"""The recipes of docs/extending.md, done to the letter in a copy of the repository: their files, no other by hand."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import attrs
+import pytest
+
+pytest.importorskip("rclpy", reason="no ROS 2 here")
+
+from impact_rig.system import compiled
+from tools.generate import ROOT, generated
+
+PAGE = (ROOT / "docs" / "extending.md").read_text(encoding="utf-8")
+COPIED = ("benchmarks", "config", "docs", "examples", "impact_rig", "launch", "requirements", "test", "tools")
+GENERATED = {str(path.relative_to(ROOT)) for path in generated()}
+
+
+@attrs.frozen
+class Recipe:
+    """One section of the page.
+
+    Attributes:
+        files: what it writes, by path.
+        most: how many files its table allows.
+        common: tests that must take the new thing up by themselves.
+        chosen: which of those and of its own are run here, a `-k` expression.
+        passed: at least so many.
+        seen: generated files, and what must have come to them.
+    """
+
+    title: str
+    most: int
+    common: str
+    chosen: str
+    passed: int
+    seen: dict[str, str]
+
+    @property
+    def files(self) -> dict[str, str]:
+        section = PAGE.partition(f"\n## {self.title}\n")[2].partition("\n## ")[0]
+        return dict(re.findall(r"```\w+ title=(\S+)\n(.*?)```", section, re.DOTALL))
+
+
+RECIPES = (
+    Recipe(
+        "A contact law",
+        2,
+        "test/physics/test_contact_laws.py",
+        "my_law and not 0.6 and not 0.8",
+        12,
+        {
+            "config/nominal.yaml": "lee_wang, my_law, restitution",
+            "docs/physics.md": "| `my_law` | 2(1 − e) | 0.526 |",
+            "docs/interface.md": "lee_wang, my_law, restitution",
+        },
+    ),
+    Recipe(
+        "A contact law of another shape",
+        2,
+        "test/physics/test_contact_laws.py",
+        "linear_hysteretic and not 0.6 and not 0.8",
+        12,
+        {
+            "config/nominal.yaml": "linear_stiffness_n_m: 5000000.0  # N/m",
+            "docs/physics.md": "| `linear_hysteretic` |",
+            "docs/interface.md": "`contact.linear_stiffness_n_m`",
+        },
+    ),
+    Recipe(
+        "An instrument",
+        3,
+        "test/instruments/test_registry.py",
+        "force or optional or folder",
+        7,
+        {
+            "config/nominal.yaml": "force:\n        present: false  # -; assumed: ",
+            "docs/interface.md": "| `barrier_force` | WrenchStamped | rig |",
+        },
+    ),
+    Recipe(
+        "An analysis with a topic",
+        3,
+        "test/nodes/test_interface.py",
+        "rms",
+        3,
+        {"docs/interface.md": "### `acceleration_rms`"},
+    ),
+)
+
+
+@attrs.frozen
+class Copy:
+    """A copy of the repository, as a developer has it."""
+
+    root: Path
+
+    def run(self, *arguments: str) -> str:
+        """Run Python in it; compiled code that is the same is shared with the original."""
+        cache = compiled.Cache(compiled.ROOT).directory
+        environment = {
+            **os.environ,
+            "NUMBA_CACHE_DIR": str(cache.parent) if cache else "",
+            "PYTHONPATH": str(self.root),
+        }
+        done = subprocess.run(
+            [sys.executable, *arguments], cwd=self.root, env=environment, capture_output=True, text=True, check=False
+        )
+        assert done.returncode == 0, f"{' '.join(arguments)}\n{done.stdout[-6000:]}\n{done.stderr[-6000:]}"
+        return done.stdout
+
+    def state(self) -> dict[str, str]:
+        """What is in it: a digest of each file."""
+        files = (path for path in self.root.rglob("*") if path.is_file() and "__pycache__" not in path.parts)
+        return {str(path.relative_to(self.root)): hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
+
+
+@pytest.fixture
+def copy(tmp_path: Path) -> Copy:
+    root = tmp_path / "checkout"
+    for name in COPIED:
+        shutil.copytree(ROOT / name, root / name, ignore=shutil.ignore_patterns("__pycache__"))
+    for path in ROOT.iterdir():
+        if path.is_file() and not path.name.startswith(".coverage"):
+            shutil.copy(path, root)
+    return Copy(root)
+
+
+@pytest.mark.ros
+@pytest.mark.timeout(900)  # in a fresh clone it may be the first to compile
+@pytest.mark.parametrize("recipe", RECIPES, ids=lambda recipe: recipe.title)
+def test_a_recipe_is_the_whole_change(recipe: Recipe, copy: Copy):
+    before = copy.state()
+    for path, content in recipe.files.items():
+        assert not (copy.root / path).exists(), f"{path}: a recipe adds files, it edits none"
+        (copy.root / path).write_text(content, encoding="utf-8")
+    copy.run("-m", "tools.generate")
+    after = copy.state()
+    changed = {path for path in {*before, *after} if before.get(path) != after.get(path)}
+    assert changed - GENERATED == set(recipe.files)
+    assert len(recipe.files) <= recipe.most
+    for path, text in recipe.seen.items():
+        assert text in (copy.root / path).read_text(encoding="utf-8"), path
+    own = [path for path in recipe.files if path.startswith("test/")]
+    assert own, "the recipe has a test of its own"
+    chosen = (*own, recipe.common, "-k", recipe.chosen)
+    ran = copy.run("-m", "pytest", "-q", "-p", "no:cacheprovider", *chosen)
+    assert int(re.findall(r"(\d+) passed", ran)[0]) >= recipe.passed, f"it has not joined the common tests\n{ran}"
+    copy.run("-m", "ruff", "check", *recipe.files)

@@ -1,0 +1,24 @@
+"""What is made from the code is as the code has it."""
+
+from __future__ import annotations
+
+import pytest
+
+pytest.importorskip("rclpy", reason="no ROS 2 here")
+
+from tools.generate import COMMAND, ROOT, TABLES, generated
+
+FILES = generated()
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: path.name)
+def test_a_file_is_what_the_code_makes_of_it(path):
+    assert path.read_text(encoding="utf-8") == FILES[path], f"run `{COMMAND}` and read what has changed"
+
+
+def test_every_table_is_on_one_page():
+    pages = "".join(text for path, text in FILES.items() if path.suffix == ".md")
+    for name in TABLES:
+        assert pages.count(f"<!-- generated: {name} -->") == 1, name
+    assert pages.count("<!-- generated: ") == pages.count("<!-- end -->") == len(TABLES)
+    assert ROOT.joinpath("config", "nominal.yaml") in FILES

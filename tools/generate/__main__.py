@@ -1,0 +1,17 @@
+"""`python -m tools.generate`: rewrite what is not as the code has it, and say which files those were."""
+
+from __future__ import annotations
+
+from tools.generate import ROOT, generated
+
+
+def main() -> None:
+    """Rewrite the generated files."""
+    for path, text in generated().items():
+        if path.read_text(encoding="utf-8") != text:
+            path.write_text(text, encoding="utf-8")
+            print(path.relative_to(ROOT))  # noqa: T201  # what has changed is to be read
+
+
+if __name__ == "__main__":
+    main()
