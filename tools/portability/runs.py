@@ -17,6 +17,7 @@ from impact_rig.blocks import Table
 from impact_rig.physics import contact as contact_laws
 from impact_rig.physics import outcome
 from impact_rig.physics.contact import LAWS, ContactPair
+from impact_rig.physics.contact.compiled_force import compiled_force
 from impact_rig.physics.model import unit_parameters
 from impact_rig.physics.state import PRESS, STATE
 from impact_rig.physics.state import record as state_record
