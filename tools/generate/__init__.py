@@ -1,7 +1,7 @@
 """Write every page and file that is made from the code: `make generate` rewrites them, a test compares them.
 
 In the pages of docs/ the parts between `<!-- generated: NAME -->` and `<!-- end -->` are generated, each by the
-function that `TABLES` names; `config/nominal.yaml` is generated whole.
+function that `TABLES` names; `config/nominal.yaml` and the picture of the house are generated whole.
 """
 
 from __future__ import annotations
@@ -10,12 +10,12 @@ import re
 from collections.abc import Callable
 from pathlib import Path
 
-from tools.generate import interface, laws
+from tools.generate import house, interface, laws
 from tools.generate.nominal import nominal
 
 COMMAND = "make generate"
 ROOT = Path(__file__).parents[2]
-TABLES: dict[str, Callable[[], str]] = {**interface.TABLES, **laws.TABLES}
+TABLES: dict[str, Callable[[], str]] = {**house.TABLES, **interface.TABLES, **laws.TABLES}
 """Name in a page's markers -> its text."""
 
 _SECTION = re.compile(r"(<!-- generated: (?P<name>[\w ]+) -->\n).*?(<!-- end -->)", re.DOTALL)
@@ -34,4 +34,4 @@ def generated() -> dict[Path, str]:
     """Return every file that is generated, in whole or in part, with the text the code wants it to have."""
     texts = {page: page.read_text(encoding="utf-8") for page in sorted((ROOT / "docs").glob("*.md"))}
     pages = {page: rewritten(text) for page, text in texts.items() if _SECTION.search(text)}
-    return {ROOT / "config" / "nominal.yaml": nominal(), **pages}
+    return {ROOT / "config" / "nominal.yaml": nominal(), house.PICTURE: house.picture(), **pages}

@@ -8,7 +8,8 @@ from tools.generate import ROOT, generated
 def main() -> None:
     """Rewrite the generated files."""
     for path, text in generated().items():
-        if path.read_text(encoding="utf-8") != text:
+        if not path.exists() or path.read_text(encoding="utf-8") != text:
+            path.parent.mkdir(exist_ok=True)
             path.write_text(text, encoding="utf-8")
             print(path.relative_to(ROOT))  # noqa: T201  # what has changed is to be read
 
