@@ -18,7 +18,7 @@ EXIT_ERROR = 1
 PROGRAM = "impact-rig"
 FILES = {
     "check": "check", "demo": "demo", "campaign": "campaign", "report": "report", "info": "runs", "recover": "recovery",
-    "export": "runs", "analyze": "runs", "verify": "runs", "replay": "replay", "identify": "identify",
+    "export": "runs", "analyze": "runs", "verify": "runs", "replay": "replay", "identify": "identify", "lab": "lab",
 }  # fmt: skip
 """Subcommand -> the module that has it."""
 

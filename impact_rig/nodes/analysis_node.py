@@ -105,6 +105,13 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
             return Status(Level.WARN, self.state, {})
         counters = tracker.counters
         values = {"transmissibility": self._latest, "gap_m": self.settings.gap_m, **attrs.asdict(counters)}
+        progress = tracker.progress
+        if progress is not None:
+            values |= {
+                "settling_windows": progress.windows,
+                "settling_windows_needed": progress.needed,
+                "settling_remnant": progress.remnant,
+            }
         if self._newest_ns is None:
             return Status(Level.OK, "waiting for daq/scan", values)
         if counters.lost_scans:
