@@ -23,7 +23,7 @@ from typing import Any
 import aiohttp
 import pytest
 
-PATIENCE_S = 60.0
+PATIENCE_S = float(os.environ.get("IMPACT_RIG_PATIENCE", "60"))
 NAMES = ("chromium", "chromium-browser", "google-chrome", "chrome")
 REQUIRED = os.environ.get("IMPACT_RIG_REQUIRE_BROWSER") == "1"
 KEYS = {

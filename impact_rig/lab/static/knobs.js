@@ -21,9 +21,9 @@ export const KNOBS = [
   { name: "current", label: "Current", unit: "A", min: 0, max: 1, step: 0.02, fine: 0.002, factor: 1, marks: [["0.52 A", 0.52]] },
   { name: "gap", label: "Gap", unit: "mm", min: 0, max: 20, step: 1, fine: 0.1, factor: 1e3,
     marks: PAPER_GAPS_MM.map((gap) => [gap ? String(gap) : "none", gap]) },
-  { name: "start", label: "Sphere starts", choices: [] },
-  { name: "law", label: "Contact law", choices: [] },
-  { name: "restitution", label: "Restitution e", unit: "", min: 0.05, max: 1, step: 0.05, fine: 0.01, factor: 1 },
+  { name: "start", label: "Sphere at", choices: [] },
+  { name: "law", label: "Law", choices: [] },
+  { name: "restitution", label: "Restitution", unit: "", min: 0.05, max: 1, step: 0.05, fine: 0.01, factor: 1 },
 ];
 
 export class KnobPanel {
@@ -69,9 +69,15 @@ export class KnobPanel {
     const slider = document.createElement("input");
     Object.assign(slider, { type: "range", min: knob.min, max: knob.max, step: knob.fine });
     slider.setAttribute("aria-label", `${knob.label} slider`);
-    field.addEventListener("change", () => this.turn(knob, field.valueAsNumber));
+    field.addEventListener("input", () => { field.dataset.written = "yes"; });
+    const written = () => { // by Enter, or by leaving the field: once
+      if (!field.dataset.written) return;
+      delete field.dataset.written;
+      this.turn(knob, field.valueAsNumber);
+    };
+    field.addEventListener("change", written);
     field.addEventListener("keydown", (event) => {
-      if (event.key === "Enter") { event.preventDefault(); this.turn(knob, field.valueAsNumber); }
+      if (event.key === "Enter") { event.preventDefault(); written(); }
       if (event.key !== "ArrowUp" && event.key !== "ArrowDown") return;
       event.preventDefault();
       this.nudge(knob.name, (event.key === "ArrowUp" ? 1 : -1) * (event.shiftKey ? 0.1 : 1));
@@ -113,7 +119,9 @@ export class KnobPanel {
     const value = typeof shown === "number" ? Number((shown / (knob.factor ?? 1)).toPrecision(12)) : shown;
     const { id, answer } = this.ask(knob.name, { value });
     this.knobs.ask(knob.name, id);
-    this.boxes[knob.name].field.value = String(shown);
+    const field = this.boxes[knob.name].field;
+    delete field.dataset.written;
+    field.value = String(shown);
     this.refresh();
     const { ok, text } = await answer;
     this.knobs.answer(knob.name, id, ok, text);
@@ -148,7 +156,7 @@ export class KnobPanel {
       if (slider) slider.disabled = this.readOnly;
       for (const button of box.querySelectorAll("button")) button.disabled = this.readOnly;
       const value = this.values[knob.name];
-      if (!this.knobs.follows(knob.name) || value === null || value === undefined) continue;
+      if (!this.knobs.follows(knob.name) || field.dataset.written || value === null || value === undefined) continue;
       const shown = typeof value === "number" ? String(Number((value * (knob.factor ?? 1)).toPrecision(6))) : value;
       if (document.activeElement !== field || field.dataset.shown !== shown) field.value = shown;
       field.dataset.shown = shown;
