@@ -46,10 +46,11 @@ class Browser:
 
     def __init__(self) -> None:
         self._directory = tempfile.mkdtemp(prefix="impact_rig_browser_")
-        self._log = Path(self._directory, "log").open("wb")
+        self._log = Path(self._directory, "log").open("wb")  # noqa: SIM115  # for as long as the process runs
         self._process = subprocess.Popen(
             [
-                chromium(), "--headless=new", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage", "--no-first-run",
+                chromium(), "--headless=new", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage",
+                "--no-first-run",
                 "--disable-extensions", "--disable-background-networking", "--disable-component-update",
                 "--disable-background-timer-throttling", "--disable-renderer-backgrounding",
                 "--disable-backgrounding-occluded-windows", "--remote-debugging-port=0",
@@ -197,7 +198,11 @@ class Page:
     def key(self, key: str, shift: bool = False) -> None:
         """Press a key."""
         text = {"text": "\r"} if key == "Enter" else {"text": key} if len(key) == 1 else {}
-        common = {"key": key, "windowsVirtualKeyCode": KEYS.get(key, ord(key.upper()[0])), "modifiers": 8 if shift else 0}
+        common = {
+            "key": key,
+            "windowsVirtualKeyCode": KEYS.get(key, ord(key.upper()[0])),
+            "modifiers": 8 if shift else 0,
+        }
         self.call("Input.dispatchKeyEvent", type="keyDown", **common, **text)
         self.call("Input.dispatchKeyEvent", type="keyUp", **common)
 

@@ -153,7 +153,9 @@ def test_a_refusal_stands_beside_its_knob_in_the_rigs_words(lab: Lab, page: Page
     page.wait("document.querySelector('.knob.refused .words')?.textContent.includes('got 900')", "the refusal")
     assert page.js("lab.now.applied.frequency") == before
     page.write("#knob-restitution", "7")
-    page.wait("[...document.querySelectorAll('.words')].some(e => e.textContent.includes('contact.restitution'))", "why")
+    page.wait(
+        "[...document.querySelectorAll('.words')].some(e => e.textContent.includes('contact.restitution'))", "why"
+    )
     lab.parameter("rig", "contact.restitution", 0.35)
 
 

@@ -44,7 +44,9 @@ def seek(page: Page, seconds: float) -> None:
     )
 
 
-def test_play_pause_jump_and_step_to_the_next_impact(shown: Callable[..., Server], open_page: Callable[..., Page]) -> None:
+def test_play_pause_jump_and_step_to_the_next_impact(
+    shown: Callable[..., Server], open_page: Callable[..., Page]
+) -> None:
     page = open_page(shown().address)
     page.wait("window.lab && lab.drawn.pictures > 2", "the first traces")
     page.click("#play")
@@ -90,7 +92,9 @@ def test_two_runs_side_by_side(
     assert "sample and other" in page.text("#sentence")
 
 
-def test_a_run_that_was_cut_short(shown: Callable[..., Server], open_page: Callable[..., Page], sample: Path, tmp_path: Path) -> None:
+def test_a_run_that_was_cut_short(
+    shown: Callable[..., Server], open_page: Callable[..., Page], sample: Path, tmp_path: Path
+) -> None:
     broken = tmp_path / "broken"
     broken.mkdir()
     (whole,) = sample.glob("*.mcap")

@@ -28,7 +28,7 @@ export class CurveView {
     const axis = { stroke: colour("soft"), grid: { stroke: colour("line"), width: 1 }, ticks: { show: false }, font: "10.5px system-ui" };
     this.plot = new uPlot({
       width: Math.max(50, this.place.clientWidth), height: Math.max(100, this.place.clientHeight), legend: { show: false },
-      padding: [8, 8, 0, 0], cursor: { drag: { x: false, y: false }, points: { show: false } },
+      padding: [8, 16, 0, 0], cursor: { drag: { x: false, y: false }, points: { show: false } },
       scales: { x: { time: false, range: () => this.frequencies() }, y: { distr: 3, range: () => [1, 200] } },
       axes: [{ ...axis, size: 24, values: (_, all) => all.map((v) => `${v} Hz`) }, { ...axis, size: 34 }],
       series: [{}, { stroke: colour("soft"), width: 1, dash: [5, 4], points: { show: false } }],

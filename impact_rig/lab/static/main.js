@@ -9,7 +9,7 @@ import { Link } from "./link.js";
 import { Clock, Motion } from "./motion.js";
 import { forgetColours } from "./paper.js";
 import { Player } from "./player.js";
-import { drawPhase, drawRig } from "./rigview.js";
+import { drawPhase, drawRig, GLOW_S } from "./rigview.js";
 import { ScopeView } from "./scopeview.js";
 import { SpectrumView } from "./spectrumview.js";
 import { status } from "./store.js";
@@ -271,7 +271,10 @@ function frame(at) {
     instant = slow.time;
     setText("rig-note", `slow motion, ${fixed(motion.newest - instant, 1)} s ago`);
   } else setText("rig-note", speed > 1.5 ? `at × ${fixed(speed, 0)}` : "");
-  if (!calm.matches || at - drawn.phaseAt > 500) drawRig(byId("rig-canvas"), motion.at(instant, rigKnobs.gap), rigKnobs, (wall) => motion.flash(instant, wall, 0.12 * Math.max(slow.factor, 0.05)));
+  if (!calm.matches || at - drawn.phaseAt > 500) {
+    const calmer = Math.max(slow.factor, 0.05);
+    drawRig(byId("rig-canvas"), motion.at(instant, rigKnobs.gap), rigKnobs, (wall) => motion.flash(instant, wall, GLOW_S * calmer), calmer);
+  }
   if (at - drawn.phaseAt > (calm.matches ? 1000 : 100)) {
     drawn.phaseAt = at;
     if (byId("phase").offsetParent) drawPhase(byId("phase-canvas"), motion, Math.min(motion.newest, instant + 0.05), rigKnobs, 0.6);

@@ -5,7 +5,7 @@ import { colour, paper } from "./paper.js";
 
 const BASE_ENLARGED = 20;
 const SPHERE_M = 6.35e-3;
-const GLOW_S = 0.12;
+export const GLOW_S = 0.06;
 
 /**
  * Draw one instant.
@@ -13,14 +13,15 @@ const GLOW_S = 0.12;
  * @param {{base: number, structure: number, sphere: number} | null} at positions [m]
  * @param {{gap: number, present: boolean}} knobs
  * @param {(wall: number) => {force: number, age: number} | null} flash
+ * @param {number} [pace] how much shorter walls glow in slow motion
  */
-export function drawRig(canvas, at, knobs, flash) {
+export function drawRig(canvas, at, knobs, flash, pace = 1) {
   const { g, w, h } = paper(canvas);
   if (w < 10) return;
   const gap = knobs.present ? knobs.gap : 0.006;
   const inner = gap + SPHERE_M;
   const scale = Math.min(w / (inner + 0.034), h * 0.34 / SPHERE_M); // pixels per metre
-  const middle = w / 2, floor = h - 22, deck = Math.round(h * 0.56);
+  const middle = w / 2, floor = h - 22, deck = Math.round(h * 0.5);
   const base = middle + (at ? at.base : 0) * BASE_ENLARGED * scale;
   const top = middle + (at ? at.structure : 0) * scale;
   const plate = (inner + 0.012) * scale;
@@ -45,16 +46,19 @@ export function drawRig(canvas, at, knobs, flash) {
   const high = SPHERE_M * scale * 1.15;
   for (const wall of [-1, 1]) {
     const hit = knobs.present ? flash(wall) : null;
-    const glow = hit ? 1 - hit.age / GLOW_S : 0;
-    g.fillStyle = glow > 0 ? colour("hot") : colour("steel");
+    const glow = hit ? 1 - hit.age / (GLOW_S * pace) : 0;
+    g.fillStyle = colour("steel");
     const thick = 0.0045 * scale;
     const x = top + wall * (inner / 2) * scale;
     g.fillRect(wall < 0 ? x - thick : x, deck - high, thick, high);
     if (hit && glow > 0) {
       g.fillStyle = colour("hot");
+      g.globalAlpha = Math.min(1, 0.25 + glow);
+      g.fillRect(wall < 0 ? x - thick : x, deck - high, thick, high);
       g.font = "600 12px system-ui, sans-serif";
       g.textAlign = wall < 0 ? "right" : "left";
       g.fillText(engineering(hit.force, "N"), x + wall * (thick + 6), deck - high + 10);
+      g.globalAlpha = 1;
     }
   }
   if (knobs.present) sphere(g, middle + (at ? at.sphere : 0) * scale, deck - SPHERE_M / 2 * scale, SPHERE_M / 2 * scale);
