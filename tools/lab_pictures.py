@@ -97,6 +97,7 @@ def playback(browser: Browser, directory: Path) -> None:
 
 def picture(page: Page, name: str) -> None:
     """Take a picture when everything has been drawn."""
+    page.js("document.activeElement.blur()")
     page.js("new Promise(done => setTimeout(done, 400))")
     page.picture(IMAGES / f"{name}.png")
     Image.open(IMAGES / f"{name}.png").convert("P", palette=Image.Palette.ADAPTIVE, colors=128).save(

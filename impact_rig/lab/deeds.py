@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable, Generator, Mapping
 from typing import Any, Protocol  # messages and values of parameters
 
@@ -13,6 +14,8 @@ from impact_rig.lab.tasks import Refused, Steps, Waiting
 ANSWER_S = 10.0
 ECHO_S = 4.0
 START_S = 60.0
+AGAIN_S, ATTEMPTS = 0.5, 20
+"""How often a node that has just been started is asked to begin."""
 PLANNED = "instruments.faults.planned"
 MOST_FAULTS = 16
 SWEEPER = "stepped_sine"
@@ -126,7 +129,8 @@ def _pause(hands: Hands, values: Mapping[str, Any]) -> Steps:
 
 
 def _sweep(hands: Hands, values: Mapping[str, Any]) -> Steps:
-    if hands.start_process(SWEEPER):
+    was_there = not hands.start_process(SWEEPER)
+    if not was_there:
         yield Waiting(lambda: hands.heard_of(SWEEPER) or None, f"the node {SWEEPER}", START_S)
     plan = {
         "frequencies_hz": list(values["frequencies"]),
@@ -134,7 +138,16 @@ def _sweep(hands: Hands, values: Mapping[str, Any]) -> Steps:
         "current_a": hands.current_a or 0.52,
     }
     yield from hands.set_parameters(SWEEPER, plan)
-    return (yield from hands.trigger(f"{SWEEPER}/start"))
+    attempts = 1 if was_there else ATTEMPTS
+    while True:
+        attempts -= 1
+        try:
+            return str((yield from hands.trigger(f"{SWEEPER}/start")))
+        except Refused:  # a node that has just begun has not heard of the rig yet
+            if not attempts:
+                raise
+        again = time.monotonic() + AGAIN_S
+        yield Waiting(lambda again=again: time.monotonic() > again or None, "a moment", START_S)  # type: ignore[misc]
 
 
 def _fault(hands: Hands, values: Mapping[str, Any]) -> Steps:

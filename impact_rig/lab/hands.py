@@ -148,7 +148,7 @@ class Hands:
             raise Refused(f"there is no node {node}: start it beside the rig (ros2 run impact_rig {node}_node)")
         if node in own.processes.running:
             own.processes.stop(node)
-        own.processes.start(node, own.parameters.get(node, {}))
+        self._source.start_node(node)
         return True
 
     def restart(self) -> str:
@@ -162,7 +162,7 @@ class Hands:
         for name in ended:
             own.processes.stop(name)
             self._source.client.diagnostics.pop(name, None)
-            own.processes.start(name, own.parameters.get(name, {}))
+            self._source.start_node(name)
         self._source.compiled = None
         return f"started again: {', '.join(ended)}"
 

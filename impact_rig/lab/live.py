@@ -11,6 +11,7 @@ import queue
 import threading
 import time
 from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any  # rclpy handles; what parameters may be
 
@@ -24,11 +25,15 @@ from impact_rig.lab.motion import Motion
 from impact_rig.lab.parts import figure
 from impact_rig.lab.protocol import Request
 from impact_rig.lab.scope import Scope
-from impact_rig.lab.source import Answer, Snapshot
+from impact_rig.lab.source import Answer, Snapshot, be_gentle
 from impact_rig.lab.tasks import Steps, Tasks
 
-LOOK_S = 0.025
+LOOK_S = 0.02
 """Between two looks at the data while a page is open."""
+GLANCE_S = 0.15
+"""The same while rig time runs ahead of ours: nobody sees every cycle, and rig and analysis need the machine."""
+AHEAD = 1.5
+"""Speed from which on that is so."""
 IDLE_S = 0.2
 STATE_S = 0.1
 SLOW_S = 0.5
@@ -65,6 +70,7 @@ class LiveSource:
         self._asked: queue.SimpleQueue[tuple[Request, Answer]] = queue.SimpleQueue()
         self._watchers = 0
         self._end = threading.Event()
+        self._starter = ThreadPoolExecutor(1, thread_name_prefix="lab-starter")
         self._tasks = Tasks()
         self.ears: Any = None
         self.client: Any = None
@@ -119,12 +125,14 @@ class LiveSource:
 
     def start(self) -> None:
         """Begin."""
+        self._starter.submit(time.monotonic).result()  # begins the thread
         self._thread.start()
 
     def close(self) -> None:
         """End, and leave the graph."""
         self._end.set()
         self._thread.join()
+        self._starter.shutdown()
 
     def __enter__(self) -> LiveSource:
         self.start()
@@ -137,8 +145,9 @@ class LiveSource:
 
     def _run(self) -> None:
         if self.own is not None:
-            for node, parameters in self.own.parameters.items():
-                self.own.processes.start(node, parameters)
+            for node in self.own.parameters:
+                self.start_node(node)
+        be_gentle()
         try:
             while not self._end.is_set():
                 self.wanted_namespace = None
@@ -190,7 +199,7 @@ class LiveSource:
         while not self._end.is_set() and self.wanted_namespace is None:
             now = time.monotonic()
             if now >= look_at:
-                look_at = now + (LOOK_S if self._watchers else IDLE_S)
+                look_at = now + self._until_next_look()
                 self._take_requests()
                 self._tasks.work()
                 if self.ears is not None:
@@ -205,6 +214,16 @@ class LiveSource:
             executor.spin_once(timeout_sec=max(0.0, min(look_at, state_at) - time.monotonic()))
         if self.wanted_namespace is not None:
             self._namespace = self.wanted_namespace
+
+    def _until_next_look(self) -> float:
+        if not self._watchers:
+            return IDLE_S
+        return GLANCE_S if self._rate[2] > AHEAD and not len(self._tasks) else LOOK_S
+
+    def start_node(self, node: str) -> None:
+        """Start a process, in a thread that is not as gentle as this source's own."""
+        assert self.own is not None
+        self._starter.submit(self.own.processes.start, node, self.own.parameters.get(node, {})).result()
 
     def _take_requests(self) -> None:
         while not self._asked.empty():

@@ -70,6 +70,8 @@ class Reel:
         self._next: Message | None = None
         self._names = [name for name in DRAWN if self._has(name)]
         self._end = threading.Event()
+        self._quiet = threading.Event()
+        self._quiet.set()
         self._marker = threading.Thread(target=self._mark, name="lab-marks", daemon=True)
 
     def _open(self, path: Path, stack: contextlib.ExitStack) -> Run:
@@ -114,6 +116,13 @@ class Reel:
 
     def jump(self, time_s: float) -> None:
         """Fill the rings with what came before an instant."""
+        self._quiet.clear()
+        try:
+            self._fill(time_s)
+        finally:
+            self._quiet.set()
+
+    def _fill(self, time_s: float) -> None:
         self._stop_reading()
         self.scope.clear()
         self.motion = Motion()
@@ -156,6 +165,7 @@ class Reel:
         names = [name for name in RARE if self._has(name)]
         try:
             for message in self._run.messages(names):
+                self._quiet.wait()  # a jump comes first
                 if self._end.is_set():
                     return
                 with contextlib.suppress(CodecError, ValueError, KeyError):

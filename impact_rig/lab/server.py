@@ -20,7 +20,7 @@ from aiohttp import web
 from impact_rig.errors import ImpactRigError
 from impact_rig.lab import protocol
 from impact_rig.lab.session import Session
-from impact_rig.lab.source import Source
+from impact_rig.lab.source import Source, be_gentle
 
 Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 STATIC = Path(__file__).parent / "static"
@@ -133,6 +133,7 @@ class Server:
         self.close()
 
     def _run(self) -> None:
+        be_gentle()
         with asyncio.Runner() as runner:
             runner.run(self._serve())
 

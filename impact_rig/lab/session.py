@@ -16,8 +16,10 @@ from impact_rig.lab.protocol import Kind, Request, RequestError
 from impact_rig.lab.scope import Scope, Trace, spectrum
 from impact_rig.lab.source import Source
 
-FASTEST_HZ = 40.0
+FASTEST_HZ = 60.0
 """Pictures per second, at most."""
+MOST_UNDRAWN = 2
+"""Pictures on their way to a page: one is drawn while the next travels."""
 SPECTRUM_S = 0.25
 """Between two spectra."""
 SPECTRUM_SPAN_S = 2.0
@@ -65,6 +67,8 @@ class Session:
     async def _listen(self) -> None:
         bad = 0
         async for message in self._socket:
+            if message.type is WSMsgType.ERROR:
+                return  # too long, or no WebSocket's: the connection is closed
             if message.type is not WSMsgType.TEXT:
                 self._refuse("binary")
                 bad += 1
@@ -113,7 +117,7 @@ class Session:
             if now - self._state_at >= STATE_S:
                 self._state_at = now
                 await self._send_state()
-            if self._frame > self._acknowledged and now - self._sent_at < PATIENCE_S:
+            if self._frame - self._acknowledged >= MOST_UNDRAWN and now - self._sent_at < PATIENCE_S:
                 continue
             frames = self._picture(now)
             if frames:

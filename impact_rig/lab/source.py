@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import threading
 from collections.abc import Callable, Mapping
 from typing import Any, Protocol  # Any: what the snapshot holds goes to JSON
@@ -12,6 +13,16 @@ from impact_rig.lab.scope import Scope
 
 Answer = Callable[[bool, str], None]
 """Tells the page whether what it asked for was done, and in which words; may be called from any thread, once."""
+
+
+GENTLE = 10
+"""Priority (nice) of the lab's threads: on a busy machine pictures are late, not blocks."""
+
+
+def be_gentle() -> None:
+    """Lower the priority of the calling thread, and of those it will begin."""
+    thread = threading.get_native_id()
+    os.setpriority(os.PRIO_PROCESS, thread, max(GENTLE, os.getpriority(os.PRIO_PROCESS, thread)))
 
 
 class Snapshot:

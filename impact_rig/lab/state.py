@@ -54,7 +54,10 @@ def judge(heard: Heard) -> tuple[str, str]:
         return "starting", f"Not running yet: {message}."
     latched = figures.get("latched", "")
     if latched or heard.tripped:
-        return "tripped", f"The shaker is latched by {latched or heard.tripped}; its current is zero."
+        return (
+            "tripped",
+            f"The shaker is latched by {(latched or heard.tripped).replace('_', '-')}; its current is zero.",
+        )
     if "silent for" in message or "waiting for peer" in message or "other publishers" in message:
         return "silent", message[:1].upper() + message[1:] + "."
     if "paused" in message:
@@ -63,11 +66,10 @@ def judge(heard: Heard) -> tuple[str, str]:
         return "plucked", "Base locked, structure swings freely; reset unlocks it."
     if float(figures.get("current_a", "0") or 0) == 0.0:
         return "at rest", "The shaker is at rest: press R for 9.1 Hz, 0.52 A."
-    if heard.level >= 1:
-        return ("driving" if heard.settled else "settling"), message[:1].upper() + message[1:] + "."
+    aside = f" ({message})" if heard.level >= 1 else ""
     if heard.settled:
-        return "driving", "Settled: the measurement below holds."
-    return "settling", "Waiting until the transient has died."
+        return "driving", f"Settled: the measurement below holds.{aside}"
+    return "settling", f"Waiting until the transient has died.{aside}"
 
 
 def _compiling(heard: Heard) -> tuple[str, str]:

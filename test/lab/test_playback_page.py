@@ -89,7 +89,7 @@ def test_two_runs_side_by_side(
     seek(page, 12.0)
     page.wait("lab.scope.other && lab.drawn.pictures > 2", "traces of both")
     page.wait("lab.now.dt_b?.length > 0 && lab.now.dt.length === lab.now.dt_b.length", "measurements of both")
-    assert "sample and other" in page.text("#sentence")
+    assert "sample and other" in page.js("lab.now.rig.text")
 
 
 def test_a_run_that_was_cut_short(
@@ -100,7 +100,7 @@ def test_a_run_that_was_cut_short(
     (whole,) = sample.glob("*.mcap")
     (broken / "run.mcap").write_bytes(whole.read_bytes()[: whole.stat().st_size * 2 // 3])
     page = open_page(shown(broken).address)
-    page.wait("document.getElementById('sentence').textContent.includes('cut short')", "the words about it")
+    page.wait("window.lab && lab.now.rig?.text.includes('cut short')", "the words about it")
     page.wait("lab.drawn.pictures > 2", "what is whole")
     assert 5.0 < page.js("lab.now.playback.end") < 20.0
 

@@ -23,7 +23,7 @@ const motion = new Motion();
 const pace = new Clock(0.12);
 const detected = [];
 const slow = { factor: 1, time: NaN };
-const drawn = { trace: null, number: 0, other: null, epoch: -1, pictures: 0, script: 0, last: 0, phaseAt: 0 };
+const drawn = { trace: null, number: 0, other: null, epoch: -1, pictures: 0, script: 0, last: 0, phaseAt: 0, rigAt: 0 };
 const calm = matchMedia("(prefers-reduced-motion: reduce)");
 
 const link = new Link(onFrame, onConnection);
@@ -109,7 +109,7 @@ const SHOW = {
   sweep: (sweep) => setText("sweep-text", sweep.text || "not started"),
   recorder: (recorder) => {
     const size = recorder.megabytes ? ` ${fixed(recorder.megabytes, 1)} MB` : "";
-    setText("recording", recorder.name ? `● ${recorder.name}${size}` : recorder.there ? "off" : "no recorder");
+    setText("recording", now.mode === "playback" ? recorder.name : recorder.name ? `● ${recorder.name}${size}` : recorder.there ? "off" : "no recorder");
     byId("recording").classList.toggle("bad", recorder.level >= 2);
     byId("record").textContent = recorder.name ? "Stop recording" : "Record";
     byId("record").setAttribute("aria-pressed", String(Boolean(recorder.name)));
@@ -128,7 +128,8 @@ const SHOW = {
     for (const id of ["run", "rest", "pause", "reset", "pluck", "clear", "record", "sweep-start", "sweep-stop", "fault-start", "fault-clear", "note", "stop"]) {
       byId(id).disabled = !live;
     }
-    byId("knobs").classList.toggle("recorded", !live);
+    byId("knobs").querySelector("h2").textContent = live ? "Knobs" : "Knobs, as recorded";
+    byId("record").hidden = byId("note-form").hidden = byId("sweeping").hidden = byId("faulting").hidden = !live;
     byId("player").hidden = live;
   },
 };
@@ -141,14 +142,14 @@ function showStatus() {
   document.body.classList.toggle("stale", said.stale);
   setText("lamp", said.lamp);
   setText("word", said.word);
-  setText("sentence", said.text);
-  byId("sentence").title = said.text;
   const rig = now.rig ?? {};
   setText("time", said.stale || rig.time === null ? "–" : clock(now.playback ? now.playback.now : rig.time));
   setText("speed", said.stale || rig.speed === undefined ? "–" : `× ${fixed(rig.speed, rig.speed >= 10 ? 0 : 2)}`);
   byId("pause").setAttribute("aria-pressed", String(said.word === "paused"));
   byId("pause").textContent = said.word === "paused" ? "Go on" : "Pause";
-  showNotice(said);
+  const noticed = showNotice(said);
+  setText("sentence", noticed ? "" : said.text);
+  byId("sentence").title = said.text;
 }
 
 function showNotice(said) {
@@ -169,11 +170,11 @@ function showNotice(said) {
   const shown = buttons.length > 0 || bad;
   byId("notice").hidden = !shown;
   byId("notice").classList.toggle("bad", bad);
-  if (!shown) return;
+  if (!shown) return false;
   const seen = said.word === "dead" && rig.age ? ` Last seen ${rig.age} s ago; what you see is from then.` : "";
   setText("notice-text", said.text + seen);
   const place = byId("notice-buttons"), names = buttons.map(([name]) => name).join();
-  if (place.dataset.names === names) return;
+  if (place.dataset.names === names) return true;
   place.dataset.names = names;
   place.replaceChildren(...buttons.map(([name, run]) => {
     const button = document.createElement("button");
@@ -181,6 +182,7 @@ function showNotice(said) {
     button.addEventListener("click", run);
     return button;
   }));
+  return true;
 }
 
 const gapNow = () => (now.knobs?.["sphere.present"] ? now.knobs["barriers.gap_m"] : now.knobs ? 0 : null);
@@ -190,6 +192,8 @@ function showDt() {
   const moving = ["settling", "driving"].includes(settling.word);
   const changed = settling.word === "settling";
   const row = rows[rows.length - 1];
+  const old = Boolean(row) && settling.word !== "driving";
+  byId("dt-value").classList.toggle("old", old);
   const [value, u] = row && !changed ? withUncertainty(row.dt, row.u) : ["–", ""];
   setText("dt-number", value);
   setText("dt-u", u ? `${u} (2u)` : "");
@@ -202,7 +206,7 @@ function showDt() {
   }
   const none = row && !changed && row.ipc === 0 && row.gap ? "no impacts at this gap" : "";
   const more = row && !changed ? {
-    at: `${fixed(row.f, 3)} Hz`, phase: `${fixed(row.phase, 1)}°`, regime: none || row.regime,
+    [old ? "last, at" : "at"]: `${fixed(row.f, 3)} Hz`, phase: `${fixed(row.phase, 1)}°`, regime: none || row.regime,
     "impacts per cycle": fixed(row.ipc, 2), "|X₁|": `${fixed(row.x1 * 1e3, 3)} mm`, "|X_b|": `${fixed(row.xb * 1e6, 1)} µm`,
   } : {};
   const list = byId("dt-more");
@@ -271,11 +275,13 @@ function frame(at) {
     instant = slow.time;
     setText("rig-note", `slow motion, ${fixed(motion.newest - instant, 1)} s ago`);
   } else setText("rig-note", speed > 1.5 ? `at × ${fixed(speed, 0)}` : "");
-  if (!calm.matches || at - drawn.phaseAt > 500) {
+  const hurried = speed > 1.5; // rig time runs ahead of ours: the machine is needed elsewhere
+  if (at - drawn.rigAt > (calm.matches ? 500 : hurried && slow.factor === 1 ? 100 : 0)) {
+    drawn.rigAt = at;
     const calmer = Math.max(slow.factor, 0.05);
     drawRig(byId("rig-canvas"), motion.at(instant, rigKnobs.gap), rigKnobs, (wall) => motion.flash(instant, wall, GLOW_S * calmer), calmer);
   }
-  if (at - drawn.phaseAt > (calm.matches ? 1000 : 100)) {
+  if (at - drawn.phaseAt > (calm.matches ? 1000 : hurried ? 400 : 100)) {
     drawn.phaseAt = at;
     if (byId("phase").offsetParent) drawPhase(byId("phase-canvas"), motion, Math.min(motion.newest, instant + 0.05), rigKnobs, 0.6);
   }

@@ -32,7 +32,7 @@ export class ScopeView {
       const axis = { stroke: colour("soft"), grid: { stroke: colour("line"), width: 1 }, ticks: { show: false }, font: "10.5px system-ui" };
       return new uPlot({
         width: Math.max(50, box.clientWidth), height: Math.max(40, box.clientHeight), pxAlign: false, legend: { show: false },
-        padding: [6, 16, 0, 0],
+        padding: [6, 22, 0, 0],
         cursor: { sync: { key: "scope" }, drag: { x: false, y: false }, points: { show: false } },
         scales: { x: { time: false, range: () => [0, this.span()] }, y: { range: () => this.ranges[number] ?? [-1, 1] } },
         axes: [

@@ -26,7 +26,7 @@ export class SpectrumView {
     const value = (v) => (this.db ? `${v}` : engineering(v, UNITS[this.channel]));
     this.plot = new uPlot({
       width: Math.max(50, this.place.clientWidth), height: Math.max(50, this.place.clientHeight), legend: { show: false },
-      padding: [6, 18, 0, 0], cursor: { drag: { x: false, y: false }, points: { show: false } },
+      padding: [6, 22, 0, 0], cursor: { drag: { x: false, y: false }, points: { show: false } },
       scales: { x: { time: false, range: () => [0, this.top] }, y: { range: () => this.range ?? [0, 1] } },
       axes: [{ ...axis, size: 22, values: (_, all) => all.map((v) => `${v} Hz`) }, { ...axis, size: 58, values: (_, all) => all.map(value), space: 24 }],
       series: [{}, { stroke: colour("trace"), width: 1, points: { show: false } }],
