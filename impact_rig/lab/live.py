@@ -30,7 +30,7 @@ from impact_rig.lab.tasks import Steps, Tasks
 
 LOOK_S = 0.02
 """Between two looks at the data while a page is open."""
-GLANCE_S = 0.15
+GLANCE_S = 0.25
 """The same while rig time runs ahead of ours: nobody sees every cycle, and rig and analysis need the machine."""
 AHEAD = 1.5
 """Speed from which on that is so."""
@@ -206,7 +206,7 @@ class LiveSource:
                     self.ears.listen(self._watchers > 0)
                     self.ears.look()
             if now >= state_at:
-                state_at = now + (STATE_S if self._watchers else SLOW_S)
+                state_at = now + (STATE_S if self._watchers and self._rate[2] <= AHEAD else SLOW_S)
                 self.tell()
             if now >= slow_at:
                 slow_at = now + SLOW_S

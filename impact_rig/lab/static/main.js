@@ -249,8 +249,11 @@ function showJournal(lines) {
 
 // Drawing
 
+const hurries = () => (now.rig?.speed ?? 1) > 1.5; // rig time runs ahead of ours: the machine is needed elsewhere
+
 function frame(at) {
-  requestAnimationFrame(frame);
+  if (hurries() && now.mode === "live" && slow.factor === 1) setTimeout(() => requestAnimationFrame(frame), 200);
+  else requestAnimationFrame(frame);
   const began = performance.now();
   const dt = Math.min(0.25, (at - (drawn.last || at)) / 1000);
   drawn.last = at;
@@ -275,8 +278,8 @@ function frame(at) {
     instant = slow.time;
     setText("rig-note", `slow motion, ${fixed(motion.newest - instant, 1)} s ago`);
   } else setText("rig-note", speed > 1.5 ? `at × ${fixed(speed, 0)}` : "");
-  const hurried = speed > 1.5; // rig time runs ahead of ours: the machine is needed elsewhere
-  if (at - drawn.rigAt > (calm.matches ? 500 : hurried && slow.factor === 1 ? 100 : 0)) {
+  const hurried = hurries();
+  if (at - drawn.rigAt > (calm.matches ? 500 : 0)) {
     drawn.rigAt = at;
     const calmer = Math.max(slow.factor, 0.05);
     drawRig(byId("rig-canvas"), motion.at(instant, rigKnobs.gap), rigKnobs, (wall) => motion.flash(instant, wall, GLOW_S * calmer), calmer);
