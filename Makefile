@@ -57,11 +57,14 @@ $(PACKAGE): $(ENVIRONMENT) setup.py setup.cfg package.xml
 	@touch $@
 
 # --- Targets ----------------------------------------------------------------------------------------------------------
-.PHONY: help demo campaign test lint generate format bench fuzz portability soak colcon venv lock clean
+.PHONY: help lab demo campaign test lint generate format bench fuzz portability soak colcon venv lock clean
 
 help: ## print this list
 	@echo 'impact_rig: make TARGET, where TARGET is one of'
 	@sed -nE 's/^([a-z]+):[^#]*## (.*)/  \1\t\2/p' $(firstword $(MAKEFILE_LIST)) | expand -t 14
+
+lab: $(PACKAGE) ## see the rig move and turn its knobs, live, in the browser; ARGS=--sample plays back a short run
+	@$(VENV)/bin/impact-rig lab $(ARGS)
 
 demo: $(PACKAGE) ## run the rig, measure the paper's five reductions through its topics, print and draw them
 	@$(VENV)/bin/impact-rig demo $(ARGS)
@@ -92,6 +95,8 @@ lint: $(PACKAGE) ## check style, types and layers
 	@$(VENV)/bin/ruff format --check .
 	@$(VENV)/bin/mypy
 	@$(VENV)/bin/lint-imports
+	@if command -v node >/dev/null; then for file in impact_rig/lab/static/*.js; do \
+	    node --check --input-type=module < $$file || exit 1; done; fi
 
 generate: $(PACKAGE) ## rewrite the pages and files that are made from the code
 	@$(VENV)/bin/python -m tools.generate

@@ -32,7 +32,7 @@ setup(
     maintainer=MAINTAINER.text,
     maintainer_email=MAINTAINER.get("email"),
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
-    package_data={NAME: ["py.typed"]},
+    package_data={NAME: ["py.typed", "lab/static/*"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
@@ -59,6 +59,7 @@ setup(
     extras_require={
         # for machines without an apt-installed ROS 2 only: never mix the two, so these are never a requirement
         "wheels": [*ROS_WHEELS, "pytest"],  # pytest: see docs/testing.md
+        "lab": ["aiohttp>=3.9", "uplot-python>=1.1"],  # `impact-rig lab`; 3.9 is that of Ubuntu 24.04
         "cluster": ["distributed>=2024.1"],  # `impact-rig campaign --through dask`
         "test": ["hypothesis", "pytest", "pytest-timeout"],  # also how `colcon test` knows to run pytest
     },
@@ -71,6 +72,7 @@ setup(
             "rig_node = impact_rig.nodes.__main__:rig",
             "analysis_node = impact_rig.nodes.__main__:analysis",
             "recorder_node = impact_rig.nodes.__main__:recorder",
+            "lab_node = impact_rig.lab.node:main",
             "stepped_sine_node = impact_rig.nodes.__main__:stepped_sine",
         ],
     },

@@ -11,7 +11,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-PARTS = ("physics", "instruments", "analysis", "recording", "campaign", "live")
+PARTS = ("physics", "instruments", "analysis", "recording", "campaign", "live", "lab")
 RESULTS = Path("build") / "bench.json"
 
 

@@ -5,6 +5,7 @@ Examples:
     ros2 launch impact_rig rig.launch.py mode:=freewheel config:=/path/to/mine.yaml record:=false
     ros2 launch impact_rig rig.launch.py namespace:=rig2 clock:=/clock
     ros2 launch impact_rig rig.launch.py mode:=stepped peers:=analysis,recorder,my_controller
+    ros2 launch impact_rig rig.launch.py lab:=true
     ros2 launch impact_rig rig.launch.py --show-args
 """
 
@@ -22,7 +23,7 @@ from impact_rig.system.endings import PARENT_VARIABLE
 
 
 def start_nodes(context: LaunchContext) -> list[Node]:
-    """Return the three nodes; a file or an argument that cannot be is refused before anything starts."""
+    """Return the nodes; a file or an argument that cannot be is refused before anything starts."""
     path = LaunchConfiguration("config").perform(context)
     mode = LaunchConfiguration("mode").perform(context)
     factor = LaunchConfiguration("factor").perform(context)
@@ -52,7 +53,9 @@ def start_nodes(context: LaunchContext) -> list[Node]:
         "ros_arguments": ["--log-level", LaunchConfiguration("log_level")],
         "sigterm_timeout": "15",  # seconds after Ctrl-C in which a run's file is finished
     }
+    lab = LaunchConfiguration("lab").perform(context) == "true"
     return [
+        *([Node(executable="lab_node", name="lab", **common)] if lab else []),
         Node(
             executable="rig_node",
             name="rig",
@@ -119,6 +122,12 @@ def generate_launch_description() -> LaunchDescription:
             ),
             DeclareLaunchArgument(
                 "record_directory", default_value="runs", description="Where run directories are made."
+            ),
+            DeclareLaunchArgument(
+                "lab",
+                default_value="false",
+                choices=["true", "false"],
+                description="Serve the page of the live laboratory; its address is printed.",
             ),
             DeclareLaunchArgument(
                 "log_level",

@@ -39,6 +39,21 @@ def window_cycles(frequency_hz: float, settings: TrackerSettings) -> int:
     return CYCLE_MULTIPLE * max(1, math.ceil(settings.window_s * frequency_hz / CYCLE_MULTIPLE))
 
 
+@attrs.frozen
+class Progress:
+    """How far a first measurement is.
+
+    Attributes:
+        windows: taken since the last change.
+        needed: how many it takes, as far as that is known: the count grows while the transient does not die.
+        remnant: of the transient, over the transmissibility; NaN: not known yet.
+    """
+
+    windows: int
+    needed: int
+    remnant: float
+
+
 class Judge:
     """Collects the windows of one drive setting, at most `long_windows` of them.
 
@@ -61,6 +76,7 @@ class Judge:
         self._broken: Status | None = None
         self._whole = 0  # windows since the change of the drive, or since the last broken one
         self._due: int | None = None  # of them, before the first measurement
+        self._remnant = math.nan  # of the transient, over the newest transmissibility
 
     def add(self, window: Cycles) -> Measurement | None:
         """Take the next window; return a measurement if one is due.
@@ -91,10 +107,20 @@ class Judge:
         """Whether windows have been taken that no row has told of."""
         return self._since_row > 0
 
+    @property
+    def progress(self) -> Progress:
+        """How far the first measurement of this setting is."""
+        needed = max(self._settings.windows, self._due or 0)
+        if self._reported:
+            return Progress(needed, needed, self._remnant)
+        if self._due is None and self._whole >= needed:
+            needed = self._whole + 1  # the transient is still there: at least one more
+        return Progress(self._whole, needed, self._remnant)
+
     def _break(self, status: Status) -> Measurement | None:
         self._windows.clear()
         self._ratios.clear()
-        self._whole, self._due = 0, None
+        self._whole, self._due, self._remnant = 0, None, math.nan
         if status is self._broken and self._since_row < self._settings.windows:
             return None
         self._broken, self._since_row = status, 0
@@ -104,6 +130,7 @@ class Judge:
         newest = abs(self._ratios[-1])
         limit = max(self._settings.settle_tolerance * newest, NOISE_FACTOR * self._noise(newest))
         bias = self._bias()
+        self._remnant = abs(bias) / newest if newest > 0.0 else math.nan
         if abs(bias) > limit:
             return None
         if not self._reported and newest > 0.0:

@@ -19,7 +19,7 @@ from impact_rig.analysis.calibration import Calibration
 from impact_rig.analysis.channels import SCAN
 from impact_rig.analysis.cycles import Accumulator, Cycles, usable_harmonics
 from impact_rig.analysis.impacts import MIN_RATE_HZ, ImpactDetector, Impacts, counted, joined
-from impact_rig.analysis.judge import Judge, window_cycles
+from impact_rig.analysis.judge import Judge, Progress, window_cycles
 from impact_rig.analysis.scan_buffer import ScanBuffer, first_scan_at, scan_index
 from impact_rig.analysis.settings import ImpactSettings, TrackerSettings
 from impact_rig.analysis.tables import impact_tables, measurement_table, need_columns
@@ -201,6 +201,11 @@ class Tracker:
             return _NOTHING
         measurements, self._rows = tuple(self._rows), []
         return Findings(measurements, tuple(impacts))
+
+    @property
+    def progress(self) -> Progress | None:
+        """How far the first measurement since the last change is; None: nothing is measured."""
+        return self._judge.progress if self._accumulator is not None else None
 
     def flush(self) -> Findings:
         """Measure what is still held back: at the end of a record."""

@@ -109,6 +109,13 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
             return Health(Level.WARN, self.state, {})
         counters = tracker.counters
         values = {"transmissibility": self._latest, "gap_m": self.settings.gap_m, **attrs.asdict(counters)}
+        progress = tracker.progress
+        if progress is not None:
+            values |= {
+                "settling_windows": progress.windows,
+                "settling_windows_needed": progress.needed,
+                "settling_remnant": progress.remnant,
+            }
         if self._newest_ns is None:
             return Health(Level.OK, "waiting for daq/scan", values)
         if counters.lost_scans:

@@ -65,6 +65,9 @@ RIG = (
 ANALYSIS = (
     Figure("transmissibility", "-", "Last settled transmissibility."),
     Figure("gap_m", "m", "Parameter `gap_m`."),
+    Figure("settling_windows", "-", "Windows taken since the last change; none while no frequency is commanded."),
+    Figure("settling_windows_needed", "-", "Windows the first measurement takes; grows while the transient lasts."),
+    Figure("settling_remnant", "-", "What is left of the transient, over the transmissibility."),
     Figure("<counter>", "-", "Counters of the tracker: scans, lost_scans, measurements, impacts and others."),
 )
 

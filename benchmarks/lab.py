@@ -1,0 +1,192 @@
+"""What the live page costs: 50 kS/s in real time with one Chromium and two socket clients, one of them stalled.
+
+The load of the rig is measured in turns, with and without pages, and compared by the median of pairs. `SECONDS` sets
+how long a turn is, `PAIRS` how many there are, `MEMORY_S` how long the memory of the lab process is watched.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import statistics
+import struct
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+
+import aiohttp
+
+ROOT = Path(__file__).parents[1]
+sys.path.insert(0, str(ROOT / "test"))
+
+from kits.browser import Browser  # noqa: E402
+
+from benchmarks.live import FREEWHEEL_WINDOW, _cpu_s, _graph  # noqa: E402
+from impact_rig.client import Client, Processes  # noqa: E402
+
+RATE_HZ = 50_000
+NODES = ("rig", "analysis", "recorder")
+DRIVE = {"drive.amplitude": 0.52, "barriers.gap_m": 0.006}
+TRACE = 3
+
+
+def run() -> dict[str, float]:
+    """Measure everything."""
+    seconds, pairs = float(os.environ.get("SECONDS", "10")), int(os.environ.get("PAIRS", "5"))
+    return {**_live(seconds, pairs), **_freewheel(seconds, pairs)}
+
+
+def _live(seconds: float, pairs: int) -> dict[str, float]:
+    parameters = {"daq.rate_hz": RATE_HZ, "daq.block_scans": RATE_HZ // 100, **DRIVE}
+    with _graph(parameters) as (client, processes, directory), _lab(processes, directory) as (address, lab):
+        browser = Browser()
+        try:
+            extra, drawn, script, shares = [], [], [], []
+            for _ in range(pairs):
+                without = _share(processes.running["rig"].pid, client, seconds)
+                with _pages(browser, address) as page:
+                    client.spin_for(2.0)
+                    page.js("window.costs = []; window.lab.onDrawn = ms => window.costs.push(ms);")
+                    before, lab_before, began = page.js("lab.drawn.pictures"), _cpu_s(lab.pid), time.monotonic()
+                    extra.append(_share(processes.running["rig"].pid, client, seconds) - without)
+                    wall = time.monotonic() - began
+                    drawn.append((page.js("lab.drawn.pictures") - before) / wall)
+                    shares.append(100.0 * (_cpu_s(lab.pid) - lab_before) / wall)
+                    script.append(page.js("costs.sort((a, b) => a - b)[Math.floor(costs.length * 0.5)]"))
+            grown = _memory(browser, address, lab, client)
+            lost = float(client.figures("analysis").get("lost_scans", "nan")) / (RATE_HZ // 100)
+            figures = client.figures("rig")
+            lost += sum(float(value) for name, value in figures.items() if name.startswith("lost_blocks"))
+            return {
+                "lab_fps": statistics.median(drawn),
+                "lab_script_ms_per_frame": statistics.median(script),
+                "lab_process_cpu_percent": statistics.median(shares),
+                "lab_rig_cpu_extra_percent": statistics.median(extra),
+                "lab_lost_blocks": lost,
+                "lab_memory_growth_mb": grown,
+            }
+        finally:
+            browser.close()
+
+
+def _freewheel(seconds: float, pairs: int) -> dict[str, float]:
+    """Speed as fast as analysis and recorder follow, in turns with and without a page."""
+    parameters = {
+        "time.mode": "freewheel", "time.peers": ("analysis", "recorder"), "time.ack_window": FREEWHEEL_WINDOW, **DRIVE,
+    }  # fmt: skip
+    with _graph(parameters) as (client, processes, directory), _lab(processes, directory) as (address, _):
+        browser = Browser()
+        try:
+            ratios, speeds = [], []
+            for _ in range(pairs):
+                without = _speed(client, seconds)
+                with _pages(browser, address, sockets=0):
+                    client.spin_for(2.0)
+                    speeds.append(_speed(client, seconds))
+                ratios.append(speeds[-1] / without)
+            return {
+                "lab_freewheel_x_realtime": statistics.median(speeds),
+                "lab_freewheel_slower_percent": 100.0 * (1.0 - statistics.median(ratios)),
+            }
+        finally:
+            browser.close()
+
+
+@contextmanager
+def _lab(processes: Processes, directory: Path) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
+    """The lab as the process it is for a user, attached to the graph."""
+    log = directory / "lab.log"
+    environment = {**os.environ, "ROS_DOMAIN_ID": str(processes.domain_id), "XDG_STATE_HOME": str(directory)}
+    command = [sys.executable, "-c", "from impact_rig.cli import main; raise SystemExit(main())", "lab"]
+    with log.open("wb") as output:
+        lab = subprocess.Popen(
+            [*command, "--attach", "/", "--no-browser", "--port", "0"], stdout=output, stderr=output, env=environment
+        )
+    try:
+        while not (found := [line for line in log.read_text().splitlines() if line.startswith("http")]):
+            time.sleep(0.05)
+        yield found[0], lab
+    finally:
+        lab.terminate()
+        lab.wait()
+
+
+@contextmanager
+def _pages(browser: Browser, address: str, sockets: int = 2) -> Iterator[object]:
+    """A page in Chromium, and socket clients, the first of which never draws."""
+    page = browser.page(1280, 800)
+    page.goto(address)
+    page.wait("window.lab && lab.drawn.pictures > 5", "traces")
+    end = threading.Event()
+    threads = [threading.Thread(target=_client, args=(address, number > 0, end)) for number in range(sockets)]
+    for thread in threads:
+        thread.start()
+    try:
+        yield page
+    finally:
+        end.set()
+        for thread in threads:
+            thread.join()
+        page.close()
+
+
+def _client(address: str, draws: bool, end: threading.Event) -> None:
+    base, _, token = address.partition("/?token=")
+
+    async def talk() -> None:
+        async with aiohttp.ClientSession() as session:
+            socket = await session.ws_connect(f"{base}/socket?token={token}", headers={"Origin": base}, max_msg_size=0)
+            while not end.is_set():
+                if not draws:
+                    await asyncio.sleep(0.1)  # reads nothing at all
+                    continue
+                message = await asyncio.wait_for(socket.receive(), 5.0)
+                if message.data[0] == TRACE:
+                    frame = struct.unpack_from("<I", message.data, 4)[0]
+                    await socket.send_str(json.dumps({"do": "ack", "frame": frame}))
+            await socket.close()
+
+    asyncio.run(talk())
+
+
+def _share(pid: int, client: Client, seconds: float) -> float:
+    before, began = _cpu_s(pid), time.monotonic()
+    client.spin_for(seconds)
+    return 100.0 * (_cpu_s(pid) - before) / (time.monotonic() - began)
+
+
+def _speed(client: Client, seconds: float) -> float:
+    marks = []
+    for duration in (0.0, seconds):
+        client.spin_for(duration)
+        status = client.status("rig")
+        client.wait_until(lambda status=status: client.status("rig") is not status, "diagnostics")  # type: ignore[misc]
+        marks.append((time.monotonic(), float(client.figures("rig")["rig_time_s"])))
+    (began, first), (ended, last) = marks
+    return (last - first) / (ended - began)
+
+
+def _memory(browser: Browser, address: str, lab: subprocess.Popen[bytes], client: Client) -> float:
+    """Growth of the lab process [MB] while a page is open."""
+    with _pages(browser, address):
+        client.spin_for(15.0)
+        before = _resident_mb(lab.pid)
+        client.spin_for(float(os.environ.get("MEMORY_S", "60")))
+        return _resident_mb(lab.pid) - before
+
+
+def _resident_mb(pid: int) -> float:
+    fields: Mapping[str, str] = dict(
+        line.split(":", 1) for line in Path(f"/proc/{pid}/status").read_text().splitlines() if ":" in line
+    )
+    return float(fields["VmRSS"].split()[0]) / 1024.0
+
+
+if __name__ == "__main__":
+    for name, value in run().items():
+        print(f"{name:40} {value:.4g}")

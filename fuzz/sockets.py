@@ -1,0 +1,58 @@
+"""Targets of the lab's WebSocket: what a page sends, and the joint states that are drawn from their bytes."""
+
+from __future__ import annotations
+
+import json
+import math
+
+from hypothesis import strategies as st
+
+from fuzz.mutation import mutated
+from fuzz.target import Target
+from impact_rig.lab.motion import decode_joint_state, encode_joint_state
+from impact_rig.lab.protocol import LONGEST_TEXT, REQUESTS, parse
+
+GOOD = [
+    json.dumps(request).encode()
+    for request in (
+        {"id": 1, "do": "frequency", "value": 9.1},
+        {"do": "ack", "frame": 12},
+        {"do": "view", "span": 0.5, "columns": 600, "trigger": True, "spectrum": "laser", "top": 100},
+        {"id": 2, "do": "sweep", "frequencies": [8.5, 9.1, 9.7], "direction": "up_down"},
+        {"id": 3, "do": "fault", "kind": "dropout", "channel": "laser", "value": 0.1, "duration": 2, "rate": 10},
+        {"id": 4, "do": "note", "value": "über <b>"},
+        {"id": 5, "do": "stop"},
+    )
+]
+VALUES = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=20),
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=8), inner, max_size=4),
+    max_leaves=8,
+)
+NAMED = st.fixed_dictionaries(
+    {"do": st.sampled_from(sorted(REQUESTS))},
+    optional=dict.fromkeys(sorted({name for checks in REQUESTS.values() for name in checks} | {"id"}), VALUES),
+).map(lambda request: json.dumps(request).encode())
+JOINTS = [encode_joint_state(stamp, (1e-3, -2e-3, 3e-3), (0.1, 0.2, math.nan)) for stamp in (0, 10**18)]
+
+
+def requests(raw: bytes) -> None:
+    """What is taken is asked for by name, finite, and can be published."""
+    found = parse(raw)
+    assert found.values.keys() == REQUESTS[found.do].keys()
+    assert json.loads(json.dumps(dict(found.values), allow_nan=False)) is not None
+    assert all(
+        len(value) <= LONGEST_TEXT and value.isprintable() for value in found.values.values() if isinstance(value, str)
+    )
+
+
+def joint_states(raw: bytes) -> None:
+    """What is taken has three bodies."""
+    _, positions, velocities = decode_joint_state(raw)
+    assert len(positions) == len(velocities) == 3
+
+
+TARGETS = (
+    Target("lab_socket", mutated(GOOD) | NAMED | st.binary(max_size=100), requests, ("lab/protocol.py",)),
+    Target("lab_motion", mutated(JOINTS) | st.binary(max_size=120), joint_states, ("lab/motion.py",)),
+)

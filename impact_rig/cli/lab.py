@@ -1,0 +1,103 @@
+"""`impact-rig lab`: the live laboratory, or a recorded run, on one page in the browser."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import os
+import time
+import webbrowser
+from pathlib import Path
+from typing import Any  # a source of either kind
+
+from impact_rig.cli.terminal import Console
+from impact_rig.errors import ImpactRigError
+
+SAMPLE = Path("build") / "lab_sample"
+FOUND = "?"
+
+
+def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Register the subcommand."""
+    parser = commands.add_parser("lab", help="see the rig move and turn its knobs, live, in a browser")
+    parser.add_argument("runs", nargs="*", type=Path, metavar="RUN", help="play back this run; two: side by side")
+    parser.add_argument(
+        "--attach", nargs="?", const=FOUND, metavar="NAMESPACE", help="show a rig that runs already, e.g. /rig"
+    )
+    parser.add_argument("--sample", action="store_true", help="play back a short run, recorded for this on first use")
+    parser.add_argument("--port", type=int, default=8765, help="of the page; 0: any (default: 8765)")
+    parser.add_argument(
+        "--host", default="127.0.0.1", help="address to serve; others than this machine may then look in"
+    )
+    parser.add_argument("--no-browser", action="store_true", help="only print the address")
+    parser.add_argument("--rate", type=int, default=10_000, metavar="HZ", help="scans per second (default: 10000)")
+    parser.add_argument(
+        "--mode", choices=("realtime", "freewheel"), default="realtime", help="how rig time passes (default: realtime)"
+    )
+    parser.add_argument("--no-record", action="store_true", help="record only when told to on the page")
+    parser.add_argument(
+        "--record-directory", type=Path, default=Path("runs"), help="where run directories are made (default: runs)"
+    )
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Serve the page until Ctrl-C."""
+    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    if len(arguments.runs) > 2:
+        raise ImpactRigError("at most two runs are shown side by side")
+    if (arguments.runs or arguments.sample) and arguments.attach:
+        raise ImpactRigError("a run is played back, or a rig is attached to, not both")
+    try:
+        from impact_rig.lab.server import Server, kept_token  # noqa: PLC0415  # an extra
+    except ImportError as error:
+        raise ImpactRigError(f"the lab needs its extra: pip install 'impact_rig[lab]' ({error})") from error
+    console = Console()
+    with contextlib.ExitStack() as stack:
+        source = _source(arguments, stack)
+        server = stack.enter_context(Server(source, arguments.host, arguments.port, kept_token()))
+        stack.enter_context(source)
+        console.print("impact_rig lab: open this address in a browser; Ctrl-C ends it", soft_wrap=True)
+        print(server.address, flush=True)  # noqa: T201
+        if not arguments.no_browser:
+            with contextlib.suppress(webbrowser.Error):
+                webbrowser.open(server.address)
+        while True:
+            time.sleep(3600.0)
+
+
+def _source(arguments: argparse.Namespace, stack: contextlib.ExitStack) -> Any:
+    if arguments.runs or arguments.sample:
+        from impact_rig.lab.playback import PlaybackSource  # noqa: PLC0415
+
+        return PlaybackSource(arguments.runs or [_sample()])
+    from impact_rig.lab.live import LiveSource, Own, domain_id  # noqa: PLC0415
+
+    domain = domain_id()
+    if arguments.attach:
+        return LiveSource(domain, None if arguments.attach == FOUND else arguments.attach)
+    from impact_rig.client.processes import Processes  # noqa: PLC0415
+
+    logs = Path("build" if Path("build").is_dir() else ".") / "lab_logs"
+    processes = stack.enter_context(Processes(domain, logs, namespace="/rig"))
+    return LiveSource(domain, "rig", Own(processes, node_parameters(arguments)))
+
+
+def node_parameters(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
+    """Return the parameters of the nodes that the lab starts."""
+    return {
+        "rig": {
+            "time.mode": arguments.mode,
+            "time.peers": ["analysis", "recorder"],
+            "daq.rate_hz": arguments.rate,
+            "daq.block_scans": max(1, arguments.rate // 100),
+        },
+        "analysis": {"gap_m": 0.006},
+        "recorder": {"directory": str(arguments.record_directory.resolve()), "record": not arguments.no_record},
+    }
+
+
+def _sample() -> Path:
+    from impact_rig.lab.sample import make  # noqa: PLC0415
+
+    return make(SAMPLE)

@@ -1,0 +1,95 @@
+// The transmissibility over frequency: points with error bars, earlier gaps in grey, the rig without sphere as a line.
+
+import { colour } from "./paper.js";
+
+/* global uPlot */
+
+/**
+ * @typedef {{f: number, dt: number, u: number, gap: number | null, settled: boolean, t: number}} Row
+ */
+
+export class CurveView {
+  /** @param {HTMLElement} place @param {(row: Row) => void} onPick a point was clicked */
+  constructor(place, onPick) {
+    this.place = place;
+    this.onPick = onPick;
+    /** @type {Row[]} */ this.rows = [];
+    /** @type {Row[]} */ this.others = [];
+    /** @type {number[][]} */ this.closed = [];
+    this.gap = null;
+    this.make();
+    new ResizeObserver(() => this.plot.setSize({ width: place.clientWidth, height: Math.max(100, place.clientHeight) })).observe(place);
+    place.addEventListener("click", (event) => this.pick(event));
+  }
+
+  /** Make the plot, in the colours of the theme. */
+  make() {
+    this.place.replaceChildren();
+    const axis = { stroke: colour("soft"), grid: { stroke: colour("line"), width: 1 }, ticks: { show: false }, font: "10.5px system-ui" };
+    this.plot = new uPlot({
+      width: Math.max(50, this.place.clientWidth), height: Math.max(100, this.place.clientHeight), legend: { show: false },
+      padding: [8, 16, 0, 0], cursor: { drag: { x: false, y: false }, points: { show: false } },
+      scales: { x: { time: false, range: () => this.frequencies() }, y: { distr: 3, range: () => [1, 200] } },
+      axes: [{ ...axis, size: 24, values: (_, all) => all.map((v) => `${v} Hz`) }, { ...axis, size: 34 }],
+      series: [{}, { stroke: colour("soft"), width: 1, dash: [5, 4], points: { show: false } }],
+      hooks: { draw: [(plot) => this.points(plot)] },
+    }, [[1], [null]], this.place);
+    this.redraw();
+  }
+
+  frequencies() {
+    const found = this.rows.concat(this.others).map((row) => row.f);
+    return [Math.min(7.5, ...found) - 0.2, Math.max(10.5, ...found) + 0.2];
+  }
+
+  /** @param {Row[]} rows @param {number[][]} closed @param {number | null} gap of now @param {Row[]} [others] of a second run */
+  show(rows, closed, gap, others = []) {
+    this.rows = rows;
+    this.closed = closed ?? [];
+    this.gap = gap;
+    this.others = others;
+    this.redraw();
+  }
+
+  redraw() {
+    const x = this.closed.length ? this.closed.map((p) => p[0]) : [7, 11];
+    this.plot.setData([x, this.closed.length ? this.closed.map((p) => p[1]) : [null, null]]);
+  }
+
+  /** @private */
+  points(plot) {
+    const g = plot.ctx, ratio = devicePixelRatio || 1;
+    const draw = (row, ink, square) => {
+      if (!(row.dt > 0)) return;
+      const x = plot.valToPos(row.f, "x", true), y = plot.valToPos(row.dt, "y", true);
+      g.strokeStyle = g.fillStyle = ink;
+      g.lineWidth = ratio;
+      if (row.u > 0) {
+        const high = plot.valToPos(row.dt + 2 * row.u, "y", true), low = plot.valToPos(Math.max(1, row.dt - 2 * row.u), "y", true);
+        g.beginPath();
+        g.moveTo(x, high);
+        g.lineTo(x, low);
+        g.stroke();
+      }
+      g.beginPath();
+      if (square) g.rect(x - 3 * ratio, y - 3 * ratio, 6 * ratio, 6 * ratio);
+      else g.arc(x, y, 3.2 * ratio, 0, 2 * Math.PI);
+      if (row.settled) g.fill(); else g.stroke();
+    };
+    for (const row of this.rows) if (row.gap !== this.gap) draw(row, colour("grey"), false);
+    for (const row of this.others) draw(row, colour("trace-b"), true);
+    for (const row of this.rows) if (row.gap === this.gap) draw(row, colour("accent"), false);
+  }
+
+  /** @private */
+  pick(event) {
+    const box = this.plot.over.getBoundingClientRect();
+    let best = null, nearest = 18;
+    for (const row of this.rows) {
+      const x = this.plot.valToPos(row.f, "x") - (event.clientX - box.left), y = this.plot.valToPos(row.dt, "y") - (event.clientY - box.top);
+      const distance = Math.hypot(x, y);
+      if (distance < nearest) { nearest = distance; best = row; }
+    }
+    if (best) this.onPick(best);
+  }
+}

@@ -1,0 +1,41 @@
+// Keyboard: one table for what keys do and for the sheet that says so.
+
+/** @typedef {{keys: string[], text: string, run: () => void}} Binding */
+
+/**
+ * Listen for keys, except where somebody writes.
+ * @param {Binding[]} bindings
+ */
+export function listen(bindings) {
+  document.addEventListener("keydown", (event) => {
+    if (event.ctrlKey || event.metaKey || event.altKey) return;
+    const target = /** @type {HTMLElement} */ (event.target);
+    const writes = target.matches("input:not([type=checkbox]):not([type=range]), select, textarea");
+    if (writes && event.key !== "Escape") return;
+    if (document.querySelector("dialog[open]") && event.key !== "Escape") return;
+    if ((event.key === " " || event.key === "Enter") && target.matches("button, summary, input")) return;
+    if (event.key.startsWith("Arrow") && target.matches("input[type=range]")) return;
+    const binding = bindings.find((one) => one.keys.includes(event.key));
+    if (!binding) return;
+    if (event.key !== "Escape") event.preventDefault();
+    binding.run();
+  });
+}
+
+/** @param {HTMLElement} table @param {Binding[]} bindings */
+export function fillSheet(table, bindings) {
+  const names = { " ": "space", ArrowUp: "↑", ArrowDown: "↓", ArrowLeft: "←", ArrowRight: "→", Escape: "Esc" };
+  table.replaceChildren(...bindings.map((binding) => {
+    const row = document.createElement("tr");
+    const keys = document.createElement("th"), text = document.createElement("td");
+    keys.scope = "row";
+    for (const key of binding.keys) {
+      const kbd = document.createElement("kbd");
+      kbd.textContent = names[key] ?? key;
+      keys.append(kbd, " ");
+    }
+    text.textContent = binding.text;
+    row.append(keys, text);
+    return row;
+  }));
+}

@@ -1,0 +1,71 @@
+// The WebSocket: connects again for ever, numbers requests, hands answers to who asked.
+
+import { decode, Kind } from "./frames.js";
+import { patience } from "./store.js";
+
+export class Link {
+  /**
+   * @param {(frame: {kind: number, number: number, content: any}) => void} onFrame
+   * @param {(connected: boolean) => void} onChange
+   */
+  constructor(onFrame, onChange) {
+    this.onFrame = onFrame;
+    this.onChange = onChange;
+    this.connected = false;
+    this.attempt = 0;
+    this.next = 1;
+    /** @type {Map<number, (answer: {ok: boolean, text: string}) => void>} */
+    this.waiting = new Map();
+    this.view = null;
+    this.connect();
+  }
+
+  /** @private */
+  connect() {
+    const token = new URLSearchParams(location.search).get("token") ?? "";
+    const socket = new WebSocket(`ws://${location.host}/socket?token=${encodeURIComponent(token)}`);
+    socket.binaryType = "arraybuffer";
+    this.socket = socket;
+    socket.onopen = () => {
+      this.connected = true;
+      this.attempt = 0;
+      if (this.view) socket.send(JSON.stringify({ do: "view", ...this.view }));
+      this.onChange(true);
+    };
+    socket.onmessage = (event) => {
+      const frame = decode(event.data);
+      if (frame.kind === Kind.REPLY) {
+        this.waiting.get(frame.content.id)?.(frame.content);
+        this.waiting.delete(frame.content.id);
+      } else this.onFrame(frame);
+    };
+    socket.onclose = () => {
+      this.connected = false;
+      for (const answer of this.waiting.values()) answer({ ok: false, text: "the connection was lost" });
+      this.waiting.clear();
+      this.onChange(false);
+      setTimeout(() => this.connect(), 1000 * patience(this.attempt++));
+    };
+  }
+
+  /**
+   * Ask for something.
+   * @param {string} what @param {object} [values]
+   * @returns {{id: number, answer: Promise<{ok: boolean, text: string}>}}
+   */
+  ask(what, values = {}) {
+    const id = this.next++;
+    if (!this.connected) return { id, answer: Promise.resolve({ ok: false, text: "the lab does not answer" }) };
+    this.socket.send(JSON.stringify({ id, do: what, ...values }));
+    return { id, answer: new Promise((resolve) => this.waiting.set(id, resolve)) };
+  }
+
+  /** @param {number} frame the picture that was drawn */
+  acknowledge(frame) { if (this.connected) this.socket.send(JSON.stringify({ do: "ack", frame })); }
+
+  /** @param {object} view what the scope is to show */
+  look(view) {
+    this.view = view;
+    if (this.connected) this.socket.send(JSON.stringify({ do: "view", ...view }));
+  }
+}

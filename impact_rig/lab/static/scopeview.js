@@ -1,0 +1,137 @@
+// Four traces above one time axis; every column of the picture is a minimum and a maximum.
+
+import { engineering, limits, line } from "./format.js";
+import { colour } from "./paper.js";
+
+/* global uPlot */
+const CHANNELS = [["accelerometer", "m/s²"], ["laser", "m"], ["base", "m"], ["current", "A"]];
+
+export class ScopeView {
+  /** @param {HTMLElement} place @param {HTMLElement} readout */
+  constructor(place, readout) {
+    this.place = place;
+    this.readout = readout;
+    this.drawn = 0;
+    this.ranges = [null, null, null, null];
+    /** @type {import("./frames.js").Trace | null} */
+    this.trace = null;
+    this.other = null;
+    /** @type {number[][]} truth, detected: times [s] */
+    this.impacts = [[], []];
+    this.make();
+    new ResizeObserver(() => this.fit()).observe(place);
+  }
+
+  /** Make the plots, in the colours of the theme. */
+  make() {
+    this.place.replaceChildren();
+    this.ranges = [null, null, null, null];
+    this.plots = CHANNELS.map(([name, unit], number) => {
+      const box = document.createElement("div");
+      this.place.append(box);
+      const axis = { stroke: colour("soft"), grid: { stroke: colour("line"), width: 1 }, ticks: { show: false }, font: "10.5px system-ui" };
+      return new uPlot({
+        width: Math.max(50, box.clientWidth), height: Math.max(40, box.clientHeight), pxAlign: false, legend: { show: false },
+        padding: [6, 22, 0, 0],
+        cursor: { sync: { key: "scope" }, drag: { x: false, y: false }, points: { show: false } },
+        scales: { x: { time: false, range: () => [0, this.span()] }, y: { range: () => this.ranges[number] ?? [-1, 1] } },
+        axes: [
+          { ...axis, size: number === 3 ? 22 : 4, values: (_, all) => all.map((v) => (number === 3 ? engineering(v, "s") : "")) },
+          { ...axis, size: 66, values: (_, all) => all.map((v) => engineering(v, unit)), space: 26 },
+        ],
+        series: [
+          {}, { stroke: colour("trace"), width: 1, points: { show: false }, label: name },
+          { stroke: colour("trace-b"), width: 1, points: { show: false }, label: `${name} B` },
+        ],
+        hooks: {
+          draw: [(plot) => this.marks(plot, number)],
+          setCursor: [(plot) => { if (number === 0) this.read(plot); }],
+        },
+      }, [[0, 1], [null, null], [null, null]], box);
+    });
+  }
+
+  span() { return this.trace ? this.trace.column * this.trace.low[0].length : 1; }
+
+  /** Fit the plots to their place. */
+  fit() {
+    for (const plot of this.plots) {
+      const box = plot.root.parentElement;
+      if (box.clientWidth > 20) plot.setSize({ width: box.clientWidth, height: Math.max(40, box.clientHeight) });
+    }
+  }
+
+  /**
+   * Draw a window.
+   * @param {import("./frames.js").Trace} trace @param {import("./frames.js").Trace | null} other of a second run
+   */
+  draw(trace, other) {
+    this.trace = trace;
+    this.other = other;
+    this.drawn++;
+    for (let number = 0; number < 4; number++) {
+      let low = Infinity, high = -Infinity;
+      for (const one of other ? [trace, other] : [trace]) {
+        for (const v of one.low[number]) if (v < low) low = v;
+        for (const v of one.high[number]) if (v > high) high = v;
+      }
+      this.ranges[number] = limits(this.ranges[number], low, high);
+      const [x, y] = line(trace.low[number], trace.high[number], trace.column);
+      let b = new Array(x.length).fill(null);
+      if (other && other.low[number].length === trace.low[number].length) b = line(other.low[number], other.high[number], other.column)[1];
+      this.plots[number].setData([x, y, b]);
+    }
+  }
+
+  /** @private */
+  marks(plot, number) {
+    if (!this.trace) return;
+    const { ctx: g } = plot;
+    const { left, top, width, height } = plot.bbox;
+    const ratio = devicePixelRatio || 1;
+    const at = (time) => left + (time - this.trace.begin) / this.span() * width;
+    g.save();
+    g.beginPath();
+    g.rect(left, top, width, height);
+    g.clip();
+    g.fillStyle = colour("hot"); // over range: a bar at the lower edge, and a word
+    let over = false;
+    this.trace.status.forEach((bits, i) => {
+      if (!(bits >> number & 1)) return;
+      over = true;
+      g.fillRect(left + i / this.trace.status.length * width, top + height - 4 * ratio, Math.max(ratio, width / this.trace.status.length), 4 * ratio);
+    });
+    g.font = `${11 * ratio}px system-ui`;
+    g.textAlign = "left";
+    if (over) g.fillText("over range", left + 6 * ratio, top + height - 8 * ratio);
+    g.fillStyle = colour("soft");
+    g.fillText(CHANNELS[number][0], left + 6 * ratio, top + 12 * ratio);
+    if (number === 0) {
+      g.fillStyle = colour("sphere");
+      for (const time of this.impacts[0]) triangle(g, at(time), top, 5 * ratio);
+      g.fillStyle = colour("drive");
+      for (const time of this.impacts[1]) g.fillRect(at(time) - 2 * ratio, top + height - 5 * ratio, 4 * ratio, 5 * ratio);
+    }
+    g.restore();
+  }
+
+  /** @private the values under the cursor */
+  read(plot) {
+    const i = plot.cursor.idx;
+    if (i === null || i === undefined || !this.trace) { this.readout.textContent = ""; return; }
+    const column = i >> 1;
+    const parts = CHANNELS.map(([name, unit], number) => {
+      const low = this.trace.low[number][column], high = this.trace.high[number][column];
+      return `${name} ${engineering(Math.abs(high) >= Math.abs(low) ? high : low, unit)}`;
+    });
+    this.readout.textContent = `${engineering((column + 0.5) * this.trace.column, "s")}: ${parts.join(" · ")}`;
+  }
+}
+
+function triangle(g, x, y, size) {
+  g.beginPath();
+  g.moveTo(x - size * 0.7, y);
+  g.lineTo(x + size * 0.7, y);
+  g.lineTo(x, y + size * 1.3);
+  g.fill();
+}

@@ -1,0 +1,64 @@
+// What the page knows, and what it may believe: connection, snapshot, knobs that wait for their echo.
+
+/** @typedef {"pending" | "refused" | "in force"} KnobState */
+
+/** A knob waits for the rig: between a request and its answer the rig's old value must not jump back into the field. */
+export class Knobs {
+  constructor() {
+    /** @type {Map<string, {state: KnobState, request: number, words: string}>} */
+    this.all = new Map();
+  }
+
+  /** @param {string} name @param {number} request number of the request */
+  ask(name, request) { this.all.set(name, { state: "pending", request, words: "" }); }
+
+  /**
+   * An answer has come; one to an older request of the same knob says nothing.
+   * @param {string} name @param {number} request @param {boolean} ok @param {string} words
+   */
+  answer(name, request, ok, words) {
+    const knob = this.all.get(name);
+    if (!knob || knob.request !== request) return;
+    this.all.set(name, { state: ok ? "in force" : "refused", request, words: ok ? "" : words });
+  }
+
+  /** @param {string} name @returns {KnobState} */
+  state(name) { return this.all.get(name)?.state ?? "in force"; }
+
+  /** @param {string} name @returns {string} why it was refused */
+  words(name) { return this.all.get(name)?.words ?? ""; }
+
+  /** @param {string} name @returns {boolean} whether the field may show what is in force */
+  follows(name) { return this.state(name) !== "pending"; }
+
+  /** The connection is gone: no answer will come. */
+  lose() {
+    for (const [name, knob] of this.all) {
+      if (knob.state === "pending") this.all.set(name, { ...knob, state: "refused", words: "the connection was lost before an answer came" });
+    }
+  }
+}
+
+const LAMPS = {
+  "at rest": "○", driving: "●", settling: "◔", tripped: "▲", paused: "❚❚", plucked: "∿", silent: "⚠", dead: "✕",
+  compiling: "⚙", starting: "…", choose: "?", offline: "✕", playback: "▶", "paused playback": "❚❚",
+};
+
+/**
+ * What the bar says: the connection comes before the rig, for nothing stale is shown as live.
+ * @param {boolean} connected @param {{word?: string, text?: string} | undefined} rig
+ * @returns {{word: string, text: string, lamp: string, stale: boolean}}
+ */
+export function status(connected, rig) {
+  const word = connected ? rig?.word ?? "starting" : "offline";
+  const text = connected ? rig?.text ?? "" : "The lab does not answer: connecting again. What you see is old.";
+  const stale = ["offline", "dead", "starting", "compiling", "choose"].includes(word);
+  return { word, text, lamp: LAMPS[word] ?? "○", stale };
+}
+
+/**
+ * Seconds until the next attempt to connect.
+ * @param {number} attempt 0 for the first
+ * @returns {number}
+ */
+export function patience(attempt) { return Math.min(5, 0.3 * 1.7 ** attempt); }

@@ -1,0 +1,235 @@
+"""A real Chromium without a window, driven by its own protocol from a thread of its own; every call waits for its end.
+
+`IMPACT_RIG_REQUIRE_BROWSER=1` makes a missing browser an error instead of a reason to skip.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import base64
+import contextlib
+import itertools
+import os
+import shutil
+import signal
+import subprocess
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Coroutine
+from pathlib import Path
+from typing import Any
+
+import aiohttp
+import pytest
+
+PATIENCE_S = float(os.environ.get("IMPACT_RIG_PATIENCE", "60"))
+NAMES = ("chromium", "chromium-browser", "google-chrome", "chrome")
+REQUIRED = os.environ.get("IMPACT_RIG_REQUIRE_BROWSER") == "1"
+KEYS = {
+    "Escape": 27, "Enter": 13, "Tab": 9, " ": 32, "ArrowUp": 38, "ArrowDown": 40, "ArrowLeft": 37, "ArrowRight": 39,
+}  # fmt: skip
+
+
+def chromium() -> str:
+    """Path of a Chromium; skips, or fails where it is required."""
+    found = next((path for name in NAMES if (path := shutil.which(name))), None)
+    if found is None and REQUIRED:
+        pytest.fail("IMPACT_RIG_REQUIRE_BROWSER=1, but there is no chromium")
+    if found is None:
+        pytest.skip("no Chromium here: apt install chromium")
+    return found
+
+
+class Browser:
+    """One Chromium; `page` opens a page in a profile of its own."""
+
+    def __init__(self) -> None:
+        self._directory = tempfile.mkdtemp(prefix="impact_rig_browser_")
+        self._log = Path(self._directory, "log").open("wb")  # noqa: SIM115  # for as long as the process runs
+        self._process = subprocess.Popen(
+            [
+                chromium(), "--headless=new", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage",
+                "--no-first-run",
+                "--disable-extensions", "--disable-background-networking", "--disable-component-update",
+                "--disable-background-timer-throttling", "--disable-renderer-backgrounding",
+                "--disable-backgrounding-occluded-windows", "--remote-debugging-port=0",
+                f"--user-data-dir={self._directory}", "about:blank",
+            ],
+            stdin=subprocess.DEVNULL, stdout=self._log, stderr=self._log, start_new_session=True,
+        )  # fmt: skip
+        self._loop = asyncio.new_event_loop()
+        self._thread = threading.Thread(target=self._loop.run_forever, name="browser", daemon=True)
+        self._thread.start()
+        self._answers: dict[int, asyncio.Future[Any]] = {}
+        self._numbers = itertools.count(1)
+        self._pages: dict[str, Page] = {}
+        self.run(self._connect())
+
+    def run(self, work: Coroutine[Any, Any, Any]) -> Any:
+        """Result of a coroutine in the browser's loop."""
+        return asyncio.run_coroutine_threadsafe(work, self._loop).result(PATIENCE_S)
+
+    async def _connect(self) -> None:
+        port = Path(self._directory, "DevToolsActivePort")
+        deadline = time.monotonic() + PATIENCE_S
+        while not (port.exists() and len(port.read_text().splitlines()) == 2):
+            assert self._process.poll() is None, Path(self._log.name).read_text(errors="replace")[-2000:]
+            assert time.monotonic() < deadline, "Chromium does not listen"
+            await asyncio.sleep(0.05)
+        number, path = port.read_text().splitlines()
+        self._session = aiohttp.ClientSession()
+        self._socket = await self._session.ws_connect(f"ws://127.0.0.1:{number}{path}", max_msg_size=0)
+        self._reader = asyncio.create_task(self._read())
+
+    async def _read(self) -> None:
+        async for message in self._socket:
+            found = message.json()
+            if "id" in found:
+                future = self._answers.pop(found["id"], None)
+                if future is not None and not future.done():
+                    future.set_result(found)
+            elif (page := self._pages.get(found.get("sessionId", ""))) is not None:
+                page.on_event(found["method"], found["params"])
+
+    def call(self, method: str, session: str | None = None, **params: Any) -> Any:
+        """Result of a method of the protocol."""
+
+        async def ask() -> Any:
+            number = next(self._numbers)
+            self._answers[number] = self._loop.create_future()
+            message = {"id": number, "method": method, "params": params}
+            await self._socket.send_json(message | ({"sessionId": session} if session else {}))
+            return await self._answers[number]
+
+        answer = self.run(ask())
+        assert "error" not in answer, f"{method}: {answer['error']}"
+        return answer["result"]
+
+    def page(self, width: int = 1280, height: int = 800, **features: str) -> Page:
+        """A new page; `features` are media features with `_` for the hyphen."""
+        context = self.call("Target.createBrowserContext")["browserContextId"]
+        target = self.call("Target.createTarget", url="about:blank", browserContextId=context)["targetId"]
+        session = self.call("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
+        page = self._pages[session] = Page(self, session, context)
+        page.open(width, height, features)
+        return page
+
+    def close(self) -> None:
+        """End the browser."""
+
+        async def end() -> None:
+            self._reader.cancel()
+            with contextlib.suppress(asyncio.CancelledError):
+                await self._reader
+            await self._socket.close()
+            await self._session.close()
+
+        self.run(end())
+        self._loop.call_soon_threadsafe(self._loop.stop)
+        self._thread.join()
+        self._loop.close()
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(self._process.pid, signal.SIGKILL)
+        self._process.wait()
+        self._log.close()
+        shutil.rmtree(self._directory, ignore_errors=True)
+
+
+class Page:
+    """One page; `errors` are what its console complained of, `fetched` where it asked for something."""
+
+    def __init__(self, browser: Browser, session: str, context: str) -> None:
+        self.errors: list[str] = []
+        self.fetched: list[str] = []
+        self._browser, self._session, self._context = browser, session, context
+
+    def on_event(self, method: str, params: dict[str, Any]) -> None:
+        """Note what the page does."""
+        if method == "Runtime.exceptionThrown":
+            self.errors.append(str(params["exceptionDetails"].get("exception", params)))
+        elif method == "Runtime.consoleAPICalled" and params["type"] in ("error", "warning", "assert"):
+            self.errors.append(str(params["args"]))
+        elif method == "Log.entryAdded" and params["entry"]["level"] in ("error", "warning"):
+            self.errors.append(f"{params['entry']['text']} {params['entry'].get('url', '')}")
+        elif method == "Network.requestWillBeSent":
+            self.fetched.append(params["request"]["url"])
+
+    def call(self, method: str, **params: Any) -> Any:
+        return self._browser.call(method, self._session, **params)
+
+    def open(self, width: int, height: int, features: dict[str, str]) -> None:
+        for domain in ("Runtime", "Log", "Page", "Network"):
+            self.call(f"{domain}.enable")
+        self.size(width, height)
+        media = [{"name": name.replace("_", "-"), "value": value} for name, value in features.items()]
+        self.call("Emulation.setEmulatedMedia", features=media)
+
+    def size(self, width: int, height: int) -> None:
+        self.call("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=False)
+
+    def goto(self, address: str) -> None:
+        """Load a page and wait until its modules have run."""
+        self.call("Page.navigate", url=address)
+        self.wait("document.readyState === 'complete'", f"{address} to load")
+
+    def js(self, expression: str) -> Any:
+        """Value of an expression, awaited."""
+        found = self.call("Runtime.evaluate", expression=expression, awaitPromise=True, returnByValue=True)
+        assert "exceptionDetails" not in found, f"{expression}: {found['exceptionDetails']}"
+        return found["result"].get("value")
+
+    def wait(self, expression: str, what: str, timeout_s: float = PATIENCE_S) -> Any:
+        """Wait until an expression is true, looking at every picture the page draws, and return it."""
+        return wait_until(lambda: self.js(expression), f"{what}; errors {self.errors}", timeout_s)
+
+    def text(self, selector: str) -> str:
+        return str(self.js(f"document.querySelector({selector!r}).textContent"))
+
+    def click(self, selector: str) -> None:
+        """Click in the middle of what a selector finds, with the mouse."""
+        x, y = self.js(
+            f"(() => {{ const e = document.querySelector({selector!r}); e.scrollIntoView({{block: 'nearest'}});"
+            " const b = e.getBoundingClientRect(); return [b.x + b.width / 2, b.y + b.height / 2]; })()"
+        )
+        for kind in ("mousePressed", "mouseReleased"):
+            self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
+
+    def key(self, key: str, shift: bool = False) -> None:
+        """Press a key."""
+        text = {"text": "\r"} if key == "Enter" else {"text": key} if len(key) == 1 else {}
+        common = {
+            "key": key,
+            "windowsVirtualKeyCode": KEYS.get(key, ord(key.upper()[0])),
+            "modifiers": 8 if shift else 0,
+        }
+        self.call("Input.dispatchKeyEvent", type="keyDown", **common, **text)
+        self.call("Input.dispatchKeyEvent", type="keyUp", **common)
+
+    def write(self, selector: str, text: str) -> None:
+        """Replace what a field holds, by the keyboard, and press Enter."""
+        self.js(f"(() => {{ const e = document.querySelector({selector!r}); e.focus(); e.select(); }})()")
+        self.call("Input.insertText", text=text)
+        self.key("Enter")
+
+    def choose(self, selector: str, value: str) -> None:
+        """Choose in a select."""
+        self.js(
+            f"(() => {{ const e = document.querySelector({selector!r}); e.value = {value!r};"
+            " e.dispatchEvent(new Event('change', {bubbles: true})); })()"
+        )
+
+    def picture(self, path: Path) -> None:
+        path.write_bytes(base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"]))
+
+    def close(self) -> None:
+        self._browser.call("Target.disposeBrowserContext", browserContextId=self._context)
+
+
+def wait_until(condition: Callable[[], Any], what: str, timeout_s: float = PATIENCE_S) -> Any:
+    """What `condition` returns as soon as it is true; it is asked again and again."""
+    deadline = time.monotonic() + timeout_s
+    while not (found := condition()):
+        assert time.monotonic() < deadline, f"waited {timeout_s:g} s in vain for {what}"
+        time.sleep(0.02)
+    return found

@@ -1,0 +1,46 @@
+"""A source without a rig: rings that a test fills, and a list of what was asked."""
+
+from __future__ import annotations
+
+import threading
+
+import numpy as np
+
+from impact_rig.blocks import Table
+from impact_rig.instruments.scan import SCAN
+from impact_rig.lab.motion import Motion
+from impact_rig.lab.protocol import Request
+from impact_rig.lab.scope import Scope
+from impact_rig.lab.source import Answer, Snapshot
+
+RATE = 1000
+
+
+class FakeSource:
+    def __init__(self) -> None:
+        self.snapshot = Snapshot()
+        self.snapshot.put("rig", {"word": "at rest", "text": "", "name": ""})
+        self.scope: Scope | None = Scope(RATE)
+        self.other: Scope | None = None
+        self.motion = Motion()
+        self.lock = threading.Lock()
+        self.now_s = 0.0
+        self.epoch = 1
+        self.asked: list[Request] = []
+        self.watchers = 0
+
+    def watched(self, count: int) -> None:
+        self.watchers = count
+
+    def ask(self, request: Request, answer: Answer) -> None:
+        self.asked.append(request)
+        answer(True, f"did {request.do}")
+
+
+def scans(first: int, count: int, **columns: object) -> Table:
+    """A block from scan `first` on, one column or all zero."""
+    rows = np.zeros(count, SCAN)
+    rows["time"] = np.arange(count) / RATE
+    for name, values in columns.items():
+        rows[name] = values
+    return Table(first * 10**9 // RATE, rows)

@@ -1,0 +1,29 @@
+"""An event loop for one piece of work, in a thread of its own: no loop is left for other tests to meet."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from collections.abc import Coroutine
+from typing import Any, TypeVar
+
+T = TypeVar("T")
+
+
+def run(work: Coroutine[Any, Any, T]) -> T:
+    """Result of a coroutine."""
+    found: list[T] = []
+    errors: list[BaseException] = []
+
+    def do() -> None:
+        try:
+            found.append(asyncio.run(work))
+        except BaseException as error:  # handed on below
+            errors.append(error)
+
+    thread = threading.Thread(target=do)
+    thread.start()
+    thread.join()
+    if errors:
+        raise errors[0]
+    return found[0]

@@ -1,0 +1,46 @@
+"""One browser for the folder, one rig for the module: every test gets pages of its own and looks at the ROS side."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("aiohttp", reason="the extra [lab] is not installed")
+
+from kits.browser import Browser, Page
+
+
+@pytest.fixture(scope="session")
+def browser() -> Iterator[Browser]:
+    found = Browser()
+    try:
+        yield found
+    finally:
+        found.close()
+
+
+@pytest.fixture
+def open_page(browser: Browser) -> Iterator[Callable[..., Page]]:
+    """Open pages; whatever a console complained of by the end fails the test."""
+    pages: list[Page] = []
+
+    def open_one(address: str, width: int = 1280, height: int = 800, **features: str) -> Page:
+        page = browser.page(width, height, **features)
+        pages.append(page)
+        page.goto(address)
+        return page
+
+    yield open_one
+    errors = [error for page in pages for error in page.errors]
+    for page in pages:
+        page.close()
+    assert errors == []
+
+
+@pytest.fixture(scope="session")
+def sample(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    from impact_rig.lab.sample import make
+
+    return make(tmp_path_factory.mktemp("lab") / "sample")

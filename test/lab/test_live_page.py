@@ -1,0 +1,311 @@
+"""Every control of the page, used in a real Chromium, its effect looked at on the ROS side."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import attrs
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy", reason="no ROS 2 here")
+
+from kits.browser import PATIENCE_S, Page, wait_until
+
+from impact_rig.client import Client, Collector, Processes, isolated_domain
+from impact_rig.lab.live import LiveSource, Own
+from impact_rig.lab.server import Server
+
+pytestmark = [pytest.mark.ros, pytest.mark.pipeline]
+
+PARAMETERS = {
+    "rig": {"time.mode": "realtime", "time.factor": 4.0, "time.peers": ["analysis", "recorder"]},
+    "analysis": {"gap_m": 0.006},
+    "recorder": {"record": False},
+}
+"""Four times real time: what settles in ten seconds is there in three."""
+
+
+USUAL = {
+    "sphere.present": True,
+    "barriers.gap_m": 0.006,
+    "sphere.start": "left",
+    "contact.law": "flores",
+    "contact.restitution": 0.35,
+}
+
+
+@attrs.define
+class Lab:
+    """What a test works with: the page's address, and the graph seen by somebody else."""
+
+    server: Server
+    source: LiveSource
+    client: Client
+    processes: Processes
+    directory: Path
+    topics: dict[str, Collector]
+
+    def journal(self) -> list[tuple[str, str, float]]:
+        """Kinds, keys and values of the journal so far."""
+        self.client.spin_for(0.0)
+        rows = self.topics["rig/journal"].rows()
+        return [(r["kind"].decode(), r["key"].decode(), float(r["value"])) for r in rows]
+
+    def until(self, condition: Callable[[], Any], what: str) -> Any:
+        """Wait on the ROS side."""
+        return self.client.wait_until(condition, what, PATIENCE_S)
+
+    def parameter(self, node: str, name: str, value: object) -> None:
+        """Wait until a parameter has a value."""
+        self.until(lambda: self.client.get_parameters(node, [name])[name] == value, f"{name} = {value}")
+
+    def applied(self, column: str, value: float) -> None:
+        """Wait until the shaker does what was commanded."""
+        rows = self.topics["shaker/applied"]
+        self.until(lambda: np.any(np.isclose(rows.rows()[column][-1:], value)), f"{column} {value}")
+
+
+@pytest.fixture(scope="module")
+def lab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Lab]:
+    directory = tmp_path_factory.mktemp("lab_runs")
+    parameters = {**PARAMETERS, "recorder": {"record": False, "directory": str(directory)}}
+    with isolated_domain() as domain_id, Processes(domain_id, directory / "logs", "/rig") as processes:
+        source = LiveSource(domain_id, "/rig", Own(processes, parameters))
+        with Server(source, port=0) as server, source, Client(domain_id, "rig", name="observer") as client:
+            client.wait_active("rig", "analysis", "recorder")
+            names = ("rig/journal", "shaker/applied", "transmissibility/table", "truth/faults")
+            topics = {name: client.collect(name, timeout_s=60.0) for name in names}
+            yield Lab(server, source, client, processes, directory, topics)
+
+
+@pytest.fixture
+def page(lab: Lab, open_page: Callable[..., Page]) -> Page:
+    """A page on which traces are drawn, of a rig at rest as it is by default."""
+    lab.client.trigger("rig/clear_trip")
+    lab.client.trigger("rig/reset")
+    lab.client.set_parameters("rig", USUAL)
+    found = open_page(lab.server.address)
+    found.wait("window.lab && lab.drawn.pictures > 2", "the first traces")
+    return found
+
+
+def word(page: Page, *expected: str) -> None:
+    page.wait(f"{list(expected)!r}.includes(document.getElementById('word').textContent)", f"the word {expected}")
+
+
+def answered(page: Page, words: str) -> None:
+    page.wait(f"document.getElementById('answer').textContent.includes({words!r})", f"the answer {words!r}")
+
+
+@contextlib.contextmanager
+def ending(lab: Lab, node: str) -> Iterator[None]:
+    """End a process that the page has started."""
+    try:
+        yield
+    finally:
+        lab.processes.stop(node)
+
+
+def test_from_r_to_a_settled_transmissibility(lab: Lab, page: Page) -> None:
+    """Nothing else is touched; progress is shown until ± 2u stands there."""
+    word(page, "at rest")
+    page.key("r")
+    lab.applied("frequency", 9.1)
+    lab.applied("current", 0.52)
+    page.wait("!document.getElementById('settling').hidden", "progress of settling")
+    word(page, "driving")
+    page.wait("/^\\d+\\.\\d+$/.test(document.getElementById('dt-number').textContent)", "a number")
+    assert page.text("#dt-u").startswith("± ")
+    settled = lab.until(
+        lambda: [r for r in lab.topics["transmissibility/table"].rows() if r["settled"] == 1], "a settled row"
+    )
+    assert any(float(page.text("#dt-number")) == pytest.approx(float(r["transmissibility"]), abs=0.5) for r in settled)
+    assert page.js("lab.motion.impacts.length") > 0
+    assert page.js("lab.drawn.epoch") == lab.source.epoch
+
+
+def test_numbers_sliders_keys_and_the_papers_values(lab: Lab, page: Page) -> None:
+    page.write("#knob-frequency", "9.4")
+    lab.applied("frequency", 9.4)
+    page.wait("document.querySelectorAll('.pending').length === 0", "the echo")
+    page.click("[data-mark='frequency-9.1']")
+    lab.applied("frequency", 9.1)
+    page.wait("document.querySelectorAll('.pending').length === 0", "the echo")
+    page.js("document.activeElement.blur()")
+    page.key("]")
+    lab.applied("frequency", 9.11)
+    page.wait("document.getElementById('knob-frequency').value === '9.11'", "the field to follow")
+    page.js(
+        "(() => { const s = document.querySelector('[aria-label=\"Current slider\"]'); s.value = 0.3;"
+        " s.dispatchEvent(new Event('change')); })()"
+    )
+    lab.applied("current", 0.3)
+    page.wait("document.getElementById('knob-current').value === '0.3'", "the field to follow")
+
+
+def test_a_refusal_stands_beside_its_knob_in_the_rigs_words(lab: Lab, page: Page) -> None:
+    before = page.js("lab.now.applied.frequency")
+    page.write("#knob-frequency", "900")
+    page.wait("document.querySelector('.knob.refused .words')?.textContent.includes('got 900')", "the refusal")
+    assert page.js("lab.now.applied.frequency") == before
+    page.write("#knob-restitution", "7")
+    page.wait(
+        "[...document.querySelectorAll('.words')].some(e => e.textContent.includes('contact.restitution'))", "why"
+    )
+    lab.parameter("rig", "contact.restitution", 0.35)
+
+
+def test_gap_sphere_law_and_restitution(lab: Lab, page: Page) -> None:
+    page.click("[data-mark='gap-4']")
+    lab.parameter("rig", "barriers.gap_m", 0.004)
+    lab.parameter("analysis", "gap_m", 0.004)
+    page.click("[data-mark='gap-0']")
+    lab.parameter("rig", "sphere.present", False)
+    lab.parameter("analysis", "gap_m", 0.0)
+    page.write("#knob-gap", "6")
+    lab.parameter("rig", "barriers.gap_m", 0.006)
+    lab.parameter("rig", "sphere.present", True)
+    page.choose("#knob-start", "right")
+    lab.parameter("rig", "sphere.start", "right")
+    page.choose("#knob-law", "hu_guo")
+    lab.parameter("rig", "contact.law", "hu_guo")
+    page.write("#knob-restitution", "0.4")
+    lab.parameter("rig", "contact.restitution", 0.4)
+    page.wait("document.querySelectorAll('.pending, .refused').length === 0", "every echo")
+
+
+def test_stop_latches_and_is_cleared(lab: Lab, page: Page) -> None:
+    page.click("#stop")
+    word(page, "tripped")
+    lab.until(lambda: any(kind == "stop" for kind, _, _ in lab.journal()), "the stop in the journal")
+    page.write("#knob-current", "0.1")
+    page.wait("document.querySelectorAll('.knob.refused').length > 0", "a command refused while latched")
+    page.click("#notice-buttons button")
+    lab.until(lambda: any(kind == "clear_trip" for kind, _, _ in lab.journal()), "the cleared latch")
+    word(page, "at rest")
+
+
+def test_pluck_pause_and_reset(lab: Lab, page: Page) -> None:
+    page.click("#pluck")
+    word(page, "plucked")
+    page.click("#pause")
+    word(page, "paused")
+    lab.until(lambda: "paused" in lab.client.status("rig").message, "the rig to be paused")
+    page.click("#pause")
+    word(page, "plucked")
+    epoch = page.js("lab.drawn.epoch")
+    page.click("#reset")
+    word(page, "at rest")
+    lab.until(lambda: any(kind == "reset" for kind, _, _ in lab.journal()), "the reset in the journal")
+    page.wait(f"lab.drawn.epoch > {epoch}", "a new record to be drawn")
+
+
+def test_faults_and_remarks(lab: Lab, page: Page) -> None:
+    page.js("document.getElementById('faulting').open = true")
+    page.click("#fault-start")
+    lab.until(lambda: len(lab.topics["truth/faults"].rows()) > 0, "the fault in truth/faults")
+    assert lab.topics["truth/faults"].rows()["kind"][0] == b"offset_step"
+    page.click("#fault-clear")
+    answered(page, "cleared")
+    hostile = "<img src=x onerror=alert(1)><b>bold"
+    notes = lab.client.collect("notes")
+    page.write("#note", hostile)
+    lab.until(lambda: any(message.data == hostile for message in notes.messages), "the remark")
+    page.wait("document.getElementById('journal-list').textContent.includes('<b>bold')", "the remark as it is")
+    assert page.js("document.querySelectorAll('#journal-list b, #journal-list img').length") == 0
+
+
+def test_a_recording_is_begun_and_ended(lab: Lab, page: Page) -> None:
+    page.click("#record")
+    page.wait("document.getElementById('recording').textContent.includes('run_')", "the name of the run")
+    page.click("#record")
+    page.wait("document.getElementById('recording').textContent === 'off'", "the end")
+    runs = list(lab.directory.glob("run_*/metadata.yaml"))
+    assert len(runs) == 1
+
+
+def test_scope_spectrum_slow_motion_and_themes(page: Page) -> None:
+    for span in ("0.05", "10"):
+        page.choose("#span", span)
+        page.wait(f"Math.abs(lab.scope.span() - {span}) < 0.05 * {span}", f"a window of {span} s")
+    page.click("#trigger")
+    page.wait("lab.scope.trace && isNaN(lab.scope.trace.trigger)", "no trigger")
+    page.choose("#spectrum-channel", "current")
+    page.wait("lab.spectrum.channel === 3", "the spectrum of the current")
+    page.click("[data-slow='0.1']")
+    page.wait("document.getElementById('rig-note').textContent.includes('slow motion')", "slow motion")
+    before = page.js("document.documentElement.dataset.theme")
+    page.js("document.activeElement.blur()")
+    page.key("t")
+    assert page.js("document.documentElement.dataset.theme") != before
+    page.key("?")
+    page.wait("document.getElementById('sheet').open", "the keyboard sheet")
+    page.key("Escape")
+    page.wait("!document.getElementById('sheet').open", "the sheet to close")
+
+
+def test_a_sweep_grows_the_curve_and_a_point_goes_back(lab: Lab, page: Page) -> None:
+    with ending(lab, "stepped_sine"):
+        sweep(lab, page)
+
+
+def sweep(lab: Lab, page: Page) -> None:
+    page.js("document.getElementById('sweeping').open = true")
+    page.js("document.getElementById('sweep-from').value = 8; document.getElementById('sweep-to').value = 8.5;")
+    page.js("document.getElementById('sweep-points').value = 2")
+    page.click("#sweep-start")
+    lab.applied("frequency", 8.0)
+    lab.applied("frequency", 8.5)
+    page.wait("lab.now.sweep.text.startsWith('finished')", "the sweep to finish")
+    page.wait("lab.now.dt.some(r => r.f === 8) && lab.now.dt.some(r => r.f === 8.5)", "both points")
+    x, y = page.js(
+        "(() => { const p = lab.curve.plot, b = p.over.getBoundingClientRect(), r = lab.now.dt.find(r => r.f === 8);"
+        " return [b.left + p.valToPos(r.f, 'x'), b.top + p.valToPos(r.dt, 'y')]; })()"
+    )
+    for kind in ("mousePressed", "mouseReleased"):
+        page.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
+    lab.applied("frequency", 8.0)
+
+
+def test_two_browsers_see_one_rig(lab: Lab, page: Page, open_page: Callable[..., Page]) -> None:
+    other = open_page(lab.server.address, 400, 800, prefers_color_scheme="dark")
+    other.wait("window.lab && lab.drawn.pictures > 2", "traces on the second page")
+    assert other.js("document.documentElement.dataset.theme") == "dark"
+    assert other.js("document.documentElement.scrollWidth") <= 400
+    page.write("#knob-frequency", "8.7")
+    other.wait("document.getElementById('knob-frequency').value === '8.7'", "the other page to follow")
+    assert {address.split("/")[2] for address in page.fetched + other.fetched} == {f"127.0.0.1:{lab.server.port}"}
+
+
+def test_keyboard_alone(lab: Lab, page: Page) -> None:
+    """Tab reaches every control that can be used, in the order of the page; keys do the rest."""
+    page.key("f")
+    assert page.js("document.activeElement.id") == "knob-frequency"
+    page.key("ArrowUp")
+    page.wait("document.querySelectorAll('.pending').length === 0 && lab.now.applied.frequency > 0", "the echo")
+    reached = set()
+    for _ in range(60):
+        page.key("Tab")
+        reached.add(page.js("document.activeElement.id"))
+    assert {"stop", "run", "pause", "reset", "pluck", "record", "span", "spectrum-db"} <= reached
+    page.js("document.activeElement.blur()")
+    page.key("0")
+    lab.applied("current", 0.0)
+    page.key("Escape")
+    word(page, "tripped")
+    page.key("c")
+    word(page, "at rest")
+
+
+def test_a_page_that_does_not_draw_gets_no_pictures(lab: Lab, page: Page) -> None:
+    """Drop frames rather than pile them up: nothing is sent before the last picture was drawn."""
+    page.js("lab.link.acknowledge = () => undefined")
+    page.js("new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
+    count = page.js("lab.drawn.pictures")
+    begin = lab.source.now_s
+    wait_until(lambda: lab.source.now_s > begin + 4.0, "a second of the rig at four times its speed")
+    assert page.js("lab.drawn.pictures") <= count + 2

@@ -1,0 +1,222 @@
+"""Who gets in and what is refused: loopback, token, origin, sizes; and one picture at a time."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import socket
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import aiohttp
+import pytest
+from kits import loops
+from kits.lab import FakeSource, scans
+
+from impact_rig.errors import ImpactRigError
+from impact_rig.lab import protocol
+from impact_rig.lab.protocol import Kind
+from impact_rig.lab.server import LOOPBACK, POLICY, Server, kept_token
+from impact_rig.lab.session import MOST_UNDRAWN
+
+TIMEOUT = aiohttp.ClientTimeout(30)
+
+
+@pytest.fixture
+def source() -> FakeSource:
+    return FakeSource()
+
+
+@pytest.fixture
+def server(source: FakeSource) -> Iterator[Server]:
+    with Server(source, port=0) as found:
+        yield found
+
+
+def get(server: Server, path: str, **headers: str) -> tuple[int, dict[str, str], str]:
+    async def ask() -> tuple[int, dict[str, str], str]:
+        async with (
+            aiohttp.ClientSession(timeout=TIMEOUT) as session,
+            session.get(f"http://{LOOPBACK}:{server.port}{path}", headers=headers) as answer,
+        ):
+            return answer.status, dict(answer.headers), await answer.text()
+
+    return loops.run(ask())
+
+
+async def connect(session: aiohttp.ClientSession, server: Server, **changes: Any) -> aiohttp.ClientWebSocketResponse:
+    base = f"http://{LOOPBACK}:{server.port}"
+    headers = {"Origin": changes.get("origin", base)} if changes.get("origin", base) else {}
+    token = changes.get("token", server.token)
+    return await session.ws_connect(f"{base}/socket?token={token}", headers=headers, max_msg_size=0)
+
+
+def refused_status(server: Server, **changes: Any) -> int:
+    async def ask() -> int:
+        async with aiohttp.ClientSession(timeout=TIMEOUT) as session:
+            with pytest.raises(aiohttp.WSServerHandshakeError) as caught:
+                await connect(session, server, **changes)
+            return caught.value.status
+
+    return loops.run(ask())
+
+
+def test_it_listens_on_the_loopback_only(server: Server) -> None:
+    assert server._host == LOOPBACK
+    with socket.socket() as other:
+        other.settimeout(2.0)
+        assert other.connect_ex(("127.0.0.2", server.port)) != 0
+
+
+def test_the_page_needs_the_token_and_carries_a_strict_policy(server: Server) -> None:
+    status, headers, text = get(server, f"/?token={server.token}")
+    assert status == 200
+    assert "<!doctype html>" in text
+    assert headers["Content-Security-Policy"] == POLICY
+    assert "unsafe" not in POLICY
+    assert headers["X-Content-Type-Options"] == "nosniff"
+    assert get(server, "/")[0] == get(server, "/?token=guess")[0] == 403
+    assert server.refused == {"token": 2}
+    assert server.token not in text
+
+
+def test_files_are_those_of_the_package_and_no_others(server: Server) -> None:
+    assert get(server, "/static/main.js")[0] == 200
+    assert get(server, "/uplot/uPlot.iife.js")[0] == 200
+    for path in (
+        "/static/..%2fserver.py",
+        "/static/../server.py",
+        "/static/server.py",
+        "/uplot/__init__.py",
+        "/etc/passwd",
+    ):
+        assert get(server, path)[0] == 404, path
+
+
+def test_another_name_and_another_page_are_refused(server: Server) -> None:
+    """A page of somebody else, and a name of his that leads here (DNS rebinding)."""
+    path = f"/?token={server.token}"
+    assert get(server, path, Host="evil.example")[0] == 403
+    assert get(server, path, Origin="http://evil.example")[0] == 403
+    assert refused_status(server, origin="http://evil.example") == 403
+    assert refused_status(server, origin="null") == 403
+    assert refused_status(server, origin="") == 403
+    assert refused_status(server, token="") == refused_status(server, token="guess") == 403
+    assert server.refused == {"host": 1, "origin": 4, "token": 2}
+
+
+def test_hostile_requests_are_refused_counted_and_end_the_connection(server: Server, source: FakeSource) -> None:
+    async def talk() -> tuple[list[str], int | None]:
+        async with aiohttp.ClientSession(timeout=TIMEOUT) as session:
+            page = await connect(session, server)
+            answers = []
+            for request in ("{", "[]", '{"do":"rm"}', '{"do":"frequency","value":"9"}', '{"do":"stop","more":1}'):
+                await page.send_str(request)
+            while len(answers) < 5:
+                message = await page.receive()
+                if message.data[0] == Kind.REPLY:
+                    answers.append(json.loads(message.data[8:])["text"])
+            await page.send_bytes(b"\x00")
+            await page.send_str("x" * (protocol.LONGEST_REQUEST + 1))
+            while (message := await page.receive()).type is aiohttp.WSMsgType.BINARY:
+                pass
+            return answers, page.close_code
+
+    answers, code = loops.run(talk())
+    assert [answer.split()[0] for answer in answers] == ["a", "a", "there", "value", "stop"]
+    assert code == 1009
+    assert source.asked == []
+    assert server.refused["malformed"] == 5
+    assert server.refused["binary"] == 1
+
+
+def test_who_talks_nonsense_without_end_is_cut_off(server: Server) -> None:
+    async def talk() -> int | None:
+        async with aiohttp.ClientSession(timeout=TIMEOUT) as session:
+            page = await connect(session, server)
+            for _ in range(30):
+                await page.send_str("nonsense")
+            while (await page.receive()).type is aiohttp.WSMsgType.BINARY:
+                pass
+            return page.close_code
+
+    assert loops.run(talk()) == 1008
+
+
+def test_a_stalled_page_gets_two_pictures_and_another_all_of_them(server: Server, source: FakeSource) -> None:
+    """The third picture waits for the first to be drawn; the state, which is small, goes on."""
+
+    async def talk() -> tuple[int, int]:
+        async with aiohttp.ClientSession(timeout=TIMEOUT) as session:
+            stalled, quick = await connect(session, server), await connect(session, server)
+            drawn = 0
+            for number in range(8):
+                with source.lock:
+                    source.scope.add(scans(number * 100, 100, laser=float(number)), 0)
+                while True:
+                    data = (await quick.receive()).data
+                    if data[0] == Kind.TRACE:
+                        drawn += 1
+                        await quick.send_str(json.dumps({"do": "ack", "frame": struct.unpack_from("<I", data, 4)[0]}))
+                        break
+            pictures = 0
+            while True:
+                try:
+                    data = (await asyncio.wait_for(stalled.receive(), 0.3)).data
+                except TimeoutError:
+                    return pictures, drawn
+                pictures += data[0] == Kind.TRACE
+
+    pictures, drawn = loops.run(talk())
+    assert drawn == 8
+    assert pictures == MOST_UNDRAWN
+
+
+def test_what_is_in_force_comes_before_the_answer(server: Server, source: FakeSource) -> None:
+    """A page that takes the answer for the end of waiting must not meet an old value after it."""
+
+    def ask(request: protocol.Request, answer: Any) -> None:
+        source.snapshot.put("applied", {"frequency": request.values["value"]})
+        answer(True, "")
+
+    source.ask = ask  # type: ignore[method-assign]
+
+    async def talk() -> list[int]:
+        async with aiohttp.ClientSession(timeout=TIMEOUT) as session:
+            page = await connect(session, server)
+            kinds = []
+            await page.send_str('{"id":5,"do":"frequency","value":9.3}')
+            while Kind.REPLY not in kinds:
+                data = (await page.receive()).data
+                if data[0] != Kind.STATE or b"9.3" in data:
+                    kinds.append(data[0])
+            return kinds
+
+    assert loops.run(talk()) == [Kind.STATE, Kind.REPLY]
+
+
+def test_pages_are_counted(server: Server, source: FakeSource) -> None:
+    async def talk() -> None:
+        async with aiohttp.ClientSession(timeout=TIMEOUT) as session:
+            page = await connect(session, server)
+            await page.receive()
+            assert source.watchers == 1
+
+    loops.run(talk())
+
+
+def test_a_port_that_is_taken_is_named(server: Server, source: FakeSource) -> None:
+    with pytest.raises(ImpactRigError, match=f"{LOOPBACK}:{server.port} cannot be served"):
+        Server(source, port=server.port).start()
+
+
+def test_the_token_is_kept_for_this_user_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    token = kept_token()
+    path = tmp_path / "impact_rig" / "lab_token"
+    assert path.stat().st_mode & 0o777 == 0o600
+    assert kept_token() == token
+    path.chmod(0o644)
+    assert kept_token() != token, "one that others could read is not used again"
