@@ -246,6 +246,7 @@ def test_scope_spectrum_slow_motion_and_themes(page: Page) -> None:
     page.wait("document.getElementById('sheet').open", "the keyboard sheet")
     page.key("Escape")
     page.wait("!document.getElementById('sheet').open", "the sheet to close")
+    assert page.js("lab.now.rig.word") != "tripped", "Esc closed the sheet, and stopped nothing"
 
 
 def test_a_sweep_grows_the_curve_and_a_point_goes_back(lab: Lab, page: Page) -> None:

@@ -12,7 +12,7 @@ export function listen(bindings) {
     const target = /** @type {HTMLElement} */ (event.target);
     const writes = target.matches("input:not([type=checkbox]):not([type=range]), select, textarea");
     if (writes && event.key !== "Escape") return;
-    if (document.querySelector("dialog[open]") && event.key !== "Escape") return;
+    if (document.querySelector("dialog[open]")) return; // Esc closes it, and stops nothing
     if ((event.key === " " || event.key === "Enter") && target.matches("button, summary, input")) return;
     if (event.key.startsWith("Arrow") && target.matches("input[type=range]")) return;
     const binding = bindings.find((one) => one.keys.includes(event.key));

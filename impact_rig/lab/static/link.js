@@ -55,17 +55,22 @@ export class Link {
    */
   ask(what, values = {}) {
     const id = this.next++;
-    if (!this.connected) return { id, answer: Promise.resolve({ ok: false, text: "the lab does not answer" }) };
-    this.socket.send(JSON.stringify({ id, do: what, ...values }));
+    if (this.socket.readyState !== WebSocket.OPEN) return { id, answer: Promise.resolve({ ok: false, text: "the lab does not answer" }) };
+    this.send({ id, do: what, ...values });
     return { id, answer: new Promise((resolve) => this.waiting.set(id, resolve)) };
   }
 
   /** @param {number} frame the picture that was drawn */
-  acknowledge(frame) { if (this.connected) this.socket.send(JSON.stringify({ do: "ack", frame })); }
+  acknowledge(frame) { this.send({ do: "ack", frame }); }
 
   /** @param {object} view what the scope is to show */
   look(view) {
     this.view = view;
-    if (this.connected) this.socket.send(JSON.stringify({ do: "view", ...view }));
+    this.send({ do: "view", ...view });
+  }
+
+  /** @private what is sent to a socket that is closing is lost, and asked for again later */
+  send(request) {
+    if (this.socket.readyState === WebSocket.OPEN) this.socket.send(JSON.stringify(request));
   }
 }

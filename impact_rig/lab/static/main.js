@@ -238,7 +238,7 @@ function showJournal(lines) {
     when.textContent = clock(time);
     what.textContent = kind.replaceAll("_", " ");
     what.className = "kind";
-    how.textContent = `${key.replaceAll("_", " ")} ${words}`.trim();
+    how.textContent = `${kind === "parameter" ? key : key.replaceAll("_", " ")} ${words}`.trim();
     how.className = "what";
     item.dataset.kind = kind;
     item.append(when, what, how);

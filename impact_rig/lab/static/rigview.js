@@ -140,6 +140,7 @@ export function drawPhase(canvas, motion, until, knobs, span) {
     const step = 0.001, h2 = 0.0004;
     let first = true;
     for (let t = Math.max(motion.oldest + 0.002, until - span); t < until - 0.002; t += step) {
+      if (motion.impacts.some((row) => Math.abs(row[0] - t) <= h2)) { first = true; continue; } // the velocity jumps here
       const a = motion.at(t - h2, knobs.gap), b = motion.at(t + h2, knobs.gap);
       if (!a || !b) continue;
       const d = (a.sphere - a.structure + b.sphere - b.structure) / 2;
