@@ -4,7 +4,7 @@ import { CurveView } from "./curveview.js";
 import { clock, fixed, steps, withUncertainty } from "./format.js";
 import { Kind } from "./frames.js";
 import { fillSheet, listen } from "./keys.js";
-import { KNOBS, KnobPanel } from "./knobs.js";
+import { KnobPanel } from "./knobs.js";
 import { Link } from "./link.js";
 import { Clock, Motion } from "./motion.js";
 import { forgetColours } from "./paper.js";
@@ -359,18 +359,16 @@ fillSheet(byId("sheet-keys"), bindings);
 listen(bindings);
 
 const onClick = (id, deed) => byId(id).addEventListener("click", deed);
-onClick("stop", () => act("stop"));
+for (const [id, what] of [["stop", "stop"], ["reset", "reset"], ["clear", "clear_trip"], ["sweep-stop", "sweep_stop"], ["fault-clear", "clear_faults"]]) {
+  onClick(id, () => act(what));
+}
 onClick("theme", switchTheme);
 onClick("help", () => byId("sheet").showModal());
 onClick("run", run);
 onClick("rest", rest);
 onClick("pause", pause);
-onClick("reset", () => act("reset"));
 onClick("pluck", () => act("pluck", { value: 0.002 }));
-onClick("clear", () => act("clear_trip"));
 onClick("record", record);
-onClick("sweep-stop", () => act("sweep_stop"));
-onClick("fault-clear", () => act("clear_faults"));
 const onSubmit = (id, deed) => byId(id).addEventListener("submit", (event) => { event.preventDefault(); deed(); });
 onSubmit("sweep-form", () => act("sweep", {
   frequencies: steps(byId("sweep-from").valueAsNumber, byId("sweep-to").valueAsNumber, byId("sweep-points").valueAsNumber),
@@ -397,6 +395,6 @@ for (const button of document.querySelectorAll("[data-slow]")) {
 }
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { if (!localStorage.getItem("theme")) theme(); });
 new ResizeObserver(look).observe(byId("traces"));
-if (KNOBS.length) theme();
+theme();
 look();
 requestAnimationFrame(frame);
