@@ -17,7 +17,7 @@ SAMPLE = Path("build") / "lab_sample"
 FOUND = "?"
 
 
-def add_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Register the subcommand."""
     parser = commands.add_parser("lab", help="see the rig move and turn its knobs, live, in a browser")
     parser.add_argument("runs", nargs="*", type=Path, metavar="RUN", help="play back this run; two: side by side")

@@ -23,6 +23,8 @@ from typing import Any
 import aiohttp
 import pytest
 
+from impact_rig.client.waiting import WaitTimeoutError
+
 PATIENCE_S = float(os.environ.get("IMPACT_RIG_PATIENCE", "60"))
 NAMES = ("chromium", "chromium-browser", "google-chrome", "chrome")
 REQUIRED = os.environ.get("IMPACT_RIG_REQUIRE_BROWSER") == "1"
@@ -230,6 +232,7 @@ def wait_until(condition: Callable[[], Any], what: str, timeout_s: float = PATIE
     """What `condition` returns as soon as it is true; it is asked again and again."""
     deadline = time.monotonic() + timeout_s
     while not (found := condition()):
-        assert time.monotonic() < deadline, f"waited {timeout_s:g} s in vain for {what}"
+        if time.monotonic() > deadline:
+            raise WaitTimeoutError(f"waited {timeout_s:g} s in vain for {what}")
         time.sleep(0.02)
     return found
