@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig.arithmetic.elementary import power
+from impact_rig.arithmetic.records import with_fields
 from impact_rig.physics import contact as contact_laws
 from impact_rig.physics.contact import ContactPair, Force
 from impact_rig.physics.contact.compiled_force import CompiledForce, compiled_force
@@ -71,7 +72,7 @@ def build(config: Setup, rtol: float = CONTACT_RTOL, kind: str | None = None) ->
     p.rtol = rtol
     tabulated = force.scale_free and rtol >= CONTACT_RTOL
     table = _table(force._replace(stiffness=1.0)).copy() if tabulated else record(TABLE)
-    return Model(rows, systems, table.view(np.recarray), compiled_force(force.function))
+    return Model(rows, systems, with_fields(table), compiled_force(force.function))
 
 
 def _set_law(p: Any, force: Force, m_eff: float) -> None:

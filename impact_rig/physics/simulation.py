@@ -8,6 +8,7 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
+from impact_rig.arithmetic.records import with_fields
 from impact_rig.errors import SimulationError
 from impact_rig.physics import contact as contact_laws
 from impact_rig.physics.event_loop import NEED_ROOM, STUCK, Desk, new_desk, run
@@ -138,7 +139,7 @@ class Simulation:
         Raises:
             SimulationError: the integration makes no progress, or needs more than `MOST_KNOTS` steps in a segment.
         """
-        segments = np.ascontiguousarray(segments, SEGMENT).view(np.recarray)
+        segments = with_fields(np.ascontiguousarray(segments, SEGMENT))
         if self.locked:
             segments = segments.copy()
             segments["amplitude"] = segments["slope"] = 0.0

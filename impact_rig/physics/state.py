@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from impact_rig.arithmetic.records import with_fields
 from impact_rig.physics.collocation import STAGES
 
 FREE, CONTACT, ATTACHED = range(3)
@@ -148,4 +149,4 @@ PRESS = np.dtype(
 
 def record(kind: np.dtype[np.void], rows: int = 1) -> Any:
     """Return zeroed rows of a record type, shape (rows,), whose elements have named fields in plain Python too."""
-    return np.zeros(rows, kind).view(np.recarray)
+    return with_fields(np.zeros(rows, kind))
