@@ -94,7 +94,7 @@ class Accelerometer(Instrument):
         unknown = [0.0, 0.0, 0.0, UNKNOWN_VARIANCE]
         return {
             "linear_acceleration.x": reading,
-            "linear_acceleration_covariance": [noise**2, *unknown, *unknown],
+            "linear_acceleration_covariance": [noise * noise, *unknown, *unknown],
             "orientation_covariance": [NOT_MEASURED, *8 * [0.0]],
             "angular_velocity_covariance": [NOT_MEASURED, *8 * [0.0]],
         }

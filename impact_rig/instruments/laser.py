@@ -100,5 +100,5 @@ class Laser(Instrument):
             "min_range": nearest,
             "max_range": farthest,
             "range": distance,
-            "variance": noise**2,
+            "variance": noise * noise,
         }

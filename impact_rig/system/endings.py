@@ -89,8 +89,14 @@ class Ending:
 
     def _over(self) -> None:
         """Take no notice of signals any more: the work is done, and its exit code is known."""
-        for number in (*SIGNALS, signal.SIGALRM):
-            signal.signal(number, signal.SIG_IGN)  # Python would restore the default, which kills, on its way out
+        ignored = False
+        while not ignored:
+            with contextlib.suppress(Told):  # a signal may come in between
+                for number in (*SIGNALS, signal.SIGALRM):
+                    signal.signal(
+                        number, signal.SIG_IGN
+                    )  # Python would restore the default, which kills, on its way out
+                ignored = True
         signal.setitimer(signal.ITIMER_REAL, 0.0)
 
     def _take(self, number: int, _frame: FrameType | None) -> None:

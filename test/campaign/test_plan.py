@@ -88,7 +88,7 @@ def test_the_reference_is_the_first_rig_of_the_first_study(write):
         (study(frequencies_hz="{from: 9, to: 8, step: 1}"), "frequencies_hz.to must be >= from = 9, got 8"),
         (study(frequencies_hz="{from: 9, to: 10}"), "must have from, to and step; missing: step"),
         (study(frequencies_hz="9.1", gaps_m="[0.0]"), "studies.s.gaps_m[0] must be > 0 and <= 1, got 0.0"),
-        (study(frequencies_hz="9.1", laws="[newton]"), "studies.s.laws must be one of flores, hertz"),
+        (study(frequencies_hz="9.1", laws="[newton]"), "studies.s.laws must be one of exact, flores,"),
         (study(frequencies_hz="9.1", restitutions="1.2"), "studies.s.restitutions[0] must be > 0 and <= 1, got 1.2"),
         (study(frequencies_hz="9.1", seeds="-1"), "studies.s.seeds must be an integer >= 0"),
         (study(frequencies_hz="9.1", direction="sideways"), "direction must be one of reset, up, down, up_down"),

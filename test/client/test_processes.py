@@ -118,7 +118,7 @@ def test_a_node_ends_when_the_process_that_started_it_is_killed(tmp_path: Path) 
     pytest.importorskip("rclpy", reason="no ROS 2 here")
     starter = tmp_path / "starter.py"
     starter.write_text(
-        "import signal\nfrom pathlib import Path\nfrom impact_rig.testing import Client, Processes, isolated_domain\n"
+        "import signal\nfrom pathlib import Path\nfrom impact_rig.client import Client, Processes, isolated_domain\n"
         f"with isolated_domain() as domain, Processes(domain, Path({str(tmp_path)!r})) as processes:\n"
         "    node = processes.start('recorder', {'record': False})\n"
         "    with Client(domain, processes=processes) as client:\n"

@@ -11,10 +11,10 @@ pytest.importorskip("rclpy", reason="no ROS 2 here")
 
 from rclpy.serialization import deserialize_message
 
-from impact_rig import topics
 from impact_rig.nodes import messages
 from impact_rig.nodes.convert import Monitors
 from impact_rig.nodes.stamps import nanoseconds
+from impact_rig.nodes.topics import by_name
 from impact_rig.rig import Block, Rig
 from impact_rig.rig.config import RigConfig, from_flat
 
@@ -44,7 +44,7 @@ def test_every_monitor_comes_at_its_rate_with_stamps_of_scans_and_a_frame(defaul
     assert set(found) == {"accelerometer", "laser", "base_displacement", "truth/joint_states"}
     for name, received in found.items():
         assert [nanoseconds(message.header.stamp) for message in received] == stamps, "100 Hz: one per block"
-        assert received[0].header.frame_id == topics.by_name(name).frame_id != ""
+        assert received[0].header.frame_id == by_name(name).frame_id != ""
 
 
 def test_monitor_values_are_those_of_the_scans(default) -> None:

@@ -196,7 +196,7 @@ def test_a_service_is_taken_or_refused_with_a_message_as_the_page_says(
 def test_a_command_is_taken_or_refused_as_the_page_says(situated, situation: Situation, row: services.Input) -> None:
     client, node = situated
     before, applied = node.refusals.total(), len(client.applied)
-    client.publish(topics.by_name(row.name), Float64(data=10.0))
+    client.publish(by_name(row.name), Float64(data=10.0))
 
     def taken() -> bool:
         return any(table.rows[row.name[7:]][0] == 10.0 for table in client.applied.tables(applied))

@@ -173,7 +173,7 @@ def test_rigs_that_once_broke_the_mechanics(found):
         ("barriers", "gap_m", 1.5, "> 0 and <= 1"),
         ("contact", "restitution", 1.2, "> 0 and <= 1"),
         ("contact", "restitution", 0.0, "> 0 and <= 1"),
-        ("contact", "law", "glue", "one of flores"),
+        ("contact", "law", "glue", "one of exact, flores,"),
         ("contact", "speed_floor_m_s", 0.0, "> 0"),
         ("drive", "amplitude", -1.0, ">= 0"),
     ],
