@@ -143,6 +143,7 @@ def test_every_change_of_calibration_and_configuration_is_kept_however_fast_they
         (result,) = rig.set_parameters(ros_parameters({"instruments.laser.lag_s": 1e-3 + 1e-6 * number}))
         assert result.successful
     assert recorder.active
+    client.wait_until(lambda: int(client.figures("recorder")["messages"]) > 2 * changes, "the recorder", 120.0)
     client.step(1)
     client.trigger("recorder/stop")
     found = info(tmp_path / "run")
