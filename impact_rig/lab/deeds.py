@@ -12,8 +12,8 @@ from impact_rig.instruments.fault_kinds import FAULT_KINDS
 from impact_rig.lab.protocol import Request
 from impact_rig.lab.tasks import Refused, Steps, Waiting
 
-ANSWER_S = 10.0
-ECHO_S = 4.0
+ANSWER_S = ECHO_S = 30.0
+"""A busy machine answers late: the knob stays pending until then."""
 START_S = 60.0
 AGAIN_S, ATTEMPTS = 0.5, 20
 """How often a node that has just been started is asked to begin."""
