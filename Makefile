@@ -54,6 +54,7 @@ $(PACKAGE): $(ENVIRONMENT) setup.py setup.cfg package.xml
 	@$(VENV)/bin/python -m pip install --quiet --disable-pip-version-check --no-input \
 	    --no-deps --no-build-isolation --no-index --editable .
 	@mkdir -p build
+	@$(VENV)/bin/impact-rig compile
 	@touch $@
 
 # --- Targets ----------------------------------------------------------------------------------------------------------

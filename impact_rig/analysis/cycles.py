@@ -274,9 +274,11 @@ def _accumulate(
         i += 1
         k += 1
         if k >= stop:
-            out[done] = sums
+            for j in range(channels):  # as an array, Numba would compile the words of an error for seconds
+                for q in range(size):
+                    out[done, j, q] = sums[j, q]
+                    sums[j, q] = 0.0
             out_flags[done] = flags
-            sums[:] = 0.0
             done += 1
             cycle += 1
             flags = 0

@@ -11,6 +11,9 @@ import numpy as np
 from impact_rig.analysis.channels import CHANNELS, SCAN
 from impact_rig.analysis.tracker import Tracker
 from impact_rig.blocks import APPLIED, DAQ_INFO, Table
+from impact_rig.system.compile_ahead import Task
+
+TASK = Task(f"{__name__}:compile_tracker", ("analysis",))
 
 RATE_HZ = 10_000
 DRIVE_HZ = 50.0

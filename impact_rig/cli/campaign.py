@@ -14,6 +14,7 @@ from impact_rig.campaign.job import Job
 from impact_rig.campaign.plan import load_campaign
 from impact_rig.campaign.statements import Verdict
 from impact_rig.campaign.store import Store
+from impact_rig.cli import compiling
 from impact_rig.cli.terminal import Console, TextTable, Words, tell_program
 from impact_rig.errors import ConfigError
 from impact_rig.studies.margins import Variation, variations
@@ -60,6 +61,7 @@ def _run(arguments: argparse.Namespace) -> int:
         raise ConfigError("--record needs --through ros: what is recorded are messages")
     store = run.prepare(campaign, directory, way)
     console = Console()
+    compiling.ready()
     started = time.monotonic()
     jobs = run.unique_jobs(campaign.planned())
     _measure(jobs, store, _runner(way, address, arguments, directory), console)
@@ -112,7 +114,7 @@ def _measure(jobs: list[Job], store: Store, runner: run.Runner, console: Console
     )  # fmt: skip
     failed = 0
     with Progress(*columns, console=console) as progress, contextlib.closing(run.measure(jobs, store, runner)) as done:
-        task = progress.add_task("runs", total=len(jobs), state="starting (the first time compiles)")
+        task = progress.add_task("runs", total=len(jobs), state="starting")
         for job, outcome in done:
             failed += bool(outcome.failure)
             trouble = f", {failed} failed" if failed else ""

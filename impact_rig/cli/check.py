@@ -8,6 +8,7 @@ from pathlib import Path
 
 from rich.text import Text
 
+from impact_rig.cli import compiling
 from impact_rig.cli.terminal import Console, TextTable
 from impact_rig.errors import ConfigError
 from impact_rig.instruments import check_known_input
@@ -30,6 +31,7 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
 
 def _run(arguments: argparse.Namespace) -> int:
     config = load(arguments.path)
+    compiling.ready()
     try:
         Rig(config)  # values that are legal one by one may be none together
     except ConfigError as error:

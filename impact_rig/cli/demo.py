@@ -19,6 +19,7 @@ from impact_rig.campaign import paper
 from impact_rig.campaign.job import Job
 from impact_rig.campaign.paper import Reductions
 from impact_rig.campaign.summary import Statement, write_summary
+from impact_rig.cli import compiling
 from impact_rig.cli.terminal import Console, TextTable, Words, tell_program
 from impact_rig.errors import ImpactRigError
 from impact_rig.operate.plan import Direction
@@ -98,6 +99,7 @@ def run(arguments: argparse.Namespace) -> int:
     console.print(
         f"impact_rig demo: rig, analysis and recorder as three processes, {arguments.rate} scans/s, freewheel"
     )
+    compiling.ready()
     started = time.monotonic()
     rows = _measure(config, directory, console)
     wall_s = time.monotonic() - started
@@ -156,7 +158,7 @@ class Screen:
     def __init__(self, console: Console) -> None:
         words, state = Words("{task.description:<12}"), Words("{task.fields[state]:<36}")
         self._progress = Progress(words, BarColumn(24), state, TimeElapsedColumn(), console=console)
-        self._starting = self._progress.add_task("processes", total=None, state="starting (the first time compiles)")
+        self._starting = self._progress.add_task("processes", total=None, state="starting")
         self._tasks: dict[float, TaskID] = {}
 
     def __enter__(self) -> Screen:

@@ -12,6 +12,7 @@ from impact_rig.analysis.words import Status
 from impact_rig.campaign import run
 from impact_rig.campaign.axes import NO_SPHERE
 from impact_rig.campaign.paper import CURRENT_A, FREQUENCIES_HZ, FREQUENCY_HZ, REDUCTION_PERCENT
+from impact_rig.cli import compiling
 from impact_rig.cli.terminal import Console, TextTable, tell_program
 from impact_rig.errors import ConfigError, ImpactRigError
 from impact_rig.recording import open_run
@@ -46,6 +47,7 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
 
 def _run(arguments: argparse.Namespace) -> int:
     console = Console()
+    compiling.ready()
     if arguments.paper:
         base = load(arguments.config) if arguments.config else RigConfig()
         for free in (("f_n", "ζ"), ("f_n", "ζ", "I")):

@@ -23,8 +23,8 @@ __all__ = ["Console", "TextTable", "Words", "tell_program"]
 class Console(rich_console.Console):
     """A terminal that shows every text as it is."""
 
-    def __init__(self) -> None:
-        super().__init__(markup=False, emoji=False, highlight=False)
+    def __init__(self, *, stderr: bool = False) -> None:
+        super().__init__(stderr=stderr, markup=False, emoji=False, highlight=False)
 
     def render_str(self, text: str, **options: Any) -> Text:
         """Return a text as it is drawn, also in tables."""

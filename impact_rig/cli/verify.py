@@ -18,8 +18,10 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
 
 def _run(arguments: argparse.Namespace) -> int:
     with open_run(arguments.path) as run:
-        from impact_rig.runs.verification import verify  # noqa: PLC0415  # heavy: after the run has been opened
+        from impact_rig.cli import compiling  # noqa: PLC0415  # heavy: after the run has been opened
+        from impact_rig.runs.verification import verify  # noqa: PLC0415
 
+        compiling.ready()
         found = verify(run)
     Console().print(f"{arguments.path}: {found}", style="green" if found.identical else "red")
     return 0 if found.identical else 1

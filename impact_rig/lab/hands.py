@@ -164,7 +164,6 @@ class Hands:
             own.processes.stop(name)
             self._source.client.diagnostics.pop(name, None)
             self._source.start_node(name)
-        self._source.compiled = None
         return f"started again: {', '.join(ended)}"
 
     def recover(self) -> str:

@@ -19,7 +19,7 @@ import attrs
 
 from impact_rig.errors import ImpactRigError
 from impact_rig.instruments.scan import CHANNELS
-from impact_rig.lab import deeds, parts, progress, state
+from impact_rig.lab import deeds, parts, state
 from impact_rig.lab.deeds import KNOBS
 from impact_rig.lab.motion import Motion
 from impact_rig.lab.parts import figure
@@ -81,7 +81,6 @@ class LiveSource:
         self._rate = (0.0, 0.0, 0.0)  # wall, rig time, ratio
         self._heard_at: dict[str, tuple[int, float]] = {}
         self.wanted_namespace: str | None = None
-        self.compiled: tuple[int, int] | None = None
         self._thread = threading.Thread(target=self._run, name="lab-hub", daemon=True)
         self.snapshot.put("mode", "live")
         self.snapshot.put("choices", parts.choices())
@@ -249,10 +248,6 @@ class LiveSource:
         if self.ears.configured != self._read and self._hands.is_there("rig"):
             self._read = self.ears.configured
             self._tasks.begin(_silently(self._hands.refresh()), lambda _ok, _words: None)
-        word = (self.snapshot.get("rig") or {}).get("word")
-        if self.own is not None and word in ("starting", "compiling"):
-            count = progress.expected() if self.compiled is None else self.compiled[1]
-            self.compiled = min(progress.ready(), count), count
 
     def _discover(self) -> None:
         found = sorted(
@@ -278,7 +273,7 @@ class LiveSource:
         status = client.status("rig")
         heard = state.Heard(
             ended=self._ended("rig"), age_s=self._age("rig"), message=status.message,
-            level=status.level[0] if status.level else 0, figures=figures, compiled=self.compiled,
+            level=status.level[0] if status.level else 0, figures=figures,
             tripped=ears.ledger.tripped, plucked=ears.ledger.plucked,
             settled=ears.curve.settled_since(ears.ledger.changed_ns),
         )  # fmt: skip

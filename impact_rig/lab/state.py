@@ -20,7 +20,6 @@ class Heard:
         message: what it says, in one sentence.
         level: of that, 0 fine, 1 warning, 2 error.
         figures: of its diagnostics.
-        compiled: how far the compiler is: functions ready, and of how many.
         tripped: what latched the shaker, by the journal; it is faster than the diagnostics.
         plucked: whether the base is locked after a pluck.
         settled: whether something has settled since the last change.
@@ -31,7 +30,6 @@ class Heard:
     message: str = ""
     level: int = 0
     figures: Mapping[str, str] = attrs.field(factory=dict)
-    compiled: tuple[int, int] | None = None
     tripped: str = ""
     plucked: bool = False
     settled: bool = False
@@ -42,15 +40,13 @@ def judge(heard: Heard) -> tuple[str, str]:
     if heard.ended:
         return "dead", f"The rig is gone: {heard.ended}."
     if heard.age_s is None:
-        if heard.compiled is not None and heard.compiled[0] < heard.compiled[1]:
-            return _compiling(heard)
         return "starting", "Waiting for the rig."
     if heard.age_s > DEAD_S:
         return "dead", f"Nothing was heard of the rig for {heard.age_s:.0f} s."
     figures, message = heard.figures, heard.message
     if "rig_time_s" not in figures:
-        if heard.compiled is not None and heard.compiled[0] < heard.compiled[1] and message == "unconfigured":
-            return _compiling(heard)
+        if message.startswith("compiling"):
+            return "compiling", f"{message[:1].upper()}{message[1:]}: the first start on a machine takes a while."
         return "starting", f"Not running yet: {message}."
     latched = figures.get("latched", "")
     if latched or heard.tripped:
@@ -70,8 +66,3 @@ def judge(heard: Heard) -> tuple[str, str]:
     if heard.settled:
         return "driving", f"Settled: the measurement below holds.{aside}"
     return "settling", f"Waiting until the transient has died.{aside}"
-
-
-def _compiling(heard: Heard) -> tuple[str, str]:
-    done, count = heard.compiled or (0, 0)
-    return "compiling", f"Compiling {done} of {count}: the first start on a machine takes a minute."

@@ -9,12 +9,12 @@ import attrs
 from std_msgs.msg import Float64, Header, String
 
 from impact_rig import codec, topics
+from impact_rig.analysis import warm_up
 from impact_rig.analysis.blockwise import ANALYSES, Blockwise
 from impact_rig.analysis.labels import parse_label
 from impact_rig.analysis.settings import TrackerSettings
 from impact_rig.analysis.tables import settings_table
 from impact_rig.analysis.tracker import LONGEST_S, Findings, Tracker
-from impact_rig.analysis.warm_up import compile_tracker
 from impact_rig.blocks import Table
 from impact_rig.errors import CodecError, ConfigError
 from impact_rig.nodes import process
@@ -53,7 +53,8 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
 
     def configure(self) -> None:
         """Create the publishers, and let nobody wait for the compiler once the node is active."""
-        compile_tracker()
+        self.compile_ahead([warm_up.TASK])
+        warm_up.compile_tracker()
         self._outlets = {topic.name: self.publisher(topic) for topic in PUBLISHED}
         self._ack = self.publisher(topics.ACK)
 

@@ -7,9 +7,10 @@ in what happens on configure, activate, deactivate and clean up.
 
 from __future__ import annotations
 
+import math
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, Generic, TypeVar  # rclpy is untyped
 
 from lifecycle_msgs.srv import ChangeState
@@ -26,6 +27,7 @@ from impact_rig.nodes import diagnostics, messages
 from impact_rig.nodes.diagnostics import CpuMeter, Health, Level
 from impact_rig.nodes.guard import Refusals, describe, guarded, guarded_answer, guarded_service
 from impact_rig.nodes.parameters import Parameters, Schema
+from impact_rig.system.compile_ahead import Task, compile_ahead
 from impact_rig.system.escapes import visible
 
 S = TypeVar("S")
@@ -35,6 +37,8 @@ CHANGE_PERIOD_S = 0.1
 """How soon a change of level or message is reported; also how often it may be."""
 ERROR_MEMORY_S = 5.0
 """An exception of a callback is shown in diagnostics this long."""
+COMPILING_PERIOD_S = 3.0
+"""How often the log says how far the compiler is."""
 WARN_PERIOD_S = 1.0
 """Least time between two warnings of one reason."""
 
@@ -61,6 +65,7 @@ class ManagedNode(LifecycleNode, Generic[S]):
         self._cpu = CpuMeter()
         self._last_error: tuple[float, str] = (-ERROR_MEMORY_S, "")
         self._warned: dict[str, float] = {}
+        self._compiling = ""
         self._reported: tuple[Level, str] = (Level.OK, "")
         self._reported_at = -DIAGNOSTICS_PERIOD_S
         self._diagnostics = self.create_publisher(
@@ -216,6 +221,25 @@ class ManagedNode(LifecycleNode, Generic[S]):
             self._transition("deactivate", self.deactivate)
         self._transition("clean up", self.cleanup)
 
+    def compile_ahead(self, tasks: Sequence[Task]) -> None:
+        """Return once these tasks are compiled; the log and diagnostics say how far that is."""
+        try:
+            compile_ahead(tasks, self._tell_compiling)
+        finally:
+            self._compiling = ""
+
+    def _tell_compiling(self, done: int, count: int) -> None:
+        if self.is_told_to_end():
+            raise ImpactRigError("told to end while compiling")
+        if not self._compiling:
+            self.get_logger().info("compiling, once on this machine")
+        self._compiling = f"compiling, {done} of {count} functions"
+        now = time.monotonic()
+        if now - self._warned.get("compiling", -math.inf) >= COMPILING_PERIOD_S or done == count:
+            self._warned["compiling"] = now
+            self.get_logger().info(self._compiling)
+        self.report_now()
+
     def _transition(
         self, what: str, action: Callable[[], None], undo: Callable[[], None] | None = None
     ) -> TransitionCallbackReturn:
@@ -319,7 +343,9 @@ class ManagedNode(LifecycleNode, Generic[S]):
         self._diagnostics.publish(diagnostics.to_message(name, name, full, self.rig_time_ns()))
 
     def _judged(self, status: Health) -> tuple[Level, str]:
-        """Return the node's own status, or the last error while it is fresh."""
+        """Return the node's own status, or the last error while it is fresh; while it compiles, how far that is."""
+        if self._compiling:
+            return Level.WARN, self._compiling
         at, message = self._last_error
         if time.monotonic() - at < ERROR_MEMORY_S:
             return diagnostics.worst((status.level, status.message), (Level.ERROR, message))

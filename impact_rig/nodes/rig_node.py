@@ -26,7 +26,7 @@ from impact_rig.nodes.rig_status import RigStatus
 from impact_rig.nodes.stamps import nanoseconds
 from impact_rig.nodes.steps import StepRequests
 from impact_rig.nodes.work_timer import WorkTimer
-from impact_rig.rig import Block, Rig
+from impact_rig.rig import Block, Rig, warm_up
 from impact_rig.rig.config import RigConfig
 from impact_rig.simtime import NS_PER_S
 from impact_rig.system.endings import Ending
@@ -93,6 +93,7 @@ class RigNode(ManagedNode[RigConfig]):
 
     def configure(self) -> None:
         """Check that this rig can be built and published, load compiled code, create the publishers."""
+        self.compile_ahead(warm_up.TASKS)
         Rig(self.settings).advance(WARM_UP_NS)
         self._outlets = Outlets(self, self.settings)
         time.sleep(max(0.0, self._discovered_at - time.monotonic()))
