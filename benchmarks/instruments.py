@@ -13,6 +13,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from benchmarks.scipy_chain import SciPyChain
 from impact_rig.arithmetic.random import Random
 from impact_rig.instruments import Chain, chain, conversion, response
 from impact_rig.instruments.fault_board import FaultBoard
@@ -68,8 +69,13 @@ def run(seconds: int = 40) -> dict[str, float]:
     bench = Bench()
     for _ in range(SETTLE_S):
         bench.second()
-    whole = [bench.second() for _ in range(seconds)]
-    ticks = [bench.second(1) for _ in range(max(5, seconds // 4))]
+    peer = SciPyChain()
+    whole, ticks, peers, peers_ticks = [], [], [], []
+    for _ in range(seconds):  # in turn: what else the machine does meets all of them
+        whole.append(bench.second())
+        peers.append(peer.second())
+        ticks.append(bench.second(1))
+        peers_ticks.append(peer.second(100))
     instruments, mechanics = (float(np.median([second[part] for second in whole])) for part in (0, 1))
     live = float(np.median([second[0] for second in ticks]))
     shares, total = stages(bench, seconds)
@@ -78,6 +84,10 @@ def run(seconds: int = 40) -> dict[str, float]:
         "instruments_x_realtime_50kSps": 1.0 / instruments,
         "instruments_with_mechanics_x_realtime_50kSps": 1.0 / (instruments + mechanics),
         "instruments_10ms_calls_x_realtime_50kSps": 1.0 / live,
+        "scipy_chain_x_realtime_50kSps": 1.0 / float(np.median(peers)),
+        "instruments_over_scipy_chain": float(np.median(peers)) / instruments,
+        "instruments_10ms_calls_over_scipy_chain": float(np.median(peers)) / live,
+        "scipy_chain_10ms_calls_x_realtime_50kSps": 1.0 / float(np.median(peers_ticks)),
     }
 
 

@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks import wire
 from impact_rig import codec, topics
 from impact_rig.client import Client, Processes, isolated_domain
 from impact_rig.client.processes import ParameterValue
@@ -27,6 +28,7 @@ DRIVE = {"drive.amplitude": 0.52, "barriers.gap_m": 0.006}
 NODES = ("rig", "analysis", "recorder")
 WARM_UP_S = 2.0
 FREEWHEEL_WINDOW = 64
+PAIRS = 3
 
 
 def run() -> dict[str, float]:
@@ -35,7 +37,21 @@ def run() -> dict[str, float]:
     figures: dict[str, float] = {}
     for rate_hz in RATES_HZ:
         figures.update(live(seconds, rate_hz))
-    return {**figures, **freewheel(seconds / 2), **start()}
+    return {**figures, **freewheel_beside_the_wire(seconds / 2), **start()}
+
+
+def freewheel_beside_the_wire(seconds: float) -> dict[str, float]:
+    """Freewheel and what the wire carries, in turn; the ratio of their medians."""
+    ours, wires = [], []
+    for _ in range(PAIRS):
+        ours.append(freewheel(seconds)["freewheel_x_realtime_10kSps"])
+        wires.append(wire.run(seconds, FREEWHEEL_WINDOW)["wire_x_realtime_10kSps"])
+    own, floor = float(np.median(ours)), float(np.median(wires))
+    return {
+        "freewheel_x_realtime_10kSps": own,
+        "wire_x_realtime_10kSps": floor,
+        "freewheel_over_wire": own / floor,
+    }
 
 
 def live(seconds: float, rate_hz: int) -> dict[str, float]:

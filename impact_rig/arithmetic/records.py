@@ -20,8 +20,12 @@ def records(count: int, kind: np.dtype[np.void]) -> Any:
     third of the time. A field must not be called like an attribute of NumPy's scalars (real, put, round, …).
     """
     assert not any(hasattr(np.record, name) for name in kind.names or ())
-    made = np.zeros(count, kind)
-    return with_fields(made) if DISABLED else made
+    return for_kernels(np.zeros(count, kind))
+
+
+def for_kernels(rows: NDArray[np.void]) -> Any:
+    """Return rows as kernels take them: as they are, with fields by name where kernels run as plain Python."""
+    return with_fields(rows) if DISABLED else rows
 
 
 def with_fields(rows: NDArray[np.void]) -> Any:

@@ -16,7 +16,6 @@ from typing import Any, TypeVar  # rclpy handles; message classes have no common
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
-from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from rcl_interfaces.srv import GetParameters, SetParametersAtomically
 from rclpy.context import Context
@@ -33,6 +32,7 @@ from impact_rig.client.graph import is_heard, published
 from impact_rig.client.hosting import HostedNodes, acknowledge_callbacks
 from impact_rig.client.parameters import ros_parameters
 from impact_rig.client.processes import ParameterValue, Processes
+from impact_rig.client.transitions import transition as named
 from impact_rig.client.waiting import SPIN_S, Spinner, WaitTimeoutError
 from impact_rig.errors import ConfigError, ImpactRigError
 from impact_rig.nodes import messages
@@ -50,15 +50,6 @@ START_TIMEOUT_S = 240.0
 """A node's first start on a machine compiles the physics."""
 AGAIN_S = 2.0
 """When a question that may be asked twice is asked again."""
-_TRANSITIONS = {
-    "configure": Transition.TRANSITION_CONFIGURE,
-    "cleanup": Transition.TRANSITION_CLEANUP,
-    "activate": Transition.TRANSITION_ACTIVATE,
-    "deactivate": Transition.TRANSITION_DEACTIVATE,
-    "shutdown_unconfigured": Transition.TRANSITION_UNCONFIGURED_SHUTDOWN,
-    "shutdown_inactive": Transition.TRANSITION_INACTIVE_SHUTDOWN,
-    "shutdown_active": Transition.TRANSITION_ACTIVE_SHUTDOWN,
-}
 
 
 class ServiceFailedError(ImpactRigError, RuntimeError):
@@ -304,7 +295,7 @@ class Client:
 
     def change_state(self, node: str, transition: str, timeout_s: float = START_TIMEOUT_S) -> bool:
         """Request a lifecycle transition (`configure`, `activate`, `deactivate`, `cleanup`); return its success."""
-        request = ChangeState.Request(transition=Transition(id=_TRANSITIONS[transition]))
+        request = ChangeState.Request(transition=named(transition))
         return bool(self.call(ChangeState, f"{node}/change_state", request, timeout_s).success)
 
     def status(self, node: str) -> DiagnosticStatus:

@@ -19,6 +19,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from impact_rig.arithmetic.records import records
 from impact_rig.physics.energy import account_flight
 from impact_rig.physics.flight import STOPPED, aim, carry, fly, look, rounding
 from impact_rig.physics.forcing import Forcing, bound_omega, transfer
@@ -39,7 +40,6 @@ from impact_rig.physics.state import (
     STATE,
     V1,
     X1,
-    record,
 )
 from impact_rig.physics.touching import (
     FAILED,
@@ -96,13 +96,13 @@ class Desk(NamedTuple):
 def new_desk(knots: int, impacts: int) -> Desk:
     """Return a desk with room for so many knots and impacts."""
     return Desk(
-        record(STATE, 2),
-        record(FLIGHT),
-        record(PRESS),
-        record(LEDGER),
-        record(LOG),
-        record(STATE, knots),
-        record(IMPACT, impacts),
+        records(2, STATE),
+        records(1, FLIGHT),
+        records(1, PRESS),
+        records(1, LEDGER),
+        records(1, LOG),
+        records(knots, STATE),
+        records(impacts, IMPACT),
         np.zeros(1, np.int64),
     )
 

@@ -6,16 +6,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig.physics.model import Model
+from impact_rig.physics.refining import PARTS, refine
 from impact_rig.physics.sampling import QUANTITIES, Query, Trajectory, new_bench, sample
-from impact_rig.physics.state import CONTACT, FREE, IMPACT
+from impact_rig.physics.state import IMPACT
 
 __all__ = ["IMPACT", "SAMPLE", "Motion"]
 
 SAMPLE = np.dtype([(name, "f8") for name in QUANTITIES])
 
 _ALL = np.arange(len(QUANTITIES))
-_PARTS = 3
-"""Pieces in which a contact that was looked up as a whole is smooth enough for the instruments' polynomials."""
 
 
 class Motion:
@@ -83,20 +82,10 @@ class Motion:
 
     def _refined(self) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.bool_]]:
         """Return (segment, offset, whether touching) of the knots and of places inside contacts taken as a whole."""
-        knots, first = self._trajectory.knots, self._trajectory.first
-        segment = self.first_segment + np.repeat(np.arange(len(self.segments)), np.diff(first))
-        offset, phase = knots["t"].copy(), np.asarray(knots["phase"])
-        whole = np.flatnonzero((phase == CONTACT) & (knots["whole"] != 0))
-        length = offset[whole + 1] - offset[whole]
-        inside = np.concatenate([offset[whole] + length * (part / _PARTS) for part in range(1, _PARTS)])
-        places = np.tile(whole + 1, _PARTS - 1)
-        order = np.argsort(places, kind="stable")
-        places = places[order]
-        return (
-            np.insert(segment, places, segment[places - 1]),
-            np.insert(offset, places, inside[order]),
-            np.insert(phase != FREE, places, True),
-        )
+        room = PARTS * len(self._trajectory.knots)
+        segment, offset, touching = np.empty(room, np.int64), np.empty(room), np.empty(room, np.bool_)
+        count = refine(self._trajectory, segment, offset, touching)
+        return segment[:count], offset[:count], touching[:count]
 
     def _evaluate(
         self, wanted: NDArray[np.int64], segment: NDArray[np.int64], offset_s: NDArray[np.float64]

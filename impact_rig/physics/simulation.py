@@ -8,7 +8,7 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_rig.arithmetic.records import with_fields
+from impact_rig.arithmetic.records import for_kernels, records, with_fields
 from impact_rig.errors import SimulationError
 from impact_rig.physics import contact as contact_laws
 from impact_rig.physics.event_loop import NEED_ROOM, STUCK, Desk, new_desk, run
@@ -18,7 +18,7 @@ from impact_rig.physics.model import CONTACT_RTOL, Model, build
 from impact_rig.physics.motion import Motion
 from impact_rig.physics.parameters import LOOSE, PRESCRIBED
 from impact_rig.physics.setup import Setup
-from impact_rig.physics.state import ATTACHED, COIL, CONTACT, FREE, LEDGER, STATE, STRUCTURE, V1, VB, X1, XB, record
+from impact_rig.physics.state import ATTACHED, COIL, CONTACT, FREE, IMPACT, LEDGER, STATE, STRUCTURE, V1, VB, X1, XB
 
 MOST_KNOTS = 200_000
 """Contacts, rides and flights in one drive segment (10 ms); a chattering sphere makes some ten of them."""
@@ -139,34 +139,35 @@ class Simulation:
         Raises:
             SimulationError: the integration makes no progress, or needs more than `MOST_KNOTS` steps in a segment.
         """
-        segments = with_fields(np.ascontiguousarray(segments, SEGMENT))
+        segments = np.ascontiguousarray(segments, SEGMENT)
         if self.locked:
             segments = segments.copy()
             segments["amplitude"] = segments["slope"] = 0.0
+        segments = for_kernels(segments)
         desk = self._desk._replace(first=np.zeros(len(segments) + 1, np.int64))
         filled = desk.filled[0]
-        filled.knots = filled.impacts = 0
+        filled["knots"] = filled["impacts"] = 0
         index = 0
         while True:
             ended, index = run(self._model, segments, index, self.segment, desk, self._account)
             if ended == STUCK:
                 raise SimulationError(
-                    f"no progress in drive segment {self.segment + index} at {desk.states[0].t:.9f} s of it, "
-                    f"phase {desk.states[0].phase}"
+                    f"no progress in drive segment {self.segment + index} at {desk.states[0]['t']:.9f} s of it, "
+                    f"phase {desk.states[0]['phase']}"
                 )
             if ended != NEED_ROOM:
                 break
-            if filled.knots - desk.first[index] > MOST_KNOTS:
+            if filled["knots"] - desk.first[index] > MOST_KNOTS:
                 raise SimulationError(
                     f"more than {MOST_KNOTS} contacts, rides and flights in drive segment {self.segment + index}, "
-                    f"at {desk.states[0].t:.9f} s of it: the motion cannot be resolved"
+                    f"at {desk.states[0]['t']:.9f} s of it: the motion cannot be resolved"
                 )
             desk = self._desk = _grown(desk)
         if self._model.parameters[0].drive == PRESCRIBED and len(segments):  # not integrated, but energy depends on it
             last = segments[-1]
-            f = Forcing(last.omega, last.phase, last.amplitude, last.slope)
-            desk.states[0].y[XB], desk.states[0].y[VB] = drive(f, last.duration)
-        knots, impacts = int(filled.knots), int(filled.impacts)
+            f = Forcing(last["omega"], last["phase"], last["amplitude"], last["slope"])
+            desk.states[0]["y"][[XB, VB]] = drive(f, last["duration"])
+        knots, impacts = int(filled["knots"]), int(filled["impacts"])
         desk.first[-1] = knots
         motion = Motion(
             self._model, self.segment, segments, desk.knots[:knots].copy(), desk.first,
@@ -189,7 +190,7 @@ class Simulation:
 
     def stored_energy(self) -> float:
         """Return kinetic plus potential energy [J], at the end of the last segment."""
-        p, s, y = self._model.parameters[0], self._desk.states[0], self._structure()
+        p, s, y = self._model.parameters[0], with_fields(self._desk.states)[0], self._structure()
         stretch = y[X1] - y[XB]
         total = 0.5 * p.m_1 * y[V1] * y[V1] + 0.5 * p.k_1 * stretch * stretch
         if p.drive != PRESCRIBED:
@@ -204,14 +205,14 @@ class Simulation:
         return float(total)
 
     def _begin(self, y: NDArray[np.float64]) -> None:
-        self._desk = self._desk._replace(states=record(STATE, 2), ledger=record(LEDGER))
-        self._desk.states[0].y[:] = y
+        self._desk = self._desk._replace(states=records(2, STATE), ledger=records(1, LEDGER))
+        self._desk.states[0]["y"][:] = y
         self._put_sphere(_PLACES[self._config.sphere.start] * self._model.parameters[0].half_gap, 0.0)
         self._stored = self.stored_energy()
 
     def _put_sphere(self, d: float, d_rate: float) -> None:
         """Set the sphere; where the guide has friction, one at rest is held and a sliding one braked."""
-        p, s = self._model.parameters[0], self._desk.states[0]
+        p, s = self._model.parameters[0], with_fields(self._desk.states)[0]
         s.phase, s.side, s.slide, s.d, s.d_rate = FREE, 0.0, 0.0, d, d_rate
         if p.friction > 0.0 and p.sphere_present:
             s.phase = FREE if d_rate else ATTACHED
@@ -219,7 +220,7 @@ class Simulation:
 
     def _structure(self) -> NDArray[np.float64]:
         """Return y = (x_1, v_1, x_b, v_b, i) whatever the phase, shape (STRUCTURE,)."""
-        p, s = self._model.parameters[0], self._desk.states[0]
+        p, s = self._model.parameters[0], with_fields(self._desk.states)[0]
         y: NDArray[np.float64] = s.y.copy()
         if s.phase == CONTACT:
             y[X1] -= p.share * s.side * s.w * s.w
@@ -229,8 +230,8 @@ class Simulation:
 
 def _grown(desk: Desk) -> Desk:
     """Return the desk with more room in its log, what is in it kept."""
-    knots = record(STATE, _GROWTH * len(desk.knots))
+    knots = records(_GROWTH * len(desk.knots), STATE)
     knots[: len(desk.knots)] = desk.knots
-    impacts = record(desk.impacts.dtype, _GROWTH * len(desk.impacts))
+    impacts = records(_GROWTH * len(desk.impacts), IMPACT)
     impacts[: len(desk.impacts)] = desk.impacts
     return desk._replace(knots=knots, impacts=impacts)

@@ -6,10 +6,12 @@ calls decides whether it trips.
 
 from __future__ import annotations
 
+import functools
 import math
 
 import attrs
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from impact_rig.arithmetic.elementary import exp
@@ -63,12 +65,15 @@ class Interlock:
         """Return the first trip in simulated ticks, or None; remembers the current up to there."""
         if drive.kind == "prescribed":
             return None
-        travel, velocity, current = _looks(motion, ("x_b", "v_b", "current"), tick_s)
+        ticks = len(motion.segments)
+        after, offset = _instants(ticks, tick_s)
+        seen = motion.quantities(("x_b", "v_b", "current"), motion.first_segment + after, offset)
+        travel, velocity, current = seen.reshape(3, ticks, LOOKS_PER_TICK + 1)
         worst = largest(travel, velocity, tick_s / LOOKS_PER_TICK)
         square = mean_square(current[:, 1:])
         gain = 1.0 - exp(-tick_s / CURRENT_TIME_S)
         limit, limit_rms = shaker.travel_limit_m, shaker.current_limit_a_rms
-        for tick in range(len(worst)):
+        for tick in range(ticks):
             self._mean_square += gain * (square[tick] - self._mean_square)
             if worst[tick] > limit:
                 return Trip(tick, OVER_TRAVEL, float(worst[tick]), limit)
@@ -77,39 +82,44 @@ class Interlock:
         return None
 
 
-def _looks(motion: Motion, names: tuple[str, ...], tick_s: float) -> NDArray[np.float64]:
-    """Return quantities at the instants of the interlock, shape (names, ticks, LOOKS_PER_TICK + 1): both ends count."""
-    ticks = len(motion.segments)
-    segment = motion.first_segment + np.repeat(np.arange(ticks, dtype=np.int64), LOOKS_PER_TICK + 1)
-    offset = np.tile(np.arange(LOOKS_PER_TICK + 1) * (tick_s / LOOKS_PER_TICK), ticks)
-    return motion.quantities(names, segment, offset).reshape(len(names), ticks, LOOKS_PER_TICK + 1)
+@functools.lru_cache(maxsize=4)
+def _instants(ticks: int, tick_s: float) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Return the instants of the interlock, (tick, offset [s]), LOOKS_PER_TICK + 1 a tick: both ends count."""
+    tick = np.repeat(np.arange(ticks, dtype=np.int64), LOOKS_PER_TICK + 1)
+    return tick, np.tile(np.arange(LOOKS_PER_TICK + 1) * (tick_s / LOOKS_PER_TICK), ticks)
 
 
-def mean_square(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the mean of the squares in each row, added up in order: NumPy's own sums need not be in any."""
-    total = np.zeros(len(values))
-    for column in values.T:
-        total += column * column
-    total /= values.shape[1]
-    return total
+@njit(cache=True, nogil=True, error_model="numpy")
+def mean_square(values):  # type: ignore[no-untyped-def]  # compiled: types are inferred
+    """Return the mean of the squares in each row of values, shape (rows, n), added up in order."""
+    found = np.zeros(values.shape[0])
+    for row in range(values.shape[0]):
+        for i in range(values.shape[1]):
+            found[row] += values[row, i] * values[row, i]
+        found[row] /= values.shape[1]
+    return found
 
 
-def largest(position: NDArray[np.float64], velocity: NDArray[np.float64], step_s: float) -> NDArray[np.float64]:
-    """Return the largest |position| of each row, between the samples as well.
+@njit(cache=True, nogil=True, error_model="numpy")
+def largest(position, velocity, step_s):  # type: ignore[no-untyped-def]
+    """Return the largest |position| of each row, between the samples as well, shape (rows,).
 
-    Args:
-        position: [m], shape (rows, n), n samples `step_s` apart.
-        velocity: its rate [m/s], same shape.
-        step_s: distance of the samples [s]; short enough that the velocity changes its sign at most once in it.
+    position [m] and its rate, velocity [m/s], have shape (rows, n), samples `step_s` [s] apart: so short that the
+    velocity changes its sign at most once in it. Between two samples the position is the cubic through both ends,
+    y0 + q (d0 + q (a + q b)) with the slope d0 + q (2 a + 3 b q), q = 0 … 1.
     """
-    y0, y1, d0, d1 = position[:, :-1], position[:, 1:], step_s * velocity[:, :-1], step_s * velocity[:, 1:]
-    # the cubic through both ends: y0 + q (d0 + q (a + q b)), its slope d0 + q (2 a + 3 b q)
-    a, b = 3.0 * (y1 - y0) - 2.0 * d0 - d1, d0 + d1 - 2.0 * (y1 - y0)
-    turning = d0 * d1 < 0.0
-    bottom = np.where(turning, a + np.copysign(np.sqrt(np.where(turning, a * a - 3.0 * b * d0, 0.0)), d1), 1.0)
-    q = np.clip(np.divide(-d0, bottom, out=np.zeros_like(d0), where=bottom != 0.0), 0.0, 1.0)
-    between = np.where(turning, np.abs(y0 + q * (d0 + q * (a + q * b))), 0.0)
-    found: NDArray[np.float64] = np.maximum(np.abs(position).max(axis=1), between.max(axis=1))
+    found = np.zeros(position.shape[0])
+    for row in range(position.shape[0]):
+        found[row] = abs(position[row, 0])
+        for i in range(position.shape[1] - 1):
+            y0, y1 = position[row, i], position[row, i + 1]
+            d0, d1 = step_s * velocity[row, i], step_s * velocity[row, i + 1]
+            found[row] = max(found[row], abs(y1))
+            if d0 * d1 < 0.0:  # it turns in between
+                a, b = 3.0 * (y1 - y0) - 2.0 * d0 - d1, d0 + d1 - 2.0 * (y1 - y0)
+                bottom = a + math.copysign(math.sqrt(a * a - 3.0 * b * d0), d1)
+                q = min(1.0, max(0.0, -d0 / bottom)) if bottom != 0.0 else 0.0
+                found[row] = max(found[row], abs(y0 + q * (d0 + q * (a + q * b))))
     return found
 
 

@@ -11,10 +11,11 @@ import attrs
 import numpy as np
 
 from impact_rig.rig.config import RigConfig, from_flat
+from impact_rig.simtime import COMMAND_GRID_S
 from impact_rig.system.compile_ahead import Task
 
 MECHANICS = Task(f"{__name__}:mechanics", ("arithmetic", "physics"))
-SAMPLING = Task(f"{__name__}:sampling", ("arithmetic", "physics"))
+SAMPLING = Task(f"{__name__}:sampling", ("arithmetic", "physics", "rig"))
 INSTRUMENTS = Task(f"{__name__}:instruments", ("arithmetic", "instruments"))
 TASKS = (MECHANICS, INSTRUMENTS, SAMPLING)
 """The longest first."""
@@ -32,16 +33,18 @@ def mechanics() -> None:
 
 
 def sampling() -> None:
-    """Look at no instant of a motion that rests."""
-    from impact_rig.arithmetic.records import with_fields  # noqa: PLC0415  # compiled
+    """Let the interlock look at a motion that rests."""
+    from impact_rig.arithmetic.records import for_kernels, records  # noqa: PLC0415  # compiled
     from impact_rig.physics.forcing import SEGMENT  # noqa: PLC0415  # compiled
     from impact_rig.physics.model import build  # noqa: PLC0415  # compiled
     from impact_rig.physics.motion import Motion  # noqa: PLC0415  # compiled
-    from impact_rig.physics.state import IMPACT, STATE, record  # noqa: PLC0415  # compiled
+    from impact_rig.physics.state import IMPACT, STATE  # noqa: PLC0415  # compiled
+    from impact_rig.rig.interlock import Interlock  # noqa: PLC0415  # compiled
 
-    segments = with_fields(np.zeros(1, SEGMENT))
-    motion = Motion(build(RigConfig()), 0, segments, record(STATE), np.array([0, 1]), np.zeros(0, IMPACT))
-    motion.quantity("x_1", np.zeros(0, np.int64), np.zeros(0))
+    segments = for_kernels(np.zeros(1, SEGMENT))
+    motion = Motion(build(RigConfig()), 0, segments, records(1, STATE), np.array([0, 1]), np.zeros(0, IMPACT))
+    motion.breakpoints()
+    Interlock().watch(motion, COMMAND_GRID_S, RigConfig().drive, RigConfig().shaker)
 
 
 def instruments() -> None:

@@ -1,0 +1,151 @@
+"""What the wire alone carries: three bare rclpy processes pass the messages of a rig, with no rig in them.
+
+A source publishes what a rig publishes for each block of 10 ms at 10 kS/s, as ready-made bytes; a reader acknowledges
+every scan; a keeper writes all bytes to a file and acknowledges, too. The source keeps at most a window ahead of the
+slower of the two: freewheel without simulation, analysis or MCAP. No rig on this ROS 2 can be faster; the ratio to it,
+measured in the same minute, says how near ours comes.
+
+    python -m benchmarks.wire [SECONDS]
+"""
+
+from __future__ import annotations
+
+import functools
+import json
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any  # rclpy handles
+
+import numpy as np
+import rclpy
+from rclpy.node import Node
+from rclpy.serialization import serialize_message
+from std_msgs.msg import Header
+
+from impact_rig import codec, topics
+from impact_rig.blocks import Table
+from impact_rig.client import Client, Processes, isolated_domain
+from impact_rig.instruments.scan import row_type_of
+from impact_rig.nodes import messages
+from impact_rig.nodes.process import make_executor
+from impact_rig.nodes.topics import MONITORS
+from impact_rig.rig.config import RigConfig
+
+BLOCKS_PER_S, SCANS = 100, 100
+SPIN_S = 0.05
+READERS = ("reader", "keeper")
+_OTHERS = [*MONITORS.values(), topics.CLOCK]
+
+
+def run(seconds: float, window: int) -> dict[str, float]:
+    """Return how many times real time the wire carries."""
+    with (
+        tempfile.TemporaryDirectory() as directory,
+        isolated_domain() as domain_id,
+        Processes(domain_id, Path(directory)) as processes,
+        Client(domain_id, processes=processes) as client,
+    ):
+        for role in READERS:
+            processes.start(role, command=[sys.executable, "-m", "benchmarks.wire", role])
+        words = [str(seconds), str(window)]
+        source = processes.start("source", command=[sys.executable, "-m", "benchmarks.wire", "source", *words])
+        done = lambda: b"wall" in source.log.read_bytes()  # noqa: E731
+        client.wait_until(done, "the source to end", seconds + 60.0)
+        found = json.loads(source.log.read_text().splitlines()[-1])
+    return {"wire_x_realtime_10kSps": found["blocks"] / BLOCKS_PER_S / found["wall"]}
+
+
+def _messages() -> dict[topics.Topic, bytes]:
+    """Return what is published for a block."""
+    scans = np.zeros(SCANS, row_type_of(RigConfig().instruments))
+    return {
+        topics.SCAN: codec.encode(Table(0, scans)),
+        **{topic: serialize_message(messages.class_of(topic)()) for topic in _OTHERS},
+    }
+
+
+class Source:
+    """Publishes blocks as far ahead of the readers as the window allows."""
+
+    def __init__(self, node: Node, window: int) -> None:
+        self.acknowledged = dict.fromkeys(READERS, 0)
+        self._window, self._sent = window, 0
+        self._outlets = [
+            (node.create_publisher(messages.class_of(topic), topic.name, messages.profile(topic.qos)), data)
+            for topic, data in _messages().items()
+        ]
+        node.create_subscription(Header, topics.ACK.name, self._on_ack, messages.profile(topics.ACK.qos))
+
+    def matched(self) -> bool:
+        """Whether everybody listens."""
+        return all(publisher.get_subscription_count() >= 1 for publisher, _ in self._outlets) and (
+            self._outlets[0][0].get_subscription_count() == len(READERS)
+        )
+
+    def run_ahead(self) -> None:
+        """Publish what the window has room for, once that is half of it."""
+        room = self._window - (self._sent - min(self.acknowledged.values()))
+        if room < self._window // 2:
+            return
+        for _ in range(room):
+            for publisher, data in self._outlets:
+                publisher.publish(data)
+            self._sent += 1
+
+    def _on_ack(self, message: Header) -> None:
+        self.acknowledged[message.frame_id] += 1
+        self.run_ahead()
+
+
+def _source(seconds: float, window: int) -> None:
+    node = Node("source")
+    source = Source(node, window)
+    spin = _spinner(node)
+    while not source.matched():
+        spin()
+    began = time.monotonic()
+    source.run_ahead()
+    while (wall := time.monotonic() - began) < seconds:
+        spin()
+    print(json.dumps({"blocks": min(source.acknowledged.values()), "wall": wall}), flush=True)
+
+
+def _reader(name: str) -> None:
+    node = Node(name)
+    acknowledge = node.create_publisher(Header, topics.ACK.name, messages.profile(topics.ACK.qos)).publish
+    done = Header(frame_id=name)
+    with tempfile.TemporaryFile() as file:
+        keep: Callable[[bytes], Any] = file.write if name == "keeper" else lambda _data: None
+
+        def on_scan(data: bytes) -> None:
+            keep(data)
+            acknowledge(done)
+
+        for topic in [topics.SCAN, *(_OTHERS if name == "keeper" else ())]:
+            callback = on_scan if topic is topics.SCAN else keep
+            profile = messages.profile(topic.qos)
+            node.create_subscription(messages.class_of(topic), topic.name, callback, profile, raw=True)
+        spin = _spinner(node)
+        while rclpy.ok():
+            spin()
+
+
+def _spinner(node: Node) -> Callable[[], None]:
+    executor = make_executor()
+    executor.add_node(node)
+    return functools.partial(executor.spin_once, timeout_sec=SPIN_S)
+
+
+if __name__ == "__main__":
+    match sys.argv[1:]:
+        case ["source", seconds, window, *_]:
+            rclpy.init()
+            _source(float(seconds), int(window))
+        case [("reader" | "keeper") as role, *_]:
+            rclpy.init()
+            _reader(role)
+        case words:
+            print(run(float((words or ["10"])[0]), 64))

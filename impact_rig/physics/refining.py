@@ -1,0 +1,33 @@
+"""The instants between which a motion is smooth: its knots, and places inside contacts that were looked up whole."""
+
+from __future__ import annotations
+
+from numba import njit
+
+from impact_rig.physics.state import CONTACT, FREE
+from impact_rig.system.compiled import Direct
+
+PARTS = 3
+"""Pieces in which a contact that was looked up as a whole is smooth enough for the instruments' polynomials."""
+
+
+@Direct
+@njit(cache=True, nogil=True, error_model="numpy")
+def refine(trajectory, segment, offset, touching):  # type: ignore[no-untyped-def]  # compiled: types are inferred
+    """Fill in segment, offset [s] and whether sphere and wall touch from each instant on; return how many there are.
+
+    The arrays have room for PARTS instants a knot.
+    """
+    knots, first, count = trajectory.knots, trajectory.first, 0
+    for i in range(first.shape[0] - 1):
+        for row in range(first[i], first[i + 1]):
+            knot = knots[row]
+            segment[count], offset[count], touching[count] = trajectory.base + i, knot.t, knot.phase != FREE
+            count += 1
+            if knot.phase == CONTACT and knot.whole != 0:
+                length = knots[row + 1].t - knot.t
+                for part in range(1, PARTS):
+                    segment[count], touching[count] = trajectory.base + i, True
+                    offset[count] = knot.t + length * (part / PARTS)
+                    count += 1
+    return count
