@@ -47,7 +47,12 @@ class Time:
     start_wait_s: float = quantity(
         120.0, "s", "How long realtime waits before scan 0 for all peers to listen.", at_least=0, at_most=3600
     )
-    publish_clock: str = choice("auto", ("auto", "on", "off"), "Publish /clock; auto: whenever not in real time x 1.")
+    publish_clock: str = choice(
+        "auto",
+        ("auto", "always", "never"),
+        "Publish /clock; auto: whenever not in real time x 1.",
+        switched={True: "always", False: "never"},
+    )
 
     def __attrs_post_init__(self) -> None:
         if self.mode == "freewheel" and not self.peers:
@@ -61,7 +66,7 @@ class Time:
     @property
     def publishes_clock(self) -> bool:
         """Whether the rig publishes /clock."""
-        return self.is_simulated if self.publish_clock == "auto" else self.publish_clock == "on"
+        return self.is_simulated if self.publish_clock == "auto" else self.publish_clock == "always"
 
 
 @attrs.frozen(kw_only=True)

@@ -14,6 +14,7 @@ from typing import Any, Generic, TypeVar  # rclpy is untyped
 
 from lifecycle_msgs.srv import ChangeState
 from rcl_interfaces.msg import SetParametersResult
+from rcl_interfaces.srv import SetParameters
 from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.parameter import Parameter
@@ -25,6 +26,7 @@ from impact_rig.errors import ImpactRigError
 from impact_rig.nodes import diagnostics, messages
 from impact_rig.nodes.diagnostics import CpuMeter, Health, Level
 from impact_rig.nodes.guard import Refusals, describe, guarded, guarded_answer, guarded_service
+from impact_rig.nodes.one_by_one import set_one_by_one
 from impact_rig.nodes.parameters import Parameters, Schema
 from impact_rig.system.escapes import visible
 
@@ -121,6 +123,8 @@ class ManagedNode(LifecycleNode, Generic[S]):
     def create_service(self, srv_type: Any, srv_name: str, callback: Callable[[Any, Any], Any], **options: Any) -> Any:
         """Create a service, guarded: also those that rclpy makes for itself (parameters)."""
         reason = "parameter" if "parameter" in srv_name else srv_name.removeprefix("~/")
+        if srv_type is SetParameters:
+            callback = self._on_set_request
         safe = guarded_answer(callback, lambda message: self.refuse(reason, message))
         return super().create_service(srv_type, srv_name, safe, **options)
 
@@ -261,6 +265,13 @@ class ManagedNode(LifecycleNode, Generic[S]):
 
     def set_parameters_atomically(self, parameter_list: list[Parameter]) -> SetParametersResult:
         """Set all or none, through the validator; the services and the in-process calls both come here."""
+        result = self._attempt(parameter_list)
+        if not result.successful:
+            self.refuse("parameter", result.reason)
+        return result
+
+    def _attempt(self, parameter_list: list[Parameter]) -> SetParametersResult:
+        """Set all or none."""
         try:
             stored, self._proposed = self.parameters.check(parameter_list)
             result = super().set_parameters_atomically(stored)
@@ -272,9 +283,16 @@ class ManagedNode(LifecycleNode, Generic[S]):
             result = SetParametersResult(successful=False, reason=message)
         finally:
             self._proposed = None
-        if not result.successful:
-            self.refuse("parameter", result.reason)
         return result
+
+    def _on_set_request(
+        self, request: SetParameters.Request, response: SetParameters.Response
+    ) -> SetParameters.Response:
+        response.results = set_one_by_one(list(request.parameters), self._attempt)
+        for result in response.results:
+            if not result.successful:
+                self.refuse("parameter", result.reason)
+        return response
 
     def set_parameters(self, parameter_list: list[Parameter]) -> list[SetParametersResult]:
         """Set one after the other, each through the validator."""

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Generic, Protocol, TypeVar
 
 import attrs
+import yaml
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -127,6 +128,7 @@ class Parameters(Generic[S]):
     """
 
     def __init__(self, node: Node, schema: Schema[S], arguments: Iterable[str] = ()) -> None:
+        self._node = node
         self._schema = schema
         self._infos = {name: about for name, about, _ in schema.fields()}
         self.refused: ConfigError | None = None
@@ -153,17 +155,16 @@ class Parameters(Generic[S]):
     def check(self, wanted: list[Parameter]) -> tuple[list[Parameter], S]:
         """Return the parameters as they will be stored, and the settings with them.
 
+        What is fixed and comes back as it is, as in `ros2 param load` of a dump, is left out.
+
         Raises:
             ConfigError: unknown key, read-only, bad value or a combination that makes no sense; nothing is changed.
         """
         changes: dict[str, object] = {}
+        wanted = [parameter for parameter in wanted if not self._unchanged(parameter)]
         for parameter in wanted:
-            if parameter.name.startswith(_FOREIGN):
-                continue
-            about = self._infos.get(parameter.name)
-            if (about is not None and about.read_only) or parameter.name == CONFIG_FILE:
-                raise ConfigError(f"{parameter.name} can be set at start only (parameter file or -p), it is read-only")
-            changes[parameter.name] = _from_ros(parameter.value)
+            if not parameter.name.startswith(_FOREIGN):
+                changes[parameter.name] = _from_ros(parameter.value)
         settings = self._schema.changed(self.settings, changes)
         values = self._schema.flat(settings)
         stored = [
@@ -171,6 +172,18 @@ class Parameters(Generic[S]):
             for p in wanted
         ]
         return stored, settings
+
+    def _unchanged(self, parameter: Parameter) -> bool:
+        """Whether a parameter that is fixed, or a text, is given as it is; ConfigError if a fixed one is not."""
+        if not self._node.has_parameter(parameter.name):
+            return False  # the schema, or rclpy, refuses it by name
+        given, present = _from_ros(parameter.value), _from_ros(self._node.get_parameter(parameter.name).value)
+        loaded = _as_loaded(present)
+        same = given == present or (type(given) is type(loaded) and given == loaded)
+        fixed = self._node.describe_parameter(parameter.name).read_only
+        if fixed and not same:
+            raise ConfigError(f"{parameter.name} can be set at start only (parameter file or -p), it is read-only")
+        return same and (fixed or isinstance(present, str))
 
     def changes(self, settings: S) -> dict[str, Value]:
         """Return what differs between the present settings and `settings`."""
@@ -217,6 +230,15 @@ def _to_ros(value: Value) -> object:
 
 def _from_ros(value: object) -> object:
     return tuple(value) if isinstance(value, (list, array.array)) else value
+
+
+def _as_loaded(value: object) -> object:
+    """Return what `ros2 param load` sends for a value that `ros2 param dump` wrote: it reads the text of it again."""
+    try:
+        loaded = yaml.safe_load(str(value))
+    except yaml.YAMLError:
+        return value
+    return str(value) if loaded is None else loaded
 
 
 def _files(arguments: Iterable[str]) -> str:

@@ -20,10 +20,17 @@ def _check_text(_instance: object, attribute: attrs.Attribute[Any], value: objec
         raise ConfigError(f"{attribute.name} must be a text, got {value!r}")
 
 
+def _number_to_text(value: object) -> object:
+    """YAML takes a name like 2026 for a number; of other values the validator says that they are no text."""
+    return str(value) if isinstance(value, int | float) and not isinstance(value, bool) else value
+
+
 def text(default: str, doc: str, *, read_only: bool = False) -> Any:
     """Return a field that holds any text."""
     about = FieldInfo(doc, read_only=read_only)
-    return attrs.field(default=default, validator=_check_text, metadata={METADATA_KEY: about})
+    return attrs.field(
+        default=default, converter=_number_to_text, validator=_check_text, metadata={METADATA_KEY: about}
+    )
 
 
 @attrs.frozen(kw_only=True)
