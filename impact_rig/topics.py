@@ -27,6 +27,7 @@ class Qos(enum.Enum):
     DATA = (DATA_DEPTH, False)
     STATE = (DATA_DEPTH, True)  # every change arrives, and whoever joins late still gets the last ones
     HISTORY = (HISTORY_DEPTH, True)
+    LATCHED = (1, True)  # the newest counts
     EVENT = (10, False)  # commands, remarks, diagnostics
 
     @property
@@ -104,6 +105,14 @@ CONFIGURATION = Topic(
     "rig",
     "The configuration in force, complete, as a ROS 2 parameter file.",
     (Column("data", "-", "YAML that `--params-file` and `impact-rig check` take."),),
+)
+ROBOT_DESCRIPTION = Topic(
+    "robot_description",
+    "std_msgs/msg/String",
+    Qos.LATCHED,
+    "rig",
+    "The rig as URDF, for RViz and robot_state_publisher; again when the configuration changes it.",
+    (Column("data", "-", "URDF; its joints are those of truth/joint_states, its frames those of the headers."),),
 )
 JOINT_STATES = Topic(
     "truth/joint_states",
@@ -226,6 +235,7 @@ TOPICS = (
     APPLIED,
     JOURNAL,
     CONFIGURATION,
+    ROBOT_DESCRIPTION,
     JOINT_STATES,
     IMPACTS_TRUTH,
     TRUTH_SCAN,

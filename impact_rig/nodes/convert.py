@@ -14,9 +14,9 @@ from impact_rig.nodes.template import Template, put
 from impact_rig.nodes.topics import MONITORS
 from impact_rig.rig import Block
 from impact_rig.rig.config import RigConfig
+from impact_rig.rig.description import JOINTS
 from impact_rig.simtime import stamp_ns
 
-JOINTS = ("base", "structure", "sphere")
 _PLACES = [f"{name}.{joint}" for name in ("position", "velocity") for joint in range(3)] + ["effort.1", "effort.2"]
 
 CLOCK = Template(Clock())
