@@ -54,6 +54,7 @@ class Topic:
         fields: the columns of a table, or the fields of another message that are filled.
         columns: row type where the message is a table.
         frame_id: frame of its header.
+        recorded: whether it belongs into every run; what is made for plotters follows from what is recorded.
     """
 
     name: str
@@ -64,6 +65,7 @@ class Topic:
     fields: tuple[Column, ...]
     columns: np.dtype[np.void] | None = None
     frame_id: str = ""
+    recorded: bool = True
 
 
 TABLE = "sensor_msgs/msg/PointCloud2"
@@ -206,6 +208,83 @@ ACK = Topic(
         Column("frame_id", "-", "Node name of the peer."),
     ),
 )
+PLOT_TRANSMISSIBILITY = Topic(
+    "plot/transmissibility",
+    "geometry_msgs/msg/Vector3Stamped",
+    Qos.LATCHED,
+    "analysis",
+    "For plotters: last settled transmissibility; stamp = last scan measured.",
+    (
+        Column("vector.x", "-", "Transmissibility."),
+        Column("vector.y", "-", "Its standard uncertainty."),
+        Column("vector.z", "rad", "Phase of x_1 relative to x_b."),
+    ),
+    frame_id=blocks.FRAME_DAQ,
+    recorded=False,
+)
+PLOT_DRIVE = Topic(
+    "plot/drive",
+    "geometry_msgs/msg/Vector3Stamped",
+    Qos.LATCHED,
+    "analysis",
+    "For plotters: what shaker/applied said last, at each change and once a second.",
+    (
+        Column("vector.x", "Hz", "Drive frequency."),
+        Column("vector.y", "A", "Amplitude commanded (m or V by `drive.kind`)."),
+    ),
+    frame_id=blocks.FRAME_DAQ,
+    recorded=False,
+)
+
+
+def spectrum(channel: str, unit: str) -> Topic:
+    """Return the topic of a channel's amplitude spectrum."""
+    return Topic(
+        f"plot/spectrum/{channel}",
+        "geometry_msgs/msg/PolygonStamped",
+        Qos.DATA,
+        "analysis",
+        "For plotters: amplitudes of the last 4 s, flat-top window, bins of 0.25 Hz, once a second; stamp = last scan.",
+        (Column("polygon.points", f"Hz, {unit}", "x: frequency, up to 250 Hz; y: amplitude of the line there, peak."),),
+        frame_id=blocks.FRAME_DAQ,
+        recorded=False,
+    )
+
+
+PLOT_PULSES = Topic(
+    "plot/envelope/pulses",
+    "geometry_msgs/msg/Vector3Stamped",
+    Qos.DATA,
+    "analysis",
+    "For plotters: the accelerometer above 500 Hz, every scan of an interval of 20 ms in three numbers.",
+    (
+        Column("vector.x", "m/s^2", "Least value."),
+        Column("vector.y", "m/s^2", "Largest value."),
+        Column("vector.z", "m/s^2", "Root mean square."),
+    ),
+    frame_id=blocks.FRAME_DAQ,
+    recorded=False,
+)
+
+
+def envelope(channel: str, unit: str) -> Topic:
+    """Return the topic of a channel's envelope."""
+    return Topic(
+        f"plot/envelope/{channel}",
+        "geometry_msgs/msg/Vector3Stamped",
+        Qos.DATA,
+        "analysis",
+        "For plotters: every scan of an interval of 20 ms in three numbers; stamp = its first scan.",
+        (
+            Column("vector.x", unit, "Least value."),
+            Column("vector.y", unit, "Largest value."),
+            Column("vector.z", unit, "Root mean square."),
+        ),
+        frame_id=blocks.FRAME_DAQ,
+        recorded=False,
+    )
+
+
 DIAGNOSTICS = Topic(
     "/diagnostics",
     "diagnostic_msgs/msg/DiagnosticArray",
@@ -245,6 +324,9 @@ TOPICS = (
     ANALYSIS_SETTINGS,
     CURVE,
     IMPACTS,
+    PLOT_TRANSMISSIBILITY,
+    PLOT_DRIVE,
+    PLOT_PULSES,
     FREQUENCY,
     CURRENT,
     NOTES,
