@@ -90,7 +90,7 @@ class Output:
     """What is published besides the scans."""
 
     monitor_rate_hz: float = quantity(
-        100.0, "Hz", "Rate of the plotter-friendly monitor topics and truth/joint_states.", above=0, at_most=200
+        50.0, "Hz", "Rate of the plotter-friendly monitor topics and truth/joint_states.", above=0, at_most=200
     )
     truth_scan: bool = switch(False, "Publish truth/scan: the scans' instants without instruments.")
     autostart: bool = switch(True, "Configure and activate by itself at start.", read_only=True)

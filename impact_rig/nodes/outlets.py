@@ -97,7 +97,7 @@ class Outlets:
         """Publish the configuration, and the calibration if it is another; take both for the monitors."""
         info = rig.info()
         noise = dict(zip(info.rows["name"].astype(str).tolist(), info.rows["noise"].tolist(), strict=True))
-        self._monitors = Monitors(rig.config, noise)
+        self._monitors = Monitors(rig.config, noise, self._monitors)
         encoded = codec.encode(info)
         if encoded != self._info:
             self._info = encoded
