@@ -38,6 +38,8 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
         kwargs: passed to rclpy's Node.
     """
 
+    COMPONENT = "measurement"
+
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("analysis", SectionSchema(AnalysisSettings), **kwargs)
         self._tracker: Tracker | None = None

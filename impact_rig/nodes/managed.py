@@ -10,7 +10,7 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable
-from typing import Any, Generic, TypeVar  # rclpy is untyped
+from typing import Any, ClassVar, Generic, TypeVar  # rclpy is untyped
 
 from lifecycle_msgs.srv import ChangeState
 from rcl_interfaces.msg import SetParametersResult
@@ -50,13 +50,18 @@ class ManagedNode(LifecycleNode, Generic[S]):
         kwargs: passed to rclpy's Node (context, namespace, parameter_overrides, ...).
     """
 
+    COMPONENT: ClassVar[str] = "state"
+    """What of the node its diagnostics are about."""
+    MAKES_TIME: ClassVar[bool] = False
+    """Whether its clock is what others follow, so that it can follow nobody's."""
+
     def __init__(self, name: str, schema: Schema[S], **kwargs: Any) -> None:
         super().__init__(name, **kwargs)
         self.is_told_to_end: Callable[[], bool] = lambda: False
         """Whether the process is about to end: that others end as well is no news then."""
         self.steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.refusals = Refusals()
-        self.parameters = Parameters(self, schema, kwargs.get("cli_args") or sys.argv)
+        self.parameters = Parameters(self, schema, kwargs.get("cli_args") or sys.argv, self.MAKES_TIME)
         self.add_on_set_parameters_callback(self._on_set_parameters)
         self._proposed: S | None = None
         self._guard_transitions()
@@ -188,16 +193,23 @@ class ManagedNode(LifecycleNode, Generic[S]):
         if self.parameters.refused is not None:
             return self._failed("configure", self.parameters.refused)
         self._last_error = (-ERROR_MEMORY_S, "")
-        return self._transition("configure", self.configure, undo=self.cleanup)
+        done = self._transition("configure", self.configure, undo=self.cleanup)
+        if done == TransitionCallbackReturn.SUCCESS:
+            self.get_logger().info("configured")
+        return done
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Begin to work."""
         done = self._transition("activate", self.activate, undo=self.deactivate)
-        return super().on_activate(state) if done == TransitionCallbackReturn.SUCCESS else done
+        if done != TransitionCallbackReturn.SUCCESS:
+            return done
+        self.get_logger().info("active")
+        return super().on_activate(state)
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Stop working."""
         self._transition("deactivate", self.deactivate)
+        self.get_logger().info("deactivated")
         return super().on_deactivate(state)
 
     def on_cleanup(self, _state: LifecycleState) -> TransitionCallbackReturn:
@@ -219,6 +231,7 @@ class ManagedNode(LifecycleNode, Generic[S]):
         if self.active:
             self._transition("deactivate", self.deactivate)
         self._transition("clean up", self.cleanup)
+        self.get_logger().info("ended")
 
     def _transition(
         self, what: str, action: Callable[[], None], undo: Callable[[], None] | None = None
@@ -333,8 +346,9 @@ class ManagedNode(LifecycleNode, Generic[S]):
             **{f"last_refused.{reason}": text for reason, text in sorted(self.refusals.last.items())},
         }
         full = Health(level, message, values)
-        name = self.get_fully_qualified_name().lstrip("/")
-        self._diagnostics.publish(diagnostics.to_message(name, name, full, self.rig_time_ns()))
+        name = f"{self.get_fully_qualified_name().lstrip('/')}: {self.COMPONENT}"
+        hardware = f"impact_rig{self.get_namespace()}".rstrip("/")
+        self._diagnostics.publish(diagnostics.to_message(name, hardware, full, self.rig_time_ns()))
 
     def _judged(self, status: Health) -> tuple[Level, str]:
         """Return the node's own status, or the last error while it is fresh."""

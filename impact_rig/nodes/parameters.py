@@ -37,6 +37,10 @@ _FOREIGN = (
 )  # overrides that belong to rclpy, not us
 
 
+SIM_TIME = "use_sim_time"
+NO_SIM_TIME = "must be false here: this node makes the time that others follow"
+
+
 class Schema(Protocol[S]):
     """What a node's parameters are: names, meanings, defaults and the validator."""
 
@@ -125,9 +129,11 @@ class Parameters(Generic[S]):
         node: owner; its `set_parameters_atomically` asks `check` first.
         schema: names, meanings and validator.
         arguments: command line, to name the parameter files in an error of the start-up values.
+        makes_time: the node is where rig time comes from: it cannot follow anybody's.
     """
 
-    def __init__(self, node: Node, schema: Schema[S], arguments: Iterable[str] = ()) -> None:
+    def __init__(self, node: Node, schema: Schema[S], arguments: Iterable[str] = (), makes_time: bool = False) -> None:
+        self._makes_time = makes_time
         self._node = node
         self._schema = schema
         self._infos = {name: about for name, about, _ in schema.fields()}
@@ -136,6 +142,8 @@ class Parameters(Generic[S]):
         # rclpy has no public accessor of the overrides, and declaring them one by one would stop at the first bad one
         given = {name: parameter.value for name, parameter in node._parameter_overrides.items()}
         self.settings = self._at_start(given, _files(arguments))
+        if makes_time and given.get(SIM_TIME) is True:
+            self.refused = ConfigError(f"{SIM_TIME} {NO_SIM_TIME}")
         for name, value in schema.flat(self.settings).items():
             found = descriptor(self._infos[name], value)
             node.declare_parameter(name, _to_ros(value), found, ignore_override=True)
@@ -163,6 +171,8 @@ class Parameters(Generic[S]):
         changes: dict[str, object] = {}
         wanted = [parameter for parameter in wanted if not self._unchanged(parameter)]
         for parameter in wanted:
+            if self._makes_time and parameter.name == SIM_TIME and parameter.value is True:
+                raise ConfigError(f"{SIM_TIME} {NO_SIM_TIME}")
             if not parameter.name.startswith(_FOREIGN):
                 changes[parameter.name] = _from_ros(parameter.value)
         settings = self._schema.changed(self.settings, changes)

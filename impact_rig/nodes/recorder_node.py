@@ -54,6 +54,8 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         kwargs: passed to rclpy's Node.
     """
 
+    COMPONENT = "recording"
+
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("recorder", SectionSchema(RecorderSettings), **kwargs)
         self._writer: RunWriter | None = None
