@@ -6,13 +6,20 @@ Examples:
     ros2 launch impact_rig rig.launch.py namespace:=rig2 clock:=/clock
     ros2 launch impact_rig rig.launch.py mode:=stepped peers:=analysis,recorder,my_controller
     ros2 launch impact_rig rig.launch.py lab:=true
+    ros2 launch impact_rig rig.launch.py rviz:=true gap_mm:=10
+    ros2 launch impact_rig rig.launch.py params:=/path/to/overrides.yaml autostart:=false
     ros2 launch impact_rig rig.launch.py --show-args
 """
 
 import os
 
 from launch import LaunchContext, LaunchDescription
-from launch.actions import DeclareLaunchArgument, OpaqueFunction, SetEnvironmentVariable, Shutdown
+from launch.actions import (
+    DeclareLaunchArgument,
+    OpaqueFunction,
+    SetEnvironmentVariable,
+    Shutdown,
+)
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue

@@ -50,11 +50,15 @@ class FieldInfo:
     high_open: bool = False
     choices: tuple[str, ...] = ()
     read_only: bool = False
+    pattern: str = ""
+    means: str = ""
 
     def range_text(self) -> str:
         """Return the legal range in words, e.g. `> 0 and <= 1`."""
         if self.choices:
             return "one of " + ", ".join(self.choices)
+        if self.means:
+            return self.means
         parts = []
         if self.low is not None:
             parts.append(f"{'>' if self.low_open else '>='} {self.low:g}")
@@ -242,4 +246,25 @@ def names(default: tuple[str, ...], doc: str, origin: Origin = Origin.ASSUMED, *
     about = FieldInfo(doc, "-", origin, read_only=read_only)
     return attrs.field(
         default=default, converter=_list_to_names, validator=_check_names, metadata={METADATA_KEY: about}
+    )
+
+
+def _check_text(_instance: object, attribute: attrs.Attribute[Any], value: object) -> None:
+    if not isinstance(value, str) or "\0" in value:
+        raise _wrong(attribute, "a text", value)
+    about = info(attribute)
+    if about.pattern and not re.fullmatch(about.pattern, value):
+        raise _wrong(attribute, about.means, value)
+
+
+def _number_to_text(value: object) -> object:
+    """YAML takes a name like 2026 for a number; of other values the validator says that they are no text."""
+    return str(value) if isinstance(value, int | float) and not isinstance(value, bool) else value
+
+
+def text(default: str, doc: str, *, read_only: bool = False, pattern: str = "", means: str = "any text") -> Any:
+    """Any text, or only what matches a pattern, which `means` says in words."""
+    about = FieldInfo(doc, read_only=read_only, pattern=pattern, means=means)
+    return attrs.field(
+        default=default, converter=_number_to_text, validator=_check_text, metadata={METADATA_KEY: about}
     )

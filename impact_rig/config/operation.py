@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import attrs
 
-from impact_rig.config.fields import choice, integer, names, quantity, switch
+from impact_rig.config.fields import choice, integer, names, quantity, switch, text
 from impact_rig.errors import ConfigError
 
 
@@ -91,6 +91,13 @@ class Output:
 
     monitor_rate_hz: float = quantity(
         50.0, "Hz", "Rate of the plotter-friendly monitor topics and truth/joint_states.", above=0, at_most=200
+    )
+    frame_prefix: str = text(
+        "",
+        "Put before the frames of monitor topics, as robot_state_publisher does with its own.",
+        read_only=True,
+        pattern=r"[A-Za-z0-9_/]{0,100}",
+        means="letters, digits, _ and /",
     )
     truth_scan: bool = switch(False, "Publish truth/scan: the scans' instants without instruments.")
     autostart: bool = switch(True, "Configure and activate by itself at start.", read_only=True)

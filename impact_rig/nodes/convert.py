@@ -44,8 +44,8 @@ class Monitors:
         for bit, instrument in enumerate(config.instruments.fitted()):
             if instrument.name in MONITORS:
                 topic = MONITORS[instrument.name]
-                self._readings[instrument.name] = topic, _reading(instrument, topic, 1 << bit, noise[instrument.name])
-        self._joint_states = _joint_states()
+                self._readings[instrument.name] = topic, _reading(config, instrument, 1 << bit, noise[instrument.name])
+        self._joint_states = _joint_states(config)
         same = before is not None and (before._step, [*before._readings]) == (self._step, [*self._readings])
         self._filter: AntiAlias | None = before._filter if before is not None and same else None
 
@@ -71,11 +71,11 @@ class Monitors:
                 yield topic, render(stamp, smoothed.values[name], smoothed.status)
 
 
-def _reading(instrument: Instrument, topic: topics.Topic, bit: int, noise: float) -> Reading:
+def _reading(config: RigConfig, instrument: Instrument, bit: int, noise: float) -> Reading:
     """Return the renderer of one instrument's message: its numbers change, its sequences do not."""
     fields = instrument.message(0.0, False, noise)
     changing = [path for path, value in fields.items() if isinstance(value, float)]
-    template = _template(topic, fields, changing)
+    template = _template(config, MONITORS[instrument.name], fields, changing)
 
     def render(stamp: int, reading: float, status: int) -> bytes:
         values = instrument.message(reading, bool(status & bit), noise)
@@ -84,11 +84,14 @@ def _reading(instrument: Instrument, topic: topics.Topic, bit: int, noise: float
     return render
 
 
-def _joint_states() -> Callable[[int, np.void], bytes]:
+def _joint_states(config: RigConfig) -> Callable[[int, np.void], bytes]:
     """Return the renderer of the true state; effort is the contact force on each body, both walls push the sphere."""
     zeros = [0.0] * len(JOINTS)
     template = _template(
-        topics.JOINT_STATES, {"name": list(JOINTS), "position": zeros, "velocity": zeros, "effort": zeros}, _PLACES
+        config,
+        topics.JOINT_STATES,
+        {"name": list(JOINTS), "position": zeros, "velocity": zeros, "effort": zeros},
+        _PLACES,
     )
 
     def render(stamp: int, truth: np.void) -> bytes:
@@ -99,9 +102,9 @@ def _joint_states() -> Callable[[int, np.void], bytes]:
     return render
 
 
-def _template(topic: topics.Topic, fields: Mapping[str, object], changing: list[str]) -> Template:
+def _template(config: RigConfig, topic: topics.Topic, fields: Mapping[str, object], changing: list[str]) -> Template:
     message = messages.class_of(topic)()
-    message.header.frame_id = topic.frame_id
+    message.header.frame_id = config.output.frame_prefix + topic.frame_id
     for path, value in fields.items():
         put(message, path, value)
     return Template(message, *changing)

@@ -51,6 +51,13 @@ def test_every_monitor_comes_at_its_rate_with_stamps_of_scans_and_a_frame(defaul
         assert received[0].header.frame_id == by_name(name).frame_id != ""
 
 
+def test_frames_take_the_prefix_of_a_namespace() -> None:
+    found = monitored(output__frame_prefix="two/")[1]
+    assert {received[0].header.frame_id for received in found.values()} == {
+        "two/superior_base", "two/laser", "two/base_sensor", "two/rig",
+    }  # fmt: skip
+
+
 def test_monitor_values_are_the_scans_around_their_stamp_low_passed(default) -> None:
     blocks, found = default
     rows = np.concatenate([block.scan.rows for block in blocks])
