@@ -294,7 +294,7 @@ DIAGNOSTICS = Topic(
     (
         Column("header.stamp", "-", "Rig time in nodes that follow it."),
         Column("status[0].name", "-", "`NODE: COMPONENT`, the node's name with its namespace."),
-        Column("status[0].hardware_id", "-", "`impact_rig/NAMESPACE`: one per rig."),
+        Column("status[0].hardware_id", "-", "`impact_rig` and the namespace: one per rig."),
         Column("status[0].level", "-", "0 OK, 1 WARN, 2 ERROR."),
         Column("status[0].message", "-", "What is the matter, in one sentence."),
         Column("status[0].values", "-", "The figures below."),
