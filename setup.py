@@ -42,6 +42,8 @@ setup(
         (f"share/{NAME}/config/sros2", files("config/sros2/*.xml")),
         (f"share/{NAME}/config/plotjuggler", files("config/plotjuggler/*.xml")),
         (f"share/{NAME}/launch", files("launch/*.launch.py")),
+        (f"share/{NAME}/rviz", files("rviz/*.rviz")),
+        (f"share/{NAME}/urdf", files("urdf/*.urdf")),
         *((f"share/{NAME}/{folder}", files(f"{folder}/*.*")) for folder in EXAMPLES),
     ],
     python_requires=">=3.11",

@@ -27,6 +27,7 @@ class Qos(enum.Enum):
     DATA = (DATA_DEPTH, False)
     STATE = (DATA_DEPTH, True)  # every change arrives, and whoever joins late still gets the last ones
     HISTORY = (HISTORY_DEPTH, True)
+    LATCHED = (1, True)  # the newest counts
     EVENT = (10, False)  # commands, remarks, diagnostics
 
     @property
@@ -53,6 +54,7 @@ class Topic:
         fields: the columns of a table, or the fields of another message that are filled.
         columns: row type where the message is a table.
         frame_id: frame of its header.
+        recorded: whether it belongs into every run; what is made for plotters follows from what is recorded.
     """
 
     name: str
@@ -63,6 +65,7 @@ class Topic:
     fields: tuple[Column, ...]
     columns: np.dtype[np.void] | None = None
     frame_id: str = ""
+    recorded: bool = True
 
 
 TABLE = "sensor_msgs/msg/PointCloud2"
@@ -104,6 +107,14 @@ CONFIGURATION = Topic(
     "rig",
     "The configuration in force, complete, as a ROS 2 parameter file.",
     (Column("data", "-", "YAML that `--params-file` and `impact-rig check` take."),),
+)
+ROBOT_DESCRIPTION = Topic(
+    "robot_description",
+    "std_msgs/msg/String",
+    Qos.LATCHED,
+    "rig",
+    "The rig as URDF, for RViz and robot_state_publisher; again when the configuration changes it.",
+    (Column("data", "-", "URDF; its joints are those of truth/joint_states, its frames those of the headers."),),
 )
 JOINT_STATES = Topic(
     "truth/joint_states",
@@ -197,6 +208,83 @@ ACK = Topic(
         Column("frame_id", "-", "Node name of the peer."),
     ),
 )
+PLOT_TRANSMISSIBILITY = Topic(
+    "plot/transmissibility",
+    "geometry_msgs/msg/Vector3Stamped",
+    Qos.LATCHED,
+    "analysis",
+    "For plotters: last settled transmissibility; stamp = last scan measured.",
+    (
+        Column("vector.x", "-", "Transmissibility."),
+        Column("vector.y", "-", "Its standard uncertainty."),
+        Column("vector.z", "rad", "Phase of x_1 relative to x_b."),
+    ),
+    frame_id=blocks.FRAME_DAQ,
+    recorded=False,
+)
+PLOT_DRIVE = Topic(
+    "plot/drive",
+    "geometry_msgs/msg/Vector3Stamped",
+    Qos.LATCHED,
+    "analysis",
+    "For plotters: what shaker/applied said last, at each change and once a second.",
+    (
+        Column("vector.x", "Hz", "Drive frequency."),
+        Column("vector.y", "A", "Amplitude commanded (m or V by `drive.kind`)."),
+    ),
+    frame_id=blocks.FRAME_DAQ,
+    recorded=False,
+)
+
+
+def spectrum(channel: str, unit: str) -> Topic:
+    """Return the topic of a channel's amplitude spectrum."""
+    return Topic(
+        f"plot/spectrum/{channel}",
+        "geometry_msgs/msg/PolygonStamped",
+        Qos.DATA,
+        "analysis",
+        "For plotters: amplitudes of the last 4 s, flat-top window, bins of 0.25 Hz, once a second; stamp = last scan.",
+        (Column("polygon.points", f"Hz, {unit}", "x: frequency, up to 250 Hz; y: amplitude of the line there, peak."),),
+        frame_id=blocks.FRAME_DAQ,
+        recorded=False,
+    )
+
+
+PLOT_PULSES = Topic(
+    "plot/envelope/pulses",
+    "geometry_msgs/msg/Vector3Stamped",
+    Qos.DATA,
+    "analysis",
+    "For plotters: the accelerometer above 500 Hz, every scan of an interval of 20 ms in three numbers.",
+    (
+        Column("vector.x", "m/s^2", "Least value."),
+        Column("vector.y", "m/s^2", "Largest value."),
+        Column("vector.z", "m/s^2", "Root mean square."),
+    ),
+    frame_id=blocks.FRAME_DAQ,
+    recorded=False,
+)
+
+
+def envelope(channel: str, unit: str) -> Topic:
+    """Return the topic of a channel's envelope."""
+    return Topic(
+        f"plot/envelope/{channel}",
+        "geometry_msgs/msg/Vector3Stamped",
+        Qos.DATA,
+        "analysis",
+        "For plotters: every scan of an interval of 20 ms in three numbers; stamp = its first scan.",
+        (
+            Column("vector.x", unit, "Least value."),
+            Column("vector.y", unit, "Largest value."),
+            Column("vector.z", unit, "Root mean square."),
+        ),
+        frame_id=blocks.FRAME_DAQ,
+        recorded=False,
+    )
+
+
 DIAGNOSTICS = Topic(
     "/diagnostics",
     "diagnostic_msgs/msg/DiagnosticArray",
@@ -205,7 +293,8 @@ DIAGNOSTICS = Topic(
     "At 1 Hz and on change.",
     (
         Column("header.stamp", "-", "Rig time in nodes that follow it."),
-        Column("status[0].name", "-", "Fully qualified node name."),
+        Column("status[0].name", "-", "`NODE: COMPONENT`, the node's name with its namespace."),
+        Column("status[0].hardware_id", "-", "`impact_rig` and the namespace: one per rig."),
         Column("status[0].level", "-", "0 OK, 1 WARN, 2 ERROR."),
         Column("status[0].message", "-", "What is the matter, in one sentence."),
         Column("status[0].values", "-", "The figures below."),
@@ -226,6 +315,7 @@ TOPICS = (
     APPLIED,
     JOURNAL,
     CONFIGURATION,
+    ROBOT_DESCRIPTION,
     JOINT_STATES,
     IMPACTS_TRUTH,
     TRUTH_SCAN,
@@ -235,6 +325,9 @@ TOPICS = (
     ANALYSIS_SETTINGS,
     CURVE,
     IMPACTS,
+    PLOT_TRANSMISSIBILITY,
+    PLOT_DRIVE,
+    PLOT_PULSES,
     FREQUENCY,
     CURRENT,
     NOTES,

@@ -6,6 +6,7 @@ import math
 
 import attrs
 import pytest
+import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -196,6 +197,43 @@ def test_a_file_that_is_not_there_is_refused_with_its_name(tmp_path):
         config.load(tmp_path / "nowhere.yaml")
     with pytest.raises(ConfigError, match="cannot read configuration: Is a directory"):
         config.load(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("name", "given", "taken"),
+    [
+        ("time.publish_clock", True, "always"),
+        ("time.publish_clock", "off", "never"),
+        ("instruments.adc.anti_alias", False, "none"),
+        ("instruments.adc.anti_alias", "off", "none"),
+        ("instruments.laser.noise_m_rms", "6e-05", 6e-05),
+        ("structure.mass_kg", "1.5E-1", 0.15),
+    ],
+)
+def test_what_yaml_takes_for_something_else_is_taken_for_what_was_meant(name, given, taken):
+    assert config.to_flat(config.from_flat(RigConfig(), {name: given}))[name] == taken
+
+
+@pytest.mark.parametrize(
+    ("name", "given"),
+    [
+        ("instruments.adc.anti_alias", True),
+        ("time.publish_clock", 1),
+        ("structure.mass_kg", "1.5"),
+        ("structure.mass_kg", "1e999"),
+        ("drive.kind", "on"),
+    ],
+)
+def test_what_means_nothing_is_still_refused(name, given):
+    with pytest.raises(ConfigError, match=name):
+        config.from_flat(RigConfig(), {name: given})
+
+
+@pytest.mark.parametrize("name", sorted(FIELDS))
+def test_no_word_to_choose_from_is_something_else_to_yaml(name):
+    """`ros2 param load` reads the text of a value once more: `on` would come back as a boolean."""
+    for word in FIELDS[name][0].choices:
+        assert yaml.safe_load(word) == word
 
 
 @given(st.sampled_from(sorted(FIELDS)), anything)

@@ -1,101 +1,180 @@
-"""The launch file fits the package: its programs, parameters and arguments exist and are described.
+"""The launch files fit the package: programs, parameters and arguments exist, and what they start is what is asked for.
 
-`launch` comes with an apt-installed ROS only; elsewhere the file is read as a syntax tree.
+`launch` comes with an apt-installed ROS only; elsewhere stand-ins take its place, which keep what they are given.
 """
 
 from __future__ import annotations
 
-import ast
-from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree as ET
 
 import pytest
+import yaml
+from kits.launched import (
+    GroupAction,
+    IncludeLaunchDescription,
+    SetEnvironmentVariable,
+    Shutdown,
+    context_of,
+    declared,
+    description,
+    nodes,
+    perform,
+    used,
+)
 
+from impact_rig.errors import ConfigError
 from impact_rig.rig import config
+from impact_rig.system.endings import PARENT_VARIABLE
 from impact_rig.system.resources import share_dir
 
-FILE = share_dir() / "launch" / "rig.launch.py"
-TREE = ast.parse(FILE.read_text(encoding="utf-8"), FILE.name)
+LAUNCH = share_dir() / "launch"
+RIG, TWO = LAUNCH / "rig.launch.py", LAUNCH / "two_rigs.launch.py"
+FILES = sorted(LAUNCH.glob("*.launch.py"))
 
 
-def calls(name: str) -> Iterator[ast.Call]:
-    for node in ast.walk(TREE):
-        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == name:
-            yield node
+def parameters(node: dict[str, Any]) -> dict[str, Any]:
+    """Return a node's parameters; later ones win, as in launch."""
+    merged: dict[str, Any] = {}
+    for part in node["parameters"]:
+        merged |= part
+    return merged
 
 
-def keyword(call: ast.Call, name: str) -> ast.expr:
-    return next(word.value for word in call.keywords if word.arg == name)
+@pytest.mark.parametrize("path", FILES, ids=lambda path: path.name)
+def test_every_argument_is_described_has_a_default_and_is_used(path: Path) -> None:
+    known = declared(description(path))
+    for argument in known.values():
+        assert argument.words["description"].endswith(".")
+        assert isinstance(argument.words["default_value"], str) or hasattr(argument.words["default_value"], "perform")
+    assert used(path) == set(known)
 
 
-def text(node: ast.expr) -> str:
-    assert isinstance(node, ast.Constant)
-    return str(node.value)
-
-
-def declared() -> dict[str, ast.Call]:
-    return {text(call.args[0]): call for call in calls("DeclareLaunchArgument")}
-
-
-def test_every_argument_is_described_and_has_a_default():
-    for call in declared().values():
-        assert text(keyword(call, "description")).endswith(".")
-        assert keyword(call, "default_value")
-
-
-def test_every_argument_is_used_and_every_used_one_declared():
-    assert {text(call.args[0]) for call in calls("LaunchConfiguration")} == set(declared())
-
-
-def test_the_programs_are_those_that_are_installed():
+def test_the_programs_are_those_that_are_installed() -> None:
     setup = (share_dir() / "setup.py").read_text(encoding="utf-8")
-    for call in calls("Node"):
-        assert f'"{text(keyword(call, "executable"))} = impact_rig.' in setup
+    for node in nodes(RIG, lab="true").values():
+        assert f'"{node["executable"]} = impact_rig.' in setup
 
 
-def test_the_modes_are_those_of_the_configuration():
+def test_the_modes_are_those_of_the_configuration() -> None:
     modes = next(about.choices for name, about, _ in config.fields() if name == "time.mode")
-    assert tuple(ast.literal_eval(keyword(declared()["mode"], "choices"))) == ("", *modes)
+    assert tuple(declared(description(RIG))["mode"].words["choices"]) == ("", *modes)
 
 
-def parameters(node: ast.Call) -> set[str]:
-    """Return the keys of the dictionaries given to a node, by their text."""
-    dictionaries = [item for item in ast.walk(keyword(node, "parameters")) if isinstance(item, ast.Dict)]
-    return {text(key) for dictionary in dictionaries for key in dictionary.keys if key is not None}
+def test_by_default_three_nodes_start_and_scan_0_waits_for_two_of_them() -> None:
+    started = nodes(RIG)
+    assert list(started) == ["rig", "analysis", "recorder"]
+    assert {node["namespace"] for node in started.values()} == {"rig"}
+    rig = parameters(started["rig"])
+    assert rig.pop("config_file").endswith("config/nominal.yaml")
+    assert rig == {"time.peers": ["analysis", "recorder"], "output.frame_prefix": "rig/"}
+    assert parameters(started["recorder"]) == {
+        "use_sim_time": False, "autostart": True, "directory": "runs", "record": True,
+    }  # fmt: skip
 
 
-def given() -> set[str]:
-    """Return the rig's parameters that arguments put on top of the file."""
-    targets = (target for node in ast.walk(TREE) if isinstance(node, ast.Assign) for target in node.targets)
-    return {text(target.slice) for target in targets if isinstance(target, ast.Subscript)}
+def test_what_is_asked_for_daily_is_an_argument() -> None:
+    started = nodes(
+        RIG,
+        mode="realtime",
+        factor="0.5",
+        overrides="{barriers: {gap_m: 0.004}, daq.seed: 7}",
+        autostart="false",
+        namespace="cell/two",
+        record="false",
+        record_directory="/data",
+        peers="analysis,mine",
+        start_wait="3",
+    )
+    rig = parameters(started["rig"])
+    del rig["config_file"]
+    assert rig == {
+        "barriers.gap_m": 0.004, "daq.seed": 7, "time.mode": "realtime", "time.factor": 0.5, "time.start_wait_s": 3.0,
+        "output.autostart": False, "output.frame_prefix": "cell/two/", "time.peers": ["analysis", "mine"],
+    }  # fmt: skip
+    assert parameters(started["recorder"]) == {
+        "use_sim_time": True, "autostart": False, "directory": "/data", "record": False,
+    }  # fmt: skip
+    assert parameters(started["analysis"]) == {"use_sim_time": True, "autostart": False}
+
+
+@pytest.mark.parametrize("arguments", [{"overrides": "{gap_m: 1}"}, {"overrides": "{barriers.gap_m: -1}"}])
+def test_an_argument_that_cannot_be_is_refused_before_anything_starts(arguments: dict[str, str]) -> None:
+    with pytest.raises(ConfigError, match="gap_m"):
+        nodes(RIG, **arguments)
 
 
 @pytest.mark.ros
-def test_the_parameters_are_those_of_the_nodes():
+def test_the_parameters_are_those_of_the_nodes() -> None:
     from impact_rig.nodes.parameters import CONFIG_FILE, RigSchema, SectionSchema
     from impact_rig.nodes.settings import AnalysisSettings, RecorderSettings
 
     schemas = {"rig": RigSchema(), "analysis": SectionSchema(AnalysisSettings)}
     schemas["recorder"] = SectionSchema(RecorderSettings)
-    nodes = {text(keyword(call, "name")): call for call in calls("Node")}
-    assert set(nodes) == {*schemas, "lab"}  # the lab's own are in impact_rig/lab/node.py
+    started = nodes(RIG, mode="freewheel", factor="1", start_wait="1", autostart="true")
     for name, schema in schemas.items():
-        known = {field for field, _, _ in schema.fields()} | {CONFIG_FILE}
-        assert parameters(nodes[name]) <= known, name
-    rig = {field for field, _, _ in schemas["rig"].fields()}
-    assert {"time.mode", "time.factor", "time.peers", "time.start_wait_s"} == given() <= rig
+        known = {field for field, _, _ in schema.fields()} | {CONFIG_FILE, "use_sim_time"}
+        assert set(parameters(started[name])) <= known, name
+    assert "use_sim_time" not in parameters(started["rig"]), "it makes the time"
 
 
-def test_every_namespace_has_its_own_clock():
-    """All nodes are started with `common`: those that follow rig time, and the one that makes it."""
-    assert all(any(word.arg is None for word in call.keywords) for call in calls("Node")), "**common"
-    pairs = [ast.unparse(node) for node in ast.walk(TREE) if isinstance(node, ast.Tuple)]
-    assert "('/clock', LaunchConfiguration('clock'))" in pairs
-    assert not text(keyword(declared()["clock"], "default_value")).startswith("/")
+def test_every_namespace_has_its_own_clock() -> None:
+    for node in nodes(RIG, rviz="true", lab="true").values():
+        assert ("/clock", "clock") in node["remappings"]
 
 
-def test_launch_itself_reads_it():
+def test_the_end_of_a_required_node_ends_all_and_all_end_with_the_launcher() -> None:
+    assert all(isinstance(node["on_exit"], Shutdown) for node in nodes(RIG).values())
+    some = nodes(RIG, required="rig", rviz="true")
+    assert [name for name, node in some.items() if "on_exit" in node] == ["rig"]
+    variables = [entity.args[0] for entity in description(RIG) if isinstance(entity, SetEnvironmentVariable)]
+    assert PARENT_VARIABLE in variables
+
+
+def test_rviz_and_tf_come_on_request_and_agree_on_frames() -> None:
+    """robot_state_publisher follows the truth, and leaves the description's topic to the rig."""
+    started = nodes(RIG, rviz="true", namespace="two", overrides="{barriers.gap_m: 0.01}")
+    state = started["robot_state_publisher"]
+    assert ("joint_states", "truth/joint_states") in state["remappings"]
+    assert ("robot_description", "robot_state_publisher/robot_description") in state["remappings"]
+    assert parameters(state)["frame_prefix"] == parameters(started["rig"])["output.frame_prefix"] == "two/"
+    links = {link.get("name") for link in ET.fromstring(parameters(state)["robot_description"]).iter("link")}
+    _, file = started["rviz"]["arguments"]
+    shown = yaml.safe_load(Path(file).read_text(encoding="utf-8"))["Visualization Manager"]
+    fixed = shown["Global Options"]["Fixed Frame"]
+    assert fixed.removeprefix("two/") in links
+    (robot,) = [display for display in shown["Displays"] if display["Name"] == "Rig"]
+    assert robot["TF Prefix"] == "two"
+    assert robot["Description Topic"]["Value"] == "robot_description"
+    assert "rviz" not in nodes(RIG, state_publisher="true")
+
+
+def test_two_rigs_are_the_first_file_twice_with_namespaces_clocks_and_folders_of_their_own() -> None:
+    entities = description(TWO)
+    context = context_of(entities, {"mode": "freewheel"})
+    groups = [entity for entity in entities if isinstance(entity, GroupAction)]
+    assert all(group.words == {"scoped": True} for group in groups)
+    given = []
+    for group in groups:
+        (include,) = group.args[0]
+        assert isinstance(include, IncludeLaunchDescription)
+        assert perform(include.args[0].args[0], context) == str(RIG)
+        given.append(perform(dict(include.words["launch_arguments"]), context))
+    assert [one["namespace"] for one in given] == ["rig1", "rig2"]
+    assert [one["record_directory"] for one in given] == ["runs/rig1", "runs/rig2"]
+    started = [nodes(RIG, **one) for one in given]
+    for rigs in zip(*(one.values() for one in started), strict=True):
+        assert len({node["namespace"] for node in rigs}) == 2
+        assert all(("/clock", "clock") in node["remappings"] for node in rigs), "relative: one per namespace"
+    assert parameters(started[1]["rig"])["daq.seed"] == 2
+    assert {one["mode"] for one in given} == {"freewheel"}
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: path.name)
+def test_launch_itself_reads_it(path: Path) -> None:
     pytest.importorskip("launch_ros", reason="launch comes with an apt-installed ROS 2 only")
     from launch.launch_description_sources import get_launch_description_from_python_launch_file
 
-    description = get_launch_description_from_python_launch_file(str(FILE))
-    assert {argument.name for argument in description.get_launch_arguments()} == set(declared())
+    read = get_launch_description_from_python_launch_file(str(path))
+    assert {argument.name for argument in read.get_launch_arguments()} >= set(declared(description(path)))

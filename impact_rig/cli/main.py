@@ -18,7 +18,7 @@ EXIT_ERROR = 1
 PROGRAM = "impact-rig"
 COMMANDS = (
     "lab", "demo", "campaign", "report", "identify",
-    "info", "analyze", "verify", "replay", "recover", "export", "check", "compile",
+    "info", "analyze", "verify", "replay", "recover", "export", "check", "layout", "compile",
 )  # fmt: skip
 """Subcommands in the order of the help; each is the module of its name."""
 

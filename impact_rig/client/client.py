@@ -384,7 +384,7 @@ class Client:
     def _on_diagnostics(self, message: Any) -> None:
         prefix = self.node.get_namespace().strip("/")
         for status in message.status:
-            name = status.name.removeprefix(prefix).lstrip("/")
+            name = status.name.partition(":")[0].removeprefix(prefix).lstrip("/")
             self.diagnostics[name] = status
 
     def _troubles(self) -> str:

@@ -8,10 +8,14 @@ of them is written twice.
 from __future__ import annotations
 
 import enum
+import functools
 import math
+import re
+from collections.abc import Mapping
 from typing import Any  # attrs validators receive untyped instances
 
 import attrs
+import yaml
 
 from impact_rig.errors import ConfigError
 
@@ -20,6 +24,8 @@ LONGEST_BITS = 64
 """Of an integer."""
 LEAST, MOST = 1e-15, 1e15
 """Magnitude of every quantity that is not 0: what is beyond is a slip, and products of it overflow."""
+_EXPONENT_FORM = re.compile(r"[-+]?[0-9]{1,20}(\.[0-9]{0,20})?[eE][-+]?[0-9]{1,3}")
+_LIST_FORM = re.compile(r"\[[-+.0-9eE, ]{1,10000}\]")
 
 
 class Origin(enum.Enum):
@@ -44,11 +50,15 @@ class FieldInfo:
     high_open: bool = False
     choices: tuple[str, ...] = ()
     read_only: bool = False
+    pattern: str = ""
+    means: str = ""
 
     def range_text(self) -> str:
         """Return the legal range in words, e.g. `> 0 and <= 1`."""
         if self.choices:
             return "one of " + ", ".join(self.choices)
+        if self.means:
+            return self.means
         parts = []
         if self.low is not None:
             parts.append(f"{'>' if self.low_open else '>='} {self.low:g}")
@@ -81,20 +91,10 @@ def _in_range(attribute: attrs.Attribute[Any], value: float) -> None:
 
 def _check_float(_instance: object, attribute: attrs.Attribute[Any], value: object) -> None:
     if not isinstance(value, float):
-        raise _wrong(attribute, "a number" + _meant_as_number(value), value)
+        raise _wrong(attribute, "a number", value)
     _in_range(attribute, value)
     if value and not LEAST <= abs(value) <= MOST:
         raise _wrong(attribute, f"0 or of a magnitude from {LEAST:g} to {MOST:g}", value)
-
-
-def _meant_as_number(value: object) -> str:
-    """Return a hint where somebody wrote 8e-06: to YAML 1.1 that is a text, it wants a point and a sign."""
-    try:
-        number = float(value) if isinstance(value, str) else math.nan
-    except ValueError:
-        return ""
-    text = f"{number:e}"
-    return f" (YAML takes this for a text: write {text})" if math.isfinite(number) else ""
 
 
 def _check_int(_instance: object, attribute: attrs.Attribute[Any], value: object) -> None:
@@ -128,12 +128,21 @@ def _check_floats(_instance: object, attribute: attrs.Attribute[Any], value: obj
         _in_range(attribute, item)
 
 
-def _int_to_float(value: object) -> object:
-    """YAML and people write 6 where 6.0 is meant; anything else is left for the validator to refuse by name."""
+def _to_float(value: object) -> object:
+    """Return a number where one is meant; anything else is left for the validator to refuse by name.
+
+    People write 6 for 6.0. They and `ros2 param load` write 8e-06, which is a text to YAML 1.1: it wants a point.
+    """
+    if isinstance(value, str) and _EXPONENT_FORM.fullmatch(value):
+        return float(value)
     try:
         return float(value) if isinstance(value, int) and not isinstance(value, bool) else value
     except OverflowError:
         return math.inf
+
+
+def _to_word(meant: Mapping[tuple[type, object], str], value: object) -> object:
+    return meant.get((type(value), value), value) if isinstance(value, bool | str) else value
 
 
 def _list_to_names(value: object) -> object:
@@ -142,7 +151,9 @@ def _list_to_names(value: object) -> object:
 
 
 def _list_to_floats(value: object) -> object:
-    return tuple(_int_to_float(item) for item in value) if isinstance(value, (list, tuple)) else value
+    if isinstance(value, str) and _LIST_FORM.fullmatch(value):  # numbers of both forms in one list are a text, too
+        value = [_to_float(yaml.safe_load(item)) for item in value.strip("[]").split(",")]
+    return tuple(_to_float(item) for item in value) if isinstance(value, (list, tuple)) else value
 
 
 def quantity(
@@ -168,7 +179,7 @@ def quantity(
         high_open=below is not None,
         read_only=read_only,
     )
-    return attrs.field(default=default, converter=_int_to_float, validator=_check_float, metadata={METADATA_KEY: about})
+    return attrs.field(default=default, converter=_to_float, validator=_check_float, metadata={METADATA_KEY: about})
 
 
 def quantities(
@@ -197,11 +208,28 @@ def integer(
 
 
 def choice(
-    default: str, choices: tuple[str, ...], doc: str, origin: Origin = Origin.ASSUMED, *, read_only: bool = False
+    default: str,
+    choices: tuple[str, ...],
+    doc: str,
+    origin: Origin = Origin.ASSUMED,
+    *,
+    read_only: bool = False,
+    switched: Mapping[bool, str] | None = None,
 ) -> Any:
-    """One word out of `choices`."""
+    """One word out of `choices`; none of them may be a word that YAML takes for something else.
+
+    `switched` has the words that true and false stand for, and `on` and `off` with them, which YAML takes for these.
+    """
+    meant: dict[tuple[type, object], str] = {}
+    for state, word in (switched or {}).items():
+        meant[bool, state] = meant[str, "on" if state else "off"] = word
     about = FieldInfo(doc, "-", origin, choices=choices, read_only=read_only)
-    return attrs.field(default=default, validator=_check_choice, metadata={METADATA_KEY: about})
+    return attrs.field(
+        default=default,
+        converter=functools.partial(_to_word, meant),
+        validator=_check_choice,
+        metadata={METADATA_KEY: about},
+    )
 
 
 def switch(default: bool, doc: str, origin: Origin = Origin.ASSUMED, *, read_only: bool = False) -> Any:
@@ -218,4 +246,25 @@ def names(default: tuple[str, ...], doc: str, origin: Origin = Origin.ASSUMED, *
     about = FieldInfo(doc, "-", origin, read_only=read_only)
     return attrs.field(
         default=default, converter=_list_to_names, validator=_check_names, metadata={METADATA_KEY: about}
+    )
+
+
+def _check_text(_instance: object, attribute: attrs.Attribute[Any], value: object) -> None:
+    if not isinstance(value, str) or "\0" in value:
+        raise _wrong(attribute, "a text", value)
+    about = info(attribute)
+    if about.pattern and not re.fullmatch(about.pattern, value):
+        raise _wrong(attribute, about.means, value)
+
+
+def _number_to_text(value: object) -> object:
+    """YAML takes a name like 2026 for a number; of other values the validator says that they are no text."""
+    return str(value) if isinstance(value, int | float) and not isinstance(value, bool) else value
+
+
+def text(default: str, doc: str, *, read_only: bool = False, pattern: str = "", means: str = "any text") -> Any:
+    """Any text, or only what matches a pattern, which `means` says in words."""
+    about = FieldInfo(doc, read_only=read_only, pattern=pattern, means=means)
+    return attrs.field(
+        default=default, converter=_number_to_text, validator=_check_text, metadata={METADATA_KEY: about}
     )

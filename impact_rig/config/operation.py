@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import attrs
 
-from impact_rig.config.fields import choice, integer, names, quantity, switch
+from impact_rig.config.fields import choice, integer, names, quantity, switch, text
 from impact_rig.errors import ConfigError
 
 
@@ -47,7 +47,12 @@ class Time:
     start_wait_s: float = quantity(
         120.0, "s", "How long realtime waits before scan 0 for all peers to listen.", at_least=0, at_most=3600
     )
-    publish_clock: str = choice("auto", ("auto", "on", "off"), "Publish /clock; auto: whenever not in real time x 1.")
+    publish_clock: str = choice(
+        "auto",
+        ("auto", "always", "never"),
+        "Publish /clock; auto: whenever not in real time x 1.",
+        switched={True: "always", False: "never"},
+    )
 
     def __attrs_post_init__(self) -> None:
         if self.mode == "freewheel" and not self.peers:
@@ -61,7 +66,7 @@ class Time:
     @property
     def publishes_clock(self) -> bool:
         """Whether the rig publishes /clock."""
-        return self.is_simulated if self.publish_clock == "auto" else self.publish_clock == "on"
+        return self.is_simulated if self.publish_clock == "auto" else self.publish_clock == "always"
 
 
 @attrs.frozen(kw_only=True)
@@ -85,7 +90,14 @@ class Output:
     """What is published besides the scans."""
 
     monitor_rate_hz: float = quantity(
-        100.0, "Hz", "Rate of the plotter-friendly monitor topics and truth/joint_states.", above=0, at_most=200
+        50.0, "Hz", "Rate of the plotter-friendly monitor topics and truth/joint_states.", above=0, at_most=200
+    )
+    frame_prefix: str = text(
+        "",
+        "Put before the frames of monitor topics, as robot_state_publisher does with its own.",
+        read_only=True,
+        pattern=r"[A-Za-z0-9_/]{0,100}",
+        means="letters, digits, _ and /",
     )
     truth_scan: bool = switch(False, "Publish truth/scan: the scans' instants without instruments.")
     autostart: bool = switch(True, "Configure and activate by itself at start.", read_only=True)

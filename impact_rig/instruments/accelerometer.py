@@ -40,7 +40,7 @@ class Accelerometer(Instrument):
         "sensor_msgs/msg/Imu",
         Qos.DATA,
         "rig",
-        "The accelerometer at monitor rate (x; REP-145: other quantities are marked as not measured).",
+        "The accelerometer at monitor rate, low-passed (x; REP-145: other quantities are marked as not measured).",
         (
             Column("linear_acceleration.x", "m/s^2", "Acceleration of the superior base."),
             Column("linear_acceleration_covariance", "(m/s^2)^2", "x: noise, squared; y and z, not measured: 1e9."),

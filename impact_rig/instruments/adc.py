@@ -25,6 +25,8 @@ class Adc:
         11_000, "ns", "Conversion interval; shorter when the scan period is.", at_least=1, at_most=10_000_000
     )
     aggregate_limit_hz: float = quantity(1e6, "Hz", "Conversions per second, all channels together.", above=0)
-    anti_alias: str = choice("off", ("off", "butterworth"), "Anti-alias filter ahead of the converter.")
+    anti_alias: str = choice(
+        "none", ("none", "butterworth"), "Anti-alias filter ahead of the converter.", switched={False: "none"}
+    )
     anti_alias_hz: float = quantity(4e3, "Hz", "Its corner; below half the scan rate to be of use.", above=0)
     anti_alias_order: int = integer(4, "-", "Its order.", at_least=1, at_most=8)

@@ -28,7 +28,7 @@ class Base(Instrument):
         "geometry_msgs/msg/Vector3Stamped",
         Qos.DATA,
         "rig",
-        "Displacement of the inferior base (x) at monitor rate.",
+        "Displacement of the inferior base (x) at monitor rate, low-passed.",
         (Column("vector.x", "m", "Displacement x_b of the inferior base; y = z = 0."),),
         frame_id="base_sensor",
     )

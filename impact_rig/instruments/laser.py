@@ -39,7 +39,7 @@ class Laser(Instrument):
         "sensor_msgs/msg/Range",
         Qos.DATA,
         "rig",
-        "Distance of the superior base, 0.050 m - x_1, at monitor rate; out of range is -Inf or +Inf (REP-117).",
+        "Distance of the superior base, 0.050 m - x_1, low-passed; out of range is -Inf or +Inf (REP-117).",
         (
             Column("range", "m", "instruments.laser.distance_m - x_1; -Inf: too near, +Inf: too far, or no reading."),
             Column("min_range", "m", "Near end of the measuring range."),

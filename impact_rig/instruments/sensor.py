@@ -83,7 +83,7 @@ class Sensor:
 
     def behind(self, adc: Adc) -> Sensor:
         """Return the sensor with the board's anti-alias filter behind it, if there is one."""
-        if adc.anti_alias == "off":
+        if adc.anti_alias == "none":
             return self
         filtered = self.low_pass * butterworth(adc.anti_alias_order, adc.anti_alias_hz)
         # a delay comes on top of whatever the sensor is: only a lag that clearly dominates is still one

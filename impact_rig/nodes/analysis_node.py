@@ -21,6 +21,7 @@ from impact_rig.nodes import process
 from impact_rig.nodes.diagnostics import Health, Level
 from impact_rig.nodes.managed import ManagedNode
 from impact_rig.nodes.parameters import SectionSchema
+from impact_rig.nodes.plots import Plots
 from impact_rig.nodes.settings import UNKNOWN_GAP, AnalysisSettings
 from impact_rig.nodes.stamps import time_message
 from impact_rig.nodes.topics import TOPICS
@@ -37,10 +38,13 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
         kwargs: passed to rclpy's Node.
     """
 
+    COMPONENT = "measurement"
+
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("analysis", SectionSchema(AnalysisSettings), **kwargs)
         self._tracker: Tracker | None = None
         self._blockwise: list[Blockwise] = []
+        self._plots = Plots({})
         self._outlets: dict[str, Any] = {}
         self._inlets: list[Any] = []
         self._ack: Any = None
@@ -63,6 +67,7 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
         names = [name for name, _, _ in SectionSchema(TrackerSettings).fields()]
         self._tracker = Tracker(TrackerSettings(**{name: getattr(self.settings, name) for name in names}))
         self._blockwise = [analysis() for analysis in ANALYSES]
+        self._plots = Plots(self._outlets)
         self._newest_ns = None
         self._label(_gap(self.settings), 0)
         # calibration and present command first: both are transient-local, so they arrive though published long ago
@@ -137,11 +142,13 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
         if info is None or self._tracker is None:
             return
         self._tracker.configure(info)
+        self._plots.configure(info)
 
     def _on_applied(self, data: bytes) -> None:
         applied = self._decode(topics.APPLIED, data)
         if applied is not None and self._tracker is not None:
             self._tracker.on_applied(applied)
+            self._plots.on_applied(applied)
 
     def _on_note(self, message: String) -> None:
         label = parse_label(message.data)
@@ -155,6 +162,7 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
         try:
             self._publish(self._tracker.feed(scan))
             self._analyse(scan)
+            self._plots.feed(scan)
         finally:  # a block that cannot be measured must not hold up a rig that waits for us
             self._newest_ns = self._last_instant(scan)
             self._ack.publish(Header(stamp=time_message(scan.stamp_ns), frame_id=self.get_name()))
@@ -176,6 +184,7 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
                 if row["settled"] == 1:
                     self._latest = float(row["transmissibility"])
                     self._outlets[topics.TRANSMISSIBILITY.name].publish(Float64(data=self._latest))
+                    self._plots.measured(table.stamp_ns, row)
 
     def _analyse(self, scan: Table) -> None:
         """Feed the analyses of blocks whose channels the scan has."""

@@ -11,10 +11,11 @@ import math
 import sys
 import time
 from collections.abc import Callable, Sequence
-from typing import Any, Generic, TypeVar  # rclpy is untyped
+from typing import Any, ClassVar, Generic, TypeVar  # rclpy is untyped
 
 from lifecycle_msgs.srv import ChangeState
 from rcl_interfaces.msg import SetParametersResult
+from rcl_interfaces.srv import SetParameters
 from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.parameter import Parameter
@@ -26,6 +27,7 @@ from impact_rig.errors import ImpactRigError
 from impact_rig.nodes import diagnostics, messages
 from impact_rig.nodes.diagnostics import CpuMeter, Health, Level
 from impact_rig.nodes.guard import Refusals, describe, guarded, guarded_answer, guarded_service
+from impact_rig.nodes.one_by_one import set_one_by_one
 from impact_rig.nodes.parameters import Parameters, Schema
 from impact_rig.system.compile_ahead import Task, compile_ahead
 from impact_rig.system.escapes import visible
@@ -52,13 +54,18 @@ class ManagedNode(LifecycleNode, Generic[S]):
         kwargs: passed to rclpy's Node (context, namespace, parameter_overrides, ...).
     """
 
+    COMPONENT: ClassVar[str] = "state"
+    """What of the node its diagnostics are about."""
+    MAKES_TIME: ClassVar[bool] = False
+    """Whether its clock is what others follow, so that it can follow nobody's."""
+
     def __init__(self, name: str, schema: Schema[S], **kwargs: Any) -> None:
         super().__init__(name, **kwargs)
         self.is_told_to_end: Callable[[], bool] = lambda: False
         """Whether the process is about to end: that others end as well is no news then."""
         self.steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.refusals = Refusals()
-        self.parameters = Parameters(self, schema, kwargs.get("cli_args") or sys.argv)
+        self.parameters = Parameters(self, schema, kwargs.get("cli_args") or sys.argv, self.MAKES_TIME)
         self.add_on_set_parameters_callback(self._on_set_parameters)
         self._proposed: S | None = None
         self._guard_transitions()
@@ -126,6 +133,8 @@ class ManagedNode(LifecycleNode, Generic[S]):
     def create_service(self, srv_type: Any, srv_name: str, callback: Callable[[Any, Any], Any], **options: Any) -> Any:
         """Create a service, guarded: also those that rclpy makes for itself (parameters)."""
         reason = "parameter" if "parameter" in srv_name else srv_name.removeprefix("~/")
+        if srv_type is SetParameters:
+            callback = self._on_set_request
         safe = guarded_answer(callback, lambda message: self.refuse(reason, message))
         return super().create_service(srv_type, srv_name, safe, **options)
 
@@ -189,16 +198,23 @@ class ManagedNode(LifecycleNode, Generic[S]):
         if self.parameters.refused is not None:
             return self._failed("configure", self.parameters.refused)
         self._last_error = (-ERROR_MEMORY_S, "")
-        return self._transition("configure", self.configure, undo=self.cleanup)
+        done = self._transition("configure", self.configure, undo=self.cleanup)
+        if done == TransitionCallbackReturn.SUCCESS:
+            self.get_logger().info("configured")
+        return done
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Begin to work."""
         done = self._transition("activate", self.activate, undo=self.deactivate)
-        return super().on_activate(state) if done == TransitionCallbackReturn.SUCCESS else done
+        if done != TransitionCallbackReturn.SUCCESS:
+            return done
+        self.get_logger().info("active")
+        return super().on_activate(state)
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Stop working."""
         self._transition("deactivate", self.deactivate)
+        self.get_logger().info("deactivated")
         return super().on_deactivate(state)
 
     def on_cleanup(self, _state: LifecycleState) -> TransitionCallbackReturn:
@@ -220,6 +236,7 @@ class ManagedNode(LifecycleNode, Generic[S]):
         if self.active:
             self._transition("deactivate", self.deactivate)
         self._transition("clean up", self.cleanup)
+        self.get_logger().info("ended")
 
     def compile_ahead(self, tasks: Sequence[Task]) -> None:
         """Return once these tasks are compiled; the log and diagnostics say how far that is."""
@@ -285,6 +302,13 @@ class ManagedNode(LifecycleNode, Generic[S]):
 
     def set_parameters_atomically(self, parameter_list: list[Parameter]) -> SetParametersResult:
         """Set all or none, through the validator; the services and the in-process calls both come here."""
+        result = self._attempt(parameter_list)
+        if not result.successful:
+            self.refuse("parameter", result.reason)
+        return result
+
+    def _attempt(self, parameter_list: list[Parameter]) -> SetParametersResult:
+        """Set all or none."""
         try:
             stored, self._proposed = self.parameters.check(parameter_list)
             result = super().set_parameters_atomically(stored)
@@ -296,9 +320,16 @@ class ManagedNode(LifecycleNode, Generic[S]):
             result = SetParametersResult(successful=False, reason=message)
         finally:
             self._proposed = None
-        if not result.successful:
-            self.refuse("parameter", result.reason)
         return result
+
+    def _on_set_request(
+        self, request: SetParameters.Request, response: SetParameters.Response
+    ) -> SetParameters.Response:
+        response.results = set_one_by_one(list(request.parameters), self._attempt)
+        for result in response.results:
+            if not result.successful:
+                self.refuse("parameter", result.reason)
+        return response
 
     def set_parameters(self, parameter_list: list[Parameter]) -> list[SetParametersResult]:
         """Set one after the other, each through the validator."""
@@ -339,8 +370,9 @@ class ManagedNode(LifecycleNode, Generic[S]):
             **{f"last_refused.{reason}": text for reason, text in sorted(self.refusals.last.items())},
         }
         full = Health(level, message, values)
-        name = self.get_fully_qualified_name().lstrip("/")
-        self._diagnostics.publish(diagnostics.to_message(name, name, full, self.rig_time_ns()))
+        name = f"{self.get_fully_qualified_name().lstrip('/')}: {self.COMPONENT}"
+        hardware = f"impact_rig{self.get_namespace()}".rstrip("/")
+        self._diagnostics.publish(diagnostics.to_message(name, hardware, full, self.rig_time_ns()))
 
     def _judged(self, status: Health) -> tuple[Level, str]:
         """Return the node's own status, or the last error while it is fresh; while it compiles, how far that is."""

@@ -13,6 +13,7 @@ from impact_rig.nodes.managed import ManagedNode
 from impact_rig.nodes.topics import MONITORS, TOPICS
 from impact_rig.rig import Block, Rig
 from impact_rig.rig.config import RigConfig, dump
+from impact_rig.rig.description import robot_description
 
 PUBLISHED = [topic for topic in TOPICS if topic.publisher == "rig"]
 LEAST_DEPTH = 100
@@ -42,6 +43,7 @@ class Outlets:
             if t not in absent and (t is not topics.CLOCK or config.time.publishes_clock)
         }
         self._info = b""
+        self._description = ""
         self._monitors: Monitors | None = None
 
     @property
@@ -50,8 +52,8 @@ class Outlets:
         return self._publishers[topics.SCAN.name]
 
     def names(self) -> list[str]:
-        """Return the topics that are published now."""
-        return list(self._publishers)
+        """Return the topics that are published now, and that nobody else may publish."""
+        return [name for name in self._publishers if name != topics.ROBOT_DESCRIPTION.name]
 
     def destroy(self) -> None:
         """Destroy the publishers."""
@@ -95,7 +97,7 @@ class Outlets:
         """Publish the configuration, and the calibration if it is another; take both for the monitors."""
         info = rig.info()
         noise = dict(zip(info.rows["name"].astype(str).tolist(), info.rows["noise"].tolist(), strict=True))
-        self._monitors = Monitors(rig.config, noise)
+        self._monitors = Monitors(rig.config, noise, self._monitors)
         encoded = codec.encode(info)
         if encoded != self._info:
             self._info = encoded
@@ -104,8 +106,12 @@ class Outlets:
         self.announce(rig.config)
 
     def announce(self, config: RigConfig) -> None:
-        """Publish the configuration alone: a recorder opens its file by it, before there is a rig."""
+        """Publish what a recorder opens its file by before there is a rig: the configuration, the rig as it looks."""
         self._publishers[topics.CONFIGURATION.name].publish(String(data=dump(config)))
+        description = robot_description(config)
+        if description != self._description:
+            self._description = description
+            self._publishers[topics.ROBOT_DESCRIPTION.name].publish(String(data=description))
 
     def settle_history(self) -> None:
         """Wait until subscribers that have just come have what was published before."""

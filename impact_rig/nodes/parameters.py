@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Generic, Protocol, TypeVar
 
 import attrs
+import yaml
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -34,6 +35,10 @@ _FOREIGN = (
     "start_type_description_service",
     "qos_overrides.",
 )  # overrides that belong to rclpy, not us
+
+
+SIM_TIME = "use_sim_time"
+NO_SIM_TIME = "must be false here: this node makes the time that others follow"
 
 
 class Schema(Protocol[S]):
@@ -124,9 +129,12 @@ class Parameters(Generic[S]):
         node: owner; its `set_parameters_atomically` asks `check` first.
         schema: names, meanings and validator.
         arguments: command line, to name the parameter files in an error of the start-up values.
+        makes_time: the node is where rig time comes from: it cannot follow anybody's.
     """
 
-    def __init__(self, node: Node, schema: Schema[S], arguments: Iterable[str] = ()) -> None:
+    def __init__(self, node: Node, schema: Schema[S], arguments: Iterable[str] = (), makes_time: bool = False) -> None:
+        self._makes_time = makes_time
+        self._node = node
         self._schema = schema
         self._infos = {name: about for name, about, _ in schema.fields()}
         self.refused: ConfigError | None = None
@@ -134,6 +142,8 @@ class Parameters(Generic[S]):
         # rclpy has no public accessor of the overrides, and declaring them one by one would stop at the first bad one
         given = {name: parameter.value for name, parameter in node._parameter_overrides.items()}
         self.settings = self._at_start(given, _files(arguments))
+        if makes_time and given.get(SIM_TIME) is True:
+            self.refused = ConfigError(f"{SIM_TIME} {NO_SIM_TIME}")
         for name, value in schema.flat(self.settings).items():
             found = descriptor(self._infos[name], value)
             node.declare_parameter(name, _to_ros(value), found, ignore_override=True)
@@ -153,17 +163,18 @@ class Parameters(Generic[S]):
     def check(self, wanted: list[Parameter]) -> tuple[list[Parameter], S]:
         """Return the parameters as they will be stored, and the settings with them.
 
+        What is fixed and comes back as it is, as in `ros2 param load` of a dump, is left out.
+
         Raises:
             ConfigError: unknown key, read-only, bad value or a combination that makes no sense; nothing is changed.
         """
         changes: dict[str, object] = {}
+        wanted = [parameter for parameter in wanted if not self._unchanged(parameter)]
         for parameter in wanted:
-            if parameter.name.startswith(_FOREIGN):
-                continue
-            about = self._infos.get(parameter.name)
-            if (about is not None and about.read_only) or parameter.name == CONFIG_FILE:
-                raise ConfigError(f"{parameter.name} can be set at start only (parameter file or -p), it is read-only")
-            changes[parameter.name] = _from_ros(parameter.value)
+            if self._makes_time and parameter.name == SIM_TIME and parameter.value is True:
+                raise ConfigError(f"{SIM_TIME} {NO_SIM_TIME}")
+            if not parameter.name.startswith(_FOREIGN):
+                changes[parameter.name] = _from_ros(parameter.value)
         settings = self._schema.changed(self.settings, changes)
         values = self._schema.flat(settings)
         stored = [
@@ -171,6 +182,18 @@ class Parameters(Generic[S]):
             for p in wanted
         ]
         return stored, settings
+
+    def _unchanged(self, parameter: Parameter) -> bool:
+        """Whether a parameter that is fixed, or a text, is given as it is; ConfigError if a fixed one is not."""
+        if not self._node.has_parameter(parameter.name):
+            return False  # the schema, or rclpy, refuses it by name
+        given, present = _from_ros(parameter.value), _from_ros(self._node.get_parameter(parameter.name).value)
+        loaded = _as_loaded(present)
+        same = given == present or (type(given) is type(loaded) and given == loaded)
+        fixed = self._node.describe_parameter(parameter.name).read_only
+        if fixed and not same:
+            raise ConfigError(f"{parameter.name} can be set at start only (parameter file or -p), it is read-only")
+        return same and (fixed or isinstance(present, str))
 
     def changes(self, settings: S) -> dict[str, Value]:
         """Return what differs between the present settings and `settings`."""
@@ -217,6 +240,15 @@ def _to_ros(value: Value) -> object:
 
 def _from_ros(value: object) -> object:
     return tuple(value) if isinstance(value, (list, array.array)) else value
+
+
+def _as_loaded(value: object) -> object:
+    """Return what `ros2 param load` sends for a value that `ros2 param dump` wrote: it reads the text of it again."""
+    try:
+        loaded = yaml.safe_load(str(value))
+    except yaml.YAMLError:
+        return value
+    return str(value) if loaded is None else loaded
 
 
 def _files(arguments: Iterable[str]) -> str:

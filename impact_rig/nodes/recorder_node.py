@@ -54,6 +54,8 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         kwargs: passed to rclpy's Node.
     """
 
+    COMPONENT = "recording"
+
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("recorder", SectionSchema(RecorderSettings), **kwargs)
         self._writer: RunWriter | None = None
@@ -84,7 +86,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
 
     def configure(self) -> None:
         """Check that the interfaces are installed; create the acknowledgement's publisher."""
-        for type_name in {topic.type_name for topic in TOPICS}:
+        for type_name in {topic.type_name for topic in TOPICS if topic.recorded}:
             schema_text(type_name)
         self._ack = self.publisher(topics.ACK)
 
@@ -193,7 +195,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
             return
         self._certificates = 0
         # subscribed anew for each run: what is transient-local (journal, calibration, ...) then belongs to every run
-        self._recorded = [self._listen(topic) for topic in TOPICS if topic is not topics.SCAN]
+        self._recorded = [self._listen(topic) for topic in TOPICS if topic.recorded and topic is not topics.SCAN]
         self._awaited = {topic.name for topic in AWAITED if self.count_publishers(topic.name)}
         self._opened_at = time.monotonic()
         self._follow_scans()  # last: a rig that waits for this subscription finds the run open

@@ -4,24 +4,24 @@ from __future__ import annotations
 
 import functools
 import time
-from collections.abc import Callable
 from typing import Any  # rclpy messages and responses
 
 from std_msgs.msg import Float64, Header
-from std_srvs.srv import SetBool, Trigger
 
 from impact_rig import topics
 from impact_rig.errors import CommandError
 from impact_rig.nodes import process
 from impact_rig.nodes.beginning import Beginning, Rivals
-from impact_rig.nodes.deferred import Answer, DeferredService
 from impact_rig.nodes.diagnostics import Health
 from impact_rig.nodes.guard import describe, guarded
 from impact_rig.nodes.managed import ManagedNode
 from impact_rig.nodes.outlets import Outlets
 from impact_rig.nodes.pacing import AckWindow, Pacer
 from impact_rig.nodes.parameters import RigSchema
+from impact_rig.nodes.pausing import Pause
 from impact_rig.nodes.readers import Readers
+from impact_rig.nodes.rig_news import RigNews
+from impact_rig.nodes.rig_services import RigServices
 from impact_rig.nodes.rig_status import RigStatus
 from impact_rig.nodes.stamps import nanoseconds
 from impact_rig.nodes.steps import StepRequests
@@ -59,6 +59,9 @@ class RigNode(ManagedNode[RigConfig]):
         kwargs: passed to rclpy's Node.
     """
 
+    COMPONENT = "simulation"
+    MAKES_TIME = True
+
     def __init__(self, discovery_s: float = 0.0, **kwargs: Any) -> None:
         self._discovered_at = time.monotonic() + discovery_s
         super().__init__("rig", RigSchema(), **kwargs)
@@ -70,20 +73,18 @@ class RigNode(ManagedNode[RigConfig]):
         self._readers: Readers | None = None
         self._rivals: Rivals | None = None
         self._beginning: Beginning | None = None
-        self._paused = self._history_settled = False
+        self._history_settled = False
         self._base_ns = self._clock_offset_ns = 0
         self._worked_at = self._slice_began = 0.0
         self._figures = RigStatus()
         self.subscribe(topics.FREQUENCY, self._on_frequency)
         self.subscribe(topics.CURRENT, self._on_current)
         self.subscribe(topics.ACK, self._on_ack)
-        self._pause = DeferredService(self, SetBool, "~/pause", self._on_pause, self._answer_pause)
-        self.service(Trigger, "~/reset", self._on_reset)
-        self.service(Trigger, "~/stop", self._on_stop)
-        self.service(Trigger, "~/clear_trip", self._on_clear_trip)
-        self.service(Trigger, "~/pluck", self._on_pluck)
-        work = guarded(self._work, self.report_failure)
-        self._steps = StepRequests(self, self._no_step, lambda: self.settings.step.blocks, work)
+        self._pause = Pause(self, self._no_rig, lambda: self._window, self._go_on)
+        self._news = RigNews(self)
+        self._at_once = RigServices(self, self._running, self._flush, self._was_reset)
+        step = guarded(self._on_step, self.report_failure)
+        self._steps = StepRequests(self, self._no_step, lambda: self.settings.step.blocks, step)
 
     # Lifecycle
 
@@ -110,7 +111,6 @@ class RigNode(ManagedNode[RigConfig]):
         self._beginning = Beginning(self, self._rivals, readers, config.time.start_wait_s)
         self._outlets.forget()
         self._history_settled = False
-        self._paused = False
         self._steps.left = 0
         self._figures = RigStatus()
         self._timer.start(AHEAD_PERIOD_S, 0.0)
@@ -123,11 +123,10 @@ class RigNode(ManagedNode[RigConfig]):
         if self._beginning is None or self._beginning.obstacle() is not None:
             return
         config = self.settings
-        if config.time.mode == "realtime" and config.time.peers:
-            absent = ", ".join(self._readers.missing()) if self._readers else ""
-            self.get_logger().info("scan 0" + (f" without {absent}, which did not come in time" if absent else ""))
+        realtime = config.time.mode == "realtime"
+        self._news.begun(config, ", ".join(self._readers.missing()) if self._readers and realtime else "")
         self._clock_offset_ns = time.time_ns() - time.monotonic_ns()
-        self._base_ns = time.time_ns() if config.time.mode == "realtime" else 0
+        self._base_ns = time.time_ns() if realtime else 0
         self._pacer = Pacer(time.monotonic_ns, config.time.factor)  # beside the stamp: both mean the same instant
         self._rig = Rig(config, self._base_ns)
         self._beginning = None
@@ -137,7 +136,7 @@ class RigNode(ManagedNode[RigConfig]):
         assert self._outlets is not None
         self._flush(self._rig)
         self._publish_configuration(self._rig)
-        if config.time.peers and config.time.mode == "realtime":
+        if config.time.peers and realtime:
             self._outlets.settle_history()
         self._worked_at = time.monotonic()
         self._start_timer()
@@ -147,7 +146,7 @@ class RigNode(ManagedNode[RigConfig]):
         self._timer.stop()
         self._rig = self._readers = self._rivals = self._beginning = None
         self._steps.refuse("the rig was deactivated")
-        self._pause.reply(False, "the rig was deactivated")
+        self._pause.end("the rig was deactivated")
 
     def cleanup(self) -> None:
         """Destroy the publishers."""
@@ -181,9 +180,9 @@ class RigNode(ManagedNode[RigConfig]):
 
     def _on_timer(self) -> None:
         self._work()
-        self._answer_pause()
+        self._pause.answer()
         self._slice_began = time.monotonic()
-        if self._rig is not None and self.settings.time.mode == "realtime" and not self._paused:
+        if self._rig is not None and self.settings.time.mode == "realtime" and not self._pause.on:
             self._timer.keep_in_step(self._wait_s())
 
     def _work(self) -> None:
@@ -191,12 +190,12 @@ class RigNode(ManagedNode[RigConfig]):
         if now - self._worked_at > AWAY_S:
             self._window.excuse()
         self._worked_at = now
-        if self._paused:
+        if self._pause.held or (self._pause.on and not self._steps.waiting):
             return
         try:
             if rig is None:
                 self._begin_if_possible()
-            elif self.settings.time.mode == "realtime":
+            elif self.settings.time.mode == "realtime" and not self._pause.on:
                 self._catch_up(rig, now + WORK_S)
             else:
                 self._run_ahead(rig, now + WORK_S)
@@ -219,8 +218,8 @@ class RigNode(ManagedNode[RigConfig]):
 
     def _run_ahead(self, rig: Rig, deadline: float) -> None:
         """Publish as many blocks as the window (and a step) allows, until the deadline."""
-        mode = self.settings.time.mode
-        limit = self._steps.left if mode == "stepped" else self._window.window
+        by_steps = self._pause.on or self.settings.time.mode == "stepped"
+        limit = self._steps.left if by_steps else self._window.window
         assert self._outlets is not None
         assert self._readers is not None
         if not self._readers.all_matched():
@@ -236,7 +235,7 @@ class RigNode(ManagedNode[RigConfig]):
                 break  # waiting for half a window makes batches worth their overhead
             blocks = rig.advance(rig.block_end_ns(room))
             self._publish(rig, blocks)
-            if mode == "stepped":
+            if by_steps:
                 self._steps.left -= len(blocks)
                 limit = self._steps.left
             if time.monotonic() > deadline:
@@ -252,7 +251,8 @@ class RigNode(ManagedNode[RigConfig]):
             self._outlets.block(block)
             if not block.lost:
                 self._window.published(block.scan.stamp_ns)
-            self._pacer.published(block.end_ns - self._base_ns)
+            if not self._pause.on:
+                self._pacer.published(block.end_ns - self._base_ns)
             self._figures.count(block)
         if blocks and self.settings.time.publishes_clock:
             self._outlets.clock(blocks[-1].end_ns)
@@ -284,6 +284,7 @@ class RigNode(ManagedNode[RigConfig]):
         except CommandError as error:
             self.refuse(name, str(error))
             return
+        self.get_logger().debug(f"accepted: {', '.join(f'{key} = {value:g}' for key, value in values.items())}")
         self._flush(self._rig)
 
     def _on_ack(self, message: Header) -> None:
@@ -301,64 +302,37 @@ class RigNode(ManagedNode[RigConfig]):
             window.watch(name)
         window.acknowledge(name, stamp)
         if name in window.peers:
-            self._answer_pause()
+            self._pause.answer()
             if self.settings.time.mode != "realtime" and time.monotonic() - self._slice_began < SLICE_S:
                 self._work()
+
+    def _on_step(self) -> None:
+        self._pause.held = False  # who steps a paused rig wants what was left of steps before, too
+        self._work()
+
+    def _no_rig(self) -> str:
+        """Return why there is no rig, or nothing."""
+        return self._why_not() if self._rig is None else ""
 
     def _no_step(self) -> str:
         """Return why there can be no step now, or nothing."""
         if self._rig is None:
             return self._why_not()
+        if self.settings.time.mode != "stepped" and not self._pause.on:
+            return f"the rig runs in {self.settings.time.mode}: pause it first (~/pause), or set time.mode to stepped"
+        return ""
+
+    def _go_on(self) -> None:
+        """Leave a pause."""
         if self.settings.time.mode != "stepped":
-            return f"time.mode must be stepped, it is {self.settings.time.mode}"
-        return "the rig is paused" if self._paused else ""
-
-    def _on_pause(self, request: SetBool.Request) -> Answer | None:
-        """Pause, or go on; a pause is answered when the peers have processed all that was out."""
-        rig = self._rig
-        if rig is None:
-            return False, self._why_not()
-        if request.data:
-            self._paused = True
-            return None
-        if not self._paused and not self._window.silent():
-            return True, "running"  # it was: nothing is given up
-        self._paused = False
-        self._pause.reply(False, "told to go on")
+            self._steps.refuse("told to go on")
         self._window.forgive()
-        self._pacer.rebase(rig.next_block_ns - self._base_ns)
+        self._pacer.rebase(self._running().next_block_ns - self._base_ns)
         self._start_timer()
-        return True, "running"
 
-    def _answer_pause(self) -> None:
-        if self._pause.waiting and (self._window.outstanding() == 0 or self._window.silent()):
-            self._pause.reply(True, "paused")
-
-    def _on_reset(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        rig = self._running()
-        self._act(response, Rig.reset, "reset: scan 0")
+    def _was_reset(self, rig: Rig) -> None:
         self._figures.faults.clear()  # planned ones begin anew, and say so
         self._publish_configuration(rig)
-        return response
-
-    def _on_stop(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        return self._act(response, Rig.stop, "shaker ramps to zero and stays latched until ~/clear_trip")
-
-    def _on_clear_trip(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        return self._act(response, Rig.clear_trip, "latch released; current stays zero until the next command")
-
-    def _on_pluck(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        displacement_m = self.settings.pluck.displacement_m
-        return self._act(
-            response, lambda rig: rig.pluck(displacement_m), "base locked, structure released; ~/reset unlocks"
-        )
-
-    def _act(self, response: Trigger.Response, action: Callable[[Rig], None], done: str) -> Trigger.Response:
-        rig = self._running()
-        action(rig)
-        self._flush(rig)
-        response.success, response.message = True, done
-        return response
 
     def _running(self) -> Rig:
         if self._rig is None:
@@ -401,10 +375,8 @@ class RigNode(ManagedNode[RigConfig]):
         obstacle = self._beginning.obstacle() if self._beginning is not None else None
         if obstacle is not None:
             return Health(*obstacle, {"mode": self.settings.time.mode})
-        if self._readers is not None:
-            for name in self._readers.gone(self._window.lost()):
-                self._window.forget(name)
-                self.get_logger().warning(f"{name} no longer subscribes to {topics.SCAN.name}")
+        if self._rig is not None and self._readers is not None:
+            self._news.look(self._rig, self._figures, self._window, self._readers)
         return self._figures.status(
             self.state,
             self._rig,
@@ -413,7 +385,7 @@ class RigNode(ManagedNode[RigConfig]):
             self._window,
             self._readers,
             self._rivals,
-            self._paused,
+            self._pause.on,
             (time.time_ns() - time.monotonic_ns() - self._clock_offset_ns) / NS_PER_S,
         )
 

@@ -67,9 +67,9 @@ SERVICES = (
         "~/step",
         TRIGGER,
         "rig",
-        "Advance by `step.blocks`, with `time.mode: stepped` only; answered when the last block is out and "
-        "acknowledged by all `time.peers`.",
-        _ACTIVE - {Situation.PAUSED},
+        "Advance by `step.blocks`, while paused or with `time.mode: stepped`; answered when the last block is out and "
+        "acknowledged by all `time.peers`. A paused rig stays paused.",
+        _ACTIVE,
     ),
     Input(
         "~/reset",

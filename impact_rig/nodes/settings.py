@@ -2,28 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any  # attrs fields have no static type
-
 import attrs
 
 from impact_rig.analysis.settings import TrackerSettings
-from impact_rig.config import FieldInfo
-from impact_rig.config.fields import METADATA_KEY, Origin, choice, integer, quantities, quantity, switch
+from impact_rig.config.fields import Origin, choice, integer, quantities, quantity, switch, text
 from impact_rig.errors import ConfigError
 from impact_rig.operate.plan import Direction, Plan
 
 UNKNOWN_GAP = -1.0
-
-
-def _check_text(_instance: object, attribute: attrs.Attribute[Any], value: object) -> None:
-    if not isinstance(value, str) or "\0" in value:
-        raise ConfigError(f"{attribute.name} must be a text, got {value!r}")
-
-
-def text(default: str, doc: str, *, read_only: bool = False) -> Any:
-    """Return a field that holds any text."""
-    about = FieldInfo(doc, read_only=read_only)
-    return attrs.field(default=default, validator=_check_text, metadata={METADATA_KEY: about})
 
 
 @attrs.frozen(kw_only=True)

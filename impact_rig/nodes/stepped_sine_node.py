@@ -36,6 +36,8 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
         kwargs: passed to rclpy's Node.
     """
 
+    COMPONENT = "sweep"
+
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("stepped_sine", SectionSchema(SteppedSineSettings), **kwargs)
         self._operator: Operator | None = None

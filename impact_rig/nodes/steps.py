@@ -34,6 +34,11 @@ class StepRequests:
         self.left = 0
         """Blocks not published yet."""
 
+    @property
+    def waiting(self) -> bool:
+        """Whether somebody waits for an answer."""
+        return bool(self._service.waiting)
+
     def refuse(self, message: str) -> None:
         """Answer what waits with a refusal; what is left is dropped."""
         self.left = 0

@@ -21,6 +21,11 @@ _NO_IMPACTS = np.empty(0, IMPACTS)
 _IMPACT_COLUMNS = [name for name in IMPACTS.names or () if name != "time"]
 
 
+def monitor_step(rate_hz: int, monitor_hz: float) -> int:
+    """Return how many scans lie between two monitor instants: the nearest whole number from above."""
+    return max(1, math.ceil(rate_hz / monitor_hz - 1e-9))
+
+
 class Truth:
     """Collects the truth of simulated ticks and gives it out by scans.
 
@@ -40,7 +45,7 @@ class Truth:
 
     def configure(self, monitor_hz: float, every_scan: bool) -> None:
         """Change what is kept, from the next tick on."""
-        self.monitor_step = max(1, math.ceil(self._rate_hz / monitor_hz - 1e-9))
+        self.monitor_step = monitor_step(self._rate_hz, monitor_hz)
         self.every_scan = every_scan
 
     @property

@@ -12,6 +12,7 @@ pytest.importorskip("rclpy", reason="no ROS 2 here")
 from rclpy.serialization import deserialize_message
 
 from impact_rig.nodes import messages
+from impact_rig.nodes.anti_alias import HALF_PERIODS, AntiAlias, taps
 from impact_rig.nodes.convert import Monitors
 from impact_rig.nodes.stamps import nanoseconds
 from impact_rig.nodes.topics import by_name
@@ -27,8 +28,10 @@ def monitored(**values: object) -> tuple[list[Block], dict[str, list]]:
     config = from_flat(RigConfig(), {"drive.amplitude": 0.52, **{k.replace("__", "."): v for k, v in values.items()}})
     blocks = Rig(config, START_NS).advance(START_NS + 500_000_000)
     found: dict[str, list] = {}
+    monitors = Monitors(config, NOISE)
     for block in blocks:
-        for topic, data in Monitors(config, NOISE).messages(block, lambda _: True):
+        monitors = Monitors(config, NOISE, monitors)  # as after any change of a parameter
+        for topic, data in monitors.messages(block, lambda _: True):
             found.setdefault(topic.name, []).append(deserialize_message(data, messages.class_of(topic)))
     return blocks, found
 
@@ -40,20 +43,64 @@ def default() -> tuple[list[Block], dict[str, list]]:
 
 def test_every_monitor_comes_at_its_rate_with_stamps_of_scans_and_a_frame(default) -> None:
     blocks, found = default
-    stamps = [block.scan.stamp_ns for block in blocks]
+    stamps = [block.scan.stamp_ns for block in blocks][::2]
     assert set(found) == {"accelerometer", "laser", "base_displacement", "truth/joint_states"}
     for name, received in found.items():
-        assert [nanoseconds(message.header.stamp) for message in received] == stamps, "100 Hz: one per block"
+        expected = stamps if name == "truth/joint_states" else stamps[:-HALF_PERIODS]
+        assert [nanoseconds(message.header.stamp) for message in received] == expected, "50 Hz: every other block"
         assert received[0].header.frame_id == by_name(name).frame_id != ""
 
 
-def test_monitor_values_are_those_of_the_scans(default) -> None:
+def test_frames_take_the_prefix_of_a_namespace() -> None:
+    found = monitored(output__frame_prefix="two/")[1]
+    assert {received[0].header.frame_id for received in found.values()} == {
+        "two/superior_base", "two/laser", "two/base_sensor", "two/rig",
+    }  # fmt: skip
+
+
+def test_monitor_values_are_the_scans_around_their_stamp_low_passed(default) -> None:
     blocks, found = default
-    for k, block in enumerate(blocks):
-        row = block.scan.rows[0]
-        assert found["accelerometer"][k].linear_acceleration.x == row["accelerometer"]
-        assert found["laser"][k].range == np.float32(0.050 - row["laser"])
-        assert found["base_displacement"][k].vector.x == row["base"]
+    rows = np.concatenate([block.scan.rows for block in blocks])
+    weights, half = taps(200), HALF_PERIODS * 200
+    for k, message in enumerate(found["accelerometer"][HALF_PERIODS:], HALF_PERIODS):
+        part = rows[200 * k - half : 200 * k + half + 1]
+        assert message.linear_acceleration.x == pytest.approx((part["accelerometer"] * weights).sum(), rel=1e-12)
+        assert found["laser"][k].range == pytest.approx(0.050 - (part["laser"] * weights).sum(), rel=1e-6)
+        assert found["base_displacement"][k].vector.x == pytest.approx((part["base"] * weights).sum(), rel=1e-12)
+
+
+def test_a_monitor_passes_the_vibration_and_folds_nothing_into_it() -> None:
+    """At 50 Hz, 9.1 Hz keep amplitude and phase; 41 Hz and a chatter at 109 Hz would be seen as 9 Hz, and are not."""
+    time = np.arange(20_000) / 10_000
+    rows = np.zeros(20_000, dtype=[("laser", "<f8"), ("status", "u1")])
+
+    def shown(signal: np.ndarray) -> np.ndarray:
+        rows["laser"] = signal
+        found = AntiAlias(["laser"], 200).feed(0, rows, range(0, 20_000, 200))
+        return np.array([smoothed.values["laser"] for smoothed in found][HALF_PERIODS:])
+
+    instants = np.arange(HALF_PERIODS, 100 - HALF_PERIODS) / 50
+    assert shown(np.sin(2 * np.pi * 9.1 * time)) == pytest.approx(np.sin(2 * np.pi * 9.1 * instants), abs=0.005)
+    for unwanted in (41.0, 109.0, 991.0):
+        assert np.abs(shown(np.sin(2 * np.pi * unwanted * time + 0.3))).max() < 0.003
+
+
+def test_the_filter_does_not_depend_on_the_cut_into_blocks_and_begins_anew_after_a_reset() -> None:
+    rng = np.random.default_rng(1)
+    rows = np.zeros(900, dtype=[("laser", "<f8"), ("status", "u1")])
+    rows["laser"] = rng.normal(size=900)
+    rows["status"][500] = 4
+
+    def run(stream: AntiAlias, size: int) -> list[tuple[int, float, int]]:
+        parts = (stream.feed(k, rows[k : k + size], range(-(-k // 20) * 20, k + size, 20)) for k in range(0, 900, size))
+        return [(one.sample, one.values["laser"], one.status) for part in parts for one in part]
+
+    stream = AntiAlias(["laser"], 20)
+    whole = run(stream, 900)
+    assert [sample for sample, _, _ in whole] == list(range(0, 900 - 80, 20))
+    assert [sample for sample, _, status in whole if status] == [500]
+    assert run(AntiAlias(["laser"], 20), 30) == [(s, pytest.approx(v, abs=1e-12), f) for s, v, f in whole]
+    assert run(stream, 900) == whole
 
 
 def test_imu_says_what_it_does_not_measure(default) -> None:
@@ -80,7 +127,7 @@ def test_laser_out_of_range_is_infinite_towards_its_side() -> None:
     assert message.min_range == pytest.approx(0.046)
     assert message.max_range == pytest.approx(0.054)
     assert ((finite >= message.min_range) & (finite <= message.max_range)).all()
-    truth = np.concatenate([block.monitor for block in blocks])
+    truth = np.concatenate([block.monitor for block in blocks])[: len(ranges)]
     assert np.all(truth["x_1"][ranges == math.inf] < 0), "far from the laser: to the left"
 
 

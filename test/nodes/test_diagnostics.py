@@ -107,7 +107,7 @@ def test_two_rigs_in_two_namespaces_of_one_domain_do_not_meet() -> None:
     """Neither commands, services, parameters nor diagnostics of one reach the other."""
     with isolated_domain() as domain, Client(domain, "/one") as one, Client(domain, "/two") as two:
         for user, gap in ((one, 0.002), (two, 0.008)):
-            host_rig(user, time__peers=["client"], time__publish_clock="off", barriers__gap_m=gap)
+            host_rig(user, time__peers=["client"], time__publish_clock="never", barriers__gap_m=gap)
             user.wait_active("rig")
         scans = {user: user.collect("daq/scan", acknowledge=True) for user in (one, two)}
         one.command(current_a=0.5)
@@ -121,6 +121,6 @@ def test_two_rigs_in_two_namespaces_of_one_domain_do_not_meet() -> None:
         assert two.get_parameters("rig", ["barriers.gap_m"]) == {"barriers.gap_m": 0.008}
         one.wait_until(lambda: "latched" in one.status("rig").message, "the diagnostics of the one")
         two.wait_until(lambda: two.figures("rig").get("current_a") == "0.25", "the diagnostics of the other")
-        assert one.status("rig").hardware_id == "one/rig"
-        assert two.status("rig").hardware_id == "two/rig"
+        assert (one.status("rig").name, one.status("rig").hardware_id) == ("one/rig: simulation", "impact_rig/one")
+        assert (two.status("rig").name, two.status("rig").hardware_id) == ("two/rig: simulation", "impact_rig/two")
         assert two.status("rig").level == b"\0"

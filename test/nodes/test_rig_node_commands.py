@@ -15,6 +15,7 @@ from std_msgs.msg import Float64
 from impact_rig import topics
 from impact_rig.client import Client, ServiceFailedError
 from impact_rig.errors import ConfigError
+from impact_rig.rig.description import robot_description
 
 pytestmark = pytest.mark.ros
 
@@ -53,6 +54,18 @@ def test_commands_before_activation_are_refused_and_parameters_accepted(client: 
     configuration = client.collect("rig/configuration")
     client.wait_until(lambda: configuration.messages, "rig/configuration")
     assert "gap_m: 0.008" in configuration.messages[0].data
+
+
+def test_the_description_is_latched_and_follows_the_gap_and_nothing_that_is_not_seen(client: Client) -> None:
+    node = host_rig(client)
+    client.wait_active("rig")
+    descriptions = client.collect("robot_description")
+    client.wait_until(lambda: descriptions.messages, "the description")
+    client.set_parameters("rig", {"time.ack_window": 5})
+    client.set_parameters("rig", {"barriers.gap_m": 0.01})
+    client.wait_until(lambda: len(descriptions) >= 2, "another description")
+    assert [message.data for message in descriptions.messages][-1] == robot_description(node.settings)
+    assert len(descriptions) == 2
 
 
 def test_a_flood_of_commands_leaves_order_and_a_whole_journal(client: Client) -> None:

@@ -11,7 +11,7 @@ import pytest
 pytest.importorskip("rclpy", reason="no ROS 2 here")
 
 from kits.nodes import DRIVEN, TICK, dotted, host_rig, same_as_resimulated
-from std_srvs.srv import SetBool
+from std_srvs.srv import SetBool, Trigger
 
 from impact_rig.client import Client, ServiceFailedError
 from impact_rig.nodes.pacing import Pacer
@@ -100,14 +100,62 @@ def test_services_do_not_answer_success_twice(client: Client) -> None:
     for _ in range(2):
         response = client.call(SetBool, "rig/pause", SetBool.Request(data=True))
         assert response.success
-    with pytest.raises(ServiceFailedError, match="paused"):
-        client.trigger("rig/step")
+
+
+@pytest.mark.parametrize("mode", ["realtime", "freewheel", "stepped"])
+def test_a_paused_rig_is_stepped_block_by_block_and_stays_paused(client: Client, mode: str) -> None:
+    """As simulation_interfaces have it: a step needs PAUSED; the samples are those of any other way."""
+    node = host_rig(client, mode, time__peers=["client"], drive__amplitude=0.52)
+    scans, journal = (client.collect(name, acknowledge=name == "daq/scan") for name in ("daq/scan", "rig/journal"))
+    client.wait_active("rig")
+    if mode != "stepped":
+        client.wait_until(lambda: len(scans) > 3, "the first blocks")
+    client.pause()
+    client.wait_until(lambda: "paused" in client.status("rig").message, "the pause")
+    before = len(scans)
+    client.step(7)
+    client.wait_until(lambda: len(scans) >= before + 7, "the blocks of the step")
+    assert "at " in client.step(1)
+    client.wait_until(lambda: len(scans) >= before + 8, "one more")
+    client.command(current_a=0.3)
+    assert len(scans) == before + 8, "it stands still again"
+    assert "paused" in client.status("rig").message
+    client.pause(False)
+    if mode != "stepped":
+        client.wait_until(lambda: len(scans) > before + 20, "it goes on")
+    assert scans.lost() == 0
+    assert same_as_resimulated(scans, journal) == len(scans)
+    assert node.refusals.total() == 0
+
+
+def test_a_pause_holds_the_rest_of_a_step(client: Client) -> None:
+    host_rig(client, time__peers=["client"])
+    scans = client.collect("daq/scan")
+    client.wait_active("rig")
+    client.set_parameters("rig", {"step.blocks": 100, "time.ack_window": 2})
+    step = client.node.create_client(Trigger, "rig/step")
+    client.wait_until(step.service_is_ready, "the service")
+    answer = step.call_async(Trigger.Request())
+    client.wait_until(lambda: len(scans) == 2, "the window")
+    pause = client.node.create_client(SetBool, "rig/pause").call_async(SetBool.Request(data=True))
+    client.wait_until(lambda: "paused" in client.status("rig").message, "the pause")
+    client.acknowledge_for("client", scans.tables()[-1].stamp_ns)
+    client.wait_until(pause.done, "the answer to the pause")
+    assert (len(scans), answer.done()) == (2, False)
+    client.pause(False)
+    acknowledged = 0
+    while not answer.done():
+        client.wait_until(lambda: len(scans) > acknowledged or answer.done(), "the next blocks")  # noqa: B023  # at once
+        acknowledged = len(scans)
+        client.acknowledge_for("client", scans.tables()[-1].stamp_ns)
+    assert answer.result().success
+    assert len(scans) == 100
 
 
 def test_step_refuses_in_the_wrong_mode_and_answers_when_deactivated(client: Client) -> None:
     host_rig(client, "realtime")
     client.wait_active("rig")
-    with pytest.raises(ServiceFailedError, match=r"time\.mode must be stepped"):
+    with pytest.raises(ServiceFailedError, match="pause it first"):
         client.trigger("rig/step")
     assert client.change_state("rig", "deactivate")
     with pytest.raises(ServiceFailedError, match="inactive"):

@@ -121,7 +121,7 @@ def test_real_time_takes_its_time_and_ctrl_c_ends_a_loop(client: Client, run: Pa
         assert "interrupted" in finish(client, player, 130)
     stamps = np.array([table.stamp_ns for table in scans.tables()])
     assert (np.diff(stamps) < 0).sum() >= 1, "stamps go back where the run begins again"
-    assert len(monitors) > BLOCKS
+    assert len(monitors) > BLOCKS / 2, "50 Hz: one for every other block"
 
 
 def test_a_single_topic_can_be_replayed(client: Client, run: Path) -> None:
@@ -129,7 +129,7 @@ def test_a_single_topic_can_be_replayed(client: Client, run: Path) -> None:
         heard = client.collect("laser", timeout_s=30.0)
         client.call(SetBool, "player/pause", SetBool.Request(data=False))
         finish(client, player)
-    assert len(heard) > BLOCKS / 2
+    assert len(heard) > BLOCKS / 4
 
 
 @pytest.mark.parametrize(

@@ -18,6 +18,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from impact_rig import codec
 from impact_rig.blocks import Table
+from impact_rig.cli import main
 from impact_rig.instruments.scan import SCAN
 from impact_rig.nodes.topics import TOPICS
 
@@ -31,7 +32,13 @@ PLOTTED = {
     "/rig/truth/joint_states": "sensor_msgs/msg/JointState",
     "/rig/shaker/frequency": "std_msgs/msg/Float64",
     "/rig/shaker/current": "std_msgs/msg/Float64",
+    "/rig/plot/transmissibility": "geometry_msgs/msg/Vector3Stamped",
+    "/rig/plot/drive": "geometry_msgs/msg/Vector3Stamped",
+    "/rig/plot/envelope/pulses": "geometry_msgs/msg/Vector3Stamped",
 }
+SPECTRA = {f"/rig/plot/spectrum/{name}": "geometry_msgs/msg/PolygonStamped" for name in ("laser", "accelerometer")}
+ENVELOPE = {"/rig/plot/envelope/laser": "geometry_msgs/msg/Vector3Stamped"}
+ALL = {**PLOTTED, **SPECTRA, **ENVELOPE}
 JOINTS = ("base", "structure", "sphere")
 
 
@@ -82,14 +89,17 @@ def test_the_recording_and_reading_examples_run(record, tmp_path, monkeypatch, c
 def field_exists(type_name, path):
     """Whether `path`, a list of field names, leads to a number in a message of this type."""
     fields = dict(get_typestore(Stores.ROS2_JAZZY).fielddefs[type_name][1])
-    kind, detail = fields.get(path[0], (None, None))
+    name, _, part = path[0].partition("[")
+    kind, detail = fields.get(name, (None, None))
+    if part:  # all elements, or one
+        kind, detail = detail[0]
     if kind == Nodetype.NAME:
         return len(path) > 1 and field_exists(detail, path[1:])
     return kind is not None and len(path) == 1
 
 
 def split_topic(path, separator):
-    topic = max((name for name in PLOTTED if path.startswith(name + separator)), key=len)
+    topic = max((name for name in ALL if path.startswith(name + separator)), key=len)
     return topic, path[len(topic) + 1 :].split(separator)
 
 
@@ -97,10 +107,11 @@ def test_foxglove_layout_plots_fields_that_exist():
     layout = json.loads((ROOT / "config" / "foxglove" / "rig.json").read_text())
     plots = [panel for name, panel in layout["configById"].items() if name.startswith("Plot!")]
     paths = [path["value"] for plot in plots for path in plot["paths"]]
+    paths += [plot["xAxisPath"]["value"] for plot in plots if plot["xAxisVal"] == "currentCustom"]
     for path in paths:
-        topic, fields = split_topic(re.sub(r"\[\d\]", "", path), ".")
-        assert field_exists(PLOTTED[topic], fields), path
-    assert {split_topic(re.sub(r"\[\d\]", "", path), ".")[0] for path in paths} == set(PLOTTED)
+        topic, fields = split_topic(path, ".")
+        assert field_exists(ALL[topic], fields), path
+    assert {split_topic(path, ".")[0] for path in paths} == {*PLOTTED, *SPECTRA}
 
     def panels(node):
         return [node] if isinstance(node, str) else panels(node["first"]) + panels(node["second"])
@@ -113,12 +124,12 @@ def test_plotjuggler_layout_plots_fields_that_exist():
     names = [curve.attrib["name"] for curve in root.iter("curve")]
     for name in names:
         topic, fields = split_topic(name, "/")
-        if PLOTTED[topic] == "sensor_msgs/msg/JointState":  # PlotJuggler files these by joint
+        if ALL[topic] == "sensor_msgs/msg/JointState":  # PlotJuggler files these by joint
             assert fields[0] in JOINTS
             assert fields[1:] == ["position"]
         else:
-            assert field_exists(PLOTTED[topic], fields), name
-    assert {split_topic(name, "/")[0] for name in names} == set(PLOTTED)
+            assert field_exists(ALL[topic], fields), name
+    assert {split_topic(name, "/")[0] for name in names} == {*PLOTTED, *ENVELOPE}
     for splitter in root.iter("DockSplitter"):
         assert len(splitter) == int(splitter.attrib["count"]) == len(splitter.attrib["sizes"].split(";"))
 
@@ -126,4 +137,26 @@ def test_plotjuggler_layout_plots_fields_that_exist():
 @pytest.mark.ros
 def test_layouts_name_topics_and_types_of_the_topic_table():
     known = {f"/rig/{topic.name}": topic.type_name for topic in TOPICS}
-    assert known.items() >= PLOTTED.items()
+    assert known.items() >= ALL.items()
+
+
+@pytest.mark.parametrize(
+    ("namespace", "prefix"), [("/", "/"), ("", "/"), ("cell/two", "/cell/two/"), ("/rig2/", "/rig2/")]
+)
+def test_layouts_are_written_for_any_namespace(tmp_path, capsys, namespace, prefix):
+    assert main(["layout", str(tmp_path / "out"), "--namespace", namespace]) == 0
+    foxglove, plotjuggler = map(Path, capsys.readouterr().out.split())
+    for path, original in ((foxglove, "foxglove/rig.json"), (plotjuggler, "plotjuggler/rig.xml")):
+        before = (ROOT / "config" / original).read_text(encoding="utf-8")
+        after = path.read_text(encoding="utf-8")
+        assert after.count(f'"{prefix}') >= before.count('"/rig/') > 10
+        assert '"/rig/' not in after
+        assert '"/diagnostics"' in after or path.suffix == ".xml"
+    json.loads(foxglove.read_text(encoding="utf-8"))
+    ET.parse(plotjuggler)
+    assert main(["layout", str(tmp_path / "out"), "--namespace", namespace]) == 1, "nothing is overwritten"
+
+
+def test_a_namespace_that_cannot_be_is_refused(tmp_path, capsys):
+    assert main(["layout", str(tmp_path), "--namespace", 'a"b']) == 1
+    assert "a namespace has names of letters" in capsys.readouterr().err

@@ -1,7 +1,7 @@
 """Write every page and file that is made from the code: `make generate` rewrites them, a test compares them.
 
 In the pages of docs/ the parts between `<!-- generated: NAME -->` and `<!-- end -->` are generated, each by the
-function that `TABLES` names; `config/nominal.yaml` and the picture of the house are generated whole.
+function that `TABLES` names; `config/nominal.yaml`, the URDF and the picture of the house are generated whole.
 """
 
 from __future__ import annotations
@@ -10,6 +10,8 @@ import re
 from collections.abc import Callable
 from pathlib import Path
 
+from impact_rig.rig.config import RigConfig
+from impact_rig.rig.description import robot_description
 from tools.generate import house, interface, laws
 from tools.generate.nominal import nominal
 
@@ -34,4 +36,10 @@ def generated() -> dict[Path, str]:
     """Return every file that is generated, in whole or in part, with the text the code wants it to have."""
     texts = {page: page.read_text(encoding="utf-8") for page in sorted((ROOT / "docs").glob("*.md"))}
     pages = {page: rewritten(text) for page, text in texts.items() if _SECTION.search(text)}
-    return {ROOT / "config" / "nominal.yaml": nominal(), house.PICTURE: house.picture(), **pages}
+    description = robot_description(RigConfig())
+    return {
+        ROOT / "config" / "nominal.yaml": nominal(),
+        ROOT / "urdf" / "impact_rig.urdf": description,
+        house.PICTURE: house.picture(),
+        **pages,
+    }

@@ -1,0 +1,35 @@
+"""Test a launched rig with `launch_pytest`: `pytest examples/launched_rig.py` where an apt-installed ROS is sourced.
+
+Not among the examples that this package's tests run, as launch comes with an apt-installed ROS only.
+"""
+
+import os
+
+import launch_pytest
+import pytest
+from launch import LaunchDescription
+from launch.actions import IncludeLaunchDescription
+from launch.launch_description_sources import PythonLaunchDescriptionSource
+from launch_pytest.actions import ReadyToTest
+
+from impact_rig.client import Client
+from impact_rig.system.resources import share_dir
+
+
+@launch_pytest.fixture
+def description() -> LaunchDescription:
+    """One rig as fast as its analysis follows, not recorded."""
+    source = PythonLaunchDescriptionSource(str(share_dir() / "launch" / "rig.launch.py"))
+    arguments = {"mode": "freewheel", "peers": "analysis", "record": "false"}
+    return LaunchDescription([IncludeLaunchDescription(source, launch_arguments=arguments.items()), ReadyToTest()])
+
+
+@pytest.mark.launch(fixture=description)
+def test_the_launched_rig_measures() -> None:
+    """A driven rig settles, and its transmissibility is published."""
+    with Client(domain_id=int(os.environ.get("ROS_DOMAIN_ID", "0")), namespace="/rig") as client:
+        client.wait_active("rig", "analysis")
+        measured = client.collect("transmissibility/table")
+        client.command(frequency_hz=9.1, current_a=0.1)
+        settled = lambda: any(table.rows["settled"][0] == 1 for table in measured.tables())  # noqa: E731  # short
+        client.wait_until(settled, "a measurement", 120.0)

@@ -1,0 +1,153 @@
+"""What any plotter draws without knowing our tables: small stamped messages, made only where somebody listens."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any  # rclpy publishers, message classes
+
+import numpy as np
+from geometry_msgs.msg import Point32
+from numpy.typing import NDArray
+from rclpy.serialization import serialize_message
+
+from impact_rig import topics
+from impact_rig.analysis.envelope import PULSES, HighPass, Intervals
+from impact_rig.analysis.recent import Recent
+from impact_rig.analysis.spectrum import EVERY_S, WINDOW_S, amplitude_spectrum
+from impact_rig.blocks import Table
+from impact_rig.nodes import messages
+from impact_rig.nodes.template import Template
+from impact_rig.nodes.topics import ENVELOPES, SPECTRA
+from impact_rig.simtime import NS_PER_S
+from impact_rig.topics import Topic
+
+VECTOR = ("vector.x", "vector.y", "vector.z")
+_POINT_BYTES = 12
+
+
+class Plots:
+    """Makes the plot topics of the analysis node.
+
+    Args:
+        outlets: publisher by topic name; topics without one are left out.
+    """
+
+    def __init__(self, outlets: Mapping[str, Any]) -> None:
+        self._outlets = outlets
+        self._vectors = {topic.name: _vector(topic) for topic in (*ENVELOPES.values(), *_VECTORS)}
+        self._rate_hz = 0.0
+        self._intervals: Intervals | None = None
+        self._pulses: tuple[HighPass, Intervals] | None = None
+        self._recent: Recent | None = None
+        self._since_spectrum = 0
+        self._since_drive = 0
+        self._drive: tuple[float, float] | None = None
+
+    def configure(self, info: Table) -> None:
+        """Take the rate of the scans from daq/info."""
+        rates = info.rows["rate"]
+        rate = float(rates[0]) if len(rates) else 0.0
+        if rate != self._rate_hz and 0.0 < rate <= _FASTEST_HZ:
+            self._rate_hz = rate
+            self._intervals = self._pulses = self._recent = None
+
+    def on_applied(self, applied: Table) -> None:
+        """Publish what the shaker does now."""
+        for row in applied.rows:
+            self._drive = float(row["frequency"]), float(row["current"])
+            self._send(topics.PLOT_DRIVE, applied.stamp_ns, *self._drive, 0.0)
+        self._since_drive = 0
+
+    def measured(self, stamp_ns: int, row: np.void) -> None:
+        """Publish a settled measurement, a row of transmissibility/table."""
+        values = (row["transmissibility"], row["transmissibility_uncertainty"], row["phase"])
+        self._send(topics.PLOT_TRANSMISSIBILITY, stamp_ns, *map(float, values))
+
+    def feed(self, scan: Table) -> None:
+        """Publish what a block of daq/scan completes, as far as anybody listens."""
+        if not self._rate_hz or not len(scan.rows):
+            return
+        self._since_drive += len(scan.rows)
+        if self._drive is not None and self._since_drive >= self._rate_hz * EVERY_S and self._heard(topics.PLOT_DRIVE):
+            self._send(topics.PLOT_DRIVE, scan.stamp_ns, *self._drive, 0.0)
+            self._since_drive = 0
+        self._envelopes(scan)
+        self._high_passed(scan)
+        self._spectra(scan)
+
+    def _envelopes(self, scan: Table) -> None:
+        wanted = self._wanted(ENVELOPES, scan)
+        if not wanted:
+            self._intervals = None
+            return
+        self._intervals = self._intervals or Intervals(self._rate_hz)
+        for interval in self._intervals.feed(scan):
+            for channel, topic in wanted.items():
+                self._send(topic, interval.stamp_ns, *interval.extremes(channel))
+
+    def _high_passed(self, scan: Table) -> None:
+        if not self._wanted({ACCELEROMETER: topics.PLOT_PULSES}, scan):
+            self._pulses = None
+            return
+        if self._pulses is None:
+            self._pulses = HighPass(self._rate_hz, ACCELEROMETER), Intervals(self._rate_hz)
+        high_pass, intervals = self._pulses
+        if not intervals.follows(scan):
+            high_pass.restart()
+        for interval in intervals.feed(high_pass.feed(scan)):
+            self._send(topics.PLOT_PULSES, interval.stamp_ns, *interval.extremes(PULSES))
+
+    def _spectra(self, scan: Table) -> None:
+        wanted = self._wanted(SPECTRA, scan)
+        if not wanted:
+            self._recent = None
+            return
+        length = round(WINDOW_S * self._rate_hz)
+        if self._recent is None:
+            self._recent, self._since_spectrum = Recent(self._rate_hz, length), 0
+        self._recent.add(scan)
+        self._since_spectrum += len(scan.rows)
+        if self._recent.count < length or self._since_spectrum < EVERY_S * self._rate_hz:
+            return
+        self._since_spectrum = 0
+        rows = self._recent.rows()[-length:]
+        for channel, topic in wanted.items():
+            frequencies, amplitudes = amplitude_spectrum(rows[channel], self._rate_hz)
+            data = _polygon(topic, self._recent.stamp_ns(self._recent.count - 1), frequencies, amplitudes)
+            self._outlets[topic.name].publish(data)
+
+    def _wanted(self, by_channel: Mapping[str, Topic], scan: Table) -> dict[str, Topic]:
+        names = scan.rows.dtype.names or ()
+        return {channel: topic for channel, topic in by_channel.items() if channel in names and self._heard(topic)}
+
+    def _heard(self, topic: Topic) -> bool:
+        outlet = self._outlets.get(topic.name)
+        return outlet is not None and bool(outlet.get_subscription_count())
+
+    def _send(self, topic: Topic, stamp_ns: int, *values: float) -> None:
+        self._outlets[topic.name].publish(self._vectors[topic.name].render(stamp_ns, *values))
+
+
+ACCELEROMETER = "accelerometer"
+_VECTORS = (topics.PLOT_TRANSMISSIBILITY, topics.PLOT_DRIVE, topics.PLOT_PULSES)
+_FASTEST_HZ = 1e6
+"""More no board scans; bounds the memory that a hostile daq/info can ask for."""
+
+
+def _vector(topic: Topic) -> Template:
+    message = messages.class_of(topic)()
+    message.header.frame_id = topic.frame_id
+    return Template(message, *VECTOR)
+
+
+def _polygon(topic: Topic, stamp_ns: int, x: NDArray[np.float64], y: NDArray[np.float64]) -> bytes:
+    """Return a polygon through points (x, y, 0): CDR ends with them, as little-endian singles."""
+    message = messages.class_of(topic)()
+    message.header.frame_id = topic.frame_id
+    message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, NS_PER_S)
+    message.polygon.points = [Point32()] * len(x)
+    data = bytearray(serialize_message(message))
+    points = np.zeros((len(x), 3), "<f4")
+    points[:, 0], points[:, 1] = x, y
+    data[-_POINT_BYTES * len(x) :] = points.tobytes()
+    return bytes(data)

@@ -1,0 +1,161 @@
+"""The rig as URDF: what `robot_description` carries, so that RViz and robot_state_publisher know the bodies.
+
+Joint positions on `truth/joint_states` are absolute, so the three prismatic joints all hang on the fixed frame `rig`.
+The barriers are visuals of the superior base: the gap moves them and no transform. Masses are the configuration's;
+inertias are those of the bodies drawn; shapes and heights are chosen to be looked at, the paper gives none.
+"""
+
+from __future__ import annotations
+
+from xml.etree import ElementTree as ET
+
+from impact_rig.physics.properties import sphere_mass_kg
+from impact_rig.rig.config import RigConfig
+
+JOINTS = ("base", "structure", "sphere")
+"""The joints, in the order of `truth/joint_states`."""
+ROOT = "rig"
+"""The fixed frame: x along the rig, positive to the right, its origin where bases and sphere rest in the middle."""
+BASE, STRUCTURE, SPHERE = "inferior_base", "superior_base", "sphere"
+"""The links of the joints; the accelerometer sits on the superior base and has its frame."""
+
+Size = tuple[float, float, float]
+
+TABLE: Size = (0.20, 0.12, 0.02)
+TOP: Size = (0.14, 0.08, 0.01)
+COLUMN: Size = (0.002, 0.06, 0.12)
+WALL: Size = (0.008, 0.016, 0.012)
+SENSOR: Size = (0.03, 0.02, 0.02)
+SHAKER: Size = (0.06, 0.12, 0.10)
+Z_TABLE = 0.08
+Z_TOP = Z_TABLE + 0.5 * TABLE[2] + COLUMN[2] + 0.5 * TOP[2]
+X_COLUMN = 0.055
+"""Of the two columns, either side of the middle [m]."""
+FREE_M = 1.0
+"""Travel of the joints that nothing limits [m]."""
+MATERIALS = {
+    "steel": "0.72 0.74 0.78 1",
+    "aluminium": "0.86 0.88 0.90 1",
+    "shaker": "0.20 0.26 0.33 1",
+    "sphere": "0.85 0.33 0.10 1",
+    "sensor": "0.10 0.45 0.70 1",
+}
+
+
+def robot_description(config: RigConfig) -> str:
+    """Return the URDF of a rig."""
+    robot = ET.Element("robot", name="impact_rig")
+    for name, colour in MATERIALS.items():
+        ET.SubElement(ET.SubElement(robot, "material", name=name), "color", rgba=colour)
+    shaker = _link(robot, ROOT)
+    _box(shaker, SHAKER, (-0.5 * TABLE[0] - 0.5 * SHAKER[0] - 0.03, 0.0, Z_TABLE), "shaker")
+    _moving_base(robot, config)
+    _superior_base(robot, config)
+    if config.sphere.present:
+        _sphere(robot, config)
+    _instruments(robot, config)
+    ET.indent(robot)
+    return '<?xml version="1.0"?>\n' + ET.tostring(robot, encoding="unicode") + "\n"
+
+
+def _moving_base(robot: ET.Element, config: RigConfig) -> None:
+    """The table with the armature; the columns are clamped to it."""
+    link = _link(robot, BASE)
+    _inertial(link, config.shaker.armature_mass_kg + config.shaker.base_mass_kg, _of_box(TABLE))
+    _box(link, TABLE, (0.0, 0.0, 0.0), "steel")
+    for side in (-X_COLUMN, X_COLUMN):
+        _box(link, COLUMN, (side, 0.0, 0.5 * (TABLE[2] + COLUMN[2])), "steel")
+    _prismatic(robot, JOINTS[0], BASE, Z_TABLE, config.shaker.travel_limit_m)
+
+
+def _superior_base(robot: ET.Element, config: RigConfig) -> None:
+    """The plate with the two barriers: the sphere touches them where x_2 - x_1 = ± gap / 2."""
+    radius = 0.5 * config.sphere.diameter_m
+    face = 0.5 * config.barriers.gap_m + radius
+    plate = (max(TOP[0], 2.0 * (face + 2.0 * WALL[0])), TOP[1], TOP[2])
+    height = max(WALL[2], 2.0 * radius)
+    link = _link(robot, STRUCTURE)
+    _inertial(link, config.structure.mass_kg, _of_box(TOP))
+    _box(link, plate, (0.0, 0.0, 0.0), "aluminium")
+    for side in (-1.0, 1.0):
+        place = (side * (face + 0.5 * WALL[0]), 0.0, 0.5 * (TOP[2] + height))
+        _box(link, (WALL[0], WALL[1], height), place, "aluminium")
+    _prismatic(robot, JOINTS[1], STRUCTURE, Z_TOP, FREE_M)
+
+
+def _sphere(robot: ET.Element, config: RigConfig) -> None:
+    radius = 0.5 * config.sphere.diameter_m
+    mass = sphere_mass_kg(config.sphere)
+    link = _link(robot, SPHERE)
+    _inertial(link, mass, (0.4 * radius * radius,) * 3)
+    ET.SubElement(_visual(link, (0.0, 0.0, 0.0), "sphere"), "sphere", radius=_text(radius))
+    _prismatic(robot, JOINTS[2], SPHERE, Z_TOP + 0.5 * TOP[2] + radius, FREE_M)
+
+
+def _instruments(robot: ET.Element, config: RigConfig) -> None:
+    """The frames that readings are stamped with; the accelerometer's is the superior base."""
+    _fixed(robot, "daq", (0.0, 0.0, 0.0), 0.0)
+    side = 0.5 * TOP[0]
+    # sensor_msgs/Range: x along the beam, from the right towards the superior base
+    laser = _fixed(robot, "laser", (side + config.instruments.laser.distance_m, 0.0, Z_TOP), 3.141592653589793)
+    _box(laser, SENSOR, (-0.5 * SENSOR[0], 0.0, 0.0), "sensor")
+    sensor = _fixed(robot, "base_sensor", (0.5 * TABLE[0] + 0.03, 0.0, Z_TABLE), 0.0)
+    _box(sensor, SENSOR, (0.5 * SENSOR[0], 0.0, 0.0), "sensor")
+
+
+def _link(robot: ET.Element, name: str) -> ET.Element:
+    return ET.SubElement(robot, "link", name=name)
+
+
+def _prismatic(robot: ET.Element, name: str, child: str, height: float, travel: float) -> None:
+    joint = _joint(robot, name, "prismatic", child, (0.0, 0.0, height), 0.0)
+    ET.SubElement(joint, "axis", xyz="1 0 0")
+    ET.SubElement(joint, "limit", lower=_text(-travel), upper=_text(travel), effort="10000", velocity="100")
+
+
+def _fixed(robot: ET.Element, name: str, place: Size, yaw: float) -> ET.Element:
+    link = _link(robot, name)
+    _joint(robot, f"{name}_mount", "fixed", name, place, yaw)
+    return link
+
+
+def _joint(robot: ET.Element, name: str, kind: str, child: str, place: Size, yaw: float) -> ET.Element:
+    joint = ET.SubElement(robot, "joint", name=name, type=kind)
+    ET.SubElement(joint, "parent", link=ROOT)
+    ET.SubElement(joint, "child", link=child)
+    ET.SubElement(joint, "origin", xyz=_texts(place), rpy=f"0 0 {_text(yaw)}")
+    return joint
+
+
+def _box(link: ET.Element, size: Size, place: Size, material: str) -> None:
+    ET.SubElement(_visual(link, place, material), "box", size=_texts(size))
+
+
+def _visual(link: ET.Element, place: Size, material: str) -> ET.Element:
+    visual = ET.SubElement(link, "visual")
+    ET.SubElement(visual, "origin", xyz=_texts(place), rpy="0 0 0")
+    geometry = ET.SubElement(visual, "geometry")
+    ET.SubElement(visual, "material", name=material)
+    return geometry
+
+
+def _of_box(size: Size) -> Size:
+    """Return the moments of inertia of a homogeneous box over its mass [m²], about its middle."""
+    x, y, z = (side * side / 12.0 for side in size)
+    return y + z, x + z, x + y
+
+
+def _inertial(link: ET.Element, mass: float, moments: Size) -> None:
+    inertial = ET.SubElement(link, "inertial")
+    ET.SubElement(inertial, "origin", xyz="0 0 0", rpy="0 0 0")
+    ET.SubElement(inertial, "mass", value=_text(mass))
+    xx, yy, zz = (_text(mass * moment) for moment in moments)
+    ET.SubElement(inertial, "inertia", ixx=xx, ixy="0", ixz="0", iyy=yy, iyz="0", izz=zz)
+
+
+def _texts(values: Size) -> str:
+    return " ".join(map(_text, values))
+
+
+def _text(value: float) -> str:
+    return f"{value:.12g}"

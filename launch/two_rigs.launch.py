@@ -1,0 +1,70 @@
+"""Start two rigs that do not know of each other: two namespaces, a clock each.
+
+Examples:
+    ros2 launch impact_rig two_rigs.launch.py
+    ros2 launch impact_rig two_rigs.launch.py first:=left second:=right mode:=freewheel
+    ros2 launch impact_rig two_rigs.launch.py second_overrides:='{barriers.gap_m: 0.01}' record:=false
+"""
+
+from launch import LaunchDescription
+from launch.actions import DeclareLaunchArgument, GroupAction, IncludeLaunchDescription
+from launch.launch_description_sources import PythonLaunchDescriptionSource
+from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
+from launch_ros.substitutions import FindPackageShare
+
+FORWARDED = ("mode", "factor", "record", "log_level", "discovery")
+"""Arguments of rig.launch.py that both rigs get alike."""
+
+
+def rig(which: str) -> GroupAction:
+    """Return one rig, its arguments kept to itself."""
+    arguments = {name: LaunchConfiguration(name) for name in FORWARDED}
+    return GroupAction(
+        [
+            IncludeLaunchDescription(
+                PythonLaunchDescriptionSource(
+                    PathJoinSubstitution([FindPackageShare("impact_rig"), "launch", "rig.launch.py"])
+                ),
+                launch_arguments={
+                    **arguments,
+                    "namespace": LaunchConfiguration(which),
+                    "overrides": LaunchConfiguration(f"{which}_overrides"),
+                    "record_directory": PathJoinSubstitution(
+                        [LaunchConfiguration("record_directory"), LaunchConfiguration(which)]
+                    ),
+                    "clock": "clock",
+                }.items(),
+            )
+        ],
+        scoped=True,
+    )
+
+
+def generate_launch_description() -> LaunchDescription:
+    """Return the arguments and the two rigs."""
+    return LaunchDescription(
+        [
+            DeclareLaunchArgument("first", default_value="rig1", description="Namespace of the first rig."),
+            DeclareLaunchArgument("second", default_value="rig2", description="Namespace of the second rig."),
+            DeclareLaunchArgument(
+                "first_overrides", default_value="{}", description="Parameters of the first rig, as YAML."
+            ),
+            DeclareLaunchArgument(
+                "second_overrides",
+                default_value="{daq.seed: 2}",
+                description="Parameters of the second rig, as YAML; another seed is another set of instruments.",
+            ),
+            DeclareLaunchArgument("mode", default_value="", description="As in rig.launch.py, for both."),
+            DeclareLaunchArgument("factor", default_value="", description="As in rig.launch.py, for both."),
+            DeclareLaunchArgument("record", default_value="true", description="As in rig.launch.py, for both."),
+            DeclareLaunchArgument(
+                "record_directory",
+                default_value="runs",
+                description="Where run directories are made, in a folder for each rig.",
+            ),
+            DeclareLaunchArgument("log_level", default_value="info", description="As in rig.launch.py, for both."),
+            DeclareLaunchArgument("discovery", default_value="LOCALHOST", description="As in rig.launch.py."),
+            rig("first"),
+            rig("second"),
+        ]
+    )

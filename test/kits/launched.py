@@ -1,0 +1,186 @@
+"""The launch files without launch, which comes with an apt-installed ROS only: stand-ins that keep what they are given.
+
+They take the arguments that launch and launch_ros of Jazzy take, as far as our files use them.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from types import ModuleType
+from typing import Any, ClassVar
+
+from impact_rig.system.resources import share_dir
+
+
+class Entity:
+    """An action or a substitution: its class's name and what it was made of."""
+
+    def __init__(self, *args: Any, **words: Any) -> None:
+        self.args, self.words = args, words
+
+
+class Context:
+    """What substitutions are performed in: the arguments by name."""
+
+    def __init__(self, arguments: Mapping[str, str]) -> None:
+        self.arguments = arguments
+
+
+class LaunchConfiguration(Entity):
+    asked: ClassVar[set[str]] = set()
+
+    def __init__(self, name: str) -> None:
+        super().__init__(name)
+        self.asked.add(name)
+
+    def perform(self, context: Context) -> str:
+        return context.arguments[self.args[0]]
+
+
+class PathJoinSubstitution(Entity):
+    def perform(self, context: Context) -> str:
+        return "/".join(perform(part, context) for part in self.args[0])
+
+
+class FindPackageShare(Entity):
+    def perform(self, _context: Context) -> str:
+        return str(share_dir())
+
+
+class ParameterValue(Entity):
+    def perform(self, context: Context) -> Any:
+        text = perform(self.args[0], context)
+        return text == "true" if self.words["value_type"] is bool else text
+
+
+class DeclareLaunchArgument(Entity):
+    pass
+
+
+class GroupAction(Entity):
+    pass
+
+
+class IncludeLaunchDescription(Entity):
+    pass
+
+
+class LaunchDescription(Entity):
+    pass
+
+
+class Node(Entity):
+    pass
+
+
+class OpaqueFunction(Entity):
+    pass
+
+
+class PythonLaunchDescriptionSource(Entity):
+    pass
+
+
+class SetEnvironmentVariable(Entity):
+    pass
+
+
+class Shutdown(Entity):
+    pass
+
+
+MODULES: dict[str, tuple[type, ...]] = {
+    "launch": (LaunchDescription,),
+    "launch.actions": (
+        DeclareLaunchArgument, GroupAction, IncludeLaunchDescription, OpaqueFunction, SetEnvironmentVariable, Shutdown,
+    ),
+    "launch.launch_description_sources": (PythonLaunchDescriptionSource,),
+    "launch.substitutions": (LaunchConfiguration, PathJoinSubstitution),
+    "launch_ros": (),
+    "launch_ros.actions": (Node,),
+    "launch_ros.parameter_descriptions": (ParameterValue,),
+    "launch_ros.substitutions": (FindPackageShare,),
+}  # fmt: skip
+
+
+@contextmanager
+def stand_ins() -> Iterator[None]:
+    """Let `import launch` find the stand-ins."""
+    before = {name: sys.modules.get(name) for name in MODULES}
+    for name, classes in MODULES.items():
+        module = ModuleType(name)
+        for kind in classes:
+            setattr(module, kind.__name__, kind)
+        sys.modules[name] = module
+    sys.modules["launch"].LaunchContext = Context  # type: ignore[attr-defined]  # a module made here
+    try:
+        yield
+    finally:
+        for name, module in before.items():
+            if module is None:
+                del sys.modules[name]
+            else:
+                sys.modules[name] = module
+
+
+def description(path: Path) -> list[Entity]:
+    """Return the entities of a launch file."""
+    with stand_ins():
+        spec = importlib.util.spec_from_file_location(path.stem.replace(".", "_"), path)
+        assert spec is not None
+        assert spec.loader is not None
+        module = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(module)
+        entities: list[Entity] = module.generate_launch_description().args[0]
+    return entities
+
+
+def perform(value: Any, context: Context) -> Any:
+    """Return what a substitution stands for, or a plain value itself."""
+    if isinstance(value, dict):
+        return {key: perform(inner, context) for key, inner in value.items()}
+    if isinstance(value, (list, tuple)):
+        return type(value)(perform(inner, context) for inner in value)
+    return value.perform(context) if hasattr(value, "perform") else value
+
+
+def declared(entities: list[Entity]) -> dict[str, DeclareLaunchArgument]:
+    """Return the declared arguments by name."""
+    return {entity.args[0]: entity for entity in entities if isinstance(entity, DeclareLaunchArgument)}
+
+
+def context_of(entities: list[Entity], arguments: Mapping[str, str]) -> Context:
+    """Return the context after these arguments; one that is not declared, or not among the choices, is an error."""
+    known = declared(entities)
+    assert set(arguments) <= set(known), f"not declared: {set(arguments) - set(known)}"
+    context = Context({})
+    values = {name: perform(argument.words["default_value"], context) for name, argument in known.items()}
+    values |= arguments
+    for name, value in values.items():
+        assert value in known[name].words.get("choices", [value]), name
+    return Context(values)
+
+
+def nodes(path: Path, **arguments: str) -> dict[str, dict[str, Any]]:
+    """Return what each node would be started with, by name, after these arguments."""
+    entities = description(path)
+    context = context_of(entities, arguments)
+    found: dict[str, dict[str, Any]] = {}
+    with stand_ins():
+        for entity in entities:
+            if isinstance(entity, OpaqueFunction):
+                found |= {
+                    node.words["name"]: perform(node.words, context) for node in entity.words["function"](context)
+                }
+    return found
+
+
+def used(path: Path) -> set[str]:
+    """Return the arguments that a launch file asks for."""
+    LaunchConfiguration.asked.clear()
+    nodes(path)
+    return set(LaunchConfiguration.asked)

@@ -1,0 +1,112 @@
+"""Draw docs/images/urdf.png from urdf/impact_rig.urdf: `python tools/urdf_picture.py`.
+
+pytransform3d reads the file and says where things are, so what is seen is what another program makes of it; the bases
+and the sphere are displaced by what a run at 6 mm shows, twelve times enlarged.
+"""
+
+from __future__ import annotations
+
+import itertools
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+import matplotlib as mpl
+import numpy as np
+from mpl_toolkits.mplot3d import Axes3D
+from mpl_toolkits.mplot3d.art3d import Poly3DCollection
+from numpy.typing import NDArray
+from pytransform3d.urdf import UrdfTransformManager
+
+mpl.use("agg")
+import matplotlib.pyplot as plt  # behind the choice of the backend
+
+ROOT = Path(__file__).parents[1]
+URDF = ROOT / "urdf" / "impact_rig.urdf"
+PICTURE = ROOT / "docs" / "images" / "urdf.png"
+SHOWN_M = {"base": -0.006, "structure": 0.02, "sphere": 0.017}
+FRAMES = {"rig": (0, 0, -0.02), "laser": (0, 0, 0.03), "base_sensor": (0.02, 0, 0.025), "superior_base": (0, 0, 0.055)}
+FRAMES |= {"inferior_base": (-0.03, -0.07, -0.02)}
+AXIS_M = 0.03
+
+Array = NDArray[np.float64]
+
+
+def faces(size: Array) -> list[Array]:
+    """Return the six faces of a box about its middle, each of shape (4, 3)."""
+    corners = np.array(list(itertools.product((-0.5, 0.5), repeat=3))) * size
+    quads = ((0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5))
+    return [corners[list(quad)] for quad in quads]
+
+
+def ball(radius: float, count: int = 14) -> list[Array]:
+    """Return the faces of a sphere."""
+    u, v = np.linspace(0, 2 * np.pi, 2 * count), np.linspace(0, np.pi, count)
+    points = radius * np.stack(
+        [np.outer(np.cos(u), np.sin(v)), np.outer(np.sin(u), np.sin(v)), np.outer(np.ones_like(u), np.cos(v))], axis=-1
+    )
+    return [points[[i, i + 1, i + 1, i], [j, j, j + 1, j + 1]] for i in range(2 * count - 1) for j in range(count - 1)]
+
+
+def draw(axes: Axes3D, frames: bool = True) -> None:
+    """Draw every visual in its colour, and the frames."""
+    manager = UrdfTransformManager()
+    text = URDF.read_text(encoding="utf-8")
+    manager.load_urdf(text)
+    for joint, position in SHOWN_M.items():
+        manager.set_joint(joint, position)
+    robot = ET.fromstring(text)  # noqa: S314  # our own file
+    colours = {m.get("name"): m.find("color").get("rgba") for m in robot.findall("material")}  # type: ignore[union-attr]
+    for link in robot.iter("link"):
+        for number, visual in enumerate(link.iter("visual")):
+            place = manager.get_transform(f"visual:{link.get('name')}/{number}", "rig")
+            shape = visual.find("geometry")[0]  # type: ignore[index]
+            polygons = (
+                faces(np.array(shape.get("size", "").split(), float))
+                if shape.tag == "box"
+                else ball(float(shape.get("radius", "")))
+            )
+            moved = [polygon @ place[:3, :3].T + place[:3, 3] for polygon in polygons]
+            colour = [float(part) for part in colours[visual.find("material").get("name")].split()]  # type: ignore[union-attr]
+            edge = "none" if shape.tag == "sphere" else (0.2, 0.25, 0.3, 0.6)
+            alpha = 0.75 if shape.tag == "box" else 1.0
+            axes.add_collection3d(
+                Poly3DCollection(
+                    moved, axlim_clip=not frames, facecolors=[(*colour[:3], alpha)], edgecolors=edge, linewidths=0.5
+                )
+            )
+    for frame, offset in FRAMES.items() if frames else ():
+        place = manager.get_transform(frame, "rig")
+        for column, colour in enumerate(("#c03028", "#2c8a3c", "#2858b8")):
+            end = place[:3, 3] + AXIS_M * place[:3, column]
+            axes.plot(*np.stack([place[:3, 3], end]).T, color=colour, linewidth=2)
+        axes.text(*(place[:3, 3] + offset), frame, fontsize=9, ha="center", color="#10212e")
+
+
+def main() -> None:
+    """Write the picture."""
+    figure = plt.figure(figsize=(8, 5.4), dpi=110)
+    axes = figure.add_axes((-0.12, -0.2, 1.24, 1.4), projection="3d", computed_zorder=True)
+    assert isinstance(axes, Axes3D)
+    draw(axes)
+    axes.set_xlim(-0.19, 0.17)
+    axes.set_ylim(-0.09, 0.09)
+    axes.set_zlim(0.0, 0.28)
+    axes.set_box_aspect((0.36, 0.18, 0.28))
+    axes.view_init(elev=18, azim=-68)
+    axes.set_axis_off()
+    near = figure.add_axes((-0.04, 0.56, 0.42, 0.5), projection="3d")
+    assert isinstance(near, Axes3D)
+    near.patch.set_alpha(0.0)
+    draw(near, frames=False)
+    near.set_xlim(0.0, 0.04)
+    near.set_ylim(-0.015, 0.015)
+    near.set_zlim(0.215, 0.235)
+    near.set_box_aspect((0.04, 0.03, 0.02))
+    near.view_init(elev=30, azim=-75)
+    near.set_axis_off()
+    figure.text(0.03, 0.66, "sphere and barriers", fontsize=9, color="#10212e")
+    figure.savefig(PICTURE, facecolor="white")
+
+
+if __name__ == "__main__":
+    main()
