@@ -169,8 +169,8 @@ class MapRig:
         number = np.repeat(np.arange(motion.first_segment, motion.last_segment + 1), PER_CYCLE)
         offset = np.tile(_ANGLE / (2.0 * np.pi) * period, cycles)
         x_b, x_1 = motion.quantities(("x_b", "x_1"), number, offset).reshape(2, cycles, PER_CYCLE)
-        hits = motion.impacts[motion.impacts["segment"] >= motion.first_segment]
-        place = hits["segment"] - motion.first_segment
+        hits = motion.impacts
+        place = np.maximum(hits["segment"] - motion.first_segment, 0)  # one that began before is told of now
         return _Record(
             (x_b * _TURN).sum(axis=1), (x_1 * _TURN).sum(axis=1), place, hits["offset"] / period, hits["approach_speed"]
         )

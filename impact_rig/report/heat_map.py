@@ -21,7 +21,8 @@ if TYPE_CHECKING:
 
 QUIET, TWO, OTHER, MODULATED, CHAOTIC, NONE = range(6)
 WORDS = ("no impacts", "two impacts per cycle", "periodic", "modulated", "chaotic")
-OUTLINES = ("#66707c", "#ffffff", "#1b1f24", "#ff9347", "#ff6b6b")
+OUTLINES = {QUIET: "#1b1f24", MODULATED: "#ff9347", CHAOTIC: "#ff6b6b", TWO: "#ffffff"}
+"""Colours of the regimes' borders in the order in which they are drawn; what is left is periodic otherwise."""
 _COLUMNS = 2
 LABELS = {FREQUENCY: ("frequency (Hz)", 1.0), CURRENT: ("current (A)", 1.0), GAP: ("gap (mm)", 1e3)}
 APART = 0.01
@@ -112,7 +113,7 @@ def _outline(axis: Axes, x: NDArray[np.float64], y: NDArray[np.float64], groups:
     """Draw the borders of each regime."""
     from matplotlib.collections import LineCollection  # noqa: PLC0415  # only when something is drawn
 
-    for group, (word, colour) in enumerate(zip(WORDS, OUTLINES, strict=True)):
+    for group, colour in OUTLINES.items():
         inside = np.pad(groups == group, 1)
         lines = [
             [(x[i], y[j]), (x[i], y[j + 1])]
@@ -125,7 +126,7 @@ def _outline(axis: Axes, x: NDArray[np.float64], y: NDArray[np.float64], groups:
             if inside[i + 1, j] != inside[i + 1, j + 1]
         ]
         if lines:
-            axis.add_collection(LineCollection(lines, colors=colour, linewidths=0.7, label=word))
+            axis.add_collection(LineCollection(lines, colors=colour, linewidths=0.7, label=WORDS[group]))
 
 
 def _predicted(axis: Axes, plan: MapPlan, page: float | None) -> None:
