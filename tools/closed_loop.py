@@ -1,9 +1,10 @@
 """Hold what closed-loop tests must keep, whole: `python -m tools.closed_loop [hold] [lock] [backbone] [--draw]`.
 
-hold: amplitudes on the linear rig within 0.5 %, DT as the closed form within 2u; base held at 60 µm with the sphere, DT as
-on a prescribed base within 1 % (25 points; what does not repeat is a mean over 200 cycles or more). lock: −90° within 0.5°
-and 0.003 Hz from 1 Hz away in 60 s; a gap of 6 mm opened to 10 while locked. backbone: a gap of 10 mm up and down from the
-wall and from the centre, beside a campaign. Exits with 1 if anything is not kept. `--draw`: docs/images/backbone.png.
+hold: amplitudes on the linear rig within 0.5 %, DT as the closed form within 2u; base held at 60 µm with the sphere, DT
+as on a prescribed base within 1 % (25 points; what does not repeat is a mean over 200 cycles or more). lock: −90°
+within 0.5° and 0.003 Hz from 1 Hz away in 60 s; a gap of 6 mm opened to 10 while locked. backbone: a gap of 10 mm up
+and down from the wall and from the centre, beside a campaign. Exits with 1 if anything is not kept. `--draw` draws
+docs/images/backbone.png.
 """
 
 from __future__ import annotations
@@ -19,8 +20,8 @@ import numpy as np
 
 from impact_rig.campaign.axes import NO_SPHERE
 from impact_rig.campaign.in_process import execute
-from impact_rig.campaign.pool import in_parallel
 from impact_rig.campaign.job import Job
+from impact_rig.campaign.pool import in_parallel
 from impact_rig.operate.controlled_sine import Hold, HoldPlan
 from impact_rig.operate.looking import Ladder, Rung, climb, follow, lock_on
 from impact_rig.operate.phase_lock import LockPlan, PhaseLock
@@ -95,10 +96,11 @@ def holding(_draw: bool) -> list[Finding]:
     for (gap, frequency), (error, dt, spread, wanted_dt, cycles, regime) in sorted(in_parallel(_held_pair, places)):
         apart = dt / wanted_dt - 1.0
         kept = error <= 0.005 and abs(apart) <= 0.01 and (regime == "periodic" or cycles >= 200)
-        found.append((
-            f"{gap * 1e3:3.0f} mm {frequency:4.1f} Hz base held ({100 * error:.2f} %): DT {dt:.3f} (spread {spread:.3f}, "
-            f"{regime}, {cycles:.0f} cycles), prescribed {wanted_dt:.3f}: {100 * apart:+.2f} %", kept,
-        ))  # fmt: skip
+        words = (
+            f"{gap * 1e3:3.0f} mm {frequency:4.1f} Hz base held ({100 * error:.2f} %): DT {dt:.3f} (spread "
+            f"{spread:.3f}, {regime}, {cycles:.0f} cycles), prescribed {wanted_dt:.3f}: {100 * apart:+.2f} %"
+        )
+        found.append((words, kept))
     return found
 
 
@@ -119,7 +121,7 @@ def locking(_draw: bool) -> list[Finding]:
     rig = ProcessLoop(from_flat(RigConfig(), {"barriers.gap_m": 6e-3}))
     lock = PhaseLock(LockPlan(start_hz=8.8, current_a=0.52, dwell_s=1e6))
     rig.set(lock.start(0))
-    follow(lock, rig, lambda one: rig.now_ns() >= 30 * NS_PER_S)
+    follow(lock, rig, lambda _: rig.now_ns() >= 30 * NS_PER_S)
     before = lock.locked
     rig.change({"barriers.gap_m": 10e-3})
     lock.unlock(rig.now_ns())
@@ -173,10 +175,11 @@ def backbones(draw: bool) -> list[Finding]:
     fresh = dict(in_parallel(_from_reset, places))
     both = [(quiet.dt, fresh[places[0]]), (struck.dt, fresh[places[1]])]
     kept = all(abs(a / b - 1.0) <= 0.02 for a, b in both) and quiet.dt > 1.5 * struck.dt
-    found_: list[Finding] = [(
+    words = (
         f"two answers at {quiet.current_a:.3f} A: DT {both[0][0]:.2f} and {both[1][0]:.2f}; a campaign from centre and "
-        f"wall {both[0][1]:.2f} and {both[1][1]:.2f}", kept,
-    )]  # fmt: skip
+        f"wall {both[0][1]:.2f} and {both[1][1]:.2f}"
+    )
+    found_: list[Finding] = [(words, kept)]
     fold = Manifold(0.309).gap_per_amplitude_at_fold
     down = [one for one in rungs["left"] if one.direction == "down" and one.locked]
     ratio = LADDER_GAP_M / down[-1].superior_m
