@@ -11,7 +11,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-PARTS = ("physics", "instruments", "analysis", "recording", "campaign", "live", "lab")
+PARTS = ("physics", "instruments", "analysis", "recording", "campaign", "map", "live", "lab")
 RESULTS = Path("build") / "bench.json"
 
 

@@ -170,6 +170,13 @@ CURVE = _table(
     blocks.TRANSMISSIBILITY_COLUMNS,
     "The stepped sine so far, one row per measurement; stamp = its begin.",
 )
+HELD = _table(
+    "transmissibility/held",
+    Qos.STATE,
+    "stepped_sine",
+    blocks.HELD_COLUMNS,
+    "The controlled sine so far, one row per measurement, where an amplitude is held; stamp = its begin.",
+)
 IMPACTS = _table(
     "impacts", Qos.DATA, "analysis", blocks.DETECTED_IMPACTS_COLUMNS, "Impacts detected from the accelerometer alone."
 )
@@ -324,6 +331,7 @@ TOPICS = (
     TRANSMISSIBILITY_TABLE,
     ANALYSIS_SETTINGS,
     CURVE,
+    HELD,
     IMPACTS,
     PLOT_TRANSMISSIBILITY,
     PLOT_DRIVE,

@@ -6,12 +6,11 @@ Results travel back, nothing is written there.
 
 from __future__ import annotations
 
-from collections.abc import Generator, Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Generator, Sequence
+from typing import TYPE_CHECKING, Protocol, TypeVar
 
 from impact_rig.campaign.code import fingerprint
 from impact_rig.campaign.in_process import execute
-from impact_rig.campaign.job import Job, Outcome
 from impact_rig.errors import ConfigError, ImpactRigError
 
 if TYPE_CHECKING:
@@ -20,8 +19,28 @@ if TYPE_CHECKING:
 CONNECT_S = 10.0
 
 
+class Portable(Protocol):
+    """What can be sent to a cluster."""
+
+    @property
+    def key(self) -> str:
+        """Identify it by all values that decide its result."""
+
+    def describe(self) -> str:
+        """Return a short name for people."""
+
+
+J = TypeVar("J", bound=Portable)
+R = TypeVar("R")
+
+
 def dask_runner(address: str) -> Runner:
-    """Return a runner that sends jobs to the scheduler at `address`.
+    """Return a runner that sends a campaign's jobs to the scheduler at `address`, see `on_cluster`."""
+    return on_cluster(execute, address)
+
+
+def on_cluster(work: Callable[[J], R], address: str) -> Callable[[Sequence[J]], Generator[tuple[J, R], None, None]]:
+    """Return what sends jobs to the scheduler at `address`, and yields every one with what `work` returns for it.
 
     Raises:
         ConfigError: Dask is not installed.
@@ -31,7 +50,7 @@ def dask_runner(address: str) -> Runner:
     except ImportError as error:
         raise ConfigError("--through dask needs Dask: pip install 'impact_rig[cluster]'") from error
 
-    def run(jobs: Sequence[Job]) -> Generator[tuple[Job, Outcome], None, None]:
+    def run(jobs: Sequence[J]) -> Generator[tuple[J, R], None, None]:
         try:
             client = Client(address, timeout=CONNECT_S, set_as_default=False)
         except (OSError, ValueError) as error:
@@ -39,7 +58,7 @@ def dask_runner(address: str) -> Runner:
         with client:
             _check_code(client.run(fingerprint))
             # a job gives the same bits wherever it runs, so one whose worker died is simply run again elsewhere
-            futures = {client.submit(execute, job, key=f"impact_rig-{job.key}", retries=2): job for job in jobs}
+            futures = {client.submit(work, job, key=f"impact_rig-{job.key}", retries=2): job for job in jobs}
             lost = []
             for future in as_completed(list(futures), loop=client.loop):
                 if future.status == "finished":
@@ -47,7 +66,7 @@ def dask_runner(address: str) -> Runner:
                 else:
                     lost.append(f"{futures[future].describe()}: {future.exception()}")
             if lost:
-                raise ImpactRigError(f"{len(lost)} runs were lost, run the campaign again to go on; {lost[0]}")
+                raise ImpactRigError(f"{len(lost)} runs were lost, run it again to go on; {lost[0]}")
 
     return run
 

@@ -1,4 +1,4 @@
-"""Run jobs on all cores; results come as they are done."""
+"""Run jobs on all cores; results come as they are done. What a job is, and what is done with it, is the caller's."""
 
 from __future__ import annotations
 
@@ -6,14 +6,18 @@ import itertools
 import multiprocessing
 import os
 import signal
-from collections.abc import Generator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
+from typing import TypeVar
 
 from impact_rig.campaign.in_process import execute
 from impact_rig.campaign.job import Job, Outcome
 from impact_rig.errors import GoneError
 from impact_rig.system.endings import SIGNALS, end_with, held, unhurried
+
+J = TypeVar("J")
+R = TypeVar("R")
 
 AHEAD = 2
 """Jobs handed out per worker: enough to keep it busy, few enough to stop soon after Ctrl-C."""
@@ -24,11 +28,19 @@ class WorkerDiedError(GoneError):
 
 
 def run_parallel(jobs: Sequence[Job], workers: int | None = None) -> Generator[tuple[Job, Outcome], None, None]:
-    """Yield every job with its outcome, in the order in which they are done.
+    """Yield every job of a campaign with its outcome, see `in_parallel`."""
+    return in_parallel(execute, jobs, workers)
+
+
+def in_parallel(
+    work: Callable[[J], R], jobs: Sequence[J], workers: int | None = None
+) -> Generator[tuple[J, R], None, None]:
+    """Yield every job with what `work` returns for it, in the order in which they are done.
 
     Who stops asking (Ctrl-C) loses the jobs under way, nothing else. Workers end with this process, however it ends.
 
     Args:
+        work: a function of a module; it and the jobs travel to the workers.
         jobs: what to run.
         workers: processes; None: one per usable core.
 
@@ -37,26 +49,26 @@ def run_parallel(jobs: Sequence[Job], workers: int | None = None) -> Generator[t
     """
     count = min(workers or len(os.sched_getaffinity(0)), len(jobs))
     if count <= 1:
-        yield from ((job, execute(job)) for job in jobs)
+        yield from ((job, work(job)) for job in jobs)
         return
     waiting = iter(jobs)
     # spawned, not forked: a copy of a process that has threads (ROS, progress display) may hold their locks for ever
     context = multiprocessing.get_context("spawn")
     others = set(multiprocessing.active_children())
     pool = ProcessPoolExecutor(count, context, initializer=_begin_worker, initargs=(os.getpid(),))
-    running: dict[Future[Outcome], Job] = {}
+    running: dict[Future[R], J] = {}
     try:
         with held():  # the workers begin here: signals are the parent's, which ends in order
-            running |= {pool.submit(execute, job): job for job in itertools.islice(waiting, AHEAD * count)}
+            running |= {pool.submit(work, job): job for job in itertools.islice(waiting, AHEAD * count)}
         while running:
             for future in wait(running, return_when=FIRST_COMPLETED).done:
                 job = running.pop(future)
                 following = next(waiting, None)
                 if following is not None:
-                    running[pool.submit(execute, following)] = following
+                    running[pool.submit(work, following)] = following
                 yield job, future.result()
     except BrokenProcessPool as error:
-        raise WorkerDiedError("a worker process was killed; run the campaign again to go on") from error
+        raise WorkerDiedError("a worker process was killed; run it again to go on") from error
     finally:
         with unhurried():
             if running:

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 EXIT_ERROR = 1
 PROGRAM = "impact-rig"
 COMMANDS = (
-    "lab", "demo", "campaign", "report", "identify",
+    "lab", "demo", "campaign", "map", "loop", "report", "identify",
     "info", "analyze", "verify", "replay", "recover", "export", "check", "layout", "compile",
 )  # fmt: skip
 """Subcommands in the order of the help; each is the module of its name."""

@@ -37,7 +37,7 @@ FLUSH_S = 0.2
 AWAITED = (topics.INFO, topics.APPLIED, topics.JOURNAL, topics.CONFIGURATION, topics.ANALYSIS_SETTINGS)
 """What was published before and belongs to every run; ~/start is answered when it has arrived."""
 AWAIT_S = 2.0
-RESULTS = frozenset({topics.TRANSMISSIBILITY_TABLE.name, topics.CURVE.name})
+RESULTS = frozenset({topics.TRANSMISSIBILITY_TABLE.name, topics.CURVE.name, topics.HELD.name})
 """What was measured before a recording is latched, and none of its results: left out."""
 BULKY = (topics.SCAN, topics.TRUTH_SCAN)
 QUIET_S = 0.1

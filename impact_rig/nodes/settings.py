@@ -7,7 +7,9 @@ import attrs
 from impact_rig.analysis.settings import TrackerSettings
 from impact_rig.config.fields import Origin, choice, integer, quantities, quantity, switch, text
 from impact_rig.errors import ConfigError
+from impact_rig.operate.controlled_sine import ControlledSine, Hold, HoldPlan
 from impact_rig.operate.plan import Direction, Plan
+from impact_rig.operate.stepped_sine import SteppedSine
 
 UNKNOWN_GAP = -1.0
 
@@ -52,6 +54,22 @@ class SteppedSineSettings:
     retries: int = integer(2, "-", "Refused measurements borne per point.", at_least=0, at_most=1000)
     skip_over_range: bool = switch(True, "Leave out a point where a sensor is over range, instead of aborting.")
     keep_unsettled: bool = switch(True, "Take a response that does not settle in the analysis' bound.")
+    hold: str = choice(
+        "command",
+        ("command", *Hold),
+        "What stays constant: the commanded current, or a measured amplitude, for which the current is set anew.",
+    )
+    target: float = quantity(
+        60e-6, "m or A", "Amplitude that is held, peak; of no meaning where hold is command.", above=0, at_most=1000
+    )
+    tolerance: float = quantity(2e-3, "-", "Relative error up to which it counts as held.", above=0, at_most=0.5)
+    corrections: int = integer(8, "-", "Of the current per point, at most.", at_least=1, at_most=1000)
+    current_limit_a: float = quantity(
+        15.0, "A", "A held amplitude that needs more current aborts the sweep.", above=0, at_most=1000
+    )
+    superior_limit_m: float = quantity(
+        0.05, "m", "A larger superior base aborts the sweep while an amplitude is held.", above=0, at_most=1
+    )
     begin: bool = switch(False, "Begin when the rig is there; otherwise with ~/start.", read_only=True)
     autostart: bool = switch(True, "Configure and activate by itself at start.", read_only=True)
 
@@ -61,6 +79,13 @@ class SteppedSineSettings:
     def plan(self) -> Plan:
         """Return the sweep."""
         return Plan(**{attribute.name: getattr(self, attribute.name) for attribute in attrs.fields(Plan)})
+
+    def sweep(self) -> SteppedSine:
+        """Return what walks through it, with an amplitude held if that is asked for."""
+        if self.hold == "command":
+            return SteppedSine(self.plan())
+        names = [attribute.name for attribute in attrs.fields(HoldPlan)]
+        return ControlledSine(self.plan(), HoldPlan(**{name: getattr(self, name) for name in names}))
 
 
 @attrs.frozen(kw_only=True)

@@ -18,6 +18,7 @@ from impact_rig.nodes.managed import ManagedNode
 from impact_rig.nodes.parameters import SectionSchema
 from impact_rig.nodes.settings import SteppedSineSettings
 from impact_rig.nodes.topics import MONITORS
+from impact_rig.operate.controlled_sine import ControlledSine
 from impact_rig.operate.operator import Applied, News, Operator
 from impact_rig.operate.plan import Setpoint
 from impact_rig.operate.stepped_sine import State, SteppedSine
@@ -56,7 +57,7 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
 
     def configure(self) -> None:
         """Create the publishers."""
-        chosen = (topics.FREQUENCY, topics.CURRENT, topics.CURVE)
+        chosen = (topics.FREQUENCY, topics.CURRENT, topics.CURVE, topics.HELD)
         self._outlets = {topic.name: self.publisher(topic) for topic in chosen}
 
     def activate(self) -> None:
@@ -160,7 +161,7 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
     def _begin(self) -> None:
         self._pending = False
         self._began_ns = self.now_ns()
-        self._operator = Operator(SteppedSine(self.settings.plan()), self, self._publish_curve)
+        self._operator = Operator(self.settings.sweep(), self, self._publish_curve)
         self._operator.begin()
 
     # What the operator's loop asks of an apparatus
@@ -187,6 +188,8 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
     def _publish_curve(self, sweep: SteppedSine) -> None:
         if sweep.measured:
             self._outlets[topics.CURVE.name].publish(codec.encode(Table(self._began_ns, sweep.rows)))
+        if sweep.measured and isinstance(sweep, ControlledSine):
+            self._outlets[topics.HELD.name].publish(codec.encode(Table(self._began_ns, sweep.held)))
 
     # Messages
 

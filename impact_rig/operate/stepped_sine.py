@@ -71,6 +71,11 @@ class SteppedSine:
         """Frequency of the present point, or of the last one."""
         return self._points[min(self._at, len(self._points) - 1)]
 
+    @property
+    def current_a(self) -> float:
+        """Current of the present point."""
+        return self._plan.current_a
+
     def start(self, now_ns: int) -> Setpoint:
         """Begin, or begin again from the first point.
 
@@ -87,7 +92,7 @@ class SteppedSine:
         if self.state is not State.RUNNING:
             return None
         ours = math.isclose(frequency_hz, self.frequency_hz, rel_tol=SAME)
-        full = math.isclose(current_a, self._plan.current_a, rel_tol=SAME)
+        full = math.isclose(current_a, self.current_a, rel_tol=SAME)
         if ours and full:
             if not self._accepted:
                 self._accepted, self._since_ns = True, now_ns
@@ -105,6 +110,9 @@ class SteppedSine:
         status = Status(bytes(row["status"]).decode())
         settled = bool(row["settled"] == 1.0)
         if settled or (status is Status.NOT_SETTLED and self._plan.keep_unsettled):
+            again = self._adjusted(row, now_ns)
+            if again is not None:
+                return again
             self._accepted = True
             taken = np.array([row], dtype=TRANSMISSIBILITY)
             taken["time"] = (now_ns - self._start_ns) / NS_PER_S
@@ -149,7 +157,12 @@ class SteppedSine:
 
     def _go(self, now_ns: int) -> Setpoint:
         self._since_ns, self._accepted, self._taken, self._failures = now_ns, False, 0, 0
-        return Setpoint(self.frequency_hz, self._plan.current_a)
+        return Setpoint(self.frequency_hz, self.current_a)
+
+    def _adjusted(self, row: np.void, now_ns: int) -> Setpoint | None:
+        """Return with what to try again because this measurement is not what is wanted; None: it is."""
+        del row, now_ns
+        return None
 
     def _next(self, now_ns: int) -> Setpoint:
         before = self.frequency_hz

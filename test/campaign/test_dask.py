@@ -16,6 +16,8 @@ pytest.importorskip("distributed", reason="needs the extra [cluster]")
 from impact_rig.campaign import run
 from impact_rig.campaign.plan import load_campaign
 from impact_rig.campaign.store import Store
+from impact_rig.maps.plan import load_map, measure_line
+from impact_rig.maps.run import stored
 
 WAIT_S = 60.0
 MORE = "  more: {frequencies_hz: {from: 8, to: 10, step: 0.1}, gaps_m: [none, 0.006]}\n"
@@ -47,9 +49,9 @@ def cluster(tmp_path_factory):
         quiet["stderr"].close()
 
 
-def start(file, directory, address):
+def start(file, directory, address, name="campaign"):
     """Start the command in a process of its own: Dask leaves threads behind."""
-    command = [sys.executable, "-c", "import sys; from impact_rig.cli import main; sys.exit(main())", "campaign"]
+    command = [sys.executable, "-c", "import sys; from impact_rig.cli import main; sys.exit(main())", name]
     arguments = [str(file), "--output", str(directory), "--through", "dask", address]
     return subprocess.Popen([*command, *arguments], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
 
@@ -77,6 +79,17 @@ def test_a_worker_killed_half_way_costs_nothing(cluster, tmp_path, measured):
         assert found is not None, job.describe()
         if job.key in measured:
             assert_same(found, measured[job.key][1])
+
+
+def test_a_map_has_the_same_bits_there(cluster, tmp_path):
+    address, _ = cluster
+    file, directory = tmp_path / "map.yaml", tmp_path / "out"
+    file.write_text("axes: {gap_m: [0.012, 0.02], frequency_hz: [9.0, 9.1]}\n")
+    process = start(file, directory, address, "map")
+    output, _ = process.communicate(timeout=2 * WAIT_S)
+    assert process.returncode == 0, output
+    for line in load_map(file).lines():
+        assert stored(line, directory) == measure_line(line)
 
 
 def test_a_cluster_that_cannot_be_reached_is_one_clear_line(tmp_path):

@@ -70,6 +70,20 @@ def test_the_curve_is_the_closed_form(sweeping: Client) -> None:
     sweeping.wait_until(lambda: current_now(sweeping) == 0.0, "the shaker at rest")
 
 
+def test_an_amplitude_is_held_and_its_curve_published(sweeping: Client) -> None:
+    held, curves = sweeping.collect("transmissibility/held"), sweeping.collect("transmissibility/curve")
+    values = {"hold": "base", "target": 60e-6, "frequencies_hz": [8.8, 9.2], "direction": "up"}
+    sweeping.set_parameters("stepped_sine", values)
+    begin(sweeping)
+    sweeping.wait_until(lambda: status(sweeping) == "finished, 2 points", "the end of the sweep", 60.0)
+    sweeping.wait_until(lambda: held.received and len(held.tables()[-1].rows) == 2, "the whole curve")
+    rows = held.tables()[-1].rows
+    assert np.all(np.abs(rows["error"]) <= 2e-3)
+    assert rows["held"].tolist() == [1.0, 1.0]
+    assert rows["transmissibility"].tolist() == curves.tables()[-1].rows["transmissibility"].tolist()
+    sweeping.wait_until(lambda: current_now(sweeping) == 0.0, "the shaker at rest")
+
+
 @pytest.mark.parametrize("cause", ["trip", "operator", "stranger"])
 def test_a_sweep_that_cannot_go_on_says_why_and_rests(sweeping: Client, cause: str) -> None:
     sweeping.collect("shaker/applied")
@@ -106,6 +120,7 @@ def test_without_a_rig_nothing_begins(client: Client) -> None:
         ({"frequencies_hz": ["9"]}, "one or more numbers"),
         ({"current_a": float("nan")}, "current_a must be > 0"),
         ({"direction": "sideways"}, "one of up, down, up_down"),
+        ({"hold": "breath"}, "one of command, current, base, superior"),
     ],
 )
 def test_a_bad_plan_is_refused_by_name(client: Client, values: dict[str, object], words: str) -> None:

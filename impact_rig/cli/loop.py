@@ -1,0 +1,196 @@
+"""`impact-rig loop`: closed-loop tests: hold an amplitude, lock on a resonance, follow a backbone."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import csv
+import io
+import math
+import os
+import tempfile
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import attrs
+import numpy as np
+from numpy.typing import NDArray
+
+from impact_rig.campaign.axes import NO_SPHERE
+from impact_rig.campaign.job import Job
+from impact_rig.campaign.paper import CURRENT_A, FREQUENCIES_HZ
+from impact_rig.cli.terminal import Console, TextTable
+from impact_rig.errors import ConfigError, RecordingError
+from impact_rig.operate.controlled_sine import Hold, HoldPlan
+from impact_rig.operate.looking import Ladder, LoopApparatus, Rung, climb, lock_on
+from impact_rig.operate.phase_lock import LockPlan, Reference
+from impact_rig.operate.plan import Direction
+from impact_rig.operate.stepped_sine import State
+from impact_rig.rig.config import RigConfig, from_flat, load, to_flat
+from impact_rig.simtime import NS_PER_S
+from impact_rig.studies.closed_loop import ProcessLoop, hold
+from impact_rig.system import files
+
+SHOWN = 12
+"""Looks of a lock that are printed; all of them are in the CSV."""
+
+
+def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Register the subcommand."""
+    parser = commands.add_parser(
+        "loop", help="closed-loop tests: hold an amplitude, lock a resonance, follow a backbone"
+    )
+    kinds = parser.add_subparsers(dest="kind", required=True, metavar="KIND")
+    holding = kinds.add_parser("hold", help="step the frequency with an amplitude held")
+    holding.add_argument("what", choices=[*Hold])
+    holding.add_argument("target", type=float, help="peak amplitude, m or A")
+    holding.add_argument("--frequencies", type=float, nargs="+", default=FREQUENCIES_HZ, metavar="HZ")
+    holding.add_argument("--direction", choices=[*Direction], default=Direction.UP)
+    holding.add_argument("--tolerance", type=float, default=2e-3, help="relative error that counts as held")
+    holding.add_argument("--measurements", type=int, default=1, metavar="N", help="per point")
+    locking = kinds.add_parser("lock", help="search a resonance, track it, dwell there")
+    locking.add_argument("--dwell", type=float, default=30.0, metavar="S", help="rig time locked")
+    climbing = kinds.add_parser("backbone", help="lock, and step the current up and down")
+    climbing.add_argument("--currents", type=float, nargs="+", required=True, metavar="A", help="ascending")
+    for one in (locking, climbing):
+        one.add_argument("--start", type=float, default=9.0, metavar="HZ", help="where the search begins")
+        one.add_argument("--reference", choices=[*Reference], default=Reference.BASE)
+        one.add_argument("--through", choices=("process", "ros"), default="process")
+    for one in (holding, locking):
+        one.add_argument("--current", type=float, default=CURRENT_A, metavar="A", help="peak; to begin with, for hold")
+    for one in (holding, locking, climbing):
+        one.add_argument("--config", type=Path, metavar="FILE", help="of the rig; default: the paper's")
+        one.add_argument("--gap", default="0.006", metavar="M", help="gap [m], or none: no sphere")
+        one.add_argument("--sphere-start", choices=("left", "centre", "right"), default=None)
+        one.add_argument("--output", type=Path, metavar="FILE", help="write everything as CSV; never over a file")
+    parser.set_defaults(run=_run)
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    config, gap = _rig(arguments)
+    if arguments.output is not None and os.path.lexists(arguments.output):
+        raise RecordingError(f"{arguments.output} exists already and is not overwritten")
+    return {"hold": _hold, "lock": _lock, "backbone": _backbone}[arguments.kind](arguments, config, gap, Console())
+
+
+def _rig(arguments: argparse.Namespace) -> tuple[RigConfig, float]:
+    config = load(arguments.config) if arguments.config else RigConfig()
+    changes: dict[str, object] = {"sphere.present": False}
+    gap = NO_SPHERE
+    if arguments.gap != "none":
+        try:
+            gap = float(arguments.gap)
+        except ValueError:
+            raise ConfigError(f"--gap must be a number of metres or none, got {arguments.gap!r}") from None
+        changes = {"sphere.present": True, "barriers.gap_m": gap}
+    if arguments.sphere_start:
+        changes["sphere.start"] = arguments.sphere_start
+    return from_flat(config, changes), gap
+
+
+def _hold(arguments: argparse.Namespace, config: RigConfig, gap: float, console: Console) -> int:
+    default = to_flat(RigConfig())
+    job = Job(
+        changes={name: value for name, value in to_flat(config).items() if value != default[name]},
+        analysis={},
+        gap_m=gap,
+        frequencies_hz=tuple(arguments.frequencies),
+        direction=Direction(arguments.direction),
+        current_a=arguments.current,
+        repetitions=arguments.measurements,
+        traces=False,
+    )
+    found = hold(job, HoldPlan(hold=arguments.what, target=arguments.target, tolerance=arguments.tolerance))
+    table = TextTable(title=f"{arguments.what} held at {arguments.target:g}")
+    for heading in ("f [Hz]", "DT", "± 2u", "base [µm]", "superior [mm]", "current [A]", "error [%]", "", "regime"):
+        table.add_column(heading, justify="right")
+    for row in found.rows:
+        table.add_row(
+            f"{row['frequency']:g}", f"{row['transmissibility']:.3f}", f"{2 * row['transmissibility_uncertainty']:.3f}",
+            f"{row['base_amplitude'] * 1e6:.2f}", f"{row['laser_amplitude'] * 1e3:.3f}",
+            f"{row['current_amplitude']:.4f}", f"{100 * row['error']:+.2f}", "" if row["held"] else "NOT HELD",
+            row["regime"].decode(),
+        )  # fmt: skip
+    console.print(table)
+    _write(arguments.output, found.rows)
+    if found.failure:
+        console.print(f"ended early: {found.failure}")
+    return 1 if found.failure or not np.all(found.rows["held"] == 1.0) else 0
+
+
+def _lock(arguments: argparse.Namespace, config: RigConfig, _gap: float, console: Console) -> int:
+    plan = LockPlan(
+        start_hz=arguments.start, current_a=arguments.current, reference=arguments.reference, dwell_s=arguments.dwell
+    )
+    with _apparatus(arguments.through, config) as apparatus:
+        lock = lock_on(plan, apparatus)
+    table = TextTable(title=f"Superior base against {arguments.reference}, −90° sought")
+    for heading in ("t [s]", "f [Hz]", "phase [°]", "DT", "superior [mm]", "locked"):
+        table.add_column(heading, justify="right")
+    for row in lock.rows[:: max(1, len(lock.rows) // SHOWN)]:
+        table.add_row(
+            f"{row['time']:.1f}", f"{row['frequency']:.4f}", f"{math.degrees(row['phase']):.2f}",
+            f"{row['transmissibility']:.2f}", f"{row['laser_amplitude'] * 1e3:.3f}", "yes" if row["locked"] else "",
+        )  # fmt: skip
+    console.print(table)
+    _write(arguments.output, lock.rows)
+    if lock.state is not State.FINISHED:
+        console.print(f"ended early: {lock.reason}")
+        return 1
+    assert lock.locked_ns is not None
+    dwelt = lock.rows[lock.rows["time"] >= lock.locked_ns / NS_PER_S]
+    slopes = [np.polyfit(dwelt["time"], dwelt[name], 1)[0] for name in ("frequency", "transmissibility")]
+    console.print(
+        f"locked after {lock.locked_ns / NS_PER_S:.1f} s; {np.mean(dwelt['frequency']):.4f} Hz, "
+        f"DT {np.mean(dwelt['transmissibility']):.2f}; drift a minute: "
+        f"{slopes[0] * 60e3:+.2f} mHz, DT {slopes[1] * 60:+.3f}"
+    )
+    return 0
+
+
+def _backbone(arguments: argparse.Namespace, config: RigConfig, gap: float, console: Console) -> int:
+    currents = tuple(arguments.currents)
+    if list(currents) != sorted(set(currents)) or currents[0] <= 0.0:
+        raise ConfigError(f"--currents must be > 0 and ascending, got {' '.join(map(str, currents))}")
+    plan = LockPlan(start_hz=arguments.start, current_a=currents[0], reference=arguments.reference)
+    with _apparatus(arguments.through, config) as apparatus:
+        rungs, why = climb(Ladder(currents_a=currents, lock=plan), apparatus)
+    table = TextTable(title="Backbone")
+    for heading in ("", "I [A]", "f [Hz]", "DT", "superior [mm]", "g/X", "phase [°]", ""):
+        table.add_column(heading, justify="right")
+    for one in rungs:
+        words = [*(["not locked"] if not one.locked else []), *(["JUMP"] if one.jumped else [])]
+        table.add_row(
+            one.direction, f"{one.current_a:.4f}", f"{one.frequency_hz:.4f}", f"{one.dt:.2f}",
+            f"{one.superior_m * 1e3:.3f}", f"{gap / one.superior_m:.2f}", f"{one.phase_deg:.2f}", ", ".join(words),
+        )  # fmt: skip
+    console.print(table)
+    _write(arguments.output, rungs)
+    if why:
+        console.print(f"ended early: {why}")
+    return 1 if why else 0
+
+
+@contextlib.contextmanager
+def _apparatus(way: str, config: RigConfig) -> Iterator[LoopApparatus]:
+    if way == "process":
+        yield ProcessLoop(config)
+        return
+    from impact_rig.client.closed_loop import stepped_loop  # noqa: PLC0415  # needs rclpy
+
+    with tempfile.TemporaryDirectory(prefix="impact_rig_loop_") as logs, stepped_loop(Path(logs), config) as apparatus:
+        yield apparatus
+
+
+def _write(path: Path | None, rows: NDArray[np.void] | Sequence[Rung]) -> None:
+    if path is None:
+        return
+    text = io.StringIO(newline="")
+    writer = csv.writer(text)
+    if isinstance(rows, np.ndarray):
+        writer.writerow(rows.dtype.names or ())
+        writer.writerows([x.decode() if isinstance(x, bytes) else x for x in row.tolist()] for row in rows)
+    else:
+        writer.writerow([field.name for field in attrs.fields(Rung)])
+        writer.writerows(attrs.astuple(one) for one in rows)
+    files.write_text(path, text.getvalue())

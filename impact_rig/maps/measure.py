@@ -1,0 +1,233 @@
+"""What the mechanics settle to at one place of a map: DT and phase of the fundamental, impacts per cycle, regime.
+
+One drive segment is one cycle, so the record is stroboscopic: the fundamental of both bases is a sum over each cycle.
+Everything is deterministic, and starts either from a reset rig or from what the place before left.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import attrs
+import numpy as np
+from numpy.typing import NDArray
+
+from impact_rig.analysis.cycles import PHASE_BINS
+from impact_rig.analysis.regime import Behaviour, classify
+from impact_rig.config.fields import integer, quantity
+from impact_rig.errors import SimulationError
+from impact_rig.physics import SEGMENT, Simulation
+from impact_rig.physics.closed_form import transmissibility
+from impact_rig.rig.config import RigConfig
+
+PER_CYCLE = 32
+"""Instants per cycle of the fundamental's sum: the 31st harmonic is the first that disturbs it, by less than 1e-5."""
+CHUNK = 24
+"""Cycles looked at together: responses of period 1, 2, 3, 4, 6 and 8 have one mean in each."""
+WEAK = 0.02
+"""Impacts slower than this share of the fastest one are bounces that settle: not counted, no part of the regime."""
+FAILED = "failed"
+"""The regime of a place whose motion could not be resolved."""
+_ANGLE = 2.0 * np.pi * np.arange(PER_CYCLE) / PER_CYCLE
+_TURN = 2j / PER_CYCLE * np.exp(-1j * _ANGLE)
+
+
+@attrs.frozen(kw_only=True)
+class Settings:
+    """How a place of a map is measured."""
+
+    settle_tolerance: float = quantity(
+        5e-4,
+        "-",
+        "Relative change from one stretch of 24 cycles to the next that counts as none.",
+        above=0,
+        at_most=0.1,
+    )
+    periodic_tolerance: float = quantity(
+        1e-3, "-", "Relative cycle-to-cycle spread up to which a response counts as periodic.", above=0, at_most=0.5
+    )
+    settle_cycles: int = integer(
+        360, "-", "Cycles of waiting for a settled response, at most.", at_least=48, at_most=100_000
+    )
+    cycles: int = integer(
+        200, "-", "Cycles over which a response that does not repeat is averaged.", at_least=48, at_most=100_000
+    )
+
+
+class Reading(NamedTuple):
+    """What was found at one place.
+
+    Attributes:
+        regime: periodic, modulated, chaotic, or `FAILED`.
+        dt: |X_1| / |X_b| of the fundamentals.
+        reduction_percent: 100 (1 − DT / DT without the sphere, in closed form).
+        phase_rad: of X_1 / X_b.
+        base_m: |X_b|.
+        superior_m: |X_1|.
+        impacts_per_cycle: of the impacts that are not weak.
+        period: cycles after which the response repeats; NaN if it does not.
+        spread: relative cycle-to-cycle rms of X_1.
+        drift: relative change of DT between the halves of the record: what a longer one might change.
+        cycles: that the record has.
+    """
+
+    regime: str
+    dt: float
+    reduction_percent: float
+    phase_rad: float
+    base_m: float
+    superior_m: float
+    impacts_per_cycle: float
+    period: float
+    spread: float
+    drift: float
+    cycles: float
+
+
+NOTHING = Reading(FAILED, *[math.nan] * 10)
+
+
+class _Record(NamedTuple):
+    """Consecutive cycles: fundamentals of x_b and x_1, shape (n,), and impacts as (cycle, turn, speed)."""
+
+    base: NDArray[np.complex128]
+    superior: NDArray[np.complex128]
+    cycle: NDArray[np.int64]
+    turn: NDArray[np.float64]
+    speed: NDArray[np.float64]
+
+
+class MapRig:
+    """The mechanics in the hands of a map.
+
+    Args:
+        config: the rig.
+        settings: of the measurement.
+    """
+
+    def __init__(self, config: RigConfig, settings: Settings) -> None:
+        self._settings = settings
+        self._config = config
+        self._simulation = Simulation(config)
+        self._amplitude = 0.0
+
+    def change(self, config: RigConfig) -> None:
+        """Go on with another configuration: the structure keeps its motion, the sphere begins at its start again."""
+        if config is not self._config:
+            self._simulation.configure(config)
+            self._config = config
+
+    def reset(self) -> None:
+        """Put everything to rest."""
+        self._simulation.reset()
+        self._amplitude = 0.0
+
+    def measure(self, frequency_hz: float, amplitude: float) -> Reading:
+        """Drive with a sine, wait until settled, and return what the mechanics do.
+
+        Args:
+            frequency_hz: of the drive.
+            amplitude: peak; A, m or V by `drive.kind`.
+        """
+        try:
+            return self._measured(frequency_hz, amplitude)
+        except SimulationError:
+            self.reset()
+            return NOTHING
+
+    def _measured(self, frequency_hz: float, amplitude: float) -> Reading:
+        record = self._settled(frequency_hz, amplitude)
+        behaviour = _behaviour(record, self._settings)
+        if not math.isfinite(behaviour.period):
+            record = self._run(frequency_hz, amplitude, self._settings.cycles)
+            behaviour = _behaviour(record, self._settings)
+        return _reading(record, behaviour, self._config, frequency_hz)
+
+    def _settled(self, frequency_hz: float, amplitude: float) -> _Record:
+        """Wait, and return the last two chunks."""
+        before = self._run(frequency_hz, amplitude, CHUNK)
+        quiet = 0
+        for _ in range(self._settings.settle_cycles // CHUNK):
+            now = self._run(frequency_hz, amplitude, CHUNK)
+            both, before = _joined(before, now), now
+            quiet = quiet + 1 if _change(both) <= self._settings.settle_tolerance else 0
+            if quiet == 2:
+                break
+        return both
+
+    def _run(self, frequency_hz: float, amplitude: float, cycles: int) -> _Record:
+        """Advance by whole cycles."""
+        simulation, period = self._simulation, 1.0 / frequency_hz
+        segments = np.zeros(cycles, SEGMENT)
+        segments["duration"], segments["omega"] = period, 2.0 * np.pi * frequency_hz
+        segments["amplitude"] = amplitude
+        segments[0]["amplitude"] = self._amplitude  # a ramp of one cycle to what is new
+        segments[0]["slope"] = (amplitude - self._amplitude) / period
+        self._amplitude = amplitude
+        motion = simulation.advance(segments)
+        number = np.repeat(np.arange(motion.first_segment, motion.last_segment + 1), PER_CYCLE)
+        offset = np.tile(_ANGLE / (2.0 * np.pi) * period, cycles)
+        x_b, x_1 = motion.quantities(("x_b", "x_1"), number, offset).reshape(2, cycles, PER_CYCLE)
+        hits = motion.impacts
+        place = np.maximum(hits["segment"] - motion.first_segment, 0)  # one that began before is told of now
+        return _Record(
+            (x_b * _TURN).sum(axis=1), (x_1 * _TURN).sum(axis=1), place, hits["offset"] / period, hits["approach_speed"]
+        )
+
+
+def _joined(one: _Record, other: _Record) -> _Record:
+    later = other._replace(cycle=other.cycle + len(one.base))
+    return _Record(*(np.concatenate(parts) for parts in zip(one, later, strict=True)))
+
+
+def _change(record: _Record) -> float:
+    """Return the relative change from the first to the second half, of whichever base changes more."""
+    half = len(record.base) // 2
+    changes = [
+        abs(x[half:].mean() - x[:half].mean()) / max(abs(x[half:].mean()), 1e-300)
+        for x in (record.base, record.superior)
+    ]
+    return float(max(changes))
+
+
+def _strong(record: _Record) -> NDArray[np.bool_]:
+    if not len(record.speed):
+        return np.zeros(0, bool)
+    return np.asarray(record.speed >= WEAK * record.speed.max())
+
+
+def _behaviour(record: _Record, settings: Settings) -> Behaviour:
+    n = len(record.superior)
+    strikes = np.zeros((n, PHASE_BINS), np.uint8)
+    strong = _strong(record)
+    strikes[record.cycle[strong], (record.turn[strong] * PHASE_BINS).astype(np.int64) % PHASE_BINS] = 1
+    mean = record.superior.mean()
+    if mean == 0.0:
+        return classify(np.full(n, np.nan, np.complex128), 0.0, settings.periodic_tolerance, strikes)
+    return classify(record.superior / mean - 1.0, 0.0, settings.periodic_tolerance, strikes)
+
+
+def _reading(record: _Record, behaviour: Behaviour, config: RigConfig, frequency_hz: float) -> Reading:
+    n = len(record.base)
+    if math.isfinite(behaviour.period):  # whole periods, or the mean is none
+        n -= n % int(behaviour.period)
+    base, superior = record.base[-n:].mean(), record.superior[-n:].mean()
+    ratio = superior / base
+    dt, half = float(abs(ratio)), n // 2
+    first = abs(record.superior[-n:][:half].mean() / record.base[-n:][:half].mean())
+    last = abs(record.superior[-n:][half:].mean() / record.base[-n:][half:].mean())
+    counted = _strong(record) & (record.cycle >= len(record.base) - n)
+    return Reading(
+        regime=behaviour.regime.value,
+        dt=dt,
+        reduction_percent=100.0 * (1.0 - dt / abs(complex(transmissibility(config, frequency_hz)))),
+        phase_rad=float(np.angle(ratio)),
+        base_m=float(abs(base)),
+        superior_m=float(abs(superior)),
+        impacts_per_cycle=float(counted.sum()) / n,
+        period=behaviour.period,
+        spread=behaviour.spread,
+        drift=float(abs(last - first) / dt),
+        cycles=float(len(record.base)),
+    )

@@ -1,0 +1,311 @@
+"""`MapPlan`: what a map file asks for, checked, and the lines it is measured in.
+
+A map is one YAML file: two or three axes, everything else held. Wrong files are refused as a whole before anything
+runs; the message names key, value, range and file. So is a map that would take too long, with that time.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import json
+import math
+import os
+from collections.abc import Mapping
+from pathlib import Path
+
+import attrs
+
+from impact_rig.campaign import axes
+from impact_rig.campaign.paper import CURRENT_A, FREQUENCY_HZ
+from impact_rig.config.tree import MAX_FILE_BYTES, Value, flatten
+from impact_rig.errors import ConfigError
+from impact_rig.maps.measure import MapRig, Reading, Settings
+from impact_rig.rig.config import RigConfig, from_flat, load, to_flat
+from impact_rig.system import budget, files, plain_yaml
+from impact_rig.system.budget import BudgetError
+
+FREQUENCY, CURRENT, GAP = "frequency_hz", "current_a", "gap_m"
+"""Axes with a name of their own; all others are configuration values by dotted name."""
+RESET, UP, DOWN, BOTH = "reset", "up", "down", "both"
+DIRECTIONS = (RESET, UP, DOWN, BOTH)
+OWNED = ("daq.", "instruments.", "time.", "step.", "pluck.", "output.", "drive.waveform", "drive.frequency_hz")
+"""Configuration that means nothing to a map, or that it decides itself."""
+POINT_S = 0.05
+"""What a point costs on one core, about: narrow gaps and chaos cost twice as much, wide gaps a fifth."""
+LIMIT_S = 3600.0
+"""Estimated time above which a map is refused."""
+
+
+@attrs.frozen(kw_only=True)
+class Line:
+    """Places measured one after the other, the unit that is measured, stored and never repeated.
+
+    Attributes:
+        changes: configuration values that differ from the default rig, by dotted name.
+        settings: of the measurement.
+        held: what stays along the line, by name of axis.
+        along: name of the axis that changes.
+        values: its values, in the order of the visit.
+        direction: reset: every place begins at rest; up or down: with what the place before left.
+        frequency_hz: of the drive, unless it is an axis.
+        current_a: amplitude of the drive (A, m or V by `drive.kind`), unless it is an axis.
+    """
+
+    changes: Mapping[str, Value]
+    settings: Settings
+    held: Mapping[str, float]
+    along: str
+    values: tuple[float, ...]
+    direction: str
+    frequency_hz: float
+    current_a: float
+
+    def describe(self) -> str:
+        """Return a short name for people."""
+        held = ", ".join(f"{name} {value:g}" for name, value in self.held.items())
+        return f"{held}, {self.direction}"
+
+    @property
+    def key(self) -> str:
+        """Identify the line by all values that decide its numbers: 16 hexadecimal digits."""
+        content = attrs.asdict(self)
+        return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
+
+    def place(self, value: float) -> tuple[dict[str, Value], float, float]:
+        """Return configuration values, frequency and amplitude of the place with this value of the axis."""
+        at = {**self.held, self.along: value}
+        frequency, current = at.pop(FREQUENCY, self.frequency_hz), at.pop(CURRENT, self.current_a)
+        return {"barriers.gap_m" if name == GAP else name: one for name, one in at.items()}, frequency, current
+
+
+def measure_line(line: Line) -> list[Reading]:
+    """Return the readings of a line, in the order of the visit."""
+    base = from_flat(RigConfig(), line.changes)
+    rig: MapRig | None = None
+    readings, config, before = [], base, None
+    for value in line.values:
+        changes, frequency, current = line.place(value)
+        if changes != before:
+            config, before = from_flat(base, changes), changes
+        rig = rig or MapRig(config, line.settings)
+        rig.change(config)
+        if line.direction == RESET:
+            rig.reset()
+        readings.append(rig.measure(frequency, current))
+    return readings
+
+
+@attrs.frozen(kw_only=True)
+class Search:
+    """Where the best value of one parameter is looked for.
+
+    Attributes:
+        over: name of the axis.
+        low: lower bound.
+        high: upper bound.
+        points: of the first look.
+    """
+
+    over: str
+    low: float
+    high: float
+    points: int = 41
+
+
+@attrs.frozen(eq=False, kw_only=True)
+class MapPlan:
+    """A whole map.
+
+    Attributes:
+        title: for people.
+        base: the rig.
+        axes: two or three, by name, in the order of the file: across, up, and one picture each.
+        direction: reset, up, down or both.
+        sweep: the axis along which places are visited one after the other.
+        frequency_hz: of the drive, unless it is an axis.
+        current_a: amplitude of the drive, unless it is an axis.
+        settings: of the measurement.
+        search: for the best value, or None.
+        text: the file.
+    """
+
+    title: str
+    base: RigConfig
+    axes: Mapping[str, tuple[float, ...]]
+    direction: str
+    sweep: str
+    frequency_hz: float
+    current_a: float
+    settings: Settings
+    search: Search | None
+    text: str
+
+    @property
+    def layers(self) -> tuple[str, ...]:
+        """The directions that are measured."""
+        return (UP, DOWN) if self.direction == BOTH else (self.direction,)
+
+    @property
+    def points(self) -> int:
+        """How many places are measured, each direction counted."""
+        return len(self.layers) * math.prod(map(len, self.axes.values()))
+
+    def changes(self) -> dict[str, Value]:
+        """Return the rig's values that differ from the default."""
+        default = to_flat(RigConfig())
+        return {name: value for name, value in to_flat(self.base).items() if value != default[name]}
+
+    def lines(self) -> list[Line]:
+        """Return all lines in order."""
+        others = {name: values for name, values in self.axes.items() if name != self.sweep}
+        values, changes = self.axes[self.sweep], self.changes()
+        return [
+            Line(
+                changes=changes,
+                settings=self.settings,
+                held=dict(zip(others, held, strict=True)),
+                along=self.sweep,
+                values=values[::-1] if layer == DOWN else values,
+                direction=layer,
+                frequency_hz=self.frequency_hz,
+                current_a=self.current_a,
+            )
+            for layer in self.layers
+            for held in itertools.product(*others.values())
+        ]
+
+
+def allow_time(points: int, workers: int | None = None) -> None:
+    """Refuse a map that would take too long.
+
+    Raises:
+        BudgetError: names the points, the time they would take and how to raise the limit.
+    """
+    cores = workers or len(os.sched_getaffinity(0))
+    seconds, limit = points * POINT_S / cores, LIMIT_S * budget.factor()
+    if seconds > limit:
+        raise BudgetError(
+            f"{points} points would take about {seconds / 3600.0:.1f} h on {cores} cores, "
+            f"more than {limit / 3600.0:g} h; if you have the time: {budget.VARIABLE}=N allows N times as much"
+        )
+
+
+def load_map(path: Path, workers: int | None = None, resolved: RigConfig | None = None) -> MapPlan:
+    """Return the map in a YAML file.
+
+    Args:
+        path: of the file.
+        workers: cores it would run on; None: those of this machine.
+        resolved: the rig, instead of the file's `config` and `set`.
+
+    Raises:
+        ConfigError: the file cannot be read or is wrong; the message names key, value, range and file.
+        BudgetError: it would take too long.
+    """
+    try:
+        text = str(files.read_bytes(path, MAX_FILE_BYTES), "utf-8")
+        document = plain_yaml.load(text, MAX_FILE_BYTES)
+    except OSError as error:
+        raise ConfigError(f"cannot read map: {error.strerror} ({path})") from error
+    except ValueError as error:  # PlainYamlError, or it is not UTF-8
+        raise ConfigError(f"not a YAML file: {' '.join(str(error).split())} ({path})") from error
+    try:
+        plan = _read(axes.mapping("a map", document), path, text, resolved)
+        allow_time(plan.points, workers)
+        _check_corners(plan)
+    except ConfigError as error:
+        raise ConfigError(f"{error} ({path})") from error
+    except BudgetError as error:
+        raise BudgetError(f"{error} ({path})") from error
+    return plan
+
+
+def _read(top: Mapping[str, object], path: Path, text: str, resolved: RigConfig | None) -> MapPlan:
+    known = ("title", "config", "set", "axes", "direction", "sweep", FREQUENCY, CURRENT, "measure", "optimum")
+    axes.check_keys("", top, known)
+    given = _axes(axes.mapping("axes", top.get("axes")))
+    sweep = axes.word("sweep", top.get("sweep", FREQUENCY if FREQUENCY in given else next(iter(given))), given)
+    for name in (FREQUENCY, CURRENT):
+        if name in top and name in given:
+            raise ConfigError(f"{name} is an axis, and cannot be held as well")
+    return MapPlan(
+        title=str(top.get("title", path.stem)),
+        base=resolved or _base(top, path.parent),
+        axes=given,
+        direction=axes.word("direction", top.get("direction", RESET), DIRECTIONS),
+        sweep=sweep,
+        frequency_hz=axes.number(FREQUENCY, top.get(FREQUENCY, FREQUENCY_HZ), 0.0, 1e4),
+        current_a=axes.number(CURRENT, top.get(CURRENT, CURRENT_A), 0.0),
+        settings=_settings(top.get("measure")),
+        search=_search(top.get("optimum")),
+        text=text,
+    )
+
+
+def _base(top: Mapping[str, object], folder: Path) -> RigConfig:
+    file = top.get("config")
+    if file is not None and not isinstance(file, str):
+        raise axes.wrong("config", "the name of a file", file)
+    changes = flatten(axes.mapping("set", top.get("set")))
+    for name in changes:
+        _refuse_owned(f"set.{name}", name)
+    return from_flat(load(folder / file) if file else RigConfig(), changes)
+
+
+def _axes(given: Mapping[str, object]) -> dict[str, tuple[float, ...]]:
+    plain = {name: value for name, value in given.items() if name in (FREQUENCY, CURRENT, GAP) or "." in name}
+    nested = {name: value for name, value in given.items() if name not in plain}
+    if nested:
+        raise ConfigError(
+            f"unknown axis {next(iter(nested))!r}: {FREQUENCY}, {CURRENT}, {GAP}, or a value by its dotted name"
+        )
+    if not 2 <= len(plain) <= 3:
+        raise axes.wrong("axes", "two or three", list(given))
+    found = {}
+    for name, value in plain.items():
+        _refuse_owned(f"axes.{name}", name)
+        found[name] = tuple(sorted(axes.numbers(f"axes.{name}", value, -math.inf)))
+        if len(found[name]) < 2:
+            raise axes.wrong(f"axes.{name}", "two values or more", value)
+    return found
+
+
+def _settings(given: object) -> Settings:
+    wanted = axes.mapping("measure", given)
+    axes.check_keys("measure", wanted, [attribute.name for attribute in attrs.fields(Settings)])
+    try:
+        return Settings(**wanted)  # type: ignore[arg-type]  # its validators check
+    except ConfigError as error:
+        raise ConfigError(f"measure.{error}") from error
+
+
+def _search(given: object) -> Search | None:
+    if given is None:
+        return None
+    wanted = axes.mapping("optimum", given)
+    axes.check_keys("optimum", wanted, ("over", "from", "to", "points"))
+    over = str(wanted.get("over", GAP))
+    _refuse_owned("optimum.over", over)
+    low = axes.number("optimum.from", wanted.get("from"), 0.0)
+    return Search(
+        over=over,
+        low=low,
+        high=axes.number("optimum.to", wanted.get("to"), low),
+        points=axes.whole("optimum.points", wanted.get("points", 41), 5, 10_000),
+    )
+
+
+def _refuse_owned(key: str, name: str) -> None:
+    if name.startswith(OWNED) or name == "barriers.gap_m":
+        raise ConfigError(f"{key}: {'use gap_m' if name == 'barriers.gap_m' else 'means nothing to a map'}")
+
+
+def _check_corners(plan: MapPlan) -> None:
+    """Refuse values at the ends of the axes that cannot be simulated, before anything runs."""
+    for line in plan.lines()[:: max(1, len(plan.lines()) - 1)]:
+        for value in (line.values[0], line.values[-1]):
+            changes, frequency, current = line.place(value)
+            if not (frequency > 0.0 and current > 0.0):
+                raise ConfigError(f"frequency and current must be > 0, got {frequency:g} Hz and {current:g} A")
+            from_flat(from_flat(RigConfig(), line.changes), changes)

@@ -1,0 +1,334 @@
+"""What two symmetric impacts per cycle do to this rig, without any simulation: DT, phase, impacts, and where they end.
+
+The sphere's force N x_1 of the slow invariant manifold (`slow_manifold`) depends on Θ and ω alone, neither on gap nor
+on amplitude. Put into the rig's own linear model (s = iω, K = k_1 + c_1 s, Z = (m_a + m_b) s² + c_f s + k_f),
+
+    T = X_1/X_b = K / (K + m_1 s² − N),      X_b = K_f I / (Z + K (1 − T)),      g = 2 |X_1| / ξ(Θ)
+
+every Θ gives one motion in closed form, whatever is held constant: a branch over the gap is drawn by running through
+Θ. At a given gap Θ is the root of one equation of one unknown. On the backbone (T at −90°) frequency and DT depend on
+Θ alone: ω² M k_1 − ω² c_1 (c_1 + c_N) = k_1² with M = m_1 + the added mass and c_N the added damping.
+
+A motion is `stable` if the sphere keeps its rhythm (`Manifold.stable`) and the structure its amplitude: with the slow
+flow D'(s) dX/dt = F + (N − D) X, D the structure's stiffness with the drive as it is held, errors die. Where the
+superior base or the phase is held, a controller sees to the second.
+
+Valid for one sphere between walls without friction of the guide, symmetric motion with two impacts per cycle, m ≪ m_1
+(the first order of m/m_1 is taken into account unless `recoil` is false), contacts short against the cycle; e is what
+the contact law returns, not its nominal value. docs/prediction.md has the derivation and what simulation says.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import attrs
+import numpy as np
+from numpy.typing import NDArray
+
+from impact_rig.errors import ConfigError
+from impact_rig.physics import contact as contact_laws
+from impact_rig.physics.closed_form import transmissibility
+from impact_rig.physics.linear import Constants, constants
+from impact_rig.physics.properties import sphere_mass_kg
+from impact_rig.physics.setup import Setup
+from impact_rig.physics.slow_manifold import THETA_SYMMETRIC, Complex, Manifold, Real
+
+POINTS = 2000
+"""Values of Θ along a branch."""
+BEYOND = 1.5
+"""How far past the symmetric motion's bound a branch is followed, as a factor of Θ; it is not stable there."""
+_NEAR_FOLD = 1e-9  # of Θ: at the fold itself slopes are infinite
+_HALVINGS = 45  # of a step of Θ
+
+
+@attrs.frozen(eq=False, kw_only=True)
+class Branch:
+    """Motions with two symmetric impacts per cycle, in order along a line; every attribute has the shape (n,).
+
+    Attributes:
+        frequency_hz: of the drive.
+        gap_m: gap g.
+        current_a: coil current, peak.
+        base_m: amplitude of the inferior base.
+        superior_m: amplitude of the superior base.
+        dt: displacement transmissibility.
+        phase_rad: phase of the superior base to the inferior one.
+        phase_to_current_rad: phase of the superior base to the coil current.
+        impact_speed_m_s: sphere to wall, before an impact.
+        impact_phase_rad: the superior base's phase past its right turning point when the right wall is struck.
+        theta: amplitude of the sphere over half the gap, Θ.
+        stable: whether the motion lasts.
+    """
+
+    frequency_hz: Real
+    gap_m: Real
+    current_a: Real
+    base_m: Real
+    superior_m: Real
+    dt: Real
+    phase_rad: Real
+    phase_to_current_rad: Real
+    impact_speed_m_s: Real
+    impact_phase_rad: Real
+    theta: Real
+    stable: NDArray[np.bool_]
+
+    def __len__(self) -> int:
+        return len(self.theta)
+
+    def take(self, which: NDArray[np.bool_] | NDArray[np.int64]) -> Branch:
+        """Return some of the motions, chosen by a mask or by indices."""
+        return Branch(**{field.name: getattr(self, field.name)[which] for field in attrs.fields(Branch)})
+
+    def reduction_percent(self, config: Setup) -> Real:
+        """Return 100 (1 − DT / DT without the sphere) at each motion's frequency."""
+        without: Real = np.abs(transmissibility(config, self.frequency_hz))
+        return 100.0 * (1.0 - self.dt / without)
+
+
+@attrs.frozen
+class Held:
+    """What a drive keeps constant: exactly one of the three.
+
+    Attributes:
+        current_a: coil current, peak.
+        base_m: amplitude of the inferior base.
+        superior_m: amplitude of the superior base.
+
+    Raises:
+        ConfigError: none or several are given, or it is not > 0.
+    """
+
+    current_a: float | None = None
+    base_m: float | None = None
+    superior_m: float | None = None
+
+    def __attrs_post_init__(self) -> None:
+        given = [value for value in (self.current_a, self.base_m, self.superior_m) if value is not None]
+        if len(given) != 1:
+            raise ConfigError("exactly one of current_a, base_m and superior_m must be given")
+        if not (math.isfinite(given[0]) and given[0] > 0.0):
+            raise ConfigError(f"what is held must be > 0 and finite, got {given[0]!r}")
+
+
+@attrs.frozen
+class Rig:
+    """The linear rig and its sphere, as a prediction needs them."""
+
+    linear: Constants
+    sphere_kg: float
+    manifold: Manifold
+
+    @classmethod
+    def of(cls, config: Setup, *, recoil: bool = True) -> Rig:
+        """Return it from a configuration; without recoil of the structure, the textbook's formulas.
+
+        Raises:
+            ConfigError: the configuration is outside of what the prediction holds for.
+        """
+        restitution = contact_laws.from_config(config.contact).realised_restitution()
+        if not config.sphere.present:
+            raise ConfigError("a prediction needs a sphere: sphere.present is false")
+        if config.sphere.guide_friction > 0.0:
+            raise ConfigError(f"a prediction knows no friction of the guide, got {config.sphere.guide_friction:g}")
+        if not 0.0 < restitution < 1.0:
+            raise ConfigError(f"a prediction needs a returned restitution > 0 and < 1, got {restitution:g}")
+        linear, sphere_kg = constants(config), sphere_mass_kg(config.sphere)
+        return cls(linear, sphere_kg, Manifold(restitution, sphere_kg / linear.m_1 if recoil else 0.0))
+
+    def thetas(self) -> Real:
+        """Return Θ from the fold to beyond the symmetric motion's bound, close together where things change fast."""
+        low, high = self.manifold.theta_fold * (1.0 + _NEAR_FOLD), BEYOND * THETA_SYMMETRIC
+        return low + (high - low) * np.linspace(0.0, 1.0, POINTS) ** 2
+
+    def motions(self, theta: Real, frequency_hz: Real | float, held: Held) -> Branch:
+        """Return the motions for values of Θ, each with the gap that it needs."""
+        c, manifold = self.linear, self.manifold
+        frequency = np.broadcast_to(np.asarray(frequency_hz, float), theta.shape).copy()
+        s = 2j * math.pi * frequency
+        force = self.sphere_kg * (2.0 * math.pi * frequency) ** 2 * manifold.force(theta)
+        k = c.k_1 + c.c_1 * s
+        ratio = k / (k + c.m_1 * s**2 - force)
+        per_current = c.force_factor / (c.m_base * s**2 + c.c_f * s + c.k_f + k * (1.0 - ratio))
+        if held.current_a is not None:
+            current = np.full(theta.shape, held.current_a)
+        elif held.base_m is not None:
+            current = held.base_m / np.abs(per_current)
+        else:
+            assert held.superior_m is not None
+            current = held.superior_m / np.abs(per_current * ratio)
+        base = current * per_current
+        superior = np.abs(base * ratio)
+        gap = 2.0 * superior / manifold.xi(theta)
+        slow = np.ones(theta.shape, bool) if held.superior_m is not None else self._keeps(theta, s, force, held)
+        return Branch(
+            frequency_hz=frequency,
+            gap_m=gap,
+            current_a=current,
+            base_m=np.abs(base),
+            superior_m=superior,
+            dt=np.abs(ratio),
+            phase_rad=np.angle(ratio),
+            phase_to_current_rad=np.angle(base * ratio),
+            impact_speed_m_s=manifold.approach_speed(theta) * np.abs(s) * gap / 2.0,
+            impact_phase_rad=manifold.impact_phase_rad(theta),
+            theta=theta,
+            stable=manifold.stable(theta) & slow,
+        )
+
+    def _keeps(self, theta: Real, s: Complex, force: Complex, held: Held) -> NDArray[np.bool_]:
+        """Return where the structure keeps its amplitude: the slow flow's trace < 0 and determinant > 0."""
+        c = self.linear
+        k = c.k_1 + c.c_1 * s
+        stiffness, slope = k + c.m_1 * s**2, c.c_1 + 2.0 * c.m_1 * s
+        if held.current_a is not None:  # the base gives way
+            z, z_slope = c.m_base * s**2 + c.c_f * s + c.k_f + k, 2.0 * c.m_base * s + c.c_f + c.c_1
+            stiffness, slope = stiffness - k**2 / z, slope - (2.0 * k * c.c_1 * z - k**2 * z_slope) / z**2
+        p = (force - stiffness) / slope
+        r = self.sphere_kg * np.abs(s) ** 2 * self.manifold.force_slope(theta) / slope
+        trace = 2.0 * p.real + r.real
+        determinant = np.abs(p) ** 2 + p.real * r.real + p.imag * r.imag
+        found: NDArray[np.bool_] = (trace < 0.0) & (determinant > 0.0)
+        return found
+
+
+def branch(
+    config: Setup,
+    frequency_hz: float,
+    *,
+    current_a: float | None = None,
+    base_m: float | None = None,
+    superior_m: float | None = None,
+    recoil: bool = True,
+) -> Branch:
+    """Return the motions at one frequency with one thing held, over the gap: from the fold to ever smaller gaps.
+
+    Args:
+        config: the rig; its own gap does not matter.
+        frequency_hz: of the drive.
+        current_a: peak current that is held; or
+        base_m: amplitude of the inferior base that is held; or
+        superior_m: amplitude of the superior base that is held.
+        recoil: of the structure, to first order in m/m_1; False: the textbook's formulas.
+
+    Raises:
+        ConfigError: the configuration is outside of what the prediction holds for, or not one thing is held.
+    """
+    rig = Rig.of(config, recoil=recoil)
+    return rig.motions(rig.thetas(), frequency_hz, Held(current_a, base_m, superior_m))
+
+
+def at(
+    config: Setup,
+    frequency_hz: float,
+    gap_m: float,
+    *,
+    current_a: float | None = None,
+    base_m: float | None = None,
+    superior_m: float | None = None,
+    recoil: bool = True,
+) -> Branch:
+    """Return every motion at one frequency and gap, the largest Θ first; of length 0 where there is none.
+
+    Raises:
+        ConfigError: as for `branch`.
+    """
+    rig, held = Rig.of(config, recoil=recoil), Held(current_a, base_m, superior_m)
+    return rig.motions(_roots(rig, frequency_hz, gap_m, held), frequency_hz, held)
+
+
+def curves(
+    config: Setup,
+    frequencies_hz: Real,
+    gap_m: float,
+    *,
+    current_a: float | None = None,
+    base_m: float | None = None,
+    superior_m: float | None = None,
+    recoil: bool = True,
+) -> list[Branch]:
+    """Return the motions with one gap over the frequency as lines, each without a break; none where there are none.
+
+    Raises:
+        ConfigError: as for `branch`.
+    """
+    rig, held = Rig.of(config, recoil=recoil), Held(current_a, base_m, superior_m)
+    frequencies = np.asarray(frequencies_hz, float)
+    found = [_roots(rig, float(frequency), gap_m, held) for frequency in frequencies]
+    lines: list[Branch] = []
+    for first, last in _stretches([len(roots) for roots in found]):
+        for sheet in range(len(found[first])):
+            theta = np.array([roots[sheet] for roots in found[first:last]])
+            lines.append(rig.motions(theta, frequencies[first:last], held))
+    return lines
+
+
+def backbone(config: Setup, gap_m: float, *, recoil: bool = True) -> Branch:
+    """Return the motions at resonance (the superior base a quarter cycle behind the base) with one gap.
+
+    From the fold, the smallest amplitude, to ever larger ones.
+
+    Raises:
+        ConfigError: as for `branch`.
+    """
+    rig = Rig.of(config, recoil=recoil)
+    c, theta = rig.linear, rig.thetas()
+    force = rig.manifold.force(theta)
+    mass, per_omega = c.m_1 + rig.sphere_kg * force.real, -rig.sphere_kg * force.imag
+    omega = np.full(theta.shape, math.sqrt(c.k_1 / c.m_1))
+    for _ in range(60):  # the damping terms are of the order ζ²: it converges in a few rounds
+        omega = c.k_1 / np.sqrt(c.k_1 * mass - c.c_1 * (c.c_1 + per_omega * omega))
+    frequency = omega / (2.0 * math.pi)
+    unit = rig.motions(theta, frequency, Held(superior_m=1.0))
+    size = gap_m / unit.gap_m
+    return attrs.evolve(
+        unit,
+        gap_m=np.full(theta.shape, gap_m),
+        current_a=unit.current_a * size,
+        base_m=unit.base_m * size,
+        superior_m=unit.superior_m * size,
+        impact_speed_m_s=unit.impact_speed_m_s * size,
+    )
+
+
+def widest_gap_m(motions: Branch) -> float:
+    """Return the largest gap of a branch: where it ends."""
+    return float(np.max(motions.gap_m))
+
+
+def best_gap(motions: Branch) -> Branch:
+    """Return the stable motion with the smallest DT of a branch over the gap, a branch of length 1; 0 if none is."""
+    stable = np.flatnonzero(motions.stable)
+    if not len(stable):
+        return motions.take(stable)
+    return motions.take(stable[[int(np.argmin(motions.dt[stable]))]])
+
+
+def _roots(rig: Rig, frequency_hz: float, gap_m: float, held: Held) -> Real:
+    """Return every Θ whose motion needs just this gap, descending."""
+
+    def excess(theta: Real) -> Real:
+        return rig.motions(theta, frequency_hz, held).gap_m - gap_m
+
+    grid = rig.thetas()
+    over = excess(grid)
+    change = np.flatnonzero(np.signbit(over[:-1]) != np.signbit(over[1:]))
+    low, high, at_low = grid[change], grid[change + 1], over[change]
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        value = excess(middle)
+        same = np.signbit(value) == np.signbit(at_low)
+        low, high = np.where(same, middle, low), np.where(same, high, middle)
+    return np.sort(0.5 * (low + high))[::-1].copy()
+
+
+def _stretches(counts: list[int]) -> Iterator[tuple[int, int]]:
+    """Yield (first, end) of the stretches of places with the same count > 0."""
+    first = 0
+    for place in range(1, len(counts) + 1):
+        if place == len(counts) or counts[place] != counts[first]:
+            if counts[first]:
+                yield first, place
+            first = place

@@ -1,0 +1,98 @@
+"""Closed-loop tests of a rig in this process: amplitudes held, resonances locked, backbones."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import attrs
+import numpy as np
+from numpy.typing import NDArray
+
+from impact_rig.campaign.in_process import ProcessApparatus
+from impact_rig.campaign.job import Job
+from impact_rig.operate.controlled_sine import ControlledSine, HoldPlan
+from impact_rig.operate.operator import operate
+from impact_rig.operate.phasors import Look, PhasorMeter
+from impact_rig.operate.plan import Setpoint
+from impact_rig.rig import Rig
+from impact_rig.rig.config import RigConfig, from_flat
+from impact_rig.simtime import NS_PER_S
+
+BLOCKS_PER_S = 20
+"""Blocks of the rig in a loop: rig time passes in steps of 50 ms."""
+
+
+@attrs.frozen(eq=False)
+class Held:
+    """A controlled sine that ended.
+
+    Attributes:
+        rows: of `blocks.HELD`.
+        failure: why it did not reach its end; empty otherwise.
+        simulated_s: rig time.
+    """
+
+    rows: NDArray[np.void]
+    failure: str
+    simulated_s: float
+
+
+def hold(job: Job, plan: HoldPlan) -> Held:
+    """Walk through a job's points with an amplitude held; its current is what the first point begins with.
+
+    Raises:
+        ImpactRigError: the rig refused.
+    """
+    apparatus, sweep = ProcessApparatus(job), ControlledSine(job.plan(), plan)
+    operate(sweep, apparatus)
+    return Held(sweep.held, sweep.reason, apparatus.now_ns() / NS_PER_S)
+
+
+def with_short_blocks(config: RigConfig) -> RigConfig:
+    """Return the rig with the blocks of a loop."""
+    return from_flat(config, {"daq.block_scans": max(1, config.daq.rate_hz // BLOCKS_PER_S)})
+
+
+class ProcessLoop:
+    """A `LoopApparatus` in this process.
+
+    Args:
+        config: the rig.
+    """
+
+    def __init__(self, config: RigConfig) -> None:
+        self._rig = Rig(with_short_blocks(config))
+        self._meter = PhasorMeter(self._rig.info().rows)
+        self._frequency_hz = self._rig.frequency_hz
+
+    def now_ns(self) -> int:
+        """Return the rig time since the reset."""
+        return self._rig.next_block_ns - self._rig.start_ns
+
+    def set(self, setpoint: Setpoint) -> None:
+        """Command frequency, then current, where they are new."""
+        rig = self._rig
+        if rig.latched is not None:
+            return
+        if setpoint.frequency_hz != rig.frequency_hz:
+            rig.accept(frequency_hz=setpoint.frequency_hz)
+        if setpoint.current_a != rig.amplitude:
+            rig.accept(current_a=setpoint.current_a)
+        rig.take_applied()
+        self._frequency_hz = setpoint.frequency_hz
+
+    def change(self, values: Mapping[str, object]) -> None:
+        """Change the configuration under way, such as the gap."""
+        self._rig.configure(values)
+        self._meter = PhasorMeter(self._rig.info().rows)
+
+    def look(self, seconds: float) -> Look | str:
+        """Let rig time pass and return what the rig did."""
+        blocks = max(1, round(seconds * BLOCKS_PER_S))
+        found = [block for _ in range(blocks) for block in self._rig.advance(self._rig.block_end_ns(1))]
+        self._rig.take_journal()
+        if self._rig.latched is not None:
+            return f"the rig tripped: {self._rig.latched}"
+        rows = np.concatenate([block.scan.rows for block in found])
+        look = self._meter.look(rows, self._frequency_hz, self.now_ns())
+        return look or f"{len(rows)} scans are too few to look at"

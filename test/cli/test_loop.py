@@ -1,0 +1,66 @@
+"""`impact-rig loop` from the command line: what it prints, writes and returns."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import pytest
+
+from impact_rig.cli.main import main
+
+RATE = "daq: {rate_hz: 2000}\n"
+
+
+@pytest.fixture
+def rig(tmp_path: Path) -> list[str]:
+    (tmp_path / "rig.yaml").write_text(RATE)
+    return ["--config", str(tmp_path / "rig.yaml")]
+
+
+def rows_of(path: Path) -> list[dict[str, str]]:
+    with path.open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_hold(rig, tmp_path, capsys):
+    out = tmp_path / "held.csv"
+    words = ["base", "60e-6", "--frequencies", "9.2", "--gap", "none", "--output", str(out)]
+    assert main(["loop", "hold", *words, *rig]) == 0
+    (row,) = rows_of(out)
+    assert abs(float(row["error"])) <= 2e-3
+    assert float(row["base_amplitude"]) == pytest.approx(60e-6, rel=2e-3)
+    assert "base held at 6e-05" in capsys.readouterr().out
+    assert main(["loop", "hold", *words, *rig]) == 1
+    assert "not overwritten" in capsys.readouterr().err
+
+
+def test_lock(rig, tmp_path, capsys):
+    out = tmp_path / "lock.csv"
+    assert main(["loop", "lock", "--gap", "0.006", "--dwell", "3", "--output", str(out), *rig]) == 0
+    assert float(rows_of(out)[-1]["frequency"]) == pytest.approx(9.065, abs=0.01)
+    assert "drift" in capsys.readouterr().out
+
+
+def test_backbone(rig, tmp_path, capsys):
+    out = tmp_path / "backbone.csv"
+    words = ["--gap", "0.010", "--currents", "0.3", "0.4", "--output", str(out)]
+    assert main(["loop", "backbone", *words, *rig]) == 0
+    found = rows_of(out)
+    assert [row["direction"] for row in found] == ["up", "up", "down"]
+    assert all(row["locked"] == "True" for row in found)
+    assert "Backbone" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["backbone", "--currents", "0.4", "0.3"], "ascending"),
+        (["lock", "--gap", "wide"], "--gap must be a number"),
+        (["lock", "--start", "90"], "start_hz must be within"),
+        (["hold", "base", "-1"], "target must be > 0"),
+    ],
+)
+def test_nonsense_is_one_line(words, message, capsys):
+    assert main(["loop", *words]) == 1
+    assert message in capsys.readouterr().err

@@ -1,0 +1,213 @@
+"""Maps of the mechanics: what a place settles to, resumption to the same bits, refusals, the optimum, the pictures."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import attrs
+import numpy as np
+import pytest
+
+from impact_rig.campaign.paper import CURRENT_A
+from impact_rig.cli.main import main
+from impact_rig.errors import ConfigError, RecordingError
+from impact_rig.maps import optimum, run
+from impact_rig.maps.measure import FAILED, MapRig, Settings
+from impact_rig.maps.plan import DOWN, UP, Line, MapPlan, load_map, measure_line
+from impact_rig.physics import prediction
+from impact_rig.physics.closed_form import base_amplitude, transmissibility
+from impact_rig.report.heat_map import QUIET, TWO, classes, heat_maps
+from impact_rig.rig.config import RigConfig, from_flat
+from impact_rig.system.budget import BudgetError
+
+SMALL = """\
+title: small
+axes:
+  gap_m: [0.010, 0.020, 0.026]
+  frequency_hz: [9.0, 9.1]
+direction: both
+optimum: {over: gap_m, from: 0.024, to: 0.034, points: 6}
+"""
+
+
+def written(folder: Path, text: str = SMALL) -> Path:
+    path = folder / "map.yaml"
+    path.write_text(text)
+    return path
+
+
+def one_by_one(lines):
+    yield from ((line, measure_line(line)) for line in lines)
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory: pytest.TempPathFactory) -> tuple[MapPlan, Path]:
+    """A map of 3 × 2 places in both directions, measured by the command."""
+    folder = tmp_path_factory.mktemp("map")
+    path = written(folder)
+    assert main(["map", str(path), "--output", str(folder / "done"), "--workers", "1"]) == 0
+    return load_map(path), folder / "done"
+
+
+def files_of(directory: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in (directory / "lines").iterdir()}
+
+
+@pytest.mark.parametrize("frequency_hz", [8.9, 9.1])
+def test_without_a_sphere_a_place_is_the_closed_form(frequency_hz):
+    config = from_flat(RigConfig(), {"sphere.present": False})
+    found = MapRig(config, Settings(settle_cycles=600)).measure(frequency_hz, CURRENT_A)
+    assert found.dt == pytest.approx(abs(complex(transmissibility(config, frequency_hz))), rel=1e-3)
+    assert found.base_m == pytest.approx(CURRENT_A * abs(complex(base_amplitude(config, frequency_hz))), rel=1e-3)
+    assert (found.regime, found.period, found.impacts_per_cycle) == ("periodic", 1.0, 0.0)
+    assert abs(found.reduction_percent) < 0.1
+
+
+def test_two_impacts_per_cycle_are_the_prediction(small):
+    plan, directory = small
+    values = run.open_map(directory).values[UP]
+    place = (list(plan.axes["gap_m"]).index(0.020), list(plan.axes["frequency_hz"]).index(9.1))
+    wanted = prediction.at(plan.base, 9.1, 0.020, current_a=CURRENT_A)
+    assert values["dt"][place] == pytest.approx(wanted.dt[0], rel=1e-3)
+    assert values["phase_rad"][place] == pytest.approx(wanted.phase_rad[0], abs=2e-3)
+    assert values["impacts_per_cycle"][place] == 2.0
+    assert classes(values)[place] == TWO
+    assert {*values["regime"].ravel()} <= {"periodic", "modulated", "chaotic"}
+
+
+def test_what_was_interrupted_is_resumed_to_the_same_bits(small, tmp_path):
+    plan, directory = small
+    run.prepare(plan, tmp_path / "again")
+    lines = plan.lines()
+    measured = run.measure(lines, tmp_path / "again", one_by_one)
+    next(measured)
+    measured.close()
+    assert len(files_of(tmp_path / "again")) == 1
+    again = [line for line, _ in run.measure(lines, tmp_path / "again", one_by_one)]
+    assert len(again) == len(lines) == 6
+    assert files_of(tmp_path / "again") == files_of(directory)
+
+
+def test_a_line_of_other_code_or_a_damaged_one_is_measured_anew(small, tmp_path):
+    plan, directory = small
+    run.prepare(plan, tmp_path)
+    line = plan.lines()[0]
+    name = f"{line.key}.json"
+    good = json.loads(files_of(directory)[name])
+    for spoilt in ("{", json.dumps({**good, "code": "other"}), json.dumps({**good, "readings": [[1], [2]]})):
+        (tmp_path / "lines" / name).write_text(spoilt)
+        assert run.stored(line, tmp_path) is None
+    (tmp_path / "lines" / name).write_text(json.dumps(good))
+    assert run.stored(line, tmp_path) == measure_line(line)
+
+
+def test_down_is_visited_from_above(small):
+    plan, _ = small
+    up, down = (next(line for line in plan.lines() if line.direction == one) for one in (UP, DOWN))
+    assert up.values == (9.0, 9.1)
+    assert down.values == (9.1, 9.0)
+    assert up.key != down.key
+
+
+def test_the_best_gap_agrees_with_the_prediction(small):
+    _, directory = small
+    best = json.loads((directory / "map.json").read_text())["optimum"]
+    predicted = prediction.best_gap(prediction.branch(RigConfig(), 9.1, current_a=CURRENT_A))
+    assert best["value"] == pytest.approx(float(predicted.gap_m[0]), abs=1e-3)
+    assert best["region"][0] < best["value"] < best["region"][1]
+    assert best["points_per_percent"]["gap_m"] == pytest.approx(0.0, abs=0.02)
+    assert best["points_per_percent"]["sphere.density_kg_m3"] > 0.1
+
+
+def test_the_best_of_a_map_and_its_neighbours():
+    assert optimum.from_map([10.0, 49.5, 50.0, 49.2, 30.0], [1, 2, 3, 4, 5]) == (3.0, (2.0, 4.0))
+
+
+def test_table_and_figures_are_written(small):
+    _, directory = small
+    rows = (directory / "map.csv").read_text().splitlines()
+    assert rows[0].startswith("gap_m,frequency_hz,direction,regime,dt,reduction_percent")
+    assert len(rows) == 1 + 12
+    assert {path.name for path in (directory / "figures").glob("*.svg")} == {
+        "map_up.svg", "map_down.svg", "map_up_down.svg",
+    }  # fmt: skip
+    up, _, _ = heat_maps(run.open_map(directory))
+    assert "two impacts per cycle" in up.svg
+    assert "predicted" in up.svg
+
+
+def test_a_motion_that_cannot_be_resolved_is_told_as_such(monkeypatch):
+    from impact_rig.errors import SimulationError
+    from impact_rig.physics import Simulation
+
+    def fail(*_):
+        raise SimulationError("stuck")
+
+    rig = MapRig(RigConfig(), Settings())
+    monkeypatch.setattr(Simulation, "advance", fail)
+    found = rig.measure(9.1, CURRENT_A)
+    assert found.regime == FAILED
+    assert math.isnan(found.dt)
+
+
+def test_no_impacts_is_a_class_of_its_own():
+    values = {"regime": np.array(["periodic", ""]), "impacts_per_cycle": np.zeros(2), "period": np.array([1.0, np.nan])}
+    assert classes(values).tolist() == [QUIET, 5]
+
+
+def test_three_axes_are_one_picture_each(tmp_path):
+    text = "axes: {gap_m: [0.01, 0.02], frequency_hz: [9.0, 9.1], current_a: [0.4, 0.52]}\n"
+    plan = load_map(written(tmp_path, text))
+    assert plan.points == 8
+    assert len(plan.lines()) == 4
+    assert plan.sweep == "frequency_hz"
+    run.prepare(plan, tmp_path / "out")
+    drawn = list(heat_maps(run.finished(plan, tmp_path / "out")))
+    assert [one.name for one in drawn] == ["map_reset_0", "map_reset_1"]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("axes: {gap_m: [0.01, 0.02]}", "axes must be two or three"),
+        ("axes: {gap_m: [0.01, 0.02], speed: [1, 2]}", "unknown axis 'speed'"),
+        ("axes: {gap_m: [0.01, 0.02], frequency_hz: [9, 9.1]}\nfrequency_hz: 9", "is an axis"),
+        ("axes: {gap_m: [0.01, 0.02], daq.seed: [1, 2]}", "means nothing to a map"),
+        ("axes: {gap_m: [0.01, 0.02], contact.restitution: [0.1, 3]}", "restitution"),
+        ("axes: {barriers.gap_m: [0.01, 0.02], frequency_hz: [9, 9.1]}", "use gap_m"),
+        ("axes: {gap_m: [0.01, 0.02], frequency_hz: [-9, 9.1]}", "must be > 0"),
+        ("axes: {gap_m: [0.01, 0.02], frequency_hz: [9, 9.1]}\nmeasure: {cycles: 1}", "measure.cycles"),
+        ("axes: {gap_m: [0.01, 0.02], frequency_hz: [9, 9.1]}\nsweep: current_a", "sweep must be one of"),
+        ("axes: {gap_m: [0.01, 0.02], frequency_hz: 9}", "two values or more"),
+        ("optimum: 1\naxes: {gap_m: [0.01, 0.02], frequency_hz: [9, 9.1]}", "optimum must be a mapping"),
+        ("axes: [", "not a YAML file"),
+    ],
+)
+def test_a_wrong_file_is_refused_by_name(tmp_path, text, message):
+    with pytest.raises(ConfigError, match=message):
+        load_map(written(tmp_path, text))
+
+
+def test_a_map_that_would_take_too_long_is_refused_with_its_time(tmp_path, monkeypatch):
+    text = "axes: {gap_m: {from: 0.001, to: 0.04, step: 0.00001}, frequency_hz: {from: 8, to: 10, step: 0.001}}\n"
+    with pytest.raises(BudgetError, match=r"7805901 points would take about 54\.2 h on 2 cores, more than 1 h; .*=N"):
+        load_map(written(tmp_path, text), workers=2)
+
+
+def test_a_directory_of_something_else_is_left_alone(small, tmp_path):
+    plan, _ = small
+    (tmp_path / "mine.txt").write_text("mine")
+    with pytest.raises(RecordingError, match="holds no map"):
+        run.prepare(plan, tmp_path)
+    with pytest.raises(ConfigError, match="holds no map"):
+        run.open_map(tmp_path)
+
+
+def test_a_line_says_what_it_is(small):
+    plan, _ = small
+    line = plan.lines()[0]
+    assert line.describe() == "gap_m 0.01, up"
+    assert isinstance(attrs.evolve(line, current_a=0.4), Line)
+    assert attrs.evolve(line, current_a=0.4).key != line.key

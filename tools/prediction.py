@@ -1,0 +1,100 @@
+"""Predict two symmetric impacts per cycle, measure beside it, print the table: `python -m tools.prediction`.
+
+Every 2 mm at 8.8, 9.1 and 9.4 Hz, through instruments and analysis (a minute of two cores). Exits with 1 where a stable
+symmetric motion is predicted and the measurement is another, or further away than 1 % in DT or 2° in phase.
+`--draw` draws docs/images/prediction.png.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from impact_rig.campaign.pool import run_parallel
+from impact_rig.physics import prediction
+from impact_rig.report.drawing import legend_below, new_axes, style
+from impact_rig.report.palette import SERIES
+from impact_rig.rig.config import RigConfig
+from impact_rig.studies.prediction import CURRENT_A, Compared, side_by_side
+
+FREQUENCIES_HZ = (8.8, 9.1, 9.4)
+GAPS_MM = (6, 8, 10, 11, 12, *range(14, 41, 2), 27, 29, 31)
+WITHIN, WITHIN_DEGREES = 0.01, 2.0
+PICTURE = Path(__file__).parents[1] / "docs" / "images" / "prediction.png"
+
+
+def main() -> int:
+    """Measure, print, perhaps draw; return the exit code."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--draw", action="store_true", help="draw docs/images/prediction.png")
+    arguments = parser.parse_args()
+    places = [(frequency, gap * 1e-3) for frequency in FREQUENCIES_HZ for gap in sorted(GAPS_MM)]
+    found = side_by_side(places, run_parallel)
+    bad = sum(_tell(one) for one in found)
+    for frequency in FREQUENCIES_HZ:
+        branch = prediction.branch(RigConfig(), frequency, current_a=CURRENT_A)
+        best = prediction.best_gap(branch)
+        tell(
+            f"{frequency:g} Hz: ends at {prediction.widest_gap_m(branch) * 1e3:.2f} mm, "
+            f"smallest DT {best.dt[0]:.2f} at {best.gap_m[0] * 1e3:.2f} mm"
+        )
+    if arguments.draw:
+        draw(found)
+    tell(f"{bad} points are further from their prediction than {WITHIN:.0%} or {WITHIN_DEGREES:g}°")
+    return 1 if bad else 0
+
+
+def tell(text: str) -> None:
+    """Print a line."""
+    print(text)  # noqa: T201  # a command line tool talks
+
+
+def _tell(one: Compared) -> bool:
+    """Print a line; return whether a measurement contradicts its prediction."""
+    deviation = one.predicted_dt / one.dt - 1.0
+    turn = math.degrees(one.predicted_phase_rad - one.phase_rad)
+    bad = one.predicted and not (one.two_per_cycle and abs(deviation) <= WITHIN and abs(turn) <= WITHIN_DEGREES)
+    word = "  TOO FAR" if bad else "  not symmetric" if one.two_per_cycle and not one.predicted else ""
+    tell(
+        f"{one.frequency_hz:4.1f} Hz {one.gap_m * 1e3:5.1f} mm  measured {one.dt:7.3f} {one.impacts_per_cycle:5.2f} "
+        f"{one.regime:9}  predicted {one.predicted_dt:7.3f}  {100.0 * deviation:+6.2f} % {turn:+6.2f}°"
+        f"{word}"
+    )
+    return bad
+
+
+def draw(found: Sequence[Compared]) -> None:
+    """Draw DT and phase over the gap: lines are predicted (dashed: unstable), points measured."""
+    with style():
+        figure, (upper, lower) = new_axes(5.2, (1.4, 1.0))
+        for frequency, colour in zip(FREQUENCIES_HZ, SERIES, strict=False):
+            branch = prediction.branch(RigConfig(), frequency, current_a=CURRENT_A)
+            gap, degrees = branch.gap_m * 1e3, np.degrees(branch.phase_rad)
+            for mask, line in ((branch.stable, "-"), (~branch.stable, ":")):
+                label = f"{frequency:g} Hz" if line == "-" else None
+                upper.plot(gap, np.where(mask, branch.dt, np.nan), line, color=colour, label=label)
+                lower.plot(gap, np.where(mask, degrees, np.nan), line, color=colour)
+            own = [one for one in found if one.frequency_hz == frequency]
+            for symmetric, marker in ((True, "o"), (False, "x")):
+                at = [one for one in own if (one.two_per_cycle and one.predicted) == symmetric]
+                x = [one.gap_m * 1e3 for one in at]
+                for axis, y in ((upper, [a.dt for a in at]), (lower, [math.degrees(a.phase_rad) for a in at])):
+                    axis.plot(x, y, marker, color=colour, fillstyle="none", markersize=4)
+        upper.set(ylabel="DT", ylim=(0, None), xlim=(5, 41))
+        lower.set(xlabel="gap (mm)", ylabel="phase (°)")
+        upper.set_title("Two symmetric impacts per cycle", loc="left")
+        for marker, label in MARKS:
+            upper.plot([], [], marker, color="0.3", fillstyle="none", label=label)
+        legend_below(lower, 3, upper)
+        figure.savefig(PICTURE, dpi=130, facecolor="white")
+
+
+MARKS = ((":", "predicted, unstable"), ("o", "measured, symmetric"), ("x", "measured, other"))
+
+if __name__ == "__main__":
+    sys.exit(main())
