@@ -13,10 +13,10 @@ from impact_rig.campaign.paper import CURRENT_A, FREQUENCIES_HZ, FREQUENCY_HZ, R
 from impact_rig.campaign.results import Point
 from impact_rig.campaign.run import Finished
 from impact_rig.config import Origin
+from impact_rig.drawing.style import Drawn, style
 from impact_rig.errors import ConfigError, RecordingError
 from impact_rig.physics.contact import from_config
 from impact_rig.report import curves as papers
-from impact_rig.report.drawing import Drawn, style
 from impact_rig.report.motion import phase_plane, time_trace
 from impact_rig.report.page import escape, figures, folded, link, page, paragraph, section, table, tiles
 from impact_rig.report.studies import study_figures

@@ -12,9 +12,7 @@ from impact_rig.campaign.axes import NO_SPHERE
 from impact_rig.campaign.paper import FREQUENCIES_HZ, FREQUENCY_HZ, REDUCTION_PERCENT, Reductions
 from impact_rig.campaign.results import Curves, Point
 from impact_rig.campaign.statements import MissingError, peak_hz
-from impact_rig.physics.closed_form import transmissibility
-from impact_rig.report.drawing import Drawn, legend_below, new_axes
-from impact_rig.report.palette import (
+from impact_rig.drawing.palette import (
     CHAOTIC,
     GRID,
     INK,
@@ -25,6 +23,8 @@ from impact_rig.report.palette import (
     QUIET,
     SERIES,
 )
+from impact_rig.drawing.style import Drawn, legend_below, new_axes
+from impact_rig.physics.closed_form import transmissibility
 from impact_rig.rig.config import RigConfig
 
 if TYPE_CHECKING:

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_rig.report.drawing import Drawn, legend_below, new_axes
-from impact_rig.report.palette import INK, MUTED, SERIES
+from impact_rig.drawing.palette import INK, MUTED, SERIES
+from impact_rig.drawing.style import Drawn, legend_below, new_axes
 
 CYCLES = 3
 """Drive cycles in a time trace."""

@@ -5,8 +5,8 @@ from __future__ import annotations
 import html
 from collections.abc import Iterable, Sequence
 
-from impact_rig.report.drawing import Drawn
-from impact_rig.report.palette import variables
+from impact_rig.drawing.palette import variables
+from impact_rig.drawing.style import Drawn
 
 escape = html.escape
 

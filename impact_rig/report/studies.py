@@ -10,9 +10,9 @@ from impact_rig.analysis.calibration import Calibration
 from impact_rig.analysis.reduction import reduction
 from impact_rig.campaign.axes import NO_SPHERE
 from impact_rig.campaign.results import Curves, Point
+from impact_rig.drawing.palette import SERIES
+from impact_rig.drawing.style import Drawn, legend_below, new_axes
 from impact_rig.report.curves import COVERAGE
-from impact_rig.report.drawing import Drawn, legend_below, new_axes
-from impact_rig.report.palette import SERIES
 
 AXIS_NAMES = {
     "frequency_hz": ("frequency", "Hz", 1.0),

@@ -16,7 +16,7 @@ from impact_rig.campaign import run
 from impact_rig.campaign.in_process import execute
 from impact_rig.campaign.plan import load_campaign
 from impact_rig.cli import main
-from impact_rig.report.palette import DARK, NAMES
+from impact_rig.drawing.palette import DARK, NAMES
 from impact_rig.studies.margins import variations
 from impact_rig.system.resources import config_dir
 
