@@ -82,9 +82,15 @@ def time_traces(rows: NDArray[np.void], impact_times: Real | None = None, remark
                 color=PAPER_RED, markersize=3.5, transform=above, clip_on=False, label="impact found",
             )  # fmt: skip
     if impact_times is not None and len(impact_times):
-        axes[0].legend(handles=[axes[0].lines[1]], loc="lower right", bbox_to_anchor=(1.0, 1.02), borderaxespad=0.0)
+        axes[0].legend(
+            handles=[axes[0].lines[1]],
+            loc="lower right",
+            bbox_to_anchor=(1.0, 1.06),
+            borderaxespad=0.0,
+            handlelength=1.0,
+        )
     if remark:
-        axes[-1].set_title(remark, loc="left", fontsize=7.5, color=MUTED)
+        axes[-1].set_title(remark, loc="left", fontsize=7.5, color=MUTED, pad=9.0)
     axes[-1].set_xlabel("time (s)")
     return figure
 

@@ -8,7 +8,7 @@ import io
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 import attrs
 
@@ -19,7 +19,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-P, R = ParamSpec("P"), TypeVar("R")
+P = ParamSpec("P")
+R = TypeVar("R")
 WIDTH_INCH = 4.4
 """About as wide as a phone: shown there at its own size, its 9 pt stay legible; wide pages show several abreast."""
 WIDE_INCH = 7.2
@@ -51,10 +52,12 @@ STYLE: dict[str, object] = {
 @contextlib.contextmanager
 def style() -> Iterator[None]:
     """Apply the one style to everything that is drawn within."""
-    from matplotlib import cycler, rc_context  # noqa: PLC0415  # a second of import: only when something is drawn
+    from cycler import cycler  # noqa: PLC0415  # a second of import: only when something is drawn
+    from matplotlib import rc_context  # noqa: PLC0415  # as above
 
     lines = cycler(linestyle=["-", "--"]) * cycler(color=SERIES)  # the second half is dashed
-    with rc_context({**STYLE, "axes.prop_cycle": lines}):  # type: ignore[arg-type]  # its key type names all settings
+    settings: dict[Any, Any] = {**STYLE, "axes.prop_cycle": lines}  # their key type is a literal of all
+    with rc_context(settings):
         yield
 
 

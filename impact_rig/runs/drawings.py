@@ -122,8 +122,8 @@ def aliasing(info: NDArray[np.void]) -> str:
     if not band_hz > rate_hz / 2.0:
         return ""
     return (
-        f"{rate_hz / 1e3:g} kS/s, a scan every {1e6 / rate_hz:g} µs: pulses of {band_hz / 1e3:g} kHz bandwidth are "
-        "aliased, their heights chance; only their instants count"
+        f"at {rate_hz / 1e3:g} kS/s, a scan every {1e6 / rate_hz:g} µs, pulses {band_hz / 1e3:g} kHz wide are aliased: "
+        "when they come is true, how high they stand is chance"
     )
 
 
