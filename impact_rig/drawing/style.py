@@ -25,6 +25,8 @@ WIDTH_INCH = 4.4
 """About as wide as a phone: shown there at its own size, its 9 pt stay legible; wide pages show several abreast."""
 WIDE_INCH = 7.2
 """A drawing that has a page, or a file, to itself."""
+DIGITS = 9
+"""Of numbers in the CSV of a drawing: more than any screen shows."""
 LABELS_INCH = 0.48
 """Height of the numbers and the name beneath an axis."""
 STYLE: dict[str, object] = {
@@ -125,18 +127,16 @@ class Drawn:
         figure: drawn.
         caption: sentence(s) below it, also read aloud in its place.
         lines: the numbers it shows.
-        wide: whether it wants the page's whole width.
     """
 
-    def __init__(
-        self, name: str, figure: Figure, caption: str, lines: Sequence[Line] = (), *, wide: bool = False
-    ) -> None:
+    def __init__(self, name: str, figure: Figure, caption: str, lines: Sequence[Line] = ()) -> None:
         from matplotlib import rc_context  # noqa: PLC0415  # as above
 
-        self.name, self.caption, self.lines, self.wide = name, caption, tuple(lines), wide
+        self.name, self.caption, self.lines = name, caption, tuple(lines)
         vector, raster = io.StringIO(), io.BytesIO()
         with rc_context({"svg.hashsalt": name}):  # the same drawing gives the same file
             figure.savefig(vector, format="svg", transparent=True, metadata={"Date": None})
+        figure.set_layout_engine("none")  # it has found its places, and finding them is half the work
         figure.savefig(raster, format="png", dpi=160, facecolor="white")
         self.svg, self.png = vector.getvalue(), raster.getvalue()
 
@@ -154,7 +154,7 @@ class Drawn:
         rows = [",".join(["case", *names])] if self.lines else []
         for line in self.lines:
             for i in range(len(next(iter(line.columns.values())))):
-                cells = [repr(float(line.columns[name][i])) if name in line.columns else "" for name in names]
+                cells = [f"{float(line.columns[name][i]):.{DIGITS}g}" if name in line.columns else "" for name in names]
                 rows.append(",".join([_quoted(line.label), *cells]))
         return "".join(f"{row}\n" for row in rows)
 
