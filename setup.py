@@ -62,6 +62,7 @@ setup(
         # for machines without an apt-installed ROS 2 only: never mix the two, so these are never a requirement
         "wheels": [*ROS_WHEELS, "pytest"],  # pytest: see docs/testing.md
         "lab": ["aiohttp>=3.9", "uplot-python>=1.1"],  # `impact-rig lab`; 3.9 is that of Ubuntu 24.04
+        "completion": ["argcomplete>=3.1"],  # `impact-rig completion`; 3.1 is that of Ubuntu 24.04
         "cluster": ["distributed>=2024.1"],  # `impact-rig campaign --through dask`
         "test": ["hypothesis", "pytest", "pytest-timeout"],  # also how `colcon test` knows to run pytest
     },

@@ -17,6 +17,8 @@ from pathlib import Path
 
 import attrs
 import numpy as np
+from impact_rig.report.drawing import legend_below, new_axes, style
+from impact_rig.report.palette import SERIES
 
 from impact_rig.campaign.axes import NO_SPHERE
 from impact_rig.campaign.in_process import execute
@@ -29,8 +31,6 @@ from impact_rig.operate.stepped_sine import State
 from impact_rig.physics import prediction
 from impact_rig.physics.closed_form import transmissibility
 from impact_rig.physics.slow_manifold import Manifold
-from impact_rig.report.drawing import legend_below, new_axes, style
-from impact_rig.report.palette import SERIES
 from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.simtime import NS_PER_S
 from impact_rig.studies.closed_loop import ProcessLoop, hold

@@ -13,6 +13,8 @@ from scipy import signal
 from impact_rig.analysis.calibration import Real
 from impact_rig.analysis.frf import Frf
 from impact_rig.analysis.sine import SineFit
+from impact_rig.drawing.palette import MUTED, PAPER_RED
+from impact_rig.drawing.style import WIDE_INCH, new_axes, styled
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -20,10 +22,13 @@ if TYPE_CHECKING:
 
 COVERAGE = 2.0
 """Error bars are this many standard uncertainties long, either way."""
-SIZE_INCH = (7.0, 4.5)
+HEIGHT_INCH = 4.5
+MARK_ABOVE = 1.04
+"""Height of the marks of impacts over an axis, 1 being its upper edge: there they hide no pulse."""
 SMOOTHED_SAMPLES = 11
 
 
+@styled
 def transmissibility_curves(curves: Mapping[str, NDArray[np.void]]) -> Figure:
     """Draw DT over frequency with ±2u, and the phase beneath.
 
@@ -51,12 +56,14 @@ def transmissibility_curves(curves: Mapping[str, NDArray[np.void]]) -> Figure:
     return figure
 
 
-def time_traces(rows: NDArray[np.void], impact_times: Real | None = None) -> Figure:
-    """Draw base, superior base and acceleration over time, impacts marked by lines.
+@styled
+def time_traces(rows: NDArray[np.void], impact_times: Real | None = None, remark: str = "") -> Figure:
+    """Draw base, superior base and acceleration over time; impacts are marked above the axes, where no pulse is hidden.
 
     Args:
         rows: scans (`daq/scan`).
         impact_times: instants of impacts [s on the rows' time], shape (k,); None for none.
+        remark: what is to be known about the pulses of the acceleration, written above them.
     """
     figure, axes = _axes(3)
     for axis, name, factor, label in zip(
@@ -68,12 +75,27 @@ def time_traces(rows: NDArray[np.void], impact_times: Real | None = None) -> Fig
     ):
         axis.plot(rows["time"], factor * rows[name], linewidth=0.8)
         axis.set_ylabel(label)
-        for instant in () if impact_times is None else impact_times:
-            axis.axvline(instant, color="tab:red", linewidth=0.5, alpha=0.6)
+        if impact_times is not None:
+            above = axis.get_xaxis_transform()
+            axis.plot(
+                impact_times, np.full(len(impact_times), MARK_ABOVE), "v",
+                color=PAPER_RED, markersize=3.5, transform=above, clip_on=False, label="impact found",
+            )  # fmt: skip
+    if impact_times is not None and len(impact_times):
+        axes[0].legend(
+            handles=[axes[0].lines[1]],
+            loc="lower right",
+            bbox_to_anchor=(1.0, 1.06),
+            borderaxespad=0.0,
+            handlelength=1.0,
+        )
+    if remark:
+        axes[-1].set_title(remark, loc="left", fontsize=7.5, color=MUTED, pad=9.0)
     axes[-1].set_xlabel("time (s)")
     return figure
 
 
+@styled
 def phase_plane(displacement: Real, rate_hz: float, smooth_s: float = 0.0) -> Figure:
     """Draw velocity over displacement; the velocity is the derivative of a cubic fitted to the samples around.
 
@@ -92,6 +114,7 @@ def phase_plane(displacement: Real, rate_hz: float, smooth_s: float = 0.0) -> Fi
     return figure
 
 
+@styled
 def spectrum(y: Real, rate_hz: float, unit: str, drive_hz: float | None = None, upto_hz: float | None = None) -> Figure:
     """Draw the amplitude spectrum: a sine of amplitude A stands A high (flat-top window).
 
@@ -109,13 +132,14 @@ def spectrum(y: Real, rate_hz: float, unit: str, drive_hz: float | None = None, 
     axis.semilogy(frequency[shown], np.sqrt(2.0 * power[shown]), linewidth=0.8)
     if drive_hz is not None and drive_hz > 0.0:
         for harmonic in range(1, min(10, math.floor(end / drive_hz)) + 1):
-            axis.axvline(harmonic * drive_hz, color="tab:gray", linewidth=0.5, linestyle="--")
+            axis.axvline(harmonic * drive_hz, color=MUTED, linewidth=0.5, linestyle=":")
     axis.set_xlim(0.0, end)
     axis.set_xlabel("frequency (Hz)")
     axis.set_ylabel(f"amplitude ({unit})")
     return figure
 
 
+@styled
 def frequency_response(found: Frf, from_hz: float, upto_hz: float) -> Figure:
     """Draw |H1|, |H2| and |Hv|, the phase of H1, and the coherence.
 
@@ -140,6 +164,7 @@ def frequency_response(found: Frf, from_hz: float, upto_hz: float) -> Figure:
     return figure
 
 
+@styled
 def sine_fits(rows: NDArray[np.void], fits: Mapping[str, SineFit], units: Mapping[str, str], rate_hz: float) -> Figure:
     """Draw the samples of every channel and the sine that was fitted to them, the residual's rms beside it.
 
@@ -160,6 +185,7 @@ def sine_fits(rows: NDArray[np.void], fits: Mapping[str, SineFit], units: Mappin
     return figure
 
 
+@styled
 def restitution_by_drop(each: Real, mean: float, u_mean: float) -> Figure:
     """Draw the restitution of every drop, and their mean with ±2u.
 
@@ -181,11 +207,5 @@ def restitution_by_drop(each: Real, mean: float, u_mean: float) -> Figure:
 
 
 def _axes(count: int) -> tuple[Figure, list[Axes]]:
-    """Return a figure, free of pyplot's global state, with axes above one another sharing x."""
-    from matplotlib.figure import Figure as MatplotlibFigure  # noqa: PLC0415  # heavy: only when something is drawn
-
-    figure = MatplotlibFigure(figsize=SIZE_INCH, layout="constrained")
-    axes = figure.subplots(count, 1, sharex=True, squeeze=False)[:, 0]
-    for axis in axes:
-        axis.grid(visible=True, linewidth=0.3)
-    return figure, list(axes)
+    """Return a figure with axes above one another sharing x."""
+    return new_axes(HEIGHT_INCH, (1.0,) * count, WIDE_INCH)

@@ -1,7 +1,6 @@
 """The paper's numbers, and how a set of measurements compares with them.
 
-Source: Vieira de Albuquerque & Pederiva, *Modeling of an impact damper submitted to forced vibration from a nonlinear
-contact force model*.
+Source: `TITLE` by `AUTHORS`. No DOI of it was found.
 """
 
 from __future__ import annotations
@@ -17,6 +16,12 @@ from numpy.typing import NDArray
 from impact_rig.analysis.calibration import Calibration
 from impact_rig.analysis.reduction import combined, reduction
 from impact_rig.campaign.axes import NO_SPHERE
+
+TITLE = "Modeling of an impact damper submitted to forced vibration from a nonlinear contact force model"
+AUTHORS = "Marcos Vieira de Albuquerque, Robson Pederiva"
+AFFILIATION = "University of Campinas, School of Mechanical Engineering, Brazil"
+DOI = ""
+"""None was found."""
 
 FREQUENCY_HZ = 9.1
 """Where the paper compares the gaps: the natural frequency it prints."""

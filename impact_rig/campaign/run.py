@@ -24,6 +24,7 @@ from pathlib import Path
 import attrs
 
 from impact_rig.analysis.calibration import Calibration
+from impact_rig.arithmetic import ARITHMETIC
 from impact_rig.campaign import statements
 from impact_rig.campaign.axes import NO_SPHERE
 from impact_rig.campaign.code import fingerprint
@@ -182,6 +183,7 @@ def write_results(done: Finished, wall_s: float) -> None:
 def _provenance(through: str) -> dict[str, object]:
     return {
         "impact_rig": fingerprint(),
+        "arithmetic": ARITHMETIC,
         "python": sys.version.split()[0],
         **{name: metadata.version(name) for name in LIBRARIES},
         "machine": platform.machine(),

@@ -54,6 +54,7 @@ class Verdict:
         kind: what it is worth that it holds.
         result: the judgement; None if it could not be made.
         detail: the figures behind it, or what is missing.
+        unit: of value and limit of the judgement.
     """
 
     name: str
@@ -61,6 +62,12 @@ class Verdict:
     kind: Worth
     result: Statement | None
     detail: str
+    unit: str
+
+    @property
+    def margin(self) -> float | None:
+        """Return how far the value is from its limit, in its unit; None if it was not judged."""
+        return None if self.result is None else abs(self.result.limit - self.result.value)
 
     @property
     def word(self) -> str:
@@ -74,13 +81,13 @@ Judgement = tuple[Statement, str]
 def judge(curves: Curves) -> list[Verdict]:
     """Return the verdict on each of the seven statements."""
     verdicts = []
-    for name, kind, text, judge_one in _STATEMENTS:
+    for name, kind, unit, text, judge_one in _STATEMENTS:
         try:
             result, detail = judge_one(curves)
         except MissingError as error:
-            verdicts.append(Verdict(name, text, kind, None, f"needs {error}"))
+            verdicts.append(Verdict(name, text, kind, None, f"needs {error}", unit))
         else:
-            verdicts.append(Verdict(name, text, kind, result, detail))
+            verdicts.append(Verdict(name, text, kind, result, detail, unit))
     return verdicts
 
 
@@ -197,41 +204,47 @@ def peak_hz(curves: Curves, gap_m: float) -> float:
     return (left + middle) / 2.0 + rise * (right - left) / (2.0 * (rise - fall))
 
 
-_STATEMENTS: tuple[tuple[str, Worth, str, Callable[[Curves], Judgement]], ...] = (
-    ("dt_peaks_at_9_1_hz", Worth.FOLLOWS, "Without sphere DT peaks at 9.1 Hz.", _peak_without_sphere),
+_STATEMENTS: tuple[tuple[str, Worth, str, str, Callable[[Curves], Judgement]], ...] = (
+    ("dt_peaks_at_9_1_hz", Worth.FOLLOWS, "Hz", "Without sphere DT peaks at 9.1 Hz.", _peak_without_sphere),
     (
         "amplitudes_at_resonance",
         Worth.FIT,
+        "-",
         "There the base amplitude is smallest and the superior base's largest.",
         _amplitudes_at_peak,
     ),
     (
         "reduction_grows_with_gap",
         Worth.FOLLOWS,
+        "points",
         "The reduction at 9.1 Hz grows with the gap from 2 to 10 mm.",
         _grows_with_gap,
     ),
     (
         "lower_above_resonance",
         Worth.PREDICTION,
+        "-",
         "At 9.2 and 9.5 Hz DT is below the curve without sphere for every gap.",
         _lower_above_resonance,
     ),
     (
         "curves_agree_far_from_resonance",
         Worth.FIT,
+        "%",
         f"At {', '.join(f'{f:g}' for f in FAR_HZ)} Hz curves tend to coincide (here: within {FAR_LIMIT_PERCENT:g} %).",
         _agree_far_away,
     ),
     (
         "reduction_falls_beyond_optimal_gap",
         Worth.PREDICTION,
+        "mm",
         "Beyond an optimal gap, among orbits that impact, the reduction falls again.",
         _falls_beyond_optimum,
     ),
     (
         "natural_frequency_unchanged",
         Worth.FIT,
+        "%",
         f"The natural frequency is virtually unchanged (here: the peak moves by less than {SHIFT_LIMIT_PERCENT:g} %).",
         _frequency_unchanged,
     ),

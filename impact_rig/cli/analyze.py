@@ -11,7 +11,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_rig.cli.terminal import Console, TextTable
+from impact_rig.analysis.words import MEASURED
+from impact_rig.cli import command
+from impact_rig.cli.terminal import Console, TextTable, add_json, tell_json
 from impact_rig.errors import ConfigError
 from impact_rig.recording import Run, open_run
 
@@ -27,7 +29,17 @@ DRAWN_CYCLES = 4
 
 def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Register the subcommand."""
-    parser = commands.add_parser("analyze", help="analyse a run again, as the live node did; says if the results agree")
+    parser = command.add(
+        commands, "analyze", "analyse a run again, as the live node did; says if the results agree",
+        [
+            ("analyze runs/demo/gap_6mm", "every measurement in it, and whether the live analysis found the same"),
+            ("analyze runs/demo/gap_6mm --figures pictures", "also draws time traces, phase plane, spectrum, curves"),
+            ("analyze runs/chirp --frf --segment 20", "frequency response of a chirp, lines 0.05 Hz apart"),
+        ],
+        "Exit code 0: as the live analysis, or nothing to compare with; 1: not the same.",
+    )  # fmt: skip
+    add_json(parser)
+    parser.add_argument("--all", action="store_true", help="also rows without a measurement, with the reason")
     parser.add_argument("path", type=Path, metavar="RUN", help="run directory or .mcap file")
     instead = parser.add_argument_group("instead").add_mutually_exclusive_group()
     instead.add_argument(
@@ -55,7 +67,7 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    console = Console()
+    console = Console(quiet=arguments.json)
     with open_run(arguments.path) as run:
         if arguments.frf:
             return _frf(console, run, arguments)
@@ -76,7 +88,13 @@ def _as_live(console: Console, run: Run, arguments: argparse.Namespace) -> int:
     findings = list(reanalysis.analyze(run))
     found = reanalysis.measurements(iter(findings))
     comparison = live_comparison.compare(run, found)
-    _print_measurements(console, reanalysis.rows(found))
+    rows = reanalysis.rows(found)
+    if arguments.json:
+        keys = ("same", "identical", "compared", "reason")
+        compared = {key: getattr(comparison, key) for key in keys}
+        tell_json({"run": str(run.path), "measurements": list(rows), "live": {**compared, "sentence": str(comparison)}})
+    _print_last(console, rows)
+    _print_measurements(console, rows, everything=arguments.all)
     style = {True: "green", False: "red", None: "yellow"}[comparison.same]
     console.print(str(comparison), style=style)
     if arguments.figures is not None:
@@ -87,17 +105,46 @@ def _as_live(console: Console, run: Run, arguments: argparse.Namespace) -> int:
     return 1 if comparison.same is False else 0
 
 
-def _print_measurements(console: Console, rows: NDArray[np.void]) -> None:
+def _print_last(console: Console, rows: NDArray[np.void]) -> None:
+    """Print the newest settled measurement as a sentence: what most people ask a run for."""
+    settled = rows[rows["settled"] == 1.0]
+    if not len(settled):
+        console.print("no settled measurement in this run")
+        return
+    row = settled[-1]
+    console.print(
+        f"DT {row['transmissibility']:.3f} ± {2 * row['transmissibility_uncertainty']:.3f} (2u), phase "
+        f"{math.degrees(row['phase']):.2f}°, at {row['frequency']:g} Hz: the last of {len(settled)} settled "
+        "measurements"
+    )
+
+
+def _print_measurements(console: Console, rows: NDArray[np.void], *, everything: bool) -> None:
+    """Print a row a measurement; those without numbers only if everything is wanted, else how many and why."""
+    measured = np.isin(rows["status"], [status.value.encode() for status in MEASURED])
     table = TextTable()
-    for heading in ("f [Hz]", "DT", "u(DT)", "phase [deg]", "gap [mm]", "impacts/cycle", "regime", "status"):
+    for heading in ("f [Hz]", "DT", "u(DT)", "phase [deg]", "gap [mm]", "impacts per cycle"):
         table.add_column(heading, justify="right")
-    for row in rows:
+    table.add_column("regime", no_wrap=True)
+    table.add_column("status")
+    for row in rows if everything else rows[measured]:
         table.add_row(
-            f"{row['frequency']:.3f}", f"{row['transmissibility']:.3f}", f"{row['transmissibility_uncertainty']:.3f}",
-            f"{math.degrees(row['phase']):.2f}", f"{row['gap'] * 1e3:g}", f"{row['impacts_per_cycle']:.2f}",
+            _number(row["frequency"], ".3f"), _number(row["transmissibility"], ".3f"),
+            _number(row["transmissibility_uncertainty"], ".3f"), _number(math.degrees(row["phase"]), ".2f"),
+            _number(row["gap"] * 1e3, "g") or "unknown", _number(row["impacts_per_cycle"], ".2f"),
             row["regime"].decode(), row["status"].decode(),
         )  # fmt: skip
-    console.print(table)
+    if table.row_count:
+        console.print(table)
+    if not (everything or np.all(measured)):
+        words, counts = np.unique(rows["status"][~measured], return_counts=True)
+        why = ", ".join(f"{count} {word.decode()}" for word, count in zip(words, counts, strict=True))
+        console.print(f"left out, as nothing was measured: {why} (docs/analysis.md explains; --all shows them)")
+
+
+def _number(value: float, spec: str) -> str:
+    """Return a number as text, nothing where there is none."""
+    return format(value, spec) if math.isfinite(value) else ""
 
 
 def _frf(console: Console, run: Run, arguments: argparse.Namespace) -> int:
@@ -110,6 +157,18 @@ def _frf(console: Console, run: Run, arguments: argparse.Namespace) -> int:
     found = response_of(run, arguments.segment)
     frf, excited = found.frf, found.excited
     peak = int(excited[np.argmax(np.abs(frf.h1[excited]))])
+    if arguments.json:
+        tell_json({
+            "run": str(run.path), "averages": frf.averages, "peak_hz": frf.frequency_hz[peak],
+            "lines": [
+                {
+                    "frequency_hz": frf.frequency_hz[i], "h1": abs(frf.h1[i]), "h2": abs(frf.h2[i]),
+                    "hv": abs(frf.hv[i]), "u_relative": frf.u_relative[i], "coherence": frf.coherence[i],
+                    "phase_rad": float(np.angle(frf.h1[i])),
+                }
+                for i in excited
+            ],
+        })  # fmt: skip
     shown = excited[np.linspace(0, len(excited) - 1, min(LINES, len(excited))).round().astype(int)]
     table = TextTable(title=f"Frequency response x_1/x_b, {frf.averages:.1f} independent averages")
     for heading in ("f [Hz]", "|H1|", "± 2u", "|H2|", "|Hv|", "phase [deg]", "coherence"):
@@ -139,9 +198,23 @@ def _sine(console: Console, run: Run, arguments: argparse.Namespace) -> int:
     info = calibration_rows(run)
     units = {row["name"].decode(): row["unit"].decode() for row in info}
     reference, measured = found.reference, found.measured
+    if arguments.json:
+        tell_json({
+            "run": str(run.path), "frequency_hz": reference.frequency_hz,
+            "channels": [
+                {
+                    "channel": name, "unit": units[name], "amplitude": fit.amplitude, "offset": fit.offset,
+                    "u_amplitude": fit.u_amplitudes[0], "phase_rad": fit.phase_rad - reference.phase_rad,
+                    "u_phase_rad": fit.u_phases_rad[0], "residual_rms": fit.residual_rms,
+                }
+                for name, fit in found.fits.items()
+            ],
+            "transmissibility": measured.transmissibility, "u_transmissibility": measured.u_transmissibility,
+            "phase_rad": measured.phase_rad, "u_phase_rad": measured.u_phase_rad, "status": measured.status.value,
+        })  # fmt: skip
     table = TextTable(title=f"Sines of {reference.frequency_hz:.6f} ± {2 * reference.u_frequency_hz:.1g} Hz")
     for heading in ("channel", "unit", "amplitude", "± 2u", "phase [deg]", "± 2u", "mean", "left over, rms"):
-        table.add_column(heading, justify="left" if heading in {"channel", "unit"} else "right")
+        table.add_column(heading, justify="left" if heading in {"channel", "unit"} else "right", no_wrap=True)
     for name, fit in found.fits.items():
         table.add_row(
             name, units[name], f"{fit.amplitude:.6g}", f"{2 * fit.u_amplitudes[0]:.2g}",
@@ -169,6 +242,11 @@ def _drop(console: Console, run: Run, arguments: argparse.Namespace) -> int:
     _prepare(arguments, "drop")
     drops, found = drops_of(run, arguments.drop)
     each = np.array([math.sqrt(one.h1_m / one.h0_m) for one in drops])
+    if arguments.json:
+        tell_json({
+            "run": str(run.path), "restitution": found.restitution, "u_restitution": found.u_restitution,
+            "drops": [{"h0_m": one.h0_m, "h1_m": one.h1_m, "e": e} for one, e in zip(drops, each, strict=True)],
+        })  # fmt: skip
     table = TextTable(title="Drop test")
     for heading in ("drop", "from [m]", "back to [m]", "e"):
         table.add_column(heading, justify="right")

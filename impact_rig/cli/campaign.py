@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import json
 import time
 from pathlib import Path
 
@@ -14,8 +15,9 @@ from impact_rig.campaign.job import Job
 from impact_rig.campaign.plan import load_campaign
 from impact_rig.campaign.statements import Verdict
 from impact_rig.campaign.store import Store
-from impact_rig.cli import compiling
-from impact_rig.cli.terminal import Console, TextTable, Words, tell_program
+from impact_rig.campaign.summary import FILE_NAME
+from impact_rig.cli import command, compiling
+from impact_rig.cli.terminal import Console, Steps, TextTable, Words, add_json, tell_json, tell_program
 from impact_rig.errors import ConfigError
 from impact_rig.studies.margins import Variation, variations
 
@@ -28,7 +30,16 @@ SHOWN = 20
 
 def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Register the subcommand."""
-    parser = commands.add_parser("campaign", help="measure all points of a campaign file; run again to resume")
+    parser = command.add(
+        commands, "campaign", "measure all points of a campaign file; run again to resume",
+        [
+            ("campaign config/paper.yaml", "the whole paper, on all cores"),
+            ("campaign config/paper.yaml --only curves --check", "its 60 points; exit code 1 if they are not right"),
+            ("campaign my.yaml --through ros --record --output runs/mine", "through the real graph, with recordings"),
+        ],
+        "The last line is the directory of the results; `impact-rig report` makes a page of it.",
+    )  # fmt: skip
+    add_json(parser)
     parser.add_argument("file", nargs="?", type=Path, metavar="FILE", help="campaign file, e.g. config/paper.yaml")
     parser.add_argument(
         "--through", nargs="+", default=["process"], metavar="WAY",
@@ -60,11 +71,11 @@ def _run(arguments: argparse.Namespace) -> int:
     if arguments.record and way != "ros":
         raise ConfigError("--record needs --through ros: what is recorded are messages")
     store = run.prepare(campaign, directory, way)
-    console = Console()
+    console = Console(quiet=arguments.json)
     compiling.ready()
     started = time.monotonic()
     jobs = run.unique_jobs(campaign.planned())
-    _measure(jobs, store, _runner(way, address, arguments, directory), console)
+    _measure(jobs, store, _runner(way, address, arguments, directory))
     done = run.finished(campaign, directory)
     run.write_results(done, time.monotonic() - started)
     verdicts = done.verdicts()
@@ -73,7 +84,10 @@ def _run(arguments: argparse.Namespace) -> int:
     _print_margins(console, variations(done.points))
     _print_failed(console, done)
     console.print(f"{len(done.points)} points; figures for programs: {run.CSV_FILE}, summary.json")
-    tell_program(directory)
+    if arguments.json:
+        tell_json(_content(done, directory))
+    else:
+        tell_program(directory)
     wanted = [verdict for verdict in verdicts if verdict.result is not None or not arguments.only]
     sound = close and not done.failed() and all(verdict.word == "pass" for verdict in wanted)
     return 1 if arguments.check and not sound else 0
@@ -107,18 +121,50 @@ def _runner(way: str, address: str, arguments: argparse.Namespace, directory: Pa
     return lambda jobs: pool.run_parallel(jobs, arguments.workers)
 
 
-def _measure(jobs: list[Job], store: Store, runner: run.Runner, console: Console) -> None:
+def _content(done: run.Finished, directory: Path) -> dict[str, object]:
+    """Return what is printed, for programs: `summary.json`, and what it leaves to the CSV."""
+    summary = json.loads((directory / FILE_NAME).read_text(encoding="utf-8"))
+    return {
+        "directory": str(directory),
+        **summary,
+        "verdicts": [
+            {"name": one.name, "statement": one.text, "verdict": one.word, "worth": one.kind.value, "found": one.detail}
+            for one in done.verdicts()
+        ],
+        "margins": [
+            {
+                "changed": dict(one.changed),
+                "values": {v.name: None if v.result is None else v.result.value for v in one.verdicts},
+            }
+            for one in variations(done.points)
+        ],
+        "failed": [
+            {
+                "study": point.study, "case": point.label, "axes": dict(point.axes),
+                "frequency_hz": point.frequency_hz, "direction": point.direction, "why": point.status,
+            }
+            for point in done.failed()
+        ],
+    }  # fmt: skip
+
+
+def _measure(jobs: list[Job], store: Store, runner: run.Runner) -> None:
+    console = Console(stderr=True)
+    lines = Steps("runs", len(jobs))
     columns = (
         Words("{task.description}"), BarColumn(24), MofNCompleteColumn(), TimeElapsedColumn(),
         Words("left"), TimeRemainingColumn(), Words("{task.fields[state]}"),
     )  # fmt: skip
     failed = 0
-    with Progress(*columns, console=console) as progress, contextlib.closing(run.measure(jobs, store, runner)) as done:
+    bar = Progress(*columns, console=console, disable=not console.is_terminal)
+    with bar as progress, contextlib.closing(run.measure(jobs, store, runner)) as done:
         task = progress.add_task("runs", total=len(jobs), state="starting")
-        for job, outcome in done:
+        for number, (job, outcome) in enumerate(done, 1):
             failed += bool(outcome.failure)
             trouble = f", {failed} failed" if failed else ""
             progress.update(task, advance=1, state=f"{job.describe()}{trouble}")
+            if not console.is_terminal:
+                lines.show(number, f"{job.describe()}{trouble}")
         progress.update(task, state=f"{failed} failed" if failed else "done")
 
 

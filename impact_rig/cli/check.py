@@ -4,25 +4,35 @@ from __future__ import annotations
 
 import argparse
 import math
+from collections.abc import Sequence
 from pathlib import Path
 
+import attrs
 from rich.text import Text
 
-from impact_rig.cli import compiling
-from impact_rig.cli.terminal import Console, TextTable
+from impact_rig.cli import command, compiling
+from impact_rig.cli.terminal import Console, TextTable, add_json, tell_json
 from impact_rig.errors import ConfigError
 from impact_rig.instruments import check_known_input
+from impact_rig.instruments.checks import ChannelCheck
 from impact_rig.physics.contact import from_config
 from impact_rig.rig import Rig
-from impact_rig.rig.config import RigConfig, load
+from impact_rig.rig.config import load
 
 _POLARITY = {1: "right", 0: "no signal", -1: "reversed"}
 
 
 def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Register the subcommand."""
-    parser = commands.add_parser("check", help="validate a configuration file without starting anything")
-    parser.add_argument("path", type=Path, metavar="FILE")
+    parser = command.add(
+        commands, "check", "validate a configuration file without starting anything",
+        [
+            ("check config/nominal.yaml", "names key, value, range and file of what is wrong"),
+            ("check my_rig.yaml --instruments", "also puts a known sine into every channel"),
+        ],
+    )  # fmt: skip
+    parser.add_argument("path", type=Path, metavar="FILE", help="configuration of the rig, as YAML")
+    add_json(parser)
     parser.add_argument(
         "--instruments", action="store_true", help="put a known sine into every channel: gain, phase, noise, polarity"
     )
@@ -37,17 +47,25 @@ def _run(arguments: argparse.Namespace) -> int:
     except ConfigError as error:
         raise ConfigError(f"{error} ({arguments.path})") from error
     law = from_config(config.contact)
-    console = Console()
+    console = Console(quiet=arguments.json)
     console.print(
         f"{arguments.path}: valid; contact law {config.contact.law}, restitution nominal {law.restitution:g}, "
         f"realised {law.realised_restitution():.4f}",
         highlight=False,
     )
-    return 0 if not arguments.instruments or _check_instruments(config, console) else 1
+    checks = check_known_input(config) if arguments.instruments else []
+    if arguments.json:
+        tell_json({
+            "path": str(arguments.path), "valid": True, "contact_law": config.contact.law,
+            "restitution_nominal": law.restitution, "restitution_realised": law.realised_restitution(),
+            "instruments": [attrs.asdict(one) for one in checks],
+        })  # fmt: skip
+    elif checks:
+        _print_instruments(checks, console)
+    return 0 if all(one.ok for one in checks) else 1
 
 
-def _check_instruments(config: RigConfig, console: Console) -> bool:
-    checks = check_known_input(config)
+def _print_instruments(checks: Sequence[ChannelCheck], console: Console) -> None:
     table = TextTable(
         title="A known sine on every channel, against the certificate",
         caption="residual: what is not sine, of what noise and curvature allow",
@@ -65,4 +83,3 @@ def _check_instruments(config: RigConfig, console: Console) -> bool:
             Text("ok", "green") if check.ok else Text("not ok", "red"),
         )
     console.print(table)
-    return all(check.ok for check in checks)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import datetime as dt
+import json
 import time
 from pathlib import Path
 
@@ -18,9 +19,9 @@ from impact_rig.analysis.calibration import Calibration
 from impact_rig.campaign import paper
 from impact_rig.campaign.job import Job
 from impact_rig.campaign.paper import Reductions
-from impact_rig.campaign.summary import Statement, write_summary
-from impact_rig.cli import compiling
-from impact_rig.cli.terminal import Console, TextTable, Words, tell_program
+from impact_rig.campaign.summary import FILE_NAME, Statement, write_summary
+from impact_rig.cli import command, compiling
+from impact_rig.cli.terminal import Console, Steps, TextTable, Words, add_json, tell_json, tell_program
 from impact_rig.errors import ImpactRigError
 from impact_rig.operate.plan import Direction
 from impact_rig.operate.stepped_sine import SteppedSine
@@ -73,7 +74,15 @@ CASES = (Case(0.0), *(Case(gap) for gap in paper.REDUCTION_PERCENT))
 
 def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Register the subcommand."""
-    parser = commands.add_parser("demo", help="measure the paper's five reductions through the topics")
+    parser = command.add(
+        commands, "demo", "measure the paper's five reductions through the topics",
+        [
+            ("demo", "three processes, six runs recorded below runs/, a table and a figure"),
+            ("demo --rate 50000 --seed 7 --output runs/fast", "other instruments, read faster"),
+        ],
+        "The last line is the directory of the results. Exit code 0: every reduction within 3 points of the paper.",
+    )  # fmt: skip
+    add_json(parser)
     parser.add_argument(
         "--output", type=Path, help="directory for runs, figure and summary (default: runs/demo_<date>)"
     )
@@ -84,7 +93,7 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the demo and return the exit code: 0 if every reduction is within 3 points of the paper."""
-    console = Console()
+    console = Console(quiet=arguments.json)
     directory = _new_directory(arguments.output)
     config = from_flat(
         RigConfig(),
@@ -101,7 +110,7 @@ def run(arguments: argparse.Namespace) -> int:
     )
     compiling.ready()
     started = time.monotonic()
-    rows = _measure(config, directory, console)
+    rows = _measure(config, directory)
     wall_s = time.monotonic() - started
     runs = [info(directory / case.name) for case in CASES]
     lost = sum(_lost_blocks(run) for run in runs)
@@ -127,17 +136,21 @@ def run(arguments: argparse.Namespace) -> int:
     console.print(
         f"figure: reductions.png, figures for programs: summary.json, runs: {', '.join(c.name for c in CASES)}"
     )
-    tell_program(directory)
+    if arguments.json:
+        summary = json.loads((directory / FILE_NAME).read_text(encoding="utf-8"))
+        tell_json({"directory": str(directory), "runs": [case.name for case in CASES], **summary})
+    else:
+        tell_program(directory)
     return 1 if failed else 0
 
 
-def _measure(config: RigConfig, directory: Path, console: Console) -> dict[float, NDArray[np.void]]:
+def _measure(config: RigConfig, directory: Path) -> dict[float, NDArray[np.void]]:
     """Return the settled measurements by gap; every case is recorded in a directory of its name."""
     from impact_rig.client.campaign import freewheel_runner  # noqa: PLC0415  # needs rclpy
 
     jobs = {case.job(config).key: case for case in CASES}
     rows: dict[float, NDArray[np.void]] = {}
-    with Screen(console) as screen:
+    with Screen() as screen:
         runner = freewheel_runner(directory, config, lambda job: jobs[job.key].name, screen.show)
         with contextlib.closing(runner([case.job(config) for case in CASES])) as done:
             for job, outcome in done:
@@ -149,17 +162,18 @@ def _measure(config: RigConfig, directory: Path, console: Console) -> dict[float
 
 
 class Screen:
-    """The progress of the demo, a line a case.
+    """The progress of the demo, a line a case: a bar on a terminal, elsewhere a line whenever something is new."""
 
-    Args:
-        console: where it is drawn.
-    """
-
-    def __init__(self, console: Console) -> None:
+    def __init__(self) -> None:
+        console = Console(stderr=True)
+        self._plain = not console.is_terminal
         words, state = Words("{task.description:<12}"), Words("{task.fields[state]:<36}")
-        self._progress = Progress(words, BarColumn(24), state, TimeElapsedColumn(), console=console)
+        self._progress = Progress(
+            words, BarColumn(24), state, TimeElapsedColumn(), console=console, disable=self._plain
+        )
         self._starting = self._progress.add_task("processes", total=None, state="starting")
         self._tasks: dict[float, TaskID] = {}
+        self._lines: dict[float, Steps] = {}
 
     def __enter__(self) -> Screen:
         self._progress.start()
@@ -174,10 +188,15 @@ class Screen:
             self._progress.update(self._starting, total=1, completed=1, state="running")
             label = Case(job.gap_m).label
             self._tasks[job.gap_m] = self._progress.add_task(label, total=MEASUREMENTS, state="preparing")
+            self._lines[job.gap_m] = Steps(label, MEASUREMENTS)
+            if self._plain:
+                self._lines[job.gap_m].show(0, "preparing")
             return
         rows = sweep.rows
         state = f"DT {rows['transmissibility'][-1]:.2f}" if len(rows) else "settling"
         self._progress.update(self._tasks[job.gap_m], completed=len(rows), state=state)
+        if self._plain and len(rows):
+            self._lines[job.gap_m].show(len(rows), state)
 
     def done(self) -> None:
         """Show that everything is measured."""

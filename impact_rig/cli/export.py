@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from impact_rig.cli import command
 from impact_rig.cli.terminal import Console
 from impact_rig.recording import open_run
 from impact_rig.runs import export
@@ -12,8 +13,14 @@ from impact_rig.runs import export
 
 def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Register the subcommand."""
-    parser = commands.add_parser("export", help="write a table topic as .csv, .npz or .parquet")
-    parser.add_argument("path", type=Path, metavar="RUN")
+    parser = command.add(
+        commands, "export", "write a table topic as .csv, .npz or .parquet",
+        [
+            ("export runs/demo/gap_6mm transmissibility/table dt.csv", "what was measured"),
+            ("export runs/demo/gap_6mm daq/scan scans.npz", "every scan, for NumPy"),
+        ],
+    )  # fmt: skip
+    parser.add_argument("path", type=Path, metavar="RUN", help="run directory or .mcap file")
     parser.add_argument("topic", help="e.g. transmissibility/table")
     parser.add_argument("target", type=Path, metavar="FILE", help="its suffix chooses the format")
     parser.set_defaults(run=_run)

@@ -12,8 +12,8 @@ from impact_rig.analysis.words import Status
 from impact_rig.campaign import run
 from impact_rig.campaign.axes import NO_SPHERE
 from impact_rig.campaign.paper import CURRENT_A, FREQUENCIES_HZ, FREQUENCY_HZ, REDUCTION_PERCENT
-from impact_rig.cli import compiling
-from impact_rig.cli.terminal import Console, TextTable, tell_program
+from impact_rig.cli import command, compiling
+from impact_rig.cli.terminal import Console, TextTable, add_json, tell_json, tell_program
 from impact_rig.errors import ConfigError, ImpactRigError
 from impact_rig.recording import open_run
 from impact_rig.rig import Rig
@@ -31,14 +31,26 @@ JSON_FILE, CONFIGURATION_FILE = "identification.json", "identified.yaml"
 
 def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Register the subcommand."""
-    parser = commands.add_parser("identify", help="constants of the rig from measured runs, and what they cannot tell")
+    parser = command.add(
+        commands, "identify", "constants of the rig from measured runs, and what they cannot tell",
+        [
+            ("identify runs/campaign_paper", "from its curves, its reductions and a free decay"),
+            ("identify --paper", "what the paper's own numbers determine"),
+        ],
+    )  # fmt: skip
+    add_json(parser)
     parser.add_argument("directory", nargs="?", type=Path, metavar="DIR", help="directory of a campaign")
     parser.add_argument("--decay", type=Path, metavar="RUN", help="recorded run with a pluck (default: pluck the rig)")
     parser.add_argument(
         "--decrement", action="store_true", help="take the free decay by its logarithmic decrement, not by a fit"
     )
     parser.add_argument(
-        "--without", nargs="+", choices=("decay", "sine", "reductions"), default=(), help="leave these data out"
+        "--without",
+        nargs="+",
+        choices=("decay", "sine", "reductions"),
+        default=(),
+        metavar="DATA",
+        help="leave these data out: decay, sine, reductions",
     )
     parser.add_argument("--paper", action="store_true", help="instead: fit the default rig to the paper's numbers")
     parser.add_argument("--config", type=Path, metavar="FILE", help="with --paper: what is taken as known")
@@ -46,12 +58,16 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    console = Console()
+    console = Console(quiet=arguments.json)
     compiling.ready()
     if arguments.paper:
         base = load(arguments.config) if arguments.config else RigConfig()
+        fits = []
         for free in (("f_n", "ζ"), ("f_n", "ζ", "I")):
-            _print_paper(console, _fitted(console, base, free), base)
+            fits.append(_fitted(console, base, free))
+            _print_paper(console, fits[-1], base)
+        if arguments.json:
+            tell_json([_paper_content(fit) for fit in fits])
         return 0
     if arguments.directory is None:
         raise ConfigError("a campaign's directory is needed (or --paper), e.g. runs/campaign_paper")
@@ -59,8 +75,12 @@ def _run(arguments: argparse.Namespace) -> int:
     measured = _measured(done, arguments, console)
     found = identify(measured, done.campaign.base, on_step=lambda what: console.print(f"{what} ..."))
     _print(console, found)
-    _write(arguments.directory, found)
-    tell_program(arguments.directory.resolve())
+    content = _content(found)
+    _write(arguments.directory, found, content)
+    if arguments.json:
+        tell_json(content)
+    else:
+        tell_program(arguments.directory.resolve())
     return 0
 
 
@@ -95,7 +115,7 @@ def _measured(done: run.Finished, arguments: argparse.Namespace, console: Consol
 def _print(console: Console, found: Identified) -> None:
     table = TextTable(title="Constants of the rig")
     for heading, side in (("constant", "left"), ("value", "right"), ("± 2u", "right"), ("unit", "left"), ("", "left")):
-        table.add_column(heading, justify=side)  # type: ignore[arg-type]  # rich wants its literals
+        table.add_column(heading, justify=side)
     for name, unit in zip(NAMES, UNITS, strict=True):
         if found.information.determined(name):
             table.add_row(name, f"{found.value(name):.7g}", f"{2 * found.u(name):.2g}", unit, "")
@@ -140,10 +160,21 @@ def _print_paper(console: Console, fit: paper_fit.PaperFit, base: RigConfig) -> 
         _print_combinations(console, fit.information)
 
 
-def _write(directory: Path, found: Identified) -> None:
-    """Write the constants for programs, and as a configuration."""
+def _paper_content(fit: paper_fit.PaperFit) -> dict[str, object]:
+    return {
+        "fitted": dict(fit.fitted),
+        "u": dict(fit.u),
+        "reductions_percent": {f"{gap * 1e3:g}": value for gap, value in fit.points.items()},
+        "rms_points": fit.rms_points,
+        "rms_points_of_the_configuration": fit.default_rms_points,
+        "converged": fit.converged,
+    }
+
+
+def _content(found: Identified) -> dict[str, object]:
+    """Return the constants for programs."""
     information = found.information
-    content = {
+    return {
         "constants": {
             name: {
                 "value": found.value(name) if information.determined(name) else None,
@@ -163,6 +194,10 @@ def _write(directory: Path, found: Identified) -> None:
         "chi_square": found.chi_square,
         "degrees_of_freedom": found.freedom,
     }
+
+
+def _write(directory: Path, found: Identified, content: dict[str, object]) -> None:
+    """Write the constants for programs, and as a configuration."""
     files.write_text(directory / JSON_FILE, json.dumps(content, indent=2, ensure_ascii=False) + "\n")
-    if all(map(information.determined, NAMES)):
+    if all(map(found.information.determined, NAMES)):
         files.write_text(directory / CONFIGURATION_FILE, dump(found.config))

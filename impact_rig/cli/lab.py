@@ -10,6 +10,7 @@ import webbrowser
 from pathlib import Path
 from typing import Any  # a source of either kind
 
+from impact_rig.cli import command
 from impact_rig.cli.terminal import Console
 from impact_rig.errors import ImpactRigError
 
@@ -19,7 +20,14 @@ FOUND = "?"
 
 def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Register the subcommand."""
-    parser = commands.add_parser("lab", help="see the rig move and turn its knobs, live, in a browser")
+    parser = command.add(
+        commands, "lab", "see the rig move and turn its knobs, live, in a browser",
+        [
+            ("lab", "starts a rig and opens its page"),
+            ("lab --sample", "plays back a short run; needs no ROS 2"),
+            ("lab runs/demo/gap_2mm runs/demo/gap_10mm", "two recorded runs side by side"),
+        ],
+    )  # fmt: skip
     parser.add_argument("runs", nargs="*", type=Path, metavar="RUN", help="play back this run; two: side by side")
     parser.add_argument(
         "--attach", nargs="?", const=FOUND, metavar="NAMESPACE", help="show a rig that runs already, e.g. /rig"

@@ -5,6 +5,7 @@ Loads the module of the chosen subcommand only, and that after the signals are t
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
@@ -18,7 +19,7 @@ EXIT_ERROR = 1
 PROGRAM = "impact-rig"
 COMMANDS = (
     "lab", "demo", "campaign", "map", "loop", "report", "identify",
-    "info", "analyze", "verify", "replay", "recover", "export", "check", "layout", "compile",
+    "info", "analyze", "verify", "replay", "recover", "export", "check", "layout", "completion", "compile",
 )  # fmt: skip
 """Subcommands in the order of the help; each is the module of its name."""
 
@@ -30,7 +31,12 @@ def command_line(command: str = "") -> argparse.ArgumentParser:
 
     import impact_rig  # noqa: PLC0415
 
-    parser = argparse.ArgumentParser(prog=PROGRAM, description="The test rig of an impact damper as virtual hardware.")
+    parser = argparse.ArgumentParser(
+        prog=PROGRAM,
+        description="The test rig of an impact damper as virtual hardware.",
+        epilog="example: impact-rig lab --sample\n`impact-rig COMMAND --help` shows examples of a command.",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
     parser.add_argument("--version", action="version", version=f"{PROGRAM} {impact_rig.__version__}")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     for name in [command] if command in COMMANDS else [] if command == "--version" else COMMANDS:
@@ -47,16 +53,35 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if arguments is not None:
         return _run(_parse(arguments), None)
     words = sys.argv[1:]
+    if "_ARGCOMPLETE" in os.environ:
+        _complete()
     ending = Ending(" ".join([PROGRAM, *words[:1]]) if words and words[0] in COMMANDS else PROGRAM)
     chosen = _parse(words)
     return ending.run(lambda: _run(chosen, ending))
 
 
 def _parse(arguments: Sequence[str]) -> argparse.Namespace:
-    return command_line(arguments[0] if arguments else "").parse_args(arguments)
+    first = arguments[0] if arguments else ""
+    parser = command_line(first)
+    if first and not first.startswith("-") and first not in COMMANDS:
+        from impact_rig.cli import guess  # noqa: PLC0415
+        from impact_rig.system.escapes import visible  # noqa: PLC0415
+
+        hint = guess.command(first, COMMANDS) or f"the commands are {', '.join(COMMANDS)}"
+        parser.error(visible(f"{first!r} is no command: {hint}"))
+    return parser.parse_args(arguments)
+
+
+def _complete() -> None:
+    """Answer a shell that asks what could come next, and end."""
+    from impact_rig.cli.completion import complete  # noqa: PLC0415
+
+    words = os.environ.get("COMP_LINE", "").split()
+    complete(command_line(words[1] if len(words) > 1 else ""))
 
 
 def _run(chosen: argparse.Namespace, ending: Ending | None) -> int:
+    from impact_rig.cli import guess  # noqa: PLC0415
     from impact_rig.errors import ImpactRigError  # noqa: PLC0415
     from impact_rig.system.escapes import visible  # noqa: PLC0415
 
@@ -67,5 +92,7 @@ def _run(chosen: argparse.Namespace, ending: Ending | None) -> int:
             about_content = isinstance(error, (ValueError, OSError))  # not the last lines of a process that died
             text = visible(str(error), lines=not about_content)
             print(f"{PROGRAM} {chosen.command}: {text}", file=sys.stderr)  # noqa: T201  # a command line tool talks
+            if hint := guess.meant(chosen):
+                print(f"{PROGRAM} {chosen.command}: {visible(hint)}", file=sys.stderr)  # noqa: T201  # as above
         return EXIT_ERROR
     return result

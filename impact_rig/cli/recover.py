@@ -5,7 +5,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from impact_rig.cli.terminal import Console, TextTable
+from impact_rig.cli import command
+from impact_rig.cli.terminal import Console, TextTable, add_json, tell_json
 from impact_rig.runs import RecoverReport, recover
 
 INCOMPLETE = 3
@@ -16,12 +17,13 @@ LISTED = 20
 
 def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Register the subcommand."""
-    parser = commands.add_parser(
-        "recover",
-        help="save every whole chunk of a damaged or unfinished run",
-        epilog=f"Exit code 0: all that was found is whole; {INCOMPLETE}: something is missing; 1: nothing was saved.",
-    )
-    parser.add_argument("path", type=Path, metavar="RUN")
+    parser = command.add(
+        commands, "recover", "save every whole chunk of a damaged or unfinished run",
+        [("recover runs/killed runs/saved", "writes what is whole to a new run, and says what is missing")],
+        f"Exit code 0: all that was found is whole; {INCOMPLETE}: something is missing; 1: nothing was saved.",
+    )  # fmt: skip
+    parser.add_argument("path", type=Path, metavar="RUN", help="run directory or .mcap file")
+    add_json(parser)
     parser.add_argument("out", type=Path, metavar="OUT", help="new run directory")
     parser.add_argument(
         "--accept-unchecked",
@@ -34,7 +36,12 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
 def run(arguments: argparse.Namespace) -> int:
     """Recover and return the exit code."""
     report = recover(arguments.path, arguments.out, accept_unchecked=arguments.accept_unchecked)
+    if arguments.json:
+        tell_json(_content(report))
+        return 0 if report.complete else INCOMPLETE
     console = Console()
+    style = "green" if report.complete else "yellow"
+    console.print(f"{report.directory}: {_verdict(report)}", style=style)
     _print_files(console, report)
     for damage in report.damages[:LISTED]:
         console.print(
@@ -42,8 +49,6 @@ def run(arguments: argparse.Namespace) -> int:
         )
     if report.damage_count > LISTED:
         console.print(f"and {report.damage_count - LISTED} more places")
-    style = "green" if report.complete else "yellow"
-    console.print(f"{report.directory}: {_verdict(report)}", style=style)
     return 0 if report.complete else INCOMPLETE
 
 
@@ -82,3 +87,26 @@ def _print_files(console: Console, report: RecoverReport) -> None:
             str(file.lost_bytes),
         )
     console.print(table)
+
+
+def _content(report: RecoverReport) -> dict[str, object]:
+    return {
+        "directory": str(report.directory),
+        "complete": report.complete,
+        "verdict": _verdict(report),
+        "messages": report.messages,
+        "missing_messages": report.missing_messages,
+        "lost_bytes": report.lost_bytes,
+        "files": [
+            {
+                "name": one.name, "bytes": one.size, "messages": one.messages, "given_s": one.given_s,
+                "missing_messages": one.missing_messages, "missing_s": one.missing_s, "lost_bytes": one.lost_bytes,
+            }
+            for one in report.files
+        ],
+        "damages": [
+            {"file": str(one.file), "offset": one.offset, "length": one.length, "reason": one.reason}
+            for one in report.damages
+        ],
+        "damage_count": report.damage_count,
+    }  # fmt: skip

@@ -9,7 +9,8 @@ from pathlib import Path
 
 from rich.progress import BarColumn, Progress, TimeRemainingColumn
 
-from impact_rig.cli.terminal import Console, Words
+from impact_rig.cli import command
+from impact_rig.cli.terminal import Console, Steps, Words
 from impact_rig.errors import ImpactRigError
 from impact_rig.recording import Run, open_run
 from impact_rig.simtime import NS_PER_S
@@ -19,7 +20,13 @@ FASTEST = "max"
 
 def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Register the subcommand."""
-    parser = commands.add_parser("replay", help="publish a run onto the graph again, with /clock")
+    parser = command.add(
+        commands, "replay", "publish a run onto the graph again, with /clock",
+        [
+            ("replay runs/demo/gap_6mm", "in real time"),
+            ("replay runs/demo/gap_6mm --rate max --peers analysis", "as fast as the analysis follows"),
+        ],
+    )  # fmt: skip
     parser.add_argument("path", type=Path, metavar="RUN", help="run directory or .mcap file")
     parser.add_argument(
         "--rate", type=_rate, default=1.0, metavar="X", help="times real time, or max: as the peers follow (default: 1)"
@@ -46,13 +53,8 @@ def _play(opened: Run, arguments: argparse.Namespace) -> int:
         from impact_rig.nodes.player import Player, on_graph  # noqa: PLC0415  # the other subcommands do without ROS
     except ImportError as error:
         raise ImpactRigError(f"replay needs ROS 2: {error}") from error
-    columns = (
-        Words("{task.fields[state]:<8}"),
-        BarColumn(24),
-        Words("{task.completed:.1f} of {task.total:.1f} s"),
-        TimeRemainingColumn(),
-    )
-    with on_graph("player") as (node, spin), Progress(*columns, console=Console()) as progress:
+    console = Console(stderr=True)
+    with on_graph("player") as (node, spin), _shown(console) as progress:
         player = Player(
             opened,
             node,
@@ -64,15 +66,29 @@ def _play(opened: Run, arguments: argparse.Namespace) -> int:
         )
         spin(arguments.delay)
         total = (player.end_ns - player.start_ns) / NS_PER_S
+        lines = Steps("second", round(total))
         task = progress.add_task("", total=total, state="waiting")
         while True:
             for now_ns in player.play():
-                state = "paused" if player.paused else "playing"
-                progress.update(task, completed=(now_ns - player.start_ns) / NS_PER_S, state=state)
+                state, done = "paused" if player.paused else "playing", (now_ns - player.start_ns) / NS_PER_S
+                progress.update(task, completed=done, state=state)
+                if not console.is_terminal:
+                    lines.show(math.floor(done), state)
             progress.update(task, completed=total, state="done")
             if not arguments.loop:
                 player.finish()
                 return 0
+
+
+def _shown(console: Console) -> Progress:
+    """Return the bar, which only a terminal shows."""
+    columns = (
+        Words("{task.fields[state]:<8}"),
+        BarColumn(24),
+        Words("{task.completed:.1f} of {task.total:.1f} s"),
+        TimeRemainingColumn(),
+    )
+    return Progress(*columns, console=console, disable=not console.is_terminal)
 
 
 def _rate(text: str) -> float:

@@ -5,12 +5,19 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from impact_rig.cli import command
 from impact_rig.cli.terminal import tell_program
 
 
 def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Register the subcommand."""
-    parser = commands.add_parser("report", help="write a campaign's report: one HTML page, figures as PNG and SVG")
+    parser = command.add(
+        commands, "report", "write a campaign's report: one HTML page, figures as PNG and SVG, numbers as JSON",
+        [
+            ("report runs/campaign_paper", "writes runs/campaign_paper/report.html"),
+            ("report runs/campaign_paper --margins runs/campaign_margins", "with what the verdicts owe to constants"),
+        ],
+    )  # fmt: skip
     parser.add_argument("directory", type=Path, metavar="DIR", help="directory of a campaign")
     parser.add_argument("--output", type=Path, metavar="FILE", help="the page (default: DIR/report.html)")
     parser.add_argument(

@@ -1,34 +1,72 @@
 """The one way of text to the terminal: nothing in it is markup, a picture word or a control character.
 
 Names of files and topics, texts of recordings and campaigns come from anybody. What is coloured here is coloured by
-`style`, never inside a text.
+`style`, never inside a text; `NO_COLOR` in the environment switches all colours off.
 """
 
 from __future__ import annotations
 
+import argparse
+import json
+import math
 import sys
 from pathlib import Path
 from typing import Any  # what rich's methods take
 
+import numpy as np
+from rich import box
 from rich import console as rich_console
+from rich import table as rich_table
 from rich.progress import Task, TextColumn
-from rich.table import Table as TextTable
 from rich.text import Text
 
 from impact_rig.system.escapes import visible
 
-__all__ = ["Console", "TextTable", "Words", "tell_program"]
+__all__ = ["Console", "Steps", "TextTable", "Words", "tell_json", "tell_program"]
+
+LONGEST_HEADING = 11
+"""Characters of a heading over numbers that stay in one line."""
+LINES = 50
+"""Of a progress that nobody watches, about."""
 
 
 class Console(rich_console.Console):
-    """A terminal that shows every text as it is."""
+    """A terminal that shows every text as it is.
 
-    def __init__(self, *, stderr: bool = False) -> None:
-        super().__init__(stderr=stderr, markup=False, emoji=False, highlight=False)
+    Args:
+        quiet: show nothing: what was found is told as JSON.
+        stderr: what is under way, beside the results.
+    """
+
+    def __init__(self, *, quiet: bool = False, stderr: bool = False) -> None:
+        super().__init__(markup=False, emoji=False, highlight=False, quiet=quiet, stderr=stderr)
 
     def render_str(self, text: str, **options: Any) -> Text:
         """Return a text as it is drawn, also in tables."""
         return super().render_str(visible(text), **{**options, "markup": False, "emoji": False})
+
+
+class TextTable(rich_table.Table):
+    """A table that fits 80 columns: units stand below the names they belong to, numbers and units are never cut.
+
+    Args:
+        title: above it.
+        caption: below it.
+    """
+
+    def __init__(self, title: str | None = None, caption: str | None = None) -> None:
+        super().__init__(title=title, caption=caption, box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
+        self.title_justify = self.caption_justify = "left"
+
+    def add_column(self, header: Any = "", *arguments: Any, **options: Any) -> None:
+        """Add a column; one that is set flush right keeps its width, others are broken where the line is full."""
+        flush = options.get("justify") == "right"
+        lines = [visible(line) for line in str(header).replace(" [", "\n[").split("\n")]
+        if flush and max(map(len, lines)) > LONGEST_HEADING:
+            lines = [word for line in lines for word in line.split()]
+        widest = max((len(word) for line in lines for word in line.split()), default=0)
+        keep = {"overflow": "fold", "no_wrap": flush, "min_width": widest}
+        super().add_column(Text("\n".join(lines)), *arguments, **{**keep, **options})
 
 
 class Words(TextColumn):
@@ -39,6 +77,53 @@ class Words(TextColumn):
         return Text(visible(self.text_format.format(task=task)), style=self.style, justify=self.justify)
 
 
+class Steps:
+    """Progress as plain lines, where there is no terminal to draw a bar on.
+
+    Args:
+        what: is counted.
+        total: of it.
+    """
+
+    def __init__(self, what: str, total: int) -> None:
+        self._what, self._total, self._told = what, total, -1
+
+    def show(self, done: int, state: str) -> None:
+        """Print a line, but no more than about `LINES` of them."""
+        every = max(1, self._total // LINES)
+        if done // every > self._told // every or done == self._total > self._told:
+            self._told = done
+            text = f"{self._what} {done} of {self._total}: {state}"
+            print(visible(text), file=sys.stderr, flush=True)  # noqa: T201  # a command line tool talks
+
+
+def add_json(parser: argparse.ArgumentParser) -> None:
+    """Let a command tell what it found as JSON."""
+    parser.add_argument("--json", action="store_true", help="print what was found as JSON instead")
+
+
+def tell_json(content: object) -> None:
+    """Print what was found for a program; numbers that do not exist are null."""
+    print(json.dumps(_plain(content), indent=2, ensure_ascii=False))  # noqa: T201  # a command line tool talks
+
+
 def tell_program(path: Path) -> None:
     """Print a path as the last line: as it is for a program that reads it, visible for people."""
     print(visible(str(path)) if sys.stdout.isatty() else path)  # noqa: T201  # a command line tool talks
+
+
+def _plain(value: object) -> object:
+    """Return what JSON knows: no NaN, no numpy, no bytes."""
+    if isinstance(value, dict):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple, np.ndarray)):
+        return [_plain(item) for item in value]
+    if isinstance(value, np.void):
+        return {name: _plain(value[name]) for name in value.dtype.names or ()}
+    if isinstance(value, bytes):
+        return value.decode(errors="replace")
+    if isinstance(value, (bool, int, str)) or value is None:
+        return value
+    if isinstance(value, (float, np.floating)):
+        return float(value) if math.isfinite(value) else None
+    return int(value) if isinstance(value, np.integer) else bool(value) if isinstance(value, np.bool_) else str(value)

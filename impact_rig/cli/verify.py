@@ -5,14 +5,20 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from impact_rig.cli.terminal import Console
+from impact_rig.cli import command
+from impact_rig.cli.terminal import Console, add_json, tell_json
 from impact_rig.recording import open_run
 
 
 def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Register the subcommand."""
-    parser = commands.add_parser("verify", help="re-simulate a run from its journal and compare every scan")
-    parser.add_argument("path", type=Path, metavar="RUN")
+    parser = command.add(
+        commands, "verify", "re-simulate a run from its journal and compare every scan",
+        [("verify runs/demo/gap_6mm", "says `identical`, or names the first scan that differs")],
+        "Exit code 0: identical; 1: different, or not verifiable.",
+    )  # fmt: skip
+    parser.add_argument("path", type=Path, metavar="RUN", help="run directory or .mcap file")
+    add_json(parser)
     parser.set_defaults(run=_run)
 
 
@@ -23,5 +29,8 @@ def _run(arguments: argparse.Namespace) -> int:
 
         compiling.ready()
         found = verify(run)
-    Console().print(f"{arguments.path}: {found}", style="green" if found.identical else "red")
+    if arguments.json:
+        tell_json({"identical": found.identical, "scans": found.scans, "reason": found.reason})
+    else:
+        Console().print(f"{arguments.path}: {found}", style="green" if found.identical else "red")
     return 0 if found.identical else 1

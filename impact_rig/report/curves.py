@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from impact_rig.campaign import paper
 from impact_rig.campaign.axes import NO_SPHERE
-from impact_rig.campaign.paper import FREQUENCIES_HZ, FREQUENCY_HZ, REDUCTION_PERCENT, Reductions
+from impact_rig.campaign.paper import FREQUENCIES_HZ, FREQUENCY_HZ, REDUCTION_PERCENT
 from impact_rig.campaign.results import Curves, Point
 from impact_rig.campaign.statements import MissingError, peak_hz
-from impact_rig.physics.closed_form import transmissibility
-from impact_rig.report.drawing import Drawn, legend_below, new_axes
-from impact_rig.report.palette import (
+from impact_rig.drawing.palette import (
     CHAOTIC,
     GRID,
     INK,
@@ -25,12 +22,12 @@ from impact_rig.report.palette import (
     QUIET,
     SERIES,
 )
-from impact_rig.rig.config import RigConfig
+from impact_rig.drawing.style import Drawn, Line, legend_below, new_axes
+from impact_rig.report.content import COVERAGE
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-COVERAGE = 2.0
 FIGURE_8 = "abcde"
 REGIMES = {"periodic": PERIODIC, "modulated": MODULATED, "chaotic": CHAOTIC}
 
@@ -52,38 +49,22 @@ def papers_dt(curves: Curves, gap_m: float) -> float | None:
     return None if without is None else without.dt * (1.0 - REDUCTION_PERCENT[gap_m] / 100.0)
 
 
-def figure_6(curves: Curves, config: RigConfig) -> Iterator[Drawn]:
-    """Draw DT without the sphere: measured, and the closed form of the configured rig."""
-    points = curve(curves, NO_SPHERE)
-    if not points:
-        return
-    figure, (axis,) = new_axes(2.8)
-    fine = np.linspace(FREQUENCIES_HZ[0], FREQUENCIES_HZ[-1], 1200)
-    axis.plot(fine, np.abs(transmissibility(config, fine)), color=MUTED, linewidth=0.9, label="closed form")
-    _errorbar(axis, points, SERIES[0], "measured, ± 2u", line=False)
-    axis.axvline(FREQUENCY_HZ, color=PAPER_RED, linewidth=0.9, linestyle=":", label="paper: 9.1 Hz")
-    _finish(axis, "DT without sphere")
-    caption = "Displacement transmissibility without the sphere (the paper's Fig. 6)."
-    yield Drawn("fig6_without_sphere", figure, caption)
+def case(gap_m: float) -> str:
+    """Return the name of a case in legends."""
+    return "no sphere" if gap_m == NO_SPHERE else f"{gap_m * 1e3:g} mm"
 
 
-def figure_7(curves: Curves) -> Iterator[Drawn]:
-    """Draw DT of all cases in one figure."""
-    cases = [gap for gap in (NO_SPHERE, *REDUCTION_PERCENT) if curve(curves, gap)]
-    if len(cases) < 2:
-        return
-    figure, (axis,) = new_axes(3.6)
-    for gap in cases:
-        label = "none" if gap == NO_SPHERE else f"{gap * 1e3:g} mm"
-        _errorbar(axis, curve(curves, gap), colour(gap), label, dashed=gap == NO_SPHERE)
-        wanted = papers_dt(curves, gap) if gap != NO_SPHERE else None
-        if wanted is not None:
-            axis.plot(FREQUENCY_HZ, wanted, "D", color=PAPER_RED, markerfacecolor="none", markersize=5.0)
-    axis.plot([], [], "D", color=PAPER_RED, markerfacecolor="none", markersize=5.0, label="paper")
-    _finish(axis, "DT by gap", legend=False)
-    legend_below(axis, 4)
-    caption = "All cases (Fig. 7). Diamonds: our DT without sphere, less the reduction the paper prints for 9.1 Hz."
-    yield Drawn("fig7_all_gaps", figure, caption)
+def measured_line(label: str, points: Sequence[Point]) -> Line:
+    """Return what was measured of a case, as its curve is drawn."""
+    return Line(
+        label,
+        {
+            "frequency_hz": [p.frequency_hz for p in points],
+            "transmissibility": [p.dt for p in points],
+            "expanded_uncertainty": [COVERAGE * p.u_dt for p in points],
+            "phase_deg": [math.degrees(p.phase_rad) for p in points],
+        },
+    )
 
 
 def figure_8(curves: Curves) -> Iterator[Drawn]:
@@ -101,51 +82,31 @@ def figure_8(curves: Curves) -> Iterator[Drawn]:
             label = f"paper, −{REDUCTION_PERCENT[gap]:g} %"
             axis.plot(FREQUENCY_HZ, wanted, "D", color=PAPER_RED, markerfacecolor="none", markersize=6.0, label=label)
         _finish(axis, f"Gap {gap * 1e3:g} mm")
-        yield Drawn(f"fig8{letter}_gap_{gap * 1e3:g}mm", figure, f"Gap {gap * 1e3:g} mm (Fig. 8{letter}).")
-
-
-def reductions_by_gap(reductions: Reductions) -> Iterator[Drawn]:
-    """Draw our reductions beside the paper's."""
-    ours, spread = reductions.percent(), reductions.percent_uncertainty
-    if not ours:
-        return
-    figure, (axis,) = new_axes(3.0)
-    gaps = sorted(ours)
-    millimetres = np.array(gaps) * 1e3
-    axis.errorbar(
-        millimetres, [ours[g] for g in gaps], [COVERAGE * spread[g] for g in gaps],
-        color=SERIES[0], marker="o", capsize=3.0, label="this rig, ± 2u",
-    )  # fmt: skip
-    published = [REDUCTION_PERCENT[g] for g in gaps]
-    axis.plot(millimetres, published, "D", color=PAPER_RED, markerfacecolor="none", markersize=6.0, label="paper")
-    axis.set(xlabel="gap (mm)", ylabel="reduction of DT at 9.1 Hz (%)", title="Reduction by the sphere", ylim=(20, 55))
-    axis.set_xticks(millimetres)
-    axis.legend(loc="lower right")
-    caption = "Reduction at 9.1 Hz by gap. A fit: constants of the rig were chosen on these five numbers."
-    yield Drawn("reductions", figure, caption)
+        lines = [measured_line(case(one), curve(curves, one)) for one in (NO_SPHERE, gap) if curve(curves, one)]
+        yield Drawn(f"fig8{letter}_gap_{gap * 1e3:g}mm", figure, f"Gap {gap * 1e3:g} mm (Fig. 8{letter}).", lines)
 
 
 def peaks(curves: Curves) -> Iterator[Drawn]:
     """Draw the curves around their peaks, on the fine grid, with the peaks marked."""
     figure, (axis,) = new_axes(3.4)
-    found = False
+    lines: list[Line] = []
     for gap in (NO_SPHERE, *REDUCTION_PERCENT):
         try:
             peak = peak_hz(curves, gap)
         except MissingError:
             continue
-        found = True
         points = [p for f, p in sorted(curves.by_gap[gap].items()) if abs(f - FREQUENCY_HZ) < 0.0999]
-        label = "none" if gap == NO_SPHERE else f"{gap * 1e3:g} mm"
+        lines.append(measured_line(case(gap), points))
+        label = case(gap)
         style = "--" if gap == NO_SPHERE else "-"
         axis.plot([p.frequency_hz for p in points], [p.dt for p in points], style, color=colour(gap), label=label)
         axis.axvline(peak, color=colour(gap), linewidth=0.7, linestyle=":")
-    if not found:
+    if not lines:
         return
     axis.set(xlabel="frequency (Hz)", ylabel="transmissibility", title="Where the curves peak")
     legend_below(axis, 3)
     caption = "Grid of 0.01 Hz. Dotted: where each curve peaks; with the sphere a little lower, as the paper saw."
-    yield Drawn("peaks", figure, caption)
+    yield Drawn("peaks", figure, caption, lines)
 
 
 def amplitudes(curves: Curves) -> Iterator[Drawn]:
@@ -154,11 +115,14 @@ def amplitudes(curves: Curves) -> Iterator[Drawn]:
     if not cases:
         return
     figure, (upper, lower) = new_axes(4.8, (1.0, 1.0))
+    lines: list[Line] = []
     for gap in cases:
         points = curve(curves, gap)
         frequency = [p.frequency_hz for p in points]
         style = "--" if gap == NO_SPHERE else "-"
-        label = "none" if gap == NO_SPHERE else f"{gap * 1e3:g} mm"
+        label = case(gap)
+        columns = {"superior_base_mm": [p.laser_m * 1e3 for p in points], "base_um": [p.base_m * 1e6 for p in points]}
+        lines.append(Line(case(gap), {"frequency_hz": frequency, **columns}))
         upper.plot(frequency, [p.laser_m * 1e3 for p in points], style, marker="o", color=colour(gap), label=label)
         lower.plot(frequency, [p.base_m * 1e6 for p in points], style, marker="o", color=colour(gap))
     upper.set(ylabel="superior base (mm)", title=f"Amplitudes at {paper.CURRENT_A * 1e3:g} mA")
@@ -171,7 +135,7 @@ def amplitudes(curves: Curves) -> Iterator[Drawn]:
         "base beneath it. At resonance the structure holds the base still, like a tuned absorber; losses in the "
         "sphere's impacts weaken that hold, the base moves more, and so DT falls."
     )
-    yield Drawn("amplitudes", figure, caption)
+    yield Drawn("amplitudes", figure, caption, lines)
 
 
 def regime_map(curves: Curves) -> Iterator[Drawn]:
@@ -195,7 +159,15 @@ def regime_map(curves: Curves) -> Iterator[Drawn]:
         axis.fill_between([], [], [], color=shade, label=name)
     legend_below(axis, 4)
     caption = "Regime map: what the response does from cycle to cycle, and impacts per cycle, from the accelerometer."
-    yield Drawn("regimes", figure, caption)
+    lines = [
+        Line(
+            case(gap),
+            {"frequency_hz": [p.frequency_hz for p in one], "impacts_per_cycle": [p.impacts_per_cycle for p in one]},
+        )
+        for gap in cases
+        if (one := curve(curves, gap))
+    ]
+    yield Drawn("regimes", figure, caption, lines)
 
 
 def _errorbar(

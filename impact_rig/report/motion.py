@@ -7,8 +7,8 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_rig.report.drawing import Drawn, legend_below, new_axes
-from impact_rig.report.palette import INK, MUTED, SERIES
+from impact_rig.drawing.palette import INK, MUTED, SERIES
+from impact_rig.drawing.style import Drawn, Line, legend_below, new_axes
 
 CYCLES = 3
 """Drive cycles in a time trace."""
@@ -44,7 +44,8 @@ def time_trace(trace: Trace, gap_m: float, frequency_hz: float) -> Drawn:
     lower.set(xlabel="time (ms)", ylabel="accel. (m/s²)")
     legend_below(lower, 2, upper)
     caption = f"Time traces, gap {gap_m * 1e3:g} mm: {CYCLES} cycles. The spikes are impacts."
-    return Drawn(f"trace_gap_{gap_m * 1e3:g}mm", figure, caption)
+    columns = {"time_s": time[coarse].tolist(), "superior_base_mm": laser.tolist(), "sphere_mm": truth_2.tolist()}
+    return Drawn(f"trace_gap_{gap_m * 1e3:g}mm", figure, caption, [Line("truth and laser", columns)])
 
 
 def phase_plane(trace: Trace, gap_m: float, frequency_hz: float) -> Drawn:
@@ -59,7 +60,8 @@ def phase_plane(trace: Trace, gap_m: float, frequency_hz: float) -> Drawn:
         xlabel="sphere less superior base (mm)", ylabel="relative velocity (m/s)", title=_case(gap_m, frequency_hz)
     )
     caption = f"Phase plane of the sphere between the barriers, gap {gap_m * 1e3:g} mm (truth)."
-    return Drawn(f"phase_gap_{gap_m * 1e3:g}mm", figure, caption)
+    columns = {"place_mm": place[::2].tolist(), "relative_velocity_m_s": speed[::2].tolist()}
+    return Drawn(f"phase_gap_{gap_m * 1e3:g}mm", figure, caption, [Line("sphere (truth)", columns)])
 
 
 def _case(gap_m: float, frequency_hz: float) -> str:

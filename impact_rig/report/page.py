@@ -1,43 +1,16 @@
-"""The page: parts of HTML, a style that follows the theme and prints, and nothing that is fetched."""
+"""The page: parts of HTML, each plain text or made of such parts, and nothing that is fetched."""
 
 from __future__ import annotations
 
 import html
+import re
 from collections.abc import Iterable, Sequence
+from urllib.parse import quote
 
-from impact_rig.report.drawing import Drawn
-from impact_rig.report.palette import variables
+from impact_rig.drawing.style import Drawn
+from impact_rig.report.sheet import STYLE
 
 escape = html.escape
-
-_STYLE = """
-:root { color-scheme: light dark; --page: #ffffff; --good: #1a7f37; --bad: #c1121f; --soft: #f3f5f8; LIGHT }
-@media (prefers-color-scheme: dark) { :root {
-  --page: #14181d; --good: #4ac26b; --bad: #ff6b6b; --soft: #1d232a; DARK } }
-@media print { :root {
-  color-scheme: light; --page: #ffffff; --good: #1a7f37; --bad: #c1121f; --soft: #f3f5f8; LIGHT } }
-* { box-sizing: border-box; }
-body { margin: 0 auto; padding: 1rem; max-width: 90rem; background: var(--page); color: var(--ink);
-  font: 16px/1.5 system-ui, sans-serif; overflow-wrap: break-word; }
-h1 { font-size: 1.6rem; line-height: 1.2; margin: .5rem 0; } h2 { font-size: 1.2rem; margin: 2.2rem 0 .6rem; }
-p { max-width: 48rem; } a { color: var(--s0); } .muted { color: var(--muted); }
-.figures { display: grid; grid-template-columns: repeat(auto-fill, minmax(min(100%, 24rem), 1fr)); gap: 1rem 1.5rem; }
-figure { margin: 0; min-width: 0; max-width: 34rem; } figure svg { display: block; width: 100%; height: auto; }
-figure svg text { font-family: "DejaVu Sans", Verdana, Geneva, sans-serif !important; }
-figcaption { font-size: .85rem; color: var(--muted); }
-.scroll { overflow-x: auto; } table { border-collapse: collapse; font-variant-numeric: tabular-nums; }
-th, td { padding: .25rem .7rem; text-align: left; vertical-align: top; border-bottom: 1px solid var(--grid); }
-th { font-size: .85rem; color: var(--muted); font-weight: 600; }
-td.n, th.n { text-align: right; } td.n { white-space: nowrap; }
-.pass { color: var(--good); font-weight: 600; } .FAIL { color: var(--bad); font-weight: 600; }
-.tiles { display: grid; grid-template-columns: repeat(auto-fill, minmax(10rem, 1fr)); gap: .7rem; margin: 1rem 0; }
-.tile { background: var(--soft); border-radius: .5rem; padding: .6rem .8rem; }
-.tile b { display: block; font-size: 1.3rem; }
-details summary { cursor: pointer; }
-@media (max-width: 40rem) { th, td { padding: .2rem .25rem; } table, th { font-size: .8rem; } }
-@media print { figure, tr { break-inside: avoid; } h2 { break-after: avoid; } body { font-size: 11px; }
-  .figures { grid-template-columns: 1fr 1fr; } .scroll { overflow: visible; } }
-""".replace("LIGHT", variables(dark=False)).replace("DARK", variables(dark=True))
 
 
 def page(title: str, parts: Iterable[str]) -> str:
@@ -45,16 +18,41 @@ def page(title: str, parts: Iterable[str]) -> str:
     return (
         f'<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n<title>{escape(title)}</title>\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f'<link rel="icon" href="data:,">\n<style>{_STYLE}</style>\n</head>\n<body>\n'  # else browsers ask for an icon
-        + "\n".join(parts)
-        + "\n</body>\n</html>\n"
+        '<link rel="icon" href="data:,">\n'  # else browsers ask for one
+        f"<style>{STYLE}</style>\n</head>\n<body>\n<main>\n" + "\n".join(parts) + "\n</main>\n</body>\n</html>\n"
     )
 
 
-def section(title: str, *parts: str) -> str:
-    """Return a section; nothing if it has no content."""
-    body = "\n".join(part for part in parts if part)
-    return f"<section>\n<h2>{escape(title)}</h2>\n{body}\n</section>" if body else ""
+def anchor(title: str) -> str:
+    """Return the identifier of a section."""
+    return "s-" + re.sub(r"[^a-z0-9]+", "-", title.lower()).strip("-")
+
+
+def section(title: str, *parts: str, part: bool = False) -> str:
+    """Return a section; nothing if it has no content.
+
+    Args:
+        title: of it.
+        parts: what is in it.
+        part: whether it begins a page of its own in print.
+    """
+    body = "\n".join(one for one in parts if one)
+    if not body:
+        return ""
+    kind = ' class="part"' if part else ""
+    return f'<section{kind} id="{anchor(title)}">\n<h2>{escape(title)}</h2>\n{body}\n</section>'
+
+
+def contents(sections: Iterable[str]) -> str:
+    """Return the table of contents of sections."""
+    titles = [found[1] for one in sections if (found := re.search(r"<section.*>\n<h2>(.*)</h2>", one))]
+    items = "".join(f'<li><a href="#{anchor(html.unescape(title))}">{title}</a></li>' for title in titles)
+    return f'<nav aria-label="Contents">\n<h2>Contents</h2>\n<ol>{items}</ol>\n</nav>'
+
+
+def heading(title: str) -> str:
+    """Return a heading within a section."""
+    return f"<h3>{escape(title)}</h3>"
 
 
 def paragraph(text: str, kind: str = "") -> str:
@@ -62,24 +60,45 @@ def paragraph(text: str, kind: str = "") -> str:
     return f'<p class="{kind}">{escape(text)}</p>' if kind else f"<p>{escape(text)}</p>"
 
 
-def figures(drawn: Sequence[Drawn]) -> str:
-    """Return figures side by side as far as the page is wide."""
-    if not drawn:
-        return ""
-    items = (
-        f'<figure role="group" aria-label="{escape(one.caption)}">{one.inline()}'
-        f"<figcaption>{escape(one.caption)}</figcaption></figure>"
-        for one in drawn
+def cover(entries: Iterable[tuple[str, str]]) -> str:
+    """Return the cover block: (what, its value), both plain text."""
+    items = "".join(f"<dt>{escape(what)}</dt><dd>{escape(value)}</dd>" for what, value in entries if value)
+    return f'<dl class="cover">{items}</dl>'
+
+
+def figures(drawn: Sequence[Drawn], *, large: bool = False) -> str:
+    """Return figures side by side as far as the page is wide; each can be enlarged, and gives its numbers as CSV.
+
+    Args:
+        drawn: in their order.
+        large: two abreast at most.
+    """
+    kind = "figures large" if large else "figures"
+    return f'<div class="{kind}">{"".join(map(_figure, drawn))}</div>' if drawn else ""
+
+
+def _figure(one: Drawn) -> str:
+    name, caption = escape(one.name), escape(one.caption)
+    place = f"f-{one.name.replace('_', '-')}"
+    tools = (
+        f'<a class="enlarge" href="#{place}" aria-label="Enlarge {name}">enlarge</a>'
+        f' <a class="back" href="#{place}-here" aria-label="Close {name}">close</a>'
     )
-    return f'<div class="figures">{"".join(items)}</div>'
+    if one.lines:
+        address = f"data:text/csv;charset=utf-8,{quote(one.csv())}"
+        tools += f' <a download="{name}.csv" href="{address}" aria-label="CSV of {name}">CSV</a>'
+    return (
+        f'<figure id="{place}" role="group" aria-label="{caption}"><span id="{place}-here"></span>{one.inline()}'
+        f"<figcaption>{caption} {tools}</figcaption></figure>"
+    )
 
 
 def table(headings: Sequence[str], rows: Iterable[Sequence[str]], numeric: Iterable[int] = ()) -> str:
-    """Return a table of plain text.
+    """Return a table of plain text; on a phone every row becomes a list of its cells with their headings.
 
     Args:
         headings: of the columns.
-        rows: cells; one that begins with a verdict's word is coloured by it.
+        rows: cells; one that is a verdict's word is coloured by it.
         numeric: columns that are set flush right.
     """
     right = set(numeric)
@@ -87,11 +106,19 @@ def table(headings: Sequence[str], rows: Iterable[Sequence[str]], numeric: Itera
     def cell(tag: str, column: int, text: str) -> str:
         word = text if text in ("pass", "FAIL") else ""
         kind = " ".join(filter(None, ("n" if column in right else "", word)))
-        return f'<{tag} class="{kind}">{escape(text)}</{tag}>' if kind else f"<{tag}>{escape(text)}</{tag}>"
+        marks = f' class="{kind}"' if kind else ""
+        if tag == "td":
+            marks += f' role="cell" data-label="{escape(headings[column])}"'
+        else:
+            marks += ' role="columnheader"'
+        return f"<{tag}{marks}>{escape(text)}</{tag}>"
 
     head = "".join(cell("th", i, text) for i, text in enumerate(headings))
-    body = "\n".join(f"<tr>{''.join(cell('td', i, text) for i, text in enumerate(row))}</tr>" for row in rows)
-    return f'<div class="scroll"><table><thead><tr>{head}</tr></thead>\n<tbody>{body}</tbody></table></div>'
+    body = "\n".join(f'<tr role="row">{"".join(cell("td", i, t) for i, t in enumerate(row))}</tr>' for row in rows)
+    return (
+        f'<div class="scroll"><table role="table"><thead role="rowgroup"><tr role="row">{head}</tr></thead>\n'
+        f'<tbody role="rowgroup">{body}</tbody></table></div>'
+    )
 
 
 def tiles(items: Iterable[tuple[str, str]]) -> str:
@@ -101,7 +128,7 @@ def tiles(items: Iterable[tuple[str, str]]) -> str:
 
 
 def folded(summary: str, body: str) -> str:
-    """Return a part that is closed at first."""
+    """Return a part that is closed at first, and open in print."""
     return f"<details><summary>{escape(summary)}</summary>\n{body}\n</details>"
 
 

@@ -5,11 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 from impact_rig.campaign.paper import REDUCTION_PERCENT, Reductions
+from impact_rig.drawing.palette import INK, MEASURED, MUTED, PAPER_RED
+from impact_rig.drawing.style import styled
 from impact_rig.system import files
 
-OURS, PAPER = "#1f6f8b", "#d1495b"
 
-
+@styled
 def draw_reductions(reductions: Reductions, path: Path) -> Path:
     """Draw transmissibility and its reduction by gap beside the paper's five numbers; return `path`."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415  # a second of import, only for figures
@@ -23,7 +24,7 @@ def draw_reductions(reductions: Reductions, path: Path) -> Path:
     left, right = figure.subplots(1, 2, width_ratios=[1.0, 1.35])
 
     heights = [reductions.dt_no_sphere, *(reductions.dt[gap] for gap in gaps)]
-    left.bar(["none", *names], heights, color=["#8d99ae"] + [OURS] * len(gaps), width=0.65)
+    left.bar(["none", *names], heights, color=[MUTED] + [MEASURED] * len(gaps), width=0.65)
     for i, height in enumerate(heights):
         left.text(i, height, f"{height:.1f}", ha="center", va="bottom", fontsize=8)
     left.set(xlabel="gap (mm)", ylabel="displacement transmissibility", title="DT at 9.1 Hz, constant current")
@@ -31,15 +32,15 @@ def draw_reductions(reductions: Reductions, path: Path) -> Path:
 
     places = range(len(gaps))
     right.bar(
-        [i - 0.2 for i in places], [REDUCTION_PERCENT.get(g, 0.0) for g in gaps], 0.38, color=PAPER, label="paper"
+        [i - 0.2 for i in places], [REDUCTION_PERCENT.get(g, 0.0) for g in gaps], 0.38, color=PAPER_RED, label="paper"
     )
     right.bar(
         [i + 0.2 for i in places],
         [ours[g] for g in gaps],
         0.38,
         yerr=[2.0 * spread[g] for g in gaps],
-        color=OURS,
-        ecolor="#222222",
+        color=MEASURED,
+        ecolor=INK,
         capsize=3,
         label="this run (± 2u)",
     )
@@ -58,7 +59,7 @@ def draw_reductions(reductions: Reductions, path: Path) -> Path:
     right.legend(frameon=False, loc="upper left")
     right.margins(y=0.2)
     for axes in (left, right):
-        axes.spines[["top", "right"]].set_visible(False)
+        axes.grid(visible=False, axis="x")
     with files.written_whole(path) as file:
         figure.savefig(file, format="png", dpi=140)
     return path

@@ -10,9 +10,9 @@ from impact_rig.analysis.calibration import Calibration
 from impact_rig.analysis.reduction import reduction
 from impact_rig.campaign.axes import NO_SPHERE
 from impact_rig.campaign.results import Curves, Point
-from impact_rig.report.curves import COVERAGE
-from impact_rig.report.drawing import Drawn, legend_below, new_axes
-from impact_rig.report.palette import SERIES
+from impact_rig.drawing.palette import SERIES
+from impact_rig.drawing.style import Drawn, Line, legend_below, new_axes
+from impact_rig.report.content import COVERAGE
 
 AXIS_NAMES = {
     "frequency_hz": ("frequency", "Hz", 1.0),
@@ -55,6 +55,7 @@ def study_figures(study: str, points: Sequence[Point], curves: Curves, calibrati
         return
     figure, (axis,) = new_axes(3.5)
     name, unit, factor = AXIS_NAMES.get(along, (along.rpartition(".")[2], "", 1.0))
+    numbers: list[Line] = []
     styles = [(shade, line) for line in ("-", "--") for shade in SERIES]
     for (shade, style), (label, line) in zip(styles, lines.items(), strict=False):
         ordered = line if along == "frequency_hz" else sorted(line, key=lambda p: float(places[id(p)][along]))
@@ -62,6 +63,9 @@ def study_figures(study: str, points: Sequence[Point], curves: Curves, calibrati
         drawn = [_reduction(p, curves, calibration) if relative else (p.dt, p.u_dt) for p in ordered]
         y, u = zip(*drawn, strict=True)
         bars = COVERAGE * np.array(u)
+        shown = "reduction_percent" if relative else "transmissibility"
+        place = [float(places[id(p)][along]) for p in ordered]
+        numbers.append(Line(label, {along: place, shown: list(y), "expanded_uncertainty": bars.tolist()}))
         axis.errorbar(x, y, bars, color=shade, linestyle=style, marker="o", markersize=3.0, linewidth=1.0, label=label)
     axis.set(
         xlabel=f"{name} ({unit})" if unit else name,
@@ -70,7 +74,7 @@ def study_figures(study: str, points: Sequence[Point], curves: Curves, calibrati
     )
     if len(lines) > 1:
         legend_below(axis, 2)
-    yield Drawn(f"study_{study}", figure, f"Study “{study}”: {len(settled)} settled points, ± 2u.")
+    yield Drawn(f"study_{study}", figure, f"Study “{study}”: {len(settled)} settled points, ± 2u.", numbers)
 
 
 def _place(point: Point) -> dict[str, float | str]:

@@ -13,10 +13,11 @@ from numpy.typing import NDArray
 
 from impact_rig.analysis import drawings
 from impact_rig.analysis.tracker import Findings
+from impact_rig.drawing.style import style
 from impact_rig.errors import RecordingError
 from impact_rig.recording import Run
 from impact_rig.runs import reanalysis
-from impact_rig.runs.excerpt import Excerpt, last_excerpt
+from impact_rig.runs.excerpt import Excerpt, calibration_rows, last_excerpt
 from impact_rig.system import files
 
 if TYPE_CHECKING:
@@ -63,8 +64,9 @@ def draw(run: Run, found: Sequence[Findings], directory: Path, suffix: str = "pn
     """
     excerpt = last_excerpt(run, found)
     traced = excerpt.newest(TRACED_CYCLES)
+    remark = aliasing(calibration_rows(run))
     drawn = {
-        "time_traces": drawings.time_traces(traced.rows, traced.impact_times),
+        "time_traces": drawings.time_traces(traced.rows, traced.impact_times, remark),
         "phase_plane": drawings.phase_plane(
             excerpt.rows["laser"], excerpt.rate_hz, 1.0 / (SMOOTHED_CYCLE * excerpt.drive_hz or math.inf)
         ),
@@ -74,7 +76,7 @@ def draw(run: Run, found: Sequence[Findings], directory: Path, suffix: str = "pn
         ),
     }  # fmt: skip
     for figure, what in (
-        ("time_traces", f"{traced}\nred: impacts found in the acceleration"),
+        ("time_traces", str(traced)),
         ("phase_plane", f"phase plane, {excerpt}"),
         ("spectrum", f"spectrum of $x_1$, {excerpt}"),
     ):
@@ -109,6 +111,22 @@ def measured_curves(rows: NDArray[np.void]) -> dict[str, NDArray[np.void]]:
     return curves
 
 
+def aliasing(info: NDArray[np.void]) -> str:
+    """Return what the rate of scans does to the pulses of the accelerometer; empty where it resolves them.
+
+    Args:
+        info: rows of `daq/info`.
+    """
+    (channel,) = info[info["name"] == b"accelerometer"]
+    rate_hz, band_hz = float(channel["rate"]), float(channel["bandwidth"])
+    if not band_hz > rate_hz / 2.0:
+        return ""
+    return (
+        f"at {rate_hz / 1e3:g} kS/s, a scan every {1e6 / rate_hz:g} µs, pulses {band_hz / 1e3:g} kHz wide are aliased: "
+        "when they come is true, how high they stand is chance"
+    )
+
+
 def titled(figure: Figure, run: Run, what: str = "") -> Figure:
     """Write over a figure which run it shows, and what of it; return it."""
     name = run.path.name.replace("$", r"\$")  # would begin a formula
@@ -123,8 +141,8 @@ def save(figure: Figure, path: Path) -> Path:
         RecordingError: it cannot be written.
     """
     try:
-        with files.written_whole(path, replace=False) as file:
-            figure.savefig(file, format=path.suffix[1:], dpi=150)
+        with files.written_whole(path, replace=False) as file, style():
+            figure.savefig(file, format=path.suffix[1:], dpi=150, facecolor="white")
     except OSError as error:
         raise RecordingError(f"{path} cannot be written: {error.strerror}") from error
     return path

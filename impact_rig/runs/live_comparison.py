@@ -188,7 +188,8 @@ def _difference(live: Sequence[_Row], ours: Sequence[_Row], late: int, *, exact:
 
 
 def _named(where: str, column: str, theirs: _Row, found: _Row) -> str:
-    return f"{column} {where}: live {theirs.values[column]!r}, here {found.values[column]!r}"
+    live, here = theirs.values[column].item(), found.values[column].item()
+    return f"{column} {where}: live {live!r}, here {here!r}"
 
 
 def _different(theirs: np.void, ours: np.void, *, exact: bool) -> str:

@@ -40,7 +40,12 @@ def test_curves_show_every_sound_row_with_its_uncertainty():
 def test_traces_mark_the_impacts():
     rows = steady_record(9.1, 0.5, noise=0)
     figure = drawings.time_traces(rows, np.array([0.1, 0.2]))
-    assert [len(axis.lines) for axis in figure.axes] == [3, 3, 3]
+    assert [len(axis.lines) for axis in figure.axes] == [2, 2, 2], "the trace, and the marks of the impacts"
+    for axis in figure.axes:
+        instants, heights = axis.lines[1].get_data()
+        assert instants.tolist() == [0.1, 0.2]
+        assert np.all(heights > 1.0), "above the axis, in parts of its height: no pulse is hidden"
+        assert axis.lines[1].get_transform() == axis.get_xaxis_transform()
     assert np.allclose(figure.axes[1].lines[0].get_ydata(), 1e3 * rows["laser"])
     assert png(figure).startswith(b"\x89PNG")
     assert [len(axis.lines) for axis in drawings.time_traces(rows).axes] == [1, 1, 1]

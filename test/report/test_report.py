@@ -2,21 +2,31 @@
 
 from __future__ import annotations
 
+import csv
+import importlib.machinery
+import json
 import re
 import shutil
 import subprocess
 import sys
+import types
 from html.parser import HTMLParser
 from pathlib import Path
+from urllib.parse import unquote
 
 import attrs
+import numpy as np
 import pytest
 
-from impact_rig.campaign import run
+from impact_rig.arithmetic import ARITHMETIC
+from impact_rig.campaign import paper, run
 from impact_rig.campaign.in_process import execute
 from impact_rig.campaign.plan import load_campaign
 from impact_rig.cli import main
-from impact_rig.report.palette import DARK, NAMES
+from impact_rig.drawing.palette import DARK, NAMES
+from impact_rig.report.predicted import MODULE, predicted
+from impact_rig.rig import Rig
+from impact_rig.rig.config import RigConfig
 from impact_rig.studies.margins import variations
 from impact_rig.system.resources import config_dir
 
@@ -29,7 +39,7 @@ class Page(HTMLParser):
 
     def __init__(self, text):
         super().__init__()
-        self.identifiers, self.addresses, self.open, self.words = [], [], [], []
+        self.identifiers, self.addresses, self.open, self.words, self.said = [], [], [], [], []
         self.feed(text)
 
     def handle_starttag(self, tag, attributes):
@@ -50,6 +60,8 @@ class Page(HTMLParser):
 
     def handle_data(self, data):
         self.words.append(data)
+        if not {"svg", "style"} & set(self.open):
+            self.said.append(data)
 
     @property
     def text(self):
@@ -145,6 +157,118 @@ def test_the_page_tells_what_each_verdict_is_worth_and_owes_to_the_choice(report
     assert changed.verdicts[1].word == "FAIL"
     assert main(["report", str(reported), "--margins", str(reported)]) == 1
     assert "holds no campaign that varies constants" in capsys.readouterr().err
+
+
+NUMBER = re.compile(r"(?<![\w.])[-+−]?\d+(?:\.\d+)?(?:e[-+]?\d+)?(?![\w.]*[A-Za-z_])")
+
+
+def leaves(value):
+    """Every number and every text in what a JSON file holds."""
+    for item in value.values() if isinstance(value, dict) else value if isinstance(value, list) else ():
+        yield from leaves(item)
+    if isinstance(value, (int, float, str)):
+        yield value
+
+
+def kept(folder):
+    """What a program can read: numbers, and the numbers written in texts."""
+    numbers, written = set(), set()
+    report, summary = (json.loads((folder / name).read_text()) for name in ("report.json", "summary.json"))
+    del report["figures"]  # thousands of numbers, that no text shows
+    found = [*leaves([report, summary])]
+    for row in csv.reader((folder / "points.csv").read_text().splitlines()):
+        found += row
+    for one in found:
+        if isinstance(one, str):
+            written |= {text.replace("−", "-").lstrip("+") for text in NUMBER.findall(one)}
+        else:
+            numbers.add(float(one))
+    return numbers | {float(text) for text in written}, written
+
+
+def stands_for(shown, number):
+    """Whether a number as it is read is this one, rounded to the digits that are shown."""
+    _, _, decimals = shown.partition("e")[0].partition(".")
+    digits = len(re.sub(r"e.*|\D", "", shown).lstrip("0").rstrip("0" if not decimals else "")) or 1
+    return float(shown) in (round(number, len(decimals)), float(f"{number:.{digits}g}"))
+
+
+def test_every_number_of_the_page_is_kept_for_programs(page, reported):
+    numbers, written = kept(reported)
+    shown = {text.replace("−", "-").lstrip("+") for data in page.said for text in NUMBER.findall(data)}
+    assert len(shown) > 150
+    strange = [one for one in shown if one not in written and not any(stands_for(one, each) for each in numbers)]
+    assert strange == []
+
+
+def test_a_number_that_nobody_kept_would_be_found(reported):
+    numbers, written = kept(reported)
+    for invented in ("31.4159", "-0.271828", "65537"):
+        assert invented not in written
+        assert not any(stands_for(invented, each) for each in numbers)
+    assert stands_for("30.87", 30.8709)
+    assert stands_for("10000", 9999.7)
+    assert not stands_for("30.88", 30.8709)
+
+
+def test_the_cover_names_paper_configuration_and_versions(page, reported):
+    for words in (paper.TITLE, paper.AUTHORS, "none found", "contact law flores, 10000 scans/s", "Seed 1"):
+        assert words in page.text
+    summary = json.loads((reported / "summary.json").read_text())
+    assert f"Measured {summary['written']}" in page.text
+    assert f"Arithmetic version {ARITHMETIC}" in page.text
+
+
+def test_contents_lead_to_every_section(reported):
+    text = (reported / "report.html").read_text()
+    contents = re.search(r"<nav.*?</nav>", text, flags=re.DOTALL)[0]
+    sections = re.findall(r'<section[^>]* id="([^"]+)"', text)
+    assert re.findall(r'href="#([^"]+)"', contents) == sections
+    assert len(sections) >= 10
+
+
+def test_the_instruments_are_those_of_the_certificate(page):
+    for row in Rig(RigConfig()).info().rows:
+        shown = f"{100.0 * row['sensitivity_uncertainty']:.2g}"
+        assert re.search(rf"{row['name'].decode()} -?[\d.]+ to [\d.]+ \S+ \S+ \S+ {re.escape(shown)} ", page.text)
+
+
+def test_every_figure_can_be_enlarged_and_gives_its_numbers(reported):
+    text = (reported / "report.html").read_text()
+    figures = re.findall(r'<figure id="([^"]+)".*?</figure>', text, flags=re.DOTALL)
+    assert figures
+    for place in figures:
+        assert f'href="#{place}"' in text
+        assert f'href="#{place}-here"' in text
+    for name, address in re.findall(r'<a download="([^"]+)" href="data:text/csv;charset=utf-8,([^"]*)"', text):
+        table = list(csv.reader(unquote(address).splitlines()))
+        assert table == list(csv.reader((reported / "figures" / name).read_text().splitlines()))
+        assert table[0][0] == "case"
+        assert len(table) > 1
+    rows = csv.DictReader((reported / "figures" / "fig8c_gap_6mm.csv").read_text().splitlines())
+    points = run.open_finished(reported).curves.by_gap[6e-3]
+    found = {float(row["frequency_hz"]): float(row["transmissibility"]) for row in rows if row["case"] == "6 mm"}
+    assert found == pytest.approx({frequency: point.dt for frequency, point in points.items()}, rel=1e-8)
+
+
+class Branch:
+    """What a prediction gives: a line of motions, of which the first few do not last."""
+
+    def __init__(self, frequency_hz):
+        self.frequency_hz, self.dt, self.phase_rad = frequency_hz, 7.0 * frequency_hz, -frequency_hz
+        self.stable = np.arange(len(frequency_hz)) >= 3
+
+
+def test_a_prediction_is_drawn_where_it_exists_and_lasts(monkeypatch):
+    frequencies = np.linspace(8.9, 9.3, 9)
+    module = types.ModuleType(MODULE)
+    module.__spec__ = importlib.machinery.ModuleSpec(MODULE, None)
+    module.curves = lambda rig, frequencies_hz, gap_m, *, current_a: [Branch(frequencies_hz)] if gap_m > 1e-3 else []
+    monkeypatch.setitem(sys.modules, MODULE, module)
+    (found,) = predicted(RigConfig(), 4e-3, frequencies, 0.52)
+    assert found.frequency_hz.tolist() == frequencies[3:].tolist()
+    assert found.dt.tolist() == (7.0 * frequencies[3:]).tolist()
+    assert predicted(RigConfig(), 1e-3, frequencies, 0.52) == []
 
 
 def test_figures_lie_beside_the_page(reported):

@@ -37,7 +37,7 @@ def drawn(done, monkeypatch):
     """Return a study's points, its axes before they become a file, and its caption."""
 
     def draw(study):
-        monkeypatch.setattr(studies, "Drawn", lambda _name, figure, caption: (figure, caption))
+        monkeypatch.setattr(studies, "Drawn", lambda _name, figure, caption, _lines: (figure, caption))
         points = [point for point in done.points if point.study == study]
         ((figure, caption),) = studies.study_figures(study, points, done.curves, done.calibration)
         (axis,) = figure.axes

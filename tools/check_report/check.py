@@ -3,8 +3,9 @@
     python tools/check_report/check.py runs/campaign_paper/report.html [SCREENSHOTS]
 
 Needs a Chromium (`apt-get install chromium`) and nothing else: it talks to the browser through two pipes (the Chrome
-DevTools Protocol). Takes screenshots on 1280 and 400 pixels, light and dark, and a PDF of the printed page, writes them
-to the second argument (default: beside the report), and exits with 1 if something is wrong.
+DevTools Protocol). Where axe is installed (`pip install axe-core-python`), it looks for faults of access, too. Takes
+screenshots on 1280 and 400 pixels, light and dark, and a PDF of the printed page, writes them to the second argument
+(default: beside the report), and exits with 1 if something is wrong.
 """
 
 # ruff: noqa: D102, D103, S603, T201  (a developer's script: it runs the browser and prints)
@@ -12,12 +13,14 @@ to the second argument (default: beside the report), and exits with 1 if somethi
 from __future__ import annotations
 
 import base64
+import importlib.util
 import json
 import os
 import shutil
 import subprocess
 import sys
 import tempfile
+from importlib import resources
 from pathlib import Path
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
@@ -34,6 +37,7 @@ TROUBLES = """
   for (const svg of document.querySelectorAll('figure svg')) {
     const label = svg.closest('figure').getAttribute('aria-label').slice(0, 40);
     const frame = svg.getBoundingClientRect();
+    if (!frame.width) continue;  // a window of another width shows it
     const texts = [...svg.querySelectorAll('text')].filter(t => name(t)).map(t => [t, t.getBoundingClientRect()]);
     if (!texts.length) found.push(`${label}: no text`);
     texts.forEach(([t, a], i) => {
@@ -48,11 +52,19 @@ TROUBLES = """
       }
     });
   }
-  for (const e of document.querySelectorAll('h1, h2, p, li, .tile, summary'))
+  for (const e of document.querySelectorAll('h1, h2, p, li, .tile, summary, dt, dd, td, tbody th'))
     if (e.getBoundingClientRect().right > innerWidth + 1) found.push(`"${name(e)}" leaves the page`);
+  for (const e of document.querySelectorAll('.scroll'))
+    if (e.scrollWidth > e.clientWidth + 1) found.push(`a table is cut off: ${name(e)}`);
   return found;
 })()
 """.replace("LEAST", str(LEAST_TEXT_PX))
+
+AXE = """
+axe.run(document, {resultTypes: ['violations']}).then(found => found.violations
+  .filter(one => ['serious', 'critical'].includes(one.impact))
+  .map(one => `axe: ${one.id}: ${one.help}: ${one.nodes.slice(0, 3).map(n => n.html.slice(0, 120)).join(' | ')}`))
+"""
 
 
 class Browser:
@@ -129,8 +141,8 @@ def look(browser: Browser, page: Path, folder: Path) -> list[str]:
         browser.call("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": scheme}])
         browser.call("Page.navigate", url=page.as_uri())
         browser.wait_for("Page.loadEventFired")
-        found = browser.call("Runtime.evaluate", expression=TROUBLES, returnByValue=True)
-        wrong += [f"{width} px, {scheme}: {trouble}" for trouble in found["result"]["value"]]
+        found = browser.call("Runtime.evaluate", expression=TROUBLES, returnByValue=True)["result"]["value"]
+        wrong += [f"{width} px, {scheme}: {trouble}" for trouble in [*found, *_faults_of_access(browser)]]
         for event in browser.events:
             kind, values = event.get("method"), event.get("params", {})
             if kind == "Network.requestWillBeSent":
@@ -145,9 +157,19 @@ def look(browser: Browser, page: Path, folder: Path) -> list[str]:
         clip = {"x": 0, "y": 0, "width": width, "height": min(size["height"], LONGEST_PX), "scale": 1}
         picture = browser.call("Page.captureScreenshot", format="png", clip=clip, captureBeyondViewport=True)
         (folder / f"report_{width}_{scheme}.png").write_bytes(base64.b64decode(picture["data"]))
-    printed = browser.call("Page.printToPDF", printBackground=True)
+    printed = browser.call("Page.printToPDF", printBackground=True, preferCSSPageSize=True)
     (folder / "report_printed.pdf").write_bytes(base64.b64decode(printed["data"]))
     return wrong
+
+
+def _faults_of_access(browser: Browser) -> list[str]:
+    """Return the serious faults that axe finds for people who cannot see or point; nothing where axe is missing."""
+    if importlib.util.find_spec("axe_core_python") is None:
+        return []
+    script = resources.files("axe_core_python").joinpath("axe.min.js").read_text(encoding="utf-8")
+    browser.call("Runtime.evaluate", expression=script)
+    found = browser.call("Runtime.evaluate", expression=AXE, awaitPromise=True, returnByValue=True)
+    return found["result"]["value"]
 
 
 def main() -> int:

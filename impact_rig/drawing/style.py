@@ -1,23 +1,32 @@
-"""Draws a figure once and gives it as PNG, as SVG, and as SVG for the page; matplotlib is imported here only."""
+"""Draws a figure once and gives it as PNG, as SVG, and as SVG for a page; matplotlib is imported when one is drawn."""
 
 from __future__ import annotations
 
 import contextlib
+import functools
 import io
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
-from impact_rig.report.palette import GRID, INK, MUTED, themed
+import attrs
+
+from impact_rig.drawing.palette import GRID, INK, MUTED, SERIES, themed
 from impact_rig.system import files
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+P = ParamSpec("P")
+R = TypeVar("R")
 WIDTH_INCH = 4.4
 """About as wide as a phone: shown there at its own size, its 9 pt stay legible; wide pages show several abreast."""
+WIDE_INCH = 7.2
+"""A drawing that has a page, or a file, to itself."""
+DIGITS = 9
+"""Of numbers in the CSV of a drawing: more than any screen shows."""
 LABELS_INCH = 0.48
 """Height of the numbers and the name beneath an axis."""
 STYLE: dict[str, object] = {
@@ -44,19 +53,35 @@ STYLE: dict[str, object] = {
 
 @contextlib.contextmanager
 def style() -> Iterator[None]:
-    """Apply the style of the report to everything that is drawn within."""
-    from matplotlib import rc_context  # noqa: PLC0415  # a second of import: only when something is drawn
+    """Apply the one style to everything that is drawn within."""
+    from cycler import cycler  # noqa: PLC0415  # a second of import: only when something is drawn
+    from matplotlib import rc_context  # noqa: PLC0415  # as above
 
-    with rc_context(STYLE):  # type: ignore[arg-type]  # its key type is a literal of all settings
+    lines = cycler(linestyle=["-", "--"]) * cycler(color=SERIES)  # the second half is dashed
+    settings: dict[Any, Any] = {**STYLE, "axes.prop_cycle": lines}  # their key type is a literal of all
+    with rc_context(settings):
         yield
 
 
-def new_axes(height_inch: float = 3.0, ratios: tuple[float, ...] = (1.0,)) -> tuple[Figure, list[Axes]]:
-    """Return a figure, free of pyplot's global state, and its axes above one another."""
+def styled(draw: Callable[P, R]) -> Callable[P, R]:
+    """Let a function draw in the one style."""
+
+    @functools.wraps(draw)
+    def within(*args: P.args, **kwargs: P.kwargs) -> R:
+        with style():
+            return draw(*args, **kwargs)
+
+    return within
+
+
+def new_axes(
+    height_inch: float = 3.0, ratios: Sequence[float] = (1.0,), width_inch: float = WIDTH_INCH
+) -> tuple[Figure, list[Axes]]:
+    """Return a figure, free of pyplot's global state, and its axes above one another; to be called within `style`."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415  # as above
     from matplotlib.figure import Figure as MatplotlibFigure  # noqa: PLC0415  # as above
 
-    figure = MatplotlibFigure(figsize=(WIDTH_INCH, height_inch), layout="constrained")
+    figure = MatplotlibFigure(figsize=(width_inch, height_inch), layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.subplots(len(ratios), 1, sharex=True, squeeze=False, height_ratios=ratios)[:, 0]
     return figure, list(axes)
@@ -81,6 +106,19 @@ def legend_below(axis: Axes, columns: int, *others: Axes) -> None:
     )  # fmt: skip
 
 
+@attrs.frozen(eq=False)
+class Line:
+    """What a drawing shows of one case, for who wants its numbers.
+
+    Attributes:
+        label: of the case, as in the legend.
+        columns: name with unit -> values, all of one length.
+    """
+
+    label: str
+    columns: Mapping[str, Sequence[float]]
+
+
 class Drawn:
     """A figure in its three forms.
 
@@ -88,15 +126,17 @@ class Drawn:
         name: of the files, and of the identifiers in the page.
         figure: drawn.
         caption: sentence(s) below it, also read aloud in its place.
+        lines: the numbers it shows.
     """
 
-    def __init__(self, name: str, figure: Figure, caption: str) -> None:
+    def __init__(self, name: str, figure: Figure, caption: str, lines: Sequence[Line] = ()) -> None:
         from matplotlib import rc_context  # noqa: PLC0415  # as above
 
-        self.name, self.caption = name, caption
+        self.name, self.caption, self.lines = name, caption, tuple(lines)
         vector, raster = io.StringIO(), io.BytesIO()
         with rc_context({"svg.hashsalt": name}):  # the same drawing gives the same file
             figure.savefig(vector, format="svg", transparent=True, metadata={"Date": None})
+        figure.set_layout_engine("none")  # it has found its places, and finding them is half the work
         figure.savefig(raster, format="png", dpi=160, facecolor="white")
         self.svg, self.png = vector.getvalue(), raster.getvalue()
 
@@ -108,8 +148,24 @@ class Drawn:
         body = re.sub(r'(\bid="|href="#|url\(#)', rf"\g<1>{self.name}-", body)
         return re.sub(r'<svg height="[^"]*"', "<svg", body, count=1).replace(' width="', ' data-width="', 1)
 
+    def csv(self) -> str:
+        """Return the numbers as CSV, a row a value; empty if there are none."""
+        names = list(dict.fromkeys(name for line in self.lines for name in line.columns))
+        rows = [",".join(["case", *names])] if self.lines else []
+        for line in self.lines:
+            for i in range(len(next(iter(line.columns.values())))):
+                cells = [f"{float(line.columns[name][i]):.{DIGITS}g}" if name in line.columns else "" for name in names]
+                rows.append(",".join([_quoted(line.label), *cells]))
+        return "".join(f"{row}\n" for row in rows)
+
     def save(self, folder: Path) -> None:
-        """Write both files."""
+        """Write the files: SVG, PNG and, where there are numbers, CSV."""
         files.write_text(folder / f"{self.name}.svg", self.svg)
         with files.written_whole(folder / f"{self.name}.png") as file:
             file.write(self.png)
+        if self.lines:
+            files.write_text(folder / f"{self.name}.csv", self.csv())
+
+
+def _quoted(text: str) -> str:
+    return '"' + text.replace('"', '""') + '"' if any(mark in text for mark in ',"\n') else text

@@ -1,4 +1,4 @@
-"""Colours of the report: figures are drawn in the light ones; on the page each is a variable that follows the theme.
+"""Colours of all drawings: drawn in the light ones; on a page each is a variable that follows the theme.
 
 The series are those of Okabe & Ito, told apart by people with any colour vision, darkened where white needs it.
 """
@@ -10,6 +10,9 @@ from collections.abc import Mapping
 INK, MUTED, GRID, PAPER_RED = "#1b1f24", "#66707c", "#d5dae1", "#c1121f"
 SERIES = ("#0072b2", "#00845f", "#c75000", "#b0558f", "#8a6a00", "#3b8fc2", "#5b4fa2", "#7a7a2a")
 PERIODIC, MODULATED, CHAOTIC, QUIET = "#cfe6f5", "#f6e3b4", "#f3c6bd", "#eceff2"
+
+MEASURED, PREDICTED, TRUTH = SERIES[0], SERIES[4], SERIES[2]
+"""By meaning, where a drawing is of one case: what instruments saw, what theory says, what really happened."""
 
 NAMES: Mapping[str, str] = {
     INK: "ink",

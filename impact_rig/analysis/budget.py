@@ -1,0 +1,91 @@
+"""Uncertainty budget of one transmissibility: what its stated standard uncertainty is made of.
+
+    u²(DT)/DT² = u²(ε) + Σ over laser and base of  u²(S) + [(1.5 − 1.875 a²) (L/R) u(c_3)]² + (Re ∂lnL/∂ln τ · u_τ)²
+
+u(S): sensitivity without the slope of the sensor's curve; the bracket: that curve at the amplitude a·R of the vibration
+(`calibration`); the last: the sensor's lag. u(ε), noise, scatter of the cycles and what a transient may have left, is
+what the stated uncertainty leaves when all others are taken out: the parts add up to the stated whole.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import attrs
+import numpy as np
+from numpy.typing import NDArray
+
+from impact_rig.analysis.calibration import U_CUBIC, Calibration
+from impact_rig.analysis.channels import CHANNELS
+from impact_rig.analysis.reduction import AMPLITUDES, combined
+
+
+@attrs.frozen
+class Contribution:
+    """One line of the budget.
+
+    Attributes:
+        source: channel, or `measurement`.
+        what: the error it stands for.
+        evaluation: A (statistics of this measurement) or B (certificate), as the GUM calls them.
+        u_relative: relative standard uncertainty of DT by it.
+    """
+
+    source: str
+    what: str
+    evaluation: str
+    u_relative: float
+
+
+@attrs.frozen
+class Budget:
+    """All lines, and their sum.
+
+    Attributes:
+        transmissibility: mean of the rows.
+        u_transmissibility: its stated standard uncertainty.
+        parts: the lines; their squares add up to (u/DT)².
+    """
+
+    transmissibility: float
+    u_transmissibility: float
+    parts: Sequence[Contribution]
+
+    def share(self, part: Contribution) -> float:
+        """Return a line's share of the variance, 0 to 1."""
+        whole = (self.u_transmissibility / self.transmissibility) ** 2
+        return part.u_relative**2 / whole if whole else 0.0
+
+
+def budget(rows: NDArray[np.void], calibration: Calibration, lag_uncertainty: float = 0.0) -> Budget:
+    """Return the budget of the mean transmissibility.
+
+    Args:
+        rows: settled rows of `transmissibility/table` of one setting, shape (n,), n >= 1.
+        calibration: of the instruments.
+        lag_uncertainty: relative standard uncertainty of the lags, as the analysis was told.
+    """
+    dt, u = float(np.mean(rows["transmissibility"])), combined(rows)
+    frequency_hz = float(rows["frequency"][0])
+    parts: list[Contribution] = []
+    for channel, column in AMPLITUDES:
+        amplitude = float(np.mean(rows[column]))
+        curve = _curve(calibration, channel, amplitude)
+        gain = math.sqrt(max(calibration.gain_uncertainty_at(channel, amplitude) ** 2 - curve**2, 0.0))
+        lag = abs(calibration.lag_sensitivity(channel, frequency_hz).real) * lag_uncertainty
+        parts += [
+            Contribution(CHANNELS[channel], "sensitivity", "B", gain),
+            Contribution(CHANNELS[channel], "linearity at this amplitude", "B", curve),
+            Contribution(CHANNELS[channel], "lag", "B", lag),
+        ]
+    rest = (u / dt) ** 2 - sum(part.u_relative**2 for part in parts)
+    parts.append(Contribution("measurement", "noise, scatter, remnant", "A", math.sqrt(max(rest, 0.0))))
+    return Budget(dt, u, parts)
+
+
+def _curve(calibration: Calibration, channel: int, amplitude: float) -> float:
+    """Return what the departure of a sensor's curve from a straight line adds to the gain at an amplitude."""
+    half_range = float(calibration.high[channel] - calibration.low[channel]) / 2.0
+    share = amplitude / half_range
+    return abs(1.5 - 1.875 * share**2) * float(calibration.linearity[channel]) / half_range * U_CUBIC

@@ -1,0 +1,178 @@
+"""The first page: whose results these are, what of, and what came out; then what was measured with."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Iterator
+
+from impact_rig.arithmetic import ARITHMETIC
+from impact_rig.campaign import paper, run
+from impact_rig.campaign.run import Finished
+from impact_rig.campaign.summary import FILE_NAME as SUMMARY_FILE
+from impact_rig.errors import RecordingError
+from impact_rig.instruments.chain import Chain
+from impact_rig.physics.contact import from_config
+from impact_rig.physics.linear import constants
+from impact_rig.physics.properties import hertz_stiffness_n_m32, sphere_mass_kg
+from impact_rig.report.content import Cell, Content, number
+from impact_rig.report.page import cover, escape, heading, paragraph, tiles
+from impact_rig.report.rig_drawing import set_up
+
+DIGITS = 12
+"""Of a digest."""
+
+
+def opening(done: Finished, content: Content) -> Iterator[str]:
+    """Yield title, cover block and key figures."""
+    yield f"<h1>{escape(done.campaign.title)}</h1>"
+    yield paragraph("Report of a measurement on the virtual test rig of an impact damper", "muted")
+    yield cover(_entries(done, content))
+    yield tiles(_key_figures(done, content))
+    yield paragraph(
+        "Every number here was measured through the simulated instruments and the analysis, as in a laboratory; a "
+        f"number behind ± is {content.fact('coverage_factor', 2.0, 'g')} combined standard uncertainties. Where the "
+        "virtual rig's truth is shown, it says so."
+    )
+
+
+def versions(done: Finished) -> dict[str, object]:
+    """Return what the campaign was measured with.
+
+    Raises:
+        RecordingError: it cannot be read.
+    """
+    try:
+        found = json.loads((done.directory / run.PROVENANCE_FILE).read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise RecordingError(f"{done.directory / run.PROVENANCE_FILE} cannot be read: {error}") from error
+    return dict(found)
+
+
+def _entries(done: Finished, content: Content) -> list[tuple[str, str]]:
+    base, with_ = done.campaign.base, versions(done)
+    digest = hashlib.sha256((done.directory / run.CONFIGURATION_FILE).read_bytes()).hexdigest()[:DIGITS]
+    law = base.contact.law.replace("_", " ")
+    entries = [
+        ("Paper", f"{paper.TITLE}. {paper.AUTHORS}, {paper.AFFILIATION}."),
+        ("DOI", paper.DOI or "none found"),
+        ("Configuration", f"contact law {law}, {base.daq.rate_hz} scans/s; {run.CONFIGURATION_FILE} sha256 {digest}…"),
+        ("Seed", str(base.daq.seed)),
+        ("Measured", _written(done)),
+        ("Version", str(with_.get("impact_rig", "not recorded"))),
+        ("Arithmetic", f"version {with_.get('arithmetic', f'not recorded; this program has {ARITHMETIC}')}"),
+    ]
+    return [(what, content.fact(what.lower(), value)) for what, value in entries]
+
+
+def _written(done: Finished) -> str:
+    try:
+        return str(json.loads((done.directory / SUMMARY_FILE).read_text(encoding="utf-8")).get("written", ""))
+    except (OSError, ValueError):
+        return ""
+
+
+def _key_figures(done: Finished, content: Content) -> list[tuple[str, str]]:
+    reductions, verdicts = done.reductions(), done.verdicts()
+    judged = [verdict for verdict in verdicts if verdict.result is not None]
+    held = sum(verdict.word == "pass" for verdict in judged)
+    items = [
+        (content.fact("points", len(done.points)), "points measured"),
+        (content.fact("failed_points", len(done.failed())), "without a settled measurement"),
+    ]
+    if judged:
+        held_text, of = content.fact("statements_held", held), content.fact("statements", len(verdicts))
+        items.append((f"{held_text} of {of}", "statements of the paper hold"))
+    if reductions.dt:
+        frequency = content.fact("compared_at_hz", paper.FREQUENCY_HZ, "g")
+        largest = content.fact("max_abs_error_points", reductions.max_abs_error(), ".2f")
+        items += [
+            (f"{largest} points", "largest difference from the paper's reductions"),
+            (f"{content.fact('rms_error_points', reductions.rms_error(), '.2f')} points", "rms difference"),
+            (
+                content.fact("dt_no_sphere", reductions.dt_no_sphere, ".1f"),
+                f"DT without sphere at {frequency} Hz",
+            ),
+        ]
+    return items
+
+
+def apparatus(done: Finished, content: Content) -> Iterator[str]:
+    """Yield the drawn set-up, its constants, and the instruments with their calibration."""
+    yield content.figures(iter([set_up()]))
+    yield heading("Constants of the rig")
+    yield content.table("constants", ["symbol", "value", "unit", "meaning"], _constants(done), [1])
+    yield heading("Instruments and their calibration")
+    yield paragraph(
+        "The certificate of the rig with this seed: what the analysis knows of the instruments. u(S): relative "
+        "standard uncertainty of the sensitivity; noise: rms; read after: conversion after the scan clock."
+    )
+    headings = [
+        "instrument",
+        "range",
+        "sensitivity",
+        "u(S) (%)",
+        "noise",
+        "resolution",
+        "bandwidth",
+        "lag",
+        "read after",
+    ]
+    yield content.table("instruments", headings, _instruments(done), range(1, len(headings)))
+
+
+def _constants(done: Finished) -> list[list[str | Cell]]:
+    base = done.campaign.base
+    c, law = constants(base), from_config(base.contact)
+    values: list[tuple[str, float, str, str]] = [
+        ("m₁", c.m_1, "kg", "superior base with barriers"),
+        ("k₁", c.k_1, "N/m", "columns, stiffness"),
+        ("c₁", c.c_1, "N s/m", "columns, damping"),
+        ("f_n", base.structure.natural_frequency_hz, "Hz", "natural frequency of the superior base on its columns"),
+        ("ζ", base.structure.damping_ratio, "-", "damping ratio"),
+        ("m_a + m_b", c.m_base, "kg", "moving element and inferior base"),
+        ("k_f", c.k_f, "N/m", "shaker, suspension"),
+        ("c_f", c.c_f, "N s/m", "shaker, damping"),
+        ("K_f", c.force_factor, "N/A", "shaker, force per current"),
+        ("m", sphere_mass_kg(base.sphere), "kg", "sphere"),
+        ("K", hertz_stiffness_n_m32(base.sphere, base.barriers), "N/m^1.5", "contact stiffness"),
+        ("e", law.restitution, "-", "restitution, nominal"),
+        ("e realised", law.realised_restitution(), "-", f"what the contact law {base.contact.law} returns for it"),
+        ("I", paper.CURRENT_A, "A", "coil current of the paper's cases, peak"),
+    ]
+    return [[symbol, number(value, ".5g"), unit, meaning] for symbol, value, unit, meaning in values]
+
+
+def _instruments(done: Finished) -> list[list[str | Cell]]:
+    rows: list[list[str | Cell]] = []
+    for row in Chain(done.campaign.planned()[0].job.config()).info():
+        unit = row["unit"].decode()
+        small, factor = (("µm", 1e6), ("mm", 1e3)) if unit == "m" else ((unit, 1.0), (unit, 1.0))
+        rows.append([
+            row["name"].decode(),
+            _range(float(row["range_low"]) * factor[1], float(row["range_high"]) * factor[1], factor[0]),
+            _with_unit(float(row["sensitivity"]) / factor[1], f"V/{factor[0]}"),
+            number(100.0 * float(row["sensitivity_uncertainty"]), ".2g"),
+            _with_unit(float(row["noise"]) * small[1], small[0]),
+            _with_unit(float(row["resolution"]) * small[1], small[0]),
+            _with_unit(float(row["bandwidth"]), "Hz"),
+            _with_unit(1e3 * float(row["lag"]), "ms"),
+            _with_unit(1e6 * float(row["skew"]), "µs"),
+        ])  # fmt: skip
+    return rows
+
+
+def _range(low: float, high: float, unit: str) -> Cell:
+    if not (math.isfinite(low) and math.isfinite(high)):
+        return Cell("unlimited", None)
+    return Cell(f"{_short(low)} to {_short(high)} {unit}", (low, high))
+
+
+def _with_unit(value: float, unit: str) -> Cell:
+    return Cell(f"{_short(value)} {unit}", value) if math.isfinite(value) else Cell("unlimited", None)
+
+
+def _short(value: float) -> str:
+    """Return three digits of a number, without an exponent where it can be helped."""
+    return f"{float(f'{value:.3g}'):g}"

@@ -1,0 +1,64 @@
+"""What theory says without simulation, as lines: closed form without the sphere, two impacts per cycle with it."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+from collections.abc import Sequence
+
+import attrs
+import numpy as np
+from numpy.typing import NDArray
+
+from impact_rig.campaign.axes import NO_SPHERE
+from impact_rig.errors import ConfigError
+from impact_rig.physics.closed_form import transmissibility
+from impact_rig.rig.config import RigConfig, from_flat
+
+MODULE = "impact_rig.physics.prediction"
+
+
+@attrs.frozen(eq=False)
+class Stretch:
+    """A line without a break; every attribute has the shape (n,).
+
+    Attributes:
+        frequency_hz: ascending.
+        dt: transmissibility.
+        phase_rad: of the superior base to the inferior one.
+    """
+
+    frequency_hz: NDArray[np.float64]
+    dt: NDArray[np.float64]
+    phase_rad: NDArray[np.float64]
+
+
+def predicted(
+    config: RigConfig, gap_m: float, frequencies_hz: NDArray[np.float64], current_a: float
+) -> Sequence[Stretch]:
+    """Return the prediction for a gap, or `NO_SPHERE`, at constant current; nothing where no theory holds.
+
+    Args:
+        config: the rig; its own gap does not matter.
+        gap_m: gap.
+        frequencies_hz: ascending, shape (n,).
+        current_a: peak.
+    """
+    if gap_m == NO_SPHERE:
+        ratio = transmissibility(config, frequencies_hz)
+        return [Stretch(frequencies_hz, np.abs(ratio), np.angle(ratio))]
+    if importlib.util.find_spec(MODULE) is None:
+        return []
+    try:
+        rig = from_flat(config, {"sphere.present": True, "barriers.gap_m": gap_m})
+        branches = importlib.import_module(MODULE).curves(rig, frequencies_hz, gap_m, current_a=current_a)
+    except ConfigError:  # outside of what the theory holds for: friction, no loss, ...
+        return []
+    return [part for one in branches for part in _lasting(one)]
+
+
+def _lasting(branch: Stretch) -> Sequence[Stretch]:
+    """Return the stretches of a branch whose motion is stable."""
+    stable = np.flatnonzero(np.asarray(getattr(branch, "stable", np.ones(len(branch.dt), bool))))
+    runs = np.split(stable, np.flatnonzero(np.diff(stable) > 1) + 1)
+    return [Stretch(branch.frequency_hz[i], branch.dt[i], branch.phase_rad[i]) for i in runs if len(i) > 1]

@@ -1,0 +1,64 @@
+"""The budget of an uncertainty adds up to it, and every line is the error that its name says."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from kits.records import info_rows
+
+from impact_rig.analysis.budget import budget
+from impact_rig.analysis.calibration import Calibration
+from impact_rig.analysis.channels import BASE, LASER
+from impact_rig.blocks import TRANSMISSIBILITY
+
+GAIN_U, NOISE, LAG_U = 2e-3, 4e-4, 0.05
+AMPLITUDES = {LASER: 5e-3, BASE: 80e-6}
+
+
+@pytest.fixture
+def calibration():
+    info = info_rows(gain_u=GAIN_U)
+    info["linearity"][[LASER, BASE]] = 30e-6, 30e-6
+    straight = Calibration.from_info(info)
+    slope = 1.5 * straight.linearity / straight.high / math.sqrt(6)
+    info["sensitivity_uncertainty"] = np.hypot(GAIN_U, slope)  # a certificate counts the slope at mid-range
+    return Calibration.from_info(info)
+
+
+def rows_of(calibration, lag_u=0.0):
+    row = np.zeros(1, TRANSMISSIBILITY)
+    row["frequency"], row["laser_amplitude"], row["base_amplitude"] = 9.1, AMPLITUDES[LASER], AMPLITUDES[BASE]
+    row["transmissibility"] = AMPLITUDES[LASER] / AMPLITUDES[BASE]
+    variance = NOISE**2
+    for channel, amplitude in AMPLITUDES.items():
+        variance += calibration.gain_uncertainty_at(channel, amplitude) ** 2
+        variance += (calibration.lag_sensitivity(channel, 9.1).real * lag_u) ** 2
+    row["transmissibility_uncertainty"] = row["transmissibility"] * math.sqrt(variance)
+    return row
+
+
+@pytest.mark.parametrize("lag_u", [0.0, LAG_U])
+def test_the_parts_add_up_to_the_stated_uncertainty(calibration, lag_u):
+    rows = rows_of(calibration, lag_u)
+    found = budget(rows, calibration, lag_u)
+    relative = found.u_transmissibility / found.transmissibility
+    assert math.hypot(*(part.u_relative for part in found.parts)) == pytest.approx(relative, rel=1e-9)
+    assert sum(map(found.share, found.parts)) == pytest.approx(1.0, rel=1e-9)
+    assert found.transmissibility == rows["transmissibility"][0]
+
+
+def test_each_line_is_what_its_name_says(calibration):
+    found = budget(rows_of(calibration, LAG_U), calibration, LAG_U)
+    lines = {(part.source, part.what): part for part in found.parts}
+    assert lines["measurement", "noise, scatter, remnant"].u_relative == pytest.approx(NOISE, rel=1e-6)
+    assert lines["measurement", "noise, scatter, remnant"].evaluation == "A"
+    for channel, name in ((LASER, "laser"), (BASE, "base")):
+        assert lines[name, "sensitivity"].u_relative == pytest.approx(GAIN_U, rel=1e-6)
+        share = AMPLITUDES[channel] / calibration.high[channel]
+        bent = abs(1.5 - 1.875 * share**2) * 30e-6 / calibration.high[channel] / math.sqrt(6)
+        assert lines[name, "linearity at this amplitude"].u_relative == pytest.approx(bent)
+        lag = abs(calibration.lag_sensitivity(channel, 9.1).real) * LAG_U
+        assert lines[name, "lag"].u_relative == pytest.approx(lag)
+        assert lines[name, "lag"].evaluation == "B"
