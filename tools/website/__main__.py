@@ -1,0 +1,39 @@
+"""`python -m tools.website`: build the website into build/site; a warning is an error."""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import os
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+os.environ.setdefault("NO_MKDOCS_2_WARNING", "1")  # advertisement of the theme's authors on every build
+
+
+def build(site: Path = ROOT / "build" / "site") -> Path:
+    """Build the site into a directory and return it.
+
+    Raises:
+        mkdocs.exceptions.Abort: there were warnings.
+    """
+    from mkdocs.commands.build import build as build_site  # noqa: PLC0415  # after the environment is set
+    from mkdocs.config import load_config  # noqa: PLC0415
+
+    config = load_config(str(ROOT / "mkdocs.yml"), site_dir=str(site))
+    build_site(config)
+    return site
+
+
+def main() -> None:
+    """Build, say where, and exit 1 after a warning."""
+    parser = argparse.ArgumentParser(prog="python -m tools.website", description=__doc__)
+    parser.add_argument("--site", type=Path, default=ROOT / "build" / "site", help="directory (default: build/site)")
+    logging.basicConfig(level=logging.WARNING, format="%(levelname)s %(message)s")
+    site = build(parser.parse_args().site)
+    sys.stdout.write(f"{site / 'index.html'}\n")
+
+
+if __name__ == "__main__":
+    main()
