@@ -104,7 +104,7 @@ generate: $(PACKAGE) ## rewrite the pages and files that are made from the code
 figures: $(PACKAGE) ## draw every figure of README and docs; ARGS='paper.svg rig.svg' chooses, lab: the lab's pictures
 	@$(VENV)/bin/python -m tools.figures $(ARGS)
 
-docs: $(PACKAGE) ## build the website from docs/ into build/site, offline and without a warning
+docs: $(PACKAGE) ## build the website from docs/ into build/site, offline, without a warning; ARGS=--serve shows it
 	@$(VENV)/bin/python -m tools.website $(ARGS)
 
 format: $(PACKAGE) ## bring the code into the one format

@@ -20,7 +20,7 @@ GAP_M, DIAMETER_M = 6e-3, 6.35e-3
 SLOWER = 30
 """Times slower than the rig."""
 FRAMES = 48
-PX_PER_M, MAGNIFIED = 15e3, 40
+PX_PER_M, MAGNIFIED = 15e3, 20
 """Scale; the base moves so little that its motion is enlarged."""
 CENTRE, FLOOR, DECK, THICK = 320.0, 236.0, 146.0, 22.0
 COLUMN_X, COLUMN = (-90.0, 90.0), 54.0
@@ -91,7 +91,7 @@ def _scene(walls: list[int]) -> list[str]:
     ]
     base = [
         box(CENTRE - 170, FLOOR, 340, 22, fill=BASE, rx=2),
-        line(((20, FLOOR + 11), (CENTRE - 170, FLOOR + 11)), colour=BASE, width=6),
+        line(((46, FLOOR + 11), (CENTRE - 170, FLOOR + 11)), colour=BASE, width=6),
     ]
     shine = (f'cx="{CENTRE - 0.3 * radius:.2f}"', f'cy="{DECK - 1.35 * radius:.2f}"', f'r="{0.16 * radius:.2f}"')
     ball = [

@@ -11,6 +11,7 @@ from mkdocs.structure.files import File
 
 ROOT = Path(__file__).parents[2]
 ICON = ROOT / "impact_rig" / "lab" / "static" / "icon.svg"
+_SEARCH = 'data-md-component="search" role="dialog"'
 _FENCE = re.compile(r"^(?P<ticks>```+)(?P<language>\w+) (?P<info>.+)$", re.MULTILINE)
 _COMMENT = re.compile(r"<!-- (?:figures|generated): .*? -->\n?|<!-- end -->\n?", re.DOTALL)
 
@@ -31,6 +32,11 @@ def on_files(files: Any, config: Any) -> Any:
 def on_page_markdown(markdown: str, **_: Any) -> str:
     """Show titles of files above their blocks; drop what only our checks read."""
     return _FENCE.sub(_fence, _COMMENT.sub("", markdown))
+
+
+def on_post_page(output: str, **_: Any) -> str:
+    """Name the theme's search, which has the role of a dialog and no name."""
+    return output.replace(_SEARCH, f'{_SEARCH} aria-label="Search"')
 
 
 def _without(awaited: Collection[str], entry: Any) -> Any:
