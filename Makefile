@@ -58,7 +58,7 @@ $(PACKAGE): $(ENVIRONMENT) setup.py setup.cfg package.xml
 	@touch $@
 
 # --- Targets ----------------------------------------------------------------------------------------------------------
-.PHONY: help lab demo campaign test lint generate format bench fuzz portability soak colcon venv lock clean
+.PHONY: help lab demo campaign docs figures test lint generate format bench fuzz portability soak colcon venv lock clean
 
 help: ## print this list
 	@echo 'impact_rig: make TARGET, where TARGET is one of'
@@ -101,6 +101,12 @@ lint: $(PACKAGE) ## check style, types and layers
 
 generate: $(PACKAGE) ## rewrite the pages and files that are made from the code
 	@$(VENV)/bin/python -m tools.generate
+
+figures: $(PACKAGE) ## draw every figure of README and docs; ARGS='paper.svg rig.svg' chooses, lab: the lab's pictures
+	@$(VENV)/bin/python -m tools.figures $(ARGS)
+
+docs: $(PACKAGE) ## build the website from docs/ into build/site, offline, without a warning; ARGS=--serve shows it
+	@$(VENV)/bin/python -m tools.website $(ARGS)
 
 format: $(PACKAGE) ## bring the code into the one format
 	@$(VENV)/bin/ruff check --fix-only .

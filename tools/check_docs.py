@@ -1,13 +1,15 @@
 """Hold README and docs against the repository: `python tools/check_docs.py` names every line that is wrong.
 
-With `--run` it also runs every block of commands that is its own, page by page, in `build/docs` (a quarter of an hour).
+With `--run` it also runs every block of commands that is its own, page by page, in `build/docs` (half an hour; names of
+pages choose): `python tools/check_docs.py --run README.md`.
 
 Every code block has an owner, known by its page and the words behind its fence:
 
 - a test that runs it (`RUN_BY`);
 - `test/test_docs.py`, which runs the Python and reads the YAML of all other pages;
 - this script, for `sh`: each command goes through the program's own parser, and none is there that it does not know;
-  `--run` runs them, those of `make` as far as `make -n` goes;
+  `--run` runs them: `make lab` until its page answers, and of `make test`, `make campaign` and other targets that take
+  long only `make -n`, because what they start is on another page, or is the tests themselves;
 - nobody, for a reason that stands behind its language: `sh not run: needs an apt-installed Jazzy`.
 
 Blocks of `text` are formulas, trees and output. Commands, paths and links are checked in running text, too.
@@ -46,6 +48,7 @@ SCRATCH = ROOT / "build" / "docs"
 RUN_BY = {
     ("docs/analysis.md", "python"): "test/analysis/test_guide.py",
     ("docs/extending.md", "python title"): "test/test_extending.py",
+    ("docs/first_node.md", "python title"): "test/testing/test_examples.py",
     ("docs/recording.md", "python"): "test/recording/test_guide.py",
     ("docs/recording.md", "python notebook"): "test/recording/test_guide.py",
     ("docs/testing.md", "python title"): "test/testing/test_guide.py",
@@ -332,7 +335,15 @@ def run(block: Block) -> str | None:
     sys.stdout.write(f"{block.page}:{block.line} ...\n{block.content}")
     sys.stdout.flush()
     script = (
-        f'set -e; make() {{ command make -n -C "{ROOT}" "$@" >/dev/null; }}\n'
+        "set -e\n"
+        f'really() {{ command make -C "{ROOT}" "$@"; }}\n'
+        "make() { case ${1:-help} in\n"
+        f'    lab) "{sys.executable}" "{ROOT}/tools/doors.py" --lab "${{@:2}}" ;;\n'
+        f'    demo) really "$@" ARGS="--output {SCRATCH}/demo_$RANDOM" ;;\n'
+        '    help | docs) really "$@" ;;\n'
+        '    test) if [ $# -gt 1 ]; then really "$@"; else really -n "$@" >/dev/null; fi ;;\n'
+        '    *) really -n "$@" >/dev/null ;;\n'
+        "    esac; }\n"
         f'impact-rig() {{ "{sys.executable}" -c "from impact_rig.cli import main; exit(main())" "$@"; }}\n'
     )
     done = subprocess.run(  # noqa: S603  # our own pages
@@ -359,12 +370,13 @@ def main() -> int:
     """Print every fault and return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--run", action="store_true", help="run the commands as well")
+    parser.add_argument("pages", nargs="*", metavar="PAGE", help="run only those of these pages, e.g. README.md")
     arguments = parser.parse_args()
     sys.path.insert(0, str(ROOT))  # modules that the pages run, `python -m benchmarks`
     found = [fault for page in pages().values() for fault in faults(page)]
     blocks = [block for page in pages().values() for block in page.blocks]
     if arguments.run:
-        found += run_all(blocks)
+        found += run_all([block for block in blocks if not arguments.pages or block.page in arguments.pages])
     sys.stdout.write("".join(f"{fault}\n" for fault in found))
     sys.stdout.write(f"{len(pages())} pages, {len(blocks)} code blocks, {len(found)} faults\n")
     return 1 if found else 0

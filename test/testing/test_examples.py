@@ -31,6 +31,12 @@ def test_every_example_passes(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir()), "only failures leave runs"
 
 
+def test_the_first_node_of_the_docs_is_the_one_that_is_tested() -> None:
+    page = (ROOT / "docs" / "first_node.md").read_text(encoding="utf-8")
+    (block,) = re.findall(r"^```python title=examples/first_node.py\n(.*?)^```$", page, re.MULTILINE | re.DOTALL)
+    assert block == (EXAMPLES / "first_node.py").read_text(encoding="utf-8")
+
+
 def test_the_pipelines_are_somebody_elses() -> None:
     """What is under test knows topics and messages, not this package; the analysis of a file may read it with ours."""
     for path in EXAMPLES.glob("*.py"):

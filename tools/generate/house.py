@@ -20,16 +20,17 @@ WITH_ROS = ("testing", "lab", "client", "nodes")
 _WIDTH, _MARGIN, _GAP, _PAD, _LINE = 980, 20, 12, 10, 15
 _CHARACTER = 6.3  # of the text in a box, in the widest usual font
 _HEAD = """\
-<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" font-family="system-ui, sans-serif"
- font-size="12" role="img" aria-label="The rooms of impact_rig in layers; each imports only from rooms below it">
+<svg xmlns="http://www.w3.org/2000/svg" width="{width}" height="{height}" viewBox="0 0 {width} {height}"
+ font-family="system-ui, sans-serif" font-size="12" role="img"
+ aria-label="The rooms of impact_rig in layers; each imports only from rooms below it">
 <style>
-.paper {{ fill: #ffffff }} .box {{ fill: #f3f6f9; stroke: #5b7083 }} .ros {{ fill: #e3f0e6; stroke: #4b7d57 }}
-.name {{ fill: #10212e; font-weight: 600; font-size: 14px }} .text {{ fill: #33424f }}
+.paper {{ fill: #ffffff }} .box {{ fill: #f4f6f8; stroke: #66707c }} .ros {{ fill: #e3f0e6; stroke: #00845f }}
+.name {{ fill: #1b1f24; font-weight: 600; font-size: 14px }} .text {{ fill: #1b1f24 }}
 @media (prefers-color-scheme: dark) {{
-.paper {{ fill: #11181f }} .box {{ fill: #1c2833; stroke: #7f95a8 }} .ros {{ fill: #1b2f22; stroke: #6fae80 }}
-.name {{ fill: #f0f5f9 }} .text {{ fill: #c3d0db }} }}
+.paper {{ fill: #151a20 }} .box {{ fill: #1f262e; stroke: #9aa4b0 }} .ros {{ fill: #1b2f22; stroke: #35c99a }}
+.name {{ fill: #e6e9ed }} .text {{ fill: #e6e9ed }} }}
 </style>
-<rect class="paper" width="{width}" height="{height}"/>
+<rect class="paper" width="{width}" height="{height}" rx="8"/>
 """
 
 

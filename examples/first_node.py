@@ -1,0 +1,52 @@
+"""A first node: drive the rig at 9.1 Hz and 0.52 A, and say what the analysis measures.
+
+python first_node.py --ros-args -r __ns:=/rig
+"""
+
+import rclpy
+from pointcloud import columns
+from rclpy.executors import ExternalShutdownException
+from rclpy.node import Node
+from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import Float64
+
+FREQUENCY_HZ, CURRENT_A = 9.1, 0.52
+
+
+class FirstNode(Node):
+    """Commands until the rig says that the drive is in force, and keeps every transmissibility it hears."""
+
+    def __init__(self):
+        super().__init__("first")
+        self.heard = []
+        self.frequency = self.create_publisher(Float64, "shaker/frequency", 10)
+        self.current = self.create_publisher(Float64, "shaker/current", 10)
+        self.create_subscription(PointCloud2, "shaker/applied", self.on_applied, 10)
+        self.create_subscription(Float64, "transmissibility", self.on_transmissibility, 10)
+        self.timer = self.create_timer(0.5, self.drive)
+
+    def drive(self):
+        """A message that is sent before the rig has found this node is lost: say it again."""
+        self.frequency.publish(Float64(data=FREQUENCY_HZ))
+        self.current.publish(Float64(data=CURRENT_A))
+
+    def on_applied(self, message):
+        last = columns(message)[-1]
+        if last["frequency"] == FREQUENCY_HZ and last["current"] == CURRENT_A:
+            self.timer.cancel()
+
+    def on_transmissibility(self, message):
+        self.heard.append(message.data)
+        self.get_logger().info(f"DT = {message.data:.2f}")
+
+
+def main():
+    rclpy.init()
+    try:
+        rclpy.spin(FirstNode())
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+
+
+if __name__ == "__main__":
+    main()

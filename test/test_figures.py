@@ -1,0 +1,70 @@
+"""Every figure of README and docs is as the code draws it, is used, and all of them together are small."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+import pytest
+from PIL import Image
+
+from tools.figures import COMMAND, DRAWN, IMAGES, TAKEN
+from tools.figures.same import difference
+
+ROOT = Path(__file__).parents[1]
+MOST_BYTES = 3_000_000
+SVG = "{http://www.w3.org/2000/svg}"
+
+
+@pytest.mark.parametrize("name", DRAWN)
+def test_a_drawing_is_what_the_code_draws(name):
+    assert difference((IMAGES / name).read_text(encoding="utf-8"), DRAWN[name]()) is None, f"run `{COMMAND}`"
+
+
+def test_every_picture_is_drawn_or_taken_by_the_command():
+    assert {path.name for path in IMAGES.iterdir()} == {*DRAWN, *TAKEN}
+
+
+def test_every_picture_is_shown_somewhere():
+    pages = [*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), *ROOT.glob("examples/*.md")]
+    texts = "".join(path.read_text(encoding="utf-8") for path in pages)
+    assert [name for name in (*DRAWN, *TAKEN) if f"images/{name}" not in texts] == []
+
+
+def test_pictures_are_small():
+    assert sum(path.stat().st_size for path in IMAGES.iterdir()) <= MOST_BYTES
+
+
+@pytest.mark.parametrize("name", DRAWN)
+def test_a_drawing_has_words_for_who_cannot_see_it_and_colours_for_the_dark(name):
+    text = (IMAGES / name).read_text(encoding="utf-8")
+    root = ET.fromstring(text)
+    assert root.get("aria-label") or root.findtext(f"{SVG}title")
+    assert "prefers-color-scheme: dark" in text
+    assert not re.search(r"(?:href|src)=\"(?!#)", text), "it asks for something else"
+
+
+@pytest.mark.parametrize("name", TAKEN)
+def test_a_picture_of_the_lab_can_be_opened(name):
+    with Image.open(IMAGES / name) as picture:
+        picture.verify()
+
+
+ONE = '<svg viewBox="0 0 500 300"><title>t</title><path d="M 1.0 2.0" stroke="#123456"/><text x="3">9.1 Hz</text></svg>'
+
+
+@pytest.mark.parametrize(
+    ("change", "found"),
+    [
+        (("2.0", "2.4"), None),  # less than 1e-3 of 500
+        (("2.0", "2.6"), "a coordinate differs by 0.6 of 500"),
+        (('x="3"', 'x="2.9"'), None),
+        (("9.1 Hz", "9.2 Hz"), "the texts differ"),
+        (("#123456", "#123457"), "the colours differ"),
+        (("M 1.0 2.0", "M 1.0 2.0 L 1.0 2.0"), "the elements differ"),
+        (("viewBox", "box"), "the elements differ"),
+    ],
+)
+def test_what_a_cpu_may_change_is_no_difference_and_anything_else_is(change, found):
+    assert difference(ONE, ONE.replace(*change)) == found

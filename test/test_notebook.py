@@ -1,0 +1,50 @@
+"""The worked notebook runs from its first cell to its last, in a kernel of its own, and is kept without output."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+nbclient = pytest.importorskip("nbclient", reason="runs notebooks; only on PyPI")
+nbformat = pytest.importorskip("nbformat", reason="reads notebooks; comes with nbclient")
+
+NOTEBOOK = Path(__file__).parents[1] / "examples" / "recorded_run.ipynb"
+PATIENCE_S = 280
+
+
+def test_it_is_kept_without_output():
+    cells = json.loads(NOTEBOOK.read_text(encoding="utf-8"))["cells"]
+    assert [cell["id"] for cell in cells if cell.get("outputs") or cell.get("execution_count")] == []
+
+
+@pytest.fixture(scope="module")
+def executed(tmp_path_factory):
+    """The notebook after a run in an empty directory."""
+    notebook = nbformat.read(NOTEBOOK, as_version=4)
+    directory = tmp_path_factory.mktemp("notebook")
+    client = nbclient.NotebookClient(
+        notebook, timeout=PATIENCE_S, kernel_name="python3", resources={"metadata": {"path": str(directory)}}
+    )
+    client.execute()
+    return notebook
+
+
+def outputs(notebook, kind):
+    return [output for cell in notebook.cells for output in cell.get("outputs", ()) if output.output_type == kind]
+
+
+def test_every_cell_runs_and_says_what_it_found(executed):
+    said = "".join(output.text for output in outputs(executed, "stream") if output.name == "stdout")
+    assert "none missing" in said
+    assert "analysis: DT = 63." in said
+    assert "10 mm: 48.3 % (paper 49 %)" in said
+
+
+def test_nothing_is_complained_of(executed):
+    assert [output.text for output in outputs(executed, "stream") if output.name == "stderr"] == []
+
+
+def test_it_draws(executed):
+    assert len([output for output in outputs(executed, "display_data") if "image/png" in output.data]) == 4

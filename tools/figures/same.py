@@ -1,0 +1,44 @@
+"""Whether two drawings are the same: texts and elements exactly, coordinates within a share of the canvas.
+
+The last digits of a plot are those of the CPU and the libraries that drew it.
+"""
+
+from __future__ import annotations
+
+import re
+
+TOLERANCE = 1e-3
+"""Of the canvas' width."""
+
+_TEXTS = re.compile(r"<text.*?</text>|<title>.*?</title>", re.DOTALL)
+_TAGS = re.compile(r"<[^>]*>")
+_COLOURS = re.compile(r"#[0-9a-f]{6}")
+_NUMBER = re.compile(r"(?<![\w#.])-?\d+(?:\.\d+)?(?:e-?\d+)?")
+_WIDTH = re.compile(r'viewBox="0 0 ([\d.]+) ')
+
+
+def difference(one: str, other: str, tolerance: float = TOLERANCE) -> str | None:
+    """Return in words what is different, or None."""
+    if written(one) != written(other):
+        return "the texts differ"
+    if _COLOURS.findall(one) != _COLOURS.findall(other):
+        return "the colours differ"
+    if shape(one) != shape(other):
+        return "the elements differ"
+    width = _WIDTH.search(one)
+    if width is None:
+        return "it has no viewBox"
+    allowed = tolerance * float(width[1])
+    pairs = zip(_NUMBER.findall(one), _NUMBER.findall(other), strict=True)
+    worst = max((abs(float(a) - float(b)) for a, b in pairs), default=0.0)
+    return f"a coordinate differs by {worst:.3g} of {width[1]}" if worst > allowed else None
+
+
+def written(svg: str) -> list[str]:
+    """Return the words in a drawing."""
+    return [_TAGS.sub("", found) for found in _TEXTS.findall(svg)]
+
+
+def shape(svg: str) -> str:
+    """Return a drawing with every number replaced."""
+    return _NUMBER.sub("0", svg)

@@ -1,0 +1,76 @@
+"""Motions of the rig's mechanics for figures: no instruments, no ROS, the same bits on every machine."""
+
+from __future__ import annotations
+
+import math
+
+import attrs
+import numpy as np
+from numpy.typing import NDArray
+
+from impact_rig.campaign.paper import CURRENT_A, FREQUENCY_HZ
+from impact_rig.physics import SEGMENT, Motion, Simulation
+from impact_rig.rig.config import RigConfig, from_flat
+
+TICK_S = 0.01
+SETTLE_S = 40.0
+"""Ten time constants of the structure without the sphere."""
+AVERAGED_CYCLES = 100
+PER_CYCLE = 64
+Real = NDArray[np.float64]
+
+
+@attrs.frozen(eq=False)
+class Steady:
+    """The rig when its transient has died.
+
+    Attributes:
+        motion: of the last part.
+        frequency_hz: of the drive.
+        begin_s: where whole cycles begin, in rig time: the current passes zero upwards.
+    """
+
+    motion: Motion
+    frequency_hz: float
+    begin_s: float
+
+    def at(self, names: tuple[str, ...], time_s: Real) -> Real:
+        """Return quantities at instants after `begin_s` [s], SI, shape (names, n)."""
+        ticks = (self.begin_s + time_s) / TICK_S
+        segment = np.floor(ticks).astype(np.int64)
+        return self.motion.quantities(names, segment, (ticks - segment) * TICK_S)
+
+    def impact_times(self) -> Real:
+        """Return when contacts began, after `begin_s` [s], shape (k,)."""
+        hits = self.motion.impacts
+        return np.asarray(hits["segment"] * TICK_S + hits["offset"] - self.begin_s)
+
+
+def steady(
+    gap_m: float, frequency_hz: float = FREQUENCY_HZ, cycles: int = AVERAGED_CYCLES, settle_s: float = SETTLE_S
+) -> Steady:
+    """Return the steady motion at the paper's current; gap 0: without the sphere."""
+    sphere = {"barriers.gap_m": gap_m} if gap_m else {"sphere.present": False}
+    simulation = Simulation(from_flat(RigConfig(), sphere))
+    begin = math.ceil(settle_s * frequency_hz) / frequency_hz
+    first = int(begin / TICK_S)
+    simulation.advance(_drive(0, first, frequency_hz))
+    count = math.ceil(cycles / frequency_hz / TICK_S) + 2
+    return Steady(simulation.advance(_drive(first, count, frequency_hz)), frequency_hz, begin)
+
+
+def transmissibility(gap_m: float, frequency_hz: float = FREQUENCY_HZ, settle_s: float = SETTLE_S) -> float:
+    """Return |X_1| / |X_b| over whole cycles."""
+    found = steady(gap_m, frequency_hz, settle_s=settle_s)
+    time = np.arange(AVERAGED_CYCLES * PER_CYCLE) / (PER_CYCLE * frequency_hz)
+    turn = np.exp(-2j * math.pi * frequency_hz * time)
+    base, structure = found.at(("x_b", "x_1"), time) @ turn
+    return float(abs(structure) / abs(base))
+
+
+def _drive(first: int, count: int, frequency_hz: float) -> NDArray[np.void]:
+    segments = np.zeros(count, SEGMENT)
+    segments["duration"], segments["omega"], segments["amplitude"] = TICK_S, 2.0 * math.pi * frequency_hz, CURRENT_A
+    turns = frequency_hz * TICK_S * np.arange(first, first + count)
+    segments["phase"] = 2.0 * math.pi * (turns - np.floor(turns))
+    return segments
