@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import argparse
 
-from impact_rig.cli import compiling
+from impact_rig.cli import command, compiling
 from impact_rig.cli.terminal import Console
 
 
 def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Register the subcommand."""
-    parser = commands.add_parser("compile", help="compile the kernels now; otherwise the first start does, once")
+    parser = command.add(
+        commands, "compile", "compile the kernels now; otherwise the first start does, once",
+        [("compile", "in an image, so that its containers start at once")],
+    )  # fmt: skip
     parser.set_defaults(run=_run)
 
 

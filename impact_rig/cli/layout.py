@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from impact_rig.cli import command
 from impact_rig.cli.terminal import Console
 from impact_rig.errors import ConfigError
 from impact_rig.system.layouts import write_layouts
@@ -12,12 +13,14 @@ from impact_rig.system.layouts import write_layouts
 
 def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Register the subcommand."""
-    parser = commands.add_parser(
-        "layout",
-        help="write layouts for Foxglove, Lichtblick and PlotJuggler",
-        epilog="example: impact-rig layout --namespace /cell/two layouts",
-    )
-    parser.add_argument("directory", type=Path, metavar="DIRECTORY")
+    parser = command.add(
+        commands, "layout", "write layouts for Foxglove, Lichtblick and PlotJuggler",
+        [
+            ("layout layouts", "for the rig that the launch file starts"),
+            ("layout --namespace /cell/two layouts", "for a rig in another namespace"),
+        ],
+    )  # fmt: skip
+    parser.add_argument("directory", type=Path, metavar="DIRECTORY", help="where they are written")
     parser.add_argument("--namespace", default="/rig", help="of the rig's topics; / for runs of the demo (%(default)s)")
     parser.set_defaults(run=_run)
 

@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 from impact_rig.campaign.axes import NO_SPHERE
 from impact_rig.campaign.job import Job
 from impact_rig.campaign.paper import CURRENT_A, FREQUENCIES_HZ
-from impact_rig.cli.terminal import Console, TextTable
+from impact_rig.cli import command, compiling
+from impact_rig.cli.terminal import Console, TextTable, add_json, tell_json
 from impact_rig.errors import ConfigError, RecordingError
 from impact_rig.operate.controlled_sine import Hold, HoldPlan
 from impact_rig.operate.looking import Ladder, LoopApparatus, Rung, climb, lock_on
@@ -37,9 +38,14 @@ SHOWN = 12
 
 def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Register the subcommand."""
-    parser = commands.add_parser(
-        "loop", help="closed-loop tests: hold an amplitude, lock a resonance, follow a backbone"
-    )
+    parser = command.add(
+        commands, "loop", "closed-loop tests: hold an amplitude, lock a resonance, follow a backbone",
+        [
+            ("loop hold base 6e-5 --frequencies 8.8 9.1 9.4", "the base at 60 µm, at three frequencies"),
+            ("loop lock --gap none", "search the resonance without a sphere, and stay there"),
+            ("loop backbone --currents 0.1 0.2 0.4", "resonance over amplitude, up and down"),
+        ],
+    )  # fmt: skip
     kinds = parser.add_subparsers(dest="kind", required=True, metavar="KIND")
     holding = kinds.add_parser("hold", help="step the frequency with an amplitude held")
     holding.add_argument("what", choices=[*Hold])
@@ -62,6 +68,7 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
         one.add_argument("--config", type=Path, metavar="FILE", help="of the rig; default: the paper's")
         one.add_argument("--gap", default="0.006", metavar="M", help="gap [m], or none: no sphere")
         one.add_argument("--sphere-start", choices=("left", "centre", "right"), default=None)
+        add_json(one)
         one.add_argument("--output", type=Path, metavar="FILE", help="write everything as CSV; never over a file")
     parser.set_defaults(run=_run)
 
@@ -70,7 +77,9 @@ def _run(arguments: argparse.Namespace) -> int:
     config, gap = _rig(arguments)
     if arguments.output is not None and os.path.lexists(arguments.output):
         raise RecordingError(f"{arguments.output} exists already and is not overwritten")
-    return {"hold": _hold, "lock": _lock, "backbone": _backbone}[arguments.kind](arguments, config, gap, Console())
+    compiling.ready()
+    console = Console(quiet=arguments.json)
+    return {"hold": _hold, "lock": _lock, "backbone": _backbone}[arguments.kind](arguments, config, gap, console)
 
 
 def _rig(arguments: argparse.Namespace) -> tuple[RigConfig, float]:
@@ -113,6 +122,8 @@ def _hold(arguments: argparse.Namespace, config: RigConfig, gap: float, console:
         )  # fmt: skip
     console.print(table)
     _write(arguments.output, found.rows)
+    if arguments.json:
+        tell_json({"rows": found.rows, "ended_early": found.failure})
     if found.failure:
         console.print(f"ended early: {found.failure}")
     return 1 if found.failure or not np.all(found.rows["held"] == 1.0) else 0
@@ -134,6 +145,9 @@ def _lock(arguments: argparse.Namespace, config: RigConfig, _gap: float, console
         )  # fmt: skip
     console.print(table)
     _write(arguments.output, lock.rows)
+    if arguments.json:
+        early = "" if lock.state is State.FINISHED else lock.reason
+        tell_json({"rows": lock.rows, "locked_ns": lock.locked_ns, "ended_early": early})
     if lock.state is not State.FINISHED:
         console.print(f"ended early: {lock.reason}")
         return 1
@@ -166,6 +180,8 @@ def _backbone(arguments: argparse.Namespace, config: RigConfig, gap: float, cons
         )  # fmt: skip
     console.print(table)
     _write(arguments.output, rungs)
+    if arguments.json:
+        tell_json({"rungs": [attrs.asdict(one) for one in rungs], "ended_early": why})
     if why:
         console.print(f"ended early: {why}")
     return 1 if why else 0

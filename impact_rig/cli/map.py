@@ -10,17 +10,25 @@ from pathlib import Path
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeElapsedColumn, TimeRemainingColumn
 
 from impact_rig.campaign.pool import in_parallel
-from impact_rig.cli.terminal import Console, TextTable, Words, tell_program
+from impact_rig.cli import command, compiling
+from impact_rig.cli.terminal import Console, Steps, TextTable, Words, add_json, tell_json, tell_program
 from impact_rig.errors import ConfigError
 from impact_rig.maps import optimum, run
 from impact_rig.maps.plan import Line, load_map, measure_line
+from impact_rig.rig import warm_up as rig
 
 WAYS = ("process", "dask")
 
 
 def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Register the subcommand."""
-    parser = commands.add_parser("map", help="map DT and regimes over two or three parameters; run again to resume")
+    parser = command.add(
+        commands, "map", "map DT and regimes over two or three parameters; run again to resume",
+        [
+            ("map config/maps/gap_frequency.yaml", "on all cores; draws the map beside its table"),
+            ("map my_map.yaml --through dask tcp://host:8786", "on a Dask cluster"),
+        ],
+    )  # fmt: skip
     parser.add_argument(
         "file", nargs="?", type=Path, metavar="FILE", help="map file, e.g. config/maps/gap_frequency.yaml"
     )
@@ -30,6 +38,7 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
     )  # fmt: skip
     parser.add_argument("--output", type=Path, metavar="DIR", help="default: runs/map_<file>; resumed if it exists")
     parser.add_argument("--workers", type=int, metavar="N", help="processes (default: one per core)")
+    add_json(parser)
     parser.add_argument("--no-figures", action="store_true", help="measure only")
     parser.set_defaults(run=_run)
 
@@ -41,7 +50,8 @@ def _run(arguments: argparse.Namespace) -> int:
     plan = load_map(file, arguments.workers)
     directory = (arguments.output or Path("runs") / f"map_{file.stem}").resolve()
     run.prepare(plan, directory)
-    console = Console()
+    console = Console(quiet=arguments.json)
+    compiling.ready(rig.TASKS)
     began = time.monotonic()
     measured = _measure(plan.lines(), directory, runner, console)
     wall_s = time.monotonic() - began
@@ -55,7 +65,10 @@ def _run(arguments: argparse.Namespace) -> int:
     if not arguments.no_figures:
         _draw(done, directory)
     console.print(f"{plan.points} points on the mechanics, {measured} of them now; {run.CSV_FILE}, {run.JSON_FILE}")
-    tell_program(directory)
+    if arguments.json:
+        tell_json({"directory": str(directory), "points": plan.points, **more})
+    else:
+        tell_program(directory)
     return 0
 
 
@@ -84,14 +97,19 @@ def _measure(lines: list[Line], directory: Path, runner: run.Runner, console: Co
         Words("{task.description}"), BarColumn(24), MofNCompleteColumn(), TimeElapsedColumn(),
         Words("left"), TimeRemainingColumn(), Words("{task.fields[state]}"),
     )  # fmt: skip
+    bar = Progress(*columns, console=console, disable=not console.is_terminal)
     with (
-        Progress(*columns, console=console) as progress,
+        bar as progress,
         contextlib.closing(run.measure(lines, directory, runner)) as done,
     ):
         total = sum(len(line.values) for line in lines)
-        task = progress.add_task("points", total=total, state="starting (the first time compiles)")
+        task = progress.add_task("points", total=total, state="starting")
+        steps, count = Steps("points", total), 0
         for line, _ in done:
-            progress.update(task, advance=len(line.values), state=line.describe())
+            count += len(line.values)
+            progress.update(task, completed=count, state=line.describe())
+            if not console.is_terminal:
+                steps.show(count, line.describe())
         progress.update(task, state="done")
     return new
 

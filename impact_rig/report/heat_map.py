@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from impact_rig.drawing.style import Drawn, new_axes, style
 from impact_rig.errors import ConfigError
 from impact_rig.maps.plan import BOTH, CURRENT, DOWN, FREQUENCY, GAP, UP, MapPlan
 from impact_rig.maps.run import FinishedMap
 from impact_rig.physics import prediction
-from impact_rig.report.drawing import Drawn, new_axes, style
 from impact_rig.rig.config import from_flat
 
 if TYPE_CHECKING:
