@@ -17,12 +17,12 @@ from pathlib import Path
 
 import attrs
 import numpy as np
-from impact_rig.report.palette import SERIES
 
 from impact_rig.campaign.axes import NO_SPHERE
 from impact_rig.campaign.in_process import execute
 from impact_rig.campaign.job import Job
 from impact_rig.campaign.pool import in_parallel
+from impact_rig.drawing.palette import SERIES
 from impact_rig.drawing.style import legend_below, new_axes, style
 from impact_rig.operate.controlled_sine import Hold, HoldPlan
 from impact_rig.operate.looking import Ladder, Rung, climb, follow, lock_on

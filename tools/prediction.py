@@ -14,9 +14,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from impact_rig.report.palette import SERIES
 
 from impact_rig.campaign.pool import run_parallel
+from impact_rig.drawing.palette import SERIES
 from impact_rig.drawing.style import legend_below, new_axes, style
 from impact_rig.physics import prediction
 from impact_rig.rig.config import RigConfig

@@ -1,6 +1,6 @@
 """The one style of the docs' figures: size, type, colours by meaning, light and dark in one file.
 
-The colours are those of the report (`impact_rig.report.palette`). What moves has one colour everywhere: the inferior
+The colours are those of the report (`impact_rig.drawing.palette`). What moves has one colour everywhere: the inferior
 base blue, the superior base green, the sphere orange; red is the paper's.
 """
 
@@ -14,8 +14,8 @@ from collections.abc import Iterator, Sequence
 from html import escape
 from typing import TYPE_CHECKING
 
-from impact_rig.report.drawing import STYLE
-from impact_rig.report.palette import GRID, INK, MUTED, PAPER_RED, SERIES, themed, variables
+from impact_rig.drawing.palette import GRID, INK, MUTED, PAPER_RED, SERIES, themed, variables
+from impact_rig.drawing.style import STYLE
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
