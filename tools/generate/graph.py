@@ -14,11 +14,11 @@ POLICY = ROOT / "config" / "sros2" / "policy.xml"
 NODES = {
     "stepped_sine": (20, 24),
     "rig": (20, 300),
-    "analysis": (560, 150),
-    "recorder": (560, 460),
+    "analysis": (600, 150),
+    "recorder": (600, 460),
 }
 """Where the boxes are, left upper corner."""
-SIZE = (150, 64)
+SIZE = (240, 64)
 SAYS = {
     "stepped_sine": "sweeps, as an operator would",
     "rig": "simulates and measures",
@@ -26,19 +26,19 @@ SAYS = {
     "recorder": "MCAP",
 }
 LABELS = {
-    ("rig", "analysis"): (205, 212),
-    ("analysis", "rig"): (390, 316),
-    ("rig", "recorder"): (200, 400),
-    ("recorder", "rig"): (390, 470),
-    ("analysis", "recorder"): (650, 300),
-    ("stepped_sine", "rig"): (106, 150),
-    ("analysis", "stepped_sine"): (300, 44),
-    ("rig", "stepped_sine"): (106, 220),
+    ("rig", "analysis"): (290, 205),
+    ("analysis", "rig"): (460, 292),
+    ("rig", "recorder"): (455, 330),
+    ("recorder", "rig"): (350, 450),
+    ("analysis", "recorder"): (742, 300),
+    ("stepped_sine", "rig"): (20, 160),
+    ("analysis", "stepped_sine"): (420, 95),
+    ("rig", "stepped_sine"): (162, 190),
 }
 """Where what passes from one to the other is written; what the recorder hears of the sweep is left to the text."""
 MOST = 5
 _HEAD = """\
-<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 860 560" font-family="system-ui, sans-serif" font-size="12"
+<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 900 560" font-family="system-ui, sans-serif" font-size="12"
  role="img" aria-label="The nodes of impact_rig and the topics between them">
 <style>
 .paper {{ fill: #ffffff }} .box {{ fill: #e3f0e6; stroke: #4b7d57 }} .line {{ stroke: #5b7083; fill: none }}
@@ -49,7 +49,7 @@ _HEAD = """\
 </style>
 <defs><marker id="tip" viewBox="0 0 8 8" refX="7" refY="4" markerWidth="8" markerHeight="8" orient="auto-start-reverse">
 <path class="tip" d="M0 0 8 4 0 8z"/></marker></defs>
-<rect class="paper" width="860" height="560"/>
+<rect class="paper" width="900" height="560"/>
 """
 
 
