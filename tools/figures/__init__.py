@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from tools.figures import animation, contacts, damping, graph, paper, rig, transmissibility
+from tools.generate import graph as whole_graph
 from tools.generate import house
 
 COMMAND = "make figures"
@@ -24,6 +25,7 @@ DRAWN: Mapping[str, Callable[[], str]] = {
     "animation.svg": animation.draw,
     "contact_laws.svg": contacts.draw_laws,
     "contact_order.svg": contacts.draw_order,
+    "graph.svg": whole_graph.picture,
     "house.svg": house.picture,
     "impact_damping.svg": damping.draw,
     "nodes.svg": graph.draw,

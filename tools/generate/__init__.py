@@ -1,7 +1,7 @@
 """Write every page and file that is made from the code: `make generate` rewrites them, a test compares them.
 
 In the pages of docs/ the parts between `<!-- generated: NAME -->` and `<!-- end -->` are generated, each by the
-function that `TABLES` names; `config/nominal.yaml`, the URDF and the picture of the house are generated whole.
+function that `TABLES` names; `config/nominal.yaml`, the URDF and the pictures of house and nodes are generated whole.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from pathlib import Path
 
 from impact_rig.rig.config import RigConfig
 from impact_rig.rig.description import robot_description
-from tools.generate import house, interface, laws
+from tools.generate import graph, house, interface, laws
 from tools.generate.nominal import nominal
 
 COMMAND = "make generate"
@@ -41,5 +41,6 @@ def generated() -> dict[Path, str]:
         ROOT / "config" / "nominal.yaml": nominal(),
         ROOT / "urdf" / "impact_rig.urdf": description,
         house.PICTURE: house.picture(),
+        graph.PICTURE: graph.picture(),
         **pages,
     }

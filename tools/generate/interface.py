@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from impact_rig import topics
-from impact_rig.columns import TEXT
+from impact_rig.columns import TEXT, Column
 from impact_rig.config import FieldInfo
 from impact_rig.instruments import scan
 from impact_rig.instruments.fault_kinds import FAULT_KINDS
@@ -15,7 +15,7 @@ from impact_rig.nodes import services
 from impact_rig.nodes.parameters import RigSchema, Schema, SectionSchema, Value
 from impact_rig.nodes.services import Situation
 from impact_rig.nodes.settings import AnalysisSettings, RecorderSettings, SteppedSineSettings
-from impact_rig.nodes.topics import TOPICS
+from impact_rig.nodes.topics import ENVELOPES, SPECTRA, TOPICS
 from impact_rig.rig import takes_effect
 from impact_rig.rig.journal import Kind
 from tools.generate import figures
@@ -30,9 +30,24 @@ SCHEMAS: dict[str, Schema[object]] = {
 }
 
 
+def _shown_topics() -> list[topics.Topic]:
+    """Return the topics of the page: one row stands for all envelopes and one for all spectra."""
+    shown: list[topics.Topic] = []
+    for family, general in (
+        (ENVELOPES, topics.envelope("CHANNEL", "as the channel")),
+        (SPECTRA, topics.spectrum("CHANNEL", "as the channel")),
+    ):
+        shown += [general] * bool(family)
+    alike = {topic.name for topic in (*ENVELOPES.values(), *SPECTRA.values())}
+    first = next(number for number, topic in enumerate(TOPICS) if topic.name in alike)
+    others = [topic for topic in TOPICS if topic.name not in alike]
+    return [*others[:first], *shown, *others[first:]]
+
+
 def _topics() -> str:
     rows = (
-        (f"`{t.name}`", t.type_name.split("/")[-1], t.publisher, t.qos.name, t.frame_id or "-", t.doc) for t in TOPICS
+        (f"`{t.name}`", t.type_name.split("/")[-1], t.publisher, t.qos.name, t.frame_id or "-", t.doc)
+        for t in _shown_topics()
     )
     return table(("topic", "type", "published by", "QoS", "frame", "content"), rows)
 
@@ -46,8 +61,13 @@ def _qualities() -> str:
 
 def _columns() -> str:
     parts = []
+    seen: dict[tuple[Column, ...], str] = {}
     for topic in TOPICS:
         if topic.columns is not None:
+            if topic.fields in seen:
+                parts.append(f"### `{topic.name}`\n\nThe columns of `{seen[topic.fields]}`.\n")
+                continue
+            seen[topic.fields] = topic.name
             columns = scan.COLUMNS if topic is topics.SCAN else topic.fields
             rows = ((f"`{c.name}`", _kind(c.kind), c.unit, c.doc) for c in columns)
             parts.append(f"### `{topic.name}`\n\n" + table(("column", "type", "unit", "meaning"), rows))
@@ -55,7 +75,9 @@ def _columns() -> str:
 
 
 def _fields() -> str:
-    rows = ((f"`{t.name}`", f"`{c.name}`", c.unit, c.doc) for t in TOPICS if t.columns is None for c in t.fields)
+    rows = (
+        (f"`{t.name}`", f"`{c.name}`", c.unit, c.doc) for t in _shown_topics() if t.columns is None for c in t.fields
+    )
     return table(("topic", "field", "unit", "meaning"), rows)
 
 

@@ -1,0 +1,121 @@
+"""The picture of the nodes and what passes between them: edges are those that the SROS2 policy found on the graph."""
+
+from __future__ import annotations
+
+from html import escape
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+from impact_rig.nodes.topics import by_name
+
+ROOT = Path(__file__).parents[2]
+PICTURE = ROOT / "docs" / "images" / "graph.svg"
+POLICY = ROOT / "config" / "sros2" / "policy.xml"
+NODES = {
+    "stepped_sine": (20, 24),
+    "rig": (20, 300),
+    "analysis": (600, 150),
+    "recorder": (600, 460),
+}
+"""Where the boxes are, left upper corner."""
+SIZE = (240, 64)
+SAYS = {
+    "stepped_sine": "sweeps, as an operator would",
+    "rig": "simulates and measures",
+    "analysis": "transmissibility, impacts",
+    "recorder": "MCAP",
+}
+LABELS = {
+    ("rig", "analysis"): (290, 205),
+    ("analysis", "rig"): (460, 292),
+    ("rig", "recorder"): (455, 330),
+    ("recorder", "rig"): (350, 450),
+    ("analysis", "recorder"): (742, 300),
+    ("stepped_sine", "rig"): (20, 160),
+    ("analysis", "stepped_sine"): (420, 95),
+    ("rig", "stepped_sine"): (162, 190),
+}
+"""Where what passes from one to the other is written; what the recorder hears of the sweep is left to the text."""
+MOST = 5
+_HEAD = """\
+<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 900 560" font-family="system-ui, sans-serif" font-size="12"
+ role="img" aria-label="The nodes of impact_rig and the topics between them">
+<style>
+.paper {{ fill: #ffffff }} .box {{ fill: #e3f0e6; stroke: #4b7d57 }} .line {{ stroke: #5b7083; fill: none }}
+.name {{ fill: #10212e; font-weight: 600; font-size: 14px }} .text {{ fill: #33424f }} .tip {{ fill: #5b7083 }}
+@media (prefers-color-scheme: dark) {{
+.paper {{ fill: #11181f }} .box {{ fill: #1b2f22; stroke: #6fae80 }} .line {{ stroke: #7f95a8 }}
+.name {{ fill: #f0f5f9 }} .text {{ fill: #c3d0db }} .tip {{ fill: #7f95a8 }} }}
+</style>
+<defs><marker id="tip" viewBox="0 0 8 8" refX="7" refY="4" markerWidth="8" markerHeight="8" orient="auto-start-reverse">
+<path class="tip" d="M0 0 8 4 0 8z"/></marker></defs>
+<rect class="paper" width="900" height="560"/>
+"""
+
+
+def edges() -> dict[tuple[str, str], list[str]]:
+    """Return the topics that pass from one node to another, by both names; those of ROS itself are left out."""
+    said: dict[str, dict[str, set[str]]] = {}
+    for profile in ET.parse(POLICY).iter("profile"):  # noqa: S314  # our own file
+        name = profile.get("node", "")
+        said[name] = {
+            kind: {
+                topic.text or ""
+                for group in profile.iter("topics")
+                if group.get(kind) == "ALLOW"
+                for topic in group.iter("topic")
+            }
+            for kind in ("publish", "subscribe")
+        }
+    found: dict[tuple[str, str], list[str]] = {}
+    for source in NODES:
+        for sink in NODES:
+            common = said[source]["publish"] & said[sink]["subscribe"] if source != sink else set()
+            names = [name for topic in common if (name := _known(topic))]
+            if names:
+                found[source, sink] = sorted(names)
+    return found
+
+
+def _known(topic: str) -> str:
+    """Return a topic's name in our table; nothing for those of ROS itself."""
+    name = topic.removeprefix("rig/").removeprefix("/rig/")
+    try:
+        return "" if by_name(name).name.startswith("/") else name
+    except KeyError:
+        return ""
+
+
+def picture() -> str:
+    """Return the graph as SVG."""
+    parts = []
+    for (source, sink), names in edges().items():
+        if (source, sink) not in LABELS:
+            continue
+        x, y = LABELS[source, sink]
+        parts.append(_arrow(source, sink))
+        shown = names if len(names) <= MOST else [*names[: MOST - 1], f"and {len(names) - MOST + 1} more"]
+        parts += [
+            f'<text class="text" x="{x}" y="{y + 15 * number}">{escape(name)}</text>'
+            for number, name in enumerate(shown)
+        ]
+    for name, (x, y) in NODES.items():
+        width, height = SIZE
+        parts.append(f'<rect class="box" x="{x}" y="{y}" width="{width}" height="{height}" rx="8"/>')
+        parts.append(f'<text class="name" x="{x + 12}" y="{y + 26}">{name}</text>')
+        parts.append(f'<text class="text" x="{x + 12}" y="{y + 46}">{SAYS[name]}</text>')
+    return _HEAD.format() + "\n".join(parts) + "\n</svg>\n"
+
+
+def _arrow(source: str, sink: str) -> str:
+    """Return a line between two boxes; the two ways between a pair lie beside each other."""
+    (x0, y0), (x1, y1) = NODES[source], NODES[sink]
+    width, height = SIZE
+    side = 14 if source < sink else -14
+    if abs(x1 - x0) > width:
+        start = (x0 + width if x1 > x0 else x0, y0 + height / 2 + side)
+        end = (x1 if x1 > x0 else x1 + width, y1 + height / 2 + side)
+    else:
+        start = (x0 + width / 2 + side, y0 + height if y1 > y0 else y0)
+        end = (x1 + width / 2 + side, y1 if y1 > y0 else y1 + height)
+    return f'<line class="line" x1="{start[0]}" y1="{start[1]}" x2="{end[0]}" y2="{end[1]}" marker-end="url(#tip)"/>'
