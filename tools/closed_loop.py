@@ -10,6 +10,7 @@ docs/images/backbone.png.
 from __future__ import annotations
 
 import argparse
+import itertools
 import math
 import sys
 from collections.abc import Sequence
@@ -192,7 +193,7 @@ def backbones(draw: bool) -> list[Finding]:
     )
     found_: list[Finding] = [(words, kept)]
     fold = Manifold(0.309).gap_per_amplitude_at_fold
-    down = [one for one in rungs["left"] if one.direction == "down" and one.locked]
+    down = list(itertools.takewhile(lambda one: not one.jumped, (r for r in rungs["left"] if r.direction == "down")))
     ratio = LADDER_GAP_M / down[-1].superior_m
     found_.append(
         (f"down: the last rung on the branch has g/X = {ratio:.2f}, the fold is at {fold:.2f}", 5.5 < ratio <= fold)
