@@ -13,6 +13,7 @@ pytest.importorskip("markdown_it", reason="comes with rich, except with Ubuntu's
 
 from impact_rig.campaign.paper import FREQUENCY_HZ, REDUCTION_PERCENT
 from impact_rig.campaign.plan import load_campaign
+from impact_rig.maps.plan import load_map
 from impact_rig.physics.closed_form import transmissibility
 from impact_rig.rig.config import RigConfig, dump, load
 
@@ -106,6 +107,8 @@ def test_yaml_is_accepted(block, tmp_path):
     if block.page == "docs/campaign.md":
         (tmp_path / "rig.yaml").write_text(dump(RigConfig()), encoding="utf-8")
         assert load_campaign(file).base.daq.rate_hz == 20_000
+    elif block.page == "docs/maps.md":
+        assert load_map(file).direction == "both"
     else:
         assert len(load(file).instruments.faults.planned) == 2
 

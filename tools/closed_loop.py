@@ -10,6 +10,7 @@ docs/images/backbone.png.
 from __future__ import annotations
 
 import argparse
+import itertools
 import math
 import sys
 from collections.abc import Sequence
@@ -38,6 +39,8 @@ from impact_rig.studies.prediction import job
 
 GAPS_MM, FREQUENCIES_HZ = (2, 4, 6, 8, 10), (8.8, 9.0, 9.1, 9.2, 9.4)
 BASE_M = 60e-6
+LONG, MANY = {"long_windows": 64, "wait_limit_s": 120.0}, 8
+"""Settings of the measurement, and measurements, of a response that does not repeat."""
 LADDER_A = tuple(round(float(one), 3) for one in np.geomspace(0.13, 0.7, 12))
 LADDER_GAP_M = 10e-3
 PICTURE = Path(__file__).parents[1] / "docs" / "images" / "backbone.png"
@@ -65,17 +68,26 @@ def main() -> int:
 
 
 def _held_pair(place: tuple[float, float]) -> tuple[float, float, float, float, float, str]:
-    """Return error, DT held, its spread, DT prescribed, cycles and regime at (gap [m], frequency [Hz])."""
+    """Return error, DT held, its spread, DT prescribed, cycles and regime at (gap [m], frequency [Hz]).
+
+    Of what does not repeat, amplitude and DT are means of many measurements, thousands of cycles.
+    """
     gap, frequency = place
-    one = attrs.evolve(job(frequency, gap), repetitions=2, analysis={"long_windows": 64, "wait_limit_s": 120.0})
-    rows = hold(one, HoldPlan(hold=Hold.BASE, target=BASE_M, tolerance=3e-3)).rows
+    for repetitions in (1, MANY):
+        one = attrs.evolve(job(frequency, gap), repetitions=repetitions, analysis=LONG)
+        rows = hold(one, HoldPlan(hold=Hold.BASE, target=BASE_M, tolerance=3e-3)).rows
+        if np.all(rows["regime"] == b"periodic"):
+            break
     other = attrs.evolve(one, changes={**one.changes, "drive.kind": "prescribed"}, current_a=BASE_M)
     prescribed = execute(other).rows
     return (
-        float(np.abs(rows["error"]).max()), float(rows["transmissibility"].mean()),
-        float(rows["spread"].mean()), float(prescribed["transmissibility"].mean()), float(rows["cycles"].sum()),
+        abs(float(rows["base_amplitude"].mean()) / BASE_M - 1.0),
+        float(rows["laser_amplitude"].mean() / rows["base_amplitude"].mean()),
+        float(rows["spread"].mean()),
+        float(prescribed["laser_amplitude"].mean() / prescribed["base_amplitude"].mean()),
+        float(rows["cycles"].sum()),
         rows["regime"][0].decode(),
-    )  # fmt: skip
+    )
 
 
 def _linear_job(frequencies: tuple[float, ...]) -> Job:
@@ -181,7 +193,7 @@ def backbones(draw: bool) -> list[Finding]:
     )
     found_: list[Finding] = [(words, kept)]
     fold = Manifold(0.309).gap_per_amplitude_at_fold
-    down = [one for one in rungs["left"] if one.direction == "down" and one.locked]
+    down = list(itertools.takewhile(lambda one: not one.jumped, (r for r in rungs["left"] if r.direction == "down")))
     ratio = LADDER_GAP_M / down[-1].superior_m
     found_.append(
         (f"down: the last rung on the branch has g/X = {ratio:.2f}, the fold is at {fold:.2f}", 5.5 < ratio <= fold)

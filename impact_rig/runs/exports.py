@@ -1,9 +1,13 @@
-"""Table topics as files other programs read: CSV, NumPy's NPZ and Parquet.
+"""Table topics as files other programs read: CSV, NumPy's NPZ, Parquet, and universal files (dataset 58).
 
 Every row becomes one row, with the stamp of its message in front: `stamp_ns` is an exact integer, `time` counts from it
 in seconds. `earlier` is 1 where the message was published before the recording began: what a latched topic hands to a
 recorder that comes, such as the journal since the rig's start or the commands of cases before this run. Numbers in CSV
 are written so that reading them back gives the same bits.
+
+A universal file holds one dataset 58b (binary, double precision) per column of numbers: a time response over seconds
+since the first stamp. Of `transmissibility/table` and other tables with frequency, transmissibility and phase it is one
+frequency response function more per gap, complex, over the frequency: what modal analysis reads.
 """
 
 from __future__ import annotations
@@ -12,6 +16,8 @@ import csv
 import importlib
 import io
 import os
+import tempfile
+import warnings
 import zipfile
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
@@ -22,6 +28,7 @@ from numpy.typing import NDArray
 
 from impact_rig.errors import RecordingError
 from impact_rig.recording.reader import Run
+from impact_rig.simtime import NS_PER_S
 from impact_rig.system import files
 
 STAMP, EARLIER = "stamp_ns", "earlier"
@@ -31,13 +38,23 @@ Columns = dict[str, NDArray[np.generic]]
 
 
 def export(run: Run, topic: str, target: Path) -> Path:
-    """Write a table topic to `target` and return it; the suffix says the format: .csv, .npz or .parquet.
+    """Write a table topic to `target` and return it; the suffix says the format: .csv, .npz, .parquet or .uff.
 
-    NPZ is put together in memory, the others are written as they are read.
+    NPZ and UFF are put together in memory, the others are written as they are read.
 
     Raises:
         RecordingError: unknown suffix, `target` exists or cannot be written, the topic carries no tables or changes
-            its columns, or pyarrow is missing for Parquet.
+            its columns, or a library is missing: pyarrow for Parquet, pyuff for UFF.
+    """
+    return write_columns(lambda: _batches(run, topic), target)
+
+
+def write_columns(batches: Callable[[], Iterator[Columns]], target: Path) -> Path:
+    """Write columns to `target` and return it, see `export`.
+
+    Args:
+        batches: gives the columns, many rows at a time, all of one set of names.
+        target: the file; its suffix says the format.
     """
     write = _WRITERS.get(target.suffix)
     if write is None:
@@ -47,7 +64,7 @@ def export(run: Run, topic: str, target: Path) -> Path:
         raise kept
     try:
         with files.written_whole(target, replace=False) as file:
-            write(file, _batches(run, topic))
+            write(file, batches())
     except RecordingError:
         raise
     except FileExistsError as error:
@@ -136,8 +153,73 @@ def _write_parquet(file: BinaryIO, batches: Iterator[Columns]) -> None:
             writer.close()
 
 
+def _write_uff(file: BinaryIO, batches: Iterator[Columns]) -> None:
+    try:
+        pyuff = importlib.import_module("pyuff")
+    except ImportError as error:
+        raise RecordingError("UFF needs pyuff, which is not installed: pip install pyuff") from error
+    parts = list(batches)
+    columns = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    with tempfile.TemporaryDirectory(prefix="impact_rig_uff_") as folder:  # pyuff opens files by name only
+        path = Path(folder) / "all.uff"
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", ResourceWarning)  # it leaves files to the garbage collection
+            pyuff.UFF(str(path)).write_sets([{"type": 58, **one} for one in _datasets(columns)], "add")
+        file.write(path.read_bytes())
+
+
+def _datasets(columns: Columns) -> list[dict[str, object]]:
+    """Return the functions of a universal file; values that are no numbers stay out."""
+    found: list[dict[str, object]] = []
+    numbers = {name: np.asarray(column, float) for name, column in columns.items() if column.dtype.kind in "fiu"}
+    stamps = columns.get(STAMP)
+    if stamps is not None and len(stamps) > 1 and "time" in numbers:
+        x = np.asarray(stamps - stamps[0], float) / NS_PER_S + numbers["time"]
+        order = np.argsort(x, kind="stable")
+        found += [
+            _dataset(name, _TIME_RESPONSE, x[order], column[order], "s")
+            for name, column in numbers.items()
+            if name not in (STAMP, EARLIER, "time")
+        ]
+    if {"frequency", "transmissibility", "phase"} <= numbers.keys():
+        found += _response_functions(numbers)
+    if not found:
+        raise RecordingError("UFF holds functions of time or frequency; this table has neither")
+    return found
+
+
+def _response_functions(numbers: Mapping[str, NDArray[np.float64]]) -> Iterator[dict[str, object]]:
+    """Yield X_1/X_b over the frequency, one function per gap; rows without a measurement stay out."""
+    ratio = numbers["transmissibility"] * np.exp(1j * numbers["phase"])
+    gaps = np.nan_to_num(numbers.get("gap", np.full(len(ratio), np.nan)), nan=-1.0)
+    for gap in np.unique(gaps[np.isfinite(ratio)]):
+        own = np.flatnonzero(np.isfinite(ratio) & (gaps == gap))
+        own = own[np.argsort(numbers["frequency"][own], kind="stable")]
+        if len(own) < 2:
+            continue  # no function: pyuff refuses it
+        name = "X_1/X_b" if gap < 0.0 else f"X_1/X_b, gap {gap * 1e3:g} mm" if gap else "X_1/X_b, no sphere"
+        yield _dataset(name, _RESPONSE_FUNCTION, numbers["frequency"][own], ratio[own], "Hz")
+
+
+def _dataset(name: str, kind: int, x: NDArray[np.float64], y: NDArray[np.generic], unit: str) -> dict[str, object]:
+    """Return a function as pyuff wants it; the abscissa is written out unless it is even, which readers like better."""
+    steps = np.diff(x)
+    even = kind == _TIME_RESPONSE and bool(np.all(np.abs(steps - steps[0]) <= _EVEN * abs(steps[0])))
+    return {
+        "binary": 1, "func_type": kind, "data": y, "x": x, "abscissa_spacing": int(even),
+        "id1": name[:80], "id2": "impact_rig", "rsp_ent_name": name[:10], "rsp_node": 1, "rsp_dir": 1,
+        "ref_ent_name": "base", "ref_node": 1, "ref_dir": 1, "orddenom_spec_data_type": 0,
+        "abscissa_spec_data_type": 17 if unit == "s" else 18, "abscissa_axis_units_lab": unit,
+    }  # fmt: skip
+
+
+_EVEN = 1e-6
+_TIME_RESPONSE, _RESPONSE_FUNCTION = 1, 4
+"""Function types of dataset 58."""
+
 _WRITERS: Mapping[str, Callable[[BinaryIO, Iterator[Columns]], None]] = {
     ".csv": _write_csv,
     ".npz": _write_npz,
     ".parquet": _write_parquet,
+    ".uff": _write_uff,
 }

@@ -138,6 +138,17 @@ def test_table_and_figures_are_written(small):
     assert "predicted" in up.svg
 
 
+def test_points_are_exported(small, tmp_path, capsys):
+    parquet = pytest.importorskip("pyarrow.parquet")
+    _, directory = small
+    assert main(["export", str(directory), "points", str(tmp_path / "map"), "--format", "parquet"]) == 0
+    table = parquet.read_table(tmp_path / "map.parquet")
+    assert table["dt"].to_numpy()[0] == run.open_map(directory).values[UP]["dt"][0, 0]
+    assert table["regime"].to_pylist()[0] == "periodic"
+    assert main(["export", str(directory), "curve", str(tmp_path / "map.csv")]) == 1
+    assert "there are points" in capsys.readouterr().err
+
+
 def test_a_motion_that_cannot_be_resolved_is_told_as_such(monkeypatch):
     from impact_rig.errors import SimulationError
     from impact_rig.physics import Simulation

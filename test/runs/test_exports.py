@@ -14,6 +14,7 @@ from impact_rig.blocks import JOURNAL, Table
 from impact_rig.errors import RecordingError
 from impact_rig.recording import open_run
 from impact_rig.runs import export
+from impact_rig.runs.exports import write_columns
 
 JOURNAL_NAME = "/rig/rig/journal"
 
@@ -95,6 +96,45 @@ def test_parquet_without_pyarrow_says_what_to_install(run, tmp_path, monkeypatch
     assert list(tmp_path.glob("*.parquet")) == []
 
 
+def test_universal_file(run, tmp_path):
+    pyuff = pytest.importorskip("pyuff")
+    stamps, rows = expected()
+    sets = pyuff.UFF(str(export(run, "daq/scan", tmp_path / "scan.uff"))).read_sets()
+    names = [name for name in rows.dtype.names if name != "time"]
+    assert [(one["type"], one["id1"], one["func_type"]) for one in sets] == [(58, name, 1) for name in names]
+    seconds = (stamps - stamps[0]) / 1e9 + rows["time"]
+    for one, name in zip(sets, names, strict=True):
+        np.testing.assert_allclose(one["x"], seconds, rtol=1e-9, atol=1e-12)
+        np.testing.assert_array_equal(one["data"], rows[name].astype(float))
+
+
+def test_a_curve_is_a_frequency_response_function_per_gap(tmp_path):
+    pyuff = pytest.importorskip("pyuff")
+    columns = {
+        "frequency": np.array([9.0, 8.0, 9.0, 8.5, 8.7]),
+        "transmissibility": np.array([50.0, 4.0, 100.0, np.nan, 20.0]),
+        "phase": np.array([-1.0, -0.1, -1.5, np.nan, -0.2]),
+        "gap": np.array([0.006, 0.006, 0.0, 0.0, 0.0]),
+        "regime": np.array(["periodic"] * 5),
+    }
+    target = write_columns(lambda: iter([columns]), tmp_path / "curve.uff")
+    without, gap = pyuff.UFF(str(target)).read_sets()
+    assert (without["id1"], gap["id1"]) == ("X_1/X_b, no sphere", "X_1/X_b, gap 6 mm")
+    assert gap["func_type"] == 4
+    assert gap["x"].tolist() == [8.0, 9.0]
+    np.testing.assert_array_equal(gap["data"], np.array([4.0, 50.0]) * np.exp(1j * np.array([-0.1, -1.0])))
+    assert without["x"].tolist() == [8.7, 9.0]
+
+
+def test_universal_file_without_pyuff_or_without_functions(run, tmp_path, monkeypatch):
+    with pytest.raises(RecordingError, match="neither"):
+        write_columns(lambda: iter([{"regime": np.array(["periodic"])}]), tmp_path / "words.uff")
+    monkeypatch.setitem(sys.modules, "pyuff", None)  # not to be imported
+    with pytest.raises(RecordingError, match="UFF needs pyuff, which is not installed: pip install pyuff"):
+        export(run, "daq/scan", tmp_path / "scan.uff")
+    assert list(tmp_path.glob("*.uff")) == []
+
+
 def test_large_tables_are_written_in_batches(run, tmp_path, monkeypatch):
     monkeypatch.setattr("impact_rig.runs.exports._BATCH_BYTES", 10_000)
     stamps, _ = expected()
@@ -105,7 +145,7 @@ def test_large_tables_are_written_in_batches(run, tmp_path, monkeypatch):
 
 
 def test_refusals_name_what_would_be_right(run, tmp_path, record):
-    with pytest.raises(RecordingError, match=r"must end in one of \.csv, \.npz, \.parquet"):
+    with pytest.raises(RecordingError, match=r"must end in one of \.csv, \.npz, \.parquet, \.uff"):
         export(run, "daq/scan", tmp_path / "scan.xlsx")
     with pytest.raises(RecordingError, match="carries std_msgs/msg/String, not tables"):
         export(run, "notes", tmp_path / "notes.csv")
