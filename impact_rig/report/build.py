@@ -19,6 +19,7 @@ from impact_rig.report.content import Cell, Content, number
 from impact_rig.report.findings import value_cell
 from impact_rig.report.motion import phase_plane, time_trace
 from impact_rig.report.page import contents, folded, link, page, paragraph, section
+from impact_rig.report.predicted import reduction_over_gap
 from impact_rig.report.studies import study_figures
 from impact_rig.rig.config import fields, to_flat
 from impact_rig.studies.margins import Variation, variations
@@ -115,7 +116,10 @@ def _studies(done: Finished) -> Iterator[Drawn]:
         known = set(study.frequencies_hz) == set(FREQUENCIES_HZ) or max(study.frequencies_hz) - FREQUENCY_HZ < PEAK_HZ
         if known and len(study.frequencies_hz) > 1 and all(point.reference for point in own):
             continue  # the paper's own curves and their peaks, above
-        yield from study_figures(study.name, own, done.curves, done.calibration)
+        theory = None
+        if own and len(study.frequencies_hz) == 1 and all(set(point.axes) <= {"sphere.start"} for point in own):
+            theory = reduction_over_gap(done.campaign.base, own[0].frequency_hz, own[0].current_a)
+        yield from study_figures(study.name, own, done.curves, done.calibration, theory)
 
 
 def _failed(failed: Sequence[Point], content: Content) -> str:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig.campaign.axes import NO_SPHERE
+from impact_rig.drawing.style import Line
 from impact_rig.errors import ConfigError
 from impact_rig.physics.closed_form import transmissibility
 from impact_rig.rig.config import RigConfig, from_flat
@@ -55,6 +56,30 @@ def predicted(
     except ConfigError:  # outside of what the theory holds for: friction, no loss, ...
         return []
     return [part for one in branches for part in _lasting(one)]
+
+
+def reduction_over_gap(config: RigConfig, frequency_hz: float, current_a: float) -> Line | None:
+    """Return the predicted reduction of DT by gap at one frequency and constant current; None where no theory holds.
+
+    Args:
+        config: the rig; its own gap does not matter.
+        frequency_hz: of the drive.
+        current_a: peak.
+    """
+    if importlib.util.find_spec(MODULE) is None:
+        return None
+    try:
+        rig = from_flat(config, {"sphere.present": True})
+        found = importlib.import_module(MODULE).branch(rig, frequency_hz, current_a=current_a)
+    except ConfigError:  # as above
+        return None
+    lasting = np.flatnonzero(found.stable)
+    order = lasting[np.argsort(found.gap_m[lasting])]
+    if len(order) < 2:
+        return None
+    without = abs(complex(transmissibility(config, frequency_hz)))
+    percent = 100.0 * (1.0 - found.dt[order] / without)
+    return Line("predicted", {"gap_m": found.gap_m[order].tolist(), "reduction_percent": percent.tolist()})
 
 
 def _lasting(branch: Stretch) -> Sequence[Stretch]:

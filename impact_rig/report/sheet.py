@@ -31,7 +31,7 @@ figcaption { font-size: .85rem; color: var(--quietly); }
 figcaption a { display: inline-block; padding: .15rem .4rem; } figcaption a.back { display: none; }
 .figures figure:target { position: fixed; inset: 0; z-index: 9; max-width: none; padding: 1rem; overflow: auto;
   background: var(--page); }
-figure:target svg { width: auto; max-width: none; height: 84vh; margin: 0 auto; }
+figure:target svg { width: min(95vw, 80rem); max-width: none; height: auto; margin: 0 auto; }
 figure:target a.back { display: inline-block; } figure:target a.enlarge { display: none; }
 .scroll { overflow-x: auto; } table { border-collapse: collapse; font-variant-numeric: tabular-nums; }
 th, td { padding: .25rem .7rem; text-align: left; vertical-align: top; border-bottom: 1px solid var(--grid); }
@@ -44,7 +44,7 @@ td.n, th.n { text-align: right; } td.n { white-space: nowrap; }
 details summary { cursor: pointer; padding: .3rem 0; }
 @media screen and (max-width: 40rem) {
   dl.cover { grid-template-columns: 1fr; gap: 0; padding: .7rem .9rem; } dl.cover dt { margin-top: .4rem; }
-  figure:target svg { height: auto; width: 200vw; }
+  figure:target svg { width: 200vw; }
   table, tbody, tr, td { display: block; } thead { position: absolute; left: -99rem; }
   tr { padding: .4rem 0; border-bottom: 1px solid var(--grid); }
   td, td.n { display: grid; grid-template-columns: 9.5rem 1fr; gap: .6rem; padding: .1rem 0; border: 0;

@@ -10,7 +10,7 @@ from impact_rig.analysis.calibration import Calibration
 from impact_rig.analysis.reduction import reduction
 from impact_rig.campaign.axes import NO_SPHERE
 from impact_rig.campaign.results import Curves, Point
-from impact_rig.drawing.palette import SERIES
+from impact_rig.drawing.palette import PREDICTED, SERIES
 from impact_rig.drawing.style import Drawn, Line, legend_below, new_axes
 from impact_rig.report.content import COVERAGE
 
@@ -25,7 +25,9 @@ MOST_LINES = 2 * len(SERIES)
 """The second half is dashed."""
 
 
-def study_figures(study: str, points: Sequence[Point], curves: Curves, calibration: Calibration) -> Iterator[Drawn]:
+def study_figures(
+    study: str, points: Sequence[Point], curves: Curves, calibration: Calibration, theory: Line | None = None
+) -> Iterator[Drawn]:
     """Draw a study; nothing if it has less than three settled points along any axis.
 
     Reductions are taken against the reference rig, so a study of several sets of instruments shows DT itself.
@@ -72,7 +74,11 @@ def study_figures(study: str, points: Sequence[Point], curves: Curves, calibrati
         ylabel="reduction of DT (%)" if relative else "transmissibility",
         title=f"Study: {study}",
     )
-    if len(lines) > 1:
+    if theory is not None and along == "gap_m" and relative:
+        gaps, percent = (np.array(theory.columns[name]) for name in ("gap_m", "reduction_percent"))
+        axis.plot(factor * gaps, percent, color=PREDICTED, linewidth=2.5, zorder=1, label=theory.label)
+        numbers.append(theory)
+    if len(numbers) > 1:
         legend_below(axis, 2)
     yield Drawn(f"study_{study}", figure, f"Study “{study}”: {len(settled)} settled points, ± 2u.", numbers)
 

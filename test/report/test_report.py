@@ -24,7 +24,7 @@ from impact_rig.campaign.in_process import execute
 from impact_rig.campaign.plan import load_campaign
 from impact_rig.cli import main
 from impact_rig.drawing.palette import DARK, NAMES
-from impact_rig.report.predicted import MODULE, predicted
+from impact_rig.report.predicted import MODULE, predicted, reduction_over_gap
 from impact_rig.rig import Rig
 from impact_rig.rig.config import RigConfig
 from impact_rig.studies.margins import variations
@@ -256,6 +256,7 @@ class Branch:
 
     def __init__(self, frequency_hz):
         self.frequency_hz, self.dt, self.phase_rad = frequency_hz, 7.0 * frequency_hz, -frequency_hz
+        self.gap_m = 0.02 - 1e-3 * frequency_hz
         self.stable = np.arange(len(frequency_hz)) >= 3
 
 
@@ -269,6 +270,8 @@ def test_a_prediction_is_drawn_where_it_exists_and_lasts(monkeypatch):
     assert found.frequency_hz.tolist() == frequencies[3:].tolist()
     assert found.dt.tolist() == (7.0 * frequencies[3:]).tolist()
     assert predicted(RigConfig(), 1e-3, frequencies, 0.52) == []
+    module.branch = lambda rig, frequency_hz, *, current_a: Branch(frequencies)
+    assert reduction_over_gap(RigConfig(), 9.1, 0.52).columns["gap_m"] == sorted(Branch(frequencies).gap_m[3:])
 
 
 def test_figures_lie_beside_the_page(reported):
