@@ -13,6 +13,7 @@ pytest.importorskip("rclpy", reason="pictures of the nodes are made from the nod
 
 from tools.figures import COMMAND, DRAWN, IMAGES, there
 from tools.figures.same import difference
+from tools.figures.style import DARK
 from tools.generate import generated
 
 ROOT = Path(__file__).parents[1]
@@ -49,6 +50,14 @@ def test_a_drawing_has_words_for_who_cannot_see_it_and_colours_for_the_dark(name
     assert root.get("aria-label") or root.findtext(f"{SVG}title")
     assert "prefers-color-scheme: dark" in text
     assert not re.search(r"(?:href|src)=\"(?!#)", text), "it asks for something else"
+
+
+@pytest.mark.parametrize("name", DRAWN)
+def test_a_drawing_has_only_colours_of_the_palette(name):
+    """Okabe and Ito's, told apart with any colour vision; each is a variable with values for light and for dark."""
+    drawn = (IMAGES / name).read_text(encoding="utf-8").partition("</style>")[2]
+    assert set(re.findall(r"(?<!&)#[0-9a-f]{3,8}\b", drawn)) == set()
+    assert set(re.findall(r"var\(--([\w-]+)\)", drawn)) <= {*DARK, "sheet", "card"}
 
 
 @pytest.mark.parametrize("name", TAKEN)
