@@ -102,7 +102,7 @@ lint: $(PACKAGE) ## check style, types and layers
 generate: $(PACKAGE) ## rewrite the pages and files that are made from the code
 	@$(VENV)/bin/python -m tools.generate
 
-figures: $(PACKAGE) ## draw every figure of README and docs; ARGS='paper.svg rig.svg' chooses, lab: the lab's pictures
+figures: $(PACKAGE) ## draw every figure of README and docs; ARGS='paper.svg lab_pictures' chooses
 	@$(VENV)/bin/python -m tools.figures $(ARGS)
 
 docs: $(PACKAGE) ## build the website from docs/ into build/site, offline, without a warning; ARGS=--serve shows it

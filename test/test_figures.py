@@ -9,11 +9,18 @@ from xml.etree import ElementTree as ET
 import pytest
 from PIL import Image
 
-from tools.figures import COMMAND, DRAWN, IMAGES, TAKEN
+pytest.importorskip("rclpy", reason="pictures of the nodes are made from the nodes")
+
+from tools.figures import COMMAND, DRAWN, IMAGES, there
 from tools.figures.same import difference
+from tools.figures.style import DARK
+from tools.generate import generated
 
 ROOT = Path(__file__).parents[1]
 MOST_BYTES = 3_000_000
+GENERATED = [path.name for path in generated() if path.parent == IMAGES]  # compared in test_generated.py
+TAKEN = [picture for pictures in there().values() for picture in pictures]
+ALL = (*DRAWN, *GENERATED, *TAKEN)
 SVG = "{http://www.w3.org/2000/svg}"
 
 
@@ -23,20 +30,20 @@ def test_a_drawing_is_what_the_code_draws(name):
 
 
 def test_every_picture_is_drawn_or_taken_by_the_command():
-    assert {path.name for path in IMAGES.iterdir()} == {*DRAWN, *TAKEN}
+    assert {path.name for path in IMAGES.iterdir()} == set(ALL)
 
 
 def test_every_picture_is_shown_somewhere():
     pages = [*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), *ROOT.glob("examples/*.md")]
     texts = "".join(path.read_text(encoding="utf-8") for path in pages)
-    assert [name for name in (*DRAWN, *TAKEN) if f"images/{name}" not in texts] == []
+    assert [name for name in ALL if f"images/{name}" not in texts] == []
 
 
 def test_pictures_are_small():
     assert sum(path.stat().st_size for path in IMAGES.iterdir()) <= MOST_BYTES
 
 
-@pytest.mark.parametrize("name", DRAWN)
+@pytest.mark.parametrize("name", [*DRAWN, *GENERATED])
 def test_a_drawing_has_words_for_who_cannot_see_it_and_colours_for_the_dark(name):
     text = (IMAGES / name).read_text(encoding="utf-8")
     root = ET.fromstring(text)
@@ -45,8 +52,16 @@ def test_a_drawing_has_words_for_who_cannot_see_it_and_colours_for_the_dark(name
     assert not re.search(r"(?:href|src)=\"(?!#)", text), "it asks for something else"
 
 
+@pytest.mark.parametrize("name", DRAWN)
+def test_a_drawing_has_only_colours_of_the_palette(name):
+    """Okabe and Ito's, told apart with any colour vision; each is a variable with values for light and for dark."""
+    drawn = (IMAGES / name).read_text(encoding="utf-8").partition("</style>")[2]
+    assert set(re.findall(r"(?<!&)#[0-9a-f]{3,8}\b", drawn)) == set()
+    assert set(re.findall(r"var\(--([\w-]+)\)", drawn)) <= {*DARK, "sheet", "card"}
+
+
 @pytest.mark.parametrize("name", TAKEN)
-def test_a_picture_of_the_lab_can_be_opened(name):
+def test_a_picture_can_be_opened(name):
     with Image.open(IMAGES / name) as picture:
         picture.verify()
 

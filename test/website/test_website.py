@@ -108,7 +108,8 @@ def test_a_link_to_nowhere_ends_the_build(tmp_path):
     docs = tmp_path / "docs"
     docs.mkdir()
     (docs / "index.md").write_text("# A page\n\n[nowhere](none.md)\n", encoding="utf-8")
-    shutil.copy(DOCS / "site.css", docs)
+    for name in ("site.css", "site.js"):
+        shutil.copy(DOCS / name, docs)
     config = load_config(
         str(ROOT / "mkdocs.yml"), docs_dir=str(docs), site_dir=str(tmp_path / "site"), nav=[{"Page": "index.md"}]
     )

@@ -1,35 +1,50 @@
-"""`python -m tools.figures`: draw every figure, then take the pictures of the lab where there is a Chromium."""
+"""`python -m tools.figures`: draw every figure; pictures of the lab only where there is a Chromium."""
 
 from __future__ import annotations
 
 import argparse
-import runpy
 import shutil
+import subprocess
 import sys
+from pathlib import Path
 
-from tools.figures import DRAWN, IMAGES, ROOT
+from tools.figures import DRAWN, IMAGES, ROOT, there
 from tools.figures.same import difference
+from tools.generate import generated
+
+UNCHANGED = 1e-5
+"""Of the canvas: what differs by a rounding stays as it is committed."""
+NEEDS = {"tools/lab_pictures.py": "chromium"}
+
+
+def write(path: Path, text: str) -> None:
+    """Write a drawing that is not as it was, and say so."""
+    if not path.exists() or difference(path.read_text(encoding="utf-8"), text, UNCHANGED):
+        path.write_text(text, encoding="utf-8")
+        sys.stdout.write(f"{path.relative_to(ROOT)}\n")
 
 
 def main() -> None:
-    """Write what is not as the code has it; names on the command line choose."""
+    """Draw all, or what is named on the command line: pictures, or tools by the stem of their file."""
     parser = argparse.ArgumentParser(prog="python -m tools.figures", description=__doc__)
-    parser.add_argument("names", nargs="*", metavar="NAME", help=f"only these: {', '.join(DRAWN)}, lab")
+    tools = {Path(tool.split()[0]).stem: tool for tool in there()}
+    parser.add_argument("names", nargs="*", metavar="NAME", help=f"only these: {', '.join((*DRAWN, *tools))}")
     names = parser.parse_args().names
     for name, draw in DRAWN.items():
-        if names and name not in names:
+        if not names or name in names:
+            write(IMAGES / name, draw())
+    for path, text in () if names else generated().items():
+        if path.parent == IMAGES:
+            write(path, text)
+    for stem, tool in tools.items():
+        program = NEEDS.get(tool)
+        if names and stem not in names:
             continue
-        path, text = IMAGES / name, draw()
-        # what differs by a rounding stays as it is committed
-        if not path.exists() or difference(path.read_text(encoding="utf-8"), text, 1e-5):
-            path.write_text(text, encoding="utf-8")
-            sys.stdout.write(f"{path.relative_to(ROOT)}\n")
-    if names and "lab" not in names:
-        return
-    if shutil.which("chromium"):
-        runpy.run_path(str(ROOT / "tools" / "lab_pictures.py"), run_name="__main__")
-    else:
-        sys.stdout.write("the pictures of the lab stay as they are: there is no chromium\n")
+        if program and not shutil.which(program):
+            sys.stdout.write(f"{tool}: its pictures stay as they are, there is no {program}\n")
+            continue
+        module = tool.split()[0].removesuffix(".py").replace("/", ".")
+        subprocess.run([sys.executable, "-m", module, *tool.split()[1:]], cwd=ROOT, check=True)  # noqa: S603  # our own
 
 
 if __name__ == "__main__":

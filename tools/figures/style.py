@@ -14,7 +14,7 @@ from collections.abc import Iterator, Sequence
 from html import escape
 from typing import TYPE_CHECKING
 
-from impact_rig.drawing.palette import GRID, INK, MUTED, PAPER_RED, SERIES, themed, variables
+from impact_rig.drawing.palette import DARK, GRID, INK, MUTED, PAPER_RED, SERIES, themed, variables
 from impact_rig.drawing.style import STYLE
 
 if TYPE_CHECKING:
@@ -34,7 +34,7 @@ DECIMALS = 2
 
 _SHEETS = {False: "--sheet: #ffffff; --card: #f4f6f8;", True: "--sheet: #151a20; --card: #1f262e;"}
 _NUMBER = re.compile(r"-?\d+\.\d{3,}")
-__all__ = ["BASE", "GRID", "INK", "MUTED", "PAPER", "SERIES", "SPHERE", "STRUCTURE", "WIDTH"]
+__all__ = ["BASE", "DARK", "GRID", "INK", "MUTED", "PAPER", "SERIES", "SPHERE", "STRUCTURE", "WIDTH"]
 
 
 def sheet(height: float, title: str, body: str, css: str = "") -> str:

@@ -9,7 +9,7 @@ from xml.etree import ElementTree as ET
 from impact_rig.nodes.topics import by_name
 
 ROOT = Path(__file__).parents[2]
-PICTURE = ROOT / "docs" / "images" / "graph.svg"
+PICTURE = ROOT / "docs" / "images" / "nodes.svg"
 POLICY = ROOT / "config" / "sros2" / "policy.xml"
 NODES = {
     "stepped_sine": (20, 24),
