@@ -65,6 +65,6 @@ details summary { cursor: pointer; padding: .3rem 0; }
   figcaption a { display: none !important; } a { color: inherit; text-decoration: none; }
   details > summary { list-style: none; font-weight: 600; }
   details::details-content { content-visibility: visible; block-size: auto; display: block; }
-  figure:target { position: static; padding: 0; } figure:target svg { height: auto; width: 100%; }
+  .figures figure:target { position: static; padding: 0; } figure:target svg { height: auto; width: 100%; }
 }
 """.replace("LIGHT", _LIGHT + variables(dark=False)).replace("DARK", _DARK + variables(dark=True))
