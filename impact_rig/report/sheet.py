@@ -32,7 +32,8 @@ figcaption a { display: inline-block; padding: .15rem .4rem; } figcaption a.back
 .figures figure:target { position: fixed; inset: 0; z-index: 9; max-width: none; padding: 1rem; overflow: auto;
   background: var(--page); }
 figure:target svg { width: min(95vw, 80rem); max-width: none; height: auto; margin: 0 auto; }
-figure:target a.back { display: inline-block; } figure:target a.enlarge { display: none; }
+figure:target a.back { display: inline-block; position: fixed; top: .6rem; right: 1rem; background: var(--soft); }
+figure:target a.enlarge { display: none; }
 .scroll { overflow-x: auto; } table { border-collapse: collapse; font-variant-numeric: tabular-nums; }
 th, td { padding: .25rem .7rem; text-align: left; vertical-align: top; border-bottom: 1px solid var(--grid); }
 th { font-size: .85rem; color: var(--quietly); font-weight: 600; }
@@ -65,6 +66,6 @@ details summary { cursor: pointer; padding: .3rem 0; }
   figcaption a { display: none !important; } a { color: inherit; text-decoration: none; }
   details > summary { list-style: none; font-weight: 600; }
   details::details-content { content-visibility: visible; block-size: auto; display: block; }
-  figure:target { position: static; padding: 0; } figure:target svg { height: auto; width: 100%; }
+  .figures figure:target { position: static; padding: 0; } figure:target svg { height: auto; width: 100%; }
 }
 """.replace("LIGHT", _LIGHT + variables(dark=False)).replace("DARK", _DARK + variables(dark=True))
