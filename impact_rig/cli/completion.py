@@ -31,7 +31,7 @@ def _run(arguments: argparse.Namespace) -> int:
         from argcomplete.shell_integration import shellcode  # noqa: PLC0415  # an extra
     except ImportError as error:
         raise ImpactRigError(f"completion needs its extra: pip install 'impact_rig[completion]' ({error})") from error
-    print(shellcode(["impact-rig"], shell=arguments.shell))  # noqa: T201  # a command line tool talks
+    print(shellcode(["impact-rig"], True, arguments.shell))  # noqa: T201  # a command line tool talks
     return 0
 
 

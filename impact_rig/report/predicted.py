@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
-import importlib.util
 from collections.abc import Sequence
 
 import attrs
@@ -13,10 +11,9 @@ from numpy.typing import NDArray
 from impact_rig.campaign.axes import NO_SPHERE
 from impact_rig.drawing.style import Line
 from impact_rig.errors import ConfigError
+from impact_rig.physics import prediction
 from impact_rig.physics.closed_form import transmissibility
 from impact_rig.rig.config import RigConfig, from_flat
-
-MODULE = "impact_rig.physics.prediction"
 
 
 @attrs.frozen(eq=False)
@@ -48,11 +45,9 @@ def predicted(
     if gap_m == NO_SPHERE:
         ratio = transmissibility(config, frequencies_hz)
         return [Stretch(frequencies_hz, np.abs(ratio), np.angle(ratio))]
-    if importlib.util.find_spec(MODULE) is None:
-        return []
     try:
         rig = from_flat(config, {"sphere.present": True, "barriers.gap_m": gap_m})
-        branches = importlib.import_module(MODULE).curves(rig, frequencies_hz, gap_m, current_a=current_a)
+        branches = prediction.curves(rig, frequencies_hz, gap_m, current_a=current_a)
     except ConfigError:  # outside of what the theory holds for: friction, no loss, ...
         return []
     return [part for one in branches for part in _lasting(one)]
@@ -66,11 +61,9 @@ def reduction_over_gap(config: RigConfig, frequency_hz: float, current_a: float)
         frequency_hz: of the drive.
         current_a: peak.
     """
-    if importlib.util.find_spec(MODULE) is None:
-        return None
     try:
         rig = from_flat(config, {"sphere.present": True})
-        found = importlib.import_module(MODULE).branch(rig, frequency_hz, current_a=current_a)
+        found = prediction.branch(rig, frequency_hz, current_a=current_a)
     except ConfigError:  # as above
         return None
     lasting = np.flatnonzero(found.stable)

@@ -21,6 +21,7 @@ BY_TOOLS: Mapping[str, tuple[str, ...]] = {
         "lab.gif", "lab.png", "lab_1920_dark.png", "lab_400.png", "lab_playback.png", "lab_rest.png", "lab_tripped.png",
     ),
     "tools/closed_loop.py --draw": ("backbone.png",),
+    "tools/map_picture.py": ("map_gap_frequency.png",),
     "tools/prediction.py --draw": ("prediction.png",),
     "tools/urdf_picture.py": ("urdf.png",),
 }  # fmt: skip
