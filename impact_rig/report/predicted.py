@@ -75,8 +75,8 @@ def reduction_over_gap(config: RigConfig, frequency_hz: float, current_a: float)
     return Line("predicted", {"gap_m": found.gap_m[order].tolist(), "reduction_percent": percent.tolist()})
 
 
-def _lasting(branch: Stretch) -> Sequence[Stretch]:
+def _lasting(branch: prediction.Branch) -> Sequence[Stretch]:
     """Return the stretches of a branch whose motion is stable."""
-    stable = np.flatnonzero(np.asarray(getattr(branch, "stable", np.ones(len(branch.dt), bool))))
+    stable = np.flatnonzero(branch.stable)
     runs = np.split(stable, np.flatnonzero(np.diff(stable) > 1) + 1)
     return [Stretch(branch.frequency_hz[i], branch.dt[i], branch.phase_rad[i]) for i in runs if len(i) > 1]
