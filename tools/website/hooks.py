@@ -1,9 +1,8 @@
-"""What MkDocs is told about our pages: the words behind a fence, the icon of the lab, pages that are still to come."""
+"""What MkDocs is told about our pages: the words behind a fence, the icon of the lab."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
@@ -14,13 +13,6 @@ ICON = ROOT / "impact_rig" / "lab" / "static" / "icon.svg"
 _SEARCH = 'data-md-component="search" role="dialog"'
 _FENCE = re.compile(r"^(?P<ticks>```+)(?P<language>\w+) (?P<info>.+)$", re.MULTILINE)
 _COMMENT = re.compile(r"<!-- (?:figures|generated): .*? -->\n?|<!-- end -->\n?", re.DOTALL)
-
-
-def on_config(config: Any) -> Any:
-    """Leave out of the navigation what is announced and not there yet."""
-    awaited = [page for page in config.extra["not_yet"] if not Path(config.docs_dir, page).exists()]
-    config.nav = _without(awaited, config.nav)
-    return config
 
 
 def on_files(files: Any, config: Any) -> Any:
@@ -37,12 +29,6 @@ def on_page_markdown(markdown: str, **_: Any) -> str:
 def on_post_page(output: str, **_: Any) -> str:
     """Name the theme's search, which has the role of a dialog and no name."""
     return output.replace(_SEARCH, f'{_SEARCH} aria-label="Search"')
-
-
-def _without(awaited: Collection[str], entry: Any) -> Any:
-    if isinstance(entry, dict):
-        return {name: _without(awaited, inner) for name, inner in entry.items()}
-    return [_without(awaited, inner) for inner in entry if inner not in awaited] if isinstance(entry, list) else entry
 
 
 def _fence(found: re.Match[str]) -> str:
