@@ -43,6 +43,8 @@ ALLOWED = {
     "physics/restitution.py": "what a law returns is told to people; the factor of `exact` is found with many digits",
     "physics/contact/kelvin_voigt.py": "what it returns when it lets go early is told to people",
     "physics/closed_form.py": "what simulation and analysis are held against",
+    "physics/prediction.py": "as above",
+    "physics/slow_manifold.py": "as above",
     "instruments/transfer.py: np.prod": "the frequency response, for whoever judges readings",
     "instruments/checks.py": "judges readings and feeds none",
     "arithmetic/precise.py: sum": "of Decimals",

@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
-import re
-from pathlib import Path
-
 import pytest
 
 pytest.importorskip("rclpy", reason="no ROS 2 here")
@@ -16,23 +12,9 @@ from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from impact_rig.client import Client
 from impact_rig.codec import MAX_MESSAGE_BYTES
 from impact_rig.nodes.analysis_node import AnalysisNode
-from impact_rig.nodes.topics import TOPICS, by_name
+from impact_rig.nodes.topics import TOPICS
 
 pytestmark = pytest.mark.ros
-
-
-def test_the_readme_names_topics_with_the_types_they_have() -> None:
-    text = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
-    rows = re.findall(
-        r"^\| (`[^|]+`) \| ([\w, ]+) \|", text.partition("## Topics")[2].partition("## ")[0], re.MULTILINE
-    )
-    named = {}
-    for names, types in rows:
-        listed = types.split(", ")
-        padded = itertools.chain(listed, itertools.repeat(listed[-1]))  # the last one is that of all further names
-        named.update(zip(re.findall(r"`([^`]+)`", names), padded, strict=False))
-    assert len(named) >= 20
-    assert named == {name: by_name(name).type_name.rpartition("/")[2] for name in named}
 
 
 def test_nodes_publish_the_table_and_nothing_else(client: Client) -> None:

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import csv
-import importlib.machinery
 import json
 import re
 import shutil
 import subprocess
 import sys
-import types
 from html.parser import HTMLParser
 from pathlib import Path
 from urllib.parse import unquote
@@ -24,9 +22,10 @@ from impact_rig.campaign.in_process import execute
 from impact_rig.campaign.plan import load_campaign
 from impact_rig.cli import main
 from impact_rig.drawing.palette import DARK, NAMES
-from impact_rig.report.predicted import MODULE, predicted, reduction_over_gap
+from impact_rig.physics import prediction
+from impact_rig.report.predicted import predicted, reduction_over_gap
 from impact_rig.rig import Rig
-from impact_rig.rig.config import RigConfig
+from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.studies.margins import variations
 from impact_rig.system.resources import config_dir
 
@@ -251,27 +250,16 @@ def test_every_figure_can_be_enlarged_and_gives_its_numbers(reported):
     assert found == pytest.approx({frequency: point.dt for frequency, point in points.items()}, rel=1e-8)
 
 
-class Branch:
-    """What a prediction gives: a line of motions, of which the first few do not last."""
-
-    def __init__(self, frequency_hz):
-        self.frequency_hz, self.dt, self.phase_rad = frequency_hz, 7.0 * frequency_hz, -frequency_hz
-        self.gap_m = 0.02 - 1e-3 * frequency_hz
-        self.stable = np.arange(len(frequency_hz)) >= 3
-
-
-def test_a_prediction_is_drawn_where_it_exists_and_lasts(monkeypatch):
-    frequencies = np.linspace(8.9, 9.3, 9)
-    module = types.ModuleType(MODULE)
-    module.__spec__ = importlib.machinery.ModuleSpec(MODULE, None)
-    module.curves = lambda rig, frequencies_hz, gap_m, *, current_a: [Branch(frequencies_hz)] if gap_m > 1e-3 else []
-    monkeypatch.setitem(sys.modules, MODULE, module)
-    (found,) = predicted(RigConfig(), 4e-3, frequencies, 0.52)
-    assert found.frequency_hz.tolist() == frequencies[3:].tolist()
-    assert found.dt.tolist() == (7.0 * frequencies[3:]).tolist()
-    assert predicted(RigConfig(), 1e-3, frequencies, 0.52) == []
-    module.branch = lambda rig, frequency_hz, *, current_a: Branch(frequencies)
-    assert reduction_over_gap(RigConfig(), 9.1, 0.52).columns["gap_m"] == sorted(Branch(frequencies).gap_m[3:])
+def test_a_prediction_is_drawn_where_it_exists_and_lasts():
+    frequencies, current_a, gap_m = np.linspace(8.9, 9.3, 9), 0.52, 0.02
+    lasting = [b.take(b.stable) for b in prediction.curves(RigConfig(), frequencies, gap_m, current_a=current_a)]
+    found = predicted(RigConfig(), gap_m, frequencies, current_a)
+    assert sum(len(one.dt) for one in found) == sum(len(one) for one in lasting) > 1
+    assert {*np.concatenate([one.dt for one in found])} == {*np.concatenate([one.dt for one in lasting])}
+    assert predicted(from_flat(RigConfig(), {"sphere.guide_friction": 0.1}), gap_m, frequencies, current_a) == []
+    line = reduction_over_gap(RigConfig(), 9.1, current_a)
+    motions = prediction.branch(RigConfig(), 9.1, current_a=current_a)
+    assert line.columns["gap_m"] == sorted(motions.gap_m[motions.stable])
 
 
 def test_figures_lie_beside_the_page(reported):

@@ -109,7 +109,8 @@ def test_masses_are_the_configurations_and_links_are_where_the_joint_states_say(
             expected["sphere"] = sphere.density_kg_m3 * math.pi / 6.0 * sphere.diameter_m**3
         assert masses == pytest.approx(expected, rel=1e-9)
         rest = places(dict.fromkeys(joints, 0.0))
-        truth = Rig(config.from_flat(configuration, {"drive.amplitude": 0.52})).advance(10**9)[-1].monitor[-1]
+        blocks = Rig(config.from_flat(configuration, {"drive.amplitude": 0.52})).advance(10**9)
+        truth = [row for block in blocks for row in block.monitor][-1]
         positions = dict(zip(joints, (float(truth[name]) for name in ("x_b", "x_1", "x_2")), strict=False))
         now = places(positions)
     for joint, position in positions.items():

@@ -41,7 +41,7 @@ def test_the_pipelines_are_somebody_elses() -> None:
     """What is under test knows topics and messages, not this package; the analysis of a file may read it with ours."""
     for path in EXAMPLES.glob("*.py"):
         ours = re.findall(r"^[ ]*(?:from|import) impact_rig\S*", path.read_text(), re.MULTILINE)
-        if not path.name.startswith("test_"):
+        if not path.name.startswith("test_") and path.name != "launched_rig.py":  # a test for an installed ROS
             assert ours == (["from impact_rig.recording"] if path.name == "analyse_run.py" else []), path.name
 
 
