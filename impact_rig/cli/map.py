@@ -125,7 +125,7 @@ def _print_optimum(console: Console, best: optimum.Optimum) -> None:
     table.add_column("value")
     table.add_column("points", justify="right")
     for name, points in best.points_per_percent.items():
-        table.add_row(name, f"{points:+.3f}")
+        table.add_row(name, f"{round(points, 3) + 0.0:+.3f}")
     console.print(table)
 
 
