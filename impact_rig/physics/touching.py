@@ -1,5 +1,12 @@
 """A contact from touch to release: steps of the indentation, ended exactly where something happens.
 
+δ is the indentation, w = √δ, and a step has a length in s, with dt = w ds (see `indentation`, which solves the step):
+
+    dw/ds = δ'/2,    dt/ds = w,    dδ'/ds = w δ'',    F the law's force, elastic and lossy part together
+
+The state y holds the centre of mass of structure and sphere, x_1* = x_1 + side share δ (see `pair`). In the functions p
+are the parameters, force the law, f the drive, s the state (not the variable), and k the step with its stages.
+
 A step ends where its error allows, and earlier at the first of these events:
 
     LEFT      w = 0            the sphere is off the wall
@@ -26,7 +33,7 @@ from impact_rig.physics.pair import add_recoil, moved
 from impact_rig.physics.state import V1, X1
 
 NOTHING, LEFT, TIME, RELEASED, TURNED, RELOADED, FAILED, SETTLED = range(8)
-_IN_ORDER = (LEFT, TIME, RELEASED, TURNED, RELOADED)  # what lies behind LEFT means nothing: it comes first
+_IN_ORDER = (LEFT, TIME, RELEASED, TURNED, RELOADED)  # past LEFT the others mean nothing: it comes first
 
 _REJECTIONS = 60
 _LANDINGS = 12  # Newton needs two to four
@@ -199,8 +206,8 @@ def peak_in_step(p, force, s, k):  # type: ignore[no-untyped-def]
 def account_step(p, f, s, k, ledger):  # type: ignore[no-untyped-def]
     """Add the work of the drive and the losses outside the contact during the step.
 
-    First of the pair as if nothing were indented, whose motion is smooth in time whatever the indentation does, then
-    what the indentation changes, which is known at the stages only.
+    First those of the pair as it would move with nothing indented, which is smooth in time; then the difference that
+    the indentation makes, which is known at the stages only.
     """
     half = 0.5 * k.since[LAST]
     for point in range(POINTS):
@@ -239,8 +246,8 @@ def conclude(p, s, k, ended, t_end):  # type: ignore[no-untyped-def]
 def settles(p, force, s, k):  # type: ignore[no-untyped-def]
     """Whether a law without damping only rings about its rest any more, slower than the floored approach speed.
 
-    At a turning point the ringing has the speed amplitude |δ''| / ω, ω the contact's own frequency. Where it is three
-    times as strong as what presses, the sphere hops for as long as a ringing lasts: no longer than that is no flight.
+    At a turning point the ringing has the speed amplitude |δ''| / ω, ω the contact's own frequency. Up to three times
+    the acceleration that presses, a hop is as short as a period of the ringing: it counts as ringing, not as flight.
     """
     elastic, lossy, _, by_w, _ = force.one(p.stiffness, p.factor, s.per_v0, turned_at(s), s.w, s.speed)
     thrust = k.thrust[0]
