@@ -6,6 +6,7 @@ import argparse
 
 from impact_rig.cli import command, compiling
 from impact_rig.cli.terminal import Console
+from impact_rig.errors import ImpactRigError
 
 
 def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -18,6 +19,9 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
 
 
 def _run(_arguments: argparse.Namespace) -> int:
-    made = compiling.ready()
-    Console().print("compiled" if made else "nothing to do: everything is compiled")
+    missing = compiling.ready()
+    if missing:
+        names = ", ".join(task.run for task in missing)
+        raise ImpactRigError(f"not compiled: {names}; the first use of that code will say why")
+    Console().print("everything is compiled")
     return 0

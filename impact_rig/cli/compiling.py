@@ -18,16 +18,14 @@ ALL = (*rig.TASKS, *ANALYSIS)
 PLAIN_S = 3.0
 
 
-def ready(tasks: Sequence[Task] = ALL) -> bool:
-    """Return once the tasks are compiled; standard error says how far that is. False: there was nothing to do."""
+def ready(tasks: Sequence[Task] = ALL) -> list[Task]:
+    """Return once the tasks are compiled; standard error says how far that is. Returns those that could not be."""
     with _Teller() as teller:
-        compile_ahead(tasks, teller.tell)
-    return teller.told
+        return compile_ahead(tasks, teller.tell)
 
 
 class _Teller:
     def __init__(self) -> None:
-        self.told = False
         self._progress: Progress | None = None
         self._said, self._last = 0.0, -1
 
@@ -39,7 +37,6 @@ class _Teller:
             self._progress.stop()
 
     def tell(self, done: int, count: int) -> None:
-        self.told = True
         if not sys.stderr.isatty():
             if time.monotonic() - self._said > PLAIN_S or (done == count and done != self._last):
                 self._said, self._last = time.monotonic(), done

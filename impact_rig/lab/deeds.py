@@ -12,7 +12,7 @@ from impact_rig.instruments.fault_kinds import FAULT_KINDS
 from impact_rig.lab.protocol import Request
 from impact_rig.lab.tasks import Refused, Steps, Waiting
 
-ANSWER_S = ECHO_S = 30.0
+ANSWER_S = 30.0
 """A busy machine answers late: the knob stays pending until then."""
 START_S = 60.0
 AGAIN_S, ATTEMPTS = 0.5, 20
@@ -89,7 +89,7 @@ def begin(hands: Hands, request: Request) -> Steps:
 def _command(hands: Hands, column: str, value: float) -> Steps:
     echo = hands.echo(SHAKER[column])
     hands.publish(SHAKER[column], value)
-    yield Waiting(lambda: echo(column, value), f"{column} {value:g} in shaker/applied", ECHO_S)
+    yield Waiting(lambda: echo(column, value), f"{column} {value:g} in shaker/applied", ANSWER_S)
     return f"{column} {value:g}"
 
 

@@ -190,7 +190,7 @@ class Simulation:
 
     def stored_energy(self) -> float:
         """Return kinetic plus potential energy [J], at the end of the last segment."""
-        p, s, y = self._model.parameters[0], with_fields(self._desk.states)[0], self._structure()
+        p, s, y = self._model.parameters[0], self._state, self._structure()
         stretch = y[X1] - y[XB]
         total = 0.5 * p.m_1 * y[V1] * y[V1] + 0.5 * p.k_1 * stretch * stretch
         if p.drive != PRESCRIBED:
@@ -204,6 +204,12 @@ class Simulation:
                 total += self._model.force.one(p.stiffness, p.factor, s.per_v0, turned_at(s), s.w, s.speed)[2]
         return float(total)
 
+    @property
+    def _state(self) -> np.record:
+        """The state, its fields by name."""
+        record_: np.record = with_fields(self._desk.states)[0]
+        return record_
+
     def _begin(self, y: NDArray[np.float64]) -> None:
         self._desk = self._desk._replace(states=records(2, STATE), ledger=records(1, LEDGER))
         self._desk.states[0]["y"][:] = y
@@ -212,7 +218,7 @@ class Simulation:
 
     def _put_sphere(self, d: float, d_rate: float) -> None:
         """Set the sphere; where the guide has friction, one at rest is held and a sliding one braked."""
-        p, s = self._model.parameters[0], with_fields(self._desk.states)[0]
+        p, s = self._model.parameters[0], self._state
         s.phase, s.side, s.slide, s.d, s.d_rate = FREE, 0.0, 0.0, d, d_rate
         if p.friction > 0.0 and p.sphere_present:
             s.phase = FREE if d_rate else ATTACHED
@@ -220,7 +226,7 @@ class Simulation:
 
     def _structure(self) -> NDArray[np.float64]:
         """Return y = (x_1, v_1, x_b, v_b, i) whatever the phase, shape (STRUCTURE,)."""
-        p, s = self._model.parameters[0], with_fields(self._desk.states)[0]
+        p, s = self._model.parameters[0], self._state
         y: NDArray[np.float64] = s.y.copy()
         if s.phase == CONTACT:
             y[X1] -= p.share * s.side * s.w * s.w

@@ -50,26 +50,22 @@ class Task:
         return directory / f"{self.run.replace(':', '.')}.ready"
 
 
-Told = Callable[[int, int], None]
-"""Called with (functions compiled, of how many)."""
+def compile_ahead(tasks: Sequence[Task], tell: Callable[[int, int], None]) -> list[Task]:
+    """Return once these tasks are done; returns those that are not.
 
-
-def compile_ahead(tasks: Sequence[Task], tell: Told) -> None:
-    """Return once these tasks are done.
-
-    Where nothing can be kept, or a task fails, nothing is said: whoever needs the code compiles it, and meets the
-    error.
+    Where nothing can be kept or compiled, or a task fails, nothing is raised: whoever needs the code compiles it, and
+    meets the error.
 
     Args:
         tasks: what is needed, the longest first.
-        tell: told about once a second; what it raises ends the compiling.
+        tell: called about once a second with (functions compiled, of how many); what it raises ends the compiling.
     """
     directory = compiled.Cache(compiled.ROOT).directory
     if directory is None or config.DISABLE_JIT:
-        return
-    left = [task for task in tasks if not task.stamp(directory).exists()]
+        return list(tasks)
+    left = _missing(tasks, directory)
     if not left:
-        return
+        return []
     wanted, told = functions({package for task in tasks for package in task.packages}), 0.0
     running: list[subprocess.Popen[bytes]] = []
     with _ended(running):
@@ -81,7 +77,8 @@ def compile_ahead(tasks: Sequence[Task], tell: Told) -> None:
                 tell(len(wanted & kept(directory)), len(wanted))
                 told = time.monotonic()
             time.sleep(LOOK_S)
-    tell(len(wanted), len(wanted))
+    tell(len(wanted & kept(directory)), len(wanted))
+    return _missing(tasks, directory)
 
 
 def functions(packages: Iterable[str], root: Path = compiled.ROOT) -> set[str]:
@@ -98,6 +95,10 @@ def kept(directory: Path) -> set[str]:
     """Return those that are compiled and kept in `directory`, and whatever else is."""
     indices = (path.relative_to(directory) for path in directory.rglob("*.nbi"))
     return {f"{index.parent}/{index.name.partition('-')[0]}" for index in indices}
+
+
+def _missing(tasks: Sequence[Task], directory: Path) -> list[Task]:
+    return [task for task in tasks if not task.stamp(directory).exists()]
 
 
 def _start(task: Task) -> subprocess.Popen[bytes]:
