@@ -6,6 +6,8 @@ always seconds since the table's stamp. `docs/interface.md` is written from thes
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import attrs
 import numpy as np
 from numpy.typing import NDArray
@@ -191,3 +193,12 @@ class Table:
     stamp_ns: int
     rows: NDArray[np.void]
     frame_id: str = FRAME_DAQ
+
+
+def joined(parts: Sequence[NDArray[np.void]]) -> NDArray[np.void]:
+    """Return the rows of several arrays of one type, at least one, one after another, as a copy.
+
+    `numpy.concatenate` compares such types field by field in Python, which takes a hundred times longer.
+    """
+    rows: NDArray[np.void] = np.frombuffer(bytearray().join(parts), parts[0].dtype)  # type: ignore[arg-type]  # buffers
+    return rows

@@ -116,6 +116,16 @@ def decode(data: Buffer) -> Table:
     return Table(stamp, rows, frame_id)
 
 
+def header(data: Buffer) -> tuple[int, str]:
+    """Return stamp [ns] and frame_id of any serialised message that starts with `std_msgs/Header`.
+
+    Raises:
+        CodecError: as `header_stamp_ns`; or the frame_id is no text.
+    """
+    stamp = header_stamp_ns(data)
+    return stamp, _Cursor(memoryview(data).cast("B"), _ORIGIN + _STAMP.size).text("frame_id")
+
+
 def header_stamp_ns(data: Buffer) -> int:
     """Return the header stamp [ns] of any serialised message that starts with `std_msgs/Header`.
 

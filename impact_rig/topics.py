@@ -209,11 +209,12 @@ ACK = Topic(
     "std_msgs/msg/Header",
     Qos.DATA,
     "peers",
-    "A peer (frame_id) has processed daq/scan up to the block with this stamp.",
+    "A peer (frame_id) has processed daq/scan up to the block with this stamp: one block, or several.",
     (
         Column("stamp", "-", "That of the block."),
         Column("frame_id", "-", "Node name of the peer."),
     ),
+    recorded=False,
 )
 PLOT_TRANSMISSIBILITY = Topic(
     "plot/transmissibility",

@@ -7,7 +7,6 @@ from collections.abc import Iterator
 import attrs
 import numpy as np
 from numpy.typing import NDArray
-from scipy import signal
 
 from impact_rig.analysis.recent import Recent
 from impact_rig.blocks import Table
@@ -44,6 +43,9 @@ class HighPass:
     """
 
     def __init__(self, rate_hz: float, channel: str) -> None:
+        from scipy import signal  # noqa: PLC0415  # 60 MB, which only those who plot pay
+
+        self._signal = signal
         self._channel = channel
         self._sections = signal.butter(2, min(PULSES_HZ, rate_hz / 5.0), "highpass", fs=rate_hz, output="sos")
         self._state: NDArray[np.float64] | None = None
@@ -56,8 +58,8 @@ class HighPass:
         """Return the block with the one column `pulses`; the first value of a stream is taken for its mean."""
         values = scan.rows[self._channel]
         if self._state is None:
-            self._state = signal.sosfilt_zi(self._sections) * values[0]
-        filtered, self._state = signal.sosfilt(self._sections, values, zi=self._state)
+            self._state = self._signal.sosfilt_zi(self._sections) * values[0]
+        filtered, self._state = self._signal.sosfilt(self._sections, values, zi=self._state)
         rows = np.empty(len(values), dtype=[(PULSES, "<f8")])
         rows[PULSES] = filtered
         return attrs.evolve(scan, rows=rows)

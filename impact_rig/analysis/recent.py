@@ -7,7 +7,7 @@ from collections import deque
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_rig.blocks import Table
+from impact_rig.blocks import Table, joined
 from impact_rig.simtime import NS_PER_S
 
 
@@ -54,4 +54,4 @@ class Recent:
 
     def rows(self) -> NDArray[np.void]:
         """Return the scans that are kept, oldest first."""
-        return np.concatenate([block.rows for block in self._blocks])
+        return joined([block.rows for block in self._blocks])

@@ -13,7 +13,6 @@ import math
 import attrs
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft
 
 from impact_rig.analysis.calibration import Complex, Real
 from impact_rig.analysis.words import Status
@@ -149,7 +148,7 @@ def noise_density(residual: Real, frequency_hz: float, rate_hz: float) -> float:
         frequency_hz: where the fit is sensitive.
         rate_hz: samples per second.
     """
-    power = np.abs(fft.rfft(residual)) ** 2 / len(residual)
+    power = np.abs(np.fft.rfft(residual)) ** 2 / len(residual)
     middle = round(frequency_hz / rate_hz * len(residual))
     near = np.concatenate(
         [

@@ -10,7 +10,6 @@ import functools
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import windows
 
 Array = NDArray[np.float64]
 
@@ -39,5 +38,7 @@ def amplitude_spectrum(samples: Array, rate_hz: float) -> tuple[Array, Array]:
 
 @functools.lru_cache(maxsize=2)
 def _flat_top(length: int) -> Array:
+    from scipy.signal import windows  # noqa: PLC0415  # 60 MB, which only those who plot pay
+
     window: Array = windows.flattop(length, sym=False)
     return window

@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from impact_rig.analysis.tracker import Tracker
+from impact_rig.blocks import joined
 from impact_rig.campaign.execution import Trace, columns, run_job
 from impact_rig.campaign.job import TRACE_BLOCKS, Job, Outcome
 from impact_rig.operate.operator import Applied, News
@@ -64,8 +65,8 @@ class ProcessApparatus:
         self._rig.configure({"output.truth_scan": True})  # changes what is handed out, not one sample
         self._advance()  # half of its truth was not kept
         blocks = [block for _ in range(TRACE_BLOCKS) for block in self._advance()]
-        scans = np.concatenate([block.scan.rows for block in blocks])
-        truth = np.concatenate([block.truth.rows for block in blocks if block.truth is not None])
+        scans = joined([block.scan.rows for block in blocks])
+        truth = joined([block.truth.rows for block in blocks if block.truth is not None])
         return columns(scans, truth, self._rig.rate_hz)
 
     def lost_scans(self) -> int:

@@ -27,6 +27,7 @@ from impact_rig.lab.protocol import Request
 from impact_rig.lab.scope import Scope
 from impact_rig.lab.source import Answer, Snapshot, be_gentle
 from impact_rig.lab.tasks import Steps, Tasks
+from impact_rig.topics import SCAN
 
 LOOK_S = 0.02
 """Between two looks at the data while a page is open."""
@@ -347,11 +348,12 @@ class LiveSource:
         }  # fmt: skip
 
     def _lost(self, figures: Mapping[str, str]) -> dict[str, float]:
-        found = {name: figure(value) or 0.0 for name, value in figures.items() if name.startswith("lost_blocks")}
-        found["analysis scans"] = figure(self.client.figures("analysis").get("lost_scans")) or 0.0
-        return {
-            name.removeprefix("lost_blocks.").replace("lost_blocks", "withheld"): n for name, n in found.items() if n
+        found = {
+            "withheld": figures.get("lost_blocks"),
+            "analysis scans": self.client.figures("analysis").get("lost_scans"),
+            "recorder blocks": self.client.figures("recorder").get(f"lost.{SCAN.name}"),
         }
+        return {name: count for name, value in found.items() if (count := figure(value))}
 
     def _sweep(self) -> dict[str, Any]:
         figures = self.client.figures("stepped_sine")

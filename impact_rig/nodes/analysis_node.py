@@ -6,7 +6,7 @@ import math
 from typing import Any  # rclpy messages
 
 import attrs
-from std_msgs.msg import Float64, Header, String
+from std_msgs.msg import Float64, String
 
 from impact_rig import codec, topics
 from impact_rig.analysis import warm_up
@@ -18,12 +18,12 @@ from impact_rig.analysis.tracker import LONGEST_S, Findings, Tracker
 from impact_rig.blocks import Table
 from impact_rig.errors import CodecError, ConfigError
 from impact_rig.nodes import process
+from impact_rig.nodes.acknowledge import Acknowledgements
 from impact_rig.nodes.diagnostics import Health, Level
 from impact_rig.nodes.managed import ManagedNode
 from impact_rig.nodes.parameters import SectionSchema
 from impact_rig.nodes.plots import Plots
 from impact_rig.nodes.settings import UNKNOWN_GAP, AnalysisSettings
-from impact_rig.nodes.stamps import time_message
 from impact_rig.nodes.topics import TOPICS
 from impact_rig.simtime import NS_PER_S
 from impact_rig.system.endings import Ending
@@ -47,7 +47,7 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
         self._plots = Plots({})
         self._outlets: dict[str, Any] = {}
         self._inlets: list[Any] = []
-        self._ack: Any = None
+        self._acknowledgements: Acknowledgements | None = None
         self._newest_ns: int | None = None
         self._latest = math.nan
 
@@ -60,7 +60,7 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
         self.compile_ahead([warm_up.TASK])
         warm_up.compile_tracker()
         self._outlets = {topic.name: self.publisher(topic) for topic in PUBLISHED}
-        self._ack = self.publisher(topics.ACK)
+        self._acknowledgements = Acknowledgements(self)
 
     def activate(self) -> None:
         """Start a new measurement."""
@@ -90,9 +90,12 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
     def cleanup(self) -> None:
         """Destroy the publishers."""
         self.deactivate()
-        for outlet in [*self._outlets.values(), *([self._ack] if self._ack is not None else [])]:
+        for outlet in self._outlets.values():
             self.destroy_publisher(outlet)
-        self._outlets, self._ack = {}, None
+        self._outlets = {}
+        if self._acknowledgements is not None:
+            self._acknowledgements.destroy()
+            self._acknowledgements = None
 
     def settings_changed(self, settings: AnalysisSettings, changes: dict[str, Any]) -> None:
         """Take a new label at once; settings of the measurement wait for the next activation."""
@@ -165,7 +168,8 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
             self._plots.feed(scan)
         finally:  # a block that cannot be measured must not hold up a rig that waits for us
             self._newest_ns = self._last_instant(scan)
-            self._ack.publish(Header(stamp=time_message(scan.stamp_ns), frame_id=self.get_name()))
+            assert self._acknowledgements is not None
+            self._acknowledgements.processed(scan.stamp_ns)
 
     def _last_instant(self, scan: Table) -> int:
         """Return when the block's last scan was; of times that are none its stamp, which is reported."""

@@ -58,7 +58,7 @@ class AntiAlias:
         self._step = step
         self._taps = taps(step)
         self._half = len(self._taps) // 2
-        self._blocks: deque[NDArray[np.void]] = deque()
+        self._blocks: deque[tuple[Array, NDArray[np.uint8]]] = deque()  # channels (channel, scan), status
         self._first = self._next = 0
         self._due: deque[int] = deque()
 
@@ -76,23 +76,22 @@ class AntiAlias:
             self._blocks.clear()
             self._due.clear()
             self._first = first
-        self._blocks.append(rows)
+        self._blocks.append((np.array([rows[name] for name in self._channels]), rows["status"].copy()))
         self._next = first + len(rows)
         self._due.extend(instants)
         if self._due and self._due[0] + self._half < self._next:
-            scans = np.concatenate(self._blocks)
+            scans = np.concatenate([values for values, _ in self._blocks], axis=1)
+            status = np.concatenate([flags for _, flags in self._blocks])
             while self._due and self._due[0] + self._half < self._next:
-                yield self._smoothed(scans, self._due.popleft())
+                yield self._smoothed(scans, status, self._due.popleft())
         oldest = (self._due[0] if self._due else self._next) - self._half - self._step
-        while len(self._blocks) > 1 and self._first + len(self._blocks[0]) <= oldest:
-            self._first += len(self._blocks.popleft())
+        while len(self._blocks) > 1 and self._first + len(self._blocks[0][1]) <= oldest:
+            self._first += len(self._blocks.popleft()[1])
 
-    def _smoothed(self, scans: NDArray[np.void], sample: int) -> Smoothed:
+    def _smoothed(self, scans: Array, status: NDArray[np.uint8], sample: int) -> Smoothed:
         centre = sample - self._first
         left = max(0, centre - self._half)
         weights = self._taps[left - centre + self._half :]
-        part = scans[left : centre + self._half + 1]
-        total = float(weights.sum())
-        values = {name: float((part[name] * weights).sum()) / total for name in self._channels}
-        near = scans[max(0, centre - self._step + 1) : centre + self._step]
-        return Smoothed(sample, values, int(np.bitwise_or.reduce(near["status"])))
+        sums = (scans[:, left : centre + self._half + 1] * weights).sum(axis=1) / weights.sum()
+        near = status[max(0, centre - self._step + 1) : centre + self._step]
+        return Smoothed(sample, dict(zip(self._channels, sums.tolist(), strict=True)), int(np.bitwise_or.reduce(near)))

@@ -11,7 +11,7 @@ import math
 import sys
 import time
 from collections.abc import Callable, Sequence
-from typing import Any, ClassVar, Generic, TypeVar  # rclpy is untyped
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar  # rclpy is untyped
 
 from lifecycle_msgs.srv import ChangeState
 from rcl_interfaces.msg import SetParametersResult
@@ -29,8 +29,10 @@ from impact_rig.nodes.diagnostics import CpuMeter, Health, Level
 from impact_rig.nodes.guard import Refusals, describe, guarded, guarded_answer, guarded_service
 from impact_rig.nodes.one_by_one import set_one_by_one
 from impact_rig.nodes.parameters import Parameters, Schema
-from impact_rig.system.compile_ahead import Task, compile_ahead
 from impact_rig.system.escapes import visible
+
+if TYPE_CHECKING:
+    from impact_rig.system.compile_ahead import Task
 
 S = TypeVar("S")
 
@@ -240,6 +242,8 @@ class ManagedNode(LifecycleNode, Generic[S]):
 
     def compile_ahead(self, tasks: Sequence[Task]) -> None:
         """Return once these tasks are compiled; the log and diagnostics say how far that is."""
+        from impact_rig.system.compile_ahead import compile_ahead  # noqa: PLC0415  # Numba; a recorder needs none
+
         try:
             compile_ahead(tasks, self._tell_compiling)
         finally:

@@ -8,7 +8,6 @@ re-based and says by how much.
 from __future__ import annotations
 
 import bisect
-from collections import deque
 from collections.abc import Callable, Iterable
 
 import attrs
@@ -51,7 +50,8 @@ class Pacer:
         self._max_lag_ns = max_lag_ns
         self._origin_ns = clock()
         self._origin_rig_ns = 0
-        self._lateness: deque[float] = deque(maxlen=LATENESS_WINDOW)
+        self._lateness = np.zeros(LATENESS_WINDOW)
+        self._published = 0
         self.slips = 0
         """How often the pacer was re-based because it had fallen behind."""
         self.slipped_ns = 0
@@ -84,16 +84,17 @@ class Pacer:
 
     def published(self, end_ns: int) -> None:
         """Note that the block ending at rig time `end_ns` is out."""
-        self._lateness.append((self._clock() - self._deadline_ns(end_ns)) * 1e-6)
+        self._lateness[self._published % LATENESS_WINDOW] = (self._clock() - self._deadline_ns(end_ns)) * 1e-6
+        self._published += 1
 
     def _deadline_ns(self, rig_ns: int) -> float:
         return self._origin_ns + (rig_ns - self._origin_rig_ns) / self._factor
 
     def lateness(self) -> Lateness | None:
         """Return the statistics of the last blocks, or None before the first."""
-        if not self._lateness:
+        if not self._published:
             return None
-        median, p99, worst = np.percentile(np.array(self._lateness), (50, 99, 100))
+        median, p99, worst = np.percentile(self._lateness[: self._published], (50, 99, 100))
         return Lateness(float(median), float(p99), float(worst))
 
 
@@ -102,14 +103,13 @@ class _Reader:
     forgiven: int  # blocks up to here are owed no more
     heard_ns: int  # clock when it last said something new, or when it had nothing to say
     acknowledged: int | None = None  # blocks, counted from the start; None before it has acknowledged any
-    lost: int = 0  # blocks it passed over
 
 
 class AckWindow:
     """How far every reader of the blocks is, and how far ahead of its slowest peer the rig may run.
 
-    A reader acknowledges by the stamp of the last block it processed. Blocks are counted, so that "ahead" has one
-    meaning for all. Peers are the readers that are waited for; others are only watched.
+    A reader acknowledges by the stamp of the last block it processed, one or several at a time. Blocks are counted, so
+    that "ahead" has one meaning for all. Peers are the readers that are waited for; others are only watched.
 
     Args:
         peers: names the acknowledgements carry.
@@ -175,8 +175,6 @@ class AckWindow:
             return False
         count = self._published - len(self._stamps) + bisect.bisect_right(self._stamps, stamp_ns)
         if reader.acknowledged is None or count > reader.acknowledged:
-            if reader.acknowledged is not None:
-                reader.lost += count - reader.acknowledged - 1
             reader.acknowledged = count
             reader.heard_ns = self._clock()
         return True
@@ -193,9 +191,9 @@ class AckWindow:
         """Return the blocks each reader has not acknowledged."""
         return {name: self._owed(reader) for name, reader in self._readers.items()}
 
-    def lost(self) -> dict[str, int]:
-        """Return the blocks each reader that acknowledges has passed over."""
-        return {name: reader.lost for name, reader in self._readers.items() if reader.acknowledged is not None}
+    def heard(self) -> tuple[str, ...]:
+        """Return the readers that have acknowledged."""
+        return tuple(name for name, reader in self._readers.items() if reader.acknowledged is not None)
 
     def silent(self) -> tuple[str, ...]:
         """Return the peers that owe an acknowledgement and said nothing for the timeout."""

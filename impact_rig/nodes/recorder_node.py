@@ -7,20 +7,20 @@ import math
 import time
 from typing import Any  # rclpy messages and handles
 
-from std_msgs.msg import Header, String
+from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 import impact_rig
 from impact_rig import codec, topics
 from impact_rig.errors import CodecError, RecordingError
 from impact_rig.nodes import process
+from impact_rig.nodes.acknowledge import Acknowledgements
 from impact_rig.nodes.deferred import Answer, DeferredService
 from impact_rig.nodes.diagnostics import Health, Level
 from impact_rig.nodes.managed import ManagedNode
 from impact_rig.nodes.parameters import SectionSchema
 from impact_rig.nodes.recorder_content import calibration_yaml, environment, parameters, qos, run_directory
 from impact_rig.nodes.settings import RecorderSettings
-from impact_rig.nodes.stamps import time_message
 from impact_rig.nodes.topics import TOPICS
 from impact_rig.recording import (
     CONFIGURATION,
@@ -75,7 +75,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         self._scans: Any = None
         self._permanent: list[Any] = []
         self._recorded: list[Any] = []
-        self._ack: Any = None
+        self._acknowledgements: Acknowledgements | None = None
         self._timer: Any = None
         self._begin = DeferredService(self, Trigger, "~/start", self._on_start, self._answer_start)
         self.service(Trigger, "~/stop", self._on_stop)
@@ -88,7 +88,8 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         """Check that the interfaces are installed; create the acknowledgement's publisher."""
         for type_name in {topic.type_name for topic in TOPICS if topic.recorded}:
             schema_text(type_name)
-        self._ack = self.publisher(topics.ACK)
+        environment()  # asked once, and now: nobody waits yet
+        self._acknowledgements = Acknowledgements(self, self._secured)
 
     def activate(self) -> None:
         """Listen for the configuration; record if `record` says so, else only follow the scans."""
@@ -115,9 +116,9 @@ class RecorderNode(ManagedNode[RecorderSettings]):
     def cleanup(self) -> None:
         """Destroy the publisher."""
         self.deactivate()
-        if self._ack is not None:
-            self.destroy_publisher(self._ack)
-            self._ack = None
+        if self._acknowledgements is not None:
+            self._acknowledgements.destroy()
+            self._acknowledgements = None
 
     def rig_time_ns(self) -> int:
         """Return the stamp of the newest block; 0 (a stamp nobody filled in) before the first."""
@@ -300,8 +301,6 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         if self._writer is not None:
             try:
                 self._write(self._writer, topic, data, info)
-                if topic is topics.SCAN:
-                    self._writer.secure()  # what is acknowledged outlives this process
             except RecordingError as error:
                 self._fail(error)
         if topic is topics.SCAN and not self._failure:
@@ -352,7 +351,17 @@ class RecorderNode(ManagedNode[RecorderSettings]):
             self.refuse(topics.SCAN.name, str(error))
             return
         self._newest_ns = stamp
-        self._ack.publish(Header(stamp=time_message(stamp), frame_id=self.get_name()))
+        assert self._acknowledgements is not None
+        self._acknowledgements.processed(stamp)
+
+    def _secured(self) -> bool:
+        """Make sure that what is acknowledged outlives this process; return whether it may be acknowledged."""
+        if self._writer is not None:
+            try:
+                self._writer.secure()
+            except RecordingError as error:
+                self._fail(error)
+        return not self._failure
 
 
 def main(ending: Ending) -> None:

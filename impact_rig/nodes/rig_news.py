@@ -61,11 +61,11 @@ class RigNews:
         for name in set(self._silent).difference(silent):
             self._info(f"peer {name} is back")
         self._silent = silent
-        for name in readers.gone(window.lost()):
+        for name in readers.gone(window.heard()):
             window.forget(name)
             self._gone.add(name)
             self._warn(f"{name} no longer subscribes to {topics.SCAN.name}")
-        for name in [name for name in self._gone if name in window.lost()]:
+        for name in [name for name in self._gone if name in window.heard()]:
             self._gone.remove(name)
             self._info(f"{name} subscribes to {topics.SCAN.name} again")
 

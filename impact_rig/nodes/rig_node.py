@@ -6,10 +6,10 @@ import functools
 import time
 from typing import Any  # rclpy messages and responses
 
-from std_msgs.msg import Float64, Header
+from std_msgs.msg import Float64
 
-from impact_rig import topics
-from impact_rig.errors import CommandError
+from impact_rig import codec, topics
+from impact_rig.errors import CodecError, CommandError
 from impact_rig.nodes import process
 from impact_rig.nodes.beginning import Beginning, Rivals
 from impact_rig.nodes.diagnostics import Health
@@ -23,7 +23,6 @@ from impact_rig.nodes.readers import Readers
 from impact_rig.nodes.rig_news import RigNews
 from impact_rig.nodes.rig_services import RigServices
 from impact_rig.nodes.rig_status import RigStatus
-from impact_rig.nodes.stamps import nanoseconds
 from impact_rig.nodes.steps import StepRequests
 from impact_rig.nodes.work_timer import WorkTimer
 from impact_rig.rig import Block, Rig, warm_up
@@ -79,7 +78,7 @@ class RigNode(ManagedNode[RigConfig]):
         self._figures = RigStatus()
         self.subscribe(topics.FREQUENCY, self._on_frequency)
         self.subscribe(topics.CURRENT, self._on_current)
-        self.subscribe(topics.ACK, self._on_ack)
+        self.subscribe(topics.ACK, self._on_ack, raw=True)
         self._pause = Pause(self, self._no_rig, lambda: self._window, self._go_on)
         self._news = RigNews(self)
         self._at_once = RigServices(self, self._running, self._flush, self._was_reset)
@@ -287,11 +286,16 @@ class RigNode(ManagedNode[RigConfig]):
         self.get_logger().debug(f"accepted: {', '.join(f'{key} = {value:g}' for key, value in values.items())}")
         self._flush(self._rig)
 
-    def _on_ack(self, message: Header) -> None:
+    def _on_ack(self, data: bytes) -> None:
         """Take an acknowledgement: every reader of daq/scan may send them, in every mode."""
-        window, name, stamp = self._window, message.frame_id, nanoseconds(message.stamp)
         if self._readers is None:
             return
+        try:
+            stamp, name = codec.header(data)
+        except CodecError as error:
+            self.refuse(topics.ACK.name, str(error))
+            return
+        window = self._window
         if window.newest_ns is None or stamp > window.newest_ns:
             self.refuse(topics.ACK.name, f"{name!r} acknowledged {stamp} ns, which was never published")
             return

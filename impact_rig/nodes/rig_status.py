@@ -165,6 +165,5 @@ class RigStatus:
                 "lateness_worst_ms": late.worst_ms,
             }
         values |= {f"behind.{name}": count for name, count in behind.items()}
-        values |= {f"lost_blocks.{name}": count for name, count in window.lost().items()}
         values |= {f"over_range.{one.name}": self.over_range[one.name] for one in config.instruments.fitted()}
         return Health(level, message, values)

@@ -132,6 +132,9 @@ def _land(p, force, s, k, event):  # type: ignore[no-untyped-def]
         s.step = s.step - beyond / slope if slope > 0.0 else low
         if not low < s.step < high:
             s.step = 0.5 * (low + high)
+    else:  # as near as numbers resolve: what is in k must be the step whose length is in s
+        if not solve(p, force, s, k, s.step):
+            return False
     remember(s, k, s.step)
     return True
 

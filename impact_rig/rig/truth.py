@@ -10,7 +10,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_rig.blocks import IMPACTS, TRUTH_SCAN
+from impact_rig.blocks import IMPACTS, TRUTH_SCAN, joined
 from impact_rig.physics import Motion
 from impact_rig.simtime import COMMAND_GRID_NS, COMMAND_GRID_S, NS_PER_S
 
@@ -101,7 +101,7 @@ class Truth:
                 self._states[0] = kept[split:]
                 break
             del self._states[0]
-        rows = parts[0].copy() if len(parts) == 1 else np.concatenate(parts or [_NO_STATES])
+        rows = joined(parts or [_NO_STATES])
         scans = rows["time"].astype(np.int64) - first
         rows["time"] = scans / self._rate_hz
         return rows, scans
@@ -111,7 +111,7 @@ class Truth:
         end_s = (first + count) / self._rate_hz
         if self._first_end_s >= end_s:
             return _NO_IMPACTS
-        rows, ends = np.concatenate(self._impacts), np.concatenate(self._ends)
+        rows, ends = joined(self._impacts), np.concatenate(self._ends)
         done = ends < end_s
         self._impacts, self._ends = [rows[~done]], [ends[~done]]
         self._first_end_s = self._ends[0].min(initial=math.inf)

@@ -8,6 +8,7 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
+from impact_rig.blocks import joined
 from impact_rig.campaign.in_process import ProcessApparatus
 from impact_rig.campaign.job import Job
 from impact_rig.operate.controlled_sine import ControlledSine, HoldPlan
@@ -93,6 +94,6 @@ class ProcessLoop:
         self._rig.take_journal()
         if self._rig.latched is not None:
             return f"the rig tripped: {self._rig.latched}"
-        rows = np.concatenate([block.scan.rows for block in found])
+        rows = joined([block.scan.rows for block in found])
         look = self._meter.look(rows, self._frequency_hz, self.now_ns())
         return look or f"{len(rows)} scans are too few to look at"

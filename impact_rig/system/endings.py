@@ -50,6 +50,7 @@ class Ending:
         """Why, where the signal alone does not say it."""
         self._code = code
         self._told_at = 0.0
+        self._cut_short = False
         self._answer = self._end_here
         for number in SIGNALS:
             signal.signal(number, self._take)
@@ -114,6 +115,9 @@ class Ending:
         _raise_unless_unhurried()
 
     def _end_here(self) -> None:
+        if self._cut_short:  # a signal came again while a stream waited for a lock that nobody gives back
+            os._exit(self._code(self.told))
+        self._cut_short = True
         self._say()
         for stream in (sys.stdout, sys.stderr):
             with contextlib.suppress(OSError, ValueError, RuntimeError):  # closed, or being written to just now

@@ -15,7 +15,7 @@ pytest.importorskip("rclpy", reason="no ROS 2 here")
 
 from kits.nodes import host_rig
 from rclpy.node import Node
-from std_msgs.msg import Float64, Header
+from std_msgs.msg import Float64, String
 
 from impact_rig import codec, topics
 from impact_rig.blocks import TRANSMISSIBILITY, Table
@@ -154,8 +154,8 @@ def test_every_change_of_calibration_and_configuration_is_kept_however_fast_they
     assert lags[1:] == [pytest.approx(1e-3 + 1e-6 * number) for number in range(changes)]
 
 
-def test_a_second_publisher_and_a_third_reader_are_no_loss(client: Client, tmp_path: Path) -> None:
-    """Three nodes acknowledge, two operators command: each counts its own messages."""
+def test_several_publishers_of_a_topic_are_no_loss(client: Client, tmp_path: Path) -> None:
+    """Two operators command and remark: each counts its own messages."""
     host_recorder(client, tmp_path)
     host_rig(client, time__peers=["recorder"])
     client.wait_active("rig", "recorder")
@@ -163,16 +163,16 @@ def test_a_second_publisher_and_a_third_reader_are_no_loss(client: Client, tmp_p
     others = [client.host(Node, node_name=f"operator_{number}") for number in range(2)]
     outlets = [
         (node.create_publisher(Float64, topics.FREQUENCY.name, messages.profile(topics.FREQUENCY.qos)),
-         node.create_publisher(Header, topics.ACK.name, messages.profile(topics.ACK.qos)))
+         node.create_publisher(String, topics.NOTES.name, messages.profile(topics.NOTES.qos)))
         for node in others
     ]  # fmt: skip
     client.wait_until(
-        lambda: all(one.get_subscription_count() > 1 for pair in outlets for one in pair), "the listeners"
+        lambda: all(one.get_subscription_count() > 0 for pair in outlets for one in pair), "the listeners"
     )
     for number in range(30):
-        frequency, acknowledgement = outlets[number % 3 // 2]  # the one speaks twice as often as the other
+        frequency, remark = outlets[number % 3 // 2]  # the one speaks twice as often as the other
         frequency.publish(Float64(data=9.0 + 0.01 * number))
-        acknowledgement.publish(Header(frame_id=f"operator_{number % 3 // 2}"))
+        remark.publish(String(data=f"remark {number}"))
         client.step(1)
     client.trigger("recorder/stop")
     found = info(tmp_path / "run")

@@ -54,11 +54,6 @@ RIG = (
     Figure("other_publishers", "-", "Who else publishes this rig's topics or its clock; there must be nobody."),
     Figure("subscribers", "-", "Matched subscriptions of daq/scan."),
     Figure("behind.<peer>", "blocks", "Blocks that are out and that a peer has not acknowledged."),
-    Figure(
-        "lost_blocks.<peer>",
-        "blocks",
-        "Blocks a peer has passed over in its acknowledgements: lost to it, unless it acknowledges several at once.",
-    ),
     Figure("other_acks", "-", "Acknowledgements in the name of no node that subscribes to daq/scan: ignored."),
 )
 

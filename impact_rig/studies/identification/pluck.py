@@ -6,6 +6,7 @@ import numpy as np
 
 from impact_rig import topics
 from impact_rig.analysis.decay import Decay, DecayMethod, fit_decay, measure_decay
+from impact_rig.blocks import joined
 from impact_rig.errors import RecordingError
 from impact_rig.recording import Run
 from impact_rig.rig import Kind, Rig
@@ -25,7 +26,7 @@ def measured_decay(config: RigConfig, method: DecayMethod = fit_decay) -> Decay:
     rig = Rig(config)
     rig.pluck(DISPLACEMENT_M)
     blocks = rig.advance(round(RECORD_S * NS_PER_S))
-    rows = np.concatenate([block.scan.rows for block in blocks])
+    rows = joined([block.scan.rows for block in blocks])
     return measure_decay(rows[round(SETTLE_S * config.daq.rate_hz) :], rig.info().rows, method)
 
 

@@ -1,0 +1,46 @@
+"""Readers acknowledge: a block alone at once, those of a burst together, nothing that the promise does not hold for."""
+
+from __future__ import annotations
+
+import pytest
+
+pytest.importorskip("rclpy", reason="no ROS 2 here")
+
+from kits.nodes import host_rig
+from std_msgs.msg import Header
+
+from impact_rig import topics
+from impact_rig.client import Client
+from impact_rig.nodes.acknowledge import MOST, Acknowledgements
+from impact_rig.nodes.stamps import nanoseconds
+
+pytestmark = pytest.mark.ros
+
+
+def _told(client: Client, blocks: int, may_send: bool = True) -> list[Header]:
+    """Return what is heard of blocks processed in one go."""
+    node = host_rig(client, time__peers=[])
+    acknowledgements = Acknowledgements(node, lambda: may_send)
+    heard = client.listen(topics.ACK.name)
+    for number in range(blocks):
+        acknowledgements.processed(number)
+    if may_send:
+        client.wait_until(lambda: [*heard.messages[-1:]] and heard.messages[-1].stamp.nanosec == blocks - 1, "the last")
+    else:
+        client.spin_for(0.2)
+    acknowledgements.destroy()
+    return list(heard.messages)
+
+
+def test_a_block_alone_is_acknowledged_at_once(client: Client) -> None:
+    told = _told(client, 1)
+    assert [(header.frame_id, nanoseconds(header.stamp)) for header in told] == [("rig", 0)]
+
+
+def test_blocks_of_a_burst_are_acknowledged_together_and_the_last_one_soon(client: Client) -> None:
+    stamps = [nanoseconds(header.stamp) for header in _told(client, 3 * MOST + 3)]
+    assert stamps == [0, MOST, 2 * MOST, 3 * MOST, 3 * MOST + 2]
+
+
+def test_what_is_not_safe_is_not_acknowledged(client: Client) -> None:
+    assert _told(client, MOST + 1, may_send=False) == []
