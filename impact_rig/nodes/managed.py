@@ -63,6 +63,8 @@ class ManagedNode(LifecycleNode, Generic[S]):
         super().__init__(name, **kwargs)
         self.is_told_to_end: Callable[[], bool] = lambda: False
         """Whether the process is about to end: that others end as well is no news then."""
+        self.quitting = False
+        """Whether a client asked for the end of the process."""
         self.steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.refusals = Refusals()
         self.parameters = Parameters(self, schema, kwargs.get("cli_args") or sys.argv, self.MAKES_TIME)

@@ -7,7 +7,7 @@ from typing import Any  # settings of any node
 
 from std_srvs.srv import SetBool
 
-from impact_rig.nodes.deferred import Answer, DeferredService
+from impact_rig.nodes.deferred import Answer, DeferredService, Done
 from impact_rig.nodes.managed import ManagedNode
 from impact_rig.nodes.pacing import AckWindow
 
@@ -47,6 +47,11 @@ class Pause:
         """Answer when all that is out has been processed, or will not be."""
         if self._service.waiting and (self._window().outstanding() == 0 or self._window().silent()):
             self._service.reply(True, "paused")
+
+    def hold(self, done: Done) -> None:
+        """Pause the rig there is; `done` is called when the peers have processed all that was out."""
+        self.on = self.held = True
+        self._service.wait(done)
 
     def resume(self) -> str:
         """Go on; returns the answer."""

@@ -61,11 +61,11 @@ def run(make_node: Callable[[], ManagedNode[Any]], ending: Ending) -> int:
         print(f"cannot start: {' '.join(str(error).split())}", file=sys.stderr)  # noqa: T201  # there is no logger yet
         rclpy.try_shutdown()
         return EXIT_USAGE
-    node.is_told_to_end = lambda: bool(ending.told)
+    node.is_told_to_end = lambda: bool(ending.told) or node.quitting
     try:
         executor.add_node(node)
         frozen = False
-        while rclpy.ok() and not ending.told:
+        while rclpy.ok() and not node.is_told_to_end():
             try:
                 executor.spin_once(timeout_sec=SPIN_S)
             except (ExternalShutdownException, KeyboardInterrupt):

@@ -24,6 +24,7 @@ from impact_rig.nodes.rig_news import RigNews
 from impact_rig.nodes.rig_services import RigServices
 from impact_rig.nodes.rig_status import RigStatus
 from impact_rig.nodes.stamps import nanoseconds
+from impact_rig.nodes.standard_services import StandardServices
 from impact_rig.nodes.steps import StepRequests
 from impact_rig.nodes.work_timer import WorkTimer
 from impact_rig.rig import Block, Rig, warm_up
@@ -85,6 +86,9 @@ class RigNode(ManagedNode[RigConfig]):
         self._at_once = RigServices(self, self._running, self._flush, self._was_reset)
         step = guarded(self._on_step, self.report_failure)
         self._steps = StepRequests(self, self._no_step, lambda: self.settings.step.blocks, step)
+        self._standard = StandardServices(
+            self, lambda: self._rig, self._why_not, self._pause, self._steps, self._at_once.reset
+        )
 
     # Lifecycle
 
