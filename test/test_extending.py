@@ -1,3 +1,9 @@
+# Copyright 2026 The impact_rig developers
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0 Unless required by
+# applicable law or agreed to in writing, software distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific language
+# governing permissions and limitations under the License.
 """The recipes of docs/extending.md, done to the letter in a copy of the repository: their files, no other by hand."""
 
 from __future__ import annotations
@@ -20,6 +26,8 @@ from tools.generate import ROOT, generated
 
 PAGE = (ROOT / "docs" / "extending.md").read_text(encoding="utf-8")
 COPIED = ("benchmarks", "config", "docs", "examples", "impact_rig", "launch", "requirements", "test", "tools")
+NOTICE = "".join((ROOT / "setup.py").read_text(encoding="utf-8").splitlines(keepends=True)[:6])
+"""What every Python file begins with; the page leaves it out."""
 GENERATED = {str(path.relative_to(ROOT)) for path in generated()}
 
 
@@ -140,7 +148,7 @@ def test_a_recipe_is_the_whole_change(recipe: Recipe, copy: Copy):
     before = copy.state()
     for path, content in recipe.files.items():
         assert not (copy.root / path).exists(), f"{path}: a recipe adds files, it edits none"
-        (copy.root / path).write_text(content, encoding="utf-8")
+        (copy.root / path).write_text(NOTICE + content, encoding="utf-8")
     copy.run("-m", "tools.generate")
     after = copy.state()
     changed = {path for path in {*before, *after} if before.get(path) != after.get(path)}

@@ -1,3 +1,9 @@
+# Copyright 2026 The impact_rig developers
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0 Unless required by
+# applicable law or agreed to in writing, software distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific language
+# governing permissions and limitations under the License.
 """`ManagedNode`: the lifecycle node all nodes of the rig are made of.
 
 It configures and activates itself (`autostart`), survives invalid transition requests and callback exceptions (both end
@@ -65,6 +71,8 @@ class ManagedNode(LifecycleNode, Generic[S]):
         super().__init__(name, **kwargs)
         self.is_told_to_end: Callable[[], bool] = lambda: False
         """Whether the process is about to end: that others end as well is no news then."""
+        self.quitting = False
+        """Whether a client asked for the end of the process."""
         self.steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.refusals = Refusals()
         self.parameters = Parameters(self, schema, kwargs.get("cli_args") or sys.argv, self.MAKES_TIME)

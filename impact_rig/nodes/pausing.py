@@ -1,3 +1,9 @@
+# Copyright 2026 The impact_rig developers
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0 Unless required by
+# applicable law or agreed to in writing, software distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific language
+# governing permissions and limitations under the License.
 """The service ~/pause: rig time stands still, or goes on."""
 
 from __future__ import annotations
@@ -7,7 +13,7 @@ from typing import Any  # settings of any node
 
 from std_srvs.srv import SetBool
 
-from impact_rig.nodes.deferred import Answer, DeferredService
+from impact_rig.nodes.deferred import Answer, DeferredService, Done
 from impact_rig.nodes.managed import ManagedNode
 from impact_rig.nodes.pacing import AckWindow
 
@@ -47,6 +53,11 @@ class Pause:
         """Answer when all that is out has been processed, or will not be."""
         if self._service.waiting and (self._window().outstanding() == 0 or self._window().silent()):
             self._service.reply(True, "paused")
+
+    def hold(self, done: Done) -> None:
+        """Pause the rig there is; `done` is called when the peers have processed all that was out."""
+        self.on = self.held = True
+        self._service.wait(done)
 
     def resume(self) -> str:
         """Go on; returns the answer."""

@@ -1,3 +1,9 @@
+# Copyright 2026 The impact_rig developers
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0 Unless required by
+# applicable law or agreed to in writing, software distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific language
+# governing permissions and limitations under the License.
 """What every node's `main` does: spin until told to stop, then end in order.
 
 `EventsExecutor` costs a third to a sixth of the default executor; its `spin()` busy-loops in Jazzy, so it is driven by
@@ -61,11 +67,11 @@ def run(make_node: Callable[[], ManagedNode[Any]], ending: Ending) -> int:
         print(f"cannot start: {' '.join(str(error).split())}", file=sys.stderr)  # noqa: T201  # there is no logger yet
         rclpy.try_shutdown()
         return EXIT_USAGE
-    node.is_told_to_end = lambda: bool(ending.told)
+    node.is_told_to_end = lambda: bool(ending.told) or node.quitting
     try:
         executor.add_node(node)
         frozen = False
-        while rclpy.ok() and not ending.told:
+        while rclpy.ok() and not node.is_told_to_end():
             try:
                 executor.spin_once(timeout_sec=SPIN_S)
             except (ExternalShutdownException, KeyboardInterrupt):

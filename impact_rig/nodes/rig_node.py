@@ -1,3 +1,9 @@
+# Copyright 2026 The impact_rig developers
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0 Unless required by
+# applicable law or agreed to in writing, software distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific language
+# governing permissions and limitations under the License.
 """The rig as a lifecycle node: publishes what `Rig` measures when it is due and passes commands on; decides nothing."""
 
 from __future__ import annotations
@@ -23,6 +29,7 @@ from impact_rig.nodes.readers import Readers
 from impact_rig.nodes.rig_news import RigNews
 from impact_rig.nodes.rig_services import RigServices
 from impact_rig.nodes.rig_status import RigStatus
+from impact_rig.nodes.standard_services import StandardServices
 from impact_rig.nodes.steps import StepRequests
 from impact_rig.nodes.work_timer import WorkTimer
 from impact_rig.rig import Block, Rig, warm_up
@@ -84,6 +91,9 @@ class RigNode(ManagedNode[RigConfig]):
         self._at_once = RigServices(self, self._running, self._flush, self._was_reset)
         step = guarded(self._on_step, self.report_failure)
         self._steps = StepRequests(self, self._no_step, lambda: self.settings.step.blocks, step)
+        self._standard = StandardServices(
+            self, lambda: self._rig, self._why_not, self._pause, self._steps, self._at_once.reset
+        )
 
     # Lifecycle
 

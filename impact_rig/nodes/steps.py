@@ -1,3 +1,9 @@
+# Copyright 2026 The impact_rig developers
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0 Unless required by
+# applicable law or agreed to in writing, software distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific language
+# governing permissions and limitations under the License.
 """Steps: blocks that ~/step has asked for, answered when the last of them is out and acknowledged."""
 
 from __future__ import annotations
@@ -8,7 +14,7 @@ from typing import Any  # settings of any node
 
 from std_srvs.srv import Trigger
 
-from impact_rig.nodes.deferred import Answer, DeferredService
+from impact_rig.nodes.deferred import Answer, DeferredService, Done
 from impact_rig.nodes.managed import ManagedNode
 from impact_rig.nodes.pacing import AckWindow
 from impact_rig.nodes.readers import Readers
@@ -39,6 +45,11 @@ class StepRequests:
         """Whether somebody waits for an answer."""
         return bool(self._service.waiting)
 
+    def take(self, steps: int, done: Done) -> None:
+        """Take so many steps, as a request does that is not refused; `done` is called when that one is answered."""
+        self._owe(steps)
+        self._service.wait(done)
+
     def refuse(self, message: str) -> None:
         """Answer what waits with a refusal; what is left is dropped."""
         self.left = 0
@@ -63,6 +74,9 @@ class StepRequests:
         refusal = self._refusal()
         if refusal:
             return False, refusal
-        self.left += self._blocks()
-        self._asked_at = time.monotonic()
+        self._owe(1)
         return None
+
+    def _owe(self, steps: int) -> None:
+        self.left += steps * self._blocks()
+        self._asked_at = time.monotonic()

@@ -1,3 +1,9 @@
+# Copyright 2026 The impact_rig developers
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0 Unless required by
+# applicable law or agreed to in writing, software distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific language
+# governing permissions and limitations under the License.
 """What is made for plotters: spectra whose heights are amplitudes, envelopes in which every impact shows."""
 
 from __future__ import annotations
@@ -16,7 +22,7 @@ from impact_rig.rig import Block, Rig
 from impact_rig.simtime import NS_PER_S
 
 RATE = 25_000
-"""At which every contact shows; at 10 kS/s the pulse of two in 256 falls between the scans."""
+"""At which every contact shows; at 10 kS/s both scans near a pulse can meet a zero of it: see docs/interface.md."""
 STRONG_N = 5.0
 SHOWS_M_S2, QUIET_M_S2 = 5.0, 0.5
 LINE_RTOL = 0.005

@@ -1,3 +1,9 @@
+# Copyright 2026 The impact_rig developers
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0 Unless required by
+# applicable law or agreed to in writing, software distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific language
+# governing permissions and limitations under the License.
 """The worked examples in `examples/`, run as their reader runs them: one pytest of its own, the plugin loaded."""
 
 from __future__ import annotations
@@ -34,7 +40,9 @@ def test_every_example_passes(tmp_path: Path) -> None:
 def test_the_first_node_of_the_docs_is_the_one_that_is_tested() -> None:
     page = (ROOT / "docs" / "first_node.md").read_text(encoding="utf-8")
     (block,) = re.findall(r"^```python title=examples/first_node.py\n(.*?)^```$", page, re.MULTILINE | re.DOTALL)
-    assert block == (EXAMPLES / "first_node.py").read_text(encoding="utf-8")
+    notice, file = re.split("^(?!#)", (EXAMPLES / "first_node.py").read_text(encoding="utf-8"), maxsplit=1, flags=re.M)
+    assert "Copyright" in notice
+    assert block == file
 
 
 def test_the_pipelines_are_somebody_elses() -> None:

@@ -1,7 +1,14 @@
+# Copyright 2026 The impact_rig developers
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0 Unless required by
+# applicable law or agreed to in writing, software distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific language
+# governing permissions and limitations under the License.
 """The tables of `docs/interface.md`: topics, columns, services, parameters, figures, states."""
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 
 import numpy as np
@@ -60,24 +67,26 @@ def _qualities() -> str:
 
 
 def _columns() -> str:
-    parts = []
-    seen: dict[tuple[Column, ...], str] = {}
+    titles: dict[tuple[Column, ...], list[str]] = {}
     for topic in TOPICS:
         if topic.columns is not None:
-            if topic.fields in seen:
-                parts.append(f"### `{topic.name}`\n\nThe columns of `{seen[topic.fields]}`.\n")
-                continue
-            seen[topic.fields] = topic.name
-            columns = scan.COLUMNS if topic is topics.SCAN else topic.fields
-            rows = ((f"`{c.name}`", _kind(c.kind), c.unit, c.doc) for c in columns)
-            parts.append(f"### `{topic.name}`\n\n" + table(("column", "type", "unit", "meaning"), rows))
+            titles.setdefault(topic.fields, []).append(f"`{topic.name}`")
+    parts = []
+    for fields, names in titles.items():
+        begun = [earlier for earlier in titles if fields != earlier and fields[: len(earlier)] == earlier]
+        same = f"The columns of {titles[begun[0]][0]}, and\n\n" if begun else ""
+        columns = scan.COLUMNS if f"`{topics.SCAN.name}`" in names else fields[len(begun[0]) :] if begun else fields
+        rows = ((f"`{c.name}`", _kind(c.kind), c.unit, c.doc) for c in columns)
+        parts.append(f"### {', '.join(names)}\n\n{same}" + table(("column", "type", "unit", "meaning"), rows))
     return "\n".join(parts)
 
 
 def _fields() -> str:
-    rows = (
-        (f"`{t.name}`", f"`{c.name}`", c.unit, c.doc) for t in _shown_topics() if t.columns is None for c in t.fields
-    )
+    shown = [topic for topic in _shown_topics() if topic.columns is None]
+    for earlier, topic in itertools.pairwise(shown[:]):  # pulses are an envelope, too
+        if [(c.name, c.doc) for c in topic.fields] == [(c.name, c.doc) for c in earlier.fields]:
+            shown.remove(earlier)
+    rows = ((f"`{t.name}`", f"`{c.name}`", c.unit, c.doc) for t in shown for c in t.fields)
     return table(("topic", "field", "unit", "meaning"), rows)
 
 
@@ -103,8 +112,9 @@ def _services() -> str:
 
 def _states() -> str:
     inputs = [row for row in (*services.COMMANDS, *services.SERVICES) if row.node == "rig"]
-    rows = ((f"`{i.name}`", *("taken" if s in i.taken else "refused" for s in Situation)) for i in inputs)
-    return table(("input of the rig", *(s.value for s in Situation)), rows)
+    shown = [situation for situation in Situation if any(situation in row.taken for row in inputs)]
+    rows = ((f"`{i.name}`", *("taken" if s in i.taken else "refused" for s in shown)) for i in inputs)
+    return table(("input of the rig", *(s.value for s in shown)), rows)
 
 
 def _parameters(node: str) -> Callable[[], str]:

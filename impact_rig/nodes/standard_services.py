@@ -1,0 +1,182 @@
+# Copyright 2026 The impact_rig developers
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0 Unless required by
+# applicable law or agreed to in writing, software distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific language
+# governing permissions and limitations under the License.
+"""The services of the package `simulation_interfaces`, offered where it can be imported, feature by feature.
+
+They say in the words of that package what `~/pause`, `~/step` and `~/reset` do. A stopped rig is one that they have
+paused and reset and that has not moved since, or one that is not active. Time is never turned back.
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable
+from typing import Any  # messages of a package that may be absent
+
+from impact_rig import __version__
+from impact_rig.errors import CommandError
+from impact_rig.nodes.deferred import Done, LateService
+from impact_rig.nodes.guard import describe
+from impact_rig.nodes.managed import ManagedNode
+from impact_rig.nodes.pausing import Pause
+from impact_rig.nodes.steps import StepRequests
+from impact_rig.rig import Rig
+from impact_rig.rig.config import RigConfig
+
+PACKAGE = "simulation_interfaces"
+OFFERS = {
+    "GetSimulatorFeatures": ("get_simulator_features", ()),
+    "GetSimulationState": ("get_simulation_state", ("SIMULATION_STATE_GETTING",)),
+    "SetSimulationState": ("set_simulation_state", ("SIMULATION_STATE_SETTING", "SIMULATION_STATE_PAUSE")),
+    "StepSimulation": ("step_simulation", ("STEP_SIMULATION_SINGLE", "STEP_SIMULATION_MULTIPLE")),
+    "ResetSimulation": ("reset_simulation", ("SIMULATION_RESET", "SIMULATION_RESET_STATE")),
+}
+"""Service type: its name below the node, and the features that it gives the rig."""
+NOTE = f"impact_rig {__version__}; a step is step.blocks blocks; a reset begins again at scan 0, and stamps go on"
+Tell = Callable[[int, str], None]
+"""Answers with a result code and an error text."""
+
+
+class StandardServices:
+    """Makes the services, if the package is there, and keeps them.
+
+    Args:
+        node: owner.
+        rig: returns the rig, if there is one.
+        why_not: returns why there is none.
+        pause: whether it stands still.
+        steps: what it still owes.
+        reset: begins again; CommandError says why it cannot.
+    """
+
+    def __init__(
+        self,
+        node: ManagedNode[RigConfig],
+        rig: Callable[[], Rig | None],
+        why_not: Callable[[], str],
+        pause: Pause,
+        steps: StepRequests,
+        reset: Callable[[], str],
+    ) -> None:
+        self._node, self._rig, self._why_not = node, rig, why_not
+        self._pause, self._steps, self._reset = pause, steps, reset
+        self._stopped_ns = -1
+        try:
+            self._messages = importlib.import_module(f"{PACKAGE}.msg")
+            services = importlib.import_module(f"{PACKAGE}.srv")
+        except ImportError:
+            return
+        self._offered = [(getattr(services, kind), *OFFERS[kind]) for kind in OFFERS if hasattr(services, kind)]
+        for service_type, name, _features in self._offered:
+            LateService(node, service_type, f"~/{name}", self._guarded(service_type, name))
+
+    def _guarded(self, service_type: Any, name: str) -> Callable[[Any, Callable[[Any], None]], None]:
+        """Return what answers each request, whatever happens."""
+        handle = getattr(self, f"_{name}")
+        codes = self._messages.Result
+
+        def serve(request: Any, send: Callable[[Any], None]) -> None:
+            response = service_type.Response()
+
+            def tell(code: int, text: str = "") -> None:
+                if code not in {codes.RESULT_OK, getattr(response, "ALREADY_IN_TARGET_STATE", codes.RESULT_OK)}:
+                    self._node.refuse(name, text)
+                if hasattr(response, "result"):
+                    response.result = codes(result=code, error_message=text)
+                send(response)
+
+            try:
+                handle(request, response, tell)
+            except CommandError as error:
+                tell(codes.RESULT_OPERATION_FAILED, str(error))
+            except Exception as error:  # nothing a request causes may end the process
+                self._node.report_failure(name, describe(error))
+                tell(codes.RESULT_OPERATION_FAILED, describe(error))
+
+        return serve
+
+    def _done(self, tell: Tell, failed: int) -> Done:
+        """Return what answers once a pause or a step is over."""
+        return lambda success, message: tell(*((self._messages.Result.RESULT_OK, "") if success else (failed, message)))
+
+    def _state(self) -> int:
+        states, rig = self._messages.SimulationState, self._rig()
+        if self._node.quitting or self._node.state == "finalized":
+            return int(states.STATE_QUITTING)
+        if rig is None or (self._pause.on and rig.next_block_ns == self._stopped_ns):
+            return int(states.STATE_STOPPED)
+        return int(states.STATE_PAUSED if self._pause.on or self._stepped() else states.STATE_PLAYING)
+
+    def _stepped(self) -> bool:
+        return self._node.settings.time.mode == "stepped"
+
+    def _get_simulator_features(self, _request: Any, response: Any, tell: Tell) -> None:
+        features = self._messages.SimulatorFeatures
+        names = [name for _type, _name, gives in self._offered for name in gives]
+        response.features = features(features=[getattr(features, name) for name in names], custom_info=NOTE)
+        tell(self._messages.Result.RESULT_OK, "")
+
+    def _get_simulation_state(self, _request: Any, response: Any, tell: Tell) -> None:
+        response.state = self._messages.SimulationState(state=self._state())
+        tell(self._messages.Result.RESULT_OK, "")
+
+    def _set_simulation_state(self, request: Any, response: Any, tell: Tell) -> None:
+        codes, states = self._messages.Result, self._messages.SimulationState
+        wanted, present, rig = request.state.state, self._state(), self._rig()
+        if wanted == present:
+            tell(response.ALREADY_IN_TARGET_STATE, "")
+        elif wanted not in {states.STATE_STOPPED, states.STATE_PLAYING, states.STATE_PAUSED, states.STATE_QUITTING}:
+            tell(codes.RESULT_FEATURE_UNSUPPORTED, f"{wanted} is none of STOPPED, PLAYING, PAUSED and QUITTING")
+        elif present == states.STATE_QUITTING:
+            tell(response.INCORRECT_TRANSITION, "the rig is quitting")
+        elif wanted == states.STATE_QUITTING:
+            self._node.quitting = True
+            tell(codes.RESULT_OK, "")
+        elif rig is None:
+            tell(response.STATE_TRANSITION_ERROR, self._why_not())
+        elif wanted == states.STATE_PLAYING and self._stepped():
+            tell(response.STATE_TRANSITION_ERROR, "time.mode is stepped: the rig moves by steps only")
+        elif wanted == states.STATE_PLAYING:
+            self._pause.resume()
+            tell(codes.RESULT_OK, "")
+        elif wanted == states.STATE_PAUSED:
+            self._stopped_ns = -1
+            self._pause.hold(self._done(tell, response.STATE_TRANSITION_ERROR))
+        else:
+            self._pause.hold(lambda success, message: self._stop(success, message, tell, response))
+
+    def _stop(self, paused: bool, message: str, tell: Tell, response: Any) -> None:
+        """Reset a rig that has just been paused."""
+        code, text = (self._messages.Result.RESULT_OK, "") if paused else (response.STATE_TRANSITION_ERROR, message)
+        try:
+            if paused:
+                self._reset_rig(stop=True)
+        except CommandError as error:
+            code, text = response.STATE_TRANSITION_ERROR, str(error)
+        tell(code, text)
+
+    def _reset_rig(self, stop: bool) -> None:
+        self._reset()
+        rig = self._rig()
+        if stop and rig is not None:
+            self._stopped_ns = rig.next_block_ns
+
+    def _step_simulation(self, request: Any, _response: Any, tell: Tell) -> None:
+        failed = self._messages.Result.RESULT_OPERATION_FAILED
+        if self._rig() is None:
+            tell(failed, self._why_not())
+        elif self._state() != self._messages.SimulationState.STATE_PAUSED:
+            tell(failed, "a step needs the state PAUSED")
+        else:
+            self._steps.take(request.steps, self._done(tell, failed))
+
+    def _reset_simulation(self, request: Any, _response: Any, tell: Tell) -> None:
+        kinds, codes = type(request), self._messages.Result
+        if request.scope not in {kinds.SCOPE_DEFAULT, kinds.SCOPE_STATE, kinds.SCOPE_ALL}:
+            tell(codes.RESULT_FEATURE_UNSUPPORTED, "only the state is reset: time goes on, and nothing is spawned")
+            return
+        self._reset_rig(stop=self._state() == self._messages.SimulationState.STATE_STOPPED)
+        tell(codes.RESULT_OK, "")
