@@ -1,4 +1,4 @@
-"""One browser for the folder, one rig for the module: every test gets pages of its own and looks at the ROS side."""
+"""One rig for the module: every test gets pages of its own and looks at the ROS side."""
 
 from __future__ import annotations
 
@@ -10,15 +10,6 @@ import pytest
 pytest.importorskip("aiohttp", reason="the extra [lab] is not installed")
 
 from kits.browser import Browser, Page
-
-
-@pytest.fixture(scope="session")
-def browser() -> Iterator[Browser]:
-    found = Browser()
-    try:
-        yield found
-    finally:
-        found.close()
 
 
 @pytest.fixture
