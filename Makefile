@@ -105,7 +105,7 @@ generate: $(PACKAGE) ## rewrite the pages and files that are made from the code
 figures: $(PACKAGE) ## draw every figure of README and docs; ARGS='paper.svg lab_pictures' chooses
 	@$(VENV)/bin/python -m tools.figures $(ARGS)
 
-docs: $(PACKAGE) ## build the website from docs/ into build/site, offline, without a warning; ARGS=--serve shows it
+docs: $(PACKAGE) ## build the website from docs/ into build/site, offline, without a warning
 	@$(VENV)/bin/python -m tools.website $(ARGS)
 
 format: $(PACKAGE) ## bring the code into the one format

@@ -48,7 +48,7 @@ fi
 # settings of the user's pip that would install somewhere else
 unset PIP_USER PIP_TARGET PIP_PREFIX PIP_REQUIRE_VIRTUALENV PIP_REQUIREMENT PIP_CONSTRAINT
 
-echo "Setting up $venv with $("$python" --version) and $ros: about a minute and 900 MB, once"
+echo "Setting up $venv with $("$python" --version) and $ros, once: 900 MB, one minute to seven, by network and machine"
 # shellcheck disable=SC2086  # no option at all when empty
 "$python" -m venv --clear $site "$venv" ||
     fail "$python cannot make a virtual environment; on Debian and Ubuntu: sudo apt install python3-venv"

@@ -8,6 +8,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import fcntl
 import os
@@ -20,12 +21,15 @@ import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import IO
+from typing import IO, TYPE_CHECKING
 
 import pytest
 from hypothesis import HealthCheck, settings
 
 from impact_rig.client.domain import remove_litter
+
+if TYPE_CHECKING:
+    from kits.browser import Browser
 
 pytest.register_assert_rewrite("kits")
 sys.path.append(str(Path(__file__).parents[1]))  # for `tools`, which is no part of the package
@@ -151,6 +155,16 @@ def _adopt_orphans() -> None:
     """Make this process the parent of orphaned descendants, so that a forgotten grandchild is seen as well."""
     set_child_subreaper = 36  # <linux/prctl.h>
     ctypes.CDLL(None).prctl(set_child_subreaper, 1, 0, 0, 0)
+
+
+@pytest.fixture(scope="session")
+def browser() -> Iterator[Browser]:
+    """Start one browser for all tests of a process; they open pages of their own."""
+    pytest.importorskip("aiohttp", reason="the extra [lab] is not installed")
+    from kits.browser import Browser
+
+    with contextlib.closing(Browser()) as found:
+        yield found
 
 
 @pytest.fixture(autouse=True)

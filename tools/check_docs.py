@@ -40,6 +40,7 @@ import shlex
 import shutil
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
@@ -347,6 +348,7 @@ def run(block: Block) -> str | None:
     """Run a block of commands; return what its last words were if it fails."""
     sys.stdout.write(f"{block.page}:{block.line} ...\n{block.content}")
     sys.stdout.flush()
+    begin = time.monotonic()
     script = (
         "set -e\n"
         f'really() {{ command make -C "{ROOT}" "$@"; }}\n'
@@ -368,6 +370,8 @@ def run(block: Block) -> str | None:
         text=True,
         check=False,
     )
+    word = "ok" if done.returncode == 0 else "failed"
+    sys.stdout.write(f"{word}, {time.monotonic() - begin:.0f} s\n")
     return None if done.returncode == 0 else f"{block.page}:{block.line}: failed\n{done.stdout[-2000:]}"
 
 

@@ -41,7 +41,7 @@ def _run(arguments: argparse.Namespace) -> int:
     style = "green" if proven else "yellow" if found.intact else "red"
     console.print(f"{found.path}: {found.verdict}", style=style)
     size = sum(size for _, size in found.files)
-    console.print(f"{found.duration_s:.3f} s of rig time, {len(found.files)} file(s), {size / 1e6:.2f} MB")
+    console.print(f"{found.duration_s:.3f} s of rig time, files: {len(found.files)}, {size / 1e6:.2f} MB")
     if found.recovered is not None:
         console.print(f"recovered from {found.recovered.source}", highlight=False)
     for key, value in found.provenance.items():

@@ -28,13 +28,11 @@ class Received:
     Attributes:
         data: the message; CDR bytes where the topic carries tables.
         sequence: DDS publication sequence number: contiguous per publisher.
-        received_ns: monotonic clock at the callback [ns].
         received_system_ns: system clock at the callback [ns], comparable with stamps in realtime.
     """
 
     data: Any
     sequence: int
-    received_ns: int
     received_system_ns: int
 
 
@@ -56,7 +54,7 @@ class Collector:
 
     def take(self, data: Any, info: dict[str, Any]) -> None:
         """Keep one message; the subscription's callback."""
-        message = Received(data, int(info["publication_sequence_number"]), time.monotonic_ns(), time.time_ns())
+        message = Received(data, int(info["publication_sequence_number"]), time.time_ns())
         self.received.append(message)
         for on_message in self._on_message:
             on_message(message)

@@ -38,7 +38,6 @@ class Origin(enum.Enum):
     """Where a default value comes from."""
 
     PAPER = "paper"  # printed in the paper
-    DERIVED = "derived"  # computed from values of the paper
     IDENTIFIED = "identified"  # chosen so that the paper's published statements hold
     ASSUMED = "assumed"  # plausible catalogue value or a choice of this project
 

@@ -33,7 +33,6 @@ from impact_rig.operate.plan import Setpoint
 from impact_rig.operate.stepped_sine import State
 from impact_rig.simtime import NS_PER_S
 
-QUARTER_RAD = -math.pi / 2.0
 STEEPEST = 4.0
 """tan φ' that is believed: beyond, the phase says only on which side the resonance is."""
 MEAN_S = 1.0

@@ -61,7 +61,6 @@ class Branch:
         superior_m: amplitude of the superior base.
         dt: displacement transmissibility.
         phase_rad: phase of the superior base to the inferior one.
-        phase_to_current_rad: phase of the superior base to the coil current.
         impact_speed_m_s: sphere to wall, before an impact.
         impact_phase_rad: the superior base's phase past its right turning point when the right wall is struck.
         theta: amplitude of the sphere over half the gap, Θ.
@@ -75,7 +74,6 @@ class Branch:
     superior_m: Real
     dt: Real
     phase_rad: Real
-    phase_to_current_rad: Real
     impact_speed_m_s: Real
     impact_phase_rad: Real
     theta: Real
@@ -177,7 +175,6 @@ class Rig:
             superior_m=superior,
             dt=np.abs(ratio),
             phase_rad=np.angle(ratio),
-            phase_to_current_rad=np.angle(base * ratio),
             impact_speed_m_s=manifold.approach_speed(theta) * np.abs(s) * gap / 2.0,
             impact_phase_rad=manifold.impact_phase_rad(theta),
             theta=theta,

@@ -140,9 +140,3 @@ class Manifold:
         """Return where small errors of the sphere's motion die on a structure that keeps its own."""
         found: NDArray[np.bool_] = (theta > self.theta_fold) & (theta < THETA_SYMMETRIC)
         return found
-
-    def half_period_map(self, theta: float) -> Real:
-        """Return the matrix, shape (2, 2), that carries (phase, speed/V) errors from one impact to the next."""
-        e = self.restitution
-        q = math.pi**2 / 4.0 * (1.0 + e) ** 2 * (theta - 1.0) / theta
-        return np.array([[e, -math.pi * (1.0 + e) / 2.0], [e * 2.0 * q / (math.pi * (1.0 + e)), e - q]])

@@ -152,9 +152,8 @@ def _configuration(done: Finished, content: Content) -> Iterator[str]:
         if not name.startswith(("time.", "step.", "pluck.", "output."))
     ]  # fmt: skip
     yield paragraph(
-        "Origin: paper = printed there, derived = computed from it, identified = chosen so that its published "
-        "statements hold, assumed = plausible catalogue value or a choice of this project, this campaign = changed in "
-        "its file."
+        "Origin: paper = printed there, identified = chosen so that its published statements hold, assumed = plausible "
+        "catalogue value or a choice of this project, this campaign = changed in its file."
     )
     table = content.table("configuration", ["name", "value", "unit", "origin", "varied", "meaning"], rows, [1])
     yield folded(f"All {content.fact('values', len(rows))} values", table)

@@ -98,7 +98,7 @@ def uncertainty(done: Finished, content: Content) -> Iterator[str]:
     name, frequency = content.fact("budget_case", chosen.label), content.fact("budget_hz", chosen.frequency_hz, "g")
     repetitions = content.fact("budget_measurements", len(chosen.rows))
     yield paragraph(
-        f"DT of one case, {name} at {frequency} Hz, {repetitions} settled measurement(s). Type A comes from the "
+        f"DT of one case, {name} at {frequency} Hz; settled measurements: {repetitions}. Type A comes from the "
         "measurement itself, B from the certificate. What the sensitivities add is the same in every DT of this "
         "report, so it cancels in reductions."
     )

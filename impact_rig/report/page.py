@@ -17,6 +17,7 @@ from impact_rig.drawing.style import Drawn
 from impact_rig.report.sheet import STYLE
 
 escape = html.escape
+_SYMBOL, _LOWERED = re.compile(r"\b([A-Za-z])_(\w)\b"), r"\1<sub>\2</sub>"
 
 
 def page(title: str, parts: Iterable[str]) -> str:
@@ -117,7 +118,7 @@ def table(headings: Sequence[str], rows: Iterable[Sequence[str]], numeric: Itera
             marks += f' role="cell" data-label="{escape(headings[column])}"'
         else:
             marks += ' role="columnheader"'
-        return f"<{tag}{marks}>{escape(text)}</{tag}>"
+        return f"<{tag}{marks}>{_SYMBOL.sub(_LOWERED, escape(text))}</{tag}>"
 
     head = "".join(cell("th", i, text) for i, text in enumerate(headings))
     body = "\n".join(f'<tr role="row">{"".join(cell("td", i, t) for i, t in enumerate(row))}</tr>' for row in rows)

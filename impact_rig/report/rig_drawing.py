@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 
 WIDTH, HEIGHT = 100.0, 76.0
 """Of the drawing, in its own units: hundredths of its width."""
-Place = tuple[float, float]
 SYMBOL = 9.5
 """Type size of symbols."""
 

@@ -14,7 +14,9 @@ from __future__ import annotations
 import asyncio
 import base64
 import contextlib
+import importlib.util
 import itertools
+import json
 import os
 import shutil
 import signal
@@ -33,6 +35,7 @@ from impact_rig.client.waiting import WaitTimeoutError
 
 PATIENCE_S = float(os.environ.get("IMPACT_RIG_PATIENCE", "60"))
 NAMES = ("chromium", "chromium-browser", "google-chrome", "chrome")
+SERIOUS = ("serious", "critical")
 REQUIRED = os.environ.get("IMPACT_RIG_REQUIRE_BROWSER") == "1"
 KEYS = {
     "Escape": 27, "Enter": 13, "Tab": 9, " ": 32, "ArrowUp": 38, "ArrowDown": 40, "ArrowLeft": 37, "ArrowRight": 39,
@@ -232,6 +235,26 @@ class Page:
 
     def close(self) -> None:
         self._browser.call("Target.disposeBrowserContext", browserContextId=self._context)
+
+
+def serious_faults(page: Page) -> list[str]:
+    """Rule, element and what is wrong, of each fault that axe calls serious or critical; skips where axe is missing.
+
+    A drawing is an image to those who cannot see it: its thousands of parts are left out.
+    """
+    axe = importlib.util.find_spec("axe_core_python")
+    if axe is None:
+        pytest.skip("axe is only on PyPI")
+    page.call("Runtime.evaluate", expression=Path(axe.origin).with_name("axe.min.js").read_text(encoding="utf-8"))
+    found = page.js(
+        "axe.run({exclude: [['svg > *']]}, {resultTypes: ['violations']}).then(r => JSON.stringify(r.violations))"
+    )
+    return [
+        f"{rule['id']}: {node['html'][:120]}: {node['failureSummary']}"
+        for rule in json.loads(found)
+        if rule["impact"] in SERIOUS
+        for node in rule["nodes"]
+    ]
 
 
 def wait_until(condition: Callable[[], Any], what: str, timeout_s: float = PATIENCE_S) -> Any:

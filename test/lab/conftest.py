@@ -4,7 +4,7 @@
 # applicable law or agreed to in writing, software distributed under the License is distributed on an "AS IS" BASIS,
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific language
 # governing permissions and limitations under the License.
-"""One browser for the folder, one rig for the module: every test gets pages of its own and looks at the ROS side."""
+"""One rig for the module: every test gets pages of its own and looks at the ROS side."""
 
 from __future__ import annotations
 
@@ -16,15 +16,6 @@ import pytest
 pytest.importorskip("aiohttp", reason="the extra [lab] is not installed")
 
 from kits.browser import Browser, Page
-
-
-@pytest.fixture(scope="session")
-def browser() -> Iterator[Browser]:
-    found = Browser()
-    try:
-        yield found
-    finally:
-        found.close()
 
 
 @pytest.fixture

@@ -11,9 +11,6 @@ from __future__ import annotations
 import csv
 import json
 import re
-import shutil
-import subprocess
-import sys
 from html.parser import HTMLParser
 from pathlib import Path
 from urllib.parse import unquote
@@ -34,8 +31,8 @@ from impact_rig.rig import Rig
 from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.studies.margins import variations
 from impact_rig.system.resources import config_dir
+from tools.check_report import VIEWS, shown, troubles
 
-CHECK = Path(__file__).parents[2] / "tools" / "check_report" / "check.py"
 VOID = {"meta", "link", "br", "use"}
 
 
@@ -281,9 +278,25 @@ def test_a_directory_without_campaign_is_refused(tmp_path, capsys):
     assert "holds no campaign" in capsys.readouterr().err
 
 
-@pytest.mark.slow
-@pytest.mark.skipif(not any(map(shutil.which, ("chromium", "google-chrome"))), reason="no browser is installed")
-def test_a_browser_finds_nothing_wrong(reported, tmp_path):
-    command = [sys.executable, CHECK, reported / "report.html", tmp_path]
-    found = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert found.returncode == 0, found.stdout + found.stderr
+SHOWN = (VIEWS[0], VIEWS[3], *(pytest.param(*view, marks=pytest.mark.slow) for view in VIEWS[1:3]))
+
+
+@pytest.mark.parametrize(("width", "scheme"), SHOWN)
+def test_a_browser_finds_nothing_wrong(reported, browser, width, scheme):
+    with shown(browser, reported / "report.html", width, scheme) as page:
+        assert troubles(page) == []
+
+
+BAD = """\
+<div class="scroll" style="width: 100px; overflow: auto"><table><tr><td style="min-width: 900px">far</table></div>
+<figure aria-label="a drawing"><svg viewBox="0 0 100 100" width="100" style="font-size: 12px">
+<text x="0" y="50">over</text><text x="2" y="50">each other</text></svg></figure><img src="https://127.0.0.1:9/x.png">
+"""
+
+
+def test_a_browser_finds_what_is_wrong(browser, tmp_path):
+    (tmp_path / "bad.html").write_text(BAD)
+    with shown(browser, tmp_path / "bad.html", *VIEWS[0]) as page:
+        found = "\n".join(troubles(page))
+    for trouble in ("a table is cut off", "overlap", "asks for https", "console: ", "image-alt"):
+        assert trouble in found

@@ -11,69 +11,42 @@ The rules are those of axe-core as the package axe-core-python ships them; the p
 
 from __future__ import annotations
 
-import importlib.util
-import json
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 
 pytest.importorskip("aiohttp", reason="the extra [lab] is not installed")
-if importlib.util.find_spec("axe_core_python") is None:
-    pytest.skip("axe is only on PyPI", allow_module_level=True)
 
-from kits.browser import Browser, Page
+from kits.browser import serious_faults
 
 from impact_rig.lab.playback import PlaybackSource
 from impact_rig.lab.sample import make
 from impact_rig.lab.server import Server
-from tools.website.__main__ import served
 
-AXE = Path(importlib.util.find_spec("axe_core_python").origin).with_name("axe.min.js").read_text(encoding="utf-8")
-SERIOUS = ("serious", "critical")
 WIDE, NARROW = 1280, 400
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    found = Browser()
-    try:
-        yield found
-    finally:
-        found.close()
-
-
-def serious_faults(page: Page) -> list[str]:
-    """Rule, element and what is wrong, of each fault that axe calls serious or critical."""
-    page.call("Runtime.evaluate", expression=AXE)
-    found = json.loads(
-        page.js("axe.run(document, {resultTypes: ['violations']}).then(r => JSON.stringify(r.violations))")
-    )
-    return [
-        f"{rule['id']}: {node['html'][:120]}: {node['failureSummary']}"
-        for rule in found
-        if rule["impact"] in SERIOUS
-        for node in rule["nodes"]
-    ]
-
-
-@pytest.fixture(scope="module")
-def address(site) -> Iterator[str]:
-    """The website, served: browsers give files from the disk no search."""
-    with served(site) as found:
-        yield found
 
 
 @pytest.mark.parametrize(("width", "scheme"), [(WIDE, "light"), (NARROW, "dark")])
 @pytest.mark.parametrize("name", ["index", "rig", "first_node"])
-def test_pages_of_the_website(address, browser, name, width, scheme):
+def test_pages_of_the_website(site, browser, name, width, scheme):
     page = browser.page(width, 900, prefers_color_scheme=scheme)
-    page.goto(f"{address}{name}.html")
+    page.goto((site / f"{name}.html").as_uri())
     wanted = {"light": "default", "dark": "slate"}[scheme]
     page.wait(f"document.body.dataset.mdColorScheme === '{wanted}'", f"the {scheme} palette")
     assert serious_faults(page) == []
     assert page.js("document.documentElement.scrollWidth") <= width, "the page is wider than its window"
-    assert [asked for asked in page.fetched if not asked.startswith((address, "data:", "blob:"))] == []
+    assert [asked for asked in page.fetched if not asked.startswith((site.as_uri(), "data:", "blob:"))] == []
+    assert page.errors == []
+    page.close()
+
+
+def test_the_search_finds_pages_on_the_disk(site, browser):
+    page = browser.page()
+    page.goto((site / "index.html").as_uri())
+    page.click(".md-search__input")
+    page.call("Input.insertText", text="slow manifold")
+    page.wait("document.querySelectorAll('.md-search-result__item').length > 0", "results")
+    assert "prediction.html" in page.js("document.querySelector('.md-search-result__link').href")
     assert page.errors == []
     page.close()
 

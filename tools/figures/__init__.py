@@ -27,6 +27,12 @@ BY_TOOLS: Mapping[str, tuple[str, ...]] = {
         "lab.gif", "lab.png", "lab_1920_dark.png", "lab_400.png", "lab_playback.png", "lab_rest.png", "lab_tripped.png",
     ),
     "tools/closed_loop.py --draw": ("backbone.png",),
+    "tools/gallery_pictures.py": (
+        "gallery_fig7_all_gaps.png", "gallery_amplitudes.png", "gallery_study_gap.png", "gallery_regimes.png",
+        "gallery_trace_gap_10mm.png", "gallery_phase_gap_10mm.png", "gallery_study_laws.png",
+        "gallery_study_restitution.png", "gallery_study_mass.png", "gallery_study_amplitude.png",
+        "gallery_study_hysteresis.png",
+    ),
     "tools/map_picture.py": ("map_gap_frequency.png",),
     "tools/prediction.py --draw": ("prediction.png",),
     "tools/urdf_picture.py": ("urdf.png",),

@@ -19,7 +19,6 @@ HEADER = """\
 #
 # Each line is `name: value  # unit; origin: meaning (range)`, where origin is one of
 #   paper       printed in the paper
-#   derived     computed from values of the paper
 #   identified  chosen so that the paper's published statements hold
 #   assumed     plausible catalogue value, or a choice of this project
 /**:

@@ -9,14 +9,9 @@
 from __future__ import annotations
 
 import argparse
-import contextlib
-import functools
-import http.server
 import logging
 import os
 import sys
-import threading
-from collections.abc import Iterator
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
@@ -37,41 +32,13 @@ def build(site: Path = ROOT / "build" / "site") -> Path:
     return site
 
 
-class _Quiet(http.server.SimpleHTTPRequestHandler):
-    """Says nothing of what was asked for."""
-
-    def log_message(self, *_: object) -> None:
-        """Keep silent."""
-
-
-@contextlib.contextmanager
-def served(site: Path) -> Iterator[str]:
-    """Show a built site to this machine, and give its address."""
-    handler = functools.partial(_Quiet, directory=str(site))
-    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
-        thread = threading.Thread(target=server.serve_forever, name="website")
-        thread.start()
-        try:
-            yield f"http://127.0.0.1:{server.server_address[1]}/"
-        finally:
-            server.shutdown()
-            thread.join()
-
-
 def main() -> None:
     """Build, say where, and exit 1 after a warning."""
     parser = argparse.ArgumentParser(prog="python -m tools.website", description=__doc__)
     parser.add_argument("--site", type=Path, default=ROOT / "build" / "site", help="directory (default: build/site)")
-    parser.add_argument("--serve", action="store_true", help="show it to this machine, with its search, until Ctrl-C")
     arguments = parser.parse_args()
     logging.basicConfig(level=logging.WARNING, format="%(levelname)s %(message)s")
-    site = build(arguments.site)
-    sys.stdout.write(f"{site / 'index.html'}\n")
-    if arguments.serve:
-        with served(site) as address, contextlib.suppress(KeyboardInterrupt):
-            sys.stdout.write(f"{address}\n")
-            sys.stdout.flush()
-            threading.Event().wait()
+    sys.stdout.write(f"{build(arguments.site) / 'index.html'}\n")
 
 
 if __name__ == "__main__":
