@@ -11,6 +11,7 @@ from impact_rig import topics
 from impact_rig.instruments.fault_kinds import FAULT_KINDS
 from impact_rig.lab.protocol import Request
 from impact_rig.lab.tasks import Refused, Steps, Waiting
+from impact_rig.lab.theory import DECIDING
 
 ANSWER_S = 30.0
 """A busy machine answers late: the knob stays pending until then."""
@@ -26,6 +27,8 @@ KNOBS = (
     "structure.natural_frequency_hz", "structure.damping_ratio", "time.mode", "time.factor", "drive.kind", PLANNED,
 )  # fmt: skip
 """Parameters of the rig that the page shows."""
+READ = (*KNOBS, *sorted(set(DECIDING) - set(KNOBS)))
+"""Those that are read for it: these, and what theory needs."""
 SHAKER = {"frequency": topics.FREQUENCY.name, "current": topics.CURRENT.name}
 RIG_KEYS = {"start": "sphere.start", "law": "contact.law", "restitution": "contact.restitution"}
 Answer = Generator[Waiting, Any, Any]

@@ -125,6 +125,9 @@ def test_from_r_to_a_settled_transmissibility(lab: Lab, page: Page) -> None:
         lambda: [r for r in lab.topics["transmissibility/table"].rows() if r["settled"] == 1], "a settled row"
     )
     assert any(float(page.text("#dt-number")) == pytest.approx(float(r["transmissibility"]), abs=0.5) for r in settled)
+    page.wait("lab.now.prediction?.words.startsWith('predicted for 6 mm, 0.52 A')", "what theory says")
+    page.click("[data-mark='gap-4']")
+    page.wait("lab.now.prediction.words.startsWith('predicted for 4 mm')", "the prediction to follow the gap")
     assert page.js("lab.motion.impacts.length") > 0
     assert page.js("lab.drawn.epoch") == lab.source.epoch
 

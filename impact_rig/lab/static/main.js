@@ -102,8 +102,7 @@ const SHOW = {
     showCurve();
   },
   dt: () => { showDt(); showCurve(); },
-  dt_b: () => showCurve(),
-  closed_form: () => showCurve(),
+  dt_b: () => showCurve(), closed_form: () => showCurve(), prediction: () => showCurve(),
   settling: () => showDt(),
   journal: (lines) => { showJournal(lines); if (now.playback) player.show(now.playback, lines, now.impact_marks); },
   sweep: (sweep) => setText("sweep-text", sweep.text || "not started"),
@@ -222,11 +221,12 @@ function showDt() {
     }));
   }
   setText("curve-note", settling.refusal && moving && changed ? `last window: ${settling.refusal}` :
-    rows.length ? "dashed: without sphere, closed form; grey: other gaps" : "No measurement yet: it appears when the response has settled.");
+    rows.length ? "grey points: other gaps" : "No measurement yet: it appears when the response has settled.");
 }
 
 function showCurve() {
-  curve.show(now.dt ?? [], now.closed_form ?? [], gapNow(), now.dt_b ?? []);
+  curve.show(now.dt ?? [], now.closed_form ?? [], now.prediction?.lines ?? [], gapNow(), now.dt_b ?? []);
+  setText("prediction-note", now.prediction?.words ?? "");
 }
 
 function showJournal(lines) {
