@@ -140,14 +140,16 @@ def _sweep(hands: Hands, values: Mapping[str, Any]) -> Steps:
         "frequencies_hz": list(values["frequencies"]),
         "direction": values["direction"],
         "current_a": hands.current_a or 0.52,
+        "hold": values["hold"],
+        **({"target": values["target"]} if values["hold"] in ("current", "base", "superior") else {}),
     }
     yield from hands.set_parameters(SWEEPER, plan)
-    attempts = 1 if was_there else ATTEMPTS
+    attempts = 1 if was_there and values["hold"] != "phase" else ATTEMPTS
     while True:
         attempts -= 1
         try:
             return str((yield from hands.trigger(f"{SWEEPER}/start")))
-        except Refused:  # a node that has just begun has not heard of the rig yet
+        except Refused:  # a node that has just begun has not heard of the rig yet, or of its scans
             if not attempts:
                 raise
         again = time.monotonic() + AGAIN_S
