@@ -80,7 +80,7 @@ export class CurveView {
     }
     const kinds = [["without sphere", "soft", 1, [], this.closed.length > 0],
       ["predicted", "drive", 1.6, [], this.predicted.some(([lasts]) => lasts)],
-      ["predicted, not stable", "drive", 1.6, [4, 3], this.predicted.some(([lasts]) => !lasts)]];
+      ["not stable", "drive", 1.6, [4, 3], this.predicted.some(([lasts]) => !lasts)]];
     g.font = `${10.5 * ratio}px system-ui`;
     [g.textBaseline, g.textAlign] = ["middle", "left"];
     kinds.filter((kind) => kind[4]).forEach(([words, ink, wide, dash], row) => {
