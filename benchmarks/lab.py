@@ -7,7 +7,8 @@
 """What the live page costs: 50 kS/s in real time with one Chromium and two socket clients, one of them stalled.
 
 The load of the rig is measured in turns, with and without pages, and compared by the median of pairs. `SECONDS` sets
-how long a turn is, `PAIRS` how many there are, `MEMORY_S` how long the memory of the lab process is watched.
+how long a turn is, `PAIRS` how many there are, `MEMORY_S` how long the memory of the lab process is watched. Whatever
+is waited for has a limit, and each step is told: six minutes by default, and what hangs is named.
 """
 
 from __future__ import annotations
@@ -34,11 +35,21 @@ from kits.browser import Browser  # noqa: E402
 
 from benchmarks.live import FREEWHEEL_WINDOW, _cpu_s, _graph  # noqa: E402
 from impact_rig.client import Client, Processes  # noqa: E402
+from impact_rig.errors import ImpactRigError  # noqa: E402
 
 RATE_HZ = 50_000
 NODES = ("rig", "analysis", "recorder")
 DRIVE = {"drive.amplitude": 0.52, "barriers.gap_m": 0.006}
 TRACE = 3
+LONGEST_S = 3600.0
+"""A socket client lives no longer, whatever happens."""
+PATIENCE_S = 60.0
+"""How long one step may take that is not measured: a page that opens, a process that ends."""
+
+
+def tell(text: str) -> None:
+    """Say what is done now."""
+    print(f"lab: {text}", flush=True)  # a command line tool talks
 
 
 def run() -> dict[str, float]:
@@ -53,17 +64,21 @@ def _live(seconds: float, pairs: int) -> dict[str, float]:
         browser = Browser()
         try:
             extra, drawn, script, shares = [], [], [], []
-            for _ in range(pairs):
+            for turn in range(pairs):
+                tell(f"50 kS/s, pair {turn + 1} of {pairs}: without a page")
                 without = _share(processes.running["rig"].pid, client, seconds)
                 with _pages(browser, address) as page:
                     client.spin_for(2.0)
+                    tell("the same with a page and two sockets")
                     page.js("window.costs = []; window.lab.onDrawn = ms => window.costs.push(ms);")
                     before, lab_before, began = page.js("lab.drawn.pictures"), _cpu_s(lab.pid), time.monotonic()
                     extra.append(_share(processes.running["rig"].pid, client, seconds) - without)
                     wall = time.monotonic() - began
                     drawn.append((page.js("lab.drawn.pictures") - before) / wall)
                     shares.append(100.0 * (_cpu_s(lab.pid) - lab_before) / wall)
+                    tell(f"{drawn[-1]:.1f} pictures/s, lab {shares[-1]:.1f} %, rig {extra[-1]:+.2f} points")
                     script.append(page.js("costs.sort((a, b) => a - b)[Math.floor(costs.length * 0.5)]"))
+            tell("memory of the lab's process")
             grown = _memory(browser, address, lab, client)
             lost = float(client.figures("analysis").get("lost_scans", "nan")) / (RATE_HZ // 100)
             figures = client.figures("rig")
@@ -89,7 +104,8 @@ def _freewheel(seconds: float, pairs: int) -> dict[str, float]:
         browser = Browser()
         try:
             ratios, speeds = [], []
-            for _ in range(pairs):
+            for turn in range(pairs):
+                tell(f"freewheel, pair {turn + 1} of {pairs}: without a page, then with one")
                 without = _speed(client, seconds)
                 with _pages(browser, address, sockets=0):
                     client.spin_for(2.0)
@@ -114,12 +130,20 @@ def _lab(processes: Processes, directory: Path) -> Iterator[tuple[str, subproces
             [*command, "--attach", "/", "--no-browser", "--port", "0"], stdout=output, stderr=output, env=environment
         )
     try:
+        deadline = time.monotonic() + PATIENCE_S
         while not (found := [line for line in log.read_text().splitlines() if line.startswith("http")]):
+            if lab.poll() is not None or time.monotonic() > deadline:
+                raise ImpactRigError(f"the lab has not begun (exit code {lab.poll()}): {log.read_text()[-2000:]}")
             time.sleep(0.05)
         yield found[0], lab
     finally:
         lab.terminate()
-        lab.wait()
+        try:
+            lab.wait(PATIENCE_S)
+        except subprocess.TimeoutExpired:
+            tell("the lab did not end when it was told to: killed")
+            lab.kill()
+            lab.wait()
 
 
 @contextmanager
@@ -128,8 +152,11 @@ def _pages(browser: Browser, address: str, sockets: int = 2) -> Iterator[object]
     page = browser.page(1280, 800)
     page.goto(address)
     page.wait("window.lab && lab.drawn.pictures > 5", "traces")
-    end = threading.Event()
-    threads = [threading.Thread(target=_client, args=(address, number > 0, end)) for number in range(sockets)]
+    end, troubles = threading.Event(), list[str]()
+    threads = [
+        threading.Thread(target=_client, args=(address, number > 0, end, troubles), daemon=True)
+        for number in range(sockets)
+    ]
     for thread in threads:
         thread.start()
     try:
@@ -137,11 +164,13 @@ def _pages(browser: Browser, address: str, sockets: int = 2) -> Iterator[object]
     finally:
         end.set()
         for thread in threads:
-            thread.join()
+            thread.join(PATIENCE_S)
         page.close()
+    if troubles or any(thread.is_alive() for thread in threads):
+        raise ImpactRigError(f"a socket client failed, or did not end: {'; '.join(troubles) or 'still talking'}")
 
 
-def _client(address: str, draws: bool, end: threading.Event) -> None:
+def _client(address: str, draws: bool, end: threading.Event, troubles: list[str]) -> None:
     base, _, token = address.partition("/?token=")
 
     async def talk() -> None:
@@ -151,13 +180,18 @@ def _client(address: str, draws: bool, end: threading.Event) -> None:
                 if not draws:
                     await asyncio.sleep(0.1)  # reads nothing at all
                     continue
-                message = await asyncio.wait_for(socket.receive(), 5.0)
+                message = await asyncio.wait_for(socket.receive(), PATIENCE_S)
+                if message.type is not aiohttp.WSMsgType.BINARY:
+                    raise ImpactRigError(f"the lab has closed a socket that draws: {message}")
                 if message.data[0] == TRACE:
                     frame = struct.unpack_from("<I", message.data, 4)[0]
                     await socket.send_str(json.dumps({"do": "ack", "frame": frame}))
             await socket.close()
 
-    asyncio.run(talk())
+    try:
+        asyncio.run(asyncio.wait_for(talk(), LONGEST_S))
+    except Exception as error:  # told to who waits for the threads
+        troubles.append(f"{'drawing' if draws else 'stalled'}: {type(error).__name__} {error}")
 
 
 def _share(pid: int, client: Client, seconds: float) -> float:

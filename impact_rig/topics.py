@@ -183,6 +183,13 @@ HELD = _table(
     blocks.HELD_COLUMNS,
     "The controlled sine so far, one row per measurement, where an amplitude is held; stamp = its begin.",
 )
+LOCKED = _table(
+    "transmissibility/locked",
+    Qos.DATA,
+    "stepped_sine",
+    blocks.PHASE_LOCK_COLUMNS,
+    "One look of the phase lock, where the phase is held; stamp = its begin.",
+)
 IMPACTS = _table(
     "impacts", Qos.DATA, "analysis", blocks.DETECTED_IMPACTS_COLUMNS, "Impacts detected from the accelerometer alone."
 )
@@ -339,6 +346,7 @@ TOPICS = (
     ANALYSIS_SETTINGS,
     CURVE,
     HELD,
+    LOCKED,
     IMPACTS,
     PLOT_TRANSMISSIBILITY,
     PLOT_DRIVE,

@@ -44,7 +44,7 @@ def rights() -> dict[str, Rights]:
         isolated_domain() as domain_id,
         Client(domain_id, namespace=NAMESPACE, name="operator") as client,
     ):
-        own = {"rig": ("time.mode", "stepped"), "recorder": ("directory", folder)}
+        own = {"rig": ("time.mode", "stepped"), "recorder": ("directory", folder), "stepped_sine": ("hold", "phase")}
         for node, make_node in NODES.items():
             overrides = [Parameter(own[node][0], value=own[node][1])] if node in own else []
             client.host(make_node, parameter_overrides=overrides)

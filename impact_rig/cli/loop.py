@@ -35,7 +35,7 @@ from impact_rig.operate.plan import Direction
 from impact_rig.operate.stepped_sine import State
 from impact_rig.rig.config import RigConfig, from_flat, load, to_flat
 from impact_rig.simtime import NS_PER_S
-from impact_rig.studies.closed_loop import ProcessLoop, hold
+from impact_rig.studies.closed_loop import Held, ProcessLoop, hold
 from impact_rig.system import files
 
 SHOWN = 12
@@ -64,10 +64,13 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
     locking.add_argument("--dwell", type=float, default=30.0, metavar="S", help="rig time locked")
     climbing = kinds.add_parser("backbone", help="lock, and step the current up and down")
     climbing.add_argument("--currents", type=float, nargs="+", required=True, metavar="A", help="ascending")
+    for one in (holding, locking, climbing):
+        one.add_argument(
+            "--through", choices=("process", "ros"), default="process", help="a rig in this process, or behind topics"
+        )
     for one in (locking, climbing):
         one.add_argument("--start", type=float, default=9.0, metavar="HZ", help="where the search begins")
         one.add_argument("--reference", choices=[*Reference], default=Reference.BASE)
-        one.add_argument("--through", choices=("process", "ros"), default="process")
     for one in (holding, locking):
         one.add_argument("--current", type=float, default=CURRENT_A, metavar="A", help="peak; to begin with, for hold")
     for one in (holding, locking, climbing):
@@ -115,7 +118,8 @@ def _hold(arguments: argparse.Namespace, config: RigConfig, gap: float, console:
         repetitions=arguments.measurements,
         traces=False,
     )
-    found = hold(job, HoldPlan(hold=arguments.what, target=arguments.target, tolerance=arguments.tolerance))
+    plan = HoldPlan(hold=arguments.what, target=arguments.target, tolerance=arguments.tolerance)
+    found = _held(arguments.through, job, plan)
     table = TextTable(title=f"{arguments.what} held at {arguments.target:g}")
     for heading in ("f [Hz]", "DT", "± 2u", "base [µm]", "superior [mm]", "current [A]", "error [%]", "", "regime"):
         table.add_column(heading, justify="right")
@@ -133,6 +137,15 @@ def _hold(arguments: argparse.Namespace, config: RigConfig, gap: float, console:
     if found.failure:
         console.print(f"ended early: {found.failure}")
     return 1 if found.failure or not np.all(found.rows["held"] == 1.0) else 0
+
+
+def _held(way: str, job: Job, plan: HoldPlan) -> Held:
+    if way == "process":
+        return hold(job, plan)
+    from impact_rig.client.closed_loop import stepped_hold  # noqa: PLC0415  # needs rclpy
+
+    with tempfile.TemporaryDirectory(prefix="impact_rig_loop_") as logs:
+        return stepped_hold(Path(logs), job, plan)
 
 
 def _lock(arguments: argparse.Namespace, config: RigConfig, _gap: float, console: Console) -> int:

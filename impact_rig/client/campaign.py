@@ -38,15 +38,29 @@ def stepped_runner(directory: Path, *, record: bool = False) -> Runner:
 
     def run(jobs: Sequence[Job]) -> Generator[tuple[Job, Outcome], None, None]:
         # rate and block length of a rig node are fixed at its start
-        for (rate, scans), group in itertools.groupby(sorted(jobs, key=_fixed), key=_fixed):
-            peers = ["analysis", "recorder"] if record else ["analysis"]
-            parameters: dict[str, ParameterValue] = {
-                "time.mode": "stepped", "time.peers": peers, "daq.rate_hz": rate, "daq.block_scans": scans,
-            }  # fmt: skip
-            with _graph(directory, parameters, directory / "runs" if record else None) as client:
-                yield from _run_all(list(group), SteppedApparatus(client, record=record), _file_name)
+        for fixed, group in itertools.groupby(sorted(jobs, key=_fixed), key=_fixed):
+            with stepped(directory, *fixed, record=record) as apparatus:
+                yield from _run_all(list(group), apparatus, _file_name)
 
     return run
+
+
+@contextlib.contextmanager
+def stepped(directory: Path, rate_hz: int, block_scans: int, *, record: bool = False) -> Iterator[SteppedApparatus]:
+    """Start the nodes, and give what steps them through jobs.
+
+    Args:
+        directory: processes log into its `logs`, runs are recorded in its `runs`.
+        rate_hz: of every job's scans.
+        block_scans: of every job's blocks.
+        record: record every job.
+    """
+    parameters: dict[str, ParameterValue] = {
+        "time.mode": "stepped", "time.peers": ["analysis", "recorder"] if record else ["analysis"],
+        "daq.rate_hz": rate_hz, "daq.block_scans": block_scans,
+    }  # fmt: skip
+    with _graph(directory, parameters, directory / "runs" if record else None) as client:
+        yield SteppedApparatus(client, record=record)
 
 
 def _fixed(job: Job) -> tuple[int, int]:

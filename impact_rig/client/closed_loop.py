@@ -4,7 +4,7 @@
 # applicable law or agreed to in writing, software distributed under the License is distributed on an "AS IS" BASIS,
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific language
 # governing permissions and limitations under the License.
-"""A rig behind topics, stepped, as the apparatus of a phase lock: the bits are those of a rig in this process."""
+"""A rig behind topics, stepped, for held amplitudes and phase locks: the bits are those of a rig in this process."""
 
 from __future__ import annotations
 
@@ -13,16 +13,19 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from impact_rig import topics
+from impact_rig.campaign.job import Job
+from impact_rig.client.campaign import stepped
 from impact_rig.client.client import Client
 from impact_rig.client.domain import isolated_domain
 from impact_rig.client.processes import ParameterValue, Processes
 from impact_rig.errors import ImpactRigError
+from impact_rig.operate.controlled_sine import HoldPlan
 from impact_rig.operate.phasors import Look, PhasorMeter
 from impact_rig.operate.plan import Setpoint
 from impact_rig.rig import Kind
 from impact_rig.rig.config import RigConfig, from_flat, to_flat
 from impact_rig.simtime import NS_PER_S
-from impact_rig.studies.closed_loop import with_short_blocks
+from impact_rig.studies.closed_loop import Held, hold, with_short_blocks
 
 
 class SteppedLoop:
@@ -84,6 +87,17 @@ class SteppedLoop:
         rows = self._journal.rows()
         trips = rows[rows["kind"] == Kind.TRIP.value.encode()]
         return f"the rig tripped: {trips[0]['key'].decode()}" if len(trips) else None
+
+
+def stepped_hold(directory: Path, job: Job, plan: HoldPlan) -> Held:
+    """Walk through a job's points with an amplitude held, behind topics; the processes log into `directory`.
+
+    Raises:
+        ImpactRigError: the rig refused, or this machine is too busy to step by.
+    """
+    daq = job.config().daq
+    with stepped(directory, daq.rate_hz, daq.block_scans) as apparatus:
+        return hold(job, plan, apparatus.prepare(job, ""))
 
 
 @contextlib.contextmanager

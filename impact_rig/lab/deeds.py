@@ -17,6 +17,7 @@ from impact_rig import topics
 from impact_rig.instruments.fault_kinds import FAULT_KINDS
 from impact_rig.lab.protocol import Request
 from impact_rig.lab.tasks import Refused, Steps, Waiting
+from impact_rig.lab.theory import DECIDING
 
 ANSWER_S = 30.0
 """A busy machine answers late: the knob stays pending until then."""
@@ -32,6 +33,8 @@ KNOBS = (
     "structure.natural_frequency_hz", "structure.damping_ratio", "time.mode", "time.factor", "drive.kind", PLANNED,
 )  # fmt: skip
 """Parameters of the rig that the page shows."""
+READ = (*KNOBS, *sorted(set(DECIDING) - set(KNOBS)))
+"""Those that are read for it: these, and what theory needs."""
 SHAKER = {"frequency": topics.FREQUENCY.name, "current": topics.CURRENT.name}
 RIG_KEYS = {"start": "sphere.start", "law": "contact.law", "restitution": "contact.restitution"}
 Answer = Generator[Waiting, Any, Any]
@@ -143,14 +146,16 @@ def _sweep(hands: Hands, values: Mapping[str, Any]) -> Steps:
         "frequencies_hz": list(values["frequencies"]),
         "direction": values["direction"],
         "current_a": hands.current_a or 0.52,
+        "hold": values["hold"],
+        **({"target": values["target"]} if values["hold"] in ("current", "base", "superior") else {}),
     }
     yield from hands.set_parameters(SWEEPER, plan)
-    attempts = 1 if was_there else ATTEMPTS
+    attempts = 1 if was_there and values["hold"] != "phase" else ATTEMPTS
     while True:
         attempts -= 1
         try:
             return str((yield from hands.trigger(f"{SWEEPER}/start")))
-        except Refused:  # a node that has just begun has not heard of the rig yet
+        except Refused:  # a node that has just begun has not heard of the rig yet, or of its scans
             if not attempts:
                 raise
         again = time.monotonic() + AGAIN_S

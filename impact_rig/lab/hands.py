@@ -19,7 +19,7 @@ from std_srvs.srv import SetBool, Trigger
 from impact_rig import topics
 from impact_rig.client.parameters import ros_parameters
 from impact_rig.lab import deeds, parts
-from impact_rig.lab.deeds import ANSWER_S, KNOBS
+from impact_rig.lab.deeds import ANSWER_S, READ
 from impact_rig.lab.parts import figure
 from impact_rig.lab.tasks import Refused, Waiting
 from impact_rig.nodes import messages
@@ -103,12 +103,13 @@ class Hands:
 
     def refresh(self) -> deeds.Answer:
         """Read the knobs again."""
-        response = yield from self._call(GetParameters, "rig/get_parameters", GetParameters.Request(names=list(KNOBS)))
-        if len(response.values) == len(KNOBS):
+        request = GetParameters.Request(names=list(READ))
+        response = yield from self._call(GetParameters, "rig/get_parameters", request)
+        if len(response.values) == len(READ):
             values = [parameter_value_to_python(value) for value in response.values]
             self._source.knobs = {
                 name: value if isinstance(value, bool | int | float | str) else list(value or ())
-                for name, value in zip(KNOBS, values, strict=True)
+                for name, value in zip(READ, values, strict=True)
             }
             self._source.snapshot.put("closed_form", parts.closed_form(self._source.knobs))
             self._source.tell()

@@ -33,6 +33,7 @@ from impact_rig.lab.protocol import Request
 from impact_rig.lab.scope import Scope
 from impact_rig.lab.source import Answer, Snapshot, be_gentle
 from impact_rig.lab.tasks import Steps, Tasks
+from impact_rig.lab.theory import Theory
 from impact_rig.topics import SCAN
 
 LOOK_S = 0.02
@@ -86,6 +87,7 @@ class LiveSource:
         self._read = -1
         self._failures: dict[str, str] = {}
         self._rate = (0.0, 0.0, 0.0)  # wall, rig time, ratio
+        self._theory = Theory(lambda found: self.snapshot.put("prediction", found))
         self._heard_at: dict[str, tuple[int, float]] = {}
         self.wanted_namespace: str | None = None
         self._thread = threading.Thread(target=self._run, name="lab-hub", daemon=True)
@@ -138,6 +140,7 @@ class LiveSource:
         """End, and leave the graph."""
         self._end.set()
         self._thread.join()
+        self._theory.close()
         self._starter.shutdown()
 
     def __enter__(self) -> LiveSource:
@@ -294,6 +297,8 @@ class LiveSource:
         if ears.applied:
             put("applied", ears.applied[-1])
         put("knobs", {name: self.knobs.get(name) for name in KNOBS} if self.knobs else None)
+        if self.knobs and ears.applied and self._watchers:
+            self._theory.want(self.knobs, ears.applied[-1]["current"])
         put("dt", ears.curve.part(ears.start_ns))
         put("journal", ears.ledger.part(ears.start_ns))
         put("settling", self._settling(word, ears.curve.refusal))

@@ -16,11 +16,13 @@ from pathlib import Path
 from typing import Any  # values of parameters
 
 from impact_rig.lab import parts
+from impact_rig.lab.deeds import KNOBS
 from impact_rig.lab.motion import Motion
 from impact_rig.lab.protocol import Request
 from impact_rig.lab.reel import Reel
 from impact_rig.lab.scope import Scope
 from impact_rig.lab.source import Answer, Snapshot
+from impact_rig.lab.theory import Theory
 from impact_rig.simtime import NS_PER_S
 
 TICK_S = 0.025
@@ -55,6 +57,7 @@ class PlaybackSource:
         self._end = threading.Event()
         self._thread = threading.Thread(target=self._run, name="lab-playback", daemon=True)
         self._watchers = 0
+        self._theory = Theory(lambda found: self.snapshot.put("prediction", found))
         self._begin_s = min(reel.begin_s for reel in self._reels)
         self._end_s = max(reel.end_s for reel in self._reels)
         self.snapshot.put("mode", "playback")
@@ -95,6 +98,7 @@ class PlaybackSource:
         self._end.set()
         if self._thread.is_alive():
             self._thread.join()
+        self._theory.close()
         for reel in self._reels:
             reel.close()
 
@@ -188,7 +192,9 @@ class PlaybackSource:
             "speed": self._speed if self._playing else 0.0, "mode": "playback", "own": False, "over": {},
         })  # fmt: skip
         put("applied", applied)
-        put("knobs", knobs)
+        put("knobs", {name: knobs.get(name) for name in KNOBS})
+        if self._watchers:
+            self._theory.want(knobs, applied["current"])
         at = reel.start_ns + round(self.now_s * NS_PER_S)
         for part, one in (("dt", self._reels[0]), ("dt_b", self._reels[-1])):
             if part == "dt" or len(self._reels) > 1:

@@ -149,7 +149,12 @@ REQUESTS: Mapping[str, Mapping[str, Check]] = {
     "pluck": {"value": _ANY},
     "clear_trip": {},
     "pause": {"value": flag},
-    "sweep": {"frequencies": frequencies, "direction": word("up", "down", "up_down")},
+    "sweep": {
+        "frequencies": frequencies,
+        "direction": word("up", "down", "up_down"),
+        "hold": word("command", "current", "base", "superior", "phase"),
+        "target": _ANY,
+    },
     "sweep_stop": {},
     "fault": {"kind": text, "channel": text, "value": _ANY, "duration": _ANY, "rate": _ANY},
     "clear_faults": {},

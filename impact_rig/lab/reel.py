@@ -22,12 +22,13 @@ from numpy.typing import NDArray
 from impact_rig import codec, topics
 from impact_rig.blocks import Table
 from impact_rig.errors import CodecError, RecordingError
-from impact_rig.lab.deeds import KNOBS
+from impact_rig.lab.deeds import READ
 from impact_rig.lab.motion import Motion
 from impact_rig.lab.parts import Curve, Ledger, start_ns, text
 from impact_rig.lab.scope import LONGEST_S, Scope
 from impact_rig.recording import Message, Run, open_run
 from impact_rig.rig.config import RigConfig, to_flat
+from impact_rig.rig.journal import short_key
 from impact_rig.runs import recover
 from impact_rig.simtime import NS_PER_S
 
@@ -43,6 +44,7 @@ RARE = (
 MOST_FILLED = 250_000
 """Scans read before the instant that is jumped to."""
 BINS = 400
+_NAMES = {short_key(name): name for name in READ}
 
 
 class Reel:
@@ -211,10 +213,10 @@ class Reel:
             self._impacts += [begin + float(time) for time in table.rows["time"]]
 
     def knobs(self, time_s: float) -> dict[str, Any]:
-        """Return the recorded knobs at an instant, and the drive under `applied`."""
+        """Return the recorded parameters that are read at an instant, and the drive under `applied`."""
         at = self.start_ns + round(time_s * NS_PER_S)
         flat = to_flat(RigConfig())
-        initial = {name: list(v) if isinstance(v := flat[name], tuple) else v for name in KNOBS}
+        initial = {name: list(v) if isinstance(v := flat[name], tuple) else v for name in READ}
         found = dict(initial)
         latched = plucked = False
         for stamp, name, value in list(self._changes):
@@ -260,5 +262,5 @@ def _changes(table: Table) -> Iterator[tuple[int, str, Any]]:
             yield table.stamp_ns, "latched", ""
         elif kind == "pluck":
             yield table.stamp_ns, "plucked", True
-        elif kind in ("initial", "parameter", "more") and key in KNOBS:
-            yield table.stamp_ns, key, words or float(row["value"])
+        elif kind in ("initial", "parameter", "more") and key in _NAMES:
+            yield table.stamp_ns, _NAMES[key], words or float(row["value"])

@@ -14,6 +14,8 @@ from pathlib import Path
 
 import impact_rig
 from impact_rig import codec, topics
+from impact_rig.analysis.settings import TrackerSettings
+from impact_rig.analysis.tables import settings_table
 from impact_rig.analysis.tracker import Tracker
 from impact_rig.blocks import Table
 from impact_rig.lab.motion import encode_joint_state
@@ -32,6 +34,7 @@ TOPICS = (
     topics.IMPACTS_TRUTH.name,
     "impacts",
     topics.TRANSMISSIBILITY_TABLE.name,
+    topics.ANALYSIS_SETTINGS.name,
 )
 JOINTS, JOINT_STATE = topics.JOINT_STATES.name, "sensor_msgs/msg/JointState"
 GAP_M = 6e-3
@@ -41,11 +44,15 @@ def make(directory: Path) -> Path:
     """Return the sample's directory, made if there is none."""
     if directory.is_dir():
         try:
-            with open_run(directory):
-                return directory
+            with open_run(directory) as run:
+                whole = {f"/rig/{name}" for name in TOPICS} <= set(run.topics)
         except OSError:
-            shutil.rmtree(directory)
-    rig, tracker = Rig(RigConfig()), Tracker()
+            whole = False
+        if whole:
+            return directory
+        shutil.rmtree(directory)  # cut short, or of an earlier version
+    rig, settings = Rig(RigConfig()), TrackerSettings()
+    tracker = Tracker(settings)
     tracker.configure(rig.info())
     tracker.label(GAP_M, 0)
     provenance = Provenance(version=impact_rig.__version__, seed=RigConfig().daq.seed, wall_start_ns=time.time_ns())
@@ -59,7 +66,11 @@ def make(directory: Path) -> Path:
         writer.add_topic(
             TopicDescription(name=f"/rig/{JOINTS}", type_name=JOINT_STATE, schema=schema_text(JOINT_STATE))
         )
-        writer.write("/rig/daq/info", codec.encode(rig.info()), 0)
+        for name, table in (
+            (topics.INFO.name, rig.info()),
+            (topics.ANALYSIS_SETTINGS.name, settings_table(settings, GAP_M, 0)),
+        ):
+            writer.write(f"/rig/{name}", codec.encode(table), 0)
         for second in range(SECONDS):
             if second == 1:
                 rig.accept(frequency_hz=9.1, current_a=0.52)

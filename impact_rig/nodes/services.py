@@ -111,10 +111,11 @@ SERVICES = (
         "~/start",
         TRIGGER,
         "stepped_sine",
-        "Begin a sweep. Refused while one is under way, or while rig or analysis are not there.",
+        "Begin a sweep, or the search for a resonance. Refused while one is under way, or while rig or analysis are "
+        "not there.",
         frozenset({Situation.RUNNING}),
     ),
-    Input("~/stop", TRIGGER, "stepped_sine", "Abort the sweep, the shaker at rest.", _ANY),
+    Input("~/stop", TRIGGER, "stepped_sine", "Abort the sweep or the lock, the shaker at rest.", _ANY),
     Input("~/stop", TRIGGER, "recorder", "Finish the recording; answered with its directory.", _ANY),
 )
 """Every service besides those of ROS itself (parameters, lifecycle)."""

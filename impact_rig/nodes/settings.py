@@ -14,10 +14,13 @@ from impact_rig.analysis.settings import TrackerSettings
 from impact_rig.config.fields import Origin, choice, integer, quantities, quantity, switch, text
 from impact_rig.errors import ConfigError
 from impact_rig.operate.controlled_sine import ControlledSine, Hold, HoldPlan
+from impact_rig.operate.phase_lock import LockPlan, Reference
 from impact_rig.operate.plan import Direction, Plan
 from impact_rig.operate.stepped_sine import SteppedSine
 
 UNKNOWN_GAP = -1.0
+COMMAND, PHASE = "command", "phase"
+"""What stays constant besides the amplitudes of `Hold`."""
 
 
 @attrs.frozen(kw_only=True)
@@ -62,11 +65,16 @@ class SteppedSineSettings:
     keep_unsettled: bool = switch(True, "Take a response that does not settle in the analysis' bound.")
     hold: str = choice(
         "command",
-        ("command", *Hold),
-        "What stays constant: the commanded current, or a measured amplitude, for which the current is set anew.",
+        (COMMAND, *Hold, PHASE),
+        "What stays constant: the commanded current, a measured amplitude, for which the current is set anew, or the "
+        "phase at -90 degrees, for which the frequency is: sought from the first point on.",
     )
     target: float = quantity(
-        60e-6, "m or A", "Amplitude that is held, peak; of no meaning where hold is command.", above=0, at_most=1000
+        60e-6,
+        "m or A",
+        "Amplitude that is held, peak; of no meaning where hold is command or phase.",
+        above=0,
+        at_most=1000,
     )
     tolerance: float = quantity(2e-3, "-", "Relative error up to which it counts as held.", above=0, at_most=0.5)
     corrections: int = integer(8, "-", "Of the current per point, at most.", at_least=1, at_most=1000)
@@ -76,19 +84,33 @@ class SteppedSineSettings:
     superior_limit_m: float = quantity(
         0.05, "m", "A larger superior base aborts the sweep while an amplitude is held.", above=0, at_most=1
     )
+    reference: str = choice("base", tuple(Reference), "What the superior base's phase is held against.")
+    within_deg: float = quantity(
+        2.0, "deg", "Deviation of a second's mean phase up to which it counts as locked.", above=0, at_most=90
+    )
+    dwell_s: float = quantity(
+        30.0, "s", "Rig time to stay at the resonance, from the first lock on.", above=0, at_most=1e6
+    )
     begin: bool = switch(False, "Begin when the rig is there; otherwise with ~/start.", read_only=True)
     autostart: bool = switch(True, "Configure and activate by itself at start.", read_only=True)
 
     def __attrs_post_init__(self) -> None:
         self.plan()  # refuses frequencies given twice
+        if self.hold == PHASE:
+            self.lock_plan()  # refuses a beginning out of its range
 
     def plan(self) -> Plan:
         """Return the sweep."""
         return Plan(**{attribute.name: getattr(self, attribute.name) for attribute in attrs.fields(Plan)})
 
+    def lock_plan(self) -> LockPlan:
+        """Return the search, from the first point on, and what follows it."""
+        names = ("current_a", "reference", "within_deg", "dwell_s", "superior_limit_m")
+        return LockPlan(start_hz=self.plan().points()[0], **{name: getattr(self, name) for name in names})
+
     def sweep(self) -> SteppedSine:
         """Return what walks through it, with an amplitude held if that is asked for."""
-        if self.hold == "command":
+        if self.hold == COMMAND:
             return SteppedSine(self.plan())
         names = [attribute.name for attribute in attrs.fields(HoldPlan)]
         return ControlledSine(self.plan(), HoldPlan(**{name: getattr(self, name) for name in names}))

@@ -4,7 +4,7 @@
 # applicable law or agreed to in writing, software distributed under the License is distributed on an "AS IS" BASIS,
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific language
 # governing permissions and limitations under the License.
-"""A stepped-sine sweep through the topics: the operator's loop, fed by this node's callbacks; it is the apparatus."""
+"""A sweep or a phase lock through the topics: the operator's loop, fed by a node's callbacks; it is the apparatus."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import functools
 from collections.abc import Callable
 from typing import Any  # rclpy messages
 
-from std_msgs.msg import Float64
+from std_msgs.msg import Float64, Header
 from std_srvs.srv import Trigger
 
 from impact_rig import codec, topics
@@ -22,9 +22,11 @@ from impact_rig.nodes import process
 from impact_rig.nodes.diagnostics import Health, Level
 from impact_rig.nodes.managed import ManagedNode
 from impact_rig.nodes.parameters import SectionSchema
-from impact_rig.nodes.settings import SteppedSineSettings
+from impact_rig.nodes.settings import PHASE, SteppedSineSettings
+from impact_rig.nodes.stamps import time_message
 from impact_rig.nodes.topics import MONITORS
 from impact_rig.operate.controlled_sine import ControlledSine
+from impact_rig.operate.locked_sine import LockedSine
 from impact_rig.operate.operator import Applied, News, Operator
 from impact_rig.operate.plan import Setpoint
 from impact_rig.operate.stepped_sine import State, SteppedSine
@@ -36,8 +38,13 @@ STOPPING = {b"trip": "tripped", b"stop": "was stopped", b"timeout": "missed comm
 """Kinds of journal entries that end a sweep, and what the rig did then."""
 
 
+Walk = SteppedSine | LockedSine
+
+
 class SteppedSineNode(ManagedNode[SteppedSineSettings]):
-    """Sets one frequency after the other, waits for the analysis, and publishes the curve.
+    """Sets one frequency after the other, waits for the analysis, and publishes the curve; or locks on a resonance.
+
+    Where the phase is held it looks at the scans itself, and acknowledges them, so that it can be a peer.
 
     Args:
         kwargs: passed to rclpy's Node.
@@ -47,12 +54,15 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("stepped_sine", SectionSchema(SteppedSineSettings), **kwargs)
-        self._operator: Operator | None = None
+        self._operator: Operator[Walk] | None = None
         self._outlets: dict[str, Any] = {}
         self._inlets: list[Any] = []
         self._timer: Any = None
         self._pending = False  # wanted, but the rig is not there yet
         self._now_ns: int | None = None
+        self._info: Table | None = None
+        self._scans: Any = None  # subscription, while the phase is what is held
+        self._scans_heard = False
         self._began_ns = 0
         self.service(Trigger, "~/start", self._on_start)
         self.service(Trigger, "~/stop", self._on_stop)
@@ -63,7 +73,7 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
 
     def configure(self) -> None:
         """Create the publishers."""
-        chosen = (topics.FREQUENCY, topics.CURRENT, topics.CURVE, topics.HELD)
+        chosen = (topics.FREQUENCY, topics.CURRENT, topics.CURVE, topics.HELD, topics.LOCKED, topics.ACK)
         self._outlets = {topic.name: self.publisher(topic) for topic in chosen}
 
     def activate(self) -> None:
@@ -74,7 +84,9 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
             self._table(topics.APPLIED, self._on_applied),
             self._table(topics.JOURNAL, self._on_journal),
             self._table(topics.TRANSMISSIBILITY_TABLE, self._on_measurement),
+            self.subscribe(topics.INFO, self._on_info, raw=True),
         ]
+        self._listen()
         self._timer = self.steady_timer(WATCH_S, self._begin_when_ready)
 
     def deactivate(self) -> None:
@@ -84,9 +96,9 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
         if self._timer is not None:
             self.destroy_timer(self._timer)
             self._timer = None
-        for inlet in self._inlets:
+        for inlet in [*self._inlets, *([self._scans] if self._scans is not None else [])]:
             self.destroy_subscription(inlet)
-        self._inlets = []
+        self._inlets, self._scans, self._info = [], None, None
 
     def cleanup(self) -> None:
         """Destroy the publishers."""
@@ -101,6 +113,20 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
         if self._running:
             raise ConfigError(f"{', '.join(sorted(changes))}: a sweep is under way, call ~/stop first")
 
+    def settings_in_force(self) -> None:
+        """Listen to the scans where the phase is held, and to none otherwise."""
+        if self.active:
+            self._listen()
+
+    def _listen(self) -> None:
+        wanted = self.settings.hold == PHASE
+        if wanted and self._scans is None:
+            self._scans_heard = False
+            self._scans = self.subscribe(topics.SCAN, self._on_scan, raw=True)
+        elif not wanted and self._scans is not None:
+            self.destroy_subscription(self._scans)
+            self._scans = None
+
     def rig_time_ns(self) -> int:
         """Return the newest instant heard of; 0 (a stamp nobody filled in) before the first."""
         return self._now_ns or 0
@@ -114,15 +140,9 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
         if self._operator is None:
             return Health(Level.OK, "idle", {})
         sweep = self._operator.sweep
-        done, count = sweep.progress
-        values = {"points_done": done, "points": count, "frequency_hz": sweep.frequency_hz, "skipped": sweep.skipped}
-        match sweep.state:
-            case State.RUNNING:
-                return Health(Level.OK, f"point {done + 1} of {count}: {sweep.frequency_hz:g} Hz", values)
-            case State.ABORTED:
-                return Health(Level.ERROR, f"aborted: {sweep.reason}", values)
-            case _:
-                return Health(Level.OK, f"finished, {count} points", values)
+        if sweep.state is State.ABORTED:
+            return Health(Level.ERROR, f"aborted: {sweep.reason}", sweep.figures())
+        return Health(Level.OK, sweep.describe(), sweep.figures())
 
     # Start and stop
 
@@ -136,7 +156,7 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
             response.message = missing
         else:
             self._begin()
-            response.success, response.message = True, f"{len(self.settings.plan().points())} points"
+            response.success, response.message = True, self._announced()
         return response
 
     def _on_stop(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
@@ -148,6 +168,12 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
             response.message = "no sweep is under way"
         return response
 
+    def _announced(self) -> str:
+        points = self.settings.plan().points()
+        return (
+            f"the resonance is sought from {points[0]:g} Hz" if self.settings.hold == PHASE else f"{len(points)} points"
+        )
+
     @property
     def _running(self) -> bool:
         return self._operator is not None and self._operator.busy
@@ -156,7 +182,10 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
         """Return who is not there yet; empty when a sweep can begin."""
         if any(not self._outlets[topic.name].get_subscription_count() for topic in (topics.FREQUENCY, topics.CURRENT)):
             return "no rig listens to the shaker's topics"
-        if not self.count_publishers(topics.TRANSMISSIBILITY_TABLE.name):
+        if self.settings.hold == PHASE:
+            if self._info is None or not self._scans_heard:
+                return f"nothing was heard on {topics.SCAN.name if self._info is not None else topics.INFO.name} yet"
+        elif not self.count_publishers(topics.TRANSMISSIBILITY_TABLE.name):
             return f"nobody publishes {topics.TRANSMISSIBILITY_TABLE.name}"
         return "" if self._now_ns is not None else "nothing was heard of the rig yet"
 
@@ -167,8 +196,15 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
     def _begin(self) -> None:
         self._pending = False
         self._began_ns = self.now_ns()
-        self._operator = Operator(self.settings.sweep(), self, self._publish_curve)
+        self._operator = Operator(self._walk(), self, self._publish_curve)
         self._operator.begin()
+
+    def _walk(self) -> Walk:
+        settings = self.settings
+        if settings.hold != PHASE:
+            return settings.sweep()
+        assert self._info is not None
+        return LockedSine(settings.lock_plan(), self._info.rows, settings.accept_limit_s)
 
     # What the operator's loop asks of an apparatus
 
@@ -189,9 +225,13 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
         if sweep.state is State.ABORTED:
             self.get_logger().error(f"sweep aborted: {sweep.reason}")
         else:
-            self.get_logger().info(f"sweep finished: {len(sweep.rows)} measurements")
+            self.get_logger().info(f"sweep finished: {sweep.measured} measurements")
 
-    def _publish_curve(self, sweep: SteppedSine) -> None:
+    def _publish_curve(self, sweep: Walk) -> None:
+        if isinstance(sweep, LockedSine):
+            if sweep.measured:
+                self._outlets[topics.LOCKED.name].publish(codec.encode(Table(self._began_ns, sweep.newest)))
+            return
         if sweep.measured:
             self._outlets[topics.CURVE.name].publish(codec.encode(Table(self._began_ns, sweep.rows)))
         if sweep.measured and isinstance(sweep, ControlledSine):
@@ -199,22 +239,42 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
 
     # Messages
 
-    def _table(self, topic: topics.Topic, callback: Callable[[Operator, Table], None]) -> Any:
+    def _table(self, topic: topics.Topic, callback: Callable[[Operator[Walk], Table], None]) -> Any:
         """Subscribe to a table topic; `callback` gets the operator, and tables newer than the sweep's begin."""
         return self.subscribe(topic, functools.partial(self._on_table, topic, callback), raw=True)
 
-    def _on_table(self, topic: topics.Topic, callback: Callable[[Operator, Table], None], data: bytes) -> None:
+    def _on_table(self, topic: topics.Topic, callback: Callable[[Operator[Walk], Table], None], data: bytes) -> None:
+        table, operator = self._decoded(topic, data), self._operator
+        if table is not None and operator is not None and operator.busy and table.stamp_ns >= self._began_ns:
+            callback(operator, table)
+
+    def _decoded(self, topic: topics.Topic, data: bytes) -> Table | None:
         try:
             table = codec.decode(data)
         except CodecError as error:
             self.refuse(topic.name, str(error))
-            return
+            return None
         assert topic.columns is not None
         missing = set(topic.columns.names or ()) - set(table.rows.dtype.names or ())
         if missing:
             self.refuse(topic.name, f"columns missing: {', '.join(sorted(missing))}")
-        elif self._operator is not None and self._operator.busy and table.stamp_ns >= self._began_ns:
-            callback(self._operator, table)
+            return None
+        return table
+
+    def _on_info(self, data: bytes) -> None:
+        self._info = self._decoded(topics.INFO, data) or self._info
+
+    def _on_scan(self, data: bytes) -> None:
+        table = self._decoded(topics.SCAN, data)
+        if table is None:
+            return
+        self._scans_heard = True
+        try:
+            if self._operator is not None:
+                self._operator.hear(News(now_ns=self.now_ns(), scans=[table]))
+        finally:  # a rig that waits for us must not be held up
+            stamp = Header(stamp=time_message(table.stamp_ns), frame_id=self.get_name())
+            self._outlets[topics.ACK.name].publish(stamp)
 
     def _on_time(self, data: bytes) -> None:
         try:
@@ -225,16 +285,16 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
         if self._operator is not None:
             self._operator.hear(News(now_ns=self._now_ns))
 
-    def _on_applied(self, operator: Operator, table: Table) -> None:
+    def _on_applied(self, operator: Operator[Walk], table: Table) -> None:
         operator.hear(News(now_ns=self.now_ns(), applied=Applied.of(table)))
 
-    def _on_journal(self, operator: Operator, table: Table) -> None:
+    def _on_journal(self, operator: Operator[Walk], table: Table) -> None:
         for row in table.rows:
             if bytes(row["kind"]) in STOPPING:
                 cause = f" ({bytes(row['key']).decode(errors='replace')})" if row["key"] else ""
                 operator.abort(f"the rig {STOPPING[bytes(row['kind'])]}{cause}")
 
-    def _on_measurement(self, operator: Operator, table: Table) -> None:
+    def _on_measurement(self, operator: Operator[Walk], table: Table) -> None:
         operator.hear(News(now_ns=table.stamp_ns, rows=table.rows))
 
 

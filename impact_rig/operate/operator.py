@@ -14,7 +14,7 @@ analysis.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from typing import Protocol
+from typing import Generic, Protocol, TypeVar
 
 import attrs
 import numpy as np
@@ -60,13 +60,48 @@ class News:
         now_ns: rig time.
         applied: accepted changes of the drive.
         rows: measurements, rows of `transmissibility/table`.
+        scans: blocks of `daq/scan`, where somebody looks at them.
         stopped: why the rig goes on no more, or None.
     """
 
     now_ns: int
     applied: Sequence[Applied] = ()
     rows: Iterable[np.void] = ()
+    scans: Iterable[Table] = ()
     stopped: str | None = None
+
+
+class Walk(Protocol):
+    """What an operator walks through: a sweep, or the lock on a resonance; it answers news with the next setpoint."""
+
+    @property
+    def state(self) -> State:
+        """Where it stands."""
+
+    @property
+    def measured(self) -> int:
+        """How much was measured so far."""
+
+    def start(self, now_ns: int) -> Setpoint:
+        """Begin."""
+
+    def on_applied(self, frequency_hz: float, current_a: float, now_ns: int) -> Setpoint | None:
+        """Take an accepted change of the drive."""
+
+    def on_measurement(self, row: np.void, now_ns: int) -> Setpoint | None:
+        """Take a row of `transmissibility/table`."""
+
+    def on_scans(self, table: Table) -> Setpoint | None:
+        """Take a block of `daq/scan`."""
+
+    def on_time(self, now_ns: int) -> Setpoint | None:
+        """Take the rig time."""
+
+    def abort(self, reason: str) -> Setpoint | None:
+        """End what is under way."""
+
+
+W = TypeVar("W", bound=Walk)
 
 
 class Apparatus(Protocol):
@@ -97,8 +132,8 @@ class PatientApparatus(Apparatus, Protocol):
         ...
 
 
-class Operator:
-    """Walks an apparatus through a sweep.
+class Operator(Generic[W]):
+    """Walks an apparatus through a sweep, or a lock.
 
     Args:
         sweep: decides what comes next, and keeps what was measured.
@@ -106,7 +141,7 @@ class Operator:
         note: told when it begins and of every measurement.
     """
 
-    def __init__(self, sweep: SteppedSine, apparatus: Apparatus, note: Note) -> None:
+    def __init__(self, sweep: W, apparatus: Apparatus, note: Callable[[W], None]) -> None:
         self.sweep = sweep
         self._apparatus = apparatus
         self._note = note
@@ -128,6 +163,8 @@ class Operator:
             self._follow(sweep.on_applied(applied.setpoint.frequency_hz, applied.setpoint.current_a, applied.at_ns))
         for row in news.rows:
             self._follow(sweep.on_measurement(row, news.now_ns))
+        for table in news.scans:
+            self._follow(sweep.on_scans(table))
         if sweep.measured > measured:
             self._note(sweep)
         if news.stopped is not None:

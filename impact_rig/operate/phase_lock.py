@@ -151,6 +151,11 @@ class PhaseLock:
         return np.array(self._rows, PHASE_LOCK)
 
     @property
+    def newest(self) -> NDArray[np.void]:
+        """The last look, shape (1,); (0,) before the first."""
+        return np.array(self._rows[-1:], PHASE_LOCK)
+
+    @property
     def locked(self) -> bool:
         """Whether the phase is held now."""
         return self.state is State.RUNNING and self.stage is Stage.LOCKED

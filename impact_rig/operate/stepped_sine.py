@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig.analysis.words import Status
-from impact_rig.blocks import TRANSMISSIBILITY
+from impact_rig.blocks import TRANSMISSIBILITY, Table
 from impact_rig.operate.plan import Plan, Setpoint
 from impact_rig.simtime import NS_PER_S
 
@@ -71,6 +71,17 @@ class SteppedSine:
     def progress(self) -> tuple[int, int]:
         """Points done and points in all."""
         return self._at, len(self._points)
+
+    def describe(self) -> str:
+        """Say what it does, for people."""
+        done, count = self.progress
+        running = f"point {done + 1} of {count}: {self.frequency_hz:g} Hz"
+        return running if self.state is State.RUNNING else f"finished, {count} points"
+
+    def figures(self) -> dict[str, object]:
+        """Return how far it is, for programs."""
+        done, count = self.progress
+        return {"points_done": done, "points": count, "frequency_hz": self.frequency_hz, "skipped": self.skipped}
 
     @property
     def frequency_hz(self) -> float:
@@ -134,6 +145,11 @@ class SteppedSine:
             self.skipped.append(self.frequency_hz)
             return self._next(now_ns)
         return self._abort(f"{status.value} at {self.frequency_hz:g} Hz, {self._failures} times")
+
+    def on_scans(self, table: Table) -> Setpoint | None:
+        """Leave scans to the analysis: a sweep goes by what it measures."""
+        del table
+        return None
 
     def on_time(self, now_ns: int) -> Setpoint | None:
         """Take the rig time; aborts when a point takes too long."""

@@ -28,6 +28,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from typing import NamedTuple
 
 import attrs
 import numpy as np
@@ -47,6 +48,7 @@ BEYOND = 1.5
 """How far past the symmetric motion's bound a branch is followed, as a factor of Θ; it is not stable there."""
 _NEAR_FOLD = 1e-9  # of Θ: at the fold itself slopes are infinite
 _HALVINGS = 45  # of a step of Θ
+_AT_ONCE = 32  # frequencies whose gaps are computed together: what stays in a cache
 
 
 @attrs.frozen(eq=False, kw_only=True)
@@ -117,6 +119,18 @@ class Held:
             raise ConfigError(f"what is held must be > 0 and finite, got {given[0]!r}")
 
 
+class _Answer(NamedTuple):
+    """What the linear rig does under the sphere's force: complex amplitudes, and the gap that goes with them."""
+
+    s: Complex
+    force: Complex
+    ratio: Complex
+    current_a: Real
+    base: Complex
+    superior_m: Real
+    gap_m: Real
+
+
 @attrs.frozen
 class Rig:
     """The linear rig and its sphere, as a prediction needs them."""
@@ -147,12 +161,14 @@ class Rig:
         low, high = self.manifold.theta_fold * (1.0 + _NEAR_FOLD), BEYOND * THETA_SYMMETRIC
         return low + (high - low) * np.linspace(0.0, 1.0, POINTS) ** 2
 
-    def motions(self, theta: Real, frequency_hz: Real | float, held: Held) -> Branch:
-        """Return the motions for values of Θ, each with the gap that it needs."""
-        c, manifold = self.linear, self.manifold
-        frequency = np.broadcast_to(np.asarray(frequency_hz, float), theta.shape).copy()
-        s = 2j * math.pi * frequency
-        force = self.sphere_kg * (2.0 * math.pi * frequency) ** 2 * manifold.force(theta)
+    def gaps(self, theta: Real, frequency_hz: Real, held: Held) -> Real:
+        """Return the gaps that motions with these Θ need; the shapes broadcast."""
+        return self._answer(theta, frequency_hz, held).gap_m
+
+    def _answer(self, theta: Real, frequency_hz: Real, held: Held) -> _Answer:
+        c = self.linear
+        s: Complex = np.asarray(2j * math.pi * frequency_hz, np.complex128)
+        force = self.sphere_kg * (2.0 * math.pi * frequency_hz) ** 2 * self.manifold.force(theta)
         k = c.k_1 + c.c_1 * s
         ratio = k / (k + c.m_1 * s**2 - force)
         per_current = c.force_factor / (c.m_base * s**2 + c.c_f * s + c.k_f + k * (1.0 - ratio))
@@ -165,7 +181,13 @@ class Rig:
             current = held.superior_m / np.abs(per_current * ratio)
         base = current * per_current
         superior = np.abs(base * ratio)
-        gap = 2.0 * superior / manifold.xi(theta)
+        return _Answer(s, force, ratio, current, base, superior, 2.0 * superior / self.manifold.xi(theta))
+
+    def motions(self, theta: Real, frequency_hz: Real | float, held: Held) -> Branch:
+        """Return the motions for values of Θ, each with the gap that it needs."""
+        manifold = self.manifold
+        frequency = np.broadcast_to(np.asarray(frequency_hz, float), theta.shape).copy()
+        s, force, ratio, current, base, superior, gap = self._answer(theta, frequency, held)
         slow = np.ones(theta.shape, bool) if held.superior_m is not None else self._keeps(theta, s, force, held)
         return Branch(
             frequency_hz=frequency,
@@ -239,7 +261,8 @@ def at(
         ConfigError: as for `branch`.
     """
     rig, held = Rig.of(config, recoil=recoil), Held(current_a, base_m, superior_m)
-    return rig.motions(_roots(rig, frequency_hz, gap_m, held), frequency_hz, held)
+    (theta,) = _roots(rig, np.array([frequency_hz], float), gap_m, held)
+    return rig.motions(theta, frequency_hz, held)
 
 
 def curves(
@@ -259,7 +282,7 @@ def curves(
     """
     rig, held = Rig.of(config, recoil=recoil), Held(current_a, base_m, superior_m)
     frequencies = np.asarray(frequencies_hz, float)
-    found = [_roots(rig, float(frequency), gap_m, held) for frequency in frequencies]
+    found = _roots(rig, frequencies, gap_m, held)
     lines: list[Branch] = []
     for first, last in _stretches([len(roots) for roots in found]):
         for sheet in range(len(found[first])):
@@ -309,22 +332,25 @@ def best_gap(motions: Branch) -> Branch:
     return motions.take(stable[[int(np.argmin(motions.dt[stable]))]])
 
 
-def _roots(rig: Rig, frequency_hz: float, gap_m: float, held: Held) -> Real:
-    """Return every Θ whose motion needs just this gap, descending."""
-
-    def excess(theta: Real) -> Real:
-        return rig.motions(theta, frequency_hz, held).gap_m - gap_m
-
+def _roots(rig: Rig, frequencies_hz: Real, gap_m: float, held: Held) -> list[Real]:
+    """Return every Θ whose motion needs just this gap, descending; one array per frequency."""
     grid = rig.thetas()
-    over = excess(grid)
-    change = np.flatnonzero(np.signbit(over[:-1]) != np.signbit(over[1:]))
-    low, high, at_low = grid[change], grid[change + 1], over[change]
+    rows, columns = [], []
+    for first in range(0, len(frequencies_hz), _AT_ONCE):
+        some = frequencies_hz[first : first + _AT_ONCE]
+        under = np.signbit(rig.gaps(np.broadcast_to(grid, (len(some), len(grid))), some[:, None], held) - gap_m)
+        row, column = np.nonzero(under[:, :-1] != under[:, 1:])
+        rows.append(row + first)
+        columns.append(column)
+    place, at = np.concatenate(rows), np.concatenate(columns)
+    low, high, frequency = grid[at], grid[at + 1], frequencies_hz[place]
+    under_low = np.signbit(rig.gaps(low, frequency, held) - gap_m)
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)
-        value = excess(middle)
-        same = np.signbit(value) == np.signbit(at_low)
+        same = np.signbit(rig.gaps(middle, frequency, held) - gap_m) == under_low
         low, high = np.where(same, middle, low), np.where(same, high, middle)
-    return np.sort(0.5 * (low + high))[::-1].copy()
+    theta = 0.5 * (low + high)
+    return [np.sort(theta[place == i])[::-1].copy() for i in range(len(frequencies_hz))]
 
 
 def _stretches(counts: list[int]) -> Iterator[tuple[int, int]]:

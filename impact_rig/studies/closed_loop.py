@@ -18,7 +18,7 @@ from impact_rig.blocks import joined
 from impact_rig.campaign.in_process import ProcessApparatus
 from impact_rig.campaign.job import Job
 from impact_rig.operate.controlled_sine import ControlledSine, HoldPlan
-from impact_rig.operate.operator import operate
+from impact_rig.operate.operator import PatientApparatus, operate
 from impact_rig.operate.phasors import Look, PhasorMeter
 from impact_rig.operate.plan import Setpoint
 from impact_rig.rig import Rig
@@ -44,13 +44,18 @@ class Held:
     simulated_s: float
 
 
-def hold(job: Job, plan: HoldPlan) -> Held:
+def hold(job: Job, plan: HoldPlan, apparatus: PatientApparatus | None = None) -> Held:
     """Walk through a job's points with an amplitude held; its current is what the first point begins with.
+
+    Args:
+        job: the points, and the rig.
+        plan: what is held.
+        apparatus: that was prepared for the job; None: a rig in this process.
 
     Raises:
         ImpactRigError: the rig refused.
     """
-    apparatus, sweep = ProcessApparatus(job), ControlledSine(job.plan(), plan)
+    apparatus, sweep = apparatus or ProcessApparatus(job), ControlledSine(job.plan(), plan)
     operate(sweep, apparatus)
     return Held(sweep.held, sweep.reason, apparatus.now_ns() / NS_PER_S)
 

@@ -41,6 +41,16 @@ def test_hold(rig, tmp_path, capsys):
     assert "not overwritten" in capsys.readouterr().err
 
 
+@pytest.mark.ros
+@pytest.mark.pipeline
+def test_hold_over_topics_has_the_same_bits(rig, tmp_path):
+    pytest.importorskip("rclpy", reason="no ROS 2 here")
+    words = ["base", "60e-6", "--frequencies", "9.2", "--gap", "none", *rig]
+    for way in ("process", "ros"):
+        assert main(["loop", "hold", *words, "--through", way, "--output", str(tmp_path / f"{way}.csv")]) == 0
+    assert (tmp_path / "ros.csv").read_bytes() == (tmp_path / "process.csv").read_bytes()
+
+
 def test_lock(rig, tmp_path, capsys):
     out = tmp_path / "lock.csv"
     assert main(["loop", "lock", "--gap", "0.006", "--dwell", "3", "--output", str(out), *rig]) == 0

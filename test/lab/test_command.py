@@ -20,7 +20,10 @@ from pathlib import Path
 import pytest
 from kits.browser import PATIENCE_S, Page, wait_until
 
+from impact_rig import topics
 from impact_rig.cli import main
+from impact_rig.lab.sample import make
+from impact_rig.recording import open_run
 
 PROGRAM = [sys.executable, "-c", "from impact_rig.cli import main; raise SystemExit(main())"]
 
@@ -54,6 +57,26 @@ def test_a_run_is_there_at_once(sample: Path, open_page: Callable[..., Page], tm
         page.wait("window.lab && lab.drawn.pictures > 0", "the first traces")
         assert time.monotonic() - began < 30.0
         page.js("lab.link.socket.onclose = null")
+
+
+def test_the_sample_says_what_the_analysis_was_set_to(sample: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    written = {path.name: path.stat().st_mtime_ns for path in sample.iterdir()}
+    assert make(sample) == sample
+    assert {path.name: path.stat().st_mtime_ns for path in sample.iterdir()} == written
+    assert main(["analyze", str(sample)]) == 0
+    words = capsys.readouterr().out
+    assert "identical to the live results: 3 rows, bit for bit" in words
+    assert " 6 " in next(line for line in words.splitlines() if "periodic" in line), "the gap is known"
+
+
+def test_a_sample_of_an_earlier_version_is_made_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with monkeypatch.context() as before:
+        before.setattr("impact_rig.lab.sample.SECONDS", 0)
+        before.setattr("impact_rig.lab.sample.TOPICS", (topics.INFO.name, topics.ANALYSIS_SETTINGS.name))
+        make(tmp_path / "sample")
+    monkeypatch.setattr("impact_rig.lab.sample.SECONDS", 1)
+    with open_run(make(tmp_path / "sample")) as run:
+        assert f"/rig/{topics.SCAN.name}" in run.topics
 
 
 @pytest.mark.ros

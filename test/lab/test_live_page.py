@@ -131,6 +131,9 @@ def test_from_r_to_a_settled_transmissibility(lab: Lab, page: Page) -> None:
         lambda: [r for r in lab.topics["transmissibility/table"].rows() if r["settled"] == 1], "a settled row"
     )
     assert any(float(page.text("#dt-number")) == pytest.approx(float(r["transmissibility"]), abs=0.5) for r in settled)
+    page.wait("lab.now.prediction?.words.startsWith('predicted for 6 mm, 0.52 A')", "what theory says")
+    page.click("[data-mark='gap-4']")
+    page.wait("lab.now.prediction.words.startsWith('predicted for 4 mm')", "the prediction to follow the gap")
     assert page.js("lab.motion.impacts.length") > 0
     assert page.js("lab.drawn.epoch") == lab.source.epoch
 
@@ -277,6 +280,22 @@ def sweep(lab: Lab, page: Page) -> None:
     for kind in ("mousePressed", "mouseReleased"):
         page.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
     lab.applied("frequency", 8.0)
+    page.choose("#sweep-hold", "base")
+    assert page.text("#sweep-unit") == "mm"
+    page.write("#sweep-target", "0.05")
+    lab.parameter("stepped_sine", "hold", "base")
+    lab.parameter("stepped_sine", "target", 5e-5)
+    page.wait("lab.now.sweep.text.startsWith('point')", "an amplitude to be held")
+    page.click("#sweep-stop")
+    page.wait("lab.now.sweep.text.startsWith('aborted')", "the end of it")
+    page.choose("#sweep-hold", "phase")
+    looks = lab.client.collect("transmissibility/locked")
+    page.click("#sweep-start")
+    lab.until(lambda: len(looks.rows()), "a look at the scans")
+    assert looks.rows()["frequency"][0] == 8.0
+    page.wait("/^(seeking|tracking|locked) at/.test(lab.now.sweep.text)", "the search for the resonance")
+    page.click("#sweep-stop")
+    page.wait("lab.now.sweep.text === 'aborted: stopped by the operator'", "the end of the lock")
 
 
 def test_two_browsers_see_one_rig(lab: Lab, page: Page, open_page: Callable[..., Page]) -> None:

@@ -121,8 +121,10 @@ def test_every_request_that_a_live_rig_takes_has_a_deed() -> None:
         ('{"do":"frequency","value":1' + "0" * 400 + "}", "finite"), ('{"do":"note","value":"a\\u0000"}', "printable"),
         ('{"do":"note","value":"' + "a" * 501 + '"}', "at most 500"), ('{"do":"stop","id":1.5}', "whole"),
         ('{"do":"stop","id":-1}', "within"), ('{"do":"record","value":1}', "true or false"),
-        ('{"do":"sweep","frequencies":[],"direction":"up"}', "1 to 200"),
-        ('{"do":"sweep","frequencies":[9],"direction":"left"}', "one of"), ("x" * 9000, "at most 8192"),
+        ('{"do":"sweep","frequencies":[],"direction":"up","hold":"command","target":0}', "1 to 200"),
+        ('{"do":"sweep","frequencies":[9],"direction":"left","hold":"command","target":0}', "one of"),
+        ('{"do":"sweep","frequencies":[9],"direction":"up","hold":"breath","target":0}', "hold must be one of"),
+        ("x" * 9000, "at most 8192"),
     ],
 )  # fmt: skip
 def test_requests_without_sense_are_refused(raw: str, words: str) -> None:
@@ -131,7 +133,8 @@ def test_requests_without_sense_are_refused(raw: str, words: str) -> None:
 
 
 def test_a_request_and_a_frame() -> None:
-    assert parse('{"id":3,"do":"sweep","frequencies":[9,9.1],"direction":"up"}').values["frequencies"] == (9.0, 9.1)
+    held = '{"id":3,"do":"sweep","frequencies":[9,9.1],"direction":"up","hold":"base","target":6e-5}'
+    assert parse(held).values["frequencies"] == (9.0, 9.1)
     frame = json_frame(Kind.STATE, 7, {"a": float("nan"), "b": [float("inf"), 1.0], "c": {"d": None}})
     assert frame[8:] == b'{"a":null,"b":[null,1.0],"c":{"d":null}}'
     assert frame[0] == Kind.STATE

@@ -90,6 +90,49 @@ def test_an_amplitude_is_held_and_its_curve_published(sweeping: Client) -> None:
     sweeping.wait_until(lambda: current_now(sweeping) == 0.0, "the shaker at rest")
 
 
+@pytest.fixture
+def locking(client: Client) -> Client:
+    """A linear rig that waits for the node that locks on its resonance; there is no analysis."""
+    values = {"hold": "phase", "frequencies_hz": [8.9], "current_a": 0.3, "dwell_s": 4.0, "within_deg": 1.0}
+    client.host(SteppedSineNode, parameter_overrides=ros_parameters(values))
+    host_rig(client, "freewheel", time__peers=["stepped_sine"], sphere__present=False, daq__block_scans=500)
+    client.wait_active("rig", "stepped_sine")
+    return client
+
+
+def test_the_phase_is_sought_held_and_published(locking: Client) -> None:
+    looks = locking.collect("transmissibility/locked")
+    begin(locking)
+    locking.wait_until(lambda: status(locking).startswith("seeking at"), "the search")
+    with pytest.raises(ConfigError, match="a sweep is under way"):
+        locking.set_parameters("stepped_sine", {"reference": "current"})
+    locking.wait_until(lambda: status(locking).startswith("finished, the resonance is at 9.10"), "the end", 60.0)
+    rows = looks.rows()
+    assert (np.diff(rows["time"]) > 0).all()
+    held = rows[rows["locked"] == 1.0]
+    assert held["time"][-1] - held["time"][0] >= 4.0
+    true_hz = 9.105 / np.sqrt(1.0 - 4.0 * RigConfig().structure.damping_ratio ** 2)
+    assert held["frequency"][-1] == pytest.approx(true_hz, abs=0.003)
+    assert np.degrees(held["phase"][-1]) == pytest.approx(-90.0, abs=0.5)
+    assert held["transmissibility"][-1] == pytest.approx(abs(transmissibility(RigConfig(), true_hz)), rel=0.01)
+    locking.wait_until(lambda: current_now(locking) == 0.0, "the shaker at rest")
+
+
+@pytest.mark.parametrize("cause", ["operator", "stranger"])
+def test_a_lock_that_cannot_go_on_says_why_and_rests(locking: Client, cause: str) -> None:
+    locking.collect("shaker/applied")
+    begin(locking)
+    locking.wait_until(lambda: current_now(locking) > 0, "the first command")
+    if cause == "operator":
+        locking.trigger("stepped_sine/stop")
+        words = "aborted: stopped by the operator"
+    else:
+        locking.command(frequency_hz=33.0)
+        words = "aborted: somebody else set 33 Hz"
+    locking.wait_until(lambda: status(locking).startswith(words), words)
+    locking.wait_until(lambda: current_now(locking) == 0.0, "the shaker at rest")
+
+
 @pytest.mark.parametrize("cause", ["trip", "operator", "stranger"])
 def test_a_sweep_that_cannot_go_on_says_why_and_rests(sweeping: Client, cause: str) -> None:
     sweeping.collect("shaker/applied")
@@ -126,7 +169,10 @@ def test_without_a_rig_nothing_begins(client: Client) -> None:
         ({"frequencies_hz": ["9"]}, "one or more numbers"),
         ({"current_a": float("nan")}, "current_a must be > 0"),
         ({"direction": "sideways"}, "one of up, down, up_down"),
-        ({"hold": "breath"}, "one of command, current, base, superior"),
+        ({"hold": "breath"}, "one of command, current, base, superior, phase"),
+        ({"hold": "phase", "frequencies_hz": [3.0]}, "start_hz must be within low_hz = 5"),
+        ({"reference": "sphere"}, "one of base, current"),
+        ({"within_deg": 0.0}, "within_deg must be > 0"),
     ],
 )
 def test_a_bad_plan_is_refused_by_name(client: Client, values: dict[str, object], words: str) -> None:

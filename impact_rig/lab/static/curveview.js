@@ -1,10 +1,12 @@
-// The transmissibility over frequency: points with error bars, earlier gaps in grey, the rig without sphere as a line.
+// The transmissibility over frequency: points with error bars, earlier gaps in grey; as lines the rig without sphere
+// and what theory predicts with it, dashed where such a motion does not last.
 
 import { colour } from "./paper.js";
 
 /* global uPlot */
 
 /**
+ * @typedef {{lines: [boolean, [number, number][]][], words: string}} Prediction whether each line lasts, frequency and DT
  * @typedef {{f: number, dt: number, u: number, gap: number | null, settled: boolean, t: number}} Row
  */
 
@@ -16,6 +18,7 @@ export class CurveView {
     /** @type {Row[]} */ this.rows = [];
     /** @type {Row[]} */ this.others = [];
     /** @type {number[][]} */ this.closed = [];
+    /** @type {Prediction["lines"]} */ this.predicted = [];
     this.gap = null;
     this.make();
     new ResizeObserver(() => this.plot.setSize({ width: place.clientWidth, height: Math.max(100, place.clientHeight) })).observe(place);
@@ -31,8 +34,8 @@ export class CurveView {
       padding: [8, 16, 0, 0], cursor: { drag: { x: false, y: false }, points: { show: false } },
       scales: { x: { time: false, range: () => this.frequencies() }, y: { distr: 3, range: () => [1, 200] } },
       axes: [{ ...axis, size: 24, values: (_, all) => all.map((v) => `${v} Hz`) }, { ...axis, size: 34 }],
-      series: [{}, { stroke: colour("soft"), width: 1, dash: [5, 4], points: { show: false } }],
-      hooks: { draw: [(plot) => this.points(plot)] },
+      series: [{}, { stroke: colour("soft"), width: 1, points: { show: false } }],
+      hooks: { draw: [(plot) => this.theory(plot), (plot) => this.points(plot)] },
     }, [[1], [null]], this.place);
     this.redraw();
   }
@@ -42,10 +45,14 @@ export class CurveView {
     return [Math.min(7.5, ...found) - 0.2, Math.max(10.5, ...found) + 0.2];
   }
 
-  /** @param {Row[]} rows @param {number[][]} closed @param {number | null} gap of now @param {Row[]} [others] of a second run */
-  show(rows, closed, gap, others = []) {
+  /**
+   * @param {Row[]} rows @param {number[][]} closed @param {Prediction["lines"]} predicted
+   * @param {number | null} gap of now @param {Row[]} [others] of a second run
+   */
+  show(rows, closed, predicted, gap, others = []) {
     this.rows = rows;
-    this.closed = closed ?? [];
+    this.closed = closed;
+    this.predicted = predicted;
     this.gap = gap;
     this.others = others;
     this.redraw();
@@ -54,6 +61,41 @@ export class CurveView {
   redraw() {
     const x = this.closed.length ? this.closed.map((p) => p[0]) : [7, 11];
     this.plot.setData([x, this.closed.length ? this.closed.map((p) => p[1]) : [null, null]]);
+  }
+
+  /** Draw what is predicted, and say in the corner which line is what. @private */
+  theory(plot) {
+    const g = plot.ctx, ratio = devicePixelRatio || 1, { left, top, width, height } = plot.bbox;
+    g.save();
+    g.beginPath();
+    g.rect(left, top, width, height);
+    g.clip();
+    g.strokeStyle = colour("drive");
+    g.lineWidth = 1.6 * ratio;
+    for (const [lasts, points] of this.predicted) {
+      g.setLineDash(lasts ? [] : [4 * ratio, 3 * ratio]);
+      g.beginPath();
+      for (const [f, dt] of points) g.lineTo(plot.valToPos(f, "x", true), plot.valToPos(dt, "y", true));
+      g.stroke();
+    }
+    const kinds = [["without sphere", "soft", 1, [], this.closed.length > 0],
+      ["predicted", "drive", 1.6, [], this.predicted.some(([lasts]) => lasts)],
+      ["not stable", "drive", 1.6, [4, 3], this.predicted.some(([lasts]) => !lasts)]];
+    g.font = `${10.5 * ratio}px system-ui`;
+    [g.textBaseline, g.textAlign] = ["middle", "left"];
+    kinds.filter((kind) => kind[4]).forEach(([words, ink, wide, dash], row) => {
+      const x = left + 6 * ratio, y = top + (8 + 13 * row) * ratio;
+      g.strokeStyle = colour(ink);
+      g.lineWidth = wide * ratio;
+      g.setLineDash(dash.map((one) => one * ratio));
+      g.beginPath();
+      g.moveTo(x, y);
+      g.lineTo(x + 18 * ratio, y);
+      g.stroke();
+      g.fillStyle = colour("ink");
+      g.fillText(words, x + 23 * ratio, y);
+    });
+    g.restore();
   }
 
   /** @private */

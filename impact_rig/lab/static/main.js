@@ -1,7 +1,7 @@
 // The page: takes frames, keeps the snapshot, draws at most once per animation frame, and only what has changed.
 
 import { CurveView } from "./curveview.js";
-import { clock, fixed, steps, withUncertainty } from "./format.js";
+import { clock, fixed, withUncertainty } from "./format.js";
 import { Kind } from "./frames.js";
 import { fillSheet, listen } from "./keys.js";
 import { KnobPanel } from "./knobs.js";
@@ -13,6 +13,7 @@ import { drawPhase, drawRig, GLOW_S } from "./rigview.js";
 import { ScopeView } from "./scopeview.js";
 import { SpectrumView } from "./spectrumview.js";
 import { status } from "./store.js";
+import { SweepForm } from "./sweep.js";
 
 const byId = (id) => /** @type {any} */ (document.getElementById(id));
 const setText = (id, text) => { const node = byId(id); if (node.textContent !== text) node.textContent = text; };
@@ -102,8 +103,7 @@ const SHOW = {
     showCurve();
   },
   dt: () => { showDt(); showCurve(); },
-  dt_b: () => showCurve(),
-  closed_form: () => showCurve(),
+  dt_b: () => showCurve(), closed_form: () => showCurve(), prediction: () => showCurve(),
   settling: () => showDt(),
   journal: (lines) => { showJournal(lines); if (now.playback) player.show(now.playback, lines, now.impact_marks); },
   sweep: (sweep) => setText("sweep-text", sweep.text || "not started"),
@@ -222,11 +222,12 @@ function showDt() {
     }));
   }
   setText("curve-note", settling.refusal && moving && changed ? `last window: ${settling.refusal}` :
-    rows.length ? "dashed: without sphere, closed form; grey: other gaps" : "No measurement yet: it appears when the response has settled.");
+    rows.length ? "grey points: other gaps" : "No measurement yet: it appears when the response has settled.");
 }
 
 function showCurve() {
-  curve.show(now.dt ?? [], now.closed_form ?? [], gapNow(), now.dt_b ?? []);
+  curve.show(now.dt ?? [], now.closed_form ?? [], now.prediction?.lines ?? [], gapNow(), now.dt_b ?? []);
+  setText("prediction-note", now.prediction?.words ?? "");
 }
 
 function showJournal(lines) {
@@ -370,10 +371,7 @@ onClick("pause", pause);
 onClick("pluck", () => act("pluck", { value: 0.002 }));
 onClick("record", record);
 const onSubmit = (id, deed) => byId(id).addEventListener("submit", (event) => { event.preventDefault(); deed(); });
-onSubmit("sweep-form", () => act("sweep", {
-  frequencies: steps(byId("sweep-from").valueAsNumber, byId("sweep-to").valueAsNumber, byId("sweep-points").valueAsNumber),
-  direction: byId("sweep-direction").value,
-}));
+new SweepForm(byId, act);
 onSubmit("fault-form", () => act("fault", {
   kind: byId("fault-kind").value, channel: byId("fault-channel").disabled ? "" : byId("fault-channel").value,
   value: byId("fault-value").valueAsNumber, duration: byId("fault-duration").valueAsNumber, rate: byId("fault-rate").valueAsNumber,

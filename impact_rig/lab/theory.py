@@ -1,0 +1,135 @@
+# Copyright 2026 The impact_rig developers
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0 Unless required by
+# applicable law or agreed to in writing, software distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific language
+# governing permissions and limitations under the License.
+"""What theory says of the rig as its knobs are now: lines for the curve, computed aside, the newest wish alone.
+
+A prediction takes some tenths of a second: a thread of its own, as gentle as the others of the lab, computes it when
+gap, current, sphere, law or anything else it depends on has changed; what was overtaken meanwhile is left out.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from typing import TYPE_CHECKING, Any  # values of parameters, and what goes to JSON
+
+import numpy as np
+from numpy.typing import NDArray
+
+from impact_rig.errors import ConfigError
+from impact_rig.lab.source import be_gentle
+from impact_rig.rig.config import RigConfig, fields, from_flat
+
+if TYPE_CHECKING:
+    from impact_rig.physics.prediction import Branch
+
+KIND, WAVEFORM = "drive.kind", "drive.waveform"
+_SECTIONS = ("structure.", "shaker.", "sphere.", "barriers.", "contact.")
+DECIDING = (*(name for name, _, _ in fields() if name.startswith(_SECTIONS)), KIND, WAVEFORM)
+"""Configuration values that a prediction depends on."""
+FREQUENCIES_HZ: NDArray[np.float64] = np.unique(
+    np.concatenate([np.linspace(7.0, 11.0, 81), np.linspace(8.6, 9.6, 101)]).round(6)
+)
+"""Where it is computed: as wide as the page's axis is at first, closer near the resonance."""
+HELD = {"current": (1.0, "A"), "prescribed": (1e6, "µm")}
+"""Kinds of drive that keep current or base constant, and in what that is told."""
+
+
+def predicted(values: Mapping[str, Any], amplitude: float) -> dict[str, Any]:
+    """Return the motions with two symmetric impacts per cycle over the frequency.
+
+    Args:
+        values: configuration values by name; those of `DECIDING` count, others are left out.
+        amplitude: of the drive, peak; A or m by `drive.kind`.
+
+    Returns:
+        `lines`: [whether it lasts, [[frequency, DT], ...]]; `words`: what they are of, or why there are none.
+    """
+    kind, waveform = str(values.get(KIND, "current")), values.get(WAVEFORM, "sine")
+    if not values.get("sphere.present", True):
+        return {"lines": [], "words": "no sphere: the closed form is the prediction"}
+    if kind not in HELD:
+        return {"lines": [], "words": f"no prediction for a drive of constant {kind}"}
+    if waveform != "sine":
+        return {"lines": [], "words": f"no prediction for a drive that is {waveform}, not a sine"}
+    if not amplitude > 0.0:
+        return {"lines": [], "words": "no prediction at rest"}
+    from impact_rig.physics import prediction  # noqa: PLC0415  # half a second, which the first page need not wait for
+
+    try:
+        rig = from_flat(RigConfig(), {name: values[name] for name in DECIDING if name in values})
+        gap_m = rig.barriers.gap_m
+        held = [amplitude if kind == one else None for one in HELD]
+        branches = prediction.curves(rig, FREQUENCIES_HZ, gap_m, current_a=held[0], base_m=held[1])
+    except ConfigError as error:  # friction, no loss, ...: theory does not hold there
+        return {"lines": [], "words": str(error)}
+    lines = [line for one in branches for line in _parts(one)]
+    factor, unit = HELD[kind]
+    what = f"{gap_m * 1e3:g} mm, {amplitude * factor:g} {unit}"
+    if not lines:
+        return {"lines": [], "words": f"no motion with two impacts per cycle at {what}"}
+    lasting = "" if any(lasts for lasts, _ in lines) else ", nowhere stable"
+    return {"lines": lines, "words": f"predicted for {what}, two impacts per cycle{lasting}"}
+
+
+def _parts(branch: Branch) -> Iterator[list[Any]]:
+    """Yield the stretches of a branch that last or do not; neighbours share a point, so that the line is whole."""
+    points = [[round(float(f), 4), round(float(dt), 4)] for f, dt in zip(branch.frequency_hz, branch.dt, strict=True)]
+    turns = (np.flatnonzero(np.diff(branch.stable)) + 1).tolist()
+    for first, end in zip([0, *turns], [*turns, len(points)], strict=True):
+        line = points[first : end + 1]
+        if len(line) > 1:
+            yield [bool(branch.stable[first]), line]
+
+
+class Theory:
+    """Computes predictions, the newest wish alone.
+
+    Args:
+        told: called with every prediction, in a thread of this object.
+    """
+
+    def __init__(self, told: Callable[[dict[str, Any]], None]) -> None:
+        self._told = told
+        self._lock = threading.Lock()
+        self._wish: tuple[dict[str, Any], float] | None = None
+        self._known: tuple[dict[str, Any], float] | None = None
+        self._ended = False
+        self._thread: threading.Thread | None = None
+
+    def want(self, values: Mapping[str, Any], amplitude: float) -> None:
+        """Ask for the prediction of these values; nothing happens where it was asked for last."""
+        wish = {name: values[name] for name in DECIDING if name in values}, amplitude
+        with self._lock:
+            if self._ended or wish == self._known:
+                return
+            self._wish = self._known = wish
+            if self._thread is None:
+                self._thread = threading.Thread(target=self._run, name="lab-theory", daemon=True)
+                self._thread.start()
+
+    def close(self) -> None:
+        """End."""
+        with self._lock:
+            self._ended = True
+            thread = self._thread
+        if thread is not None:
+            thread.join()
+
+    def _run(self) -> None:
+        """Compute until nothing is wished for."""
+        be_gentle()
+        while True:
+            with self._lock:
+                wish, self._wish = self._wish, None
+                if wish is None or self._ended:
+                    self._thread = None
+                    return
+            found = predicted(*wish)
+            with self._lock:
+                overtaken = self._wish is not None
+            if not overtaken:
+                self._told(found)
