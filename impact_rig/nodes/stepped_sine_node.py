@@ -12,18 +12,18 @@ import functools
 from collections.abc import Callable
 from typing import Any  # rclpy messages
 
-from std_msgs.msg import Float64, Header
+from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
 
 from impact_rig import codec, topics
 from impact_rig.blocks import Table
 from impact_rig.errors import CodecError, ConfigError
 from impact_rig.nodes import process
+from impact_rig.nodes.acknowledge import Acknowledgements
 from impact_rig.nodes.diagnostics import Health, Level
 from impact_rig.nodes.managed import ManagedNode
 from impact_rig.nodes.parameters import SectionSchema
 from impact_rig.nodes.settings import PHASE, SteppedSineSettings
-from impact_rig.nodes.stamps import time_message
 from impact_rig.nodes.topics import MONITORS
 from impact_rig.operate.controlled_sine import ControlledSine
 from impact_rig.operate.locked_sine import LockedSine
@@ -56,6 +56,7 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
         super().__init__("stepped_sine", SectionSchema(SteppedSineSettings), **kwargs)
         self._operator: Operator[Walk] | None = None
         self._outlets: dict[str, Any] = {}
+        self._acknowledgements: Acknowledgements | None = None
         self._inlets: list[Any] = []
         self._timer: Any = None
         self._pending = False  # wanted, but the rig is not there yet
@@ -73,8 +74,9 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
 
     def configure(self) -> None:
         """Create the publishers."""
-        chosen = (topics.FREQUENCY, topics.CURRENT, topics.CURVE, topics.HELD, topics.LOCKED, topics.ACK)
+        chosen = (topics.FREQUENCY, topics.CURRENT, topics.CURVE, topics.HELD, topics.LOCKED)
         self._outlets = {topic.name: self.publisher(topic) for topic in chosen}
+        self._acknowledgements = Acknowledgements(self)
 
     def activate(self) -> None:
         """Listen; begin the sweep as soon as the rig is there if `begin` says so."""
@@ -107,6 +109,9 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
         for outlet in self._outlets.values():
             self.destroy_publisher(outlet)
         self._outlets = {}
+        if self._acknowledgements is not None:
+            self._acknowledgements.destroy()
+            self._acknowledgements = None
 
     def settings_changed(self, _settings: SteppedSineSettings, changes: dict[str, Any]) -> None:
         """Refuse to change a sweep under way; the next one takes the new plan."""
@@ -273,8 +278,8 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
             if self._operator is not None:
                 self._operator.hear(News(now_ns=self.now_ns(), scans=[table]))
         finally:  # a rig that waits for us must not be held up
-            stamp = Header(stamp=time_message(table.stamp_ns), frame_id=self.get_name())
-            self._outlets[topics.ACK.name].publish(stamp)
+            assert self._acknowledgements is not None
+            self._acknowledgements.processed(table.stamp_ns)
 
     def _on_time(self, data: bytes) -> None:
         try:
