@@ -48,6 +48,8 @@ from impact_rig.testing import VirtualRig
 WORDS = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated"}
 NODES = ("rig", "analysis", "recorder")
 PATIENCE_S, GRACE_S = 40.0, 3.0
+PROGRESS = re.compile(r"^.* \d+ of \d+: .*\n", re.MULTILINE)
+"""A line of progress, which comes every few seconds where nobody sees a bar."""
 LONGEST_S = {"demo": 15.0, "campaign": 8.0}
 """Instants of programs that run for long are drawn from their first seconds, in which everything begins."""
 MOST_DRAWS = 5
@@ -136,7 +138,7 @@ def end_program(words: Sequence[str | Path], number: int, instant_s: float, fold
     where = f"{words[0]}, {signal.Signals(number).name} after {instant_s:.3f} s"
     if code == 0 and not said:
         tally.endings, tally.done = tally.endings - 1, tally.done + 1  # it was done when the signal came
-    elif code != 128 + number or said != f"impact-rig {words[0]}: {WORDS[signal.Signals(number)]}\n":
+    elif code != 128 + number or PROGRESS.sub("", said) != f"impact-rig {words[0]}: {WORDS[signal.Signals(number)]}\n":
         tally.faults.append(f"{where}: exit code {code}, {said[-600:]!r}")
     tally.faults += [f"{where}: {fault}" for fault in (*left_behind(before), *unreadable(folder))]
 

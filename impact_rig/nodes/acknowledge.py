@@ -67,7 +67,7 @@ class Acknowledgements:
         self._node.destroy_publisher(self._publisher)
 
     def _send(self) -> None:
-        if self._waiting and self._may_send():
-            self._waiting = 0
+        waiting, self._waiting = self._waiting, 0  # what must not be acknowledged now never is by itself
+        if waiting and self._may_send():
             self._sent_at = time.monotonic()
             self._publisher.publish(self._message.render(self._newest_ns))

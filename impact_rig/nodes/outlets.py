@@ -48,6 +48,7 @@ class Outlets:
             for t in PUBLISHED
             if t not in absent and (t is not topics.CLOCK or config.time.publishes_clock)
         }
+        self._listened_to: set[str] = set()
         self._info = b""
         self._description = ""
         self._monitors: Monitors | None = None
@@ -66,6 +67,10 @@ class Outlets:
         for publisher in self._publishers.values():
             self._node.destroy_publisher(publisher)
 
+    def look(self) -> None:
+        """Look which topics anybody listens to, before some blocks are published."""
+        self._listened_to = {name for name, outlet in self._publishers.items() if outlet.get_subscription_count()}
+
     def block(self, block: Block) -> None:
         """Publish a block: scans first, then what is true about them, then the monitors."""
         if not block.lost:
@@ -83,7 +88,7 @@ class Outlets:
 
     def _heard(self, topic: topics.Topic) -> bool:
         """Whether anybody listens: what nobody hears is not even made."""
-        return bool(self._publishers[topic.name].get_subscription_count())
+        return topic.name in self._listened_to
 
     def clock(self, now_ns: int) -> None:
         """Publish rig time; a rig that does not has no publisher either, since a clock must have only one."""

@@ -71,7 +71,7 @@ def run(make_node: Callable[[], ManagedNode[Any]], ending: Ending) -> int:
     try:
         executor.add_node(node)
         frozen = False
-        while rclpy.ok() and not node.is_told_to_end():
+        while node.context.ok() and not node.is_told_to_end():
             try:
                 executor.spin_once(timeout_sec=SPIN_S)
             except (ExternalShutdownException, KeyboardInterrupt):

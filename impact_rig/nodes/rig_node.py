@@ -256,6 +256,8 @@ class RigNode(ManagedNode[RigConfig]):
     def _publish(self, rig: Rig, blocks: list[Block]) -> None:
         assert self._outlets is not None
         self._outlets.changes(rig)  # they come before the scans they act on
+        if blocks:
+            self._outlets.look()
         for block in blocks:
             self._outlets.block(block)
             if not block.lost:

@@ -94,8 +94,9 @@ def test_the_drive_is_told_again_each_second(plotted) -> None:
     assert len(messages) >= 5
 
 
-def test_what_is_made_for_plotters_is_not_recorded() -> None:
+def test_what_is_made_for_plotters_and_acknowledgements_are_not_recorded() -> None:
     assert {topic.name for topic in TOPICS if not topic.recorded} == {
+        topics.ACK.name,
         topics.PLOT_TRANSMISSIBILITY.name,
         *(topic.name for topic in PLOTS),
     }

@@ -92,10 +92,11 @@ def test_an_amplitude_is_held_and_its_curve_published(sweeping: Client) -> None:
 
 @pytest.fixture
 def locking(client: Client) -> Client:
-    """A linear rig that waits for the node that locks on its resonance; there is no analysis."""
+    """A linear rig that waits for the node that locks on its resonance, ahead of it by two blocks at most."""
     values = {"hold": "phase", "frequencies_hz": [8.9], "current_a": 0.3, "dwell_s": 4.0, "within_deg": 1.0}
     client.host(SteppedSineNode, parameter_overrides=ros_parameters(values))
-    host_rig(client, "freewheel", time__peers=["stepped_sine"], sphere__present=False, daq__block_scans=500)
+    ahead = {"daq__block_scans": 500, "time__ack_window": 2}
+    host_rig(client, "freewheel", time__peers=["stepped_sine"], sphere__present=False, **ahead)
     client.wait_active("rig", "stepped_sine")
     return client
 
