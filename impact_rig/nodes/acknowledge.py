@@ -21,8 +21,8 @@ from impact_rig.nodes.template import Template
 
 ALONE_S = 0.004
 """A block that comes this long after the last acknowledgement is acknowledged at once."""
-MOST = 8
-"""Blocks acknowledged together: an eighth of the default window, so that the rig is never kept waiting by it."""
+MOST = 16
+"""Blocks acknowledged together: a quarter of the default window, so that the rig is never kept waiting by it."""
 
 
 class Acknowledgements:

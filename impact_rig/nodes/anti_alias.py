@@ -64,8 +64,9 @@ class AntiAlias:
         self._step = step
         self._taps = taps(step)
         self._half = len(self._taps) // 2
-        self._blocks: deque[tuple[Array, NDArray[np.uint8]]] = deque()  # channels (channel, scan), status
-        self._first = self._next = 0
+        self._scans = np.zeros((len(self._channels), 0))
+        self._status = np.zeros(0, np.uint8)
+        self._first = self._next = 0  # numbers of the first scan that is kept, and of the one after the last
         self._due: deque[int] = deque()
 
     def feed(self, first: int, rows: NDArray[np.void], instants: Iterable[int]) -> Iterator[Smoothed]:
@@ -78,26 +79,35 @@ class AntiAlias:
             rows: of daq/scan.
             instants: monitor instants in the block, numbered like the scans.
         """
-        if first != self._next or not self._blocks:
-            self._blocks.clear()
+        if first != self._next:
             self._due.clear()
-            self._first = first
-        self._blocks.append((np.array([rows[name] for name in self._channels]), rows["status"].copy()))
-        self._next = first + len(rows)
+            self._first = self._next = first
+        self._make_room(len(rows))
+        begin, end = self._next - self._first, self._next - self._first + len(rows)
+        for kept, name in zip(self._scans, self._channels, strict=True):
+            kept[begin:end] = rows[name]
+        self._status[begin:end] = rows["status"]
+        self._next += len(rows)
         self._due.extend(instants)
-        if self._due and self._due[0] + self._half < self._next:
-            scans = np.concatenate([values for values, _ in self._blocks], axis=1)
-            status = np.concatenate([flags for _, flags in self._blocks])
-            while self._due and self._due[0] + self._half < self._next:
-                yield self._smoothed(scans, status, self._due.popleft())
-        oldest = (self._due[0] if self._due else self._next) - self._half - self._step
-        while len(self._blocks) > 1 and self._first + len(self._blocks[0][1]) <= oldest:
-            self._first += len(self._blocks.popleft()[1])
+        while self._due and self._due[0] + self._half < self._next:
+            yield self._smoothed(self._due.popleft())
 
-    def _smoothed(self, scans: Array, status: NDArray[np.uint8], sample: int) -> Smoothed:
+    def _make_room(self, count: int) -> None:
+        """Forget what no instant needs any more, once the room for so many more scans is used up."""
+        if self._next - self._first + count <= len(self._status):
+            return
+        oldest = (self._due[0] if self._due else self._next) - self._half - self._step
+        used, begin = self._next - self._first, max(0, oldest - self._first)
+        kept, flags = self._scans[:, begin:used], self._status[begin:used]
+        room = 2 * (used - begin + count)
+        self._scans, self._status = np.zeros((len(self._channels), room)), np.zeros(room, np.uint8)
+        self._scans[:, : used - begin], self._status[: used - begin] = kept, flags
+        self._first += begin
+
+    def _smoothed(self, sample: int) -> Smoothed:
         centre = sample - self._first
         left = max(0, centre - self._half)
         weights = self._taps[left - centre + self._half :]
-        sums = (scans[:, left : centre + self._half + 1] * weights).sum(axis=1) / weights.sum()
-        near = status[max(0, centre - self._step + 1) : centre + self._step]
+        sums = (self._scans[:, left : centre + self._half + 1] * weights).sum(axis=1) / weights.sum()
+        near = self._status[max(0, centre - self._step + 1) : centre + self._step]
         return Smoothed(sample, dict(zip(self._channels, sums.tolist(), strict=True)), int(np.bitwise_or.reduce(near)))

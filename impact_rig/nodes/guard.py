@@ -45,13 +45,12 @@ class Refusals:
 
 
 def guarded(callback: Callable[..., Any], report: Report) -> Callable[..., Any]:
-    """Return `callback` with its exceptions reported instead of raised; for timers and subscriptions."""
-    call = with_info(callback)
+    """Return `callback` with its exceptions reported instead of raised, and its arguments as `with_info` has them."""
 
     @functools.wraps(callback)
     def safe(*args: Any) -> Any:
         try:
-            return call(*args)
+            return callback(*_each(args))
         except Exception as error:  # the whole point: nothing a callback raises may end the process
             report(_name(callback), describe(error))
             return None
@@ -68,9 +67,14 @@ def with_info(callback: Callable[..., Any]) -> Callable[..., Any]:
 
     @functools.wraps(callback)
     def call(*args: Any) -> Any:
-        return callback(*args[0]) if len(args) == 1 and type(args[0]) is tuple else callback(*args)
+        return callback(*_each(args))
 
     return call
+
+
+def _each(args: tuple[Any, ...]) -> tuple[Any, ...]:
+    """Return the arguments one by one, also where an executor passed them as one tuple."""
+    return args[0] if len(args) == 1 and type(args[0]) is tuple else args
 
 
 def guarded_service(callback: Callable[[Any, Any], Any], report: Report, refuse: Report) -> Callable[[Any, Any], Any]:

@@ -29,6 +29,8 @@ from impact_rig.topics import Topic
 
 VECTOR = ("vector.x", "vector.y", "vector.z")
 _POINT_BYTES = 12
+LOOK_S = 0.1
+"""Time of the rig between two looks who listens to what."""
 
 
 class Plots:
@@ -48,6 +50,8 @@ class Plots:
         self._since_spectrum = 0
         self._since_drive = 0
         self._drive: tuple[float, float] | None = None
+        self._listened_to: set[str] = set()
+        self._since_look = 0
 
     def configure(self, info: Table) -> None:
         """Take the rate of the scans from daq/info."""
@@ -73,6 +77,7 @@ class Plots:
         """Publish what a block of daq/scan completes, as far as anybody listens."""
         if not self._rate_hz or not len(scan.rows):
             return
+        self._look(len(scan.rows))
         self._since_drive += len(scan.rows)
         if self._drive is not None and self._since_drive >= self._rate_hz * EVERY_S and self._heard(topics.PLOT_DRIVE):
             self._send(topics.PLOT_DRIVE, scan.stamp_ns, *self._drive, 0.0)
@@ -126,9 +131,15 @@ class Plots:
         names = scan.rows.dtype.names or ()
         return {channel: topic for channel, topic in by_channel.items() if channel in names and self._heard(topic)}
 
+    def _look(self, scans: int) -> None:
+        """Look who listens, ten times a second: to ask for each block costs as much as to measure it."""
+        self._since_look -= scans
+        if self._since_look < 0:
+            self._listened_to = {name for name, outlet in self._outlets.items() if outlet.get_subscription_count()}
+            self._since_look = round(LOOK_S * self._rate_hz)
+
     def _heard(self, topic: Topic) -> bool:
-        outlet = self._outlets.get(topic.name)
-        return outlet is not None and bool(outlet.get_subscription_count())
+        return topic.name in self._listened_to
 
     def _send(self, topic: Topic, stamp_ns: int, *values: float) -> None:
         self._outlets[topic.name].publish(self._vectors[topic.name].render(stamp_ns, *values))

@@ -6,10 +6,10 @@
 # governing permissions and limitations under the License.
 """What every node's `main` does: spin until told to stop, then end in order.
 
-`EventsExecutor` costs a third to a sixth of the default executor; its `spin()` busy-loops in Jazzy, so it is driven by
-`spin_once`. Where rclpy does not have it, the default one runs. Signals are noted, not raised: neither a callback nor
-the clean-up is interrupted, however often Ctrl-C arrives, and the last messages still find a valid context. They reach
-the main thread only, never one of DDS.
+`EventsExecutor` costs a third to a sixth of the default executor; its `spin()` busy-loops in Jazzy, and its `spin_once`
+comes back to Python after every message, so it spins for a while at a time. Where rclpy does not have it, the default
+one runs. Signals are noted, not raised: neither a callback nor the clean-up is interrupted, however often Ctrl-C
+arrives, and the last messages still find a valid context. They reach the main thread only, never one of DDS.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ from typing import Any  # executors have no common type
 import rclpy
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
+from rclpy.task import Future
 
 from impact_rig.nodes.guard import describe
 from impact_rig.nodes.managed import ManagedNode
@@ -71,9 +72,10 @@ def run(make_node: Callable[[], ManagedNode[Any]], ending: Ending) -> int:
     try:
         executor.add_node(node)
         frozen = False
-        while node.context.ok() and not node.is_told_to_end():
+        never: Future[None] = Future()
+        while not node.is_told_to_end():
             try:
-                executor.spin_once(timeout_sec=SPIN_S)
+                executor.spin_until_future_complete(never, timeout_sec=SPIN_S)
             except (ExternalShutdownException, KeyboardInterrupt):
                 raise
             except Exception as error:  # of rclpy itself: our callbacks are guarded, and the rest can go on

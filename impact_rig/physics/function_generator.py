@@ -109,23 +109,31 @@ class FunctionGenerator:
 
     def segments(self, count: int) -> NDArray[np.void]:
         """Return the next `count` drive segments, shape (count,), dtype `SEGMENT`."""
-        ticks = np.arange(self.tick, self.tick + count)
         rows = np.zeros(count, SEGMENT)
         rows["duration"] = self._tick_s
-        level = self._amplitude_at(np.append(ticks, self.tick + count))
+        self._fill_level(rows)
         if self._noise is not None:
-            level = level * self._noise.numbers(self.tick, count + 1)
             rows["phase"] = PI / 2.0
         elif self._drive.waveform == "chirp":
             self._fill_chirp(rows)
         else:
-            turns = self.frequency_hz * self._tick_s * (ticks - self._anchor_tick)
             rows["omega"] = TWO_PI * self.frequency_hz
+            since = self.tick - self._anchor_tick
+            turns = self.frequency_hz * self._tick_s * np.arange(since, since + count)
             rows["phase"] = np.fmod(self._anchor_phase + TWO_PI * np.fmod(turns, 1.0), TWO_PI)
-        rows["amplitude"] = level[:-1]
-        rows["slope"] = np.diff(level) / self._tick_s
         self.tick += count
         return rows
+
+    def _fill_level(self, rows: NDArray[np.void]) -> None:
+        first, start, target = self._ramp
+        if self._noise is None and self.tick >= first + self._ramp_ticks:  # most of the time: nothing changes
+            rows["amplitude"] = start + (target - start)
+            return
+        level = self._amplitude_at(np.arange(self.tick, self.tick + len(rows) + 1))
+        if self._noise is not None:
+            level = level * self._noise.numbers(self.tick, len(rows) + 1)
+        rows["amplitude"] = level[:-1]
+        rows["slope"] = np.diff(level) / self._tick_s
 
     def _fill_chirp(self, rows: NDArray[np.void]) -> None:
         drive = self._drive

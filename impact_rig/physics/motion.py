@@ -8,19 +8,24 @@
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig.physics.model import Model
 from impact_rig.physics.refining import PARTS, refine
-from impact_rig.physics.sampling import QUANTITIES, Query, Trajectory, new_bench, sample
+from impact_rig.physics.sampling import QUANTITIES, Bench, Query, Trajectory, new_bench, sample
 from impact_rig.physics.state import IMPACT
 
 __all__ = ["IMPACT", "SAMPLE", "Motion"]
 
 SAMPLE = np.dtype([(name, "f8") for name in QUANTITIES])
 
-_ALL = np.arange(len(QUANTITIES))
+
+@functools.cache
+def _places(names: tuple[str, ...]) -> NDArray[np.int64]:
+    return np.array([QUANTITIES.index(name) for name in names], np.int64)
 
 
 class Motion:
@@ -32,6 +37,7 @@ class Motion:
         first_segment: number of the first segment, counted since the reset.
         segments: the drive, shape (n,), dtype `forcing.SEGMENT`.
         impacts: contacts that ended in this motion, dtype `IMPACT`; a contact may have begun in an earlier one.
+        bench: scratch memory, which motions that are asked in turn may share.
     """
 
     def __init__(
@@ -42,13 +48,14 @@ class Motion:
         knots: NDArray[np.void],
         first: NDArray[np.int64],
         impacts: NDArray[np.void],
+        bench: Bench | None = None,
     ) -> None:
         self.first_segment = first_segment
         self.segments = segments
         self.impacts = impacts
         self._model = model
         self._trajectory = Trajectory(segments, first_segment, knots, first)
-        self._bench = new_bench()
+        self._bench = bench or new_bench()
 
     @property
     def last_segment(self) -> int:
@@ -57,11 +64,8 @@ class Motion:
 
     def sample(self, segment: NDArray[np.int64], offset_s: NDArray[np.float64]) -> NDArray[np.void]:
         """Return all quantities (dtype `SAMPLE`, SI) at the instants, shape (n,); fastest when in order."""
-        out = self._evaluate(_ALL, segment, offset_s)
-        rows = np.empty(out.shape[1], SAMPLE)
-        for name, column in zip(QUANTITIES, out, strict=True):
-            rows[name] = column
-        return rows
+        rows: NDArray[np.void] = np.ascontiguousarray(self.quantities(QUANTITIES, segment, offset_s).T).view(SAMPLE)
+        return rows.reshape(-1)
 
     def quantity(self, name: str, segment: NDArray[np.int64], offset_s: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return one quantity of `SAMPLE` at the given instants, shape (n,)."""
@@ -71,8 +75,22 @@ class Motion:
     def quantities(
         self, names: tuple[str, ...], segment: NDArray[np.int64], offset_s: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Return some quantities of `SAMPLE` at the given instants, shape (names, n): cheaper than one by one."""
-        return self._evaluate(np.array([QUANTITIES.index(name) for name in names]), segment, offset_s)
+        """Return some quantities of `SAMPLE` at the given instants, shape (names, n): cheaper than one by one.
+
+        Raises:
+            ValueError: an instant is in none of the segments, or the shapes differ.
+        """
+        segment = np.ascontiguousarray(segment, np.int64)
+        offset_s = np.ascontiguousarray(offset_s, np.float64)
+        if segment.shape != offset_s.shape:
+            raise ValueError(f"segment and offset must have one shape, got {segment.shape} and {offset_s.shape}")
+        out = np.empty((len(names), len(segment)))
+        if not sample(self._model, self._trajectory, Query(_places(names), segment, offset_s, out), self._bench):
+            raise ValueError(
+                f"this motion holds segments {self.first_segment} to {self.last_segment}, "
+                f"got {segment.min()} to {segment.max()}"
+            )
+        return out
 
     def breakpoints(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
         """Return (segment, offset) of the instants between which every quantity is smooth, in order.
@@ -92,20 +110,3 @@ class Motion:
         segment, offset, touching = np.empty(room, np.int64), np.empty(room), np.empty(room, np.bool_)
         count = refine(self._trajectory, segment, offset, touching)
         return segment[:count], offset[:count], touching[:count]
-
-    def _evaluate(
-        self, wanted: NDArray[np.int64], segment: NDArray[np.int64], offset_s: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
-        segment = np.ascontiguousarray(segment, np.int64)
-        offset_s = np.ascontiguousarray(offset_s, np.float64)
-        if segment.shape != offset_s.shape:
-            raise ValueError(f"segment and offset must have one shape, got {segment.shape} and {offset_s.shape}")
-        if len(segment) and (segment.min() < self.first_segment or segment.max() > self.last_segment):
-            raise ValueError(
-                f"this motion holds segments {self.first_segment} to {self.last_segment}, "
-                f"got {segment.min()} to {segment.max()}"
-            )
-        out = np.empty((len(wanted), len(segment)))
-        query = Query(np.ascontiguousarray(wanted, np.int64), segment, offset_s, out)
-        sample(self._model, self._trajectory, query, self._bench)
-        return out

@@ -364,13 +364,18 @@ def _sample_flight(model, f, knot, rows, query, bench):  # type: ignore[no-untyp
 @Direct
 @njit(cache=True, nogil=True, error_model="numpy")
 def sample(model, trajectory, query, bench):  # type: ignore[no-untyped-def]
-    """Fill `query.out`: runs of instants in one piece of the trajectory are evaluated together."""
+    """Fill `query.out` and return whether there are such segments.
+
+    Runs of instants in one piece of the trajectory are evaluated together.
+    """
     n = query.offset.shape[0]
     rows = np.empty(3, np.int64)
     bench.flight[0].omega = -1.0
     i = 0
     while i < n:
         segment = query.segment[i] - trajectory.base
+        if not 0 <= segment < trajectory.segments.shape[0]:
+            return False
         drive_row = trajectory.segments[segment]
         f = Forcing(drive_row.omega, drive_row.phase, drive_row.amplitude, drive_row.slope)
         low, high = trajectory.first[segment], trajectory.first[segment + 1]
@@ -386,3 +391,4 @@ def sample(model, trajectory, query, bench):  # type: ignore[no-untyped-def]
             _sample_contact(model, f, trajectory.knots, rows, query, bench)
         else:
             _sample_flight(model, f, trajectory.knots[row], rows, query, bench)
+    return True

@@ -23,6 +23,7 @@ from impact_rig.physics.indentation import turned_at
 from impact_rig.physics.model import CONTACT_RTOL, Model, build
 from impact_rig.physics.motion import Motion
 from impact_rig.physics.parameters import LOOSE, PRESCRIBED
+from impact_rig.physics.sampling import new_bench
 from impact_rig.physics.setup import Setup
 from impact_rig.physics.state import ATTACHED, COIL, CONTACT, FREE, IMPACT, LEDGER, STATE, STRUCTURE, V1, VB, X1, XB
 
@@ -74,6 +75,7 @@ class Simulation:
         self._account = account
         self._config = config
         self._desk = new_desk(1 << 15, 1 << 11)  # pages that are not touched take no memory
+        self._bench = new_bench()
         self.reset(model)
 
     @property
@@ -169,7 +171,8 @@ class Simulation:
                     f"at {desk.states[0]['t']:.9f} s of it: the motion cannot be resolved"
                 )
             desk = self._desk = _grown(desk)
-        if self._model.parameters[0].drive == PRESCRIBED and len(segments):  # not integrated, but energy depends on it
+        if self._model.parameters["drive"][0] == PRESCRIBED and len(segments):
+            # its motion is not integrated, but the energy depends on it
             last = segments[-1]
             f = Forcing(last["omega"], last["phase"], last["amplitude"], last["slope"])
             desk.states[0]["y"][[XB, VB]] = drive(f, last["duration"])
@@ -177,7 +180,7 @@ class Simulation:
         desk.first[-1] = knots
         motion = Motion(
             self._model, self.segment, segments, desk.knots[:knots].copy(), desk.first,
-            desk.impacts[:impacts].copy().view(np.ndarray),
+            desk.impacts[:impacts].copy().view(np.ndarray), self._bench,
         )  # fmt: skip
         self.segment += len(segments)
         return motion

@@ -24,6 +24,7 @@ TICKS_PER_S = NS_PER_S // COMMAND_GRID_NS
 
 _NO_STATES = np.empty(0, TRUTH_SCAN)
 _NO_IMPACTS = np.empty(0, IMPACTS)
+_QUANTITIES = (TRUTH_SCAN.names or ())[1:]
 _IMPACT_COLUMNS = [name for name in IMPACTS.names or () if name != "time"]
 
 
@@ -72,13 +73,10 @@ class Truth:
         if len(scans) == 0:
             return
         segment, rest = np.divmod(scans * TICKS_PER_S, self._rate_hz)
-        state = motion.sample(segment, rest * (tick_s / self._rate_hz))
-        rows = np.empty(len(scans), TRUTH_SCAN)
-        rows["time"] = scans  # turned into seconds when the block is known
-        for name in TRUTH_SCAN.names or ():
-            if name != "time":
-                rows[name] = state[name]
-        self._states.append(rows)
+        values = np.empty((len(scans), 1 + len(_QUANTITIES)))
+        values[:, 0] = scans  # turned into seconds when the block is known
+        values[:, 1:] = motion.quantities(_QUANTITIES, segment, rest * (tick_s / self._rate_hz)).T
+        self._states.append(values.view(TRUTH_SCAN).reshape(-1))
 
     def _take_impacts(self, motion: Motion, tick_s: float) -> None:
         found = motion.impacts
