@@ -158,13 +158,20 @@ def _adopt_orphans() -> None:
 
 
 @pytest.fixture(scope="session")
-def browser() -> Iterator[Browser]:
-    """Start one browser for all tests of a process; they open pages of their own."""
+def _chromium() -> Iterator[Browser]:
+    """Start one browser for all tests of a process."""
     pytest.importorskip("aiohttp", reason="the extra [lab] is not installed")
     from kits.browser import Browser
 
     with contextlib.closing(Browser()) as found:
         yield found
+
+
+@pytest.fixture
+def browser(_chromium: Browser) -> Iterator[Browser]:
+    """Open pages of a test's own in the one browser; none outlives the test, however it ends."""
+    yield _chromium
+    _chromium.close_pages()
 
 
 @pytest.fixture(autouse=True)

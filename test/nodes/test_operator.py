@@ -96,7 +96,7 @@ def test_a_narrower_laser_is_out_of_range_on_both_sides_and_another_rate_has_oth
     laser.clear()
     within = lambda: any(0.0495 <= distance <= 0.0505 for distance in shown())  # noqa: E731  # few are, at resonance
     client.wait_until(
-        lambda: {math.inf, -math.inf} <= shown() and within() and len(laser) > 30, "readings beyond either end and within"
+        lambda: {math.inf, -math.inf} <= shown() and within() and len(laser) > 30, "readings beyond the ends and within"
     )
     last = laser.messages[-1]
     assert (last.min_range, last.max_range) == pytest.approx((0.0495, 0.0505))
