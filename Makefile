@@ -78,6 +78,10 @@ campaign: $(PACKAGE) ## measure all points of the paper, judge its statements, w
 # that does something else as well may need longer than anybody would wait. Nothing else gets a second chance.
 SECOND_CHANCE := --reruns 1 --only-rerun WaitTimeoutError --only-rerun TimeoutExpired
 
+# Files go to the workers in the order of test/conftest.py, the longest first; left to itself, xdist begins with the file
+# of most tests and ends with those of a single long one.
+TWO_WORKERS := -n 2 --dist loadfile --no-loadscope-reorder --max-worker-restart 0
+
 # All tests end with the table of coverage; some of them would say nothing about it. The second table is of the files
 # that hold compiled code, whose lines are seen where tests run them as plain Python.
 COVERAGE := $(VENV)/bin/python -m coverage
@@ -87,7 +91,7 @@ MEASURED := $(if $(ARGS),,1)
 test: $(PACKAGE) ## run all tests on real ROS 2; ARGS='-k codec' chooses, SHUFFLE=7 draws another order
 	@$(if $(MEASURED),$(COVERAGE) erase)
 	@IMPACT_RIG_REQUIRE_ROS=1 $(if $(MEASURED),$(COVERAGE) run,$(VENV)/bin/python) -m pytest $(PYTEST_PLUGINS_USED) \
-	    -n 2 --dist loadfile --max-worker-restart 0 $(SECOND_CHANCE) $(if $(SHUFFLE),--shuffle=$(SHUFFLE)) $(ARGS); status=$$?; \
+	    $(TWO_WORKERS) $(SECOND_CHANCE) $(if $(SHUFFLE),--shuffle=$(SHUFFLE)) $(ARGS); status=$$?; \
 	    $(if $(MEASURED),$(COVERAGE) combine --quiet && $(COVERAGE) report && \
 	    $(COVERAGE) report --include="$(KERNELS)" --fail-under=90 &&) exit $$status
 

@@ -36,6 +36,12 @@ sys.path.append(str(Path(__file__).parents[1]))  # for `tools`, which is no part
 
 REQUIRE_ROS = os.environ.get("IMPACT_RIG_REQUIRE_ROS") == "1"
 DOMAINS = range(50, 100)  # 0 to 101 are safe on Linux; people and `make demo` use low numbers
+LONGEST_FILES = (
+    "test_digests", "test_demo", "test_recovery", "test_live_page", "test_guide", "test_examples", "test_told_to_end",
+    "test_three_processes", "test_report", "test_dask", "test_ros_rig", "test_extending", "test_recorder_node",
+)  # fmt: skip
+"""They begin first, the longest of all at the head: a worker takes whole files, and one that begins a long file last
+makes the other wait for it."""
 GRACE_S = 5.0  # how long a thread or process may take to end after its test
 
 # before any module imports a message class or starts a node, and inherited by the processes that tests start
@@ -70,6 +76,9 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         dropped = [item for item in items if left_out & {marker.name for marker in item.iter_markers()}]
         config.hook.pytest_deselected(items=dropped)
         items[:] = [item for item in items if item not in set(dropped)]
+    if seed is None:
+        place = {name: number for number, name in enumerate(LONGEST_FILES)}
+        items.sort(key=lambda item: place.get(item.path.stem, len(place)))
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:
@@ -158,13 +167,20 @@ def _adopt_orphans() -> None:
 
 
 @pytest.fixture(scope="session")
-def browser() -> Iterator[Browser]:
-    """Start one browser for all tests of a process; they open pages of their own."""
+def _chromium() -> Iterator[Browser]:
+    """Start one browser for all tests of a process."""
     pytest.importorskip("aiohttp", reason="the extra [lab] is not installed")
     from kits.browser import Browser
 
     with contextlib.closing(Browser()) as found:
         yield found
+
+
+@pytest.fixture
+def browser(_chromium: Browser) -> Iterator[Browser]:
+    """Open pages of a test's own in the one browser; none outlives the test, however it ends."""
+    yield _chromium
+    _chromium.close_pages()
 
 
 @pytest.fixture(autouse=True)

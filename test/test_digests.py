@@ -25,7 +25,7 @@ sys.path.insert(0, str(ROOT))  # the tool is no part of the package
 from tools.portability import __main__ as command  # noqa: E402
 from tools.portability import digests  # noqa: E402
 from tools.portability.masks import BARE, LIBRARIES, LLVM_GENERIC, Mask, full_environment  # noqa: E402
-from tools.portability.runs import LONG, SHORT, known  # noqa: E402
+from tools.portability.runs import LONG, QUICK, SHORT, known  # noqa: E402
 
 RUNS = known((*LONG, *SHORT))
 pytestmark = pytest.mark.timeout(900)  # on a busy machine with an empty cache the first of them compiles for minutes
@@ -85,8 +85,18 @@ def test_the_compiler_decides_no_bit(compiled: Recorded, directory: Path) -> Non
     masked.assert_committed()
 
 
-def test_plain_python_gives_the_compiled_bits(compiled: Recorded, directory: Path) -> None:
+def test_plain_python_gives_the_compiled_bits(directory: Path) -> None:
     """A kernel is what its Python text says: a debugger and the table of coverage see the same physics."""
+    compiled = record(directory, BARE, "quick", "--save", str(directory / "quick"))
+    plain = record(directory, BARE, "quick", "--against", str(directory / "quick"), NUMBA_DISABLE_JIT="1")
+    assert {run for run, _ in plain.digests} == {run.name for run in known(QUICK)}
+    assert {run.name for run in QUICK if run.seconds} == {run for run, topic in plain.digests if topic == "daq/scan"}
+    assert plain.said == {}
+    assert plain.digests == compiled.digests
+
+
+@pytest.mark.slow
+def test_plain_python_gives_the_committed_bits(compiled: Recorded, directory: Path) -> None:
     plain = record(directory, BARE, "short", "--against", str(directory / "rows"), NUMBA_DISABLE_JIT="1")
     assert {run for run, _ in plain.digests} == {run.name for run in known(SHORT)}
     assert plain.said == {}

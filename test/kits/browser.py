@@ -126,6 +126,15 @@ class Browser:
         page.open(width, height, features)
         return page
 
+    def close_pages(self) -> None:
+        """Close what is still open: a page that a failed test has left goes on drawing."""
+        for page in list(self._pages.values()):
+            page.close()
+
+    def forget(self, session: str) -> bool:
+        """Hear no more of a page; whether it was known."""
+        return self._pages.pop(session, None) is not None
+
     def close(self) -> None:
         """End the browser."""
 
@@ -234,7 +243,9 @@ class Page:
         path.write_bytes(base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"]))
 
     def close(self) -> None:
-        self._browser.call("Target.disposeBrowserContext", browserContextId=self._context)
+        """Close it with its profile, if it is open."""
+        if self._browser.forget(self._session):
+            self._browser.call("Target.disposeBrowserContext", browserContextId=self._context)
 
 
 def serious_faults(page: Page) -> list[str]:

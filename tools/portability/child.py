@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from impact_rig.physics import model
 from tools.portability import digests
-from tools.portability.runs import LONG, SHORT, Streams, known
+from tools.portability.runs import LONG, QUICK, SHORT, Streams, known
 
 TABLES = "tables.npz"
 
@@ -37,15 +37,16 @@ def main() -> int:
     """Return 0 if every run could be recorded, whatever its bits."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("output", type=Path)
-    parser.add_argument("runs", nargs="+", help="names, or long, short")
+    parser.add_argument("runs", nargs="+", help="names, or long, short, quick")
     parser.add_argument("--save", type=Path)
     parser.add_argument("--against", type=Path)
     arguments = parser.parse_args()
     tables = Tables(arguments.against if config.DISABLE_JIT else None)
     found: digests.Digests = {}
     failed = 0
-    for run in known((*LONG, *SHORT)):
-        if {run.name, "long" if run in LONG else "short"} & set(arguments.runs):
+    for run in known((*LONG, *SHORT, *(run for run in QUICK if run not in SHORT))):
+        sets = {word for word, runs in (("long", LONG), ("short", SHORT), ("quick", QUICK)) if run in runs}
+        if {run.name, *sets} & set(arguments.runs):
             try:
                 streams = run.record(run)
             except Exception as error:  # the other runs are still worth knowing
