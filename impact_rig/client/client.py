@@ -44,7 +44,7 @@ from impact_rig.errors import ConfigError, ImpactRigError
 from impact_rig.nodes import messages
 from impact_rig.nodes.guard import with_info
 from impact_rig.nodes.process import make_executor
-from impact_rig.nodes.stamps import time_message
+from impact_rig.nodes.template import Template
 from impact_rig.nodes.topics import by_name
 from impact_rig.system.endings import unhurried
 
@@ -89,6 +89,7 @@ class Client:
         self._hosted = HostedNodes(self.node, self.executor)
         self._spinner = Spinner(self.executor)
         self._publishers: dict[str, Any] = {}
+        self._acknowledgements: dict[str, Template] = {}
         self._heard: set[Any] = set()
         self._clients: dict[tuple[str, Any], Any] = {}
         self._subscribe(topics.DIAGNOSTICS, self._on_diagnostics)
@@ -353,7 +354,9 @@ class Client:
 
     def acknowledge_for(self, peer: str, stamp_ns: int) -> None:
         """Tell the rig that a peer, which does not do so itself, has processed everything up to a block."""
-        self.publisher(topics.ACK).publish(Header(stamp=time_message(stamp_ns), frame_id=peer))
+        if peer not in self._acknowledgements:
+            self._acknowledgements[peer] = Template(Header(frame_id=peer))
+        self.publisher(topics.ACK).publish(self._acknowledgements[peer].render(stamp_ns))
 
     def publisher(self, topic: topics.Topic) -> Any:
         """Return the publisher of a topic, made if there is none."""

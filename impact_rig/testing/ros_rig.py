@@ -39,7 +39,7 @@ from impact_rig.testing.stepped_rig import SCANS, TOPICS, SteppedRig, configured
 
 NODE_TIMEOUT_S = 30.0
 """How long a node under test may take to subscribe."""
-ACK_WINDOW = 4
+ACK_WINDOW = 8
 """Blocks out and not acknowledged: less than the 10 messages most nodes keep, so that a slow one loses none."""
 RUN = "run"
 

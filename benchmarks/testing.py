@@ -1,0 +1,69 @@
+# Copyright 2026 The impact_rig developers
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0 Unless required by
+# applicable law or agreed to in writing, software distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific language
+# governing permissions and limitations under the License.
+"""What a minute of rig time costs in a test of a pipeline, the start of Python and of the rig included.
+
+python -m benchmarks.testing
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+
+RIG_S = 60.0
+REPEATS = 3
+KINDS = ("virtual", "hosted", "processes")
+DRIVE = {"drive.amplitude": 0.52, "barriers.gap_m": 0.006}
+
+
+def run() -> dict[str, float]:
+    """Return the wall time of each kind of rig [s], the median of some runs."""
+    command = [sys.executable, "-m", "benchmarks.testing"]
+    found = {}
+    for kind in KINDS:
+        walls = []
+        for _ in range(REPEATS):
+            began = time.monotonic()
+            subprocess.run([*command, kind], check=True)
+            walls.append(time.monotonic() - began)
+        found[f"minute_{kind}_s"] = float(np.median(walls))
+    return found
+
+
+def minute(kind: str) -> None:
+    """Run a rig for a minute of its time, with somebody who takes every block."""
+    if kind == "virtual":
+        from impact_rig.testing.virtual_rig import VirtualRig  # noqa: PLC0415  # loads compiled code
+
+        blocks = []
+        rig = VirtualRig(DRIVE)
+        rig.connect(blocks.append)
+        rig.run(RIG_S)
+        assert sum(len(block.rows) for block in blocks) >= RIG_S * rig.config.daq.rate_hz
+        return
+    from impact_rig.testing.ros_rig import RosRig  # noqa: PLC0415  # needs ROS
+
+    with tempfile.TemporaryDirectory() as name:
+        ros_rig = RosRig(Path(name) / "rig", DRIVE, hosted=kind == "hosted")
+        try:
+            ros_rig.run(RIG_S)
+            assert sum(len(table.rows) for table in ros_rig.tables()) >= RIG_S * ros_rig.config.daq.rate_hz
+        finally:
+            ros_rig.close()
+
+
+if __name__ == "__main__":
+    if sys.argv[1:]:
+        minute(sys.argv[1])
+    else:
+        for figure, value in run().items():
+            print(f"{figure:40} {value:.4g}")
