@@ -75,7 +75,8 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         left_out = {"benchmark"} if config.getoption("--thorough") else {"benchmark", "slow"}
         dropped = [item for item in items if left_out & {marker.name for marker in item.iter_markers()}]
         config.hook.pytest_deselected(items=dropped)
-        items[:] = [item for item in items if item not in set(dropped)]
+        gone = set(dropped)
+        items[:] = [item for item in items if item not in gone]
     if seed is None:
         place = {name: number for number, name in enumerate(LONGEST_FILES)}
         items.sort(key=lambda item: place.get(item.path.stem, len(place)))

@@ -55,9 +55,9 @@ def cluster(tmp_path_factory):
         quiet["stderr"].close()
 
 
-def start(file, directory, address, name="campaign"):
+def start(file, directory, address, name="campaign", before=""):
     """Start the command in a process of its own: Dask leaves threads behind."""
-    command = [sys.executable, "-c", "import sys; from impact_rig.cli import main; sys.exit(main())", name]
+    command = [sys.executable, "-c", f"import sys; {before}from impact_rig.cli import main; sys.exit(main())", name]
     arguments = [str(file), "--output", str(directory), "--through", "dask", address]
     return subprocess.Popen([*command, *arguments], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
 
@@ -101,7 +101,8 @@ def test_a_map_has_the_same_bits_there(cluster, tmp_path):
 def test_a_cluster_that_cannot_be_reached_is_one_clear_line(tmp_path):
     file, address = tmp_path / "tiny.yaml", f"tcp://127.0.0.1:{free_port()}"
     file.write_text(TINY)
-    process = start(file, tmp_path / "out", address)
+    impatient = "from impact_rig.campaign import cluster; cluster.CONNECT_S = 1.0; "
+    process = start(file, tmp_path / "out", address, before=impatient)
     output, _ = process.communicate(timeout=WAIT_S)
     assert process.returncode == 1
     assert f"cannot reach a Dask scheduler at {address}" in output

@@ -52,14 +52,14 @@ def run_pytest(tmp_path: Path, source: str, *options: str) -> subprocess.Complet
 
 def test_compiling_is_not_part_of_a_tests_time(tmp_path: Path) -> None:
     pytest.importorskip("pytest_timeout")
-    lines = "\n".join(f"    x = x * 1.0{n} + y[{n}] / (x + {n}.5)" for n in range(400))
+    lines = "\n".join(f"    x = x * 1.0{n} + y[{n}] / (x + {n}.5)" for n in range(200))
     source = (
         "import time\nimport numba, numpy as np, pytest\n"
         f"@numba.njit\ndef large(x, y):\n{lines}\n    return x\n"
         "@pytest.mark.timeout(LIMIT)\n"
         "def test_large():\n"
         "    began = time.monotonic()\n"
-        "    large(1.0, np.ones(400))\n"
+        "    large(1.0, np.ones(200))\n"
         "    print('took', time.monotonic() - began)\n"
         "def test_endless():\n"
         "    time.sleep(100)\n"
