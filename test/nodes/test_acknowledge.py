@@ -8,6 +8,8 @@
 
 from __future__ import annotations
 
+import time
+
 import pytest
 
 pytest.importorskip("rclpy", reason="no ROS 2 here")
@@ -46,6 +48,19 @@ def test_a_block_alone_is_acknowledged_at_once(client: Client) -> None:
 def test_blocks_of_a_burst_are_acknowledged_together_and_the_last_one_soon(client: Client) -> None:
     stamps = [nanoseconds(header.stamp) for header in _told(client, 3 * MOST + 3)]
     assert stamps == [0, MOST, 2 * MOST, 3 * MOST, 3 * MOST + 2]
+
+
+def test_blocks_of_real_time_are_acknowledged_together_and_the_last_one_without_another(client: Client) -> None:
+    node = host_rig(client, time__peers=[])
+    acknowledgements = Acknowledgements(node)
+    heard = client.listen(topics.ACK.name)
+    now = time.time_ns()
+    for number in range(MOST + 1):
+        acknowledgements.processed(now + number)
+    assert not heard.messages
+    client.wait_until(lambda: len(heard.messages) > 0, "an acknowledgement")
+    acknowledgements.destroy()
+    assert [nanoseconds(header.stamp) for header in heard.messages] == [now + MOST]
 
 
 def test_what_is_not_safe_is_not_acknowledged(client: Client) -> None:
