@@ -81,8 +81,8 @@ def _live(seconds: float, pairs: int) -> dict[str, float]:
             tell("memory of the lab's process")
             grown = _memory(browser, address, lab, client)
             lost = float(client.figures("analysis").get("lost_scans", "nan")) / (RATE_HZ // 100)
-            figures = client.figures("rig")
-            lost += sum(float(value) for name, value in figures.items() if name.startswith("lost_blocks"))
+            recorded = client.figures("recorder")
+            lost += sum(float(value) for name, value in recorded.items() if name.startswith("lost."))
             return {
                 "lab_fps": statistics.median(drawn),
                 "lab_script_ms_per_frame": statistics.median(script),

@@ -13,6 +13,7 @@ for. The wheels have no ros2cli, but list, info, echo, hz, param, lifecycle and 
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import sys
 import tempfile
@@ -27,6 +28,7 @@ from rclpy.parameter import parameter_dict_from_yaml_file, parameter_value_to_py
 
 from impact_rig.client import Client, Processes, isolated_domain
 from impact_rig.client.parameters import ros_parameters
+from impact_rig.client.waiting import WaitTimeoutError
 from impact_rig.nodes.analysis_node import AnalysisNode
 from impact_rig.nodes.rig_node import RigNode
 from impact_rig.nodes.services import SERVICES
@@ -135,11 +137,20 @@ def _dump(client: Client, node: str, names: list[str], path: Path) -> None:
 
 def services(calls: Calls, client: Client, nodes: tuple[str, ...] = NODES) -> None:
     """`ros2 service list -t`: ours, on each node."""
-    for row in SERVICES:
-        if row.node in nodes:
-            known = dict(client.node.get_service_names_and_types_by_node(row.node, client.node.get_namespace()))
-            name = client.node.resolve_topic_name(f"{row.node}/{row.name[2:]}")
-            calls.hold(f"ros2 service type {name}", known.get(name) == [row.type_name], known.get(name))
+    expected = {
+        client.node.resolve_topic_name(f"{row.node}/{row.name[2:]}"): (row.node, row.type_name)
+        for row in SERVICES
+        if row.node in nodes
+    }
+
+    def known(node: str) -> dict[str, list[str]]:
+        return dict(client.node.get_service_names_and_types_by_node(node, client.node.get_namespace()))
+
+    with contextlib.suppress(WaitTimeoutError):  # what is new in the graph is known by and by
+        client.wait_until(lambda: expected.keys() <= {name for node in nodes for name in known(node)}, "services")
+    for name, (node, type_name) in expected.items():
+        found = known(node).get(name)
+        calls.hold(f"ros2 service type {name}", found == [type_name], found)
 
 
 def lifecycle(calls: Calls, client: Client, node: str) -> None:
