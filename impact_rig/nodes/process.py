@@ -57,6 +57,12 @@ def make_executor(context: Any = None) -> Any:
     return SingleThreadedExecutor(context=context)
 
 
+def spin(executor: Any, seconds: float) -> None:
+    """Let callbacks run for so long, without coming back after each of them."""
+    never: Future[None] = Future()
+    executor.spin_until_future_complete(never, timeout_sec=seconds)
+
+
 def run(make_node: Callable[[], ManagedNode[Any]], ending: Ending) -> int:
     """Spin the node until a signal or a shutdown; return the exit code."""
     try:
@@ -72,10 +78,9 @@ def run(make_node: Callable[[], ManagedNode[Any]], ending: Ending) -> int:
     try:
         executor.add_node(node)
         frozen = False
-        never: Future[None] = Future()
         while not node.is_told_to_end():
             try:
-                executor.spin_until_future_complete(never, timeout_sec=SPIN_S)
+                spin(executor, SPIN_S)
             except (ExternalShutdownException, KeyboardInterrupt):
                 raise
             except Exception as error:  # of rclpy itself: our callbacks are guarded, and the rest can go on
