@@ -80,6 +80,29 @@ def test_rows_are_a_view_that_cannot_be_written():
         rows["time"] = 0
 
 
+def test_messages_of_one_length_are_told_apart():
+    """What was read before must not decide what the next message of that length holds."""
+    one, other = np.dtype([("ab", "<f4"), ("cd", "<u4")]), np.dtype([("cd", "<u4"), ("ab", "<f4")])
+    wide, narrow = np.dtype([("ab", "<f8"), ("cd", "<f8")]), np.dtype([("ab", "<f4"), ("cd", "<f4")])
+    alike = [
+        [Table(1, np.zeros(2, one), "daq"), Table(2, np.zeros(2, other), "daq"), Table(3, np.zeros(2, one), "rig")],
+        [Table(4, np.ones(1, wide), "daq"), Table(5, np.ones(2, narrow), "daq")],
+    ]
+    for tables_ in alike:
+        assert len({len(encode(table)) for table in tables_}) == 1
+        for table in (*tables_, *reversed(tables_)):
+            assert_same(decode(encode(table)), table)
+
+
+def test_a_message_that_lies_is_refused_though_one_of_its_length_was_read():
+    good = encode(scan_table())
+    decode(good)
+    row_step = len(good) - 1 - scan_table().rows.nbytes - 8
+    lie = good[:row_step] + struct.pack("<I", 1) + good[row_step + 4 :]
+    with pytest.raises(CodecError, match="row_step 1"):
+        decode(lie)
+
+
 def test_rows_with_holes_and_columns_in_any_order_are_read():
     """PointCloud2 lets the sender pad points and order fields as it likes; PCL does both."""
     dtype = np.dtype({"names": ["b", "a"], "formats": ["<f8", "u1"], "offsets": [8, 0], "itemsize": 24})

@@ -112,7 +112,7 @@ class Chain:
         self._quantities = tuple(sensor.quantity for sensor in self._sensors)
         rate = config.daq.rate_hz
         self._faults = FaultBoard(config.instruments.faults.faults(rate), rate)
-        self._none = self._rows = np.zeros(0, dtype=row_type_of(config.instruments))
+        self._rows = np.zeros(0, dtype=row_type_of(config.instruments))
         self._taken = 0
         self._times = np.zeros(0)  # of the last read: blocks are all of one length
         self._next_scan = 0
@@ -182,7 +182,7 @@ class Chain:
         rows["time"] = self._times
         self._taken += count
         if self._taken == len(self._rows):  # nothing of them is kept that nobody needs
-            self._rows, self._taken = self._none, 0
+            self._rows, self._taken = np.zeros(0, self._rows.dtype), 0
         self._next_scan += count
         return rows
 

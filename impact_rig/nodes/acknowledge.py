@@ -27,7 +27,7 @@ PRESENT_NS = NS_PER_S
 ALONE_S = 0.004
 """A block that comes this long after the last acknowledgement is acknowledged at once."""
 MOST = 16
-"""Blocks acknowledged together: a quarter of the default window, so that the rig is never kept waiting by it."""
+"""Blocks acknowledged together, at most: as many as a rig runs ahead by default."""
 
 
 class Acknowledgements:

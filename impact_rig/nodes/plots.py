@@ -51,7 +51,7 @@ class Plots:
         self._since_drive = 0
         self._drive: tuple[float, float] | None = None
         self._listened_to: set[str] = set()
-        self._since_look = 0
+        self._until_look = 0
 
     def configure(self, info: Table) -> None:
         """Take the rate of the scans from daq/info."""
@@ -133,10 +133,10 @@ class Plots:
 
     def _look(self, scans: int) -> None:
         """Look who listens, ten times a second: to ask for each block costs as much as to measure it."""
-        self._since_look -= scans
-        if self._since_look < 0:
+        self._until_look -= scans
+        if self._until_look < 0:
             self._listened_to = {name for name, outlet in self._outlets.items() if outlet.get_subscription_count()}
-            self._since_look = round(LOOK_S * self._rate_hz)
+            self._until_look = round(LOOK_S * self._rate_hz)
 
     def _heard(self, topic: Topic) -> bool:
         return topic.name in self._listened_to

@@ -78,7 +78,7 @@ def run(make_node: Callable[[], ManagedNode[Any]], ending: Ending) -> int:
     try:
         executor.add_node(node)
         frozen = False
-        while not node.is_told_to_end():
+        while node.context.ok() and not node.is_told_to_end():
             try:
                 spin(executor, SPIN_S)
             except (ExternalShutdownException, KeyboardInterrupt):

@@ -31,13 +31,13 @@ def _places(names: tuple[str, ...]) -> NDArray[np.int64]:
 class Motion:
     """The trajectory of consecutive drive segments, numbered from `first_segment`.
 
-    Times are (segment, offset into the segment): no value depends on how the run was cut into advances.
+    Times are (segment, offset into the segment): no value depends on how the run was cut into advances. Motions that
+    are asked in turn may share a `bench`, their scratch memory.
 
     Attributes:
         first_segment: number of the first segment, counted since the reset.
         segments: the drive, shape (n,), dtype `forcing.SEGMENT`.
         impacts: contacts that ended in this motion, dtype `IMPACT`; a contact may have begun in an earlier one.
-        bench: scratch memory, which motions that are asked in turn may share.
     """
 
     def __init__(

@@ -148,3 +148,20 @@ def test_instants_outside_the_motion_are_refused():
             motion.quantity("x_1", np.array([wrong]), np.array([0.0]))
     with pytest.raises(ValueError, match="one shape"):
         motion.quantity("x_1", np.array([5, 6]), np.array([0.0]))
+
+
+def test_motions_of_one_simulation_do_not_disturb_each_other():
+    """They share their scratch memory: asked in turn they say what each says alone."""
+    simulation = Simulation(CONFIGS["current"])
+    simulation.place(x_1=-4e-3, d_rate=0.1)
+    drive = sine(9.1, AMPLITUDES["current"], TICK_S, 2 * SEGMENTS)
+    first, second = simulation.advance(drive[:SEGMENTS]), simulation.advance(drive[SEGMENTS:])
+    offset = np.linspace(0.0, TICK_S, 50, endpoint=False)
+
+    def sampled(motion: Motion, k: int) -> np.ndarray:
+        return motion.sample(np.full(50, motion.first_segment + k), offset)
+
+    alone = [np.concatenate([sampled(motion, k) for k in range(SEGMENTS)]) for motion in (first, second)]
+    in_turn = [(sampled(first, k), sampled(second, k)) for k in range(SEGMENTS)]
+    for one, both in zip(alone, zip(*in_turn, strict=True), strict=True):
+        assert np.concatenate(both).tobytes() == one.tobytes()
