@@ -24,6 +24,7 @@ from impact_rig import topics
 from impact_rig.analysis.calibration import Calibration
 from impact_rig.analysis.channels import SCAN
 from impact_rig.analysis.cycles import Accumulator, Cycles, usable_harmonics
+from impact_rig.analysis.findings import Counters, Findings
 from impact_rig.analysis.impacts import MIN_RATE_HZ, ImpactDetector, Impacts, counted, joined
 from impact_rig.analysis.judge import Judge, Progress, window_cycles
 from impact_rig.analysis.scan_buffer import ScanBuffer, first_scan_at, scan_index
@@ -39,29 +40,6 @@ LONGEST_S = 2.0**32
 """Two stamps cannot be further apart."""
 MIN_HOLD_SCANS = 16
 """Impacts are known this many scans after they happened; cycles are closed no earlier."""
-
-
-@attrs.define
-class Counters:
-    """What a tracker has seen so far; for diagnostics."""
-
-    scans: int = 0
-    lost_scans: int = 0
-    duplicate_scans: int = 0
-    unconfigured_scans: int = 0
-    restarts: int = 0
-    late_events: int = 0
-    measurements: int = 0
-    refusals: int = 0
-    impacts: int = 0
-
-
-@attrs.frozen(eq=False)
-class Findings:
-    """What one call found: `transmissibility/table` tables of one row each, and tables of detected impacts."""
-
-    measurements: tuple[Table, ...] = ()
-    impacts: tuple[Table, ...] = ()
 
 
 @attrs.frozen

@@ -360,19 +360,16 @@ class Client:
 
     def publisher(self, topic: topics.Topic) -> Any:
         """Return the publisher of a topic, made if there is none."""
-        publisher = self._publishers.get(topic.name)
-        if publisher is None:
-            publisher = self.node.create_publisher(messages.class_of(topic), topic.name, messages.profile(topic.qos))
-            self._publishers[topic.name] = publisher
-        return publisher
+        if topic.name not in self._publishers:
+            kind, profile = messages.class_of(topic), messages.profile(topic.qos)
+            self._publishers[topic.name] = self.node.create_publisher(kind, topic.name, profile)
+        return self._publishers[topic.name]
 
     def _subscribe(
         self, topic: topics.Topic, callback: Callable[..., None], raw: bool = False, profile: QoSProfile | None = None
     ) -> Any:
-        profile = profile or messages.profile(topic.qos)
-        return self.node.create_subscription(
-            messages.class_of(topic), topic.name, with_info(callback), profile, raw=raw
-        )
+        kind, profile = messages.class_of(topic), profile or messages.profile(topic.qos)
+        return self.node.create_subscription(kind, topic.name, with_info(callback), profile, raw=raw)
 
     def _acknowledge(self, message: Received) -> None:
         self.acknowledge_for(self.name, codec.header_stamp_ns(message.data))

@@ -17,10 +17,11 @@ from std_msgs.msg import Float64, String
 from impact_rig import codec, topics
 from impact_rig.analysis import warm_up
 from impact_rig.analysis.blockwise import ANALYSES, Blockwise
+from impact_rig.analysis.findings import Findings
 from impact_rig.analysis.labels import parse_label
 from impact_rig.analysis.settings import TrackerSettings
 from impact_rig.analysis.tables import settings_table
-from impact_rig.analysis.tracker import LONGEST_S, Findings, Tracker
+from impact_rig.analysis.tracker import LONGEST_S, Tracker
 from impact_rig.blocks import Table
 from impact_rig.errors import CodecError, ConfigError
 from impact_rig.nodes import process

@@ -136,6 +136,11 @@ def describe(error: BaseException) -> str:
     return f"{type(error).__name__}: {error}{where}"
 
 
+def in_words(error: Exception) -> str:
+    """Return why something was refused: our own errors say it in their words, what is unexpected is described."""
+    return str(error) if isinstance(error, ImpactRigError) else describe(error)
+
+
 def _name(callback: Callable[..., Any]) -> str:
     while isinstance(callback, functools.partial):
         callback = callback.func

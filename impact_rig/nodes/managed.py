@@ -32,7 +32,7 @@ from impact_rig import topics
 from impact_rig.errors import ImpactRigError
 from impact_rig.nodes import diagnostics, messages
 from impact_rig.nodes.diagnostics import CpuMeter, Health, Level
-from impact_rig.nodes.guard import Refusals, describe, guarded, guarded_answer, guarded_service
+from impact_rig.nodes.guard import Refusals, guarded, guarded_answer, guarded_service, in_words
 from impact_rig.nodes.one_by_one import set_one_by_one
 from impact_rig.nodes.parameters import Parameters, Schema
 from impact_rig.system.escapes import visible
@@ -248,6 +248,11 @@ class ManagedNode(LifecycleNode, Generic[S]):
         self._transition("clean up", self.cleanup)
         self.get_logger().info("ended")
 
+    def destroy_node(self) -> None:
+        """Destroy the node with its state machine, which rclpy forgets: that would keep the node in the graph."""
+        super().destroy_node()
+        self._state_machine.destroy_when_not_in_use()
+
     def compile_ahead(self, tasks: Sequence[Task]) -> None:
         """Return once these tasks are compiled; the log and diagnostics say how far that is."""
         from impact_rig.system.compile_ahead import compile_ahead  # noqa: PLC0415  # Numba; a recorder needs none
@@ -281,7 +286,7 @@ class ManagedNode(LifecycleNode, Generic[S]):
         return TransitionCallbackReturn.SUCCESS
 
     def _failed(self, what: str, error: Exception) -> TransitionCallbackReturn:
-        message = str(error) if isinstance(error, ImpactRigError) else describe(error)
+        message = in_words(error)
         self._last_error = (float("inf") if what == "configure" else time.monotonic(), f"cannot {what}: {message}")
         self.get_logger().error(f"cannot {what}: {message}")
         return TransitionCallbackReturn.FAILURE
@@ -328,8 +333,7 @@ class ManagedNode(LifecycleNode, Generic[S]):
                 self.parameters.settings = self._proposed
                 self.settings_in_force()
         except Exception as error:  # a set is refused with its reason, never fatal
-            message = str(error) if isinstance(error, ImpactRigError) else describe(error)
-            result = SetParametersResult(successful=False, reason=message)
+            result = SetParametersResult(successful=False, reason=in_words(error))
         finally:
             self._proposed = None
         return result
@@ -355,8 +359,7 @@ class ManagedNode(LifecycleNode, Generic[S]):
             if changes:
                 self.settings_changed(self._proposed, changes)
         except Exception as error:  # a set is refused with its reason, never fatal
-            message = str(error) if isinstance(error, ImpactRigError) else describe(error)
-            return SetParametersResult(successful=False, reason=message)
+            return SetParametersResult(successful=False, reason=in_words(error))
         return SetParametersResult(successful=True)
 
     # Diagnostics

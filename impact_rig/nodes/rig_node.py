@@ -12,8 +12,6 @@ import functools
 import time
 from typing import Any  # rclpy messages and responses
 
-from std_msgs.msg import Float64
-
 from impact_rig import codec, topics
 from impact_rig.errors import CodecError, CommandError
 from impact_rig.nodes import process
@@ -26,6 +24,7 @@ from impact_rig.nodes.pacing import AckWindow, Pacer
 from impact_rig.nodes.parameters import RigSchema
 from impact_rig.nodes.pausing import Pause
 from impact_rig.nodes.readers import Readers
+from impact_rig.nodes.rig_commands import RigCommands
 from impact_rig.nodes.rig_news import RigNews
 from impact_rig.nodes.rig_services import RigServices
 from impact_rig.nodes.rig_status import RigStatus
@@ -83,8 +82,7 @@ class RigNode(ManagedNode[RigConfig]):
         self._base_ns = self._clock_offset_ns = 0
         self._worked_at = self._slice_began = 0.0
         self._figures = RigStatus()
-        self.subscribe(topics.FREQUENCY, self._on_frequency)
-        self.subscribe(topics.CURRENT, self._on_current)
+        RigCommands(self, self._running, self._flush)
         self.subscribe(topics.ACK, self._on_ack, raw=True)
         self._pause = Pause(self, self._no_rig, lambda: self._window, self._go_on)
         self._news = RigNews(self)
@@ -278,25 +276,7 @@ class RigNode(ManagedNode[RigConfig]):
         self._outlets.configuration(rig)
         self._figures.realised_restitution = rig.simulation.realised_restitution
 
-    # Commands
-
-    def _on_frequency(self, message: Float64) -> None:
-        self._accept(topics.FREQUENCY.name, frequency_hz=message.data)
-
-    def _on_current(self, message: Float64) -> None:
-        self._accept(topics.CURRENT.name, current_a=message.data)
-
-    def _accept(self, name: str, **values: float) -> None:
-        if self._rig is None:
-            self.refuse("inactive", f"{name}: {self._why_not()}")
-            return
-        try:
-            self._rig.accept(**values)
-        except CommandError as error:
-            self.refuse(name, str(error))
-            return
-        self.get_logger().debug(f"accepted: {', '.join(f'{key} = {value:g}' for key, value in values.items())}")
-        self._flush(self._rig)
+    # Peers and steps
 
     def _on_ack(self, data: bytes) -> None:
         """Take an acknowledgement: every reader of daq/scan may send them, in every mode."""

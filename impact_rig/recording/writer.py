@@ -25,6 +25,7 @@ from impact_rig.errors import RecordingError
 from impact_rig.recording import bag_metadata
 from impact_rig.recording.bag_metadata import FileSpan
 from impact_rig.recording.description import INFINITE_NS, TopicDescription, matches
+from impact_rig.recording.directory import make_room
 from impact_rig.recording.log_time import LogTime
 from impact_rig.recording.losses import RECORD_NAME as LOSSES_RECORD_NAME
 from impact_rig.recording.losses import Account
@@ -32,7 +33,6 @@ from impact_rig.recording.mcap_file import McapFile
 from impact_rig.recording.provenance import RECORD_NAME, TOPIC_RECORD_NAME, Attachment, Provenance, protect
 from impact_rig.recording.schema import starts_with_header
 from impact_rig.recording.tail import Tail
-from impact_rig.system import files
 
 CHUNK_BYTES = 512 * 1024
 """Uncompressed size at which a chunk is closed: 4 MiB stall the writer for 25 ms, a few hundred KiB for 1-3 ms."""
@@ -110,7 +110,7 @@ class RunWriter:
         self._closed = False
         self._failure: RecordingError | None = None
         self._stopping_on_error = _StopOnError(self)
-        _make_room(directory)
+        make_room(directory)
         self._with_tail = tail
         self._tail: Tail | None = None
         self._file = self._open_file()
@@ -388,17 +388,3 @@ class _StopOnError:
     ) -> None:
         if isinstance(error, RecordingError):
             self.writer.stop(error)
-
-
-def _make_room(directory: Path) -> None:
-    try:
-        directory.mkdir(parents=True, exist_ok=True)
-        files.refuse_foreign(directory)
-        present = sorted(path.name for path in directory.iterdir())
-    except FileExistsError as error:
-        raise RecordingError(f"{directory} is a file, not a directory to record into") from error
-    except OSError as error:
-        raise RecordingError(f"the run directory {directory} cannot be made: {error.strerror}") from error
-    for name in present:
-        if name.endswith((".mcap", ".mcap.tail")) or name == bag_metadata.FILE_NAME:
-            raise RecordingError(f"{directory} holds a recording already ({name}); nothing is overwritten")

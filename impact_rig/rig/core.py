@@ -151,7 +151,7 @@ class Rig:
         ticks = next((k for k in range(1, ticks) if self._chain.clock_ppm(self._ticks + k) != ppm), ticks)
         tick_s = COMMAND_GRID_S * (1.0 + 1e-6 * (self.config.daq.clock_error_ppm + ppm))
         self._generator.set_tick(tick_s)
-        before = self._snapshot() if ticks > 1 else None
+        before = (self._simulation.copy(), self._generator.copy(), self._interlock.copy()) if ticks > 1 else None
         motion = self._simulation.advance(self._generator.segments(ticks))
         trip = self._watch(motion, tick_s)
         if trip is not None and trip.tick < ticks - 1:  # beyond that tick the drive must already be ramping down
@@ -167,9 +167,6 @@ class Rig:
             self._trip(trip)
         elif self._ticks == self._timeout_tick():
             self._time_out()
-
-    def _snapshot(self) -> tuple[Simulation, FunctionGenerator, Interlock]:
-        return self._simulation.copy(), self._generator.copy(), self._interlock.copy()
 
     def _cut(self, size: int) -> Block:
         """Return the next `size` scans as a block."""

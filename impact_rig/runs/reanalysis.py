@@ -14,10 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig import codec, topics
+from impact_rig.analysis.findings import Findings
 from impact_rig.analysis.labels import GapLabel, parse_label
 from impact_rig.analysis.settings import TrackerSettings
 from impact_rig.analysis.tables import read_settings
-from impact_rig.analysis.tracker import Findings, Tracker
+from impact_rig.analysis.tracker import Tracker
 from impact_rig.blocks import TRANSMISSIBILITY, Table
 from impact_rig.recording import Run
 

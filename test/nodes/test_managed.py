@@ -8,6 +8,7 @@
 
 from __future__ import annotations
 
+import gc
 from typing import Any
 
 import attrs
@@ -235,3 +236,15 @@ def test_a_clock_before_1970_is_survived_by_a_node_in_simulated_time(user: Clien
     user.wait_until(lambda: node.refusals.counts["exception"] == 1, "the exception to be caught")
     assert "must not be negative" in node.refusals.last["exception"]
     assert user.state("small") == "active"
+
+
+def test_a_node_that_is_destroyed_leaves_the_graph_before_garbage_is_collected() -> None:
+    gc.disable()
+    try:
+        with isolated_domain() as domain_id, Client(domain_id, name="observer") as observer:
+            with Client(domain_id) as owner:
+                owner.host(Small)
+                observer.wait_until(lambda: "small" in observer.node.get_node_names(), "the node in the graph")
+            observer.wait_until(lambda: "small" not in observer.node.get_node_names(), "the node to leave the graph")
+    finally:
+        gc.enable()

@@ -1,0 +1,36 @@
+# Copyright 2026 The impact_rig developers
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0 Unless required by
+# applicable law or agreed to in writing, software distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific language
+# governing permissions and limitations under the License.
+"""What a tracker hands out: what it found in a call, and what it has counted so far."""
+
+from __future__ import annotations
+
+import attrs
+
+from impact_rig.blocks import Table
+
+
+@attrs.define
+class Counters:
+    """What a tracker has seen so far; for diagnostics."""
+
+    scans: int = 0
+    lost_scans: int = 0
+    duplicate_scans: int = 0
+    unconfigured_scans: int = 0
+    restarts: int = 0
+    late_events: int = 0
+    measurements: int = 0
+    refusals: int = 0
+    impacts: int = 0
+
+
+@attrs.frozen(eq=False)
+class Findings:
+    """What one call found: `transmissibility/table` tables of one row each, and tables of detected impacts."""
+
+    measurements: tuple[Table, ...] = ()
+    impacts: tuple[Table, ...] = ()

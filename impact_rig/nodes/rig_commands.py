@@ -1,0 +1,57 @@
+# Copyright 2026 The impact_rig developers
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0 Unless required by
+# applicable law or agreed to in writing, software distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific language
+# governing permissions and limitations under the License.
+"""The topics that command a rig: `shaker/frequency` and `shaker/current`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from std_msgs.msg import Float64
+
+from impact_rig import topics
+from impact_rig.errors import CommandError
+from impact_rig.nodes.managed import ManagedNode
+from impact_rig.rig import Rig
+from impact_rig.rig.config import RigConfig
+
+
+class RigCommands:
+    """Subscribes to the commands and gives them to the rig; what it refuses is told and counted.
+
+    Args:
+        node: owner.
+        running: returns the rig; CommandError says why there is none.
+        done: called after a command, to publish what it has changed.
+    """
+
+    def __init__(self, node: ManagedNode[RigConfig], running: Callable[[], Rig], done: Callable[[Rig], None]) -> None:
+        self._node = node
+        self._running = running
+        self._done = done
+        node.subscribe(topics.FREQUENCY, self._on_frequency)
+        node.subscribe(topics.CURRENT, self._on_current)
+
+    def _on_frequency(self, message: Float64) -> None:
+        self._accept(topics.FREQUENCY.name, frequency_hz=message.data)
+
+    def _on_current(self, message: Float64) -> None:
+        self._accept(topics.CURRENT.name, current_a=message.data)
+
+    def _accept(self, name: str, **values: float) -> None:
+        try:
+            rig = self._running()
+        except CommandError as error:
+            self._node.refuse("inactive", f"{name}: {error}")
+            return
+        try:
+            rig.accept(**values)
+        except CommandError as error:
+            self._node.refuse(name, str(error))
+            return
+        told = ", ".join(f"{key} = {value:g}" for key, value in values.items())
+        self._node.get_logger().debug(f"accepted: {told}")
+        self._done(rig)
