@@ -145,6 +145,7 @@ def _graph(parameters: Mapping[str, ParameterValue]) -> Iterator[tuple[Client, P
         with Client(domain_id, processes=processes) as client:
             client.wait_active(*NODES, timeout_s=300.0)
             client.wait_until(lambda: client.status("recorder").message == "recording", "the recorder")
+            client.wait_until(lambda: "rig_time_s" in client.figures("rig"), "the rig to begin")
             yield client, processes, Path(name)
 
 

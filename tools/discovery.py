@@ -83,7 +83,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--starts", type=int, default=STARTS, help="new processes for each row (default: %(default)s)")
     starts = parser.parse_args().starts
-    table = Table(title=f"a new process sees a publisher after [s], the rig waits {DISCOVERY_S:g}")
+    table = Table(title=f"a new process sees a publisher after [s]; a rig looks for {DISCOVERY_S:g}")
     for heading in ("busy processes", "median", "above 1 s", "longest"):
         table.add_column(heading, justify="right")
     longest = 0.0

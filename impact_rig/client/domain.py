@@ -11,14 +11,15 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import os
-import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from impact_rig.errors import ImpactRigError
+from impact_rig.system import names
 
+FOLDER = "impact_rig_domains"
 FIRST_DOMAIN, LAST_DOMAIN = 1, 49
 """0 is everybody's default, and above 101 the ports of a domain fall into Linux's ephemeral range."""
 FIRST_PORT, PORTS_PER_DOMAIN = 7400, 250
@@ -38,7 +39,7 @@ def isolated_domain() -> Iterator[int]:
     """
     before = os.environ.get(DISCOVERY_VARIABLE)
     for domain_id in _candidates():
-        handle = _lock(domain_id)
+        handle = _hold(domain_id)
         if handle is None:
             continue
         os.environ[DISCOVERY_VARIABLE] = "LOCALHOST"
@@ -53,9 +54,7 @@ def isolated_domain() -> Iterator[int]:
             else:
                 os.environ[DISCOVERY_VARIABLE] = before
         return
-    raise ImpactRigError(
-        f"no free ROS domain id between {FIRST_DOMAIN} and {LAST_DOMAIN}: {_directory()} is full of locks"
-    )
+    raise ImpactRigError(f"no free ROS domain id between {FIRST_DOMAIN} and {LAST_DOMAIN}: {FOLDER} is full of locks")
 
 
 def remove_litter(domain_id: int) -> None:
@@ -90,22 +89,8 @@ def _candidates() -> Iterator[int]:
         yield FIRST_DOMAIN + (start + k) % count
 
 
-def _directory() -> Path:
-    return Path(tempfile.gettempdir()) / "impact_rig_domains"
-
-
-def _lock(domain_id: int) -> int | None:
-    directory = _directory()
-    with contextlib.suppress(FileExistsError):
-        directory.mkdir()
-        directory.chmod(0o1777)  # like /tmp itself: other users lock here as well
+def _hold(domain_id: int) -> int | None:
     try:
-        handle = os.open(directory / f"{domain_id}.lock", os.O_RDONLY | os.O_CREAT, 0o644)  # enough for a lock
-    except PermissionError:  # of a user who does not share
+        return names.hold(FOLDER, str(domain_id))
+    except OSError:  # of a user who does not share
         return None
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        os.close(handle)
-        return None
-    return handle

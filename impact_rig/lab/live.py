@@ -38,7 +38,7 @@ from impact_rig.topics import SCAN
 
 LOOK_S = 0.02
 """Between two looks at the data while a page is open."""
-GLANCE_S = 0.25
+GLANCE_S = 0.5
 """The same while rig time runs ahead of ours: nobody sees every cycle, and rig and analysis need the machine."""
 AHEAD = 1.5
 """Speed from which on that is so."""

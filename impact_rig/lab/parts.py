@@ -52,9 +52,11 @@ class Ledger:
         self.plucked = False
         self.changed_ns = 0
         """Stamp of the last input that changed what the rig does."""
+        self._part: tuple[int, list[list[Any]]] | None = None
 
     def add(self, table: Table) -> None:
         """Take a table of `rig/journal`."""
+        self._part = None
         for row in table.rows:
             kind, key, value, words = text(row["kind"]), text(row["key"]), float(row["value"]), text(row["text"])
             self._remember(kind, key, value, table.stamp_ns)
@@ -82,18 +84,22 @@ class Ledger:
 
     def remark(self, words: str, stamp_ns: int) -> None:
         """Take an operator's remark."""
+        self._part = None
         self._lines.append([stamp_ns, "note", "", words[:200]])
 
     def fault(self, table: Table) -> None:
         """Take a table of `truth/faults`."""
+        self._part = None
         for row in table.rows:
             what = f"{text(row['kind'])} {text(row['channel'])}".strip()
             self._lines.append([table.stamp_ns, "fault", "begins" if row["active"] else "ends", what])
 
     def part(self, start_ns: int) -> list[list[Any]]:
-        """Return time, kind, key, words of every line, in order."""
-        found = sorted(self._lines, key=lambda line: line[0])
-        return [[round((stamp - start_ns) / NS_PER_S, 3), *words] for stamp, *words in found]
+        """Return time, kind, key, words of every line, in order; the same list while nothing is new."""
+        if self._part is None or self._part[0] != start_ns:
+            found = sorted(self._lines, key=lambda line: line[0])
+            self._part = start_ns, [[round((stamp - start_ns) / NS_PER_S, 3), *words] for stamp, *words in found]
+        return self._part[1]
 
 
 def _value(kind: str, key: str, value: float) -> str:
@@ -111,6 +117,7 @@ class Curve:
         self._rows: deque[tuple[int, dict[str, Any]]] = deque(maxlen=MOST_ROWS)
         self.refusal = ""
         """Why the newest row is no measurement; empty: it is one."""
+        self._part: tuple[int, list[dict[str, Any]]] | None = None
 
     def add(self, table: Table) -> None:
         """Take a table of `transmissibility/table`."""
@@ -119,14 +126,18 @@ class Curve:
             self.refusal = "" if status in MEASURED else status
             if status in MEASURED:
                 self._rows.append((table.stamp_ns, _measurement(row)))
+                self._part = None
 
     def settled_since(self, stamp_ns: int) -> bool:
         """Return whether something has settled after an instant."""
         return any(row["settled"] for at, row in self._rows if at > stamp_ns)
 
     def part(self, start_ns: int) -> list[dict[str, Any]]:
-        """Return the rows, oldest first."""
-        return [{"t": round((stamp - start_ns) / NS_PER_S, 3), **row} for stamp, row in self._rows]
+        """Return the rows, oldest first; the same list while nothing is new."""
+        if self._part is None or self._part[0] != start_ns:
+            found = [{"t": round((stamp - start_ns) / NS_PER_S, 3), **row} for stamp, row in self._rows]
+            self._part = start_ns, found
+        return self._part[1]
 
 
 def _measurement(row: NDArray[np.void]) -> dict[str, Any]:

@@ -11,7 +11,10 @@ Every scan is in the pair of exactly one column, so a pulse of one scan is seen 
 
 from __future__ import annotations
 
+import functools
+import itertools
 import math
+from typing import Any  # an array of either type
 
 import attrs
 import numpy as np
@@ -26,7 +29,8 @@ LONGEST_S = 10.0
 HELD_S = 12.0
 """Scans kept: the longest window, and some to find a trigger in."""
 COARSE_S = 0.002
-"""Pairs of this length are kept beside the scans, so that long windows need not look at every scan."""
+FINER = 10
+"""Beside the scans, pairs over this long are kept, and over a tenth of it, so that no window looks at every scan."""
 MOST_SCANS = 4_000_000
 CURRENT = CHANNELS.index("current")
 
@@ -52,6 +56,51 @@ class Trace:
     trigger_s: float
 
 
+class Level:
+    """A ring of pairs, each over some scans; over one scan, it is the ring of the scans themselves.
+
+    Args:
+        fine: scans per pair.
+        size: pairs kept.
+    """
+
+    def __init__(self, fine: int, size: int) -> None:
+        self.fine, self.size = fine, size
+        self.low = np.full((len(CHANNELS), size), np.nan, np.float32)
+        self.high = self.low if fine == 1 else self.low.copy()
+        self.status = np.zeros(size, np.uint8)
+        self.end = 0
+        """Number of the pair after the last whole one."""
+
+    def places(self, begin: int, end: int) -> list[slice]:
+        """Return where pairs are in the ring: one stretch, or two around its end."""
+        if end <= begin:
+            return []
+        first, last = begin % self.size, (end - 1) % self.size + 1
+        return [slice(first, last)] if first < last else [slice(first, self.size), slice(0, last)]
+
+    def blank(self, begin: int, end: int) -> None:
+        """Forget some pairs."""
+        for place in self.places(begin, end):
+            self.low[:, place] = self.high[:, place] = np.nan
+            self.status[place] = 0
+
+    def gather(self, below: Level, end: int) -> None:
+        """Make the pairs that are whole now, of those of the level below.
+
+        Args:
+            below: its pairs divide those of this level.
+            end: number of the scan after the last.
+        """
+        ratio, whole = self.fine // below.fine, end // self.fine
+        for place in self.places(max(self.end, whole - self.size), whole):
+            source = slice(place.start * ratio, place.stop * ratio)
+            self.low[:, place] = np.fmin.reduce(_columns(below.low[:, source], ratio))
+            self.high[:, place] = np.fmax.reduce(_columns(below.high[:, source], ratio))
+            self.status[place] = np.bitwise_or.reduce(_columns(below.status[source], ratio))
+        self.end = max(whole, self.end)
+
+
 class Scope:
     """A ring of scans of contiguous numbers; scans that never came are NaN.
 
@@ -61,15 +110,12 @@ class Scope:
 
     def __init__(self, rate_hz: float) -> None:
         self.rate_hz = rate_hz
-        self._fine = max(1, round(COARSE_S * rate_hz))
-        blocks = max(1, min(math.ceil(HELD_S * rate_hz), MOST_SCANS) // self._fine)
-        self._size = blocks * self._fine
-        self._scans = np.full((4, self._size), np.nan, np.float32)
-        self._status = np.zeros(self._size, np.uint8)
-        self._low = np.full((4, blocks), np.nan, np.float32)
-        self._high = np.full((4, blocks), np.nan, np.float32)
-        self._bits = np.zeros(blocks, np.uint8)
-        self._coarse_end = 0
+        finer = max(1, round(COARSE_S * rate_hz / FINER))
+        coarse = finer * FINER if finer > 1 else max(1, round(COARSE_S * rate_hz))
+        blocks = max(1, min(math.ceil(HELD_S * rate_hz), MOST_SCANS) // coarse)
+        self._size = blocks * coarse
+        self._levels = [Level(fine, self._size // fine) for fine in sorted({1, finer, coarse})]
+        self._scans = self._levels[0]
         self.begin = self.end = 0
         """Numbers of the first scan held, and of the one after the last."""
 
@@ -80,7 +126,7 @@ class Scope:
 
     def clear(self) -> None:
         """Forget everything."""
-        self.begin = self.end = self._coarse_end = 0
+        self.begin = self.end = 0
 
     def add(self, table: Table, start_ns: int) -> None:
         """Take a block of `daq/scan`.
@@ -95,54 +141,30 @@ class Scope:
             return
         if self.end == self.begin or not 0 <= first - self.end < self._size:
             self.begin = self.end = first
-            self._coarse_end = first - first % self._fine
-            self._blank(self._coarse_end, first)
+            for level in self._levels:
+                level.end = first // level.fine
+            self._scans.blank(self._levels[-1].end * self._levels[-1].fine, first)
         else:
-            self._blank(self.end, first)
+            self._scans.blank(self.end, first)
         self._write(first, rows)
         self.end = first + len(rows)
         self.begin = max(self.begin, self.end - self._size)
-        self._coarsen()
-
-    def _blank(self, begin: int, end: int) -> None:
-        for place in self._places(begin, end):
-            self._scans[:, place] = np.nan
-            self._status[place] = 0
 
     def _write(self, first: int, rows: NDArray[np.void]) -> None:
         done = 0
-        for place in self._places(first, first + len(rows)):
-            count = place.stop - place.start
-            part = rows[done : done + count]
+        for place in self._scans.places(first, first + len(rows)):
+            part = rows[done : done + place.stop - place.start]
             for number, name in enumerate(CHANNELS):
-                self._scans[number, place] = part[name]
-            self._status[place] = part["status"]
-            done += count
-
-    def _places(self, begin: int, end: int) -> list[slice]:
-        """Return where scans are in the ring: one stretch, or two around its end."""
-        if end <= begin:
-            return []
-        first, last = begin % self._size, (end - 1) % self._size + 1
-        return [slice(first, last)] if first < last else [slice(first, self._size), slice(0, last)]
-
-    def _coarsen(self) -> None:
-        end = self.end - self.end % self._fine
-        begin = max(self._coarse_end, end - self._size)
-        for place in self._places(begin, end):
-            part = self._scans[:, place].reshape(4, -1, self._fine)
-            to = slice(place.start // self._fine, place.stop // self._fine)
-            np.fmin.reduce(part, axis=2, out=self._low[:, to])
-            np.fmax.reduce(part, axis=2, out=self._high[:, to])
-            np.bitwise_or.reduce(self._status[place].reshape(-1, self._fine), axis=1, out=self._bits[to])
-        self._coarse_end = max(end, self._coarse_end)
+                self._scans.low[number, place] = part[name]
+            self._scans.status[place] = part["status"]
+            done += len(part)
 
     def window(self, span_s: float, columns: int, *, trigger: bool = False, end_s: float | None = None) -> Trace | None:
         """Return the newest window of a length, or the one that ends at an instant; None: there is nothing.
 
         Args:
             span_s: its length [s].
-            columns: of the picture; there may be fewer.
+            columns: of the picture; there may be fewer, or up to half as many more.
             trigger: move the window back, until it begins where the current passes zero upwards.
             end_s: the instant at which it ends.
         """
@@ -155,71 +177,65 @@ class Scope:
         if not math.isnan(crossing):
             begin = int(crossing)
         step = max(1, count // columns)
-        pairs = self._coarse_pairs if step >= 2 * self._fine else self._pairs
-        return pairs(begin, count, step, crossing / self.rate_hz)
+        for below, upper in itertools.pairwise(self._levels):  # now: nobody looks at every block
+            upper.gather(below, self.end)
+        level = next(level for level in reversed(self._levels) if level.fine == 1 or step >= 2 * level.fine)
+        return self._trace(level, begin // level.fine, count // level.fine, step // level.fine, crossing)
 
     def _crossing(self, begin: int, end: int) -> float:
         """Return the last scan before `begin` at which the current passes zero upwards; NaN: there is none."""
         low = max(self.begin, begin - round(0.25 * self.rate_hz), 0)
-        found = self._read(self._scans[CURRENT], low, min(begin + 1, end))
+        found = self._read(low, min(begin + 1, end))[CURRENT]
         if not len(found):
             return math.nan
-        # the noise of the monitor crosses zero many times: smooth over a millisecond, and ask for some amplitude
+        # the noise of the monitor crosses zero many times: take means over a millisecond, and ask for some amplitude
         width = max(1, round(1e-3 * self.rate_hz))
-        smooth = np.convolve(np.nan_to_num(found), np.full(width, 1.0 / width), "valid")
-        if not len(smooth) or np.abs(smooth).max() < 0.01:
+        rest = len(found) % width
+        means = np.nan_to_num(found[rest:]).reshape(-1, width).mean(axis=1)
+        if not len(means) or np.abs(means).max() < 0.01:
             return math.nan
-        up = np.flatnonzero((smooth[:-1] < 0.0) & (smooth[1:] >= 0.0))
-        return float(low + up[-1] + width // 2 + 1) if len(up) else math.nan
+        up = np.flatnonzero((means[:-1] < 0.0) & (means[1:] >= 0.0))
+        if not len(up):
+            return math.nan
+        before, after = means[up[-1]], means[up[-1] + 1]
+        return float(low + rest + round((up[-1] + 0.5 + before / (before - after)) * width))
 
-    def _read(self, ring: NDArray[np.float32], begin: int, end: int) -> NDArray[np.float32]:
-        places = self._places(max(begin, self.begin), min(end, self.end))
-        parts = [ring[..., place] for place in places]
-        return np.concatenate(parts, axis=-1) if parts else ring[..., :0]
+    def _read(self, begin: int, end: int) -> NDArray[np.float32]:
+        parts = [self._scans.low[:, p] for p in self._scans.places(max(begin, self.begin), min(end, self.end))]
+        return np.concatenate(parts, axis=1) if parts else self._scans.low[:, :0]
 
     def stretch(self, span_s: float, end_s: float | None = None) -> NDArray[np.float32]:
         """Return the newest scans, or those before an instant, shape (4, n)."""
         end = self.end if end_s is None else min(round(end_s * self.rate_hz), self.end)
-        return self._read(self._scans, end - round(span_s * self.rate_hz), end)
+        return self._read(end - round(span_s * self.rate_hz), end)
 
-    def _pairs(self, begin: int, count: int, step: int, trigger_s: float) -> Trace:
+    def _trace(self, level: Level, begin: int, count: int, step: int, crossing: float) -> Trace:
+        """Make columns of `step` pairs of a level each; a coarse one begins up to a pair earlier than asked."""
         columns = count // step
-        values = np.full((4, columns * step), np.nan, np.float32)
+        low, high = np.full((2, len(CHANNELS), columns * step), np.nan, np.float32)
         status = np.zeros(columns * step, np.uint8)
-        low, high = max(begin, self.begin), min(begin + columns * step, self.end)
-        if high > low:
-            values[:, low - begin : high - begin] = self._read(self._scans, low, high)
-            status[low - begin : high - begin] = np.concatenate([self._status[p] for p in self._places(low, high)])
-        cut = values.reshape(4, columns, step)
+        first = max(begin, -(-self.begin // level.fine))
+        at = first - begin
+        for place in level.places(first, min(begin + columns * step, self.end // level.fine)):
+            to = slice(at, at + place.stop - place.start)
+            low[:, to], high[:, to], status[to] = level.low[:, place], level.high[:, place], level.status[place]
+            at = to.stop
         return Trace(
-            begin / self.rate_hz,
-            step / self.rate_hz,
-            np.fmin.reduce(cut, axis=2),
-            np.fmax.reduce(cut, axis=2),
-            np.bitwise_or.reduce(status.reshape(columns, step), axis=1),
-            trigger_s,
+            begin * level.fine / self.rate_hz,
+            step * level.fine / self.rate_hz,
+            np.fmin.reduce(_columns(low, step)),
+            np.fmax.reduce(_columns(high, step)),
+            np.bitwise_or.reduce(_columns(status, step)),
+            crossing / self.rate_hz,
         )
 
-    def _coarse_pairs(self, begin: int, count: int, step: int, trigger_s: float) -> Trace:
-        """Make columns of whole coarse pairs; the window begins up to a pair earlier than asked."""
-        fine, blocks = self._fine, len(self._bits)
-        per_column = step // fine
-        columns = count // (per_column * fine)
-        first = begin // fine
-        numbers = np.arange(first, first + columns * per_column)
-        held = (numbers * fine >= self.begin) & ((numbers + 1) * fine <= self._coarse_end)
-        places = numbers % blocks
-        low = np.where(held, self._low[:, places], np.nan).reshape(4, columns, per_column)
-        high = np.where(held, self._high[:, places], np.nan).reshape(4, columns, per_column)
-        bits = np.where(held, self._bits[places], 0).astype(np.uint8).reshape(columns, per_column)
-        return Trace(
-            first * fine / self.rate_hz,
-            per_column * fine / self.rate_hz,
-            np.fmin.reduce(low, axis=2),
-            np.fmax.reduce(high, axis=2),
-            np.bitwise_or.reduce(bits, axis=1),
-            trigger_s,
-        )
+
+def _columns(values: NDArray[Any], step: int) -> NDArray[Any]:
+    """Return values in columns of so many: shape (…, n * step) becomes (step, …, n), in a copy.
+
+    NumPy reduces a long first axis up to forty times as fast as a short last one.
+    """
+    return np.ascontiguousarray(np.moveaxis(values.reshape(*values.shape[:-1], -1, step), -1, 0))
 
 
 def spectrum(values: NDArray[np.float32], rate_hz: float, top_hz: float) -> tuple[float, NDArray[np.float32]]:
@@ -233,7 +249,13 @@ def spectrum(values: NDArray[np.float32], rate_hz: float, top_hz: float) -> tupl
     count = len(values)
     if count < 16:
         return 1.0, np.zeros(0, np.float32)
-    window = np.hanning(count)
     clean = np.nan_to_num(values.astype(np.float64))
-    amplitudes = 2.0 / window.sum() * np.abs(np.fft.rfft((clean - clean.mean()) * window))
-    return rate_hz / count, amplitudes[: math.ceil(top_hz * count / rate_hz) + 1].astype(np.float32)
+    lines = np.fft.rfft((clean - clean.mean()) * _hann(count))[: math.ceil(top_hz * count / rate_hz) + 1]
+    return rate_hz / count, np.abs(lines).astype(np.float32)
+
+
+@functools.lru_cache(maxsize=4)  # every page asks four times a second, most for the same length
+def _hann(count: int) -> NDArray[np.float64]:
+    """Return a Hann window that keeps peak values: of a sine in the middle of a line."""
+    window = np.hanning(count)
+    return window * (2.0 / window.sum())

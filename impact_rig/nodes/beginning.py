@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterable
 from rclpy.node import Node
 
 from impact_rig.nodes.diagnostics import Level
+from impact_rig.nodes.place import Place
 from impact_rig.nodes.readers import Readers
 
 LOOK_S = 0.5
@@ -71,12 +72,14 @@ class Beginning:
 
     Args:
         node: the rig's.
+        place: where it is to be.
         rivals: of its topics.
         readers: of its scans; None: nobody is waited for (other modes wait block by block).
         patience_s: how long readers are waited for.
     """
 
-    def __init__(self, node: Node, rivals: Rivals, readers: Readers | None, patience_s: float) -> None:
+    def __init__(self, node: Node, place: Place, rivals: Rivals, readers: Readers | None, patience_s: float) -> None:
+        self._place = place
         self._rivals = rivals
         self._readers = readers
         self._patience_s = patience_s
@@ -89,6 +92,8 @@ class Beginning:
         rivals = self._rivals.sentence()
         if rivals:
             return Level.ERROR, f"waiting to be alone: {rivals}"
+        if not self._place.take():
+            return Level.ERROR, "waiting to be alone: another rig of this machine is in this namespace"
         readers = self._readers
         if readers is None or readers.all_matched() or readers.overdue(self._patience_s):
             return None

@@ -23,6 +23,7 @@ from impact_rig.nodes.outlets import Outlets
 from impact_rig.nodes.pacing import AckWindow, Pacer
 from impact_rig.nodes.parameters import RigSchema
 from impact_rig.nodes.pausing import Pause
+from impact_rig.nodes.place import Place
 from impact_rig.nodes.readers import Readers
 from impact_rig.nodes.rig_commands import RigCommands
 from impact_rig.nodes.rig_news import RigNews
@@ -51,7 +52,8 @@ one subscription for as long as there are any would never come to services and t
 AWAY_S = 1.0
 """A gap this long between two calls of the work timer: this process was suspended, not the peers."""
 DISCOVERY_S = 3.5
-"""A new process sees most others in 0.2 s; an announcement it misses comes again 3 s later (tools/discovery.py)."""
+"""How long rigs of other machines are looked for: an announcement that a new process misses comes again 3 s later
+(tools/discovery.py)."""
 WARM_UP_NS = 50_000_000
 """Simulated once while configuring, so that compiled code is loaded before the first block is due."""
 
@@ -76,6 +78,7 @@ class RigNode(ManagedNode[RigConfig]):
         self._pacer = Pacer(time.monotonic_ns)
         self._window = AckWindow((), 1, NS_PER_S, time.monotonic_ns)
         self._readers: Readers | None = None
+        self._place = Place(self)
         self._rivals: Rivals | None = None
         self._beginning: Beginning | None = None
         self._history_settled = False
@@ -104,7 +107,8 @@ class RigNode(ManagedNode[RigConfig]):
         self.compile_ahead(warm_up.TASKS)
         Rig(self.settings).advance(WARM_UP_NS)
         self._outlets = Outlets(self, self.settings)
-        time.sleep(max(0.0, self._discovered_at - time.monotonic()))
+        if not self._place.decides:
+            time.sleep(max(0.0, self._discovered_at - time.monotonic()))
 
     def activate(self) -> None:
         """Begin, once nobody else publishes here; in realtime also once the peers listen, or after `start_wait_s`."""
@@ -115,7 +119,7 @@ class RigNode(ManagedNode[RigConfig]):
         self._readers.expect(config.time.peers)
         self._rivals = Rivals(self, self._outlets.names)
         readers = self._readers if realtime else None
-        self._beginning = Beginning(self, self._rivals, readers, config.time.start_wait_s)
+        self._beginning = Beginning(self, self._place, self._rivals, readers, config.time.start_wait_s)
         self._outlets.forget()
         self._history_settled = False
         self._steps.left = 0
@@ -152,6 +156,7 @@ class RigNode(ManagedNode[RigConfig]):
         """Stop the rig; what was not published is dropped."""
         self._timer.stop()
         self._rig = self._readers = self._rivals = self._beginning = None
+        self._place.leave()
         self._steps.refuse("the rig was deactivated")
         self._pause.end("the rig was deactivated")
 

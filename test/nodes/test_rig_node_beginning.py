@@ -20,6 +20,7 @@ from impact_rig.client import Client, Collector, ServiceFailedError, WaitTimeout
 from impact_rig.client.parameters import ros_parameters
 from impact_rig.nodes import messages
 from impact_rig.nodes.analysis_node import AnalysisNode
+from impact_rig.nodes.place import Place
 from impact_rig.nodes.recorder_node import RecorderNode
 from impact_rig.nodes.rig_node import RigNode
 from impact_rig.recording import open_run
@@ -112,6 +113,17 @@ def test_a_second_rig_waits_until_the_first_is_gone(client: Client, mode: str) -
     first.trigger_deactivate()
     first.trigger_cleanup()
     client.wait_until(lambda: starts(journal) == 2, "the second to begin")
+
+
+def test_a_rig_waits_for_one_of_this_machine_that_the_graph_does_not_know_yet(client: Client) -> None:
+    place = Place(client.node)
+    assert place.take()
+    host_rig(client)
+    client.wait_until(lambda: "another rig of this machine" in client.status("rig").message, "the diagnostic")
+    assert client.status("rig").level == LEVELS["error"]
+    place.leave()
+    client.wait_until(lambda: client.status("rig").message == "running, stepped", "the rig to begin")
+    assert not place.take()
 
 
 def test_a_rig_in_real_time_has_no_clock_to_quarrel_about(client: Client) -> None:

@@ -1,0 +1,61 @@
+# Copyright 2026 The impact_rig developers
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0 Unless required by
+# applicable law or agreed to in writing, software distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific language
+# governing permissions and limitations under the License.
+"""A rig's place: its domain and namespace, which one rig of a machine may have at a time.
+
+The graph knows of another rig only after seconds where an announcement was missed; a lock tells at once, but only on
+this machine. Where discovery ends at this machine, nobody has to wait for the graph.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+
+from rclpy.node import Node
+from rclpy.utilities import get_rmw_implementation_identifier
+
+from impact_rig.system import names
+
+FOLDER = "impact_rig_places"
+OBEDIENT = ("rmw_fastrtps_cpp", "rmw_fastrtps_dynamic_cpp", "rmw_cyclonedds_cpp")
+"""Middleware that keeps to `ROS_AUTOMATIC_DISCOVERY_RANGE`."""
+
+
+def ends_here(environment: Mapping[str, str], middleware: str) -> bool:
+    """Return whether discovery surely ends at this machine."""
+    near = environment.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "").upper() in ("LOCALHOST", "OFF")
+    far = environment.get("ROS_STATIC_PEERS") or environment.get("ROS_DISCOVERY_SERVER")
+    return near and not far and middleware in OBEDIENT
+
+
+class Place:
+    """Takes a rig's place and leaves it.
+
+    Args:
+        node: the rig's.
+    """
+
+    def __init__(self, node: Node) -> None:
+        self._name = f"{node.context.get_domain_id()}{node.get_namespace().replace('/', '.').rstrip('.')}"[:200]
+        self._held: int | None = None
+        self.decides = ends_here(os.environ, get_rmw_implementation_identifier())
+        """Whether no rig can be in this place unseen; False: one may be on another machine."""
+
+    def take(self) -> bool:
+        """Return whether the place is ours now; true as well where nobody can tell."""
+        if self._held is None and self.decides:
+            try:
+                self._held = names.hold(FOLDER, self._name)
+            except OSError:  # no directory for temporary files: only the graph tells
+                self.decides = False
+        return self._held is not None or not self.decides
+
+    def leave(self) -> None:
+        """Leave the place to others."""
+        if self._held is not None:
+            os.close(self._held)
+            self._held = None

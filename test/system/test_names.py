@@ -1,0 +1,64 @@
+# Copyright 2026 The impact_rig developers
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0 Unless required by
+# applicable law or agreed to in writing, software distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific language
+# governing permissions and limitations under the License.
+"""Names that only one process may hold."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+from impact_rig.system import names
+
+HOLDER = """
+import sys
+from impact_rig.system import names
+print(names.hold("places", "7.cell") is not None, flush=True)
+sys.stdin.readline()
+"""
+
+
+@pytest.fixture(autouse=True)
+def _own_directory(tmp_path, monkeypatch) -> None:
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    monkeypatch.setattr("tempfile.tempdir", None)
+
+
+def test_a_name_is_held_by_one_until_it_is_closed() -> None:
+    first = names.hold("places", "7.cell")
+    assert first is not None
+    assert names.hold("places", "7.cell") is None
+    other = names.hold("places", "8.cell")
+    assert other is not None
+    os.close(other)
+    os.close(first)
+    again = names.hold("places", "7.cell")
+    assert again is not None
+    os.close(again)
+
+
+def test_a_name_is_free_as_soon_as_its_holder_is_killed() -> None:
+    holder = subprocess.Popen([sys.executable, "-c", HOLDER], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    with holder:
+        assert holder.stdout is not None
+        assert holder.stdout.readline() == "True\n"
+        assert names.hold("places", "7.cell") is None
+        holder.kill()
+        holder.wait()
+    again = names.hold("places", "7.cell")
+    assert again is not None
+    os.close(again)
+
+
+def test_a_link_that_somebody_laid_out_is_not_followed(tmp_path) -> None:
+    (tmp_path / "places").mkdir()
+    (tmp_path / "places" / "7.cell.lock").symlink_to(tmp_path / "mine")
+    with pytest.raises(OSError, match=r"7\.cell\.lock"):
+        names.hold("places", "7.cell")
+    assert not (tmp_path / "mine").exists()
