@@ -30,7 +30,10 @@ from impact_rig.nodes.guard import guarded
 
 MOST_PER_LOOK = 300
 """Messages taken of one topic at once: a picture must come out between."""
-DEPTH = 256
+PICTURES = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST, depth=256, reliability=ReliabilityPolicy.BEST_EFFORT,
+    durability=DurabilityPolicy.VOLATILE,
+)  # fmt: skip
 
 
 class Ears:
@@ -57,7 +60,9 @@ class Ears:
         self.applied: list[dict[str, float]] = []
         self.lock = threading.Lock()
         self._node, self._view = node, view
-        self._looks: list[tuple[Any, Callable[[bytes], None]]] = []
+        self._of_instruments = (topics.SCAN, self._on_scan), (topics.IMPACTS, self._on_detected)
+        self._of_truth = (topics.JOINT_STATES, self._on_joint_state), (topics.IMPACTS_TRUTH, self._on_impacts)
+        self._looks: dict[str, tuple[Any, Callable[[bytes], None]]] = {}
         rare: list[tuple[topics.Topic, Callable[[Any], None]]] = [
             (topics.INFO, self._table(self._on_info)),
             (topics.APPLIED, self._table(self._on_applied)),
@@ -75,33 +80,29 @@ class Ears:
 
     # What is drawn
 
-    def listen(self, wanted: bool) -> None:
-        """Begin or end to receive what is drawn."""
-        if wanted == bool(self._looks):
-            return
-        if not wanted:
-            for subscription, _ in self._looks:
-                self._view.destroy_subscription(subscription)
-            self._looks = []
-            return
-        for topic, take in (
-            (topics.SCAN, self._on_scan),
-            (topics.JOINT_STATES, self._on_joint_state),
-            (topics.IMPACTS_TRUTH, self._on_impacts),
-            (topics.IMPACTS, self._on_detected),
-        ):
-            profile = QoSProfile(
-                history=HistoryPolicy.KEEP_LAST, depth=DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT,
-                durability=DurabilityPolicy.VOLATILE,
-            )  # fmt: skip
-            subscription = self._view.create_subscription(
-                messages.class_of(topic), topic.name, _ignore, profile, raw=True
+    def listen(self, scans: bool, motion: bool) -> None:
+        """Begin or end to receive what is drawn; scans without the motion: what was known of that is forgotten."""
+        wanted: dict[str, tuple[topics.Topic, Callable[[bytes], None]]] = {}
+        if scans:
+            wanted |= {one.name: (one, take) for one, take in self._of_instruments}
+        if scans and motion:
+            wanted |= {one.name: (one, take) for one, take in self._of_truth}
+        for name in self._looks.keys() - wanted.keys():
+            self._view.destroy_subscription(self._looks.pop(name)[0])
+            if scans and name == topics.JOINT_STATES.name:
+                with self.lock:
+                    self.motion = Motion()
+                    self.epoch += 1
+        for name in wanted.keys() - self._looks.keys():
+            topic, take = wanted[name]
+            self._looks[name] = (
+                self._view.create_subscription(messages.class_of(topic), name, _ignore, PICTURES, raw=True),
+                take,
             )
-            self._looks.append((subscription, take))
 
     def look(self) -> None:
         """Take what has come since the last look."""
-        for subscription, take in self._looks:
+        for subscription, take in self._looks.values():
             with subscription.handle:
                 found: list[bytes] = []
                 while len(found) < MOST_PER_LOOK:

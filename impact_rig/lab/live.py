@@ -28,6 +28,7 @@ from impact_rig.instruments.scan import CHANNELS
 from impact_rig.lab import deeds, parts, state
 from impact_rig.lab.deeds import KNOBS
 from impact_rig.lab.motion import Motion
+from impact_rig.lab.pace import Pace
 from impact_rig.lab.parts import figure
 from impact_rig.lab.protocol import Request
 from impact_rig.lab.scope import Scope
@@ -39,9 +40,7 @@ from impact_rig.topics import SCAN
 LOOK_S = 0.02
 """Between two looks at the data while a page is open."""
 GLANCE_S = 0.5
-"""The same while rig time runs ahead of ours: nobody sees every cycle, and rig and analysis need the machine."""
-AHEAD = 1.5
-"""Speed from which on that is so."""
+"""The same while rig time runs ahead of ours."""
 IDLE_S = 0.2
 STATE_S = 0.1
 SLOW_S = 0.5
@@ -86,7 +85,7 @@ class LiveSource:
         self.knobs: dict[str, Any] = {}
         self._read = -1
         self._failures: dict[str, str] = {}
-        self._rate = (0.0, 0.0, 0.0)  # wall, rig time, ratio
+        self._pace = Pace()
         self._theory = Theory(lambda found: self.snapshot.put("prediction", found))
         self._heard_at: dict[str, tuple[int, float]] = {}
         self.wanted_namespace: str | None = None
@@ -192,7 +191,7 @@ class LiveSource:
         self._tasks.end("the lab looks elsewhere now")
         ears, self.ears = self.ears, None
         if ears is not None:
-            ears.listen(False)
+            ears.listen(scans=False, motion=False)
         if self._view is not None:
             self._view.destroy_node()
             self._view = None
@@ -214,10 +213,10 @@ class LiveSource:
                 self._take_requests()
                 self._tasks.work()
                 if self.ears is not None:
-                    self.ears.listen(self._watchers > 0)
+                    self.ears.listen(self._watchers > 0, self._pace.is_followed)
                     self.ears.look()
             if now >= state_at:
-                state_at = now + (STATE_S if self._watchers and self._rate[2] <= AHEAD else SLOW_S)
+                state_at = now + (STATE_S if self._watchers and not self._pace.is_hurried else SLOW_S)
                 self.tell()
             if now >= slow_at:
                 slow_at = now + SLOW_S
@@ -229,7 +228,7 @@ class LiveSource:
     def _until_next_look(self) -> float:
         if not self._watchers:
             return IDLE_S
-        return GLANCE_S if self._rate[2] > AHEAD and not len(self._tasks) else LOOK_S
+        return GLANCE_S if self._pace.is_hurried and not len(self._tasks) else LOOK_S
 
     def start_node(self, node: str) -> None:
         """Start a process, in a thread that is not as gentle as this source's own."""
@@ -281,8 +280,8 @@ class LiveSource:
         if self.ears is None:
             return
         client, ears, put = self.client, self.ears, self.snapshot.put
-        figures = client.figures("rig")
-        status = client.status("rig")
+        figures, status = client.figures("rig"), client.status("rig")
+        rig_s = figure(figures.get("rig_time_s"))
         heard = state.Heard(
             ended=self._ended("rig"), age_s=self._age("rig"), message=status.message,
             level=status.level[0] if status.level else 0, figures=figures,
@@ -292,9 +291,10 @@ class LiveSource:
         word, words = state.judge(heard)
         put("rig", {
             "word": word, "text": words, "name": client.node.get_namespace(), "age": round(heard.age_s or 0.0),
-            "time": figure(figures.get("rig_time_s")), "speed": round(self._speed(figures), 2),
+            "time": rig_s, "speed": round(self._pace.read(rig_s or 0.0), 2),
             "mode": figures.get("mode", ""), "own": self.own is not None, "faults": figures.get("faults", ""),
             "realised": figure(figures.get("realised_restitution")), "over": _over_range(figures),
+            "motion": self._pace.is_followed,
         })  # fmt: skip
         if ears.applied:
             put("applied", ears.applied[-1])
@@ -331,18 +331,6 @@ class LiveSource:
             return ""
         code = self.own.processes.running[node].exit_code
         return "" if code is None else f"its process ended with code {code}"
-
-    def _speed(self, figures: Mapping[str, str]) -> float:
-        """Return seconds of rig time per second."""
-        now, rig = time.monotonic(), figure(figures.get("rig_time_s")) or 0.0
-        then, before, speed = self._rate
-        if rig != before:
-            if rig > before and then and now - then < 10.0:
-                speed = (rig - before) / (now - then)
-            self._rate = now, rig, speed
-        elif now - then > 3.0:
-            return 0.0
-        return speed
 
     def _settling(self, word: str, refusal: str) -> dict[str, Any]:
         figures = self.client.figures("analysis")

@@ -258,11 +258,10 @@ function frame(at) {
   const began = performance.now();
   const dt = Math.min(0.25, (at - (drawn.last || at)) / 1000);
   drawn.last = at;
-  const held = byId("hold").checked;
   if (drawn.trace) {
     const trace = drawn.trace;
     drawn.trace = null;
-    if (!held) {
+    if (!byId("hold").checked) {
       const from = trace.begin - 0.01;
       scope.impacts = [motion.impacts.map((row) => row[0]).filter((time) => time >= from), detected.filter((time) => time >= from)];
       scope.draw(trace, drawn.other);
@@ -273,7 +272,10 @@ function frame(at) {
   const rigKnobs = { gap: now.knobs?.["barriers.gap_m"] ?? 0.006, present: now.knobs?.["sphere.present"] ?? true };
   const speed = now.rig?.speed || 1;
   let instant = pace.advance(dt, motion.newest, speed);
-  if (slow.factor < 1) {
+  if (now.rig?.motion === false) {
+    motion.clear(); // what was drawn last would stand still and look like now
+    setText("rig-note", `at × ${fixed(speed, 0)} nobody can follow: the motion is not drawn`);
+  } else if (slow.factor < 1) {
     slow.time += dt * slow.factor * speed;
     if (!(slow.time > motion.oldest) || slow.time > motion.newest - 0.02) slow.time = Math.max(motion.oldest, motion.newest - 3 * speed);
     instant = slow.time;

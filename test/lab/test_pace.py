@@ -1,0 +1,69 @@
+# Copyright 2026 The impact_rig developers
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0 Unless required by
+# applicable law or agreed to in writing, software distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific language
+# governing permissions and limitations under the License.
+"""The speed of rig time, of readings that come now and then."""
+
+from __future__ import annotations
+
+import pytest
+
+from impact_rig.lab.pace import FOLLOWED, GAP_S, HURRIED, STALE_S, Pace
+
+
+class Clock:
+    """A clock that is set."""
+
+    def __init__(self) -> None:
+        self.now = 100.0
+
+    def monotonic(self) -> float:
+        return self.now
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+    made = Clock()
+    monkeypatch.setattr("impact_rig.lab.pace.time", made)
+    return made
+
+
+def speed(clock: Clock, pace: Pace, factor: float) -> float:
+    """Return what a pace says after two readings, half a second apart."""
+    pace.read(50.0)
+    clock.now += 0.5
+    return pace.read(50.0 + 0.5 * factor)
+
+
+@pytest.mark.parametrize("factor", [0.5, 1.0, 4.0, 16.0])
+def test_the_speed_is_that_between_two_readings(clock: Clock, factor: float) -> None:
+    pace = Pace()
+    assert speed(clock, pace, factor) == pytest.approx(factor)
+    assert pace.is_hurried == (factor > HURRIED)
+    assert pace.is_followed == (factor <= FOLLOWED)
+
+
+def test_one_reading_says_nothing(clock: Clock) -> None:
+    pace = Pace()
+    assert pace.read(7.0) == 0.0
+    assert pace.is_followed
+
+
+def test_time_that_stands_has_no_speed_after_a_while(clock: Clock) -> None:
+    pace = Pace()
+    speed(clock, pace, 2.0)
+    clock.now += STALE_S
+    assert pace.read(51.0) == pytest.approx(2.0), "readings come twice a second at most"
+    clock.now += 0.1
+    assert pace.read(51.0) == 0.0
+
+
+def test_a_reset_or_a_long_silence_gives_no_speed_of_its_own(clock: Clock) -> None:
+    pace = Pace()
+    speed(clock, pace, 2.0)
+    clock.now += 0.5
+    assert pace.read(0.1) == pytest.approx(2.0)
+    clock.now += GAP_S
+    assert pace.read(1000.0) == pytest.approx(2.0)
