@@ -40,9 +40,14 @@ class WorkTimer:
         self._late = 0
 
     def start(self, period_s: float, first_s: float) -> None:
-        """Call back in `first_s` and then every `period_s`; replaces what was going on."""
+        """Call back in `first_s` and then every `period_s`; replaces what was going on.
+
+        What is overdue waits for the next call in step: a call at once would set a phase in which all are late.
+        """
         self.stop()
         self._period_s = period_s
+        if first_s < 0.0:
+            first_s %= period_s
         self._timer = self._node.steady_timer(max(first_s, _AT_ONCE_S), self._first)
 
     def stop(self) -> None:
@@ -53,8 +58,11 @@ class WorkTimer:
         self._late = 0
 
     def keep_in_step(self, wait_s: float) -> None:
-        """Tell after a call how long the next one should wait; a wait much below the period means this one was late."""
-        wait_s %= self._period_s
+        """Tell after a call how long the next one should wait.
+
+        A wait much below the period means that this call was late; a negative one, that the next will be: what it is
+        for came due during this one.
+        """
         self._late = self._late + 1 if wait_s < (1.0 - LATE_SHARE) * self._period_s else 0
         if self._late >= LATE_CALLS:
             self.start(self._period_s, wait_s)
