@@ -202,8 +202,6 @@ class LiveSource:
 
     def _serve(self) -> None:
         """Wait for the graph until the next look is due, and so on."""
-        from impact_rig.nodes.process import spin  # noqa: PLC0415  # needs ROS
-
         look_at = state_at = slow_at = 0.0
         executor = self.client.executor
         while not self._end.is_set() and self.wanted_namespace is None:
@@ -221,7 +219,8 @@ class LiveSource:
             if now >= slow_at:
                 slow_at = now + SLOW_S
                 self._look_around()
-            spin(executor, max(0.0, min(look_at, state_at) - time.monotonic()))
+            # little comes here; spinning for longer than one message leaks 32 bytes a turn in rclpy, and we turn often
+            executor.spin_once(timeout_sec=max(0.0, min(look_at, state_at) - time.monotonic()))
         if self.wanted_namespace is not None:
             self._namespace = self.wanted_namespace
 
