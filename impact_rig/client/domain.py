@@ -11,13 +11,14 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import os
+import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from impact_rig.errors import ImpactRigError
-from impact_rig.system import names
+from impact_rig.system import locks
 
 FOLDER = "impact_rig_domains"
 FIRST_DOMAIN, LAST_DOMAIN = 1, 49
@@ -54,7 +55,10 @@ def isolated_domain() -> Iterator[int]:
             else:
                 os.environ[DISCOVERY_VARIABLE] = before
         return
-    raise ImpactRigError(f"no free ROS domain id between {FIRST_DOMAIN} and {LAST_DOMAIN}: {FOLDER} is full of locks")
+    folder = f"{tempfile.gettempdir()}/{FOLDER}"
+    raise ImpactRigError(
+        f"no free ROS domain id between {FIRST_DOMAIN} and {LAST_DOMAIN}: {folder} is full of locks, or not writable"
+    )
 
 
 def remove_litter(domain_id: int) -> None:
@@ -91,6 +95,6 @@ def _candidates() -> Iterator[int]:
 
 def _hold(domain_id: int) -> int | None:
     try:
-        return names.hold(FOLDER, str(domain_id))
+        return locks.hold(FOLDER, str(domain_id))
     except OSError:  # of a user who does not share
         return None

@@ -9,6 +9,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 
 HURRIED = 1.5
 """Speed from which on pictures come now and then: nobody sees every cycle, and rig and analysis need the machine."""
@@ -21,9 +22,14 @@ GAP_S = 10.0
 
 
 class Pace:
-    """Seconds of rig time per second, from readings that come once or twice a second."""
+    """Seconds of rig time per second, from readings that come once or twice a second.
 
-    def __init__(self) -> None:
+    Args:
+        clock: monotonic clock [s].
+    """
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock
         self.speed = 0.0
         """At the last two different readings."""
         self._read_at = self._rig_s = 0.0
@@ -40,7 +46,7 @@ class Pace:
 
     def read(self, rig_s: float) -> float:
         """Take a reading of rig time [s]; return the speed, 0 where it stands still."""
-        now = time.monotonic()
+        now = self._clock()
         if rig_s == self._rig_s:
             return 0.0 if now - self._read_at > STALE_S else self.speed
         if rig_s > self._rig_s and self._read_at and now - self._read_at < GAP_S:

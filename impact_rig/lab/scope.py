@@ -111,7 +111,7 @@ class Scope:
     def __init__(self, rate_hz: float) -> None:
         self.rate_hz = rate_hz
         finer = max(1, round(COARSE_S * rate_hz / FINER))
-        coarse = finer * FINER if finer > 1 else max(1, round(COARSE_S * rate_hz))
+        coarse = FINER * finer
         blocks = max(1, min(math.ceil(HELD_S * rate_hz), MOST_SCANS) // coarse)
         self._size = blocks * coarse
         self._levels = [Level(fine, self._size // fine) for fine in sorted({1, finer, coarse})]

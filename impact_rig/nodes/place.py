@@ -18,7 +18,7 @@ from collections.abc import Mapping
 from rclpy.node import Node
 from rclpy.utilities import get_rmw_implementation_identifier
 
-from impact_rig.system import names
+from impact_rig.system import locks
 
 FOLDER = "impact_rig_places"
 OBEDIENT = ("rmw_fastrtps_cpp", "rmw_fastrtps_dynamic_cpp", "rmw_cyclonedds_cpp")
@@ -40,18 +40,16 @@ class Place:
     """
 
     def __init__(self, node: Node) -> None:
-        self._name = f"{node.context.get_domain_id()}{node.get_namespace().replace('/', '.').rstrip('.')}"[:200]
+        self._name = f"{node.context.get_domain_id()}{node.get_namespace().replace('/', '.').rstrip('.')}"
         self._held: int | None = None
-        self.decides = ends_here(os.environ, get_rmw_implementation_identifier())
-        """Whether no rig can be in this place unseen; False: one may be on another machine."""
+        here = ends_here(os.environ, get_rmw_implementation_identifier())
+        self.decides = here and locks.can_hold(FOLDER, self._name)
+        """Whether no rig can be in this place unseen; False: only the graph tells."""
 
     def take(self) -> bool:
-        """Return whether the place is ours now; true as well where nobody can tell."""
+        """Return whether the place is ours now; true as well where only the graph tells."""
         if self._held is None and self.decides:
-            try:
-                self._held = names.hold(FOLDER, self._name)
-            except OSError:  # no directory for temporary files: only the graph tells
-                self.decides = False
+            self._held = locks.hold(FOLDER, self._name)
         return self._held is not None or not self.decides
 
     def leave(self) -> None:

@@ -107,7 +107,7 @@ class RigNode(ManagedNode[RigConfig]):
         self.compile_ahead(warm_up.TASKS)
         Rig(self.settings).advance(WARM_UP_NS)
         self._outlets = Outlets(self, self.settings)
-        if not self._place.decides:
+        if not self._place.decides:  # waited for here: who finds the node active may command it at once
             time.sleep(max(0.0, self._discovered_at - time.monotonic()))
 
     def activate(self) -> None:

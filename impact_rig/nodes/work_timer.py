@@ -14,9 +14,7 @@ the timer is put in step again when calls have come late for a while.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any  # rclpy timers
-
-from impact_rig.nodes.managed import ManagedNode
+from typing import Any, Protocol  # Any: rclpy timers
 
 LATE_CALLS = 100
 LATE_SHARE = 0.1
@@ -24,15 +22,25 @@ LATE_SHARE = 0.1
 _AT_ONCE_S = 1e-6
 
 
+class Timers(Protocol):
+    """What is needed of a node."""
+
+    def steady_timer(self, period_s: float, callback: Callable[[], None]) -> Any:
+        """Make a timer that calls back every `period_s`, and is not brought down by what that raises."""
+
+    def destroy_timer(self, timer: Any) -> Any:
+        """End a timer."""
+
+
 class WorkTimer:
     """Calls back with a period and a phase, on the monotonic clock.
 
     Args:
-        node: owner; its guard protects the callback.
+        node: owner, a `ManagedNode`.
         callback: called periodically.
     """
 
-    def __init__(self, node: ManagedNode[Any], callback: Callable[[], None]) -> None:
+    def __init__(self, node: Timers, callback: Callable[[], None]) -> None:
         self._node = node
         self._callback = callback
         self._timer: Any = None

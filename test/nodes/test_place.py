@@ -58,5 +58,5 @@ def test_a_place_is_one_namespace_of_one_domain(client: Client) -> None:
 def test_where_nothing_can_be_locked_the_graph_decides(client: Client, monkeypatch) -> None:
     monkeypatch.setattr("tempfile.tempdir", "/nowhere")
     place = Place(client.node)
-    assert place.take()
     assert not place.decides
+    assert place.take()

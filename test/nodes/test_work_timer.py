@@ -19,7 +19,7 @@ from impact_rig.nodes.work_timer import LATE_CALLS, WorkTimer
 PERIOD_S = 0.01
 
 
-class Timers:
+class Node:
     """What a work timer asks its node for: (wait, callback) of every timer made."""
 
     def __init__(self) -> None:
@@ -33,9 +33,9 @@ class Timers:
         assert timer == len(self.made)
 
 
-def made() -> tuple[Timers, WorkTimer]:
-    node = Timers()
-    return node, WorkTimer(node, lambda: None)  # type: ignore[arg-type]  # all it needs of a node
+def made() -> tuple[Node, WorkTimer]:
+    node = Node()
+    return node, WorkTimer(node, lambda: None)
 
 
 @pytest.mark.parametrize(("wait_s", "expected_s"), [(0.004, 0.004), (0.0, 1e-6), (-0.101, 0.009), (-0.0999, 0.0001)])

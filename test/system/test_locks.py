@@ -4,7 +4,7 @@
 # applicable law or agreed to in writing, software distributed under the License is distributed on an "AS IS" BASIS,
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific language
 # governing permissions and limitations under the License.
-"""Names that only one process may hold."""
+"""Locks that one process holds at a time."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ import sys
 
 import pytest
 
-from impact_rig.system import names
+from impact_rig.system import locks
 
 HOLDER = """
 import sys
-from impact_rig.system import names
-print(names.hold("places", "7.cell") is not None, flush=True)
+from impact_rig.system import locks
+print(locks.hold("places", "7.cell") is not None, flush=True)
 sys.stdin.readline()
 """
 
@@ -30,28 +30,28 @@ def _own_directory(tmp_path, monkeypatch) -> None:
     monkeypatch.setattr("tempfile.tempdir", None)
 
 
-def test_a_name_is_held_by_one_until_it_is_closed() -> None:
-    first = names.hold("places", "7.cell")
+def test_a_lock_is_held_by_one_until_it_is_closed() -> None:
+    first = locks.hold("places", "7.cell")
     assert first is not None
-    assert names.hold("places", "7.cell") is None
-    other = names.hold("places", "8.cell")
+    assert locks.hold("places", "7.cell") is None
+    other = locks.hold("places", "8.cell")
     assert other is not None
     os.close(other)
     os.close(first)
-    again = names.hold("places", "7.cell")
+    again = locks.hold("places", "7.cell")
     assert again is not None
     os.close(again)
 
 
-def test_a_name_is_free_as_soon_as_its_holder_is_killed() -> None:
+def test_a_lock_is_free_as_soon_as_its_holder_is_killed() -> None:
     holder = subprocess.Popen([sys.executable, "-c", HOLDER], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
     with holder:
         assert holder.stdout is not None
         assert holder.stdout.readline() == "True\n"
-        assert names.hold("places", "7.cell") is None
+        assert locks.hold("places", "7.cell") is None
         holder.kill()
         holder.wait()
-    again = names.hold("places", "7.cell")
+    again = locks.hold("places", "7.cell")
     assert again is not None
     os.close(again)
 
@@ -60,5 +60,7 @@ def test_a_link_that_somebody_laid_out_is_not_followed(tmp_path) -> None:
     (tmp_path / "places").mkdir()
     (tmp_path / "places" / "7.cell.lock").symlink_to(tmp_path / "mine")
     with pytest.raises(OSError, match=r"7\.cell\.lock"):
-        names.hold("places", "7.cell")
+        locks.hold("places", "7.cell")
+    assert not locks.can_hold("places", "7.cell")
+    assert locks.can_hold("places", "8.cell")
     assert not (tmp_path / "mine").exists()

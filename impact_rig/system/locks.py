@@ -1,0 +1,59 @@
+# Copyright 2026 The impact_rig developers
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0 Unless required by
+# applicable law or agreed to in writing, software distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific language
+# governing permissions and limitations under the License.
+"""Locks that one process of this machine holds at a time; each ends with its process, however that ends.
+
+A lock is on a file in the directory for temporary files. The file stays, and means nothing.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import os
+import tempfile
+from pathlib import Path
+
+
+def hold(folder: str, name: str) -> int | None:
+    """Return the descriptor that holds a lock, until it is closed; None: it is held, by this process or another.
+
+    Args:
+        folder: where its file is, within the directory for temporary files; all users share it.
+        name: of the lock, part of a file name.
+
+    Raises:
+        OSError: the file can be neither made nor opened, so there is no telling.
+    """
+    handle = _open(folder, name)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        os.close(handle)
+        return None
+    return handle
+
+
+def can_hold(folder: str, name: str) -> bool:
+    """Return whether `hold` can tell who holds a lock."""
+    try:
+        os.close(_open(folder, name))
+    except OSError:
+        return False
+    return True
+
+
+def _open(folder: str, name: str) -> int:
+    """Open the file: reading is enough for a lock, and Linux lets nobody "create" what is another user's."""
+    directory = Path(tempfile.gettempdir()) / folder
+    with contextlib.suppress(FileExistsError):
+        directory.mkdir()
+        directory.chmod(0o1777)  # like /tmp itself: other users lock here as well
+    path = directory / f"{name}.lock"
+    try:
+        return os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW)
+    except FileNotFoundError:
+        return os.open(path, os.O_RDONLY | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o644)
