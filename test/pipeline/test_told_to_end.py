@@ -35,6 +35,14 @@ TOOL: dict[str, Any] = runpy.run_path(str(Path(__file__).parents[2] / "tools" / 
 SIGNALS = [signal.SIGINT, signal.SIGTERM]
 
 
+@pytest.fixture(autouse=True)
+def nobody_measures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Children are not traced for coverage: its tracer takes a lock in every call, and one that is interrupted just
+    then never gives it back."""
+    for name in [name for name in os.environ if name.startswith("COVERAGE_PROCESS_")]:
+        monkeypatch.delenv(name)
+
+
 @pytest.fixture(scope="module")
 def bench(tmp_path_factory: pytest.TempPathFactory) -> Any:
     return TOOL["Bench"](tmp_path_factory.mktemp("endings"), times=1, seed=2)
