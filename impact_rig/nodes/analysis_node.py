@@ -34,6 +34,7 @@ from impact_rig.nodes.settings import UNKNOWN_GAP, AnalysisSettings
 from impact_rig.nodes.topics import TOPICS
 from impact_rig.simtime import NS_PER_S
 from impact_rig.system.endings import Ending
+from impact_rig.system.lean_numba import go_without_blas
 
 PUBLISHED = [topic for topic in TOPICS if topic.publisher == "analysis"]
 
@@ -225,4 +226,5 @@ def _gap(settings: AnalysisSettings) -> float:
 
 def main(ending: Ending) -> None:
     """Run the analysis node."""
+    go_without_blas()
     process.main(AnalysisNode, ending)

@@ -36,6 +36,7 @@ from impact_rig.rig import Block, Rig, warm_up
 from impact_rig.rig.config import RigConfig
 from impact_rig.simtime import NS_PER_S
 from impact_rig.system.endings import Ending
+from impact_rig.system.lean_numba import go_without_blas
 
 WORK_S = 0.02
 """Wall time one call of the work timer may fill before commands and services are looked at."""
@@ -393,4 +394,5 @@ class RigNode(ManagedNode[RigConfig]):
 
 def main(ending: Ending) -> None:
     """Run the rig node."""
+    go_without_blas()
     process.main(functools.partial(RigNode, discovery_s=DISCOVERY_S), ending)

@@ -32,6 +32,7 @@ from numba.core import config
 
 from impact_rig.system import compiled
 from impact_rig.system.endings import PARENT_VARIABLE, end_with, held, unhurried
+from impact_rig.system.lean_numba import go_without_blas
 
 LOOK_S = 0.1
 TELL_S = 1.0
@@ -133,6 +134,7 @@ def _ended(processes: list[subprocess.Popen[bytes]]) -> Iterator[None]:
 
 def _main(run: str) -> None:
     end_with(int(os.environ[PARENT_VARIABLE]), lambda: os._exit(1))
+    go_without_blas()
     directory = compiled.Cache(compiled.ROOT).directory
     assert directory is not None
     stamp = Task(run, ()).stamp(directory)

@@ -153,6 +153,8 @@ def test_a_run_in_real_time_is_whole_from_scan_0_on_and_is_found_again(
     client.command(frequency_hz=9.1, current_a=0.52)
     table = client.collect("transmissibility/table")
     client.wait_until(lambda: (table.rows()["settled"] == 1).any() if len(table) else False, "a measurement", 300.0)
+    for process in processes.running.values():
+        assert "scipy/linalg" not in Path(f"/proc/{process.pid}/maps").read_text(), "0.4 s and 15 MB for nothing"
     assert processes.stop("recorder", "analysis", "rig") == {"recorder": 0, "analysis": 0, "rig": 0}
     found = info(tmp_path / "run")
     assert found.verdict.startswith("whole: "), found.verdict
