@@ -4,60 +4,62 @@
 # applicable law or agreed to in writing, software distributed under the License is distributed on an "AS IS" BASIS,
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific language
 # governing permissions and limitations under the License.
-"""What a contact law of the Hunt–Crossley form really returns, in closed form.
+"""What a contact law of the Hunt–Crossley form really returns.
 
 For F = K δⁿ (1 + a δ'/v0) between two free bodies, whatever K, n, the masses and v0:
 
     ln[(1 + a) / (1 − a e)] = a (1 + e),   e = [1 + W0(−(1 + a) exp(−(1 + a)))] / a      (W0: Lambert W)
 
 Integrate δ' dδ' = −(K/m)(1 + a δ'/v0) δⁿ dδ from v0 in and from −e v0 out; the δⁿ cancels.
+
+Solved in portable arithmetic, since the simulation runs on such factors; by bisection, since the two sides agree to
+many digits where e is close to 1.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from decimal import Decimal
 
 from impact_rig.arithmetic.precise import ONE, TWO, ZERO, precise
 
-_SERIES_BELOW = (
-    1e-3  # the closed form loses digits as a -> 0, where the series e = 1 − 2a/3 + 4a²/9 − … is exact enough
-)
-
-
 _CLOSE = Decimal("1e-20")
+_SMALL = 1e-9
+"""Below this factor the next term of the series, 4a²/9, is less than a float can tell."""
 
 
+@precise
 def realised(hysteresis_factor: float) -> float:
     """Return the restitution that the dimensionless damping factor `a` ≥ 0 gives."""
-    from scipy.special import lambertw  # noqa: PLC0415  # heavy, and no configuration needs it
-
-    a = hysteresis_factor
-    if a < 0.0 or not math.isfinite(a):
-        raise ValueError(f"hysteresis factor must be >= 0, got {a!r}")
-    if a < _SERIES_BELOW:
-        return 1.0 - a * (2.0 / 3.0 - a * (4.0 / 9.0 - a * 44.0 / 135.0))
-    x = 1.0 + a
-    return float((1.0 + lambertw(-x * math.exp(-x)).real) / a)
+    if hysteresis_factor < 0.0 or not math.isfinite(hysteresis_factor):
+        raise ValueError(f"hysteresis factor must be >= 0, got {hysteresis_factor!r}")
+    if hysteresis_factor < _SMALL:
+        return 1.0 - hysteresis_factor * 2.0 / 3.0
+    a = Decimal(hysteresis_factor)
+    return _root(ONE / max(ONE, a), lambda e: _imbalance(a, e) > ZERO)
 
 
 @precise
 def factor_returning(restitution: float) -> float:
-    """Return the factor `a` whose realised restitution is `restitution` in (0, 1].
-
-    The simulation runs on it, so it is found in portable arithmetic: by bisection between 0 and 1/e of the equation
-    above, whose two sides agree to many digits where e is close to 1.
-    """
+    """Return the factor `a` whose realised restitution is `restitution` in (0, 1]."""
     if not 0.0 < restitution <= 1.0:
         raise ValueError(f"restitution must be > 0 and <= 1, got {restitution!r}")
     if restitution == 1.0:
         return 0.0
     e = Decimal(restitution)
-    low, high = ZERO, ONE / e
+    return _root(ONE / e, lambda a: _imbalance(a, e) > ZERO)
+
+
+def _imbalance(a: Decimal, e: Decimal) -> Decimal:
+    """Return the left side of the equation less the right one: it grows with both."""
+    return ((ONE + a) / (ONE - a * e)).ln() - a * (ONE + e)
+
+
+def _root(high: Decimal, is_beyond: Callable[[Decimal], bool]) -> float:
+    """Return the number in (0, high) where `is_beyond` becomes true."""
+    low = ZERO
     while high - low > _CLOSE * high:
-        a = (low + high) / TWO
-        if ((ONE + a) / (ONE - a * e)).ln() > a * (ONE + e):
-            high = a
-        else:
-            low = a
+        middle = (low + high) / TWO
+        low, high = (low, middle) if is_beyond(middle) else (middle, high)
     return float(low)
