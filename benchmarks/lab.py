@@ -33,7 +33,8 @@ sys.path.insert(0, str(ROOT / "test"))
 
 from kits.browser import Browser  # noqa: E402
 
-from benchmarks.live import FREEWHEEL_WINDOW, _cpu_s, _graph  # noqa: E402
+from benchmarks.live import FREEWHEEL_WINDOW, _graph  # noqa: E402
+from benchmarks.wire import cpu_share  # noqa: E402
 from impact_rig.client import Client, Processes  # noqa: E402
 from impact_rig.errors import ImpactRigError  # noqa: E402
 
@@ -71,11 +72,11 @@ def _live(seconds: float, pairs: int) -> dict[str, float]:
                     client.spin_for(2.0)
                     tell("the same with a page and two sockets")
                     page.js("window.costs = []; window.lab.onDrawn = ms => window.costs.push(ms);")
-                    before, lab_before, began = page.js("lab.drawn.pictures"), _cpu_s(lab.pid), time.monotonic()
+                    before, lab_share, began = page.js("lab.drawn.pictures"), cpu_share(lab.pid), time.monotonic()
                     extra.append(_share(processes.running["rig"].pid, client, seconds) - without)
                     wall = time.monotonic() - began
                     drawn.append((page.js("lab.drawn.pictures") - before) / wall)
-                    shares.append(100.0 * (_cpu_s(lab.pid) - lab_before) / wall)
+                    shares.append(lab_share())
                     tell(f"{drawn[-1]:.1f} pictures/s, lab {shares[-1]:.1f} %, rig {extra[-1]:+.2f} points")
                     script.append(page.js("costs.sort((a, b) => a - b)[Math.floor(costs.length * 0.5)]"))
             tell("memory of the lab's process")
@@ -195,9 +196,9 @@ def _client(address: str, draws: bool, end: threading.Event, troubles: list[str]
 
 
 def _share(pid: int, client: Client, seconds: float) -> float:
-    before, began = _cpu_s(pid), time.monotonic()
+    share = cpu_share(pid)
     client.spin_for(seconds)
-    return 100.0 * (_cpu_s(pid) - before) / (time.monotonic() - began)
+    return share()
 
 
 def _speed(client: Client, seconds: float) -> float:

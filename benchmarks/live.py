@@ -43,7 +43,7 @@ def run() -> dict[str, float]:
     figures: dict[str, float] = {}
     for rate_hz in RATES_HZ:
         figures.update(live(seconds, rate_hz))
-    return {**figures, **freewheel_beside_the_wire(seconds / 2), **start()}
+    return {**figures, **wire.run_paced(seconds), **freewheel_beside_the_wire(seconds / 2), **start()}
 
 
 def freewheel_beside_the_wire(seconds: float) -> dict[str, float]:
@@ -66,10 +66,9 @@ def live(seconds: float, rate_hz: int) -> dict[str, float]:
         scans = client.collect(topics.SCAN.name)
         client.spin_for(WARM_UP_S)
         scans.clear()
-        before, began = {name: _cpu_s(processes.running[name].pid) for name in NODES}, time.monotonic()
+        shares, began = {name: wire.cpu_share(processes.running[name].pid) for name in NODES}, time.monotonic()
         client.spin_for(seconds)
-        wall = time.monotonic() - began
-        cpu = {name: 100.0 * (_cpu_s(processes.running[name].pid) - before[name]) / wall for name in NODES}
+        wall, cpu = time.monotonic() - began, {name: share() for name, share in shares.items()}
         ends = np.array([codec.header_stamp_ns(data) for data in scans.messages]) + BLOCK_NS
         late_ms = (np.array([message.received_system_ns for message in scans.received]) - ends) * 1e-6
         wrong = np.count_nonzero(np.diff(ends) != BLOCK_NS)  # blocks begin where the one before ends, to the nanosecond
@@ -147,12 +146,6 @@ def _graph(parameters: Mapping[str, ParameterValue]) -> Iterator[tuple[Client, P
             client.wait_until(lambda: client.status("recorder").message == "recording", "the recorder")
             client.wait_until(lambda: "rig_time_s" in client.figures("rig"), "the rig to begin")
             yield client, processes, Path(name)
-
-
-def _cpu_s(pid: int) -> float:
-    """Return user and system time a process has used [s]."""
-    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 if __name__ == "__main__":

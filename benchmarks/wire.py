@@ -9,7 +9,8 @@
 A source publishes what a rig publishes for each block of 10 ms at 10 kS/s, as ready-made bytes; a reader acknowledges
 every scan; a keeper writes all bytes to a file and acknowledges, too. The source keeps at most a window ahead of the
 slower of the two: freewheel without simulation, analysis or MCAP. No rig on this ROS 2 can be faster; the ratio to it,
-measured in the same minute, says how near ours comes.
+measured in the same minute, says how near ours comes. Or it publishes a block every 10 ms: the least that a rig, its
+analysis and its recorder take of a core in real time.
 
     python -m benchmarks.wire [SECONDS]
 """
@@ -18,10 +19,12 @@ from __future__ import annotations
 
 import functools
 import json
+import os
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any  # rclpy handles
 
@@ -42,26 +45,56 @@ from impact_rig.rig.config import RigConfig
 
 BLOCKS_PER_S, SCANS = 100, 100
 SPIN_S = 0.05
+MONITORED_BLOCKS = 2
+"""Of so many blocks one comes with monitors in real time, at the default rates."""
+WARM_UP_S = 2.0
 READERS = ("reader", "keeper")
 _OTHERS = [*MONITORS.values(), topics.CLOCK]
 
 
 def run(seconds: float, window: int) -> dict[str, float]:
     """Return how many times real time the wire carries."""
+    with _wire("source", str(seconds), str(window)) as (client, processes):
+        log = processes.running["source"].log
+        client.wait_until(lambda: b"wall" in log.read_bytes(), "the source to end", seconds + 60.0)
+        found = json.loads(log.read_text().splitlines()[-1])
+    return {"wire_x_realtime_10kSps": found["blocks"] / BLOCKS_PER_S / found["wall"]}
+
+
+def run_paced(seconds: float) -> dict[str, float]:
+    """Return what the three take in real time [% of a core], beside a client that listens to the scans as well."""
+    with _wire("paced") as (client, processes):
+        client.collect(topics.SCAN.name)
+        client.spin_for(WARM_UP_S)
+        shares = {name: cpu_share(process.pid) for name, process in processes.running.items()}
+        client.spin_for(seconds)
+        return {f"wire_live_{name}_cpu_percent": share() for name, share in shares.items()}
+
+
+@contextmanager
+def _wire(role: str, *words: str) -> Iterator[tuple[Client, Processes]]:
+    """Readers and a source of that role as processes, with a client."""
     with (
         tempfile.TemporaryDirectory() as directory,
         isolated_domain() as domain_id,
         Processes(domain_id, Path(directory)) as processes,
         Client(domain_id, processes=processes) as client,
     ):
-        for role in READERS:
-            processes.start(role, command=[sys.executable, "-m", "benchmarks.wire", role])
-        words = [str(seconds), str(window)]
-        source = processes.start("source", command=[sys.executable, "-m", "benchmarks.wire", "source", *words])
-        done = lambda: b"wall" in source.log.read_bytes()  # noqa: E731
-        client.wait_until(done, "the source to end", seconds + 60.0)
-        found = json.loads(source.log.read_text().splitlines()[-1])
-    return {"wire_x_realtime_10kSps": found["blocks"] / BLOCKS_PER_S / found["wall"]}
+        for name in READERS:
+            processes.start(name, command=[sys.executable, "-m", "benchmarks.wire", name])
+        processes.start("source", command=[sys.executable, "-m", "benchmarks.wire", role, *words])
+        yield client, processes
+
+
+def cpu_share(pid: int) -> Callable[[], float]:
+    """Return a function that says how much of a core a process has taken since now [%]."""
+
+    def used_s() -> float:
+        fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+    before, began = used_s(), time.monotonic()
+    return lambda: 100.0 * (used_s() - before) / (time.monotonic() - began)
 
 
 def _messages() -> dict[topics.Topic, bytes]:
@@ -101,9 +134,26 @@ class Source:
                 publisher.publish(data)
             self._sent += 1
 
+    def publish(self) -> None:
+        """Publish a block of real time; every other one comes with monitors."""
+        monitored = self._sent % MONITORED_BLOCKS == 0
+        for publisher, data in self._outlets if monitored else self._outlets[:1]:
+            publisher.publish(data)
+        self._sent += 1
+
     def _on_ack(self, message: Header) -> None:
         self.acknowledged[message.frame_id] += 1
-        self.run_ahead()
+        if self._window:
+            self.run_ahead()
+
+
+def _paced() -> None:
+    node = Node("source")
+    source = Source(node, 0)
+    node.create_timer(1.0 / BLOCKS_PER_S, source.publish)
+    spin = _spinner(node)
+    while rclpy.ok():
+        spin()
 
 
 def _source(seconds: float, window: int) -> None:
@@ -150,8 +200,12 @@ if __name__ == "__main__":
         case ["source", seconds, window, *_]:
             rclpy.init()
             _source(float(seconds), int(window))
+        case ["paced", *_]:
+            rclpy.init()
+            _paced()
         case [("reader" | "keeper") as role, *_]:
             rclpy.init()
             _reader(role)
         case words:
-            print(run(float((words or ["10"])[0]), 64))
+            seconds_each = float((words or ["10"])[0])
+            print(run(seconds_each, 64) | run_paced(seconds_each))
