@@ -43,10 +43,10 @@ class FakeSource:
         answer(True, f"did {request.do}")
 
 
-def scans(first: int, count: int, **columns: object) -> Table:
-    """A block from scan `first` on, one column or all zero."""
+def scans(first: int, count: int, *, rate_hz: int = RATE, **columns: object) -> Table:
+    """A block from scan `first` on, some columns or all zero."""
     rows = np.zeros(count, SCAN)
-    rows["time"] = np.arange(count) / RATE
+    rows["time"] = np.arange(count) / rate_hz
     for name, values in columns.items():
         rows[name] = values
-    return Table(first * 10**9 // RATE, rows)
+    return Table(first * 10**9 // rate_hz, rows)

@@ -66,6 +66,40 @@ def test_what_never_came_is_a_gap() -> None:
     assert not np.isnan(np.delete(trace.low[1], np.s_[50:70])).any()
 
 
+FAST = 10_000
+"""A rate at which three levels of pairs are kept, the coarsest over 20 scans."""
+BLOCKS = st.lists(st.tuples(st.integers(0, 30_000), st.integers(1_000, 40_000)), min_size=5, max_size=10)
+
+
+@given(BLOCKS, st.floats(0.05, LONGEST_S), st.integers(16, 2000), st.integers(0, 99), st.booleans())
+def test_every_column_shows_what_came_and_nothing_older(
+    blocks: list[tuple[int, int]], span: float, columns: int, seed: int, watched: bool
+) -> None:
+    """Scans come in blocks with gaps before them, once around the ring and more; each is noise, and some over-range."""
+    rng = np.random.default_rng(seed)
+    came = np.full(sum(gap + count for gap, count in blocks), np.nan, np.float32)
+    status = np.zeros(len(came), np.uint8)
+    scope, at = Scope(FAST), 0
+    for gap, count in blocks:
+        at += gap
+        came[at : at + count] = rng.normal(size=count)
+        status[at : at + count] = rng.random(count) < 1e-3
+        scope.add(scans(at, count, rate_hz=FAST, laser=came[at : at + count], status=status[at : at + count]), 0)
+        at += count
+        if watched:
+            scope.window(LONGEST_S, 500)
+    trace = scope.window(span, columns)
+    assert trace is not None
+    begin, step = round(trace.begin_s * FAST), round(trace.column_s * FAST)
+    for column in range(trace.low.shape[1]):
+        first = begin + column * step
+        if scope.begin + 20 <= first and first + step <= scope.end - 20:  # whole at every level
+            part = came[first : first + step]
+            assert np.array_equal(trace.low[1, column], np.fmin.reduce(part), equal_nan=True)
+            assert np.array_equal(trace.high[1, column], np.fmax.reduce(part), equal_nan=True)
+            assert trace.status[column] == np.bitwise_or.reduce(status[first : first + step])
+
+
 def test_over_range_is_kept_by_column() -> None:
     status = np.zeros(1000, np.uint8)
     status[503] = 2
