@@ -52,5 +52,6 @@ echo "Setting up $venv with $("$python" --version) and $ros, once: 900 MB, one m
 # shellcheck disable=SC2086  # no option at all when empty
 "$python" -m venv --clear $site "$venv" ||
     fail "$python cannot make a virtual environment; on Debian and Ubuntu: sudo apt install python3-venv"
-"$venv/bin/python" -m pip install --quiet --disable-pip-version-check --no-input \
+# Python compiles what it imports: compiling all of it here would take half a minute
+"$venv/bin/python" -m pip install --quiet --disable-pip-version-check --no-input --no-compile \
     --requirement "$here/common.txt" --requirement "$here/$versions"

@@ -46,7 +46,6 @@ MODULES = {"scipy", "cmath"}
 
 ALLOWED = {
     "physics/linear.py: np.linalg": "where the refinement of eigenvalues starts; they do not depend on it",
-    "physics/restitution.py": "what a law returns is told to people; the factor of `exact` is found with many digits",
     "physics/contact/kelvin_voigt.py": "what it returns when it lets go early is told to people",
     "physics/closed_form.py": "what simulation and analysis are held against",
     "physics/prediction.py": "as above",
