@@ -33,8 +33,8 @@ sys.path.insert(0, str(ROOT / "test"))
 
 from kits.browser import Browser  # noqa: E402
 
+from benchmarks.cpu import cpu_share  # noqa: E402
 from benchmarks.live import FREEWHEEL_WINDOW, _graph  # noqa: E402
-from benchmarks.wire import cpu_share  # noqa: E402
 from impact_rig.client import Client, Processes  # noqa: E402
 from impact_rig.errors import ImpactRigError  # noqa: E402
 

@@ -23,6 +23,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks import wire
+from benchmarks.cpu import cpu_share
 from impact_rig import codec, topics
 from impact_rig.client import Client, Processes, isolated_domain
 from impact_rig.client.processes import ParameterValue
@@ -66,7 +67,7 @@ def live(seconds: float, rate_hz: int) -> dict[str, float]:
         scans = client.collect(topics.SCAN.name)
         client.spin_for(WARM_UP_S)
         scans.clear()
-        shares, began = {name: wire.cpu_share(processes.running[name].pid) for name in NODES}, time.monotonic()
+        shares, began = {name: cpu_share(processes.running[name].pid) for name in NODES}, time.monotonic()
         client.spin_for(seconds)
         wall, cpu = time.monotonic() - began, {name: share() for name, share in shares.items()}
         ends = np.array([codec.header_stamp_ns(data) for data in scans.messages]) + BLOCK_NS

@@ -19,7 +19,6 @@ from __future__ import annotations
 
 import functools
 import json
-import os
 import sys
 import tempfile
 import time
@@ -34,6 +33,7 @@ from rclpy.node import Node
 from rclpy.serialization import serialize_message
 from std_msgs.msg import Header
 
+from benchmarks.cpu import cpu_share
 from impact_rig import codec, topics
 from impact_rig.blocks import Table
 from impact_rig.client import Client, Processes, isolated_domain
@@ -86,17 +86,6 @@ def _wire(role: str, *words: str) -> Iterator[tuple[Client, Processes]]:
         yield client, processes
 
 
-def cpu_share(pid: int) -> Callable[[], float]:
-    """Return a function that says how much of a core a process has taken since now [%]."""
-
-    def used_s() -> float:
-        fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
-
-    before, began = used_s(), time.monotonic()
-    return lambda: 100.0 * (used_s() - before) / (time.monotonic() - began)
-
-
 def _messages() -> dict[topics.Topic, bytes]:
     """Return what is published for a block."""
     scans = np.zeros(SCANS, row_type_of(RigConfig().instruments))
@@ -143,13 +132,12 @@ class Source:
 
     def _on_ack(self, message: Header) -> None:
         self.acknowledged[message.frame_id] += 1
-        if self._window:
-            self.run_ahead()
+        self.run_ahead()
 
 
 def _paced() -> None:
     node = Node("source")
-    source = Source(node, 0)
+    source = Source(node, window=0)  # it never runs ahead
     node.create_timer(1.0 / BLOCKS_PER_S, source.publish)
     spin = _spinner(node)
     while rclpy.ok():

@@ -8,7 +8,7 @@
 
 For F = K δⁿ (1 + a δ'/v0) between two free bodies, whatever K, n, the masses and v0:
 
-    ln[(1 + a) / (1 − a e)] = a (1 + e),   e = [1 + W0(−(1 + a) exp(−(1 + a)))] / a      (W0: Lambert W)
+    ln[(1 + a) / (1 − a e)] = a (1 + e)
 
 Integrate δ' dδ' = −(K/m)(1 + a δ'/v0) δⁿ dδ from v0 in and from −e v0 out; the δⁿ cancels.
 
@@ -37,7 +37,7 @@ def realised(hysteresis_factor: float) -> float:
     if hysteresis_factor < _SMALL:
         return 1.0 - hysteresis_factor * 2.0 / 3.0
     a = Decimal(hysteresis_factor)
-    return _root(ONE / max(ONE, a), lambda e: _imbalance(a, e) > ZERO)
+    return _root(ONE / max(ONE, a), lambda e: _imbalance(a, e))
 
 
 @precise
@@ -48,7 +48,7 @@ def factor_returning(restitution: float) -> float:
     if restitution == 1.0:
         return 0.0
     e = Decimal(restitution)
-    return _root(ONE / e, lambda a: _imbalance(a, e) > ZERO)
+    return _root(ONE / e, lambda a: _imbalance(a, e))
 
 
 def _imbalance(a: Decimal, e: Decimal) -> Decimal:
@@ -56,10 +56,10 @@ def _imbalance(a: Decimal, e: Decimal) -> Decimal:
     return ((ONE + a) / (ONE - a * e)).ln() - a * (ONE + e)
 
 
-def _root(high: Decimal, is_beyond: Callable[[Decimal], bool]) -> float:
-    """Return the number in (0, high) where `is_beyond` becomes true."""
+def _root(high: Decimal, growing: Callable[[Decimal], Decimal]) -> float:
+    """Return the number in (0, high) where a growing function is zero."""
     low = ZERO
     while high - low > _CLOSE * high:
         middle = (low + high) / TWO
-        low, high = (low, middle) if is_beyond(middle) else (middle, high)
+        low, high = (low, middle) if growing(middle) > ZERO else (middle, high)
     return float(low)

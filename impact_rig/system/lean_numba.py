@@ -14,11 +14,11 @@ from __future__ import annotations
 
 from typing import NoReturn
 
+from numba.np import linalg
+
 
 def go_without_blas() -> None:
     """Keep Numba from looking for a BLAS; called before its first function is compiled or loaded."""
-    from numba.np import linalg  # noqa: PLC0415  # programs that need no kernel import no Numba
-
     linalg.ensure_blas = _refuse
 
 

@@ -47,7 +47,9 @@ def closed_form(factor: float) -> float:
 
 def test_a_force_is_handed_to_compiled_code_without_asking_numba_for_its_address(monkeypatch: pytest.MonkeyPatch):
     """Asking took a third of the time of a block of 10 ms."""
-    monkeypatch.setattr(function_type, "_get_wrapper_address", lambda *_: pytest.fail("asked"))
+    monkeypatch.setattr(
+        function_type, "_get_wrapper_address", lambda *_: pytest.fail("Numba was asked for the address of a force")
+    )
     hit(0.5)
 
 
