@@ -1,9 +1,5 @@
 # Copyright 2026 The impact_rig developers
-# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
-# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0 Unless required by
-# applicable law or agreed to in writing, software distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific language
-# governing permissions and limitations under the License.
+# SPDX-License-Identifier: Apache-2.0
 """The recipes of docs/extending.md, done to the letter in a copy of the repository: their files, no other by hand."""
 
 from __future__ import annotations
@@ -26,7 +22,7 @@ from tools.generate import ROOT, generated
 
 PAGE = (ROOT / "docs" / "extending.md").read_text(encoding="utf-8")
 COPIED = ("benchmarks", "config", "docs", "examples", "impact_rig", "launch", "requirements", "test", "tools")
-NOTICE = "".join((ROOT / "setup.py").read_text(encoding="utf-8").splitlines(keepends=True)[:6])
+NOTICE = "".join((ROOT / "setup.py").read_text(encoding="utf-8").splitlines(keepends=True)[:2])
 """What every Python file begins with; the page leaves it out."""
 GENERATED = {str(path.relative_to(ROOT)) for path in generated()}
 
