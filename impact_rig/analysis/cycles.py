@@ -17,11 +17,10 @@ import math
 
 import attrs
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-import impact_rig.system.compiled  # noqa: F401  # first: finds what was compiled from these sources
 from impact_rig.analysis.calibration import Complex, Real
+from impact_rig.kernels import BYTES, INTEGERS, REALS, TABLE, VOLUME, entry
 
 RANGE_BIT = 256
 """Bit in a cycle's flags for channel 0 outside its range or not finite; channel j uses RANGE_BIT << j."""
@@ -230,7 +229,7 @@ def normal_matrix(phase: Real, samples: NDArray[np.int64], step: float, harmonic
     return matrix
 
 
-@njit(cache=True, nogil=True)
+@entry(TABLE, BYTES, int, int, REALS, REALS, float, INTEGERS, REALS, TABLE, REALS, VOLUME, INTEGERS, returns=(int, int))
 def _accumulate(
     samples: Real,
     status: NDArray[np.uint8],

@@ -17,14 +17,13 @@ import math
 
 import attrs
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-import impact_rig.system.compiled  # noqa: F401  # first: finds what was compiled from these sources
 from impact_rig.analysis.calibration import Calibration, Real
 from impact_rig.analysis.channels import ACCELEROMETER
 from impact_rig.analysis.cycles import PHASE_BINS, Cycles
 from impact_rig.analysis.settings import ImpactSettings
+from impact_rig.kernels import INTEGERS, REALS, TABLE, entry
 
 ONSET = 0.45
 LOOK_AHEAD_S = 150e-6
@@ -185,7 +184,7 @@ class ImpactDetector:
         return Impacts(rows[:, 0] - self._delay, rows[:, 1], rows[:, 2].astype(np.int8))
 
 
-@njit(cache=True, nogil=True)
+@entry(REALS, int, REALS, REALS, INTEGERS, REALS, INTEGERS, REALS, TABLE, returns=(int, int))
 def _detect(
     acceleration: Real,
     begin: int,

@@ -15,9 +15,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
-import impact_rig.system.compiled  # noqa: F401  # first: finds what was compiled from these sources
+from impact_rig.kernels import kernel
 
 _TWO_OVER_PI = 0.6366197723675814
 _HALF_PI_1 = 1.5707963267341256  # π/2 in pieces of 33 bits: k times the first two is exact up to k = 2^20
@@ -44,7 +43,7 @@ _LARGEST_EXPONENT, _SMALLEST_EXPONENT = 709.0, -708.0
 _ROUND = 6755399441055744.0  # 1.5 · 2^52: what is added to it and taken off again comes back as an integer
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def sincos(x):  # type: ignore[no-untyped-def]  # compiled: types are inferred
     """Return (sin x, cos x), x in radians.
 
@@ -73,7 +72,7 @@ def sincos(x):  # type: ignore[no-untyped-def]  # compiled: types are inferred
     return -cosine, sine
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def exp(x):  # type: ignore[no-untyped-def]
     """Return e^x; 0 below −708, infinity above 709."""
     if not x < _LARGEST_EXPONENT:
@@ -89,7 +88,7 @@ def exp(x):  # type: ignore[no-untyped-def]
     return value * _POWERS_OF_TWO[int(k) - _LOWEST_EXPONENT]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def log(x):  # type: ignore[no-untyped-def]
     """Return the natural logarithm of a finite x > 0."""
     mantissa, exponent = math.frexp(x)
@@ -104,13 +103,13 @@ def log(x):  # type: ignore[no-untyped-def]
     return k * _LN2_HIGH - ((half - (s * (half + r) + k * _LN2_LOW)) - f)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def power(x, y):  # type: ignore[no-untyped-def]
     """Return x^y for a finite x > 0, to (1 + 3 |y ln x|) ulp; 0 for x = 0 and y > 0."""
     return exp(y * log(x)) if x > 0.0 else 0.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def modulus(real, imag):  # type: ignore[no-untyped-def]
     """Return |real + i imag|, without care for what overflows when squared."""
     return math.sqrt(real * real + imag * imag)

@@ -16,12 +16,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-import impact_rig.system.compiled  # noqa: F401  # first: finds what was compiled from these sources
 from impact_rig.arithmetic.elementary import exp, log
 from impact_rig.arithmetic.records import DISABLED
+from impact_rig.kernels import REALS, WORDS, entry, kernel
 
 _LAYERS = 256
 _TAIL = 3.6541528853610088  # where the lowest layer ends and the tail begins
@@ -80,7 +79,7 @@ class Random:
         return twin
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _next(s0, s1, s2, s3):  # type: ignore[no-untyped-def]  # compiled: types are inferred
     """Return 64 random bits and the state that follows."""
     mixed = s0 + s3
@@ -95,7 +94,7 @@ def _next(s0, s1, s2, s3):  # type: ignore[no-untyped-def]  # compiled: types ar
     return bits, s0, s1, s2, s3
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _beyond(s0, s1, s2, s3):  # type: ignore[no-untyped-def]
     """Return a number of the tail (Marsaglia 1964) and the state that follows."""
     while True:
@@ -106,7 +105,7 @@ def _beyond(s0, s1, s2, s3):  # type: ignore[no-untyped-def]
             return _TAIL + excess, s0, s1, s2, s3
 
 
-@njit(cache=True, nogil=True)
+@entry(WORDS, REALS)
 def fill_normal(state, out):  # type: ignore[no-untyped-def]
     """Fill an array with the next standard normal numbers."""
     s0, s1, s2, s3 = state[0], state[1], state[2], state[3]
@@ -128,7 +127,7 @@ def fill_normal(state, out):  # type: ignore[no-untyped-def]
     state[0], state[1], state[2], state[3] = s0, s1, s2, s3
 
 
-@njit(cache=True, nogil=True)
+@entry(WORDS, REALS)
 def fill_uniform(state, out):  # type: ignore[no-untyped-def]
     """Fill an array with the next even numbers, 0 <= x < 1."""
     s0, s1, s2, s3 = state[0], state[1], state[2], state[3]

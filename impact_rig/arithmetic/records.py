@@ -8,10 +8,11 @@ import functools
 from typing import Any
 
 import numpy as np
-from numba.core import config
 from numpy.typing import NDArray
 
-DISABLED = bool(getattr(config, "DISABLE_JIT", False))
+from impact_rig import kernels
+
+DISABLED = kernels.MODE == "plain"
 """Whether compiled functions run as plain Python in this process."""
 
 

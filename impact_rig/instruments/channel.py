@@ -8,7 +8,6 @@ from collections import deque
 
 import attrs
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from impact_rig.arithmetic.elementary import sincos
@@ -24,6 +23,7 @@ from impact_rig.instruments.motion import Motion
 from impact_rig.instruments.pieces import Pieces, first_value
 from impact_rig.instruments.response import Response
 from impact_rig.instruments.sensor import Sensor
+from impact_rig.kernels import INTEGERS, REALS, entry
 
 Instants = tuple[NDArray[np.int64], NDArray[np.float64]]
 """(segment, offset into it [s]), shapes (n,)."""
@@ -67,7 +67,7 @@ class Sine:
         _sine(tick, at[1], self.ticks, stretch.tick_s, TWO_PI * self.frequency_hz, self.amplitude, values)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@entry(INTEGERS, REALS, int, float, float, float, REALS)
 def _sine(tick, offset, ticks, tick_s, omega, amplitude, values):  # type: ignore[no-untyped-def]  # compiled: inferred
     for i in range(values.shape[0]):
         if 0 <= tick[i] < ticks:

@@ -17,7 +17,6 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from impact_rig.arithmetic.elementary import exp
@@ -27,6 +26,7 @@ from impact_rig.instruments import calibration
 from impact_rig.instruments.adc import Adc
 from impact_rig.instruments.calibration import BoardErrors, Errors
 from impact_rig.instruments.sensor import Sensor
+from impact_rig.kernels import FLAGS, REALS, WORDS, Fields, entry
 
 
 class OutputStage(NamedTuple):
@@ -45,6 +45,9 @@ class OutputStage(NamedTuple):
     offset: float  # V, as it really is
 
 
+OUTPUT_STAGE = Fields(OutputStage, 11 * (float,))
+
+
 class Converter(NamedTuple):
     """Numbers that turn volts into codes and codes into SI units."""
 
@@ -56,6 +59,9 @@ class Converter(NamedTuple):
     highest: float
     scale: float  # unit per code, nominal
     zero: float  # unit at code 0, nominal
+
+
+CONVERTER = Fields(Converter, 8 * (float,))
 
 
 def output_stage(sensor: Sensor, errors: Errors, scan_period_s: float) -> OutputStage:
@@ -118,7 +124,7 @@ def to_units(
     return readings
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@entry(OUTPUT_STAGE, REALS, WORDS, REALS, REALS, FLAGS)
 def _to_volts(stage, clean, random, memory, volts, clipped):  # type: ignore[no-untyped-def]  # types are inferred
     white = volts  # each number gives way to the volts it goes into
     fill_normal(random, white)
@@ -137,7 +143,7 @@ def _to_volts(stage, clean, random, memory, volts, clipped):  # type: ignore[no-
     memory[0] = coloured
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@entry(CONVERTER, REALS, WORDS, REALS, FLAGS)
 def _to_units(adc, volts, random, readings, clipped):  # type: ignore[no-untyped-def]
     white = readings  # each number gives way to the reading it goes into
     fill_normal(random, white)

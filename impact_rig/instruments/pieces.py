@@ -16,11 +16,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-import impact_rig.system.compiled  # noqa: F401  # first: finds what was compiled from these sources
 from impact_rig.arithmetic.precise import ONE, ZERO, pi, precise, unit
+from impact_rig.kernels import FLAGS, INTEGERS, REALS, TABLE, Fields, entry, kernel
 
 NODES = 8
 PIECES_PER_PERIOD = 2.0
@@ -52,6 +51,9 @@ class Limits(NamedTuple):
     joined_s: float
 
 
+LIMITS = Fields(Limits, (float, float, float))
+
+
 class Pieces(NamedTuple):
     """Smooth pieces of some ticks, in order; offsets [s] count from the piece's tick.
 
@@ -73,8 +75,13 @@ class Pieces(NamedTuple):
 
     def nodes(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
         """Return the nodes of all pieces as (segment, offset [s]), shape (n · NODES,)."""
-        nodes: tuple[NDArray[np.int64], NDArray[np.float64]] = _nodes(self.start, self.end, self.segment)
-        return nodes
+        count = len(self.start) * NODES
+        segment, offset = np.empty(count, np.int64), np.empty(count)
+        _nodes(self.start, self.end, self.segment, segment, offset)
+        return segment, offset
+
+
+PIECES = Fields(Pieces, (INTEGERS, REALS, REALS, FLAGS, INTEGERS, float))
 
 
 def polynomials(values: NDArray[np.float64], pieces: int) -> NDArray[np.float64]:
@@ -84,8 +91,9 @@ def polynomials(values: NDArray[np.float64], pieces: int) -> NDArray[np.float64]
         values: some quantities at the nodes of all pieces, shape (quantities, pieces · NODES).
         pieces: how many.
     """
-    coefficients: NDArray[np.float64] = _to_monomials(values.reshape(-1, NODES))
-    return coefficients.reshape(-1, pieces, NODES)
+    coefficients = np.empty((len(values), pieces, NODES))
+    _to_monomials(values.reshape(-1, NODES), coefficients.reshape(-1, NODES))
+    return coefficients
 
 
 def first_value(coefficients: NDArray[np.float64]) -> float:
@@ -108,17 +116,21 @@ def cut(rough: tuple[NDArray[np.int64], NDArray[np.float64]], first_segment: int
     """
     segment, offset = rough
     low, high = segment.searchsorted(first_segment), segment.searchsorted(first_segment + ticks)
-    first, start, end, hard, of = _cut(segment[low:high], offset[low:high], first_segment, ticks, limits)
-    return Pieces(first, start, end, hard, of, limits.tick_s)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _cut(segment, offset, first_segment, ticks, limits):  # type: ignore[no-untyped-def]  # compiled: types are inferred
-    tick_s, longest_s = limits.tick_s, limits.longest_s
-    size = ticks * (math.ceil(tick_s / longest_s) + 1) + 2 * offset.shape[0]
+    room = ticks * (math.ceil(limits.tick_s / limits.longest_s) + 1) + 2 * int(high - low)
     first = np.empty(ticks + 1, np.int64)
-    start, end = np.empty(size), np.empty(size)
-    hard, of = np.empty(size, np.bool_), np.empty(size, np.int64)
+    start, end = np.empty(room), np.empty(room)
+    hard, of = np.empty(room, np.bool_), np.empty(room, np.int64)
+    pieces = Pieces(first, start, end, hard, of, limits.tick_s)
+    n = _cut(segment[low:high], offset[low:high], first_segment, limits, pieces)
+    return Pieces(first, start[:n], end[:n], hard[:n], of[:n], limits.tick_s)
+
+
+@entry(INTEGERS, REALS, int, LIMITS, PIECES, returns=int)
+def _cut(segment, offset, first_segment, limits, pieces):  # type: ignore[no-untyped-def]  # compiled: types are inferred
+    """Fill `pieces`, which has room; return how many there are."""
+    tick_s, longest_s = limits.tick_s, limits.longest_s
+    first, start, end, hard, of = pieces.first, pieces.start, pieces.end, pieces.hard, pieces.segment
+    ticks = first.shape[0] - 1
     n, b = 0, 0
     for k in range(ticks):
         first[k] = n
@@ -139,10 +151,10 @@ def _cut(segment, offset, first_segment, ticks, limits):  # type: ignore[no-unty
                 n += 1
             since = until
     first[ticks] = n
-    return first, start[:n], end[:n], hard[:n], of[:n]
+    return n
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _next_break(offset, b, behind, since, limits):  # type: ignore[no-untyped-def]
     """Return the first breakpoint not yet reached, and where the pieces from `since` to it, or those joined, end."""
     tick_s, joined_s = limits.tick_s, limits.joined_s
@@ -159,25 +171,20 @@ def _next_break(offset, b, behind, since, limits):  # type: ignore[no-untyped-de
     return ahead, until
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _nodes(start, end, segment):  # type: ignore[no-untyped-def]
-    n = start.shape[0]
-    segments, offsets = np.empty(n * NODES, np.int64), np.empty(n * NODES)
-    for i in range(n):
+@entry(REALS, REALS, INTEGERS, INTEGERS, REALS)
+def _nodes(start, end, segment, segments, offsets):  # type: ignore[no-untyped-def]
+    for i in range(start.shape[0]):
         centre, half = 0.5 * (start[i] + end[i]), 0.5 * (end[i] - start[i])
         for j in range(NODES):
             segments[i * NODES + j] = segment[i]
             offsets[i * NODES + j] = centre + half * _X[j]
-    return segments, offsets
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _to_monomials(values):  # type: ignore[no-untyped-def]
-    coefficients = np.empty(values.shape)
+@entry(TABLE, TABLE)
+def _to_monomials(values, coefficients):  # type: ignore[no-untyped-def]
     for i in range(values.shape[0]):
         for j in range(NODES):
             total = 0.0
             for k in range(NODES):
                 total += _TO_MONOMIALS[j, k] * values[i, k]
             coefficients[i, j] = total
-    return coefficients

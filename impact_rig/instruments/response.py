@@ -18,15 +18,14 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from impact_rig.arithmetic.records import records
 from impact_rig.instruments.clock import ScanClock
-from impact_rig.instruments.pieces import NODES, Pieces
+from impact_rig.instruments.pieces import NODES, PIECES, Pieces
 from impact_rig.instruments.transfer import Modes
 from impact_rig.instruments.weights import Weights, weigh
-from impact_rig.system.compiled import Direct
+from impact_rig.kernels import INTEGERS, REALS, TABLE, Fields, entry, kernel
 
 HIGHEST = NODES - 1
 SHORT = 0.25
@@ -50,11 +49,17 @@ class Clock(NamedTuple):
     substeps: int
 
 
+CLOCK = Fields(Clock, (int, int, int))
+
+
 class Steps(NamedTuple):
     """Whole steps run together: middle in their piece (−1 … 1), shape (n,), and d_j about it, shape (4, n)."""
 
     middle: NDArray[np.float64]
     d: NDArray[np.float64]
+
+
+STEPS = Fields(Steps, (REALS, TABLE))
 
 
 class Task(NamedTuple):
@@ -110,7 +115,7 @@ class Response:
             weigh_whole(self._modes, pieces.tick_s * self._scan_clock.step_fraction())
             self._weights_for = pieces.tick_s
         out = np.empty((len(pieces.first) - 1) * self._most)
-        count = run(self._modes, self._clock, self._cursor, pieces, (coefficients, kicks), out)
+        count = run(self._modes, self._clock, self._cursor, pieces, coefficients, kicks, self._steps, out)
         self.converted += count
         return out[:count]
 
@@ -129,10 +134,12 @@ class Response:
         self._weights_for = math.nan
         self._scan_clock: ScanClock = clock
         self._clock: Clock = Clock(clock.step, clock.tick, clock.substeps)
+        room = clock.tick // clock.step + 2
+        self._steps = Steps(np.empty(room), np.empty((4, room)))
         self._most: int = clock.scans_per_tick() + 1  # conversions in a tick
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@entry(MODE, float)
 def weigh_whole(modes, h):  # type: ignore[no-untyped-def]  # compiled: types are inferred
     """Give every mode the weights of whole steps of h seconds."""
     for k in range(modes.shape[0]):
@@ -143,13 +150,9 @@ def weigh_whole(modes, h):  # type: ignore[no-untyped-def]  # compiled: types ar
         mode.w2_re, mode.w2_im, mode.w3_re, mode.w3_im = w.w2_re, w.w2_im, w.w3_re, w.w3_im
 
 
-@Direct
-@njit(cache=True, nogil=True, error_model="numpy")
-def run(modes, clock, cursor, pieces, signal, out):  # type: ignore[no-untyped-def]
-    """Run the modes over all pieces, `signal` = (coefficients, kicks); fill `out`, return the number of readings."""
-    coefficients, kicks = signal
-    room = clock.tick // clock.step + 2
-    steps = Steps(np.empty(room), np.empty((4, room)))
+@entry(MODE, CLOCK, CURSOR, PIECES, TABLE, REALS, STEPS, REALS, returns=int)
+def run(modes, clock, cursor, pieces, coefficients, kicks, steps, out):  # type: ignore[no-untyped-def]
+    """Run the modes over all pieces; fill `out`, return the number of readings. `steps` has room for those of a tick."""
     task = Task(clock, pieces, coefficients, steps, out)
     at = cursor[0]
     at.written, out[:] = 0, 0.0
@@ -167,7 +170,7 @@ def run(modes, clock, cursor, pieces, signal, out):  # type: ignore[no-untyped-d
     return at.written
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _smooth_stretch(modes, task, at, last):  # type: ignore[no-untyped-def]
     """Run to the end of the piece `last`, between which and here the motion is smooth."""
     clock, tick_s = task.clock, task.pieces.tick_s
@@ -181,7 +184,7 @@ def _smooth_stretch(modes, task, at, last):  # type: ignore[no-untyped-def]
     _odd_steps(modes, task, at, last, until)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _odd_steps(modes, task, at, last, t):  # type: ignore[no-untyped-def]
     """Go on to the time t, which is no whole step away; through as many pieces as lie between."""
     start, end = task.pieces.start, task.pieces.end
@@ -211,7 +214,7 @@ def _odd_steps(modes, task, at, last, t):  # type: ignore[no-untyped-def]
     at.since_s = t
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _whole_steps(modes, task, at, last):  # type: ignore[no-untyped-def]
     """Run whole steps from a conversion on, piece by piece, each in the piece that holds its middle."""
     start, end, clock = task.pieces.start, task.pieces.end, task.clock
@@ -231,7 +234,7 @@ def _whole_steps(modes, task, at, last):  # type: ignore[no-untyped-def]
         at.piece += 1
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _steps_in_piece(task, at, whole, bound):  # type: ignore[no-untyped-def]
     """Note the inputs of the whole steps that end by `bound`, go on to the last's end; return how many there are."""
     clock, steps, tick_s = task.clock, task.steps, task.pieces.tick_s
@@ -251,14 +254,14 @@ def _steps_in_piece(task, at, whole, bound):  # type: ignore[no-untyped-def]
     return count
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _expand(coefficients, piece, r, middle, d):  # type: ignore[no-untyped-def]
     """Fill in d_j about the middles of steps of r half pieces."""
     for m in range(middle.shape[0]):
         d[0, m], d[1, m], d[2, m], d[3, m] = _about(coefficients, piece, middle[m], r)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _about(coefficients, piece, x, r):  # type: ignore[no-untyped-def]
     """Return d_0 … d_3 about x in a piece, for a step of r half pieces: d_j = r^j u^(j)(x) / j!, by Horner's rule."""
     d_0, d_1, d_2, d_3 = coefficients[piece, HIGHEST], 0.0, 0.0, 0.0
@@ -270,7 +273,7 @@ def _about(coefficients, piece, x, r):  # type: ignore[no-untyped-def]
     return d_0, d_1 * r, d_2 * r * r, d_3 * r * r * r
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _follow_real(mode, task, at, count):  # type: ignore[no-untyped-def]
     """Run a real mode over the noted whole steps; add what it puts out at every conversion to the readings."""
     d, out, substeps = task.steps.d, task.out, task.clock.substeps
@@ -286,7 +289,7 @@ def _follow_real(mode, task, at, count):  # type: ignore[no-untyped-def]
     mode.z_re = z
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _follow_pair(mode, task, at, count):  # type: ignore[no-untyped-def]
     """The same for a complex mode, which stands for itself and its conjugate."""
     d, out, substeps = task.steps.d, task.out, task.clock.substeps
@@ -307,7 +310,7 @@ def _follow_pair(mode, task, at, count):  # type: ignore[no-untyped-def]
     mode.z_re, mode.z_im = z_re, z_im
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _output(modes):  # type: ignore[no-untyped-def]
     """Return Σ Re(residue z)."""
     total = 0.0
@@ -317,7 +320,7 @@ def _output(modes):  # type: ignore[no-untyped-def]
     return total
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _count(clock, at, steps):  # type: ignore[no-untyped-def]
     """Count steps that have been run, and the conversions at which some of them ended."""
     at.due += steps * clock.step
@@ -326,7 +329,7 @@ def _count(clock, at, steps):  # type: ignore[no-untyped-def]
     at.substep = (at.substep + steps) % clock.substeps
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@entry(CLOCK, CURSOR, int, float, INTEGERS, REALS, returns=int)
 def instants(clock, cursor, ticks, tick_s, segment, offset):  # type: ignore[no-untyped-def]
     """Fill in when the next conversions come: tick and offset into it [s]; return how many."""
     at = cursor[0]

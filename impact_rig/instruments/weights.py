@@ -19,9 +19,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from impact_rig.arithmetic.elementary import exp, sincos
+from impact_rig.kernels import kernel
 
 _PER_FACTORIAL = np.array([1 / math.factorial(k) for k in range(26)])
 
@@ -41,7 +41,7 @@ class Weights(NamedTuple):
     w3_im: float
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def weigh(pole_re, pole_im, h):  # type: ignore[no-untyped-def]  # compiled: types are inferred
     """Return the weights of a step of h seconds for the mode with that pole [rad/s]."""
     q_re, q_im = pole_re * h, pole_im * h
@@ -63,7 +63,7 @@ def weigh(pole_re, pole_im, h):  # type: ignore[no-untyped-def]  # compiled: typ
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _by_series(q_re, q_im):  # type: ignore[no-untyped-def]
     """Return e^q and φ_1 … φ_4 for small q: φ_4 = Σ q^i / (i + 4)!, then φ_{k−1} = 1/(k−1)! + q φ_k."""
     size = abs(q_re) + abs(q_im)
@@ -78,12 +78,12 @@ def _by_series(q_re, q_im):  # type: ignore[no-untyped-def]
     return _one_up(q_re, q_im, phi1, 1.0), phi1, phi2, phi3, phi4
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _one_up(q_re, q_im, phi, constant):  # type: ignore[no-untyped-def]
     return constant + (q_re * phi[0] - q_im * phi[1]), q_re * phi[1] + q_im * phi[0]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _by_division(q_re, q_im):  # type: ignore[no-untyped-def]
     """Return e^q and φ_1 … φ_4 for large q: φ_k = (φ_{k−1} − 1/(k−1)!) / q."""
     size = exp(q_re)
@@ -95,7 +95,7 @@ def _by_division(q_re, q_im):  # type: ignore[no-untyped-def]
     return e, phi1, phi2, phi3, _one_down(q_re, q_im, phi3, 1.0 / 6.0)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _one_down(q_re, q_im, phi, constant):  # type: ignore[no-untyped-def]
     per_square = 1.0 / (q_re * q_re + q_im * q_im)
     real = phi[0] - constant

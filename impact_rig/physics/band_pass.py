@@ -15,12 +15,12 @@ from decimal import Decimal
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from impact_rig.arithmetic.precise import ONE, TWO, ZERO, Complex, pi, precise, product, square_root, unit
 from impact_rig.arithmetic.random import Random
 from impact_rig.arithmetic.records import records
+from impact_rig.kernels import REALS, entry
 
 SECTIONS = 4
 _SECTION = np.dtype([("a_1", "f8"), ("a_2", "f8")])
@@ -115,7 +115,7 @@ class BandNoise:
         return self._made[:count]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@entry(_SECTION, _MEMORY, REALS)
 def run(sections, memory, samples):  # type: ignore[no-untyped-def]  # compiled: types are inferred
     """Filter samples in place, in transposed direct form II: y = x + m_1, m_1' = m_2 − a_1 y, m_2' = −x − a_2 y."""
     for i in range(samples.shape[0]):

@@ -10,8 +10,7 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
-
+from impact_rig.kernels import kernel
 from impact_rig.physics.collocation import GAUSS_NODES, GAUSS_WEIGHTS, POINTS
 from impact_rig.physics.flight import arrive
 from impact_rig.physics.forcing import drive, size
@@ -22,7 +21,7 @@ _PANEL = 1.0  # radians (or e-foldings) of the fastest motion per quadrature pan
 _FORGOTTEN = 50.0  # e-foldings after which a mode no longer needs panels of its own
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def add_powers(p, f, y, t, weight, ledger):  # type: ignore[no-untyped-def]  # compiled: types are inferred
     """Add weight [s] times the powers at t; of a prescribed base y need not hold the motion."""
     u, du = drive(f, t)
@@ -40,7 +39,7 @@ def add_powers(p, f, y, t, weight, ledger):  # type: ignore[no-untyped-def]  # c
         ledger.work += weight * p.force_factor * u * v_b
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def account_flight(p, system, f, k, end, ledger):  # type: ignore[no-untyped-def]
     """Add the work and the losses of the flight that began at `k.begin` and ended at `end`."""
     duration, done = end - k.begin, 0.0

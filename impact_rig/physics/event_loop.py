@@ -18,16 +18,17 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from impact_rig.arithmetic.records import records
+from impact_rig.kernels import INTEGERS, Fields, entry, kernel
 from impact_rig.physics.energy import account_flight
 from impact_rig.physics.flight import STOPPED, aim, carry, fly, look, rounding
-from impact_rig.physics.forcing import Forcing, bound_omega, transfer
+from impact_rig.physics.forcing import SEGMENT, Forcing, bound_omega, transfer
 from impact_rig.physics.foresight import forget
 from impact_rig.physics.indentation import turned_at
 from impact_rig.physics.outcome import leap, look_up
+from impact_rig.physics.model import MODEL
 from impact_rig.physics.pair import expand
 from impact_rig.physics.parameters import HELD, LOOSE
 from impact_rig.physics.state import (
@@ -59,7 +60,6 @@ from impact_rig.physics.touching import (
     settles,
     take_step,
 )
-from impact_rig.system.compiled import Direct
 
 DONE, NEED_ROOM, STUCK = range(3)
 """How `run` ends: all segments done; call again with more room in the log; no progress."""
@@ -95,6 +95,9 @@ class Desk(NamedTuple):
     first: NDArray[np.int64]
 
 
+DESK = Fields(Desk, (STATE, FLIGHT, PRESS, LEDGER, LOG, STATE, IMPACT, INTEGERS))
+
+
 def new_desk(knots: int, impacts: int) -> Desk:
     """Return a desk with room for so many knots and impacts."""
     return Desk(
@@ -109,14 +112,14 @@ def new_desk(knots: int, impacts: int) -> Desk:
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _add_knot(desk):  # type: ignore[no-untyped-def]  # compiled: types are inferred
     """Append the state as a knot."""
     desk.knots[desk.filled[0].knots] = desk.states[0]
     desk.filled[0].knots += 1
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _fly_on(p, s, d, rate):  # type: ignore[no-untyped-def]
     """Set a flight that starts at d with the relative speed d'; guide friction works against it from the start."""
     s.phase, s.side = FREE, 0.0
@@ -124,20 +127,20 @@ def _fly_on(p, s, d, rate):  # type: ignore[no-untyped-def]
     s.slide = np.sign(rate) if p.friction > 0.0 else 0.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _hold(s, d, side):  # type: ignore[no-untyped-def]
     """Let the sphere move with the base, pressed by a wall or held by friction (side 0)."""
     s.phase, s.side, s.slide = ATTACHED, side, 0.0
     s.d, s.d_rate = d, 0.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _least_speed(p, s):  # type: ignore[no-untyped-def]
     """Return the least relative speed [m/s] that the rounding of the structure's speed leaves standing."""
     return max(p.touch_speed, _SPEED_RESOLUTION * abs(s.y[V1]))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _part(p, s, way):  # type: ignore[no-untyped-def]
     """Let a sphere at rest on the base begin to slide: with the least speed, and nothing added to the momentum."""
     if s.side != 0.0:
@@ -147,7 +150,7 @@ def _part(p, s, way):  # type: ignore[no-untyped-def]
     _fly_on(p, s, s.d, rate)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _touch(p, s, side, segment):  # type: ignore[no-untyped-def]
     """Begin a contact with the wall just reached: y becomes that of the pair."""
     speed = max(side * s.d_rate, p.touch_speed)
@@ -163,7 +166,7 @@ def _touch(p, s, side, segment):  # type: ignore[no-untyped-def]
     s.elapsed, s.peak_force, s.impulse, s.lost = 0.0, 0.0, 0.0, 0.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _note(desk, s, separation, indentation):  # type: ignore[no-untyped-def]
     """Append the contact of s as an impact."""
     row = desk.impacts[desk.filled[0].impacts]
@@ -174,7 +177,7 @@ def _note(desk, s, separation, indentation):  # type: ignore[no-untyped-def]
     desk.filled[0].impacts += 1
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _leave(model, s, desk, settled):  # type: ignore[no-untyped-def]
     """End a contact: note the impact, give y back to the structure, and fly on from the surface that is left.
 
@@ -197,7 +200,7 @@ def _leave(model, s, desk, settled):  # type: ignore[no-untyped-def]
     s.w, s.speed, s.step, s.whole = 0.0, 0.0, 0.0, 0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _bounce(p, s, side, acceleration, noise, desk):  # type: ignore[no-untyped-def]
     """Reverse the relative speed at once, or let a sphere ride that no longer bounces off a pressing wall.
 
@@ -222,7 +225,7 @@ def _bounce(p, s, side, acceleration, noise, desk):  # type: ignore[no-untyped-d
         _fly_on(p, s, side * p.half_gap, -side * away)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _free_phase(model, f, desk, t_end, segment, account):  # type: ignore[no-untyped-def]
     """Fly, and begin whatever the flight ends in."""
     p, system = model.parameters[0], model.systems[LOOSE]
@@ -251,7 +254,7 @@ def _free_phase(model, f, desk, t_end, segment, account):  # type: ignore[no-unt
         _touch(p, s, float(touched), segment)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _attached_phase(model, f, desk, t_end, account):  # type: ignore[no-untyped-def]
     """Move as one body until sphere and base part."""
     p, system = model.parameters[0], model.systems[HELD]
@@ -265,7 +268,7 @@ def _attached_phase(model, f, desk, t_end, account):  # type: ignore[no-untyped-
         _part(p, s, parted)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _leap_over(model, f, desk, t_end, account):  # type: ignore[no-untyped-def]
     """Take a contact that has just begun as a whole, from the table; return whether that was possible."""
     p, table = model.parameters[0], model.table[0]
@@ -282,7 +285,7 @@ def _leap_over(model, f, desk, t_end, account):  # type: ignore[no-untyped-def]
     return True
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def follow(model, f, s, k, ledger):  # type: ignore[no-untyped-def]
     """Account for the contact that begins at s, step by step, without letting it decide anything."""
     p = model.parameters[0]
@@ -299,7 +302,7 @@ def follow(model, f, s, k, ledger):  # type: ignore[no-untyped-def]
             return
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _contact_phase(model, f, desk, t_end, account):  # type: ignore[no-untyped-def]
     """Go on with a contact; return LEFT, RELEASED or SETTLED where it ends, or what else stopped it."""
     p, s, k, ledger = model.parameters[0], desk.states[0], desk.press[0], desk.ledger[0]
@@ -333,7 +336,7 @@ def _contact_phase(model, f, desk, t_end, account):  # type: ignore[no-untyped-d
     return ended
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _ready(model, f, desk, t_end, fresh):  # type: ignore[no-untyped-def]
     """Prepare the closed form of a flight: a new frequency or system, or a new segment."""
     k = desk.flight[0]
@@ -348,8 +351,7 @@ def _ready(model, f, desk, t_end, fresh):  # type: ignore[no-untyped-def]
         aim(system, f, k, t_end)
 
 
-@Direct
-@njit(cache=True, nogil=True, error_model="numpy")
+@entry(MODEL, SEGMENT, int, int, DESK, bool, returns=(int, int))
 def run(model, segments, index, base, desk, account):  # type: ignore[no-untyped-def]
     """Advance the state through `segments[index:]`, numbered from `base`; return (how it ended, the segment it is in).
 

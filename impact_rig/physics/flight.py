@@ -13,9 +13,8 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
-
 from impact_rig.arithmetic.elementary import exp, sincos
+from impact_rig.kernels import kernel
 from impact_rig.physics.forcing import particular, size, turned
 from impact_rig.physics.state import ORDERS, V1, X1
 from impact_rig.physics.strides import stride
@@ -28,7 +27,7 @@ _POSITION_RESOLUTION = 2.0**-47
 _SHORTEST = 1e-3  # segments may be shorter than the time scale of rounding errors [s]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def aim(system, f, k, t_end):  # type: ignore[no-untyped-def]  # compiled: types are inferred
     """Prepare a segment's particular solution and its part in the derivatives of x_1, with a bound on each."""
     particular(system, f, k)
@@ -40,7 +39,7 @@ def aim(system, f, k, t_end):  # type: ignore[no-untyped-def]  # compiled: types
         steady, growing = jw * steady + growing, jw * growing
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def launch(system, f, k, y, t):  # type: ignore[no-untyped-def]
     """Fill the modes' amplitudes of the flight that begins at t with the state y, and their parts in x_1."""
     turn = turned(f.omega * t)
@@ -60,7 +59,7 @@ def launch(system, f, k, y, t):  # type: ignore[no-untyped-def]
             wave = system.rate[m] * wave
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def look(system, f, k, t, order):  # type: ignore[no-untyped-def]
     """Fill `k.value`, `k.slope`, `k.bend`: the derivatives of x_1 at t from `order` on; `k.bound` bounds the next."""
     since = t - k.begin
@@ -86,7 +85,7 @@ def look(system, f, k, t, order):  # type: ignore[no-untyped-def]
     k.value, k.slope, k.bend, k.bound = value, slope, bend, bound
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def rounding(p, system, k, t):  # type: ignore[no-untyped-def]
     """Return the rounding error [m] of the distance to a wall: that of the largest terms of x_1, with a margin."""
     largest = p.half_gap + size(k.steady[X1]) + size(k.growing[X1]) * t
@@ -95,7 +94,7 @@ def rounding(p, system, k, t):  # type: ignore[no-untyped-def]
     return _POSITION_RESOLUTION * largest
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def arrive(system, f, k, t):  # type: ignore[no-untyped-def]
     """Fill `k.y` with the linear system's state at t."""
     turn = turned(f.omega * t)
@@ -112,20 +111,20 @@ def arrive(system, f, k, t):  # type: ignore[no-untyped-def]
             k.y[i] += right.real * wave.real - right.imag * wave.imag
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def negligible(step, t):  # type: ignore[no-untyped-def]
     """Whether a stride is lost in the rounding of the time."""
     return step <= _TIME_RESOLUTION * max(t, _SHORTEST)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def wall_distance(p, s, side, d):  # type: ignore[no-untyped-def]
     """Return how far the sphere at d is from a wall [m]; a wall that has let it go stands where that was."""
     dent = s.dent if s.dent_side == side else 0.0
     return max(0.0, p.half_gap + dent - side * d)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def fly(p, system, f, k, s, t_end):  # type: ignore[no-untyped-def]
     """Advance a flight from s to the first touch or to t_end; return the wall reached, -1 or 1, 0 for none, or STOPPED.
 
@@ -173,7 +172,7 @@ def fly(p, system, f, k, s, t_end):  # type: ignore[no-untyped-def]
     return touched
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def carry(p, system, f, k, s, t_end):  # type: ignore[no-untyped-def]
     """Advance sphere and base as one body until they part or to t_end; return which way the sphere then goes.
 

@@ -13,9 +13,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from impact_rig.arithmetic.elementary import modulus, sincos
+from impact_rig.kernels import kernel
 
 SEGMENT = np.dtype([("duration", "f8"), ("omega", "f8"), ("phase", "f8"), ("amplitude", "f8"), ("slope", "f8")])
 """Drive segments, in order: seconds, rad/s, rad, and amplitude and its rate in A, m or V by drive."""
@@ -30,7 +30,7 @@ class Forcing(NamedTuple):
     slope: float
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def drive(f, t):  # type: ignore[no-untyped-def]  # compiled: types are inferred
     """Return u and u' at t."""
     level = f.amplitude + f.slope * t
@@ -38,20 +38,20 @@ def drive(f, t):  # type: ignore[no-untyped-def]  # compiled: types are inferred
     return level * sine, f.slope * sine + level * f.omega * cosine
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def turned(angle):  # type: ignore[no-untyped-def]
     """Return exp(j angle)."""
     sine, cosine = sincos(angle)
     return complex(cosine, sine)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def size(z):  # type: ignore[no-untyped-def]
     """Return |z|."""
     return modulus(z.real, z.imag)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def bound_omega(system, omega):  # type: ignore[no-untyped-def]
     """Return the fastest rate [1/s] of the drive and the modes."""
     fastest = max(omega, 1e-9)
@@ -60,14 +60,14 @@ def bound_omega(system, omega):  # type: ignore[no-untyped-def]
     return fastest
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _half_reciprocal(z):  # type: ignore[no-untyped-def]
     """Return 1 / (2 z)."""
     scale = 0.5 / (z.real * z.real + z.imag * z.imag)
     return complex(z.real * scale, -z.imag * scale)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _resolve(system, omega, vector, out):  # type: ignore[no-untyped-def]
     """Fill out = (jω − M)^-1 vector; each kept mode stands for itself and its conjugate."""
     n = system.states
@@ -87,11 +87,11 @@ def _resolve(system, omega, vector, out):  # type: ignore[no-untyped-def]
             out[i] += right * plus + complex(right.real, -right.imag) * minus
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def transfer(system, omega, k):  # type: ignore[no-untyped-def]
     """Fill `k.answer` (H) and `k.drift` (G): what the system does for a steady and for a growing drive."""
     n = system.states
-    vector = np.empty(n, np.complex128)
+    vector = k.steady  # scratch: `particular` fills it anew
     for i in range(n):
         vector[i] = complex(system.b_0[i], omega * system.b_1[i])
     _resolve(system, omega, vector, k.answer)
@@ -100,7 +100,7 @@ def transfer(system, omega, k):  # type: ignore[no-untyped-def]
     _resolve(system, omega, vector, k.drift)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def particular(system, f, k):  # type: ignore[no-untyped-def]
     """Fill `k.steady` (P) and `k.growing` (Q) for this segment's amplitude and phase."""
     turn = turned(f.phase)

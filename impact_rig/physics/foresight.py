@@ -9,15 +9,13 @@ Newton's method, and decides nothing.
 
 from __future__ import annotations
 
-from numba import njit
-
-import impact_rig.system.compiled  # noqa: F401  # first: finds what was compiled from these sources
+from impact_rig.kernels import kernel
 from impact_rig.physics.collocation import NODES, STAGES, TO_POLYNOMIAL
 
 _FAR = 1.6  # times its length: further on the polynomial is worse than a straight line
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def remember(s, k, h):  # type: ignore[no-untyped-def]  # compiled: types are inferred
     """Keep the polynomial of the step of length h that was solved from s."""
     for n in range(STAGES + 1):
@@ -28,13 +26,13 @@ def remember(s, k, h):  # type: ignore[no-untyped-def]  # compiled: types are in
     k.known_length, k.known_since = h, 0.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def forget(k):  # type: ignore[no-untyped-def]
     """Let the next step begin without a polynomial: what follows must not depend on what was solved before."""
     k.known_length = 0.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _speed(k, x):  # type: ignore[no-untyped-def]
     """Return δ' at x."""
     speed = k.known[STAGES]
@@ -43,7 +41,7 @@ def _speed(k, x):  # type: ignore[no-untyped-def]
     return speed
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def slope_foreseen(k, x):  # type: ignore[no-untyped-def]
     """Return dδ'/ds at x of the step that was solved last."""
     slope = STAGES * k.known[STAGES]
@@ -52,7 +50,7 @@ def slope_foreseen(k, x):  # type: ignore[no-untyped-def]
     return slope / k.known_length
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def guess(s, k, h):  # type: ignore[no-untyped-def]
     """Fill the stages of a step of length h from s with the speeds that are expected there."""
     if k.known_since + h <= _FAR * k.known_length:
@@ -64,7 +62,7 @@ def guess(s, k, h):  # type: ignore[no-untyped-def]
             k.speed[i] = s.speed + NODES[i] * h * k.start_slope
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def foreseen(s, k, x):  # type: ignore[no-untyped-def]
     """Return (time since the start [s], w, δ') at x of the step from s, which is the one that was solved last."""
     since, w = 0.0, 0.0

@@ -22,9 +22,8 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
-
 from impact_rig.arithmetic.elementary import power
+from impact_rig.kernels import kernel
 from impact_rig.physics.collocation import INVERSE, LAST, MATRIX, REAL_EIGENVALUE, STAGES, TO_START
 from impact_rig.physics.foresight import guess
 from impact_rig.physics.pair import improve_recoil
@@ -40,13 +39,13 @@ _AT_REST = 0.1  # see `begin_step`: with more, the force on a resting sphere bec
 _LEAST_PART = 1e-3  # of the floored approach speed: slower motion of a contact need not be resolved relatively
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def turned_at(s):  # type: ignore[no-untyped-def]  # compiled: types are inferred
     """Return the w from which the law unloads, 0 while it loads: see `contact.law`."""
     return 0.0 if s.w >= s.deepest and s.speed > 0.0 else s.deepest
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def begin_step(p, force, s, k):  # type: ignore[no-untyped-def]
     """Evaluate force and slope at the start of a step, and how exact its speeds must be [m/s].
 
@@ -67,7 +66,7 @@ def begin_step(p, force, s, k):  # type: ignore[no-untyped-def]
     k.tolerance = p.rtol * max(own, _AT_REST * abs(k.thrust[0]) * k.fastest_time)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _place(s, k, h):  # type: ignore[no-untyped-def]
     """Fill w and time at the stages from the speeds there."""
     for i in range(STAGES):
@@ -82,7 +81,7 @@ def _place(s, k, h):  # type: ignore[no-untyped-def]
         k.since[i] = h * since
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _push(p, k):  # type: ignore[no-untyped-def]
     """Fill the thrust at the stages, with what the recoil adds to it."""
     for i in range(STAGES):
@@ -95,7 +94,7 @@ def _push(p, k):  # type: ignore[no-untyped-def]
         k.thrust_at[i] += per_m * (p.k_1 * (z[X1, i] - z[XB, i]) + p.c_1 * (z[V1, i] - z[VB, i]))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _press(p, force, s, k):  # type: ignore[no-untyped-def]
     """Fill force and slope at the stages, and the slope's derivatives at a given thrust."""
     force.at_stages(p, s.per_v0, k)
@@ -108,7 +107,7 @@ def _press(p, force, s, k):  # type: ignore[no-untyped-def]
         k.slope_by_speed[i] = -w * (k.force_by_speed[i] * p.per_m_eff + p.pair_damping)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _linearise(k, h):  # type: ignore[no-untyped-def]
     """Fill `k.matrix` with the inverse of A⁻¹ − h ∂slope/∂δ' − (h²/2) ∂slope/∂w A (Gauss–Jordan, no pivoting).
 
@@ -133,7 +132,7 @@ def _linearise(k, h):  # type: ignore[no-untyped-def]
                     m[row, j] -= factor * m[i, j]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _improve(s, k, h):  # type: ignore[no-untyped-def]
     """Make one Newton step of the stages' speeds; return the largest change [m/s]."""
     for i in range(STAGES):
@@ -153,7 +152,7 @@ def _improve(s, k, h):  # type: ignore[no-untyped-def]
     return largest
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def solve(p, force, s, k, h):  # type: ignore[no-untyped-def]
     """Solve a step of length h; return whether Newton converged. The stages hold the step, the last one its end."""
     guess(s, k, h)
@@ -179,7 +178,7 @@ def solve(p, force, s, k, h):  # type: ignore[no-untyped-def]
     return False
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def estimate(k, h):  # type: ignore[no-untyped-def]
     """Return the error of the step solved last, in units of what is allowed.
 
@@ -197,7 +196,7 @@ def estimate(k, h):  # type: ignore[no-untyped-def]
     return abs(filtered * defect) / (relief * k.tolerance)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def rescaled(h, error):  # type: ignore[no-untyped-def]
     """Return the step length that this error asks for."""
     return h * min(4.0, max(0.1, 0.8 * power(max(error, 1e-9), -1.0 / ERROR_ORDER)))

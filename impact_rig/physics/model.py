@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 
 from impact_rig.arithmetic.elementary import power
 from impact_rig.arithmetic.records import with_fields
+from impact_rig.kernels import Fields
 from impact_rig.physics import contact as contact_laws
 from impact_rig.physics.contact import ContactPair, Force
-from impact_rig.physics.contact.compiled_force import CompiledForce, compiled_force
+from impact_rig.physics.contact.compiled_force import FORCE, CompiledForce, compiled_force
 from impact_rig.physics.forcing import bound_omega
 from impact_rig.physics.linear import Constants, constants, input_vectors, modes, state_matrix, static_answer
 from impact_rig.physics.outcome import TABLE, tabulate
@@ -42,6 +43,9 @@ class Model(NamedTuple):
     systems: NDArray[np.void]
     table: NDArray[np.void]
     force: CompiledForce
+
+
+MODEL = Fields(Model, (PARAMETERS, SYSTEM, TABLE, FORCE))
 
 
 def build(config: Setup, rtol: float = CONTACT_RTOL, kind: str | None = None) -> Model:
@@ -94,10 +98,11 @@ def _table(force: Force) -> Any:
 
 def unit_parameters(force: Force) -> Any:
     """Return one record of PARAMETERS for a law in its own units: masses, stiffness and approach speed are 1."""
-    p = record(PARAMETERS)[0]
+    rows = record(PARAMETERS)
+    p = rows[0]
     _set_law(p, force, 1.0)
     p.m = p.m_1 = p.m_eff = p.per_m_eff = p.speed_floor = 1.0
-    return p
+    return rows
 
 
 @lru_cache(maxsize=32)

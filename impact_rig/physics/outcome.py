@@ -19,14 +19,16 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from impact_rig.arithmetic.elementary import sincos
 from impact_rig.arithmetic.scalars import PI
+from impact_rig.kernels import REALS, entry, kernel
 from impact_rig.physics.collocation import LAST, MATRIX, STAGES
+from impact_rig.physics.contact.compiled_force import FORCE, CompiledForce
 from impact_rig.physics.foresight import forget
 from impact_rig.physics.pair import moved
+from impact_rig.physics.parameters import PARAMETERS
 from impact_rig.physics.state import PRESS, STATE, V1, VB, X1, XB, record
 from impact_rig.physics.touching import (
     LEFT,
@@ -74,9 +76,14 @@ TABLE = np.dtype(
 )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _contact(p, force, eta, s, k, out):  # type: ignore[no-untyped-def]  # compiled: types are inferred
-    """Integrate one contact in its own units under the thrust `eta`; fill `out`, return whether the sphere left."""
+@entry(PARAMETERS, FORCE, float, REALS, STATE, PRESS, REALS, returns=bool)
+def nudged(parameters, force, eta_0, nudges, states, steps, out):  # type: ignore[no-untyped-def]  # types are inferred
+    """Integrate one contact in its own units under η_0 and `nudges` = (η_1, η_2, α, γ); fill `out`, shape (QUANTITIES,).
+
+    Returns whether the sphere left.
+    """
+    p, s, k, eta_1, eta_2 = parameters[0], states[0], steps[0], nudges[0], nudges[1]
+    p.pair_stiffness, p.pair_damping = nudges[2], nudges[3]
     s.w, s.speed, s.deepest, s.per_v0, s.peak_force, s.t = 0.0, 1.0, 0.0, 1.0, 0.0, 0.0
     s.next_step = 0.1
     forget(k)
@@ -86,8 +93,8 @@ def _contact(p, force, eta, s, k, out):  # type: ignore[no-untyped-def]  # compi
     k.terms = 3
     for _ in range(_MOST_STEPS):
         t = s.t
-        k.thrust[0] = eta[0] + t * (eta[1] + t * eta[2])
-        k.thrust[1], k.thrust[2] = eta[1] + 2.0 * t * eta[2], eta[2]
+        k.thrust[0] = eta_0 + t * (eta_1 + t * eta_2)
+        k.thrust[1], k.thrust[2] = eta_1 + 2.0 * t * eta_2, eta_2
         ended = take_step(p, force, s, k)
         if ended not in (NOTHING, LEFT, TURNED):
             return False
@@ -107,51 +114,57 @@ def _contact(p, force, eta, s, k, out):  # type: ignore[no-untyped-def]  # compi
     return False
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def nudged(p, force, eta_0, nudges, s, k):  # type: ignore[no-untyped-def]
-    """Integrate one contact under η_0 and `nudges` = (η_1, η_2, α, γ); return whether it ended, and its outcome."""
-    eta, out = np.zeros(3), np.empty(QUANTITIES)
-    eta[0], eta[1], eta[2] = eta_0, nudges[0], nudges[1]
-    p.pair_stiffness, p.pair_damping = nudges[2], nudges[3]
-    return _contact(p, force, eta, s, k, out), out
+class Contacts:
+    """Contacts of one law in its own units.
+
+    Args:
+        parameters: one record of PARAMETERS: the law's numbers, stiffness and masses 1; changed on the way.
+        force: the law's compiled force.
+    """
+
+    def __init__(self, parameters: Any, force: CompiledForce) -> None:
+        self._parameters, self._force = parameters, force
+        self._states, self._steps = record(STATE), record(PRESS)
+
+    def under(self, eta_0: float, nudges: NDArray[np.float64]) -> tuple[bool, NDArray[np.float64]]:
+        """Return whether the sphere left under η_0 and (η_1, η_2, α, γ), and the outcome, shape (QUANTITIES,)."""
+        out = np.empty(QUANTITIES)
+        return nudged(self._parameters, self._force, eta_0, nudges, self._states, self._steps, out), out
+
+    def derivatives(self, eta_0: float, which: int) -> tuple[bool, NDArray[np.float64], NDArray[np.float64]]:
+        """Return whether every contact ended, and two derivatives by one of (η_1, η_2, α, γ), from differences."""
+        nudges = np.zeros(4)
+        left, plain = self.under(eta_0, nudges)
+        nudge = MOST_1 if which == 0 else _NUDGE
+        nudges[which] = nudge
+        left_up, up = self.under(eta_0, nudges)
+        nudges[which] = -nudge
+        left_down, down = self.under(eta_0, nudges)
+        twice = 0.5 * (up + down - 2.0 * plain) / (nudge * nudge)
+        return left and left_up and left_down, (up - down) / (2.0 * nudge), twice
+
+    def rebound(self, eta_0: float) -> float:
+        """Return the energy with which the sphere leaves under η_0, 0 where it does not leave by itself."""
+        p = self._parameters[0]
+        left, out = self.under(eta_0, np.array([0.0, 0.0, p.pair_stiffness, p.pair_damping]))
+        return float(out[SEPARATION] * out[SEPARATION]) if left else 0.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def derivatives(p, force, eta_0, which, s, k):  # type: ignore[no-untyped-def]
-    """Return whether every contact ended, and two derivatives by one of (η_1, η_2, α, γ), from differences."""
-    nudges = np.zeros(4)
-    left, plain = nudged(p, force, eta_0, nudges, s, k)
-    nudge = MOST_1 if which == 0 else _NUDGE
-    nudges[which] = nudge
-    left_up, up = nudged(p, force, eta_0, nudges, s, k)
-    nudges[which] = -nudge
-    left_down, down = nudged(p, force, eta_0, nudges, s, k)
-    twice = 0.5 * (up + down - 2.0 * plain) / (nudge * nudge)
-    return left and left_up and left_down, (up - down) / (2.0 * nudge), twice
-
-
-def _rebound(p: Any, force: Any, eta_0: float, s: Any, k: Any) -> float:
-    """Return the energy with which the sphere leaves under η_0, 0 where it does not leave by itself."""
-    out = np.zeros(QUANTITIES)
-    left = _contact(p, force, np.array([eta_0, 0.0, 0.0]), s, k, out)
-    return float(out[SEPARATION] * out[SEPARATION]) if left else 0.0
-
-
-def tabulate(p: Any, force: Any) -> Any:
+def tabulate(parameters: Any, force: CompiledForce) -> Any:
     """Return the table of a law, TABLE shape (1,), its range as wide as the series hold.
 
     Args:
-        p: a record of the law's numbers in its own units, stiffness and masses 1; changed on the way.
+        parameters: one record of the law's numbers in its own units, stiffness and masses 1; changed on the way.
         force: the law's compiled force.
     """
-    table, s, k = record(TABLE), record(STATE)[0], record(PRESS)[0]
-    p.rtol = RTOL
-    least = _WEAKEST * _rebound(p, force, 0.0, s, k)
+    table, contacts = record(TABLE), Contacts(parameters, force)
+    parameters[0].rtol = RTOL
+    least = _WEAKEST * contacts.rebound(0.0)
     low, high = -WIDEST, WIDEST
     for _ in range(_NARROWINGS):
-        fits = _rebound(p, force, _MARGIN * low, s, k) > 0.0, _rebound(p, force, high, s, k) > least
+        fits = contacts.rebound(_MARGIN * low) > 0.0, contacts.rebound(high) > least
         if all(fits):
-            series = _series(p, force, (low, high), s, k)
+            series = _series(contacts, (low, high))
             if series is not None:
                 table.series[0], table.low[0], table.high[0] = series, low, high
                 return table
@@ -160,7 +173,7 @@ def tabulate(p: Any, force: Any) -> Any:
     return table
 
 
-def _series(p: Any, force: Any, limits: tuple[float, float], s: Any, k: Any) -> NDArray[np.float64] | None:
+def _series(contacts: Contacts, limits: tuple[float, float]) -> NDArray[np.float64] | None:
     """Return the series over a range of η_0, shape (DEGREE, COLUMNS); None where they do not hold.
 
     The less a column counts, the fewer contacts it is made of.
@@ -174,12 +187,12 @@ def _series(p: Any, force: Any, limits: tuple[float, float], s: Any, k: Any) -> 
 
     def by(which: int, quantities: int) -> Callable[[float], tuple[bool, NDArray[np.float64]]]:
         def outcome(eta_0: float) -> tuple[bool, NDArray[np.float64]]:
-            ended, first, second = derivatives(p, force, eta_0, which, s, k)
+            ended, first, second = contacts.derivatives(eta_0, which)
             return ended, first[:quantities] if which else np.concatenate([first, second[:DECISIVE]])
 
         return outcome
 
-    plain = fill(DEGREE, slice(QUANTITIES), lambda eta_0: nudged(p, force, eta_0, np.zeros(4), s, k))
+    plain = fill(DEGREE, slice(QUANTITIES), lambda eta_0: contacts.under(eta_0, np.zeros(4)))
     decisive = np.abs(series[:, :DECISIVE])
     if not plain or (decisive[-2:] > _TAIL * decisive.max(axis=0)).any():
         return None
@@ -207,7 +220,7 @@ def _chebyshev(values: NDArray[np.float64]) -> NDArray[np.float64]:
     return series
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def look_up(p, table, s, k, rest):  # type: ignore[no-untyped-def]
     """Fill `table.outcome` for the contact that begins at s, `k` expanded about it.
 
@@ -247,7 +260,7 @@ def look_up(p, table, s, k, rest):  # type: ignore[no-untyped-def]
     return table.outcome[DURATION] * t_0 < min(rest, k.reach)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def leap(p, table, s, k):  # type: ignore[no-untyped-def]
     """Move s from the touch to the end of the contact that `look_up` found."""
     found, speed = table.outcome, s.speed

@@ -26,9 +26,8 @@ It is known at the stages of the step, in whose variable s a derivative is w tim
 
 from __future__ import annotations
 
-from numba import njit
-
 from impact_rig.arithmetic.elementary import sincos
+from impact_rig.kernels import kernel
 from impact_rig.physics.collocation import MATRIX, STAGES
 from impact_rig.physics.parameters import PRESCRIBED, VOLTAGE
 from impact_rig.physics.state import COIL, STRUCTURE, TERMS, V1, VB, X1, XB
@@ -38,7 +37,7 @@ _FEW_REACH, _REACH = 0.03, 0.25  # radians of the fastest motion in one step: wh
 _AMPLE = 4.0  # the terms are chosen before the step is: it may end up shorter, or a bit longer than its start tells
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def expand(p, f, s, k):  # type: ignore[no-untyped-def]  # compiled: types are inferred
     """Fill `k.path` and `k.thrust` with the pair's Taylor coefficients about the state s, drive included.
 
@@ -80,7 +79,7 @@ def expand(p, f, s, k):  # type: ignore[no-untyped-def]  # compiled: types are i
         sine, cosine, drive = sine_next, cosine_next, drive_next
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def polynomial(coefficients, x, terms):  # type: ignore[no-untyped-def]
     """Return the Taylor polynomial at x, from its first terms."""
     total = coefficients[terms - 1]
@@ -89,14 +88,14 @@ def polynomial(coefficients, x, terms):  # type: ignore[no-untyped-def]
     return total
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def moved(k, since, y):  # type: ignore[no-untyped-def]
     """Fill y with the pair's state `since` seconds after the start of the step, without its recoil."""
     for q in range(STRUCTURE):
         y[q] = polynomial(k.path[q], since, k.terms)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _integrate(k, state, h):  # type: ignore[no-untyped-def]
     """Fill the recoil of one state at the stages from its slopes d/ds there."""
     slope, recoil = k.recoil_slope[state], k.recoil[state]
@@ -107,7 +106,7 @@ def _integrate(k, state, h):  # type: ignore[no-untyped-def]
         recoil[i] = h * total
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def improve_recoil(p, k, h):  # type: ignore[no-untyped-def]
     """Improve the recoil z at the stages by one sweep of fixed-point iteration; each sweep adds an order in h."""
     z, slope = k.recoil, k.recoil_slope
@@ -133,7 +132,7 @@ def improve_recoil(p, k, h):  # type: ignore[no-untyped-def]
         _integrate(k, COIL, h)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def add_recoil(p, side, k, stage, y):  # type: ignore[no-untyped-def]
     """Add the recoil at a stage to y."""
     for q in range(STRUCTURE):

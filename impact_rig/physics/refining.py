@@ -4,17 +4,15 @@
 
 from __future__ import annotations
 
-from numba import njit
-
+from impact_rig.kernels import FLAGS, INTEGERS, REALS, entry
+from impact_rig.physics.sampling import TRAJECTORY
 from impact_rig.physics.state import CONTACT, FREE
-from impact_rig.system.compiled import Direct
 
 PARTS = 3
 """Pieces in which a contact that was looked up as a whole is smooth enough for the instruments' polynomials."""
 
 
-@Direct
-@njit(cache=True, nogil=True, error_model="numpy")
+@entry(TRAJECTORY, INTEGERS, REALS, FLAGS, returns=int)
 def refine(trajectory, segment, offset, touching):  # type: ignore[no-untyped-def]  # compiled: types are inferred
     """Fill in segment, offset [s] and whether sphere and wall touch from each instant on; return how many there are.
 

@@ -15,20 +15,20 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from impact_rig.arithmetic.elementary import exp, sincos
+from impact_rig.kernels import INTEGERS, REALS, TABLE, Fields, entry, kernel
 from impact_rig.physics.collocation import LAST
 from impact_rig.physics.flight import launch
-from impact_rig.physics.forcing import Forcing, bound_omega, drive, particular, transfer, turned
+from impact_rig.physics.forcing import SEGMENT, Forcing, bound_omega, drive, particular, transfer, turned
 from impact_rig.physics.foresight import foreseen, forget, remember
+from impact_rig.physics.model import MODEL
 from impact_rig.physics.indentation import begin_step, solve
 from impact_rig.physics.pair import add_recoil, expand, moved
 from impact_rig.physics.parameters import HELD, LOOSE, PRESCRIBED, VOLTAGE
 from impact_rig.physics.state import ATTACHED, COIL, CONTACT, FLIGHT, PRESS, STATE, V1, VB, X1, XB, record
 from impact_rig.physics.touching import FAILED, LEFT, RELEASED, conclude, first_step, take_step
-from impact_rig.system.compiled import Direct
 
 X_B, X_1, X_2, V_B, V_1, V_2, A_B, A_1, A_2, CURRENT, FORCE_LEFT, FORCE_RIGHT = range(12)
 QUANTITIES = (
@@ -59,6 +59,9 @@ class Trajectory(NamedTuple):
     first: NDArray[np.int64]
 
 
+TRAJECTORY = Fields(Trajectory, (SEGMENT, int, STATE, INTEGERS))
+
+
 class Query(NamedTuple):
     """Quantities wanted at instants.
 
@@ -73,6 +76,9 @@ class Query(NamedTuple):
     segment: NDArray[np.int64]
     offset: NDArray[np.float64]
     out: NDArray[np.float64]
+
+
+QUERY = Fields(Query, (INTEGERS, INTEGERS, REALS, TABLE))
 
 
 class Bench(NamedTuple):
@@ -93,6 +99,9 @@ class Bench(NamedTuple):
     every: NDArray[np.float64]
 
 
+BENCH = Fields(Bench, (FLIGHT, PRESS, STATE, TABLE, REALS))
+
+
 def new_bench() -> Bench:
     """Return scratch memory."""
     n = len(QUANTITIES)
@@ -101,7 +110,7 @@ def new_bench() -> Bench:
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _add_oscillation(poly, value, growth, rate, order):  # type: ignore[no-untyped-def]  # compiled: types are inferred
     """Add the Taylor coefficients of Re[(value + growth τ) exp(rate τ)], differentiated `order` times."""
     for _ in range(order):
@@ -113,7 +122,7 @@ def _add_oscillation(poly, value, growth, rate, order):  # type: ignore[no-untyp
         term = term * rate * (1.0 / (k + 1))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _row_and_order(p, quantity):  # type: ignore[no-untyped-def]
     """Return (state, derivative of it, whether it is the drive itself) that a quantity of the structure is."""
     prescribed = p.drive == PRESCRIBED
@@ -127,7 +136,7 @@ def _row_and_order(p, quantity):  # type: ignore[no-untyped-def]
     return XB if order == 0 else VB, max(0, order - 1), False
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _expand_flight(p, system, f, k, quantity, poly, since):  # type: ignore[no-untyped-def]
     """Fill the Taylor polynomial of a quantity of the structure, `since` seconds after the flight's beginning."""
     poly[:] = 0.0
@@ -150,7 +159,7 @@ def _expand_flight(p, system, f, k, quantity, poly, since):  # type: ignore[no-u
         poly[0] += system.static[row] * k.push
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _evaluate(poly, x):  # type: ignore[no-untyped-def]
     """Return a flight's polynomial at x."""
     total = poly[FLIGHT_TERMS - 1]
@@ -159,7 +168,7 @@ def _evaluate(poly, x):  # type: ignore[no-untyped-def]
     return total
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _of_structure(knot, quantity):  # type: ignore[no-untyped-def]
     """Return the quantity of the structure that this one follows from in flight."""
     if knot.phase == ATTACHED:  # one body: the sphere moves as the base, and a wall may push it
@@ -170,7 +179,7 @@ def _of_structure(knot, quantity):  # type: ignore[no-untyped-def]
     return quantity
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _in_flight(p, knot, quantity, poly, x, since):  # type: ignore[no-untyped-def]
     """Return a quantity in flight, x from the polynomial's anchor and `since` from the knot."""
     if knot.phase == ATTACHED:
@@ -195,7 +204,7 @@ def _in_flight(p, knot, quantity, poly, x, since):  # type: ignore[no-untyped-de
     return _evaluate(poly, x)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def trace(model, f, k, steps):  # type: ignore[no-untyped-def]
     """Integrate the contact that begins at the last record of `steps` into the others, its end too; return how many."""
     p, s = model.parameters[0], steps[_MOST_STEPS]
@@ -215,7 +224,7 @@ def trace(model, f, k, steps):  # type: ignore[no-untyped-def]
     return _MOST_STEPS - 1
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def before(knots, low, high, t):  # type: ignore[no-untyped-def]
     """Return the last row in [low, high) that is not after t, or low."""
     while high - low > 1:
@@ -227,7 +236,7 @@ def before(knots, low, high, t):  # type: ignore[no-untyped-def]
     return low
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _length_to(step, k, end, since):  # type: ignore[no-untyped-def]
     """Return the length of the step that takes about `since` seconds, by the polynomial of the whole one.
 
@@ -250,7 +259,7 @@ def _length_to(step, k, end, since):  # type: ignore[no-untyped-def]
     return x * step.step
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _inside(model, step, k, end, since):  # type: ignore[no-untyped-def]
     """Return (w, δ') `since` seconds after the start of a step: the step is taken again to end there."""
     if step.step == 0.0 or since <= 0.0:
@@ -264,7 +273,7 @@ def _inside(model, step, k, end, since):  # type: ignore[no-untyped-def]
     return max(k.w[LAST], 0.0), k.speed[LAST]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _in_contact(model, f, step, k, end, t, out):  # type: ignore[no-untyped-def]
     """Fill all quantities at t, within the step of a contact that begins at the record `step`; `k` expanded there."""
     p, side = model.parameters[0], step.side
@@ -296,7 +305,7 @@ def _in_contact(model, f, step, k, end, t, out):  # type: ignore[no-untyped-def]
     out[A_B] = table * p.per_m_base
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _solve_again(model, f, step, k):  # type: ignore[no-untyped-def]
     """Let `k` be expanded about the record `step`; return how its step ends: (time it takes [s], w, δ')."""
     p = model.parameters[0]
@@ -310,17 +319,17 @@ def _solve_again(model, f, step, k):  # type: ignore[no-untyped-def]
     return k.since[LAST], max(k.w[LAST], 0.0), k.speed[LAST]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _sample_contact(model, f, knots, rows, query, bench):  # type: ignore[no-untyped-def]
-    """Fill the query's instants rows[0] … rows[1] − 1, all in the contact whose knot is `knots[rows[2]]`."""
-    k, knot = bench.press[0], knots[rows[2]]
-    steps, low, high, current = knots, rows[2], rows[2] + 1, -1
+@kernel
+def _sample_contact(model, f, knots, row, start, stop, query, bench):  # type: ignore[no-untyped-def]
+    """Fill the query's instants start … stop − 1, all in the contact whose knot is `knots[row]`."""
+    k, knot = bench.press[0], knots[row]
+    steps, low, high, current = knots, row, row + 1, -1
     if knot.whole:
         steps = bench.steps
         steps[_MOST_STEPS] = knot
         low, high = 0, trace(model, f, k, steps)
     end = 0.0, 0.0, 0.0
-    for i in range(rows[0], rows[1]):
+    for i in range(start, stop):
         t = query.offset[i]
         row = before(steps, low, high, t)
         if row != current:
@@ -330,9 +339,9 @@ def _sample_contact(model, f, knots, rows, query, bench):  # type: ignore[no-unt
             query.out[q, i] = bench.every[query.wanted[q]]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _sample_flight(model, f, knot, rows, query, bench):  # type: ignore[no-untyped-def]
-    """Fill the query's instants rows[0] … rows[1] − 1, all in the flight that begins at the knot."""
+@kernel
+def _sample_flight(model, f, knot, start, stop, query, bench):  # type: ignore[no-untyped-def]
+    """Fill the query's instants start … stop − 1, all in the flight that begins at the knot."""
     p, k = model.parameters[0], bench.flight[0]
     which = HELD if knot.phase == ATTACHED else LOOSE
     system = model.systems[which]
@@ -343,7 +352,7 @@ def _sample_flight(model, f, knot, rows, query, bench):  # type: ignore[no-untyp
     k.push = 0.0 if knot.phase == ATTACHED else knot.slide * p.m * p.friction
     launch(system, f, k, knot.y, knot.t)
     anchor = -1
-    for i in range(rows[0], rows[1]):
+    for i in range(start, stop):
         since = query.offset[i] - knot.t
         place = int(since / k.reach)
         middle = (place + 0.5) * k.reach
@@ -357,15 +366,13 @@ def _sample_flight(model, f, knot, rows, query, bench):  # type: ignore[no-untyp
             query.out[q, i] = _in_flight(p, knot, query.wanted[q], bench.polynomials[q], since - middle, since)
 
 
-@Direct
-@njit(cache=True, nogil=True, error_model="numpy")
+@entry(MODEL, TRAJECTORY, QUERY, BENCH, returns=bool)
 def sample(model, trajectory, query, bench):  # type: ignore[no-untyped-def]
     """Fill `query.out` and return whether there are such segments.
 
     Runs of instants in one piece of the trajectory are evaluated together.
     """
     n = query.offset.shape[0]
-    rows = np.empty(3, np.int64)
     bench.flight[0].omega = -1.0
     i = 0
     while i < n:
@@ -378,13 +385,12 @@ def sample(model, trajectory, query, bench):  # type: ignore[no-untyped-def]
         row = before(trajectory.knots, low, high, query.offset[i])
         begin = trajectory.knots[row].t
         end = trajectory.knots[row + 1].t if row + 1 < high else np.inf
-        rows[0], rows[2] = i, row
+        start = i
         i += 1
         while i < n and query.segment[i] - trajectory.base == segment and begin <= query.offset[i] < end:
             i += 1
-        rows[1] = i
         if trajectory.knots[row].phase == CONTACT:
-            _sample_contact(model, f, trajectory.knots, rows, query, bench)
+            _sample_contact(model, f, trajectory.knots, row, start, i, query, bench)
         else:
-            _sample_flight(model, f, trajectory.knots[row], rows, query, bench)
+            _sample_flight(model, f, trajectory.knots[row], start, i, query, bench)
     return True

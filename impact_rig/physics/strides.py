@@ -14,16 +14,15 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
-
 from impact_rig.arithmetic.elementary import power
+from impact_rig.kernels import kernel
 
 _THIRD = 1.0 / 3.0
 _ROUNDS = 12
 _CLOSE = 0.8  # how near to the best horizon is good enough
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def stride(distance, speed, acceleration, jerk, horizon):  # type: ignore[no-untyped-def]  # compiled: types are inferred
     """Return a time, at most `horizon` [s], in which a point cannot cover `distance` [m]."""
     h = horizon

@@ -24,9 +24,8 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
-
 from impact_rig.arithmetic.elementary import power
+from impact_rig.kernels import kernel
 from impact_rig.physics.collocation import GAUSS_NODES, GAUSS_WEIGHTS, LAST, MATRIX, POINTS, STAGES
 from impact_rig.physics.energy import add_powers
 from impact_rig.physics.foresight import foreseen, remember, slope_foreseen
@@ -47,7 +46,7 @@ _GUESSES, _NEAR = 12, 1e-6  # of the event's scale: as good as a step's polynomi
 _PEAK_FOUND = 1e-5  # of a step: the force is flat there
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _force_slope(p, force, s, k, point):  # type: ignore[no-untyped-def]
     """Return the force at a point (w, δ', dδ'/ds) of the step, and its derivative along the motion, dF/ds."""
     w, speed, slope = point
@@ -55,7 +54,7 @@ def _force_slope(p, force, s, k, point):  # type: ignore[no-untyped-def]
     return elastic + lossy, 0.5 * by_w * speed + by_speed * slope
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _beyond(p, force, s, k, event, at):  # type: ignore[no-untyped-def]  # compiled: types are inferred
     """Return how far a point of the step is beyond an event, in units of the event's scale; at most 0 before it.
 
@@ -76,7 +75,7 @@ def _beyond(p, force, s, k, event, at):  # type: ignore[no-untyped-def]  # compi
     return (w - s.deepest) / s.deepest if p.remembers and s.w < s.deepest else -1.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _slope_beyond(p, force, s, k, event):  # type: ignore[no-untyped-def]
     """Return the derivative of `_beyond` at the end of the step with respect to its length."""
     w, speed = k.w[LAST], k.speed[LAST]
@@ -92,7 +91,7 @@ def _slope_beyond(p, force, s, k, event):  # type: ignore[no-untyped-def]
     return 0.5 * speed / s.deepest
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _about(p, force, s, k, event):  # type: ignore[no-untyped-def]
     """Return about how long a step is up to an event that it went beyond, by the Illinois method on its polynomial."""
     low, high, x, last = 0.0, 1.0, 1.0, 0
@@ -115,7 +114,7 @@ def _about(p, force, s, k, event):  # type: ignore[no-untyped-def]
     return x * s.step
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _land(p, force, s, k, event):  # type: ignore[no-untyped-def]
     """Take the step again until it ends at the event, its length in `s.step`; return whether that succeeded."""
     low, high = 0.0, s.step
@@ -141,7 +140,7 @@ def _land(p, force, s, k, event):  # type: ignore[no-untyped-def]
     return True
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def take_step(p, force, s, k):  # type: ignore[no-untyped-def]
     """Solve the next step, its length in `s.step`, and propose one in `s.next_step`; return the event it ends at.
 
@@ -173,7 +172,7 @@ def take_step(p, force, s, k):  # type: ignore[no-untyped-def]
     return ended
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def dissipated(k, h):  # type: ignore[no-untyped-def]
     """Return the energy that the contact loses during the step [J], by the quadrature of the collocation."""
     lost = 0.0
@@ -182,7 +181,7 @@ def dissipated(k, h):  # type: ignore[no-untyped-def]
     return lost
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def peak_in_step(p, force, s, k):  # type: ignore[no-untyped-def]
     """Return the largest force of the step [N]: at an end, or where dF/ds = 0 inside, found between the ends."""
     w, speed, slope = k.w[LAST], k.speed[LAST], k.slope[LAST]
@@ -207,7 +206,7 @@ def peak_in_step(p, force, s, k):  # type: ignore[no-untyped-def]
     return peak
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def account_step(p, f, s, k, ledger):  # type: ignore[no-untyped-def]
     """Add the work of the drive and the losses outside the contact during the step.
 
@@ -229,7 +228,7 @@ def account_step(p, f, s, k, ledger):  # type: ignore[no-untyped-def]
         add_powers(p, f, k.y, s.t + k.since[i], weight, ledger)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def conclude(p, s, k, ended, t_end):  # type: ignore[no-untyped-def]
     """Move the state to the end of the step, with the impulse on the sphere and the deepest point."""
     since, w, speed = k.since[LAST], max(k.w[LAST], 0.0), k.speed[LAST]
@@ -247,7 +246,7 @@ def conclude(p, s, k, ended, t_end):  # type: ignore[no-untyped-def]
     s.t = t_end if ended == TIME else s.t + since
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def settles(p, force, s, k):  # type: ignore[no-untyped-def]
     """Whether a law without damping only rings about its rest any more, slower than the floored approach speed.
 
@@ -260,13 +259,13 @@ def settles(p, force, s, k):  # type: ignore[no-untyped-def]
     return ringing <= _HOP * thrust and ringing <= p.speed_floor * math.sqrt(0.5 * by_w * p.per_m_eff / s.w)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def contact_time(p, speed):  # type: ignore[no-untyped-def]
     """Return t_0 = (m_eff / K)^(1/(n+1)) v^((1−n)/(1+n)) [s], the time scale of a contact with F ~ K δ^n."""
     return p.time_scale * power(speed, p.time_power)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def first_step(p, speed, thrust):  # type: ignore[no-untyped-def]
     """Return a first step [s/m^0.5]: a part of ∫ dt/√(v t) up to the time scale of the law, or of the thrust."""
     scale = min(contact_time(p, speed), speed / max(abs(thrust), _SMALLEST))

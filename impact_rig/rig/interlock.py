@@ -13,12 +13,12 @@ import math
 
 import attrs
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from impact_rig.arithmetic.elementary import exp
 from impact_rig.config import Drive, Shaker
 from impact_rig.errors import CommandError
+from impact_rig.kernels import REALS, TABLE, entry
 from impact_rig.physics import Motion
 
 LOOKS_PER_TICK = 10
@@ -71,8 +71,9 @@ class Interlock:
         after, offset = _instants(ticks, tick_s)
         seen = motion.quantities(("x_b", "v_b", "current"), motion.first_segment + after, offset)
         travel, velocity, current = seen.reshape(3, ticks, LOOKS_PER_TICK + 1)
-        worst = largest(travel, velocity, tick_s / LOOKS_PER_TICK)
-        square = mean_square(current[:, 1:])
+        worst, square = np.empty(ticks), np.empty(ticks)
+        largest(travel, velocity, tick_s / LOOKS_PER_TICK, worst)
+        mean_square(current, square)
         gain = 1.0 - exp(-tick_s / CURRENT_TIME_S)
         limit, limit_rms = shaker.travel_limit_m, shaker.current_limit_a_rms
         for tick in range(ticks):
@@ -91,26 +92,27 @@ def _instants(ticks: int, tick_s: float) -> tuple[NDArray[np.int64], NDArray[np.
     return tick, np.tile(np.arange(LOOKS_PER_TICK + 1) * (tick_s / LOOKS_PER_TICK), ticks)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def mean_square(values):  # type: ignore[no-untyped-def]  # compiled: types are inferred
-    """Return the mean of the squares in each row of values, shape (rows, n), added up in order."""
-    found = np.zeros(values.shape[0])
+@entry(TABLE, REALS)
+def mean_square(values, found):  # type: ignore[no-untyped-def]  # compiled: types are inferred
+    """Fill `found` with the mean of the squares in each row of values but the first, which ends the tick before.
+
+    values has the shape (rows, 1 + n), found (rows,); they are added up in order.
+    """
     for row in range(values.shape[0]):
-        for i in range(values.shape[1]):
+        found[row] = 0.0
+        for i in range(1, values.shape[1]):
             found[row] += values[row, i] * values[row, i]
-        found[row] /= values.shape[1]
-    return found
+        found[row] /= values.shape[1] - 1
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def largest(position, velocity, step_s):  # type: ignore[no-untyped-def]
-    """Return the largest |position| of each row, between the samples as well, shape (rows,).
+@entry(TABLE, TABLE, float, REALS)
+def largest(position, velocity, step_s, found):  # type: ignore[no-untyped-def]
+    """Fill `found` with the largest |position| of each row, between the samples as well, shape (rows,).
 
     position [m] and its rate, velocity [m/s], have shape (rows, n), samples `step_s` [s] apart: so short that the
     velocity changes its sign at most once in it. Between two samples the position is the cubic through both ends,
     y0 + q (d0 + q (a + q b)) with the slope d0 + q (2 a + 3 b q), q = 0 … 1.
     """
-    found = np.zeros(position.shape[0])
     for row in range(position.shape[0]):
         found[row] = abs(position[row, 0])
         for i in range(position.shape[1] - 1):
@@ -122,7 +124,6 @@ def largest(position, velocity, step_s):  # type: ignore[no-untyped-def]
                 bottom = a + math.copysign(math.sqrt(a * a - 3.0 * b * d0), d1)
                 q = min(1.0, max(0.0, -d0 / bottom)) if bottom != 0.0 else 0.0
                 found[row] = max(found[row], abs(y0 + q * (d0 + q * (a + q * b))))
-    return found
 
 
 def check_frequency(frequency_hz: float, shaker: Shaker) -> None:

@@ -160,10 +160,10 @@ def _rig(run: Run) -> Streams:
 def _contacts() -> NDArray[np.void]:
     """Return some of the contacts that the table of outcomes is made of, and what follows from their differences."""
     force = contact_laws.from_config(RigConfig().contact).force(ContactPair(1.0, 1.0))
-    p, s, k = unit_parameters(force), state_record(STATE)[0], state_record(PRESS)[0]
-    p.rtol = outcome.RTOL
-    compiled = compiled_force(force.function)
-    found = [outcome.derivatives(p, compiled, eta_0, which, s, k)[1:] for eta_0, which in ((0.02, 0), (-0.01, 1))]
+    parameters = unit_parameters(force)
+    parameters[0].rtol = outcome.RTOL
+    contacts = outcome.Contacts(parameters, compiled_force(force.function))
+    found = [contacts.derivatives(eta_0, which)[1:] for eta_0, which in ((0.02, 0), (-0.01, 1))]
     kind = [(f"{order}_{quantity}", "f8") for order in ("first", "second") for quantity in range(outcome.QUANTITIES)]
     return np.array([tuple(np.concatenate(pair)) for pair in found], kind)
 

@@ -1,68 +1,30 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""A law's force, compiled: function pointers of one type whatever the law, so that one event loop calls them all.
+"""A law's force as kernels call it: function pointers of one type whatever the law, so that one event loop calls them all.
 
-Numba asks a function for its address by a dozen calls of Python each time it is handed over: a third of what a block of
-10 ms costs. A `Pointer` holds the address, and is taken by reading that.
+The forces of the package's own laws are in the library. That of a law from elsewhere is compiled by Numba where it is
+installed, and its address handed over; without Numba the library calls back into plain Python.
 """
 
 from __future__ import annotations
 
+import ctypes
 import functools
-from pathlib import Path
+import importlib.util
+import logging
 from typing import Any, NamedTuple
 
-from numba import cfunc, from_dtype, njit
-from numba.core import cgutils, config, types
-from numba.experimental.function_type import FunctionModel
-from numba.extending import NativeValue, register_model, typeof_impl, unbox
+import numpy as np
 
+from impact_rig import kernels
+from impact_rig.kernels import Fields, Function, Pointer, Record
 from impact_rig.physics.collocation import STAGES
 from impact_rig.physics.contact.law import ForceFunction
 from impact_rig.physics.parameters import PARAMETERS
 from impact_rig.physics.state import PRESS
-from impact_rig.system.compiled import content_stamp  # finds what was compiled from these sources
 
-_ONE = types.UniTuple(types.float64, 5)(*6 * (types.float64,))  # type: ignore[attr-defined]  # made on demand
-_AT_STAGES = types.void(from_dtype(PARAMETERS), types.float64, from_dtype(PRESS))
-
-
-class PointerType(types.FunctionType):
-    """What compiled code takes a `Pointer` for: a function of its signature."""
-
-
-register_model(PointerType)(FunctionModel)
-
-
-class Pointer:
-    """A compiled function, and where it is.
-
-    Args:
-        function: what `cfunc` made.
-    """
-
-    def __init__(self, function: Any) -> None:
-        self.address: int = function.address
-        self.type = PointerType(function._sig)
-        self._function = function
-
-    def __call__(self, *arguments: Any) -> Any:
-        """Call it from Python, uncompiled."""
-        return self._function(*arguments)
-
-
-@typeof_impl.register(Pointer)
-def _type_of(pointer: Pointer, _context: Any) -> PointerType:
-    return pointer.type
-
-
-@unbox(PointerType)
-def _take(kind: PointerType, pointer: Any, c: Any) -> NativeValue:
-    function = cgutils.create_struct_proxy(kind)(c.context, c.builder)
-    address = c.pyapi.object_getattr_string(pointer, "address")
-    function.c_addr = c.pyapi.long_as_voidptr(address)
-    c.pyapi.decref(address)
-    return NativeValue(function._getvalue())
+ONE = Function(6 * (float,), 5 * (float,))
+AT_STAGES = Function((Record(PARAMETERS), float, Record(PRESS)), None)
 
 
 class CompiledForce(NamedTuple):
@@ -77,20 +39,74 @@ class CompiledForce(NamedTuple):
     at_stages: Any
 
 
-@functools.cache
-def compiled_force(function: ForceFunction) -> CompiledForce:
-    """Compile a law's force."""
-    inner: Any = njit(cache=True, error_model="numpy")(function)
+FORCE = Fields(CompiledForce, (ONE, AT_STAGES))
+
+
+def at_stages_of(one: Any) -> Any:
+    """Return the function that asks a force at the stages of a step."""
 
     def at_stages(p, per_v0, k):  # type: ignore[no-untyped-def]  # compiled: types are declared
         for i in range(STAGES):
-            elastic, lossy, _, by_w, by_speed = inner(p.stiffness, p.factor, per_v0, k.turned_at, k.w[i], k.speed[i])
+            elastic, lossy, _, by_w, by_speed = one(p.stiffness, p.factor, per_v0, k.turned_at, k.w[i], k.speed[i])
             k.force[i], k.lossy[i] = elastic + lossy, lossy
             k.force_by_w[i], k.force_by_speed[i] = by_w, by_speed
 
-    if config.DISABLE_JIT:
-        return CompiledForce(function, at_stages)
-    # by default it is random, and code that calls the function would never be found in the cache again
-    stamp = content_stamp(Path(function.__code__.co_filename))
-    inner._set_uuid(f"{function.__module__}.{function.__qualname__}.{stamp}")
-    return CompiledForce(Pointer(cfunc(_ONE, cache=True)(function)), Pointer(cfunc(_AT_STAGES, cache=True)(at_stages)))
+    return at_stages
+
+
+def name_of(function: ForceFunction) -> str:
+    """Return the name under which the library holds a force, less `.one` or `.at_stages`."""
+    return f"force.{function.__module__}.{function.__qualname__}"
+
+
+@functools.cache
+def compiled_force(function: ForceFunction) -> CompiledForce:
+    """Return a law's force as the kernels of this process take it."""
+    if kernels.MODE == "plain":
+        return CompiledForce(function, at_stages_of(function))
+    name = name_of(function)
+    if kernels.address(f"{name}.one"):
+        return CompiledForce(
+            Pointer(kernels.address(f"{name}.one"), function),
+            Pointer(kernels.address(f"{name}.at_stages"), at_stages_of(function)),
+        )
+    if importlib.util.find_spec("numba"):
+        from impact_rig.kernels import jit  # noqa: PLC0415  # Numba is imported where it compiles
+
+        inner = at_stages_of(jit.compiled(function))
+        found = jit.pointer(function, ONE), jit.pointer(inner, AT_STAGES)
+        return CompiledForce(*(one if kernels.MODE == "jit" else Pointer(one.address, one) for one in found))
+    logging.getLogger(__name__).warning(
+        "the contact force %s runs as plain Python, some hundred times slower: pip install impact-rig[jit]", name
+    )
+    return CompiledForce(_callback_one(function), _callback_at_stages(function))
+
+
+def _callback_one(function: ForceFunction) -> Pointer:
+    """Return a callback with the convention of compiled code: what does not fit registers is written where told."""
+    real, address = ctypes.c_double, ctypes.POINTER(ctypes.c_double)
+
+    def one(out: Any, *numbers: float) -> int:
+        out[0:5] = function(*numbers)  # type: ignore[arg-type]  # six of them
+        return ctypes.addressof(out.contents)
+
+    call = ctypes.CFUNCTYPE(ctypes.c_void_p, address, *6 * (real,))(one)
+    where = ctypes.cast(call, ctypes.c_void_p).value
+    assert where is not None
+    return Pointer(where, call)
+
+
+def _callback_at_stages(function: ForceFunction) -> Pointer:
+    inner = at_stages_of(function)
+
+    def at_stages(parameters: int, per_v0: float, press: int) -> None:
+        p, k = (
+            np.frombuffer((ctypes.c_char * kind.itemsize).from_address(place), kind).view(np.recarray)[0]
+            for place, kind in ((parameters, PARAMETERS), (press, PRESS))
+        )
+        inner(p, per_v0, k)
+
+    call = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_double, ctypes.c_void_p)(at_stages)
+    where = ctypes.cast(call, ctypes.c_void_p).value
+    assert where is not None
+    return Pointer(where, call)

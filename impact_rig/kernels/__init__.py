@@ -1,0 +1,211 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""Compiled functions: marked in the sources here, built into one shared library by `python -m impact_rig.kernels`.
+
+`kernel` marks a function that compiled code calls, `entry` one that Python calls, with the types it takes. What runs is
+decided once, when this module is imported:
+
+    library   the shared library, where it is there and was built from these sources; nothing of Numba is imported
+    jit       Numba compiles each function at its first call: no C compiler was there, or a kernel is being edited
+    plain     the functions themselves: the same bits, some thousand times slower
+
+`IMPACT_RIG_KERNELS` names one of them; left alone, the first that can be had is taken. See docs/kernels.md.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib
+import importlib.util
+import json
+import os
+from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType
+from typing import Any, NamedTuple
+
+import numpy as np
+
+PACKAGE = Path(__file__).parents[1]
+VARIABLE = "IMPACT_RIG_KERNELS"
+MODES = ("library", "jit", "plain")
+OPTIONS = {"nogil": True, "error_model": "numpy"}
+"""What Numba is told of every kernel."""
+
+
+class Array(NamedTuple):
+    """The type of an array in C order.
+
+    Attributes:
+        dtype: of its elements.
+        dimensions: how many.
+    """
+
+    dtype: np.dtype[Any]
+    dimensions: int = 1
+
+
+class Fields(NamedTuple):
+    """The type of a NamedTuple.
+
+    Attributes:
+        of: the class.
+        types: of its fields.
+    """
+
+    of: type
+    types: tuple[Any, ...]
+
+
+class Record(NamedTuple):
+    """The type of one record, handed over by its address: for functions that only kernels call.
+
+    Attributes:
+        dtype: of the record.
+    """
+
+    dtype: np.dtype[np.void]
+
+
+class Function(NamedTuple):
+    """The type of a compiled function that is handed over as a `Pointer`.
+
+    Attributes:
+        arguments: types of its arguments.
+        returns: of its result.
+    """
+
+    arguments: tuple[Any, ...]
+    returns: Any
+
+
+class Pointer(NamedTuple):
+    """A compiled function as kernels take it.
+
+    Attributes:
+        address: where it is.
+        function: the same for Python; kept, so that what lies at the address stays.
+    """
+
+    address: int
+    function: Callable[..., Any]
+
+    def __call__(self, *arguments: Any) -> Any:
+        """Call it as Python."""
+        return self.function(*arguments)
+
+
+class Entry(NamedTuple):
+    """A function that Python calls.
+
+    Attributes:
+        function: as it is written.
+        arguments: type of each argument: int, float, bool, an Array, a record type for an array of such records, Fields,
+            or a Function.
+        returns: int, bool, a tuple of these, or None.
+    """
+
+    function: Callable[..., Any]
+    arguments: tuple[Any, ...]
+    returns: Any
+
+
+REALS, TABLE, VOLUME = (Array(np.dtype("f8"), dimensions) for dimensions in (1, 2, 3))
+INTEGERS, WORDS, BYTES, FLAGS = (Array(np.dtype(kind)) for kind in ("i8", "u8", "u1", "?"))
+
+entries: dict[str, Entry] = {}
+"""All that have been imported, by `module.name`."""
+kernels: list[Callable[..., Any]] = []
+"""All functions that are compiled, as they are written."""
+
+
+def digest(path: Path) -> str:
+    """Return what tells one content of a file from another."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def library() -> ModuleType | None:
+    """Return the shared library if it is there and was built from the sources as they are."""
+    if importlib.util.find_spec(f"{__name__}._library") is None:
+        return None
+    found = importlib.import_module(f"{__name__}._library")
+    sources: dict[str, str] = json.loads(found.sources())
+    paths = ((PACKAGE / name, known) for name, known in sources.items())
+    return found if all(path.exists() and digest(path) == known for path, known in paths) else None
+
+
+def _decide() -> tuple[str, ModuleType | None]:
+    asked = os.environ.get(VARIABLE, "")
+    if asked and asked not in MODES:
+        raise ValueError(f"{VARIABLE} must be one of {', '.join(MODES)}, got {asked!r}")
+    built = library() if asked in ("", "library") else None
+    if built is not None:
+        return "library", built
+    if asked == "library":
+        raise ImportError("the library of compiled kernels is not there, or not of these sources: make kernels")
+    if asked == "jit" or (not asked and importlib.util.find_spec("numba")):
+        return "jit", None
+    return "plain", None
+
+
+MODE, _LIBRARY = _decide()
+
+
+def kernel(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Mark a function that compiled functions call."""
+    kernels.append(function)
+    return _compiled(function)
+
+
+def entry(*arguments: Any, returns: Any = None) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Mark a function that Python calls with arguments of these types; see `Entry`."""
+
+    def mark(function: Callable[..., Any]) -> Callable[..., Any]:
+        name = f"{function.__module__.removeprefix('impact_rig.')}.{function.__name__}"
+        kernels.append(function)
+        entries[name] = Entry(function, arguments, returns)
+        if MODE == "library":
+            assert _LIBRARY is not None
+            call: Callable[..., Any] = _LIBRARY.entry(name, *plan(arguments), _codes(returns))
+            return call
+        return _compiled(function)
+
+    return mark
+
+
+def _compiled(function: Callable[..., Any]) -> Callable[..., Any]:
+    if MODE != "jit":
+        return function
+    from impact_rig.kernels import jit  # noqa: PLC0415  # Numba is imported where it compiles
+
+    return jit.compiled(function)
+
+
+def address(name: str) -> int:
+    """Return where an exported function of the library is; 0: there is none of that name."""
+    return int(_LIBRARY.address(name)) if _LIBRARY is not None else 0
+
+
+def plan(arguments: tuple[Any, ...]) -> tuple[str, tuple[np.dtype[Any], ...]]:
+    """Return how arguments are unpacked: a letter a piece (see library.c), and the types of the arrays in them."""
+    letters, dtypes = [], []
+    for one in arguments:
+        if isinstance(one, Fields):
+            inner, of = plan(one.types)
+            letters.append(f"({len(one.types):c}{inner}")
+            dtypes += of
+        elif isinstance(one, Function):
+            letters.append("p")
+        elif isinstance(one, Array | np.dtype):
+            array = one if isinstance(one, Array) else Array(one)
+            letters.append(f"{array.dimensions}")
+            dtypes.append(array.dtype)
+        else:
+            letters.append(_codes(one))
+    return "".join(letters), tuple(dtypes)
+
+
+def _codes(kind: Any) -> str:
+    if kind is None:
+        return ""
+    return "".join(map(_codes, kind)) if isinstance(kind, tuple) else {int: "i", bool: "b", float: "f"}[kind]

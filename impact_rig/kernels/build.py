@@ -1,0 +1,136 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""Build the shared library of all kernels: `python -m impact_rig.kernels`.
+
+Numba translates each entry, and whatever it calls, to LLVM's code once, for a plain x86-64 CPU (the arithmetic is
+portable, so nothing is lost and the bits are the same). All of it becomes one module, in which LLVM sees and optimises
+everything together, once; the system's C compiler links it with library.c. Two processes share the translation.
+
+This uses parts of Numba that are not its public interface: the build pins its version.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shlex
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+FOLDER = Path(__file__).parent
+PACKAGE = FOLDER.parent
+OUTPUT = "_library.abi3.so"
+PARTS = {
+    "mechanics": ("physics.simulation", "physics.motion", "physics.band_pass"),
+    "instruments": ("instruments.chain", "rig.interlock", "analysis.tracker"),
+}
+"""What is translated side by side: modules whose import declares the entries."""
+CPU = "x86-64"
+TELL_S = 2.0
+
+
+def sources() -> list[Path]:
+    """Return the files that decide the library: those that hold kernels, and those from which these import."""
+    texts = {path: path.read_text(encoding="utf-8") for path in PACKAGE.rglob("*.py")}
+    holders = {path for path, text in texts.items() if re.search(r"^from impact_rig\.kernels import", text, re.MULTILINE)}
+    found = set(holders)
+    for holder in holders:
+        for module in re.findall(r"^from impact_rig\.([\w.]+) import", texts[holder], re.MULTILINE):
+            stem = PACKAGE.joinpath(*module.split("."))
+            found |= {stem.with_suffix(".py"), stem / "__init__.py"} & texts.keys()
+    return sorted(found)
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Build the library next to the sources, or into the folder that is named; say how far it is."""
+    arguments = sys.argv[1:] if arguments is None else arguments
+    folder = Path(arguments[0]) if arguments else FOLDER
+    began = time.monotonic()
+    with tempfile.TemporaryDirectory(prefix="impact_rig_kernels_") as name:
+        work = Path(name)
+        _translate_all(work)
+        exports = [line for part in PARTS for line in (work / f"{part}.names").read_text().splitlines()]
+        (work / "exports.c").write_text(_exports(exports), encoding="utf-8")
+        built = work / OUTPUT
+        objects = [str(work / f"{part}.o") for part in PARTS]
+        _compile([str(FOLDER / "library.c"), str(work / "exports.c"), *objects, "-o", str(built)])
+        folder.mkdir(parents=True, exist_ok=True)
+        new = folder / f".{OUTPUT}.new"
+        new.write_bytes(built.read_bytes())
+        new.replace(folder / OUTPUT)  # at once: a process that runs the old one keeps it
+    print(f"{len(exports)} compiled functions in {folder / OUTPUT}, {time.monotonic() - began:.0f} s")  # noqa: T201
+
+
+def _translate_all(work: Path) -> None:
+    """Translate all parts side by side, and tell how far they are.
+
+    Raises:
+        SystemExit: a part failed; its own words are on stderr.
+    """
+    environment = {**os.environ, "IMPACT_RIG_KERNELS": "plain", "PYTHONPATH": str(PACKAGE.parent)}
+    command = [sys.executable, "-c", "from impact_rig.kernels.translate import main; main()"]
+    running = {
+        part: subprocess.Popen([*command, part, str(work)], env=environment)  # noqa: S603  # ourselves
+        for part in PARTS
+    }
+    told = 0.0
+    while any(process.poll() is None for process in running.values()):
+        time.sleep(0.1)
+        if time.monotonic() - told > TELL_S:
+            told = time.monotonic()
+            done = {part: _read(work / f"{part}.progress") for part in PARTS}
+            print("building kernels: " + ", ".join(f"{part} {text or 'starts'}" for part, text in done.items()), flush=True)  # noqa: T201
+    failed = [part for part, process in running.items() if process.returncode]
+    if failed:
+        raise SystemExit(f"the kernels of {', '.join(failed)} could not be built: see above")
+
+
+def _read(path: Path) -> str:
+    return path.read_text() if path.exists() else ""
+
+
+def _exports(names: Iterable[str]) -> str:
+    """Return the table of what the library holds, and of the sources it is made of."""
+    names = list(names)
+    stamps = {str(path.relative_to(PACKAGE)): _digest(path) for path in sources()}
+    declared = "\n".join(f'extern char f{i}[] __asm__("{name}");' for i, name in enumerate(names))
+    rows = "\n".join(f'    {{"{name}", f{i}}},' for i, name in enumerate(names))
+    return f"""{declared}
+typedef struct {{
+    const char *name;
+    void *address;
+}} export;
+const export kernel_exports[] = {{
+{rows}
+    {{0, 0}},
+}};
+const char kernel_sources[] = {json.dumps(json.dumps(stamps))};
+"""
+
+
+def _digest(path: Path) -> str:
+    from impact_rig.kernels import digest  # noqa: PLC0415  # this module is also run by itself
+
+    return digest(path)
+
+
+def _compile(arguments: list[str]) -> None:
+    """Call the C compiler.
+
+    Raises:
+        SystemExit: there is none, or it fails.
+    """
+    import sysconfig  # noqa: PLC0415
+
+    compiler = shlex.split(os.environ.get("CC", "cc"))
+    options = ["-shared", "-fPIC", "-O2", "-Wall", "-Wextra", "-Werror", f"-I{sysconfig.get_paths()['include']}"]
+    try:
+        subprocess.run([*compiler, *options, *arguments, "-lm"], check=True)  # noqa: S603  # the user's own compiler
+    except (OSError, subprocess.CalledProcessError) as error:
+        raise SystemExit(f"the kernels were not linked: {error}") from None

@@ -1,0 +1,66 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""Kernels compiled by Numba when they are first called, and the declared types in its words."""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+from collections.abc import Callable
+from typing import Any
+
+import numba
+import numpy as np
+from numba.core import types
+
+from impact_rig.kernels import PACKAGE, Array, Fields, Function, Record, digest
+
+OPTIONS = {"nogil": True, "error_model": "numpy"}
+"""What Numba is told of every kernel."""
+
+
+def numba_type(kind: Any) -> Any:
+    """Return Numba's type of a declared one."""
+    if isinstance(kind, Fields):
+        return types.NamedTuple(tuple(map(numba_type, kind.types)), kind.of)
+    if isinstance(kind, Function):
+        return types.FunctionType(signature(kind))
+    if isinstance(kind, Record):
+        return numba.from_dtype(kind.dtype)
+    if isinstance(kind, Array):
+        return types.Array(numba.from_dtype(kind.dtype), kind.dimensions, "C")
+    if isinstance(kind, np.dtype):
+        return types.Array(numba.from_dtype(kind), 1, "C")
+    if isinstance(kind, tuple):
+        return types.BaseTuple.from_types(tuple(map(numba_type, kind)))
+    return {float: types.float64, int: types.int64, bool: types.boolean, None: types.none}[kind]
+
+
+def signature(kind: Function) -> Any:
+    """Return Numba's signature of a function."""
+    return numba_type(kind.returns)(*map(numba_type, kind.arguments))
+
+
+def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a function that is compiled by its first call."""
+    return _kept(lambda: numba.njit(cache=True, **OPTIONS)(function))
+
+
+def pointer(function: Callable[..., Any], kind: Function) -> Any:
+    """Return a function compiled for one signature, with an `address`."""
+    return _kept(lambda: numba.cfunc(signature(kind), nopython=True, error_model="numpy")(function))
+
+
+def _kept(compile_: Callable[[], Any]) -> Any:
+    """Compile with a cache of these sources alone: Numba's own does not see that a function called has changed."""
+    before, numba.config.CACHE_DIR = numba.config.CACHE_DIR, _directory()
+    try:
+        return compile_()
+    finally:
+        numba.config.CACHE_DIR = before
+
+
+@functools.cache
+def _directory() -> str:
+    state = "".join(digest(path) for path in sorted(PACKAGE.rglob("*.py")))
+    return str(PACKAGE / "__pycache__" / f"jit-{hashlib.sha256(state.encode()).hexdigest()[:16]}")

@@ -1,0 +1,196 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""Translate one part of the kernels into an object file; a process of its own, started by `build`.
+
+Here is all that knows Numba's insides. Three things differ from what Numba does for itself: code is made for a plain
+x86-64 CPU and another address; nothing is optimised before everything is together; each entry gets a second function
+around it, `int32_t name(uint64_t *in, uint64_t *out)`, which takes its arguments from slots (see library.c).
+"""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import llvmlite.binding as llvm
+from llvmlite import ir
+from numba import njit
+from numba.core import compiler, cpu
+from numba.core.callconv import RETCODE_NONE
+from numba.core.codegen import AOTCodeLibrary
+from numba.core.compiler_lock import global_compiler_lock
+from numba.core.registry import cpu_target
+
+import impact_rig.kernels as declared
+from impact_rig.kernels import Entry, Function
+from impact_rig.kernels.build import CPU, PARTS
+from impact_rig.kernels.jit import OPTIONS, numba_type
+
+INSIDE = {**OPTIONS, "_nrt": False, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+"""What Numba is told of functions that only kernels call; nothing allocates, so nothing is counted."""
+WORD, STATUS = ir.IntType(64), ir.IntType(32)
+
+
+class Library(AOTCodeLibrary):  # type: ignore[misc]  # Numba is untyped
+    """What Numba puts one function into: left as it is until everything is linked."""
+
+    def _optimize_functions(self, ll_module: Any) -> None:
+        pass
+
+    def finalize(self) -> None:
+        """Call it whole without linking what it calls: that is done once, for all."""
+        self._finalized = True
+
+
+class Context(cpu.CPUContext):  # type: ignore[misc]
+    """Numba's target, where nothing is loaded into this process."""
+
+    def get_executable(self, _library: Any, _fndesc: Any, _environment: Any) -> Any:
+        """Return something that can be told from all others; Numba finds a callee's code by it."""
+        return [].append
+
+
+def main() -> None:
+    """Translate the part that the first argument names into the folder of the second."""
+    part, work = sys.argv[1], Path(sys.argv[2])
+    for module in PARTS[part]:
+        importlib.import_module(f"impact_rig.{module}")
+    entries = {name: one for name, one in declared.entries.items() if part_of(name) == part}
+    forces = dict(_forces()) if part == "mechanics" else {}
+    _let_numba_see_kernels()
+    context = cpu_target.target_context.with_aot_codegen("impact_rig_kernels", cpu_name=CPU)
+    context.__class__ = Context
+    context.codegen()._library_class = Library
+    vars(cpu_target)["_toplevel_target_context"] = context  # of every function that is called, too
+    libraries: dict[int, Any] = {}
+    with global_compiler_lock:
+        for done, (name, one) in enumerate([*entries.items(), *forces.items()]):
+            (work / f"{part}.progress").write_text(f"{done} of {len(entries) + len(forces)}")
+            _collect(_translated(context, name, one), libraries)
+        names = [*entries, *forces]
+        (work / f"{part}.progress").write_text("optimised")
+        (work / f"{part}.o").write_bytes(_object(context, libraries.values(), set(names)))
+    (work / f"{part}.names").write_text("\n".join(names))
+
+
+def part_of(name: str) -> str:
+    """Return in which part an entry is translated."""
+    return "mechanics" if name.startswith(("physics.", "arithmetic.")) else "instruments"
+
+
+def _forces() -> Iterator[tuple[str, tuple[Callable[..., Any], Function]]]:
+    """Yield the forces of all laws of the package with their types, each once."""
+    from impact_rig.physics.contact import ContactPair  # noqa: PLC0415  # only one part has them
+    from impact_rig.physics.contact.compiled_force import AT_STAGES, ONE, at_stages_of, name_of  # noqa: PLC0415
+    from impact_rig.physics.contact.registry import LAWS  # noqa: PLC0415
+
+    for function in {law().force(ContactPair(1.0, 1.0)).function for law in LAWS.values()}:
+        yield f"{name_of(function)}.one", (function, ONE)
+        inner = njit(**INSIDE)(function)
+        yield f"{name_of(function)}.at_stages", (at_stages_of(inner), AT_STAGES)
+
+
+def _let_numba_see_kernels() -> None:
+    """Put what Numba can call in the place of every kernel, in all modules that have imported it."""
+    seen = {
+        function: njit(**INSIDE)(function)
+        for function in declared.kernels
+    }
+    for module in [found for name, found in sys.modules.items() if name.startswith("impact_rig.")]:
+        for name, value in list(vars(module).items()):
+            value = getattr(value, "__wrapped__", value)  # as plain Python, some are wrapped
+            if callable(value) and value.__hash__ and value in seen:
+                setattr(module, name, seen[value])
+
+
+def _translated(context: Any, name: str, one: Entry | tuple[Callable[..., Any], Function]) -> Any:
+    """Return the library that holds a function under its exported name, with the ones that it calls."""
+    flags = compiler.Flags()
+    flags.no_cpython_wrapper, flags.no_cfunc_wrapper = True, isinstance(one, Entry)
+    flags.nrt, flags.error_model, flags.release_gil = False, OPTIONS["error_model"], True
+    function, arguments, returns = one if isinstance(one, Entry) else (one[0], *one[1])
+    types = tuple(map(numba_type, arguments))
+    found = compiler.compile_extra(cpu_target.typing_context, context, function, types, numba_type(returns), flags, {})
+    if found.signature.return_type != numba_type(returns):
+        raise TypeError(f"{name} returns {found.signature.return_type}, declared is {returns}")
+    library = context.codegen().create_library(name)
+    module = library.create_ir_module(name)
+    if isinstance(one, Entry):
+        _from_slots(context, module, name, found.fndesc)
+    else:
+        _renamed(context, module, name, found.fndesc)
+    library.add_linking_library(found.library)
+    library.add_ir_module(module)
+    return library
+
+
+def _from_slots(context: Any, module: Any, name: str, described: Any) -> None:
+    """Define the function `name` that loads the arguments of another from slots, calls it, and stores what it returns."""
+    words = WORD.as_pointer()
+    around = ir.Function(module, ir.FunctionType(STATUS, [words, words]), name)
+    kind = context.call_conv.get_function_type(described.restype, described.argtypes)
+    inner = ir.Function(module, kind, described.llvm_func_name)
+    builder = ir.IRBuilder(around.append_basic_block())
+    result, failure = (builder.alloca(one.pointee) for one in kind.args[:2])
+    values = []
+    for i, wanted in enumerate(kind.args[2:]):
+        word = builder.load(builder.gep(around.args[0], [WORD(i)]))
+        if isinstance(wanted, ir.PointerType):
+            values.append(builder.inttoptr(word, wanted))
+        elif isinstance(wanted, ir.IntType):
+            values.append(builder.trunc(word, wanted) if wanted.width < WORD.width else word)
+        else:
+            values.append(builder.bitcast(word, wanted))
+    status = builder.call(inner, [result, failure, *values])
+    returned = builder.load(result)
+    parts = [returned]
+    if isinstance(returned.type, ir.ArrayType | ir.LiteralStructType):
+        parts = [builder.extract_value(returned, i) for i in range(len(returned.type))]
+    for i, part in enumerate(parts):
+        if isinstance(part.type, ir.IntType):
+            wide = builder.zext(part, WORD) if part.type.width < WORD.width else part
+            builder.store(wide, builder.gep(around.args[1], [WORD(i)]))
+    none = builder.icmp_signed("==", status, STATUS(RETCODE_NONE.value if hasattr(RETCODE_NONE, "value") else -2))
+    builder.ret(builder.select(none, STATUS(0), status))
+
+
+def _renamed(context: Any, module: Any, name: str, described: Any) -> None:
+    """Define `name` as the function with C's convention that Numba has made around another."""
+    kinds = [context.get_value_type(one) for one in described.argtypes]
+    kind = ir.FunctionType(context.get_value_type(described.restype), kinds)
+    inner = ir.Function(module, kind, described.llvm_cfunc_wrapper_name)
+    around = ir.Function(module, kind, name)
+    builder = ir.IRBuilder(around.append_basic_block())
+    returned = builder.call(inner, around.args)
+    builder.ret(returned)
+
+
+def _collect(library: Any, found: dict[int, Any]) -> None:
+    """Add a library and all that it needs."""
+    if id(library) not in found:
+        found[id(library)] = library
+        for one in library._linking_libraries:
+            _collect(one, found)
+
+
+def _object(context: Any, libraries: Any, exported: set[str]) -> bytes:
+    """Link, optimise once, and return the object file."""
+    together = llvm.parse_assembly("")
+    for library in libraries:
+        for function in library._final_module.functions:
+            if not function.is_declaration and function.linkage == llvm.Linkage.linkonce_odr:
+                function.linkage = "weak_odr"  # what nobody has asked for yet would be dropped
+        together.link_in(library._final_module)
+    for function in together.functions:
+        if not function.is_declaration:
+            function.linkage = "external" if function.name in exported else "internal"
+    together.verify()
+    for manager, passes in (
+        context.codegen()._module_pass_manager(loop_vectorize=True, slp_vectorize=False, cost="cheap"),
+        context.codegen()._module_pass_manager(),
+    ):
+        manager.run(together, passes)
+    return bytes(context.codegen()._tm.emit_object(together))
