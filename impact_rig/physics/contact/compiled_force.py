@@ -12,6 +12,7 @@ import ctypes
 import functools
 import importlib.util
 import logging
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -84,29 +85,28 @@ def compiled_force(function: ForceFunction) -> CompiledForce:
 
 def _callback_one(function: ForceFunction) -> Pointer:
     """Return a callback with the convention of compiled code: what does not fit registers is written where told."""
-    real, address = ctypes.c_double, ctypes.POINTER(ctypes.c_double)
+    results = 5 * ctypes.c_double
 
     def one(out: Any, *numbers: float) -> int:
-        out[0:5] = function(*numbers)  # type: ignore[arg-type]  # six of them
+        out.contents[:] = 5 * [math.nan]  # where the function raises: the contact then fails instead of going on
+        out.contents[:] = function(*numbers)  # type: ignore[arg-type]  # six of them
         return ctypes.addressof(out.contents)
 
-    call = ctypes.CFUNCTYPE(ctypes.c_void_p, address, *6 * (real,))(one)
-    where = ctypes.cast(call, ctypes.c_void_p).value
-    assert where is not None
-    return Pointer(where, call)
+    return _pointer(ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.POINTER(results), *6 * (ctypes.c_double,))(one))
 
 
 def _callback_at_stages(function: ForceFunction) -> Pointer:
     inner = at_stages_of(function)
 
-    def at_stages(parameters: int, per_v0: float, press: int) -> None:
-        p, k = (
-            np.frombuffer((ctypes.c_char * kind.itemsize).from_address(place), kind).view(np.recarray)[0]
-            for place, kind in ((parameters, PARAMETERS), (press, PRESS))
-        )
-        inner(p, per_v0, k)
+    def at_stages(parameters: Any, per_v0: float, step: Any) -> None:
+        step.contents.force[:] = STAGES * [math.nan]
+        inner(parameters.contents, per_v0, step.contents)
 
-    call = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_double, ctypes.c_void_p)(at_stages)
-    where = ctypes.cast(call, ctypes.c_void_p).value
-    assert where is not None
-    return Pointer(where, call)
+    parameters, step = (ctypes.POINTER(np.ctypeslib.as_ctypes_type(kind)) for kind in (PARAMETERS, PRESS))
+    return _pointer(ctypes.CFUNCTYPE(None, parameters, ctypes.c_double, step)(at_stages))
+
+
+def _pointer(callback: Any) -> Pointer:
+    address = ctypes.cast(callback, ctypes.c_void_p).value
+    assert address is not None
+    return Pointer(address, callback)
