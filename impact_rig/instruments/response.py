@@ -152,7 +152,7 @@ def weigh_whole(modes, h):  # type: ignore[no-untyped-def]  # compiled: types ar
 
 @entry(MODE, CLOCK, CURSOR, PIECES, TABLE, REALS, STEPS, REALS, returns=int)
 def run(modes, clock, cursor, pieces, coefficients, kicks, steps, out):  # type: ignore[no-untyped-def]
-    """Run the modes over all pieces; fill `out`, return the number of readings. `steps` has room for those of a tick."""
+    """Run the modes over all pieces; fill `out`, return the number of readings. `steps` has room for a tick."""
     task = Task(clock, pieces, coefficients, steps, out)
     at = cursor[0]
     at.written, out[:] = 0, 0.0

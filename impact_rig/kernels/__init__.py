@@ -100,8 +100,8 @@ class Entry(NamedTuple):
 
     Attributes:
         function: as it is written.
-        arguments: type of each argument: int, float, bool, an Array, a record type for an array of such records, Fields,
-            or a Function.
+        arguments: type of each: int, float, bool, an Array, a record type for an array of such records, Fields, or a
+            Function.
         returns: int, bool, a tuple of these, or None.
     """
 
@@ -110,11 +110,27 @@ class Entry(NamedTuple):
     returns: Any
 
 
+class Exported(NamedTuple):
+    """A function that is handed to kernels as a `Pointer`.
+
+    Attributes:
+        function: as it is written.
+        type: its type, or that of what `around` makes of it.
+        around: returns a function that calls the one it is given; None: the function itself is meant.
+    """
+
+    function: Callable[..., Any]
+    type: Function
+    around: Callable[[Callable[..., Any]], Callable[..., Any]] | None = None
+
+
 REALS, TABLE, VOLUME = (Array(np.dtype("f8"), dimensions) for dimensions in (1, 2, 3))
 INTEGERS, WORDS, BYTES, FLAGS = (Array(np.dtype(kind)) for kind in ("i8", "u8", "u1", "?"))
 
 entries: dict[str, Entry] = {}
 """All that have been imported, by `module.name`."""
+exported: dict[str, Exported] = {}
+"""All functions that have been declared to be handed over, by a name of their own."""
 kernels: list[Callable[..., Any]] = []
 """All functions that are compiled, as they are written."""
 
@@ -178,7 +194,8 @@ def _compiled(function: Callable[..., Any]) -> Callable[..., Any]:
         return function
     from impact_rig.kernels import jit  # noqa: PLC0415  # Numba is imported where it compiles
 
-    return jit.compiled(function)
+    found: Callable[..., Any] = jit.compiled(function)
+    return found
 
 
 def address(name: str) -> int:
@@ -188,7 +205,8 @@ def address(name: str) -> int:
 
 def plan(arguments: tuple[Any, ...]) -> tuple[str, tuple[np.dtype[Any], ...]]:
     """Return how arguments are unpacked: a letter a piece (see library.c), and the types of the arrays in them."""
-    letters, dtypes = [], []
+    letters: list[str] = []
+    dtypes: list[np.dtype[Any]] = []
     for one in arguments:
         if isinstance(one, Fields):
             inner, of = plan(one.types)

@@ -1,7 +1,11 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""`python -m impact_rig.kernels`: see `build`."""
+"""`python -m impact_rig.kernels`: build the library, unless it is there and of these sources."""
 
-from impact_rig.kernels.build import main
+from __future__ import annotations
 
-main()
+from impact_rig.kernels import library
+from impact_rig.kernels.build import build
+
+if library() is None:
+    build()

@@ -11,20 +11,22 @@ This uses parts of Numba that are not its public interface: the build pins its v
 
 from __future__ import annotations
 
+import importlib.metadata
 import json
 import os
 import re
 import shlex
 import subprocess
 import sys
+import sysconfig
 import tempfile
 import time
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
+
+from impact_rig.kernels import PACKAGE, VARIABLE, digest
 
 FOLDER = Path(__file__).parent
-PACKAGE = FOLDER.parent
 OUTPUT = "_library.abi3.so"
 PARTS = {
     "mechanics": ("physics.simulation", "physics.motion", "physics.band_pass"),
@@ -32,13 +34,16 @@ PARTS = {
 }
 """What is translated side by side: modules whose import declares the entries."""
 CPU = "x86-64"
+NUMBA = "0.68.1"
+"""The build uses parts of it that other versions may not have."""
 TELL_S = 2.0
 
 
 def sources() -> list[Path]:
     """Return the files that decide the library: those that hold kernels, and those from which these import."""
     texts = {path: path.read_text(encoding="utf-8") for path in PACKAGE.rglob("*.py")}
-    holders = {path for path, text in texts.items() if re.search(r"^from impact_rig\.kernels import", text, re.MULTILINE)}
+    declares = re.compile(r"^from impact_rig\.kernels import", re.MULTILINE)
+    holders = {path for path, text in texts.items() if declares.search(text)}
     found = set(holders)
     for holder in holders:
         for module in re.findall(r"^from impact_rig\.([\w.]+) import", texts[holder], re.MULTILINE):
@@ -47,11 +52,14 @@ def sources() -> list[Path]:
     return sorted(found)
 
 
-def main(arguments: list[str] | None = None) -> None:
-    """Build the library next to the sources, or into the folder that is named; say how far it is."""
-    arguments = sys.argv[1:] if arguments is None else arguments
-    folder = Path(arguments[0]) if arguments else FOLDER
+def build(folder: Path = FOLDER) -> None:
+    """Build the library into a folder, by default next to the sources; say how far it is.
+
+    Raises:
+        SystemExit: no Numba or another one than the build is made for, no C compiler, or one of them failed.
+    """
     began = time.monotonic()
+    _check_numba()
     with tempfile.TemporaryDirectory(prefix="impact_rig_kernels_") as name:
         work = Path(name)
         _translate_all(work)
@@ -67,13 +75,22 @@ def main(arguments: list[str] | None = None) -> None:
     print(f"{len(exports)} compiled functions in {folder / OUTPUT}, {time.monotonic() - began:.0f} s")  # noqa: T201
 
 
+def _check_numba() -> None:
+    try:
+        found = importlib.metadata.version("numba")
+    except importlib.metadata.PackageNotFoundError:
+        found = "none"
+    if found != NUMBA:
+        raise SystemExit(f"kernels are built by Numba {NUMBA}, found: {found}")
+
+
 def _translate_all(work: Path) -> None:
     """Translate all parts side by side, and tell how far they are.
 
     Raises:
         SystemExit: a part failed; its own words are on stderr.
     """
-    environment = {**os.environ, "IMPACT_RIG_KERNELS": "plain", "PYTHONPATH": str(PACKAGE.parent)}
+    environment = {**os.environ, VARIABLE: "plain", "PYTHONPATH": str(PACKAGE.parent)}
     command = [sys.executable, "-c", "from impact_rig.kernels.translate import main; main()"]
     running = {
         part: subprocess.Popen([*command, part, str(work)], env=environment)  # noqa: S603  # ourselves
@@ -85,7 +102,8 @@ def _translate_all(work: Path) -> None:
         if time.monotonic() - told > TELL_S:
             told = time.monotonic()
             done = {part: _read(work / f"{part}.progress") for part in PARTS}
-            print("building kernels: " + ", ".join(f"{part} {text or 'starts'}" for part, text in done.items()), flush=True)  # noqa: T201
+            words = ", ".join(f"{part} {text or 'starts'}" for part, text in done.items())
+            print(f"building kernels: {words}", flush=True)  # noqa: T201
     failed = [part for part, process in running.items() if process.returncode]
     if failed:
         raise SystemExit(f"the kernels of {', '.join(failed)} could not be built: see above")
@@ -98,7 +116,7 @@ def _read(path: Path) -> str:
 def _exports(names: Iterable[str]) -> str:
     """Return the table of what the library holds, and of the sources it is made of."""
     names = list(names)
-    stamps = {str(path.relative_to(PACKAGE)): _digest(path) for path in sources()}
+    stamps = {str(path.relative_to(PACKAGE)): digest(path) for path in sources()}
     declared = "\n".join(f'extern char f{i}[] __asm__("{name}");' for i, name in enumerate(names))
     rows = "\n".join(f'    {{"{name}", f{i}}},' for i, name in enumerate(names))
     return f"""{declared}
@@ -114,20 +132,12 @@ const char kernel_sources[] = {json.dumps(json.dumps(stamps))};
 """
 
 
-def _digest(path: Path) -> str:
-    from impact_rig.kernels import digest  # noqa: PLC0415  # this module is also run by itself
-
-    return digest(path)
-
-
 def _compile(arguments: list[str]) -> None:
     """Call the C compiler.
 
     Raises:
         SystemExit: there is none, or it fails.
     """
-    import sysconfig  # noqa: PLC0415
-
     compiler = shlex.split(os.environ.get("CC", "cc"))
     options = ["-shared", "-fPIC", "-O2", "-Wall", "-Wextra", "-Werror", f"-I{sysconfig.get_paths()['include']}"]
     try:

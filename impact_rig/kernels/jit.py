@@ -9,13 +9,15 @@ import hashlib
 from collections.abc import Callable
 from typing import Any
 
-import numba
 import numpy as np
-from numba.core import types
+from numba import cfunc, from_dtype, njit
+from numba.core import config
+from numba.core import types as _types
 
 from impact_rig.kernels import PACKAGE, Array, Fields, Function, Record, digest
 
-OPTIONS = {"nogil": True, "error_model": "numpy"}
+types: Any = _types  # typed in parts
+OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
 """What Numba is told of every kernel."""
 
 
@@ -26,11 +28,11 @@ def numba_type(kind: Any) -> Any:
     if isinstance(kind, Function):
         return types.FunctionType(signature(kind))
     if isinstance(kind, Record):
-        return numba.from_dtype(kind.dtype)
+        return from_dtype(kind.dtype)
     if isinstance(kind, Array):
-        return types.Array(numba.from_dtype(kind.dtype), kind.dimensions, "C")
+        return types.Array(from_dtype(kind.dtype), kind.dimensions, "C")
     if isinstance(kind, np.dtype):
-        return types.Array(numba.from_dtype(kind), 1, "C")
+        return types.Array(from_dtype(kind), 1, "C")
     if isinstance(kind, tuple):
         return types.BaseTuple.from_types(tuple(map(numba_type, kind)))
     return {float: types.float64, int: types.int64, bool: types.boolean, None: types.none}[kind]
@@ -41,23 +43,23 @@ def signature(kind: Function) -> Any:
     return numba_type(kind.returns)(*map(numba_type, kind.arguments))
 
 
-def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
+def compiled(function: Callable[..., Any]) -> Any:
     """Return a function that is compiled by its first call."""
-    return _kept(lambda: numba.njit(cache=True, **OPTIONS)(function))
+    return _kept(lambda: njit(cache=True, **OPTIONS)(function))
 
 
 def pointer(function: Callable[..., Any], kind: Function) -> Any:
     """Return a function compiled for one signature, with an `address`."""
-    return _kept(lambda: numba.cfunc(signature(kind), nopython=True, error_model="numpy")(function))
+    return _kept(lambda: cfunc(signature(kind), error_model="numpy")(function))
 
 
 def _kept(compile_: Callable[[], Any]) -> Any:
     """Compile with a cache of these sources alone: Numba's own does not see that a function called has changed."""
-    before, numba.config.CACHE_DIR = numba.config.CACHE_DIR, _directory()
+    before, config.CACHE_DIR = config.CACHE_DIR, _directory()
     try:
         return compile_()
     finally:
-        numba.config.CACHE_DIR = before
+        config.CACHE_DIR = before
 
 
 @functools.cache

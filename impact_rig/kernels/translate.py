@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import importlib
 import sys
-from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -19,18 +18,19 @@ import llvmlite.binding as llvm
 from llvmlite import ir
 from numba import njit
 from numba.core import compiler, cpu
-from numba.core.callconv import RETCODE_NONE
 from numba.core.codegen import AOTCodeLibrary
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.registry import cpu_target
 
 import impact_rig.kernels as declared
-from impact_rig.kernels import Entry, Function
+from impact_rig.kernels import Entry, Exported
 from impact_rig.kernels.build import CPU, PARTS
 from impact_rig.kernels.jit import OPTIONS, numba_type
 
-INSIDE = {**OPTIONS, "_nrt": False, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+INSIDE: dict[str, Any] = {**OPTIONS, "_nrt": False, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 """What Numba is told of functions that only kernels call; nothing allocates, so nothing is counted."""
+NOTHING = -2
+"""How a function of Numba's says that it returned None."""
 WORD, STATUS = ir.IntType(64), ir.IntType(32)
 
 
@@ -59,18 +59,19 @@ def main() -> None:
     for module in PARTS[part]:
         importlib.import_module(f"impact_rig.{module}")
     entries = {name: one for name, one in declared.entries.items() if part_of(name) == part}
-    forces = dict(_forces()) if part == "mechanics" else {}
+    forces = declared.exported if part == "mechanics" else {}
     _let_numba_see_kernels()
     context = cpu_target.target_context.with_aot_codegen("impact_rig_kernels", cpu_name=CPU)
     context.__class__ = Context
     context.codegen()._library_class = Library
     vars(cpu_target)["_toplevel_target_context"] = context  # of every function that is called, too
     libraries: dict[int, Any] = {}
+    wanted: list[tuple[str, Entry | Exported]] = [*entries.items(), *forces.items()]
     with global_compiler_lock:
-        for done, (name, one) in enumerate([*entries.items(), *forces.items()]):
-            (work / f"{part}.progress").write_text(f"{done} of {len(entries) + len(forces)}")
+        for done, (name, one) in enumerate(wanted):
+            (work / f"{part}.progress").write_text(f"{done} of {len(wanted)}")
             _collect(_translated(context, name, one), libraries)
-        names = [*entries, *forces]
+        names = [name for name, _ in wanted]
         (work / f"{part}.progress").write_text("optimised")
         (work / f"{part}.o").write_bytes(_object(context, libraries.values(), set(names)))
     (work / f"{part}.names").write_text("\n".join(names))
@@ -81,37 +82,27 @@ def part_of(name: str) -> str:
     return "mechanics" if name.startswith(("physics.", "arithmetic.")) else "instruments"
 
 
-def _forces() -> Iterator[tuple[str, tuple[Callable[..., Any], Function]]]:
-    """Yield the forces of all laws of the package with their types, each once."""
-    from impact_rig.physics.contact import ContactPair  # noqa: PLC0415  # only one part has them
-    from impact_rig.physics.contact.compiled_force import AT_STAGES, ONE, at_stages_of, name_of  # noqa: PLC0415
-    from impact_rig.physics.contact.registry import LAWS  # noqa: PLC0415
-
-    for function in {law().force(ContactPair(1.0, 1.0)).function for law in LAWS.values()}:
-        yield f"{name_of(function)}.one", (function, ONE)
-        inner = njit(**INSIDE)(function)
-        yield f"{name_of(function)}.at_stages", (at_stages_of(inner), AT_STAGES)
-
-
 def _let_numba_see_kernels() -> None:
     """Put what Numba can call in the place of every kernel, in all modules that have imported it."""
-    seen = {
-        function: njit(**INSIDE)(function)
-        for function in declared.kernels
-    }
+    seen = {function: njit(**INSIDE)(function) for function in declared.kernels}
     for module in [found for name, found in sys.modules.items() if name.startswith("impact_rig.")]:
         for name, value in list(vars(module).items()):
-            value = getattr(value, "__wrapped__", value)  # as plain Python, some are wrapped
-            if callable(value) and value.__hash__ and value in seen:
-                setattr(module, name, seen[value])
+            function = getattr(value, "__wrapped__", value)  # as plain Python, some are wrapped
+            if callable(function) and function.__hash__ and function in seen:
+                setattr(module, name, seen[function])
 
 
-def _translated(context: Any, name: str, one: Entry | tuple[Callable[..., Any], Function]) -> Any:
+def _translated(context: Any, name: str, one: Entry | Exported) -> Any:
     """Return the library that holds a function under its exported name, with the ones that it calls."""
     flags = compiler.Flags()
     flags.no_cpython_wrapper, flags.no_cfunc_wrapper = True, isinstance(one, Entry)
-    flags.nrt, flags.error_model, flags.release_gil = False, OPTIONS["error_model"], True
-    function, arguments, returns = one if isinstance(one, Entry) else (one[0], *one[1])
+    flags.nrt, flags.error_model, flags.release_gil = False, str(OPTIONS["error_model"]), True
+    if isinstance(one, Entry):
+        function, arguments, returns = one
+    else:
+        function, (arguments, returns) = one.function, one.type
+        if one.around is not None:
+            function = one.around(njit(**INSIDE)(function))
     types = tuple(map(numba_type, arguments))
     found = compiler.compile_extra(cpu_target.typing_context, context, function, types, numba_type(returns), flags, {})
     if found.signature.return_type != numba_type(returns):
@@ -128,7 +119,7 @@ def _translated(context: Any, name: str, one: Entry | tuple[Callable[..., Any], 
 
 
 def _from_slots(context: Any, module: Any, name: str, described: Any) -> None:
-    """Define the function `name` that loads the arguments of another from slots, calls it, and stores what it returns."""
+    """Define the function `name`: it calls another with arguments from slots, and stores what that returns."""
     words = WORD.as_pointer()
     around = ir.Function(module, ir.FunctionType(STATUS, [words, words]), name)
     kind = context.call_conv.get_function_type(described.restype, described.argtypes)
@@ -153,7 +144,7 @@ def _from_slots(context: Any, module: Any, name: str, described: Any) -> None:
         if isinstance(part.type, ir.IntType):
             wide = builder.zext(part, WORD) if part.type.width < WORD.width else part
             builder.store(wide, builder.gep(around.args[1], [WORD(i)]))
-    none = builder.icmp_signed("==", status, STATUS(RETCODE_NONE.value if hasattr(RETCODE_NONE, "value") else -2))
+    none = builder.icmp_signed("==", status, STATUS(NOTHING))
     builder.ret(builder.select(none, STATUS(0), status))
 
 

@@ -27,8 +27,8 @@ from impact_rig.physics.flight import STOPPED, aim, carry, fly, look, rounding
 from impact_rig.physics.forcing import SEGMENT, Forcing, bound_omega, transfer
 from impact_rig.physics.foresight import forget
 from impact_rig.physics.indentation import turned_at
-from impact_rig.physics.outcome import leap, look_up
 from impact_rig.physics.model import MODEL
+from impact_rig.physics.outcome import leap, look_up
 from impact_rig.physics.pair import expand
 from impact_rig.physics.parameters import HELD, LOOSE
 from impact_rig.physics.state import (

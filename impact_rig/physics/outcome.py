@@ -78,9 +78,9 @@ TABLE = np.dtype(
 
 @entry(PARAMETERS, FORCE, float, REALS, STATE, PRESS, REALS, returns=bool)
 def nudged(parameters, force, eta_0, nudges, states, steps, out):  # type: ignore[no-untyped-def]  # types are inferred
-    """Integrate one contact in its own units under η_0 and `nudges` = (η_1, η_2, α, γ); fill `out`, shape (QUANTITIES,).
+    """Integrate one contact in its own units under η_0 and `nudges` = (η_1, η_2, α, γ).
 
-    Returns whether the sphere left.
+    Fills `out`, shape (QUANTITIES,), and returns whether the sphere left.
     """
     p, s, k, eta_1, eta_2 = parameters[0], states[0], steps[0], nudges[0], nudges[1]
     p.pair_stiffness, p.pair_damping = nudges[2], nudges[3]

@@ -23,8 +23,8 @@ from impact_rig.physics.collocation import LAST
 from impact_rig.physics.flight import launch
 from impact_rig.physics.forcing import SEGMENT, Forcing, bound_omega, drive, particular, transfer, turned
 from impact_rig.physics.foresight import foreseen, forget, remember
-from impact_rig.physics.model import MODEL
 from impact_rig.physics.indentation import begin_step, solve
+from impact_rig.physics.model import MODEL
 from impact_rig.physics.pair import add_recoil, expand, moved
 from impact_rig.physics.parameters import HELD, LOOSE, PRESCRIBED, VOLTAGE
 from impact_rig.physics.state import ATTACHED, COIL, CONTACT, FLIGHT, PRESS, STATE, V1, VB, X1, XB, record

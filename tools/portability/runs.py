@@ -21,8 +21,6 @@ from impact_rig.physics import outcome
 from impact_rig.physics.contact import LAWS, ContactPair
 from impact_rig.physics.contact.compiled_force import compiled_force
 from impact_rig.physics.model import unit_parameters
-from impact_rig.physics.state import PRESS, STATE
-from impact_rig.physics.state import record as state_record
 from impact_rig.rig import Rig
 from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.simtime import NS_PER_S

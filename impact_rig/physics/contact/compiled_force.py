@@ -1,6 +1,6 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""A law's force as kernels call it: function pointers of one type whatever the law, so that one event loop calls them all.
+"""A law's force as kernels call it: function pointers of one type whatever the law, for one event loop.
 
 The forces of the package's own laws are in the library. That of a law from elsewhere is compiled by Numba where it is
 installed, and its address handed over; without Numba the library calls back into plain Python.
@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from impact_rig import kernels
-from impact_rig.kernels import Fields, Function, Pointer, Record
+from impact_rig.kernels import Exported, Fields, Function, Pointer, Record
 from impact_rig.physics.collocation import STAGES
 from impact_rig.physics.contact.law import ForceFunction
 from impact_rig.physics.parameters import PARAMETERS
@@ -55,6 +55,12 @@ def at_stages_of(one: Any) -> Any:
     return at_stages
 
 
+def declare(function: ForceFunction) -> None:
+    """Let the library hold a law's force."""
+    kernels.exported[f"{name_of(function)}.one"] = Exported(function, ONE)
+    kernels.exported[f"{name_of(function)}.at_stages"] = Exported(function, AT_STAGES, at_stages_of)
+
+
 def name_of(function: ForceFunction) -> str:
     """Return the name under which the library holds a force, less `.one` or `.at_stages`."""
     return f"force.{function.__module__}.{function.__qualname__}"
@@ -89,7 +95,7 @@ def _callback_one(function: ForceFunction) -> Pointer:
 
     def one(out: Any, *numbers: float) -> int:
         out.contents[:] = 5 * [math.nan]  # where the function raises: the contact then fails instead of going on
-        out.contents[:] = function(*numbers)  # type: ignore[arg-type]  # six of them
+        out.contents[:] = function(*numbers)
         return ctypes.addressof(out.contents)
 
     return _pointer(ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.POINTER(results), *6 * (ctypes.c_double,))(one))
@@ -102,7 +108,8 @@ def _callback_at_stages(function: ForceFunction) -> Pointer:
         step.contents.force[:] = STAGES * [math.nan]
         inner(parameters.contents, per_v0, step.contents)
 
-    parameters, step = (ctypes.POINTER(np.ctypeslib.as_ctypes_type(kind)) for kind in (PARAMETERS, PRESS))
+    layout: Any = np.ctypeslib.as_ctypes_type
+    parameters, step = ctypes.POINTER(layout(PARAMETERS)), ctypes.POINTER(layout(PRESS))
     return _pointer(ctypes.CFUNCTYPE(None, parameters, ctypes.c_double, step)(at_stages))
 
 

@@ -8,7 +8,8 @@ import importlib
 import pkgutil
 from pathlib import Path
 
-from impact_rig.physics.contact.law import ContactLaw
+from impact_rig.physics.contact.compiled_force import declare
+from impact_rig.physics.contact.law import ContactLaw, ContactPair
 
 
 def _found() -> dict[str, type[ContactLaw]]:
@@ -28,3 +29,6 @@ _MACHINERY = frozenset({"compiled_force", "law", "registry", "section"})
 
 LAWS: dict[str, type[ContactLaw]] = _found()
 """Every contact law by its name, in alphabetical order."""
+
+for _law in LAWS.values():
+    declare(_law().force(ContactPair(1.0, 1.0)).function)
