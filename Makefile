@@ -50,12 +50,17 @@ $(ENVIRONMENT): requirements/common.txt requirements/$(ROS).txt
 	@printf '%s' '$(CURDIR)' > $(VENV)/made-in
 	@touch $(VENV)/ready-$(ROS) $@
 
+# Without a C compiler there is no library of kernels: Numba then compiles each at its first call.
+BUILD_KERNELS = $(VENV)/bin/python -m impact_rig.kernels || echo 'going on without: the first start takes a minute'
+
 $(PACKAGE): $(ENVIRONMENT) setup.py setup.cfg package.xml
+	@$(BUILD_KERNELS)
 	@$(VENV)/bin/python -m pip install --quiet --disable-pip-version-check --no-input \
 	    --no-deps --no-build-isolation --no-index --editable .
-	@mkdir -p build
-	@$(VENV)/bin/impact-rig compile
 	@touch $@
+
+kernels: $(PACKAGE)
+	@$(BUILD_KERNELS)
 
 # --- Targets ----------------------------------------------------------------------------------------------------------
 .PHONY: help lab demo campaign docs figures test lint generate format bench fuzz portability soak colcon venv lock clean

@@ -4,10 +4,14 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
-from setuptools import find_packages, setup
+from setuptools import Extension, find_packages, setup
+from setuptools.command.build_ext import build_ext
+from setuptools.errors import CompileError
 
 HERE = Path(__file__).parent
 PACKAGE = ET.parse(HERE / "package.xml").getroot()  # noqa: S314  # our own file
@@ -26,6 +30,17 @@ def files(pattern: str) -> list[str]:
     return sorted(str(path.relative_to(HERE)) for path in HERE.glob(pattern))
 
 
+class BuildKernels(build_ext):
+    """Puts the library of compiled kernels into what is built; where that cannot be had, Numba compiles at run time."""
+
+    def build_extension(self, ext: Extension) -> None:
+        folder = Path(self.get_ext_fullpath(ext.name)).absolute().parent
+        try:
+            subprocess.run([sys.executable, "-m", "impact_rig.kernels", str(folder)], cwd=HERE, check=True)
+        except subprocess.CalledProcessError as error:
+            raise CompileError(str(error)) from None
+
+
 setup(
     name=NAME,
     version=PACKAGE.findtext("version"),
@@ -34,7 +49,10 @@ setup(
     maintainer=MAINTAINER.text,
     maintainer_email=MAINTAINER.get("email"),
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
-    package_data={NAME: ["py.typed", "lab/static/*"]},
+    package_data={NAME: ["py.typed", "kernels/library.c", "lab/static/*"]},
+    ext_modules=[Extension(f"{NAME}.kernels._library", [], py_limited_api=True, optional=True)],
+    cmdclass={"build_ext": BuildKernels},
+    options={"bdist_wheel": {"py_limited_api": "cp311"}},  # one file for every Python
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
@@ -55,7 +73,6 @@ setup(
         "attrs>=23.2",
         "matplotlib>=3.6",
         "mcap>=1.5",  # the first whose writer can close a chunk on request; brings lz4 and zstandard
-        "numba>=0.59",  # the first for Python 3.12
         "numpy>=1.26",
         "PyYAML>=6.0",
         "rich>=13.7",
@@ -64,6 +81,7 @@ setup(
     extras_require={
         # for machines without an apt-installed ROS 2 only: never mix the two, so these are never a requirement
         "wheels": [*ROS_WHEELS, "pytest"],  # pytest: see docs/testing.md
+        "jit": ["numba>=0.59"],  # contact laws of one's own, compiled; and kernels where no library was built
         "lab": ["aiohttp>=3.9", "uplot-python>=1.1"],  # `impact-rig lab`; 3.9 is that of Ubuntu 24.04
         "completion": ["argcomplete>=3.1"],  # `impact-rig completion`; 3.1 is that of Ubuntu 24.04
         "cluster": ["distributed>=2024.1"],  # `impact-rig campaign --through dask`

@@ -1,0 +1,127 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""The library of compiled kernels: it is what runs, it belongs to these sources, and a wrong type calls nothing.
+
+That its bits are those of Numba's own compiler and of plain Python is in test_digests.py.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from impact_rig import kernels
+from impact_rig.arithmetic.random import fill_normal
+from impact_rig.instruments import pieces
+from impact_rig.physics import event_loop
+from impact_rig.physics.state import STATE
+from impact_rig.rig.interlock import largest
+
+needs_library = pytest.mark.skipif(kernels.MODE != "library", reason="kernels run otherwise here")
+
+RIG = """
+import sys
+{before}
+from impact_rig import kernels
+from impact_rig.rig import Rig
+from impact_rig.rig.config import RigConfig
+{law}
+rig = Rig(RigConfig(), 0)
+rig.accept(9.1, 0.52)
+import hashlib
+found = hashlib.sha256()
+for block in rig.advance({ms} * 1_000_000):
+    found.update(block.scan.rows.tobytes())
+print(kernels.MODE, found.hexdigest())
+"""
+WITHOUT_NUMBA = "sys.modules.update(numba=None, llvmlite=None)"
+OWN_LAW = '''
+from impact_rig.physics.contact import law
+exec("""
+def own(stiffness, factor, per_v0, turned_at, w, speed):
+    hertz = stiffness * w * w * w
+    damping = factor * per_v0
+    pressing = 1.0 + damping * speed
+    return hertz, hertz * damping * speed, 0.4 * hertz * w * w, 3.0 * stiffness * w * w * pressing, hertz * damping
+""", vars(law) | {"__name__": "somewhere"}, found := {})
+law._hertz_damped = found["own"]
+'''
+
+
+def run(before: str = "", law: str = "", ms: int = 200, **environment: str) -> list[str]:
+    program = RIG.format(before=before, law=law, ms=ms)
+    done = subprocess.run(
+        [sys.executable, "-c", program], env=os.environ | environment, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    return [*done.stdout.split(), done.stderr]
+
+
+@needs_library
+def test_a_rig_runs_without_numba() -> None:
+    mode, _, stderr = run(WITHOUT_NUMBA)
+    assert (mode, stderr) == ("library", "")
+
+
+@needs_library
+def test_a_law_from_elsewhere_runs_compiled_by_numba_or_as_plain_python() -> None:
+    """The same force as the package's own: the same bits, whichever way it is called."""
+    _, ours, _ = run(ms=500)
+    assert run(law=OWN_LAW, ms=500)[:2] == ["library", ours]
+    blocked = f"import importlib.util as u; f = u.find_spec; u.find_spec = lambda n, *a: None if n == 'numba' else f(n, *a)\n{WITHOUT_NUMBA}"
+    mode, plain, stderr = run(blocked, OWN_LAW, ms=500)
+    assert (mode, plain) == ("library", ours)
+    assert "own runs as plain Python" in stderr
+
+
+@needs_library
+def test_a_library_of_other_sources_is_not_loaded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    built = kernels.library()
+    assert built is not None
+    monkeypatch.setattr(kernels, "PACKAGE", tmp_path)
+    assert kernels.library() is None
+
+
+@needs_library
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda: fill_normal(np.zeros(4, np.int64), np.zeros(3)), "array 0 must hold dtype\\('uint64'\\)"),
+        (lambda: fill_normal(np.zeros(4, np.uint64), np.zeros((3, 1))), "array 1 must have 1 dimensions, got 2"),
+        (lambda: fill_normal(np.zeros(4, np.uint64)), "got 1 arguments"),
+        (lambda: fill_normal(np.zeros(4, np.uint64), np.zeros(3), 1), "got 3 arguments"),
+        (lambda: fill_normal(np.zeros(4, np.uint64), [0.0]), "no attribute 'dtype'"),
+        (lambda: largest(np.zeros((2, 3)), np.zeros((2, 3)), "fast", np.zeros(2)), "must be real number"),
+        (lambda: pieces._cut(np.zeros(0, np.int64), np.zeros(0), 0, (1.0, 2.0), ()), "expected a tuple of 3"),
+        (lambda: event_loop.run((np.zeros(1, STATE),) * 4, 1, 1, 1, 1, 1), "array 0 must hold"),
+    ],
+)
+def test_what_was_not_built_is_refused(call: object, words: str) -> None:
+    """Nothing is called with a type it was not made for: a wrong one would write where it must not."""
+    with pytest.raises((TypeError, AttributeError), match=words):
+        call()
+
+
+@needs_library
+def test_an_array_that_is_not_in_c_order_is_refused() -> None:
+    with pytest.raises(ValueError, match="not C-contiguous"):
+        largest(np.zeros((4, 3))[::2], np.zeros((2, 3)), 1.0, np.zeros(2))
+
+
+def test_kernels_are_declared_with_types_that_fit_their_functions() -> None:
+    for name, one in kernels.entries.items():
+        assert one.function.__code__.co_argcount == len(one.arguments), name
+
+
+@pytest.mark.parametrize("asked", ["quick", "LIBRARY"])
+def test_an_unknown_way_to_run_kernels_is_named(asked: str) -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", "import impact_rig.kernels"],
+        env=os.environ | {kernels.VARIABLE: asked}, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert f"must be one of library, jit, plain, got '{asked}'" in done.stderr
