@@ -40,6 +40,11 @@ for block in rig.advance({ms} * 1_000_000):
 print(kernels.MODE, found.hexdigest())
 """
 WITHOUT_NUMBA = "sys.modules.update(numba=None, llvmlite=None)"
+NO_NUMBA_FOUND = """
+from importlib import util
+find = util.find_spec
+util.find_spec = lambda name, *more: None if name == "numba" else find(name, *more)
+"""
 OWN_LAW = '''
 from impact_rig.physics.contact import law
 exec("""
@@ -73,7 +78,7 @@ def test_a_law_from_elsewhere_runs_compiled_by_numba_or_as_plain_python() -> Non
     """The same force as the package's own: the same bits, whichever way it is called."""
     _, ours, _ = run(ms=500)
     assert run(law=OWN_LAW, ms=500)[:2] == ["library", ours]
-    blocked = f"import importlib.util as u; f = u.find_spec; u.find_spec = lambda n, *a: None if n == 'numba' else f(n, *a)\n{WITHOUT_NUMBA}"
+    blocked = f"{NO_NUMBA_FOUND}{WITHOUT_NUMBA}"
     mode, plain, stderr = run(blocked, OWN_LAW, ms=500)
     assert (mode, plain) == ("library", ours)
     assert "own runs as plain Python" in stderr
