@@ -7,6 +7,7 @@ from __future__ import annotations
 import functools
 import hashlib
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -45,7 +46,8 @@ def signature(kind: Function) -> Any:
 
 def compiled(function: Callable[..., Any]) -> Any:
     """Return a function that is compiled by its first call."""
-    return _kept(lambda: njit(cache=True, **OPTIONS)(function))
+    kept = Path(function.__code__.co_filename).is_file()  # what was typed in cannot be
+    return _kept(lambda: njit(cache=kept, **OPTIONS)(function))
 
 
 def pointer(function: Callable[..., Any], kind: Function) -> Any:

@@ -120,6 +120,8 @@ def test_an_extreme_between_two_looks_is_found(frequency_hz: float, phase: float
     instants, fine = np.arange(LOOKS_PER_TICK + 1) * LOOK_S, np.linspace(0.0, LOOKS_PER_TICK * LOOK_S, 100_001)
     position = offset + np.sin(omega * instants + phase)
     velocity = omega * np.cos(omega * instants + phase)
-    found = largest(position[np.newaxis], velocity[np.newaxis], LOOK_S)[0]
+    extreme = np.empty(1)
+    largest(position[np.newaxis], velocity[np.newaxis], LOOK_S, extreme)
+    found = extreme[0]
     true = np.abs(offset + np.sin(omega * fine + phase)).max()
     assert found == pytest.approx(true, abs=(omega * LOOK_S) ** 4 / 384 + 1e-9)
