@@ -233,7 +233,7 @@ TARGETS = (
         | st.tuples(mutated(UNFINISHED), st.sampled_from(TAILS))
         | st.sampled_from(list(zip(UNFINISHED, TAILS, strict=True))),
         mcap_recover,
-        ("runs/recovery.py", "runs/salvage.py", "recording/tail.py"),
+        ("runs/recovery.py", "recording/tail.py"),
     ),
     Target("journal", journals(), journal, ("rig/journal.py", "rig/resimulation.py")),
     Target(

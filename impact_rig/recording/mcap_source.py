@@ -212,7 +212,9 @@ def topics_of(summary: Summary) -> dict[int, TopicDescription]:
 
     Raises:
         DamageError: a channel refers to a schema that is not there.
+        BudgetError: there are too many.
     """
+    budget.allow("topics", len(summary.channels), budget.TOPICS)
     topics = {}
     for channel in summary.channels.values():
         schema = summary.schemas.get(channel.schema_id)

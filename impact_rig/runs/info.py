@@ -16,9 +16,9 @@ from impact_rig.recording.description import matches
 from impact_rig.recording.provenance import CONFIGURATION
 from impact_rig.recording.reader import Message, Run, open_run
 from impact_rig.recording.records import DamageError
-from impact_rig.runs import recovery_record
+from impact_rig.runs import recovery
 from impact_rig.runs.contiguity import Contiguity, check_contiguity, scan_rate_hz
-from impact_rig.runs.recovery_record import Recovered
+from impact_rig.runs.recovery import Recovered
 from impact_rig.simtime import NS_PER_S
 
 
@@ -126,7 +126,7 @@ def info(path: Path | str) -> RunInfo:
             provenance = run.provenance
             attachments = run.attachments()
             account = losses.read_record(run.record(losses.RECORD_NAME))
-            recovered = recovery_record.read(run.record(recovery_record.NAME))
+            recovered = recovery.read_record(run.record(recovery.RECORD_NAME))
             for message in run.messages(recorded_order=True):
                 tally.add(message)
         except DamageError as error:
