@@ -22,12 +22,13 @@ from impact_rig import codec, topics
 from impact_rig.blocks import Table
 from impact_rig.errors import CodecError, RecordingError
 from impact_rig.recording import bag_metadata, records
-from impact_rig.recording.description import TopicDescription, resolve
+from impact_rig.recording.description import TopicDescription, matches, resolve
 from impact_rig.recording.mcap_source import McapSource
 from impact_rig.recording.provenance import RECORD_NAME, verify
 from impact_rig.recording.records import DamageError
 from impact_rig.system import budget, files, plain_yaml
 from impact_rig.system.budget import BudgetError, Spending
+from impact_rig.topics import Topic
 
 _TRAILING_NUMBER = re.compile(r"_(\d+)$")
 
@@ -174,14 +175,36 @@ class Run:
         names = None if topics is None else frozenset(self.resolve(topic) for topic in topics)
         return self._merge(names, start_ns, end_ns, recorded_order=recorded_order)
 
-    def tables(self, topic: str, *, recorded_order: bool = False) -> Iterator[Table]:
+    def holds(self, topic: str | Topic) -> bool:
+        """Return whether a topic was recorded, under whatever namespace."""
+        return any(matches(name, topic if isinstance(topic, str) else topic.name) for name in self.topics)
+
+    def tables(self, topic: str | Topic, *, recorded_order: bool = False) -> Iterator[Table]:
         """Yield the tables of a PointCloud2 topic in log-time order, or as they arrived.
 
+        Args:
+            topic: a name: whatever tables were recorded under it; a row of `topics`: they are `codec.checked`.
+            recorded_order: as they arrived.
+
         Raises:
-            RecordingError: the topic is not there, carries no tables, or is damaged.
+            RecordingError: the topic is not there, carries no tables, or is damaged; or tables are none of the topic.
         """
-        name = self._table_topic(topic)
-        return (table for _, table in self._tables(name, self.messages([name], recorded_order=recorded_order)))
+        known = None if isinstance(topic, str) else topic
+        name = self._table_topic(topic if isinstance(topic, str) else topic.name)
+        return (self.table(message, known) for message in self.messages([name], recorded_order=recorded_order))
+
+    def table(self, message: Message, topic: Topic | None = None, needs: tuple[str, ...] = ()) -> Table:
+        """Return the table in a message of this run, `codec.checked` if its topic is given.
+
+        Raises:
+            RecordingError: it is none.
+        """
+        try:
+            return codec.decode(message.data, topic, needs)
+        except CodecError as error:
+            raise RecordingError(
+                f"{self.path}: {message.topic} at {message.log_time} ns is no table that can be read: {error}"
+            ) from error
 
     def published_tables(self, topic: str) -> Iterator[tuple[int, Table]]:
         """Return the tables of a topic like `tables`, each with its publish time [ns of the system's clock].
@@ -190,14 +213,7 @@ class Run:
             RecordingError: as `tables`.
         """
         name = self._table_topic(topic)
-        return self._tables(name, self.messages([name]))
-
-    def _tables(self, name: str, messages: Iterator[Message]) -> Iterator[tuple[int, Table]]:
-        for message in messages:
-            try:
-                yield message.publish_time, codec.decode(message.data)
-            except CodecError as error:
-                raise RecordingError(f"{self.path}: {name} at {message.log_time} ns is no table: {error}") from error
+        return ((message.publish_time, self.table(message)) for message in self.messages([name]))
 
     def _table_topic(self, topic: str) -> str:
         name = self.resolve(topic)
