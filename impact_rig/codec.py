@@ -281,6 +281,20 @@ def header_stamp_ns(data: Buffer) -> int:
     return int(seconds) * NS_PER_S + int(nanoseconds)
 
 
+def joint_state(data: Buffer) -> tuple[int, tuple[NDArray[np.float64], ...]]:
+    """Return stamp [ns] and the positions, velocities and efforts of a serialised `sensor_msgs/JointState`.
+
+    Raises:
+        CodecError: it is none.
+    """
+    stamp = header_stamp_ns(data)
+    cursor = _Cursor(memoryview(data).cast("B"), _ORIGIN + _STAMP.size)
+    cursor.text("frame_id")
+    for _ in range(cursor.u4("number of names")):
+        cursor.text("name of a joint")
+    return stamp, tuple(cursor.numbers(what) for what in ("position", "velocity", "effort"))
+
+
 @attrs.define
 class _Cursor:
     """Reads a CDR stream; nothing is read that is not there."""
@@ -303,6 +317,12 @@ class _Cursor:
     def u4(self, what: str) -> int:
         self.position += (_ORIGIN - self.position) % 4
         return int(_U4.unpack_from(self.view, self.take(4, what))[0])
+
+    def numbers(self, what: str) -> NDArray[np.float64]:
+        count = self.u4(f"number of values of {what}")
+        if count:
+            self.position += (_ORIGIN - self.position) % 8
+        return np.frombuffer(self.view, "<f8", count, self.take(8 * count, what))
 
     def text(self, what: str) -> str:
         length = self.u4(f"length of {what}")

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import bisect
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Generator, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from types import TracebackType
@@ -160,7 +160,7 @@ class Run:
         start_ns: int | None = None,
         end_ns: int | None = None,
         recorded_order: bool = False,
-    ) -> Iterator[Message]:
+    ) -> Generator[Message, None, None]:
         """Yield messages in log-time order; equal times in the order they were recorded.
 
         Args:
@@ -256,7 +256,7 @@ class Run:
 
     def _merge(
         self, names: frozenset[str] | None, start_ns: int | None, end_ns: int | None, *, recorded_order: bool
-    ) -> Iterator[Message]:
+    ) -> Generator[Message, None, None]:
         places = [
             _Place(source, index)
             for source in self.sources

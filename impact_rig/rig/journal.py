@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import enum
 import itertools
+import struct
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 import attrs
@@ -73,6 +74,27 @@ class Entry:
     key: str
     value: float
     text: bytes
+
+    @classmethod
+    def of(cls, table: Table, row: np.void) -> Entry:
+        """Return a row of a checked table.
+
+        Raises:
+            ConfigError: its kind is unknown.
+        """
+        kind = bytes(row["kind"]).decode()
+        try:
+            known = Kind(kind)
+        except ValueError:
+            raise ConfigError(f"journal row of unknown kind {kind!r}") from None
+        stamp = table.stamp_ns + round(float(row["time"]) * NS_PER_S)
+        key, text = bytes(row["key"]).decode(), bytes(row["text"])
+        return cls(stamp, int(row["sample"]), int(row["sequence"]), known, key, float(row["value"]), text)
+
+    def same(self, other: Entry) -> bool:
+        """Return whether two rows are the same bit for bit."""
+        ours, theirs = (attrs.evolve(one, value=0.0) for one in (self, other))
+        return ours == theirs and struct.pack("<d", self.value) == struct.pack("<d", other.value)
 
 
 class Journal:
@@ -243,16 +265,7 @@ def _entries(table: Table) -> Iterator[Entry]:
     except CodecError as error:
         raise ConfigError(str(error)) from error
     for row in rows:
-        stamp = table.stamp_ns + round(float(row["time"]) * NS_PER_S)
-        kind = bytes(row["kind"]).decode()
-        try:
-            known = Kind(kind)
-        except ValueError:
-            raise ConfigError(f"journal row of unknown kind {kind!r}") from None
-        yield Entry(
-            stamp, int(row["sample"]), int(row["sequence"]), known, bytes(row["key"]).decode(), float(row["value"]),
-            bytes(row["text"]),
-        )  # fmt: skip
+        yield Entry.of(table, row)
 
 
 def values_of(entries: Iterable[Entry]) -> dict[str, Value]:

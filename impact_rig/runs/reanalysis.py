@@ -97,7 +97,7 @@ def _as_set_live(run: Run) -> tuple[TrackerSettings, list[GapLabel]]:
 
 def remarks(run: Run) -> list[str]:
     """Return what the operator noted, in order."""
-    return [_text(message.data) for message in run.messages([topics.NOTES.name])] if run.holds(topics.NOTES) else []
+    return [text_of(message.data) for message in run.messages([topics.NOTES.name])] if run.holds(topics.NOTES) else []
 
 
 def measurements(findings: Iterator[Findings]) -> list[Table]:
@@ -110,7 +110,7 @@ def rows(tables: list[Table]) -> NDArray[np.void]:
     return np.concatenate([table.rows for table in tables]) if tables else np.empty(0, TRANSMISSIBILITY)
 
 
-def _text(cdr: bytes | memoryview) -> str:
+def text_of(cdr: bytes | memoryview) -> str:
     """Return the text of a serialized std_msgs/String: 4 bytes of encapsulation, length with terminator, UTF-8."""
     length = int.from_bytes(cdr[4:8], "little")
     return bytes(cdr[8 : 8 + max(0, length - 1)]).decode(errors="replace")

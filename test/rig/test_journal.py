@@ -125,6 +125,6 @@ def test_a_view_takes_nothing_of_a_table_it_does_not_understand() -> None:
     view.take(Table(0, rows[:1]))
     rows["kind"][1] = b"unheard"
     for table in (Table(0, rows), Table(0, np.zeros(1, [("time", "f8")]))):
-        with pytest.raises(ConfigError, match="unknown kind 'unheard'|'sample', 'sequence', .* is missing"):
+        with pytest.raises(ConfigError, match=r"unknown kind 'unheard'|'sample', 'sequence', .* is missing"):
             view.take(table)
     assert view.drive == {"frequency": 0.0}
