@@ -9,6 +9,7 @@ what is complete to the file and cuts the file back to the last whole record if 
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import io
 import os
 import resource
@@ -212,12 +213,16 @@ class McapFile:
 
 
 def _create(path: Path) -> int:
+    """Create a file, locked as long as this process writes it: a reader sees by that whether its writer lives."""
     try:
-        return os.open(path, NEW_FILE, 0o644)
+        fd = os.open(path, NEW_FILE, 0o644)
     except FileExistsError as error:
         raise RecordingError(f"{path} exists already and is not overwritten") from error
     except OSError as error:
         raise RecordingError(f"{path} cannot be created: {error.strerror}") from error
+    with contextlib.suppress(OSError):  # a file system without locks
+        fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    return fd
 
 
 def _write_all(fd: int, data: memoryview) -> None:

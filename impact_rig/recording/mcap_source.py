@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import zlib
 from collections.abc import Mapping
@@ -21,6 +22,10 @@ from impact_rig.system.budget import BudgetError
 from impact_rig.system.files import open_regular
 
 _REMEDY = "impact-rig recover gives back what is whole"
+_BEING_WRITTEN = (
+    "it is being recorded now: it can be read when the recording has ended (Ctrl-C, or ~/stop of the recorder); "
+    "impact-rig recover gives a copy of what is there so far"
+)
 
 
 @attrs.frozen
@@ -53,6 +58,9 @@ class McapSource:
             self.summary = read_summary(self._fd, self.size)
             self.topics = topics_of(self.summary)
         except DamageError as error:
+            if self._is_being_written():
+                self.close()
+                raise RecordingError(f"{path}: {_BEING_WRITTEN}") from error
             self.close()
             raise DamageError(f"{path}: {error}; {_REMEDY}") from error
         except BudgetError as error:
@@ -67,6 +75,17 @@ class McapSource:
         if self._fd >= 0:
             os.close(self._fd)
             self._fd = -1
+
+    def _is_being_written(self) -> bool:
+        """Return whether the process lives that writes the file: it holds a lock on it."""
+        try:
+            fcntl.flock(self._fd, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return True
+        except OSError:
+            return False
+        fcntl.flock(self._fd, fcntl.LOCK_UN)
+        return False
 
     def chunk(self, index: records.ChunkIndex) -> memoryview:
         """Return the records of a chunk, decompressed and checked.

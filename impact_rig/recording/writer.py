@@ -12,7 +12,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from types import TracebackType
+from types import MappingProxyType, TracebackType
 
 import attrs
 
@@ -30,6 +30,8 @@ from impact_rig.recording.provenance import RECORD_NAME, TOPIC_RECORD_NAME, Atta
 from impact_rig.recording.schema import starts_with_header
 from impact_rig.recording.tail import Tail
 
+CONTINUES_RECORD_NAME = "impact_rig/continues"
+"""Metadata record of a file of a split run that another one follows: its name."""
 CHUNK_BYTES = 512 * 1024
 """Uncompressed size at which a chunk is closed: 4 MiB stall the writer for 25 ms, a few hundred KiB for 1-3 ms."""
 CHUNK_OPEN_S = 0.5
@@ -292,15 +294,15 @@ class RunWriter:
         return too_long or 0 < self._max_file_bytes <= self._file.size
 
     def _next_file(self) -> None:
-        self._finish_file()
+        self._finish_file({CONTINUES_RECORD_NAME: {"file": f"{self.directory.name}_{len(self._spans)}.mcap"}})
         self._bytes_before += self._file.size
         self._open_file()
 
-    def _finish_file(self) -> None:
+    def _finish_file(self, further: Mapping[str, Mapping[str, str]] = MappingProxyType({})) -> None:
         try:
             self._file.close_chunk()
             self._file.add_metadata(bag_metadata.RECORD_NAME, bag_metadata.record(self._information()))
-            for name, record in {LOSSES_RECORD_NAME: self._account.to_record(), **self._closing()}.items():
+            for name, record in {LOSSES_RECORD_NAME: self._account.to_record(), **self._closing(), **further}.items():
                 if record:
                     self._file.add_metadata(name, protect(record))
             self._file.finish()
