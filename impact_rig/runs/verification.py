@@ -69,7 +69,7 @@ class Verification:
         if self.identical is None:
             return f"not verifiable here: {self.reason}"
         if self.identical:
-            return f"identical: {self.scans} scans re-simulated bit for bit, and what else the rig published"
+            return f"identical: {self.scans} scans re-simulated bit for bit"
         return f"different after {self.scans} identical scans: {self.reason}"
 
 
