@@ -18,7 +18,7 @@ from impact_rig import blocks, codec
 from impact_rig.analysis.tracker import Tracker
 from impact_rig.blocks import Table
 from impact_rig.recording import Attachment, Provenance, RunWriter, TopicDescription, open_run
-from impact_rig.recording.tail import tail_of
+from impact_rig.recording.mcap_file import tail_of
 from impact_rig.rig import Rig, resimulate
 from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.runs import recover
@@ -224,7 +224,7 @@ TARGETS = (
         "mcap_read",
         mutated(FILES),
         mcap_read,
-        ("recording/reader.py", "recording/mcap_source.py", "recording/records.py", "recording/description.py"),
+        ("recording/reader.py", "recording/records.py", "recording/description.py"),
     ),
     Target(
         "mcap_recover",
@@ -233,7 +233,7 @@ TARGETS = (
         | st.tuples(mutated(UNFINISHED), st.sampled_from(TAILS))
         | st.sampled_from(list(zip(UNFINISHED, TAILS, strict=True))),
         mcap_recover,
-        ("runs/recovery.py", "recording/tail.py"),
+        ("runs/recovery.py", "recording/mcap_file.py"),
     ),
     Target("journal", journals(), journal, ("rig/journal.py", "rig/resimulation.py")),
     Target(

@@ -196,8 +196,11 @@ def _frf(console: Console, run: Run, arguments: argparse.Namespace) -> int:
 def _sine(console: Console, run: Run, arguments: argparse.Namespace) -> int:
     from impact_rig.analysis.drawings import sine_fits  # noqa: PLC0415  # heavy: after the run is open
     from impact_rig.runs import reanalysis  # noqa: PLC0415  # as above
-    from impact_rig.runs.excerpt import calibration_rows, last_excerpt  # noqa: PLC0415  # as above
-    from impact_rig.runs.wholes import sines_of  # noqa: PLC0415  # as above
+    from impact_rig.runs.wholes import (  # noqa: PLC0415  # as above
+        calibration_rows,
+        last_excerpt,
+        sines_of,  # as above
+    )
 
     _prepare(arguments, "sine")
     found = sines_of(run, last_excerpt(run, list(reanalysis.analyze(run))))

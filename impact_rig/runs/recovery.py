@@ -27,13 +27,12 @@ import attrs
 
 from impact_rig import codec, topics
 from impact_rig.errors import CodecError, RecordingError
-from impact_rig.recording import bag_metadata, losses, mcap_source, provenance, records
+from impact_rig.recording import bag_metadata, losses, provenance, reader, records
 from impact_rig.recording.description import TopicDescription, matches
+from impact_rig.recording.mcap_file import FOLLOWS, TAIL_RECORD_NAME, TAIL_SUFFIX, tail_of
 from impact_rig.recording.provenance import Attachment, Provenance
 from impact_rig.recording.reader import run_files
 from impact_rig.recording.records import RECORD_HEAD, DamageError, RawMessage, Statistics
-from impact_rig.recording.tail import FOLLOWS, SUFFIX, tail_of
-from impact_rig.recording.tail import RECORD_NAME as TAIL_RECORD_NAME
 from impact_rig.recording.writer import RunWriter
 from impact_rig.runs.contiguity import check_contiguity, scan_rate_hz
 from impact_rig.simtime import NS_PER_S
@@ -348,7 +347,7 @@ class RecoverReport:
         """Count and list a damage."""
         self.damage_count += 1
         for file in self.files:
-            if file.name == damage.file.removesuffix(SUFFIX):
+            if file.name == damage.file.removesuffix(TAIL_SUFFIX):
                 file.lost_bytes += damage.length
         if len(self.damages) < _MAX_LISTED:
             self.damages.append(damage)
@@ -634,8 +633,8 @@ class _Salvage:
 
     def _read_summary(self, file: DamagedFile) -> None:
         try:
-            summary = mcap_source.read_summary(file.fd, file.size)
-            self._topics.update(mcap_source.topics_of(summary))
+            summary = reader.read_summary(file.fd, file.size)
+            self._topics.update(reader.topics_of(summary))
         except (DamageError, BudgetError):
             return  # the chunks say what they hold, and their bound is that of every reader
         self._schemas.update(summary.schemas)

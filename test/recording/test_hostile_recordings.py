@@ -18,9 +18,8 @@ import pytest
 from impact_rig.cli.recover import INCOMPLETE
 from impact_rig.errors import ImpactRigError
 from impact_rig.recording import open_run
-from impact_rig.recording.description import TopicDescription
+from impact_rig.recording.description import TopicDescription, starts_with_header
 from impact_rig.recording.records import DamageError
-from impact_rig.recording.schema import starts_with_header
 from impact_rig.runs import export, info, recover
 from impact_rig.system import budget
 from impact_rig.system.budget import BudgetError

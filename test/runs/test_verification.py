@@ -216,9 +216,7 @@ def test_the_command_line_says_it_all(
     monkeypatch.setenv("COLUMNS", "120")
     run = str(record(tmp_path / "run", whole))
     assert main(["verify", run]) == 0
-    assert "identical: 120000 scans re-simulated bit for bit, and what else the rig published" in " ".join(
-        capsys.readouterr().out.split()
-    )
+    assert "identical: 120000 scans re-simulated bit for bit" in " ".join(capsys.readouterr().out.split())
     assert main(["analyze", run]) == 0
     assert "identical to the live results" in capsys.readouterr().out
     assert main(["info", run]) == 0
