@@ -31,6 +31,7 @@ REFUSED = {
     "chunk of 2 GB": "2000000031 bytes in a chunk, more than 33554432; .* IMPACT_RIG_BUDGET=N",
     "7.7 million empty messages": "bytes in a chunk, more than 33554432; .* IMPACT_RIG_BUDGET=N",
     "one chunk indexed 20,000 times": "twice, or inside another",
+    "60,000 topics": "60000 topics, more than 5000; .* IMPACT_RIG_BUDGET=N",
     "FIFO": "not a regular file",
     "link to /dev/zero": "not a regular file",
     "9 MB metadata.yaml": "bytes in .*metadata.yaml, more than 524288; .* IMPACT_RIG_BUDGET=N",
