@@ -5,12 +5,13 @@
 from __future__ import annotations
 
 import math
+import time
 from typing import Any  # rclpy messages
 
 import attrs
 from std_msgs.msg import Float64, String
 
-from impact_rig import codec, topics
+from impact_rig import codec, states, topics
 from impact_rig.analysis import warm_up
 from impact_rig.analysis.blockwise import ANALYSES, Blockwise
 from impact_rig.analysis.findings import Findings
@@ -22,7 +23,7 @@ from impact_rig.blocks import Table
 from impact_rig.errors import CodecError, ConfigError
 from impact_rig.nodes import process
 from impact_rig.nodes.acknowledge import Acknowledgements
-from impact_rig.nodes.diagnostics import Health, Level
+from impact_rig.nodes.diagnostics import Health, Level, State
 from impact_rig.nodes.managed import ManagedNode
 from impact_rig.nodes.parameters import SectionSchema
 from impact_rig.nodes.plots import Plots
@@ -33,6 +34,8 @@ from impact_rig.system.endings import Ending
 from impact_rig.system.lean_numba import go_without_blas
 
 PUBLISHED = [topic for topic in TOPICS if topic.publisher == "analysis"]
+SILENCE_S = 2.0
+"""Wall time without a block after which there are no scans; a paused rig sends none either."""
 
 
 class AnalysisNode(ManagedNode[AnalysisSettings]):
@@ -43,6 +46,7 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
     """
 
     COMPONENT = "measurement"
+    STATES = states.Analysis
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("analysis", SectionSchema(AnalysisSettings), **kwargs)
@@ -53,6 +57,7 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
         self._inlets: list[Any] = []
         self._acknowledgements: Acknowledgements | None = None
         self._newest_ns: int | None = None
+        self._heard_at = 0.0
         self._latest = math.nan
 
     def autostarts(self) -> bool:
@@ -111,9 +116,20 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
         if "gap_m" in changes:
             self._label(_gap(settings), self._newest_ns or 0)
 
-    def rig_time_ns(self) -> int:
-        """Return the instant of the newest scan; 0 (a stamp nobody filled in) before the first."""
-        return self._newest_ns or 0
+    def rig_time_ns(self) -> int | None:
+        """Return the instant of the newest scan."""
+        return self._newest_ns
+
+    def doing(self) -> State:
+        """Return what the tracker does, unless it gets nothing to do."""
+        words = states.Analysis
+        if self._tracker is None or self._newest_ns is None:
+            return State(words.NO_SCANS, "none came yet")
+        silent_s = time.monotonic() - self._heard_at
+        if silent_s > SILENCE_S:
+            return State(words.NO_SCANS, f"none for {SILENCE_S:g} s")
+        found = self._tracker.state
+        return State(words(found.word), found.reason, found.since_ns)
 
     def status(self) -> Health:
         """Return the tracker's counters and the latest value."""
@@ -167,11 +183,14 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
         if scan is None or self._tracker is None:
             return
         try:
+            before = self._tracker.state
             self._publish(self._tracker.feed(scan))
+            if self._tracker.state.word != before.word:
+                self.report_change()
             self._analyse(scan)
             self._plots.feed(scan)
         finally:  # a block that cannot be measured must not hold up a rig that waits for us
-            self._newest_ns = self._last_instant(scan)
+            self._newest_ns, self._heard_at = self._last_instant(scan), time.monotonic()
             assert self._acknowledgements is not None
             self._acknowledgements.processed(scan.stamp_ns)
 

@@ -9,7 +9,8 @@ from collections.abc import Callable, Iterable
 
 from rclpy.node import Node
 
-from impact_rig.nodes.diagnostics import Level
+from impact_rig import states
+from impact_rig.nodes.diagnostics import State
 from impact_rig.nodes.place import Place
 from impact_rig.nodes.readers import Readers
 
@@ -83,15 +84,15 @@ class Beginning:
             names = ", ".join(readers.missing())
             node.get_logger().info(f"scan 0 waits for {names}, at most {patience_s:g} s")
 
-    def obstacle(self) -> tuple[Level, str] | None:
-        """Return what it waits for and how grave that is; None: it may begin."""
+    def obstacle(self) -> State | None:
+        """Return what it waits for; None: it may begin."""
         rivals = self._rivals.sentence()
         if rivals:
-            return Level.ERROR, f"waiting to be alone: {rivals}"
+            return State(states.Rig.RIVAL, f"waiting to be alone: {rivals}")
         if not self._place.take():
-            return Level.ERROR, "waiting to be alone: another rig of this machine is in this namespace"
+            return State(states.Rig.RIVAL, "waiting to be alone: another rig of this machine is in this namespace")
         readers = self._readers
         if readers is None or readers.all_matched() or readers.overdue(self._patience_s):
             return None
         names = ", ".join(readers.missing())
-        return Level.WARN, f"waiting for peer {names}, at most {self._patience_s:g} s"
+        return State(states.Rig.NO_PEER, f"waiting for peer {names}, at most {self._patience_s:g} s")

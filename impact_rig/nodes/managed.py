@@ -9,7 +9,10 @@ in what happens on configure, activate, deactivate and clean up.
 
 from __future__ import annotations
 
+import enum
+import functools
 import math
+import secrets
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -24,10 +27,10 @@ from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
-from impact_rig import topics
+from impact_rig import states, topics
 from impact_rig.errors import ImpactRigError
 from impact_rig.nodes import diagnostics, messages
-from impact_rig.nodes.diagnostics import CpuMeter, Health, Level
+from impact_rig.nodes.diagnostics import CpuMeter, Health, Level, State
 from impact_rig.nodes.guard import Refusals, guarded, guarded_answer, guarded_service, in_words
 from impact_rig.nodes.one_by_one import set_one_by_one
 from impact_rig.nodes.parameters import Parameters, Schema
@@ -40,7 +43,9 @@ S = TypeVar("S")
 
 DIAGNOSTICS_PERIOD_S = 1.0
 CHANGE_PERIOD_S = 0.1
-"""How soon a change of level or message is reported; also how often it may be."""
+"""How soon a change of level or message is reported, and one of state that nobody asked for; also how often the first
+may be."""
+INSTANCE_BYTES = 8
 ERROR_MEMORY_S = 5.0
 """An exception of a callback is shown in diagnostics this long."""
 COMPILING_PERIOD_S = 3.0
@@ -60,6 +65,8 @@ class ManagedNode(LifecycleNode, Generic[S]):
 
     COMPONENT: ClassVar[str] = "state"
     """What of the node its diagnostics are about."""
+    STATES: ClassVar[type[states.Rig | states.Analysis | states.Recorder | states.SteppedSine]]
+    """The words for what the node does."""
     MAKES_TIME: ClassVar[bool] = False
     """Whether its clock is what others follow, so that it can follow nobody's."""
 
@@ -79,6 +86,9 @@ class ManagedNode(LifecycleNode, Generic[S]):
         self._last_error: tuple[float, str] = (-ERROR_MEMORY_S, "")
         self._warned: dict[str, float] = {}
         self._compiling = ""
+        self._instance = secrets.token_hex(INSTANCE_BYTES)
+        self._word: enum.StrEnum | None = None
+        self._since_ns: int | None = None
         self._reported: tuple[Level, str] = (Level.OK, "")
         self._reported_at = -DIAGNOSTICS_PERIOD_S
         self._diagnostics = self.create_publisher(
@@ -107,16 +117,23 @@ class ManagedNode(LifecycleNode, Generic[S]):
     def settings_in_force(self) -> None:
         """Follow up once the new settings are in `self.settings`."""
 
+    def doing(self) -> State:
+        """Return what the node does, from data alone; asked only while it is active, and often."""
+        raise NotImplementedError
+
     def status(self) -> Health:
-        """Return the node's state for diagnostics, whatever lifecycle state it is in."""
+        """Return level, sentence and figures for diagnostics, whatever lifecycle state it is in."""
         return Health(Level.OK, self.state, {})
 
     def autostarts(self) -> bool:
         """Say whether the node configures and activates itself."""
         return True
 
-    def rig_time_ns(self) -> int:
-        """Return the time that stamps diagnostics: rig time in a node that follows it, here the node's clock."""
+    def rig_time_ns(self) -> int | None:
+        """Return the time that stamps diagnostics: rig time in a node that follows it, here the node's clock.
+
+        None: there is no rig time yet.
+        """
         return int(self.get_clock().now().nanoseconds)
 
     # Helpers for subclasses
@@ -175,8 +192,20 @@ class ManagedNode(LifecycleNode, Generic[S]):
         return self.create_subscription(messages.class_of(topic), topic.name, callback, profile, raw=raw)
 
     def service(self, service_type: Any, name: str, callback: Callable[[Any, Any], Any]) -> Any:
-        """Create a guarded service; private names (`~/name`) are the convention."""
-        return self.create_service(service_type, name, guarded_service(callback, self.report_failure, self.refuse))
+        """Create a guarded service; private names (`~/name`) are the convention.
+
+        What a call changes is reported at once.
+        """
+        safe = guarded_service(callback, self.report_failure, self.refuse)
+
+        @functools.wraps(callback)
+        def serve(request: Any, response: Any) -> Any:
+            try:
+                return safe(request, response)
+            finally:
+                self.report_change()
+
+        return self.create_service(service_type, name, serve)
 
     def report_failure(self, where: str, message: str) -> None:
         """Log an exception that a guard caught, and show it in diagnostics."""
@@ -211,6 +240,7 @@ class ManagedNode(LifecycleNode, Generic[S]):
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Begin to work."""
+        self._instance = secrets.token_hex(INSTANCE_BYTES)
         done = self._transition("activate", self.activate, undo=self.deactivate)
         if done != TransitionCallbackReturn.SUCCESS:
             return done
@@ -300,6 +330,8 @@ class ManagedNode(LifecycleNode, Generic[S]):
                 self.refuse("transition", f"{wanted!r} is not possible in state {self.state!r} ({error})")
                 response.success = False
                 return response
+            finally:
+                self.report_change()
 
         service.callback = on_change_state
 
@@ -310,6 +342,7 @@ class ManagedNode(LifecycleNode, Generic[S]):
             return
         if self.trigger_configure() == TransitionCallbackReturn.SUCCESS:
             self.trigger_activate()
+        self.report_change()
 
     # Parameters
 
@@ -367,14 +400,38 @@ class ManagedNode(LifecycleNode, Generic[S]):
         now = time.monotonic()
         if now - self._reported_at >= DIAGNOSTICS_PERIOD_S or (level, message) != self._reported:
             self.report_now()
+        else:
+            self.report_change()
+
+    def report_change(self) -> None:
+        """Publish the present status if the state is another one than was published last."""
+        if self.present().word != self._word and not self.is_told_to_end():
+            self.report_now()
+
+    def present(self) -> State:
+        """Return what the node does, whatever lifecycle state it is in."""
+        if self._compiling:
+            return State(self.STATES("compiling"), self._compiling)
+        if self.active:
+            return self.doing()
+        at, message = self._last_error
+        fresh = time.monotonic() - at < ERROR_MEMORY_S
+        return State(self.STATES("inactive"), f"{self.state}: {message}" if fresh else self.state)
 
     def report_now(self) -> None:
         """Publish the present status."""
-        status = self.status()
+        status, state, now_ns = self.status(), self.present(), self.rig_time_ns()
         level, message = self._judged(status)
         self._reported, self._reported_at = (level, message), time.monotonic()
+        if state.word != self._word:
+            self._word, self._since_ns = state.word, now_ns
+        since_ns = self._since_ns if state.since_ns is None else state.since_ns
         values = {
-            "state": self.state,
+            "state": state.word,
+            "reason": state.reason,
+            "since_ns": "" if since_ns is None else since_ns,
+            "instance": self._instance,
+            "lifecycle": self.state,
             "cpu_percent": self._cpu.percent(),
             **status.values,
             **{f"refused.{reason}": count for reason, count in sorted(self.refusals.counts.items())},
@@ -383,7 +440,7 @@ class ManagedNode(LifecycleNode, Generic[S]):
         full = Health(level, message, values)
         name = f"{self.get_fully_qualified_name().lstrip('/')}: {self.COMPONENT}"
         hardware = f"impact_rig{self.get_namespace()}".rstrip("/")
-        self._diagnostics.publish(diagnostics.to_message(name, hardware, full, self.rig_time_ns()))
+        self._diagnostics.publish(diagnostics.to_message(name, hardware, full, now_ns or 0))
 
     def _judged(self, status: Health) -> tuple[Level, str]:
         """Return the node's own status, or the last error while it is fresh; while it compiles, how far that is."""

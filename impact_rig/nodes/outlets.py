@@ -92,13 +92,16 @@ class Outlets:
             self._publishers[topics.CLOCK.name] = self._node.publisher(topics.CLOCK)
         self._publishers[topics.CLOCK.name].publish(CLOCK.render(now_ns))
 
-    def changes(self, rig: Rig) -> None:
-        """Publish the new rows of rig/journal and shaker/applied: causes before effects."""
+    def changes(self, rig: Rig) -> bool:
+        """Publish the new rows of rig/journal and shaker/applied, causes before effects; return whether any came."""
+        changed = False
         for topic, tables in ((topics.JOURNAL, rig.take_journal()), (topics.APPLIED, rig.take_applied())):
             for table in tables:
                 self._publishers[topic.name].publish(codec.encode(table))
             if tables:
                 self._settle(topic)
+                changed = True
+        return changed
 
     def configuration(self, rig: Rig) -> None:
         """Publish the configuration, and the calibration if it is another; take both for the monitors."""

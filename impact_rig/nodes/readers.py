@@ -37,6 +37,7 @@ class Readers:
         self._expected_at = 0.0
         self._present: set[str] = set()
         self._looked_at = -LOOK_S
+        self._matched = 0
 
     @property
     def subscribers(self) -> int:
@@ -73,7 +74,7 @@ class Readers:
 
     def knows(self, name: str) -> bool:
         """Whether a node of this name reads: nobody can fill memory with made-up names."""
-        if name not in self._present and self._due(LOOK_S):
+        if name not in self._present and (self._due(LOOK_S) or self.subscribers != self._matched):
             self._look()
         return name in self._present
 
@@ -88,6 +89,6 @@ class Readers:
 
     def _look(self) -> list[TopicEndpointInfo]:
         found: list[TopicEndpointInfo] = self._node.get_subscriptions_info_by_topic(self._publisher.topic_name)
-        self._looked_at = time.monotonic()
+        self._looked_at, self._matched = time.monotonic(), self.subscribers
         self._present = {info.node_name for info in found}
         return found

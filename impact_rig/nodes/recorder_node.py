@@ -13,12 +13,12 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 import impact_rig
-from impact_rig import codec, topics
+from impact_rig import codec, states, topics
 from impact_rig.errors import CodecError, RecordingError
 from impact_rig.nodes import process
 from impact_rig.nodes.acknowledge import Acknowledgements
 from impact_rig.nodes.deferred import Answer, DeferredService
-from impact_rig.nodes.diagnostics import Health, Level
+from impact_rig.nodes.diagnostics import Health, Level, State
 from impact_rig.nodes.managed import ManagedNode
 from impact_rig.nodes.parameters import SectionSchema
 from impact_rig.nodes.recorder_content import calibration_yaml, environment, parameters, qos, run_directory
@@ -41,6 +41,8 @@ AWAITED = (topics.INFO, topics.APPLIED, topics.JOURNAL, topics.CONFIGURATION, to
 AWAIT_S = 2.0
 RESULTS = frozenset({topics.TRANSMISSIBILITY_TABLE.name, topics.CURVE.name, topics.HELD.name})
 """What was measured before a recording is latched, and none of its results: left out."""
+ONE_WRITER = {topic.name for topic in TOPICS if topic.columns is not None} | {topics.CONFIGURATION.name}
+"""Topics that one node alone may write: of two a run could not be simulated or analysed again."""
 BULKY = (topics.SCAN, topics.TRUTH_SCAN)
 QUIET_S = 0.1
 """A configuration this old is the one in force: who comes late is handed every earlier one first."""
@@ -57,6 +59,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
     """
 
     COMPONENT = "recording"
+    STATES = states.Recorder
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("recorder", SectionSchema(RecorderSettings), **kwargs)
@@ -69,7 +72,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         self._resolved: dict[str, str] = {}
         self._added: dict[str, str] = {}
         self._account = Account()
-        self._newest_ns = 0
+        self._newest_ns: int | None = None
         self._certificates = 0
         self._awaited: set[str] = set()
         self._opened_at = 0.0
@@ -97,7 +100,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         """Listen for the configuration; record if `record` says so, else only follow the scans."""
         self._failure = ""
         self._configuration, self._configured_at = None, math.inf
-        self._newest_ns = 0
+        self._newest_ns = None
         self._permanent = [self.subscribe(topics.CONFIGURATION, self._on_configuration)]
         self._timer = self.steady_timer(FLUSH_S, self._on_timer)
         if self.settings.record:
@@ -122,9 +125,26 @@ class RecorderNode(ManagedNode[RecorderSettings]):
             self._acknowledgements.destroy()
             self._acknowledgements = None
 
-    def rig_time_ns(self) -> int:
-        """Return the stamp of the newest block; 0 (a stamp nobody filled in) before the first."""
+    def rig_time_ns(self) -> int | None:
+        """Return the stamp of the newest block."""
         return self._newest_ns
+
+    def doing(self) -> State:
+        """Return whether it records, and what of that goes wrong."""
+        words, lost = states.Recorder, self._account.lost()
+        if self._failure:
+            return State(words.FAILED, self._failure)
+        if self._writer is not None and self._mixed():
+            return State(words.RIVAL, self._mixed())
+        if self._writer is not None and lost:
+            return State(words.LOSING, ", ".join(f"{count} of {self._added[name]}" for name, count in lost.items()))
+        if self._waiting:
+            return State(words.WAITING, "for the rig's configuration")
+        if self._awaited:
+            return State(words.WAITING, f"for {', '.join(sorted(self._awaited))}")
+        if self._writer is not None:
+            return State(words.RECORDING)
+        return State(words.IDLE, "the last recording lacks messages" if lost else "")
 
     def status(self) -> Health:
         """Return what is being written, and what was lost."""
@@ -141,6 +161,9 @@ class RecorderNode(ManagedNode[RecorderSettings]):
             return Health(Level.WARN, self.state, values)
         if self._failure:
             return Health(Level.ERROR, f"{self._failure}; no block is acknowledged until ~/start or ~/stop", values)
+        mixed = self._mixed()
+        if mixed:
+            return Health(Level.WARN, f"this run cannot be verified: {mixed}", values | {"other_publishers": mixed})
         if lost:
             return Health(Level.ERROR, "messages were lost before they reached the recorder", values)
         if self._waiting:
@@ -148,6 +171,11 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         if self._awaited:
             return Health(Level.OK, f"recording, waiting for {', '.join(sorted(self._awaited))}", values)
         return Health(Level.OK, "recording" if writer is not None else "not recording", values)
+
+    def _mixed(self) -> str:
+        """Return which topics of this run have been written by several nodes, or nothing."""
+        found = {topic: self._account.writers(name) for name, topic in self._added.items() if topic in ONE_WRITER}
+        return "; ".join(f"{' and '.join(names)} publish {topic}" for topic, names in found.items() if len(names) > 1)
 
     # Start and stop
 
@@ -261,6 +289,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
     def _fail(self, error: RecordingError) -> None:
         """Stop recording, say why, and let the rig go on."""
         self._failure, self._awaited = f"recording stopped: {error}", set()
+        self.report_change()
         self.get_logger().error(self._failure)
         writer, self._writer = self._writer, None
         for inlet in self._recorded:
@@ -288,7 +317,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
             # a rig that is there and does not say what it is
             self._deadline = time.monotonic() + self.settings.configuration_wait_s
         self._open_when_ready()
-        came_late = self._begin.waiting or self._newest_ns > 0  # otherwise the rig has not begun
+        came_late = self._begin.waiting or self._newest_ns is not None  # otherwise the rig has not begun
         if self._awaited and came_late and time.monotonic() - self._opened_at > AWAIT_S:
             self.get_logger().warning(f"nothing was heard on {', '.join(sorted(self._awaited))}")
             self._awaited = set()

@@ -8,11 +8,11 @@ import functools
 import time
 from typing import Any  # rclpy messages and responses
 
-from impact_rig import codec, topics
+from impact_rig import codec, states, topics
 from impact_rig.errors import CodecError, CommandError
 from impact_rig.nodes import process
 from impact_rig.nodes.beginning import Beginning, Rivals
-from impact_rig.nodes.diagnostics import Health
+from impact_rig.nodes.diagnostics import Health, Level, State
 from impact_rig.nodes.guard import describe, guarded
 from impact_rig.nodes.managed import ManagedNode
 from impact_rig.nodes.outlets import Outlets
@@ -64,6 +64,7 @@ class RigNode(ManagedNode[RigConfig]):
     """
 
     COMPONENT = "simulation"
+    STATES = states.Rig
     MAKES_TIME = True
 
     def __init__(self, discovery_s: float = 0.0, **kwargs: Any) -> None:
@@ -164,11 +165,11 @@ class RigNode(ManagedNode[RigConfig]):
             self._outlets.destroy()
             self._outlets = None
 
-    def rig_time_ns(self) -> int:
+    def rig_time_ns(self) -> int | None:
         """Return the stamp of the next block: rig time; the system time while there is no rig in realtime."""
         if self._rig is not None:
             return self._rig.next_block_ns
-        return time.time_ns() if self.settings.time.mode == "realtime" else 0
+        return time.time_ns() if self.settings.time.mode == "realtime" else None
 
     # Time
 
@@ -255,7 +256,8 @@ class RigNode(ManagedNode[RigConfig]):
 
     def _publish(self, rig: Rig, blocks: list[Block]) -> None:
         assert self._outlets is not None
-        self._outlets.changes(rig)  # they come before the scans they act on
+        if self._outlets.changes(rig):  # they come before the scans they act on
+            self.report_change()  # a trip, for one
         if blocks:
             self._outlets.look()
         for block in blocks:
@@ -272,6 +274,7 @@ class RigNode(ManagedNode[RigConfig]):
         """Publish what an input has changed."""
         assert self._outlets is not None
         self._outlets.changes(rig)
+        self.report_change()
 
     def _publish_configuration(self, rig: Rig) -> None:
         assert self._outlets is not None
@@ -340,7 +343,9 @@ class RigNode(ManagedNode[RigConfig]):
     def _why_not(self) -> str:
         """Return why there is no rig to talk to."""
         obstacle = self._beginning.obstacle() if self._beginning is not None else None
-        return f"the rig has not begun, {obstacle[1]}" if obstacle else f"the rig is {self.state}, activate it first"
+        return (
+            f"the rig has not begun, {obstacle.reason}" if obstacle else f"the rig is {self.state}, activate it first"
+        )
 
     # Parameters and diagnostics
 
@@ -368,11 +373,40 @@ class RigNode(ManagedNode[RigConfig]):
         if self._rig is not None:
             self._start_timer()
 
+    def doing(self) -> State:
+        """Return what the rig does: what keeps it from beginning or from going on, what holds the shaker, its drive."""
+        obstacle = self._beginning.obstacle() if self._beginning is not None else None
+        if obstacle is not None:
+            return obstacle
+        rig, word = self._rig, states.Rig
+        if rig is None or self._readers is None or self._rivals is None:  # between two callbacks only
+            return State(word.INACTIVE, self.state)
+        config, others = self.settings.time, self._rivals.sentence()
+        missing = () if self._readers.all_matched() else self._readers.missing()
+        silent = () if config.mode == "realtime" else self._window.silent()
+        if others:
+            return State(word.RIVAL, others)
+        if missing and config.mode != "realtime":
+            return State(word.NO_PEER, f"waiting for peer {', '.join(missing)}")
+        if silent:
+            return State(word.SILENT_PEER, f"peer {', '.join(silent)} silent for {config.peer_timeout_s:g} s")
+        if rig.latched is not None:
+            return State(word.TRIPPED, rig.latched)
+        if self._pause.on:
+            return State(word.PAUSED, "~/pause")
+        if config.mode == "stepped" and self._steps.is_idle:
+            return State(word.PAUSED, "no step is asked for")
+        if rig.plucked:
+            return State(word.PLUCKED)
+        without = f"without peer {', '.join(missing)}" if missing else ""
+        return State(word.DRIVING if rig.amplitude else word.AT_REST, without)
+
     def status(self) -> Health:
         """Return mode, time, lateness, peers, shaker, over-ranges; or why the rig has not begun."""
         obstacle = self._beginning.obstacle() if self._beginning is not None else None
         if obstacle is not None:
-            return Health(*obstacle, {"mode": self.settings.time.mode})
+            level = Level.ERROR if obstacle.word is states.Rig.RIVAL else Level.WARN
+            return Health(level, obstacle.reason, {"mode": self.settings.time.mode})
         if self._rig is not None and self._readers is not None:
             self._news.look(self._rig, self._figures, self._window, self._readers)
         return self._figures.status(

@@ -11,12 +11,12 @@ from typing import Any  # rclpy messages
 from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
 
-from impact_rig import codec, topics
+from impact_rig import codec, states, topics
 from impact_rig.blocks import Table
 from impact_rig.errors import CodecError, ConfigError
 from impact_rig.nodes import process
 from impact_rig.nodes.acknowledge import Acknowledgements
-from impact_rig.nodes.diagnostics import Health, Level
+from impact_rig.nodes.diagnostics import Health, Level, State
 from impact_rig.nodes.managed import ManagedNode
 from impact_rig.nodes.parameters import SectionSchema
 from impact_rig.nodes.settings import PHASE, SteppedSineSettings
@@ -25,7 +25,8 @@ from impact_rig.operate.controlled_sine import ControlledSine
 from impact_rig.operate.locked_sine import LockedSine
 from impact_rig.operate.operator import Applied, News, Operator
 from impact_rig.operate.plan import Setpoint
-from impact_rig.operate.stepped_sine import State, SteppedSine
+from impact_rig.operate.stepped_sine import State as Progress
+from impact_rig.operate.stepped_sine import SteppedSine
 from impact_rig.system.endings import Ending
 
 WATCH_S = 0.1
@@ -47,6 +48,7 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
     """
 
     COMPONENT = "sweep"
+    STATES = states.SteppedSine
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("stepped_sine", SectionSchema(SteppedSineSettings), **kwargs)
@@ -128,9 +130,21 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
             self.destroy_subscription(self._scans)
             self._scans = None
 
-    def rig_time_ns(self) -> int:
-        """Return the newest instant heard of; 0 (a stamp nobody filled in) before the first."""
-        return self._now_ns or 0
+    def rig_time_ns(self) -> int | None:
+        """Return the newest instant heard of."""
+        return self._now_ns
+
+    def doing(self) -> State:
+        """Return how the last sweep is."""
+        words = states.SteppedSine
+        if self._pending:
+            return State(words.WAITING, self._missing() or "about to begin")
+        if self._operator is None:
+            return State(words.IDLE)
+        sweep = self._operator.sweep
+        if sweep.state is Progress.ABORTED:
+            return State(words.ABORTED, sweep.reason)
+        return State(words.RUNNING if self._operator.busy else words.DONE)
 
     def status(self) -> Health:
         """Return how far the sweep is."""
@@ -141,7 +155,7 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
         if self._operator is None:
             return Health(Level.OK, "idle", {})
         sweep = self._operator.sweep
-        if sweep.state is State.ABORTED:
+        if sweep.state is Progress.ABORTED:
             return Health(Level.ERROR, f"aborted: {sweep.reason}", sweep.figures())
         return Health(Level.OK, sweep.describe(), sweep.figures())
 
@@ -211,7 +225,7 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
 
     def now_ns(self) -> int:
         """Return the newest instant heard of."""
-        return self.rig_time_ns()
+        return self._now_ns or 0
 
     def set(self, setpoint: Setpoint) -> None:
         """Send frequency and current; `shaker/applied` tells that they are in force."""
@@ -223,7 +237,7 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
         assert self._operator is not None
         self._outlets[topics.CURRENT.name].publish(Float64(data=0.0))
         sweep = self._operator.sweep
-        if sweep.state is State.ABORTED:
+        if sweep.state is Progress.ABORTED:
             self.get_logger().error(f"sweep aborted: {sweep.reason}")
         else:
             self.get_logger().info(f"sweep finished: {sweep.measured} measurements")

@@ -15,6 +15,9 @@ from impact_rig.nodes.managed import ManagedNode
 from impact_rig.nodes.pacing import AckWindow
 from impact_rig.nodes.readers import Readers
 
+IDLE_S = 1.0
+"""Who steps in turns asks more often than this: a rig between two steps of a series is not paused."""
+
 
 class StepRequests:
     """The service ~/step and the blocks it still owes.
@@ -32,7 +35,7 @@ class StepRequests:
         self._refusal = refusal
         self._blocks = blocks
         self._service = DeferredService(node, Trigger, "~/step", self._on_step, work)
-        self._asked_at = 0.0
+        self._asked_at = -IDLE_S
         self.left = 0
         """Blocks not published yet."""
 
@@ -40,6 +43,11 @@ class StepRequests:
     def waiting(self) -> bool:
         """Whether somebody waits for an answer."""
         return bool(self._service.waiting)
+
+    @property
+    def is_idle(self) -> bool:
+        """Whether nothing is owed, and for a while nobody has asked for a step."""
+        return self.left <= 0 and time.monotonic() - self._asked_at > IDLE_S
 
     def take(self, steps: int, done: Done) -> None:
         """Take so many steps, as a request does that is not refused; `done` is called when that one is answered."""

@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from impact_rig import topics
+from impact_rig import states, topics
 from impact_rig.columns import TEXT, Column
 from impact_rig.config import FieldInfo
 from impact_rig.instruments import scan
@@ -147,6 +147,11 @@ def _figures() -> str:
     return table(("node", "figure", "unit", "meaning"), rows)
 
 
+def _words() -> str:
+    rows = ((node, f"`{word.value}`", f"{word.doc}.") for node, words in states.BY_NODE.items() for word in words)
+    return table(("node", "state", "meaning"), rows)
+
+
 TABLES: dict[str, Callable[[], str]] = {
     "topics": _topics,
     "qualities of service": _qualities,
@@ -161,5 +166,6 @@ TABLES: dict[str, Callable[[], str]] = {
     "recorder parameters": _parameters("recorder"),
     "stepped_sine parameters": _parameters("stepped_sine"),
     "figures": _figures,
+    "words": _words,
 }
 """Name in the page's markers -> its text."""
