@@ -20,7 +20,8 @@ sys.path.insert(0, str(ROOT / "test"))
 from kits.browser import Browser, Page  # noqa: E402
 
 from impact_rig.client import Client, Processes, isolated_domain  # noqa: E402
-from impact_rig.lab.live import LiveSource, Own  # noqa: E402
+from impact_rig.lab.gateway import Own
+from impact_rig.lab.live import LiveSource  # noqa: E402
 from impact_rig.lab.playback import PlaybackSource  # noqa: E402
 from impact_rig.lab.sample import make  # noqa: E402
 from impact_rig.lab.server import Server  # noqa: E402

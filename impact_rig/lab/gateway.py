@@ -291,7 +291,7 @@ class Gateway:
         await self._set("rig", {"pluck.displacement_m": value})
         return await self._trigger("rig/pluck")
 
-    async def do_pause(self, value: bool) -> str:  # noqa: FBT001  # as the request has it
+    async def do_pause(self, value: bool) -> str:  # as the request has it
         """Let rig time stand still, or go on."""
         response = await self._call(SetBool, "rig/pause", SetBool.Request(data=value))
         if not response.success:
@@ -304,11 +304,13 @@ class Gateway:
         """Set the gap of the rig and the label of the analysis together [m]; 0 takes the sphere away."""
         if value < 0.0:
             raise Refused(f"a gap is 0 (no sphere) or more, got {value * 1e3:g} mm")
-        await self._set("rig", {"sphere.present": True, "barriers.gap_m": value} if value else {"sphere.present": False})
+        await self._set(
+            "rig", {"sphere.present": True, "barriers.gap_m": value} if value else {"sphere.present": False}
+        )
         words = f"gap {value * 1e3:g} mm" if value else "no sphere"
         return words + await self._label(value)
 
-    async def do_present(self, value: bool) -> str:  # noqa: FBT001  # as the request has it
+    async def do_present(self, value: bool) -> str:  # as the request has it
         """Put the sphere in, or take it away."""
         return await self.do_gap(float(self._heard.knobs.get("barriers.gap_m", math.nan)) if value else 0.0)
 
@@ -399,10 +401,10 @@ class Gateway:
         if not recorder.lives:
             raise Refused(f"there is no recorder to keep it{f', {recorder.gone}' if recorder.gone else ''}")
         self._publish(topics.NOTES, value)
-        records = recorder.state in (states.Recorder.RECORDING, states.Recorder.WAITING, states.Recorder.LOSING)
+        records = recorder.state not in (states.Recorder.INACTIVE, states.Recorder.FAILED, states.Recorder.IDLE)
         return "noted" if records else "noted on the page; nothing is being recorded"
 
-    async def do_record(self, value: bool) -> str:  # noqa: FBT001  # as the request has it
+    async def do_record(self, value: bool) -> str:  # as the request has it
         """Begin or end a recording."""
         return await self._trigger("recorder/start" if value else "recorder/stop", 20.0)
 

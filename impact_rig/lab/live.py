@@ -9,6 +9,7 @@ hangs does not keep STOP from being sent, nor does a message without sense.
 from __future__ import annotations
 
 import asyncio
+import functools
 import os
 import queue
 import threading
@@ -206,7 +207,7 @@ class LiveSource:
             # little comes here; spinning for longer than one message leaks 32 bytes a turn in rclpy, and we turn often
             wait_s = max(0.0, min(look_at, state_at) - time.monotonic())
             wait_s = min(wait_s, TURN_S) if self._watchers else wait_s
-            self._guard("/diagnostics", lambda: self._client.executor.spin_once(timeout_sec=wait_s))
+            self._guard("/diagnostics", functools.partial(self._client.executor.spin_once, timeout_sec=wait_s))
             await asyncio.sleep(0)  # every action looks whether what it waits for has come
         if self._wanted_namespace is not None:
             self._namespace = self._wanted_namespace
@@ -294,7 +295,7 @@ class LiveSource:
             "dt": lambda: heard.curve.part(heard.start_ns),
             "dt_now": lambda: state.present(seen["rig"], seen["analysis"]),
             "faults": lambda: heard.faults.in_force(heard.start_ns),
-            "health": lambda: state.unhealthy(seen["analysis"]),
+            "health": lambda: state.unhealthy(seen["analysis"].figures) if seen["analysis"].lives else None,
             "journal": lambda: heard.journal.part(heard.start_ns),
             "recorder": lambda: self._recorder(seen["recorder"]),
             "lost": lambda: _lost(seen),
@@ -312,7 +313,7 @@ class LiveSource:
     def _rig(self, seen: Mapping[str, Seen], heard: Subscriptions) -> dict[str, Any]:
         rig = seen["rig"]
         doubts = [f"{fault} is in force (truth)" for fault in heard.faults.in_force(heard.start_ns)]
-        doubts += [f"{channel}: {word}" for channel, word in state.unhealthy(seen["analysis"]).items()]
+        doubts += [f"{channel}: {word}" for channel, word in (state.unhealthy(seen["analysis"].figures) or {}).items()]
         word, words = state.judge(rig, seen["analysis"], doubts)
         rig_s = figure(rig.figures.get("rig_time_s"))
         return {

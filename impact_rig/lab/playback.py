@@ -557,7 +557,7 @@ class PlaybackSource:
         put("closed_form", state.closed_form(knobs))
         put("faults", run.faults.in_force(run.start_ns, at))
         put("journal", run.journal.part(run.start_ns))
-        put("recorder", {"lives": False, "gone": "", "state": "", "reason": "", "name": run.path.name, "megabytes": None})
+        put("recorder", {"name": run.path.name})
         lost = run.lost_blocks(self.now_s)
         put("lost", {"blocks missing in the recording": lost} if lost else {})
         put("refused", self._refused())

@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """What pages are told, live and in playback alike: each node's state from its keys, journal, faults and curve.
 
-States come from the keys of `impact_rig.states` alone: no sentence is read. What was never said, or too long ago, is not
-shown as present. Times are seconds since scan 0; what came before it is negative.
+States come from the keys of `impact_rig.states` alone: no sentence is read. What was never said, or too long ago, is
+not shown as present. Times are seconds since scan 0; what came before it is negative.
 """
 
 from __future__ import annotations
@@ -121,6 +121,7 @@ SENTENCES = {
     states.Rig.AT_REST: "The shaker is at rest: press R for 9.1 Hz, 0.52 A.",
 }
 MEASURING = {
+    states.Analysis.COMPILING: "the analysis is being compiled",
     states.Analysis.INACTIVE: "the analysis is not active",
     states.Analysis.NO_SCANS: "the analysis gets no scans",
     states.Analysis.LOST_SCANS: "the analysis has lost scans and begins anew",
@@ -170,10 +171,10 @@ def plain(word: str) -> str:
     return word.replace("_", " ")
 
 
-def unhealthy(figures: Mapping[str, str]) -> dict[str, str]:
-    """Return what the analysis says of channels that are not well, by channel, of its keys `health.CHANNEL`."""
+def unhealthy(figures: Mapping[str, str]) -> dict[str, str] | None:
+    """Return the channels that are not well and why, by the keys `health.CHANNEL`; None: the analysis says nothing."""
     found = {name.removeprefix(HEALTH): plain(word) for name, word in figures.items() if name.startswith(HEALTH)}
-    return {name: word for name, word in found.items() if word not in ("", "ok")}
+    return {name: word for name, word in found.items() if word not in ("", "ok")} if found else None
 
 
 class JournalView:
@@ -417,7 +418,12 @@ def glossary() -> dict[str, str]:
     """Return what each word means that a page may show: states, statuses, regimes, laws, faults, figures."""
     laws = {plain(name): f"Contact law. {(law.__doc__ or '').splitlines()[0]}" for name, law in LAWS.items()}
     faults = {plain(kind): f"Fault of an instrument: {words}." for kind, words in FAULT_KINDS.items()}
-    return {**laws, **faults, **GLOSSARY}
+    words: dict[str, str] = {}
+    for node, table in states.BY_NODE.items():
+        for word in table:
+            told = f"Of the {plain(node)}: {word.doc}."
+            words[plain(word)] = f"{words[plain(word)]} {told}" if plain(word) in words else told
+    return {**laws, **faults, **words, **GLOSSARY}
 
 
 GLOSSARY = {
@@ -436,30 +442,6 @@ GLOSSARY = {
     "playback": "A recorded run is played.",
     "paused playback": "A recorded run stands still.",
     "measured": "The analysis says that its newest value holds for the present drive, and nothing speaks against it.",
-    # states of the rig
-    "inactive": "The node is not active: its lifecycle state is the reason.",
-    "compiling": "Functions are compiled for this machine; nothing runs yet.",
-    "rival": "Somebody else publishes this rig's topics, or holds its namespace.",
-    "no peer": "A program that the rig waits for has not subscribed yet.",
-    "silent peer": "A program that the rig waits for no longer acknowledges: rig time stands still.",
-    "tripped": "The interlock or STOP has latched the shaker: its current is zero until the trip is cleared.",
-    "paused": "Rig time stands still.",
-    "plucked": "The base is locked and the structure swings freely.",
-    "at rest": "The rig runs, its shaker does not.",
-    "driving": "The shaker drives; no measurement holds.",
-    # states of the analysis and the recorder
-    "no scans": "The analysis gets no scans.",
-    "lost scans": "Scans are missing: the analysis measures anew.",
-    "unable": "Scans come, but DT cannot be measured from them.",
-    "settling": "The analysis waits until the transient has died.",
-    "measuring": "The newest value holds for the present drive.",
-    "failed": "Nothing is recorded: the disk is full, the directory gone, or the like.",
-    "losing": "Messages were lost before they reached the recorder.",
-    "waiting": "Something that is needed has not come yet.",
-    "idle": "Nothing is being done.",
-    "aborted": "The sweep was broken off.",
-    "running": "The sweep is under way.",
-    "done": "The sweep has ended.",
     # the measurement
     "at": "Drive frequency of the value.",
     "last, at": "Drive frequency of the last value, which does not hold now.",

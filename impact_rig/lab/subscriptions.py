@@ -9,6 +9,7 @@ A message that makes no sense costs that message: it is counted under its topic,
 
 from __future__ import annotations
 
+import functools
 import threading
 from collections.abc import Callable
 from typing import Any  # rclpy handles; message classes have no common base
@@ -76,7 +77,7 @@ class Subscriptions:
             (topics.TRANSMISSIBILITY_TABLE, self.curve.add),
         ]
         for topic, take in tables:
-            self._subscribe(topic, lambda data, topic=topic, take=take: take(codec.decode(data, topic)))
+            self._subscribe(topic, functools.partial(_decoded, topic, take))
         self._subscribe(topics.CONFIGURATION, self._on_configuration)
         self._subscribe(topics.NOTES, lambda message: self.journal.remark(message.data, self.newest_ns))
 
@@ -176,7 +177,9 @@ class Subscriptions:
         self.configuration = message.data
 
 
+def _decoded(topic: topics.Topic, take: Take, data: bytes) -> None:
+    take(codec.decode(data, topic))
+
+
 def _ignore(_message: Any) -> None:
     """Nobody spins the node whose callback this is."""
-
-

@@ -15,8 +15,9 @@ from rclpy.node import Node
 from rclpy.utilities import get_rmw_implementation_identifier
 
 from impact_rig.system import locks
+from impact_rig.system.locks import PLACES as FOLDER
+from impact_rig.system.locks import place as lock_name
 
-FOLDER = "impact_rig_places"
 OBEDIENT = ("rmw_fastrtps_cpp", "rmw_fastrtps_dynamic_cpp", "rmw_cyclonedds_cpp")
 """Middleware that keeps to `ROS_AUTOMATIC_DISCOVERY_RANGE`."""
 
@@ -36,7 +37,7 @@ class Place:
     """
 
     def __init__(self, node: Node) -> None:
-        self._name = f"{node.context.get_domain_id()}{node.get_namespace().replace('/', '.').rstrip('.')}"
+        self._name = lock_name(node.context.get_domain_id(), node.get_namespace())
         self._held: int | None = None
         here = ends_here(os.environ, get_rmw_implementation_identifier())
         self.decides = here and locks.can_hold(FOLDER, self._name)

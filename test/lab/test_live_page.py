@@ -18,7 +18,8 @@ pytest.importorskip("rclpy", reason="no ROS 2 here")
 from kits.browser import PATIENCE_S, Page, wait_until
 
 from impact_rig.client import Client, Collector, Processes, isolated_domain
-from impact_rig.lab.live import LiveSource, Own
+from impact_rig.lab.gateway import Own
+from impact_rig.lab.live import LiveSource
 from impact_rig.lab.server import Server
 
 pytestmark = [pytest.mark.ros, pytest.mark.pipeline]

@@ -14,7 +14,8 @@ pytest.importorskip("rclpy", reason="no ROS 2 here")
 from kits.browser import Page
 
 from impact_rig.client import Processes, isolated_domain
-from impact_rig.lab.live import LiveSource, Own
+from impact_rig.lab.gateway import Own
+from impact_rig.lab.live import LiveSource
 from impact_rig.lab.server import Server
 
 pytestmark = [pytest.mark.ros, pytest.mark.pipeline]
