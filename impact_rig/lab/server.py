@@ -465,7 +465,8 @@ class Server:
         if len(self._sockets) >= MOST_PAGES:
             return self._refuse("too many pages", f"{MOST_PAGES} pages are open already", 503)
         try:
-            source = await asyncio.to_thread(self._player, request.query.getall("run", []))
+            names = request.query.getall("run", [])
+            source = await asyncio.to_thread(self._player, names) if names else self._source
         except ImpactRigError as error:
             return self._refuse("run", str(error), 404)
         socket = web.WebSocketResponse(max_msg_size=protocol.LONGEST_REQUEST, heartbeat=20.0, compress=False)
@@ -513,13 +514,11 @@ class Server:
         ]
 
     def _player(self, names: Sequence[str]) -> Source:
-        """Return the source of a page: the lab's own, or a player of the runs it names.
+        """Return a player of runs for a page of its own.
 
         Raises:
             ImpactRigError: there is no such run, or it cannot be played.
         """
-        if not names:
-            return self._source
         known = {path.name: path for path in self.runs()}
         unknown = [name for name in names if name not in known]
         if unknown or len(names) > MOST_AT_ONCE:

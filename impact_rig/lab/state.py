@@ -432,6 +432,9 @@ GLOSSARY = {
     "speed": "Seconds of rig time per second.",
     "recording": "The run that is being recorded, and its size so far.",
     "lost blocks": "Blocks of scans that a fault withheld, that the analysis missed, or that the recorder missed.",
+    "channels": "What the analysis says of the channels it measures with.",
+    "faults in force": "Instrument faults that act now, as the rig tells the truth of it; no analysis sees them.",
+    "status": "What else is to be known of the value.",
     "refused messages": "Messages on the rig's topics that made no sense; each costs itself alone.",
     # states of the page
     "offline": "The lab's server does not answer: what is shown is old.",
