@@ -64,9 +64,10 @@ def run(arguments: argparse.Namespace) -> int:
     if (arguments.runs or arguments.sample) and arguments.attach:
         raise ImpactRigError("a run is played back, or a rig is attached to, not both")
     try:
-        from impact_rig.lab.server import Server, kept_token  # noqa: PLC0415  # an extra
+        from impact_rig.lab.server import Server, check_port, kept_token  # noqa: PLC0415  # an extra
     except ImportError as error:
         raise ImpactRigError(f"the lab needs its extra: pip install 'impact_rig[lab]' ({error})") from error
+    check_port(arguments.port)
     console = Console()
     runs = arguments.runs[0].resolve().parent if arguments.runs else arguments.record_directory
     with contextlib.ExitStack() as stack:

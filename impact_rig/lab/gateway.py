@@ -72,6 +72,10 @@ class Own:
         """Start a node."""
         self._starter.submit(self.processes.start, node, self.parameters.get(node, {})).result()
 
+    def close(self) -> None:
+        """Start nothing more."""
+        self._starter.shutdown()
+
     def ended(self, node: str) -> str:
         """Return how the process of a node has ended; empty: it runs, or is not ours."""
         process = self.processes.running.get(node)

@@ -127,6 +127,8 @@ class LiveSource:
         self._end.set()
         self._thread.join()
         self._theory.close()
+        if self._own is not None:
+            self._own.close()
 
     def __enter__(self) -> LiveSource:
         self.start()

@@ -471,10 +471,11 @@ class PlaybackSource:
                 answer(True, "")
                 continue
             try:
-                answer(True, self._do(request))
+                done = True, self._do(request)
             except ImpactRigError as error:
-                answer(False, str(error))
-            self._tell()
+                done = False, str(error)
+            self._guard("state", self._tell)  # what is shown now comes before the answer
+            answer(*done)
 
     def _do(self, request: Request) -> str:
         value = request.values.get("value")

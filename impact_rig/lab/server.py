@@ -72,6 +72,16 @@ HEADERS = {
 }
 
 
+def check_port(port: int) -> None:
+    """Refuse a port that there is not.
+
+    Raises:
+        ImpactRigError: names what there is.
+    """
+    if not 0 <= port <= HIGHEST_PORT:
+        raise ImpactRigError(f"a port is 0 (any) to {HIGHEST_PORT}, got {port}")
+
+
 def plotter_files() -> Path:
     """Return the folder with uPlot, of the package `uplot-python`; nothing of that package is imported.
 
@@ -289,8 +299,7 @@ class Server:
     def __init__(
         self, source: Source, host: str = LOOPBACK, port: int = PORT, token: str = "", runs: Path | None = None
     ) -> None:
-        if not 0 <= port <= HIGHEST_PORT:
-            raise ImpactRigError(f"a port is 0 (any) to {HIGHEST_PORT}, got {port}")
+        check_port(port)
         self._source, self._runs = source, runs
         self._host, self._wanted_port = host, port
         self.token = token or secrets.token_hex(24)

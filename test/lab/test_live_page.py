@@ -282,10 +282,10 @@ def test_stop_works_whatever_others_publish(lab: Lab, page: Page, hostile: Calla
             publisher.publish(codec.encode(content))
         page.wait(f"lab.now.refused['{name}']?.[0] > 0 && !document.getElementById('refused-box').hidden", "the count")
     client.node.destroy_publisher(client._publishers.pop(name))
-    page.js("document.activeElement.blur()")
-    page.key("Escape")
+    page.key("Escape")  # from within a field, too
     lab.applied("current", 0.0)
     word(page, "tripped")
+    page.js("document.activeElement.blur()")
     pictures = page.js("lab.drawn.pictures")
     page.wait(f"lab.drawn.pictures > {pictures}", "the pictures to go on")
     page.key("c")

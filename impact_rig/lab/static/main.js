@@ -94,6 +94,7 @@ const SHOW = {
     look();
   },
   applied: (applied) => {
+    if (!applied) return;
     knobs.show({ frequency: applied.frequency, current: applied.current });
     spectrum.drive = applied.current > 0 ? applied.frequency : 0;
   },
@@ -122,7 +123,7 @@ const SHOW = {
     byId("recording").classList.toggle("bad", Boolean(trouble || recorder.gone));
     byId("record").textContent = records ? "Stop recording" : "Record";
     byId("record").setAttribute("aria-pressed", String(records));
-    byId("record").disabled = now.mode === "live" && !recorder.lives;
+    byId("record").disabled = now.mode !== "live" || !recorder.lives;
   },
   lost: (lost) => {
     const names = Object.keys(lost);
