@@ -180,6 +180,7 @@ class LiveSource:
         self._gateway = Gateway(self._client, self._heard, self._seen, self._own, self._choose)
 
     async def _leave(self) -> None:
+        self._guard("state", self._tell)  # the last words of the recorder say where it has written
         if self._gateway is not None:
             self._gateway.end("the lab looks elsewhere now")
             await asyncio.sleep(0)

@@ -121,6 +121,7 @@ def test_a_second_lab_is_refused_the_recording_is_named_and_an_end_of_the_pipe_e
             with Client(domain_id, "bench/two", name="observer") as client:
                 client.wait_until(lambda: client.figures("recorder").get("directory"), "a recording", PATIENCE_S)
                 directory = client.figures("recorder")["directory"]
+                client.spin_for(1.5)  # the lab hears the same, once a second
             first.send_signal(signal.SIGINT)
             words, errors = first.communicate(timeout=PATIENCE_S)
             assert words.decode().splitlines()[-1] == f"recorded: {directory}"
