@@ -258,7 +258,8 @@ class FreewheelApparatus(RosApparatus):
         Raises:
             WaitTimeoutError: there was none in `MEASUREMENT_TIMEOUT_S` of wall time.
         """
-        found, stopped = self._client.wait_until(self._heard, "a measurement", MEASUREMENT_TIMEOUT_S)
+        check = self._client.given("a measurement")
+        found, stopped = self._client.wait_until(self._heard, "a measurement", MEASUREMENT_TIMEOUT_S, check)
         rows = [row for table in found for row in table.rows]
         self._now_ns = max([self._now_ns, *(table.stamp_ns for table in found)])
         return News(now_ns=self._now_ns, applied=self._take_applied(), rows=rows, stopped=stopped)

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import time
 from typing import Any  # rclpy messages
@@ -18,9 +19,9 @@ from impact_rig.analysis.findings import Findings
 from impact_rig.analysis.labels import parse_label
 from impact_rig.analysis.settings import TrackerSettings
 from impact_rig.analysis.tables import settings_table
-from impact_rig.analysis.tracker import LONGEST_S, Tracker
+from impact_rig.analysis.tracker import Tracker
 from impact_rig.blocks import Table
-from impact_rig.errors import CodecError, ConfigError
+from impact_rig.errors import CodecError, ConfigError, ImpactRigError
 from impact_rig.nodes import process
 from impact_rig.nodes.acknowledge import Acknowledgements
 from impact_rig.nodes.diagnostics import Health, Level, State
@@ -81,8 +82,8 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
         self._label(_gap(self.settings), 0)
         # calibration and present command first: both are transient-local, so they arrive though published long ago
         self._inlets = [
-            self.subscribe(topics.INFO, self._on_info, raw=True),
-            self.subscribe(topics.APPLIED, self._on_applied, raw=True),
+            self.subscribe_table(topics.INFO, self._on_info),
+            self.subscribe_table(topics.APPLIED, self._on_applied),
             self.subscribe(topics.NOTES, self._on_note),
             self.subscribe(topics.SCAN, self._on_scan, raw=True),
         ]
@@ -160,16 +161,13 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
 
     # Messages
 
-    def _on_info(self, data: bytes) -> None:
-        info = self._decode(topics.INFO, data)
-        if info is None or self._tracker is None:
-            return
-        self._tracker.configure(info)
-        self._plots.configure(info)
+    def _on_info(self, info: Table) -> None:
+        if self._tracker is not None:
+            self._tracker.configure(info)
+            self._plots.configure(info)
 
-    def _on_applied(self, data: bytes) -> None:
-        applied = self._decode(topics.APPLIED, data)
-        if applied is not None and self._tracker is not None:
+    def _on_applied(self, applied: Table) -> None:
+        if self._tracker is not None:
             self._tracker.on_applied(applied)
             self._plots.on_applied(applied)
 
@@ -179,8 +177,11 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
             self._label(label.gap_m, label.stamp_ns)
 
     def _on_scan(self, data: bytes) -> None:
-        scan = self._decode(topics.SCAN, data)
-        if scan is None or self._tracker is None:
+        scan = self.table(topics.SCAN, data)
+        if self._tracker is None:
+            return
+        if scan is None:  # a rig that waits for us must not be held up by what cannot be measured
+            self._acknowledge(data)
             return
         try:
             before = self._tracker.state
@@ -189,18 +190,17 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
                 self.report_change()
             self._analyse(scan)
             self._plots.feed(scan)
-        finally:  # a block that cannot be measured must not hold up a rig that waits for us
-            self._newest_ns, self._heard_at = self._last_instant(scan), time.monotonic()
-            assert self._acknowledgements is not None
-            self._acknowledgements.processed(scan.stamp_ns)
+        except ImpactRigError as error:
+            self.refuse(topics.SCAN.name, str(error))
+        finally:
+            last_s = float(scan.rows["time"][-1]) if len(scan.rows) else 0.0
+            self._newest_ns, self._heard_at = scan.stamp_ns + round(last_s * NS_PER_S), time.monotonic()
+            self._acknowledge(data)
 
-    def _last_instant(self, scan: Table) -> int:
-        """Return when the block's last scan was; of times that are none its stamp, which is reported."""
-        last_s = float(scan.rows["time"][-1]) if len(scan.rows) else 0.0
-        if not abs(last_s) <= LONGEST_S:
-            self.refuse(topics.SCAN.name, f"the block at {scan.stamp_ns} ns ends at the time {last_s!r} s")
-            return scan.stamp_ns
-        return scan.stamp_ns + round(last_s * NS_PER_S)
+    def _acknowledge(self, data: bytes) -> None:
+        assert self._acknowledgements is not None
+        with contextlib.suppress(CodecError):  # told already
+            self._acknowledgements.processed(codec.header_stamp_ns(data))
 
     def _publish(self, findings: Findings) -> None:
         for table in findings.impacts:
@@ -220,19 +220,6 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
                 table = analysis.feed(scan)
                 if table is not None:
                     self._outlets[analysis.topic.name].publish(codec.encode(table))
-
-    def _decode(self, topic: topics.Topic, data: bytes) -> Table | None:
-        try:
-            table = codec.decode(data)
-        except CodecError as error:
-            self.refuse(topic.name, str(error))
-            return None
-        assert topic.columns is not None
-        missing = set(topic.columns.names or ()) - set(table.rows.dtype.names or ())
-        if missing:
-            self.refuse(topic.name, f"columns missing: {', '.join(sorted(missing))}")
-            return None
-        return table
 
 
 def _gap(settings: AnalysisSettings) -> float:

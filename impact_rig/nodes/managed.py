@@ -27,8 +27,9 @@ from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
-from impact_rig import states, topics
-from impact_rig.errors import ImpactRigError
+from impact_rig import codec, states, topics
+from impact_rig.blocks import Table
+from impact_rig.errors import CodecError, ImpactRigError
 from impact_rig.nodes import diagnostics, messages
 from impact_rig.nodes.diagnostics import CpuMeter, Health, Level, State
 from impact_rig.nodes.guard import Refusals, guarded, guarded_answer, guarded_service, in_words
@@ -190,6 +191,28 @@ class ManagedNode(LifecycleNode, Generic[S]):
         profile = messages.profile(topic.qos)
         profile.depth = depth or profile.depth
         return self.create_subscription(messages.class_of(topic), topic.name, callback, profile, raw=raw)
+
+    def subscribe_table(self, topic: topics.Topic, callback: Callable[[Table], None]) -> Any:
+        """Create a guarded subscription to a table; what is none, or what `callback` refuses, is told and counted."""
+
+        def take(data: bytes) -> None:
+            table = self.table(topic, data)
+            if table is None:
+                return
+            try:
+                callback(table)
+            except ImpactRigError as error:
+                self.refuse(topic.name, str(error))
+
+        return self.subscribe(topic, take, raw=True)
+
+    def table(self, topic: topics.Topic, data: bytes) -> Table | None:
+        """Return the table in a message of anybody's; None if it is none of this topic, which is told and counted."""
+        try:
+            return codec.decode(data, topic)
+        except CodecError as error:
+            self.refuse(topic.name, str(error))
+            return None
 
     def service(self, service_type: Any, name: str, callback: Callable[[Any, Any], Any]) -> Any:
         """Create a guarded service; private names (`~/name`) are the convention.

@@ -7,14 +7,16 @@ from __future__ import annotations
 import functools
 import math
 import time
+from collections import Counter
 from typing import Any  # rclpy messages and handles
 
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 import impact_rig
-from impact_rig import codec, states, topics
-from impact_rig.errors import CodecError, RecordingError
+from impact_rig import states, topics
+from impact_rig.blocks import Table
+from impact_rig.errors import RecordingError
 from impact_rig.nodes import process
 from impact_rig.nodes.acknowledge import Acknowledgements
 from impact_rig.nodes.deferred import Answer, DeferredService
@@ -72,6 +74,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         self._resolved: dict[str, str] = {}
         self._added: dict[str, str] = {}
         self._account = Account()
+        self._refused: Counter[str] = Counter()
         self._newest_ns: int | None = None
         self._certificates = 0
         self._awaited: set[str] = set()
@@ -136,8 +139,10 @@ class RecorderNode(ManagedNode[RecorderSettings]):
             return State(words.FAILED, self._failure)
         if self._writer is not None and self._mixed():
             return State(words.RIVAL, self._mixed())
-        if self._writer is not None and lost:
-            return State(words.LOSING, ", ".join(f"{count} of {self._added[name]}" for name, count in lost.items()))
+        if self._writer is not None and (lost or self._refused):
+            missing = [f"{count} of {self._added[name]} lost" for name, count in lost.items()]
+            missing += [f"{count} of {name} refused" for name, count in self._refused.items()]
+            return State(words.LOSING, ", ".join(missing))
         if self._waiting:
             return State(words.WAITING, "for the rig's configuration")
         if self._awaited:
@@ -166,6 +171,9 @@ class RecorderNode(ManagedNode[RecorderSettings]):
             return Health(Level.WARN, f"this run cannot be verified: {mixed}", values | {"other_publishers": mixed})
         if lost:
             return Health(Level.ERROR, "messages were lost before they reached the recorder", values)
+        if writer is not None and self._refused:
+            names = ", ".join(sorted(self._refused))
+            return Health(Level.WARN, f"not recorded, as it is no such table: what came on {names}", values)
         if self._waiting:
             return Health(Level.OK, "waiting for the rig's configuration", values)
         if self._awaited:
@@ -249,7 +257,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         attachments = [Attachment("environment.json", environment(), "application/json")]
         if configuration is not None:
             attachments.append(Attachment(CONFIGURATION, configuration.encode(), "application/yaml"))
-        self._added, self._account = {}, Account(self._publishing)
+        self._added, self._account, self._refused = {}, Account(self._publishing), Counter()
         self._opened_ns = time.time_ns()
         return RunWriter(
             run_directory(settings.directory) / name,
@@ -329,13 +337,23 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         self._answer_start()
 
     def _on_message(self, topic: topics.Topic, data: bytes, info: dict[str, Any]) -> None:
+        table = None
+        if topic.columns is not None:
+            table = self.table(topic, data)
+            if table is None:  # of nobody here: whoever reads the run again would stumble over it
+                self._refused[topic.name] += 1
+                return
         if self._writer is not None:
             try:
                 self._write(self._writer, topic, data, info)
+                if table is not None and topic is topics.INFO:
+                    self._attach_calibration(self._writer, table)
             except RecordingError as error:
                 self._fail(error)
-        if topic is topics.SCAN and not self._failure:
-            self._acknowledge(data)
+        if table is not None and topic is topics.SCAN and not self._failure:
+            assert self._acknowledgements is not None
+            self._newest_ns = table.stamp_ns
+            self._acknowledgements.processed(table.stamp_ns)
 
     def _write(self, writer: RunWriter, topic: topics.Topic, data: bytes, info: dict[str, Any]) -> None:
         if topic.name in RESULTS and int(info["source_timestamp"]) < self._opened_ns:
@@ -347,22 +365,15 @@ class RecorderNode(ManagedNode[RecorderSettings]):
             self._added[name] = topic.name
             writer.add_topic(self._describe(topic, name))
         writer.write(name, data, int(info["source_timestamp"]), int(info["publication_sequence_number"]))
-        if topic is topics.INFO:
-            self._attach_calibration(writer, data)
         if topic.name in self._awaited:
             self._awaited.discard(topic.name)
             self._answer_start()
 
-    def _attach_calibration(self, writer: RunWriter, data: bytes) -> None:
+    def _attach_calibration(self, writer: RunWriter, info: Table) -> None:
         """Keep the certificate as a file too, for people: one per recalibration."""
-        try:
-            text = calibration_yaml(codec.decode(data))
-        except CodecError as error:
-            self.refuse(topics.INFO.name, str(error))
-            return
         self._certificates += 1
         name = CALIBRATION if self._certificates == 1 else f"calibration_{self._certificates}.yaml"
-        writer.attach(Attachment(name, text.encode(), "application/yaml"), instead_of=CALIBRATION)
+        writer.attach(Attachment(name, calibration_yaml(info).encode(), "application/yaml"), instead_of=CALIBRATION)
 
     def _describe(self, topic: topics.Topic, name: str) -> TopicDescription:
         publishers = self.get_publishers_info_by_topic(name)
@@ -374,16 +385,6 @@ class RecorderNode(ManagedNode[RecorderSettings]):
             type_hash=type_hash,
             offered_qos=tuple(qos(publisher.qos_profile) for publisher in publishers),
         )
-
-    def _acknowledge(self, data: bytes) -> None:
-        try:
-            stamp = codec.header_stamp_ns(data)
-        except CodecError as error:
-            self.refuse(topics.SCAN.name, str(error))
-            return
-        self._newest_ns = stamp
-        assert self._acknowledgements is not None
-        self._acknowledgements.processed(stamp)
 
     def _secured(self) -> bool:
         """Make sure that what is acknowledged outlives this process; return whether it may be acknowledged."""

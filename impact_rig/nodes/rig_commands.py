@@ -28,8 +28,18 @@ class RigCommands:
         self._node = node
         self._running = running
         self._done = done
-        node.subscribe(topics.FREQUENCY, self._on_frequency)
-        node.subscribe(topics.CURRENT, self._on_current)
+        self._subscriptions = [
+            node.subscribe(topics.FREQUENCY, self._on_frequency),
+            node.subscribe(topics.CURRENT, self._on_current),
+        ]
+
+    def drop(self) -> None:
+        """Refuse what came and was not looked at yet: it was given to no rig, or to the one before."""
+        for subscription in self._subscriptions:
+            with subscription.handle:
+                while subscription.handle.take_message(subscription.msg_type, False) is not None:
+                    name = subscription.topic_name
+                    self._node.refuse("inactive", f"{name}: it came before this rig began")
 
     def _on_frequency(self, message: Float64) -> None:
         self._accept(topics.FREQUENCY.name, frequency_hz=message.data)

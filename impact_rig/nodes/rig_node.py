@@ -83,7 +83,7 @@ class RigNode(ManagedNode[RigConfig]):
         self._base_ns = self._clock_offset_ns = 0
         self._worked_at = self._slice_began = 0.0
         self._figures = RigStatus()
-        RigCommands(self, self._running, self._flush)
+        self._commands = RigCommands(self, self._running, self._flush)
         self.subscribe(topics.ACK, self._on_ack, raw=True)
         self._pause = Pause(self, self._no_rig, lambda: self._window, self._go_on)
         self._news = RigNews(self)
@@ -137,6 +137,7 @@ class RigNode(ManagedNode[RigConfig]):
         self._clock_offset_ns = time.time_ns() - time.monotonic_ns()
         self._base_ns = time.time_ns() if realtime else 0
         self._pacer = Pacer(time.monotonic_ns, config.time.factor)  # beside the stamp: both mean the same instant
+        self._commands.drop()
         self._rig = Rig(config, self._base_ns)
         self._beginning = None
         self._window = AckWindow(

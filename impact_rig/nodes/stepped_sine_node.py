@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable
 from typing import Any  # rclpy messages
 
@@ -81,10 +80,10 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
         self._now_ns, self._pending = None, self.settings.begin
         self._inlets = [
             self.subscribe(MONITORS["base"], self._on_time, raw=True),
-            self._table(topics.APPLIED, self._on_applied),
-            self._table(topics.JOURNAL, self._on_journal),
-            self._table(topics.TRANSMISSIBILITY_TABLE, self._on_measurement),
-            self.subscribe(topics.INFO, self._on_info, raw=True),
+            self._follow(topics.APPLIED, self._on_applied),
+            self._follow(topics.JOURNAL, self._on_journal),
+            self._follow(topics.TRANSMISSIBILITY_TABLE, self._on_measurement),
+            self.subscribe_table(topics.INFO, self._on_info),
         ]
         self._listen()
         self._timer = self.steady_timer(WATCH_S, self._begin_when_ready)
@@ -125,7 +124,7 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
         wanted = self.settings.hold == PHASE
         if wanted and self._scans is None:
             self._scans_heard = False
-            self._scans = self.subscribe(topics.SCAN, self._on_scan, raw=True)
+            self._scans = self.subscribe_table(topics.SCAN, self._on_scan)
         elif not wanted and self._scans is not None:
             self.destroy_subscription(self._scans)
             self._scans = None
@@ -254,35 +253,20 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
 
     # Messages
 
-    def _table(self, topic: topics.Topic, callback: Callable[[Operator[Walk], Table], None]) -> Any:
+    def _follow(self, topic: topics.Topic, callback: Callable[[Operator[Walk], Table], None]) -> Any:
         """Subscribe to a table topic; `callback` gets the operator, and tables newer than the sweep's begin."""
-        return self.subscribe(topic, functools.partial(self._on_table, topic, callback), raw=True)
 
-    def _on_table(self, topic: topics.Topic, callback: Callable[[Operator[Walk], Table], None], data: bytes) -> None:
-        table, operator = self._decoded(topic, data), self._operator
-        if table is not None and operator is not None and operator.busy and table.stamp_ns >= self._began_ns:
-            callback(operator, table)
+        def take(table: Table) -> None:
+            operator = self._operator
+            if operator is not None and operator.busy and table.stamp_ns >= self._began_ns:
+                callback(operator, table)
 
-    def _decoded(self, topic: topics.Topic, data: bytes) -> Table | None:
-        try:
-            table = codec.decode(data)
-        except CodecError as error:
-            self.refuse(topic.name, str(error))
-            return None
-        assert topic.columns is not None
-        missing = set(topic.columns.names or ()) - set(table.rows.dtype.names or ())
-        if missing:
-            self.refuse(topic.name, f"columns missing: {', '.join(sorted(missing))}")
-            return None
-        return table
+        return self.subscribe_table(topic, take)
 
-    def _on_info(self, data: bytes) -> None:
-        self._info = self._decoded(topics.INFO, data) or self._info
+    def _on_info(self, info: Table) -> None:
+        self._info = info
 
-    def _on_scan(self, data: bytes) -> None:
-        table = self._decoded(topics.SCAN, data)
-        if table is None:
-            return
+    def _on_scan(self, table: Table) -> None:
         self._scans_heard = True
         try:
             if self._operator is not None:
