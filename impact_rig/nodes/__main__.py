@@ -40,7 +40,7 @@ NODES = {
     "rig": (
         "The virtual test rig: publishes what its instruments measure, and takes frequency and current as commands.",
         "barriers.gap_m:=0.004",
-        "Parameters with units and ranges: config/nominal.yaml; `impact-rig check FILE` is a dry run. See docs/interface.md.",
+        "Parameters with units and ranges: config/nominal.yaml; `impact-rig check FILE` is a dry run.",
     ),
     "analysis": (
         "The analysis: measures displacement transmissibility and impacts from daq/scan.",
