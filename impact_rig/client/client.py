@@ -38,9 +38,9 @@ from impact_rig.client.transitions import transition as named
 from impact_rig.client.waiting import LOOK_S, SPIN_S, Activation, Check, Spinner, WaitTimeoutError, patiently
 from impact_rig.errors import ConfigError, ImpactRigError
 from impact_rig.nodes import messages
-from impact_rig.nodes.guard import with_info
+from impact_rig.nodes.callbacks import with_info
+from impact_rig.nodes.messages import Template
 from impact_rig.nodes.process import make_executor
-from impact_rig.nodes.template import Template
 from impact_rig.nodes.topics import by_name
 from impact_rig.system.endings import unhurried
 

@@ -23,7 +23,7 @@ from impact_rig.analysis.tracker import Tracker
 from impact_rig.blocks import Table
 from impact_rig.errors import CodecError, ConfigError, ImpactRigError
 from impact_rig.nodes import process
-from impact_rig.nodes.acknowledge import Acknowledgements
+from impact_rig.nodes.acknowledgements import Acknowledgements
 from impact_rig.nodes.diagnostics import Health, Level, State
 from impact_rig.nodes.managed import ManagedNode
 from impact_rig.nodes.parameters import SectionSchema
@@ -54,8 +54,8 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
         self._tracker: Tracker | None = None
         self._blockwise: list[Blockwise] = []
         self._plots = Plots({})
-        self._outlets: dict[str, Any] = {}
-        self._inlets: list[Any] = []
+        self._outputs: dict[str, Any] = {}
+        self._heard: list[Any] = []
         self._acknowledgements: Acknowledgements | None = None
         self._newest_ns: int | None = None
         self._heard_at = 0.0
@@ -69,7 +69,7 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
         """Create the publishers, and let nobody wait for the compiler once the node is active."""
         self.compile_ahead([warm_up.TASK])
         warm_up.compile_tracker()
-        self._outlets = {topic.name: self.publisher(topic) for topic in PUBLISHED}
+        self._outputs = {topic.name: self.publisher(topic) for topic in PUBLISHED}
         self._acknowledgements = Acknowledgements(self)
 
     def activate(self) -> None:
@@ -77,11 +77,11 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
         names = [name for name, _, _ in SectionSchema(TrackerSettings).fields()]
         self._tracker = Tracker(TrackerSettings(**{name: getattr(self.settings, name) for name in names}))
         self._blockwise = [analysis() for analysis in ANALYSES]
-        self._plots = Plots(self._outlets)
+        self._plots = Plots(self._outputs)
         self._newest_ns = None
         self._label(_gap(self.settings), 0)
         # calibration and present command first: both are transient-local, so they arrive though published long ago
-        self._inlets = [
+        self._heard = [
             self.subscribe_table(topics.INFO, self._on_info),
             self.subscribe_table(topics.APPLIED, self._on_applied),
             self.subscribe(topics.NOTES, self._on_note),
@@ -90,9 +90,9 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
 
     def deactivate(self) -> None:
         """Measure what was held back, and stop listening."""
-        for inlet in self._inlets:
-            self.destroy_subscription(inlet)
-        self._inlets = []
+        for subscription in self._heard:
+            self.destroy_subscription(subscription)
+        self._heard = []
         tracker, self._tracker = self._tracker, None
         if tracker is not None and self.context.ok():
             self._publish(tracker.flush())
@@ -100,9 +100,9 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
     def cleanup(self) -> None:
         """Destroy the publishers."""
         self.deactivate()
-        for outlet in self._outlets.values():
-            self.destroy_publisher(outlet)
-        self._outlets = {}
+        for publisher in self._outputs.values():
+            self.destroy_publisher(publisher)
+        self._outputs = {}
         if self._acknowledgements is not None:
             self._acknowledgements.destroy()
             self._acknowledgements = None
@@ -157,7 +157,7 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
         assert self._tracker is not None
         self._tracker.label(gap_m, stamp_ns)
         table = settings_table(self.settings, gap_m, stamp_ns)
-        self._outlets[topics.ANALYSIS_SETTINGS.name].publish(codec.encode(table))
+        self._outputs[topics.ANALYSIS_SETTINGS.name].publish(codec.encode(table))
 
     # Messages
 
@@ -204,13 +204,13 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
 
     def _publish(self, findings: Findings) -> None:
         for table in findings.impacts:
-            self._outlets[topics.IMPACTS.name].publish(codec.encode(table))
+            self._outputs[topics.IMPACTS.name].publish(codec.encode(table))
         for table in findings.measurements:
-            self._outlets[topics.TRANSMISSIBILITY_TABLE.name].publish(codec.encode(table))
+            self._outputs[topics.TRANSMISSIBILITY_TABLE.name].publish(codec.encode(table))
             for row in table.rows:
                 if row["settled"] == 1:
                     self._latest = float(row["transmissibility"])
-                    self._outlets[topics.TRANSMISSIBILITY.name].publish(Float64(data=self._latest))
+                    self._outputs[topics.TRANSMISSIBILITY.name].publish(Float64(data=self._latest))
                     self._plots.measured(table.stamp_ns, row)
 
     def _analyse(self, scan: Table) -> None:
@@ -219,7 +219,7 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
             if set(analysis.needs) <= set(scan.rows.dtype.names or ()):
                 table = analysis.feed(scan)
                 if table is not None:
-                    self._outlets[analysis.topic.name].publish(codec.encode(table))
+                    self._outputs[analysis.topic.name].publish(codec.encode(table))
 
 
 def _gap(settings: AnalysisSettings) -> float:

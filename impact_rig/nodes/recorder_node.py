@@ -5,11 +5,16 @@
 from __future__ import annotations
 
 import functools
+import json
 import math
+import os
+import platform
 import time
 from collections import Counter
+from pathlib import Path
 from typing import Any  # rclpy messages and handles
 
+import yaml
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
@@ -18,24 +23,24 @@ from impact_rig import states, topics
 from impact_rig.blocks import Table
 from impact_rig.errors import RecordingError
 from impact_rig.nodes import process
-from impact_rig.nodes.acknowledge import Acknowledgements
-from impact_rig.nodes.deferred import Answer, DeferredService
+from impact_rig.nodes.acknowledgements import Acknowledgements
 from impact_rig.nodes.diagnostics import Health, Level, State
-from impact_rig.nodes.managed import ManagedNode
+from impact_rig.nodes.managed import Answer, DeferredService, ManagedNode
 from impact_rig.nodes.parameters import SectionSchema
-from impact_rig.nodes.recorder_content import calibration_yaml, environment, parameters, qos, run_directory
 from impact_rig.nodes.settings import RecorderSettings
 from impact_rig.nodes.topics import TOPICS
 from impact_rig.recording import (
     CONFIGURATION,
     Account,
     Attachment,
+    OfferedQos,
     Provenance,
     RunWriter,
     TopicDescription,
     schema_text,
 )
 from impact_rig.system.endings import Ending
+from impact_rig.system.machine import identity
 
 FLUSH_S = 0.2
 AWAITED = (topics.INFO, topics.APPLIED, topics.JOURNAL, topics.CONFIGURATION, topics.ANALYSIS_SETTINGS)
@@ -117,8 +122,8 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         if self._timer is not None:
             self.destroy_timer(self._timer)
             self._timer = None
-        for inlet in [*self._permanent, *([self._scans] if self._scans is not None else [])]:
-            self.destroy_subscription(inlet)
+        for subscription in [*self._permanent, *([self._scans] if self._scans is not None else [])]:
+            self.destroy_subscription(subscription)
         self._permanent, self._scans = [], None
 
     def cleanup(self) -> None:
@@ -280,8 +285,8 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         """Close the run; nothing is lost that has arrived."""
         self._waiting = False
         self._awaited = set()
-        for inlet in self._recorded:
-            self.destroy_subscription(inlet)
+        for subscription in self._recorded:
+            self.destroy_subscription(subscription)
         self._recorded = []
         writer, self._writer = self._writer, None
         self._begin.reply(False, "recording was stopped")
@@ -300,8 +305,8 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         self.report_change()
         self.get_logger().error(self._failure)
         writer, self._writer = self._writer, None
-        for inlet in self._recorded:
-            self.destroy_subscription(inlet)
+        for subscription in self._recorded:
+            self.destroy_subscription(subscription)
         self._recorded = []
         if writer is not None and not writer.closed:
             writer.finish()
@@ -394,6 +399,71 @@ class RecorderNode(ManagedNode[RecorderSettings]):
             except RecordingError as error:
                 self._fail(error)
         return not self._failure
+
+
+def run_directory(text: str) -> Path:
+    """Return the directory a parameter names.
+
+    Raises:
+        RecordingError: its user is not known.
+    """
+    try:
+        return Path(text).expanduser()
+    except RuntimeError as error:  # ~nobody
+        raise RecordingError(f"directory {text!r} cannot be used: {error}") from error
+
+
+def calibration_yaml(info: Table) -> str:
+    """Return daq/info as YAML: one mapping per channel, and the instant from which it holds."""
+    channels: dict[str, dict[str, str | float]] = {}
+    for row in info.rows:
+        values = {name: row[name] for name in info.rows.dtype.names or ()}
+        plain = {
+            name: value.decode(errors="replace") if isinstance(value, bytes) else float(value)
+            for name, value in values.items()
+        }
+        channels[str(plain.pop("name", len(channels)))] = plain
+    text: str = yaml.safe_dump({"stamp_ns": info.stamp_ns, "channels": channels}, sort_keys=False)
+    return text
+
+
+def qos(profile: Any) -> OfferedQos:
+    """Return a profile of rclpy in the words of rosbag2."""
+    return OfferedQos(
+        history=profile.history.name.lower(),
+        depth=profile.depth,
+        reliability=profile.reliability.name.lower(),
+        durability=profile.durability.name.lower(),
+        deadline_ns=profile.deadline.nanoseconds,
+        lifespan_ns=profile.lifespan.nanoseconds,
+        liveliness=profile.liveliness.name.lower(),
+        liveliness_lease_ns=profile.liveliness_lease_duration.nanoseconds,
+    )
+
+
+def parameters(configuration: str | None) -> dict[str, Any]:
+    """Return the nested values of a rig's configuration; empty if it is none (it comes from the network)."""
+    try:
+        document = yaml.safe_load(configuration or "")
+        values = document["/**"]["ros__parameters"]
+    except (yaml.YAMLError, KeyError, TypeError, ValueError, RecursionError):  # a date that is none, nesting
+        return {}
+    sections = values if isinstance(values, dict) else {}
+    return {name: section for name, section in sections.items() if isinstance(section, dict)}
+
+
+def environment() -> bytes:
+    """Return what the run depended on, as JSON."""
+    return json.dumps(
+        {
+            "impact_rig": impact_rig.__version__,
+            **identity(),
+            "machine": platform.machine(),
+            "system": platform.platform(),
+            "ros_distro": os.environ.get("ROS_DISTRO", ""),
+        },
+        indent=1,
+    ).encode()
 
 
 def main(ending: Ending) -> None:

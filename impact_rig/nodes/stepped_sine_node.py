@@ -14,7 +14,7 @@ from impact_rig import codec, states, topics
 from impact_rig.blocks import Table
 from impact_rig.errors import CodecError, ConfigError
 from impact_rig.nodes import process
-from impact_rig.nodes.acknowledge import Acknowledgements
+from impact_rig.nodes.acknowledgements import Acknowledgements
 from impact_rig.nodes.diagnostics import Health, Level, State
 from impact_rig.nodes.managed import ManagedNode
 from impact_rig.nodes.parameters import SectionSchema
@@ -52,9 +52,9 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("stepped_sine", SectionSchema(SteppedSineSettings), **kwargs)
         self._operator: Operator[Walk] | None = None
-        self._outlets: dict[str, Any] = {}
+        self._outputs: dict[str, Any] = {}
         self._acknowledgements: Acknowledgements | None = None
-        self._inlets: list[Any] = []
+        self._heard: list[Any] = []
         self._timer: Any = None
         self._pending = False  # wanted, but the rig is not there yet
         self._now_ns: int | None = None
@@ -72,13 +72,13 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
     def configure(self) -> None:
         """Create the publishers."""
         chosen = (topics.FREQUENCY, topics.CURRENT, topics.CURVE, topics.HELD, topics.LOCKED)
-        self._outlets = {topic.name: self.publisher(topic) for topic in chosen}
+        self._outputs = {topic.name: self.publisher(topic) for topic in chosen}
         self._acknowledgements = Acknowledgements(self)
 
     def activate(self) -> None:
         """Listen; begin the sweep as soon as the rig is there if `begin` says so."""
         self._now_ns, self._pending = None, self.settings.begin
-        self._inlets = [
+        self._heard = [
             self.subscribe(MONITORS["base"], self._on_time, raw=True),
             self._follow(topics.APPLIED, self._on_applied),
             self._follow(topics.JOURNAL, self._on_journal),
@@ -95,17 +95,17 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
         if self._timer is not None:
             self.destroy_timer(self._timer)
             self._timer = None
-        for inlet in [*self._inlets, *([self._scans] if self._scans is not None else [])]:
-            self.destroy_subscription(inlet)
-        self._inlets, self._scans, self._info = [], None, None
+        for subscription in [*self._heard, *([self._scans] if self._scans is not None else [])]:
+            self.destroy_subscription(subscription)
+        self._heard, self._scans, self._info = [], None, None
 
     def cleanup(self) -> None:
         """Destroy the publishers."""
         self.deactivate()
         self._operator = None
-        for outlet in self._outlets.values():
-            self.destroy_publisher(outlet)
-        self._outlets = {}
+        for publisher in self._outputs.values():
+            self.destroy_publisher(publisher)
+        self._outputs = {}
         if self._acknowledgements is not None:
             self._acknowledgements.destroy()
             self._acknowledgements = None
@@ -194,7 +194,7 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
 
     def _missing(self) -> str:
         """Return who is not there yet; empty when a sweep can begin."""
-        if any(not self._outlets[topic.name].get_subscription_count() for topic in (topics.FREQUENCY, topics.CURRENT)):
+        if any(not self._outputs[topic.name].get_subscription_count() for topic in (topics.FREQUENCY, topics.CURRENT)):
             return "no rig listens to the shaker's topics"
         if self.settings.hold == PHASE:
             if self._info is None or not self._scans_heard:
@@ -228,13 +228,13 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
 
     def set(self, setpoint: Setpoint) -> None:
         """Send frequency and current; `shaker/applied` tells that they are in force."""
-        self._outlets[topics.FREQUENCY.name].publish(Float64(data=setpoint.frequency_hz))
-        self._outlets[topics.CURRENT.name].publish(Float64(data=setpoint.current_a))
+        self._outputs[topics.FREQUENCY.name].publish(Float64(data=setpoint.frequency_hz))
+        self._outputs[topics.CURRENT.name].publish(Float64(data=setpoint.current_a))
 
     def rest(self) -> None:
         """Set the current to zero, and say why."""
         assert self._operator is not None
-        self._outlets[topics.CURRENT.name].publish(Float64(data=0.0))
+        self._outputs[topics.CURRENT.name].publish(Float64(data=0.0))
         sweep = self._operator.sweep
         if sweep.state is Progress.ABORTED:
             self.get_logger().error(f"sweep aborted: {sweep.reason}")
@@ -244,12 +244,12 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
     def _publish_curve(self, sweep: Walk) -> None:
         if isinstance(sweep, LockedSine):
             if sweep.measured:
-                self._outlets[topics.LOCKED.name].publish(codec.encode(Table(self._began_ns, sweep.newest)))
+                self._outputs[topics.LOCKED.name].publish(codec.encode(Table(self._began_ns, sweep.newest)))
             return
         if sweep.measured:
-            self._outlets[topics.CURVE.name].publish(codec.encode(Table(self._began_ns, sweep.rows)))
+            self._outputs[topics.CURVE.name].publish(codec.encode(Table(self._began_ns, sweep.rows)))
         if sweep.measured and isinstance(sweep, ControlledSine):
-            self._outlets[topics.HELD.name].publish(codec.encode(Table(self._began_ns, sweep.held)))
+            self._outputs[topics.HELD.name].publish(codec.encode(Table(self._began_ns, sweep.held)))
 
     # Messages
 

@@ -28,9 +28,9 @@ from impact_rig.client.parameters import ros_parameters
 from impact_rig.client.processes import ParameterValue, Processes
 from impact_rig.errors import ConfigError, ImpactRigError, RecordingError
 from impact_rig.instruments.fault import Fault
+from impact_rig.nodes.messages import header_stamp_ns
 from impact_rig.nodes.recorder_node import RecorderNode
 from impact_rig.nodes.rig_node import RigNode
-from impact_rig.nodes.stamps import header_stamp_ns
 from impact_rig.testing.stepped_rig import SCANS, TOPICS, SteppedRig, configured
 
 NODE_TIMEOUT_S = 30.0

@@ -22,15 +22,15 @@ from std_srvs.srv import SetBool, Trigger
 from impact_rig import topics
 from impact_rig.client import Client, isolated_domain
 from impact_rig.client.parameters import ros_parameters
-from impact_rig.nodes import messages, services
+from impact_rig.nodes import messages
 from impact_rig.nodes.__main__ import NODES, show_help
 from impact_rig.nodes.analysis_node import AnalysisNode
 from impact_rig.nodes.recorder_node import RecorderNode
 from impact_rig.nodes.rig_node import RigNode
-from impact_rig.nodes.services import Situation
 from impact_rig.nodes.stepped_sine_node import SteppedSineNode
 from impact_rig.nodes.topics import TOPICS, by_name
-from tools.generate import figures, interface
+from tools.generate import figures, interface, services
+from tools.generate.services import Situation
 
 pytestmark = pytest.mark.ros
 
@@ -93,7 +93,7 @@ def test_parameters_of_the_graph_are_those_of_the_page_with_unit_and_range(graph
     for node in nodes:
         listed = client.call(ListParameters, f"{node}/list_parameters", ListParameters.Request()).result.names
         own = [n for n in listed if not n.startswith(("qos_overrides", "use_sim_time", "start_type", "config_file"))]
-        fields = {name: about for name, about, _ in interface.interface.SCHEMAS[node].fields()}
+        fields = {name: about for name, about, _ in interface.SCHEMAS[node].fields()}
         assert sorted(own) == sorted(fields), node
         request = DescribeParameters.Request(names=list(fields))
         found = client.call(DescribeParameters, f"{node}/describe_parameters", request).descriptors
