@@ -18,6 +18,7 @@ from typing import Any, TypeVar  # rclpy handles; message classes have no common
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
+from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from rcl_interfaces.srv import GetParameters, SetParametersAtomically
 from rclpy.context import Context
@@ -30,15 +31,13 @@ from std_srvs.srv import SetBool, Trigger
 from impact_rig import codec, topics
 from impact_rig.blocks import Table
 from impact_rig.client.collector import Collector, Received
-from impact_rig.client.graph import is_heard, published
 from impact_rig.client.hosting import HostedNodes, acknowledge_callbacks
 from impact_rig.client.parameters import ros_parameters
 from impact_rig.client.processes import ParameterValue, Processes
-from impact_rig.client.transitions import transition as named
 from impact_rig.client.waiting import LOOK_S, SPIN_S, Activation, Check, Spinner, WaitTimeoutError, patiently
 from impact_rig.errors import ConfigError, ImpactRigError
 from impact_rig.nodes import messages
-from impact_rig.nodes.callbacks import with_info
+from impact_rig.nodes.guard import with_info
 from impact_rig.nodes.messages import Template
 from impact_rig.nodes.process import make_executor
 from impact_rig.nodes.topics import by_name
@@ -56,6 +55,18 @@ RIG = "simulation"
 """Component in the diagnostics of a rig."""
 AGAIN_S = 2.0
 """When a question that may be asked twice is asked again."""
+
+
+TRANSITIONS = {
+    "configure": Transition.TRANSITION_CONFIGURE,
+    "cleanup": Transition.TRANSITION_CLEANUP,
+    "activate": Transition.TRANSITION_ACTIVATE,
+    "deactivate": Transition.TRANSITION_DEACTIVATE,
+    "shutdown_unconfigured": Transition.TRANSITION_UNCONFIGURED_SHUTDOWN,
+    "shutdown_inactive": Transition.TRANSITION_INACTIVE_SHUTDOWN,
+    "shutdown_active": Transition.TRANSITION_ACTIVE_SHUTDOWN,
+}
+"""Transitions of a lifecycle node by name."""
 
 
 class ServiceFailedError(ImpactRigError, RuntimeError):
@@ -356,7 +367,7 @@ class Client:
 
     def change_state(self, node: str, transition: str, timeout_s: float = START_TIMEOUT_S) -> bool:
         """Request a lifecycle transition (`configure`, `activate`, `deactivate`, `cleanup`); return its success."""
-        request = ChangeState.Request(transition=named(transition))
+        request = ChangeState.Request(transition=Transition(id=TRANSITIONS[transition]))
         changed = bool(self.call(ChangeState, f"{node}/change_state", request, timeout_s).success)
         self._address(node)
         return changed
@@ -458,3 +469,30 @@ class Client:
         """Return what nodes that are not well say: most waits in vain have their reason there."""
         bad = [f"{name}: {status.message}" for name, status in self.diagnostics.items() if status.level != b"\0"]
         return f" ({'; '.join(bad)})" if bad else ""
+
+
+def subscribers(node: Node, topic: str) -> set[str]:
+    """Return the names of the nodes that subscribe a topic."""
+    full_name = node.resolve_topic_name(topic)
+    return {info.node_name for info in node.get_subscriptions_info_by_topic(full_name)}
+
+
+def is_heard(node: Node, publisher: Any, listener: str | None) -> bool:
+    """Return whether a node's publisher has reached all that the graph knows, the node `listener` among them."""
+    found = node.get_subscriptions_info_by_topic(publisher.topic_name)
+    there = listener is None or listener in {info.node_name for info in found}
+    return there and publisher.get_subscription_count() >= max(len(found), 1)
+
+
+def published(node: Node, topic: str) -> tuple[topics.Topic, QoSProfile] | None:
+    """Return a topic's row, as the table of topics has them, and the profile that its first publisher satisfies.
+
+    None: nobody publishes it.
+    """
+    found = node.get_publishers_info_by_topic(node.resolve_topic_name(topic))
+    if not found:
+        return None
+    publisher = found[0]
+    profile = messages.profile(topics.Qos.DATA)
+    profile.reliability = publisher.qos_profile.reliability
+    return topics.Topic(topic, publisher.topic_type, topics.Qos.DATA, publisher.node_name, "", ()), profile

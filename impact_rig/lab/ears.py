@@ -22,7 +22,7 @@ from impact_rig.lab.motion import Motion
 from impact_rig.lab.parts import Curve, Ledger, start_ns
 from impact_rig.lab.scope import Scope
 from impact_rig.nodes import messages
-from impact_rig.nodes.callbacks import guarded
+from impact_rig.nodes.guard import guarded
 
 MOST_PER_LOOK = 300
 """Messages taken of one topic at once: a picture must come out between."""

@@ -24,7 +24,7 @@ from rclpy.parameter import Parameter
 from impact_rig.config import FieldInfo
 from impact_rig.config.fields import METADATA_KEY, info
 from impact_rig.errors import ConfigError
-from impact_rig.nodes.callbacks import describe
+from impact_rig.nodes.guard import describe
 from impact_rig.rig import config
 from impact_rig.rig.config import RigConfig
 

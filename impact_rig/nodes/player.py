@@ -26,7 +26,7 @@ from impact_rig import codec, topics
 from impact_rig.errors import ImpactRigError, RecordingError
 from impact_rig.nodes import messages
 from impact_rig.nodes.acknowledgements import AckWindow, Readers
-from impact_rig.nodes.callbacks import guarded_service
+from impact_rig.nodes.guard import guarded_service
 from impact_rig.nodes.monitors import CLOCK
 from impact_rig.nodes.pacing import Pacer
 from impact_rig.nodes.process import make_executor

@@ -10,8 +10,8 @@ from typing import Any  # rclpy messages
 
 from impact_rig import states, topics
 from impact_rig.nodes import process
-from impact_rig.nodes.callbacks import describe, guarded
 from impact_rig.nodes.diagnostics import Health, State
+from impact_rig.nodes.guard import describe, guarded
 from impact_rig.nodes.inputs import Inputs
 from impact_rig.nodes.managed import ManagedNode
 from impact_rig.nodes.pacing import WorkTimer

@@ -14,7 +14,7 @@ from typing import Any  # messages of a package that may be absent
 
 from impact_rig import __version__
 from impact_rig.errors import CommandError
-from impact_rig.nodes.callbacks import describe
+from impact_rig.nodes.guard import describe
 from impact_rig.nodes.inputs import Inputs
 from impact_rig.nodes.managed import Done, LateService
 
