@@ -298,7 +298,7 @@ class LiveSource:
             "dt": lambda: heard.curve.part(heard.start_ns),
             "dt_now": lambda: state.present(seen["rig"], seen["analysis"]),
             "faults": lambda: heard.faults.in_force(heard.start_ns),
-            "health": lambda: state.unhealthy(seen["analysis"].figures) if seen["analysis"].lives else None,
+            "health": lambda: heard.curve.health() if seen["analysis"].lives else None,
             "journal": lambda: heard.journal.part(heard.start_ns),
             "recorder": lambda: self._recorder(seen["recorder"]),
             "lost": lambda: _lost(seen),
@@ -316,7 +316,7 @@ class LiveSource:
     def _rig(self, seen: Mapping[str, Seen], heard: Subscriptions) -> dict[str, Any]:
         rig = seen["rig"]
         doubts = [f"{fault} is in force (truth)" for fault in heard.faults.in_force(heard.start_ns)]
-        doubts += [f"{channel}: {word}" for channel, word in (state.unhealthy(seen["analysis"].figures) or {}).items()]
+        doubts += [f"{channel}: {word}" for channel, word in (heard.curve.health() or {}).items()]
         word, words = state.judge(rig, seen["analysis"], doubts)
         rig_s = figure(rig.figures.get("rig_time_s"))
         return {

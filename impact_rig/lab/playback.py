@@ -290,7 +290,7 @@ class RunPlayer:
         It did where the shaker drove and nothing had changed since, nor had a later one failed.
         """
         at = self.instant_ns(page_s)
-        rows = [(stamp, status) for stamp, status in self.curve.statuses if knobs["changed_ns"] < stamp <= at]
+        rows = [(stamp, status) for stamp, status, _ in self.curve.statuses if knobs["changed_ns"] < stamp <= at]
         drives = knobs["applied"]["current"] > 0.0 and not knobs["latched"] and not knobs["plucked"]
         state = "at_rest" if not drives else "settling" if not rows else "measuring"
         reason = ""
@@ -557,6 +557,7 @@ class PlaybackSource:
             ])  # fmt: skip
         put("closed_form", state.closed_form(knobs))
         put("faults", run.faults.in_force(run.start_ns, at))
+        put("health", run.curve.health(at))
         put("journal", run.journal.part(run.start_ns))
         put("recorder", {"name": run.path.name})
         lost = run.lost_blocks(self.now_s)

@@ -41,7 +41,8 @@ STALE_S = 3.0
 """Rig time that has not moved for so long stands still."""
 GAP_S = 10.0
 """Two readings further apart say nothing about the speed between them."""
-HEALTH = "health."
+ACCELEROMETER = {Status.ACCELEROMETER_OVER_RANGE.value: "accelerometer"}
+"""Statuses that name their channel themselves."""
 PLANNED = "instruments.faults.planned"
 KNOBS = (
     "barriers.gap_m", "sphere.present", "sphere.start", "contact.law", "contact.restitution", "pluck.displacement_m",
@@ -171,12 +172,6 @@ def plain(word: str) -> str:
     return word.replace("_", " ")
 
 
-def unhealthy(figures: Mapping[str, str]) -> dict[str, str] | None:
-    """Return the channels that are not well and why, by the keys `health.CHANNEL`; None: the analysis says nothing."""
-    found = {name.removeprefix(HEALTH): plain(word) for name, word in figures.items() if name.startswith(HEALTH)}
-    return {name: word for name, word in found.items() if word not in ("", "ok")} if found else None
-
-
 class JournalView:
     """The journal, faults and remarks, as lines for people."""
 
@@ -297,18 +292,30 @@ class Curve:
 
     def __init__(self) -> None:
         self._rows: deque[tuple[int, dict[str, Any]]] = deque(maxlen=MOST_ROWS)
-        self.statuses: deque[tuple[int, str]] = deque(maxlen=MOST_ROWS)
-        """Stamp and status of every row, those without numbers too."""
+        self.statuses: deque[tuple[int, str, str]] = deque(maxlen=MOST_ROWS)
+        """Stamp, status and the channel it is about of every row, those without numbers too."""
         self._part: tuple[int, list[dict[str, Any]]] | None = None
 
     def add(self, table: Table) -> None:
         """Take a table of `transmissibility/table`."""
         for row in table.rows:
             status = text(row["status"])
-            self.statuses.append((table.stamp_ns, status))
+            channel = text(row["channel"]) if "channel" in row.dtype.names else ""
+            self.statuses.append((table.stamp_ns, status, ACCELEROMETER.get(status, channel)))
             if status in MEASURED:
                 self._rows.append((table.stamp_ns, _measurement(row)))
                 self._part = None
+
+    def health(self, at_ns: int | None = None) -> dict[str, str] | None:
+        """Return what the newest row, or that of an instant, says against a channel, in words.
+
+        None: there is no row, so nothing is known; empty: it says nothing against any.
+        """
+        rows = [row for row in self.statuses if at_ns is None or row[0] <= at_ns]
+        if not rows:
+            return None
+        _, status, channel = rows[-1]
+        return {channel: plain(status)} if channel and status not in (Status.OK, Status.NOT_SETTLED) else {}
 
     def part(self, start_ns: int) -> list[dict[str, Any]]:
         """Return the rows, oldest first; the same list while nothing is new."""
@@ -475,7 +482,16 @@ GLOSSARY = {
     "not finite": "A scan was no number.",
     "no frequency": "There is no drive frequency to measure at.",
     "too few cycles": "The record holds too few cycles of the drive.",
-    "silence": "The base does not move measurably.",
+    "silence": "Neither base nor structure moves measurably.",
+    "no signal": "A channel shows no vibration above its noise while another does.",
+    "too uncertain": "Noise or scatter leave more doubt than a measurement may have.",
+    "below resolution": "The vibration is too small for the steps of a sensor or of the converter.",
+    "spikes": "A channel jumps and returns from scan to scan, as neither vibration nor noise does.",
+    "level jump": "A channel jumps and stays there: a step of its zero.",
+    "noisy": "The noise of a channel is far above that of its calibration.",
+    "implausible": "A channel contradicts the others, or has changed while they have not.",
+    "accelerometer unsound": "The accelerometer is dead, or contradicts the laser: the displacements are sound.",
+    "intermittent": "Impacts came and stay away: the sphere may be drifting towards the next.",
     "constant": "One displacement channel stands still while the other moves: stuck, or its cable open.",
     "swapped channels": "Laser and base look exchanged.",
     "inverted channel": "Laser or base is wired the wrong way round: the structure seems to lead its base.",

@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 import attrs
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
-from impact_rig.nodes.stamps import time_message
+from impact_rig.nodes.messages import time_message
 
 
 class Level(enum.IntEnum):

@@ -4,7 +4,7 @@
 
 It configures and activates itself (`autostart`), survives invalid transition requests and callback exceptions (both end
 a plain Jazzy Python node), takes parameters through one validator, and reports at 1 Hz and on change. A subclass fills
-in what happens on configure, activate, deactivate and clean up.
+in what happens on configure, activate, deactivate and clean up. Its services may answer later (`DeferredService`).
 """
 
 from __future__ import annotations
@@ -27,19 +27,24 @@ from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
-from impact_rig import states, topics
-from impact_rig.errors import ImpactRigError
+from impact_rig import codec, states, topics
+from impact_rig.blocks import Table
+from impact_rig.errors import CodecError, ImpactRigError
 from impact_rig.nodes import diagnostics, messages
 from impact_rig.nodes.diagnostics import CpuMeter, Health, Level, State
-from impact_rig.nodes.guard import Refusals, guarded, guarded_answer, guarded_service, in_words
-from impact_rig.nodes.one_by_one import set_one_by_one
-from impact_rig.nodes.parameters import Parameters, Schema
+from impact_rig.nodes.guard import Refusals, describe, guarded, guarded_answer, guarded_service, in_words
+from impact_rig.nodes.parameters import Parameters, Schema, set_one_by_one
 from impact_rig.system.escapes import visible
 
 if TYPE_CHECKING:
     from impact_rig.system.compile_ahead import Task
 
 S = TypeVar("S")
+
+Answer = tuple[bool, str]
+"""`success` and `message` of `std_srvs/Trigger` and `std_srvs/SetBool`."""
+Done = Callable[[bool, str], None]
+"""Takes `success` and `message`, once."""
 
 DIAGNOSTICS_PERIOD_S = 1.0
 CHANGE_PERIOD_S = 0.1
@@ -190,6 +195,28 @@ class ManagedNode(LifecycleNode, Generic[S]):
         profile = messages.profile(topic.qos)
         profile.depth = depth or profile.depth
         return self.create_subscription(messages.class_of(topic), topic.name, callback, profile, raw=raw)
+
+    def subscribe_table(self, topic: topics.Topic, callback: Callable[[Table], None]) -> Any:
+        """Create a guarded subscription to a table; what is none, or what `callback` refuses, is told and counted."""
+
+        def take(data: bytes) -> None:
+            table = self.table(topic, data)
+            if table is None:
+                return
+            try:
+                callback(table)
+            except ImpactRigError as error:
+                self.refuse(topic.name, str(error))
+
+        return self.subscribe(topic, take, raw=True)
+
+    def table(self, topic: topics.Topic, data: bytes) -> Table | None:
+        """Return the table in a message of anybody's; None if it is none of this topic, which is told and counted."""
+        try:
+            return codec.decode(data, topic)
+        except CodecError as error:
+            self.refuse(topic.name, str(error))
+            return None
 
     def service(self, service_type: Any, name: str, callback: Callable[[Any, Any], Any]) -> Any:
         """Create a guarded service; private names (`~/name`) are the convention.
@@ -450,3 +477,99 @@ class ManagedNode(LifecycleNode, Generic[S]):
         if time.monotonic() - at < ERROR_MEMORY_S:
             return diagnostics.worst((status.level, status.message), (Level.ERROR, message))
         return status.level, status.message
+
+
+class LateService:
+    """A service of any type whose requests are answered by a call, at once or later, whatever executor runs it.
+
+    rclpy wants a response from the callback, and its executors differ: the events executor takes no coroutines, the
+    others resume them only when something else wakes them. All of them hand the returned response to
+    `Service.send_response` together with the request's header. So the callback returns a marker, and the wrapped
+    `send_response` keeps the header until there is an answer.
+
+    Args:
+        node: owner.
+        service_type: of the service.
+        name: service name.
+        on_request: called with each request and with what sends its response. It must not raise.
+    """
+
+    def __init__(
+        self,
+        node: ManagedNode[Any],
+        service_type: Any,
+        name: str,
+        on_request: Callable[[Any, Callable[[Any], None]], None],
+    ) -> None:
+        self._on_request = on_request
+        self._request: Any = None
+        self._service = node.create_service(service_type, name, self._keep)
+        self._send = self._service.send_response
+        self._service.send_response = self._begin
+        self._marker = service_type.Response()
+
+    def _keep(self, request: Any, _response: Any) -> Any:
+        self._request = request
+        return self._marker
+
+    def _begin(self, _marker: Any, header: Any) -> None:
+        self._on_request(self._request, lambda response: self._send(response, header))
+
+
+class DeferredService:
+    """A service of `std_srvs` whose requests may be answered by `reply`.
+
+    Args:
+        node: owner; counts refusals.
+        service_type: `Trigger` or `SetBool`.
+        name: service name.
+        accept: called with each request; returns None to defer the answer, or the answer to give at once.
+        registered: called once a deferred request is known, so that it may be answered; work begins here. It must not
+            raise.
+    """
+
+    def __init__(
+        self,
+        node: ManagedNode[Any],
+        service_type: Any,
+        name: str,
+        accept: Callable[[Any], Answer | None],
+        registered: Callable[[], None],
+    ) -> None:
+        self._type = service_type
+        self._refuse = functools.partial(node.refuse, name.removeprefix("~/"))
+        self._accept = accept
+        self._registered = registered
+        self._waiting: list[Done] = []
+        self._service = LateService(node, service_type, name, self._on_request)
+
+    @property
+    def waiting(self) -> int:
+        """Requests not answered yet."""
+        return len(self._waiting)
+
+    def wait(self, done: Done) -> None:
+        """Let somebody of this process wait as a client does whose request was deferred."""
+        self._waiting.append(done)
+        self._registered()
+
+    def reply(self, success: bool, message: str) -> None:
+        """Answer every waiting request."""
+        waiting, self._waiting = self._waiting, []
+        for done in waiting:
+            done(success, message)
+
+    def _on_request(self, request: Any, send: Callable[[Any], None]) -> None:
+        def done(success: bool, message: str) -> None:
+            if not success:
+                self._refuse(message)
+            send(self._type.Response(success=success, message=message))
+
+        try:
+            answer = self._accept(request)
+        except Exception as error:  # as `guarded_service`: nothing a request causes may end the process
+            answer = False, describe(error)
+        if answer is None:
+            self.wait(done)
+        else:
+            done(*answer)

@@ -5,35 +5,42 @@
 from __future__ import annotations
 
 import functools
+import json
 import math
+import os
+import platform
 import time
+from collections import Counter
+from pathlib import Path
 from typing import Any  # rclpy messages and handles
 
+import yaml
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 import impact_rig
-from impact_rig import codec, states, topics
-from impact_rig.errors import CodecError, RecordingError
+from impact_rig import states, topics
+from impact_rig.blocks import Table
+from impact_rig.errors import RecordingError
 from impact_rig.nodes import process
-from impact_rig.nodes.acknowledge import Acknowledgements
-from impact_rig.nodes.deferred import Answer, DeferredService
+from impact_rig.nodes.acknowledgements import Acknowledgements
 from impact_rig.nodes.diagnostics import Health, Level, State
-from impact_rig.nodes.managed import ManagedNode
+from impact_rig.nodes.managed import Answer, DeferredService, ManagedNode
 from impact_rig.nodes.parameters import SectionSchema
-from impact_rig.nodes.recorder_content import calibration_yaml, environment, parameters, qos, run_directory
 from impact_rig.nodes.settings import RecorderSettings
 from impact_rig.nodes.topics import TOPICS
 from impact_rig.recording import (
     CONFIGURATION,
     Account,
     Attachment,
+    OfferedQos,
     Provenance,
     RunWriter,
     TopicDescription,
     schema_text,
 )
 from impact_rig.system.endings import Ending
+from impact_rig.system.machine import identity
 
 FLUSH_S = 0.2
 AWAITED = (topics.INFO, topics.APPLIED, topics.JOURNAL, topics.CONFIGURATION, topics.ANALYSIS_SETTINGS)
@@ -72,6 +79,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         self._resolved: dict[str, str] = {}
         self._added: dict[str, str] = {}
         self._account = Account()
+        self._refused: Counter[str] = Counter()
         self._newest_ns: int | None = None
         self._certificates = 0
         self._awaited: set[str] = set()
@@ -114,8 +122,8 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         if self._timer is not None:
             self.destroy_timer(self._timer)
             self._timer = None
-        for inlet in [*self._permanent, *([self._scans] if self._scans is not None else [])]:
-            self.destroy_subscription(inlet)
+        for subscription in [*self._permanent, *([self._scans] if self._scans is not None else [])]:
+            self.destroy_subscription(subscription)
         self._permanent, self._scans = [], None
 
     def cleanup(self) -> None:
@@ -136,8 +144,10 @@ class RecorderNode(ManagedNode[RecorderSettings]):
             return State(words.FAILED, self._failure)
         if self._writer is not None and self._mixed():
             return State(words.RIVAL, self._mixed())
-        if self._writer is not None and lost:
-            return State(words.LOSING, ", ".join(f"{count} of {self._added[name]}" for name, count in lost.items()))
+        if self._writer is not None and (lost or self._refused):
+            missing = [f"{count} of {self._added[name]} lost" for name, count in lost.items()]
+            missing += [f"{count} of {name} refused" for name, count in self._refused.items()]
+            return State(words.LOSING, ", ".join(missing))
         if self._waiting:
             return State(words.WAITING, "for the rig's configuration")
         if self._awaited:
@@ -166,6 +176,9 @@ class RecorderNode(ManagedNode[RecorderSettings]):
             return Health(Level.WARN, f"this run cannot be verified: {mixed}", values | {"other_publishers": mixed})
         if lost:
             return Health(Level.ERROR, "messages were lost before they reached the recorder", values)
+        if writer is not None and self._refused:
+            names = ", ".join(sorted(self._refused))
+            return Health(Level.WARN, f"not recorded, as it is no such table: what came on {names}", values)
         if self._waiting:
             return Health(Level.OK, "waiting for the rig's configuration", values)
         if self._awaited:
@@ -249,7 +262,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         attachments = [Attachment("environment.json", environment(), "application/json")]
         if configuration is not None:
             attachments.append(Attachment(CONFIGURATION, configuration.encode(), "application/yaml"))
-        self._added, self._account = {}, Account(self._publishing)
+        self._added, self._account, self._refused = {}, Account(self._publishing), Counter()
         self._opened_ns = time.time_ns()
         return RunWriter(
             run_directory(settings.directory) / name,
@@ -272,8 +285,8 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         """Close the run; nothing is lost that has arrived."""
         self._waiting = False
         self._awaited = set()
-        for inlet in self._recorded:
-            self.destroy_subscription(inlet)
+        for subscription in self._recorded:
+            self.destroy_subscription(subscription)
         self._recorded = []
         writer, self._writer = self._writer, None
         self._begin.reply(False, "recording was stopped")
@@ -292,8 +305,8 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         self.report_change()
         self.get_logger().error(self._failure)
         writer, self._writer = self._writer, None
-        for inlet in self._recorded:
-            self.destroy_subscription(inlet)
+        for subscription in self._recorded:
+            self.destroy_subscription(subscription)
         self._recorded = []
         if writer is not None and not writer.closed:
             writer.finish()
@@ -329,13 +342,23 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         self._answer_start()
 
     def _on_message(self, topic: topics.Topic, data: bytes, info: dict[str, Any]) -> None:
+        table = None
+        if topic.columns is not None:
+            table = self.table(topic, data)
+            if table is None:  # of nobody here: whoever reads the run again would stumble over it
+                self._refused[topic.name] += 1
+                return
         if self._writer is not None:
             try:
                 self._write(self._writer, topic, data, info)
+                if table is not None and topic is topics.INFO:
+                    self._attach_calibration(self._writer, table)
             except RecordingError as error:
                 self._fail(error)
-        if topic is topics.SCAN and not self._failure:
-            self._acknowledge(data)
+        if table is not None and topic is topics.SCAN and not self._failure:
+            assert self._acknowledgements is not None
+            self._newest_ns = table.stamp_ns
+            self._acknowledgements.processed(table.stamp_ns)
 
     def _write(self, writer: RunWriter, topic: topics.Topic, data: bytes, info: dict[str, Any]) -> None:
         if topic.name in RESULTS and int(info["source_timestamp"]) < self._opened_ns:
@@ -347,22 +370,15 @@ class RecorderNode(ManagedNode[RecorderSettings]):
             self._added[name] = topic.name
             writer.add_topic(self._describe(topic, name))
         writer.write(name, data, int(info["source_timestamp"]), int(info["publication_sequence_number"]))
-        if topic is topics.INFO:
-            self._attach_calibration(writer, data)
         if topic.name in self._awaited:
             self._awaited.discard(topic.name)
             self._answer_start()
 
-    def _attach_calibration(self, writer: RunWriter, data: bytes) -> None:
+    def _attach_calibration(self, writer: RunWriter, info: Table) -> None:
         """Keep the certificate as a file too, for people: one per recalibration."""
-        try:
-            text = calibration_yaml(codec.decode(data))
-        except CodecError as error:
-            self.refuse(topics.INFO.name, str(error))
-            return
         self._certificates += 1
         name = CALIBRATION if self._certificates == 1 else f"calibration_{self._certificates}.yaml"
-        writer.attach(Attachment(name, text.encode(), "application/yaml"), instead_of=CALIBRATION)
+        writer.attach(Attachment(name, calibration_yaml(info).encode(), "application/yaml"), instead_of=CALIBRATION)
 
     def _describe(self, topic: topics.Topic, name: str) -> TopicDescription:
         publishers = self.get_publishers_info_by_topic(name)
@@ -375,16 +391,6 @@ class RecorderNode(ManagedNode[RecorderSettings]):
             offered_qos=tuple(qos(publisher.qos_profile) for publisher in publishers),
         )
 
-    def _acknowledge(self, data: bytes) -> None:
-        try:
-            stamp = codec.header_stamp_ns(data)
-        except CodecError as error:
-            self.refuse(topics.SCAN.name, str(error))
-            return
-        self._newest_ns = stamp
-        assert self._acknowledgements is not None
-        self._acknowledgements.processed(stamp)
-
     def _secured(self) -> bool:
         """Make sure that what is acknowledged outlives this process; return whether it may be acknowledged."""
         if self._writer is not None:
@@ -393,6 +399,71 @@ class RecorderNode(ManagedNode[RecorderSettings]):
             except RecordingError as error:
                 self._fail(error)
         return not self._failure
+
+
+def run_directory(text: str) -> Path:
+    """Return the directory a parameter names.
+
+    Raises:
+        RecordingError: its user is not known.
+    """
+    try:
+        return Path(text).expanduser()
+    except RuntimeError as error:  # ~nobody
+        raise RecordingError(f"directory {text!r} cannot be used: {error}") from error
+
+
+def calibration_yaml(info: Table) -> str:
+    """Return daq/info as YAML: one mapping per channel, and the instant from which it holds."""
+    channels: dict[str, dict[str, str | float]] = {}
+    for row in info.rows:
+        values = {name: row[name] for name in info.rows.dtype.names or ()}
+        plain = {
+            name: value.decode(errors="replace") if isinstance(value, bytes) else float(value)
+            for name, value in values.items()
+        }
+        channels[str(plain.pop("name", len(channels)))] = plain
+    text: str = yaml.safe_dump({"stamp_ns": info.stamp_ns, "channels": channels}, sort_keys=False)
+    return text
+
+
+def qos(profile: Any) -> OfferedQos:
+    """Return a profile of rclpy in the words of rosbag2."""
+    return OfferedQos(
+        history=profile.history.name.lower(),
+        depth=profile.depth,
+        reliability=profile.reliability.name.lower(),
+        durability=profile.durability.name.lower(),
+        deadline_ns=profile.deadline.nanoseconds,
+        lifespan_ns=profile.lifespan.nanoseconds,
+        liveliness=profile.liveliness.name.lower(),
+        liveliness_lease_ns=profile.liveliness_lease_duration.nanoseconds,
+    )
+
+
+def parameters(configuration: str | None) -> dict[str, Any]:
+    """Return the nested values of a rig's configuration; empty if it is none (it comes from the network)."""
+    try:
+        document = yaml.safe_load(configuration or "")
+        values = document["/**"]["ros__parameters"]
+    except (yaml.YAMLError, KeyError, TypeError, ValueError, RecursionError):  # a date that is none, nesting
+        return {}
+    sections = values if isinstance(values, dict) else {}
+    return {name: section for name, section in sections.items() if isinstance(section, dict)}
+
+
+def environment() -> bytes:
+    """Return what the run depended on, as JSON."""
+    return json.dumps(
+        {
+            "impact_rig": impact_rig.__version__,
+            **identity(),
+            "machine": platform.machine(),
+            "system": platform.platform(),
+            "ros_distro": os.environ.get("ROS_DISTRO", ""),
+        },
+        indent=1,
+    ).encode()
 
 
 def main(ending: Ending) -> None:

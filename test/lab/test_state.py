@@ -38,7 +38,6 @@ from impact_rig.lab.state import (
     plain,
     present,
     scan_rate,
-    unhealthy,
 )
 from impact_rig.physics.contact import LAWS
 from impact_rig.rig import Rig
@@ -49,6 +48,7 @@ def seen(node: str, word: str = "", reason: str = "", age_s: float | None = 0.1,
     return Seen.of(node, {"state": word, "reason": reason, "instance": "a1"}, age_s, ended)
 
 
+COLUMNS = [name for name in topics.TRANSMISSIBILITY_TABLE.columns.names if name != "channel"]
 MEASURING = seen("analysis", "measuring")
 
 
@@ -108,9 +108,22 @@ def test_a_value_holds_only_where_living_nodes_say_so(rig: Seen, analysis: Seen,
     assert present(rig, analysis)["holds"] is holds
 
 
-def test_channels_are_well_only_where_the_analysis_says_so() -> None:
-    assert unhealthy({"state": "measuring"}) is None
-    assert unhealthy({"health.laser": "ok", "health.base": "no_signal"}) == {"base": "no signal"}
+def test_channels_are_well_only_where_a_row_says_so() -> None:
+    """The status of a row and the channel it is about; of a sound row the channel only contributes most."""
+    curve = Curve()
+    assert curve.health() is None
+    kind = np.dtype([*((name, topics.TRANSMISSIBILITY_TABLE.columns[name]) for name in COLUMNS), ("channel", "S32")])
+    for second, status, channel, found in (
+        (1, b"ok", b"laser", {}),
+        (2, b"spikes", b"base", {"base": "spikes"}),
+        (3, b"accelerometer_over_range", b"laser", {"accelerometer": "accelerometer over range"}),
+        (4, b"command_changed", b"", {}),
+    ):
+        rows = np.zeros(1, kind)
+        rows["status"], rows["channel"] = status, channel
+        curve.add(Table(second * 10**9, rows))
+        assert curve.health() == found
+    assert curve.health(2 * 10**9) == {"base": "spikes"}
 
 
 def test_every_word_that_is_shown_has_help() -> None:

@@ -25,9 +25,8 @@ from impact_rig.client import Client, ServiceFailedError, isolated_domain
 from impact_rig.client.parameters import ros_parameters
 from impact_rig.config.fields import integer, names, quantity, switch
 from impact_rig.errors import CommandError, ConfigError
-from impact_rig.nodes.deferred import DeferredService
 from impact_rig.nodes.diagnostics import Health, Level, State
-from impact_rig.nodes.managed import ManagedNode
+from impact_rig.nodes.managed import DeferredService, ManagedNode
 from impact_rig.nodes.parameters import SectionSchema
 from impact_rig.nodes.process import EXECUTOR_VARIABLE
 

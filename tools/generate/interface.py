@@ -14,16 +14,15 @@ from impact_rig.columns import TEXT, Column
 from impact_rig.config import FieldInfo
 from impact_rig.instruments import scan
 from impact_rig.instruments.fault_kinds import FAULT_KINDS
-from impact_rig.nodes import services
 from impact_rig.nodes.parameters import RigSchema, Schema, SectionSchema, Value
-from impact_rig.nodes.services import Situation
 from impact_rig.nodes.settings import AnalysisSettings, RecorderSettings, SteppedSineSettings
 from impact_rig.nodes.topics import ENVELOPES, SPECTRA, TOPICS
 from impact_rig.rig import takes_effect
 from impact_rig.rig.journal import Kind
-from tools.generate import figures
+from tools.generate import figures, services
 from tools.generate.markdown import table
 from tools.generate.nominal import scalar
+from tools.generate.services import Situation
 
 SCHEMAS: dict[str, Schema[object]] = {
     "rig": RigSchema(),  # type: ignore[dict-item]  # a protocol's type parameter is invariant

@@ -1,24 +1,67 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""What keeps a rig from beginning: somebody else publishes its topics, or a peer it was told of is not there yet."""
+"""What keeps a rig from beginning: somebody else is in its place, or a peer it was told of is not there yet.
+
+A rig's domain and namespace belong to one rig of a machine at a time. The graph knows of another rig only after seconds
+where an announcement was missed; a lock tells at once, but only on this machine. Where discovery ends at this machine,
+nobody has to wait for the graph.
+"""
 
 from __future__ import annotations
 
+import os
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 
 from rclpy.node import Node
+from rclpy.utilities import get_rmw_implementation_identifier
 
 from impact_rig import states
+from impact_rig.nodes.acknowledgements import Readers
 from impact_rig.nodes.diagnostics import State
-from impact_rig.nodes.place import Place
-from impact_rig.nodes.readers import Readers
+from impact_rig.system import locks
 
+OBEDIENT = ("rmw_fastrtps_cpp", "rmw_fastrtps_dynamic_cpp", "rmw_cyclonedds_cpp")
+"""Middleware that keeps to `ROS_AUTOMATIC_DISCOVERY_RANGE`."""
 LOOK_S = 0.5
 """Least time between two looks at the publishers of a rig's topics."""
 
 
-class Rivals:
+def ends_here(environment: Mapping[str, str], middleware: str) -> bool:
+    """Return whether discovery surely ends at this machine."""
+    near = environment.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "").upper() in ("LOCALHOST", "OFF")
+    far = environment.get("ROS_STATIC_PEERS") or environment.get("ROS_DISCOVERY_SERVER")
+    return near and not far and middleware in OBEDIENT
+
+
+class NamespaceLock:
+    """Takes a rig's domain and namespace, and leaves them.
+
+    Args:
+        node: the rig's.
+    """
+
+    def __init__(self, node: Node) -> None:
+        self._name = locks.place(node.context.get_domain_id(), node.get_namespace())
+        self._held: int | None = None
+        here = ends_here(os.environ, get_rmw_implementation_identifier())
+        self.decides = here and locks.can_hold(locks.PLACES, self._name)
+        """Whether no rig can be in this namespace unseen; False: only the graph tells."""
+
+    def take(self) -> bool:
+        """Return whether the namespace is ours now; true as well where only the graph tells."""
+        if self._held is None and self.decides:
+            self._held = locks.hold(locks.PLACES, self._name)
+        return self._held is not None or not self.decides
+
+    def leave(self) -> None:
+        """Leave the namespace to others."""
+        if self._held is not None:
+            os.close(self._held)
+            self._held = None
+
+
+class DuplicatePublishers:
     """Other publishers of topics that one node alone may publish, as the graph tells it.
 
     Args:
@@ -61,7 +104,7 @@ class Rivals:
         return others | {f"another {own}"} if publishers.count(own) > 1 else others
 
 
-class Beginning:
+class StartGate:
     """Decides when scan 0 may be.
 
     A rig that finds others at its topics waits until they are gone: two rigs in one place would drive each other's
@@ -69,15 +112,22 @@ class Beginning:
 
     Args:
         node: the rig's.
-        place: where it is to be.
-        rivals: of its topics.
+        lock: of its namespace.
+        duplicates: other publishers of its topics.
         readers: of its scans; None: nobody is waited for (other modes wait block by block).
         patience_s: how long readers are waited for.
     """
 
-    def __init__(self, node: Node, place: Place, rivals: Rivals, readers: Readers | None, patience_s: float) -> None:
-        self._place = place
-        self._rivals = rivals
+    def __init__(
+        self,
+        node: Node,
+        lock: NamespaceLock,
+        duplicates: DuplicatePublishers,
+        readers: Readers | None,
+        patience_s: float,
+    ) -> None:
+        self._lock = lock
+        self._duplicates = duplicates
         self._readers = readers
         self._patience_s = patience_s
         if readers is not None and readers.missing():
@@ -86,10 +136,10 @@ class Beginning:
 
     def obstacle(self) -> State | None:
         """Return what it waits for; None: it may begin."""
-        rivals = self._rivals.sentence()
-        if rivals:
-            return State(states.Rig.RIVAL, f"waiting to be alone: {rivals}")
-        if not self._place.take():
+        others = self._duplicates.sentence()
+        if others:
+            return State(states.Rig.RIVAL, f"waiting to be alone: {others}")
+        if not self._lock.take():
             return State(states.Rig.RIVAL, "waiting to be alone: another rig of this machine is in this namespace")
         readers = self._readers
         if readers is None or readers.all_matched() or readers.overdue(self._patience_s):
