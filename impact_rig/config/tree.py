@@ -65,10 +65,10 @@ class Tree(Generic[Root]):
             ConfigError: as `load`; the message names no file.
         """
         try:
-            document = plain_yaml.load(str(content, "utf-8"), MAX_FILE_BYTES)
-        except ValueError as error:  # PlainYamlError, or it is not UTF-8
+            text = str(content, "utf-8")
+        except ValueError as error:
             raise ConfigError(f"not a YAML file: {' '.join(str(error).split())}") from error
-        return self.from_flat(self._root(), {**flatten(_unwrap(document)), **(overrides or {})})
+        return self.from_flat(self._root(), {**parameters_in(text), **(overrides or {})})
 
     def from_flat(self, base: Root, changes: Mapping[str, object]) -> Root:
         """Return `base` with the flat `changes` (`section.key` -> value) applied together: all of them, or none.
@@ -118,6 +118,19 @@ class Tree(Generic[Root]):
     def _suggestion(self, name: str) -> str:
         close = difflib.get_close_matches(name, self._known, n=1)
         return f", did you mean {close[0]!r}?" if close else ""
+
+
+def parameters_in(text: str) -> dict[str, object]:
+    """Return the values in a configuration file, by dotted name, as they are written there.
+
+    Raises:
+        ConfigError: it is no YAML, or no mapping of sections.
+    """
+    try:
+        document = plain_yaml.load(text, MAX_FILE_BYTES)
+    except plain_yaml.PlainYamlError as error:
+        raise ConfigError(f"not a YAML file: {error}") from error
+    return flatten(_unwrap(document))
 
 
 def flatten(tree: object, prefix: str = "", depth: int = 0) -> dict[str, object]:
