@@ -86,6 +86,19 @@ def encode(table: Table) -> bytes:
     )
 
 
+def put_stamp(data: bytearray, stamp_ns: int) -> None:
+    """Write the stamp [ns] of a serialised message that starts with a header, or with a time."""
+    _STAMP.pack_into(data, _ORIGIN, *divmod(stamp_ns, NS_PER_S))
+
+
+def encode_polygon(stamp_ns: int, frame_id: str, points: NDArray[np.floating[Any]]) -> bytes:
+    """Return a serialised `geometry_msgs/PolygonStamped` through points (x, y, z), shape (n, 3)."""
+    stream = bytearray(_HEADER.pack(_ENCAPSULATION, *divmod(stamp_ns, NS_PER_S)))
+    _append_text(stream, frame_id, "frame_id")
+    _append_u4(stream, len(points))
+    return bytes(stream) + points.astype("<f4").tobytes()
+
+
 def decode(data: Buffer, topic: Topic | None = None, needs: tuple[str, ...] = ()) -> Table:
     """Return the table in a serialised `sensor_msgs/PointCloud2`; its rows are a read-only view of `data`, not a copy.
 
@@ -294,19 +307,6 @@ def joint_state(data: Buffer) -> tuple[int, tuple[NDArray[np.float64], ...]]:
     for _ in range(cursor.u4("number of names")):
         cursor.text("name of a joint")
     return stamp, tuple(cursor.numbers(what) for what in ("position", "velocity", "effort"))
-
-
-def put_stamp(data: bytearray, stamp_ns: int) -> None:
-    """Write the stamp [ns] of a serialised message that starts with a header, or with a time."""
-    _STAMP.pack_into(data, _ORIGIN, *divmod(stamp_ns, NS_PER_S))
-
-
-def encode_polygon(stamp_ns: int, frame_id: str, points: NDArray[np.floating[Any]]) -> bytes:
-    """Return a serialised `geometry_msgs/PolygonStamped` through points (x, y, z), shape (n, 3)."""
-    stream = bytearray(_HEADER.pack(_ENCAPSULATION, *divmod(stamp_ns, NS_PER_S)))
-    _append_text(stream, frame_id, "frame_id")
-    _append_u4(stream, len(points))
-    return bytes(stream) + points.astype("<f4").tobytes()
 
 
 @attrs.define

@@ -201,6 +201,7 @@ class Inputs:
         except CommandError as error:
             node.refuse("inactive", f"{name}: {error}")
             return
+        was_driven = rig.amplitude != 0.0
         try:
             rig.accept(**values)
         except CommandError as error:
@@ -209,6 +210,8 @@ class Inputs:
         told = ", ".join(f"{key} = {value:g}" for key, value in values.items())
         node.get_logger().debug(f"accepted: {told}")
         self.session.flush()
+        if was_driven != (rig.amplitude != 0.0):
+            node.report_change()
 
     def _on_reset(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         response.success, response.message = True, self.reset()

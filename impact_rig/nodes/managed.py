@@ -388,6 +388,7 @@ class ManagedNode(LifecycleNode, Generic[S]):
             if result.successful:
                 self.parameters.settings = self._proposed
                 self.settings_in_force()
+                self.report_change()
         except Exception as error:  # a set is refused with its reason, never fatal
             result = SetParametersResult(successful=False, reason=in_words(error))
         finally:

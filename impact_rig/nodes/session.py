@@ -190,7 +190,6 @@ class Session:
         """Publish what an input has changed."""
         assert self.rig is not None
         self.publishers.changes(self.rig)
-        self.node.report_change()
 
     def publish_configuration(self) -> None:
         """Publish the configuration in force, and the calibration if it is another."""
