@@ -106,27 +106,6 @@ def freewheel(seconds: float) -> dict[str, float]:
         return {"freewheel_x_realtime_10kSps": (last - first) / (ended - began)}
 
 
-def start() -> dict[str, float]:
-    """From starting a rig process to its first block; cold: nothing compiled, warm: the same again."""
-    with tempfile.TemporaryDirectory() as cache:
-        cold, warm = (_start_s(Path(cache)) for _ in range(2))
-    return {"cold_start_s": cold, "warm_start_s": warm}
-
-
-def _start_s(cache: Path) -> float:
-    with (
-        isolated_domain() as domain_id,
-        tempfile.TemporaryDirectory() as logs,
-        Processes(domain_id, Path(logs)) as processes,
-        Client(domain_id, processes=processes) as client,
-    ):
-        began = time.monotonic()
-        processes.start("rig", environment={"NUMBA_CACHE_DIR": str(cache)})
-        scans = client.collect(topics.SCAN.name, timeout_s=300.0)
-        client.wait_until(lambda: len(scans) > 0, "the first block", timeout_s=300.0)
-        return time.monotonic() - began
-
-
 @contextmanager
 def _graph(parameters: Mapping[str, ParameterValue]) -> Iterator[tuple[Client, Processes, Path]]:
     """Rig, analysis and recorder as processes, with a client."""

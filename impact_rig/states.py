@@ -35,7 +35,6 @@ class _Word(enum.StrEnum):
 class Rig(_Word):
     """What the rig does; the gravest first."""
 
-    COMPILING = "compiling", "kernels are compiled for this machine; nothing runs yet"
     INACTIVE = "inactive", "unconfigured, inactive or finalised: the reason begins with the lifecycle state"
     RIVAL = "rival", "somebody else publishes this rig's topics, or holds its namespace"
     NO_PEER = "no_peer", "a peer of `time.peers` has not subscribed yet, and rig time waits for it"
@@ -50,7 +49,6 @@ class Rig(_Word):
 class Analysis(_Word):
     """What the analysis node does; the gravest first."""
 
-    COMPILING = "compiling", "kernels are compiled for this machine; nothing is measured yet"
     INACTIVE = "inactive", "unconfigured, inactive or finalised: the reason begins with the lifecycle state"
     NO_SCANS = "no_scans", "none came yet, or none for two seconds"
     LOST_SCANS = "lost_scans", "since the last row scans were lost"

@@ -45,7 +45,7 @@ def record(directory: Path, mask: Mask, *arguments: str, **environment: str) -> 
     output = directory / f"{mask.name}{len(list(directory.iterdir()))}.txt"
     command = [sys.executable, "-m", "tools.portability.child", str(output), *arguments]
     found = full_environment(mask) | environment
-    if not environment.get("NUMBA_DISABLE_JIT"):  # of compiled code coverage sees nothing, and makes the rest slow
+    if environment.get("IMPACT_RIG_KERNELS") != "plain":  # of compiled code coverage sees nothing
         found = unmeasured(found)
     done = subprocess.run(command, cwd=ROOT, env=found, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr[-3000:]
@@ -77,16 +77,14 @@ def test_no_library_decides_a_bit(compiled: Recorded, directory: Path) -> None:
 @pytest.mark.slow
 def test_the_compiler_decides_no_bit(compiled: Recorded, directory: Path) -> None:
     """Numba compiles for a CPU without vectors or fused multiply-add."""
-    masked = record(
-        directory, LLVM_GENERIC, "long", "short", "--against", str(directory / "rows"), NUMBA_CACHE_DIR=str(directory)
-    )
+    masked = record(directory, LLVM_GENERIC, "long", "short", "--against", str(directory / "rows"))
     masked.assert_committed()
 
 
 def test_plain_python_gives_the_compiled_bits(directory: Path) -> None:
     """A kernel is what its Python text says: a debugger and the table of coverage see the same physics."""
     compiled = record(directory, BARE, "quick", "--save", str(directory / "quick"))
-    plain = record(directory, BARE, "quick", "--against", str(directory / "quick"), NUMBA_DISABLE_JIT="1")
+    plain = record(directory, BARE, "quick", "--against", str(directory / "quick"), IMPACT_RIG_KERNELS="plain")
     assert {run for run, _ in plain.digests} == {run.name for run in known(QUICK)}
     assert {run.name for run in QUICK if run.seconds} == {run for run, topic in plain.digests if topic == "daq/scan"}
     assert plain.said == {}
@@ -95,7 +93,7 @@ def test_plain_python_gives_the_compiled_bits(directory: Path) -> None:
 
 @pytest.mark.slow
 def test_plain_python_gives_the_committed_bits(compiled: Recorded, directory: Path) -> None:
-    plain = record(directory, BARE, "short", "--against", str(directory / "rows"), NUMBA_DISABLE_JIT="1")
+    plain = record(directory, BARE, "short", "--against", str(directory / "rows"), IMPACT_RIG_KERNELS="plain")
     assert {run for run, _ in plain.digests} == {run.name for run in known(SHORT)}
     assert plain.said == {}
     assert plain.digests.items() <= compiled.digests.items()

@@ -17,7 +17,6 @@ import pytest
 
 pytest.importorskip("rclpy", reason="no ROS 2 here")
 
-from impact_rig.system import compiled
 from tools.generate import ROOT, generated
 
 PAGE = (ROOT / "docs" / "extending.md").read_text(encoding="utf-8")
@@ -107,13 +106,8 @@ class Copy:
     root: Path
 
     def run(self, *arguments: str) -> str:
-        """Run Python in it; compiled code that is the same is shared with the original."""
-        cache = compiled.Cache(compiled.ROOT).directory
-        environment = {
-            **os.environ,
-            "NUMBA_CACHE_DIR": str(cache.parent) if cache else "",
-            "PYTHONPATH": str(self.root),
-        }
+        """Run Python in it; the library of kernels came with it."""
+        environment = {**os.environ, "PYTHONPATH": str(self.root)}
         done = subprocess.run(
             [sys.executable, *arguments], cwd=self.root, env=environment, capture_output=True, text=True, check=False
         )

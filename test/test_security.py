@@ -20,8 +20,8 @@ SOURCES = sorted(
 MODULES = {"pickle", "cPickle", "marshal", "shelve", "dill", "cloudpickle", "joblib"}
 CALLS = {"eval", "exec", "yaml.load", "yaml.unsafe_load", "yaml.full_load", "os.system", "os.popen", "tempfile.mktemp"}
 ARGUMENTS = {"shell", "allow_pickle"}
-STARTERS = {"impact_rig/client/processes.py", "impact_rig/system/compile_ahead.py", "impact_rig/system/machine.py"}
-"""The modules of the package that start programs: nodes; compiling and a question to LLVM, which open no network."""
+STARTERS = {"impact_rig/client/processes.py", "impact_rig/kernels/build.py"}
+"""The modules of the package that start programs: nodes; compilers, which open no network."""
 
 
 def offences(path: Path) -> Iterator[str]:

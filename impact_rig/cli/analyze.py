@@ -82,10 +82,8 @@ def _run(arguments: argparse.Namespace) -> int:
 
 
 def _as_live(console: Console, run: Run, arguments: argparse.Namespace) -> int:
-    from impact_rig.cli import compiling  # noqa: PLC0415  # heavy: after the run is open
     from impact_rig.runs import drawings, live_comparison, reanalysis  # noqa: PLC0415
 
-    compiling.ready(compiling.ANALYSIS)
     if arguments.figures is not None:
         drawings.prepare(arguments.figures, arguments.format)
     findings = list(reanalysis.analyze(run))

@@ -18,7 +18,7 @@ from impact_rig.campaign.plan import load_campaign
 from impact_rig.campaign.statements import Verdict
 from impact_rig.campaign.store import Store
 from impact_rig.campaign.summary import FILE_NAME
-from impact_rig.cli import command, compiling
+from impact_rig.cli import command
 from impact_rig.cli.terminal import Console, Steps, TextTable, Words, add_json, tell_json, tell_program
 from impact_rig.errors import ConfigError
 from impact_rig.studies.margins import Variation, variations
@@ -74,7 +74,6 @@ def _run(arguments: argparse.Namespace) -> int:
         raise ConfigError("--record needs --through ros: what is recorded are messages")
     store = run.prepare(campaign, directory, way)
     console = Console(quiet=arguments.json)
-    compiling.ready()
     started = time.monotonic()
     jobs = run.unique_jobs(campaign.planned())
     _measure(jobs, store, _runner(way, address, arguments, directory))

@@ -12,7 +12,7 @@ from pathlib import Path
 import attrs
 from rich.text import Text
 
-from impact_rig.cli import command, compiling
+from impact_rig.cli import command
 from impact_rig.cli.terminal import Console, TextTable, add_json, tell_json
 from impact_rig.errors import ConfigError
 from impact_rig.instruments import check_known_input
@@ -43,7 +43,6 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
 
 def _run(arguments: argparse.Namespace) -> int:
     config = load(arguments.path)
-    compiling.ready()
     try:
         Rig(config)  # values that are legal one by one may be none together
     except ConfigError as error:

@@ -22,7 +22,7 @@ from impact_rig.campaign import paper
 from impact_rig.campaign.job import Job
 from impact_rig.campaign.paper import Reductions
 from impact_rig.campaign.summary import FILE_NAME, Statement, write_summary
-from impact_rig.cli import command, compiling
+from impact_rig.cli import command
 from impact_rig.cli.terminal import Console, Steps, TextTable, Words, add_json, tell_json, tell_program
 from impact_rig.errors import ImpactRigError
 from impact_rig.operate.plan import Direction
@@ -110,7 +110,6 @@ def run(arguments: argparse.Namespace) -> int:
     console.print(
         f"impact_rig demo: rig, analysis and recorder as three processes, {arguments.rate} scans/s, freewheel"
     )
-    compiling.ready()
     started = time.monotonic()
     rows = _measure(config, directory)
     wall_s = time.monotonic() - started

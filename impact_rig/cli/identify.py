@@ -14,7 +14,7 @@ from impact_rig.analysis.words import Status
 from impact_rig.campaign import run
 from impact_rig.campaign.axes import NO_SPHERE
 from impact_rig.campaign.paper import CURRENT_A, FREQUENCIES_HZ, FREQUENCY_HZ, REDUCTION_PERCENT
-from impact_rig.cli import command, compiling
+from impact_rig.cli import command
 from impact_rig.cli.terminal import Console, TextTable, add_json, tell_json, tell_program
 from impact_rig.errors import ConfigError, ImpactRigError
 from impact_rig.recording import open_run
@@ -61,7 +61,6 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
 
 def _run(arguments: argparse.Namespace) -> int:
     console = Console(quiet=arguments.json)
-    compiling.ready()
     if arguments.paper:
         base = load(arguments.config) if arguments.config else RigConfig()
         fits = []

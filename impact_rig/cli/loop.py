@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from impact_rig.campaign.axes import NO_SPHERE
 from impact_rig.campaign.job import Job
 from impact_rig.campaign.paper import CURRENT_A, FREQUENCIES_HZ
-from impact_rig.cli import command, compiling
+from impact_rig.cli import command
 from impact_rig.cli.terminal import Console, TextTable, add_json, tell_json
 from impact_rig.errors import ConfigError, RecordingError
 from impact_rig.operate.controlled_sine import Hold, HoldPlan
@@ -82,7 +82,6 @@ def _run(arguments: argparse.Namespace) -> int:
     config, gap = _rig(arguments)
     if arguments.output is not None and os.path.lexists(arguments.output):
         raise RecordingError(f"{arguments.output} exists already and is not overwritten")
-    compiling.ready()
     console = Console(quiet=arguments.json)
     return {"hold": _hold, "lock": _lock, "backbone": _backbone}[arguments.kind](arguments, config, gap, console)
 

@@ -12,12 +12,11 @@ from pathlib import Path
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeElapsedColumn, TimeRemainingColumn
 
 from impact_rig.campaign.pool import in_parallel
-from impact_rig.cli import command, compiling
+from impact_rig.cli import command
 from impact_rig.cli.terminal import Console, Steps, TextTable, Words, add_json, tell_json, tell_program
 from impact_rig.errors import ConfigError
 from impact_rig.maps import optimum, run
 from impact_rig.maps.plan import Line, load_map, measure_line
-from impact_rig.rig import warm_up as rig
 
 WAYS = ("process", "dask")
 
@@ -53,7 +52,6 @@ def _run(arguments: argparse.Namespace) -> int:
     directory = (arguments.output or Path("runs") / f"map_{file.stem}").resolve()
     run.prepare(plan, directory)
     console = Console(quiet=arguments.json)
-    compiling.ready(rig.TASKS)
     began = time.monotonic()
     measured = _measure(plan.lines(), directory, runner, console)
     wall_s = time.monotonic() - began

@@ -28,10 +28,8 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
 
 def _run(arguments: argparse.Namespace) -> int:
     with open_run(arguments.path) as run:
-        from impact_rig.cli import compiling  # noqa: PLC0415  # heavy: after the run has been opened
         from impact_rig.runs.verification import verify  # noqa: PLC0415
 
-        compiling.ready()
         found = verify(run)
     if arguments.json:
         content = {"identical": found.identical, "scans": found.scans, "reason": found.reason}

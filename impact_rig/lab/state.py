@@ -112,7 +112,6 @@ class Seen:
 
 SENTENCES = {
     states.Rig.INACTIVE: "Not running: {reason}.",
-    states.Rig.COMPILING: "The first start on a machine takes a while: {reason}.",
     states.Rig.RIVAL: "Two rigs in one namespace drive each other's shaker: {reason}.",
     states.Rig.NO_PEER: "Rig time stands still: {reason}.",
     states.Rig.SILENT_PEER: "Rig time stands still: {reason}.",
@@ -122,7 +121,6 @@ SENTENCES = {
     states.Rig.AT_REST: "The shaker is at rest: press R for 9.1 Hz, 0.52 A.",
 }
 MEASURING = {
-    states.Analysis.COMPILING: "the analysis is being compiled",
     states.Analysis.INACTIVE: "the analysis is not active",
     states.Analysis.NO_SCANS: "the analysis gets no scans",
     states.Analysis.LOST_SCANS: "the analysis has lost scans and begins anew",

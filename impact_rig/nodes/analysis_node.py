@@ -13,7 +13,6 @@ import attrs
 from std_msgs.msg import Float64, String
 
 from impact_rig import codec, states, topics
-from impact_rig.analysis import warm_up
 from impact_rig.analysis.blockwise import ANALYSES, Blockwise
 from impact_rig.analysis.findings import Findings
 from impact_rig.analysis.labels import parse_label
@@ -32,7 +31,6 @@ from impact_rig.nodes.settings import UNKNOWN_GAP, AnalysisSettings
 from impact_rig.nodes.topics import TOPICS
 from impact_rig.simtime import NS_PER_S
 from impact_rig.system.endings import Ending
-from impact_rig.system.lean_numba import go_without_blas
 
 PUBLISHED = [topic for topic in TOPICS if topic.publisher == "analysis"]
 SILENCE_S = 2.0
@@ -67,8 +65,6 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
 
     def configure(self) -> None:
         """Create the publishers, and let nobody wait for the compiler once the node is active."""
-        self.compile_ahead([warm_up.TASK])
-        warm_up.compile_tracker()
         self._outputs = {topic.name: self.publisher(topic) for topic in PUBLISHED}
         self._acknowledgements = Acknowledgements(self)
 
@@ -228,5 +224,4 @@ def _gap(settings: AnalysisSettings) -> float:
 
 def main(ending: Ending) -> None:
     """Run the analysis node."""
-    go_without_blas()
     process.main(AnalysisNode, ending)

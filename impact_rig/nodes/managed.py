@@ -11,12 +11,11 @@ from __future__ import annotations
 
 import enum
 import functools
-import math
 import secrets
 import sys
 import time
-from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar  # rclpy is untyped
+from collections.abc import Callable
+from typing import Any, ClassVar, Generic, TypeVar  # rclpy is untyped
 
 from lifecycle_msgs.srv import ChangeState
 from rcl_interfaces.msg import SetParametersResult
@@ -36,9 +35,6 @@ from impact_rig.nodes.guard import Refusals, describe, guarded, guarded_answer, 
 from impact_rig.nodes.parameters import Parameters, Schema, set_one_by_one
 from impact_rig.system.escapes import visible
 
-if TYPE_CHECKING:
-    from impact_rig.system.compile_ahead import Task
-
 S = TypeVar("S")
 
 Answer = tuple[bool, str]
@@ -53,8 +49,6 @@ may be."""
 INSTANCE_BYTES = 8
 ERROR_MEMORY_S = 5.0
 """An exception of a callback is shown in diagnostics this long."""
-COMPILING_PERIOD_S = 3.0
-"""How often the log says how far the compiler is."""
 WARN_PERIOD_S = 1.0
 """Least time between two warnings of one reason."""
 
@@ -90,7 +84,6 @@ class ManagedNode(LifecycleNode, Generic[S]):
         self._cpu = CpuMeter()
         self._last_error: tuple[float, str] = (-ERROR_MEMORY_S, "")
         self._warned: dict[str, float] = {}
-        self._compiling = ""
         self._instance = secrets.token_hex(INSTANCE_BYTES)
         self._word: enum.StrEnum | None = None
         self._since_ns: int | None = None
@@ -306,27 +299,6 @@ class ManagedNode(LifecycleNode, Generic[S]):
         super().destroy_node()
         self._state_machine.destroy_when_not_in_use()
 
-    def compile_ahead(self, tasks: Sequence[Task]) -> None:
-        """Return once these tasks are compiled; the log and diagnostics say how far that is."""
-        from impact_rig.system.compile_ahead import compile_ahead  # noqa: PLC0415  # Numba; a recorder needs none
-
-        try:
-            compile_ahead(tasks, self._tell_compiling)
-        finally:
-            self._compiling = ""
-
-    def _tell_compiling(self, done: int, count: int) -> None:
-        if self.is_told_to_end():
-            raise ImpactRigError("told to end while compiling")
-        if not self._compiling:
-            self.get_logger().info("compiling, once on this machine")
-        self._compiling = f"compiling, {done} of {count} functions"
-        now = time.monotonic()
-        if now - self._warned.get("compiling", -math.inf) >= COMPILING_PERIOD_S or done == count:
-            self._warned["compiling"] = now
-            self.get_logger().info(self._compiling)
-        self.report_now()
-
     def _transition(
         self, what: str, action: Callable[[], None], undo: Callable[[], None] | None = None
     ) -> TransitionCallbackReturn:
@@ -438,8 +410,6 @@ class ManagedNode(LifecycleNode, Generic[S]):
 
     def present(self) -> State:
         """Return what the node does, whatever lifecycle state it is in."""
-        if self._compiling:
-            return State(self.STATES("compiling"), self._compiling)
         if self.active:
             return self.doing()
         at, message = self._last_error
@@ -471,9 +441,7 @@ class ManagedNode(LifecycleNode, Generic[S]):
         self._diagnostics.publish(diagnostics.to_message(name, hardware, full, now_ns or 0))
 
     def _judged(self, status: Health) -> tuple[Level, str]:
-        """Return the node's own status, or the last error while it is fresh; while it compiles, how far that is."""
-        if self._compiling:
-            return Level.WARN, self._compiling
+        """Return the node's own status, or the last error while it is fresh."""
         at, message = self._last_error
         if time.monotonic() - at < ERROR_MEMORY_S:
             return diagnostics.worst((status.level, status.message), (Level.ERROR, message))

@@ -19,11 +19,10 @@ from impact_rig.nodes.parameters import RigSchema
 from impact_rig.nodes.rig_state import RigState
 from impact_rig.nodes.session import Session
 from impact_rig.nodes.standard_services import StandardServices
-from impact_rig.rig import Rig, warm_up
+from impact_rig.rig import Rig
 from impact_rig.rig.config import RigConfig
 from impact_rig.simtime import NS_PER_S
 from impact_rig.system.endings import Ending
-from impact_rig.system.lean_numba import go_without_blas
 
 WORK_S = 0.02
 """Wall time one call of the work timer may fill before commands and services are looked at."""
@@ -77,7 +76,6 @@ class RigNode(ManagedNode[RigConfig]):
 
     def configure(self) -> None:
         """Check that this rig can be built and published, load compiled code, create the publishers."""
-        self.compile_ahead(warm_up.TASKS)
         Rig(self.settings).advance(WARM_UP_NS)
         self._session.configure()
         if not self._session.lock.decides:  # waited for here: who finds the node active may command it at once
@@ -228,5 +226,4 @@ class RigNode(ManagedNode[RigConfig]):
 
 def main(ending: Ending) -> None:
     """Run the rig node."""
-    go_without_blas()
     process.main(functools.partial(RigNode, discovery_s=DISCOVERY_S), ending)

@@ -16,9 +16,9 @@ TESTS = Path(__file__).parents[1]
 SCRIPT = """
 import sys
 import numpy as np
-from numba import config
 from kits.tracker import run_scenario
-assert config.DISABLE_JIT
+from impact_rig import kernels
+assert kernels.MODE == "plain"
 measurements, impacts, _ = run_scenario(1000)
 tables = {"measurements": measurements, "impacts": impacts}
 np.savez(sys.argv[1], **{name: np.concatenate([table.rows for table in found]) for name, found in tables.items()})
@@ -28,7 +28,7 @@ np.savez(sys.argv[1], **{name: np.concatenate([table.rows for table in found]) f
 def test_plain_python_measures_the_same(tmp_path: Path) -> None:
     """To 1e-9, as on another machine: the analysis may use whatever its libraries offer."""
     output = tmp_path / "plain.npz"
-    environment = os.environ | {"NUMBA_DISABLE_JIT": "1", "PYTHONPATH": str(TESTS)}
+    environment = os.environ | {"IMPACT_RIG_KERNELS": "plain", "PYTHONPATH": str(TESTS)}
     done = subprocess.run(
         [sys.executable, "-c", SCRIPT, str(output)], env=environment, capture_output=True, text=True, check=False
     )

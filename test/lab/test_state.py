@@ -59,7 +59,6 @@ MEASURING = seen("analysis", "measuring")
         (seen("rig", "driving", age_s=9.0), MEASURING, (), "dead", "9 s"),
         (seen("rig", "driving", ended="its process ended with code -9"), MEASURING, (), "dead", "-9"),
         (seen("rig", "dancing"), MEASURING, (), "unknown", "version"),
-        (seen("rig", "compiling", "3 of 60 functions"), Seen(), (), "compiling", "3 of 60"),
         (seen("rig", "inactive", "unconfigured"), Seen(), (), "inactive", "unconfigured"),
         (seen("rig", "rival", "/rig/other publishes daq/scan"), MEASURING, (), "rival", "/rig/other"),
         (seen("rig", "no_peer", "waiting for x"), MEASURING, (), "no peer", "waiting for x"),

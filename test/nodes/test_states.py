@@ -16,7 +16,6 @@ import pytest
 pytest.importorskip("rclpy", reason="no ROS 2 here")
 
 from kits.nodes import TICK, host_rig
-from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.node import Node
 
 from impact_rig import codec, states, topics
@@ -31,7 +30,6 @@ from impact_rig.nodes.recorder_node import RecorderNode
 from impact_rig.nodes.rig_node import RigNode
 from impact_rig.nodes.stepped_sine_node import SteppedSineNode
 from impact_rig.recording import RunWriter
-from impact_rig.system.compile_ahead import Task
 
 pytestmark = pytest.mark.ros
 NODES: dict[str, type[ManagedNode[Any]]] = {
@@ -248,22 +246,6 @@ def test_a_stepped_sine_says_how_its_sweep_is(client: Client) -> None:
     wait_for(client, "stepped_sine", "aborted", "stopped by the operator")
     client.change_state("stepped_sine", "deactivate")
     wait_for(client, "stepped_sine", "inactive")
-
-
-@pytest.mark.parametrize("name", ["rig", "analysis"])
-def test_compiling_is_said_while_it_lasts(client: Client, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
-    """A new machine compiles for half a minute before anything runs."""
-    parameter = "output.autostart" if name == "rig" else "autostart"
-    node: ManagedNode[Any] = client.host(NODES[name], parameter_overrides=ros_parameters({parameter: False}))
-    heard: list[str] = []
-
-    def slowly(_tasks: list[Task], tell: Callable[[int, int], None]) -> None:
-        tell(1, 2)
-        heard.append(node.present().word)
-
-    monkeypatch.setattr("impact_rig.system.compile_ahead.compile_ahead", slowly)
-    assert node.trigger_configure() == TransitionCallbackReturn.SUCCESS
-    assert heard == ["compiling"]
 
 
 def test_every_node_has_its_words() -> None:

@@ -16,7 +16,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from kits.mechanics import OF_HYSTERETIC_FORM, gauss, hit, of, sphere_kg, stiffness
-from numba.experimental import function_type
 from scipy.integrate import quad
 from scipy.optimize import brentq, minimize_scalar
 from scipy.special import gamma
@@ -39,14 +38,6 @@ def closed_form(factor: float) -> float:
     low, high = 0.5 * factor / (1.0 + factor), factor + 1.0
     q = brentq(lambda q: math.log1p(factor) + q - factor + math.expm1(-q), low, high, rtol=1e-14)
     return -math.expm1(-q) / factor
-
-
-def test_a_force_is_handed_to_compiled_code_without_asking_numba_for_its_address(monkeypatch: pytest.MonkeyPatch):
-    """Asking took a third of the time of a block of 10 ms."""
-    monkeypatch.setattr(
-        function_type, "_get_wrapper_address", lambda *_: pytest.fail("Numba was asked for the address of a force")
-    )
-    hit(0.5)
 
 
 def test_every_law_of_the_folder_is_found():

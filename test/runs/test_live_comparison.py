@@ -189,7 +189,7 @@ def test_a_machine_that_computes_as_another_has_another_number(monkeypatch: pyte
     assert float(number) == number
     machine.identity.cache_clear()
     assert machine.fingerprint() == number
-    monkeypatch.setenv("NUMBA_CPU_NAME", "generic")
+    monkeypatch.setenv("OPENBLAS_CORETYPE", "Prescott")
     machine.identity.cache_clear()
     assert machine.fingerprint() != number
     monkeypatch.undo()

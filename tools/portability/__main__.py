@@ -76,9 +76,7 @@ def main() -> int:
     console = Console()
     with tempfile.TemporaryDirectory(prefix="impact_rig_bits_") as scratch:
         bench = Bench(console, Path(scratch))
-        # a cache of its own: constants that a masked process computed at import may be compiled into the ordinary one
-        environment = full_environment(BARE) | {"NUMBA_CACHE_DIR": str((WORK / BARE.name).absolute())}
-        found = bench.record("this machine", environment, ["long", "short"], save=True)
+        found = bench.record("this machine", full_environment(BARE), ["long", "short"], save=True)
         if arguments.write:
             digests.write(found)
             console.print(f"written: {digests.FILE}")
@@ -112,18 +110,17 @@ class Bench:
         """Record every run under a mask."""
         environment = full_environment(mask)
         held = mask.verdict(self.machine(environment), bare)
-        environment["NUMBA_CACHE_DIR"] = str((WORK / (mask.name if mask.recompiles else BARE.name)).absolute())
         return self.judged(mask.name, held, ALL_RUNS, self.record(mask.name, environment, ["long", "short"]))
 
     def emulated(self, cpu: str, bare: Machine) -> Outcome:
-        """Record two short runs on another CPU, interpreted: compiling there would take minutes."""
+        """Record two short runs on another CPU, as plain Python."""
         emulator = (EMULATOR, "-cpu", cpu)
         environment = full_environment(BARE) | {
             "_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1"
         }  # else it starts itself anew, bare
         seen = self.machine(environment, emulator)
         held = "NO" if seen == bare else f"LLVM sees {seen.llvm[0]}"
-        found = self.record(cpu, environment | {"NUMBA_DISABLE_JIT": "1"}, [*INTERPRETED_ELSEWHERE], emulator)
+        found = self.record(cpu, environment | {"IMPACT_RIG_KERNELS": "plain"}, [*INTERPRETED_ELSEWHERE], emulator)
         runs = [run for run in SHORT if run.name in INTERPRETED_ELSEWHERE]
         return self.judged(" ".join(emulator), held, runs, found)
 
@@ -140,7 +137,7 @@ class Bench:
         WORK.mkdir(parents=True, exist_ok=True)
         with (
             (WORK / f"{name}.log").open("w", encoding="utf-8") as log,
-            self._console.status(f"{name}: starting, compiling") as status,
+            self._console.status(f"{name}: starting") as status,
             subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=log, text=True) as child,
         ):
             for line in child.stdout or ():

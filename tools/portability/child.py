@@ -19,9 +19,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numba import config
 from numpy.typing import NDArray
 
+from impact_rig import kernels
 from impact_rig.physics import model
 from tools.portability import digests
 from tools.portability.runs import LONG, QUICK, SHORT, Streams, known
@@ -37,7 +37,7 @@ def main() -> int:
     parser.add_argument("--save", type=Path)
     parser.add_argument("--against", type=Path)
     arguments = parser.parse_args()
-    tables = Tables(arguments.against if config.DISABLE_JIT else None)
+    tables = Tables(arguments.against if kernels.MODE == "plain" else None)
     found: digests.Digests = {}
     failed = 0
     for run in known((*LONG, *SHORT, *(run for run in QUICK if run not in SHORT))):

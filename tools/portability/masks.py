@@ -13,7 +13,7 @@ from tools.portability.machine import Machine, numpy_features
 
 NUMPY = {"NPY_DISABLE_CPU_FEATURES": " ".join(numpy_features())}  # those the CPU lacks are refused
 GLIBC = {"GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX2_Usable,-FMA_Usable,-AVX2,-FMA,-AVX512F"}
-LLVM = {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""}
+LLVM = {"IMPACT_RIG_KERNELS": "jit", "NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""}
 
 
 @attrs.frozen

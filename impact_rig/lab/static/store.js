@@ -46,10 +46,10 @@ export class Knobs {
 
 const LAMPS = {
   "at rest": "○", driving: "◐", measured: "●", settling: "◔", tripped: "▲", paused: "❚❚", plucked: "∿", rival: "⚠",
-  "no peer": "⚠", "silent peer": "⚠", inactive: "…", unknown: "?", dead: "✕", compiling: "⚙", starting: "…", choose: "?",
+  "no peer": "⚠", "silent peer": "⚠", inactive: "…", unknown: "?", dead: "✕", starting: "…", choose: "?",
   offline: "✕", playback: "▶", "paused playback": "❚❚",
 };
-const STALE = ["offline", "dead", "starting", "compiling", "inactive", "choose"];
+const STALE = ["offline", "dead", "starting", "inactive", "choose"];
 export const GRAVE = ["tripped", "dead", "rival", "silent peer", "no peer", "offline"];
 
 /**
