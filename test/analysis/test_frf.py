@@ -140,7 +140,7 @@ def test_segments_are_as_long_as_the_resonance_asks(zeta, shaker):
     near = np.abs(found.frequency_hz - F_N) < 2 * found.resonance.width_hz
     truth = np.abs(linear_transmissibility(found.frequency_hz, zeta=zeta))
     off = ((np.abs(found.h1) - truth) / (np.abs(found.h1) * found.u_relative))[near]
-    assert np.sqrt(np.mean(off**2)) < 1.3
+    assert np.sqrt(np.mean(off**2)) < 1.4  # 33 lines, neighbours alike; 0.8 to 1.3 in 48 draws
     coarse = transmissibility_frf(rows, info, 10 * rate)
     peak = int(np.argmin(np.abs(coarse.frequency_hz - F_N)))
     low = 1 - abs(coarse.h1[peak]) / abs(linear_transmissibility(coarse.frequency_hz[peak], zeta=zeta))
