@@ -9,7 +9,7 @@ import json
 from collections.abc import Sequence
 from pathlib import Path
 
-from impact_rig.analysis.decay import fit_decay, log_decrement
+from impact_rig.analysis.decay import REASONS, fit_decay, log_decrement
 from impact_rig.analysis.words import Status
 from impact_rig.campaign import run
 from impact_rig.campaign.axes import NO_SPHERE
@@ -99,7 +99,8 @@ def _measured(done: run.Finished, arguments: argparse.Namespace, console: Consol
             with open_run(arguments.decay) as recorded:
                 decay = recorded_decay(recorded, method)
         if decay.status is not Status.OK:
-            raise ImpactRigError(f"the free decay cannot be measured: {decay.status.value}")
+            why = REASONS.get(decay.status, decay.status.value)
+            raise ImpactRigError(f"the free decay cannot be measured: {why}")
         console.print(
             f"free decay: f_n {decay.natural_frequency_hz:.6f} ± {2 * decay.u_natural_frequency_hz:.6f} Hz, "
             f"ζ {decay.damping_ratio:.6f} ± {2 * decay.u_damping_ratio:.6f} (2u)"

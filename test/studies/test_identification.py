@@ -164,6 +164,19 @@ def test_a_decay_is_measured_through_the_instruments():
     assert decay.damping_ratio == pytest.approx(TRUTH.structure.damping_ratio, abs=LIMIT * decay.u_damping_ratio)
 
 
+def test_a_pluck_with_the_sphere_on_is_refused(directory, tmp_path, capsys):
+    """It would give a ζ nearly twice that of the structure."""
+    struck = Rig(TRUTH)
+    struck.pluck(DISPLACEMENT_M)
+    scans = [("daq/scan", block.scan) for block in struck.advance(8 * NS_PER_S)]
+    record(
+        tmp_path / "struck", [("daq/info", struck.info()), *(("rig/journal", t) for t in struck.take_journal()), *scans]
+    )
+    arguments = ["identify", str(directory), "--without", "reductions", "sine", "--decay", str(tmp_path / "struck")]
+    assert main(arguments) == 1
+    assert "the accelerometer shows impacts" in capsys.readouterr().err.replace("\n", " ")
+
+
 def test_a_recorded_pluck_gives_what_a_pluck_of_our_own_gives(directory, tmp_path, capsys):
     """`--decay RUN`: the last pluck of a run that the recorder wrote, or an error that says what is missing."""
     plucked = Rig(from_flat(TRUTH, {"sphere.present": False}))
