@@ -214,7 +214,7 @@ def test_a_directory_of_something_else_is_left_alone(small, tmp_path):
     (tmp_path / "mine.txt").write_text("mine")
     with pytest.raises(RecordingError, match="holds no map"):
         run.prepare(plan, tmp_path)
-    with pytest.raises(ConfigError, match="holds no map"):
+    with pytest.raises(ConfigError, match="is no map's directory"):
         run.open_map(tmp_path)
 
 
