@@ -30,6 +30,7 @@ FREQUENCIES_HZ: NDArray[np.float64] = np.unique(
     np.concatenate([np.linspace(7.0, 11.0, 81), np.linspace(8.6, 9.6, 101)]).round(6)
 )
 """Where it is computed: as wide as the page's axis is at first, closer near the resonance."""
+IMPACTS_PER_CYCLE = 2.0
 HELD = {"current": (1.0, "A"), "prescribed": (1e6, "µm")}
 """Kinds of drive that keep current or base constant, and in what that is told."""
 
@@ -42,11 +43,13 @@ def predicted(values: Mapping[str, Any], amplitude: float) -> dict[str, Any]:
         amplitude: of the drive, peak; A or m by `drive.kind`.
 
     Returns:
-        `lines`: [whether it lasts, [[frequency, DT], ...]]; `words`: what they are of, or why there are none.
+        `lines`: [whether it lasts, [[frequency, DT], ...]]; `words`: what they are of, or why there are none;
+        `impacts_per_cycle`: of the motion predicted, where there are lines: a measured point with another count is
+        another motion, of which the lines say nothing.
     """
     kind, waveform = str(values.get(KIND, "current")), values.get(WAVEFORM, "sine")
     if not values.get("sphere.present", True):
-        return {"lines": [], "words": "no sphere: the closed form is the prediction"}
+        return {"lines": [], "words": "no sphere: the curve is the closed form of the linear structure"}
     if kind not in HELD:
         return {"lines": [], "words": f"no prediction for a drive of constant {kind}"}
     if waveform != "sine":
@@ -67,8 +70,14 @@ def predicted(values: Mapping[str, Any], amplitude: float) -> dict[str, Any]:
     what = f"{gap_m * 1e3:g} mm, {amplitude * factor:g} {unit}"
     if not lines:
         return {"lines": [], "words": f"no motion with two impacts per cycle at {what}"}
-    lasting = "" if any(lasts for lasts, _ in lines) else ", nowhere stable"
-    return {"lines": lines, "words": f"predicted for {what}, two impacts per cycle{lasting}"}
+    lasting = [line for lasts, line in lines if lasts]
+    if lasting:
+        low, high = min(line[0][0] for line in lasting), max(line[-1][0] for line in lasting)
+        where = f"stable between {low:g} and {high:g} Hz"
+    else:
+        where = "nowhere stable"
+    words = f"predicted for {what}: the motion with two impacts per cycle, {where}; another count is another motion"
+    return {"lines": lines, "words": words, "impacts_per_cycle": IMPACTS_PER_CYCLE}
 
 
 def _parts(branch: Branch) -> Iterator[list[Any]]:

@@ -35,7 +35,11 @@ def test_a_line_is_the_prediction_of_these_knobs() -> None:
     f, dt = np.array(found["lines"][0][1]).T
     wanted = prediction.at(RigConfig(), 9.1, 0.020, current_a=CURRENT_A)
     assert np.interp(9.1, f, dt) == pytest.approx(wanted.dt[0], abs=1e-4)
-    assert found["words"] == "predicted for 20 mm, 0.52 A, two impacts per cycle"
+    assert found["words"].startswith(
+        "predicted for 20 mm, 0.52 A: the motion with two impacts per cycle, stable between"
+    )
+    assert found["words"].endswith("; another count is another motion"), "4.00 measured at 6 mm lie on no line"
+    assert found["impacts_per_cycle"] == 2.0
     assert of(12.0, 6e-5, drive__kind="prescribed")["words"].startswith("predicted for 12 mm, 60 µm")
     other = of(20.0, contact__law="hu_guo")["lines"]
     assert other != found["lines"]
@@ -46,7 +50,7 @@ def test_what_does_not_last_is_a_line_of_its_own_that_joins_its_neighbours() -> 
     assert [lasts for lasts, _ in lines] == [True, False, True]
     assert lines[0][1][-1] == lines[1][1][0]
     assert lines[1][1][-1] == lines[2][1][0]
-    assert ", nowhere stable" not in of(12.0)["words"]
+    assert "nowhere stable" not in of(12.0)["words"]
 
 
 @pytest.mark.parametrize(
