@@ -14,6 +14,7 @@ from collections.abc import Sequence
 
 import attrs
 import numpy as np
+from numpy.typing import NDArray
 
 from impact_rig import topics
 from impact_rig.analysis.drop import Drop, DropTest, parse_drop, restitution_of_drops
