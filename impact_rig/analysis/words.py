@@ -26,6 +26,8 @@ class Status(enum.StrEnum):
     CONSTANT = "constant"  # one displacement channel is stuck while the other moves
     SWAPPED_CHANNELS = "swapped_channels"
     INVERTED_CHANNEL = "inverted_channel"  # laser or base wired the wrong way round: x_1 seems to lead x_b
+    IMPACTS = "impacts"  # of a free decay: the sphere strikes while the structure swings
+    NOT_EXPONENTIAL = "not_exponential"  # of a free decay: its damping changes with the amplitude
     NO_FIT = "no_fit"  # of the record-wise fits: no convergence, or to something unphysical
 
 

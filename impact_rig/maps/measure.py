@@ -120,9 +120,16 @@ class MapRig:
             self._simulation.configure(config)
             self._config = config
 
-    def reset(self) -> None:
-        """Put everything to rest."""
+    def reset(self, sphere: tuple[float, float] | None = None) -> None:
+        """Put everything to rest, the sphere at its start.
+
+        Args:
+            sphere: instead, where it is, from the middle between the walls [m], and its speed to the right [m/s].
+        """
         self._simulation.reset()
+        if sphere is not None:
+            place, speed = sphere
+            self._simulation.place(d=place, d_rate=speed)
         self._amplitude = 0.0
 
     def measure(self, frequency_hz: float, amplitude: float) -> Reading:
