@@ -139,7 +139,7 @@ class Amplitudes:
 
     @property
     def relative(self) -> Real:
-        """u / size, infinite where there is no signal."""
+        """Relative u, infinite where there is no signal."""
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.where(self.size > 0.0, self.u / self.size, np.inf)
 
