@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_rig.blocks import TRANSMISSIBILITY
+from impact_rig.blocks import TRANSMISSIBILITY, TRANSMISSIBILITY_COLUMNS
 from impact_rig.campaign.code import fingerprint
 from impact_rig.campaign.job import Job, Outcome
 from impact_rig.errors import RecordingError
@@ -25,6 +25,9 @@ from impact_rig.system import files
 FOLDER = "points"
 MAX_RESULT_BYTES, MAX_TRACE_BYTES = 10 * 2**20, 64 * 2**20
 """A file in a directory that somebody else made is not believed to be small."""
+_LATER: dict[str, object] = {
+    column.name: column.default for column in TRANSMISSIBILITY_COLUMNS if column.default is not None
+}
 _TEXTS = frozenset(name for name in TRANSMISSIBILITY.names or () if TRANSMISSIBILITY[name].kind == "S")
 
 
@@ -125,6 +128,8 @@ def _plain(row: np.void) -> dict[str, object]:
 
 
 def _row(plain: dict[str, object]) -> tuple[object, ...]:
+    """Return a stored row; a column that an earlier version did not have gets its default."""
+    plain = _LATER | plain
     return tuple(
         str(plain[name]).encode() if name in _TEXTS else math.nan if plain[name] is None else plain[name]
         for name in TRANSMISSIBILITY.names or ()
