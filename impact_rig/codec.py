@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import functools
 import struct
+from typing import Any  # numbers of any precision
 
 import attrs
 import numpy as np
@@ -83,6 +84,19 @@ def encode(table: Table) -> bytes:
             _NOT_DENSE,
         )
     )
+
+
+def put_stamp(data: bytearray, stamp_ns: int) -> None:
+    """Write the stamp [ns] of a serialised message that starts with a header, or with a time."""
+    _STAMP.pack_into(data, _ORIGIN, *divmod(stamp_ns, NS_PER_S))
+
+
+def encode_polygon(stamp_ns: int, frame_id: str, points: NDArray[np.floating[Any]]) -> bytes:
+    """Return a serialised `geometry_msgs/PolygonStamped` through points (x, y, z), shape (n, 3)."""
+    stream = bytearray(_HEADER.pack(_ENCAPSULATION, *divmod(stamp_ns, NS_PER_S)))
+    _append_text(stream, frame_id, "frame_id")
+    _append_u4(stream, len(points))
+    return bytes(stream) + points.astype("<f4").tobytes()
 
 
 def decode(data: Buffer, topic: Topic | None = None, needs: tuple[str, ...] = ()) -> Table:
@@ -281,6 +295,20 @@ def header_stamp_ns(data: Buffer) -> int:
     return int(seconds) * NS_PER_S + int(nanoseconds)
 
 
+def joint_state(data: Buffer) -> tuple[int, tuple[NDArray[np.float64], ...]]:
+    """Return stamp [ns] and the positions, velocities and efforts of a serialised `sensor_msgs/JointState`.
+
+    Raises:
+        CodecError: it is none.
+    """
+    stamp = header_stamp_ns(data)
+    cursor = _Cursor(memoryview(data).cast("B"), _ORIGIN + _STAMP.size)
+    cursor.text("frame_id")
+    for _ in range(cursor.u4("number of names")):
+        cursor.text("name of a joint")
+    return stamp, tuple(cursor.numbers(what) for what in ("position", "velocity", "effort"))
+
+
 @attrs.define
 class _Cursor:
     """Reads a CDR stream; nothing is read that is not there."""
@@ -303,6 +331,12 @@ class _Cursor:
     def u4(self, what: str) -> int:
         self.position += (_ORIGIN - self.position) % 4
         return int(_U4.unpack_from(self.view, self.take(4, what))[0])
+
+    def numbers(self, what: str) -> NDArray[np.float64]:
+        count = self.u4(f"number of values of {what}")
+        if count:
+            self.position += (_ORIGIN - self.position) % 8
+        return np.frombuffer(self.view, "<f8", count, self.take(8 * count, what))
 
     def text(self, what: str) -> str:
         length = self.u4(f"length of {what}")

@@ -39,7 +39,7 @@ from impact_rig.client import Client, Collector, Processes, isolated_domain
 from impact_rig.client.collector import Received
 from impact_rig.instruments.chain import Chain
 from impact_rig.instruments.fault import Fault
-from impact_rig.nodes.stamps import nanoseconds
+from impact_rig.nodes.messages import nanoseconds
 from impact_rig.physics import FunctionGenerator, Motion, Simulation
 from impact_rig.recording import open_run
 from impact_rig.rig.config import RigConfig, from_flat
