@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 QUIET, TWO, OTHER, MODULATED, CHAOTIC, NONE = range(6)
-WORDS = ("no impacts", "two impacts per cycle", "periodic", "modulated", "chaotic")
+WORDS = ("no impacts", "two impacts per cycle", "periodic", "modulated", "chaotic or intermittent")
 OUTLINES = {QUIET: "#1b1f24", MODULATED: "#ff9347", CHAOTIC: "#ff6b6b", TWO: "#ffffff"}
 """Colours of the regimes' borders in the order in which they are drawn; what is left is periodic otherwise."""
 _COLUMNS = 2
@@ -68,7 +68,7 @@ def classes(values: dict[str, NDArray[np.generic]]) -> NDArray[np.int64]:
     found[(regime == "periodic") & (period == 1.0) & (np.abs(impacts - 2.0) < 0.01)] = TWO
     found[(regime == "periodic") & (impacts == 0.0)] = QUIET
     found[regime == "modulated"] = MODULATED
-    found[regime == "chaotic"] = CHAOTIC
+    found[np.isin(regime, ("chaotic", "intermittent"))] = CHAOTIC
     return found
 
 
