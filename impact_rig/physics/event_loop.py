@@ -311,7 +311,11 @@ def _contact_phase(model, f, desk, t_end, account):  # type: ignore[no-untyped-d
     """Go on with a contact; return LEFT, RELEASED or SETTLED where it ends, or what else stopped it."""
     p, s, k, ledger = model.parameters[0], desk.states[0], desk.press[0], desk.ledger[0]
     forget(k)
+    ended = NOTHING
     for _ in range(_STEPS):
+        if s.w == 0.0 and s.speed < 0.0:  # the last segment ended where the sphere left
+            ended = LEFT
+            break
         expand(p, f, s, k)
         if s.next_step == 0.0:
             if _leap_over(model, f, desk, t_end, account):

@@ -40,6 +40,7 @@ _IN_ORDER = (LEFT, TIME, RELEASED, TURNED, RELOADED)  # past LEFT the others mea
 _REJECTIONS = 60
 _LANDINGS = 12  # Newton needs two to four
 _LANDED = 1e-10  # of the quantity's own scale: as near as Newton's method solves a step
+_COLLAPSED = 1e-4  # of w: smaller within one step, it is taken shorter, see `_first_event`
 _SMALLEST = 1e-300
 _FIRST_STEP = 0.2
 _HOP = 3.0
@@ -145,8 +146,9 @@ def _land(p, force, s, k, event):  # type: ignore[no-untyped-def]
 def _first_event(p, force, s, k):  # type: ignore[no-untyped-def]
     """End the step solved last at the first event that it went beyond; return that, NOTHING or FAILED.
 
-    What ends there must be as exact as any step: where the thrust jumps, the equations of a long step have a second,
-    false solution in which the indentation collapses at once.
+    What ends there must be as exact as any step, and touch the wall all the way: near the end of a contact and where
+    the thrust jumps, the equations of a long step have a second, false solution, in which the indentation collapses at
+    once or passes through zero and back, and the time with it.
     """
     ended = NOTHING
     for event in _IN_ORDER:
@@ -154,7 +156,11 @@ def _first_event(p, force, s, k):  # type: ignore[no-untyped-def]
             if not _land(p, force, s, k, event) or estimate(k, s.step) > 1.0:
                 return FAILED
             ended = event
-    return ended
+    for i in range(STAGES):
+        slight = 0.0 if ended == LEFT and i >= LAST - 1 else _COLLAPSED * s.w
+        if not k.w[i] > slight and not (ended == LEFT and i == LAST):
+            return FAILED
+    return ended if k.since[LAST] > 0.0 else FAILED
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
