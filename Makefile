@@ -73,7 +73,7 @@ $(PACKAGE): $(RUN) setup.py setup.cfg package.xml
 	@touch $@
 
 # --- Targets ----------------------------------------------------------------------------------------------------------
-.PHONY: help lab demo campaign docs figures test lint generate format bench fuzz portability soak colcon venv lock clean
+.PHONY: help lab demo campaign docs figures test lint generate format bench fuzz portability soak colcon release venv lock clean
 
 help: ## print this list
 	@echo 'impact_rig: make TARGET, where TARGET is one of'
@@ -152,6 +152,9 @@ $(COLCON)/ready: requirements/run.txt requirements/$(ROS).txt requirements/test.
 colcon: $(COLCON)/ready ## build, install, start and test with colcon from PyPI, from nothing, as in a ROS workspace
 	@$(if $(filter wheels,$(ROS)),AMENT_PREFIX_PATH='$(CURDIR)/$(COLCON)') \
 	    $(COLCON)/bin/python tools/check_colcon.py $(PYTEST_PLUGINS_USED) $(ARGS)
+
+release: $(RUN) ## build wheel and source distribution in build/release and look into them; ARGS=--try uses them, too
+	@$(VENV)/bin/python tools/release.py $(ARGS)
 
 venv: $(TEST) $(DOCS) $(PACKAGE) ## only make the environment .venv, with all its parts
 
