@@ -97,6 +97,9 @@ SECOND_CHANCE := --reruns 1 --only-rerun WaitTimeoutError --only-rerun TimeoutEx
 # of most tests and ends with those of a single long one.
 TWO_WORKERS := -n 2 --dist loadfile --no-loadscope-reorder --max-worker-restart 0
 
+# How many seconds it took since `begin` is a figure of `make bench ONLY=start`.
+note = mkdir -p build/start && echo $$(($$(date +%s) - begin)) > build/start/$(1)
+
 # All tests end with the table of coverage; some of them would say nothing about it. The second table is of the files
 # that hold compiled code, whose lines are seen where tests run them as plain Python.
 COVERAGE := $(VENV)/bin/python -m coverage
@@ -105,10 +108,11 @@ MEASURED := $(if $(ARGS),,1)
 
 test: $(TEST) $(PACKAGE) ## run all tests on real ROS 2; ARGS='-k codec' chooses, SHUFFLE=7 draws another order
 	@$(if $(MEASURED),$(COVERAGE) erase)
-	@IMPACT_RIG_REQUIRE_ROS=1 $(if $(MEASURED),$(COVERAGE) run,$(VENV)/bin/python) -m pytest $(PYTEST_PLUGINS_USED) \
+	@begin=$$(date +%s); IMPACT_RIG_REQUIRE_ROS=1 \
+	    $(if $(MEASURED),$(COVERAGE) run,$(VENV)/bin/python) -m pytest $(PYTEST_PLUGINS_USED) \
 	    $(TWO_WORKERS) $(SECOND_CHANCE) $(if $(SHUFFLE),--shuffle=$(SHUFFLE)) $(ARGS); status=$$?; \
 	    $(if $(MEASURED),$(COVERAGE) combine --quiet && $(COVERAGE) report && \
-	    $(COVERAGE) report --include="$(KERNELS)" --fail-under=90 &&) exit $$status
+	    $(COVERAGE) report --include="$(KERNELS)" --fail-under=90 && $(call note,suite_s) &&) exit $$status
 
 lint: $(TEST) $(PACKAGE) ## check style, types and layers
 	@$(VENV)/bin/ruff check .

@@ -107,6 +107,15 @@ def test_the_smallest_part_has_what_the_package_imports_and_no_more() -> None:
     assert unused <= versions("test", "docs").keys()
 
 
+@pytest.mark.parametrize("part", ["run", "test"])
+def test_the_cost_that_is_said_is_what_is_paid(part: str) -> None:
+    distributions = {canonicalize_name(one.name): one for one in metadata.distributions() if one.files}
+    names = versions(part).keys() & distributions.keys()
+    files = {file.locate() for name in names for file in distributions[name].files or ()}
+    there = sum(os.lstat(str(file)).st_blocks * 512 for file in files if os.path.lexists(str(file))) / 2**20
+    assert install.ON_DISK_MB[part] * 0.85 < there < install.ON_DISK_MB[part] * 1.05
+
+
 # --- An installation: real pip, real environment, three tiny packages -------------------------------------------------
 
 
