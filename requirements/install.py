@@ -124,6 +124,7 @@ def main() -> int:
     there = installed()
     missing = {name: version for name, version in wanted.items() if name not in there or there[name].version != version}
     if not missing:
+        link_equal_files()  # unless an interrupted run has
         return 0
     begin = time.monotonic()
     cost = sum(ON_DISK_MB[part] for part in parts if not pins(part).keys() <= there.keys())

@@ -31,6 +31,7 @@ EXTRAS = "[wheels,lab]"
 TRIED = ("test/physics", "test/instruments", "test/analysis", "test/test_codec.py")
 """Tests that look at the installed package, not at the repository around them."""
 PATIENCE_S = 600.0
+END_S = 60.0
 DOMAIN = "74"
 """Not that of `make`, where somebody may be at work."""
 
@@ -108,7 +109,11 @@ def page(command: list[str | Path], directory: Path, environment: Mapping[str, s
                 yield answer.read()
         finally:
             os.killpg(lab.pid, signal.SIGINT)
-            lab.wait(PATIENCE_S)
+            try:
+                lab.wait(END_S)
+            except subprocess.TimeoutExpired:
+                os.killpg(lab.pid, signal.SIGKILL)
+                raise
 
 
 def use(sdist: Path, wheel: Path) -> None:
