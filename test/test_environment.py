@@ -116,6 +116,20 @@ def test_the_cost_that_is_said_is_what_is_paid(part: str) -> None:
     assert install.ON_DISK_MB[part] * 0.85 < there < install.ON_DISK_MB[part] * 1.05
 
 
+def test_what_the_commands_of_the_readme_took_is_among_the_figures(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whoever runs them leaves a file; what nobody has run lately is absent, never zero."""
+    from benchmarks import start
+
+    monkeypatch.chdir(tmp_path)
+    assert start.noted() == {}
+    start.NOTED.mkdir(parents=True)
+    (start.NOTED / "suite_s").write_text("431\n")  # as the shell of `make test` writes it
+    assert start.noted() == {"suite_s": 431.0}
+    assert f"{start.NOTED}/$(1)" in (ROOT / "Makefile").read_text(encoding="utf-8")
+
+
 # --- An installation: real pip, real environment, three tiny packages -------------------------------------------------
 
 
