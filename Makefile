@@ -112,7 +112,7 @@ test: $(TEST) $(PACKAGE) ## run all tests on real ROS 2; ARGS='-k codec' chooses
 	    $(if $(MEASURED),$(COVERAGE) run,$(VENV)/bin/python) -m pytest $(PYTEST_PLUGINS_USED) \
 	    $(TWO_WORKERS) $(SECOND_CHANCE) $(if $(SHUFFLE),--shuffle=$(SHUFFLE)) $(ARGS); status=$$?; \
 	    $(if $(MEASURED),$(COVERAGE) combine --quiet && $(COVERAGE) report && \
-	    $(COVERAGE) report --include="$(KERNELS)" --fail-under=90 && $(call note,suite_s) &&) exit $$status
+	    $(COVERAGE) report --include="$(KERNELS)" --fail-under=90 && [ $$status = 0 ] && $(call note,suite_s) &&) exit $$status
 
 lint: $(TEST) $(PACKAGE) ## check style, types and layers
 	@$(VENV)/bin/ruff check .
