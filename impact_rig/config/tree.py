@@ -50,15 +50,25 @@ class Tree(Generic[Root]):
         """
         path = Path(path)
         try:
-            document = plain_yaml.load(str(files.read_bytes(path, MAX_FILE_BYTES), "utf-8"), MAX_FILE_BYTES)
+            content = files.read_bytes(path, MAX_FILE_BYTES)
         except OSError as error:
             raise ConfigError(f"cannot read configuration: {error.strerror} ({path})") from error
-        except ValueError as error:  # PlainYamlError, or it is not UTF-8
-            raise ConfigError(f"not a YAML file: {' '.join(str(error).split())} ({path})") from error
         try:
-            return self.from_flat(self._root(), {**flatten(_unwrap(document)), **(overrides or {})})
+            return self.parse(content, overrides)
         except ConfigError as error:
             raise ConfigError(f"{error} ({path})") from error
+
+    def parse(self, content: bytes, overrides: Mapping[str, object] | None = None) -> Root:
+        """Return the configuration in the content of such a file, see `load`.
+
+        Raises:
+            ConfigError: as `load`; the message names no file.
+        """
+        try:
+            document = plain_yaml.load(str(content, "utf-8"), MAX_FILE_BYTES)
+        except ValueError as error:  # PlainYamlError, or it is not UTF-8
+            raise ConfigError(f"not a YAML file: {' '.join(str(error).split())}") from error
+        return self.from_flat(self._root(), {**flatten(_unwrap(document)), **(overrides or {})})
 
     def from_flat(self, base: Root, changes: Mapping[str, object]) -> Root:
         """Return `base` with the flat `changes` (`section.key` -> value) applied together: all of them, or none.

@@ -69,6 +69,6 @@ class RigConfig:
 
 
 _TREE = Tree(RigConfig)
-load, dump = _TREE.load, _TREE.dump
+load, parse, dump = _TREE.load, _TREE.parse, _TREE.dump
 from_flat, to_flat = _TREE.from_flat, _TREE.to_flat
 fields = _TREE.fields

@@ -27,11 +27,14 @@ from kits.recording import (
 
 pytest.importorskip("rosbags", reason="an independent reader, only on PyPI")
 
+from mcap.writer import CompressionType, Writer
 from rosbags.highlevel import AnyReader
 
 from impact_rig.errors import RecordingError
 from impact_rig.recording import Attachment, Provenance, RunWriter, TopicDescription, open_run, records
 from impact_rig.runs import recover
+from impact_rig.system import budget
+from impact_rig.system.budget import BudgetError
 
 SMALL_TOPICS = tuple(
     TopicDescription(name=f"/rig/{name}", type_name="std_msgs/msg/String", schema="string data\n")
@@ -78,17 +81,34 @@ def chunk_ends(path):
     return ends
 
 
+def boundaries(data):
+    """Where the records of a file's data section and summary begin and end, and the bytes beside."""
+    places, offset = {0, 1, len(data) - 1}, len(records.MAGIC)
+    while offset < len(data) - len(records.MAGIC):
+        places |= {offset - 1, offset, offset + 1}
+        _, _, offset = records.split(memoryview(data), offset)
+    return places
+
+
 @pytest.mark.parametrize(
-    ("compression", "topics"), [("zstd", SMALL_TOPICS[:1]), pytest.param("none", SMALL_TOPICS, marks=pytest.mark.slow)]
+    ("compression", "topics", "others"),
+    [
+        ("zstd", SMALL_TOPICS[:1], 20),
+        pytest.param("zstd", SMALL_TOPICS[:1], None, marks=pytest.mark.slow),
+        pytest.param("none", SMALL_TOPICS, None, marks=pytest.mark.slow),
+    ],
 )
-def test_truncation_at_every_byte(tmp_path, compression, topics):
+def test_truncation_at_every_record_and_anywhere(tmp_path, compression, topics, others):
+    """At the boundaries of records and at some other bytes; at every byte where it may take its time."""
     whole = small_run(tmp_path / "run", compression, topics)
     data = whole.read_bytes()
     sent, attachments, provenance = read_all(whole)
     ends = chunk_ends(whole)
     assert len(ends) >= 3
     cut_file = tmp_path / "cut.mcap"
-    for cut in range(len(data)):
+    rng = np.random.default_rng(4)
+    cuts = range(len(data)) if others is None else {*boundaries(data), *rng.integers(len(data), size=others).tolist()}
+    for cut in sorted(cuts):
         cut_file.write_bytes(data[:cut])
         with pytest.raises(RecordingError, match=r"cut.mcap: it"):
             open_run(cut_file)
@@ -163,26 +183,28 @@ def flip(data, bits):
     return bytes(damaged)
 
 
+@pytest.mark.parametrize("flips", [30, pytest.param(FLIPS, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("compression", ["none", "lz4", "zstd"])
-def test_one_flipped_bit_costs_at_most_one_chunk(tmp_path, compression):
+def test_one_flipped_bit_costs_at_most_one_chunk(tmp_path, compression, flips):
     path = small_run(tmp_path / "run", compression)
     data = path.read_bytes()
     sent, attachments, provenance = read_all(path)
     most = max(np.diff([0, *(count for _, count in chunk_ends(path))]))
     rng = np.random.default_rng(1)
-    for case, bit in enumerate(rng.choice(len(data) * 8, FLIPS, replace=False)):
+    for case, bit in enumerate(rng.choice(len(data) * 8, flips, replace=False)):
         (tmp_path / "damaged.mcap").write_bytes(flip(data, [bit]))
         back = check_never_wrong(tmp_path / "damaged.mcap", tmp_path / f"out{case}", sent, attachments, provenance)
         assert back >= len(sent) - most, f"bit {bit} of byte {bit // 8}"
 
 
-def test_many_flipped_bits_and_overwritten_stretches(tmp_path):
+@pytest.mark.parametrize("cases", [60, pytest.param(FLIPS, marks=pytest.mark.slow)])
+def test_many_flipped_bits_and_overwritten_stretches(tmp_path, cases):
     path = small_run(tmp_path / "run")
     data = path.read_bytes()
     sent, attachments, provenance = read_all(path)
     rng = np.random.default_rng(2)
     back = []
-    for case in range(FLIPS):
+    for case in range(cases):
         damaged = flip(data, rng.choice(len(data) * 8, rng.integers(2, 30), replace=False))
         if case % 3 == 0:
             start, length = rng.integers(len(data)), rng.integers(1, 200)
@@ -193,7 +215,7 @@ def test_many_flipped_bits_and_overwritten_stretches(tmp_path):
         (tmp_path / "damaged.mcap").write_bytes(damaged)
         args = (tmp_path / "damaged.mcap", tmp_path / f"out{case}", sent, attachments, provenance)
         back.append(check_never_wrong(*args))
-    assert sum(back) > FLIPS  # the test would prove nothing if everything were refused
+    assert sum(back) > cases  # the test would prove nothing if everything were refused
 
 
 def test_losing_the_chunk_with_the_definitions_costs_only_that_chunk(tmp_path):
@@ -372,3 +394,35 @@ def test_a_killed_writer_loses_less_than_a_second(tmp_path, after_s):
 @pytest.mark.parametrize("after_s", np.random.default_rng(5).uniform(0.6, 4.0, 20).round(3).tolist())
 def test_a_killed_writer_loses_less_than_a_second_at_any_instant(tmp_path, after_s):
     kill_a_writer(tmp_path, after_s)
+
+
+def test_more_topics_than_any_reader_takes_are_not_collected(tmp_path, monkeypatch):
+    """A small file can define very many; the bound is that of reading a whole run."""
+    path = tmp_path / "many.mcap"
+    writer = Writer(str(path), compression=CompressionType.NONE)
+    writer.start("ros2")
+    schema = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data\n")
+    channels = [writer.register_channel(f"/{number}", "cdr", schema) for number in range(budget.TOPICS + 2)]
+    writer.add_message(channels[0], 1, string("a"), 1)
+    writer.finish()
+    with pytest.raises(BudgetError, match=f"{budget.TOPICS + 2} topics, more than {budget.TOPICS}"):
+        open_run(path)
+    taken = []
+    monkeypatch.setattr(TopicDescription, "from_channel", lambda *found: taken.append(found[0]))
+    with pytest.raises(RecordingError, match=f"{budget.TOPICS + 1} topics, more than {budget.TOPICS}"):
+        recover(path, tmp_path / "out")
+    assert len(taken) == budget.TOPICS + 1
+
+
+def test_where_records_do_not_follow_each_other_metadata_and_attachments_are_found_again(tmp_path):
+    """One damaged length must not cost what stands between it and the next chunk."""
+    path = small_run(tmp_path / "run")
+    whole = path.read_bytes()
+    _, _, first = records.split(memoryview(whole), len(records.MAGIC))
+    damaged = bytearray(whole)
+    damaged[first + 4] ^= 0x80  # the length of the first metadata record
+    path.write_bytes(bytes(damaged))
+    report = recover(tmp_path / "run", tmp_path / "out")
+    assert report.damage_count == 1
+    _, attachments, provenance = read_all(tmp_path / "out")
+    assert (attachments, provenance["seed"]) == ({"config.yaml": b"a: 1\n"}, "3")
