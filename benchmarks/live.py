@@ -1,6 +1,6 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""The whole graph as processes: real time at 10 and 50 kS/s, freewheel at 10 kS/s, and how long a rig takes to start.
+"""The whole graph as processes: real time at 10 and 50 kS/s, freewheel at 10 kS/s.
 
 Lateness is receipt at a further subscriber less the end of the block, so it holds computing, pacing, DDS and that
 subscriber's own wake-up. CPU shares are those of the processes, from /proc, in percent of one core. The environment
@@ -40,7 +40,7 @@ def run() -> dict[str, float]:
     figures: dict[str, float] = {}
     for rate_hz in RATES_HZ:
         figures.update(live(seconds, rate_hz))
-    return {**figures, **wire.run_paced(seconds), **freewheel_beside_the_wire(seconds / 2), **start()}
+    return {**figures, **wire.run_paced(seconds), **freewheel_beside_the_wire(seconds / 2)}
 
 
 def freewheel_beside_the_wire(seconds: float) -> dict[str, float]:
@@ -59,7 +59,7 @@ def freewheel_beside_the_wire(seconds: float) -> dict[str, float]:
 
 def live(seconds: float, rate_hz: int) -> dict[str, float]:
     """Default instruments in real time, with analysis and recorder attached."""
-    with _graph({"daq.rate_hz": rate_hz, "daq.block_scans": rate_hz // 100, **DRIVE}) as (client, processes, directory):
+    with graph({"daq.rate_hz": rate_hz, "daq.block_scans": rate_hz // 100, **DRIVE}) as (client, processes, directory):
         scans = client.collect(topics.SCAN.name)
         client.spin_for(WARM_UP_S)
         scans.clear()
@@ -94,7 +94,7 @@ def freewheel(seconds: float) -> dict[str, float]:
         "time.ack_window": FREEWHEEL_WINDOW,
         **DRIVE,
     }
-    with _graph(parameters) as (client, _, _):
+    with graph(parameters) as (client, _, _):
         client.spin_for(WARM_UP_S)
         marks = []
         for duration in (0.0, seconds):
@@ -106,29 +106,8 @@ def freewheel(seconds: float) -> dict[str, float]:
         return {"freewheel_x_realtime_10kSps": (last - first) / (ended - began)}
 
 
-def start() -> dict[str, float]:
-    """From starting a rig process to its first block; cold: nothing compiled, warm: the same again."""
-    with tempfile.TemporaryDirectory() as cache:
-        cold, warm = (_start_s(Path(cache)) for _ in range(2))
-    return {"cold_start_s": cold, "warm_start_s": warm}
-
-
-def _start_s(cache: Path) -> float:
-    with (
-        isolated_domain() as domain_id,
-        tempfile.TemporaryDirectory() as logs,
-        Processes(domain_id, Path(logs)) as processes,
-        Client(domain_id, processes=processes) as client,
-    ):
-        began = time.monotonic()
-        processes.start("rig", environment={"NUMBA_CACHE_DIR": str(cache)})
-        scans = client.collect(topics.SCAN.name, timeout_s=300.0)
-        client.wait_until(lambda: len(scans) > 0, "the first block", timeout_s=300.0)
-        return time.monotonic() - began
-
-
 @contextmanager
-def _graph(parameters: Mapping[str, ParameterValue]) -> Iterator[tuple[Client, Processes, Path]]:
+def graph(parameters: Mapping[str, ParameterValue]) -> Iterator[tuple[Client, Processes, Path]]:
     """Rig, analysis and recorder as processes, with a client."""
     with (
         tempfile.TemporaryDirectory() as name,

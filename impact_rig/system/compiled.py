@@ -8,17 +8,25 @@ all compiled code of the package lives in one directory, named by a digest of ev
 switch and back, a stash, or an edit of any other file throws nothing away, and code of other sources is never seen.
 
 The directory is `__pycache__/compiled-<digest>` of the package; below `NUMBA_CACHE_DIR` where that is set, below the
-user's cache directory where the package cannot be written. Of the digests, the last few that were used are kept.
+user's cache directory where the package is not this user's alone. Of the digests, the last few that were used are kept.
+
+What is loaded is run: a directory that somebody else can write, or put in the place of ours, is not used. What is
+deleted was made here: such a directory holds `MARK`.
 """
 
 from __future__ import annotations
 
 import contextlib
 import functools
+import grp
 import hashlib
 import os
+import pwd
 import re
 import shutil
+import stat
+import sys
+import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -29,6 +37,10 @@ ROOT = Path(__file__).parents[1]
 KEPT = 6
 """States of the sources whose compiled code is kept, the present one included."""
 
+MARK = "Signature: 8a477f597d28d172789f06886806bc55\n# Compiled code of impact_rig, made anew when it is missing.\n"
+"""What a directory that was made here says in its `CACHEDIR.TAG`, by which backups leave it out."""
+
+_OURS = re.compile(r"compiled-[0-9a-f]{16}")
 _HOLDS_COMPILED_CODE = re.compile(r"^(from|import) numba\b", re.MULTILINE)
 
 
@@ -98,23 +110,32 @@ class Cache:
 
     def from_function(self, function: Callable[..., object], file: str) -> Locator | None:
         """Return where `function` is kept, or None if it is not of this package: Numba's question."""
-        if not Path(file).is_relative_to(self._root) or self.directory is None:
+        if not Path(file).is_relative_to(self._root):
             return None
-        return Locator(function, self.directory / Path(file).relative_to(self._root).parent, Path(file))
+        directory = self.directory or Path(self._of_this_process.name)
+        return Locator(function, directory / Path(file).relative_to(self._root).parent, Path(file))
 
     @functools.cached_property
     def directory(self) -> Path | None:
-        """The first of the possible places that can be written; None: there is none, let Numba find one."""
+        """The first of the possible places that can be written, and by nobody else; None: there is none."""
         for place in self._places():
             directory = place / self._name
-            with contextlib.suppress(OSError):
-                new = not directory.exists()
-                directory.mkdir(parents=True, exist_ok=True)
-                os.utime(directory)  # used now
-                if new:
+            with contextlib.suppress(OSError, KeyError):
+                place.mkdir(parents=True, exist_ok=True)
+                with contextlib.suppress(FileExistsError):
+                    directory.mkdir(mode=0o700)
+                    _mark(directory).write_text(MARK, encoding="utf-8")
                     _forget(place)
-                return directory
+                if is_private(directory):
+                    os.utime(directory)  # used now
+                    return directory
         return None
+
+    @functools.cached_property
+    def _of_this_process(self) -> tempfile.TemporaryDirectory[str]:
+        places = " or ".join(str(place) for place in self._places())
+        sys.stderr.write(f"compiled code is not kept: nobody but this user may be able to write {places}\n")
+        return tempfile.TemporaryDirectory(prefix="impact_rig_")
 
     def _places(self) -> Iterator[Path]:
         if config.CACHE_DIR:
@@ -148,10 +169,53 @@ class Direct:
         return result
 
 
+def is_private(directory: Path) -> bool:
+    """Whether nobody else can change what is in `directory`, or put another one in its place.
+
+    It is this user's and written by no one else. Those above it are this user's or root's and written by no one else,
+    or as /tmp is, where everybody moves only what is theirs. root is not counted as somebody else.
+
+    Raises:
+        OSError: it is not there.
+        KeyError: this user has no name.
+    """
+    if directory.is_symlink() or directory.stat().st_uid != os.geteuid():
+        return False
+    path = directory.resolve(strict=True)
+    return not _others_write(path.stat()) and all(
+        above.st_uid in {0, os.geteuid()} and (above.st_mode & stat.S_ISVTX or not _others_write(above))
+        for above in map(Path.stat, path.parents)
+    )
+
+
+def _others_write(status: os.stat_result) -> bool:
+    """Whether the mode lets others write; a group of the user's name without other members is the user's own."""
+    if status.st_mode & stat.S_IWOTH or not status.st_mode & stat.S_IWGRP:
+        return bool(status.st_mode & stat.S_IWOTH)
+    group = grp.getgrgid(status.st_gid)
+    return bool(group.gr_mem) or group.gr_name != pwd.getpwuid(os.geteuid()).pw_name
+
+
+def _mark(directory: Path) -> Path:
+    return directory / "CACHEDIR.TAG"
+
+
+def _made_here(directory: Path) -> bool:
+    """Whether it is a directory of compiled code that this package made for this user."""
+    with contextlib.suppress(OSError, UnicodeDecodeError):
+        return (
+            _OURS.fullmatch(directory.name) is not None
+            and not directory.is_symlink()
+            and directory.stat().st_uid == os.geteuid()
+            and _mark(directory).read_text(encoding="utf-8") == MARK
+        )
+    return False
+
+
 def _forget(place: Path) -> None:
     """Delete all but the last used; a process that still runs such code has it in memory."""
-    used = sorted(place.glob("compiled-*"), key=lambda path: path.stat().st_mtime_ns, reverse=True)
-    for directory in used[KEPT:]:
+    made = [directory for directory in place.iterdir() if _made_here(directory)]
+    for directory in sorted(made, key=lambda path: path.stat().st_mtime_ns, reverse=True)[KEPT:]:
         shutil.rmtree(directory, ignore_errors=True)
 
 

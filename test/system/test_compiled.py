@@ -34,6 +34,7 @@ class Answer:
     value: int
     compiled: bool
     directory: Path
+    told: str
 
 
 @attrs.frozen
@@ -62,7 +63,7 @@ class Package:
             [sys.executable, "-c", script], check=True, capture_output=True, text=True, env=inherited | environment
         )
         value, misses, directory = done.stdout.split(maxsplit=2)
-        return Answer(int(value), misses != "0", Path(directory.strip()))
+        return Answer(int(value), misses != "0", Path(directory.strip()), done.stderr)
 
 
 @pytest.fixture
@@ -135,6 +136,94 @@ def test_a_package_that_cannot_be_written_keeps_its_code_with_the_user(package: 
 
 def test_a_directory_of_the_users_choice_is_used(package: Package, tmp_path: Path) -> None:
     assert package.outer(NUMBA_CACHE_DIR=str(tmp_path / "chosen")).directory.is_relative_to(tmp_path / "chosen")
+
+
+def test_only_what_was_made_here_is_deleted(package: Package, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A user's own directory may be named like ours, and hold the same file that backups look for."""
+    place = tmp_path / "chosen"
+    own = [place / f"compiled-thesis-{number}" for number in range(9)] + [
+        place / f"compiled-{number:016x}" for number in range(9)
+    ]
+    for directory in own:
+        directory.mkdir(parents=True)
+        (directory / "CACHEDIR.TAG").write_text(compiled.MARK.splitlines()[0])
+        (directory / "chapter.tex").write_text("years of work")
+        os.utime(directory, ns=(1, 1))
+    linked = place / f"compiled-{99:016x}"
+    linked.symlink_to(tmp_path / "elsewhere")
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "elsewhere" / "CACHEDIR.TAG").write_text(compiled.MARK)
+    monkeypatch.setattr("numba.core.config.CACHE_DIR", str(place))
+    made = []
+    for number in range(compiled.KEPT + 2):
+        package.write(callee=CALLEE.format(number))
+        made.append(compiled.Cache(package.root).directory)
+    assert [(directory / "chapter.tex").read_text() for directory in own] == ["years of work"] * len(own)
+    assert (linked / "CACHEDIR.TAG").exists()
+    assert [directory for directory in made if directory is not None and directory.exists()] == made[-compiled.KEPT :]
+
+
+def plant(directory: Path, proof: Path) -> None:
+    """Put a payload in place of all indices of compiled functions, which says so once it is run."""
+    proof.unlink(missing_ok=True)
+    payload = f"cbuiltins\nexec\n(Vopen({str(proof)!r}, 'w')\ntR.".encode()
+    for index in directory.rglob("*.nbi"):
+        index.write_bytes(payload)
+
+
+def test_code_that_others_could_have_written_is_not_loaded(package: Package, tmp_path: Path) -> None:
+    """Nor kept, where every place is open to others; one line says so."""
+    chosen, proof = tmp_path / "chosen", tmp_path / "proof"
+    first = package.outer(NUMBA_CACHE_DIR=str(chosen))
+    plant(chosen, proof)
+    package.outer(NUMBA_CACHE_DIR=str(chosen))
+    assert proof.exists()  # this is how it would be run
+    plant(chosen, proof)
+    chosen.chmod(0o777)
+    again = package.outer(NUMBA_CACHE_DIR=str(chosen))
+    assert (first.value, again.value, again.compiled) == (2, 2, True)
+    assert again.told == f"compiled code is not kept: nobody but this user may be able to write {chosen}\n"
+    assert not again.directory.exists()
+    assert not proof.exists()
+
+
+def test_another_place_is_chosen_where_others_can_write(
+    package: Package, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "home"))
+    beside = compiled.Cache(package.root).directory
+    assert beside is not None
+    assert beside.parent == package.root / "__pycache__"
+    for opened in (beside, beside.parent):
+        opened.chmod(0o777)
+        other = compiled.Cache(package.root).directory
+        assert other is not None
+        assert other.is_relative_to(tmp_path / "home")
+        opened.chmod(0o755)
+    assert compiled.Cache(package.root).directory == beside
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root gives directories away")
+def test_a_directory_of_somebody_else_is_not_used(package: Package, tmp_path: Path) -> None:
+    first = compiled.Cache(package.root).directory
+    assert first is not None
+    assert compiled.is_private(first)
+    os.chown(first, 65534, -1)
+    assert not compiled.is_private(first)
+    os.chown(first, 0, -1)
+    os.chown(first.parent, 65534, -1)  # its owner may put another one in its place
+    assert not compiled.is_private(first)
+
+
+def test_a_directory_below_one_that_is_shared_as_tmp_is_private(tmp_path: Path) -> None:
+    shared, own = tmp_path / "shared", tmp_path / "shared" / "own"
+    own.mkdir(mode=0o700, parents=True)
+    shared.chmod(0o777)
+    assert not compiled.is_private(own)
+    shared.chmod(0o1777)
+    assert compiled.is_private(own)
+    (shared / "linked").symlink_to(own)
+    assert not compiled.is_private(shared / "linked")
 
 
 def test_every_compiled_function_is_kept_by_content() -> None:
