@@ -1,11 +1,13 @@
 # The menu of the project: `make` alone prints it.
 #
-# Every target first makes what it needs, once: a virtual environment in .venv from the exact versions in requirements/.
+# Every target first makes what it needs, once: its part of a virtual environment in .venv, from the exact versions in
+# requirements/. What runs the rig is the smallest part; tests, then website and notebook, add to it.
 #   make PYTHON=python3.11 ...     use this interpreter instead of the first supported one
 
 VENV := .venv
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
+.NOTPARALLEL:
 
 # --- Which ROS 2: a sourced Jazzy whose rclpy works, else the PyPI wheels --------------------------------------------
 ifeq ($(ROS_DISTRO),jazzy)
@@ -37,45 +39,58 @@ export ROS_LOG_DIR ?= $(CURDIR)/build/log
 export MPLCONFIGDIR ?= $(CURDIR)/build/matplotlib
 
 # --- Environment ------------------------------------------------------------------------------------------------------
-# Two stamps: new versions need a new environment, a new version or script of this package only to be registered again.
-# A copied or moved checkout needs both, because an environment holds absolute paths.
-ENVIRONMENT := $(VENV)/ready-$(ROS)$(subst /,_,$(PYTHON))
+# A stamp for each part: new versions are installed over the old ones, a new version or script of this package is only
+# registered again. A copied or moved checkout needs all of it anew, because an environment holds absolute paths.
+STAMP := $(VENV)/has-$(ROS)$(subst /,_,$(PYTHON))
+RUN := $(STAMP)-run
+TEST := $(STAMP)-test
+DOCS := $(STAMP)-docs
 PACKAGE := $(VENV)/registered
 ifneq ($(file <$(VENV)/made-in),$(CURDIR))
-.PHONY: $(ENVIRONMENT)
+.PHONY: $(RUN) $(TEST) $(DOCS)
 endif
+INSTALL = @PYTHON='$(PYTHON)' requirements/venv.sh $(ROS) $(VENV)
 
-$(ENVIRONMENT): requirements/common.txt requirements/$(ROS).txt
-	@PYTHON='$(PYTHON)' requirements/venv.sh $(ROS) $(VENV)
-	@printf '%s' '$(CURDIR)' > $(VENV)/made-in
-	@touch $(VENV)/ready-$(ROS) $@
+$(RUN): requirements/run.txt requirements/$(ROS).txt
+	$(INSTALL) run
+	@touch $@
+
+$(TEST): requirements/run.txt requirements/$(ROS).txt requirements/test.txt
+	$(INSTALL) run test
+	@test -e $(RUN) || touch $(RUN)
+	@touch $@
+
+$(DOCS): requirements/run.txt requirements/$(ROS).txt requirements/docs.txt
+	$(INSTALL) run docs
+	@test -e $(RUN) || touch $(RUN)
+	@touch $@
 
 # Without a C compiler there is no library of kernels: Numba then compiles each at its first call.
 BUILD_KERNELS = $(VENV)/bin/python -m impact_rig.kernels || echo 'going on without: the first start takes a minute'
 
-$(PACKAGE): $(ENVIRONMENT) setup.py setup.cfg package.xml
+$(PACKAGE): $(RUN) setup.py setup.cfg package.xml
 	@$(BUILD_KERNELS)
 	@$(VENV)/bin/python -m pip install --quiet --disable-pip-version-check --no-input \
 	    --no-deps --no-build-isolation --no-index --editable .
 	@touch $@
 
-kernels: $(PACKAGE)
+kernels: $(PACKAGE) ## build the library of compiled kernels, where their sources have changed
 	@$(BUILD_KERNELS)
 
 # --- Targets ----------------------------------------------------------------------------------------------------------
-.PHONY: help lab demo campaign docs figures test lint generate format bench fuzz portability soak colcon venv lock clean
+.PHONY: help kernels lab demo campaign docs figures test lint generate format bench fuzz portability soak colcon release venv lock clean
 
 help: ## print this list
 	@echo 'impact_rig: make TARGET, where TARGET is one of'
 	@sed -nE 's/^([a-z]+):[^#]*## (.*)/  \1\t\2/p' $(firstword $(MAKEFILE_LIST)) | expand -t 14
 
-lab: $(PACKAGE) ## see the rig move and turn its knobs, live, in the browser; ARGS=--sample plays back a short run
+lab: kernels ## see the rig move and turn its knobs, live, in the browser; ARGS=--sample plays back a short run
 	@$(VENV)/bin/impact-rig lab $(ARGS)
 
-demo: $(PACKAGE) ## run the rig, measure the paper's five reductions through its topics, print and draw them
+demo: kernels ## run the rig, measure the paper's five reductions through its topics, print and draw them
 	@$(VENV)/bin/impact-rig demo $(ARGS)
 
-campaign: $(PACKAGE) ## measure all points of the paper, judge its statements, write a report; ARGS='--only curves'
+campaign: kernels ## measure all points of the paper, judge its statements, write a report; ARGS='--only curves'
 	@$(VENV)/bin/impact-rig campaign config/paper.yaml --check --output runs/campaign_paper $(ARGS); status=$$?; \
 	    $(VENV)/bin/impact-rig report runs/campaign_paper && exit $$status
 
@@ -87,20 +102,24 @@ SECOND_CHANCE := --reruns 1 --only-rerun WaitTimeoutError --only-rerun TimeoutEx
 # of most tests and ends with those of a single long one.
 TWO_WORKERS := -n 2 --dist loadfile --no-loadscope-reorder --max-worker-restart 0
 
+# How many seconds it took since `begin` is a figure of `make bench ONLY=start`.
+note = mkdir -p build/start && echo $$(($$(date +%s) - begin)) > build/start/$(1)
+
 # All tests end with the table of coverage; some of them would say nothing about it. The second table is of the files
 # that hold compiled code, whose lines are seen where tests run them as plain Python.
 COVERAGE := $(VENV)/bin/python -m coverage
-KERNELS = $$(grep -rl --include='*.py' '^from numba import njit' impact_rig | paste -sd,)
+KERNELS = $$(grep -rl --include='*.py' '^from impact_rig.kernels import .*kernel\|^from impact_rig.kernels import .*entry' impact_rig | paste -sd,)
 MEASURED := $(if $(ARGS),,1)
 
-test: $(PACKAGE) ## run all tests on real ROS 2; ARGS='-k codec' chooses, SHUFFLE=7 draws another order
+test: $(TEST) kernels ## run all tests on real ROS 2; ARGS='-k codec' chooses, SHUFFLE=7 draws another order
 	@$(if $(MEASURED),$(COVERAGE) erase)
-	@IMPACT_RIG_REQUIRE_ROS=1 $(if $(MEASURED),$(COVERAGE) run,$(VENV)/bin/python) -m pytest $(PYTEST_PLUGINS_USED) \
+	@begin=$$(date +%s); IMPACT_RIG_REQUIRE_ROS=1 \
+	    $(if $(MEASURED),$(COVERAGE) run,$(VENV)/bin/python) -m pytest $(PYTEST_PLUGINS_USED) \
 	    $(TWO_WORKERS) $(SECOND_CHANCE) $(if $(SHUFFLE),--shuffle=$(SHUFFLE)) $(ARGS); status=$$?; \
 	    $(if $(MEASURED),$(COVERAGE) combine --quiet && $(COVERAGE) report && \
-	    $(COVERAGE) report --include="$(KERNELS)" --fail-under=90 &&) exit $$status
+	    $(COVERAGE) report --include="$(KERNELS)" --fail-under=90 && [ $$status = 0 ] && $(call note,suite_s) &&) exit $$status
 
-lint: $(PACKAGE) ## check style, types and layers
+lint: $(TEST) kernels ## check style, types and layers
 	@$(VENV)/bin/ruff check .
 	@$(VENV)/bin/ruff format --check .
 	@$(VENV)/bin/mypy
@@ -108,34 +127,34 @@ lint: $(PACKAGE) ## check style, types and layers
 	@if command -v node >/dev/null; then for file in impact_rig/lab/static/*.js; do \
 	    node --check --input-type=module < $$file || exit 1; done; fi
 
-generate: $(PACKAGE) ## rewrite the pages and files that are made from the code
+generate: $(TEST) $(PACKAGE) ## rewrite the pages and files that are made from the code
 	@$(VENV)/bin/python -m tools.generate
 
-figures: $(PACKAGE) ## draw every figure of README and docs; ARGS='paper.svg lab_pictures' chooses
+figures: $(TEST) $(PACKAGE) ## draw every figure of README and docs; ARGS='paper.svg lab_pictures' chooses
 	@$(VENV)/bin/python -m tools.figures $(ARGS)
 
-docs: $(PACKAGE) ## build the website from docs/ into build/site, offline, without a warning
+docs: $(DOCS) kernels ## build the website from docs/ into build/site, offline, without a warning
 	@$(VENV)/bin/python -m tools.website $(ARGS)
 
-format: $(PACKAGE) ## bring the code into the one format
+format: $(TEST) $(PACKAGE) ## bring the code into the one format
 	@$(VENV)/bin/ruff check --fix-only .
 	@$(VENV)/bin/ruff format .
 
-bench: $(PACKAGE) ## measure the figures of docs/ and write build/bench.json; ONLY=physics measures one part
+bench: $(TEST) $(PACKAGE) ## measure the figures of docs/ and write build/bench.json; ONLY=physics measures one part
 	@$(VENV)/bin/python -m benchmarks $(ONLY)
 
-fuzz: $(PACKAGE) ## throw 10,000 hostile inputs at each decoder and validator; ARGS='--inputs 1000 texts' chooses
+fuzz: $(TEST) $(PACKAGE) ## throw 10,000 hostile inputs at each decoder and validator; ARGS='--inputs 1000 texts' chooses
 	@$(VENV)/bin/python -m fuzz $(ARGS)
 
-portability: $(PACKAGE) ## prove the same bits under masks of this CPU and on emulated ones; ARGS=--write takes this machine's
+portability: kernels ## prove the same bits under masks of this CPU and on emulated ones; ARGS=--write takes this machine's
 	@$(VENV)/bin/python -m tools.portability $(ARGS)
 
-soak: $(PACKAGE) ## run for hours: two of rig time freewheeling, ten minutes live at 50 kS/s; ARGS='--part live' chooses
+soak: kernels ## run for hours: two of rig time freewheeling, ten minutes live at 50 kS/s; ARGS='--part live' chooses
 	@$(VENV)/bin/python tools/soak.py $(ARGS)
 
 COLCON := build/colcon-venv
-$(COLCON)/ready: requirements/common.txt requirements/$(ROS).txt requirements/colcon.txt
-	@PYTHON='$(PYTHON)' requirements/venv.sh $(ROS) $(COLCON)
+$(COLCON)/ready: requirements/run.txt requirements/$(ROS).txt requirements/test.txt requirements/colcon.txt
+	@PYTHON='$(PYTHON)' requirements/venv.sh $(ROS) $(COLCON) run test
 	@$(COLCON)/bin/python -m pip install --quiet --disable-pip-version-check --no-input --requirement requirements/colcon.txt
 	@touch $@
 
@@ -143,10 +162,13 @@ colcon: $(COLCON)/ready ## build, install, start and test with colcon from PyPI,
 	@$(if $(filter wheels,$(ROS)),AMENT_PREFIX_PATH='$(CURDIR)/$(COLCON)') \
 	    $(COLCON)/bin/python tools/check_colcon.py $(PYTEST_PLUGINS_USED) $(ARGS)
 
-venv: $(PACKAGE) ## only make the environment .venv
+release: $(RUN) ## build wheel and source distribution in build/release and look into them; ARGS=--try uses them, too
+	@$(VENV)/bin/python tools/release.py $(ARGS)
 
-lock: ## choose new versions: rewrite requirements/common.txt and wheels.txt
-	@$(or $(PYTHON),python3.11) requirements/lock.py
+venv: $(TEST) $(DOCS) $(PACKAGE) ## only make the environment .venv, with all its parts
+
+lock: $(RUN) ## choose new versions for every supported Python; ARGS=--check only checks those that are written down
+	@$(VENV)/bin/python requirements/lock.py $(ARGS)
 
 clean: ## remove the environment, caches and everything in build/, never recorded runs elsewhere
 	@rm -rf $(VENV) build install log *.egg-info .hypothesis .import_linter_cache .mypy_cache .pytest_cache .ruff_cache

@@ -1,6 +1,6 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""How much of a core a process takes."""
+"""What a process takes of a core and of memory."""
 
 from __future__ import annotations
 
@@ -19,3 +19,10 @@ def cpu_share(pid: int) -> Callable[[], float]:
 
     before, began = used_s(), time.monotonic()
     return lambda: 100.0 * (used_s() - before) / (time.monotonic() - began)
+
+
+def resident_mb(pid: int) -> float:
+    """Return what a process holds in memory, shared libraries included [MB]."""
+    lines = Path(f"/proc/{pid}/status").read_text().splitlines()
+    (size_kb,) = (line.split()[1] for line in lines if line.startswith("VmRSS:"))
+    return float(size_kb) / 1024.0

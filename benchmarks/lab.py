@@ -18,7 +18,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -29,7 +29,7 @@ sys.path.insert(0, str(ROOT / "test"))
 
 from kits.browser import Browser  # noqa: E402
 
-from benchmarks.cpu import cpu_share  # noqa: E402
+from benchmarks.cpu import cpu_share, resident_mb  # noqa: E402
 from benchmarks.live import FREEWHEEL_WINDOW, _graph  # noqa: E402
 from impact_rig.client import Client, Processes  # noqa: E402
 from impact_rig.errors import ImpactRigError  # noqa: E402
@@ -222,15 +222,8 @@ def _usual_mb(pid: int, client: Client) -> float:
     readings = []
     for _ in range(20):
         client.spin_for(0.25)
-        readings.append(_resident_mb(pid))
+        readings.append(resident_mb(pid))
     return statistics.median(readings)
-
-
-def _resident_mb(pid: int) -> float:
-    fields: Mapping[str, str] = dict(
-        line.split(":", 1) for line in Path(f"/proc/{pid}/status").read_text().splitlines() if ":" in line
-    )
-    return float(fields["VmRSS"].split()[0]) / 1024.0
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""The whole graph as processes: real time at 10 and 50 kS/s, freewheel at 10 kS/s, and how long a rig takes to start.
+"""The whole graph as processes: real time at 10 and 50 kS/s, freewheel at 10 kS/s.
 
 Lateness is receipt at a further subscriber less the end of the block, so it holds computing, pacing, DDS and that
 subscriber's own wake-up. CPU shares are those of the processes, from /proc, in percent of one core. The environment
@@ -40,7 +40,7 @@ def run() -> dict[str, float]:
     figures: dict[str, float] = {}
     for rate_hz in RATES_HZ:
         figures.update(live(seconds, rate_hz))
-    return {**figures, **wire.run_paced(seconds), **freewheel_beside_the_wire(seconds / 2), **start()}
+    return {**figures, **wire.run_paced(seconds), **freewheel_beside_the_wire(seconds / 2)}
 
 
 def freewheel_beside_the_wire(seconds: float) -> dict[str, float]:
@@ -59,7 +59,7 @@ def freewheel_beside_the_wire(seconds: float) -> dict[str, float]:
 
 def live(seconds: float, rate_hz: int) -> dict[str, float]:
     """Default instruments in real time, with analysis and recorder attached."""
-    with _graph({"daq.rate_hz": rate_hz, "daq.block_scans": rate_hz // 100, **DRIVE}) as (client, processes, directory):
+    with graph({"daq.rate_hz": rate_hz, "daq.block_scans": rate_hz // 100, **DRIVE}) as (client, processes, directory):
         scans = client.collect(topics.SCAN.name)
         client.spin_for(WARM_UP_S)
         scans.clear()
@@ -94,7 +94,7 @@ def freewheel(seconds: float) -> dict[str, float]:
         "time.ack_window": FREEWHEEL_WINDOW,
         **DRIVE,
     }
-    with _graph(parameters) as (client, _, _):
+    with graph(parameters) as (client, _, _):
         client.spin_for(WARM_UP_S)
         marks = []
         for duration in (0.0, seconds):
@@ -107,7 +107,7 @@ def freewheel(seconds: float) -> dict[str, float]:
 
 
 @contextmanager
-def _graph(parameters: Mapping[str, ParameterValue]) -> Iterator[tuple[Client, Processes, Path]]:
+def graph(parameters: Mapping[str, ParameterValue]) -> Iterator[tuple[Client, Processes, Path]]:
     """Rig, analysis and recorder as processes, with a client."""
     with (
         tempfile.TemporaryDirectory() as name,

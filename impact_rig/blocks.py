@@ -107,7 +107,7 @@ DAQ_INFO_COLUMNS = (
     Column("range_high", "unit", "Largest value that is measured."),
     Column("sensitivity", "V/unit", "SI value = (volt - offset) / sensitivity."),
     Column("offset", "V", "Output at zero."),
-    Column("resolution", "unit", "One step of the converter."),
+    Column("resolution", "unit", "The larger of the steps of the sensor's output and of the converter."),
     Column("noise", "unit", "Noise, rms."),
     Column("sensitivity_uncertainty", "-", "Relative standard uncertainty of the sensitivity."),
     Column("offset_uncertainty", "unit", "Standard uncertainty of the zero."),
@@ -129,6 +129,12 @@ DAQ_INFO_COLUMNS = (
     ),
     Column(
         "since_start", "s", "From scan 0 to this stamp; 0 after a reset.", default=0.0, least=-LONGEST_S, most=LONGEST_S
+    ),
+    Column("output_step", "unit", "One step of the sensor's own output, ahead of the converter; 0: none.", default=0.0),
+    Column("output_noise", "unit", "Noise ahead of that step, rms: it blurs the step.", default=0.0),
+    Column("converter_step", "unit", "One step of the converter.", default=0.0),
+    Column(
+        "converter_noise", "unit", "Noise of the converter itself, rms: it blurs the converter's step.", default=0.0
     ),
 )
 DAQ_INFO = row_type(DAQ_INFO_COLUMNS)
@@ -155,6 +161,24 @@ TRANSMISSIBILITY_COLUMNS = (
     Column("regime", "-", "What the response does from cycle to cycle, see docs/analysis.md.", TEXT, default=""),
     Column("method", "-", "How the uncertainty was found, see docs/analysis.md.", TEXT, default=""),
     Column("status", "-", "What this row is, see docs/analysis.md; numbers are NaN unless it was measured.", TEXT),
+    Column(
+        "channel",
+        "-",
+        "The channel that the status is about, or that contributes most to the uncertainty; empty: none.",
+        TEXT,
+        default="",
+    ),
+    Column("largest", "-", "The largest contribution to the uncertainty, see docs/analysis.md.", TEXT, default=""),
+    Column("largest_share", "-", "Its share of the variance of the transmissibility, 0 to 1.", default=math.nan),
+    Column(
+        "steps_uncertainty",
+        "-",
+        "The part of the transmissibility's standard uncertainty that steps of converters and sensors have.",
+        default=math.nan,
+    ),
+    Column(
+        "impact_age", "s", "From the last detected impact to the stamp; NaN: none since the start.", default=math.nan
+    ),
 )
 TRANSMISSIBILITY = row_type(TRANSMISSIBILITY_COLUMNS)
 

@@ -1,45 +1,181 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""Renew the exact versions in common.txt and wheels.txt: `python3.11 requirements/lock.py`, then run the tests.
+"""Choose exact versions that serve every supported Python, and write them down: `make lock`, then run the tests.
 
-Run it with the lowest supported Python: versions chosen there also exist for the higher ones, not the other way round.
+    python requirements/lock.py             resolve direct.txt, write a file for each of its sections, check them
+    python requirements/lock.py --check     only check, with the package index, that every pin can be installed
+
+pip chooses for the lowest supported Python (`--python-version`), because versions that exist for it exist for later
+ones. It evaluates environment markers for the Python that runs it, though; so requirements are followed here once
+more, for every supported Python, and pip is asked again with those it has left out.
 """
 
 from __future__ import annotations
 
 import json
-import re
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
+from typing import Any
+
+from packaging.requirements import Requirement
+from packaging.specifiers import SpecifierSet
+from packaging.utils import canonicalize_name
 
 HERE = Path(__file__).parent
-HEADER = "# Written by lock.py from direct.txt: exact versions, dependencies of dependencies included.\n"
-PIP_OPTIONS = "--only-binary :all:\n--no-binary empy\n"  # nothing is compiled; empy exists as source only, pure Python
+PYTHONS = ("3.11.0", "3.11.2", "3.12.0", "3.12.3", "3.13.0", "3.14.0")
+"""The first patch release of each supported Python, and the ones of Debian 12 and Ubuntu 24.04."""
+SECTIONS = ("run", "wheels", "test", "docs")
+SOURCE_ONLY = "empy"  # pure Python
+OF_ROS = {"empy", "lark", "lark-parser", "numpy"}
+"""An apt-installed Jazzy brings its own of these: its message classes are compiled against numpy 1.26."""
+UNUSED_REQUIREMENTS_OF = ("uplot-python",)
+"""They are left out: uplot-python asks for IPython (40 MB), and only its JavaScript is used here."""
+HEADER = f"""\
+# Written by lock.py from direct.txt: exact versions, dependencies of dependencies too, and the Pythons they ask for.
+--only-binary :all:
+--no-binary {SOURCE_ONLY}
+"""
 
 
-def resolve() -> dict[str, str]:
-    """Return name -> version of everything direct.txt needs, into an empty environment."""
-    command = [sys.executable, "-m", "pip", "install", "--quiet", "--dry-run", "--ignore-installed", "--report", "-"]
-    options = [*PIP_OPTIONS.split(), "--requirement", str(HERE / "direct.txt")]
-    report = subprocess.run([*command, *options], check=True, capture_output=True, text=True).stdout  # noqa: S603  # own arguments
-    found = (item["metadata"] for item in json.loads(report)["install"])
-    return {normalised(item["name"]): item["version"] for item in found}
+def direct() -> dict[str, list[Requirement]]:
+    """Return what direct.txt names in each section."""
+    found: dict[str, list[Requirement]] = {}
+    for line in (HERE / "direct.txt").read_text(encoding="utf-8").splitlines():
+        if line.startswith("["):
+            found[line.strip("[]")] = []
+        elif line and not line.startswith("#"):
+            found[list(found)[-1]].append(Requirement(line))
+    return found
 
 
-def normalised(name: str) -> str:
-    """Return the one spelling of a package name (PEP 503)."""
-    return re.sub(r"[-_.]+", "-", name).lower()
+def environment(python: str) -> dict[str, str]:
+    """Return what markers are evaluated with on a supported machine."""
+    return {
+        "python_full_version": python,
+        "python_version": python.rpartition(".")[0],
+        "implementation_version": python,
+        "implementation_name": "cpython",
+        "platform_python_implementation": "CPython",
+        "platform_machine": "x86_64",
+        "platform_system": "Linux",
+        "sys_platform": "linux",
+        "os_name": "posix",
+    }
+
+
+def needed(asked: list[Requirement], known: dict[str, list[Requirement]], python: str) -> dict[str, Requirement]:
+    """Return everything that `asked` needs on one Python: by name, a requirement that asked for it.
+
+    Args:
+        asked: where to begin.
+        known: what each distribution requires; one that is missing here is named, and followed no further.
+        python: its full version.
+    """
+    found: dict[str, Requirement] = {}
+    seen: set[tuple[str, str]] = set()
+    left = [(requirement, "") for requirement in asked]
+    while left:
+        requirement, extra = left.pop()
+        if requirement.marker and not requirement.marker.evaluate(environment(python) | {"extra": extra}):
+            continue
+        name = canonicalize_name(requirement.name)
+        found.setdefault(name, requirement)
+        for wanted in ("", *requirement.extras):
+            if (name, wanted) not in seen:
+                seen.add((name, wanted))
+                left += [(further, wanted) for further in known.get(name, ())]
+    return found
+
+
+def pip(*arguments: str) -> str:
+    """Return what pip prints; its errors go to the terminal."""
+    command = [sys.executable, "-m", "pip", "--disable-pip-version-check", *arguments]
+    return subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout  # noqa: S603  # own arguments
+
+
+def try_for(python: str, *arguments: str) -> str:
+    """Let pip look for what it would install on another Python, into an empty directory."""
+    with tempfile.TemporaryDirectory() as directory:
+        options = ["--quiet", "--dry-run", "--ignore-installed", "--target", directory, "--python-version", python]
+        return pip("install", *options, *arguments)
+
+
+def resolve(asked: list[Requirement], directory: Path) -> dict[str, dict[str, Any]]:
+    """Return name -> metadata of what pip chooses for the lowest supported Python, into an empty environment."""
+    pip("wheel", "--quiet", "--no-deps", "--no-binary", SOURCE_ONLY, "--wheel-dir", str(directory), SOURCE_ONLY)
+    options = ["--report", "-", "--only-binary", ":all:", "--find-links", str(directory)]
+    report = json.loads(try_for(PYTHONS[0], *options, *map(str, asked)))
+    return {canonicalize_name(item["metadata"]["name"]): item["metadata"] for item in report["install"]}
+
+
+def unconditional(requirement: Requirement) -> Requirement:
+    """Return it without its marker."""
+    extras = f"[{','.join(sorted(requirement.extras))}]" if requirement.extras else ""
+    return Requirement(f"{requirement.name}{extras}{requirement.specifier}")
+
+
+def choose() -> dict[str, dict[str, str]]:
+    """Return section -> name -> the line that pins it."""
+    sections = direct()
+    asked = [requirement for section in sections.values() for requirement in section]
+    with tempfile.TemporaryDirectory() as directory:
+        while True:
+            chosen = resolve(asked, Path(directory))
+            known = {name: list(map(Requirement, data.get("requires_dist", ()))) for name, data in chosen.items()}
+            known |= {name: [] for name in UNUSED_REQUIREMENTS_OF}
+            left_out = {
+                name: requirement
+                for python in PYTHONS
+                for name, requirement in needed(asked, known, python).items()
+                if name not in chosen
+            }
+            if not left_out:
+                break
+            asked += map(unconditional, left_out.values())
+    pins: dict[str, dict[str, str]] = {}
+    for section in SECTIONS:
+        begin = [*sections["run"], *(sections["wheels"] if section == "wheels" else ()), *sections[section]]
+        names = set().union(*(needed(begin, known, python) for python in PYTHONS))
+        names -= OF_ROS if section == "run" else {*pins["run"], *pins.get("wheels", ())}
+        pins[section] = {name: pin(name, chosen[name]) for name in names}
+    return pins
+
+
+def pin(name: str, metadata: dict[str, Any]) -> str:
+    """Return the line of a lock: what is pinned, on which Pythons if not on all, and which Pythons it asks for."""
+    asked = SpecifierSet(metadata.get("requires_python") or "")
+    served = [python for python in PYTHONS if asked.contains(python)]
+    minors = " ".join(dict.fromkeys(python.rpartition(".")[0] for python in served))
+    marker = "" if len(served) == len(PYTHONS) else f' ; python_version in "{minors}"'
+    return f"{name}=={metadata['version']}{marker}  # Python {asked or 'any'}"
+
+
+def check() -> None:
+    """Ask the package index for every pin, for every supported Python.
+
+    Raises:
+        SystemExit: a pin cannot be installed on one of them; pip has said which.
+    """
+    lines = [line for part in SECTIONS for line in (HERE / f"{part}.txt").read_text(encoding="utf-8").splitlines()]
+    pins = [Requirement(line.partition("  #")[0]) for line in lines if "==" in line]
+    for python in PYTHONS:
+        served = [str(unconditional(pin)) for pin in pins if not pin.marker or pin.marker.evaluate(environment(python))]
+        try:
+            try_for(python, "--no-deps", "--only-binary", ":all:", "--no-binary", SOURCE_ONLY, *served)
+        except subprocess.CalledProcessError:
+            sys.exit(f"these versions do not serve Python {python}")
+        print(f"all {len(served)} versions serve Python {python}", flush=True)  # noqa: T201  # a program
 
 
 def main() -> None:
-    """Write both files."""
-    versions = resolve()
-    # an apt-installed Jazzy brings its own of these: its message classes are compiled against numpy 1.26
-    ros = {name for name in versions if name.startswith("ros-")} | {"numpy", "empy", "lark", "lark-parser"}
-    for file, names in (("common.txt", versions.keys() - ros), ("wheels.txt", ros & versions.keys())):
-        pins = "".join(f"{name}=={versions[name]}\n" for name in sorted(names))
-        (HERE / file).write_text(HEADER + PIP_OPTIONS + pins, encoding="utf-8")
+    """Write the files unless they are only to be checked, and check them."""
+    if sys.argv[1:] != ["--check"]:
+        for section, lines in choose().items():
+            text = "".join(f"{lines[name]}\n" for name in sorted(lines))
+            (HERE / f"{section}.txt").write_text(HEADER + text, encoding="utf-8")
+    check()
 
 
 if __name__ == "__main__":

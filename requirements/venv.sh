@@ -1,57 +1,60 @@
 #!/bin/sh
-# Make the environment of `make demo` and `make test`, from exact versions.
+# Make the environment of `make demo` and `make test`, from exact versions, or add to it what is missing.
 #
-#   requirements/venv.sh wheels DIRECTORY     ROS 2 from PyPI wheels
-#   requirements/venv.sh sourced DIRECTORY    ROS 2 from the sourced, apt-installed Jazzy
+#   requirements/venv.sh wheels DIRECTORY run [test] [docs]    ROS 2 from PyPI wheels
+#   requirements/venv.sh sourced DIRECTORY run [test] [docs]   ROS 2 from the sourced, apt-installed Jazzy
 #
-# PYTHON names the interpreter to use; by default the first supported one of python3, python3.12, python3.11.
+# PYTHON names the interpreter to use; by default the first that serves. An environment that is there is kept, unless it
+# was moved or is for another ROS or another interpreter than PYTHON.
 set -eu
 
 mode=$1
 venv=$2
+shift 2
 here=$(dirname "$0")
 
 fail() {
-    printf 'error: %s\n' "$@" >&2
+    printf 'error: %s\n' "$1" >&2
     exit 1
 }
 
-supported() {
-    "$1" -c 'import sys; sys.exit(not (3, 11) <= sys.version_info < (3, 13))' 2>/dev/null
-}
+# Which one it is, of those that serve: built for all of them are CPython's wheels, not those without its lock.
+identity='import platform, sys, sysconfig
+version = sys.version_info
+serves = (3, 11) <= version < (3, 15) and version.releaselevel == "final" and sys.maxsize > 2**32
+print(platform.python_version(), sys.base_prefix)
+sys.exit(not (serves and sys.implementation.name == "cpython" and not sysconfig.get_config_var("Py_GIL_DISABLED")))'
 
 find_python() {
-    for candidate in ${PYTHON:-python3 python3.12 python3.11}; do
-        if supported "$candidate"; then
+    for candidate in ${PYTHON:-python3 python3.13 python3.12 python3.11 python3.14}; do
+        if "$candidate" -c "$identity" >/dev/null 2>&1; then
             printf '%s\n' "$candidate"
             return
         fi
     done
-    found=$("${PYTHON:-python3}" --version 2>&1) || found="no ${PYTHON:-python3}"
-    fail "impact_rig needs Python 3.11 or 3.12, found: $found" \
-        "install one of them and call: make PYTHON=/path/to/python3.12 ..."
+    found=$("${PYTHON:-python3}" --version 2>&1) || found="not there"
+    fail "impact_rig needs CPython 3.11 to 3.14, and ${PYTHON:-python3} is $found: make PYTHON=/path/to/python3.12 ..."
 }
-
-python=$(find_python)
-if [ "$mode" = wheels ]; then
-    [ "$(uname -sm)" = "Linux x86_64" ] || fail "the ROS 2 wheels exist for Linux x86-64 only, this is $(uname -sm)" \
-        "install ROS 2 Jazzy, source its setup.bash and call make again"
-    site=
-    versions=wheels.txt
-    ros="ROS 2 from PyPI wheels"
-else
-    site=--system-site-packages
-    versions=sourced.txt
-    ros="the sourced ROS 2 ${ROS_DISTRO:-}"
-fi
 
 # settings of the user's pip that would install somewhere else
 unset PIP_USER PIP_TARGET PIP_PREFIX PIP_REQUIRE_VIRTUALENV PIP_REQUIREMENT PIP_CONSTRAINT
 
-echo "Setting up $venv with $("$python" --version) and $ros, once: 900 MB, one minute to seven, by network and machine"
-# shellcheck disable=SC2086  # no option at all when empty
-"$python" -m venv --clear $site "$venv" ||
-    fail "$python cannot make a virtual environment; on Debian and Ubuntu: sudo apt install python3-venv"
-# Python compiles what it imports: compiling all of it here would take half a minute
-"$venv/bin/python" -m pip install --quiet --disable-pip-version-check --no-input --no-compile \
-    --requirement "$here/common.txt" --requirement "$here/$versions"
+[ "$mode" = sourced ] || [ "$(uname -sm)" = "Linux x86_64" ] ||
+    fail "the ROS 2 wheels exist for Linux x86-64 only, this is $(uname -sm): install ROS 2 Jazzy and source its setup.bash"
+
+directory=$(cd "$(dirname "$venv")" && pwd)
+kept=$("$venv/bin/python" -c "$identity" 2>/dev/null) || kept=
+if [ -n "${PYTHON:-}" ]; then
+    python=$(find_python)
+    [ "$kept" = "$("$python" -c "$identity")" ] || kept=
+fi
+if [ -z "$kept" ] || [ ! -e "$venv/ready-$mode" ] || [ "$(cat "$venv/made-in")" != "$directory" ]; then
+    python=$(find_python)
+    [ "$mode" = wheels ] && site= || site=--system-site-packages
+    # shellcheck disable=SC2086  # no option at all when empty
+    "$python" -m venv --clear $site "$venv" ||
+        fail "$python cannot make a virtual environment; on Debian and Ubuntu: sudo apt install python3-venv"
+    printf '%s' "$directory" > "$venv/made-in"
+    touch "$venv/ready-$mode"
+fi
+exec "$venv/bin/python" "$here/install.py" "$mode" "$@"

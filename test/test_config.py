@@ -126,9 +126,9 @@ def test_limits_hold_on_both_sides(name):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"barriers.gap_m": -0.002}, "barriers.gap_m must be > 0 and <= 1, got -0.002 m"),
-        ({"barriers.gap_m": 6}, "barriers.gap_m must be > 0 and <= 1, got 6.0 m"),  # millimetres by mistake
-        ({"barriers.gap_m": 0}, "barriers.gap_m must be > 0 and <= 1, got 0.0 m"),  # no sphere is sphere.present
+        ({"barriers.gap_m": -0.002}, "barriers.gap_m must be >= 1e-06 and <= 1, got -0.002 m"),
+        ({"barriers.gap_m": 6}, "barriers.gap_m must be >= 1e-06 and <= 1, got 6.0 m"),  # millimetres by mistake
+        ({"barriers.gap_m": 0}, "barriers.gap_m must be >= 1e-06 and <= 1, got 0.0 m"),  # no sphere is sphere.present
         ({"barrier.gap_m": 0.002}, "unknown key 'barrier.gap_m', did you mean 'barriers.gap_m'?"),
         ({"barriers": {"gap_m": 0.002}}, "unknown key 'barriers'"),
         ({"barriers.gap_m.x": 1}, "unknown key 'barriers.gap_m.x'"),
@@ -167,7 +167,7 @@ def test_sections_are_frozen():
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("barriers: {gap_m: 6}", "barriers.gap_m must be > 0 and <= 1, got 6.0 m (PATH)"),
+        ("barriers: {gap_m: 6}", "barriers.gap_m must be >= 1e-06 and <= 1, got 6.0 m (PATH)"),
         ("barriers: {gap: 6}", "unknown key 'barriers.gap', did you mean 'barriers.gap_m'? (PATH)"),
         ("barriers: {gap_m: }", "barriers.gap_m must be a number, got None m (PATH)"),
         ("barriers: 3", "unknown key 'barriers'"),

@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 from kits.unmeasured import unmeasured
 
-nbclient = pytest.importorskip("nbclient", reason="runs notebooks; only on PyPI")
-nbformat = pytest.importorskip("nbformat", reason="reads notebooks; comes with nbclient")
+nbclient = pytest.importorskip("nbclient", reason="make venv installs what runs notebooks")
+nbformat = pytest.importorskip("nbformat", reason="make venv installs what reads notebooks")
 
 NOTEBOOK = Path(__file__).parents[1] / "examples" / "recorded_run.ipynb"
 PATIENCE_S = 280

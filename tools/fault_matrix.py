@@ -1,14 +1,21 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""Hurt a running graph in every way and measure how it recovers: `python tools/fault_matrix.py`, about two minutes.
+"""Hurt a running measurement and a running graph in every way: `python tools/fault_matrix.py [sensors] [processes]`.
 
-Rig, analysis and recorder run as processes, freewheeling; a client is a peer as well, so what it misses is a loss.
+Sensors: every fault of a channel, on each of them, in two sizes, begins in the middle of a measurement that runs and
+lasts. Rows that look good are compared with the motion itself. None may be off by more than 3u, save by a gain error
+within the limits of the calibration, which no reading shows: the budget names it as `sensitivity`.
+
+Processes:
+ Rig, analysis and recorder run as processes, freewheeling; a client is a peer as well, so what it misses is a loss.
 Each case hurts one of them, undoes it as an operator would, and measures the wall time until blocks flow again. At the
 end the recording is checked: every block that the recorder acknowledged must be in it.
 """
 
 from __future__ import annotations
 
+import functools
+import math
 import signal
 import sys
 import tempfile
@@ -18,16 +25,26 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import attrs
 import numpy as np
 from rich.console import Console
 from rich.table import Table as TextTable
 
 from impact_rig import topics
+from impact_rig.analysis.channels import CHANNELS
+from impact_rig.analysis.sine import fit_sine
+from impact_rig.analysis.tracker import Tracker
+from impact_rig.blocks import APPLIED, Table
 from impact_rig.client import Client, Collector, Processes, isolated_domain
 from impact_rig.client.collector import Received
+from impact_rig.instruments.chain import Chain
+from impact_rig.instruments.fault import Fault
 from impact_rig.nodes.messages import nanoseconds
+from impact_rig.physics import FunctionGenerator, Motion, Simulation
 from impact_rig.recording import open_run
+from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.runs import recover
+from impact_rig.simtime import NS_PER_S
 
 TICK_NS = 10_000_000
 PEERS = ("analysis", "recorder", "client")
@@ -204,9 +221,134 @@ def running() -> Iterator[Graph]:
             graph.client.close()
 
 
+RATE_HZ, TICKS_PER_S = 10_000, 100
+DRIVE_HZ, DRIVE_A = 9.1, 0.52
+RUN_S, FAULT_S, FAULT_ENDS_S = 75.0, 27.3, 62.1
+"""A fault begins after some rows and within one, and ends before the run does."""
+WORST_U = 3.0
+SEED = 2
+"""Of instruments whose rows are all within 3u without a fault."""
+FULL_SCALE = {"accelerometer": 20.0, "laser": 6e-3, "base": 1e-4, "current": 0.52}
+"""Sizes of the vibration [unit of the channel], which the faults are shares of."""
+NONE = "none"
+SENSOR_FAULTS: tuple[tuple[str, tuple[float, float]], ...] = (
+    ("dropout", (0.0, 1.0)),  # the second lasts half a cycle
+    ("stuck", (0.0, 1.0)),  # the same
+    ("offset_step", (0.05, 2.0)),
+    ("gain_error", (0.002, 0.05)),
+    ("spike_train", (0.2, 5.0)),
+    ("saturation", (0.5, 0.95)),
+    ("added_noise", (0.02, 1.0)),
+)
+
+
+@attrs.frozen
+class Outcome:
+    """What a fault made of the rows that end in it or after it.
+
+    Attributes:
+        worst: largest error of a row that looks good, in its u; NaN where none does.
+        words: statuses with channels, and how many of each.
+        within: whether the fault is a gain error that the calibration allows for.
+    """
+
+    worst: float
+    words: Counter[str]
+    within: bool
+
+    @property
+    def passes(self) -> bool:
+        """Whether no row that looks good is wrong."""
+        return self.within or not self.worst > WORST_U
+
+
+@functools.cache
+def steady_motion(gap_m: float) -> tuple[RigConfig, Motion]:
+    """Return the rig and its motion from rest on, after the drive has started."""
+    changes: dict[str, object] = {"barriers.gap_m": gap_m} if gap_m else {"sphere.present": False}
+    config = from_flat(RigConfig(), changes | {"daq.rate_hz": RATE_HZ})
+    drive = FunctionGenerator(config.drive, config.shaker, np.random.default_rng(1))
+    drive.set_frequency(DRIVE_HZ)
+    drive.set_amplitude(DRIVE_A)
+    return config, Simulation(config).advance(drive.segments(round(RUN_S * TICKS_PER_S)))
+
+
+def sensor_fault(kind: str, channel: str, size: float, gap_m: float, seed: int = SEED) -> Outcome:
+    """Measure the motion with one fault."""
+    config, motion = steady_motion(gap_m)
+    chain, tracker = Chain(attrs.evolve(config, daq=attrs.evolve(config.daq, seed=seed))), Tracker()
+    info = chain.info()
+    value = size if kind == "gain_error" else size * FULL_SCALE[channel]
+    brief = kind in ("dropout", "stuck") and size > 0.0
+    samples = RATE_HZ / DRIVE_HZ / 2.0 if brief else RATE_HZ * (FAULT_ENDS_S - FAULT_S)
+    if kind != NONE:
+        start = round(FAULT_S * RATE_HZ)
+        chain.inject(Fault(kind=kind, channel=channel, start_sample=start, samples=round(samples), value=value, seed=3))
+    tracker.configure(Table(0, info))
+    command = np.zeros(1, APPLIED)
+    command["frequency"], command["current"] = DRIVE_HZ, DRIVE_A
+    tracker.on_applied(Table(0, command))
+    tracker.label(gap_m, 0)
+    chain.acquire(motion, 0, len(motion.segments))
+    worst, words = math.nan, Counter[str]()
+    for table in tracker.feed(Table(0, chain.read(chain.ready))).measurements:
+        row = table.rows[0]
+        if table.stamp_ns < FAULT_S * NS_PER_S:
+            continue
+        words[" ".join((row["status"].decode(), row["channel"].decode() if row["settled"] != 1 else "")).strip()] += 1
+        if row["settled"] == 1.0:
+            truth = true_ratio(gap_m, table.stamp_ns, int(row["cycles"]))
+            off = abs(row["transmissibility"] - abs(truth)) / row["transmissibility_uncertainty"]
+            turned = abs(np.angle(np.exp(1j * row["phase"]) / truth)) / row["phase_uncertainty"]
+            worst = max(off, turned, -math.inf if math.isnan(worst) else worst)
+    limit = math.sqrt(3.0) * float(info["sensitivity_uncertainty"][list(CHANNELS).index(channel)])
+    return Outcome(float(worst), words, kind == "gain_error" and size <= limit)
+
+
+def true_ratio(gap_m: float, stamp_ns: int, cycles: int) -> complex:
+    """Return X_1 / X_b of the motion itself over the scans of a row."""
+    last = round(stamp_ns * RATE_HZ / NS_PER_S)
+    scans = np.arange(last + 1 - round(cycles * RATE_HZ / DRIVE_HZ), last + 1)
+    per_tick = RATE_HZ // TICKS_PER_S
+    motion = steady_motion(gap_m)[1]
+    values = motion.quantities(("x_1", "x_b"), scans // per_tick, scans % per_tick / RATE_HZ)
+    laser, base = (fit_sine(one, RATE_HZ, DRIVE_HZ, 5).phasors[0] for one in values)
+    return complex(laser / base)
+
+
+def sensors(console: Console) -> bool:
+    """Print the matrix of sensor faults; return whether all rows that look good are."""
+    good = True
+    for gap_m in (0.006, 0.0):
+        table = TextTable(title=f"Sensor faults, {f'gap {gap_m * 1e3:g} mm' if gap_m else 'no sphere'}")
+        for heading in ("fault", "channel", "size", "worst good row [u]", "rows", ""):
+            table.add_column(heading)
+        for kind, sizes in ((NONE, (0.0,)), *SENSOR_FAULTS):
+            for channel in CHANNELS:
+                for size in sizes:
+                    found = sensor_fault(kind, channel, size, gap_m)
+                    good = good and found.passes
+                    verdict = "undetectable: sensitivity" if found.within else "" if found.passes else "WRONG"
+                    words = ", ".join(f"{word} {count}" for word, count in found.words.items())
+                    table.add_row(kind, channel, f"{size:g}", f"{found.worst:.2f}", words, verdict)
+                    console.print(f"{kind} {channel} {size:g}: {found.worst:.2f} {words} {verdict}", style="dim")
+        console.print(table)
+    return good
+
+
 def main() -> int:
-    """Return 0 if nothing was lost and everything recovered."""
-    console, table, lost = Console(), TextTable(), 0
+    """Return 0 if no wrong row looked good, nothing was lost and everything recovered."""
+    wanted = set(sys.argv[1:]) or {"sensors", "processes"}
+    if not wanted <= {"sensors", "processes"}:
+        raise SystemExit(__doc__)
+    console = Console()
+    good = sensors(console) if "sensors" in wanted else True
+    return 0 if (processes(console) if "processes" in wanted else True) and good else 1
+
+
+def processes(console: Console) -> bool:
+    """Print how the graph recovers; return whether nothing was lost."""
+    table, lost = TextTable(), 0
     for heading in ("case", "recovered after [s]", "blocks lost"):
         table.add_column(heading, justify="left" if heading == "case" else "right")
     with running() as graph:
@@ -234,7 +376,7 @@ def main() -> int:
             text = f"recording {number + 1}: {len(stamps)} blocks, {acknowledged.total()} acknowledged"
             table.add_row(text, "", str(missing + broken))
     console.print(table)
-    return 1 if lost else 0
+    return not lost
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""Measure the map of gap and frequency on the mechanics, and keep its picture for the gallery: some minutes."""
+"""Measure the maps that the docs show, on the mechanics, and keep their pictures: some minutes."""
 
 from __future__ import annotations
 
@@ -12,18 +12,20 @@ from pathlib import Path
 from impact_rig.cli.main import main
 
 ROOT = Path(__file__).parents[1]
-PLAN = ROOT / "config" / "maps" / "gap_frequency.yaml"
-PICTURE = ROOT / "docs" / "images" / "map_gap_frequency.png"
+MAPS = ("gap_frequency", "coexistence")
+"""Files in config/maps; the picture of each is docs/images/map_<name>.png."""
 
 
 def draw() -> int:
     """Measure and draw; return the exit code."""
-    with tempfile.TemporaryDirectory() as directory:
-        output = Path(directory, "map")
-        code = main(["map", str(PLAN), "--output", str(output)])
-        if not code:
-            shutil.copy(output / "figures" / "map_reset.png", PICTURE)
-        return code
+    for name in MAPS:
+        with tempfile.TemporaryDirectory() as directory:
+            output = Path(directory, "map")
+            code = main(["map", str(ROOT / "config" / "maps" / f"{name}.yaml"), "--output", str(output)])
+            if code:
+                return code
+            shutil.copy(output / "figures" / "map_reset.png", ROOT / "docs" / "images" / f"map_{name}.png")
+    return 0
 
 
 if __name__ == "__main__":

@@ -2,10 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Uncertainty budget of one transmissibility: what its stated standard uncertainty is made of.
 
-    u²(DT)/DT² = u²(ε) + Σ over laser and base of  u²(S) + [(1.5 − 1.875 a²) (L/R) u(c_3)]² + (Re ∂lnL/∂ln τ · u_τ)²
+    u²(DT)/DT² = u²(ε) + Σ over laser, base: u²(S) + [(1.5 − 1.875 a²) (L/R) u(c_3)]² + (Re ∂lnL/∂ln τ · u_τ)² + u_Q²
 
 u(S): sensitivity without the slope of the sensor's curve; the bracket: that curve at the amplitude a·R of the vibration
-(`calibration`); the last: the sensor's lag. u(ε), noise, scatter of the cycles and what a transient may have left, is
+(`calibration`); then the sensor's lag, and the steps of
+sensor and converter. u(ε), noise, scatter of the cycles and what a transient may have left, is
 what the stated uncertainty leaves when all others are taken out: the parts add up to the stated whole.
 """
 
@@ -80,10 +81,17 @@ def budget(rows: NDArray[np.void], calibration: Calibration, lag_uncertainty: fl
             Contribution(CHANNELS[channel], "sensitivity", "B", gain),
             Contribution(CHANNELS[channel], "linearity at this amplitude", "B", curve),
             Contribution(CHANNELS[channel], "lag", "B", lag),
+            Contribution(CHANNELS[channel], "steps", "B", _steps(calibration, channel, amplitude, frequency_hz)),
         ]
     rest = (u / dt) ** 2 - sum(part.u_relative**2 for part in parts)
     parts.append(Contribution("measurement", "noise, scatter, remnant", "A", math.sqrt(max(rest, 0.0))))
     return Budget(dt, u, parts)
+
+
+def _steps(calibration: Calibration, channel: int, amplitude: float, frequency_hz: float) -> float:
+    """Return what the steps of sensor and converter contribute, relative."""
+    read = amplitude * abs(complex(calibration.response(channel, frequency_hz)))
+    return calibration.steps_uncertainty(channel, read) / read
 
 
 def _curve(calibration: Calibration, channel: int, amplitude: float) -> float:

@@ -41,6 +41,7 @@ class Cycles:
         variance: variance about the mean per cycle, shape (n, 4).
         residual: residual sum of squares of the fit, shape (n, 4).
         flags: status bits seen, and RANGE_BIT bits, shape (n,).
+        jump: largest change from one scan to the next, shape (n, 4).
         impacts: impacts detected per cycle, NaN where not counted, shape (n,).
         strikes: 1 where an impact fell into that part of the cycle, shape (n, PHASE_BINS).
     """
@@ -52,6 +53,7 @@ class Cycles:
     variance: Real
     residual: Real
     flags: NDArray[np.int64]
+    jump: Real
     impacts: Real
     strikes: NDArray[np.uint8]
 
@@ -74,6 +76,23 @@ def concatenate(parts: list[Cycles]) -> Cycles:
 
 LOWEST_HZ = 1e-6
 """A cycle of twelve days: what is below is damaged, and its period fits no integer."""
+
+
+def distinct_phases(samples: int, period: float) -> int:
+    """Return at how many phases of the drive a run of samples is taken: all its samples, or fewer where they recur.
+
+    Where a few cycles hold a whole number of samples, the same phases come again and again, and what rounding adds to
+    each of them is the same each time. They recur if within the run they drift by less than half a sample.
+
+    Args:
+        samples: of the run.
+        period: samples per cycle, fractions included.
+    """
+    for cycles in range(1, int(samples / period / 2.0) + 1):
+        drift = abs(cycles * period - round(cycles * period)) * samples / (cycles * period)
+        if drift < 0.5:
+            return round(cycles * period)
+    return samples
 
 
 def usable_harmonics(rate_hz: int, frequency_hz: float, wanted: int) -> int:
@@ -113,9 +132,11 @@ class Accumulator:
         size = 2 * harmonics + 2
         self._sums = np.zeros((4, size))
         self._basis = np.ones(size - 1)
+        self._last, self._jump = np.full(4, np.nan), np.zeros(4)
+        self._out_jump = np.zeros((capacity, 4))
         self._out = np.zeros((capacity, 4, size))
         self._out_flags = np.zeros(capacity, dtype=np.int64)
-        self._done: list[tuple[NDArray[np.float64], NDArray[np.int64]]] = []
+        self._done: list[tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.float64]]] = []
         self._cycle = 0
 
     @property
@@ -138,11 +159,16 @@ class Accumulator:
                 self._rotor,
                 self._sums,
                 self._basis,
+                self._last,
+                self._jump,
                 self._out,
                 self._out_flags,
+                self._out_jump,
             )
             if done:
-                self._done.append((self._out[:done].copy(), self._out_flags[:done].copy()))
+                self._done.append(
+                    (self._out[:done].copy(), self._out_flags[:done].copy(), self._out_jump[:done].copy())
+                )
 
     def take(self, count: int) -> Cycles:
         """Return and forget the oldest `count` whole cycles, fitted.
@@ -152,18 +178,18 @@ class Accumulator:
         """
         if not 0 < count <= self.pending_cycles:
             raise ValueError(f"count must be 1 to {self.pending_cycles}, got {count}")
-        sums = np.concatenate([part for part, _ in self._done])
-        flags = np.concatenate([part for _, part in self._done])
-        self._done = [(sums[count:], flags[count:])] if len(sums) > count else []
+        sums, flags, jump = (np.concatenate(parts) for parts in zip(*self._done, strict=True))
+        self._done = [(sums[count:], flags[count:], jump[count:])] if len(sums) > count else []
         numbers = np.arange(self._cycle, self._cycle + count + 1)
         self._cycle += count
         edges = np.ceil(numbers * self.period).astype(np.int64)
-        return _solve(sums[:count], flags[:count], edges, numbers[:-1], self.period, self.origin)
+        return _solve(sums[:count], flags[:count], jump[:count], edges, numbers[:-1], self.period, self.origin)
 
 
 def _solve(
     sums: Real,
     flags: NDArray[np.int64],
+    jump: Real,
     edges: NDArray[np.int64],
     numbers: NDArray[np.int64],
     period: float,
@@ -191,6 +217,7 @@ def _solve(
         variance=variance,
         residual=residual,
         flags=flags,
+        jump=jump,
         impacts=np.full(len(samples), np.nan),
         strikes=np.zeros((len(samples), PHASE_BINS), dtype=np.uint8),
     )
@@ -242,8 +269,11 @@ def _accumulate(
     rotor: Real,
     sums: Real,
     basis: Real,
+    last: Real,
+    jump: Real,
     out: Real,
     out_flags: NDArray[np.int64],
+    out_jump: Real,
 ) -> tuple[int, int]:
     """Add scans to the running sums; stop early when `out` is full. Return (cycles completed, next scan).
 
@@ -268,6 +298,10 @@ def _accumulate(
             value = samples[j, i]
             if not low[j] < value < high[j]:  # NaN compares false
                 flags |= RANGE_BIT << j
+            change = abs(value - last[j])
+            if change > jump[j]:  # noqa: PLR1730  # false of the NaN before the first scan, whatever max says
+                jump[j] = change
+            last[j] = value
             for q in range(size - 1):
                 sums[j, q] += value * basis[q]
             sums[j, size - 1] += value * value
@@ -279,6 +313,8 @@ def _accumulate(
                 for q in range(size):
                     out[done, j, q] = sums[j, q]
                     sums[j, q] = 0.0
+                out_jump[done, j] = jump[j]
+                jump[j] = 0.0
             out_flags[done] = flags
             done += 1
             cycle += 1

@@ -8,6 +8,9 @@
 Gain, offset, skew and lag of the sensor scale and shift the decay without changing either value. Its curve does not: a
 gain that changes by κ (a/a_0)² with the amplitude a bends the envelope, and ζ by up to κ/2 (`bent`). So u(f_n) is that
 of noise (density near ω_d, as in `sine`) and clock, u(ζ) that of noise and curve.
+
+A record in which the accelerometer shows impacts has no ζ: the sphere takes energy as long as it strikes. Nor has one
+whose two halves decay at different rates, whatever the cause. Both are refused.
 """
 
 from __future__ import annotations
@@ -22,6 +25,7 @@ from scipy import fft
 
 from impact_rig.analysis.calibration import Calibration, Complex, Real
 from impact_rig.analysis.channels import LASER, status_of
+from impact_rig.analysis.impacts import ImpactDetector
 from impact_rig.analysis.sine import least_squares, noise_density
 from impact_rig.analysis.words import Status
 
@@ -33,8 +37,16 @@ LINE_FACTOR = 20.0
 """A spectral line this far above the expected largest one of noise is a vibration."""
 SIGNAL_FACTOR = 10.0
 """A cycle's amplitude in standard uncertainties from which its logarithm is used."""
+DIFFERENT = 6.0
+"""Standard uncertainties by which the rates of the two halves differ in a decay that is no single exponential."""
 ITERATIONS = 50
 CONVERGED = 1e-10
+REASONS = {
+    Status.IMPACTS: "the accelerometer shows impacts: a free decay gives ζ of the structure alone, without the sphere "
+    "(sphere.present: false) or with amplitudes at which it strikes no wall",
+    Status.NOT_EXPONENTIAL: "its two halves decay at different rates, so one ζ does not describe it",
+}
+"""Why there is no result, where the status alone does not tell a user what to do."""
 
 
 @attrs.frozen(kw_only=True)
@@ -62,6 +74,8 @@ def measure_decay(
 ) -> Decay:
     """Measure the free decay of the superior base in scans that begin after its release; the base must be locked.
 
+    `impacts` or `not_exponential` where no single ζ describes the record.
+
     Args:
         rows: consecutive scans (`daq/scan`).
         info: rows of `daq/info`: rate, range and linearity of the laser.
@@ -78,12 +92,31 @@ def measure_decay(
     if clipped or np.any(status_of(rows) & (1 << LASER)):
         return Decay(status=Status.OVER_RANGE)
     found = (method or fit_decay)(y, calibration.rate_hz, u_clock)
+    if len(ImpactDetector(calibration).feed(np.asarray(rows["accelerometer"], dtype=np.float64))):
+        return Decay(status=Status.IMPACTS)
     if found.status is not Status.OK:
         return found
     seconds = len(y) / calibration.rate_hz
     share = bent(2.0 * math.pi * found.natural_frequency_hz * found.damping_ratio, seconds)
-    curve = share * calibration.curvature_uncertainty(LASER, found.amplitude)
+    bend = calibration.curvature_uncertainty(LASER, found.amplitude)
+    if not _one_rate(y, calibration.rate_hz, 2.0 * math.pi * found.natural_frequency_hz, bend):
+        return Decay(status=Status.NOT_EXPONENTIAL)
+    curve = share * bend
     return attrs.evolve(found, u_damping_ratio=math.hypot(found.u_damping_ratio, curve * found.damping_ratio))
+
+
+def _one_rate(y: Real, rate_hz: float, omega: float, bend: float) -> bool:
+    """Return whether both halves of a decay have one rate, within their scatter and what the sensor's curve bends."""
+    phasors, middles, noise = _cycle_phasors(y, rate_hz, omega)
+    half = _strong(phasors, noise) // 2
+    if half < MIN_CYCLES:
+        return True  # too few cycles to tell
+    rates, uncertainty = [], 0.0
+    for part in (slice(0, half), slice(half, 2 * half)):
+        slope, left, weights = _straight_line(phasors[part], middles[part])
+        rates.append(slope.real)
+        uncertainty += float(weights @ left.real**2) / (half - 2) + (2.0 * bend * slope.real) ** 2
+    return abs(rates[0] - rates[1]) <= DIFFERENT * math.sqrt(uncertainty)
 
 
 def bent(decay_per_s: float, seconds: float) -> float:

@@ -9,9 +9,17 @@
 
 S_xy = E[X* Y] by Welch's method (scipy.signal). Shin & Hammond (2008), Fundamentals of Signal Processing, 9.3;
 Bendat & Piersol (2010), Random Data, 9.3 for the uncertainty.
+
+A segment shorter than the resonance rings makes |H1| too small at its peak. With σ = ζω_n and r(τ) the autocorrelation
+of the window over that at 0, the truth lies above the estimate by the share `resolution_bias` at most, which falls
+off as σ²/(σ² + (ω − ω_n)²) beside the peak and is part of the uncertainty, as a rectangular limit. The resonance is
+found from the record itself (`find_resonance`), whatever the resolution.
 """
 
 from __future__ import annotations
+
+import math
+from collections.abc import Callable
 
 import attrs
 import numpy as np
@@ -20,6 +28,42 @@ from scipy import signal
 
 from impact_rig.analysis.calibration import Calibration, Complex, Real
 from impact_rig.analysis.channels import BASE, LASER
+
+OVERLAP = 0.5
+RESOLVED = 0.02
+"""`resolution_bias` that is aimed at: segments of 100 s for 9.1 Hz and a damping ratio of 0.0045."""
+SEGMENTS = 2.5
+"""A record holds at least so many segments by choice: four of them, with half an overlap."""
+EXCITED = 1e-3
+"""Share of the strongest line's power from which a line counts as excited."""
+ABOVE_NOISE = 10.0
+"""Times the sensor's own density that an excited line has at least."""
+REPEATS = 0.01
+"""Relative rms change from segment to segment up to which an excitation is periodic in the segment: nothing leaks."""
+FITS = 0.05
+"""Relative residual up to which a record is that of one resonance."""
+AROUND = 0.1
+"""Relative half width of the band in which a resonance is refined."""
+SHAPE = 8192
+"""Points of a window of which only the shape matters."""
+
+
+@attrs.frozen
+class Resonance:
+    """One mode of a base-excited structure."""
+
+    frequency_hz: float
+    damping_ratio: float
+
+    @property
+    def width_hz(self) -> float:
+        """Half-power width."""
+        return 2.0 * self.damping_ratio * self.frequency_hz
+
+    @property
+    def decay_per_s(self) -> float:
+        """σ = ζω_n."""
+        return math.pi * self.width_hz
 
 
 @attrs.frozen(eq=False, kw_only=True)
@@ -30,8 +74,14 @@ class Frf:
         frequency_hz: shape (n,).
         h1: estimators, shape (n,); h2, hv likewise.
         coherence: γ², shape (n,).
-        u_relative: standard uncertainty of |H1| relative to it, and of its phase [rad], by noise alone, shape (n,).
+        u_relative: standard uncertainty of |H1| relative to it, and of its phase [rad], shape (n,): by noise alone
+            from `frf`, with calibration and resolution from `transmissibility_frf`.
         averages: n_d, effective number of independent averages.
+        excitation: S_xx, shape (n,).
+        excited: indices of the lines that the excitation reaches, shape (k,); of a sine its one line.
+        sine: whether the excitation is one.
+        resonance: what was found in the excited band, None if no single one fits; from `transmissibility_frf` alone.
+        bias: `resolution_bias` at the peak, 0 if there is no resonance.
     """
 
     frequency_hz: Real
@@ -41,6 +91,11 @@ class Frf:
     coherence: Real
     u_relative: Real
     averages: float
+    excitation: Real
+    excited: NDArray[np.intp]
+    sine: bool
+    resonance: Resonance | None = None
+    bias: float = 0.0
 
 
 def frf(
@@ -49,9 +104,10 @@ def frf(
     rate_hz: float,
     segment: int,
     *,
-    overlap: float = 0.5,
+    overlap: float = OVERLAP,
     window: str = "hann",
     noise_ratio: float = 1.0,
+    x_noise: float = 0.0,
 ) -> Frf:
     """Estimate y / x.
 
@@ -63,6 +119,7 @@ def frf(
         overlap: share of a segment that overlaps the next.
         window: name of a window of scipy.signal.
         noise_ratio: κ of Hv, noise power of y over that of x.
+        x_noise: rms of the noise of x, which is white.
 
     Raises:
         ValueError: lengths differ, values are not finite, a channel is constant, or the record is too short.
@@ -84,6 +141,7 @@ def frf(
         difference = s_yy - noise_ratio * s_xx
         root = np.sqrt(difference**2 + 4.0 * noise_ratio * np.abs(s_xy) ** 2)
         coherence = np.clip(np.abs(s_xy) ** 2 / (s_xx * s_yy), 0.0, 1.0)
+        excited, sine = _excited(s_xx, 2.0 * x_noise**2 / rate_hz, window)
         averages = _effective_averages(len(x), segment, shared, window)
         return Frf(
             frequency_hz=frequency,
@@ -93,39 +151,170 @@ def frf(
             coherence=coherence,
             u_relative=np.sqrt((1.0 - coherence) / (2.0 * averages * coherence)),
             averages=averages,
+            excitation=s_xx,
+            excited=excited,
+            sine=sine,
         )
 
 
+def _excited(s_xx: Real, floor: float, window: str) -> tuple[NDArray[np.intp], bool]:
+    """Return the lines an excitation reaches, the mean left out, and whether they are one that the window widens."""
+    power = s_xx[1:]
+    peak = int(np.argmax(power))
+    lines = np.flatnonzero((power >= EXCITED * power[peak]) & (power >= ABOVE_NOISE * floor))
+    shape, fine = signal.get_window(window, 256), 16
+    lobe = np.abs(np.fft.rfft(shape, 256 * fine)) ** 2
+    wide = math.ceil((np.flatnonzero(lobe >= EXCITED * lobe[0])[-1] + 1) / fine) + 1
+    sine = len(lines) > 0 and int(np.abs(lines - peak).max()) <= wide
+    return (np.array([peak]) if sine else lines) + 1, sine
+
+
+def find_resonance(
+    x: Real,
+    y: Real,
+    rate_hz: float,
+    low_hz: float,
+    high_hz: float,
+    corrected: Callable[[Real], Complex | float] = lambda _: 1.0,
+) -> Resonance | None:
+    """Return the mode by which a base x moves y within a band, or None if none fits.
+
+        (s² + 2ζω_n s + ω_n²) Y − (2ζω_n s + ω_n²) X = a + b s,   s = iω
+
+    over the lines of the whole record: a and b are what its two ends contribute, so nothing leaks, and the resonance
+    may be narrower than a line of the estimators. Pintelon & Schoukens (2012), System Identification, 2.6.
+
+    Args:
+        x: displacement of the base, shape (n,).
+        y: displacement it causes, shape (n,).
+        rate_hz: samples per second.
+        low_hz: lower edge of the band that x excites.
+        high_hz: its upper edge.
+        corrected: what Y is multiplied by at a frequency [Hz], for the sensors' lag and skew.
+    """
+    frequency = np.asarray(np.fft.rfftfreq(len(x), 1.0 / rate_hz), dtype=np.float64)
+    moved, stirred = np.fft.rfft(y - y.mean()), np.fft.rfft(x - x.mean())
+    found: Resonance | None = None
+    for _ in range(2):  # the whole band, then around what was found: there the noise counts least
+        if found is not None:
+            low_hz = max(low_hz, found.frequency_hz * (1.0 - AROUND))
+            high_hz = min(high_hz, found.frequency_hz * (1.0 + AROUND))
+        inside = (frequency >= low_hz) & (frequency <= high_hz) & (frequency > 0.0)
+        if np.count_nonzero(inside) < 8:
+            return None
+        s, response = 2j * np.pi * frequency[inside], moved[inside] * corrected(frequency[inside])
+        apart = response - stirred[inside]
+        columns = np.column_stack([-s * apart, -apart, np.ones_like(s), s])
+        matrix, wanted = np.concatenate([columns.real, columns.imag]), s**2 * response
+        target = np.concatenate([wanted.real, wanted.imag])
+        size = np.linalg.norm(matrix, axis=0)
+        if not (size.all() and target.any()):
+            return None
+        solution = np.linalg.lstsq(matrix / size, target, rcond=None)[0]
+        left = np.linalg.norm(target - matrix / size @ solution) / np.linalg.norm(target)
+        damping, stiffness = solution[:2] / size[:2]
+        if left > FITS or stiffness <= 0.0 or not 0.0 < damping < math.sqrt(stiffness):
+            return None
+        found = Resonance(math.sqrt(stiffness) / (2.0 * math.pi), damping / (2.0 * math.sqrt(stiffness)))
+        if not low_hz <= found.frequency_hz <= high_hz:
+            return None
+    return found
+
+
+def resolution_bias(window: str, segment: int, decay_per_sample: float) -> float:
+    """Return by what share of the estimate the truth may lie above it at the peak of a resonance; `segment` in samples.
+
+    2 (1/r − 1), r the autocorrelation of the window at the resonance's decay time 1/σ, over that at 0: the first term
+    in 1/(σ · segment) of an antiresonance of x that the window fills, which under current drive is where y peaks, and
+    more than a resonance of y that it flattens. Infinite if the resonance rings longer than a segment.
+    """
+    shape = signal.get_window(window, SHAPE)
+    lag = round(min(SHAPE / (decay_per_sample * segment), SHAPE))
+    kept = float(shape[lag:] @ shape[: SHAPE - lag]) / float(shape @ shape)
+    return max(2.0 / kept - 2.0, 0.0) if kept > 0.0 else math.inf
+
+
+def resolving_s(resonance: Resonance, window: str) -> float:
+    """Return the length of a segment [s] from which a resonance is resolved: its `resolution_bias` is `RESOLVED`."""
+    low, high = 1.0, 1e4  # decay times
+    while high - low > 0.01 * low:
+        middle = math.sqrt(low * high)
+        low, high = (low, middle) if resolution_bias(window, 1, middle) <= RESOLVED else (middle, high)
+    return high / resonance.decay_per_s
+
+
 def transmissibility_frf(
-    rows: NDArray[np.void], info: NDArray[np.void], segment: int, *, overlap: float = 0.5, window: str = "hann"
+    rows: NDArray[np.void],
+    info: NDArray[np.void],
+    segment: int | None = None,
+    *,
+    overlap: float | None = None,
+    window: str = "hann",
+    damping_ratio: float | None = None,
 ) -> Frf:
-    """Return x_1 / x_b of a sweep or random record, skew and lag corrected; u_relative includes the calibration.
+    """Return x_1 / x_b of a sweep or random record, skew and lag corrected.
+
+    u_relative includes calibration and resolution.
 
     Args:
         rows: consecutive scans (`daq/scan`).
         info: rows of `daq/info`.
-        segment: samples per segment.
-        overlap: as in `frf`.
-        window: as in `frf`.
+        segment: samples per segment; None for what resolves the resonance that is found.
+        overlap: as in `frf`; None for a half, and for none with `boxcar`.
+        window: as in `frf`; `boxcar` for an excitation that repeats from segment to segment.
+        damping_ratio: of the resonance, instead of what is found.
 
     Raises:
         ConfigError: `info` does not describe the channels.
         ValueError: as `frf`.
     """
     calibration = Calibration.from_info(info)
-    raw = frf(
-        np.asarray(rows["base"], dtype=np.float64),
-        np.asarray(rows["laser"], dtype=np.float64),
-        calibration.rate_hz,
-        segment,
-        overlap=overlap,
-        window=window,
-    )
-    lag = calibration.response(BASE, raw.frequency_hz) / calibration.response(LASER, raw.frequency_hz)
+    rate_hz = calibration.rate_hz
+    x, y = (np.asarray(rows[name], dtype=np.float64) for name in ("base", "laser"))
+    shared = overlap if overlap is not None else 0.0 if window == "boxcar" else OVERLAP
+    x_noise = float(calibration.noise[BASE] * np.sqrt(calibration.noise_crowding()[BASE]))
+    most = max(8, int(len(x) / SEGMENTS))
+    first = frf(x, y, rate_hz, most, overlap=shared, window=window, x_noise=x_noise)
+
+    def corrected(frequency_hz: Real) -> Complex:
+        return calibration.response(BASE, frequency_hz) / calibration.response(LASER, frequency_hz)
+
+    resonance = None
+    if len(first.excited) and not first.sine:
+        band = first.frequency_hz[first.excited]
+        resonance = find_resonance(x, y, rate_hz, float(band[0]), float(band[-1]), corrected)
+        if resonance is not None and damping_ratio is not None:
+            resonance = attrs.evolve(resonance, damping_ratio=damping_ratio)
+    if segment is not None:
+        length = segment
+    elif resonance is None:
+        length = most
+    else:
+        length = min(most, max(8, round(resolving_s(resonance, window) * rate_hz)))
+    raw = frf(x, y, rate_hz, length, overlap=shared, window=window, x_noise=x_noise)
+    lag = corrected(raw.frequency_hz)
     gain = np.hypot(calibration.gain_uncertainty[LASER], calibration.gain_uncertainty[BASE])
+    bias, beside = 0.0, np.zeros(len(lag))
+    if resonance is not None and not _periodic(x, length):
+        bias = resolution_bias(window, length, resonance.decay_per_s / rate_hz)
+        off = 2.0 * math.pi * (raw.frequency_hz - resonance.frequency_hz)
+        beside = bias / (1.0 + (off / resonance.decay_per_s) ** 2)
     return attrs.evolve(
-        raw, h1=raw.h1 * lag, h2=raw.h2 * lag, hv=raw.hv * lag, u_relative=np.hypot(raw.u_relative, gain)
+        raw,
+        h1=raw.h1 * lag,
+        h2=raw.h2 * lag,
+        hv=raw.hv * lag,
+        u_relative=np.sqrt(raw.u_relative**2 + gain**2 + beside**2 / 3.0),
+        resonance=resonance,
+        bias=bias,
     )
+
+
+def _periodic(x: Real, segment: int) -> bool:
+    """Return whether an excitation repeats from segment to segment."""
+    if 2 * segment > len(x):
+        return False
+    return bool(np.std(x[segment:] - x[:-segment]) <= REPEATS * np.std(x))
 
 
 def _effective_averages(n: int, segment: int, shared: int, window: str) -> float:

@@ -11,6 +11,11 @@ Three ways to a row, tried in this order after each window once enough windows h
    the bias is `REMNANT` of the limit;
 2. stationary: the last `long_windows` windows have neither trend nor changing fluctuation: modulated or chaotic;
 3. the bound `wait_limit_s` is reached: numbers as they are, status `not_settled`.
+
+A sphere that drifts from wall to wall leaves the structure as steady as if there were none, for as long as it takes. So
+windows without impacts are no measurement until none has come for as long as the slowest sphere that is waited for
+takes across the gap (`Quiet`); and one with few, whose instants do not repeat, is none of 8 windows but of the long
+record.
 """
 
 from __future__ import annotations
@@ -21,17 +26,27 @@ from collections import deque
 import attrs
 import numpy as np
 
-from impact_rig.analysis.calibration import Calibration
-from impact_rig.analysis.channels import BASE, LASER
+from impact_rig.analysis.calibration import Calibration, Real
+from impact_rig.analysis.channels import BASE, CHANNELS, LASER
 from impact_rig.analysis.cycles import Cycles, concatenate
+from impact_rig.analysis.health import (
+    REFERENCE_FACTOR,
+    SIGNAL_FACTOR,
+    Amplitudes,
+    Verdict,
+    changed_alone,
+    unsound,
+)
 from impact_rig.analysis.settings import TrackerSettings
 from impact_rig.analysis.settling import is_stationary, more_windows, transient_bias
-from impact_rig.analysis.transmissibility import Measurement, complex_transmissibility, interruption, measure
-from impact_rig.analysis.words import MEASURED, Status
+from impact_rig.analysis.transmissibility import Measurement, complex_transmissibility, measure
+from impact_rig.analysis.words import MEASURED, Regime, Status
 
 CYCLE_MULTIPLE = 6
 """Windows hold a multiple of 6 cycles: orbits of period 2, 3 and 6 close in each, those of period 4 and 8 in pairs."""
 NOISE_FACTOR = 2.0
+SPARSE = 0.5
+"""Impacts per cycle below which a motion whose impacts do not repeat is looked at for long."""
 REMNANT = 0.02
 """Share of the limit on the bias that a transient may leave in the first measurement after a change."""
 
@@ -56,6 +71,19 @@ class Progress:
     remnant: float
 
 
+@attrs.frozen
+class Quiet:
+    """How long there has been no impact, and how long that must be until it means that none will come.
+
+    Attributes:
+        since_s: from the last impact, or from when the sphere was put in; 0 where neither is known.
+        bound_s: from which on no impact is expected; 0 where there is no sphere, or none was ever noticed.
+    """
+
+    since_s: float = 0.0
+    bound_s: float = 0.0
+
+
 class Judge:
     """Collects the windows of one drive setting, at most `long_windows` of them.
 
@@ -76,20 +104,22 @@ class Judge:
         self._waited_windows = 0
         self._window_s = window_cycles(frequency_hz, settings) / frequency_hz
         self._broken: Status | None = None
+        self._quiet = Quiet()
         self._whole = 0  # windows since the change of the drive, or since the last broken one
+        self._reference: Amplitudes | None = None  # of the newest good row of this setting
         self._due: int | None = None  # of them, before the first measurement
         self._remnant = math.nan  # of the transient, over the newest transmissibility
 
-    def add(self, window: Cycles) -> Measurement | None:
+    def add(self, window: Cycles, quiet: Quiet = Quiet()) -> Measurement | None:
         """Take the next window; return a measurement if one is due.
 
         A window with lost, over-range or non-finite values is thrown away with all before it; it is reported when it
         begins a spell of such windows and every `windows` windows thereafter.
         """
+        self._quiet = quiet
         self._since_row += 1
         self._waited_windows += 1
-        flags = int(np.bitwise_or.reduce(window.flags))
-        broken = interruption(flags, window.mean)
+        broken = unsound(window, self._calibration, self._frequency_hz) or self._lost_signal(window)
         if broken:
             return self._break(broken)
         self._broken = None
@@ -101,6 +131,7 @@ class Judge:
             return None
         found = self._steady() or self._stationary() or self._overdue()
         if found:
+            found = self._compared(found)
             self._since_row, self._waited_windows, self._reported = 0, 0, True
         return found
 
@@ -119,14 +150,44 @@ class Judge:
             needed = self._whole + 1  # the transient is still there: at least one more
         return Progress(self._whole, needed, self._remnant)
 
-    def _break(self, status: Status) -> Measurement | None:
+    def _compared(self, found: Measurement) -> Measurement:
+        """Refuse a measurement in which one channel has changed by itself since the last good one of this setting."""
+        if found.amplitudes is None or found.status is Status.NOT_SETTLED:
+            return found
+        alone = changed_alone(self._reference, found.amplitudes) if self._reference else None
+        if alone:
+            return Measurement(
+                status=alone.status, channel=alone.channel, frequency_hz=self._frequency_hz, cycles=found.cycles
+            )
+        self._reference = found.amplitudes
+        return found
+
+    def _lost_signal(self, window: Cycles) -> Verdict | None:
+        """Return whether a channel that had a signal in the windows before shows none in the newest.
+
+        What is so small that only many windows show it, is left to them.
+        """
+        if not self._windows:
+            return None
+        before = self._windows[-1]
+        for channel in (LASER, BASE):
+            had, has = (abs(complex(one.phasors[:, channel, 0].mean())) for one in (before, window))
+            floor = SIGNAL_FACTOR * math.sqrt(
+                2.0 * float(self._per_channel_noise(window)[channel] / window.samples.sum())
+            )
+            if has <= floor and had > REFERENCE_FACTOR * floor:
+                return Verdict(Status.NO_SIGNAL, CHANNELS[channel])
+        return None
+
+    def _break(self, why: Verdict) -> Measurement | None:
+        status = why.status
         self._windows.clear()
         self._ratios.clear()
         self._whole, self._due, self._remnant = 0, None, math.nan
         if status is self._broken and self._since_row < self._settings.windows:
             return None
         self._broken, self._since_row = status, 0
-        return Measurement(status=status, frequency_hz=self._frequency_hz)
+        return Measurement(status=status, channel=why.channel, frequency_hz=self._frequency_hz)
 
     def _steady(self) -> Measurement | None:
         newest = abs(self._ratios[-1])
@@ -141,38 +202,58 @@ class Judge:
                 self._due = self._whole + more_windows(taken, limit / newest, REMNANT)
             if self._whole < self._due:
                 return None
+        if self._may_drift():
+            return None
         found = self._measure(self._settings.windows, bias)
-        return found if found.steady or found.status not in MEASURED else None
+        return found if found.status not in MEASURED or (found.steady and not self._sparse(found)) else None
+
+    def _may_drift(self) -> bool:
+        """Return whether the newest windows hold no impact while one may still come."""
+        struck = any(np.nansum(window.impacts) > 0 for window in list(self._windows)[-self._settings.windows :])
+        return self._quiet.since_s < self._quiet.bound_s and not struck
+
+    def _sparse(self, found: Measurement) -> bool:
+        """Return whether impacts are few and do not repeat: then more of the motion must be seen."""
+        return found.regime is not Regime.PERIODIC and 0.0 < found.impacts_per_cycle < SPARSE
 
     def _stationary(self) -> Measurement | None:
         long = self._settings.long_windows
         if len(self._windows) < long or (self._reported and self._since_row < long):
             return None
-        return self._measure(long, 0j) if is_stationary(np.array(self._ratios)) else None
+        if self._may_drift() or not is_stationary(np.array(self._ratios)):
+            return None
+        return self._measure(long, 0j)
 
     def _overdue(self) -> Measurement | None:
         if self._waited_windows * self._window_s < self._settings.wait_limit_s:
             return None
-        found = self._measure(self._settings.windows, self._bias())
-        return attrs.evolve(found, status=Status.NOT_SETTLED) if found.status in MEASURED else found
+        found = self._measure(self._settings.windows, self._bias(), worst=math.inf)
+        if found.status not in MEASURED:
+            return found
+        regime = Regime.INTERMITTENT if self._may_drift() else found.regime
+        return attrs.evolve(found, status=Status.NOT_SETTLED, regime=regime)
 
     def _bias(self) -> complex:
         ratios = np.array(self._ratios)
         return transient_bias(ratios, self._settings.windows) if np.all(np.isfinite(ratios)) else 0j
 
-    def _measure(self, windows: int, bias: complex) -> Measurement:
+    def _measure(self, windows: int, bias: complex, worst: float | None = None) -> Measurement:
         cycles = concatenate(list(self._windows)[-windows:])
         # one generator per measurement: the draws depend on the data's place, not on what was measured before
         rng = np.random.default_rng([self._settings.seed, abs(int(cycles.first[0]))])
-        return measure(cycles, self._calibration, self._frequency_hz, self._settings, rng, bias)
+        return measure(cycles, self._calibration, self._frequency_hz, self._settings, rng, bias, self._reference, worst)
 
     def _noise(self, ratio: float) -> float:
         """Return the standard uncertainty of X_1 / X_b by noise in `windows` windows, from the newest one."""
         window = self._windows[-1]
-        residual = window.residual.sum(axis=0) / window.degrees_of_freedom
-        per_channel = self._calibration.noise_crowding() * np.maximum(residual, self._calibration.noise**2)
+        per_channel = self._per_channel_noise(window)
         base = abs(complex(window.phasors[:, BASE, 0].mean()))
         scans = float(window.samples.sum()) * self._settings.windows
         if base == 0.0 or not np.isfinite(ratio):
             return math.inf
         return math.sqrt(2.0 * float(per_channel[LASER] + ratio**2 * per_channel[BASE]) / scans) / base
+
+    def _per_channel_noise(self, window: Cycles) -> Real:
+        """Return the variance per scan of the noise near the drive, shape (4,)."""
+        residual = window.residual.sum(axis=0) / window.degrees_of_freedom
+        return np.asarray(self._calibration.noise_crowding() * np.maximum(residual, self._calibration.noise**2))

@@ -10,11 +10,13 @@ A transmissibility is measured as DT' = DT (1 + g_1 + b_1(A_1) − g_b − b_b(A
 
 In the quotient Q = DT / DT_0 every g cancels, and of b all but the difference of the squared amplitudes:
 
-    u²(Q)/Q² = Σ_{1,b} [1.875 (L/R) u(c_3) (A² − A_0²)/R²]² + u²(ε) + u²(ε_0)
+    u²(Q)/Q² = Σ_{1,b} [1.875 (L/R) u(c_3) (A² − A_0²)/R²]² + u²(ε) + u²(ε_0) + u_Q² + u_Q0²
 
-and 100 Q has the uncertainty of the reduction in points. u(ε) is what the stated uncertainty of a row leaves when the
-sensitivities are taken out; n rows that follow each other have n errors ε of their own (a transient's remnant dies
-from row to row), so their mean has √Σu²(ε) / n. Zero errors do not act on the amplitude of a sine.
+and 100 Q has the uncertainty of the reduction in points. u_Q: the steps of sensors and converter, another error at
+every amplitude, but the same in all rows of one (column `steps_uncertainty`). u(ε) is what the stated uncertainty of a
+row leaves when sensitivities and steps are taken out; n rows that follow each other have n errors ε of their own (a
+transient's remnant dies from row to row), so their mean has √Σu²(ε) / n. Zero errors do not act on the
+amplitude of a sine.
 """
 
 from __future__ import annotations
@@ -38,10 +40,12 @@ class Reduction:
     Attributes:
         percent: 100 (1 − DT / DT_0).
         u_points: its standard uncertainty.
+        steps_points: the part of it that the steps of sensors and converter have.
     """
 
     percent: float
     u_points: float
+    steps_points: float = 0.0
 
 
 def reduction(without: NDArray[np.void], rows: NDArray[np.void], calibration: Calibration) -> Reduction:
@@ -59,7 +63,10 @@ def reduction(without: NDArray[np.void], rows: NDArray[np.void], calibration: Ca
             calibration.curvature_uncertainty(channel, float(np.mean(one[amplitude]))) for one in (rows, without)
         )
         variance += (bent - bent_without) ** 2
-    return Reduction(100.0 * (1.0 - quotient), 100.0 * quotient * math.sqrt(variance))
+    steps = _steps(without) + _steps(rows)
+    return Reduction(
+        100.0 * (1.0 - quotient), 100.0 * quotient * math.sqrt(variance), 100.0 * quotient * math.sqrt(steps)
+    )
 
 
 def combined(rows: NDArray[np.void]) -> float:
@@ -81,5 +88,11 @@ def repeatability(rows: NDArray[np.void], calibration: Calibration) -> float:
         sum(calibration.gain_uncertainty_at(channel, float(row[amplitude])) ** 2 for channel, amplitude in AMPLITUDES)
         for row in rows
     ])  # fmt: skip
-    relative = rows["transmissibility_uncertainty"] / rows["transmissibility"]
-    return math.sqrt(float(np.sum(np.maximum(relative**2 - sensitivities, 0.0)))) / len(rows)
+    relative, steps = rows["transmissibility_uncertainty"] / rows["transmissibility"], _steps(rows)
+    own = np.maximum(relative**2 - sensitivities - steps, 0.0)
+    return math.sqrt(float(np.sum(own)) / len(rows) ** 2 + steps)
+
+
+def _steps(rows: NDArray[np.void]) -> float:
+    """Return the relative variance by steps, the same error in all rows; 0 of rows of an earlier version."""
+    return float(np.mean((np.nan_to_num(rows["steps_uncertainty"]) / rows["transmissibility"]) ** 2))

@@ -27,11 +27,21 @@ class TrackerSettings:
         1e-3, "-", "Relative cycle-to-cycle spread up to which a response counts as periodic.", above=0, at_most=0.5
     )
     wait_limit_s: float = quantity(60.0, "s", "Bound of waiting for a settled response.", above=0, at_most=3600)
+    slowest_speed: float = quantity(
+        1e-3,
+        "m/s",
+        "Slowest drift that is waited for: a sphere without impacts rests once it would have crossed the gap so.",
+        above=0,
+        at_most=10,
+    )
     hold_s: float = quantity(
         0.05, "s", "How long scans are held back for commands delivered after them.", at_least=0, at_most=1
     )
     lag_uncertainty: float = quantity(
         0.0, "-", "Relative standard uncertainty of the lags; daq/info states none.", at_least=0, at_most=1
+    )
+    worst_relative_uncertainty: float = quantity(
+        0.2, "-", "Relative standard uncertainty of DT above which a row has no number.", above=0, at_most=1
     )
     bootstrap_resamples: int = integer(400, "-", "Resamples of the block bootstrap.", at_least=50, at_most=100_000)
     seed: int = integer(1, "-", "Seed of the block bootstrap.", at_least=0, at_most=2**53)

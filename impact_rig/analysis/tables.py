@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from typing import Any  # settings are integers and floats
 
 import attrs
@@ -20,11 +21,17 @@ from impact_rig.system.machine import fingerprint
 
 MACHINE = "machine"
 GAP = "gap_m"
-SETTLED = (Status.OK, Status.ACCELEROMETER_OVER_RANGE)
+SETTLED = (Status.OK, Status.ACCELEROMETER_OVER_RANGE, Status.ACCELEROMETER_UNSOUND)
 
 
-def need_columns(table: Table, wanted: np.dtype[np.void], topic: str) -> None:
+def need_columns(table: Table, wanted: np.dtype[np.void], topic: str, later: Collection[str] = ()) -> None:
     """Refuse a table that lacks a column, or has a text for a number; columns of a later version may be there.
+
+    Args:
+        table: any.
+        wanted: columns and types.
+        topic: named in the refusal.
+        later: columns that earlier versions did not have.
 
     Raises:
         ConfigError: names the topic and the columns.
@@ -32,10 +39,11 @@ def need_columns(table: Table, wanted: np.dtype[np.void], topic: str) -> None:
     found = table.rows.dtype
     if found == wanted:
         return
+    names = found.names or ()
     wrong = [
         name
         for name in wanted.names or ()
-        if name not in (found.names or ()) or (found[name].kind == "S") != (wanted[name].kind == "S")
+        if (name not in later if name not in names else (found[name].kind == "S") != (wanted[name].kind == "S"))
     ]
     if wrong:
         raise ConfigError(f"{topic} lacks the column {', '.join(wrong)}, or has another type there")
@@ -64,6 +72,8 @@ def measurement_table(found: Measurement, stamp_ns: int, gap_m: float, waited_s:
     row["regime"] = found.regime.value
     row["method"] = found.method.value
     row["status"] = found.status.value
+    row["channel"], row["largest"], row["largest_share"] = found.channel, found.largest, found.largest_share
+    row["steps_uncertainty"], row["impact_age"] = found.u_steps, found.impact_age_s
     return Table(stamp_ns, row)
 
 

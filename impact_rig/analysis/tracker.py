@@ -17,12 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig import topics
-from impact_rig.analysis.calibration import Calibration
+from impact_rig.analysis.calibration import STEPS, Calibration
 from impact_rig.analysis.channels import SCAN
 from impact_rig.analysis.cycles import Accumulator, Cycles, usable_harmonics
 from impact_rig.analysis.findings import Counters, Findings, State
 from impact_rig.analysis.impacts import MIN_RATE_HZ, ImpactDetector, Impacts, counted, joined
-from impact_rig.analysis.judge import Judge, Progress, window_cycles
+from impact_rig.analysis.judge import Judge, Progress, Quiet, window_cycles
 from impact_rig.analysis.scan_buffer import ScanBuffer, first_scan_at, scan_index
 from impact_rig.analysis.settings import ImpactSettings, TrackerSettings
 from impact_rig.analysis.tables import SETTLED, impact_tables, measurement_table, need_columns
@@ -96,6 +96,8 @@ class Tracker:
         self._accumulator: Accumulator | None = None
         self._window = 0
         self._impacts_ahead: list[Impacts] = []
+        self._struck = math.nan  # scan of the last impact in a window judged
+        self._placed = 0  # scan from which the label holds
         self._rows: list[Table] = []
         self._state = State(Analysis.NO_SCANS)
 
@@ -107,7 +109,7 @@ class Tracker:
         Raises:
             ConfigError: the table does not describe the four channels.
         """
-        need_columns(info, DAQ_INFO, topics.INFO.name)
+        need_columns(info, DAQ_INFO, topics.INFO.name, later=STEPS)
         calibration = Calibration.from_info(info.rows)
         if not abs(info.rows["since_start"][0]) <= LONGEST_S:
             raise ConfigError(
@@ -248,6 +250,7 @@ class Tracker:
         buffer.renumber(cut)
         self._last_block -= cut
         self._measured = 0
+        self._struck, self._placed = math.nan, 0
         self._detector.restart(0)
         self._impacts_ahead.clear()
         found = self._detector.feed(buffer.samples[0, buffer.column(0) : buffer.column(buffer.end)])
@@ -266,6 +269,8 @@ class Tracker:
             else:
                 self.counters.lost_scans += index - self._buffer.end
             self._refuse(Status.RESTARTED if back else Status.LOST_BLOCKS)
+        if back or not self._started:
+            self._struck, self._placed = math.nan, index
         self._started = True
         self._buffer.restart(index)
         self._measured = index
@@ -302,6 +307,7 @@ class Tracker:
                     return
                 self._interrupt(Status.LABEL_CHANGED)
                 self._gap_m = gap_m
+                self._struck, self._placed = math.nan, index
             case _Recalibration(calibration):
                 self._interrupt(Status.CALIBRATION_CHANGED)
                 self._calibration = calibration
@@ -345,9 +351,24 @@ class Tracker:
         accumulator.add(buffer.samples, buffer.status, buffer.column(begin), buffer.column(until))
         while accumulator.pending_cycles >= self._window:
             window = self._counted(accumulator.take(self._window), accumulator)
-            found = self._judge.add(window)
+            last = int(window.first[-1] + window.samples[-1]) - 1
+            found = self._judge.add(window, self._quiet(last))
             if found:
-                self._emit(found, int(window.first[-1] + window.samples[-1]) - 1)
+                self._emit(found, last)
+
+    def _quiet(self, scan: int) -> Quiet:
+        """Return for how long there has been no impact at a scan, and for how long one may stay away.
+
+        Without a label there is a sphere if there was an impact; how far it flies is not known then, and `wait_limit_s`
+        is waited for. Where nothing detects impacts, none is missed.
+        """
+        assert self._calibration is not None
+        never = math.isnan(self._struck)
+        if self._gap_m == 0.0 or (never and math.isnan(self._gap_m)) or self._calibration.rate_hz < MIN_RATE_HZ:
+            return Quiet()
+        since = (scan + 1 - (self._placed if never else self._struck)) / self._calibration.rate_hz
+        unknown = math.isnan(self._gap_m)
+        return Quiet(since, self._settings.wait_limit_s if unknown else self._gap_m / self._settings.slowest_speed)
 
     def _report_no_frequency(self, until: int) -> None:
         assert self._calibration is not None
@@ -365,6 +386,8 @@ class Tracker:
         impacts = joined(self._impacts_ahead)
         later = int(np.searchsorted(impacts.scan, window.first[-1] + window.samples[-1]))
         self._impacts_ahead = [impacts[later:]] if later < len(impacts) else []
+        if later:
+            self._struck = float(impacts.scan[later - 1])
         return counted(window, impacts[:later], accumulator.origin, accumulator.period)
 
     def _impacts(self, found: Impacts) -> list[Table]:
@@ -395,6 +418,6 @@ class Tracker:
                 waiting = found.status is Status.NOT_SETTLED
                 self._enter(Analysis.SETTLING if waiting else Analysis.UNABLE, found.status, last_scan)
         rate = self._calibration.rate_hz
-        waited = (last_scan + 1 - self._changed) / rate
+        waited, age = (last_scan + 1 - self._changed) / rate, (last_scan + 1 - self._struck) / rate
         stamp = stamp_ns(last_scan, rate, self._start_ns)
-        self._rows.append(measurement_table(found, stamp, self._gap_m, waited))
+        self._rows.append(measurement_table(attrs.evolve(found, impact_age_s=age), stamp, self._gap_m, waited))

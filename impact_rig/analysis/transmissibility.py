@@ -6,11 +6,14 @@ X_1 and X_b are means of the cycles' fitted phasors, corrected for skew and sens
 that of X_1 relative to X_b: negative = x_1 lags x_b. Combined standard uncertainty (GUM, relative for DT, rad for the
 phase, sensitivities of the complex quotient D = X_1/X_b):
 
-    u²(DT)/DT² = u_A² + u²(S_laser) + u²(S_base) + Σ (Re ∂lnL/∂ln τ · u_τ)² + max(Re²(bias/D) − u_A², 0)/3
-    u²(phase)  = u_A² +                            Σ (Im ∂lnL/∂ln τ · u_τ)² + max(Im²(bias/D) − u_A², 0)/3
+    u²(DT)/DT² = u_A² + u²(S_laser) + u²(S_base) + u_Q² + Σ (Re ∂lnL/∂ln τ · u_τ)² + max(Re²(bias/D) − u_A², 0)/3
+    u²(phase)  = u_A² +                            u_q² + Σ (Im ∂lnL/∂ln τ · u_τ)² + max(Im²(bias/D) − u_A², 0)/3
 
 u_A: the larger of the fit's residual noise, taken as white, and the scatter of the cycles, correlation included; for a
-response that is not periodic, the block bootstrap of the cycles instead. bias: what a dying transient may have left.
+response that is not periodic, block bootstrap and batch means of the cycles instead. bias: what a dying transient may
+have left.
+u_Q, u_q: what the steps of sensors and converter do to amplitude and phase where noise does not blur them
+(`calibration`; `_rounding`). What remains too uncertain, u(DT) above `worst_relative_uncertainty`, is no number.
 """
 
 from __future__ import annotations
@@ -21,26 +24,29 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
+from impact_rig.analysis import health
 from impact_rig.analysis.calibration import Calibration, Complex, Real
 from impact_rig.analysis.channels import ACCELEROMETER, BASE, CHANNELS, CURRENT, LASER, status_of
-from impact_rig.analysis.cycles import RANGE_BIT, Accumulator, Cycles, usable_harmonics
+from impact_rig.analysis.cycles import RANGE_BIT, Accumulator, Cycles, distinct_phases, usable_harmonics
+from impact_rig.analysis.health import REFERENCE_FACTOR, Amplitudes, Verdict
 from impact_rig.analysis.impacts import MIN_RATE_HZ, ImpactDetector, counted
 from impact_rig.analysis.regime import classify
 from impact_rig.analysis.settings import TrackerSettings
-from impact_rig.analysis.spread import block_length, bootstrap_means, by_class_removed, student_factor, variance_of_mean
-from impact_rig.analysis.words import Method, Regime, Status
+from impact_rig.analysis.spread import (
+    batch_variance,
+    block_length,
+    bootstrap_means,
+    by_class_removed,
+    student_2u,
+    student_factor,
+    variance_of_mean,
+)
+from impact_rig.analysis.words import MEASURED, Method, Regime, Status
 
 NAN = float("nan")
 MIN_CYCLES = 4
-SIGNAL_FACTOR = 5.0
-"""An amplitude below this many standard uncertainties is silence."""
-REFERENCE_FACTOR = 20.0
-"""A channel's amplitude per cycle, in standard uncertainties, from which its phase can serve as reference."""
-CONSTANT_FACTOR = 1e-13
-"""Variance over squared mean that rounding of the sums alone can leave of a constant."""
-SWAP_MATCH, SWAP_MISMATCH = 1.25, 1.5
-"""Acceleration over ω² must match the base within the first factor and miss the laser by the second to call a swap."""
-LEAD_LIMIT_RAD = math.radians(0.5)
+BATCHES = (5, 8)
+"""Numbers of batches: a motion that strikes, rests and strikes is correlated beyond any block of the bootstrap."""
 
 
 @attrs.frozen(kw_only=True)
@@ -65,6 +71,12 @@ class Measurement:
     spread: float = NAN
     steady: bool = False
     method: Method = Method.NONE
+    channel: str = ""
+    largest: str = ""
+    largest_share: float = NAN
+    u_steps: float = NAN
+    impact_age_s: float = NAN
+    amplitudes: Amplitudes | None = None
 
 
 def measure_record(
@@ -101,14 +113,6 @@ def measure_record(
     return measure(cycles, calibration, frequency_hz, settings, rng or np.random.default_rng(settings.seed))
 
 
-def interruption(flags: int, mean: Real) -> Status | None:
-    """Return why cycles with these flags must not be averaged, or None; `mean` of any shape, channels last."""
-    if not np.all(np.isfinite(mean[..., [LASER, BASE, CURRENT]])):
-        return Status.NOT_FINITE
-    displacements = (1 << LASER) | (1 << BASE) | (1 << CURRENT)
-    return Status.OVER_RANGE if flags & (displacements | RANGE_BIT * displacements) else None
-
-
 def measure(
     cycles: Cycles,
     calibration: Calibration,
@@ -116,6 +120,8 @@ def measure(
     settings: TrackerSettings,
     rng: np.random.Generator,
     bias: complex = 0j,
+    before: Amplitudes | None = None,
+    worst: float | None = None,
 ) -> Measurement:
     """Measure settled cycles.
 
@@ -126,15 +132,19 @@ def measure(
         settings: tolerances and lag uncertainty.
         rng: draws of the block bootstrap.
         bias: of the complex transmissibility, by a transient not quite gone.
+        before: amplitudes of an earlier measurement of the same setting, or None.
+        worst: relative uncertainty above which there is no number; that of the settings if None.
     """
 
-    def refuse(status: Status) -> Measurement:
-        return Measurement(status=status, frequency_hz=frequency_hz, cycles=len(cycles))
+    def refuse(why: Verdict, largest: str = "") -> Measurement:
+        return Measurement(
+            status=why.status, channel=why.channel, frequency_hz=frequency_hz, cycles=len(cycles), largest=largest
+        )
 
     if len(cycles) < MIN_CYCLES:
-        return refuse(Status.TOO_FEW_CYCLES)
+        return refuse(Verdict(Status.TOO_FEW_CYCLES))
     flags = int(np.bitwise_or.reduce(cycles.flags))
-    broken = interruption(flags, cycles.mean) or _stuck(cycles)
+    broken = health.unsound(cycles, calibration, frequency_hz)
     if broken:
         return refuse(broken)
     noise = _noise_variance(cycles, calibration)
@@ -143,8 +153,9 @@ def measure(
     x1, xb = true[LASER][:, 0], true[BASE][:, 0]
     mean1, mean_b = complex(x1.mean()), complex(xb.mean())
     floor1, floor_b = (_amplitude_u(x, 4.0 * noise[c] / cycles.samples.sum()) for x, c in ((x1, LASER), (xb, BASE)))
-    if abs(mean_b) <= SIGNAL_FACTOR * floor_b or abs(mean1) <= SIGNAL_FACTOR * floor1:
-        return refuse(Status.SILENCE)
+    still = health.silent((abs(mean1), abs(mean_b)), (floor1, floor_b))
+    if still:
+        return refuse(still)
     ratio = mean1 / mean_b
     influence = (x1 - ratio * xb) / mean_b * np.exp(-1j * np.angle(ratio))  # Re: of DT, Im / DT: of the phase
     crowded_noise = float(max(noise[LASER], calibration.noise[LASER] ** 2) * calibration.noise_crowding()[LASER])
@@ -171,20 +182,29 @@ def measure(
         length = max(block_length(influence.real), block_length(influence.imag))
         draws = bootstrap_means(np.stack([x1, xb], axis=1), length, settings.bootstrap_resamples, rng)
         logs = np.log(draws[:, 0] / draws[:, 1] / ratio)
-        # resampled blocks are centred on this record's mean: short by the share of one block
-        spread = np.array([np.var(logs.real), np.var(logs.imag)]) / (1.0 - length / len(cycles))
+        # resampled blocks are centred on this record's mean: short by the share of one block; and they are few
+        few = student_2u(len(cycles) / length - 1.0) ** 2
+        spread = few * np.array([np.var(logs.real), np.var(logs.imag)]) / (1.0 - length / len(cycles))
+        for batches in BATCHES:
+            spread = np.maximum(spread, batch_variance(influence / abs(ratio), min(batches, len(cycles))))
     variance = np.maximum(spread, white)
-    u_amplitude, u_phase = _combined(
-        variance, calibration, frequency_hz, settings.lag_uncertainty, bias / ratio, abs(mean1), abs(mean_b)
-    )
+    parts = _parts(variance, calibration, frequency_hz, settings.lag_uncertainty, bias / ratio, abs(mean1), abs(mean_b))
+    parts += _rounding(cycles, calibration, frequency_hz)
+    u_amplitude, u_phase = (math.sqrt(sum(getattr(part, of) for part in parts)) for of in ("amplitude", "phase"))
+    steps = sum(part.amplitude for part in parts if part.what == STEPS)
+    most = max(parts, key=lambda part: part.amplitude)
+    if u_amplitude > (settings.worst_relative_uncertainty if worst is None else worst):
+        small = 2.0 * steps > u_amplitude**2
+        return refuse(Verdict(Status.BELOW_RESOLUTION if small else Status.TOO_UNCERTAIN, most.channel), most.what)
     phase = float(np.angle(ratio))
-    misplaced = _misplaced(true[ACCELEROMETER][:, 0], mean1, mean_b, frequency_hz, phase - 3.0 * u_phase)
-    if misplaced:
-        return refuse(misplaced)
+    sizes = health.amplitudes(true, noise, cycles, frequency_hz)
+    wrong = health.misplaced(sizes, u_amplitude, phase, u_phase) or health.contradiction(sizes, before)
+    if wrong and wrong.status not in MEASURED:
+        return refuse(wrong)
     overtones = true[LASER][:, 1:].mean(axis=0)
     clipped = flags & ((1 | RANGE_BIT) << ACCELEROMETER)
     return Measurement(
-        status=Status.ACCELEROMETER_OVER_RANGE if clipped else Status.OK,
+        status=Status.ACCELEROMETER_OVER_RANGE if clipped else wrong.status if wrong else Status.OK,
         frequency_hz=frequency_hz,
         frequency_deviation_hz=deviation_hz,
         transmissibility=abs(ratio),
@@ -195,13 +215,18 @@ def measure(
         base_m=abs(mean_b),
         current_a=abs(complex(true[CURRENT][:, 0].mean())),
         thd=float(np.sqrt(np.sum(np.abs(overtones) ** 2))) / abs(mean1),
-        impacts_per_cycle=float(cycles.impacts.mean()),
+        impacts_per_cycle=NAN if wrong else float(cycles.impacts.mean()),
         cycles=len(cycles),
         regime=response.regime,
         period=response.period,
         spread=float(np.std(influence.real)),
         steady=response.steady,
         method=method,
+        channel=most.channel,
+        largest=most.what,
+        largest_share=most.amplitude / u_amplitude**2 if u_amplitude else NAN,
+        u_steps=abs(ratio) * math.sqrt(steps),
+        amplitudes=sizes,
     )
 
 
@@ -217,15 +242,6 @@ def complex_transmissibility(cycles: Cycles, calibration: Calibration, frequency
 def harmonic_numbers(cycles: Cycles) -> Real:
     """Return 1 … H."""
     return np.arange(1.0, cycles.phasors.shape[2] + 1.0)
-
-
-def _stuck(cycles: Cycles) -> Status | None:
-    """Tell a stuck channel (CONSTANT) from a rig at rest (SILENCE)."""
-    constant = cycles.variance <= CONSTANT_FACTOR * cycles.mean**2
-    laser, base = bool(constant[:, LASER].any()), bool(constant[:, BASE].any())
-    if laser and base:
-        return Status.SILENCE
-    return Status.CONSTANT if laser or base else None
 
 
 def _noise_variance(cycles: Cycles, calibration: Calibration) -> Real:
@@ -260,7 +276,21 @@ def _amplitude_u(phasors: Complex, white: float) -> float:
     return math.sqrt(max(scatter, white) / 2.0)
 
 
-def _combined(
+STEPS, MEASUREMENT = "steps", "measurement"
+"""What the steps of a channel contribute, and who contributes what is no channel's own."""
+
+
+@attrs.frozen
+class _Part:
+    """A contribution to the uncertainty: variances of ln DT and of the phase [rad²]."""
+
+    channel: str
+    what: str
+    amplitude: float
+    phase: float
+
+
+def _parts(
     variance: Real,
     calibration: Calibration,
     frequency_hz: float,
@@ -268,34 +298,43 @@ def _combined(
     bias: complex,
     laser_m: float,
     base_m: float,
-) -> tuple[float, float]:
-    """Return the combined relative uncertainty of the amplitude ratio and that of the phase [rad]."""
-    components = np.array([bias.real, bias.imag])
+) -> list[_Part]:
+    """Return what scatter, transient, sensitivities and lags contribute."""
     # an extrapolated bias carries the noise of the windows, which counts already: only what exceeds it is a bias
-    amplitude, phase = (float(v) for v in variance + np.maximum(components**2 - variance, 0.0) / 3.0)
+    left = np.maximum(np.array([bias.real, bias.imag]) ** 2 - variance, 0.0) / 3.0
+    parts = [
+        _Part(MEASUREMENT, "noise, scatter", float(variance[0]), float(variance[1])),
+        _Part(MEASUREMENT, "transient", float(left[0]), float(left[1])),
+    ]
     for channel, level in ((LASER, laser_m), (BASE, base_m)):
         slope = calibration.lag_sensitivity(channel, frequency_hz) * lag_uncertainty
-        amplitude += calibration.gain_uncertainty_at(channel, level) ** 2 + slope.real**2
-        phase += slope.imag**2
-    return math.sqrt(amplitude), math.sqrt(phase)
+        name = CHANNELS[channel]
+        parts += [
+            _Part(name, "sensitivity", calibration.gain_uncertainty_at(channel, level) ** 2, 0.0),
+            _Part(name, "lag", slope.real**2, slope.imag**2),
+        ]
+    return parts
 
 
-def _misplaced(
-    acceleration: Complex, laser: complex, base: complex, frequency_hz: float, lead_rad: float
-) -> Status | None:
-    """Tell whether laser and base have changed places, or one of them is wired the wrong way round.
+def _rounding(cycles: Cycles, calibration: Calibration, frequency_hz: float) -> list[_Part]:
+    """Return what the steps of laser and base contribute.
 
-    The accelerometer sits on the superior base: its amplitude over ω² belongs to the laser, not to the base channel.
-    And a passive structure cannot lead its base: `lead_rad` is the least phase within three standard uncertainties.
+    A pure sine, taken at many phases, is changed in amplitude only (`calibration`). Overtones as large as a step turn
+    that error's phase by as much as its sign. Where the same few phases recur in every cycle, the errors at them do not
+    average out either, and stand in amplitude and phase alike: 2 v / N instead of the 2 v / n that the scatter shows.
     """
-    mean = abs(complex(acceleration.mean()))
-    fits_laser = False
-    if mean > REFERENCE_FACTOR * _amplitude_u(acceleration, 0.0):
-        displacement = mean / (2.0 * math.pi * frequency_hz) ** 2
-        fits_base = 1.0 / SWAP_MATCH < displacement / abs(base) < SWAP_MATCH
-        fits_laser = 1.0 / SWAP_MISMATCH < displacement / abs(laser) < SWAP_MISMATCH
-        if fits_base and not fits_laser:
-            return Status.SWAPPED_CHANNELS
-    if LEAD_LIMIT_RAD < lead_rad < math.pi - LEAD_LIMIT_RAD:
-        return Status.INVERTED_CHANNEL if fits_laser else Status.SWAPPED_CHANNELS
-    return None
+    n = int(cycles.samples.sum())
+    phases = distinct_phases(n, calibration.rate_hz / frequency_hz)
+    parts = []
+    for channel in (LASER, BASE):
+        mean = cycles.phasors[:, channel].mean(axis=0)
+        amplitude = abs(complex(mean[0]))
+        step = float(max(calibration.output_step[channel], calibration.converter_step[channel]))
+        if not step or not amplitude:
+            continue
+        size = (calibration.steps_uncertainty(channel, amplitude) / amplitude) ** 2
+        overtones = float(np.sqrt(np.sum(np.abs(mean[1:]) ** 2)))
+        recurring = 2.0 * calibration.steps_variance(channel) * (1.0 / phases - 1.0 / n) / amplitude**2
+        turned = size * min(1.0, (overtones / step) ** 2)
+        parts.append(_Part(CHANNELS[channel], STEPS, size + recurring, turned + recurring))
+    return parts

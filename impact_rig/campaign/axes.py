@@ -13,12 +13,19 @@ from impact_rig.errors import ConfigError
 NO_SPHERE = 0.0
 """The gap that stands for a run without the sphere, as in the analysis's labels; `none` in a campaign file."""
 MAX_VALUES = 10_000
+HUGE = 10**30
+"""No integer of a configuration is as large; one of 400 digits is no floating-point number."""
+SHOWN = 200
+"""Characters of a wrong value that an error quotes."""
 _DIGITS = 12  # of the values of a range, so that 9.00, 9.01, ... are what they look like
 
 
 def wrong(key: str, rule: str, value: object) -> ConfigError:
-    """Return the error for a value that breaks a rule."""
-    return ConfigError(f"{key} must be {rule}, got {value!r}")
+    """Return the error for a value that breaks a rule; one of thousands of digits is not quoted whole."""
+    if isinstance(value, int) and abs(value) >= HUGE:
+        return ConfigError(f"{key} must be {rule}, got an integer of {len(str(abs(value)))} digits")
+    shown = repr(value)
+    return ConfigError(f"{key} must be {rule}, got {shown if len(shown) <= SHOWN else shown[:SHOWN] + '...'}")
 
 
 def check_keys(key: str, found: Mapping[str, object], known: Iterable[str]) -> None:
@@ -42,6 +49,8 @@ def number(key: str, value: object, low: float, high: float = math.inf) -> float
     """
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         raise wrong(key, "a number", value)
+    if abs(value) >= HUGE and isinstance(value, int):
+        raise wrong(key, f"> {low:g} and {'finite' if math.isinf(high) else f'<= {high:g}'}", value)
     result = float(value)
     if not (math.isfinite(result) and low < result <= high):
         raise wrong(key, f"> {low:g} and {'finite' if math.isinf(high) else f'<= {high:g}'}", value)
@@ -145,7 +154,7 @@ def _range(key: str, given: Mapping[str, object]) -> Iterable[float]:
     step = number(f"{key}.step", given["step"], 0.0)
     if last < first:
         raise wrong(f"{key}.to", f">= from = {first:g}", last)
-    count = math.floor((last - first) / step + 1e-9) + 1
-    if count > MAX_VALUES:
+    if not (last - first) / step < MAX_VALUES:
         raise wrong(f"{key}.step", f"such that there are at most {MAX_VALUES} values", step)
+    count = math.floor((last - first) / step + 1e-9) + 1
     return (round(first + i * step, _DIGITS) for i in range(count))

@@ -192,22 +192,33 @@ COLUMNS = (
 )  # fmt: skip
 
 
+def table(points: Sequence[Point]) -> tuple[list[str], list[list[object]]]:
+    """Return the names of the columns, one per axis of any study behind the fixed ones, and a row a point.
+
+    NaN stands where nothing was measured and for the gap of no sphere, an empty text where a study has no such axis.
+    """
+    axes = list(dict.fromkeys(name for point in points for name in point.axes))
+    rows: list[list[object]] = [
+        [
+            p.study, NAN if p.gap_m == NO_SPHERE else p.gap_m, p.frequency_hz, p.current_a, p.direction,
+            p.dt, p.u_dt, p.phase_rad, p.base_m, p.laser_m, p.impacts_per_cycle,
+            p.regime, len(p.rows), int(p.settled), p.status, int(p.reference), p.key,
+            *(p.axes.get(name, "") for name in axes),
+        ]
+        for p in points
+    ]  # fmt: skip
+    return [*COLUMNS, *axes], rows
+
+
 def write_csv(path: Path, points: Sequence[Point]) -> Path:
-    """Write all points as CSV, a column per axis of any study behind the fixed ones; return `path`.
+    """Write all points as CSV, see `table`; return `path`.
 
     Numbers are written so that they read back as the same doubles; nothing stands where nothing was measured.
     """
-    axes = list(dict.fromkeys(name for point in points for name in point.axes))
     text = io.StringIO(newline="")
     writer = csv.writer(text)
-    writer.writerow([*COLUMNS, *axes])
-    for p in points:
-        numbers = (p.dt, p.u_dt, p.phase_rad, p.base_m, p.laser_m, p.impacts_per_cycle)
-        writer.writerow([
-            p.study, "" if p.gap_m == NO_SPHERE else p.gap_m, p.frequency_hz, p.current_a, p.direction,
-            *("" if math.isnan(number) else repr(number) for number in numbers),
-            p.regime, len(p.rows), int(p.settled), p.status, int(p.reference), p.key,
-            *(p.axes.get(name, "") for name in axes),
-        ])  # fmt: skip
+    names, rows = table(points)
+    writer.writerow(names)
+    writer.writerows([["" if isinstance(cell, float) and math.isnan(cell) else cell for cell in row] for row in rows])
     files.write_text(path, text.getvalue())
     return path

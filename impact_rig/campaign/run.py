@@ -156,7 +156,9 @@ def open_finished(directory: Path) -> Finished:
         ConfigError: it is no campaign's directory.
     """
     if not (directory / CAMPAIGN_FILE).exists() or not (directory / FOLDER).is_dir():
-        raise ConfigError(f"{directory} holds no campaign: `impact-rig campaign FILE --output {directory}` makes one")
+        raise ConfigError(
+            f"{directory} is no campaign's directory: `impact-rig campaign config/paper.yaml --output NEW` makes one"
+        )
     base = load(directory / CONFIGURATION_FILE)
     return finished(load_campaign(directory / CAMPAIGN_FILE, resolved=base), directory)
 

@@ -3,21 +3,27 @@
 """Where a campaign keeps what is done: one file per job, written whole or not at all, so a campaign can be resumed.
 
 Numbers are JSON: Python writes every double so that it reads back as the same bits, and a person can look at them.
+Each file carries the key of its job and a digest of its content and trace: one that was put in the place of another, or
+changed, is named and not believed.
 """
 
 from __future__ import annotations
 
+import hashlib
 import io
 import json
 import math
 import zipfile
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from impact_rig.analysis.words import MEASURED, Method, Regime, Status
 from impact_rig.blocks import TRANSMISSIBILITY
 from impact_rig.campaign.code import fingerprint
+from impact_rig.campaign.execution import TRUE_COLUMNS
 from impact_rig.campaign.job import Job, Outcome
 from impact_rig.errors import RecordingError
 from impact_rig.system import files
@@ -25,7 +31,18 @@ from impact_rig.system import files
 FOLDER = "points"
 MAX_RESULT_BYTES, MAX_TRACE_BYTES = 10 * 2**20, 64 * 2**20
 """A file in a directory that somebody else made is not believed to be small."""
+MOST = 1e12
+"""No figure of a measurement is larger."""
+SHOWN = 60
+"""Characters of a wrong value that an error quotes."""
+_POSITIVE = frozenset({"frequency", "transmissibility", "base_amplitude", "laser_amplitude"})
+"""Columns that are > 0 wherever something was measured."""
+_WORDS = {"regime": Regime, "method": Method, "status": Status}
 _TEXTS = frozenset(name for name in TRANSMISSIBILITY.names or () if TRANSMISSIBILITY[name].kind == "S")
+
+
+class DamagedPointError(RecordingError):
+    """A stored result is not what was stored; the message names file, key, value and what would be right."""
 
 
 class Store:
@@ -34,14 +51,18 @@ class Store:
     Args:
         directory: of the campaign; made if missing.
 
+    Attributes:
+        damaged: what was wrong with results that are therefore measured again.
+
     Raises:
         RecordingError: it cannot be written.
     """
 
     def __init__(self, directory: Path) -> None:
         self._folder = directory / FOLDER
+        self.damaged: list[str] = []
         try:
-            self._folder.mkdir(parents=True, exist_ok=True)
+            files.make_folder(self._folder)
         except OSError as error:
             raise RecordingError(f"cannot write {self._folder}: {error.strerror}") from error
 
@@ -50,25 +71,23 @@ class Store:
 
         It is to be measured again, too, if it was with other code, or without the trace that it wants; not if it is to
         be taken `as_it_is`.
+
+        Raises:
+            DamagedPointError: its file is damaged, and it is to be taken as it is.
         """
         try:
-            found = json.loads(files.read_bytes(self._path(job, "json"), MAX_RESULT_BYTES))
-            failure = str(found["failure"])
-            trace = self._trace(job) if job.traces else {}
-            incomplete = job.traces and not (trace or failure)
-            if not as_it_is and (incomplete or found["code"] != fingerprint()):
-                return None
-            return Outcome(
-                rows=np.array([_row(row) for row in found["rows"]], dtype=TRANSMISSIBILITY),
-                failure=failure,
-                skipped_hz=tuple(found["skipped_hz"]),
-                simulated_s=float(found["simulated_s"]),
-                wall_s=float(found["wall_s"]),
-                lost_scans=int(found["lost_scans"]),
-                trace=trace,
-            )
-        except (OSError, ValueError, KeyError, TypeError, RecursionError, zipfile.BadZipFile):
+            found, outcome = self._read(job)
+        except FileNotFoundError:
             return None
+        except DamagedPointError as error:
+            if as_it_is:
+                raise
+            self.damaged.append(str(error))
+            return None
+        incomplete = job.traces and not (outcome.trace or outcome.failure)
+        if not as_it_is and (incomplete or found["code"] != fingerprint()):
+            return None
+        return outcome
 
     def put(self, job: Job, outcome: Outcome) -> None:
         """Keep what a job gave.
@@ -76,8 +95,12 @@ class Store:
         Raises:
             RecordingError: it cannot be written.
         """
+        packed = io.BytesIO()
+        if outcome.trace:
+            np.savez_compressed(packed, **dict(outcome.trace))  # type: ignore[arg-type]  # none is called allow_pickle
         content = {
             "job": job.describe(),
+            "key": job.key,
             "code": fingerprint(),
             "changes": dict(job.changes),
             "current_a": job.current_a,
@@ -88,28 +111,179 @@ class Store:
             "wall_s": outcome.wall_s,
             "lost_scans": outcome.lost_scans,
             "rows": [_plain(row) for row in outcome.rows],
+            "trace": hashlib.sha256(packed.getvalue()).hexdigest() if outcome.trace else "",
         }
+        content["digest"] = _digest(content)
         try:
             if outcome.trace:
                 with files.written_whole(self._path(job, "npz")) as file:
-                    np.savez_compressed(file, **dict(outcome.trace))  # type: ignore[arg-type]  # none is called allow_pickle
+                    file.write(packed.getvalue())
             files.write_text(self._path(job, "json"), json.dumps(content, indent=1) + "\n")
         except OSError as error:
             raise RecordingError(f"cannot write {self._folder}: {error.strerror}") from error
 
-    def _trace(self, job: Job) -> dict[str, NDArray[np.generic]]:
+    def _read(self, job: Job) -> tuple[Mapping[str, object], Outcome]:
+        """Return the content of a job's file, and the outcome in it.
+
+        Raises:
+            FileNotFoundError: there is none.
+            DamagedPointError: something in it is wrong.
+        """
+        path = self._path(job, "json")
+        try:
+            found = json.loads(files.read_bytes(path, MAX_RESULT_BYTES))
+        except FileNotFoundError:
+            raise
+        except (OSError, ValueError, RecursionError) as error:
+            why = error.strerror if isinstance(error, OSError) else " ".join(str(error).split())
+            raise DamagedPointError(f"{path} is no stored result: {why}") from error
+        if not isinstance(found, dict):
+            raise DamagedPointError(f"{path} is no stored result: a JSON object is expected")
+        part = _Checked(path, found)
+        if part.text("key") != job.key:
+            whose = part.text("job")[:SHOWN]
+            raise DamagedPointError(f"{path} holds the result of another job ({whose}): its key must be {job.key}")
+        rows = part.each("rows", job.repetitions * len(job.plan().points()))
+        outcome = Outcome(
+            rows=np.array([_row(row) for row in rows], dtype=TRANSMISSIBILITY),
+            failure=part.text("failure"),
+            skipped_hz=tuple(
+                _Checked(path, {"skipped_hz": one}).number("skipped_hz") for one in part.several("skipped_hz")
+            ),
+            simulated_s=part.number("simulated_s"),
+            wall_s=part.number("wall_s"),
+            lost_scans=round(part.number("lost_scans")),
+            trace=self._trace(job, part.text("trace")) if job.traces else {},
+        )
+        part.text("code")
+        if part.text("digest") != _digest(found):
+            raise DamagedPointError(f"{path} was changed after it was stored: its digest is not that of its content")
+        return found, outcome
+
+    def _trace(self, job: Job, digest: str) -> dict[str, NDArray[np.generic]]:
         path = self._path(job, "npz")
-        if not path.exists():
+        if not digest and not path.exists():
             return {}
-        packed = io.BytesIO(files.read_bytes(path, MAX_TRACE_BYTES))
-        with zipfile.ZipFile(packed) as archive:
-            if sum(member.file_size for member in archive.infolist()) > MAX_TRACE_BYTES:
-                raise ValueError(f"{path} holds more than {MAX_TRACE_BYTES} bytes")
-        with np.load(packed, allow_pickle=False) as arrays:
-            return dict(arrays)
+        try:
+            packed = files.read_bytes(path, MAX_TRACE_BYTES)
+            with zipfile.ZipFile(io.BytesIO(packed)) as archive:
+                size = sum(member.file_size for member in archive.infolist())
+                names = archive.namelist() if size <= MAX_TRACE_BYTES else []
+                arrays = {name.removesuffix(".npy"): _column(archive.read(name)) for name in names}
+        except (OSError, ValueError, RuntimeError, NotImplementedError, zipfile.BadZipFile, EOFError) as error:
+            why = error.strerror if isinstance(error, OSError) else " ".join(str(error).split())
+            raise DamagedPointError(f"{path} is no stored trace: {why}") from error
+        if size > MAX_TRACE_BYTES:
+            raise DamagedPointError(f"{path} must hold at most {MAX_TRACE_BYTES} bytes, got {size}")
+        for name in ("time", "laser", "accelerometer", *TRUE_COLUMNS):
+            column = arrays.get(name)
+            if column is None or not len(column) or len(column) != len(arrays["time"]):
+                found = "none" if column is None else f"{len(column)}"
+                raise DamagedPointError(f"{path}: column {name} must have as many values as time, > 0, got {found}")
+            if not np.all(np.abs(column) <= MOST):
+                raise DamagedPointError(f"{path}: column {name} must be finite and at most {MOST:g}")
+        if hashlib.sha256(packed).hexdigest() != digest:
+            raise DamagedPointError(f"{path} was changed after it was stored, or is the trace of another job")
+        return dict(arrays)
 
     def _path(self, job: Job, suffix: str) -> Path:
         return self._folder / f"{job.key}.{suffix}"
+
+
+class _Checked:
+    """A JSON object of somebody else: values of the wrong kind or out of range are named."""
+
+    def __init__(self, path: Path, content: Mapping[str, object], place: str = "") -> None:
+        self._path, self._content, self._place = path, content, place
+
+    def number(self, key: str, low: float = 0.0, *, above: bool = False) -> float:
+        """Return a number of at least `low`, or above it."""
+        value = self._value(key)
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= value <= MOST:
+            raise self._wrong(key, value, f"a number >= {low:g} and <= {MOST:g}")
+        if above and value == low:
+            raise self._wrong(key, value, f"> {low:g}")
+        return float(value)
+
+    def text(self, key: str) -> str:
+        """Return a text."""
+        value = self._value(key)
+        if not isinstance(value, str):
+            raise self._wrong(key, value, "a text")
+        return value
+
+    def several(self, key: str) -> list[object]:
+        """Return a list."""
+        value = self._value(key)
+        if not isinstance(value, list):
+            raise self._wrong(key, value, "a list")
+        return value
+
+    def each(self, key: str, most: int) -> list[Mapping[str, object]]:
+        """Return rows of measurements, checked."""
+        rows = self.several(key)
+        if len(rows) > most:
+            raise self._wrong(key, f"{len(rows)} rows", f"at most {most} rows")
+        for i, row in enumerate(rows):
+            if not isinstance(row, dict):
+                raise self._wrong(f"{key}[{i}]", row, "a row")
+            _Checked(self._path, row, f"{key}[{i}].").row()
+        return [row for row in rows if isinstance(row, dict)]
+
+    def row(self) -> None:
+        """Check a measurement."""
+        for name, words in _WORDS.items():
+            if self.text(name) not in [word.value for word in words]:
+                raise self._wrong(name, self.text(name), f"one of {', '.join(word.value for word in words)}")
+        measured = self.text("status") in [status.value for status in MEASURED]
+        for name in TRANSMISSIBILITY.names or ():
+            if name in _TEXTS:
+                continue
+            positive = measured and name in _POSITIVE
+            if self._value(name) is not None or positive:
+                signed = name in {"phase", "frequency_deviation", "time"}
+                self.number(name, -MOST if signed else 0.0, above=positive)
+
+    def _value(self, key: str) -> object:
+        if key not in self._content:
+            raise DamagedPointError(f"{self._path}: {self._place}{key} is missing")
+        return self._content[key]
+
+    def _wrong(self, key: str, value: object, rule: str) -> DamagedPointError:
+        return DamagedPointError(f"{self._path}: {self._place}{key} must be {rule}, got {shortened(value)}")
+
+
+def shortened(value: object) -> str:
+    """Return a value from outside for an error: a number of thousands of digits is not quoted whole."""
+    text = json.dumps(value, default=str)
+    return text if len(text) <= SHOWN else f"{text[:SHOWN]}... ({len(text)} characters)"
+
+
+def _column(member: bytes) -> NDArray[np.generic]:
+    """Return the numbers of one array of an NPZ file, whose header is not believed before its length is checked.
+
+    Raises:
+        ValueError: it is no one-dimensional array of real numbers, or not as long as its header says.
+    """
+    file = io.BytesIO(member)
+    version = np.lib.format.read_magic(file)
+    header: Callable[..., tuple[tuple[int, ...], bool, np.dtype[np.generic]]] | None = {
+        (1, 0): np.lib.format.read_array_header_1_0,
+        (2, 0): np.lib.format.read_array_header_2_0,
+    }.get(version)
+    if header is None:
+        raise ValueError(f"array format {version} is unknown")
+    shape, _, dtype = header(file)
+    rest = len(member) - file.tell()
+    if len(shape) != 1 or dtype.kind != "f" or shape[0] * dtype.itemsize != rest:
+        raise ValueError(f"an array must be one column of real numbers, {rest} bytes, got {dtype} of shape {shape}")
+    return np.frombuffer(member, dtype, offset=file.tell())
+
+
+def _digest(content: Mapping[str, object]) -> str:
+    """Return the digest of a stored result, of everything but itself."""
+    kept = {name: value for name, value in content.items() if name != "digest"}
+    return hashlib.sha256(json.dumps(kept, sort_keys=True).encode()).hexdigest()
 
 
 def _plain(row: np.void) -> dict[str, object]:
@@ -124,7 +298,7 @@ def _plain(row: np.void) -> dict[str, object]:
     return plain
 
 
-def _row(plain: dict[str, object]) -> tuple[object, ...]:
+def _row(plain: Mapping[str, object]) -> tuple[object, ...]:
     return tuple(
         str(plain[name]).encode() if name in _TEXTS else math.nan if plain[name] is None else plain[name]
         for name in TRANSMISSIBILITY.names or ()

@@ -23,8 +23,10 @@ from impact_rig.recording import Run, open_run
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from impact_rig.analysis.frf import Frf
+
 FIGURE_FORMATS = ("png", "svg")  # of runs.drawings, which is too heavy for a parser
-SEGMENT_S = 10.0
+WINDOWS = ("hann", "boxcar", "flattop", "blackmanharris")
 LINES = 15
 """Lines of a frequency response that are printed."""
 DRAWN_CYCLES = 4
@@ -37,7 +39,7 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
         [
             ("analyze runs/demo/gap_6mm", "every measurement in it, and whether the live analysis found the same"),
             ("analyze runs/demo/gap_6mm --figures pictures", "also draws time traces, phase plane, spectrum, curves"),
-            ("analyze runs/chirp --frf --segment 20", "frequency response of a chirp, lines 0.05 Hz apart"),
+            ("analyze runs/chirp --frf", "frequency response of a chirp, as fine as its resonance and length ask"),
         ],
         "Exit code 0: as the live analysis, or nothing to compare with; 1: not the same.",
     )  # fmt: skip
@@ -57,9 +59,17 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
         "height [m]",
     )  # fmt: skip
     parser.add_argument(
-        "--segment", type=float, default=SEGMENT_S, metavar="S",
-        help=f"with --frf: length of a segment, the lines lie 1/S Hz apart (default: {SEGMENT_S:g} s)",
+        "--segment", type=float, metavar="S",
+        help="with --frf: length of a segment, the lines lie 1/S Hz apart (default: what resolves the resonance found, "
+        "at most 2/5 of the record)",
     )  # fmt: skip
+    parser.add_argument(
+        "--window", choices=WINDOWS, default="hann",
+        help="with --frf: of the segments; boxcar for a drive that repeats every segment (default: hann)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--damping", type=float, metavar="ZETA", help="with --frf: damping ratio to resolve (default: what is found)"
+    )
     parser.add_argument(
         "--figures", type=Path, metavar="DIR",
         help="also draw: its last settled measurement (time traces, phase plane, spectrum) and the curves it holds, or "
@@ -155,40 +165,79 @@ def _frf(console: Console, run: Run, arguments: argparse.Namespace) -> int:
     from impact_rig.analysis.drawings import frequency_response  # noqa: PLC0415  # heavy: after the run is open
     from impact_rig.runs.wholes import response_of  # noqa: PLC0415  # as above
 
-    if not (math.isfinite(arguments.segment) and arguments.segment > 0.0):
-        raise ConfigError(f"--segment must be > 0 and finite, got {arguments.segment!r}")
+    for name, most in (("segment", math.inf), ("damping", 1.0)):
+        value = getattr(arguments, name)
+        if value is not None and not 0.0 < value < most:
+            limit = "> 0 and finite" if most == math.inf else f"> 0 and < {most:g}"
+            raise ConfigError(f"--{name} must be {limit}, got {value!r}")
     _prepare(arguments, "frf")
-    found = response_of(run, arguments.segment)
-    frf, excited = found.frf, found.excited
-    peak = int(excited[np.argmax(np.abs(frf.h1[excited]))])
+    found = response_of(run, arguments.segment, arguments.window, arguments.damping)
+    excited = found.excited
+    peak = int(excited[np.argmax(np.abs(found.h1[excited]))])
+    resonance = found.resonance
     if arguments.json:
         tell_json({
-            "run": str(run.path), "averages": frf.averages, "peak_hz": frf.frequency_hz[peak],
+            "run": str(run.path), "averages": found.averages, "peak_hz": found.frequency_hz[peak],
+            "segment_s": 1.0 / found.frequency_hz[1], "window": arguments.window, "sine": found.sine,
+            "resonance_hz": None if resonance is None else resonance.frequency_hz,
+            "damping_ratio": None if resonance is None else resonance.damping_ratio,
+            "peak_bias": found.bias if math.isfinite(found.bias) else None,
             "lines": [
                 {
-                    "frequency_hz": frf.frequency_hz[i], "h1": abs(frf.h1[i]), "h2": abs(frf.h2[i]),
-                    "hv": abs(frf.hv[i]), "u_relative": frf.u_relative[i], "coherence": frf.coherence[i],
-                    "phase_rad": float(np.angle(frf.h1[i])),
+                    "frequency_hz": found.frequency_hz[i], "h1": abs(found.h1[i]), "h2": abs(found.h2[i]),
+                    "hv": abs(found.hv[i]), "coherence": found.coherence[i],
+                    "u_relative": found.u_relative[i] if math.isfinite(found.u_relative[i]) else None,
+                    "phase_rad": float(np.angle(found.h1[i])),
                 }
                 for i in excited
             ],
         })  # fmt: skip
     shown = excited[np.linspace(0, len(excited) - 1, min(LINES, len(excited))).round().astype(int)]
-    table = TextTable(title=f"Frequency response x_1/x_b, {frf.averages:.1f} independent averages")
+    table = TextTable(title=f"Frequency response x_1/x_b, {found.averages:.1f} independent averages")
     for heading in ("f [Hz]", "|H1|", "± 2u", "|H2|", "|Hv|", "phase [deg]", "coherence"):
         table.add_column(heading, justify="right")
     for line in sorted({*shown.tolist(), peak}):
-        size = abs(frf.h1[line])
+        size = abs(found.h1[line])
         table.add_row(
-            f"{frf.frequency_hz[line]:.3f}", f"{size:.3f}", f"{2 * size * frf.u_relative[line]:.3f}",
-            f"{abs(frf.h2[line]):.3f}", f"{abs(frf.hv[line]):.3f}", f"{math.degrees(np.angle(frf.h1[line])):.2f}",
-            f"{frf.coherence[line]:.4f}", style="bold" if line == peak else None,
+            f"{found.frequency_hz[line]:.3f}", f"{size:.3f}", f"{2 * size * found.u_relative[line]:.3f}",
+            f"{abs(found.h2[line]):.3f}", f"{abs(found.hv[line]):.3f}",
+            f"{math.degrees(np.angle(found.h1[line])):.2f}", f"{found.coherence[line]:.4f}",
+            style="bold" if line == peak else None,
         )  # fmt: skip
     console.print(table)
-    low, high, top = frf.frequency_hz[[excited[0], excited[-1], peak]]
-    console.print(f"{len(excited)} lines of {low:g} to {high:g} Hz are excited, largest at {top:g} Hz")
-    _draw(console, run, arguments, "frf", lambda: frequency_response(frf, low, high))
+    low, high, top = found.frequency_hz[[excited[0], excited[-1], peak]]
+    apart = found.frequency_hz[1]
+    if found.sine:
+        console.print(
+            f"the drive is a sine of about {top:g} Hz: this one line is all there is; without --frf its DT is measured "
+            "with its uncertainty"
+        )
+    else:
+        console.print(f"{len(excited)} lines of {low:g} to {high:g} Hz are excited, largest at {top:g} Hz")
+        console.print(*_resolution(found, arguments.window, apart), sep="\n")
+    _draw(console, run, arguments, "frf", lambda: frequency_response(found, low - apart, high + apart))
     return 0
+
+
+def _resolution(found: Frf, window: str, apart_hz: float) -> list[str]:
+    """Return what the lines resolve, and what they do not, as sentences."""
+    from impact_rig.analysis.frf import RESOLVED, SEGMENTS, resolving_s  # noqa: PLC0415  # as above
+
+    resonance = found.resonance
+    lines = f"lines {apart_hz:.3g} Hz apart"
+    if resonance is None:
+        return [f"{lines}; no single resonance fits this record, so what they resolve is not known"]
+    where = f"the resonance found in the record lies at {resonance.frequency_hz:.3f} Hz"
+    wide = f"{resonance.width_hz:.3g} Hz wide at half power"
+    said = [f"{lines}; {where}, ζ {resonance.damping_ratio:.5f}: it is {wide}"]
+    if found.bias > 1.1 * RESOLVED:
+        above = f"{100 * found.bias:.0f} % above it" if found.bias < 1.0 else "several times as high"
+        need = resolving_s(resonance, window)
+        said.append(
+            f"WARNING: its peak is not resolved: the truth may lie {above}, which ± 2u contains; segments of "
+            f"{need:.0f} s, of a record of {SEGMENTS * need:.0f} s, leave {100 * RESOLVED:.0f} %"
+        )
+    return said
 
 
 def _sine(console: Console, run: Run, arguments: argparse.Namespace) -> int:

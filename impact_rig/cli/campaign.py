@@ -77,6 +77,8 @@ def _run(arguments: argparse.Namespace) -> int:
     started = time.monotonic()
     jobs = run.unique_jobs(campaign.planned())
     _measure(jobs, store, _runner(way, address, arguments, directory))
+    for what in store.damaged:
+        console.print(f"{what}; it was measured again", style="yellow")
     done = run.finished(campaign, directory)
     run.write_results(done, time.monotonic() - started)
     verdicts = done.verdicts()

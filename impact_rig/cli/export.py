@@ -5,13 +5,14 @@
 from __future__ import annotations
 
 import argparse
-import csv
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_rig.campaign.run import CAMPAIGN_FILE, CSV_FILE, open_finished
+from impact_rig.campaign.results import Point, table
+from impact_rig.campaign.run import CAMPAIGN_FILE, open_finished
 from impact_rig.cli import command
 from impact_rig.cli.terminal import Console
 from impact_rig.errors import ConfigError, RecordingError
@@ -46,14 +47,14 @@ def _run(arguments: argparse.Namespace) -> int:
         target = target.with_name(f"{target.name}.{arguments.format}")
     if (path / maps.MAP_FILE).exists():
         _need_points(arguments.topic)
-        done = maps.open_map(path)
-        if not (path / maps.CSV_FILE).exists():
-            maps.write_results(done, {})
-        written = write_columns(lambda: iter([_columns(path / maps.CSV_FILE)]), target)
+        written = write_columns(lambda: iter([_columns(*maps.table(maps.open_map(path)))]), target)
     elif (path / CAMPAIGN_FILE).exists():
         _need_points(arguments.topic)
-        open_finished(path)
-        written = write_columns(lambda: iter([_columns(path / CSV_FILE)]), target)
+        points = open_finished(path).points
+        columns = _columns(*table(points))
+        if target.suffix == ".uff":
+            columns = _response(points)
+        written = write_columns(lambda: iter([columns]), target)
     else:
         with open_run(path) as run:
             written = export(run, arguments.topic, target)
@@ -66,17 +67,32 @@ def _need_points(topic: str) -> None:
         raise ConfigError(f"of a campaign or a map there are points, got {topic!r}")
 
 
-def _columns(path: Path) -> dict[str, NDArray[np.generic]]:
-    """Return the columns of a table of points; one of numbers has NaN where nothing was measured."""
-    try:
-        with path.open(encoding="utf-8", newline="") as file:
-            names, *rows = csv.reader(file)
-    except (OSError, ValueError) as error:
-        raise RecordingError(f"cannot read {path}: {error}") from error
+def _columns(names: Sequence[str], rows: Sequence[Sequence[object]]) -> dict[str, NDArray[np.generic]]:
+    """Return a table by columns: numbers, or texts where a column has any."""
+    if not rows:
+        raise RecordingError("nothing was measured yet: there is no point to export")
     found: dict[str, NDArray[np.generic]] = {}
-    for name, texts in zip(names, zip(*rows, strict=True), strict=True):
-        try:
-            found[name] = np.array([float(text) if text else np.nan for text in texts])
-        except ValueError:
-            found[name] = np.array(texts)
+    for name, cells in zip(names, zip(*rows, strict=True), strict=True):
+        texts = any(isinstance(cell, str) for cell in cells)
+        found[name] = np.array([str(cell) for cell in cells] if texts else cells)
     return found
+
+
+def _response(points: Sequence[Point]) -> dict[str, NDArray[np.generic]]:
+    """Return settled points as a universal file has them: X_1/X_b over the frequency, a function per curve."""
+    settled = [point for point in points if point.settled]
+    if not settled:
+        raise RecordingError("no point of this campaign is settled: there is no curve to export")
+    one_current = len({point.current_a for point in points}) == 1
+    return {
+        "frequency": np.array([point.frequency_hz for point in settled]),
+        "transmissibility": np.array([point.dt for point in settled]),
+        "phase": np.array([point.phase_rad for point in settled]),
+        "curve": np.array([
+            ", ".join([
+                point.study, point.label, point.direction, *([] if one_current else [f"{point.current_a:g} A"]),
+                *(f"{name.rpartition('.')[2]} {value}" for name, value in point.axes.items()),
+            ])
+            for point in settled
+        ]),
+    }  # fmt: skip

@@ -6,10 +6,11 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 from collections.abc import Sequence
 from pathlib import Path
 
-from impact_rig.analysis.decay import fit_decay, log_decrement
+from impact_rig.analysis.decay import REASONS, fit_decay, log_decrement
 from impact_rig.analysis.words import Status
 from impact_rig.campaign import run
 from impact_rig.campaign.axes import NO_SPHERE
@@ -24,7 +25,7 @@ from impact_rig.studies.identification import paper_fit
 from impact_rig.studies.identification.constants import NAMES, UNITS
 from impact_rig.studies.identification.fisher import Information
 from impact_rig.studies.identification.fit import Identified, identify
-from impact_rig.studies.identification.measurements import Gains, Measured, reduced_of, sine_of
+from impact_rig.studies.identification.measurements import U_RESTITUTION, Gains, Measured, reduced_of, sine_of
 from impact_rig.studies.identification.pluck import measured_decay, recorded_decay
 from impact_rig.system import files
 
@@ -54,6 +55,10 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
         metavar="DATA",
         help="leave these data out: decay, sine, reductions",
     )
+    parser.add_argument(
+        "--e-uncertainty", type=float, default=U_RESTITUTION, metavar="U",
+        help=f"standard uncertainty of the configuration's e, 0 if it is exact (default: {U_RESTITUTION:g})",
+    )  # fmt: skip
     parser.add_argument("--paper", action="store_true", help="instead: fit the default rig to the paper's numbers")
     parser.add_argument("--config", type=Path, metavar="FILE", help="with --paper: what is taken as known")
     parser.set_defaults(run=_run)
@@ -72,6 +77,8 @@ def _run(arguments: argparse.Namespace) -> int:
         return 0
     if arguments.directory is None:
         raise ConfigError("a campaign's directory is needed (or --paper), e.g. runs/campaign_paper")
+    if not 0.0 <= arguments.e_uncertainty <= 1.0:
+        raise ConfigError(f"--e-uncertainty must be >= 0 and <= 1, got {arguments.e_uncertainty!r}")
     done = run.open_finished(arguments.directory)
     measured = _measured(done, arguments, console)
     found = identify(measured, done.campaign.base, on_step=lambda what: console.print(f"{what} ..."))
@@ -98,7 +105,8 @@ def _measured(done: run.Finished, arguments: argparse.Namespace, console: Consol
             with open_run(arguments.decay) as recorded:
                 decay = recorded_decay(recorded, method)
         if decay.status is not Status.OK:
-            raise ImpactRigError(f"the free decay cannot be measured: {decay.status.value}")
+            why = REASONS.get(decay.status, decay.status.value)
+            raise ImpactRigError(f"the free decay cannot be measured: {why}")
         console.print(
             f"free decay: f_n {decay.natural_frequency_hz:.6f} ± {2 * decay.u_natural_frequency_hz:.6f} Hz, "
             f"ζ {decay.damping_ratio:.6f} ± {2 * decay.u_damping_ratio:.6f} (2u)"
@@ -110,7 +118,9 @@ def _measured(done: run.Finished, arguments: argparse.Namespace, console: Consol
     if "reductions" not in arguments.without:
         reduced = reduced_of(curves, FREQUENCY_HZ, tuple(REDUCTION_PERCENT), gains)
         console.print(f"reductions at {FREQUENCY_HZ:g} Hz: {len(reduced.ratio) if reduced else 0} gaps")
-    return Measured(gains=gains, decay=decay, sine=sine, reduced=reduced)
+    return Measured(
+        gains=gains, decay=decay, sine=sine, reduced=reduced, u_restitution=arguments.e_uncertainty
+    )  # fmt: skip
 
 
 def _print(console: Console, found: Identified) -> None:
@@ -122,8 +132,24 @@ def _print(console: Console, found: Identified) -> None:
             table.add_row(name, f"{found.value(name):.7g}", f"{2 * found.u(name):.2g}", unit, "")
         else:
             table.add_row(name, "-", "-", unit, "not determined by these data", style="bright_black")
+    if math.isfinite(found.restitution):
+        table.add_row("e", f"{found.restitution:.5g}", f"{2 * found.u_restitution:.2g}", "-", "nominal")
     console.print(table)
-    console.print(f"χ² {found.chi_square:.1f} for {found.freedom} degrees of freedom")
+    for gap, why in found.left_out.items():
+        console.print(f"the reduction at {gap * 1e3:g} mm is not used: {why}", style="yellow")
+    console.print(
+        f"χ² {found.chi_square:.1f} for {found.freedom} degrees of freedom: by chance as bad or worse in "
+        f"{100 * found.chance:.1f} % of cases"
+    )
+    if not found.consistent:
+        where = " and ".join(f"{gap * 1e3:g} mm" for gap in found.contradicted)
+        why = f"at {where} the motion was measured to be periodic, and the fitted rig's is not" if where else "χ²"
+        console.print(
+            f"WARNING: data and model do not go together ({why}): the uncertainties above do not hold. Something taken "
+            "as known is wrong (contact law, e and its uncertainty, sphere, gaps), or a sensor is outside its "
+            f"certificate; no {CONFIGURATION_FILE} is written",
+            style="red",
+        )
     _print_combinations(console, found.information)
 
 
@@ -192,13 +218,18 @@ def _content(found: Identified) -> dict[str, object]:
             }
             for one in information.combinations
         ],
+        "restitution": found.restitution if math.isfinite(found.restitution) else None,
+        "restitution_standard_uncertainty": found.u_restitution if math.isfinite(found.u_restitution) else None,
+        "left_out_mm": {f"{gap * 1e3:g}": why for gap, why in found.left_out.items()},
         "chi_square": found.chi_square,
         "degrees_of_freedom": found.freedom,
+        "chance": found.chance,
+        "consistent": found.consistent,
     }
 
 
 def _write(directory: Path, found: Identified, content: dict[str, object]) -> None:
     """Write the constants for programs, and as a configuration."""
     files.write_text(directory / JSON_FILE, json.dumps(content, indent=2, ensure_ascii=False) + "\n")
-    if all(map(found.information.determined, NAMES)):
+    if found.consistent and all(map(found.information.determined, NAMES)):
         files.write_text(directory / CONFIGURATION_FILE, dump(found.config))

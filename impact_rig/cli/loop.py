@@ -25,7 +25,7 @@ from impact_rig.cli import command
 from impact_rig.cli.terminal import Console, TextTable, add_json, tell_json
 from impact_rig.errors import ConfigError, RecordingError
 from impact_rig.operate.controlled_sine import Hold, HoldPlan
-from impact_rig.operate.looking import Ladder, LoopApparatus, Rung, climb, lock_on
+from impact_rig.operate.looking import Ladder, LoopApparatus, Rung, climb, lock_on, mean
 from impact_rig.operate.phase_lock import LockPlan, Reference
 from impact_rig.operate.plan import Direction
 from impact_rig.operate.stepped_sine import State
@@ -167,10 +167,11 @@ def _lock(arguments: argparse.Namespace, config: RigConfig, _gap: float, console
         return 1
     assert lock.locked_ns is not None
     dwelt = lock.rows[lock.rows["time"] >= lock.locked_ns / NS_PER_S]
+    found = mean(dwelt, lock.u_gain)
     slopes = [np.polyfit(dwelt["time"], dwelt[name], 1)[0] for name in ("frequency", "transmissibility")]
     console.print(
-        f"locked after {lock.locked_ns / NS_PER_S:.1f} s; {np.mean(dwelt['frequency']):.4f} Hz, "
-        f"DT {np.mean(dwelt['transmissibility']):.2f}; drift a minute: "
+        f"locked after {lock.locked_ns / NS_PER_S:.1f} s; {found.frequency_hz:.5f} ± "
+        f"{2 * found.u_frequency_hz:.1g} Hz, DT {found.dt:.2f} ± {2 * found.u_dt:.2g} (2u); drift a minute: "
         f"{slopes[0] * 60e3:+.2f} mHz, DT {slopes[1] * 60:+.3f}"
     )
     return 0
@@ -184,12 +185,13 @@ def _backbone(arguments: argparse.Namespace, config: RigConfig, gap: float, cons
     with _apparatus(arguments.through, config) as apparatus:
         rungs, why = climb(Ladder(currents_a=currents, lock=plan), apparatus)
     table = TextTable(title="Backbone")
-    for heading in ("", "I [A]", "f [Hz]", "DT", "superior [mm]", "g/X", "phase [°]", ""):
+    for heading in ("", "I [A]", "f [Hz]", "± 2u", "DT", "± 2u", "superior [mm]", "g/X", "phase [°]", ""):
         table.add_column(heading, justify="right")
     for one in rungs:
         words = [*(["not locked"] if not one.locked else []), *(["JUMP"] if one.jumped else [])]
         table.add_row(
-            one.direction, f"{one.current_a:.4f}", f"{one.frequency_hz:.4f}", f"{one.dt:.2f}",
+            one.direction, f"{one.current_a:.4f}", f"{one.frequency_hz:.4f}", f"{2 * one.u_frequency_hz:.1g}",
+            f"{one.dt:.2f}", f"{2 * one.u_dt:.2g}",
             f"{one.superior_m * 1e3:.3f}", f"{gap / one.superior_m:.2f}", f"{one.phase_deg:.2f}", ", ".join(words),
         )  # fmt: skip
     console.print(table)

@@ -14,9 +14,10 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeElapsedCo
 from impact_rig.campaign.pool import in_parallel
 from impact_rig.cli import command
 from impact_rig.cli.terminal import Console, Steps, TextTable, Words, add_json, tell_json, tell_program
-from impact_rig.errors import ConfigError
+from impact_rig.errors import ConfigError, RecordingError
 from impact_rig.maps import optimum, run
 from impact_rig.maps.plan import Line, load_map, measure_line
+from impact_rig.system import files
 
 WAYS = ("process", "dask")
 
@@ -133,6 +134,9 @@ def _draw(done: run.FinishedMap, directory: Path) -> None:
     from impact_rig.report.heat_map import heat_maps  # noqa: PLC0415  # matplotlib
 
     folder = directory / "figures"
-    folder.mkdir(exist_ok=True)
+    try:
+        files.make_folder(folder)
+    except OSError as error:
+        raise RecordingError(f"cannot write {folder}: {error.strerror}") from error
     for drawn in heat_maps(done):
         drawn.save(folder)

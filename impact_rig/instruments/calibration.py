@@ -115,7 +115,10 @@ def certificate(sensors: list[Sensor], adc: Adc, clock: ScanClock, ideal: bool) 
             row["range_low"], row["range_high"] = -math.inf, math.inf
             continue
         row["sensitivity"], row["offset"] = sensor.volt_per_unit, sensor.offset_v
-        row["resolution"] = max(sensor.resolution, lsb_v(sensor, adc) / abs(sensor.volt_per_unit))
+        row["output_step"], row["output_noise"] = sensor.resolution, sensor.noise
+        row["converter_step"] = lsb_v(sensor, adc) / abs(sensor.volt_per_unit)
+        row["converter_noise"] = converter_noise_v(sensor, adc) / abs(sensor.volt_per_unit)
+        row["resolution"] = max(row["output_step"], row["converter_step"])
         row["noise"] = total_noise(sensor, adc)
         row["sensitivity_uncertainty"] = gain_uncertainty(sensor, adc)
         row["offset_uncertainty"] = offset_uncertainty(sensor, adc)

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from impact_rig.analysis.cycles import PHASE_BINS
 from impact_rig.analysis.regime import Behaviour, classify
+from impact_rig.analysis.words import Regime
 from impact_rig.config.fields import integer, quantity
 from impact_rig.errors import SimulationError
 from impact_rig.physics import SEGMENT, Simulation
@@ -29,6 +30,8 @@ CHUNK = 24
 """Cycles looked at together: responses of period 1, 2, 3, 4, 6 and 8 have one mean in each."""
 WEAK = 0.02
 """Impacts slower than this share of the fastest one are bounces that settle: not counted, no part of the regime."""
+NEAR_S = 60.0
+"""A sphere that flies towards a wall and will strike it within this time has not come to rest."""
 FAILED = "failed"
 """The regime of a place whose motion could not be resolved."""
 _ANGLE = 2.0 * np.pi * np.arange(PER_CYCLE) / PER_CYCLE
@@ -61,7 +64,7 @@ class Reading(NamedTuple):
     """What was found at one place.
 
     Attributes:
-        regime: periodic, modulated, chaotic, or `FAILED`.
+        regime: periodic, modulated, chaotic, intermittent (impacts came, stay away, and will come again), or `FAILED`.
         dt: |X_1| / |X_b| of the fundamentals.
         reduction_percent: 100 (1 − DT / DT without the sphere, in closed form).
         phase_rad: of X_1 / X_b.
@@ -113,6 +116,8 @@ class MapRig:
         self._config = config
         self._simulation = Simulation(config)
         self._amplitude = 0.0
+        self._sphere = 0.0, 0.0
+        """Place and velocity of the sphere at the end of the newest cycle [m, m/s]."""
 
     def change(self, config: RigConfig) -> None:
         """Go on with another configuration: the structure keeps its motion, the sphere begins at its start again."""
@@ -120,9 +125,16 @@ class MapRig:
             self._simulation.configure(config)
             self._config = config
 
-    def reset(self) -> None:
-        """Put everything to rest."""
+    def reset(self, sphere: tuple[float, float] | None = None) -> None:
+        """Put everything to rest, the sphere at its start.
+
+        Args:
+            sphere: instead, where it is, from the middle between the walls [m], and its speed to the right [m/s].
+        """
         self._simulation.reset()
+        if sphere is not None:
+            place, speed = sphere
+            self._simulation.place(d=place, d_rate=speed)
         self._amplitude = 0.0
 
     def measure(self, frequency_hz: float, amplitude: float) -> Reading:
@@ -141,9 +153,12 @@ class MapRig:
     def _measured(self, frequency_hz: float, amplitude: float) -> Reading:
         record = self._settled(frequency_hz, amplitude)
         behaviour = _behaviour(record, self._settings)
-        if not math.isfinite(behaviour.period):
+        drifts = self._drifts(record)
+        if drifts or not math.isfinite(behaviour.period):
             record = self._run(frequency_hz, amplitude, self._settings.cycles)
             behaviour = _behaviour(record, self._settings)
+            if drifts or self._drifts(record):
+                behaviour = attrs.evolve(behaviour, regime=Regime.INTERMITTENT, period=math.nan)
         return _reading(record, behaviour, self._config, frequency_hz)
 
     def _settled(self, frequency_hz: float, amplitude: float) -> _Record:
@@ -154,9 +169,20 @@ class MapRig:
             now = self._run(frequency_hz, amplitude, CHUNK)
             both, before = _joined(before, now), now
             quiet = quiet + 1 if _change(both) <= self._settings.settle_tolerance else 0
-            if quiet == 2:
+            if quiet >= 2 and not self._drifts(both):
                 break
         return both
+
+    def _drifts(self, record: _Record) -> bool:
+        """Return whether a record without impacts ends with the sphere on its way to one.
+
+        Between impacts the sphere keeps its velocity, and the wall moves to and fro by |X_1|.
+        """
+        if len(record.speed) or not self._config.sphere.present:
+            return False
+        place, velocity = self._sphere
+        reach = self._config.barriers.gap_m / 2.0 - float(np.abs(record.superior[-CHUNK:]).max())
+        return bool(abs(place + velocity * NEAR_S) > reach > 0.0) and abs(velocity) > 0.0
 
     def _run(self, frequency_hz: float, amplitude: float, cycles: int) -> _Record:
         """Advance by whole cycles."""
@@ -171,6 +197,8 @@ class MapRig:
         number = np.repeat(np.arange(motion.first_segment, motion.last_segment + 1), PER_CYCLE)
         offset = np.tile(_ANGLE / (2.0 * np.pi) * period, cycles)
         x_b, x_1 = motion.quantities(("x_b", "x_1"), number, offset).reshape(2, cycles, PER_CYCLE)
+        end = np.array([motion.last_segment]), np.array([period])
+        self._sphere = tuple(motion.quantities(("x_2", "v_2"), *end)[:, 0].tolist())
         hits = motion.impacts
         place = np.maximum(hits["segment"] - motion.first_segment, 0)  # one that began before is told of now
         return _Record(

@@ -20,6 +20,7 @@ import attrs
 
 from impact_rig.campaign import axes
 from impact_rig.campaign.paper import CURRENT_A, FREQUENCY_HZ
+from impact_rig.campaign.plan import STARTS
 from impact_rig.config.tree import MAX_FILE_BYTES, Value, flatten
 from impact_rig.errors import ConfigError
 from impact_rig.maps.measure import MapRig, Reading, Settings
@@ -28,7 +29,12 @@ from impact_rig.system import budget, files, plain_yaml
 from impact_rig.system.budget import BudgetError
 
 FREQUENCY, CURRENT, GAP = "frequency_hz", "current_a", "gap_m"
+POSITION, SPEED = "sphere_position_m", "sphere_speed_m_s"
+"""Where the sphere begins, from the middle between the walls, and how fast: positive to the right."""
+NAMED = (FREQUENCY, CURRENT, GAP, POSITION, SPEED)
 """Axes with a name of their own; all others are configuration values by dotted name."""
+FASTEST_M_S = 100.0
+"""Of a sphere at its beginning."""
 RESET, UP, DOWN, BOTH = "reset", "up", "down", "both"
 DIRECTIONS = (RESET, UP, DOWN, BOTH)
 OWNED = ("daq.", "instruments.", "time.", "step.", "pluck.", "output.", "drive.waveform", "drive.frequency_hz")
@@ -49,7 +55,8 @@ class Line:
         held: what stays along the line, by name of axis.
         along: name of the axis that changes.
         values: its values, in the order of the visit.
-        direction: reset: every place begins at rest; up or down: with what the place before left.
+        direction: up or down: with what the place before left; else every place begins at rest, and this is `reset`
+            or where the sphere starts.
         frequency_hz: of the drive, unless it is an axis.
         current_a: amplitude of the drive (A, m or V by `drive.kind`), unless it is an axis.
     """
@@ -74,11 +81,16 @@ class Line:
         content = attrs.asdict(self)
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
 
-    def place(self, value: float) -> tuple[dict[str, Value], float, float]:
-        """Return configuration values, frequency and amplitude of the place with this value of the axis."""
+    def place(self, value: float) -> tuple[dict[str, Value], float, float, tuple[float, float] | None]:
+        """Return configuration values, frequency, amplitude and sphere of the place with this value of the axis.
+
+        The sphere is where it begins and its speed, or None where that is `sphere.start`.
+        """
         at = {**self.held, self.along: value}
         frequency, current = at.pop(FREQUENCY, self.frequency_hz), at.pop(CURRENT, self.current_a)
-        return {"barriers.gap_m" if name == GAP else name: one for name, one in at.items()}, frequency, current
+        sphere = (at.pop(POSITION, 0.0), at.pop(SPEED, 0.0)) if {POSITION, SPEED} & set(at) else None
+        changes: dict[str, Value] = {"barriers.gap_m" if name == GAP else name: one for name, one in at.items()}
+        return changes, frequency, current, sphere
 
 
 def measure_line(line: Line) -> list[Reading]:
@@ -87,13 +99,13 @@ def measure_line(line: Line) -> list[Reading]:
     rig: MapRig | None = None
     readings, config, before = [], base, None
     for value in line.values:
-        changes, frequency, current = line.place(value)
+        changes, frequency, current, sphere = line.place(value)
         if changes != before:
             config, before = from_flat(base, changes), changes
         rig = rig or MapRig(config, line.settings)
         rig.change(config)
-        if line.direction == RESET:
-            rig.reset()
+        if line.direction not in (UP, DOWN):
+            rig.reset(sphere)
         readings.append(rig.measure(frequency, current))
     return readings
 
@@ -124,6 +136,7 @@ class MapPlan:
         base: the rig.
         axes: two or three, by name, in the order of the file: across, up, and one picture each.
         direction: reset, up, down or both.
+        starts: values of `sphere.start` that are measured one beside the other, for `reset`; none: that of `base`.
         sweep: the axis along which places are visited one after the other.
         frequency_hz: of the drive, unless it is an axis.
         current_a: amplitude of the drive, unless it is an axis.
@@ -136,6 +149,7 @@ class MapPlan:
     base: RigConfig
     axes: Mapping[str, tuple[float, ...]]
     direction: str
+    starts: tuple[str, ...]
     sweep: str
     frequency_hz: float
     current_a: float
@@ -145,8 +159,8 @@ class MapPlan:
 
     @property
     def layers(self) -> tuple[str, ...]:
-        """The directions that are measured."""
-        return (UP, DOWN) if self.direction == BOTH else (self.direction,)
+        """The directions, or starts, that are measured."""
+        return (UP, DOWN) if self.direction == BOTH else self.starts or (self.direction,)
 
     @property
     def points(self) -> int:
@@ -164,7 +178,7 @@ class MapPlan:
         values, changes = self.axes[self.sweep], self.changes()
         return [
             Line(
-                changes=changes,
+                changes={**changes, "sphere.start": layer} if layer in STARTS else changes,
                 settings=self.settings,
                 held=dict(zip(others, held, strict=True)),
                 along=self.sweep,
@@ -224,18 +238,26 @@ def load_map(path: Path, workers: int | None = None, resolved: RigConfig | None 
 
 
 def _read(top: Mapping[str, object], path: Path, text: str, resolved: RigConfig | None) -> MapPlan:
-    known = ("title", "config", "set", "axes", "direction", "sweep", FREQUENCY, CURRENT, "measure", "optimum")
+    known = ("title", "config", "set", "axes", "direction", "starts", "sweep", FREQUENCY, CURRENT, "measure", "optimum")
     axes.check_keys("", top, known)
     given = _axes(axes.mapping("axes", top.get("axes")))
     sweep = axes.word("sweep", top.get("sweep", FREQUENCY if FREQUENCY in given else next(iter(given))), given)
     for name in (FREQUENCY, CURRENT):
         if name in top and name in given:
             raise ConfigError(f"{name} is an axis, and cannot be held as well")
+    direction = axes.word("direction", top.get("direction", RESET), DIRECTIONS)
+    starts = axes.values("starts", top["starts"]) if "starts" in top else []
+    for name in ("starts", POSITION, SPEED):
+        if direction != RESET and (name in given or name in top):
+            raise ConfigError(f"{name} is how a place begins: direction must be {RESET}, got {direction!r}")
+    if starts and {POSITION, SPEED} & set(given):
+        raise ConfigError(f"starts and an axis {POSITION} or {SPEED} exclude each other")
     return MapPlan(
         title=str(top.get("title", path.stem)),
         base=resolved or _base(top, path.parent),
         axes=given,
-        direction=axes.word("direction", top.get("direction", RESET), DIRECTIONS),
+        direction=direction,
+        starts=tuple(axes.word("starts", start, STARTS) for start in starts),
         sweep=sweep,
         frequency_hz=axes.number(FREQUENCY, top.get(FREQUENCY, FREQUENCY_HZ), 0.0, 1e4),
         current_a=axes.number(CURRENT, top.get(CURRENT, CURRENT_A), 0.0),
@@ -256,12 +278,10 @@ def _base(top: Mapping[str, object], folder: Path) -> RigConfig:
 
 
 def _axes(given: Mapping[str, object]) -> dict[str, tuple[float, ...]]:
-    plain = {name: value for name, value in given.items() if name in (FREQUENCY, CURRENT, GAP) or "." in name}
+    plain = {name: value for name, value in given.items() if name in NAMED or "." in name}
     nested = {name: value for name, value in given.items() if name not in plain}
     if nested:
-        raise ConfigError(
-            f"unknown axis {next(iter(nested))!r}: {FREQUENCY}, {CURRENT}, {GAP}, or a value by its dotted name"
-        )
+        raise ConfigError(f"unknown axis {next(iter(nested))!r}: {', '.join(NAMED)}, or a value by its dotted name")
     if not 2 <= len(plain) <= 3:
         raise axes.wrong("axes", "two or three", list(given))
     found = {}
@@ -299,15 +319,25 @@ def _search(given: object) -> Search | None:
 
 
 def _refuse_owned(key: str, name: str) -> None:
-    if name.startswith(OWNED) or name == "barriers.gap_m":
-        raise ConfigError(f"{key}: {'use gap_m' if name == 'barriers.gap_m' else 'means nothing to a map'}")
+    if name == "sphere.start" and key.startswith("axes."):
+        raise ConfigError(f"{key}: use starts: [left, centre, right]")
+    if name == "barriers.gap_m" and not key.startswith("set."):
+        raise ConfigError(f"{key}: use gap_m")
+    if name.startswith(OWNED):
+        raise ConfigError(f"{key}: means nothing to a map")
 
 
 def _check_corners(plan: MapPlan) -> None:
     """Refuse values at the ends of the axes that cannot be simulated, before anything runs."""
     for line in plan.lines()[:: max(1, len(plan.lines()) - 1)]:
         for value in (line.values[0], line.values[-1]):
-            changes, frequency, current = line.place(value)
+            changes, frequency, current, sphere = line.place(value)
             if not (frequency > 0.0 and current > 0.0):
                 raise ConfigError(f"frequency and current must be > 0, got {frequency:g} Hz and {current:g} A")
-            from_flat(from_flat(RigConfig(), line.changes), changes)
+            config = from_flat(from_flat(RigConfig(), line.changes), changes)
+            place, speed = sphere or (0.0, 0.0)
+            half = 0.5 * config.barriers.gap_m
+            if abs(place) > half:
+                raise axes.wrong(POSITION, f">= {-half:g} and <= {half:g} m, half the gap", place)
+            if abs(speed) > FASTEST_M_S:
+                raise axes.wrong(SPEED, f">= {-FASTEST_M_S:g} and <= {FASTEST_M_S:g} m/s", speed)

@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from impact_rig.campaign.code import DECIDING, fingerprint
 from impact_rig.errors import ConfigError, RecordingError
-from impact_rig.maps.measure import Reading
+from impact_rig.maps.measure import FAILED, Reading
 from impact_rig.maps.plan import DOWN, Line, MapPlan, load_map
 from impact_rig.rig.config import dump, load
 from impact_rig.system import files
@@ -68,7 +68,7 @@ def prepare(plan: MapPlan, directory: Path) -> None:
     if directory.exists() and any(directory.iterdir()) and not (directory / MAP_FILE).exists():
         raise RecordingError(f"{directory} is not empty and holds no map: choose another --output")
     try:
-        (directory / FOLDER).mkdir(parents=True, exist_ok=True)
+        files.make_folder(directory / FOLDER)
         files.write_text(directory / MAP_FILE, plan.text)
         files.write_text(directory / CONFIGURATION_FILE, dump(plan.base))
     except OSError as error:
@@ -125,7 +125,7 @@ def open_map(directory: Path) -> FinishedMap:
         ConfigError: it is no map's directory.
     """
     if not (directory / MAP_FILE).exists() or not (directory / FOLDER).is_dir():
-        raise ConfigError(f"{directory} holds no map: `impact-rig map FILE --output {directory}` makes one")
+        raise ConfigError(f"{directory} is no map's directory: `impact-rig map FILE --output NEW` makes one")
     return finished(load_map(directory / MAP_FILE, resolved=load(directory / CONFIGURATION_FILE)), directory)
 
 
@@ -133,8 +133,9 @@ def write_results(done: FinishedMap, more: dict[str, object]) -> None:
     """Write `map.csv` and `map.json`."""
     text = io.StringIO(newline="")
     writer = csv.writer(text)
-    writer.writerow([*done.plan.axes, "direction", *Reading._fields])
-    writer.writerows(_rows(done))
+    names, rows = table(done)
+    writer.writerow(names)
+    writer.writerows([["" if isinstance(cell, float) and math.isnan(cell) else cell for cell in row] for row in rows])
     files.write_text(done.directory / CSV_FILE, text.getvalue())
     regimes = {
         layer: dict(sorted(Counter(str(word) for word in values["regime"].ravel() if word).items()))
@@ -142,6 +143,11 @@ def write_results(done: FinishedMap, more: dict[str, object]) -> None:
     }
     content = {"title": done.plan.title, "points": done.plan.points, "measured_on": "mechanics", "regimes": regimes}
     files.write_text(done.directory / JSON_FILE, json.dumps({**content, **more}, indent=2) + "\n")
+
+
+def table(done: FinishedMap) -> tuple[list[str], list[list[object]]]:
+    """Return the names of the columns and a row a measured place; NaN where a reading is none."""
+    return [*done.plan.axes, "direction", *Reading._fields], list(_rows(done))
 
 
 def _rows(done: FinishedMap) -> Iterable[list[object]]:
@@ -153,7 +159,7 @@ def _rows(done: FinishedMap) -> Iterable[list[object]]:
             numbers = [float(values[name][place]) for name in _NUMBERS]
             yield [
                 *(axis[i] for axis, i in zip(axes, place, strict=True)), layer,
-                str(values["regime"][place]), *("" if math.isnan(number) else repr(number) for number in numbers),
+                str(values["regime"][place]), *numbers,
             ]  # fmt: skip
 
 
@@ -167,16 +173,23 @@ def stored(line: Line, directory: Path) -> list[Reading] | None:
     try:
         found = json.loads(files.read_bytes(directory / FOLDER / f"{line.key}.json", MAX_LINE_BYTES))
         rows = found["readings"]
-        if found["code"] != code() or len(rows) != len(line.values):
+        if found["code"] != code() or found["key"] != line.key or len(rows) != len(line.values):
             return None
         return [_reading(row) for row in rows]
-    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+    except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError):
         return None
 
 
 def _store(line: Line, readings: Sequence[Reading], directory: Path) -> None:
     rows = [[one.regime, *(x if math.isfinite(x) else None for x in map(float, one[1:]))] for one in readings]
-    content = {"line": line.describe(), "code": code(), "along": line.along, "values": line.values, "readings": rows}
+    content = {
+        "line": line.describe(),
+        "key": line.key,
+        "code": code(),
+        "along": line.along,
+        "values": line.values,
+        "readings": rows,
+    }
     try:
         files.write_text(directory / FOLDER / f"{line.key}.json", json.dumps(content) + "\n")
     except OSError as error:
@@ -187,4 +200,6 @@ def _reading(row: Sequence[object]) -> Reading:
     if len(row) != len(Reading._fields):
         raise ValueError("not a reading")
     numbers = [math.nan if value is None else float(value) for value in row[1:]]  # type: ignore[arg-type]  # it raises
+    if any(math.isinf(value) for value in numbers) or not (row[0] == FAILED or numbers[0] > 0.0):
+        raise ValueError("not a reading")
     return Reading(str(row[0]), *numbers)

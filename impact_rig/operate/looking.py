@@ -9,18 +9,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import attrs
 import numpy as np
 from numpy.typing import NDArray
 
+from impact_rig.analysis.spread import student_factor, variance_of_mean
 from impact_rig.operate.phase_lock import LockPlan, PhaseLock
 from impact_rig.operate.phasors import Look
 from impact_rig.operate.plan import Setpoint
 from impact_rig.operate.stepped_sine import State
 from impact_rig.simtime import NS_PER_S
 
+FEWEST = 6
+"""Looks from which their scatter says something."""
 NEVER_S = 1e9
 """Rig time that no test takes."""
 
@@ -54,6 +57,39 @@ def lock_on(plan: LockPlan, apparatus: LoopApparatus) -> PhaseLock:
     return lock
 
 
+class Mean(NamedTuple):
+    """A locked stretch: means with standard uncertainties.
+
+    Attributes:
+        frequency_hz: of the resonance.
+        u_frequency_hz: by the scatter of the looks, correlation included, and by the mean phase's distance from −90°.
+        dt: |X_1| / |X_b|.
+        u_dt: by the scatter of the looks and by the sensitivities, which are common to all that a rig measures.
+    """
+
+    frequency_hz: float
+    u_frequency_hz: float
+    dt: float
+    u_dt: float
+
+
+def mean(rows: NDArray[np.void], u_gain: float) -> Mean:
+    """Return the means of looks (`PHASE_LOCK`), shape (n,); uncertainties are NaN for fewer than `FEWEST`.
+
+    Against the base the resonance lies (f/2) Re(X_b/X_1) above the frequency of a look, whatever the damping; where the
+    mean phase is not −90°, that much is uncertain.
+    """
+    frequency = float(np.mean(rows["frequency"]))
+    dt = float(np.mean(rows["laser_amplitude"]) / np.mean(rows["base_amplitude"]))
+    if len(rows) < FEWEST:
+        return Mean(frequency, math.nan, dt, math.nan)
+    widened = student_factor(len(rows))
+    left = 0.5 * frequency * float(np.mean(np.cos(rows["phase"]) / rows["transmissibility"]))
+    u_frequency = math.sqrt(variance_of_mean(rows["frequency"].astype(float)) * widened)
+    u_dt = math.sqrt(variance_of_mean(rows["transmissibility"].astype(float)) * widened)
+    return Mean(frequency, math.hypot(u_frequency, left), dt, math.hypot(u_dt, dt * u_gain))
+
+
 @attrs.frozen(kw_only=True)
 class Ladder:
     """A backbone: the locked loop over currents, visited up, then down.
@@ -80,8 +116,8 @@ class Rung:
     Attributes:
         direction: up or down.
         current_a: commanded.
-        frequency_hz: mean.
-        dt: mean of the amplitudes' ratio.
+        frequency_hz: mean; u_frequency_hz: its standard uncertainty, see `Mean`.
+        dt: ratio of the mean amplitudes; u_dt likewise.
         spread: relative standard deviation of DT from look to look.
         superior_m: mean amplitude.
         base_m: mean amplitude.
@@ -93,7 +129,9 @@ class Rung:
     direction: str
     current_a: float
     frequency_hz: float
+    u_frequency_hz: float
     dt: float
+    u_dt: float
     spread: float
     superior_m: float
     base_m: float
@@ -119,7 +157,7 @@ def climb(ladder: Ladder, apparatus: LoopApparatus) -> tuple[list[Rung], str]:
         _pass(lock, apparatus, ladder.mean_s)
         if lock.state is not State.RUNNING:
             return rungs, lock.reason
-        rungs.append(_rung(direction, current, lock.rows[first:], rungs[-1:], ladder.jump))
+        rungs.append(_rung(direction, current, lock.rows[first:], lock.u_gain, rungs[-1:], ladder.jump))
     lock.abort("done")
     apparatus.set(Setpoint(lock.frequency_hz, 0.0))
     return rungs, ""
@@ -133,16 +171,21 @@ def _pass(
     follow(lock, apparatus, lambda one: until(one) or apparatus.now_ns() >= end_ns)
 
 
-def _rung(direction: str, current: float, rows: NDArray[np.void], before: Sequence[Rung], jump: float) -> Rung:
+def _rung(
+    direction: str, current: float, rows: NDArray[np.void], u_gain: float, before: Sequence[Rung], jump: float
+) -> Rung:
     ratio = np.mean(rows["transmissibility"] * np.exp(1j * rows["phase"]))
-    dt = float(np.mean(rows["laser_amplitude"]) / np.mean(rows["base_amplitude"]))
+    means = mean(rows, u_gain)
+    dt = means.dt
     locked = bool(np.all(rows["locked"] == 1.0))
     jumped = any(abs(math.log(dt / one.dt)) > math.log1p(jump) or one.locked != locked for one in before)
     return Rung(
         direction=direction,
         current_a=current,
-        frequency_hz=float(np.mean(rows["frequency"])),
+        frequency_hz=means.frequency_hz,
+        u_frequency_hz=means.u_frequency_hz,
         dt=dt,
+        u_dt=means.u_dt,
         spread=float(np.std(rows["transmissibility"]) / dt),
         superior_m=float(np.mean(rows["laser_amplitude"])),
         base_m=float(np.mean(rows["base_amplitude"])),

@@ -129,6 +129,7 @@ class PhaseLock:
         self.state, self.stage, self.reason = State.IDLE, Stage.SEEKING, ""
         self.frequency_hz, self.current_a = plan.start_hz, plan.current_a
         self.locked_ns: int | None = None
+        self.u_gain = 0.0
         self._began_ns = self._held_ns = 0
         self._rows: list[tuple[float, ...]] = []
         self._slope = 0.0  # Hz per tan φ'
@@ -188,6 +189,7 @@ class PhaseLock:
             self._seek(turned)
         else:
             self._track(look.end_ns, turned)
+        self.u_gain = look.u_gain
         self._note(look, turned)
         self._watch(look.end_ns)
         return self._setpoint()

@@ -29,6 +29,7 @@ class Look(NamedTuple):
         base: complex amplitude [m]; only ratios of the three mean anything.
         superior: complex amplitude [m].
         current: complex amplitude [A].
+        u_gain: relative standard uncertainty of DT by the sensitivities, at these amplitudes.
     """
 
     end_ns: int
@@ -36,6 +37,7 @@ class Look(NamedTuple):
     base: complex
     superior: complex
     current: complex
+    u_gain: float = 0.0
 
     @property
     def dt(self) -> float:
@@ -79,4 +81,5 @@ class PhasorMeter:
         phasors = found[1] - 1j * found[2]
         seen = [complex(self._calibration.response(channel, frequency_hz)) for channel in (BASE, LASER, CURRENT)]
         base, superior, current = (complex(y / r) for y, r in zip(phasors, seen, strict=True))
-        return Look(end_ns, frequency_hz, base, superior, current)
+        u = [self._calibration.gain_uncertainty_at(ch, abs(x)) for ch, x in ((BASE, base), (LASER, superior))]
+        return Look(end_ns, frequency_hz, base, superior, current, math.hypot(*u))

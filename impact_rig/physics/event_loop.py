@@ -24,13 +24,13 @@ from impact_rig.arithmetic.records import records
 from impact_rig.kernels import INTEGERS, Fields, entry, kernel
 from impact_rig.physics.energy import account_flight
 from impact_rig.physics.flight import STOPPED, aim, carry, fly, look, rounding
-from impact_rig.physics.forcing import SEGMENT, Forcing, bound_omega, transfer
+from impact_rig.physics.forcing import SEGMENT, Forcing, bound_omega, drive, transfer
 from impact_rig.physics.foresight import forget
 from impact_rig.physics.indentation import turned_at
 from impact_rig.physics.model import MODEL
 from impact_rig.physics.outcome import leap, look_up
 from impact_rig.physics.pair import expand
-from impact_rig.physics.parameters import HELD, LOOSE
+from impact_rig.physics.parameters import HELD, LOOSE, PRESCRIBED
 from impact_rig.physics.state import (
     ATTACHED,
     CONTACT,
@@ -42,7 +42,9 @@ from impact_rig.physics.state import (
     PRESS,
     STATE,
     V1,
+    VB,
     X1,
+    XB,
 )
 from impact_rig.physics.touching import (
     FAILED,
@@ -141,19 +143,24 @@ def _least_speed(p, s):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _part(p, s, way):  # type: ignore[no-untyped-def]
+def _part(p, s, way, ledger):  # type: ignore[no-untyped-def]
     """Let a sphere at rest on the base begin to slide: with the least speed, and nothing added to the momentum."""
     if s.side != 0.0:
         s.dent, s.dent_side = max(0.0, s.side * s.d - p.half_gap), s.side
     rate = way * _least_speed(p, s)
     s.y[V1] -= p.share * rate
+    ledger.contact -= 0.5 * p.m_eff * rate * rate
     _fly_on(p, s, s.d, rate)
 
 
 @kernel
-def _touch(p, s, side, segment):  # type: ignore[no-untyped-def]
-    """Begin a contact with the wall just reached: y becomes that of the pair."""
+def _touch(p, s, side, segment, ledger):  # type: ignore[no-untyped-def]
+    """Begin a contact with the wall just reached: y becomes that of the pair.
+
+    The energy that the least speed adds is a negative loss of the contact.
+    """
     speed = max(side * s.d_rate, p.touch_speed)
+    ledger.contact -= 0.5 * p.m_eff * (speed * speed - s.d_rate * s.d_rate)
     if s.dent_side != side:
         s.dent, s.dent_side = 0.0, side
     s.y[V1] += p.share * s.d_rate  # not `speed`: the least speed must not change the pair's momentum
@@ -216,7 +223,7 @@ def _bounce(p, s, side, acceleration, noise, desk):  # type: ignore[no-untyped-d
     s.y[V1] += p.share * side * (speed + away)
     s.side, s.approach, s.elapsed, s.peak_force = side, speed, 0.0, 0.0
     s.impulse, s.lost = p.m_eff * speed * (1.0 + e), 0.5 * p.m_eff * speed * speed * (1.0 - e * e)
-    desk.ledger[0].contact += s.lost
+    desk.ledger[0].contact += 0.5 * p.m_eff * (s.d_rate * s.d_rate - away * away)
     if speed > p.touch_speed:
         _note(desk, s, e * speed, 0.0)
     if rides:
@@ -246,12 +253,12 @@ def _free_phase(model, f, desk, t_end, segment, account):  # type: ignore[no-unt
             s.y[V1] += p.share * s.d_rate
             _hold(s, s.d, 0.0)
         else:
-            _part(p, s, -np.sign(acceleration))
+            _part(p, s, -np.sign(acceleration), desk.ledger[0])
     elif p.rigid:
         s.begin_segment, s.begin_t = segment, s.t
         _bounce(p, s, float(touched), acceleration, rounding(p, system, k, s.t), desk)
     else:
-        _touch(p, s, float(touched), segment)
+        _touch(p, s, float(touched), segment, desk.ledger[0])
 
 
 @kernel
@@ -265,7 +272,7 @@ def _attached_phase(model, f, desk, t_end, account):  # type: ignore[no-untyped-
     if account:
         account_flight(p, system, f, k, s.t, desk.ledger[0])
     if parted != 0.0:
-        _part(p, s, parted)
+        _part(p, s, parted, desk.ledger[0])
 
 
 @kernel
@@ -307,7 +314,11 @@ def _contact_phase(model, f, desk, t_end, account):  # type: ignore[no-untyped-d
     """Go on with a contact; return LEFT, RELEASED or SETTLED where it ends, or what else stopped it."""
     p, s, k, ledger = model.parameters[0], desk.states[0], desk.press[0], desk.ledger[0]
     forget(k)
+    ended = NOTHING
     for _ in range(_STEPS):
+        if s.w == 0.0 and s.speed < 0.0:  # the last segment ended where the sphere left
+            ended = LEFT
+            break
         expand(p, f, s, k)
         if s.next_step == 0.0:
             if _leap_over(model, f, desk, t_end, account):
@@ -351,6 +362,17 @@ def _ready(model, f, desk, t_end, fresh):  # type: ignore[no-untyped-def]
         aim(system, f, k, t_end)
 
 
+@kernel
+def _move_base(p, f, s, ledger):  # type: ignore[no-untyped-def]
+    """Let a prescribed base begin a segment; where it jumps to its place, the springs of the columns take that work."""
+    x_1 = s.y[X1]
+    if s.phase == CONTACT:
+        x_1 -= p.share * s.side * s.w * s.w
+    before = s.y[XB]
+    s.y[XB], s.y[VB] = drive(f, 0.0)
+    ledger.work += p.k_1 * (s.y[XB] - before) * (0.5 * (s.y[XB] + before) - x_1)
+
+
 @entry(MODEL, SEGMENT, int, int, DESK, bool, returns=(int, int))
 def run(model, segments, index, base, desk, account):  # type: ignore[no-untyped-def]
     """Advance the state through `segments[index:]`, numbered from `base`; return (how it ended, the segment it is in).
@@ -365,6 +387,8 @@ def run(model, segments, index, base, desk, account):  # type: ignore[no-untyped
         t_end, fresh = row.duration, True
         if s.t == 0.0:
             desk.first[index] = desk.filled[0].knots
+            if model.parameters[0].drive == PRESCRIBED:
+                _move_base(model.parameters[0], f, s, desk.ledger[0])
         for _ in range(_EVENTS_PER_SEGMENT):
             if desk.filled[0].knots + ROOM > desk.knots.shape[0] or desk.filled[0].impacts + 2 > desk.impacts.shape[0]:
                 return NEED_ROOM, index
@@ -385,6 +409,8 @@ def run(model, segments, index, base, desk, account):  # type: ignore[no-untyped
                 break
         else:
             return STUCK, index
+        if model.parameters[0].drive == PRESCRIBED:  # not integrated, but the energy depends on it
+            s.y[XB], s.y[VB] = drive(f, t_end)
         s.t = 0.0
         index += 1
     return DONE, index

@@ -31,7 +31,7 @@ from impact_rig.physics.state import V1, VB, X1, XB
 
 ERROR_ORDER = 8.0  # in h, of the relieved estimate: between 6, where it is relieved by a constant, and 10
 _RELIEF = 1e4  # found by trial: the largest with which contacts still keep their tolerance
-_ROUNDS = 12
+FEW_ROUNDS, ROUNDS = 12, 24  # most steps need three to six; one that needs many is better taken shorter
 _SLOW = 0.1  # a round that shrinks the change by no more than this factor makes the next one renew the matrix
 _CONVERGED = 0.1  # of what the contact's own speeds allow
 _RESOLUTION = 2.0**-48  # of the speeds: Newton cannot come closer
@@ -108,8 +108,8 @@ def _press(p, force, s, k):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _linearise(k, h):  # type: ignore[no-untyped-def]
-    """Fill `k.matrix` with the inverse of A⁻¹ − h ∂slope/∂δ' − (h²/2) ∂slope/∂w A (Gauss–Jordan, no pivoting).
+def _differentiate(k, h):  # type: ignore[no-untyped-def]
+    """Fill `k.matrix` with A⁻¹ − h ∂slope/∂δ' − (h²/2) ∂slope/∂w A.
 
     That is A⁻¹ times the derivative of the equations v − v_0 − hA slope(v) = 0, but for the thrust's, which is small.
     """
@@ -119,6 +119,27 @@ def _linearise(k, h):  # type: ignore[no-untyped-def]
         for j in range(STAGES):
             m[i, j] = INVERSE[i, j] - through_w * MATRIX[i, j]
         m[i, i] -= h * k.slope_by_speed[i]
+
+
+@kernel
+def _differentiate_thrust(k, h):  # type: ignore[no-untyped-def]
+    """Add the thrust's part to `k.matrix`, −(h³/2) ∂slope/∂t A²."""
+    for i in range(STAGES):
+        rate = 0.0
+        for n in range(k.terms - 1, 0, -1):
+            rate = rate * k.since[i] + n * k.thrust[n]
+        through_time = 0.5 * h * h * h * k.w[i] * rate
+        for j in range(STAGES):
+            square = 0.0
+            for q in range(STAGES):
+                square += MATRIX[i, q] * MATRIX[q, j]
+            k.matrix[i, j] -= through_time * square
+
+
+@kernel
+def _invert(k):  # type: ignore[no-untyped-def]
+    """Replace `k.matrix` by its inverse (Gauss–Jordan, no pivoting)."""
+    m = k.matrix
     for i in range(STAGES):
         pivot = 1.0 / m[i, i]
         m[i, i] = 1.0
@@ -153,18 +174,25 @@ def _improve(s, k, h):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def solve(p, force, s, k, h):  # type: ignore[no-untyped-def]
-    """Solve a step of length h; return whether Newton converged. The stages hold the step, the last one its end."""
+def solve(p, force, s, k, h, rounds):  # type: ignore[no-untyped-def]
+    """Solve a step of length h; return whether Newton converged. The stages hold the step, the last one its end.
+
+    A sphere that rests on the wall until the thrust lifts it off takes steps through which the thrust decides the
+    indentation: where Newton's method does not come near enough without the thrust's derivative, it goes on with it.
+    """
     guess(s, k, h)
     k.recoil[:] = 0.0
     before, contraction = 0.0, 1.0
-    for _ in range(_ROUNDS):
+    for n in range(rounds):
         _place(s, k, h)
         improve_recoil(p, k, h)
         _push(p, k)
         _press(p, force, s, k)
-        if contraction > _SLOW:
-            _linearise(k, h)
+        if contraction > _SLOW or n >= FEW_ROUNDS:
+            _differentiate(k, h)
+            if n >= FEW_ROUNDS:
+                _differentiate_thrust(k, h)
+            _invert(k)
         change = _improve(s, k, h)
         if change == math.inf:
             return False

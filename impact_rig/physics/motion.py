@@ -59,19 +59,20 @@ class Motion:
         return self.first_segment + len(self.segments) - 1
 
     def sample(self, segment: NDArray[np.int64], offset_s: NDArray[np.float64]) -> NDArray[np.void]:
-        """Return all quantities (dtype `SAMPLE`, SI) at the instants, shape (n,); fastest when in order."""
-        rows: NDArray[np.void] = np.ascontiguousarray(self.quantities(QUANTITIES, segment, offset_s).T).view(SAMPLE)
-        return rows.reshape(-1)
+        """Return all quantities (dtype `SAMPLE`, SI) at the instants, in their shape; fastest when in order."""
+        found = np.moveaxis(self.quantities(QUANTITIES, segment, offset_s), 0, -1)
+        rows: NDArray[np.void] = np.ascontiguousarray(found).view(SAMPLE)[..., 0]
+        return rows
 
     def quantity(self, name: str, segment: NDArray[np.int64], offset_s: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return one quantity of `SAMPLE` at the given instants, shape (n,)."""
+        """Return one quantity of `SAMPLE` at the given instants, in their shape."""
         column: NDArray[np.float64] = self.quantities((name,), segment, offset_s)[0]
         return column
 
     def quantities(
         self, names: tuple[str, ...], segment: NDArray[np.int64], offset_s: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Return some quantities of `SAMPLE` at the given instants, shape (names, n): cheaper than one by one.
+        """Return some quantities of `SAMPLE` at the given instants, shape (names, *instants): cheaper than one by one.
 
         Raises:
             ValueError: an instant is in none of the segments, or the shapes differ.
@@ -80,13 +81,14 @@ class Motion:
         offset_s = np.ascontiguousarray(offset_s, np.float64)
         if segment.shape != offset_s.shape:
             raise ValueError(f"segment and offset must have one shape, got {segment.shape} and {offset_s.shape}")
-        out = np.empty((len(names), len(segment)))
-        if not sample(self._model, self._trajectory, Query(_places(names), segment, offset_s, out), self._bench):
+        out = np.empty((len(names), segment.size))
+        query = Query(_places(names), segment.reshape(-1), offset_s.reshape(-1), out)
+        if not sample(self._model, self._trajectory, query, self._bench):
             raise ValueError(
                 f"this motion holds segments {self.first_segment} to {self.last_segment}, "
                 f"got {segment.min()} to {segment.max()}"
             )
-        return out
+        return out.reshape(len(names), *segment.shape)
 
     def breakpoints(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
         """Return (segment, offset) of the instants between which every quantity is smooth, in order.

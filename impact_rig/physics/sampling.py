@@ -23,7 +23,7 @@ from impact_rig.physics.collocation import LAST
 from impact_rig.physics.flight import launch
 from impact_rig.physics.forcing import SEGMENT, Forcing, bound_omega, drive, particular, transfer, turned
 from impact_rig.physics.foresight import foreseen, forget, remember
-from impact_rig.physics.indentation import begin_step, solve
+from impact_rig.physics.indentation import ROUNDS, begin_step, solve
 from impact_rig.physics.model import MODEL
 from impact_rig.physics.pair import add_recoil, expand, moved
 from impact_rig.physics.parameters import HELD, LOOSE, PRESCRIBED, VOLTAGE
@@ -266,10 +266,10 @@ def _inside(model, step, k, end, since):  # type: ignore[no-untyped-def]
         return step.w, step.speed
     h = step.step if since >= end[0] else _length_to(step, k, end, since)
     for _ in range(_CORRECTIONS):
-        solve(model.parameters[0], model.force, step, k, h)
+        solve(model.parameters[0], model.force, step, k, h, ROUNDS)
         if k.w[LAST] > 0.0 and since < end[0]:
             h = min(step.step, h - (k.since[LAST] - since) / k.w[LAST])
-    solve(model.parameters[0], model.force, step, k, h)
+    solve(model.parameters[0], model.force, step, k, h, ROUNDS)
     return max(k.w[LAST], 0.0), k.speed[LAST]
 
 
@@ -314,7 +314,7 @@ def _solve_again(model, f, step, k):  # type: ignore[no-untyped-def]
     if step.step == 0.0:
         return 0.0, step.w, step.speed
     forget(k)
-    solve(p, model.force, step, k, step.step)
+    solve(p, model.force, step, k, step.step, ROUNDS)
     remember(step, k, step.step)
     return k.since[LAST], max(k.w[LAST], 0.0), k.speed[LAST]
 

@@ -14,7 +14,7 @@ from impact_rig.arithmetic.records import for_kernels, records, with_fields
 from impact_rig.errors import SimulationError
 from impact_rig.physics import contact as contact_laws
 from impact_rig.physics.event_loop import NEED_ROOM, STUCK, Desk, new_desk, run
-from impact_rig.physics.forcing import SEGMENT, Forcing, drive
+from impact_rig.physics.forcing import SEGMENT
 from impact_rig.physics.indentation import turned_at
 from impact_rig.physics.model import CONTACT_RTOL, Model, build
 from impact_rig.physics.motion import Motion
@@ -167,11 +167,6 @@ class Simulation:
                     f"at {desk.states[0]['t']:.9f} s of it: the motion cannot be resolved"
                 )
             desk = self._desk = _grown(desk)
-        if self._model.parameters["drive"][0] == PRESCRIBED and len(segments):
-            # its motion is not integrated, but the energy depends on it
-            last = segments[-1]
-            f = Forcing(last["omega"], last["phase"], last["amplitude"], last["slope"])
-            desk.states[0]["y"][[XB, VB]] = drive(f, last["duration"])
         knots, impacts = int(filled["knots"]), int(filled["impacts"])
         desk.first[-1] = knots
         motion = Motion(

@@ -37,8 +37,8 @@ Left out: the order μ², how long a contact lasts, and what the harmonics do aw
 
 Sources: O. V. Gendelman & A. Alloni (2015), "Dynamics of forced system with vibro-impact energy sink", J. Sound Vib.
 358, 301–314; E. Gourc, G. Michon, S. Seguy & A. Berlioz (2015), "Targeted energy transfer under harmonic forcing with
-a vibro-impact nonlinear energy sink: analytical and experimental developments", J. Vib. Acoust. 137, 031008; recent
-use for design: doi 10.1007/s11071-025-10928-4. Recoil and both bounds of Θ are derived here.
+a vibro-impact nonlinear energy sink: analytical and experimental developments", J. Vib. Acoust. 137, 031008.
+Recoil and both bounds of Θ are derived here.
 """
 
 from __future__ import annotations

@@ -29,7 +29,7 @@ from impact_rig.kernels import kernel
 from impact_rig.physics.collocation import GAUSS_NODES, GAUSS_WEIGHTS, LAST, MATRIX, POINTS, STAGES
 from impact_rig.physics.energy import add_powers
 from impact_rig.physics.foresight import foreseen, remember, slope_foreseen
-from impact_rig.physics.indentation import begin_step, estimate, rescaled, solve, turned_at
+from impact_rig.physics.indentation import FEW_ROUNDS, ROUNDS, begin_step, estimate, rescaled, solve, turned_at
 from impact_rig.physics.pair import add_recoil, moved
 from impact_rig.physics.state import V1, X1
 
@@ -39,6 +39,7 @@ _IN_ORDER = (LEFT, TIME, RELEASED, TURNED, RELOADED)  # past LEFT the others mea
 _REJECTIONS = 60
 _LANDINGS = 12  # Newton needs two to four
 _LANDED = 1e-10  # of the quantity's own scale: as near as Newton's method solves a step
+_COLLAPSED = 1e-4  # of w: smaller within one step, it is taken shorter, see `_first_event`
 _SMALLEST = 1e-300
 _FIRST_STEP = 0.2
 _HOP = 3.0
@@ -120,7 +121,7 @@ def _land(p, force, s, k, event):  # type: ignore[no-untyped-def]
     low, high = 0.0, s.step
     s.step = _about(p, force, s, k, event)
     for _ in range(_LANDINGS):
-        if not solve(p, force, s, k, s.step):
+        if not solve(p, force, s, k, s.step, ROUNDS):
             return False
         beyond = _beyond(p, force, s, k, event, (k.since[LAST], k.w[LAST], k.speed[LAST]))
         if abs(beyond) <= _LANDED:
@@ -134,10 +135,31 @@ def _land(p, force, s, k, event):  # type: ignore[no-untyped-def]
         if not low < s.step < high:
             s.step = 0.5 * (low + high)
     else:  # as near as numbers resolve: what is in k must be the step whose length is in s
-        if not solve(p, force, s, k, s.step):
+        if not solve(p, force, s, k, s.step, ROUNDS):
             return False
     remember(s, k, s.step)
     return True
+
+
+@kernel
+def _first_event(p, force, s, k):  # type: ignore[no-untyped-def]
+    """End the step solved last at the first event that it went beyond; return that, NOTHING or FAILED.
+
+    What ends there must be as exact as any step, and touch the wall all the way: near the end of a contact and where
+    the thrust jumps, the equations of a long step have a second, false solution, in which the indentation collapses at
+    once or passes through zero and back, and the time with it.
+    """
+    ended = NOTHING
+    for event in _IN_ORDER:
+        if _beyond(p, force, s, k, event, (k.since[LAST], k.w[LAST], k.speed[LAST])) > _LANDED:
+            if not _land(p, force, s, k, event) or estimate(k, s.step) > 1.0:
+                return FAILED
+            ended = event
+    for i in range(STAGES):
+        slight = 0.0 if ended == LEFT and i >= LAST - 1 else _COLLAPSED * s.w
+        if not k.w[i] > slight and not (ended == LEFT and i == LAST):
+            return FAILED
+    return ended if k.since[LAST] > 0.0 else FAILED
 
 
 @kernel
@@ -148,9 +170,8 @@ def take_step(p, force, s, k):  # type: ignore[no-untyped-def]
     """
     begin_step(p, force, s, k)
     s.step = s.next_step
-    error = 0.0
     for _ in range(_REJECTIONS):
-        if not solve(p, force, s, k, s.step):
+        if not solve(p, force, s, k, s.step, FEW_ROUNDS):
             s.step *= 0.25
         elif k.since[LAST] > k.reach:
             s.step *= 0.9 * k.reach / k.since[LAST]
@@ -158,18 +179,14 @@ def take_step(p, force, s, k):  # type: ignore[no-untyped-def]
             remember(s, k, s.step)
             error = estimate(k, s.step)
             if error <= 1.0:
-                break
-            s.step = rescaled(s.step, error)
-    else:
-        return FAILED
-    s.next_step = rescaled(s.step, error)
-    ended = NOTHING
-    for event in _IN_ORDER:
-        if _beyond(p, force, s, k, event, (k.since[LAST], k.w[LAST], k.speed[LAST])) > _LANDED:
-            if not _land(p, force, s, k, event):
-                return FAILED
-            ended = event
-    return ended
+                s.next_step = rescaled(s.step, error)
+                ended = _first_event(p, force, s, k)
+                if ended != FAILED:
+                    return ended
+                s.step *= 0.5  # nearer to the event the step up to it is an easier one
+            else:
+                s.step = rescaled(s.step, error)
+    return FAILED
 
 
 @kernel
@@ -199,10 +216,10 @@ def peak_in_step(p, force, s, k):  # type: ignore[no-untyped-def]
             low = middle
         else:
             high = middle
-    if solve(p, force, s, k, low * s.step):  # a step that ends at the peak; then the step itself again
+    if solve(p, force, s, k, low * s.step, ROUNDS):  # a step that ends at the peak; then the step itself again
         found, _ = _force_slope(p, force, s, k, (k.w[LAST], k.speed[LAST], k.slope[LAST]))
         peak = max(peak, found)
-    solve(p, force, s, k, s.step)
+    solve(p, force, s, k, s.step, ROUNDS)
     return peak
 
 

@@ -57,7 +57,7 @@ def build_report(directory: Path, target: Path | None = None, margins: Path | No
         sections = list(filter(None, _sections(done, varied, content, target.parent)))
     try:
         folder = directory / FIGURES_FOLDER
-        folder.mkdir(exist_ok=True)
+        files.make_folder(folder)
         for one in content.drawn:
             one.save(folder)
         content.write(target.parent / kept.FILE_NAME, done.campaign.title)

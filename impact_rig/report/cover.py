@@ -108,7 +108,8 @@ def apparatus(done: Finished, content: Content) -> Iterator[str]:
     yield heading("Instruments and their calibration")
     yield paragraph(
         "The certificate of the rig with this seed: what the analysis knows of the instruments. u(S): relative "
-        "standard uncertainty of the sensitivity; noise: rms; read after: conversion after the scan clock."
+        "standard uncertainty of the sensitivity for a small vibration; noise: rms; read after: conversion after the "
+        "scan clock."
     )
     headings = [
         "instrument",

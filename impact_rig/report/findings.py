@@ -95,8 +95,9 @@ def uncertainty(done: Finished, content: Content) -> Iterator[str]:
     repetitions = content.fact("budget_measurements", len(chosen.rows))
     yield paragraph(
         f"DT of one case, {name} at {frequency} Hz; settled measurements: {repetitions}. Type A comes from the "
-        "measurement itself, B from the certificate. What the sensitivities add is the same in every DT of this "
-        "report, so it cancels in reductions."
+        "measurement itself, B from the certificate. The sensitivity of a sensor is taken at the amplitude of this "
+        "case: its curve is part of it, so it differs from u(S) of the certificate, that of a small vibration. What "
+        "the sensitivities add is the same in every DT of this report, so it cancels in reductions."
     )
     rows: list[list[str | Cell]] = [
         [part.source, part.what, part.evaluation, *_shares(part, found.transmissibility, found.share(part))]
@@ -130,20 +131,20 @@ def chosen(config: RigConfig, content: Content) -> Iterator[str]:
     yield paragraph(
         f"The paper prints neither amplitudes nor these {content.fact('constants_chosen', len(rows))} constants; they "
         "were chosen so that its five reductions, its natural frequency and its statements come out. The five "
-        "reductions of this page are therefore a fit, not a validation; they determine the product m₁ζ, not m₁ and ζ "
-        "apart (docs/identification.md)."
+        "reductions of this page are therefore a fit, not a validation; of m₁, ζ and the current they determine two "
+        "combinations, not all three (docs/identification.md)."
     )
     yield content.table("chosen", ["constant", "value", "unit", "meaning"], rows, [1])
     yield paragraph(
-        "For nothing on this page beyond that was anything chosen: DT above resonance, regimes, impacts per cycle, the "
-        "optimum gap and every gap wider than the paper's."
+        "Nothing else on this page was fitted: not DT above resonance, not regimes and impacts per cycle, not the "
+        "optimum gap, and no gap wider than the paper's."
     )
     law = from_config(config.contact)
     nominal = content.fact("restitution_nominal", law.restitution, "g")
     returned = content.fact("restitution_realised", law.realised_restitution(), ".3f")
     yield paragraph(
         f"The contact law {config.contact.law.replace('_', ' ')} with the nominal restitution {nominal} "
-        f"really returns {returned}."
+        f"returns {returned} in this simulation."
     )
 
 

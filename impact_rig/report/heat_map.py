@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from impact_rig.drawing.style import Drawn, new_axes, style
 from impact_rig.errors import ConfigError
-from impact_rig.maps.plan import BOTH, CURRENT, DOWN, FREQUENCY, GAP, UP, MapPlan
+from impact_rig.maps.plan import BOTH, CURRENT, DOWN, FREQUENCY, GAP, POSITION, SPEED, UP, MapPlan
 from impact_rig.maps.run import FinishedMap
 from impact_rig.physics import prediction
 from impact_rig.rig.config import from_flat
@@ -22,11 +22,14 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 QUIET, TWO, OTHER, MODULATED, CHAOTIC, NONE = range(6)
-WORDS = ("no impacts", "two impacts per cycle", "periodic", "modulated", "chaotic")
+WORDS = ("no impacts", "two impacts per cycle", "periodic", "modulated", "chaotic or intermittent")
 OUTLINES = {QUIET: "#1b1f24", MODULATED: "#ff9347", CHAOTIC: "#ff6b6b", TWO: "#ffffff"}
 """Colours of the regimes' borders in the order in which they are drawn; what is left is periodic otherwise."""
 _COLUMNS = 2
-LABELS = {FREQUENCY: ("frequency (Hz)", 1.0), CURRENT: ("current (A)", 1.0), GAP: ("gap (mm)", 1e3)}
+LABELS = {
+    FREQUENCY: ("frequency (Hz)", 1.0), CURRENT: ("current (A)", 1.0), GAP: ("gap (mm)", 1e3),
+    POSITION: ("sphere at the beginning, from the middle (mm)", 1e3), SPEED: ("its speed (m/s)", 1.0),
+}  # fmt: skip
 APART = 0.01
 """Relative difference of DT from which up and down count as two answers."""
 
@@ -65,7 +68,7 @@ def classes(values: dict[str, NDArray[np.generic]]) -> NDArray[np.int64]:
     found[(regime == "periodic") & (period == 1.0) & (np.abs(impacts - 2.0) < 0.01)] = TWO
     found[(regime == "periodic") & (impacts == 0.0)] = QUIET
     found[regime == "modulated"] = MODULATED
-    found[regime == "chaotic"] = CHAOTIC
+    found[np.isin(regime, ("chaotic", "intermittent"))] = CHAOTIC
     return found
 
 

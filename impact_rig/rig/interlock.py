@@ -143,12 +143,13 @@ def check_amplitude(amplitude: float, drive: Drive, shaker: Shaker) -> None:
     Raises:
         CommandError: names value and range.
     """
-    name, unit, high, why = _amplitude_limit(drive, shaker)
+    name, unit, high, why = amplitude_limit(drive, shaker)
     if not math.isfinite(amplitude) or not 0.0 <= amplitude <= high:
         raise CommandError(f"{name} must be >= 0 and <= {high:.4g} {unit} ({why}), got {amplitude:g}")
 
 
-def _amplitude_limit(drive: Drive, shaker: Shaker) -> tuple[str, str, float, str]:
+def amplitude_limit(drive: Drive, shaker: Shaker) -> tuple[str, str, float, str]:
+    """Return name, unit and value of the largest amplitude that is taken, and what limits it."""
     if drive.kind == "prescribed":
         return "base amplitude", "m", shaker.travel_limit_m, "shaker.travel_limit_m"
     crest = 1.0 if drive.waveform == "random" else math.sqrt(2.0)

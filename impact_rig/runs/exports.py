@@ -9,7 +9,8 @@ are written so that reading them back gives the same bits.
 
 A universal file holds one dataset 58b (binary, double precision) per column of numbers: a time response over seconds
 since the first stamp. Of `transmissibility/table` and other tables with frequency, transmissibility and phase it is one
-frequency response function more per gap, complex, over the frequency: what modal analysis reads.
+frequency response function more per gap, or per word in a column `curve`, complex, over the frequency: what modal
+analysis reads.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ from impact_rig.recording.reader import Run
 from impact_rig.simtime import NS_PER_S
 from impact_rig.system import files
 
-STAMP, EARLIER = "stamp_ns", "earlier"
+STAMP, EARLIER, CURVE = "stamp_ns", "earlier", "curve"
 _BATCH_BYTES = 4 * 2**20  # a text takes four times as much when it is decoded, a number when it is written
 
 Columns = dict[str, NDArray[np.generic]]
@@ -184,23 +185,29 @@ def _datasets(columns: Columns) -> list[dict[str, object]]:
             if name not in (STAMP, EARLIER, "time")
         ]
     if {"frequency", "transmissibility", "phase"} <= numbers.keys():
-        found += _response_functions(numbers)
+        found += _response_functions(numbers, columns.get(CURVE))
     if not found:
         raise RecordingError("UFF holds functions of time or frequency; this table has neither")
     return found
 
 
-def _response_functions(numbers: Mapping[str, NDArray[np.float64]]) -> Iterator[dict[str, object]]:
-    """Yield X_1/X_b over the frequency, one function per gap; rows without a measurement stay out."""
+def _response_functions(
+    numbers: Mapping[str, NDArray[np.float64]], curve: NDArray[np.generic] | None
+) -> Iterator[dict[str, object]]:
+    """Yield X_1/X_b over the frequency, one function per curve or gap; rows without a measurement stay out."""
     ratio = numbers["transmissibility"] * np.exp(1j * numbers["phase"])
-    gaps = np.nan_to_num(numbers.get("gap", np.full(len(ratio), np.nan)), nan=-1.0)
-    for gap in np.unique(gaps[np.isfinite(ratio)]):
-        own = np.flatnonzero(np.isfinite(ratio) & (gaps == gap))
+    order = np.arange(len(ratio))
+    if curve is None:
+        gaps = np.nan_to_num(numbers.get("gap", np.full(len(ratio), np.nan)), nan=-1.0)
+        order = np.argsort(gaps, kind="stable")
+        curve = np.array(["" if gap < 0.0 else f"gap {gap * 1e3:g} mm" if gap else "no sphere" for gap in gaps])
+    for name in dict.fromkeys(curve[order].tolist()):
+        own = np.flatnonzero(np.isfinite(ratio) & (curve == name))
         own = own[np.argsort(numbers["frequency"][own], kind="stable")]
         if len(own) < 2:
             continue  # no function: pyuff refuses it
-        name = "X_1/X_b" if gap < 0.0 else f"X_1/X_b, gap {gap * 1e3:g} mm" if gap else "X_1/X_b, no sphere"
-        yield _dataset(name, _RESPONSE_FUNCTION, numbers["frequency"][own], ratio[own], "Hz")
+        title = f"X_1/X_b, {name}" if name else "X_1/X_b"
+        yield _dataset(title, _RESPONSE_FUNCTION, numbers["frequency"][own], ratio[own], "Hz")
 
 
 def _dataset(name: str, kind: int, x: NDArray[np.float64], y: NDArray[np.generic], unit: str) -> dict[str, object]:

@@ -166,49 +166,39 @@ def _joined(tables: Sequence[Table], origin_ns: int) -> NDArray[np.void]:
     return np.concatenate(parts)
 
 
-EXCITED = 0.9
-"""Coherence from which a frequency counts as one that the drive excites."""
+COHERENT = 0.9
+"""Coherence that some excited line has at least."""
 
 
-@attrs.frozen(eq=False)
-class FrequencyResponse:
-    """The frequency response x_1 / x_b of a record, with noise, sweep or sine as the drive made it.
-
-    Attributes:
-        frf: all lines.
-        excited: indices of the lines with a coherence of at least `EXCITED`, but for the mean, shape (k,), k > 0.
-        excerpt: the scans.
-    """
-
-    frf: Frf
-    excited: NDArray[np.intp]
-    excerpt: Excerpt
-
-
-def response_of(run: Run, segment_s: float) -> FrequencyResponse:
-    """Return the frequency response of the last record of a run.
+def response_of(
+    run: Run, segment_s: float | None = None, window: str = "hann", damping_ratio: float | None = None
+) -> Frf:
+    """Return the frequency response x_1 / x_b of the last record of a run, with at least one excited line.
 
     Args:
         run: an open run.
-        segment_s: length of a segment [s]: the lines lie 1 / segment_s apart.
+        segment_s: length of a segment [s]: the lines lie 1 / segment_s apart; None for what resolves the resonance.
+        window: of `analysis.frf`.
+        damping_ratio: of the resonance, instead of what is found.
 
     Raises:
         RecordingError: the record is too short, stands still, or nothing in it is excited well enough.
     """
     excerpt = last_record(run)
+    segment = None if segment_s is None else round(segment_s * excerpt.rate_hz)
     try:
-        found = transmissibility_frf(excerpt.rows, calibration_rows(run), round(segment_s * excerpt.rate_hz))
+        found = transmissibility_frf(
+            excerpt.rows, calibration_rows(run), segment, window=window, damping_ratio=damping_ratio
+        )
     except ValueError as error:  # ConfigError is one
         seconds = len(excerpt.rows) / excerpt.rate_hz
         raise RecordingError(f"{run.path}: no frequency response of its last {seconds:g} s: {error}") from error
-    excited = np.flatnonzero(np.nan_to_num(found.coherence) >= EXCITED)
-    excited = excited[excited > 0]
-    if not len(excited):
+    if not np.any(np.nan_to_num(found.coherence[found.excited]) >= COHERENT):
         raise RecordingError(
-            f"{run.path}: base and laser have a coherence of {EXCITED} at no frequency: drive the rig with a chirp or "
-            "noise (drive.waveform), or take longer segments"
+            f"{run.path}: the base moves the laser's object with a coherence of {COHERENT} at no frequency: drive the "
+            "rig with a chirp or noise (drive.waveform), or take longer segments"
         )
-    return FrequencyResponse(found, excited, excerpt)
+    return found
 
 
 @attrs.frozen(eq=False)

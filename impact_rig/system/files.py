@@ -93,6 +93,21 @@ def write_text(path: Path, text: str) -> None:
         file.write(text.encode())
 
 
+def make_folder(path: Path) -> None:
+    """Make a folder within a directory of results, with its parents, unless it is there; never write through a link.
+
+    Who may write to the directory could have laid out a link under the name that the folder always has, to a place
+    that only its user may write to.
+
+    Raises:
+        OSError: it cannot be made, or is a link.
+    """
+    if not path.is_symlink():
+        path.mkdir(parents=True, exist_ok=True)
+    if path.is_symlink():
+        raise OSError(errno.ELOOP, "it is a link, and nothing is written through one", str(path))
+
+
 def refuse_foreign(directory: Path) -> None:
     """Refuse a directory, or a link to one, that belongs to somebody else: the owner can change what is in it.
 

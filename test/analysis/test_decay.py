@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from kits.records import F_N, ZETA, info_rows
+from kits.records import F_N, ZETA, add_impacts, info_rows
 
 from impact_rig.analysis.decay import bent, fit_decay, log_decrement, measure_decay
 from impact_rig.analysis.drop import restitution_of_drops
@@ -125,6 +125,24 @@ def test_a_clipped_decay_is_named():
     assert measure_decay(flagged, info).status is Status.OVER_RANGE
     assert measure_decay(scans(np.full(5000, np.nan)), info).status is Status.NOT_FINITE
     assert measure_decay(scans(y), info).status is Status.OK
+
+
+def test_a_decay_of_a_damping_that_changes_with_the_amplitude_is_refused():
+    """Impacts that no accelerometer sees, say: twice the damping as long as the amplitude is large."""
+    rate = 500
+    time = np.arange(20 * rate) / rate
+    envelope = np.exp(-np.cumsum(np.where(time < 3.0, 0.5, 0.25)) / rate)
+    y = 5e-3 * envelope * np.cos(2 * np.pi * F_N * time) + 3e-6 * np.random.default_rng(1).standard_normal(len(time))
+    assert measure_decay(scans(y), info_rows(rate)).status is Status.NOT_EXPONENTIAL
+
+
+def test_a_decay_with_impacts_is_refused():
+    rate, rng = 10_000, np.random.default_rng(1)
+    rows = scans(decay(5.0, rate) + 3e-6 * rng.standard_normal(5 * rate))
+    rows["accelerometer"] = -((2 * np.pi * F_N) ** 2) * rows["laser"] + 0.05 * rng.standard_normal(len(rows))
+    assert measure_decay(rows, info_rows(rate)).status is Status.OK
+    add_impacts(rows["accelerometer"], rate, [0.5, 0.61, 0.83], [0.3, 0.2, 0.2], [1, -1, 1])
+    assert measure_decay(rows, info_rows(rate)).status is Status.IMPACTS
 
 
 def test_the_two_methods_agree_within_their_uncertainty():

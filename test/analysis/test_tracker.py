@@ -29,7 +29,7 @@ def test_a_settled_response_is_measured_window_after_window():
         assert abs(row["transmissibility"] - abs(truth)) < 3 * row["transmissibility_uncertainty"]
         assert abs(row["phase"] - np.angle(truth)) < 3 * row["phase_uncertainty"]
         assert row["transmissibility_uncertainty"] < 0.003 * abs(truth)
-        assert (row["settled"], row["cycles"], row["gap"], row["frequency"]) == (1, 48, 0.006, 9.1)
+        assert (row["settled"], row["cycles"], row["gap"], row["frequency"]) == (1, 48, 0.0, 9.1)
         # windows count from the command: the k-th row ends with the last scan of cycle 48 k
         last = int(np.ceil(48 * number * RATE / 9.1)) - 1
         assert table.stamp_ns == last * NS_PER_S // RATE
@@ -178,3 +178,43 @@ def test_the_state_says_what_the_measurement_does_and_since_when():
     assert seen[1].since_ns == 0
     assert seen[2].since_ns == (int(np.ceil(48 * RATE / 9.1)) - 1) * NS_PER_S // RATE
     assert seen[-1].since_ns == 28 * NS_PER_S
+
+
+def struck(rows, times_s, rate_hz=RATE):
+    add_impacts(rows["accelerometer"], rate_hz, times_s, np.full(len(times_s), 0.4), np.resize([1, -1], len(times_s)))
+    return rows
+
+
+@pytest.mark.parametrize(
+    ("gap_m", "strikes", "first_s", "age_s"),
+    [
+        pytest.param(0.0, False, 5.3, np.nan, id="no sphere"),
+        pytest.param(0.010, False, 10.5, np.nan, id="a sphere that never strikes"),
+        pytest.param(0.010, True, 16.4, 10.4, id="a sphere that struck for 6 s"),
+        pytest.param(np.nan, False, 5.3, np.nan, id="unknown, and no impact ever"),
+        pytest.param(np.nan, True, None, None, id="unknown, but there were impacts"),
+    ],
+)
+def test_a_response_without_impacts_is_settled_when_a_drifting_sphere_would_have_struck(gap_m, strikes, first_s, age_s):
+    """The structure is as steady as can be all the while: only the bound says that no impact will come."""
+    rows = record(seconds=25.0 if first_s else 30.0)
+    if strikes:
+        struck(rows, np.arange(0.2, 6.0, 0.0549))
+    made = tracker(gap_m=gap_m, tracker_settings=TrackerSettings(window_s=0.1, wait_limit_s=22.0))
+    measurements, _ = feed_all(made, blocks(rows, RATE, 20))
+    quiet = [t.rows[0] for t in measurements if t.rows[0]["settled"] == 1 and t.rows[0]["impacts_per_cycle"] == 0]
+    if first_s is None:
+        assert quiet == []
+        last = measurements[-1].rows[0]
+        assert (last["status"], last["regime"], last["settled"]) == (b"not_settled", b"intermittent", 0)
+        assert np.isfinite(last["transmissibility"])
+        return
+    assert quiet[0]["waited"] == pytest.approx(first_s, abs=0.7)
+    assert quiet[0]["impact_age"] == pytest.approx(age_s, abs=0.7, nan_ok=True)
+
+
+def test_regular_impacts_are_waited_for_no_longer():
+    rows = struck(record(seconds=7.0), (np.arange(126) + 0.3) / 18.2)
+    row = feed_all(tracker(gap_m=0.006), blocks(rows, RATE, 20))[0][0].rows[0]
+    assert row["waited"] == pytest.approx(48 / 9.1, abs=1 / RATE)
+    assert row["impact_age"] < 0.1

@@ -68,7 +68,7 @@ def test_repeating_a_command_or_label_disturbs_nothing():
     for number, table in enumerate(blocks(rows, RATE, 20)):
         if number % 100 == 50:
             made.on_applied(applied(9.1, at_ns=table.stamp_ns))
-            made.label(0.006, table.stamp_ns)
+            made.label(0.0, table.stamp_ns)
             made.configure(Table(table.stamp_ns, info_rows(RATE, since_start=table.stamp_ns / NS_PER_S)))
         found += made.feed(table).measurements
     assert words(found) == ["ok", "ok"]
@@ -81,7 +81,7 @@ def test_who_joins_late_takes_scan_0_from_the_calibration():
     late = Tracker(QUICK)
     late.configure(Table(round(since_s * NS_PER_S), info_rows(RATE, since_start=since_s)))
     late.on_applied(applied(9.1, at_ns=0))
-    late.label(0.006, 0)
+    late.label(0.0, 0)
     expected, _ = feed_all(tracker(), blocks(rows, RATE, 20))
     found, _ = feed_all(late, blocks(rows, RATE, 20))
     assert [t.rows.tobytes() for t in found] == [t.rows.tobytes() for t in expected]

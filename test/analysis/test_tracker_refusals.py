@@ -10,6 +10,7 @@ from kits.records import blocks, feed_all, info_rows, words
 from kits.tracker import RATE, record, tracker
 
 from impact_rig.analysis.findings import Counters
+from impact_rig.analysis.tables import SETTLED
 from impact_rig.analysis.tracker import Tracker
 from impact_rig.analysis.words import MEASURED, Status
 from impact_rig.blocks import Table
@@ -75,5 +76,7 @@ def test_a_bad_calibration_is_refused_and_the_old_one_kept():
 
 
 def test_words_that_carry_numbers_are_the_documented_ones():
-    assert {Status.OK, Status.ACCELEROMETER_OVER_RANGE, Status.NOT_SETTLED} == MEASURED
+    sound = {Status.OK, Status.ACCELEROMETER_OVER_RANGE, Status.ACCELEROMETER_UNSOUND}
+    assert sound | {Status.NOT_SETTLED} == MEASURED
+    assert sound == set(SETTLED)
     assert all(len(status.value) < 32 for status in Status), "text columns hold 32 bytes"

@@ -22,6 +22,7 @@ from kits.records import (
 
 from impact_rig.analysis.calibration import Calibration, first_order, pure_delay, two_pole
 from impact_rig.analysis.channels import BASE, LASER
+from impact_rig.analysis.cycles import distinct_phases
 from impact_rig.analysis.settings import TrackerSettings
 from impact_rig.analysis.transmissibility import measure_record
 from impact_rig.analysis.words import Method, Regime, Status
@@ -296,3 +297,55 @@ def test_rows_of_daq_info_may_come_in_any_order():
     ordered, reversed_ = (measure_record(rows, one, 9.1) for one in (info, info[::-1].copy()))
     assert ordered.transmissibility == reversed_.transmissibility
     assert ordered.phase_rad == reversed_.phase_rad
+
+
+def rounded(values, rng, step, noise):
+    return step * np.rint((values + noise * rng.standard_normal(len(values))) / step) if step else values
+
+
+@pytest.mark.parametrize(
+    ("r", "q", "noise_r", "noise_q"),
+    [(8e-6, 0.0, 0.0, 0.0), (8e-6, 0.0, 2e-6, 0.0), (0.0, 6.1e-6, 0.0, 1e-6), (8e-6, 9.8e-6, 2e-6, 0.6e-6)],
+    ids=["no noise", "some noise", "converter", "two steps that beat"],
+)
+@pytest.mark.parametrize("amplitude", [6e-6, 50e-6, 1e-3, 5.8e-3])
+def test_what_steps_do_to_a_sine_is_within_two_uncertainties(r, q, noise_r, noise_q, amplitude):
+    """Amplitudes and places between the steps drawn anew: hardly any error above 2u, the largest not far below."""
+    info = info_rows()
+    names = ("output_step", "output_noise", "converter_step", "converter_noise")
+    info[list(names)][LASER] = 0.0
+    for name, value in zip(names, (r, noise_r, q, noise_q), strict=True):
+        info[name][LASER] = value
+    calibration = Calibration.from_info(info)
+    rng, off = np.random.default_rng(3), []
+    turn = np.exp(2j * np.pi * (np.arange(8_000) + rng.random()) / 8_000)
+    for _ in range(30):
+        true = amplitude * (1.0 + 0.01 * rng.random())
+        first = rounded(true * turn.real + 1e-4 * rng.random(), rng, r, noise_r)
+        read = abs(2.0 * np.mean(rounded(first, rng, q, noise_q) * np.conj(turn)))
+        u = calibration.steps_uncertainty(LASER, read)
+        if u < TrackerSettings().worst_relative_uncertainty * read:  # or it would be no number
+            off.append((read - true) / u)
+    white = np.sqrt(2.0 * (noise_r**2 + noise_q**2 + (r**2 + q**2) / 12.0) / len(turn))
+    least = white / calibration.steps_uncertainty(LASER, amplitude)
+    assert len(off) == 30 or amplitude < r + q
+    assert np.all(np.abs(off) < 2.0 + 4.0 * least), off
+    assert len(off) < 30 or np.max(np.abs(off)) > 0.3, off
+
+
+def test_phases_that_recur_count_once():
+    assert distinct_phases(10_000, 100.0) == 100
+    assert distinct_phases(10_000, 100.0 / 3.0) == 100
+    assert distinct_phases(52_747, 10_000 / 9.1) == 10_989  # in ten cycles, to 0.01 of a scan
+    assert distinct_phases(5_000, 1000.37) == 5_000
+
+
+def test_a_certificate_without_steps_has_one_ahead_of_which_all_noise_is():
+    """A recording of an earlier version: its `resolution` is the step, blurred by its `noise`."""
+    info = info_rows()
+    info["resolution"][LASER] = 8e-6
+    old = info[[name for name in info.dtype.names if not name.startswith(("output_", "converter_"))]]
+    calibration = Calibration.from_info(old)
+    assert calibration.converter_step[LASER] == 8e-6
+    assert calibration.output_noise[LASER] == info["noise"][LASER]
+    assert 0.0 < calibration.steps_uncertainty(LASER, 20e-6) < 1e-6

@@ -23,6 +23,8 @@ from impact_rig.campaign.store import Store
 from impact_rig.cli import main
 from impact_rig.errors import RecordingError
 
+SHOWN_CURVES = ("pair, 6 mm, reset, 0.52 A", "sweep, 3 mm, up, 0.52 A", "sweep, 3 mm, down, 0.52 A")
+
 
 def test_a_stored_outcome_reads_back_bit_for_bit(measured, tmp_path):
     store = Store(tmp_path)
@@ -81,6 +83,21 @@ def test_a_result_of_other_code_is_shown_but_not_mixed_with_new_ones(tiny, measu
             assert store.get(job) is not None
     assert [store.get(job) for job, _ in measured.values()] == [None] * len(measured)
     assert len(run.open_finished(tmp_path).points) == 10, "a report needs no measuring"
+
+
+def test_curves_are_exported_as_a_universal_file(tiny, measured, tmp_path):
+    """The example of `impact-rig export --help`: a function per curve, those of other studies and directions apart."""
+    pyuff = pytest.importorskip("pyuff")
+    store = run.prepare(tiny, tmp_path / "campaign", "process")
+    for job, outcome in measured.values():
+        store.put(job, outcome)
+    assert main(["export", str(tmp_path / "campaign"), "points", str(tmp_path / "curves.uff")]) == 0
+    curves = {one["id1"]: one for one in pyuff.UFF(str(tmp_path / "curves.uff")).read_sets()}
+    assert set(curves) == {f"X_1/X_b, {curve}" for curve in SHOWN_CURVES}
+    up = curves["X_1/X_b, sweep, 3 mm, up, 0.52 A"]
+    assert up["x"].tolist() == [9.0, 9.2]
+    points = [point for point in run.finished(tiny, tmp_path / "campaign").points if point.direction == "up"]
+    assert np.abs(up["data"]) == pytest.approx([point.dt for point in points])
 
 
 def test_points_that_fail_are_reported_and_do_not_stop_the_rest(tiny, measured, tmp_path):

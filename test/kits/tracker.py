@@ -16,7 +16,7 @@ RATE = 2000  # enough for 9.1 Hz and quick; the detector works from 2 kS/s on
 QUICK = TrackerSettings(window_s=0.1)
 
 
-def tracker(frequency_hz=9.1, *, rate_hz=RATE, tracker_settings=QUICK, start_ns=0, gap_m=0.006, info=None):
+def tracker(frequency_hz=9.1, *, rate_hz=RATE, tracker_settings=QUICK, start_ns=0, gap_m=0.0, info=None):
     made = Tracker(tracker_settings)
     made.configure(Table(start_ns, info_rows(rate_hz) if info is None else info))
     if frequency_hz is not None:

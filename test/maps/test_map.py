@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from pathlib import Path
 
 import attrs
@@ -77,6 +78,53 @@ def test_two_impacts_per_cycle_are_the_prediction(small):
     assert values["impacts_per_cycle"][place] == 2.0
     assert classes(values)[place] == TWO
     assert {*values["regime"].ravel()} <= {"periodic", "modulated", "chaotic"}
+
+
+COEXISTENCE = """
+title: coexistence
+axes:
+  sphere_position_m: [-0.0105, 0.007]
+  sphere_speed_m_s: [-0.75, 0.0]
+set: {barriers.gap_m: 0.030}
+frequency_hz: 9.1
+"""
+
+
+def test_where_the_sphere_begins_decides_between_three_motions(tmp_path):
+    """30 mm, 9.1 Hz: two impacts per cycle, none, and a third motion that no start at rest reaches."""
+    (tmp_path / "map.yaml").write_text(COEXISTENCE)
+    found = [reading for line in load_map(tmp_path / "map.yaml").lines() for reading in measure_line(line)]
+    assert sorted(round(reading.dt) for reading in found) == [36, 36, 96, 110]
+    (third,) = [reading for reading in found if round(reading.dt) == 96]
+    assert 2.0 < third.impacts_per_cycle < 3.0
+
+
+def test_starts_are_measured_one_beside_the_other(tmp_path):
+    path = written(tmp_path, "axes: {gap_m: [0.02, 0.03], frequency_hz: [9.1, 9.2]}\nstarts: [left, centre]\n")
+    plan = load_map(path)
+    assert plan.layers == ("left", "centre")
+    readings = {line.direction: measure_line(line)[0] for line in plan.lines() if 0.03 in line.held.values()}
+    assert readings["left"].impacts_per_cycle == 2.0
+    assert readings["centre"].impacts_per_cycle == 0.0
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (COEXISTENCE + "direction: up\n", "sphere_position_m is how a place begins: direction must be reset"),
+        (COEXISTENCE + "starts: [left]\n", "exclude each other"),
+        (
+            COEXISTENCE.replace("0.007", "0.016"),
+            "sphere_position_m must be >= -0.015 and <= 0.015 m, half the gap, got",
+        ),
+        (COEXISTENCE.replace("-0.75", "-750"), "sphere_speed_m_s must be >= -100 and <= 100 m/s"),
+        (COEXISTENCE.replace("sphere_speed_m_s", "sphere.start"), "use starts: [left, centre, right]"),
+        (SMALL.replace("direction: both", "starts: [above]"), "starts must be one of left, centre, right"),
+    ],
+)
+def test_a_beginning_that_cannot_be_is_refused(tmp_path, text, words):
+    with pytest.raises(ConfigError, match=re.escape(words)):
+        load_map(written(tmp_path, text))
 
 
 def test_what_was_interrupted_is_resumed_to_the_same_bits(small, tmp_path):
@@ -214,7 +262,7 @@ def test_a_directory_of_something_else_is_left_alone(small, tmp_path):
     (tmp_path / "mine.txt").write_text("mine")
     with pytest.raises(RecordingError, match="holds no map"):
         run.prepare(plan, tmp_path)
-    with pytest.raises(ConfigError, match="holds no map"):
+    with pytest.raises(ConfigError, match="is no map's directory"):
         run.open_map(tmp_path)
 
 

@@ -21,7 +21,7 @@ pytestmark = pytest.mark.ros
 def test_a_rig_with_a_bad_value_refuses_to_configure_and_says_why(client: Client) -> None:
     node = host_rig(client, barriers__gap_m=6)
     client.wait_until(lambda: client.status("rig").level == b"\2", "the diagnostic")
-    assert "barriers.gap_m must be > 0 and <= 1, got 6" in client.status("rig").message
+    assert "barriers.gap_m must be >= 1e-06 and <= 1, got 6" in client.status("rig").message
     assert client.state("rig") == "unconfigured"
     assert not client.change_state("rig", "configure")
     assert node.refusals.total() == 0

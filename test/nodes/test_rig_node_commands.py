@@ -119,7 +119,7 @@ def test_a_parameter_changes_at_a_command_instant_and_is_journaled(client: Clien
     client.wait_until(lambda: len(journal) == 2, "the journal")
     (row,) = journal.tables()[1].rows
     assert (row["kind"], row["key"], row["value"], row["sample"]) == (b"parameter", b"barriers.gap_m", 0.004, 700)
-    with pytest.raises(ConfigError, match=r"barriers.gap_m must be > 0 and <= 1, got 6"):
+    with pytest.raises(ConfigError, match=r"barriers.gap_m must be >= 1e-06 and <= 1, got 6"):
         client.set_parameters("rig", {"barriers.gap_m": 6, "contact.law": "hertz"})
     assert client.get_parameters("rig", ["barriers.gap_m", "contact.law"]) == {
         "barriers.gap_m": 0.004,

@@ -13,10 +13,11 @@ import numpy as np
 import pytest
 
 from impact_rig.errors import ConfigError
-from impact_rig.operate.looking import Ladder, climb, follow, lock_on
+from impact_rig.operate.looking import Ladder, climb, follow, lock_on, mean
 from impact_rig.operate.phase_lock import LockPlan, PhaseLock, Reference, Stage
 from impact_rig.operate.phasors import Look
 from impact_rig.operate.stepped_sine import State
+from impact_rig.physics.closed_form import transmissibility
 from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.simtime import NS_PER_S
 from impact_rig.studies.closed_loop import ProcessLoop
@@ -144,6 +145,18 @@ def test_on_the_linear_rig_the_lock_is_at_the_true_quarter(locked):
     late = locked.rows[-10:]
     assert np.mean(late["frequency"]) == pytest.approx(TRUE_HZ, abs=0.003)
     assert np.degrees(np.mean(late["phase"])) == pytest.approx(-90.0, abs=0.5)
+
+
+def test_a_locked_stretch_states_how_well_it_is_known(locked):
+    """Frequency and DT of the linear rig are known in closed form."""
+    dwelt = locked.rows[locked.rows["locked"] == 1.0][4:]
+    found = mean(dwelt, locked.u_gain)
+    assert 0.0 < found.u_frequency_hz < 0.003
+    assert abs(found.frequency_hz - TRUE_HZ) < 3.0 * found.u_frequency_hz
+    true_dt = abs(complex(transmissibility(linear(), found.frequency_hz)))
+    assert 0.001 < found.u_dt / found.dt < 0.01, "two sensitivities of 0.12 to 0.22 % and the scatter"
+    assert abs(found.dt - true_dt) < 3.0 * found.u_dt
+    assert np.isnan(mean(dwelt[:3], locked.u_gain).u_dt), "three looks say nothing"
 
 
 def test_it_gives_the_same_bits_twice(locked):

@@ -5,18 +5,21 @@
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
 
 import attrs
 import numpy as np
 import pytest
-from kits.mechanics import benchmark_rig, hit, lock_in, rig, sine, sphere_kg, stiffness
+from kits.mechanics import benchmark_rig, hit, lock_in, prescribed, rig, sine, sphere_kg, stiffness
+from scipy.integrate import solve_ivp
 
 from impact_rig.physics import Simulation, restitution
 from impact_rig.physics.collocation import LAST
-from impact_rig.physics.indentation import begin_step, solve
+from impact_rig.physics.indentation import ROUNDS, begin_step, solve
 from impact_rig.physics.model import CONTACT_RTOL, Model, build
 from impact_rig.physics.state import PRESS, STATE, record
 from impact_rig.rig.config import RigConfig
+from impact_rig.rig.trial import generator
 
 FREQUENCY_HZ = 9.1
 GAPS_M = (2e-3, 4e-3, 6e-3, 8e-3, 10e-3)
@@ -94,7 +97,7 @@ def contact_by_equal_steps(model: Model, speed: float, length: float, steps: int
     k.terms = 1  # a structure at rest
     for _ in range(steps):
         begin_step(p, model.force, s, k)
-        solve(p, model.force, s, k, length / steps)
+        solve(p, model.force, s, k, length / steps, ROUNDS)
         s.w, s.speed = k.w[LAST], k.speed[LAST]
         s.deepest = max(s.deepest, s.w)
     return np.array([s.w, s.speed])
@@ -146,3 +149,63 @@ def test_the_error_of_a_contact_follows_the_tolerance(law):
     assert (np.array(errors) <= 10.0 * tolerances).all(), errors
     if law == "kelvin_voigt":
         assert np.polyfit(np.log(tolerances), np.log(errors), 1)[0] >= 0.8, errors
+
+
+USED = ("m_1", "c_1", "k_1", "m", "m_eff", "half_gap")
+
+
+def touches_by_dop853(config: RigConfig, segments: np.ndarray) -> list[float]:
+    """Instants [s] at which a sphere touches under `kelvin_voigt`, by SciPy's order-8 method with events.
+
+    A base that moves in straight lines from tick to tick; a new start at every tick, touch and release.
+    """
+    p = SimpleNamespace(**{name: float(build(config).parameters[0][name]) for name in USED})
+    log_e, contact_s = math.log(config.contact.restitution), config.contact.contact_time_s
+    spring = p.m_eff * (math.pi**2 + log_e**2) / contact_s**2
+    damper = -2.0 * p.m_eff * log_e / contact_s
+
+    def motion(t, y, side, place, speed):
+        x_1, v_1, x_2, v_2 = y
+        force = 0.0
+        if side:
+            force = spring * (side * (x_2 - x_1) - p.half_gap) + damper * side * (v_2 - v_1)
+        columns = -p.k_1 * (x_1 - place - speed * t) - p.c_1 * (v_1 - speed)
+        return [v_1, (columns + side * force) / p.m_1, v_2, -side * force / p.m]
+
+    def event(side, direction):
+        def depth(_t, y, *_):
+            return side * (y[2] - y[0]) - p.half_gap
+
+        depth.terminal, depth.direction = True, direction
+        return depth
+
+    y, side, touches = np.array([0.0, 0.0, -p.half_gap, 0.0]), 0.0, []
+    for tick, row in enumerate(segments):
+        t, end = 0.0, float(row["duration"])
+        while t < end:
+            events = [event(side, -1.0)] if side else [event(-1.0, 1.0), event(1.0, 1.0)]
+            found = solve_ivp(
+                motion, (t, end), y, "DOP853", events=events, args=(side, row["amplitude"], row["slope"]),
+                rtol=1e-10, atol=1e-14, max_step=1e-3,
+            )  # fmt: skip
+            t, y = float(found.t[-1]), found.y[:, -1]
+            if found.status == 1:
+                left = bool(side)
+                side = 0.0 if left else (-1.0 if len(found.t_events[0]) else 1.0)
+                if not left:
+                    touches.append(tick * 0.01 + t)
+    return touches
+
+
+def test_a_random_base_makes_the_contacts_that_dop853_finds():
+    """A base of 3 mm rms, in straight lines from tick to tick: its speed jumps ten times between two touches."""
+    config = prescribed(
+        drive={"waveform": "random", "amplitude": 3e-3}, contact={"law": "kelvin_voigt"}, shaker={"ramp_s": 0.0}
+    )
+    segments = generator(config).segments(15)
+    motion = Simulation(config).advance(segments)
+    ours = motion.impacts["segment"] * 0.01 + motion.impacts["offset"]
+    theirs = np.array(touches_by_dop853(config, segments))
+    assert ours[0] == 0.0, "it lies against the wall at the start"
+    assert len(theirs) >= 3
+    assert ours[1:] == pytest.approx(theirs, abs=1e-8)

@@ -10,18 +10,25 @@ from kits.mechanics import benchmark_rig, limit_case, rig, sine
 
 from impact_rig.physics import EnergyAccount, Simulation
 from impact_rig.physics.contact import LAWS
-from impact_rig.rig.config import RigConfig
+from impact_rig.rig.config import RigConfig, from_flat
+from impact_rig.rig.trial import generator
+from impact_rig.simtime import COMMAND_GRID_S
 
 GAPS_M = (2e-3, 4e-3, 6e-3, 8e-3, 10e-3)
 TOLERANCE = 1e-8  # of the work done over a thousand cycles
-CYCLE_S = 1.0 / 9.1
+FREQUENCY_HZ = 9.1
+
+
+def on_ticks(amplitude: float, cycles: int) -> np.ndarray:
+    """About so many cycles in segments of the command grid, as the rig drives: contacts are cut anywhere."""
+    return sine(FREQUENCY_HZ, amplitude, COMMAND_GRID_S, round(cycles / (FREQUENCY_HZ * COMMAND_GRID_S)))
 
 
 def account(config: RigConfig, amplitude: float, cycles: int) -> tuple[EnergyAccount, int]:
     """Energies and impacts of a run from rest, the sphere leaving the left wall fast enough to find an orbit."""
     simulation = Simulation(config, account=True)
     simulation.place(x_1=-4e-3, d=0.0, d_rate=0.15)
-    motion = simulation.advance(sine(9.1, amplitude, CYCLE_S, cycles))
+    motion = simulation.advance(on_ticks(amplitude, cycles))
     return simulation.energy(), len(motion.impacts)
 
 
@@ -51,10 +58,44 @@ def test_the_balance_closes_for_every_law(law):
 def test_hertz_loses_nothing_in_its_contacts():
     simulation = Simulation(benchmark_rig(contact={"law": "hertz"}), account=True)
     simulation.place(x_1=-4e-3, d_rate=0.15)
-    simulation.advance(sine(9.1, 60e-6, CYCLE_S, 300))
+    simulation.advance(on_ticks(60e-6, 300))
     energy = simulation.energy()
     assert energy.contact == 0.0
     assert abs(energy.imbalance) <= TOLERANCE * abs(energy.work)
+
+
+PRESCRIBED, RANDOM = {"drive.kind": "prescribed"}, {"drive.kind": "prescribed", "drive.waveform": "random"}
+LINEAR = {"contact.law": "kelvin_voigt"}
+
+
+@pytest.mark.parametrize(
+    ("seconds", "values"),
+    [
+        (13, PRESCRIBED | LINEAR | {"drive.amplitude": 60e-6, "barriers.gap_m": 0.5e-3}),
+        (11, PRESCRIBED | LINEAR | {"drive.amplitude": 60e-6, "barriers.gap_m": 1e-3, "contact.restitution": 0.1}),
+        (5, LINEAR | {"drive.amplitude": 0.52, "barriers.gap_m": 1e-3, "contact.restitution": 0.1}),
+        (5, LINEAR | {"drive.amplitude": 0.52, "barriers.gap_m": 2e-3, "contact.restitution": 0.1}),
+        (5, RANDOM | {"drive.amplitude": 3e-3}),
+        (5, RANDOM | {"drive.amplitude": 3e-3, "daq.seed": 2}),
+        (5, RANDOM | {"drive.amplitude": 1e-3, "contact.law": "exact"}),
+        (2, RANDOM | {"drive.amplitude": 3e-3, "contact.law": "exact", "daq.seed": 2}),
+        (5, RANDOM | LINEAR | {"drive.amplitude": 3e-3}),
+        (2, {"drive.amplitude": 247.0, "sphere.diameter_m": 0.2105e-3, "shaker.current_limit_a_rms": 318.0}),
+        (3, RANDOM | {"drive.amplitude": 1e-3, "shaker.ramp_s": 0.0}),
+        (3, RANDOM | {"drive.amplitude": 1e-3, "shaker.ramp_s": 0.0, "structure.natural_frequency_hz": 369.0}),
+        (3, RANDOM | {"drive.amplitude": 1e-3, "shaker.ramp_s": 0.0, "sphere.present": False}),
+        (9, {"drive.amplitude": 1e-7, "shaker.ramp_s": 60.0}),
+    ],
+)
+def test_the_balance_closes_where_it_was_hard(seconds, values):
+    """Long rests under a linear law, bases that jump in speed or place, tiny spheres, and hardly any motion."""
+    config = from_flat(RigConfig(), values)
+    simulation = Simulation(config, account=True)
+    simulation.advance(generator(config).segments(round(seconds / COMMAND_GRID_S)))
+    energy = simulation.energy()
+    lost = energy.columns + energy.shaker + energy.contact + energy.friction
+    assert energy.work != 0.0
+    assert abs(energy.imbalance) <= TOLERANCE * max(abs(energy.work), abs(lost), abs(energy.stored)), energy
 
 
 @pytest.mark.slow

@@ -135,6 +135,18 @@ def test_the_force_is_the_law_of_indentation_and_its_rate():
         assert rows["force_right"] == pytest.approx(wanted, rel=1e-6)
 
 
+def test_instants_may_have_any_shape(case):
+    _, motion = case
+    segment, offset = np.meshgrid(np.arange(10, 14), np.linspace(0.0, TICK_S, 5), indexing="ij")
+    flat = motion.sample(segment.ravel(), offset.ravel())
+    assert flat.shape == (20,)
+    sampled = motion.sample(segment, offset)
+    assert sampled.shape == motion.quantity("x_1", segment, offset).shape == (4, 5)
+    assert sampled.tobytes() == flat.tobytes()
+    assert motion.quantities(("x_1", "x_2"), segment, offset).shape == (2, 4, 5)
+    assert motion.sample(np.array(11), np.array(0.0)) == motion.sample(np.array([11]), np.array([0.0]))[0]
+
+
 def test_instants_outside_the_motion_are_refused():
     simulation = Simulation(rig())
     simulation.advance(sine(9.1, 1.0, TICK_S, 5))

@@ -6,23 +6,32 @@ from __future__ import annotations
 
 import json
 import math
+import re
+import sys
+from collections import Counter
 from pathlib import Path
 
+import attrs
 import numpy as np
 import pytest
 from hypothesis import event, given, settings
 from hypothesis import strategies as st
 from kits.mechanics import limit_case, rig, sine
 
-from impact_rig.config.mechanics import FASTEST_HZ
+from impact_rig.config.mechanics import FASTEST_HZ, SLOWEST_HZ
 from impact_rig.errors import ConfigError
 from impact_rig.physics import EnergyAccount, Motion, Simulation
 from impact_rig.physics.contact import LAWS
 from impact_rig.physics.model import CONTACT_RTOL, STANDARD_GRAVITY, build
-from impact_rig.rig.config import RigConfig
+from impact_rig.rig import Rig
+from impact_rig.rig.config import RigConfig, from_flat
+
+sys.path.insert(0, str(Path(__file__).parents[2]))  # the tool is no part of the package
+
+from tools import legal_configurations
 
 FOUND = json.loads(Path(__file__).with_name("data").joinpath("found_rigs.json").read_text())
-ANY_FREQUENCY = {"frequency_min_hz": 1e-3, "frequency_max_hz": FASTEST_HZ}
+ANY_FREQUENCY = {"frequency_min_hz": SLOWEST_HZ, "frequency_max_hz": FASTEST_HZ}
 CYCLES = 12
 LONGEST_S = 2.0
 PER_CYCLE = 50
@@ -42,7 +51,7 @@ def configs(draw: st.DrawFn) -> RigConfig:
     return rig(
         structure={
             "mass_kg": draw(decades(1e-3, 99.0)),
-            "natural_frequency_hz": draw(decades(0.1, 0.99 * FASTEST_HZ)),
+            "natural_frequency_hz": draw(decades(0.1, 1000.0)),
             "damping_ratio": draw(decades(1e-6, 0.99)),
         },
         shaker=ANY_FREQUENCY
@@ -62,7 +71,7 @@ def configs(draw: st.DrawFn) -> RigConfig:
         barriers={"gap_m": draw(decades(1e-6, 1.0)), "young_modulus_pa": draw(decades(1e6, 1e12))},
         contact={
             "law": draw(st.sampled_from(tuple(LAWS))),
-            "restitution": draw(st.floats(0.01, 0.99)),
+            "restitution": draw(st.floats(0.05, 0.99)),
             "speed_floor_m_s": draw(decades(1e-6, 1e-2)),
             "contact_time_s": draw(decades(1e-6, 1e-3)),
             "release": draw(st.sampled_from(["position", "force"])),
@@ -153,30 +162,55 @@ def test_any_rig_runs_and_makes_no_energy(data):
     event(f"impacts: {next(n for n in (1000, 100, 10, 1, 0) if impacts >= n)} or more")
 
 
+@pytest.mark.parametrize(
+    ("values", "rule"),
+    [
+        ({"drive.kind": "voltage", "shaker.coil_inductance_h": 1e-7}, ">= 0.5 and <= 100000 1/s"),
+        ({"shaker.damping_n_s_m": 1e5}, ">= 0.5 and <= 100000 1/s"),
+        ({"sphere.diameter_m": 0.05}, "must not outweigh the superior base"),
+    ],
+)
+def test_what_cannot_be_resolved_is_refused_at_the_start(values, rule):
+    with pytest.raises(ConfigError, match=re.escape(rule)):
+        Rig(from_flat(RigConfig(), values))
+
+
+def test_random_legal_configurations_keep_their_energy():
+    """A slice of what `tools/legal_configurations.py` tries, numbers of its first seed."""
+    ends = Counter()
+    for index in range(24):
+        values, loudness = legal_configurations.drawn(1, index)
+        result = legal_configurations.run(legal_configurations.legal(values), loudness, 0.3)
+        assert result.ended not in legal_configurations.FAILURES, legal_configurations.report(index, 1, result)
+        ends[result.ended] += 1
+    assert ends[legal_configurations.OK] >= 12
+
+
 @pytest.mark.parametrize("found", FOUND, ids=lambda found: found["story"])
 def test_rigs_that_once_broke_the_mechanics(found):
     sections = {"shaker": {}} | found["rig"]
     sections["shaker"] |= ANY_FREQUENCY
-    assert_sane(limit_case(**sections), found["amplitude"], found["speed_m_s"])
+    with attrs.validators.disabled():  # some are beyond the ranges
+        assert_sane(limit_case(**sections), found["amplitude"], found["speed_m_s"])
 
 
 @pytest.mark.parametrize(
     ("section", "key", "value", "rule"),
     [
-        ("structure", "mass_kg", -0.13, "> 0"),
-        ("structure", "mass_kg", 0.0, "> 0"),
-        ("structure", "natural_frequency_hz", math.nan, "> 0"),
+        ("structure", "mass_kg", -0.13, ">= 0.001"),
+        ("structure", "mass_kg", 0.0, ">= 0.001"),
+        ("structure", "natural_frequency_hz", math.nan, ">= 0.1"),
         ("structure", "damping_ratio", 1.0, ">= 1e-06 and < 1"),
         ("sphere", "density_kg_m3", -7850.0, ">= 100 and <= 100000"),
-        ("sphere", "diameter_m", math.inf, "> 0"),
+        ("sphere", "diameter_m", math.inf, ">= 0.0001"),
         ("sphere", "start", "top", "one of left, centre, right"),
-        ("barriers", "gap_m", 0.0, "> 0 and <= 1"),
-        ("barriers", "gap_m", -0.002, "> 0 and <= 1"),
-        ("barriers", "gap_m", 1.5, "> 0 and <= 1"),
-        ("contact", "restitution", 1.2, "> 0 and <= 1"),
-        ("contact", "restitution", 0.0, "> 0 and <= 1"),
+        ("barriers", "gap_m", 0.0, ">= 1e-06 and <= 1"),
+        ("barriers", "gap_m", -0.002, ">= 1e-06 and <= 1"),
+        ("barriers", "gap_m", 1.5, ">= 1e-06 and <= 1"),
+        ("contact", "restitution", 1.2, ">= 0.05 and <= 1"),
+        ("contact", "restitution", 0.0, ">= 0.05 and <= 1"),
         ("contact", "law", "glue", "one of exact, flores,"),
-        ("contact", "speed_floor_m_s", 0.0, "> 0"),
+        ("contact", "speed_floor_m_s", 0.0, ">= 1e-06"),
         ("drive", "amplitude", -1.0, ">= 0"),
     ],
 )

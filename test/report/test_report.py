@@ -121,7 +121,7 @@ def test_the_page_tells_what_the_data_say(page, reported):
         assert verdict.text in page.text
         assert f"{verdict.word} {verdict.kind.value} {verdict.detail}" in page.text
     assert "a fit, not a validation" in page.text
-    assert "really returns 0.309" in page.text
+    assert "returns 0.309 in this simulation" in page.text
     assert "<trip> no sphere 9.1 reset the rig tripped: over_travel" in page.text
     assert "structure.damping_ratio" in page.text
 
@@ -271,7 +271,7 @@ def test_figures_lie_beside_the_page(reported):
 
 def test_a_directory_without_campaign_is_refused(tmp_path, capsys):
     assert main(["report", str(tmp_path)]) == 1
-    assert "holds no campaign" in capsys.readouterr().err
+    assert "is no campaign's directory" in capsys.readouterr().err
 
 
 SHOWN = (VIEWS[0], VIEWS[3], *(pytest.param(*view, marks=pytest.mark.slow) for view in VIEWS[1:3]))

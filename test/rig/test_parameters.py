@@ -72,7 +72,7 @@ def test_a_gap_change_rests_the_sphere_at_its_start() -> None:
 def test_a_refused_change_changes_nothing() -> None:
     rig = Rig(config())
     rig.take_journal()
-    with pytest.raises(ConfigError, match=r"barriers.gap_m must be > 0"):
+    with pytest.raises(ConfigError, match=r"barriers.gap_m must be >= 1e-06"):
         rig.configure({"barriers.gap_m": -0.002, "contact.law": "hertz"})
     assert rig.config == config()
     assert rig.take_journal() == []

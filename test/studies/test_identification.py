@@ -24,10 +24,19 @@ from impact_rig.recording import open_run
 from impact_rig.rig import Rig
 from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.simtime import NS_PER_S
-from impact_rig.studies.identification.constants import NAMES, SCALED, logarithms, rig
+from impact_rig.studies.identification.constants import NAMES, SCALE, SCALED, logarithms, rig
 from impact_rig.studies.identification.fisher import information
 from impact_rig.studies.identification.fit import identify
-from impact_rig.studies.identification.measurements import NUISANCES, Gains, Measured, SineData, reduced_of, sine_of
+from impact_rig.studies.identification.impacts import Motion, simulated, slope
+from impact_rig.studies.identification.measurements import (
+    NUISANCES,
+    Gains,
+    Measured,
+    Reduced,
+    SineData,
+    reduced_of,
+    sine_of,
+)
 from impact_rig.studies.identification.paper_fit import fit_paper
 from impact_rig.studies.identification.pluck import DISPLACEMENT_M, RECORD_S, measured_decay, recorded_decay
 
@@ -46,7 +55,7 @@ def synthetic(rng):
     ratio, per_ampere = transmissibility(TRUTH, frequency), np.abs(base_amplitude(TRUTH, frequency))
     base = 0.52 * per_ampere
     laser = base * np.abs(ratio)
-    errors = np.append(rng.normal(0.0, gains.u), 0.0)
+    errors = np.append(rng.normal(0.0, gains.u), (0.0, 0.0))
     on_laser, on_base, on_current = gains.relative(1, laser) @ errors, gains.relative(2, base) @ errors, errors[2]
     n, u = len(frequency), np.full(len(frequency), NOISE)
     sine = SineData(
@@ -61,6 +70,76 @@ def synthetic(rng):
         u_natural_frequency_hz=structure.natural_frequency_hz * 1e-5, u_damping_ratio=structure.damping_ratio * 1e-3,
     )  # fmt: skip
     return Measured(gains=gains, decay=decay, sine=sine)
+
+
+def reduced(rng, gaps=GAPS):
+    """Return reductions of TRUTH with noise, that of the point without the sphere common to all."""
+    motions = {gap: simulated(TRUTH, gap, 9.1, 0.52) for gap in gaps}
+    shared = rng.normal(0.0, NOISE)
+    effects = np.zeros((len(gaps), len(NUISANCES)))
+    effects[:, NUISANCES.index("DT without sphere")] = -1.0
+    return Reduced(
+        9.1, 0.52, {gap: np.exp(one.log_ratio + rng.normal(0.0, NOISE) - shared) for gap, one in motions.items()},
+        np.full(len(gaps), NOISE), NOISE, effects, {gap: one.regime for gap, one in motions.items()},
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("draws", [3, pytest.param(40, marks=pytest.mark.slow)])
+def test_reductions_weigh_the_rig_within_the_stated_uncertainty_though_e_is_not_known(draws):
+    """e is taken as 0.01 too large, half its uncertainty; no draw is off by more than by chance."""
+    off, truth = [], logarithms(TRUTH)
+    known = from_flat(RigConfig(), {"contact.restitution": 0.36})
+    for seed in range(draws):
+        rng = np.random.default_rng(seed)
+        measured = attrs.evolve(synthetic(rng), reduced=reduced(rng, (0.004, 0.008, 0.010)))
+        found = identify(measured, known)
+        assert found.consistent
+        assert not found.left_out
+        assert all(map(found.information.determined, NAMES))
+        scaled = (found.log_constants - truth) / found.information.u_relative
+        off.append([*scaled, (found.restitution - 0.35) / found.u_restitution])
+    assert np.abs(off).max() < LIMIT
+    if draws >= 40:
+        spread = np.sqrt(np.mean(np.square(off), axis=0))
+        assert np.all((spread > 0.67) & (spread < 1.33)), spread  # ± 11 % each, three times that
+
+
+def test_what_is_wrongly_taken_as_known_raises_an_alarm():
+    rng = np.random.default_rng(0)
+    measured = attrs.evolve(synthetic(rng), reduced=reduced(rng, (0.002, 0.010)))
+    exact = attrs.evolve(measured, u_restitution=0.0)
+    assert identify(exact, RigConfig()).consistent
+    assert not identify(exact, from_flat(RigConfig(), {"contact.restitution": 0.37})).consistent
+    livelier = identify(measured, from_flat(RigConfig(), {"contact.law": "lankarani_nikravesh"}))
+    assert 0.002 in livelier.contradicted
+    assert not livelier.consistent
+
+
+def test_a_difference_across_a_change_of_orbit_is_no_derivative():
+    """A jump on one side, on both sides, a kink without a change of pattern; and a motion that does not repeat."""
+
+    def motion(value, impacts=2.0, regime="periodic"):
+        return Motion(value, regime, 1.0, impacts)
+
+    def stepped(left, right):
+        return lambda h: motion(0.5 * h) if left < h < right else motion(0.5 * h + 0.1, 3.0)
+
+    assert slope(stepped(-1, 1), motion(0.0)) == pytest.approx(0.5)
+    assert slope(stepped(-1, 5e-4), motion(0.0)) == pytest.approx(0.5)
+    assert slope(stepped(-1, 5e-5), motion(0.0)) == pytest.approx(0.5), "from the left alone"
+    assert slope(stepped(-5e-5, 5e-5), motion(0.0)) is None
+    assert slope(lambda h: motion(0.5 * h + 9 * max(h - 5e-4, 0)), motion(0.0)) == pytest.approx(0.5)
+    assert slope(lambda h: motion(0.5 * h), motion(0.0, regime="chaotic")) is None
+
+
+def test_the_orbit_at_ten_millimetres_has_its_own_slope():
+    """Of ln(DT with / DT without) by the common factor; a step of 2 % goes over to another orbit in some rigs."""
+    at = logarithms(RigConfig())
+
+    def ten(h):
+        return simulated(rig(RigConfig(), at + h * SCALE), 0.010, 9.1, 0.52)
+
+    assert slope(ten, ten(0.0)) == pytest.approx(0.578, abs=0.005)
 
 
 def test_stated_uncertainties_cover_the_truth():
@@ -135,12 +214,14 @@ def test_a_measured_rig_is_identified_within_its_uncertainties(directory):
         decay=measured_decay(base),
         sine=sine_of([point for _, point in sorted(curves.by_gap[0.0].items())], gains),
         reduced=reduced,
+        u_restitution=0.005,  # as of a drop test
     )
     found = identify(measured, RigConfig())
     for name, truth in zip(NAMES, np.exp(logarithms(TRUTH)), strict=True):
         assert found.information.determined(name), name
         assert abs(found.value(name) - truth) < LIMIT * found.u(name), (name, found.value(name), found.u(name), truth)
     assert found.u("m_1") < 0.01 * found.value("m_1")
+    assert abs(found.restitution - 0.35) < LIMIT * found.u_restitution
     assert found.chi_square < 2.0 * found.freedom
 
 
@@ -162,6 +243,19 @@ def test_a_decay_is_measured_through_the_instruments():
     decay = measured_decay(TRUTH)
     assert decay.status is Status.OK
     assert decay.damping_ratio == pytest.approx(TRUTH.structure.damping_ratio, abs=LIMIT * decay.u_damping_ratio)
+
+
+def test_a_pluck_with_the_sphere_on_is_refused(directory, tmp_path, capsys):
+    """It would give a ζ nearly twice that of the structure."""
+    struck = Rig(TRUTH)
+    struck.pluck(DISPLACEMENT_M)
+    scans = [("daq/scan", block.scan) for block in struck.advance(8 * NS_PER_S)]
+    record(
+        tmp_path / "struck", [("daq/info", struck.info()), *(("rig/journal", t) for t in struck.take_journal()), *scans]
+    )
+    arguments = ["identify", str(directory), "--without", "reductions", "sine", "--decay", str(tmp_path / "struck")]
+    assert main(arguments) == 1
+    assert "the accelerometer shows impacts" in capsys.readouterr().err.replace("\n", " ")
 
 
 def test_a_recorded_pluck_gives_what_a_pluck_of_our_own_gives(directory, tmp_path, capsys):

@@ -97,7 +97,7 @@ def test_every_block_of_code_is_a_block_and_no_fence_is_left_as_text(site, found
     assert "```" not in path.read_text(encoding="utf-8")
 
 
-def test_a_link_to_nowhere_ends_the_build(tmp_path):
+def test_a_link_to_nowhere_ends_the_build(mkdocs, tmp_path):
     """The very configuration, with one page of one bad link."""
     from mkdocs.commands.build import build as build_site
     from mkdocs.config import load_config

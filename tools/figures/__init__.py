@@ -29,7 +29,7 @@ BY_TOOLS: Mapping[str, tuple[str, ...]] = {
         "gallery_study_restitution.png", "gallery_study_mass.png", "gallery_study_amplitude.png",
         "gallery_study_hysteresis.png",
     ),
-    "tools/map_picture.py": ("map_gap_frequency.png",),
+    "tools/map_picture.py": ("map_gap_frequency.png", "map_coexistence.png"),
     "tools/prediction.py --draw": ("prediction.png",),
     "tools/urdf_picture.py": ("urdf.png",),
 }  # fmt: skip

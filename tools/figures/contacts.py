@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from impact_rig.physics import SEGMENT, Motion, Simulation, restitution
 from impact_rig.physics.collocation import LAST
 from impact_rig.physics.contact import LAWS
-from impact_rig.physics.indentation import begin_step, solve
+from impact_rig.physics.indentation import ROUNDS, begin_step, solve
 from impact_rig.physics.model import Model, build
 from impact_rig.physics.state import PRESS, STATE, record
 from impact_rig.rig.config import RigConfig, from_flat
@@ -92,7 +92,7 @@ def _by_collocation(model: Model, steps: int) -> Real:
     k.terms = 1  # a structure at rest
     for _ in range(steps):
         begin_step(p, model.force, s, k)
-        solve(p, model.force, s, k, step)
+        solve(p, model.force, s, k, step, ROUNDS)
         s.w, s.speed = k.w[LAST], k.speed[LAST]
         s.deepest = max(s.deepest, s.w)
     return np.array([s.w, s.speed])

@@ -69,12 +69,12 @@ class ContactPair(NamedTuple):
 
 def restitution() -> Any:
     """Return the attrs field of the nominal coefficient of restitution e."""
-    return quantity(0.35, "-", "Coefficient of restitution e of the drop test.", Origin.PAPER, above=0, at_most=1)
+    return quantity(0.35, "-", "Coefficient of restitution e of the drop test.", Origin.PAPER, at_least=0.05, at_most=1)
 
 
 def contact_time_s() -> Any:
     """Return the attrs field of t_c, which linear laws take in place of the Hertz stiffness."""
-    return quantity(45e-6, "s", "Contact time of laws that take it for a stiffness.", above=0, at_most=0.01)
+    return quantity(45e-6, "s", "Contact time of laws that take it for a stiffness.", at_least=1e-6, at_most=0.01)
 
 
 @attrs.frozen

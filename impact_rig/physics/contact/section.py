@@ -37,7 +37,7 @@ class Contact:
         Origin.PAPER,
     )
     speed_floor_m_s: float = quantity(
-        1e-3, "m/s", "Floor of the approach speed in c = a K / v0, singular as v0 -> 0.", above=0, at_most=0.1
+        1e-3, "m/s", "Floor of the approach speed in c = a K / v0, singular as v0 -> 0.", at_least=1e-6, at_most=0.1
     )
 
 

@@ -5,7 +5,7 @@
     ln f_n, ln ζ                  measured by the free decay
     ln DT, phase                  = T(f; f_n, ζ)
     ln |X_b / I|                  = K_f / |k_f − M ω² + iω c_f − m_1 ω² T|
-    ln (DT with / DT without)     = simulation of the whole rig, contact law and e as configured
+    ln (DT with / DT without)     = simulation of the mechanics, law as configured, e free about its nominal value
 
 Without the sphere all masses and forces may be multiplied by one factor: nothing is known of m_1 but ratios. The
 reductions weigh the structure with the known mass of the sphere.
@@ -13,32 +13,43 @@ reductions weigh the structure with the known mass of the sphere.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Mapping
 
 import attrs
 import numpy as np
+from scipy import special
 
 from impact_rig.analysis.channels import BASE, CURRENT, LASER
+from impact_rig.analysis.words import Regime
 from impact_rig.errors import ConfigError
 from impact_rig.physics.closed_form import base_amplitude, transmissibility
-from impact_rig.rig.config import RigConfig
+from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.studies.identification.constants import NAMES, SCALE, START, rig
 from impact_rig.studies.identification.fisher import Information, Real, information
-from impact_rig.studies.identification.impacts import simulated_log_ratios
-from impact_rig.studies.identification.measurements import NUISANCES, Measured
+from impact_rig.studies.identification.impacts import Motion, simulated, slope
+from impact_rig.studies.identification.measurements import NUISANCES, RESTITUTION, Measured
 
 STEP = 1e-6
 """Of logarithms, for derivatives of closed forms."""
-SIMULATED_STEP = 0.02
-"""For derivatives of simulated reductions: wide enough that orbits which change their pattern do not matter."""
-U_SIMULATED = 5e-4
-"""Relative standard uncertainty of a simulated ratio: transients that the analysis calls settled."""
+U_SIMULATED = 1e-4
+"""Relative standard uncertainty of a ratio beside its noise: transients that the analysis calls settled."""
+SIGNIFICANCE = 0.01
+"""A fit as bad as this or worse by chance alone is an alarm."""
 ITERATIONS = 30
 CONVERGED = 1e-9
-CHORDS = 4
+ROUNDS = 8
+"""Of adjusting the constants to the reductions, at most; each simulates all derivatives anew."""
+SMALL = 0.05
+"""A step this small, in standard uncertainties, ends them."""
 RANK = 1e-6
 """Share of the largest singular value below which a direction is not determined; derivatives are good to that."""
 LARGEST_STEP = 0.5
+COARSE = 0.02
+"""Step for the common factor, which need not be exact."""
+CROSSED = "the orbit changes, or does not quite repeat: no step of a constant gives one slope on both sides"
+LEAST_RESTITUTION, MOST_RESTITUTION = 0.02, 0.98
+"""Of a fitted e."""
 
 
 @attrs.frozen(eq=False)
@@ -51,6 +62,9 @@ class Identified:
         chi_square: sum of squared residuals, prior of the nuisances included.
         freedom: residuals less determined parameters.
         config: the known rig, with the identified constants.
+        restitution: nominal e found, NaN without reductions; u_restitution likewise.
+        left_out: gaps [m] whose reductions were not used, with the reason.
+        contradicted: those of them that were measured to be periodic where the fitted rig is not.
     """
 
     log_constants: Real
@@ -58,6 +72,20 @@ class Identified:
     chi_square: float
     freedom: int
     config: RigConfig
+    restitution: float = math.nan
+    u_restitution: float = math.nan
+    left_out: Mapping[float, str] = attrs.field(factory=dict)
+    contradicted: tuple[float, ...] = ()
+
+    @property
+    def chance(self) -> float:
+        """Probability of a fit this bad or worse if model and uncertainties are right; 1 without any freedom."""
+        return float(special.chdtrc(self.freedom, self.chi_square)) if self.freedom > 0 else 1.0
+
+    @property
+    def consistent(self) -> bool:
+        """Whether data, uncertainties and what was taken as known go together."""
+        return self.chance >= SIGNIFICANCE and not self.contradicted
 
     def value(self, name: str) -> float:
         """Return a constant."""
@@ -91,28 +119,44 @@ def identify(
         if max(np.abs(change).max(), np.abs(along).max()) < CONVERGED:
             break
     residual, jacobian, bent = _linear(measured, known, theta, nuisance)
+    restitution = u_restitution = math.nan
+    left_out: Mapping[float, str] = {}
+    contradicted: tuple[float, ...] = ()
     if measured.reduced is not None:
         impacts = _Impacts(measured, known)
         on_step("weighing the structure with the sphere")
         theta = impacts.weigh(theta)
-        on_step("how the reductions depend on every constant")
-        here = impacts.misfit(theta)
-        slopes = impacts.slopes(theta, here)
-        for chord in range(CHORDS):
-            residual, jacobian, bent = _linear(measured, known, theta, nuisance)
-            residual = np.concatenate([residual, here + impacts.effects @ nuisance])
-            jacobian, bent = np.concatenate([jacobian, slopes]), np.concatenate([bent, impacts.effects])
-            if chord == CHORDS - 1:
-                break
-            on_step(f"adjusting, {chord + 1} of {CHORDS - 1}")
+        for turn in range(1, ROUNDS + 1):
+            on_step(f"adjusting, {turn} of at most {ROUNDS}")
+            parts = zip(_linear(measured, known, theta, nuisance), impacts.linear(theta, nuisance), strict=True)
+            residual, jacobian, bent = (np.concatenate(part) for part in parts)
             change, along = _step(residual, jacobian, bent)
+            size = np.linalg.norm(jacobian @ change + bent @ along)
+            if size < SMALL or turn == ROUNDS:
+                break
             theta, nuisance = theta + change, nuisance + along
-            here = impacts.misfit(theta)
+            nuisance[RESTITUTION] = impacts.within(nuisance[RESTITUTION])
+        left_out, contradicted = impacts.left_out, impacts.contradicted()
+        if len(left_out) < len(measured.reduced.ratio):
+            restitution = known.contact.restitution + float(nuisance[RESTITUTION])
+            u_restitution = 0.0
+            if measured.u_restitution > 0.0:
+                u_restitution = _spread(np.concatenate([jacobian, bent], axis=1), len(NAMES) + RESTITUTION)
     found = information(NAMES, jacobian, bent)
     determined = sum(combination.determined for combination in found.combinations)
+    config = rig(known, theta)
+    if math.isfinite(restitution):
+        config = from_flat(config, {"contact.restitution": restitution})
     return Identified(
-        theta, found, float(residual @ residual), len(residual) - len(NUISANCES) - determined, rig(known, theta)
-    )
+        theta, found, float(residual @ residual), len(residual) - len(NUISANCES) - determined, config,
+        restitution, u_restitution, left_out, contradicted,
+    )  # fmt: skip
+
+
+def _spread(jacobian: Real, column: int) -> float:
+    """Return the standard uncertainty of one unknown, all others free."""
+    size = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-30)
+    return float(np.linalg.norm(np.linalg.pinv(jacobian / size, rcond=RANK)[column]) / size[column])
 
 
 def _step(residual: Real, jacobian: Real, bent: Real) -> tuple[Real, Real]:
@@ -125,37 +169,74 @@ def _step(residual: Real, jacobian: Real, bent: Real) -> tuple[Real, Real]:
 
 
 class _Impacts:
-    """The reductions' part of the problem; every evaluation simulates all gaps."""
+    """The reductions' part of the problem; gaps whose motion has no derivative are left out as they are found."""
 
     def __init__(self, measured: Measured, known: RigConfig) -> None:
         assert measured.reduced is not None
         self._reduced, self._known = measured.reduced, known
-        self._u = np.hypot(measured.reduced.u, U_SIMULATED)
-        self._log_ratios = np.log(list(measured.reduced.ratio.values()))
-        self.effects = measured.reduced.effects * (_prior(measured) > 0.0) / self._u[:, None]
+        self._uncertain = _prior(measured) > 0.0
+        self.left_out: dict[float, str] = {}
 
-    def misfit(self, theta: Real) -> Real:
-        """Return the whitened residuals but for the nuisances."""
-        simulated = simulated_log_ratios(rig(self._known, theta), self._reduced)
-        return np.asarray((simulated - self._log_ratios) / self._u)
+    def contradicted(self) -> tuple[float, ...]:
+        """Return the gaps left out for a motion that does not repeat, though it was measured to be periodic."""
+        regimes = self._reduced.regimes
+        return tuple(g for g, why in self.left_out.items() if why != CROSSED and regimes[g] == Regime.PERIODIC.value)
 
-    def slopes(self, theta: Real, here: Real) -> Real:
-        """Return their derivatives by the constants; `here` is the misfit at `theta`."""
-        return np.stack([self._slope(theta, here, direction) for direction in np.eye(len(NAMES))], axis=1)
+    def within(self, change: float) -> float:
+        """Return a change of e that leaves it possible."""
+        e = self._known.contact.restitution
+        return min(max(change, LEAST_RESTITUTION - e), MOST_RESTITUTION - e)
+
+    def linear(self, theta: Real, nuisance: Real) -> tuple[Real, Real, Real]:
+        """Return whitened residuals, their derivatives by the constants and by the nuisances, a row a gap in use."""
+        residual, jacobian, bent = [], [], []
+        for place, (gap, ratio) in enumerate(self._reduced.ratio.items()):
+            if gap in self.left_out:
+                continue
+            u = math.hypot(self._reduced.u[place], U_SIMULATED)
+            here = self._motion(gap, theta, nuisance[RESTITUTION])
+            slopes = [self._slope(gap, theta, nuisance, here, direction) for direction in np.eye(len(NAMES) + 1)]
+            if here.orbit() is None or None in slopes:
+                self.left_out[gap] = (
+                    f"the motion is {here.regime}: it does not repeat" if here.orbit() is None
+                    else CROSSED
+                )  # fmt: skip
+                continue
+            row = self._reduced.effects[place] * self._uncertain
+            row[RESTITUTION] = slopes[-1] if self._uncertain[RESTITUTION] else 0.0
+            others = np.where(np.arange(len(NUISANCES)) == RESTITUTION, 0.0, nuisance)  # e is in the simulation
+            residual.append((here.log_ratio - math.log(ratio) + row @ others) / u)
+            jacobian.append(np.array(slopes[:-1]) / u)
+            bent.append(row / u)
+        return (
+            np.array(residual),
+            np.reshape(jacobian, (len(residual), len(NAMES))),
+            np.reshape(bent, (len(residual), len(NUISANCES))),
+        )
 
     def weigh(self, theta: Real) -> Real:
         """Return the constants with their common factor adjusted to the reductions."""
-        for _ in range(CHORDS):
-            here = self.misfit(theta)
-            slope = self._slope(theta, here, SCALE)
-            change = float(np.clip(-(slope @ here) / (slope @ slope), -LARGEST_STEP, LARGEST_STEP))
+        for _ in range(ROUNDS):
+            here, slopes = [], []
+            for gap, ratio in self._reduced.ratio.items():
+                motion = self._motion(gap, theta, 0.0)
+                here.append(motion.log_ratio - math.log(ratio))
+                slopes.append((self._motion(gap, theta + COARSE * SCALE, 0.0).log_ratio - motion.log_ratio) / COARSE)
+            change = float(np.clip(-np.dot(slopes, here) / np.dot(slopes, slopes), -LARGEST_STEP, LARGEST_STEP))
             theta = theta + change * SCALE
-            if abs(change) < SIMULATED_STEP:
+            if abs(change) < COARSE:
                 break
         return theta
 
-    def _slope(self, theta: Real, here: Real, direction: Real) -> Real:
-        return np.asarray((self.misfit(theta + SIMULATED_STEP * direction) - here) / SIMULATED_STEP)
+    def _motion(self, gap_m: float, theta: Real, restitution: float) -> Motion:
+        e = self._known.contact.restitution + restitution
+        config = from_flat(rig(self._known, theta), {"contact.restitution": e})
+        return simulated(config, gap_m, self._reduced.frequency_hz, self._reduced.current_a)
+
+    def _slope(self, gap_m: float, theta: Real, nuisance: Real, here: Motion, direction: Real) -> float | None:
+        """Return the derivative along a direction in the space of the constants and, last, e."""
+        e = float(nuisance[RESTITUTION])
+        return slope(lambda h: self._motion(gap_m, theta + h * direction[:-1], e + h * direction[-1]), here)
 
 
 def _linear(measured: Measured, known: RigConfig, theta: Real, nuisance: Real) -> tuple[Real, Real, Real]:
@@ -196,7 +277,8 @@ def _linear(measured: Measured, known: RigConfig, theta: Real, nuisance: Real) -
 
 def _prior(measured: Measured) -> Real:
     """Return the standard uncertainty of each nuisance, known beforehand."""
-    return np.append(measured.gains.u, measured.reduced.u_without if measured.reduced else 0.0)
+    without = measured.reduced.u_without if measured.reduced else 0.0
+    return np.array([*measured.gains.u, without, measured.u_restitution])
 
 
 def _model(known: RigConfig, theta: Real, frequency_hz: Real) -> Real:

@@ -26,8 +26,12 @@ from impact_rig.studies.identification.fisher import Real
 LEAST_NOISE = 1e-4
 """Relative; repeatability that is not claimed to be better, whatever a few seconds of signal suggest."""
 CALIBRATION = ("gain laser", "gain base", "gain current", "curve laser", "curve base")
-NUISANCES = (*CALIBRATION, "DT without sphere")
-"""Errors that several data share; the last is the noise of the point that all reductions are taken against."""
+NUISANCES = (*CALIBRATION, "DT without sphere", "e")
+"""Errors that several data share. "DT without sphere" is the noise of the point that all reductions are taken against,
+e the error of the nominal restitution that is taken as known."""
+RESTITUTION = NUISANCES.index("e")
+U_RESTITUTION = 0.02
+"""Standard uncertainty of the nominal e, unless a better one is given: the reductions tell more if they are several."""
 
 
 @attrs.frozen(eq=False)
@@ -63,7 +67,8 @@ class Reduced:
         ratio: by gap [m].
         u: relative standard uncertainty by the noise of DT with the sphere, shape (n,).
         u_without: that of DT without.
-        effects: d ln ratio / d nuisance, shape (n, 6).
+        effects: d ln ratio / d nuisance, shape (n, 7); that of e is left to the simulation.
+        regimes: what the motion with the sphere was measured to be, by gap.
     """
 
     frequency_hz: float
@@ -72,6 +77,7 @@ class Reduced:
     u: Real
     u_without: float
     effects: Real
+    regimes: Mapping[float, str]
 
 
 @attrs.frozen(eq=False)
@@ -98,7 +104,7 @@ class Gains:
         return cls(np.array([*gains, *curve]), calibration)
 
     def relative(self, channel: int, amplitude: Real) -> Real:
-        """Return d ln(amplitude) / d nuisance for a channel, shape (n, 6)."""
+        """Return d ln(amplitude) / d nuisance for a channel, shape (n, 7)."""
         effect = np.zeros((len(amplitude), len(NUISANCES)))
         effect[:, (LASER, BASE, CURRENT).index(channel)] = 1.0
         if channel != CURRENT:
@@ -150,6 +156,7 @@ def reduced_of(curves: Curves, frequency_hz: float, gaps_m: Sequence[float], gai
         u=np.array([_noise(point, gains) for point in points]),
         u_without=_noise(without, gains),
         effects=effects,
+        regimes={point.gap_m: point.regime for point in points},
     )
 
 
@@ -160,9 +167,10 @@ def _noise(point: Point, gains: Gains) -> float:
 
 @attrs.frozen(eq=False, kw_only=True)
 class Measured:
-    """Everything that was measured; None where it was not."""
+    """Everything that was measured; None where it was not. `u_restitution`: how well the nominal e is known."""
 
     gains: Gains
     decay: Decay | None = None
     sine: SineData | None = None
     reduced: Reduced | None = None
+    u_restitution: float = U_RESTITUTION

@@ -118,5 +118,6 @@ def _slopes(residual: Callable[[Real], Real], at: Real, here: Real, places: Sequ
 
 def _reductions(base: RigConfig, at: Real) -> Real:
     """Return the five reductions in percent."""
-    ratios = simulated(rig(base, at[:-1]), tuple(REDUCTION_PERCENT), FREQUENCY_HZ, float(np.exp(at[-1])))
-    return 100.0 * (1.0 - np.exp(ratios))
+    config, current_a = rig(base, at[:-1]), float(np.exp(at[-1]))
+    motions = [simulated(config, gap, FREQUENCY_HZ, current_a) for gap in REDUCTION_PERCENT]
+    return 100.0 * (1.0 - np.exp([motion.log_ratio for motion in motions]))

@@ -1,0 +1,92 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""What it costs to begin: a fresh process, a node's first block, the memory of nodes, and the README's commands.
+
+Installation, demo and tests take minutes and begin elsewhere: whoever runs them notes the figure (`tools/doors.py`,
+`make test`, `make check`), each in a file of its own in build/start, and here the latest are read. Memory is read after
+a minute in real time at 10 kS/s; `SECONDS=10 make bench ONLY=start` waits less.
+"""
+
+from __future__ import annotations
+
+import os
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+from benchmarks.cpu import resident_mb
+from benchmarks.live import DRIVE, graph
+from impact_rig import topics
+from impact_rig.client import Client, Processes, isolated_domain
+
+NOTED = Path("build") / "start"
+ONE_SECOND = """
+from impact_rig.rig.config import RigConfig
+from impact_rig.rig import Rig
+assert Rig(RigConfig()).advance(10**9)
+"""
+FRESH = 5
+"""Processes of which the median is taken."""
+
+
+def run() -> dict[str, float]:
+    """Measure what is quick, and read what was noted."""
+    return {**first_block(), **one_second(), **memory(float(os.environ.get("SECONDS", "60"))), **noted()}
+
+
+def first_block() -> dict[str, float]:
+    """From starting a rig process to its first block; cold: nothing compiled, warm: the same again."""
+    with tempfile.TemporaryDirectory() as cache:
+        cold, *warm = (_first_block_s(Path(cache)) for _ in range(1 + FRESH))
+    median = statistics.median(warm)
+    return {"cold_start_s": cold, "warm_start_s": median, "node_first_block_s": median}
+
+
+def _first_block_s(cache: Path) -> float:
+    with (
+        isolated_domain() as domain_id,
+        tempfile.TemporaryDirectory() as logs,
+        Processes(domain_id, Path(logs)) as processes,
+        Client(domain_id, processes=processes) as client,
+    ):
+        began = time.monotonic()
+        processes.start("rig", environment={"NUMBA_CACHE_DIR": str(cache)})
+        scans = client.collect(topics.SCAN.name, timeout_s=300.0)
+        client.wait_until(lambda: len(scans) > 0, "the first block", timeout_s=300.0)
+        return time.monotonic() - began
+
+
+def one_second() -> dict[str, float]:
+    """A fresh process that simulates one second of the rig: processor time, and the most memory it held."""
+    subprocess.run([sys.executable, "-c", ONE_SECOND], check=True)  # whatever has to be compiled
+    used = []
+    for _ in range(FRESH):
+        with subprocess.Popen([sys.executable, "-c", ONE_SECOND]) as process:
+            _, status, usage = os.wait4(process.pid, 0)
+            process.returncode = os.waitstatus_to_exitcode(status)
+        assert process.returncode == 0
+        used.append(usage)
+    return {
+        "one_second_cpu_s": statistics.median(one.ru_utime + one.ru_stime for one in used),
+        "one_second_rss_mb": statistics.median(one.ru_maxrss / 1024.0 for one in used),
+    }
+
+
+def memory(seconds: float) -> dict[str, float]:
+    """What rig and analysis hold after a while in real time at the default rate."""
+    with graph(DRIVE) as (client, processes, _):
+        client.spin_for(seconds)
+        return {f"{node}_rss_mb": resident_mb(processes.running[node].pid) for node in ("rig", "analysis")}
+
+
+def noted() -> dict[str, float]:
+    """Return the figures that somebody else's latest run has left."""
+    return {path.name: float(path.read_text()) for path in sorted(NOTED.glob("*_*"))}
+
+
+if __name__ == "__main__":
+    for name, value in run().items():
+        print(f"{name:40} {value:.4g}")

@@ -1,0 +1,234 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""Is what a channel says believable? Judged by its own samples, by the other channels, and by what it said before.
+
+By itself: not finite, at the end of its range, constant, jumps between two scans that neither the vibration nor its
+noise makes (spikes, a step of the zero), noise far above that of the calibration. By the others: the accelerometer
+sits where the laser looks, so its amplitude is ω² times the laser's, whatever the motion; a passive structure cannot
+lead its base. By before: while the drive stays as it is, a sensor that changes alone has changed its gain, as laser and
+accelerometer see one motion, and the base follows from coil current and superior base.
+
+A gain that was wrong from the first row of a setting on, by less than the accelerometer can tell, shows in no reading.
+"""
+
+from __future__ import annotations
+
+import math
+
+import attrs
+import numpy as np
+
+from impact_rig.analysis.calibration import Calibration, Complex, Real
+from impact_rig.analysis.channels import ACCELEROMETER, BASE, CHANNELS, CURRENT, LASER
+from impact_rig.analysis.cycles import RANGE_BIT, Cycles
+from impact_rig.analysis.words import Status
+
+DISPLACEMENTS = (LASER, BASE, CURRENT)
+CONSTANT_FACTOR = 1e-13
+"""Variance over squared mean that rounding of the sums alone can leave of a constant."""
+SIGNAL_FACTOR = 5.0
+"""An amplitude below this many standard uncertainties is silence."""
+SMOOTH_FACTOR = 2.0
+"""The largest change from scan to scan of the fitted sine and its overtones, times this, is vibration."""
+PEAK_FACTOR = 9.0
+"""Noise changes by less from scan to scan than this many times its rms: 6.4 σ√2, once in 10^10."""
+NOISE_FACTOR = 10.0
+"""Noise of this many times the calibration's is another channel's than the calibration is of."""
+REFERENCE_FACTOR = 20.0
+"""A channel's amplitude per cycle, in standard uncertainties, from which its phase can serve as reference."""
+SWAP_MATCH, SWAP_MISMATCH = 1.25, 1.5
+"""Acceleration over ω² must match the base within the first factor and miss the laser by the second to call a swap."""
+LEAD_LIMIT_RAD = math.radians(0.5)
+CERTAIN = 0.1
+"""Relative uncertainty of DT up to which wiring is judged from it: 1.25 and 1.5 are then told apart."""
+ACCELERATION_LIMIT = 0.04
+"""Relative departure of the acceleration from ω² times the laser's amplitude that is the calibrations' own at most."""
+ACCELEROMETER_HIGH_PASS_HZ = 1.0
+"""Corner that a charge amplifier may have and `daq/info` does not tell."""
+ALONE = 0.003
+"""Relative change of an amplitude that counts, beyond its noise."""
+NOISES = 5.0
+"""Standard uncertainties of a change that may be chance."""
+FOLLOWS = 50.0
+"""The base may change by this many times the relative change of current and superior base: at resonance it is what two
+almost equal forces leave."""
+
+
+@attrs.frozen
+class Verdict:
+    """What is wrong, and with which channel; no channel: with none in particular."""
+
+    status: Status
+    channel: str = ""
+
+
+def unsound(cycles: Cycles, calibration: Calibration, frequency_hz: float) -> Verdict | None:
+    """Return why cycles must not be averaged, or None.
+
+    Args:
+        cycles: consecutive.
+        calibration: of the channels.
+        frequency_hz: of the drive.
+    """
+    flags = int(np.bitwise_or.reduce(cycles.flags))
+    for channel in DISPLACEMENTS:
+        if not np.all(np.isfinite(cycles.mean[:, channel])):
+            return Verdict(Status.NOT_FINITE, CHANNELS[channel])
+        if flags & ((1 | RANGE_BIT) << channel):
+            return Verdict(Status.OVER_RANGE, CHANNELS[channel])
+    constant = [bool(_constant(cycles, channel)) for channel in (LASER, BASE)]
+    if all(constant):
+        return Verdict(Status.SILENCE)
+    for channel, is_constant in zip((LASER, BASE), constant, strict=True):
+        if is_constant:
+            return Verdict(Status.CONSTANT, CHANNELS[channel])
+    for channel in (LASER, BASE):
+        rough = _rough(cycles, calibration, frequency_hz, channel)
+        if rough:
+            return Verdict(rough, CHANNELS[channel])
+    return None
+
+
+def silent(amplitudes: tuple[float, float], floors: tuple[float, float]) -> Verdict | None:
+    """Return whether laser and base, in this order, show no vibration: neither (silence), or one of them alone."""
+    still = [amplitude <= SIGNAL_FACTOR * floor for amplitude, floor in zip(amplitudes, floors, strict=True)]
+    if all(still):
+        return Verdict(Status.SILENCE)
+    for channel, is_still in zip((LASER, BASE), still, strict=True):
+        if is_still:
+            return Verdict(Status.NO_SIGNAL, CHANNELS[channel])
+    return None
+
+
+def _constant(cycles: Cycles, channel: int) -> bool:
+    return bool((cycles.variance[:, channel] <= CONSTANT_FACTOR * cycles.mean[:, channel] ** 2).any())
+
+
+def _rough(cycles: Cycles, calibration: Calibration, frequency_hz: float, channel: int) -> Status | None:
+    """Return what the largest change from scan to scan of a channel gives away, or None."""
+    harmonics = np.arange(1.0, cycles.phasors.shape[2] + 1.0)
+    turn = 2.0 * np.pi * frequency_hz / calibration.rate_hz
+    smooth = SMOOTH_FACTOR * turn * float((np.abs(cycles.phasors[:, channel]) @ harmonics).max())
+    steps = 2.0 * float(calibration.output_step[channel] + calibration.converter_step[channel])
+    known = float(calibration.noise[channel])
+    freedom = cycles.samples - 2 * cycles.phasors.shape[2] - 1
+    rms = math.sqrt(float(np.median(cycles.residual[:, channel] / np.maximum(freedom, 1))))
+    limit = smooth + steps
+    if known > 0.0 and float(np.median(cycles.jump[:, channel])) > limit + NOISE_FACTOR * PEAK_FACTOR * known / 2.0:
+        return Status.NOISY
+    largest = float(cycles.jump[:, channel].max())
+    if largest <= limit + PEAK_FACTOR * max(known, rms):
+        return None
+    shifted = abs(float(cycles.mean[-1, channel] - cycles.mean[0, channel])) > largest / 2.0
+    return Status.LEVEL_JUMP if shifted else Status.SPIKES
+
+
+@attrs.frozen(eq=False)
+class Amplitudes:
+    """Amplitudes of a measurement with the standard uncertainty that its own scatter and noise give each.
+
+    Attributes:
+        size: by `channels.CHANNELS`; acceleration over ω² [m], X_1 [m], X_b [m], current [A].
+        u: of each, in its unit.
+        frequency_hz: of the drive.
+    """
+
+    size: Real
+    u: Real
+    frequency_hz: float
+
+    @property
+    def relative(self) -> Real:
+        """Relative u, infinite where there is no signal."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.where(self.size > 0.0, self.u / self.size, np.inf)
+
+
+def amplitudes(true: list[Complex], noise: Real, cycles: Cycles, frequency_hz: float) -> Amplitudes:
+    """Return the amplitudes of a measurement.
+
+    Args:
+        true: phasors of the cycles by channel, corrected, shape (n, H) each.
+        noise: variance per scan by channel, shape (4,).
+        cycles: that they are of.
+        frequency_hz: of the drive.
+    """
+    size, u = np.zeros(4), np.zeros(4)
+    for channel, phasors in enumerate(true):
+        first = phasors[:, 0]
+        size[channel] = abs(complex(first.mean()))
+        white = 2.0 * float(noise[channel]) / float(cycles.samples.sum())
+        u[channel] = math.sqrt(max(float(np.var(np.abs(first))) / len(first), white))
+    for of in (size, u):
+        of[ACCELEROMETER] /= (2.0 * math.pi * frequency_hz) ** 2
+    return Amplitudes(size, u, frequency_hz)
+
+
+def misplaced(found: Amplitudes, u_relative: float, phase_rad: float, u_phase_rad: float) -> Verdict | None:
+    """Tell whether laser and base have changed places, or one of them is wired the wrong way round.
+
+    Args:
+        found: amplitudes.
+        u_relative: relative standard uncertainty of DT; of an uncertain one nothing is told.
+        phase_rad: of X_1 / X_b; far above resonance it is ± π.
+        u_phase_rad: its standard uncertainty.
+    """
+    if u_relative > CERTAIN:
+        return None
+    fits_laser = False
+    if found.relative[ACCELEROMETER] < 1.0 / REFERENCE_FACTOR:
+        displacement = found.size[ACCELEROMETER]
+        fits_base = 1.0 / SWAP_MATCH < displacement / found.size[BASE] < SWAP_MATCH
+        fits_laser = bool(1.0 / SWAP_MISMATCH < displacement / found.size[LASER] < SWAP_MISMATCH)
+        if fits_base and not fits_laser:
+            return Verdict(Status.SWAPPED_CHANNELS)
+    doubt = LEAD_LIMIT_RAD + 3.0 * u_phase_rad
+    if doubt < phase_rad < math.pi - doubt:
+        return Verdict(Status.INVERTED_CHANNEL if fits_laser else Status.SWAPPED_CHANNELS)
+    return None
+
+
+def contradiction(found: Amplitudes, before: Amplitudes | None = None) -> Verdict | None:
+    """Return whether the accelerometer contradicts the laser, or is dead: then impacts cannot be believed, or DT.
+
+    A dead accelerometer leaves the displacements sound; of one that moves, but not as the laser says, it is not known
+    which of the two is wrong, unless the laser says what it did before.
+
+    Args:
+        found: amplitudes.
+        before: those of an earlier row of the same setting.
+    """
+    u, expected = found.u, found.size[LASER]
+    if not math.isfinite(found.size[ACCELEROMETER]):
+        return Verdict(Status.ACCELEROMETER_UNSOUND, CHANNELS[ACCELEROMETER])
+    if found.size[ACCELEROMETER] <= SIGNAL_FACTOR * u[ACCELEROMETER]:
+        dead = expected > REFERENCE_FACTOR * u[ACCELEROMETER]  # the motion is one that it would show
+        return Verdict(Status.ACCELEROMETER_UNSOUND, CHANNELS[ACCELEROMETER]) if dead else None
+    low = expected / math.hypot(1.0, ACCELEROMETER_HIGH_PASS_HZ / found.frequency_hz)
+    allowed = ACCELERATION_LIMIT * expected + 3.0 * math.hypot(u[ACCELEROMETER], u[LASER])
+    if low - allowed <= found.size[ACCELEROMETER] <= expected + allowed:
+        return None
+    if before is not None:
+        laser, noise = (
+            found.size[LASER] / before.size[LASER] - 1.0,
+            math.hypot(found.relative[LASER], before.relative[LASER]),
+        )
+        if abs(laser) <= ALONE + NOISES * noise:
+            return Verdict(Status.ACCELEROMETER_UNSOUND, CHANNELS[ACCELEROMETER])
+    return Verdict(Status.IMPLAUSIBLE, CHANNELS[LASER])
+
+
+def changed_alone(before: Amplitudes, now: Amplitudes) -> Verdict | None:
+    """Return which channel has changed by itself since an earlier row of the same setting, or None."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        change = np.log(now.size / before.size)
+    noise = NOISES * np.hypot(before.relative, now.relative)
+    size = np.nan_to_num(np.abs(change), posinf=math.inf)
+    least = np.maximum(ALONE, noise)
+    apart = abs(change[LASER] - change[ACCELEROMETER])
+    if apart > ALONE + math.hypot(noise[LASER], noise[ACCELEROMETER]) and size[LASER] > size[ACCELEROMETER]:
+        return Verdict(Status.IMPLAUSIBLE, CHANNELS[LASER])
+    still = size[LASER] + (size[CURRENT] if math.isfinite(noise[CURRENT]) else 0.0)
+    if size[BASE] > least[BASE] + FOLLOWS * still:
+        return Verdict(Status.IMPLAUSIBLE, CHANNELS[BASE])
+    return None

@@ -1,0 +1,119 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""A channel that cannot be believed leaves no row that looks good; one fault after another on a running measurement."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from kits.records import BASE_M, blocks, feed_all, info_rows, linear_transmissibility, steady_record
+from kits.tracker import RATE, record, tracker
+
+from impact_rig.analysis.transmissibility import measure_record
+from impact_rig.analysis.words import Status
+
+FAULT_AT = 14 * RATE + 77
+LASER_M = BASE_M * abs(linear_transmissibility(9.1))
+
+
+def silent(channel):
+    def spoil(rows, rng):
+        rows[channel][FAULT_AT:] = 1e-7 * rng.standard_normal(len(rows) - FAULT_AT)
+
+    return spoil
+
+
+def stuck(channel):
+    def spoil(rows, _):
+        rows[channel][FAULT_AT:] = rows[channel][FAULT_AT]
+
+    return spoil
+
+
+def gain(channel, factor):
+    def spoil(rows, _):
+        rows[channel][FAULT_AT:] *= factor
+
+    return spoil
+
+
+def level(channel, size):
+    def spoil(rows, _):
+        rows[channel][FAULT_AT:] += size
+
+    return spoil
+
+
+def spikes(channel, size):
+    def spoil(rows, rng):
+        at = rng.choice(np.arange(FAULT_AT, len(rows)), 200, replace=False)
+        rows[channel][at] += size * rng.choice([-1.0, 1.0], 200)
+
+    return spoil
+
+
+def noise(channel, rms):
+    def spoil(rows, rng):
+        rows[channel][FAULT_AT:] += rms * rng.standard_normal(len(rows) - FAULT_AT)
+
+    return spoil
+
+
+@pytest.mark.parametrize(
+    ("spoil", "status", "channel"),
+    [
+        pytest.param(silent("base"), "no_signal", "base", id="base silent"),
+        pytest.param(silent("laser"), "no_signal", "laser", id="laser silent"),
+        pytest.param(silent("accelerometer"), "accelerometer_unsound", None, id="accelerometer silent"),
+        pytest.param(stuck("base"), "constant", "base", id="base stuck"),
+        pytest.param(stuck("laser"), "constant", "laser", id="laser stuck"),
+        pytest.param(gain("base", 1.05), "implausible", "base", id="base gain"),
+        pytest.param(gain("laser", 0.95), "implausible", "laser", id="laser gain"),
+        pytest.param(gain("accelerometer", 1.2), "accelerometer_unsound", None, id="accelerometer gain"),
+        pytest.param(level("base", 2e-4), "level_jump", "base", id="base level"),
+        pytest.param(level("laser", 2e-3), "level_jump", "laser", id="laser level"),
+        pytest.param(spikes("base", 1e-4), "spikes", "base", id="base spikes"),
+        pytest.param(spikes("laser", 2e-3), "spikes", "laser", id="laser spikes"),
+        pytest.param(noise("base", 1e-4), "noisy", "base", id="base noise"),
+        pytest.param(noise("laser", 5e-4), "noisy", "laser", id="laser noise"),
+    ],
+)
+def test_a_fault_in_a_running_measurement_is_named_and_no_wrong_row_looks_good(spoil, status, channel):
+    rows, truth = record(seconds=40.0), linear_transmissibility(9.1)
+    spoil(rows, np.random.default_rng(8))
+    found = [table.rows[0] for table in feed_all(tracker(), blocks(rows, RATE, 20))[0]]
+    assert found[0]["status"] == b"ok"
+    named = [row for row in found if row["status"].decode() == status]
+    assert named, [row["status"] for row in found]
+    assert channel is None or {row["channel"].decode() for row in named} == {channel}
+    for row in found:
+        if row["settled"] == 1:
+            assert abs(row["transmissibility"] - abs(truth)) < 3 * row["transmissibility_uncertainty"]
+            assert abs(row["phase"] - np.angle(truth)) < 3 * row["phase_uncertainty"] + 1e-4
+    if status == "accelerometer_unsound":
+        assert np.isnan(named[-1]["impacts_per_cycle"])
+
+
+def test_a_gain_that_comes_back_is_believed_again():
+    rows = record(seconds=45.0)
+    rows["base"][FAULT_AT : FAULT_AT + 8 * RATE] *= 1.05
+    found = [table.rows[0]["status"].decode() for table in feed_all(tracker(), blocks(rows, RATE, 20))[0]]
+    assert "implausible" in found
+    assert found[-1] == "ok"
+
+
+def test_what_is_only_noise_is_not_called_wired_wrongly():
+    """x_1 of 0.6 µm below noise of 3 µm has any phase: too uncertain, silent or right, never inverted or swapped."""
+    rng, words = np.random.default_rng(4), set()
+    for _ in range(60):
+        rows = steady_record(20.0, 2.5, rate_hz=RATE, rng=rng, base_m=2e-6)
+        words.add(measure_record(rows, info_rows(RATE), 20.0).status)
+    assert words.isdisjoint({Status.INVERTED_CHANNEL, Status.SWAPPED_CHANNELS}), words
+
+
+def test_a_laser_with_a_wrong_gain_from_the_start_contradicts_the_accelerometer():
+    rows = record(seconds=7.0)
+    rows["laser"] *= 1.1
+    found = measure_record(rows, info_rows(RATE), 9.1)
+    assert (found.status, found.channel) == (Status.IMPLAUSIBLE, "laser")
+    assert LASER_M > 5e-3

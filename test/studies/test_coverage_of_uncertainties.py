@@ -1,0 +1,51 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""A slice of `tools/coverage_of_uncertainties.py`: rows of the rig's own instruments, drawn anew, against the truth."""
+
+from __future__ import annotations
+
+import runpy
+from pathlib import Path
+
+import attrs
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+TOOL = runpy.run_path(str(Path(__file__).parents[2] / "tools" / "coverage_of_uncertainties.py"))
+SEEDS = range(1, 17)
+CHANCE = 1e-4
+
+
+def judged(case):
+    _, cells, refused = TOOL["judged"](case, SEEDS)
+    return {name: np.array([one.error / one.u for one in found]) for name, found in cells.items()}, refused
+
+
+@pytest.mark.parametrize("bits", [12, 16])
+def test_reductions_are_off_by_what_they_state(bits):
+    """Scattered at 16 bits: a sum of (error/u)² is a chi-square. Bounded by the steps at 12: hardly one beyond 2u."""
+    case = next(case for case in TOOL["reduction_cases"]() if case.label == (f"{bits}",))
+    found, _ = judged(attrs.evolve(case, gaps_m=(0.0, 0.008, 0.002)))
+    assert set(found) == {(f"{bits}", gap, count) for gap in ("2", "8") for count in ("1", "2")}
+    low, high = chi2.ppf((CHANCE, 1.0 - CHANCE), len(SEEDS))
+    for name, off in found.items():
+        assert np.sum(off**2) < high, (name, off)
+        assert bits < 16 or np.sum(off**2) > low, (name, off)
+
+
+@pytest.mark.parametrize(
+    ("base_um", "bits", "noise", "measured"),
+    [("50", "12", "on", True), ("5", "16", "on", True), ("5", "16", "off", False), ("2", "12", "on", False)],
+)
+def test_small_signals_are_covered_or_refused(base_um, bits, noise, measured):
+    """At 6 Hz x_1 is 1.8 times the base: 9 µm and less on a laser of 8 µm steps, 4 µm on a converter of 10."""
+    case = next(case for case in TOOL["small_cases"]((6.0,)) if case.label[1:] == (base_um, bits, noise))
+    found, refused = judged(case)
+    if not measured:
+        assert found == {}
+        assert set(refused) <= {"below_resolution", "constant", "no_signal", "silence", "too_uncertain"}
+        return
+    for name, off in found.items():
+        assert len(off) >= len(SEEDS) - 2
+        assert np.mean(np.abs(off) <= 2.0) >= 0.75, (name, off)

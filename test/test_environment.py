@@ -1,0 +1,246 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""The locked versions serve every supported Python, in three parts, and an installation goes on where it stopped."""
+
+from __future__ import annotations
+
+import ast
+import importlib.util
+import os
+import re
+import subprocess
+import sys
+import zipfile
+from importlib import metadata
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+from packaging.requirements import Requirement
+from packaging.specifiers import SpecifierSet
+from packaging.utils import canonicalize_name
+
+ROOT = Path(__file__).parents[1]
+REQUIREMENTS = ROOT / "requirements"
+EXTRAS = {"argcomplete", "distributed", "pytest"}
+"""What the package imports only for who has the extra, which is in the tests' part."""
+
+
+def script(name: str) -> ModuleType:
+    """Import a script that is in no package."""
+    found = importlib.util.spec_from_file_location(name, REQUIREMENTS / f"{name}.py")
+    assert found is not None
+    module = importlib.util.module_from_spec(found)
+    assert found.loader is not None
+    found.loader.exec_module(module)
+    return module
+
+
+lock, install = script("lock"), script("install")
+LINES = {
+    part: [line for line in (REQUIREMENTS / f"{part}.txt").read_text().splitlines() if "==" in line]
+    for part in lock.SECTIONS
+}
+PINS = {part: {(pin := Requirement(line.partition("  #")[0])).name: pin for line in LINES[part]} for part in LINES}
+
+
+def versions(*parts: str) -> dict[str, str]:
+    return {name: str(pin.specifier)[2:] for part in parts for name, pin in PINS[part].items()}
+
+
+@pytest.mark.parametrize("python", lock.PYTHONS)
+def test_every_pin_serves_every_python(python: str) -> None:
+    """As the index said when they were chosen; `make lock ARGS=--check` asks it again."""
+    unfit = []
+    for line in [line for part in LINES.values() for line in part]:
+        pin, asked = Requirement(line.partition("  #")[0]), line.partition("# Python ")[2]
+        needed_here = pin.marker is None or pin.marker.evaluate(lock.environment(python))
+        if needed_here and not SpecifierSet(asked.replace("any", "")).contains(python):
+            unfit.append(line)
+    assert unfit == []
+
+
+@pytest.mark.parametrize("python", lock.PYTHONS)
+@pytest.mark.parametrize("part", ["run", "test", "docs"])
+def test_nothing_that_a_pin_needs_is_missing(part: str, python: str) -> None:
+    """Every requirement of what is installed here, followed with the markers of each Python, is met by the lock."""
+    pinned = versions("run", "wheels", part)
+    installed = {canonicalize_name(one.name): one for one in metadata.distributions()}
+    known = {
+        name: [Requirement(text) for text in installed[name].requires or ()]
+        for name, version in pinned.items()
+        if name in installed and installed[name].version == version and name not in lock.UNUSED_REQUIREMENTS_OF
+    }
+    assert len(known) > 20
+    direct = lock.direct()
+    begin = [*direct["run"], *direct["wheels"], *direct[part]]
+    for name, requirement in lock.needed(begin, known, python).items():
+        assert name in pinned, f"{requirement} on Python {python}"
+        assert requirement.specifier.contains(pinned[name]), f"{requirement}, but {pinned[name]} is locked"
+
+
+def test_a_requirement_under_a_marker_is_followed_for_each_python() -> None:
+    """pip evaluates markers for the Python that runs it, whatever `--python-version` says."""
+    known = {"a": [Requirement("b; python_full_version < '3.11.1'"), Requirement("c[x]; python_version >= '3.12'")]}
+    known["c"] = [Requirement("d; extra == 'x'"), Requirement("e; extra == 'y'")]
+    begin = [Requirement("a")]
+    assert lock.needed(begin, known, "3.11.0").keys() == {"a", "b"}
+    assert lock.needed(begin, known, "3.11.2").keys() == {"a"}
+    assert lock.needed(begin, known, "3.13.0").keys() == {"a", "c", "d"}
+
+
+def test_the_smallest_part_has_what_the_package_imports_and_no_more() -> None:
+    """Whoever only runs the rig pays for nothing else."""
+    imported = set()
+    for path in (ROOT / "impact_rig").rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Import):
+                imported |= {alias.name.partition(".")[0] for alias in node.names}
+            elif isinstance(node, ast.ImportFrom) and node.module:
+                imported.add(node.module.partition(".")[0])
+    provided = {name: set(map(canonicalize_name, by)) for name, by in metadata.packages_distributions().items()}
+    providers = [provided[name] for name in imported - EXTRAS - {"impact_rig"} if name in provided]
+    assert {"numba", "aiohttp", "zstandard"} < set().union(*providers)
+    assert [by for by in providers if not by & versions("run", "wheels").keys()] == []
+    unused = {"pyarrow", "distributed", "mypy", "ruff", "pytest", "mkdocs", "ipython", "pyuff", "hypothesis"}
+    assert versions("run", "wheels").keys().isdisjoint(unused)
+    assert unused <= versions("test", "docs").keys()
+
+
+@pytest.mark.parametrize("part", ["run", "test"])
+def test_the_cost_that_is_said_is_what_is_paid(part: str) -> None:
+    distributions = {canonicalize_name(one.name): one for one in metadata.distributions() if one.files}
+    names = versions(part).keys() & distributions.keys()
+    files = {file.locate() for name in names for file in distributions[name].files or ()}
+    there = sum(os.lstat(str(file)).st_blocks * 512 for file in files if os.path.lexists(str(file))) / 2**20
+    assert install.ON_DISK_MB[part] * 0.85 < there < install.ON_DISK_MB[part] * 1.05
+
+
+def test_what_the_commands_of_the_readme_took_is_among_the_figures(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whoever runs them leaves a file; what nobody has run lately is absent, never zero."""
+    from benchmarks import start
+
+    monkeypatch.chdir(tmp_path)
+    assert start.noted() == {}
+    start.NOTED.mkdir(parents=True)
+    (start.NOTED / "suite_s").write_text("431\n")  # as the shell of `make test` writes it
+    assert start.noted() == {"suite_s": 431.0}
+    assert f"{start.NOTED}/$(1)" in (ROOT / "Makefile").read_text(encoding="utf-8")
+
+
+# --- An installation: real pip, real environment, three tiny packages -------------------------------------------------
+
+
+def write_wheel(directory: Path, name: str, version: str = "1.0") -> None:
+    info = f"{name}-{version}.dist-info"
+    with zipfile.ZipFile(directory / f"{name}-{version}-py3-none-any.whl", "w") as wheel:
+        wheel.writestr(f"{name}.py", f"VERSION = {version!r}\n")
+        wheel.writestr(f"{info}/METADATA", f"Metadata-Version: 2.1\nName: {name}\nVersion: {version}\n")
+        wheel.writestr(f"{info}/WHEEL", "Wheel-Version: 1.0\nRoot-Is-Purelib: true\nTag: py3-none-any\n")
+        wheel.writestr(f"{info}/RECORD", f"{name}.py,,\n{info}/METADATA,,\n{info}/WHEEL,,\n{info}/RECORD,,\n")
+
+
+class Checkout:
+    """A directory with the scripts of this one and a lock of its own."""
+
+    def __init__(self, root: Path) -> None:
+        self.root = root
+        self.wheels = root / "wheels"
+        (root / "requirements").mkdir(parents=True)
+        self.wheels.mkdir()
+        for script in ("venv.sh", "install.py"):
+            (root / "requirements" / script).write_bytes((REQUIREMENTS / script).read_bytes())
+        (root / "requirements" / "venv.sh").chmod(0o755)
+        self.lock(run="inner==1.0", wheels="", test='tester==1.0  # Python any\nolder==1.0 ; python_version in "3.9"')
+        for name in ("inner", "tester"):
+            write_wheel(self.wheels, name)
+
+    def lock(self, **parts: str) -> None:
+        for part, text in parts.items():
+            (self.root / "requirements" / f"{part}.txt").write_text(f"{text}\n")
+
+    def install(self, *tiers: str, python: str = sys.executable, code: int = 0) -> str:
+        """Call the script as make does; returns all that it says."""
+        environment = {name: value for name, value in os.environ.items() if not name.startswith(("PIP_", "PYTHON"))}
+        environment |= {"PIP_NO_INDEX": "1", "PIP_FIND_LINKS": str(self.wheels), "PYTHON": python}
+        environment |= {"PIP_CONFIG_FILE": os.devnull}
+        done = subprocess.run(
+            ["requirements/venv.sh", "wheels", ".venv", *tiers],
+            cwd=self.root, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=False,
+        )  # fmt: skip
+        assert done.returncode == code, done.stdout
+        return done.stdout
+
+    def there(self) -> dict[str, str]:
+        (site,) = (self.root / ".venv").glob("lib/python3*/site-packages")
+        found = {one.name: one.version for one in metadata.distributions(path=[str(site)])}
+        return {name: found[name] for name in ("inner", "tester", "older") if name in found}
+
+
+@pytest.fixture(scope="module")
+def checkout(tmp_path_factory: pytest.TempPathFactory) -> Checkout:
+    """One environment for the tests below, which each begin with what the one before has left."""
+    made = Checkout(tmp_path_factory.mktemp("checkout"))
+    said = made.install("run")
+    assert "installing 1 of 1 packages (run)" in said
+    assert re.search(r"up to \d+ MB on disk", said)
+    assert made.there() == {"inner": "1.0"}
+    return made
+
+
+def test_the_next_part_installs_the_difference_and_again_nothing(checkout: Checkout) -> None:
+    kept = checkout.root / ".venv" / "kept"
+    kept.touch()
+    assert "installing 1 of 2 packages (run, test)" in checkout.install("run", "test")
+    assert checkout.there() == {"inner": "1.0", "tester": "1.0"}
+    assert checkout.install("run", "test") == ""
+    assert kept.exists()
+
+
+def test_a_half_installed_package_is_installed_again_and_the_others_are_kept(checkout: Checkout) -> None:
+    checkout.install("run", "test")
+    (record,) = (checkout.root / ".venv").rglob("tester-1.0.dist-info/RECORD")
+    record.write_text("tester.py,,\n")  # as the wheel has it: pip writes its own line last
+    module = record.parents[1] / "tester.py"
+    module.write_text("VERSI")
+    inner = record.parents[1] / "inner.py"
+    before = inner.stat().st_mtime_ns
+    assert "installing 1 of 2 packages" in checkout.install("run", "test")
+    assert module.read_text() == "VERSION = '1.0'\n"
+    assert inner.stat().st_mtime_ns == before
+
+
+def test_a_new_version_replaces_the_old_one_and_an_absent_one_is_named(checkout: Checkout) -> None:
+    checkout.lock(run="inner==2.0")
+    said = checkout.install("run", code=1)
+    assert "No matching distribution found for inner==2.0" in said
+    assert "the same command goes on where this one stopped" in said
+    write_wheel(checkout.wheels, "inner", "2.0")
+    checkout.install("run")
+    assert checkout.there()["inner"] == "2.0"
+
+
+def test_an_interpreter_that_cannot_serve_is_told_why_in_one_line(tmp_path: Path) -> None:
+    old = tmp_path / "python3.10"
+    old.write_text('#!/bin/sh\n[ "$1" = --version ] && echo Python 3.10.13 || exit 1\n')
+    old.chmod(0o755)
+    asked = "impact_rig needs CPython 3.11 to 3.14"
+    checkout = Checkout(tmp_path / "checkout")
+    for python, found in ((str(old), "is Python 3.10.13"), (str(tmp_path / "none"), "is not there")):
+        said = checkout.install("run", python=python, code=1)
+        assert said == f"error: {asked}, and {python} {found}: make PYTHON=/path/to/python3.12 ...\n"
+
+
+def test_files_of_equal_content_are_kept_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The ROS wheels hold some libraries under up to eight names."""
+    names = {"liba.so": b"same", "sub/liba.so.2": b"same", "libb.so": b"else", "text.py": b"same"}
+    for name, content in names.items():
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_bytes(content)
+    monkeypatch.setattr(sys, "prefix", str(tmp_path))
+    install.link_equal_files()
+    assert {name: (tmp_path / name).read_bytes() for name in names} == names
+    assert (tmp_path / "liba.so").samefile(tmp_path / "sub" / "liba.so.2")
+    assert [(tmp_path / name).stat().st_nlink for name in ("libb.so", "text.py")] == [1, 1]

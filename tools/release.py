@@ -1,0 +1,171 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""Build what is released, look into it, and try it: `python tools/release.py [DIRECTORY] [--try]` (build/release).
+
+The source distribution is made from the files that git knows, and the wheel from the unpacked source distribution, as
+a package index does it. Both must hold what the repository holds, and nothing else. `--try` installs the wheel, with
+what it asks of the package index, into an empty environment in an empty directory, and uses it there: demo, page of the
+lab, pytest plugin; then it runs tests of the source distribution on the installed package.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import tarfile
+import tempfile
+import urllib.request
+import zipfile
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+NOT_RELEASED = (".github", ".ci", ".gitignore")
+IN_WHEEL = ("config", "launch", "resource", "rviz", "urdf", "package.xml")
+"""Beside the package itself; of examples only what is in its folder and its golden values."""
+EXTRAS = "[wheels,lab]"
+TRIED = ("test/physics", "test/instruments", "test/analysis", "test/test_codec.py")
+"""Tests that look at the installed package, not at the repository around them."""
+PATIENCE_S = 600.0
+END_S = 60.0
+DOMAIN = "74"
+"""Not that of `make`, where somebody may be at work."""
+
+
+def tracked() -> list[str]:
+    """Return the files of a release, as git knows them."""
+    listed = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, check=True, stdout=subprocess.PIPE, text=True).stdout  # noqa: S607  # git
+    return [
+        name for name in listed.split("\0") if name and not name.startswith(NOT_RELEASED) and (ROOT / name).exists()
+    ]
+
+
+def build(directory: Path) -> tuple[Path, Path]:
+    """Return a new source distribution and a new wheel made from it."""
+    directory.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory() as name:
+        source = Path(name) / "source"
+        for file in tracked():
+            (source / file).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy2(ROOT / file, source / file)
+        sdist = directory / _backend("build_sdist", source, directory)
+        unpacked = unpack(sdist, Path(name))
+        return sdist, directory / _backend("build_wheel", unpacked, directory)
+
+
+def unpack(sdist: Path, directory: Path) -> Path:
+    """Unpack it there and return its one directory."""
+    with tarfile.open(sdist) as archive:
+        archive.extraction_filter = getattr(tarfile, "data_filter", None)  # not in the first releases of 3.11
+        archive.extractall(directory)  # noqa: S202  # our own
+    return directory / sdist.name.removesuffix(".tar.gz")
+
+
+def _backend(hook: str, source: Path, directory: Path) -> str:
+    """Call the build backend as pip does, without fetching another one; returns the name of what it made."""
+    code = f"import sys\nfrom setuptools import build_meta\nsys.stderr.write(build_meta.{hook}({str(directory)!r}))"
+    command = [sys.executable, "-W", "ignore", "-c", code]
+    done = subprocess.run(command, cwd=source, check=True, capture_output=True, text=True)  # noqa: S603  # our own code
+    return done.stderr.splitlines()[-1]
+
+
+def differences(sdist: Path, wheel: Path) -> list[str]:
+    """Return what is missing in one of the two, or is there and should not be."""
+    files = set(tracked())
+    with tarfile.open(sdist) as archive:
+        found = {member.name.partition("/")[2] for member in archive if member.isfile()}
+    made = {name for name in found if name.startswith("impact_rig.egg-info/")} | {"PKG-INFO", "setup.cfg"}
+    said = [f"{sdist.name} lacks {name}" for name in sorted(files - found)]
+    said += [f"{sdist.name} holds {name}" for name in sorted(found - files - made)]
+    with zipfile.ZipFile(wheel) as archive:
+        inside = set(archive.namelist())
+    stem = wheel.name.rpartition("-py3")[0]
+    share = f"{stem}.data/data/share/impact_rig/"
+    marker = f"{stem}.data/data/share/ament_index/resource_index/packages/impact_rig"
+    wanted = {name for name in files if name.startswith("impact_rig/")} | {marker}
+    wanted |= {
+        share + name for name in files if name.startswith((*IN_WHEEL, "examples/")) and name != "resource/impact_rig"
+    }
+    there = {name for name in inside if not name.startswith(f"{stem}.dist-info/")}
+    said += [f"{wheel.name} lacks {name}" for name in sorted(wanted - there)]
+    return said + [f"{wheel.name} holds {name}" for name in sorted(there - wanted)]
+
+
+@contextmanager
+def page(command: list[str | Path], directory: Path, environment: Mapping[str, str]) -> Iterator[bytes]:
+    """Start a lab, yield the page it serves, and end it with Ctrl-C."""
+    options = ["lab", "--no-browser", "--port", "0", "--no-record"]
+    with subprocess.Popen(  # noqa: S603  # our own commands
+        [*command, *options], cwd=directory, env=environment, stdout=subprocess.PIPE, text=True, start_new_session=True
+    ) as lab:
+        assert lab.stdout is not None
+        try:
+            address = next(line for line in lab.stdout if "http://" in line).split()[-1]
+            with urllib.request.urlopen(address, timeout=PATIENCE_S) as answer:  # noqa: S310  # our own server
+                yield answer.read()
+        finally:
+            os.killpg(lab.pid, signal.SIGINT)
+            try:
+                lab.wait(END_S)
+            except subprocess.TimeoutExpired:
+                os.killpg(lab.pid, signal.SIGKILL)
+                raise
+
+
+def use(sdist: Path, wheel: Path) -> None:
+    """Install the wheel where nothing is, and use it.
+
+    Raises:
+        CalledProcessError: something of it does not work.
+    """
+    ours = ("ROS_", "AMENT_", "PYTHON", "VIRTUAL_ENV", "_ROS_WHEELS", "LD_LIBRARY_PATH")
+    with tempfile.TemporaryDirectory() as name:
+        empty = Path(name) / "empty"
+        empty.mkdir()
+        environment = {key: value for key, value in os.environ.items() if not key.startswith(ours)}
+        environment |= {"ROS_DOMAIN_ID": DOMAIN, "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "PYTHONUNBUFFERED": "1"}
+        environment["AMENT_PREFIX_PATH"] = str(Path(name) / "venv")
+        programs = Path(name) / "venv" / "bin"
+
+        def run(*command: str | Path, where: Path = empty) -> None:
+            print("$", *command, flush=True)  # noqa: T201  # a program
+            subprocess.run(command, cwd=where, env=environment, check=True)  # noqa: S603  # our own commands
+
+        run(sys.executable, "-m", "venv", programs.parent)
+        run(programs / "python", "-m", "pip", "install", "--quiet", f"{wheel}{EXTRAS}")
+        run(programs / "impact-rig", "--version")
+        run(programs / "impact-rig", "demo", "--output", empty / "demo")
+        with page([programs / "impact-rig"], empty, environment) as served:
+            if b"impact_rig" not in served:
+                raise SystemExit("the lab's page is not there")
+        examples = programs.parent / "share" / "impact_rig" / "examples"
+        run(programs / "python", "-m", "pytest", "-q", "-p", "no:cacheprovider", examples / "test_first_node.py")
+        unpacked = unpack(sdist, Path(name))
+        shutil.rmtree(unpacked / "impact_rig")  # the tests see what is installed
+        pins = [line.partition(" ")[0] for line in (unpacked / "requirements" / "test.txt").read_text().splitlines()]
+        runner = [
+            pin for pin in pins if pin.startswith(("pytest", "hypothesis", "mpmath", "sortedcontainers", "coverage"))
+        ]
+        run(programs / "python", "-m", "pip", "install", "--quiet", *runner)
+        run(programs / "pytest", "-q", *TRIED, where=unpacked)
+
+
+def main() -> None:
+    """Do what is asked, and say where it is."""
+    arguments = [argument for argument in sys.argv[1:] if argument != "--try"]
+    sdist, wheel = build(Path(arguments[0] if arguments else ROOT / "build" / "release").absolute())
+    wrong = differences(sdist, wheel)
+    if wrong:
+        raise SystemExit("\n".join(wrong))
+    print(f"{sdist}\n{wheel}: they hold what the repository holds", flush=True)  # noqa: T201  # a program
+    if "--try" in sys.argv:
+        use(sdist, wheel)
+        print("the wheel works in an empty environment")  # noqa: T201  # as above
+
+
+if __name__ == "__main__":
+    main()
