@@ -58,7 +58,7 @@ $(PACKAGE): $(ENVIRONMENT) setup.py setup.cfg package.xml
 	@touch $@
 
 # --- Targets ----------------------------------------------------------------------------------------------------------
-.PHONY: help lab demo campaign docs figures test lint generate format bench fuzz portability soak colcon venv lock clean
+.PHONY: help lab demo campaign docs figures test check lint generate format bench fuzz portability soak colcon venv lock clean
 
 help: ## print this list
 	@echo 'impact_rig: make TARGET, where TARGET is one of'
@@ -88,12 +88,15 @@ COVERAGE := $(VENV)/bin/python -m coverage
 KERNELS = $$(grep -rl --include='*.py' '^from numba import njit' impact_rig | paste -sd,)
 MEASURED := $(if $(ARGS),,1)
 
-test: $(PACKAGE) ## run all tests on real ROS 2; ARGS='-k codec' chooses, SHUFFLE=7 draws another order
+test: $(PACKAGE) ## run all tests on real ROS 2; ARGS=--changed or '-k codec' chooses, SHUFFLE=7 draws another order
 	@$(if $(MEASURED),$(COVERAGE) erase)
 	@IMPACT_RIG_REQUIRE_ROS=1 $(if $(MEASURED),$(COVERAGE) run,$(VENV)/bin/python) -m pytest $(PYTEST_PLUGINS_USED) \
 	    $(TWO_WORKERS) $(SECOND_CHANCE) $(if $(SHUFFLE),--shuffle=$(SHUFFLE)) $(ARGS); status=$$?; \
 	    $(if $(MEASURED),$(COVERAGE) combine --quiet && $(COVERAGE) report && \
 	    $(COVERAGE) report --include="$(KERNELS)" --fail-under=90 &&) exit $$status
+
+check: lint ## after every edit: style, types, layers, and the tests without process, browser and ROS
+	@$(VENV)/bin/python -m pytest $(PYTEST_PLUGINS_USED) -q $(TWO_WORKERS) --check $(ARGS)
 
 lint: $(PACKAGE) ## check style, types and layers
 	@$(VENV)/bin/ruff check .
