@@ -63,6 +63,7 @@ def synthetic(rng):
     return Measured(gains=gains, decay=decay, sine=sine)
 
 
+@pytest.mark.repeats
 def test_stated_uncertainties_cover_the_truth():
     """Over 150 experiments, every combination that is said to be known is off by its standard uncertainty."""
     rng, truth = np.random.default_rng(1), logarithms(TRUTH)
