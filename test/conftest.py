@@ -69,6 +69,9 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 def pytest_configure(config: pytest.Config) -> None:
     if REQUIRE_ROS and _why_no_ros():
         raise pytest.UsageError(f"IMPACT_RIG_REQUIRE_ROS=1, but {_why_no_ros()}")
+    if config.getoption("--check"):  # a start that is skipped leaves open what was opened for it
+        config.addinivalue_line("filterwarnings", "ignore::ResourceWarning")
+        config.addinivalue_line("filterwarnings", "ignore::pytest.PytestUnraisableExceptionWarning")
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
