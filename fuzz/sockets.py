@@ -51,7 +51,9 @@ def requests(raw: bytes) -> None:
     assert found.values.keys() == REQUESTS[found.do].keys()
     assert json.loads(json.dumps(dict(found.values), allow_nan=False)) is not None
     assert all(
-        len(value) <= LONGEST_TEXT and value.isprintable() for value in found.values.values() if isinstance(value, str)
+        len(value) <= LONGEST_TEXT and value.isprintable()
+        for value in found.values.values()
+        if isinstance(value, str) and found.do != "load"  # a file, which the configuration's own reader checks
     )
 
 

@@ -22,7 +22,7 @@ from impact_rig.blocks import SETTINGS, Table
 from impact_rig.errors import ImpactRigError
 from impact_rig.instruments.fault import Fault
 from impact_rig.instruments.fault_kinds import FAULT_KINDS
-from impact_rig.recording.schema import schema_text
+from impact_rig.recording.description import schema_text
 from impact_rig.rig import Rig
 from impact_rig.rig.config import RigConfig, dump, fields, from_flat, load, to_flat
 from impact_rig.rig.journal import read
@@ -175,7 +175,7 @@ TARGETS = (
     ),
     Target("parameters", CHANGES, parameters, ("config/tree.py", "config/fields.py")),
     Target("settings", _settings(), settings, ("analysis/settings.py", "analysis/tables.py")),
-    Target("texts", LINES, texts, ("analysis/labels.py", "instruments/fault.py", "recording/schema.py")),
+    Target("texts", LINES, texts, ("analysis/labels.py", "instruments/fault.py", "recording/description.py")),
     Target(
         "commands", st.lists(OPERATIONS, max_size=12), commands, ("rig/core.py", "rig/interlock.py", "rig/journal.py")
     ),

@@ -8,24 +8,27 @@ always seconds since the table's stamp. `docs/interface.md` is written from thes
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import attrs
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_rig.columns import TEXT, Column, row_type
+from impact_rig.columns import LONGEST_S, TEXT, Column, index, row_type, time
 
 FRAME_DAQ = "daq"
+MOST_HZ = 1e6
+"""The board's aggregate rate; bounds the memory that a hostile table can ask for."""
 
 SCAN_FRAME = (
-    Column("time", "s", "Scan clock, since the stamp; a channel is converted its `skew` later (daq/info)."),
+    time("Scan clock, since the stamp; a channel is converted its `skew` later (daq/info)."),
     Column("status", "-", "Bit j: channel j (in the order of these columns, from 0) is over range or clipped.", "u1"),
 )
 """What a scan has besides its channels, which follow from the instruments: `impact_rig.instruments.scan`."""
 
 TRUTH_SCAN_COLUMNS = (
-    Column("time", "s", "Scan clock, since the stamp."),
+    time("Scan clock, since the stamp."),
     Column("x_b", "m", "Position of the inferior base."),
     Column("x_1", "m", "Position of the superior base."),
     Column("x_2", "m", "Position of the sphere."),
@@ -42,7 +45,7 @@ TRUTH_SCAN_COLUMNS = (
 TRUTH_SCAN = row_type(TRUTH_SCAN_COLUMNS)
 
 IMPACTS_COLUMNS = (
-    Column("time", "s", "Begin of the contact, since the stamp; negative if it began before the block."),
+    time("Begin of the contact, since the stamp; negative if it began before the block."),
     Column("wall", "-", "-1 left, +1 right.", "i1"),
     Column("approach_speed", "m/s", "Relative to the wall when the contact begins, positive."),
     Column("separation_speed", "m/s", "Relative to the wall when it ends, positive."),
@@ -59,8 +62,8 @@ IMPACTS_COLUMNS = (
 IMPACTS = row_type(IMPACTS_COLUMNS)
 
 APPLIED_COLUMNS = (
-    Column("time", "s", "Since the stamp, which is the first scan it acts on: 0."),
-    Column("sample", "-", "Index of the first scan it acts on, since the start or reset."),
+    time("Since the stamp, which is the first scan it acts on: 0."),
+    index("sample", "Index of the first scan it acts on, since the start or reset."),
     Column("frequency", "Hz", "Drive frequency."),
     Column("current", "A", "Amplitude commanded, peak (rms for random; m or V by `drive.kind`); a ramp leads there."),
     Column("phase", "rad", "Phase of the drive at that scan, in [0, 2π)."),
@@ -68,20 +71,26 @@ APPLIED_COLUMNS = (
 APPLIED = row_type(APPLIED_COLUMNS)
 
 JOURNAL_COLUMNS = (
-    Column("time", "s", "Since the stamp, which is that of `sample`: 0."),
-    Column("sample", "-", "Index of the first scan it acts on, since the start or reset."),
-    Column("sequence", "-", "Number of the row, from 0 at `start` or `reset`: a gap is a lost row."),
+    time("Since the stamp, which is that of `sample`: 0."),
+    index("sample", "Index of the first scan it acts on, since the start or reset."),
+    index("sequence", "Number of the row, from 0 at `start` or `reset`: a gap is a lost row."),
     Column("kind", "-", "Kind of input, see below.", TEXT),
     Column("key", "-", "What it is about: a command, the last 32 bytes of a parameter's name, a fault.", TEXT),
     Column("value", "as the key", "New value; of a text: number of this row's part."),
-    Column("text", "-", "New value of a text parameter, 32 bytes per row; version at `start` and `reset`.", TEXT),
+    Column(
+        "text",
+        "-",
+        "New value of a text parameter, 32 bytes per row; version at `start` and `reset`.",
+        TEXT,
+        is_part=True,
+    ),
 )
 JOURNAL = row_type(JOURNAL_COLUMNS)
 
 FAULTS_COLUMNS = (
-    Column("time", "s", "When it starts or ends, since the stamp."),
-    Column("sample", "-", "Index of that scan, since the start or reset."),
-    Column("id", "-", "Number of the fault since the reset, from 1."),
+    time("When it starts or ends, since the stamp."),
+    index("sample", "Index of that scan, since the start or reset."),
+    index("id", "Number of the fault since the reset, from 1."),
     Column("kind", "-", "Kind of fault.", TEXT),
     Column("channel", "-", "Channel; empty for a fault of the whole board.", TEXT),
     Column("active", "-", "1 where it starts, 0 where it ends.", "u1"),
@@ -93,7 +102,7 @@ FAULTS = row_type(FAULTS_COLUMNS)
 DAQ_INFO_COLUMNS = (
     Column("name", "-", "Channel: the column of daq/scan.", TEXT),
     Column("unit", "-", "Unit of the channel.", TEXT),
-    Column("rate", "Hz", "Scans per second."),
+    Column("rate", "Hz", "Scans per second.", least=1.0, most=MOST_HZ, whole=True),
     Column("range_low", "unit", "Least value that is measured."),
     Column("range_high", "unit", "Largest value that is measured."),
     Column("sensitivity", "V/unit", "SI value = (volt - offset) / sensitivity."),
@@ -104,20 +113,28 @@ DAQ_INFO_COLUMNS = (
     Column("offset_uncertainty", "unit", "Standard uncertainty of the zero."),
     Column("lag", "s", "Group delay of the sensor at low frequency."),
     Column("skew", "s", "Conversion after the scan clock."),
-    Column("lag_order", "-", "1: the sensor is a first-order lag 1 / (1 + jω lag); 0: a pure delay in the rig's band."),
-    Column("bandwidth", "Hz", "-3 dB corner of the sensor and of its noise."),
+    Column(
+        "lag_order",
+        "-",
+        "1: the sensor is a first-order lag 1 / (1 + jω lag); 0: a pure delay in the rig's band.",
+        default=0.0,
+    ),
+    Column("bandwidth", "Hz", "-3 dB corner of the sensor and of its noise; 0 where unknown.", default=0.0),
     Column(
         "linearity",
         "unit",
         "Limit of the departure from a straight line, a smooth curve; its slope at mid-range is part of "
         "sensitivity_uncertainty.",
+        default=0.0,
     ),
-    Column("since_start", "s", "From scan 0 to this stamp; 0 after a reset."),
+    Column(
+        "since_start", "s", "From scan 0 to this stamp; 0 after a reset.", default=0.0, least=-LONGEST_S, most=LONGEST_S
+    ),
 )
 DAQ_INFO = row_type(DAQ_INFO_COLUMNS)
 
 TRANSMISSIBILITY_COLUMNS = (
-    Column("time", "s", "Since the stamp, which is that of the last scan measured: 0."),
+    time("Since the stamp, which is that of the last scan measured: 0."),
     Column("frequency", "Hz", "Drive frequency as commanded."),
     Column("transmissibility", "-", "Displacement transmissibility |X_1| / |X_b| at the drive frequency."),
     Column("phase", "rad", "Phase of x_1 relative to x_b; negative = lagging."),
@@ -131,12 +148,12 @@ TRANSMISSIBILITY_COLUMNS = (
     Column("settled", "-", "1 if the transient has died, 0 if not."),
     Column("cycles", "-", "Drive cycles measured."),
     Column("gap", "m", "The operator's label: 0 = no sphere, NaN = unknown."),
-    Column("frequency_deviation", "Hz", "Frequency measured less frequency commanded."),
-    Column("spread", "-", "Standard deviation of the transmissibility from cycle to cycle."),
-    Column("period", "drive cycles", "After which the response repeats; NaN if it is not periodic."),
-    Column("waited", "s", "From the last change to the end of the measurement."),
-    Column("regime", "-", "What the response does from cycle to cycle, see docs/analysis.md.", TEXT),
-    Column("method", "-", "How the uncertainty was found, see docs/analysis.md.", TEXT),
+    Column("frequency_deviation", "Hz", "Frequency measured less frequency commanded.", default=math.nan),
+    Column("spread", "-", "Standard deviation of the transmissibility from cycle to cycle.", default=math.nan),
+    Column("period", "drive cycles", "After which the response repeats; NaN if it is not periodic.", default=math.nan),
+    Column("waited", "s", "From the last change to the end of the measurement.", least=0.0, most=LONGEST_S),
+    Column("regime", "-", "What the response does from cycle to cycle, see docs/analysis.md.", TEXT, default=""),
+    Column("method", "-", "How the uncertainty was found, see docs/analysis.md.", TEXT, default=""),
     Column("status", "-", "What this row is, see docs/analysis.md; numbers are NaN unless it was measured.", TEXT),
 )
 TRANSMISSIBILITY = row_type(TRANSMISSIBILITY_COLUMNS)
@@ -151,7 +168,7 @@ HELD_COLUMNS = (
 HELD = row_type(HELD_COLUMNS)
 
 PHASE_LOCK_COLUMNS = (
-    Column("time", "s", "End of the stretch of scans this is of, since the stamp."),
+    time("End of the stretch of scans this is of, since the stamp."),
     Column("frequency", "Hz", "Drive frequency as commanded."),
     Column("phase", "rad", "Phase of x_1 relative to the reference; negative = lagging."),
     Column("transmissibility", "-", "|X_1| / |X_b| in that stretch."),
@@ -175,7 +192,7 @@ SETTINGS_COLUMNS = (
 SETTINGS = row_type(SETTINGS_COLUMNS)
 
 DETECTED_IMPACTS_COLUMNS = (
-    Column("time", "s", "When it was detected, since the stamp."),
+    time("When it was detected, since the stamp."),
     Column("peak", "m/s^2", "Largest acceleration of the pulse, the vibration filtered out (high-pass)."),
     Column("sign", "-", "+1 when the structure is pushed to the right (the right wall is struck), else -1.", "i1"),
 )

@@ -18,15 +18,17 @@ from __future__ import annotations
 
 import functools
 import struct
+from typing import Any  # numbers of any precision
 
 import attrs
 import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig.blocks import Table
-from impact_rig.columns import TEXT
+from impact_rig.columns import TEXT, Column
 from impact_rig.errors import CodecError
 from impact_rig.simtime import NS_PER_S
+from impact_rig.topics import Topic
 
 Buffer = bytes | bytearray | memoryview
 
@@ -84,15 +86,135 @@ def encode(table: Table) -> bytes:
     )
 
 
-def decode(data: Buffer) -> Table:
+def put_stamp(data: bytearray, stamp_ns: int) -> None:
+    """Write the stamp [ns] of a serialised message that starts with a header, or with a time."""
+    _STAMP.pack_into(data, _ORIGIN, *divmod(stamp_ns, NS_PER_S))
+
+
+def encode_polygon(stamp_ns: int, frame_id: str, points: NDArray[np.floating[Any]]) -> bytes:
+    """Return a serialised `geometry_msgs/PolygonStamped` through points (x, y, z), shape (n, 3)."""
+    stream = bytearray(_HEADER.pack(_ENCAPSULATION, *divmod(stamp_ns, NS_PER_S)))
+    _append_text(stream, frame_id, "frame_id")
+    _append_u4(stream, len(points))
+    return bytes(stream) + points.astype("<f4").tobytes()
+
+
+def decode(data: Buffer, topic: Topic | None = None, needs: tuple[str, ...] = ()) -> Table:
     """Return the table in a serialised `sensor_msgs/PointCloud2`; its rows are a read-only view of `data`, not a copy.
 
     Safe on hostile bytes: every length is compared with what is there before it is used.
 
+    Args:
+        data: the message.
+        topic: the table's topic, of which it is then `checked`; None: any columns, any values.
+        needs: as for `checked`.
+
     Raises:
-        CodecError: `data` is not a little-endian PointCloud2 of one row of points with columns as `encode` writes them;
-            the message says where and why.
+        CodecError: `data` is not a little-endian PointCloud2 of one row of points with columns as `encode` writes them,
+            or no table of `topic`; the message says where and why.
     """
+    table = _decode(data)
+    return table if topic is None else checked(table, topic, needs)
+
+
+def checked(table: Table, topic: Topic, needs: tuple[str, ...] = ()) -> Table:
+    """Return a table of `topic` from anywhere, this version's or another's, with the columns and values of the topic.
+
+    Every table that was not made in this process goes through here, live or from a file. A column that an earlier
+    version did not have is filled with its default, a number of a narrower type is widened, and further columns
+    (of a later version, or the channels of a scan) stay behind those of the topic. A table that has the topic's own
+    type is returned as it is.
+
+    Args:
+        table: as decoded.
+        topic: one that carries tables.
+        needs: further columns that must be there: the channels of a scan that somebody reads.
+
+    Raises:
+        CodecError: a column is missing, has another type, or holds what the topic does not allow; the message names
+            topic, column, value and what is allowed.
+    """
+    plan = _plan(topic, table.rows.dtype, needs)
+    rows = table.rows if plan.fits else _fitted(table.rows, plan)
+    for column in plan.numbers:
+        _refuse_numbers(rows[column.name], column, topic)
+    for column in plan.texts:
+        _refuse_texts(rows[column.name], column, topic)
+    return table if rows is table.rows else Table(table.stamp_ns, rows, table.frame_id)
+
+
+@attrs.frozen(eq=False)
+class _Plan:
+    """What has to be done with tables of one type that claim to be of one topic.
+
+    Attributes:
+        fits: whether the rows can stay as they are.
+        dtype: what they become otherwise.
+        absent: columns that get their default.
+        numbers: columns whose values are bounded.
+        texts: columns whose values must be text.
+    """
+
+    fits: bool
+    dtype: np.dtype[np.void]
+    absent: tuple[Column, ...]
+    numbers: tuple[Column, ...]
+    texts: tuple[Column, ...]
+
+
+@functools.lru_cache(maxsize=256)  # few types of rows exist
+def _plan(topic: Topic, found: np.dtype[np.void], needs: tuple[str, ...]) -> _Plan:
+    """Return the plan for tables of the type `found`, or refuse them all."""
+    there = {name: found[name] for name in found.names or ()}
+    kinds = [(column.name, np.dtype(column.kind)) for column in topic.fields]
+    own = {name for name, _ in kinds}
+    kinds += [(name, np.dtype(topic.further or there[name])) for name in there if name not in own]
+    absent = tuple(column for column in topic.fields if column.name not in there)
+    missing = [column.name for column in absent if column.default is None]
+    missing += [name for name in needs if name not in there]
+    if missing:
+        raise CodecError(f"{topic.name}: column {', '.join(map(repr, missing))} is missing")
+    for name, wanted in kinds:
+        got = there.get(name, wanted)
+        if (got.kind == "S") != (wanted.kind == "S") or not np.can_cast(got, wanted, "safe"):
+            raise CodecError(f"{topic.name}: column {name!r} must be of type {wanted.str}, got {got.str}")
+    return _Plan(
+        fits=not absent and all(there[name] == wanted for name, wanted in kinds),
+        dtype=np.dtype(kinds),
+        absent=absent,
+        numbers=tuple(column for column in topic.fields if column.is_bounded),
+        texts=tuple(column for column in topic.fields if column.kind == TEXT and not column.is_part),
+    )
+
+
+def _fitted(rows: NDArray[np.void], plan: _Plan) -> NDArray[np.void]:
+    absent = {column.name: column.default for column in plan.absent}
+    fitted: NDArray[np.void] = np.zeros(rows.shape, plan.dtype)
+    for name in plan.dtype.names or ():
+        fitted[name] = absent[name] if name in absent else rows[name]
+    return fitted
+
+
+def _refuse_numbers(values: NDArray[np.float64], column: Column, topic: Topic) -> None:
+    if not len(values):
+        return
+    within = column.least <= np.minimum.reduce(values) and np.maximum.reduce(values) <= column.most  # NaN: neither
+    if within and not (column.whole and (values != np.floor(values)).any()):
+        return
+    right = (values >= column.least) & (values <= column.most) & (not column.whole or values == np.floor(values))
+    row = int(np.argmin(right))
+    raise CodecError(f"{topic.name}: {column.name} must be {column.allowed()}, got {values[row].item()!r} in row {row}")
+
+
+def _refuse_texts(values: NDArray[np.generic], column: Column, topic: Topic) -> None:
+    for row, raw in enumerate(values.tolist()):
+        try:
+            raw.decode()
+        except UnicodeDecodeError:
+            raise CodecError(f"{topic.name}: {column.name} must be UTF-8, got {raw!r} in row {row}") from None
+
+
+def _decode(data: Buffer) -> Table:
     view = memoryview(data).cast("B")
     stamp = header_stamp_ns(view)
     head = _heads.get(len(view))
@@ -173,6 +295,20 @@ def header_stamp_ns(data: Buffer) -> int:
     return int(seconds) * NS_PER_S + int(nanoseconds)
 
 
+def joint_state(data: Buffer) -> tuple[int, tuple[NDArray[np.float64], ...]]:
+    """Return stamp [ns] and the positions, velocities and efforts of a serialised `sensor_msgs/JointState`.
+
+    Raises:
+        CodecError: it is none.
+    """
+    stamp = header_stamp_ns(data)
+    cursor = _Cursor(memoryview(data).cast("B"), _ORIGIN + _STAMP.size)
+    cursor.text("frame_id")
+    for _ in range(cursor.u4("number of names")):
+        cursor.text("name of a joint")
+    return stamp, tuple(cursor.numbers(what) for what in ("position", "velocity", "effort"))
+
+
 @attrs.define
 class _Cursor:
     """Reads a CDR stream; nothing is read that is not there."""
@@ -195,6 +331,12 @@ class _Cursor:
     def u4(self, what: str) -> int:
         self.position += (_ORIGIN - self.position) % 4
         return int(_U4.unpack_from(self.view, self.take(4, what))[0])
+
+    def numbers(self, what: str) -> NDArray[np.float64]:
+        count = self.u4(f"number of values of {what}")
+        if count:
+            self.position += (_ORIGIN - self.position) % 8
+        return np.frombuffer(self.view, "<f8", count, self.take(8 * count, what))
 
     def text(self, what: str) -> str:
         length = self.u4(f"length of {what}")

@@ -9,6 +9,7 @@ status carries the keys of `KEYS`; `state` is one of the words below, the graves
 from __future__ import annotations
 
 import enum
+from typing import Self
 
 KEYS = {
     "state": "one word of the node's table",
@@ -19,56 +20,76 @@ KEYS = {
 """Keys in the diagnostics of every node, and what they hold; all values are text, as in `diagnostic_msgs/KeyValue`."""
 
 
-class Rig(enum.StrEnum):
+class _Word(enum.StrEnum):
+    """A word and what it means."""
+
+    doc: str
+
+    def __new__(cls, word: str, doc: str = "") -> Self:
+        member = str.__new__(cls, word)
+        member._value_ = word
+        member.doc = doc
+        return member
+
+
+class Rig(_Word):
     """What the rig does; the gravest first."""
 
-    INACTIVE = "inactive"  # unconfigured, inactive or finalised: the reason names the lifecycle state
-    COMPILING = "compiling"  # kernels are compiled for this machine; nothing runs yet
-    RIVAL = "rival"  # somebody else publishes this rig's topics, or holds its namespace
-    NO_PEER = "no_peer"  # a peer of time.peers has not subscribed yet
-    SILENT_PEER = "silent_peer"  # a peer no longer acknowledges: rig time stands still
-    TRIPPED = "tripped"  # the interlock or ~/stop has latched the shaker
-    PAUSED = "paused"  # by ~/pause, or stepped and no step asked for
-    PLUCKED = "plucked"  # base locked after a pluck, structure swings freely
-    AT_REST = "at_rest"  # running, no drive
-    DRIVING = "driving"
+    COMPILING = "compiling", "kernels are compiled for this machine; nothing runs yet"
+    INACTIVE = "inactive", "unconfigured, inactive or finalised: the reason begins with the lifecycle state"
+    RIVAL = "rival", "somebody else publishes this rig's topics, or holds its namespace"
+    NO_PEER = "no_peer", "a peer of `time.peers` has not subscribed yet, and rig time waits for it"
+    SILENT_PEER = "silent_peer", "a peer no longer acknowledges: rig time stands still"
+    TRIPPED = "tripped", "the interlock or `~/stop` has latched the shaker: the reason says which"
+    PAUSED = "paused", "by `~/pause`; or stepped, and for a second no step was asked for"
+    PLUCKED = "plucked", "base locked after a pluck, structure swings freely"
+    AT_REST = "at_rest", "running, no drive"
+    DRIVING = "driving", "running, an amplitude is commanded"
 
 
-class Analysis(enum.StrEnum):
+class Analysis(_Word):
     """What the analysis node does; the gravest first."""
 
-    INACTIVE = "inactive"
-    NO_SCANS = "no_scans"  # none came yet, or none come any more
-    LOST_SCANS = "lost_scans"  # since the last row
-    UNABLE = "unable"  # scans come but DT cannot be measured now: the reason is a status of transmissibility/table
-    AT_REST = "at_rest"  # no drive
-    SETTLING = "settling"
-    MEASURING = "measuring"  # the newest row of transmissibility/table holds for the present drive
+    COMPILING = "compiling", "kernels are compiled for this machine; nothing is measured yet"
+    INACTIVE = "inactive", "unconfigured, inactive or finalised: the reason begins with the lifecycle state"
+    NO_SCANS = "no_scans", "none came yet, or none for two seconds"
+    LOST_SCANS = "lost_scans", "since the last row scans were lost"
+    UNABLE = (
+        "unable",
+        "scans come but DT cannot be measured now: the reason is a status of `transmissibility/table`",
+    )
+    AT_REST = "at_rest", "no drive"
+    SETTLING = "settling", "the response to the present drive is awaited"
+    MEASURING = "measuring", "the newest row of `transmissibility/table` holds for the present drive"
 
 
-class Recorder(enum.StrEnum):
+class Recorder(_Word):
     """What the recorder does; the gravest first."""
 
-    INACTIVE = "inactive"
-    FAILED = "failed"  # disk full, directory gone, ...: nothing is recorded
-    LOSING = "losing"  # messages were lost before they reached it
-    WAITING = "waiting"  # a recording is open, something it needs has not come
-    RECORDING = "recording"
-    IDLE = "idle"
+    INACTIVE = "inactive", "unconfigured, inactive or finalised: the reason begins with the lifecycle state"
+    FAILED = "failed", "disk full, directory gone, ...: nothing is recorded"
+    RIVAL = (
+        "rival",
+        "another node has written a topic of this run that is one node's: it cannot be verified",
+    )
+    LOSING = "losing", "messages of this run were lost before they reached it, or were no tables of their topic"
+    WAITING = "waiting", "a recording is asked for, something it needs has not come"
+    RECORDING = "recording", "all that came is written"
+    IDLE = "idle", "no recording"
 
 
-class SteppedSine(enum.StrEnum):
+class SteppedSine(_Word):
     """What the stepped-sine node does; the gravest first."""
 
-    INACTIVE = "inactive"
-    ABORTED = "aborted"
-    WAITING = "waiting"  # for nodes or a configuration
-    RUNNING = "running"
-    DONE = "done"
-    IDLE = "idle"
+    INACTIVE = "inactive", "unconfigured, inactive or finalised: the reason begins with the lifecycle state"
+    ABORTED = "aborted", "the last sweep ended before its plan: the reason says why"
+    WAITING = "waiting", "for nodes or a configuration"
+    RUNNING = "running", "a sweep or a phase lock is under way"
+    DONE = "done", "the last sweep went through its plan"
+    IDLE = "idle", "no sweep was asked for"
 
 
-BY_NODE: dict[str, type[enum.StrEnum]] = {
+BY_NODE: dict[str, type[Rig | Analysis | Recorder | SteppedSine]] = {
     "rig": Rig,
     "analysis": Analysis,
     "recorder": Recorder,

@@ -15,7 +15,7 @@ import attrs
 import numpy as np
 
 from impact_rig import blocks
-from impact_rig.columns import Column, row_type
+from impact_rig.columns import NUMBER, Column, row_type
 
 DATA_DEPTH = 1000
 """Messages a data topic keeps: 10 s of 10 ms blocks, 1 s of 1 ms blocks."""
@@ -43,7 +43,7 @@ class Qos(enum.Enum):
         return self.value[1]
 
 
-@attrs.frozen
+@attrs.frozen(eq=False)
 class Topic:
     """One row of the table.
 
@@ -57,6 +57,7 @@ class Topic:
         columns: row type where the message is a table.
         frame_id: frame of its header.
         recorded: whether it belongs into every run; what is made for plotters follows from what is recorded.
+        further: type of the columns that may follow `fields` in a table; empty: any, for those of a later version.
     """
 
     name: str
@@ -68,6 +69,7 @@ class Topic:
     columns: np.dtype[np.void] | None = None
     frame_id: str = ""
     recorded: bool = True
+    further: str = ""
 
 
 TABLE = "sensor_msgs/msg/PointCloud2"
@@ -80,7 +82,9 @@ def _table(
     return Topic(name, TABLE, qos, publisher, doc, fields, row_type(fields), frame_id)
 
 
-SCAN = _table("daq/scan", Qos.DATA, "rig", blocks.SCAN_FRAME, "One block of scans; stamp = first scan.")
+SCAN = attrs.evolve(
+    _table("daq/scan", Qos.DATA, "rig", blocks.SCAN_FRAME, "One block of scans; stamp = first scan."), further=NUMBER
+)
 INFO = _table(
     "daq/info",
     Qos.STATE,

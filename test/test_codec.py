@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import re
 import struct
 
 import numpy as np
@@ -11,9 +12,9 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from impact_rig import blocks
+from impact_rig import blocks, topics
 from impact_rig.blocks import Table
-from impact_rig.codec import MAX_COLUMNS, decode, encode, header_stamp_ns
+from impact_rig.codec import MAX_COLUMNS, checked, decode, encode, header_stamp_ns
 from impact_rig.columns import TEXT
 from impact_rig.errors import CodecError
 from impact_rig.instruments.scan import SCAN
@@ -341,3 +342,79 @@ def test_the_stamp_of_any_message_with_a_header_is_found():
         message.header.stamp.sec, message.header.stamp.nanosec = 12, 345
         message.header.frame_id = "somewhere"
         assert header_stamp_ns(serialize_message(message)) == 12_000_000_345
+
+
+def changed(table, name=None, value=None, drop=(), kinds=None):
+    """The table with a value changed, columns dropped, or columns of other types."""
+    kinds = {column: table.rows.dtype[column] for column in table.rows.dtype.names} | (kinds or {})
+    rows = np.zeros(len(table.rows), [(column, kind) for column, kind in kinds.items() if column not in drop])
+    for column in rows.dtype.names:
+        if column in table.rows.dtype.names and (rows.dtype[column].kind == "S") == (
+            table.rows[column].dtype.kind == "S"
+        ):
+            rows[column] = table.rows[column]
+    if name is not None:
+        rows[name][-1] = value
+    return Table(table.stamp_ns, rows)
+
+
+def one_of(topic):
+    """A table of a topic that nobody refuses."""
+    rows = np.zeros(2, SCAN if topic is topics.SCAN else topic.columns)
+    if topic is topics.INFO:
+        rows["rate"] = 1e4
+    return Table(0, rows)
+
+
+@pytest.mark.parametrize("topic", [topic for topic in topics.TOPICS if topic.columns is not None], ids=lambda t: t.name)
+def test_each_column_that_is_missing_or_of_another_type_is_named_or_filled(topic):
+    table = one_of(topic)
+    assert checked(table, topic) is table
+    for column in topic.fields:
+        without = changed(table, drop=(column.name,))
+        if column.default is None:
+            with pytest.raises(CodecError, match=f"{topic.name}: column '{column.name}' is missing"):
+                checked(without, topic)
+        else:
+            filled = checked(without, topic).rows
+            assert filled.dtype.names[: len(topic.fields)] == tuple(one.name for one in topic.fields)
+            assert set(filled[column.name].astype(str)) == {str(np.array([column.default], column.kind).astype(str)[0])}
+        other = "f8" if column.kind == TEXT else TEXT
+        with pytest.raises(CodecError, match=f"{topic.name}: column '{column.name}' must be of type"):
+            checked(changed(table, kinds={column.name: other}), topic)
+
+
+@pytest.mark.parametrize(
+    ("topic", "name", "value", "said"),
+    [
+        (topics.SCAN, "time", np.nan, "daq/scan: time must be a number from -4294967296 to 4294967296, got nan in"),
+        (topics.INFO, "rate", 0.0, "daq/info: rate must be a whole number from 1 to 1000000, got 0.0 in row 1"),
+        (topics.INFO, "rate", np.inf, "rate must be a whole number from 1 to 1000000, got inf in row 1"),
+        (topics.INFO, "rate", 1e12, "rate must be a whole number from 1 to 1000000, got 1000000000000.0 in row 1"),
+        (topics.INFO, "since_start", 1e300, "since_start must be"),
+        (topics.INFO, "name", b"\xff", r"daq/info: name must be UTF-8, got b'\xff' in row 1"),
+        (topics.JOURNAL, "sequence", 0.5, "sequence must be a whole number from 0 to 9007199254740992, got 0.5"),
+        (topics.JOURNAL, "sample", -1.0, "rig/journal: sample must be"),
+        (topics.TRANSMISSIBILITY_TABLE, "waited", np.nan, "transmissibility/table: waited must be"),
+        (topics.TRANSMISSIBILITY_TABLE, "waited", 1e308, "got 1e+308 in row 1"),
+    ],
+)  # fmt: skip
+def test_a_value_that_no_table_of_the_topic_holds_is_refused_by_name(topic, name, value, said):
+    with pytest.raises(CodecError, match=re.escape(said)):
+        checked(changed(one_of(topic), name, value), topic)
+
+
+def test_narrower_numbers_and_further_columns_are_taken():
+    narrow = changed(one_of(topics.APPLIED), "frequency", 9.5, kinds={"frequency": "<f4", "later": "<i2"})
+    rows = decode(encode(narrow), topics.APPLIED).rows
+    assert rows.dtype.names == (*topics.APPLIED.columns.names, "later")
+    assert (rows["frequency"].dtype, rows["frequency"][1]) == (np.dtype("f8"), 9.5)
+
+
+def test_a_scan_needs_the_channels_that_are_asked_for_as_numbers():
+    scan = scan_table()
+    with pytest.raises(CodecError, match="daq/scan: column 'accelerometer' is missing"):
+        checked(changed(scan, drop=("accelerometer",)), topics.SCAN, ("accelerometer", "laser"))
+    assert checked(changed(scan, drop=("accelerometer",)), topics.SCAN, ("laser",)).rows["laser"].shape == (3,)
+    with pytest.raises(CodecError, match=r"daq/scan: column 'laser' must be of type <f8, got \|S32"):
+        checked(changed(scan, kinds={"laser": TEXT}), topics.SCAN)

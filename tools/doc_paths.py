@@ -11,7 +11,7 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 MADE = {"build", "install", "log", "runs", "failed_runs"}
 """Folders that a checkout may have and the repository has not."""
-NO_PATHS = {"impact_rig/topic", "impact_rig/losses", "impact_rig/recovered"}  # names of records
+NO_PATHS = {"impact_rig/topic", "impact_rig/losses", "impact_rig/recovered", "impact_rig/continues"}  # names of records
 _PATH = re.compile(r"[\w.-]+(?:/[\w.-]+)*/?")
 _ENDINGS = (".py", ".md", ".yaml", ".xml", ".json", ".toml", ".txt", ".rst", ".sh", ".c")
 

@@ -25,7 +25,7 @@ from rich.table import Table as TextTable
 from impact_rig import topics
 from impact_rig.client import Client, Collector, Processes, isolated_domain
 from impact_rig.client.collector import Received
-from impact_rig.nodes.stamps import nanoseconds
+from impact_rig.nodes.messages import nanoseconds
 from impact_rig.recording import open_run
 from impact_rig.runs import recover
 

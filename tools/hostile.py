@@ -9,6 +9,7 @@ others and send no control character to the terminal. The table is that of docs/
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import struct
@@ -94,18 +95,24 @@ def recording(
     listed: int = 1,
     count: int = 3,
     end_ns: int = 0,
+    channels: int = 1,
 ) -> Path:
-    """Write a recording with one chunk, given in pieces, which its index lists as often as one likes."""
+    """Write a recording with one chunk, given in pieces, which its index lists as often as one likes.
+
+    More than one channel is defined in the chunk as well, where only a recovery looks for them.
+    """
+    offered = text("offered_qos_profiles") + text(qos)
+    schema = record(SCHEMA, struct.pack("<H", 1) + text(POINT_CLOUD) + text("ros2msg") + text(schema_text(POINT_CLOUD)))
+    names = [topic, *(f"{topic}_{number}" for number in range(2, channels + 1))]
+    channel = b"".join(
+        record(CHANNEL, struct.pack("<HH", n, 1) + text(name) + text("cdr") + struct.pack("<I", len(offered)) + offered)
+        for n, name in enumerate(names, 1)
+    )
     compressor, packed, size, crc = zstandard.ZstdCompressor().compressobj(), b"", 0, 0
-    for piece in content:
+    for piece in itertools.chain([schema + channel] if channels > 1 else [], content):
         packed += compressor.compress(piece)
         size, crc = size + len(piece), zlib.crc32(piece, crc)
     packed += compressor.flush()
-    offered = text("offered_qos_profiles") + text(qos)
-    schema = record(SCHEMA, struct.pack("<H", 1) + text(POINT_CLOUD) + text("ros2msg") + text(schema_text(POINT_CLOUD)))
-    channel = record(
-        CHANNEL, struct.pack("<HH", 1, 1) + text(topic) + text("cdr") + struct.pack("<I", len(offered)) + offered
-    )
     head = MAGIC + record(HEADER, text("ros2") + text("hostile"))
     times = struct.pack("<QQ", 0, end_ns)
     chunk = record(
@@ -144,6 +151,11 @@ def empty_messages(folder: Path) -> Path:
 def repeated_index(folder: Path) -> Path:
     """A small chunk, listed 20,000 times."""
     return recording(folder / "repeated.mcap", scans(), listed=20_000)
+
+
+def many_topics(folder: Path) -> Path:
+    """60,000 topics, of which one has messages."""
+    return recording(folder / "topics.mcap", scans(), channels=60_000)
 
 
 def aliases(folder: Path) -> Path:
@@ -221,6 +233,7 @@ RECORDINGS: dict[str, Callable[[Path], Path]] = {
     "chunk of 2 GB": large_bomb,
     "7.7 million empty messages": empty_messages,
     "one chunk indexed 20,000 times": repeated_index,
+    "60,000 topics": many_topics,
     "aliases in a QoS text": aliases,
     "a QoS text inside itself": self_reference,
     "log time 2⁶⁴ − 1": end_of_time,

@@ -20,7 +20,8 @@ sys.path.insert(0, str(ROOT / "test"))
 from kits.browser import Browser, Page  # noqa: E402
 
 from impact_rig.client import Client, Processes, isolated_domain  # noqa: E402
-from impact_rig.lab.live import LiveSource, Own  # noqa: E402
+from impact_rig.lab.gateway import Own  # noqa: E402
+from impact_rig.lab.live import LiveSource  # noqa: E402
 from impact_rig.lab.playback import PlaybackSource  # noqa: E402
 from impact_rig.lab.sample import make  # noqa: E402
 from impact_rig.lab.server import Server  # noqa: E402
@@ -63,7 +64,7 @@ def live(browser: Browser, directory: Path) -> None:
                 light.write("#knob-frequency", str(frequency))
                 light.write("#knob-current", "0.52")
                 light.wait(
-                    f"lab.now.rig.word === 'driving' && lab.now.dt.length > {count} && "
+                    f"lab.now.rig.word === 'measured' && lab.now.dt.length > {count} && "
                     f"lab.now.dt.at(-1).f === {frequency} && lab.now.dt.at(-1).settled",
                     "a settled measurement", 90.0,
                 )  # fmt: skip
@@ -79,7 +80,7 @@ def live(browser: Browser, directory: Path) -> None:
             picture(narrow, "lab_400")
             light.write("#knob-current", "14")
             light.wait("lab.now.rig.word === 'tripped'", "a trip")
-            light.wait("lab.now.rig.text.includes('limit')", "its words")
+            light.wait("lab.now.rig.text.includes('latched')", "its words")
             picture(light, "lab_tripped")
 
 

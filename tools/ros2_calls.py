@@ -26,10 +26,10 @@ from impact_rig.client import Client, Processes, isolated_domain
 from impact_rig.client.parameters import ros_parameters
 from impact_rig.client.waiting import WaitTimeoutError
 from impact_rig.nodes.analysis_node import AnalysisNode
+from impact_rig.nodes.messages import nanoseconds
 from impact_rig.nodes.rig_node import RigNode
-from impact_rig.nodes.services import SERVICES
-from impact_rig.nodes.stamps import nanoseconds
 from impact_rig.nodes.topics import TOPICS
+from tools.generate.services import SERVICES
 
 NODES = ("rig", "analysis", "recorder")
 MODES: dict[str, dict[str, Any]] = {

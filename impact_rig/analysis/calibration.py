@@ -27,6 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig.analysis.channels import CHANNELS
+from impact_rig.blocks import MOST_HZ
 from impact_rig.errors import ConfigError
 
 Complex = NDArray[np.complex128]
@@ -72,8 +73,6 @@ COLUMNS = (
 )
 
 
-MOST_HZ = 1e6
-"""The board's aggregate rate; bounds the memory that a hostile table can ask for."""
 LARGEST = 1e100
 """Of any figure: its square is a number."""
 

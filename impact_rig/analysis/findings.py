@@ -24,6 +24,21 @@ class Counters:
     impacts: int = 0
 
 
+@attrs.frozen
+class State:
+    """What a measurement does now, decided from scans and commands alone: the same live and from a recorded run.
+
+    Attributes:
+        word: of `states.Analysis`.
+        reason: a status of `transmissibility/table`; empty where the word says it all.
+        since_ns: rig time at which it began; None before the first scan.
+    """
+
+    word: str
+    reason: str = ""
+    since_ns: int | None = None
+
+
 @attrs.frozen(eq=False)
 class Findings:
     """What one call found: `transmissibility/table` tables of one row each, and tables of detected impacts."""

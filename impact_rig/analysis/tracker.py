@@ -20,17 +20,18 @@ from impact_rig import topics
 from impact_rig.analysis.calibration import Calibration
 from impact_rig.analysis.channels import SCAN
 from impact_rig.analysis.cycles import Accumulator, Cycles, usable_harmonics
-from impact_rig.analysis.findings import Counters, Findings
+from impact_rig.analysis.findings import Counters, Findings, State
 from impact_rig.analysis.impacts import MIN_RATE_HZ, ImpactDetector, Impacts, counted, joined
 from impact_rig.analysis.judge import Judge, Progress, window_cycles
 from impact_rig.analysis.scan_buffer import ScanBuffer, first_scan_at, scan_index
 from impact_rig.analysis.settings import ImpactSettings, TrackerSettings
-from impact_rig.analysis.tables import impact_tables, measurement_table, need_columns
+from impact_rig.analysis.tables import SETTLED, impact_tables, measurement_table, need_columns
 from impact_rig.analysis.transmissibility import Measurement
 from impact_rig.analysis.words import MEASURED, Status
 from impact_rig.blocks import APPLIED, DAQ_INFO, Table
 from impact_rig.errors import ConfigError
 from impact_rig.simtime import NS_PER_S, stamp_ns
+from impact_rig.states import Analysis
 
 LONGEST_S = 2.0**32
 """Two stamps cannot be further apart."""
@@ -96,6 +97,7 @@ class Tracker:
         self._window = 0
         self._impacts_ahead: list[Impacts] = []
         self._rows: list[Table] = []
+        self._state = State(Analysis.NO_SCANS)
 
     def configure(self, info: Table) -> None:
         """Take `daq/info`: a calibration, which acts from its stamp on, and where scan 0 is.
@@ -187,6 +189,11 @@ class Tracker:
         """How far the first measurement since the last change is; None: nothing is measured."""
         return self._judge.progress if self._accumulator is not None else None
 
+    @property
+    def state(self) -> State:
+        """What the measurement does now, and since when."""
+        return self._state
+
     def flush(self) -> Findings:
         """Measure what is still held back: at the end of a record."""
         if self._started:
@@ -250,9 +257,10 @@ class Tracker:
 
     def _resume(self, index: int) -> None:
         """Start at a scan that does not follow the last one: the first of all, after lost blocks, or after a reset."""
+        back = self._started and index < self._buffer.end
+        lost = self._started and not back
         if self._started:
             self._advance(self._buffer.end)
-            back = index < self._buffer.end
             if back:
                 self.counters.restarts += 1
             else:
@@ -264,6 +272,8 @@ class Tracker:
         self._detector.restart(index)
         self._impacts_ahead.clear()
         self._begin(index, changed=True)
+        if lost:
+            self._enter(Analysis.LOST_SCANS, Status.LOST_BLOCKS, index)
 
     def _advance(self, until: int) -> None:
         """Measure the scans before `until`, events at their scans."""
@@ -297,6 +307,12 @@ class Tracker:
                 self._calibration = calibration
         self._begin(index, changed=True)
 
+    def _enter(self, word: Analysis, reason: str, scan: int) -> None:
+        """Be in a state from a scan on; one that goes on keeps its beginning; settling begins with every change."""
+        assert self._calibration is not None
+        if (word, reason) != (self._state.word, self._state.reason) or (word, reason) == (Analysis.SETTLING, ""):
+            self._state = State(word, reason, stamp_ns(scan, self._calibration.rate_hz, self._start_ns))
+
     def _begin(self, index: int, *, changed: bool) -> None:
         """Count cycles and windows anew from scan `index`."""
         assert self._calibration is not None
@@ -304,6 +320,8 @@ class Tracker:
         if changed:
             self._changed = index
         self._origin = index
+        at_rest = self._command is None or self._command.current == 0.0
+        self._enter(Analysis.AT_REST if at_rest else Analysis.SETTLING, "", index)
         harmonics = usable_harmonics(rate, frequency, self._settings.harmonics)
         if not harmonics:
             self._accumulator = None
@@ -370,6 +388,12 @@ class Tracker:
             self.counters.measurements += 1
         else:
             self.counters.refusals += 1
+        if self._state.word != Analysis.AT_REST:
+            if found.status in SETTLED:
+                self._enter(Analysis.MEASURING, "", last_scan)
+            else:
+                waiting = found.status is Status.NOT_SETTLED
+                self._enter(Analysis.SETTLING if waiting else Analysis.UNABLE, found.status, last_scan)
         rate = self._calibration.rate_hz
         waited = (last_scan + 1 - self._changed) / rate
         stamp = stamp_ns(last_scan, rate, self._start_ns)

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import attrs
 import numpy as np
 from numpy.typing import NDArray
 
@@ -89,16 +90,19 @@ def _as_live(console: Console, run: Run, arguments: argparse.Namespace) -> int:
         drawings.prepare(arguments.figures, arguments.format)
     findings = list(reanalysis.analyze(run))
     found = reanalysis.measurements(iter(findings))
-    comparison = live_comparison.compare(run, found)
+    comparison = live_comparison.compare(run, found, [table for one in findings for table in one.impacts])
     rows = reanalysis.rows(found)
     if arguments.json:
         keys = ("same", "identical", "compared", "reason")
-        compared = {key: getattr(comparison, key) for key in keys}
+        compared: dict[str, object] = {key: getattr(comparison, key) for key in keys}
+        compared["others"] = [attrs.asdict(one) for one in comparison.others]
         tell_json({"run": str(run.path), "measurements": list(rows), "live": {**compared, "sentence": str(comparison)}})
     _print_last(console, rows)
     _print_measurements(console, rows, everything=arguments.all)
     style = {True: "green", False: "red", None: "yellow"}[comparison.same]
     console.print(str(comparison), style=style)
+    for one in comparison.others:
+        console.print(str(one))
     if arguments.figures is not None:
         excerpt, files = drawings.draw(run, findings, arguments.figures, arguments.format)
         console.print(f"drawn: {excerpt}")
@@ -192,8 +196,11 @@ def _frf(console: Console, run: Run, arguments: argparse.Namespace) -> int:
 def _sine(console: Console, run: Run, arguments: argparse.Namespace) -> int:
     from impact_rig.analysis.drawings import sine_fits  # noqa: PLC0415  # heavy: after the run is open
     from impact_rig.runs import reanalysis  # noqa: PLC0415  # as above
-    from impact_rig.runs.excerpt import calibration_rows, last_excerpt  # noqa: PLC0415  # as above
-    from impact_rig.runs.wholes import sines_of  # noqa: PLC0415  # as above
+    from impact_rig.runs.wholes import (  # noqa: PLC0415  # as above
+        calibration_rows,
+        last_excerpt,
+        sines_of,  # as above
+    )
 
     _prepare(arguments, "sine")
     found = sines_of(run, last_excerpt(run, list(reanalysis.analyze(run))))

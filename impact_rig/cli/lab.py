@@ -7,7 +7,10 @@ from __future__ import annotations
 import argparse
 import contextlib
 import os
-import time
+import re
+import select
+import signal
+import sys
 import webbrowser
 from pathlib import Path
 from typing import Any  # a source of either kind
@@ -15,6 +18,7 @@ from typing import Any  # a source of either kind
 from impact_rig.cli import command
 from impact_rig.cli.terminal import Console
 from impact_rig.errors import ImpactRigError
+from impact_rig.system import locks
 
 SAMPLE = Path("build") / "lab_sample"
 FOUND = "?"
@@ -34,6 +38,7 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
     parser.add_argument(
         "--attach", nargs="?", const=FOUND, metavar="NAMESPACE", help="show a rig that runs already, e.g. /rig"
     )
+    parser.add_argument("--namespace", default="/rig", help="of the rig that is started (default: /rig)")
     parser.add_argument("--sample", action="store_true", help="play back a short run, recorded for this on first use")
     parser.add_argument("--port", type=int, default=8765, help="of the page; 0: any (default: 8765)")
     parser.add_argument(
@@ -52,28 +57,44 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Serve the page until Ctrl-C."""
+    """Serve the page until Ctrl-C, or until nobody reads what is printed any more."""
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     if len(arguments.runs) > 2:
         raise ImpactRigError("at most two runs are shown side by side")
     if (arguments.runs or arguments.sample) and arguments.attach:
         raise ImpactRigError("a run is played back, or a rig is attached to, not both")
     try:
-        from impact_rig.lab.server import Server, kept_token  # noqa: PLC0415  # an extra
+        from impact_rig.lab.server import Server, check_port, kept_token  # noqa: PLC0415  # an extra
     except ImportError as error:
         raise ImpactRigError(f"the lab needs its extra: pip install 'impact_rig[lab]' ({error})") from error
+    check_port(arguments.port)
     console = Console()
+    runs = arguments.runs[0].resolve().parent if arguments.runs else arguments.record_directory
     with contextlib.ExitStack() as stack:
+        started: list[Any] = []
+        stack.callback(_say_where, started)  # last of all: the recorder has finished then
         source = _source(arguments, stack)
-        server = stack.enter_context(Server(source, arguments.host, arguments.port, kept_token()))
+        started.append(source)
+        server = stack.enter_context(Server(source, arguments.host, arguments.port, kept_token(), runs))
         stack.enter_context(source)
         console.print("impact_rig lab: open this address in a browser; Ctrl-C ends it", soft_wrap=True)
         print(server.address, flush=True)  # noqa: T201
         if not arguments.no_browser:
             with contextlib.suppress(webbrowser.Error):
                 webbrowser.open(server.address)
-        while True:
-            time.sleep(3600.0)
+        reader = select.poll()
+        reader.register(sys.stdout.fileno(), 0)  # only an end of who reads it is told
+        while not reader.poll(60_000):
+            pass
+    return 128 + signal.SIGPIPE
+
+
+def _say_where(sources: list[Any]) -> None:
+    """Print where the last recording lies."""
+    for directory in (getattr(source, "directory", None) for source in sources):
+        if directory is not None:
+            with contextlib.suppress(OSError):
+                print(f"recorded: {directory}", flush=True)  # noqa: T201
 
 
 def _source(arguments: argparse.Namespace, stack: contextlib.ExitStack) -> Any:
@@ -81,16 +102,44 @@ def _source(arguments: argparse.Namespace, stack: contextlib.ExitStack) -> Any:
         from impact_rig.lab.playback import PlaybackSource  # noqa: PLC0415
 
         return PlaybackSource(arguments.runs or [_sample()])
-    from impact_rig.lab.live import LiveSource, Own, domain_id  # noqa: PLC0415
+    from impact_rig.lab.live import LiveSource, domain_id  # noqa: PLC0415
 
     domain = domain_id()
     if arguments.attach:
         return LiveSource(domain, None if arguments.attach == FOUND else arguments.attach)
     from impact_rig.client.processes import Processes  # noqa: PLC0415
+    from impact_rig.lab.gateway import Own  # noqa: PLC0415
 
+    namespace = f"/{arguments.namespace.strip('/')}"
+    if not re.fullmatch(r"(/[A-Za-z_][A-Za-z0-9_]*)+", namespace):
+        raise ImpactRigError(f"a namespace is letters, digits and _ between slashes, got {arguments.namespace!r}")
+    _take_place(domain, namespace, stack)
     logs = Path("build" if Path("build").is_dir() else ".") / "lab_logs"
-    processes = stack.enter_context(Processes(domain, logs, namespace="/rig"))
-    return LiveSource(domain, "rig", Own(processes, node_parameters(arguments)))
+    processes = stack.enter_context(Processes(domain, logs, namespace=namespace))
+    return LiveSource(domain, namespace, Own(processes, node_parameters(arguments)))
+
+
+def _take_place(domain: int, namespace: str, stack: contextlib.ExitStack) -> None:
+    """Take a namespace for the rig of this lab.
+
+    Raises:
+        ImpactRigError: another lab or rig of this machine has it; names it.
+    """
+    name = locks.place(domain, namespace)
+    advice = f"look at it with --attach {namespace}, or give this one another --namespace"
+    try:
+        held = locks.hold(locks.PLACES, f"{name}.lab")
+    except OSError:
+        return  # there is no telling on this machine
+    if held is None:
+        raise ImpactRigError(
+            f"the lab of process {locks.holder(locks.PLACES, f'{name}.lab')} has {namespace}: {advice}"
+        )
+    stack.callback(os.close, held)
+    rig = locks.hold(locks.PLACES, name)
+    if rig is None:
+        raise ImpactRigError(f"the rig of process {locks.holder(locks.PLACES, name)} is in {namespace}: {advice}")
+    os.close(rig)  # for the rig that is started now
 
 
 def node_parameters(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:

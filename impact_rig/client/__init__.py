@@ -24,7 +24,7 @@ from impact_rig.client.processes import NodeProcess, ProcessDiedError, Processes
 if TYPE_CHECKING:
     from impact_rig.client.client import Client, ServiceFailedError
     from impact_rig.client.collector import Collector
-    from impact_rig.client.waiting import WaitTimeoutError
+    from impact_rig.client.waiting import RigGoneError, WaitTimeoutError
 
 __all__ = [
     "Client",
@@ -32,12 +32,19 @@ __all__ = [
     "NodeProcess",
     "ProcessDiedError",
     "Processes",
+    "RigGoneError",
     "ServiceFailedError",
     "WaitTimeoutError",
     "isolated_domain",
 ]
 
-_LATER = {"Client": "client", "Collector": "collector", "ServiceFailedError": "client", "WaitTimeoutError": "waiting"}
+_LATER = {
+    "Client": "client",
+    "Collector": "collector",
+    "RigGoneError": "waiting",
+    "ServiceFailedError": "client",
+    "WaitTimeoutError": "waiting",
+}
 """What is imported only when it is used -> its module."""
 
 

@@ -1,25 +1,45 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""Run a campaign's jobs through the real graph: rig, analysis and recorder as processes, driven through topics."""
+"""A campaign's jobs through the real graph: rig, analysis and recorder as processes, driven through topics.
+
+The running nodes are an operator's apparatus: stepped from look to look, or running as fast as their peers.
+"""
 
 from __future__ import annotations
 
+import abc
 import contextlib
 import functools
 import itertools
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from pathlib import Path
 
-from impact_rig.campaign.execution import run_job
-from impact_rig.campaign.job import Job, Outcome
+import attrs
+
+from impact_rig import topics
+from impact_rig.analysis.settings import TrackerSettings
+from impact_rig.blocks import Table
+from impact_rig.campaign.execution import Trace, columns, run_job
+from impact_rig.campaign.job import TRACE_BLOCKS, Job, Outcome
 from impact_rig.campaign.run import Runner
 from impact_rig.client.client import Client
 from impact_rig.client.domain import isolated_domain
-from impact_rig.client.operator import FreewheelApparatus, RosApparatus, SteppedApparatus
 from impact_rig.client.processes import ParameterValue, Processes
+from impact_rig.errors import ImpactRigError
+from impact_rig.operate.operator import Applied, News
+from impact_rig.operate.plan import Setpoint
 from impact_rig.operate.stepped_sine import SteppedSine
-from impact_rig.rig.config import RigConfig
+from impact_rig.rig import Kind
+from impact_rig.rig.config import RigConfig, to_flat
+from impact_rig.rig.interlock import OVER_TRAVEL, Trip, check_amplitude, check_frequency
+from impact_rig.simtime import NS_PER_S
 
+FIXED = ("time.", "step.", "daq.rate_hz", "daq.block_scans", "output.autostart")
+"""Parameters that are read-only, or that say how the rig is driven here."""
+GRACE_S = 0.005
+"""Wall time for what was published before a step's answer and waits to be taken."""
+MEASUREMENT_TIMEOUT_S = 120.0
+"""Wall time in which a running rig must have measured something."""
 Watch = Callable[[Job, SteppedSine | None], None]
 """Told when a job is being prepared (no sweep yet), when its sweep begins, and of every measurement."""
 
@@ -123,3 +143,256 @@ def _run_all(
         outcome = run_job(job, lambda job: apparatus.prepare(job, name(job)), functools.partial(watch, job))
         apparatus.finish()
         yield job, outcome
+
+
+class RosApparatus(abc.ABC):
+    """The nodes `rig`, `analysis` and perhaps `recorder`, active, as a `JobApparatus` for one job after the other.
+
+    Args:
+        client: connected to them.
+        record: there is a recorder, and every job becomes a run of its own.
+    """
+
+    def __init__(self, client: Client, *, record: bool) -> None:
+        self._client = client
+        self._record = record
+        self._recording = False
+        self._measured = client.collect(topics.TRANSMISSIBILITY_TABLE.name)
+        self._journal = client.collect(topics.JOURNAL.name)
+        self._config = RigConfig()
+        self._applied: list[Applied] = []
+
+    @abc.abstractmethod
+    def prepare(self, job: Job, run_name: str) -> RosApparatus:
+        """Begin anew with a job's configuration, and record into `run_name` where there is a recorder.
+
+        Raises:
+            ImpactRigError: a node refused.
+        """
+
+    @abc.abstractmethod
+    def now_ns(self) -> int:
+        """Return the rig time since the reset."""
+
+    @abc.abstractmethod
+    def wait(self) -> News:
+        """Let rig time pass until there may be something to do, and return what happened."""
+
+    @abc.abstractmethod
+    def rest(self) -> None:
+        """End the sweep."""
+
+    def set(self, setpoint: Setpoint) -> None:
+        """Command frequency, then current, and wait until each is applied.
+
+        Raises:
+            ImpactRigError: the rig would refuse them: it says so to people only, so they are checked here.
+        """
+        check_frequency(setpoint.frequency_hz, self._config.shaker)
+        check_amplitude(setpoint.current_a, self._config.drive, self._config.shaker)
+        before = len(self._client.applied)
+        self._client.command(frequency_hz=setpoint.frequency_hz)
+        self._client.command(current_a=setpoint.current_a)
+        for table in self._client.applied.tables(before):
+            self._take(table)
+
+    def finish(self) -> None:
+        """End the recording of a job, however it ended."""
+        if self._recording:
+            self._recording = False
+            self._client.trigger("recorder/stop")
+
+    def trace(self) -> Trace:
+        """Let a few blocks pass and return their scans and truth.
+
+        Raises:
+            ImpactRigError: this apparatus keeps no traces.
+        """
+        raise ImpactRigError("traces are kept of a stepped rig only")
+
+    def lost_scans(self) -> int:
+        """Return how many scans are known to be missing."""
+        return 0
+
+    @abc.abstractmethod
+    def _take(self, applied: Table) -> None:
+        """Keep accepted changes for the next news."""
+
+    def _start_recording(self, run_name: str) -> None:
+        if self._record:
+            self._client.set_parameters("recorder", {"name": run_name})
+            self._client.trigger("recorder/start")
+            self._recording = True
+
+    def _take_applied(self) -> list[Applied]:
+        taken, self._applied = self._applied, []
+        return taken
+
+    def _stopped(self) -> str | None:
+        """Return why the rig goes on no more, in the words of its interlock."""
+        rows = self._journal.rows()
+        trips = rows[rows["kind"] == Kind.TRIP.value.encode()]
+        if not len(trips):
+            return None
+        reason, shaker = trips[0]["key"].decode(), self._config.shaker
+        limit = shaker.travel_limit_m if reason == OVER_TRAVEL else shaker.current_limit_a_rms
+        return f"the rig tripped: {Trip(0, reason, float(trips[0]['value']), limit).message()}"
+
+
+class SteppedApparatus(RosApparatus):
+    """Steps the rig from one look to the next; a step is answered when the analysis has acknowledged its blocks.
+
+    For every job the rig node is configured anew and the analysis activated anew, so both begin as they would in a
+    process of their own: the bits are those of `campaign.in_process`.
+    """
+
+    def __init__(self, client: Client, *, record: bool = False) -> None:
+        super().__init__(client, record=record)
+        self._scans = client.collect(topics.SCAN.name)
+        self._truth = client.collect(topics.TRUTH_SCAN.name)
+        self._rate_hz = self._block_scans = self._blocks = 0
+
+    def prepare(self, job: Job, run_name: str) -> SteppedApparatus:
+        """Begin anew with a job's configuration."""
+        client, config = self._client, job.config()
+        client.change_state("analysis", "deactivate")
+        client.change_state("rig", "deactivate")
+        client.change_state("rig", "cleanup")  # its history goes with its publishers
+        values = {name: value for name, value in to_flat(config).items() if not name.startswith(FIXED)}
+        client.set_parameters("rig", {name: ("",) if value == () else value for name, value in values.items()})
+        settings = {**attrs.asdict(TrackerSettings()), **job.analysis, "gap_m": job.gap_m}
+        client.set_parameters("analysis", settings)
+        for node, transition in (("rig", "configure"), ("rig", "activate"), ("analysis", "activate")):
+            if not client.change_state(node, transition):
+                raise ImpactRigError(f"{node} did not {transition}: {client.status(node).message}")
+        client.wait_active("rig", "analysis")
+        self._start_recording(run_name)
+        self._forget()
+        self._journal.clear()
+        self._take_applied()
+        self._config, self._blocks = config, 0
+        self._rate_hz, self._block_scans = config.daq.rate_hz, config.daq.block_scans
+        return self
+
+    def now_ns(self) -> int:
+        """Return the rig time since the reset."""
+        return self._blocks * self._block_scans * NS_PER_S // self._rate_hz
+
+    def wait(self) -> News:
+        """Let one block pass.
+
+        Raises:
+            ImpactRigError: a measurement came late, so that a command that followed it could be late, too.
+        """
+        self._forget()
+        before = self.now_ns()
+        self._step()
+        tables = self._measured.tables()
+        held_ns = round(TrackerSettings().hold_s * NS_PER_S)
+        if any(table.stamp_ns + held_ns < before - self._block_scans * NS_PER_S // self._rate_hz for table in tables):
+            raise ImpactRigError("a measurement arrived a step late: this machine is too busy to step by")
+        rows = [row for table in tables for row in table.rows]
+        return News(now_ns=self.now_ns(), applied=self._take_applied(), rows=rows, stopped=self._stopped())
+
+    def rest(self) -> None:
+        """Do nothing: the rig is configured anew for the next job."""
+
+    def trace(self) -> Trace:
+        """Let a few blocks pass and return their scans and truth."""
+        self._client.set_parameters("rig", {"output.truth_scan": True})
+        self._step()  # half of its truth was not kept
+        self._forget()
+        for _ in range(TRACE_BLOCKS):
+            self._step()
+        wanted = TRACE_BLOCKS * self._block_scans
+        self._client.wait_until(
+            lambda: len(self._scans.rows()) == len(self._truth.rows()) == wanted, f"{wanted} scans and their truth"
+        )
+        return columns(self._scans.rows(), self._truth.rows(), self._rate_hz)
+
+    def lost_scans(self) -> int:
+        """Return how many scans never arrived here; the analysis acknowledges each block, or the rig waits."""
+        return self._scans.lost() * self._block_scans
+
+    def _take(self, applied: Table) -> None:
+        self._applied += Applied.of(applied, self.now_ns())
+
+    def _step(self) -> None:
+        self._client.step()
+        self._blocks += 1
+        self._client.spin_for(GRACE_S)
+
+    def _forget(self) -> None:
+        """Forget what arrived so far."""
+        for collector in (self._measured, self._scans, self._truth):
+            collector.clear()
+
+
+class FreewheelApparatus(RosApparatus):
+    """Lets the rig run as fast as its peers acknowledge, and looks when there is a measurement.
+
+    For every job the rig is reset. It stands still from then until the first command, and stands still at the end.
+    """
+
+    def __init__(self, client: Client, config: RigConfig, *, record: bool = True) -> None:
+        super().__init__(client, record=record)
+        self._config = config
+        self._now_ns = 0
+        self._gap_m = 0.0
+
+    def prepare(self, job: Job, run_name: str) -> FreewheelApparatus:
+        """Begin anew with a job's configuration; of the analysis only its label changes."""
+        client, wanted = self._client, to_flat(job.config())
+        client.pause()
+        present = to_flat(self._config)
+        changes = {
+            name: value for name, value in wanted.items() if value != present[name] and not name.startswith(FIXED)
+        }
+        client.set_parameters("rig", changes)
+        client.trigger("rig/reset")
+        client.set_parameters("analysis", {"gap_m": job.gap_m})
+        self._start_recording(run_name)
+        self._measured.clear()
+        self._journal.clear()
+        self._take_applied()
+        self._config, self._gap_m = job.config(), job.gap_m
+        return self
+
+    def now_ns(self) -> int:
+        """Return the newest instant heard of; stamps go on over a reset."""
+        return self._now_ns
+
+    def set(self, setpoint: Setpoint) -> None:
+        """Command frequency, then current, and let the rig run."""
+        super().set(setpoint)
+        self._client.pause(False)
+
+    def wait(self) -> News:
+        """Wait for a measurement.
+
+        Raises:
+            WaitTimeoutError: there was none in `MEASUREMENT_TIMEOUT_S` of wall time.
+        """
+        check = self._client.given("a measurement")
+        found, stopped = self._client.wait_until(self._heard, "a measurement", MEASUREMENT_TIMEOUT_S, check)
+        rows = [row for table in found for row in table.rows]
+        self._now_ns = max([self._now_ns, *(table.stamp_ns for table in found)])
+        return News(now_ns=self._now_ns, applied=self._take_applied(), rows=rows, stopped=stopped)
+
+    def rest(self) -> None:
+        """Let the rig stand still."""
+        self._client.pause()
+
+    def _take(self, applied: Table) -> None:
+        found = Applied.of(applied)
+        self._applied += found
+        self._now_ns = max([self._now_ns, *(one.at_ns for one in found)])
+
+    def _heard(self) -> tuple[list[Table], str | None] | None:
+        """Return the measurements of this job since the last command, or why there are no more."""
+        tables = self._measured.tables()
+        self._measured.clear()
+        since = self._now_ns
+        ours = [table for table in tables if table.stamp_ns >= since and (table.rows["gap"] == self._gap_m).all()]
+        stopped = self._stopped()
+        return (ours, stopped) if ours or stopped else None

@@ -18,6 +18,7 @@ from typing import Any, TypeVar  # rclpy handles; message classes have no common
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
+from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from rcl_interfaces.srv import GetParameters, SetParametersAtomically
 from rclpy.context import Context
@@ -30,17 +31,15 @@ from std_srvs.srv import SetBool, Trigger
 from impact_rig import codec, topics
 from impact_rig.blocks import Table
 from impact_rig.client.collector import Collector, Received
-from impact_rig.client.graph import is_heard, published
 from impact_rig.client.hosting import HostedNodes, acknowledge_callbacks
 from impact_rig.client.parameters import ros_parameters
 from impact_rig.client.processes import ParameterValue, Processes
-from impact_rig.client.transitions import transition as named
-from impact_rig.client.waiting import SPIN_S, Spinner, WaitTimeoutError
+from impact_rig.client.waiting import LOOK_S, SPIN_S, Activation, Check, Spinner, WaitTimeoutError, patiently
 from impact_rig.errors import ConfigError, ImpactRigError
 from impact_rig.nodes import messages
 from impact_rig.nodes.guard import with_info
+from impact_rig.nodes.messages import Template
 from impact_rig.nodes.process import make_executor
-from impact_rig.nodes.template import Template
 from impact_rig.nodes.topics import by_name
 from impact_rig.system.endings import unhurried
 
@@ -50,8 +49,24 @@ DEFAULT_TIMEOUT_S = 10.0
 """Discovery takes 0.2 to 2 s; compiled code may load in the first seconds of a node."""
 START_TIMEOUT_S = 240.0
 """A node's first start on a machine compiles the physics."""
+LIFECYCLE = (ChangeState, GetState)
+"""Services by which rigs are begun and ended; a transition may take minutes."""
+RIG = "simulation"
+"""Component in the diagnostics of a rig."""
 AGAIN_S = 2.0
 """When a question that may be asked twice is asked again."""
+
+
+TRANSITIONS = {
+    "configure": Transition.TRANSITION_CONFIGURE,
+    "cleanup": Transition.TRANSITION_CLEANUP,
+    "activate": Transition.TRANSITION_ACTIVATE,
+    "deactivate": Transition.TRANSITION_DEACTIVATE,
+    "shutdown_unconfigured": Transition.TRANSITION_UNCONFIGURED_SHUTDOWN,
+    "shutdown_inactive": Transition.TRANSITION_INACTIVE_SHUTDOWN,
+    "shutdown_active": Transition.TRANSITION_ACTIVE_SHUTDOWN,
+}
+"""Transitions of a lifecycle node by name."""
 
 
 class ServiceFailedError(ImpactRigError, RuntimeError):
@@ -84,6 +99,7 @@ class Client:
         """Latest status of each node, by name relative to the namespace."""
         self._hosted = HostedNodes(self.node, self.executor)
         self._spinner = Spinner(self.executor)
+        self._rigs: dict[str, Activation] = {}
         self._publishers: dict[str, Any] = {}
         self._acknowledgements: dict[str, Template] = {}
         self._heard: set[Any] = set()
@@ -112,8 +128,20 @@ class Client:
 
     # Waiting
 
-    def wait_until(self, condition: Callable[[], T | None], what: str, timeout_s: float = DEFAULT_TIMEOUT_S) -> T:
+    def wait_until(
+        self,
+        condition: Callable[[], T | None],
+        what: str,
+        timeout_s: float = DEFAULT_TIMEOUT_S,
+        check: Check = patiently,
+    ) -> T:
         """Spin until `condition()` is true, and return what it gave.
+
+        Args:
+            condition: what is waited for.
+            what: the same, for people.
+            timeout_s: how long.
+            check: called now and then; raises when there is nothing to wait for any more, see `given`.
 
         Raises:
             WaitTimeoutError: it did not become true in time; names `what`.
@@ -123,10 +151,28 @@ class Client:
         while not (found := condition()):
             if self._processes is not None:
                 self._processes.check()
+            check()
             if self._spinner.waited_s() > deadline:
                 raise WaitTimeoutError(f"waited {timeout_s:g} s in vain for {what}{self._troubles()}")
             self._spinner.spin()
         return found
+
+    def given(self, what: str, rig: str = "rig", *, may_be_silent: bool = False) -> Check:
+        """Return what raises `RigGoneError` once the rig that is there now is gone, or another one is in its place.
+
+        Args:
+            what: is given to it, for the message.
+            rig: its node name, relative to the namespace.
+            may_be_silent: it may be at work for seconds without a word, as when a new law is compiled.
+        """
+        activation = self._rigs.setdefault(rig, Activation(self._spinner.waited_s))
+        check = activation.given(what, math.inf) if may_be_silent else activation.given(what)
+        if activation.is_overdue:  # nobody has spun: perhaps another rig has begun meanwhile
+            deadline = time.monotonic() + LOOK_S
+            while activation.is_overdue and time.monotonic() < deadline:
+                self._spinner.spin(LOOK_S)
+            check()
+        return check
 
     def spin_for(self, duration_s: float) -> None:
         """Let things happen for a while of wall time: for benchmarks and demonstrations, not for tests."""
@@ -146,6 +192,13 @@ class Client:
         for node in nodes:
             is_active = functools.partial(self._is_in_state, node, "active", timeout_s)
             self.wait_until(is_active, f"{node} to be active", timeout_s)
+            self._address(node)
+
+    def _address(self, node: str) -> None:
+        """Speak to whatever rig has this name now."""
+        if node in self._rigs:
+            self._rigs[node].changed()
+            self._heard.clear()
 
     def host(self, make_node: Callable[..., Any], **kwargs: Any) -> Any:
         """Run a node in this process, in this client's executor, with this client's context and namespace.
@@ -176,6 +229,7 @@ class Client:
 
         Raises:
             WaitTimeoutError: the rig did not accept; the message ends with the rig's last refusal.
+            RigGoneError: the rig that was there is gone.
         """
         row: np.void | None = None
         for topic, column, value in (
@@ -184,21 +238,28 @@ class Client:
         ):
             if value is None:
                 continue
+            check = self.given(f"{column} = {value:g}")
             before = len(self.applied)
-            self.publish(topic, Float64(data=value), timeout_s, listener="rig")
+            self.publish(topic, Float64(data=value), timeout_s, "rig", check)
             accepted = functools.partial(self._accepted, before, column, value)
-            row = self.wait_until(accepted, f"{column} = {value:g} in shaker/applied", timeout_s).rows[-1]
+            what = f"{column} = {value:g} in {topics.APPLIED.name}"
+            row = self.wait_until(accepted, what, timeout_s, check).rows[-1]
         assert row is not None, "command() needs a frequency or a current"
         return row
 
     def publish(
-        self, topic: topics.Topic, message: Any, timeout_s: float = DEFAULT_TIMEOUT_S, listener: str | None = None
+        self,
+        topic: topics.Topic,
+        message: Any,
+        timeout_s: float = DEFAULT_TIMEOUT_S,
+        listener: str | None = None,
+        check: Check = patiently,
     ) -> None:
         """Publish a message once somebody listens: everybody the graph knows, and the node `listener` among them."""
         publisher = self.publisher(topic)
         if publisher not in self._heard:
             heard = functools.partial(is_heard, self.node, publisher, listener)
-            self.wait_until(heard, f"{listener or 'somebody'} to subscribe {topic.name}", timeout_s)
+            self.wait_until(heard, f"{listener or 'somebody'} to subscribe {topic.name}", timeout_s, check)
             self._heard.add(publisher)
         publisher.publish(message)
 
@@ -246,14 +307,22 @@ class Client:
             timeout_s: how long to wait for the service, and then for its answer.
             again_s: ask again after this long, where it does no harm: on a busy machine DDS loses the answer to a
                 client that the server has not discovered within 100 ms.
+
+        Raises:
+            WaitTimeoutError: there is no such service, or no answer, in time.
+            RigGoneError: the service is one of a rig, and that is gone.
         """
+        node = name.rpartition("/")[0]
+        check = patiently
+        if node in self._rigs and service_type not in LIFECYCLE:
+            check = self.given(name, node, may_be_silent=service_type is SetParametersAtomically)
         client = self.prepare(service_type, name)
-        self.wait_until(client.service_is_ready, f"service {name}", timeout_s)
+        self.wait_until(client.service_is_ready, f"service {name}", timeout_s, check)
         left = timeout_s
         while True:
             future = client.call_async(request)
             try:
-                self.wait_until(future.done, f"an answer of {name}", min(again_s, left))
+                self.wait_until(future.done, f"an answer of {name}", min(again_s, left), check)
             except WaitTimeoutError:
                 client.remove_pending_request(future)
                 left -= again_s
@@ -298,8 +367,10 @@ class Client:
 
     def change_state(self, node: str, transition: str, timeout_s: float = START_TIMEOUT_S) -> bool:
         """Request a lifecycle transition (`configure`, `activate`, `deactivate`, `cleanup`); return its success."""
-        request = ChangeState.Request(transition=named(transition))
-        return bool(self.call(ChangeState, f"{node}/change_state", request, timeout_s).success)
+        request = ChangeState.Request(transition=Transition(id=TRANSITIONS[transition]))
+        changed = bool(self.call(ChangeState, f"{node}/change_state", request, timeout_s).success)
+        self._address(node)
+        return changed
 
     def status(self, node: str) -> DiagnosticStatus:
         """Return a node's latest diagnostics; an empty status before the first was heard."""
@@ -383,13 +454,45 @@ class Client:
                 return table
         return None
 
-    def _on_diagnostics(self, message: Any) -> None:
+    def _on_diagnostics(self, message: Any, info: dict[str, Any]) -> None:
         prefix = self.node.get_namespace().strip("/")
         for status in message.status:
-            name = status.name.partition(":")[0].removeprefix(prefix).lstrip("/")
+            name, _, component = status.name.partition(":")
+            name = name.removeprefix(prefix).lstrip("/")
             self.diagnostics[name] = status
+            if component.strip() == RIG:
+                instance = next((value.value for value in status.values if value.key == "instance"), "")
+                activation = self._rigs.setdefault(name, Activation(self._spinner.waited_s))
+                activation.heard(instance, int(info["source_timestamp"]))
 
     def _troubles(self) -> str:
         """Return what nodes that are not well say: most waits in vain have their reason there."""
         bad = [f"{name}: {status.message}" for name, status in self.diagnostics.items() if status.level != b"\0"]
         return f" ({'; '.join(bad)})" if bad else ""
+
+
+def subscribers(node: Node, topic: str) -> set[str]:
+    """Return the names of the nodes that subscribe a topic."""
+    full_name = node.resolve_topic_name(topic)
+    return {info.node_name for info in node.get_subscriptions_info_by_topic(full_name)}
+
+
+def is_heard(node: Node, publisher: Any, listener: str | None) -> bool:
+    """Return whether a node's publisher has reached all that the graph knows, the node `listener` among them."""
+    found = node.get_subscriptions_info_by_topic(publisher.topic_name)
+    there = listener is None or listener in {info.node_name for info in found}
+    return there and publisher.get_subscription_count() >= max(len(found), 1)
+
+
+def published(node: Node, topic: str) -> tuple[topics.Topic, QoSProfile] | None:
+    """Return a topic's row, as the table of topics has them, and the profile that its first publisher satisfies.
+
+    None: nobody publishes it.
+    """
+    found = node.get_publishers_info_by_topic(node.resolve_topic_name(topic))
+    if not found:
+        return None
+    publisher = found[0]
+    profile = messages.profile(topics.Qos.DATA)
+    profile.reliability = publisher.qos_profile.reliability
+    return topics.Topic(topic, publisher.topic_type, topics.Qos.DATA, publisher.node_name, "", ()), profile

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from impact_rig import codec
 from impact_rig.blocks import Table
+from impact_rig.errors import CodecError
 from impact_rig.topics import Topic
 
 
@@ -25,24 +26,32 @@ class Received:
         data: the message; CDR bytes where the topic carries tables.
         sequence: DDS publication sequence number: contiguous per publisher.
         received_system_ns: system clock at the callback [ns], comparable with stamps in realtime.
+        table: what it says, where it is of a table of ours.
     """
 
     data: Any
     sequence: int
     received_system_ns: int
+    table: Table | None = None
 
 
 class Collector:
     """Keeps every message of one topic.
 
+    A message that is no table of its topic is refused: counted, and not kept.
+
     Args:
-        topic: row of the topics table.
+        topic: row of the topics table; one without columns takes what comes.
         on_message: called after a message is kept (the client acknowledges here).
     """
 
     def __init__(self, topic: Topic, on_message: Callable[[Received], None] | None = None) -> None:
         self.topic = topic
         self.received: list[Received] = []
+        self.refused = 0
+        """Messages that were no tables of the topic."""
+        self.last_refused = ""
+        """Why the last of them was none."""
         self._on_message = [on_message] if on_message is not None else []
 
     def __len__(self) -> int:
@@ -50,7 +59,14 @@ class Collector:
 
     def take(self, data: Any, info: dict[str, Any]) -> None:
         """Keep one message; the subscription's callback."""
-        message = Received(data, int(info["publication_sequence_number"]), time.time_ns())
+        table = None
+        if self.topic.columns is not None:
+            try:
+                table = codec.decode(data, self.topic)
+            except CodecError as error:
+                self.refused, self.last_refused = self.refused + 1, str(error)
+                return
+        message = Received(data, int(info["publication_sequence_number"]), time.time_ns(), table)
         self.received.append(message)
         for on_message in self._on_message:
             on_message(message)
@@ -66,11 +82,12 @@ class Collector:
 
     def tables(self, since: int = 0) -> list[Table]:
         """Return the decoded tables, without the first `since`."""
-        return [codec.decode(message.data) for message in self.received[since:]]
+        return [message.table or codec.decode(message.data) for message in self.received[since:]]
 
     def last(self) -> Table | None:
         """Return the newest table, decoding nothing else; None if there is none."""
-        return codec.decode(self.received[-1].data) if self.received else None
+        found = self.tables(-1)
+        return found[0] if found else None
 
     def rows(self) -> NDArray[np.void]:
         """Return the rows of all tables, one after the other; shape (n,)."""

@@ -18,7 +18,7 @@ import rclpy.utilities
 from rclpy.context import Context
 from rclpy.node import Node
 
-from impact_rig.nodes.stamps import header_stamp_ns
+from impact_rig.nodes.messages import header_stamp_ns
 
 
 class HostedNodes:

@@ -50,15 +50,25 @@ class Tree(Generic[Root]):
         """
         path = Path(path)
         try:
-            document = plain_yaml.load(str(files.read_bytes(path, MAX_FILE_BYTES), "utf-8"), MAX_FILE_BYTES)
+            content = files.read_bytes(path, MAX_FILE_BYTES)
         except OSError as error:
             raise ConfigError(f"cannot read configuration: {error.strerror} ({path})") from error
-        except ValueError as error:  # PlainYamlError, or it is not UTF-8
-            raise ConfigError(f"not a YAML file: {' '.join(str(error).split())} ({path})") from error
         try:
-            return self.from_flat(self._root(), {**flatten(_unwrap(document)), **(overrides or {})})
+            return self.parse(content, overrides)
         except ConfigError as error:
             raise ConfigError(f"{error} ({path})") from error
+
+    def parse(self, content: bytes, overrides: Mapping[str, object] | None = None) -> Root:
+        """Return the configuration in the content of such a file, see `load`.
+
+        Raises:
+            ConfigError: as `load`; the message names no file.
+        """
+        try:
+            text = str(content, "utf-8")
+        except ValueError as error:
+            raise ConfigError(f"not a YAML file: {' '.join(str(error).split())}") from error
+        return self.from_flat(self._root(), {**parameters_in(text), **(overrides or {})})
 
     def from_flat(self, base: Root, changes: Mapping[str, object]) -> Root:
         """Return `base` with the flat `changes` (`section.key` -> value) applied together: all of them, or none.
@@ -108,6 +118,19 @@ class Tree(Generic[Root]):
     def _suggestion(self, name: str) -> str:
         close = difflib.get_close_matches(name, self._known, n=1)
         return f", did you mean {close[0]!r}?" if close else ""
+
+
+def parameters_in(text: str) -> dict[str, object]:
+    """Return the values in a configuration file, by dotted name, as they are written there.
+
+    Raises:
+        ConfigError: it is no YAML, or no mapping of sections.
+    """
+    try:
+        document = plain_yaml.load(text, MAX_FILE_BYTES)
+    except plain_yaml.PlainYamlError as error:
+        raise ConfigError(f"not a YAML file: {error}") from error
+    return flatten(_unwrap(document))
 
 
 def flatten(tree: object, prefix: str = "", depth: int = 0) -> dict[str, object]:

@@ -1,59 +1,51 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""The live source: a client of the graph in a thread of its own, that fills rings and snapshot and does what pages ask.
+"""The live source: a client of the graph in one event loop, that fills rings and snapshot and does what pages ask.
 
-The thread waits for the graph, looks at the data when a picture is due, and never waits for an answer: a service that
-hangs does not keep STOP from being sent.
+The loop waits for the graph, looks at the data when a picture is due, and never waits for an answer: a service that
+hangs does not keep STOP from being sent, nor does a message without sense.
 """
 
 from __future__ import annotations
 
+import asyncio
+import functools
 import os
 import queue
 import threading
 import time
-from collections.abc import Mapping
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any  # rclpy handles; what parameters may be
+from typing import TYPE_CHECKING, Any  # rclpy handles; what goes to JSON
 
-import attrs
-
+from impact_rig import states
 from impact_rig.errors import ImpactRigError
 from impact_rig.instruments.scan import CHANNELS
-from impact_rig.lab import deeds, parts, state
-from impact_rig.lab.deeds import KNOBS
+from impact_rig.lab import state
 from impact_rig.lab.motion import Motion
-from impact_rig.lab.pace import Pace
-from impact_rig.lab.parts import figure
 from impact_rig.lab.protocol import Request
 from impact_rig.lab.scope import Scope
 from impact_rig.lab.source import Answer, Snapshot, be_gentle
-from impact_rig.lab.tasks import Steps, Tasks
-from impact_rig.lab.theory import Theory
+from impact_rig.lab.state import KNOBS, Pace, Seen, figure
+from impact_rig.lab.theory import Theory, contradiction
 from impact_rig.topics import SCAN
+
+if TYPE_CHECKING:
+    from rclpy.node import Node
+
+    from impact_rig.client.client import Client
+    from impact_rig.lab.gateway import Gateway, Own
+    from impact_rig.lab.subscriptions import Subscriptions
 
 LOOK_S = 0.02
 """Between two looks at the data while a page is open."""
 GLANCE_S = 0.5
 """The same while rig time runs ahead of ours."""
+TURN_S = 0.05
+"""The longest turn of the loop while a page is open: what it asks for waits no longer."""
 IDLE_S = 0.2
 STATE_S = 0.1
 SLOW_S = 0.5
-NODES = ("rig", "analysis", "recorder")
-
-
-@attrs.frozen
-class Own:
-    """The nodes that the lab itself has started, or is to start.
-
-    Attributes:
-        processes: of `impact_rig.client`.
-        parameters: of each node, by its name.
-    """
-
-    processes: Any
-    parameters: Mapping[str, Mapping[str, Any]]
 
 
 class LiveSource:
@@ -68,26 +60,26 @@ class LiveSource:
     def __init__(self, domain_id: int, namespace: str | None, own: Own | None = None) -> None:
         self.snapshot = Snapshot()
         self.other: Scope | None = None
+        self.directory: Path | None = None
+        """Where the recorder has written last."""
         self._nothing = threading.Lock(), Motion()
-        self._domain_id, self._namespace, self.own = domain_id, namespace, own
+        self._domain_id, self._namespace, self._own = domain_id, namespace, own
         self._asked: queue.SimpleQueue[tuple[Request, Answer]] = queue.SimpleQueue()
         self._watchers = 0
         self._end = threading.Event()
-        self._starter = ThreadPoolExecutor(1, thread_name_prefix="lab-starter")
-        self._tasks = Tasks()
-        self.ears: Any = None
-        self.client: Any = None
-        self._view: Any = None
-        self.knobs: dict[str, Any] = {}
-        self._read = -1
-        self._failures: dict[str, str] = {}
+        self._client: Client
+        self._view: Node | None = None
+        self._heard: Subscriptions | None = None
+        self._gateway: Gateway | None = None
+        self._heard_at: dict[str, tuple[Any, float]] = {}
+        self._refused: dict[str, list[Any]] = {}
         self._pace = Pace()
         self._theory = Theory(lambda found: self.snapshot.put("prediction", found))
-        self._heard_at: dict[str, tuple[int, float]] = {}
-        self.wanted_namespace: str | None = None
+        self._wanted_namespace: str | None = None
         self._thread = threading.Thread(target=self._run, name="lab-hub", daemon=True)
         self.snapshot.put("mode", "live")
-        self.snapshot.put("choices", parts.choices())
+        self.snapshot.put("choices", state.choices())
+        self.snapshot.put("help", state.glossary())
         self.snapshot.put("rig", {"word": "starting", "text": "The lab starts.", "name": namespace or ""})
 
     # Source
@@ -95,17 +87,17 @@ class LiveSource:
     @property
     def scope(self) -> Scope | None:
         """The newest scans."""
-        return self.ears.scope if self.ears is not None else None
+        return self._heard.scope if self._heard is not None else None
 
     @property
     def motion(self) -> Motion:
         """The newest true motion."""
-        return self.ears.motion if self.ears is not None else self._nothing[1]
+        return self._heard.motion if self._heard is not None else self._nothing[1]
 
     @property
     def lock(self) -> threading.Lock:
         """Held while they are written or read."""
-        return self.ears.lock if self.ears is not None else self._nothing[0]
+        return self._heard.lock if self._heard is not None else self._nothing[0]
 
     @property
     def now_s(self) -> float:
@@ -116,19 +108,18 @@ class LiveSource:
     @property
     def epoch(self) -> int:
         """Counts resets."""
-        return self.ears.epoch if self.ears is not None else 0
+        return self._heard.epoch if self._heard is not None else 0
 
     def watched(self, count: int) -> None:
         """Know how many pages look."""
         self._watchers = count
 
     def ask(self, request: Request, answer: Answer) -> None:
-        """Do what a page asks for, in the thread of this source."""
+        """Do what a page asks for, in the loop of this source."""
         self._asked.put((request, answer))
 
     def start(self) -> None:
         """Begin."""
-        self._starter.submit(time.monotonic).result()  # begins the thread
         self._thread.start()
 
     def close(self) -> None:
@@ -136,7 +127,8 @@ class LiveSource:
         self._end.set()
         self._thread.join()
         self._theory.close()
-        self._starter.shutdown()
+        if self._own is not None:
+            self._own.close()
 
     def __enter__(self) -> LiveSource:
         self.start()
@@ -145,224 +137,220 @@ class LiveSource:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    # The thread
+    # The loop
 
     def _run(self) -> None:
-        if self.own is not None:
-            for node in self.own.parameters:
-                self.start_node(node)
-        be_gentle()
         try:
-            while not self._end.is_set():
-                self.wanted_namespace = None
-                self._open()
-                try:
-                    self._serve()
-                finally:
-                    self._leave()
+            if self._own is not None:
+                for node in self._own.parameters:
+                    self._own.start(node)
+            be_gentle()
+            asyncio.run(self._serve_rigs())
         except Exception as error:  # without its source the page must say so, not stand still
             self.snapshot.put("rig", {"word": "dead", "text": f"The lab has failed: {error}", "name": ""})
             raise
 
+    async def _serve_rigs(self) -> None:
+        while not self._end.is_set():
+            self._wanted_namespace = None
+            self._open()
+            try:
+                await self._serve()
+            finally:
+                await self._leave()
+
     def _open(self) -> None:
         from rclpy.node import Node  # noqa: PLC0415  # the page is served before the half second this takes
 
-        from impact_rig.client import Client  # noqa: PLC0415
-        from impact_rig.lab.ears import Ears  # noqa: PLC0415
-        from impact_rig.lab.hands import Hands  # noqa: PLC0415
+        from impact_rig.client.client import Client  # noqa: PLC0415
+        from impact_rig.lab.gateway import Gateway  # noqa: PLC0415
+        from impact_rig.lab.subscriptions import Subscriptions  # noqa: PLC0415
 
         namespace = self._namespace
-        self.client = Client(self._domain_id, (namespace or "").strip("/"), name="lab")
-        self._read, self._heard_at = -1, {}
+        self._client = Client(self._domain_id, (namespace or "").strip("/"), name="lab")
+        self._heard_at = {}
+        self._refused.clear()
         if namespace is None:
             return
         self._view = Node(
-            "lab_view", namespace=self.client.node.get_namespace(), context=self.client.context,
+            "lab_view", namespace=self._client.node.get_namespace(), context=self._client.context,
             use_global_arguments=False, enable_rosout=False, start_parameter_services=False,
         )  # fmt: skip
-        self.ears = Ears(self.client.node, self._view, self._failed)
-        self._hands = Hands(self)
+        self._heard = Subscriptions(self._client.node, self._view, self._refused)
+        self._gateway = Gateway(self._client, self._heard, self._seen, self._own, self._choose)
 
-    def _leave(self) -> None:
-        self._tasks.end("the lab looks elsewhere now")
-        ears, self.ears = self.ears, None
-        if ears is not None:
-            ears.listen(scans=False, motion=False)
+    async def _leave(self) -> None:
+        self._guard("state", self._tell)  # the last words of the recorder say where it has written
+        if self._gateway is not None:
+            self._gateway.end("the lab looks elsewhere now")
+            await asyncio.sleep(0)
+        heard, self._heard, self._gateway = self._heard, None, None
+        if heard is not None:
+            heard.listen(scans=False, motion=False)
         if self._view is not None:
             self._view.destroy_node()
             self._view = None
-        self.client.close()
+        self._client.close()
 
-    def _failed(self, where: str, words: str) -> None:
-        self._failures[where] = words
-
-    def _serve(self) -> None:
+    async def _serve(self) -> None:
         """Wait for the graph until the next look is due, and so on."""
         look_at = state_at = slow_at = 0.0
-        executor = self.client.executor
-        while not self._end.is_set() and self.wanted_namespace is None:
+        while not self._end.is_set() and self._wanted_namespace is None:
             now = time.monotonic()
+            self._guard("requests", self._take_requests)
             if now >= look_at:
                 look_at = now + self._until_next_look()
-                self._take_requests()
-                self._tasks.work()
-                if self.ears is not None:
-                    self.ears.listen(self._watchers > 0, self._pace.is_followed)
-                    self.ears.look()
+                self._guard("pictures", self._look)
             if now >= state_at:
                 state_at = now + (STATE_S if self._watchers and not self._pace.is_hurried else SLOW_S)
-                self.tell()
-            if now >= slow_at:
+                self._guard("state", self._tell)
+            if self._heard is None and now >= slow_at:
                 slow_at = now + SLOW_S
-                self._look_around()
+                self._guard("discovery", self._discover)
             # little comes here; spinning for longer than one message leaks 32 bytes a turn in rclpy, and we turn often
-            executor.spin_once(timeout_sec=max(0.0, min(look_at, state_at) - time.monotonic()))
-        if self.wanted_namespace is not None:
-            self._namespace = self.wanted_namespace
+            wait_s = max(0.0, min(look_at, state_at) - time.monotonic())
+            wait_s = min(wait_s, TURN_S) if self._watchers else wait_s
+            self._guard("/diagnostics", functools.partial(self._client.executor.spin_once, timeout_sec=wait_s))
+            await asyncio.sleep(0)  # every action looks whether what it waits for has come
+        if self._wanted_namespace is not None:
+            self._namespace = self._wanted_namespace
+
+    def _guard(self, what: str, work: Callable[[], Any]) -> None:
+        """Do a part of a turn; whatever fails in it, the loop goes on: STOP is sent from here."""
+        try:
+            work()
+        except Exception as error:  # what others publish comes in here
+            from impact_rig.nodes.guard import describe  # noqa: PLC0415  # see `_open`
+
+            count = self._refused.setdefault(what, [0, ""])
+            count[0] += 1
+            count[1] = describe(error)
+
+    def _look(self) -> None:
+        if self._heard is not None:
+            self._heard.listen(self._watchers > 0, self._pace.is_followed)
+            self._heard.look()
 
     def _until_next_look(self) -> float:
         if not self._watchers:
             return IDLE_S
-        return GLANCE_S if self._pace.is_hurried and not len(self._tasks) else LOOK_S
-
-    def start_node(self, node: str) -> None:
-        """Start a process, in a thread that is not as gentle as this source's own."""
-        assert self.own is not None
-        self._starter.submit(self.own.processes.start, node, self.own.parameters.get(node, {})).result()
+        return GLANCE_S if self._pace.is_hurried and not self._gateway else LOOK_S
 
     def _take_requests(self) -> None:
         while not self._asked.empty():
             request, answer = self._asked.get()
-            if self.ears is None and request.do != "choose":
-                answer(False, "there is no rig yet")
-            elif self.ears is None:
-                self._choose(request.values["value"], answer)
+            if self._gateway is not None:
+                self._gateway.begin(request, answer)
+            elif request.do == "choose" and request.values["value"] in (self.snapshot.get("rigs") or ()):
+                self._choose(request.values["value"])
+                answer(True, f"looking at {request.values['value']}")
             else:
-                self._tasks.begin(deeds.begin(self._hands, request), answer)
+                answer(False, "there is no rig yet")
+        if self._gateway is not None:
+            self._gateway.watch()
 
-    def _choose(self, name: str, answer: Answer) -> None:
-        known = name in (self.snapshot.get("rigs") or ())
-        if known:
-            self.wanted_namespace = name
-        answer(known, f"looking at {name}" if known else f"there is no rig {name!r}")
-
-    def _look_around(self) -> None:
-        """Do what is not for every picture: knobs that may have changed, other rigs, the compiler."""
-        if self.ears is None:
-            self._discover()
-            return
-        if self.ears.configured != self._read and self._hands.is_there("rig"):
-            self._read = self.ears.configured
-            self._tasks.begin(_silently(self._hands.refresh()), lambda _ok, _words: None)
+    def _choose(self, name: str) -> None:
+        if name not in (self.snapshot.get("rigs") or ()):
+            raise ImpactRigError(f"there is no rig {name!r}")
+        self._wanted_namespace = name
 
     def _discover(self) -> None:
         found = sorted(
             name.removesuffix("/daq/scan") or "/"
-            for name, _ in self.client.node.get_topic_names_and_types()
-            if name.endswith("/daq/scan") and self.client.node.count_publishers(name)
+            for name, _ in self._client.node.get_topic_names_and_types()
+            if name.endswith("/daq/scan") and self._client.node.count_publishers(name)
         )
         if len(found) == 1:
-            self.wanted_namespace = found[0]
+            self._wanted_namespace = found[0]
             return
         self.snapshot.put("rigs", found)
         words = "Several rigs are running: choose one." if found else "No rig is running yet: looking for one."
         self.snapshot.put("rig", {"word": "choose" if found else "starting", "text": words, "name": ""})
 
+    # What is known of nodes
+
+    def _seen(self, node: str) -> Seen:
+        """Return what a node has said last, and how long ago."""
+        status = self._client.diagnostics.get(node)
+        ended = self._own.ended(node) if self._own is not None else ""
+        if status is None:
+            return Seen(ended=ended)
+        known = self._heard_at.get(node)
+        if known is None or known[0] is not status:
+            self._heard_at[node] = known = (status, time.monotonic())
+        return Seen.of(node, self._client.figures(node), time.monotonic() - known[1], ended)
+
     # What the page is told
 
-    def tell(self) -> None:
-        """Bring the snapshot up to date."""
-        if self.ears is None:
+    def _tell(self) -> None:
+        """Bring the snapshot up to date, part by part: one that cannot be told does not keep the others back."""
+        heard = self._heard
+        if heard is None:
             return
-        client, ears, put = self.client, self.ears, self.snapshot.put
-        figures, status = client.figures("rig"), client.status("rig")
-        rig_s = figure(figures.get("rig_time_s"))
-        heard = state.Heard(
-            ended=self._ended("rig"), age_s=self._age("rig"), message=status.message,
-            level=status.level[0] if status.level else 0, figures=figures,
-            tripped=ears.ledger.tripped, plucked=ears.ledger.plucked,
-            settled=ears.curve.settled_since(ears.ledger.changed_ns),
-        )  # fmt: skip
-        word, words = state.judge(heard)
-        put("rig", {
-            "word": word, "text": words, "name": client.node.get_namespace(), "age": round(heard.age_s or 0.0),
-            "time": rig_s, "speed": round(self._pace.read(rig_s or 0.0), 2),
-            "mode": figures.get("mode", ""), "own": self.own is not None, "faults": figures.get("faults", ""),
-            "realised": figure(figures.get("realised_restitution")), "over": _over_range(figures),
-            "motion": self._pace.is_followed,
-        })  # fmt: skip
-        if ears.applied:
-            put("applied", ears.applied[-1])
-        put("knobs", {name: self.knobs.get(name) for name in KNOBS} if self.knobs else None)
-        if self.knobs and ears.applied and self._watchers:
-            self._theory.want(self.knobs, ears.applied[-1]["current"])
-        put("dt", ears.curve.part(ears.start_ns))
-        put("journal", ears.ledger.part(ears.start_ns))
-        put("settling", self._settling(word, ears.curve.refusal))
-        put("recorder", self._recorder())
-        put("lost", self._lost(figures))
-        put("sweep", self._sweep())
-        put("others", {node: self._ended(node) or self.quiet(node) for node in NODES[1:]})
-        if self._failures:
-            put("failures", dict(self._failures))
-
-    def _age(self, node: str) -> float | None:
-        """Return how long ago a node has said something."""
-        status = self.client.diagnostics.get(node)
-        if status is None:
-            return None
-        known = self._heard_at.get(node)
-        if known is None or known[0] != id(status):
-            self._heard_at[node] = known = (id(status), time.monotonic())
-        return time.monotonic() - known[1]
-
-    def quiet(self, node: str) -> str:
-        """Return how long a node has been silent, if that is too long; empty otherwise, or where it was never heard."""
-        age = self._age(node)
-        return f"silent for {age:.0f} s" if age is not None and age > state.DEAD_S else ""
-
-    def _ended(self, node: str) -> str:
-        if self.own is None or node not in self.own.processes.running:
-            return ""
-        code = self.own.processes.running[node].exit_code
-        return "" if code is None else f"its process ended with code {code}"
-
-    def _settling(self, word: str, refusal: str) -> dict[str, Any]:
-        figures = self.client.figures("analysis")
-        return {
-            "done": figure(figures.get("settling_windows")), "of": figure(figures.get("settling_windows_needed")),
-            "rest": figure(figures.get("settling_remnant")), "word": word, "refusal": refusal.replace("_", " "),
-        }  # fmt: skip
-
-    def _recorder(self) -> dict[str, Any]:
-        figures, status = self.client.figures("recorder"), self.client.status("recorder")
-        directory = figures.get("directory", "")
-        return {
-            "there": "recorder" in self.client.diagnostics and not self._ended("recorder"),
-            "text": status.message, "name": Path(directory).name, "level": status.level[0] if status.level else 0,
-            "megabytes": figure(figures.get("megabytes")),
-        }  # fmt: skip
-
-    def _lost(self, figures: Mapping[str, str]) -> dict[str, float]:
-        found = {
-            "withheld": figures.get("lost_blocks"),
-            "analysis scans": self.client.figures("analysis").get("lost_scans"),
-            "recorder blocks": self.client.figures("recorder").get(f"lost.{SCAN.name}"),
+        seen = {node: self._seen(node) for node in states.BY_NODE}
+        parts: dict[str, Callable[[], Any]] = {
+            "sources": lambda: {node: one.part() for node, one in seen.items()},
+            "rig": lambda: self._rig(seen, heard),
+            "applied": lambda: heard.applied[-1] if heard.applied else None,
+            "knobs": lambda: {name: heard.knobs.get(name) for name in KNOBS} if heard.knobs else None,
+            "configuration": lambda: heard.configuration,
+            "closed_form": lambda: state.closed_form(heard.knobs),
+            "dt": lambda: heard.curve.part(heard.start_ns),
+            "dt_now": lambda: state.present(seen["rig"], seen["analysis"]),
+            "faults": lambda: heard.faults.in_force(heard.start_ns),
+            "health": lambda: heard.curve.health() if seen["analysis"].lives else None,
+            "journal": lambda: heard.journal.part(heard.start_ns),
+            "recorder": lambda: self._recorder(seen["recorder"]),
+            "lost": lambda: _lost(seen),
+            "sweep": lambda: self._sweep(seen["stepped_sine"]),
+            "refused": lambda: {name: list(found) for name, found in self._refused.items()},
         }
-        return {name: count for name, value in found.items() if (count := figure(value))}
+        for name, make in parts.items():
+            self._guard(f"state of {name}", lambda name=name, make=make: self.snapshot.put(name, make()))  # type: ignore[misc]
+        if heard.knobs and heard.applied and self._watchers:
+            self._theory.want(heard.knobs, heard.applied[-1]["current"])
+        rows, now = self.snapshot.get("dt"), self.snapshot.get("dt_now")
+        prediction = self.snapshot.get("prediction") or {}
+        self.snapshot.put("other_motion", contradiction(prediction, rows[-1]["ipc"]) if rows and now["holds"] else "")
 
-    def _sweep(self) -> dict[str, Any]:
-        figures = self.client.figures("stepped_sine")
-        message = self.client.status("stepped_sine").message
+    def _rig(self, seen: Mapping[str, Seen], heard: Subscriptions) -> dict[str, Any]:
+        rig = seen["rig"]
+        doubts = [f"{fault} is in force (truth)" for fault in heard.faults.in_force(heard.start_ns)]
+        doubts += [f"{channel}: {word}" for channel, word in (heard.curve.health() or {}).items()]
+        word, words = state.judge(rig, seen["analysis"], doubts)
+        rig_s = figure(rig.figures.get("rig_time_s"))
         return {
-            "text": message, "running": message.startswith("point"), "done": figure(figures.get("points_done")),
-            "of": figure(figures.get("points")),
+            "word": word, "text": words, "name": self._client.node.get_namespace(), "instance": rig.instance,
+            "age": round(rig.age_s or 0.0), "time": rig_s, "speed": round(self._pace.read(rig_s or 0.0), 2),
+            "mode": rig.figures.get("mode", ""), "own": self._own is not None,
+            "realised": figure(rig.figures.get("realised_restitution")), "over": _over_range(rig.figures),
+            "motion": self._pace.is_followed,
+        }  # fmt: skip
+
+    def _recorder(self, seen: Seen) -> dict[str, Any]:
+        directory = seen.figures.get("directory", "")
+        if directory:
+            self.directory = Path(directory)
+        return {
+            "lives": seen.lives, "gone": seen.gone, "state": seen.state, "reason": seen.reason,
+            "name": Path(directory).name, "megabytes": figure(seen.figures.get("megabytes")),
+        }  # fmt: skip
+
+    def _sweep(self, seen: Seen) -> dict[str, Any]:
+        return {
+            "text": self._client.status("stepped_sine").message if seen.lives else "", "state": seen.state,
+            "done": figure(seen.figures.get("points_done")), "of": figure(seen.figures.get("points")),
         }  # fmt: skip
 
 
-def _silently(steps: deeds.Answer) -> Steps:
-    yield from steps
-    return ""
+def _lost(seen: Mapping[str, Seen]) -> dict[str, float]:
+    """Return what was lost and where, in words; None where nobody counts any more."""
+    found = {
+        "blocks withheld by a fault": seen["rig"].figures.get("lost_blocks"),
+        "scans missed by the analysis": seen["analysis"].figures.get("lost_scans"),
+        "blocks missed by the recorder": seen["recorder"].figures.get(f"lost.{SCAN.name}"),
+    }
+    return {name: count for name, value in found.items() if (count := figure(value))}
 
 
 def _over_range(figures: Mapping[str, str]) -> dict[str, float]:

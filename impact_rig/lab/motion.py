@@ -97,8 +97,8 @@ class Motion:
 
     def __init__(self) -> None:
         self.states = Rows(4096, 7)
-        self.impacts = Rows(1024, 5)
-        self.detected = Rows(1024, 3)
+        self.impacts = Rows(4096, 5)
+        self.detected = Rows(4096, 3)
 
     def add_state(self, data: bytes, start_ns: int) -> None:
         """Take a message of `truth/joint_states`.

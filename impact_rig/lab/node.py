@@ -12,6 +12,7 @@ import signal
 import sys
 import time
 
+from impact_rig.nodes.__main__ import show_help
 from impact_rig.system.endings import PARENT_VARIABLE, PATIENCE_S, Ending, end_with
 
 WATCH_S = 0.2
@@ -19,6 +20,8 @@ WATCH_S = 0.2
 
 def main() -> None:
     """Serve until told to end."""
+    if show_help("lab", sys.argv[1:]):
+        return
     ending = Ending("lab_node", code=lambda _number: 0)
     parent = int(os.environ.get(PARENT_VARIABLE, "0"))
     if parent:

@@ -1,31 +1,334 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""The playback source: one recorded run on the page, or two side by side; its knobs are those of the recording."""
+"""Recorded runs on the page: one, or two side by side, each played into rings, its rare messages read as marks.
+
+What a recording does not say is not shown: a measurement counts only until the next change, and a message that makes no
+sense costs itself alone.
+"""
 
 from __future__ import annotations
 
+import bisect
+import contextlib
 import queue
+import tempfile
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any  # values of parameters
 
-from impact_rig.lab import parts
-from impact_rig.lab.deeds import KNOBS
+import numpy as np
+from numpy.typing import NDArray
+
+from impact_rig import codec, topics
+from impact_rig.analysis.words import MEASURED
+from impact_rig.blocks import Table
+from impact_rig.errors import ImpactRigError, RecordingError
+from impact_rig.lab import state, theory
 from impact_rig.lab.motion import Motion
 from impact_rig.lab.protocol import Request
-from impact_rig.lab.reel import Reel
-from impact_rig.lab.scope import Scope
+from impact_rig.lab.scope import LONGEST_S, Scope
 from impact_rig.lab.source import Answer, Snapshot
-from impact_rig.lab.theory import Theory
+from impact_rig.lab.state import KNOBS, Curve, Faults, JournalView, plain, scan_rate, start_ns, text
+from impact_rig.recording import Message, Run, open_run
+from impact_rig.rig.config import RigConfig, to_flat
+from impact_rig.rig.journal import short_key
+from impact_rig.runs import recover
 from impact_rig.simtime import NS_PER_S
 
+DRAWN = (topics.SCAN, topics.JOINT_STATES, topics.IMPACTS_TRUTH, topics.IMPACTS)
+RARE = (
+    topics.JOURNAL, topics.APPLIED, topics.TRANSMISSIBILITY_TABLE, topics.FAULTS, topics.IMPACTS_TRUTH, topics.NOTES,
+    topics.SCAN,
+)  # fmt: skip
+MOST_FILLED = 250_000
+"""Scans read before the instant that is jumped to."""
+BINS = 400
 TICK_S = 0.025
 TELL_S = 0.1
 MARKS_S = 1.0
 PEEK_S = 0.05
 """An impact that is jumped to stands this much before the end of the picture."""
+READ = (*KNOBS, *sorted(set(theory.DECIDING) - set(KNOBS)))
+"""Parameters that are looked at: those that are shown, and what theory needs."""
+_NAMES = {short_key(name): name for name in READ}
+
+
+class RunPlayer:
+    """One run.
+
+    Args:
+        path: a run directory or an MCAP file; one that was cut short is recovered into a temporary directory first.
+
+    Raises:
+        RecordingError: nothing whole is in it, no scans, or a calibration that no board can have.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.recovered = False
+        self.offset_s = 0.0
+        """What is to be added to the time of the page for that of this run."""
+        self.refused: dict[str, list[Any]] = {}
+        """Messages that made no sense, by topic: how many, and the last reason."""
+        self._stack = contextlib.ExitStack()
+        with contextlib.ExitStack() as stack:
+            self._run = stack.enter_context(self._open(path, stack))
+            self._topics = {}
+            for topic in {*DRAWN, *RARE, topics.INFO}:
+                with contextlib.suppress(RecordingError):
+                    self._topics[self._run.resolve(topic.name)] = topic
+            info = next(self._messages([topics.INFO]), None)
+            if info is None:
+                raise RecordingError(f"{path} has no calibration (daq/info)")
+            try:
+                calibration = codec.decode(info.data, topics.INFO)
+                self.rate_hz, self.start_ns = scan_rate(calibration), start_ns(calibration)
+            except ImpactRigError as error:
+                raise RecordingError(f"{path}: {error}") from error
+            first = next(self._messages([topics.SCAN]), None)
+            if first is None:
+                raise RecordingError(f"{path} holds no scans")
+            self.begin_ns, self.end_ns = codec.header_stamp_ns(first.data), self._run.end_ns
+            self.start_ns = min(self.start_ns, self.begin_ns)
+            self._stack = stack.pop_all()
+        self.scope, self.motion = Scope(self.rate_hz), Motion()
+        self.journal, self.curve, self.faults = JournalView(), Curve(), Faults()
+        self.read_s = 0.0
+        """How far the marks are read [s since scan 0]."""
+        self.whole = False
+        self._changes: list[tuple[int, str, Any]] = []
+        self._impacts: list[float] = []
+        self._lost: list[tuple[int, int]] = []
+        self._expected_ns = self.begin_ns
+        self._reading: Iterator[Message] | None = None
+        self._next: Message | None = None
+        self._end = threading.Event()
+        self._quiet = threading.Event()
+        self._quiet.set()
+        self._marker = threading.Thread(target=self._mark, name="lab-marks", daemon=True)
+
+    def _open(self, path: Path, stack: contextlib.ExitStack) -> Run:
+        try:
+            return open_run(path)
+        except RecordingError:
+            if not path.exists():
+                raise
+        directory = stack.enter_context(tempfile.TemporaryDirectory(prefix="impact_rig_lab_"))
+        recover(path, Path(directory) / "run")
+        self.recovered = True
+        return open_run(Path(directory) / "run")
+
+    def _messages(self, wanted: Sequence[topics.Topic], from_ns: int | None = None) -> Iterator[Message]:
+        names = [name for name, topic in self._topics.items() if topic in wanted]
+        return iter(self._run.messages(names, start_ns=from_ns)) if names else iter(())
+
+    def start(self) -> None:
+        """Begin to read the marks."""
+        self._marker.start()
+
+    def close(self) -> None:
+        """End."""
+        self._end.set()
+        if self._marker.is_alive():
+            self._marker.join()
+        self._stop_reading()
+        self._stack.close()
+
+    @property
+    def begin_s(self) -> float:
+        """Time of the first scan [s since scan 0]."""
+        return (self.begin_ns - self.start_ns) / NS_PER_S
+
+    @property
+    def end_s(self) -> float:
+        """Time of the last message."""
+        return (self.end_ns - self.start_ns) / NS_PER_S
+
+    def instant_ns(self, page_s: float) -> int:
+        """Return the stamp that belongs to an instant of the page."""
+        return self.start_ns + round((page_s + self.offset_s) * NS_PER_S)
+
+    def _guard(self, message: Message, take: Callable[[Message, topics.Topic], None]) -> None:
+        """Take a message; where that fails, count it."""
+        topic = self._topics[message.topic]
+        try:
+            take(message, topic)
+        except Exception as error:  # whatever stands in a file, the others are shown
+            count = self.refused.setdefault(topic.name, [0, ""])
+            count[0] += 1
+            count[1] = str(error) if isinstance(error, ImpactRigError) else f"{type(error).__name__}: {error}"
+
+    # Playing
+
+    def jump(self, page_s: float) -> None:
+        """Fill the rings with what came before an instant."""
+        self._quiet.clear()
+        try:
+            self._stop_reading()
+            self.scope.clear()
+            self.motion = Motion()
+            back_s = min(LONGEST_S + 0.5, MOST_FILLED / self.rate_hz)
+            self._reading = self._messages(DRAWN, self.instant_ns(page_s - back_s))
+            self._next = next(self._reading, None)
+            self.play(page_s)
+        finally:
+            self._quiet.set()
+
+    def play(self, page_s: float) -> None:
+        """Read on to an instant."""
+        until = self.instant_ns(page_s)
+        while self._next is not None and self._next.log_time <= until:
+            self._guard(self._next, self._draw)
+            self._next = next(self._reading, None) if self._reading is not None else None
+
+    def _draw(self, message: Message, topic: topics.Topic) -> None:
+        data = bytes(message.data)
+        if topic is topics.JOINT_STATES:
+            self.motion.add_state(data, self.start_ns)
+            return
+        table = codec.decode(data, topic)
+        if topic is topics.SCAN:
+            self.scope.add(table, self.start_ns)
+        elif topic is topics.IMPACTS_TRUTH:
+            self.motion.add_impacts(table.stamp_ns, table.rows, self.start_ns)
+        else:
+            self.motion.add_detected(table.stamp_ns, table.rows, self.start_ns)
+
+    def _stop_reading(self) -> None:
+        reading, self._reading, self._next = self._reading, None, None
+        if reading is not None and hasattr(reading, "close"):
+            reading.close()
+
+    # Marks
+
+    def _mark(self) -> None:
+        try:
+            for message in self._messages(RARE):
+                self._quiet.wait()  # a jump comes first
+                if self._end.is_set():
+                    return
+                self._guard(message, self._note)
+                self.read_s = (message.log_time - self.start_ns) / NS_PER_S
+        except RecordingError as error:
+            self.refused["the file"] = [1, str(error)]  # what was read before is right
+            return
+        self.whole = True
+
+    def _note(self, message: Message, topic: topics.Topic) -> None:
+        if topic is topics.NOTES:
+            self.journal.remark(bytes(message.data[8:-1]).decode("utf-8", errors="replace"), message.log_time)
+            return
+        table = codec.decode(bytes(message.data), topic)
+        if topic is topics.SCAN:
+            self._count_lost(table)
+        elif topic is topics.JOURNAL:
+            self.journal.add(table)
+            self._changes += _changes(table)
+        elif topic is topics.APPLIED:
+            for row in table.rows:
+                stamp = table.stamp_ns + round(float(row["time"]) * NS_PER_S)
+                self._changes.append(
+                    (stamp, "applied", {"frequency": float(row["frequency"]), "current": float(row["current"])})
+                )
+        elif topic is topics.TRANSMISSIBILITY_TABLE:
+            self.curve.add(table)
+        elif topic is topics.FAULTS:
+            self.faults.add(table)
+            self.journal.fault(table)
+        else:
+            begin = (table.stamp_ns - self.start_ns) / NS_PER_S
+            self._impacts += [begin + float(time) for time in table.rows["time"]]
+
+    def _count_lost(self, table: Table) -> None:
+        """Count the blocks, as long as this one, between the end of the one before and this one."""
+        length_ns = round(len(table.rows) * NS_PER_S / self.rate_hz)
+        if not length_ns:
+            return
+        lost = round((table.stamp_ns - self._expected_ns) / length_ns)
+        if lost > 0:
+            self._lost.append((table.stamp_ns, lost))
+        self._expected_ns = table.stamp_ns + length_ns
+
+    def lost_blocks(self, page_s: float) -> int:
+        """Return how many blocks were missing before an instant, as far as was read."""
+        at = self.instant_ns(page_s)
+        return sum(count for stamp, count in list(self._lost) if stamp <= at)
+
+    def knobs(self, page_s: float) -> dict[str, Any]:
+        """Return the recorded parameters that are read at an instant.
+
+        Besides them `applied` (the drive), `latched` (by what), `plucked`, and `changed_ns`: when the last of all this
+        came into force.
+        """
+        at = self.instant_ns(page_s)
+        flat = to_flat(RigConfig())
+        initial = {name: list(v) if isinstance(v := flat[name], tuple) else v for name in READ}
+        found: dict[str, Any] = dict(initial)
+        applied = {"frequency": 0.0, "current": 0.0}
+        latched, plucked, changed_ns = "", False, self.start_ns
+        for stamp, name, value in sorted(self._changes, key=lambda change: change[0]):
+            if stamp > at:
+                break
+            changed_ns = stamp
+            if name == "begin":
+                found, latched, plucked = dict(initial), "", False
+            elif name == "latched":
+                latched = value
+            elif name == "plucked":
+                plucked = True
+            elif name == "applied":
+                applied = value
+            elif name:
+                found[name] = bool(value) if isinstance(initial.get(name), bool) else value
+        return {**found, "applied": applied, "latched": latched, "plucked": plucked, "changed_ns": changed_ns}
+
+    def present(self, page_s: float, knobs: dict[str, Any]) -> dict[str, Any]:
+        """Return whether the newest measurement before an instant held then; as `state.present`.
+
+        It did where the shaker drove and nothing had changed since, nor had a later one failed.
+        """
+        at = self.instant_ns(page_s)
+        rows = [(stamp, status) for stamp, status, _ in self.curve.statuses if knobs["changed_ns"] < stamp <= at]
+        drives = knobs["applied"]["current"] > 0.0 and not knobs["latched"] and not knobs["plucked"]
+        state = "at_rest" if not drives else "settling" if not rows else "measuring"
+        reason = ""
+        if state == "measuring" and (rows[-1][1] not in MEASURED or rows[-1][1] == "not_settled"):
+            state, reason = "unable", plain(rows[-1][1])
+        return {
+            "state": state, "holds": state == "measuring", "reason": reason, "done": None, "of": None, "rest": None
+        }  # fmt: skip
+
+    def impact_after(self, page_s: float, direction: float) -> float | None:
+        """Return the next impact after an instant of the page, or the last one before it; None: there is none."""
+        times, time_s = sorted(self._impacts), page_s + self.offset_s
+        if direction > 0:
+            place = bisect.bisect_right(times, time_s + 1e-6)
+            return times[place] - self.offset_s if place < len(times) else None
+        place = bisect.bisect_left(times, time_s - 1e-6)
+        return times[place - 1] - self.offset_s if place else None
+
+    def histogram(self) -> list[int]:
+        """Return how many impacts there are in every four hundredth of the run."""
+        times: NDArray[np.float64] = np.array(list(self._impacts))
+        return [int(n) for n in np.histogram(times, BINS, (self.begin_s, max(self.end_s, self.begin_s + 1e-3)))[0]]
+
+
+def _changes(table: Table) -> Iterator[tuple[int, str, Any]]:
+    """Yield stamp, name and value of what a journal's rows change; an empty name: something that is not looked at."""
+    for row in table.rows:
+        kind, key, words = text(row["kind"]), text(row["key"]), text(row["text"])
+        if kind in ("start", "reset"):
+            yield table.stamp_ns, "begin", None
+        elif kind in ("trip", "stop"):
+            yield table.stamp_ns, "latched", plain(key) or "emergency stop"
+        elif kind == "clear_trip":
+            yield table.stamp_ns, "latched", ""
+        elif kind == "pluck":
+            yield table.stamp_ns, "plucked", True
+        elif kind in ("initial", "parameter", "more"):
+            yield table.stamp_ns, _NAMES.get(key, ""), words or float(row["value"])
 
 
 class PlaybackSource:
@@ -40,40 +343,47 @@ class PlaybackSource:
         self.lock = threading.Lock()
         self.epoch = 0
         self.now_s = 0.0
-        self._reels: list[Reel] = []
+        self._runs: list[RunPlayer] = []
         try:
             for path in paths:
-                self._reels.append(Reel(path))
+                self._runs.append(RunPlayer(path))
         except BaseException:
-            for reel in self._reels:
-                reel.close()
+            for run in self._runs:
+                run.close()
             raise
-        self._playing, self._speed = True, 1.0
+        self._failures: dict[str, list[Any]] = {}
+        self._playing, self._speed, self._aligned = True, 1.0, "start"
         self._asked: queue.SimpleQueue[tuple[Request, Answer]] = queue.SimpleQueue()
         self._end = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="lab-playback", daemon=True)
+        self._thread = threading.Thread(target=self._serve, name="lab-playback", daemon=True)
         self._watchers = 0
-        self._theory = Theory(lambda found: self.snapshot.put("prediction", found))
-        self._begin_s = min(reel.begin_s for reel in self._reels)
-        self._end_s = max(reel.end_s for reel in self._reels)
+        self._theory = theory.Theory(lambda found: self.snapshot.put("prediction", found))
+        first = self._runs[0]
+        self._begin_s, self._end_s = first.begin_s, first.end_s
+        for run in self._runs[1:]:
+            run.offset_s = run.begin_s - first.begin_s
         self.snapshot.put("mode", "playback")
-        self.snapshot.put("choices", parts.choices())
+        self.snapshot.put("choices", state.choices())
+        self.snapshot.put("help", state.glossary())
         self._move(self._begin_s)
 
     @property
     def scope(self) -> Scope | None:
         """The scans before the instant shown."""
-        return self._reels[0].scope
+        return self._runs[0].scope
 
     @property
     def other(self) -> Scope | None:
-        """Those of the second run."""
-        return self._reels[1].scope if len(self._reels) > 1 else None
+        """Those of the second run; None where it has none at this instant."""
+        if len(self._runs) < 2:
+            return None
+        run = self._runs[1]
+        return run.scope if run.begin_s <= self.now_s + run.offset_s <= run.end_s else None
 
     @property
     def motion(self) -> Motion:
         """The true motion before it."""
-        return self._reels[0].motion
+        return self._runs[0].motion
 
     def watched(self, count: int) -> None:
         """Know how many pages look: nothing is played to nobody."""
@@ -85,8 +395,8 @@ class PlaybackSource:
 
     def start(self) -> None:
         """Begin."""
-        for reel in self._reels:
-            reel.start()
+        for run in self._runs:
+            run.start()
         self._thread.start()
 
     def close(self) -> None:
@@ -95,8 +405,8 @@ class PlaybackSource:
         if self._thread.is_alive():
             self._thread.join()
         self._theory.close()
-        for reel in self._reels:
-            reel.close()
+        for run in self._runs:
+            run.close()
 
     def __enter__(self) -> PlaybackSource:
         self.start()
@@ -105,36 +415,48 @@ class PlaybackSource:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _run(self) -> None:
+    def _serve(self) -> None:
         before = time.monotonic()
         told = marked = 0.0
         while not self._end.wait(TICK_S):
-            self._obey()
+            self._guard("requests", self._obey)
             now = time.monotonic()
             if self._playing and self._watchers:
-                self._play(self.now_s + (now - before) * self._speed)
+                self._guard("playing", lambda: self._play(self.now_s + (now - before) * self._speed))  # noqa: B023
             before = now
             if now - told >= TELL_S:
                 told = now
-                self._tell()
+                self._guard("state", self._tell)
             if now - marked >= MARKS_S:
                 marked = now
-                self.snapshot.put("impact_marks", self._reels[0].histogram())
+                self._guard("marks", lambda: self.snapshot.put("impact_marks", self._runs[0].histogram()))
+
+    def _guard(self, what: str, work: Callable[[], None]) -> None:
+        """Do a part of a turn; where it fails, the page says so and the rest goes on."""
+        try:
+            work()
+        except Exception as error:  # a damaged chunk, for one
+            self._failures[what] = [self._failures.get(what, [0])[0] + 1, f"{type(error).__name__}: {error}"]
+            self.snapshot.put("refused", self._refused())
+
+    def _refused(self) -> dict[str, list[Any]]:
+        found = {name: list(count) for run in self._runs for name, count in run.refused.items()}
+        return {**found, **self._failures}
 
     def _play(self, until_s: float) -> None:
         with self.lock:
             self.now_s = min(until_s, self._end_s)
-            for reel in self._reels:
-                reel.play(self.now_s)
+            for run in self._runs:
+                run.play(self.now_s)
         if self.now_s >= self._end_s:
             self._playing = False
 
     def _move(self, to_s: float) -> None:
         with self.lock:
             self.now_s = min(max(to_s, self._begin_s), self._end_s)
-            for reel in self._reels:
-                reel.jump(self.now_s)
             self.epoch += 1
+            for run in self._runs:
+                run.jump(self.now_s)
 
     # What pages ask for
 
@@ -148,9 +470,14 @@ class PlaybackSource:
             if request.do == "seek" and number != jumps[-1]:
                 answer(True, "")
                 continue
-            self._do(request, answer)
+            try:
+                done = True, self._do(request)
+            except ImpactRigError as error:
+                done = False, str(error)
+            self._guard("state", self._tell)  # what is shown now comes before the answer
+            answer(*done)
 
-    def _do(self, request: Request, answer: Answer) -> None:
+    def _do(self, request: Request) -> str:
         value = request.values.get("value")
         match request.do:
             case "play":
@@ -164,59 +491,95 @@ class PlaybackSource:
             case "seek":
                 self._move(float(value or 0.0))
             case "next_impact":
-                found = self._reels[0].impact_after(self.now_s - PEEK_S, float(value or 1.0))
+                found = self._runs[0].impact_after(self.now_s - PEEK_S, float(value or 1.0))
                 if found is None:
-                    answer(False, "there is no further impact in what was read so far")
-                    return
+                    raise RecordingError("there is no further impact in what was read so far")
                 self._playing = False
                 self._move(found + PEEK_S)
+            case "align":
+                return self._align(request.values["by"], float(value or 0.0))
             case _:
-                answer(False, f"{request.do}: a recorded run cannot be changed")
-                return
-        self._tell()
-        answer(True, "")
+                raise RecordingError(f"{request.do}: a recorded run cannot be changed")
+        return ""
+
+    def _align(self, by: str, at_s: float) -> str:
+        """Lay the second run beside the first.
+
+        Args:
+            by: `start`: both begin together; `time`: by the time since scan 0; `change`: the first run's change nearest
+                to an instant lies beside the same one of the second.
+            at_s: that instant.
+        """
+        if len(self._runs) < 2:
+            raise RecordingError("one run is shown: there is nothing to align")
+        first, second = self._runs
+        words = {"start": "both runs begin together", "time": "both runs by their time since scan 0"}.get(by, "")
+        offset_s = second.begin_s - first.begin_s if by == "start" else 0.0
+        if by == "change":
+            changes = [line for line in first.journal.part(first.start_ns) if line[0] >= first.begin_s]
+            if not changes:
+                raise RecordingError(f"nothing changes in {first.path.name}, as far as it was read")
+            chosen = min(changes, key=lambda line: abs(line[0] - at_s))
+            same = [line for line in second.journal.part(second.start_ns) if line[1:] == chosen[1:]]
+            if not same:
+                raise RecordingError(f"{second.path.name} has no {' '.join(chosen[1:]).strip()}")
+            offset_s = same[0][0] - chosen[0]
+            words = f"both runs at {' '.join(chosen[1:]).strip()}"
+        second.offset_s, self._aligned = offset_s, by
+        self._move(self.now_s)
+        return words
 
     # What pages are told
 
     def _tell(self) -> None:
-        reel, put = self._reels[0], self.snapshot.put
-        knobs = reel.knobs(self.now_s)
-        applied = knobs.pop("applied", None) or {"frequency": 0.0, "current": 0.0}
-        word, words = self._state(knobs, applied)
+        run, put = self._runs[0], self.snapshot.put
+        knobs = run.knobs(self.now_s)
+        applied, at = knobs["applied"], run.instant_ns(self.now_s)
+        word, words = self._words(knobs)
         put("rig", {
-            "word": word, "text": words, "name": reel.path.name, "age": 0, "time": round(self.now_s, 2),
+            "word": word, "text": words, "name": run.path.name, "age": 0, "time": round(self.now_s, 2),
             "speed": self._speed if self._playing else 0.0, "mode": "playback", "own": False, "over": {},
         })  # fmt: skip
         put("applied", applied)
-        put("knobs", {name: knobs.get(name) for name in KNOBS})
+        put("knobs", {name: knobs[name] for name in KNOBS})
         if self._watchers:
             self._theory.want(knobs, applied["current"])
-        at = reel.start_ns + round(self.now_s * NS_PER_S)
-        for part, one in (("dt", self._reels[0]), ("dt_b", self._reels[-1])):
-            if part == "dt" or len(self._reels) > 1:
-                put(part, [row for row in one.curve.part(one.start_ns) if row["t"] <= self.now_s])
-        put("closed_form", parts.closed_form(knobs))
-        put("journal", reel.ledger.part(reel.start_ns))
-        settled = any(row["settled"] and row["t"] * NS_PER_S + reel.start_ns <= at for row in self.snapshot.get("dt"))
-        put("settling", {"done": None, "of": None, "rest": None, "word": "driving" if settled else "", "refusal": ""})
-        put("recorder", {"there": True, "text": "", "name": reel.path.name, "level": 0, "megabytes": None})
+        rows = [row for row in run.curve.part(run.start_ns) if row["t"] <= self.now_s]
+        put("dt", rows)
+        now = run.present(self.now_s, knobs)
+        put("dt_now", now)
+        prediction = self.snapshot.get("prediction") or {}
+        put("other_motion", theory.contradiction(prediction, rows[-1]["ipc"]) if rows and now["holds"] else "")
+        if len(self._runs) > 1:
+            other = self._runs[1]
+            put("dt_b", [
+                row for row in other.curve.part(other.start_ns) if row["t"] <= self.now_s + other.offset_s
+            ])  # fmt: skip
+        put("closed_form", state.closed_form(knobs))
+        put("faults", run.faults.in_force(run.start_ns, at))
+        put("health", run.curve.health(at))
+        put("journal", run.journal.part(run.start_ns))
+        put("recorder", {"name": run.path.name})
+        lost = run.lost_blocks(self.now_s)
+        put("lost", {"blocks missing in the recording": lost} if lost else {})
+        put("refused", self._refused())
         put("playback", {
             "begin": self._begin_s, "end": self._end_s, "now": round(self.now_s, 3), "playing": self._playing,
-            "speed": self._speed, "read": 1.0 if reel.whole else round(reel.read_s / max(self._end_s, 1e-3), 2),
-            "names": [one.path.name for one in self._reels],
+            "speed": self._speed, "read": 1.0 if run.whole else round(run.read_s / max(self._end_s, 1e-3), 2),
+            "names": [one.path.name for one in self._runs], "aligned": self._aligned,
         })  # fmt: skip
 
-    def _state(self, knobs: dict[str, Any], applied: dict[str, float]) -> tuple[str, str]:
-        names = " and ".join(reel.path.name for reel in self._reels)
-        if any(reel.recovered for reel in self._reels):
+    def _words(self, knobs: dict[str, Any]) -> tuple[str, str]:
+        names = " and ".join(run.path.name for run in self._runs)
+        if any(run.recovered for run in self._runs):
             names += " (cut short: what is whole is shown)"
-        if knobs.pop("latched"):
-            found = "the shaker was latched"
-        elif knobs.pop("plucked", False):
+        applied = knobs["applied"]
+        if knobs["latched"]:
+            found = f"the shaker was latched by {knobs['latched']}"
+        elif knobs["plucked"]:
             found = "the base was locked after a pluck"
         elif applied["current"]:
             found = f"driven at {applied['frequency']:g} Hz, {applied['current']:g} A"
         else:
             found = "at rest"
-        knobs.pop("plucked", None)
         return ("playback" if self._playing else "paused playback"), f"{names}: {found}."

@@ -33,7 +33,7 @@ from impact_rig.errors import ImpactRigError
 from impact_rig.instruments.scan import CHANNELS
 from impact_rig.lab.scope import LONGEST_S, Trace
 
-LONGEST_REQUEST = 8192
+LONGEST_REQUEST = 65536
 """Bytes; longer ones are refused, and the connection is closed."""
 LONGEST_TEXT = 500
 MOST_COLUMNS = 4000
@@ -60,11 +60,19 @@ class Kind(enum.IntEnum):
 
 @attrs.frozen
 class Request:
-    """One request: its number, what is asked, and the checked values."""
+    """One request.
+
+    Attributes:
+        id: its number.
+        do: what is asked.
+        values: checked.
+        rig: instance of the rig that its page showed; None: the page did not say.
+    """
 
     id: int
     do: str
     values: Mapping[str, Any]
+    rig: str | None = None
 
 
 Check = Callable[[str, object], Any]
@@ -112,6 +120,13 @@ def text(name: str, value: object) -> str:
     return value
 
 
+def document(name: str, value: object) -> str:
+    """Check for the content of a file."""
+    if not isinstance(value, str):
+        raise RequestError(f"{name} must be a text, got {_short(value)}")
+    return value
+
+
 def frequencies(name: str, value: object) -> tuple[float, ...]:
     """Check for a list of frequencies."""
     if not isinstance(value, list) or not 1 <= len(value) <= MOST_FREQUENCIES:
@@ -154,6 +169,7 @@ REQUESTS: Mapping[str, Mapping[str, Check]] = {
     "sweep_stop": {},
     "fault": {"kind": text, "channel": text, "value": _ANY, "duration": _ANY, "rate": _ANY},
     "clear_faults": {},
+    "load": {"value": document},
     "note": {"value": text},
     "record": {"value": flag},
     "restart": {},
@@ -163,8 +179,9 @@ REQUESTS: Mapping[str, Mapping[str, Check]] = {
     "speed": {"value": number(0.25, 20.0)},
     "seek": {"value": number(-1e9, 1e9)},
     "next_impact": {"value": number(-1, 1)},
+    "align": {"value": number(-1e9, 1e9), "by": word("start", "time", "change")},
 }
-"""What can be asked: name -> values with their checks; all of them must be there."""
+"""What can be asked: name -> values with their checks; all of them must be there. `rig` may be there as well."""
 UNANSWERED = frozenset({"ack", "view"})
 
 
@@ -188,10 +205,13 @@ def parse(raw: str | bytes) -> Request:
     identity = number(0, LARGEST_ID)("id", found.pop("id", 0))
     if identity != int(identity):
         raise RequestError(f"id must be whole, got {identity:g}")
+    rig = found.pop("rig", None)
+    if rig is not None:
+        rig = text("rig", rig)
     checks = REQUESTS[do]
     if found.keys() != checks.keys():
         raise RequestError(f"{do} takes {', '.join(checks) or 'nothing'}, got {_short(sorted(found))}")
-    return Request(int(identity), do, {name: check(name, found[name]) for name, check in checks.items()})
+    return Request(int(identity), do, {name: check(name, found[name]) for name, check in checks.items()}, rig)
 
 
 # Frames

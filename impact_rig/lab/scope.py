@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig.blocks import Table
-from impact_rig.instruments.scan import CHANNELS
+from impact_rig.errors import CodecError
+from impact_rig.instruments.scan import CHANNELS, channels_of
 from impact_rig.simtime import NS_PER_S
 
 LONGEST_S = 10.0
@@ -132,6 +133,8 @@ class Scope:
             start_ns: stamp of scan 0.
         """
         rows = table.rows[-self._size :]
+        if any(rows.dtype[name].kind not in "fiu" for name in channels_of(rows)):
+            raise CodecError("daq/scan has a channel that is no number")
         first = round((table.stamp_ns - start_ns) * self.rate_hz / NS_PER_S) + len(table.rows) - len(rows)
         if first < 0 or not len(rows):
             return
@@ -150,9 +153,12 @@ class Scope:
         done = 0
         for place in self._scans.places(first, first + len(rows)):
             part = rows[done : done + place.stop - place.start]
+            self._scans.status[place] = 0
+            there = channels_of(rows)
             for number, name in enumerate(CHANNELS):
-                self._scans.low[number, place] = part[name]
-            self._scans.status[place] = part["status"]
+                self._scans.low[number, place] = part[name] if name in there else np.nan
+                if name in there:  # bits are in the order of the channels that are there
+                    self._scans.status[place] |= (part["status"] >> there.index(name) & 1) << number
             done += len(part)
 
     def window(self, span_s: float, columns: int, *, trigger: bool = False, end_s: float | None = None) -> Trace | None:

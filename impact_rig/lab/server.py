@@ -3,6 +3,8 @@
 """The web server: the page and its one WebSocket, for whoever has the token, on the loopback unless told otherwise.
 
 Nothing is fetched from elsewhere, and the page may fetch nothing from elsewhere: the content security policy says so.
+Each open page is a `Session`, which draws what it asked for, one picture at a time: a page that does not draw costs
+nothing. A page may ask for recorded runs (`?run=NAME`); it gets a player of its own.
 """
 
 from __future__ import annotations
@@ -11,24 +13,50 @@ import asyncio
 import contextlib
 import hmac
 import importlib.util
+import logging
 import os
 import secrets
 import threading
-from collections.abc import Awaitable, Callable
+import time
+from collections import Counter, deque
+from collections.abc import Awaitable, Callable, Sequence
 from pathlib import Path
+from typing import Any  # values of a view, checked by the protocol
 
-from aiohttp import web
+from aiohttp import WSMsgType, web
 
 from impact_rig.errors import ImpactRigError
+from impact_rig.instruments.scan import CHANNELS
 from impact_rig.lab import protocol
-from impact_rig.lab.session import Session
+from impact_rig.lab.playback import PlaybackSource
+from impact_rig.lab.protocol import Kind, Request, RequestError
+from impact_rig.lab.scope import Scope, Trace, spectrum
 from impact_rig.lab.source import Source, be_gentle
 
 Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 STATIC = Path(__file__).parent / "static"
 LOOPBACK = "127.0.0.1"
 PORT = 8765
+HIGHEST_PORT = 65535
 MOST_PAGES = 16
+FASTEST_HZ = 60.0
+"""Pictures per second, at most."""
+MOST_UNDRAWN = 2
+"""Pictures on their way to a page: one is drawn while the next travels."""
+SPECTRUM_S = 0.25
+"""Between two spectra."""
+SPECTRUM_SPAN_S = 2.0
+STATE_S = 0.1
+PATIENCE_S = 2.0
+"""A page that has not drawn the last picture after this long is away, and gets one now and then."""
+MOST_BAD = 20
+"""Requests without sense after which a connection is closed."""
+HEADERS_S = 10.0
+"""A connection that has asked for nothing whole after this long is closed."""
+MOST_CONNECTIONS = 64
+"""Far fewer than a process may have descriptors; whoever comes after them is turned away."""
+MOST_RUNS = 200
+MOST_AT_ONCE = 2
 TYPES = {".html": "text/html", ".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml"}
 POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self'; "
@@ -42,6 +70,16 @@ HEADERS = {
     "Cross-Origin-Resource-Policy": "same-origin",
     "Cache-Control": "no-store",
 }
+
+
+def check_port(port: int) -> None:
+    """Refuse a port that there is not.
+
+    Raises:
+        ImpactRigError: names what there is.
+    """
+    if not 0 <= port <= HIGHEST_PORT:
+        raise ImpactRigError(f"a port is 0 (any) to {HIGHEST_PORT}, got {port}")
 
 
 def plotter_files() -> Path:
@@ -74,6 +112,176 @@ def kept_token() -> str:
     return token
 
 
+class Session:
+    """Serves one WebSocket.
+
+    Args:
+        socket: prepared.
+        source: what is shown.
+        refused: counts what was refused, by reason.
+    """
+
+    def __init__(self, socket: web.WebSocketResponse, source: Source, refused: Counter[str]) -> None:
+        self._socket = socket
+        self._source = source
+        self._refused = refused
+        self._view: dict[str, Any] = {"span": 0.5, "columns": 600, "trigger": True, "spectrum": "", "top": 100.0}
+        self._frame = self._acknowledged = 0
+        self._sent_at = self._state_at = self._spectrum_at = 0.0
+        self._version = 0
+        self._epoch = -1
+        self._seen = {Kind.MOTION: 0, Kind.IMPACTS: 0, Kind.DETECTED: 0}
+        self._drawn_end = -1.0
+        self._replies: deque[bytes] = deque()
+        self._answered = asyncio.Event()
+        self._loop = asyncio.get_running_loop()
+
+    async def run(self) -> None:
+        """Serve until the page goes."""
+        sender = asyncio.create_task(self._send())
+        try:
+            await self._listen()
+        finally:
+            sender.cancel()
+            with contextlib.suppress(asyncio.CancelledError, ConnectionError):
+                await sender
+
+    async def _listen(self) -> None:
+        bad = 0
+        async for message in self._socket:
+            if message.type is WSMsgType.ERROR:
+                return  # too long, or no WebSocket's: the connection is closed
+            if message.type is not WSMsgType.TEXT:
+                self._refuse("binary")
+                bad += 1
+            else:
+                try:
+                    self._take(protocol.parse(message.data))
+                except RequestError as error:
+                    self._refuse("malformed")
+                    bad += 1
+                    self._reply(0, False, str(error))
+            if bad >= MOST_BAD:
+                await self._socket.close(code=1008, message=b"too many requests without sense")
+
+    def _refuse(self, reason: str) -> None:
+        self._refused[reason] += 1
+
+    def _take(self, request: Request) -> None:
+        if request.do == "ack":
+            self._acknowledged = max(self._acknowledged, min(int(request.values["frame"]), self._frame))
+        elif request.do == "view":
+            self._view = dict(request.values)
+            self._drawn_end = -1.0
+            self._spectrum_at = 0.0
+        else:
+            self._source.ask(request, lambda ok, text: self._reply(request.id, ok, text))
+
+    def _reply(self, number: int, ok: bool, text: str) -> None:
+        frame = protocol.json_frame(Kind.REPLY, number, {"id": number, "ok": ok, "text": text})
+        with contextlib.suppress(RuntimeError):  # the loop has ended meanwhile
+            self._loop.call_soon_threadsafe(self._queue, frame)
+
+    def _queue(self, frame: bytes) -> None:
+        self._replies.append(frame)
+        self._answered.set()
+
+    async def _send(self) -> None:
+        """Send replies at once, and pictures when the last one was drawn."""
+        while not self._socket.closed:
+            with contextlib.suppress(TimeoutError):
+                await asyncio.wait_for(self._answered.wait(), 1.0 / FASTEST_HZ)
+            self._answered.clear()
+            while self._replies:
+                await self._send_state()  # what is in force now comes before the answer
+                await self._socket.send_bytes(self._replies.popleft())
+            now = time.monotonic()
+            if now - self._state_at >= STATE_S:
+                self._state_at = now
+                await self._send_state()
+            if self._frame - self._acknowledged >= MOST_UNDRAWN and now - self._sent_at < PATIENCE_S:
+                continue
+            try:
+                frames = self._picture(now)
+            except Exception:  # one that cannot be drawn costs itself: STOP is asked for here
+                self._refuse("pictures")
+                continue
+            if frames:
+                self._sent_at = now
+                for frame in frames:
+                    await self._socket.send_bytes(frame)
+
+    async def _send_state(self) -> None:
+        version, parts = self._source.snapshot.since(self._version)
+        if parts:
+            self._version = version
+            await self._socket.send_bytes(protocol.json_frame(Kind.STATE, 0, parts))
+
+    def _picture(self, now: float) -> list[bytes]:
+        """Return the frames of one picture; the trace comes last, and is the one that is acknowledged."""
+        source, view = self._source, self._view
+        with source.lock:
+            if source.epoch != self._epoch:
+                self._epoch, self._drawn_end = source.epoch, -1.0
+                self._seen = dict.fromkeys(self._seen, 0)
+            scope, motion = source.scope, source.motion
+            if scope is None or scope.end_s == self._drawn_end:
+                return []
+            trace = self._trace(scope)
+            if trace is None:
+                return []
+            self._drawn_end = scope.end_s
+            frames = []
+            for kind, rows in (
+                (Kind.MOTION, motion.states),
+                (Kind.IMPACTS, motion.impacts),
+                (Kind.DETECTED, motion.detected),
+            ):
+                if rows.count > self._seen[kind]:
+                    frames.append(protocol.rows_frame(kind, self._epoch, rows.since(self._seen[kind])))
+                self._seen[kind] = rows.count
+            channel = view["spectrum"]
+            if channel and now - self._spectrum_at >= SPECTRUM_S:
+                self._spectrum_at = now
+                number = CHANNELS.index(channel)
+                found = spectrum(scope.stretch(SPECTRUM_SPAN_S)[number], scope.rate_hz, view["top"])
+                frames.append(protocol.spectrum_frame(self._epoch, *found, number))
+            other = self._trace(source.other) if source.other is not None else None
+            if other is not None:
+                frames.append(protocol.trace_frame(Kind.TRACE_B, self._epoch, other, source.now_s))
+            self._frame += 1
+            frames.append(protocol.trace_frame(Kind.TRACE, self._frame, trace, source.now_s))
+        return frames
+
+    def _trace(self, scope: Scope) -> Trace | None:
+        view = self._view
+        return scope.window(view["span"], int(view["columns"]), trigger=view["trigger"])
+
+
+class _TurnedAway(asyncio.Protocol):
+    """Closes its connection at once."""
+
+    def connection_made(self, transport: Any) -> None:
+        """Close it."""
+        transport.abort()
+
+
+class _Counting(logging.Handler):
+    """Counts what aiohttp would print: requests that are no HTTP, connections that end in the middle.
+
+    Args:
+        counts: where, under the name of the logger's message.
+    """
+
+    def __init__(self, counts: Counter[str]) -> None:
+        super().__init__()
+        self._counts = counts
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Count one record."""
+        self._counts["malformed HTTP" if record.levelno >= logging.ERROR else "connections"] += 1
+
+
 class Server:
     """Serves a source, in an event loop and a thread of its own.
 
@@ -82,17 +290,28 @@ class Server:
         host: address to bind.
         port: 0: any that is free.
         token: that the address of the page must carry.
+        runs: directory whose runs a page may play; None: none.
+
+    Raises:
+        ImpactRigError: there is no such port.
     """
 
-    def __init__(self, source: Source, host: str = LOOPBACK, port: int = PORT, token: str = "") -> None:
-        self._source = source
+    def __init__(
+        self, source: Source, host: str = LOOPBACK, port: int = PORT, token: str = "", runs: Path | None = None
+    ) -> None:
+        check_port(port)
+        self._source, self._runs = source, runs
         self._host, self._wanted_port = host, port
         self.token = token or secrets.token_hex(24)
         self.port = 0
-        self.refused: dict[str, int] = {}
-        """What was refused so far, by reason: token, origin, host, binary, malformed, too many pages."""
+        self.refused: Counter[str] = Counter()
+        """What was refused so far, by reason: token, origin, host, binary, malformed, too many pages, …"""
+        self._logger = logging.Logger("impact_rig.lab.server")
+        self._logger.addHandler(_Counting(self.refused))
+        self._connections: list[tuple[Any, float]] = []
+        self._unserved: set[Any] = set()
         self._folders = {"": STATIC, "uplot": plotter_files()}
-        self._sockets: set[web.WebSocketResponse] = set()
+        self._sockets: dict[web.WebSocketResponse, Source] = {}
         self._thread = threading.Thread(target=self._run, name="lab-server", daemon=True)
         self._ready = threading.Event()
         self._failure: OSError | None = None
@@ -140,13 +359,16 @@ class Server:
             runner.run(self._serve())
 
     async def _serve(self) -> None:
-        self._loop, self._end = asyncio.get_running_loop(), asyncio.Event()
-        runner = web.AppRunner(self._application(), access_log=None, handle_signals=False, shutdown_timeout=2.0)
+        loop = self._loop = asyncio.get_running_loop()
+        self._end = asyncio.Event()
+        loop.set_exception_handler(lambda _loop, _context: self._count("connections"))  # no descriptors left, for one
+        runner = web.AppRunner(
+            self._application(), access_log=None, handle_signals=False, shutdown_timeout=2.0, logger=self._logger
+        )
         await runner.setup()
         try:
-            site = web.TCPSite(runner, self._host, self._wanted_port)
-            await site.start()
-            self.port = runner.addresses[0][1]
+            listener = await loop.create_server(lambda: self._connect(runner), self._host, self._wanted_port)
+            self.port = listener.sockets[0].getsockname()[1]
         except OSError as error:
             self._failure = error
             await runner.cleanup()
@@ -154,14 +376,42 @@ class Server:
         finally:
             self._ready.set()
         await self._end.wait()
+        listener.close()
         for socket in list(self._sockets):
             await socket.close(code=1001, message=b"the lab has ended")
         await runner.cleanup()
+
+    def _connect(self, runner: web.AppRunner) -> asyncio.Protocol:
+        """Return who talks to a new connection: nobody where there are too many."""
+        assert runner.server is not None
+        assert self._loop is not None
+        now = self._loop.time()  # one that was accepted this moment has no transport yet
+        self._connections = [
+            (one, since) for one, since in self._connections if one.transport is not None or now - since < 1.0
+        ]
+        if len(self._connections) >= MOST_CONNECTIONS:
+            self._count("too many connections")
+            return _TurnedAway()
+        handler = runner.server()
+        self._connections.append((handler, now))
+        self._unserved.add(handler)
+        self._loop.call_later(HEADERS_S, self._close_unless_served, handler)
+        return handler
+
+    def _close_unless_served(self, handler: Any) -> None:
+        if handler in self._unserved and handler.transport is not None:
+            self._count("half requests")
+            handler.transport.close()
+        self._unserved.discard(handler)
+
+    def _count(self, reason: str) -> None:
+        self.refused[reason] += 1
 
     def _application(self) -> web.Application:
         application = web.Application(middlewares=[self._guard], client_max_size=protocol.LONGEST_REQUEST)
         application.router.add_get("/", self._page)
         application.router.add_get("/socket", self._socket)
+        application.router.add_get("/runs", self._list_runs)
         application.router.add_get("/static/{name:[a-zA-Z_.-]+}", self._file(""))
         application.router.add_get("/uplot/{name:[a-zA-Z_.-]+}", self._file("uplot"))
         return application
@@ -169,7 +419,7 @@ class Server:
     # Who may come in
 
     def _refuse(self, reason: str, text: str, status: int = 403) -> web.Response:
-        self.refused[reason] = self.refused.get(reason, 0) + 1
+        self._count(reason)
         return web.Response(status=status, text=text, headers=HEADERS)
 
     def _hosts(self) -> set[str]:
@@ -179,6 +429,7 @@ class Server:
     @web.middleware
     async def _guard(self, request: web.Request, handler: Handler) -> web.StreamResponse:
         """Refuse who asks for another host (DNS rebinding) or comes from another page."""
+        self._unserved.discard(request.protocol)
         local = self._host == LOOPBACK
         if local and request.host not in self._hosts():
             return self._refuse("host", "this lab has another name")
@@ -190,6 +441,7 @@ class Server:
         if isinstance(response, web.WebSocketResponse):
             return response
         response.headers.update(HEADERS)
+        response.force_close()  # a connection is for one request: none is held open for a second one
         return response
 
     def _known(self, request: web.Request) -> bool:
@@ -221,15 +473,65 @@ class Server:
             return self._refuse("origin", "a page says where it comes from")
         if len(self._sockets) >= MOST_PAGES:
             return self._refuse("too many pages", f"{MOST_PAGES} pages are open already", 503)
+        try:
+            names = request.query.getall("run", [])
+            source = await asyncio.to_thread(self._player, names) if names else self._source
+        except ImpactRigError as error:
+            return self._refuse("run", str(error), 404)
         socket = web.WebSocketResponse(max_msg_size=protocol.LONGEST_REQUEST, heartbeat=20.0, compress=False)
         await socket.prepare(request)
-        self._sockets.add(socket)
-        self._source.watched(len(self._sockets))
+        self._sockets[socket] = source
+        self._watched(source)
         try:
-            await Session(socket, self._source, self.refused).run()
+            await Session(socket, source, self.refused).run()
         finally:
-            self._sockets.discard(socket)
-            self._source.watched(len(self._sockets))
+            del self._sockets[socket]
+            self._watched(source)
+            if isinstance(source, PlaybackSource) and source is not self._source:
+                await asyncio.to_thread(source.close)
         if socket.close_code == 1009:
-            self.refused["oversized"] = self.refused.get("oversized", 0) + 1
+            self._count("oversized")
         return socket
+
+    def _watched(self, source: Source) -> None:
+        source.watched(sum(one is source for one in self._sockets.values()))
+
+    # Recorded runs
+
+    def runs(self) -> list[Path]:
+        """Return the runs that a page may play, the newest first."""
+        if self._runs is None:
+            return []
+        found: dict[Path, float] = {}
+        with contextlib.suppress(OSError):
+            for path in self._runs.iterdir():
+                with contextlib.suppress(OSError):
+                    if path.is_dir() and any(path.glob("*.mcap")):
+                        found[path] = path.stat().st_mtime
+        return sorted(found, key=lambda path: -found[path])[:MOST_RUNS]
+
+    async def _list_runs(self, request: web.Request) -> web.Response:
+        if not self._known(request):
+            return self._refuse("token", "the token is missing or wrong")
+        found = await asyncio.to_thread(self._described_runs)
+        return web.json_response(found)
+
+    def _described_runs(self) -> list[dict[str, Any]]:
+        return [
+            {"name": path.name, "megabytes": round(sum(one.stat().st_size for one in path.glob("*.mcap")) / 1e6, 1)}
+            for path in self.runs()
+        ]
+
+    def _player(self, names: Sequence[str]) -> Source:
+        """Return a player of runs for a page of its own.
+
+        Raises:
+            ImpactRigError: there is no such run, or it cannot be played.
+        """
+        known = {path.name: path for path in self.runs()}
+        unknown = [name for name in names if name not in known]
+        if unknown or len(names) > MOST_AT_ONCE:
+            raise ImpactRigError(f"there is no run {unknown[0]!r}" if unknown else "at most two runs are shown at once")
+        source = PlaybackSource([known[name] for name in names])
+        source.start()
+        return source

@@ -30,6 +30,9 @@ FREQUENCIES_HZ: NDArray[np.float64] = np.unique(
     np.concatenate([np.linspace(7.0, 11.0, 81), np.linspace(8.6, 9.6, 101)]).round(6)
 )
 """Where it is computed: as wide as the page's axis is at first, closer near the resonance."""
+IMPACTS_PER_CYCLE = 2
+OTHER_MOTION = 0.05
+"""Difference of impacts per cycle from which on a motion is another one; an impact missed now and then is less."""
 HELD = {"current": (1.0, "A"), "prescribed": (1e6, "µm")}
 """Kinds of drive that keep current or base constant, and in what that is told."""
 
@@ -42,17 +45,18 @@ def predicted(values: Mapping[str, Any], amplitude: float) -> dict[str, Any]:
         amplitude: of the drive, peak; A or m by `drive.kind`.
 
     Returns:
-        `lines`: [whether it lasts, [[frequency, DT], ...]]; `words`: what they are of, or why there are none.
+        `lines`: [whether it lasts, [[frequency, DT], ...]]; `words`: what they are of, or why there are none;
+        `impacts`: per cycle of the predicted motion, where there is one.
     """
     kind, waveform = str(values.get(KIND, "current")), values.get(WAVEFORM, "sine")
     if not values.get("sphere.present", True):
-        return {"lines": [], "words": "no sphere: the closed form is the prediction"}
+        return {"lines": [], "words": "Without a sphere the closed form (thin line) is what theory says."}
     if kind not in HELD:
-        return {"lines": [], "words": f"no prediction for a drive of constant {kind}"}
+        return {"lines": [], "words": f"No prediction for a drive of constant {kind}."}
     if waveform != "sine":
-        return {"lines": [], "words": f"no prediction for a drive that is {waveform}, not a sine"}
+        return {"lines": [], "words": f"No prediction for a drive that is {waveform}, not a sine."}
     if not amplitude > 0.0:
-        return {"lines": [], "words": "no prediction at rest"}
+        return {"lines": [], "words": "No prediction at rest."}
     from impact_rig.physics import prediction  # noqa: PLC0415  # half a second, which the first page need not wait for
 
     try:
@@ -66,9 +70,26 @@ def predicted(values: Mapping[str, Any], amplitude: float) -> dict[str, Any]:
     factor, unit = HELD[kind]
     what = f"{gap_m * 1e3:g} mm, {amplitude * factor:g} {unit}"
     if not lines:
-        return {"lines": [], "words": f"no motion with two impacts per cycle at {what}"}
+        return {"lines": [], "words": f"Theory finds no motion with two impacts per cycle at {what}."}
     lasting = "" if any(lasts for lasts, _ in lines) else ", nowhere stable"
-    return {"lines": lines, "words": f"predicted for {what}, two impacts per cycle{lasting}"}
+    words = f"Predicted for {what}, two impacts per cycle{lasting}."
+    return {"lines": lines, "words": words, "impacts": IMPACTS_PER_CYCLE}
+
+
+def contradiction(prediction: Mapping[str, Any], impacts_per_cycle: float) -> str:
+    """Return in which the measured motion is not the predicted one; empty: it may be.
+
+    Args:
+        prediction: as from `predicted`.
+        impacts_per_cycle: measured; NaN: not measured.
+    """
+    wanted = prediction.get("impacts")
+    if wanted is None or not abs(impacts_per_cycle - wanted) > OTHER_MOTION:
+        return ""
+    return (
+        f"Measured: {impacts_per_cycle:.2f} impacts per cycle. The predicted motion, with {wanted:g}, "
+        "is not the one that is here."
+    )
 
 
 def _parts(branch: Branch) -> Iterator[list[Any]]:
@@ -124,7 +145,10 @@ class Theory:
                 if wish is None or self._ended:
                     self._thread = None
                     return
-            found = predicted(*wish)
+            try:
+                found = predicted(*wish)
+            except Exception as error:  # values of anybody: the next wish is another one
+                found = {"lines": [], "words": f"No prediction: {error}"}
             with self._lock:
                 overtaken = self._wish is not None
             if not overtaken:

@@ -8,12 +8,72 @@ Light on purpose: signals and the end of the parent are taken care of before any
 from __future__ import annotations
 
 import importlib
+import itertools
 import os
 import signal
 import sys
 import time
+from collections.abc import Sequence
 
 from impact_rig.system.endings import PARENT_VARIABLE, PATIENCE_S, Ending, end_with
+
+USAGE = """\
+usage: {program} [-h] [--ros-args [--params-file FILE] [-p NAME:=VALUE] [-r __ns:=/NAMESPACE] ...]
+
+{about}
+
+options:
+  -h, --help             show this help and exit
+
+arguments of ROS, behind --ros-args:
+  --params-file FILE     parameters from a ROS 2 parameter file, as `ros2 param dump /{node}` writes it
+  -p NAME:=VALUE         one parameter, on top of the file
+  -r __ns:=/NAMESPACE    where its topics and services are; relative names are below it
+
+examples:
+  {program} --ros-args -p {example}
+  {program} --ros-args -r __ns:=/rig --params-file my.yaml
+
+{more}
+"""
+NODES = {
+    "rig": (
+        "The virtual test rig: publishes what its instruments measure, and takes frequency and current as commands.",
+        "barriers.gap_m:=0.004",
+        "Parameters with units and ranges: config/nominal.yaml; `impact-rig check FILE` is a dry run.",
+    ),
+    "analysis": (
+        "The analysis: measures displacement transmissibility and impacts from daq/scan.",
+        "gap_m:=0.004",
+        "Topics and parameters: docs/interface.md.",
+    ),
+    "recorder": (
+        "The recorder: writes every topic of a rig into an MCAP run, from its start on or between ~/start and ~/stop.",
+        "name:=first_light",
+        "Topics, services and parameters: docs/interface.md.",
+    ),
+    "stepped_sine": (
+        "The stepped sine: sets one frequency after the other, waits for the analysis, and publishes the curve.",
+        "begin:=true",
+        "Topics, services and parameters: docs/interface.md.",
+    ),
+    "lab": (
+        "The laboratory's page, for a rig of the same namespace that runs already; it prints its address.",
+        "port:=8765",
+        "`impact-rig lab` starts a rig as well.",
+    ),
+}
+"""Node -> what it is, an example, what else there is to know."""
+
+
+def show_help(node: str, arguments: Sequence[str]) -> bool:
+    """Print how a node is used if its arguments ask for that, and return whether they did."""
+    ours = list(itertools.takewhile(lambda word: word != "--ros-args", arguments))
+    if not {"-h", "--help"}.intersection(ours):
+        return False
+    about, example, more = NODES[node]
+    print(USAGE.format(program=f"{node}_node", node=node, about=about, example=example, more=more), end="")  # noqa: T201
+    return True
 
 
 def rig() -> None:
@@ -37,6 +97,8 @@ def stepped_sine() -> None:
 
 
 def _run(node: str) -> None:
+    if show_help(node, sys.argv[1:]):
+        return
     # a node that is told to end has done its work: launch takes any other code for a crash
     ending = Ending(f"{node}_node", code=lambda _number: 0)
     parent = int(os.environ.get(PARENT_VARIABLE, "0"))

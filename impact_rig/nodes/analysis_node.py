@@ -4,25 +4,27 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
+import time
 from typing import Any  # rclpy messages
 
 import attrs
 from std_msgs.msg import Float64, String
 
-from impact_rig import codec, topics
+from impact_rig import codec, states, topics
 from impact_rig.analysis import warm_up
 from impact_rig.analysis.blockwise import ANALYSES, Blockwise
 from impact_rig.analysis.findings import Findings
 from impact_rig.analysis.labels import parse_label
 from impact_rig.analysis.settings import TrackerSettings
 from impact_rig.analysis.tables import settings_table
-from impact_rig.analysis.tracker import LONGEST_S, Tracker
+from impact_rig.analysis.tracker import Tracker
 from impact_rig.blocks import Table
-from impact_rig.errors import CodecError, ConfigError
+from impact_rig.errors import CodecError, ConfigError, ImpactRigError
 from impact_rig.nodes import process
-from impact_rig.nodes.acknowledge import Acknowledgements
-from impact_rig.nodes.diagnostics import Health, Level
+from impact_rig.nodes.acknowledgements import Acknowledgements
+from impact_rig.nodes.diagnostics import Health, Level, State
 from impact_rig.nodes.managed import ManagedNode
 from impact_rig.nodes.parameters import SectionSchema
 from impact_rig.nodes.plots import Plots
@@ -33,6 +35,8 @@ from impact_rig.system.endings import Ending
 from impact_rig.system.lean_numba import go_without_blas
 
 PUBLISHED = [topic for topic in TOPICS if topic.publisher == "analysis"]
+SILENCE_S = 2.0
+"""Wall time without a block after which there are no scans; a paused rig sends none either."""
 
 
 class AnalysisNode(ManagedNode[AnalysisSettings]):
@@ -43,16 +47,18 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
     """
 
     COMPONENT = "measurement"
+    STATES = states.Analysis
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("analysis", SectionSchema(AnalysisSettings), **kwargs)
         self._tracker: Tracker | None = None
         self._blockwise: list[Blockwise] = []
         self._plots = Plots({})
-        self._outlets: dict[str, Any] = {}
-        self._inlets: list[Any] = []
+        self._outputs: dict[str, Any] = {}
+        self._heard: list[Any] = []
         self._acknowledgements: Acknowledgements | None = None
         self._newest_ns: int | None = None
+        self._heard_at = 0.0
         self._latest = math.nan
 
     def autostarts(self) -> bool:
@@ -63,7 +69,7 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
         """Create the publishers, and let nobody wait for the compiler once the node is active."""
         self.compile_ahead([warm_up.TASK])
         warm_up.compile_tracker()
-        self._outlets = {topic.name: self.publisher(topic) for topic in PUBLISHED}
+        self._outputs = {topic.name: self.publisher(topic) for topic in PUBLISHED}
         self._acknowledgements = Acknowledgements(self)
 
     def activate(self) -> None:
@@ -71,22 +77,22 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
         names = [name for name, _, _ in SectionSchema(TrackerSettings).fields()]
         self._tracker = Tracker(TrackerSettings(**{name: getattr(self.settings, name) for name in names}))
         self._blockwise = [analysis() for analysis in ANALYSES]
-        self._plots = Plots(self._outlets)
+        self._plots = Plots(self._outputs)
         self._newest_ns = None
         self._label(_gap(self.settings), 0)
         # calibration and present command first: both are transient-local, so they arrive though published long ago
-        self._inlets = [
-            self.subscribe(topics.INFO, self._on_info, raw=True),
-            self.subscribe(topics.APPLIED, self._on_applied, raw=True),
+        self._heard = [
+            self.subscribe_table(topics.INFO, self._on_info),
+            self.subscribe_table(topics.APPLIED, self._on_applied),
             self.subscribe(topics.NOTES, self._on_note),
             self.subscribe(topics.SCAN, self._on_scan, raw=True),
         ]
 
     def deactivate(self) -> None:
         """Measure what was held back, and stop listening."""
-        for inlet in self._inlets:
-            self.destroy_subscription(inlet)
-        self._inlets = []
+        for subscription in self._heard:
+            self.destroy_subscription(subscription)
+        self._heard = []
         tracker, self._tracker = self._tracker, None
         if tracker is not None and self.context.ok():
             self._publish(tracker.flush())
@@ -94,9 +100,9 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
     def cleanup(self) -> None:
         """Destroy the publishers."""
         self.deactivate()
-        for outlet in self._outlets.values():
-            self.destroy_publisher(outlet)
-        self._outlets = {}
+        for publisher in self._outputs.values():
+            self.destroy_publisher(publisher)
+        self._outputs = {}
         if self._acknowledgements is not None:
             self._acknowledgements.destroy()
             self._acknowledgements = None
@@ -111,9 +117,20 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
         if "gap_m" in changes:
             self._label(_gap(settings), self._newest_ns or 0)
 
-    def rig_time_ns(self) -> int:
-        """Return the instant of the newest scan; 0 (a stamp nobody filled in) before the first."""
-        return self._newest_ns or 0
+    def rig_time_ns(self) -> int | None:
+        """Return the instant of the newest scan."""
+        return self._newest_ns
+
+    def doing(self) -> State:
+        """Return what the tracker does, unless it gets nothing to do."""
+        words = states.Analysis
+        if self._tracker is None or self._newest_ns is None:
+            return State(words.NO_SCANS, "none came yet")
+        silent_s = time.monotonic() - self._heard_at
+        if silent_s > SILENCE_S:
+            return State(words.NO_SCANS, f"none for {SILENCE_S:g} s")
+        found = self._tracker.state
+        return State(words(found.word), found.reason, found.since_ns)
 
     def status(self) -> Health:
         """Return the tracker's counters and the latest value."""
@@ -140,20 +157,17 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
         assert self._tracker is not None
         self._tracker.label(gap_m, stamp_ns)
         table = settings_table(self.settings, gap_m, stamp_ns)
-        self._outlets[topics.ANALYSIS_SETTINGS.name].publish(codec.encode(table))
+        self._outputs[topics.ANALYSIS_SETTINGS.name].publish(codec.encode(table))
 
     # Messages
 
-    def _on_info(self, data: bytes) -> None:
-        info = self._decode(topics.INFO, data)
-        if info is None or self._tracker is None:
-            return
-        self._tracker.configure(info)
-        self._plots.configure(info)
+    def _on_info(self, info: Table) -> None:
+        if self._tracker is not None:
+            self._tracker.configure(info)
+            self._plots.configure(info)
 
-    def _on_applied(self, data: bytes) -> None:
-        applied = self._decode(topics.APPLIED, data)
-        if applied is not None and self._tracker is not None:
+    def _on_applied(self, applied: Table) -> None:
+        if self._tracker is not None:
             self._tracker.on_applied(applied)
             self._plots.on_applied(applied)
 
@@ -163,35 +177,40 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
             self._label(label.gap_m, label.stamp_ns)
 
     def _on_scan(self, data: bytes) -> None:
-        scan = self._decode(topics.SCAN, data)
-        if scan is None or self._tracker is None:
+        scan = self.table(topics.SCAN, data)
+        if self._tracker is None:
+            return
+        if scan is None:  # a rig that waits for us must not be held up by what cannot be measured
+            self._acknowledge(data)
             return
         try:
+            before = self._tracker.state
             self._publish(self._tracker.feed(scan))
+            if self._tracker.state.word != before.word:
+                self.report_change()
             self._analyse(scan)
             self._plots.feed(scan)
-        finally:  # a block that cannot be measured must not hold up a rig that waits for us
-            self._newest_ns = self._last_instant(scan)
-            assert self._acknowledgements is not None
-            self._acknowledgements.processed(scan.stamp_ns)
+        except ImpactRigError as error:
+            self.refuse(topics.SCAN.name, str(error))
+        finally:
+            last_s = float(scan.rows["time"][-1]) if len(scan.rows) else 0.0
+            self._newest_ns, self._heard_at = scan.stamp_ns + round(last_s * NS_PER_S), time.monotonic()
+            self._acknowledge(data)
 
-    def _last_instant(self, scan: Table) -> int:
-        """Return when the block's last scan was; of times that are none its stamp, which is reported."""
-        last_s = float(scan.rows["time"][-1]) if len(scan.rows) else 0.0
-        if not abs(last_s) <= LONGEST_S:
-            self.refuse(topics.SCAN.name, f"the block at {scan.stamp_ns} ns ends at the time {last_s!r} s")
-            return scan.stamp_ns
-        return scan.stamp_ns + round(last_s * NS_PER_S)
+    def _acknowledge(self, data: bytes) -> None:
+        assert self._acknowledgements is not None
+        with contextlib.suppress(CodecError):  # told already
+            self._acknowledgements.processed(codec.header_stamp_ns(data))
 
     def _publish(self, findings: Findings) -> None:
         for table in findings.impacts:
-            self._outlets[topics.IMPACTS.name].publish(codec.encode(table))
+            self._outputs[topics.IMPACTS.name].publish(codec.encode(table))
         for table in findings.measurements:
-            self._outlets[topics.TRANSMISSIBILITY_TABLE.name].publish(codec.encode(table))
+            self._outputs[topics.TRANSMISSIBILITY_TABLE.name].publish(codec.encode(table))
             for row in table.rows:
                 if row["settled"] == 1:
                     self._latest = float(row["transmissibility"])
-                    self._outlets[topics.TRANSMISSIBILITY.name].publish(Float64(data=self._latest))
+                    self._outputs[topics.TRANSMISSIBILITY.name].publish(Float64(data=self._latest))
                     self._plots.measured(table.stamp_ns, row)
 
     def _analyse(self, scan: Table) -> None:
@@ -200,20 +219,7 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
             if set(analysis.needs) <= set(scan.rows.dtype.names or ()):
                 table = analysis.feed(scan)
                 if table is not None:
-                    self._outlets[analysis.topic.name].publish(codec.encode(table))
-
-    def _decode(self, topic: topics.Topic, data: bytes) -> Table | None:
-        try:
-            table = codec.decode(data)
-        except CodecError as error:
-            self.refuse(topic.name, str(error))
-            return None
-        assert topic.columns is not None
-        missing = set(topic.columns.names or ()) - set(table.rows.dtype.names or ())
-        if missing:
-            self.refuse(topic.name, f"columns missing: {', '.join(sorted(missing))}")
-            return None
-        return table
+                    self._outputs[analysis.topic.name].publish(codec.encode(table))
 
 
 def _gap(settings: AnalysisSettings) -> float:

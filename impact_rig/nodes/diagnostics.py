@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 import attrs
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
-from impact_rig.nodes.stamps import time_message
+from impact_rig.nodes.messages import time_message
 
 
 class Level(enum.IntEnum):
@@ -23,8 +23,23 @@ class Level(enum.IntEnum):
 
 
 @attrs.frozen
+class State:
+    """What a node does, in one word of `impact_rig.states`.
+
+    Attributes:
+        word: the gravest that is true.
+        reason: why, for people; empty where the word says it all.
+        since_ns: rig time at which it began; None: when the node came to say so.
+    """
+
+    word: enum.StrEnum
+    reason: str = ""
+    since_ns: int | None = None
+
+
+@attrs.frozen
 class Health:
-    """The state of one node: level, one sentence, figures."""
+    """How one node is, for people: level, one sentence, figures."""
 
     level: Level
     message: str

@@ -1,6 +1,6 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""One guard for every callback of every node: an exception is reported, never fatal.
+"""Callbacks of every node: guarded, so that an exception is reported and never fatal.
 
 A callback exception ends a plain rclpy process. Here it becomes an error in the log and in diagnostics, and the node
 goes on.

@@ -4,12 +4,15 @@
 
 It configures and activates itself (`autostart`), survives invalid transition requests and callback exceptions (both end
 a plain Jazzy Python node), takes parameters through one validator, and reports at 1 Hz and on change. A subclass fills
-in what happens on configure, activate, deactivate and clean up.
+in what happens on configure, activate, deactivate and clean up. Its services may answer later (`DeferredService`).
 """
 
 from __future__ import annotations
 
+import enum
+import functools
 import math
+import secrets
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -24,13 +27,13 @@ from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
-from impact_rig import topics
-from impact_rig.errors import ImpactRigError
+from impact_rig import codec, states, topics
+from impact_rig.blocks import Table
+from impact_rig.errors import CodecError, ImpactRigError
 from impact_rig.nodes import diagnostics, messages
-from impact_rig.nodes.diagnostics import CpuMeter, Health, Level
-from impact_rig.nodes.guard import Refusals, guarded, guarded_answer, guarded_service, in_words
-from impact_rig.nodes.one_by_one import set_one_by_one
-from impact_rig.nodes.parameters import Parameters, Schema
+from impact_rig.nodes.diagnostics import CpuMeter, Health, Level, State
+from impact_rig.nodes.guard import Refusals, describe, guarded, guarded_answer, guarded_service, in_words
+from impact_rig.nodes.parameters import Parameters, Schema, set_one_by_one
 from impact_rig.system.escapes import visible
 
 if TYPE_CHECKING:
@@ -38,9 +41,16 @@ if TYPE_CHECKING:
 
 S = TypeVar("S")
 
+Answer = tuple[bool, str]
+"""`success` and `message` of `std_srvs/Trigger` and `std_srvs/SetBool`."""
+Done = Callable[[bool, str], None]
+"""Takes `success` and `message`, once."""
+
 DIAGNOSTICS_PERIOD_S = 1.0
 CHANGE_PERIOD_S = 0.1
-"""How soon a change of level or message is reported; also how often it may be."""
+"""How soon a change of level or message is reported, and one of state that nobody asked for; also how often the first
+may be."""
+INSTANCE_BYTES = 8
 ERROR_MEMORY_S = 5.0
 """An exception of a callback is shown in diagnostics this long."""
 COMPILING_PERIOD_S = 3.0
@@ -60,6 +70,8 @@ class ManagedNode(LifecycleNode, Generic[S]):
 
     COMPONENT: ClassVar[str] = "state"
     """What of the node its diagnostics are about."""
+    STATES: ClassVar[type[states.Rig | states.Analysis | states.Recorder | states.SteppedSine]]
+    """The words for what the node does."""
     MAKES_TIME: ClassVar[bool] = False
     """Whether its clock is what others follow, so that it can follow nobody's."""
 
@@ -79,6 +91,9 @@ class ManagedNode(LifecycleNode, Generic[S]):
         self._last_error: tuple[float, str] = (-ERROR_MEMORY_S, "")
         self._warned: dict[str, float] = {}
         self._compiling = ""
+        self._instance = secrets.token_hex(INSTANCE_BYTES)
+        self._word: enum.StrEnum | None = None
+        self._since_ns: int | None = None
         self._reported: tuple[Level, str] = (Level.OK, "")
         self._reported_at = -DIAGNOSTICS_PERIOD_S
         self._diagnostics = self.create_publisher(
@@ -107,16 +122,23 @@ class ManagedNode(LifecycleNode, Generic[S]):
     def settings_in_force(self) -> None:
         """Follow up once the new settings are in `self.settings`."""
 
+    def doing(self) -> State:
+        """Return what the node does, from data alone; asked only while it is active, and often."""
+        raise NotImplementedError
+
     def status(self) -> Health:
-        """Return the node's state for diagnostics, whatever lifecycle state it is in."""
+        """Return level, sentence and figures for diagnostics, whatever lifecycle state it is in."""
         return Health(Level.OK, self.state, {})
 
     def autostarts(self) -> bool:
         """Say whether the node configures and activates itself."""
         return True
 
-    def rig_time_ns(self) -> int:
-        """Return the time that stamps diagnostics: rig time in a node that follows it, here the node's clock."""
+    def rig_time_ns(self) -> int | None:
+        """Return the time that stamps diagnostics: rig time in a node that follows it, here the node's clock.
+
+        None: there is no rig time yet.
+        """
         return int(self.get_clock().now().nanoseconds)
 
     # Helpers for subclasses
@@ -174,9 +196,43 @@ class ManagedNode(LifecycleNode, Generic[S]):
         profile.depth = depth or profile.depth
         return self.create_subscription(messages.class_of(topic), topic.name, callback, profile, raw=raw)
 
+    def subscribe_table(self, topic: topics.Topic, callback: Callable[[Table], None]) -> Any:
+        """Create a guarded subscription to a table; what is none, or what `callback` refuses, is told and counted."""
+
+        def take(data: bytes) -> None:
+            table = self.table(topic, data)
+            if table is None:
+                return
+            try:
+                callback(table)
+            except ImpactRigError as error:
+                self.refuse(topic.name, str(error))
+
+        return self.subscribe(topic, take, raw=True)
+
+    def table(self, topic: topics.Topic, data: bytes) -> Table | None:
+        """Return the table in a message of anybody's; None if it is none of this topic, which is told and counted."""
+        try:
+            return codec.decode(data, topic)
+        except CodecError as error:
+            self.refuse(topic.name, str(error))
+            return None
+
     def service(self, service_type: Any, name: str, callback: Callable[[Any, Any], Any]) -> Any:
-        """Create a guarded service; private names (`~/name`) are the convention."""
-        return self.create_service(service_type, name, guarded_service(callback, self.report_failure, self.refuse))
+        """Create a guarded service; private names (`~/name`) are the convention.
+
+        What a call changes is reported at once.
+        """
+        safe = guarded_service(callback, self.report_failure, self.refuse)
+
+        @functools.wraps(callback)
+        def serve(request: Any, response: Any) -> Any:
+            try:
+                return safe(request, response)
+            finally:
+                self.report_change()
+
+        return self.create_service(service_type, name, serve)
 
     def report_failure(self, where: str, message: str) -> None:
         """Log an exception that a guard caught, and show it in diagnostics."""
@@ -211,6 +267,7 @@ class ManagedNode(LifecycleNode, Generic[S]):
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Begin to work."""
+        self._instance = secrets.token_hex(INSTANCE_BYTES)
         done = self._transition("activate", self.activate, undo=self.deactivate)
         if done != TransitionCallbackReturn.SUCCESS:
             return done
@@ -300,6 +357,8 @@ class ManagedNode(LifecycleNode, Generic[S]):
                 self.refuse("transition", f"{wanted!r} is not possible in state {self.state!r} ({error})")
                 response.success = False
                 return response
+            finally:
+                self.report_change()
 
         service.callback = on_change_state
 
@@ -310,6 +369,7 @@ class ManagedNode(LifecycleNode, Generic[S]):
             return
         if self.trigger_configure() == TransitionCallbackReturn.SUCCESS:
             self.trigger_activate()
+        self.report_change()
 
     # Parameters
 
@@ -328,6 +388,7 @@ class ManagedNode(LifecycleNode, Generic[S]):
             if result.successful:
                 self.parameters.settings = self._proposed
                 self.settings_in_force()
+                self.report_change()
         except Exception as error:  # a set is refused with its reason, never fatal
             result = SetParametersResult(successful=False, reason=in_words(error))
         finally:
@@ -367,14 +428,38 @@ class ManagedNode(LifecycleNode, Generic[S]):
         now = time.monotonic()
         if now - self._reported_at >= DIAGNOSTICS_PERIOD_S or (level, message) != self._reported:
             self.report_now()
+        else:
+            self.report_change()
+
+    def report_change(self) -> None:
+        """Publish the present status if the state is another one than was published last."""
+        if self.present().word != self._word and not self.is_told_to_end():
+            self.report_now()
+
+    def present(self) -> State:
+        """Return what the node does, whatever lifecycle state it is in."""
+        if self._compiling:
+            return State(self.STATES("compiling"), self._compiling)
+        if self.active:
+            return self.doing()
+        at, message = self._last_error
+        fresh = time.monotonic() - at < ERROR_MEMORY_S
+        return State(self.STATES("inactive"), f"{self.state}: {message}" if fresh else self.state)
 
     def report_now(self) -> None:
         """Publish the present status."""
-        status = self.status()
+        status, state, now_ns = self.status(), self.present(), self.rig_time_ns()
         level, message = self._judged(status)
         self._reported, self._reported_at = (level, message), time.monotonic()
+        if state.word != self._word:
+            self._word, self._since_ns = state.word, now_ns
+        since_ns = self._since_ns if state.since_ns is None else state.since_ns
         values = {
-            "state": self.state,
+            "state": state.word,
+            "reason": state.reason,
+            "since_ns": "" if since_ns is None else since_ns,
+            "instance": self._instance,
+            "lifecycle": self.state,
             "cpu_percent": self._cpu.percent(),
             **status.values,
             **{f"refused.{reason}": count for reason, count in sorted(self.refusals.counts.items())},
@@ -383,7 +468,7 @@ class ManagedNode(LifecycleNode, Generic[S]):
         full = Health(level, message, values)
         name = f"{self.get_fully_qualified_name().lstrip('/')}: {self.COMPONENT}"
         hardware = f"impact_rig{self.get_namespace()}".rstrip("/")
-        self._diagnostics.publish(diagnostics.to_message(name, hardware, full, self.rig_time_ns()))
+        self._diagnostics.publish(diagnostics.to_message(name, hardware, full, now_ns or 0))
 
     def _judged(self, status: Health) -> tuple[Level, str]:
         """Return the node's own status, or the last error while it is fresh; while it compiles, how far that is."""
@@ -393,3 +478,99 @@ class ManagedNode(LifecycleNode, Generic[S]):
         if time.monotonic() - at < ERROR_MEMORY_S:
             return diagnostics.worst((status.level, status.message), (Level.ERROR, message))
         return status.level, status.message
+
+
+class LateService:
+    """A service of any type whose requests are answered by a call, at once or later, whatever executor runs it.
+
+    rclpy wants a response from the callback, and its executors differ: the events executor takes no coroutines, the
+    others resume them only when something else wakes them. All of them hand the returned response to
+    `Service.send_response` together with the request's header. So the callback returns a marker, and the wrapped
+    `send_response` keeps the header until there is an answer.
+
+    Args:
+        node: owner.
+        service_type: of the service.
+        name: service name.
+        on_request: called with each request and with what sends its response. It must not raise.
+    """
+
+    def __init__(
+        self,
+        node: ManagedNode[Any],
+        service_type: Any,
+        name: str,
+        on_request: Callable[[Any, Callable[[Any], None]], None],
+    ) -> None:
+        self._on_request = on_request
+        self._request: Any = None
+        self._service = node.create_service(service_type, name, self._keep)
+        self._send = self._service.send_response
+        self._service.send_response = self._begin
+        self._marker = service_type.Response()
+
+    def _keep(self, request: Any, _response: Any) -> Any:
+        self._request = request
+        return self._marker
+
+    def _begin(self, _marker: Any, header: Any) -> None:
+        self._on_request(self._request, lambda response: self._send(response, header))
+
+
+class DeferredService:
+    """A service of `std_srvs` whose requests may be answered by `reply`.
+
+    Args:
+        node: owner; counts refusals.
+        service_type: `Trigger` or `SetBool`.
+        name: service name.
+        accept: called with each request; returns None to defer the answer, or the answer to give at once.
+        registered: called once a deferred request is known, so that it may be answered; work begins here. It must not
+            raise.
+    """
+
+    def __init__(
+        self,
+        node: ManagedNode[Any],
+        service_type: Any,
+        name: str,
+        accept: Callable[[Any], Answer | None],
+        registered: Callable[[], None],
+    ) -> None:
+        self._type = service_type
+        self._refuse = functools.partial(node.refuse, name.removeprefix("~/"))
+        self._accept = accept
+        self._registered = registered
+        self._waiting: list[Done] = []
+        self._service = LateService(node, service_type, name, self._on_request)
+
+    @property
+    def waiting(self) -> int:
+        """Requests not answered yet."""
+        return len(self._waiting)
+
+    def wait(self, done: Done) -> None:
+        """Let somebody of this process wait as a client does whose request was deferred."""
+        self._waiting.append(done)
+        self._registered()
+
+    def reply(self, success: bool, message: str) -> None:
+        """Answer every waiting request."""
+        waiting, self._waiting = self._waiting, []
+        for done in waiting:
+            done(success, message)
+
+    def _on_request(self, request: Any, send: Callable[[Any], None]) -> None:
+        def done(success: bool, message: str) -> None:
+            if not success:
+                self._refuse(message)
+            send(self._type.Response(success=success, message=message))
+
+        try:
+            answer = self._accept(request)
+        except Exception as error:  # as `guarded_service`: nothing a request causes may end the process
+            answer = False, describe(error)
+        if answer is None:
+            self.wait(done)
+        else:
+            done(*answer)

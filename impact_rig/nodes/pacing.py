@@ -1,20 +1,21 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""When blocks are due: realtime pacing against an injected clock, and the acknowledgement window of the other modes.
+"""When blocks are due: pacing against an injected clock, and a timer that calls back in step with the blocks.
 
-Nothing here sleeps or knows ROS: whoever owns the loop asks how many blocks are due and says when they are out.
-Deadlines are computed from the start, never accumulated, so pacing does not drift; a process that was suspended is
-re-based and says by how much.
+Nothing here sleeps: whoever owns the loop asks how many blocks are due and says when they are out. Deadlines are
+computed from the start, never accumulated, so pacing does not drift; a process that was suspended is re-based and says
+by how much.
 """
 
 from __future__ import annotations
 
-import bisect
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
+from typing import Any  # rclpy timers, settings of any node
 
 import attrs
 import numpy as np
 
+from impact_rig.nodes.managed import ManagedNode
 from impact_rig.simtime import NS_PER_S
 
 Clock = Callable[[], int]
@@ -22,10 +23,12 @@ Clock = Callable[[], int]
 
 MAX_LAG_NS = NS_PER_S
 """Rig time: further behind than this, catching up would overrun every subscriber's queue; realtime is re-based."""
-KEPT = 4096
-"""Blocks whose stamps are remembered, at least."""
 LATENESS_WINDOW = 3000
 """Blocks the lateness statistics look back: 30 s of 10 ms blocks."""
+LATE_CALLS = 100
+LATE_SHARE = 0.1
+"""A call counts as late from this share of the period on."""
+_AT_ONCE_S = 1e-6
 
 
 @attrs.frozen
@@ -100,125 +103,54 @@ class Pacer:
         return Lateness(float(median), float(p99), float(worst))
 
 
-@attrs.define
-class _Reader:
-    forgiven: int  # blocks up to here are owed no more
-    heard_ns: int  # clock when it last said something new, or when it had nothing to say
-    acknowledged: int | None = None  # blocks, counted from the start; None before it has acknowledged any
+class WorkTimer:
+    """Calls back with a period and a phase, on the monotonic clock.
 
-
-class AckWindow:
-    """How far every reader of the blocks is, and how far ahead of its slowest peer the rig may run.
-
-    A reader acknowledges by the stamp of the last block it processed, one or several at a time. Blocks are counted, so
-    that "ahead" has one meaning for all. Peers are the readers that are waited for; others are only watched.
+    A timer of rclpy first fires one period after it was made, so that a block would wait up to a period after its end.
+    Here a one-shot timer goes ahead of it. Where period and block differ by fractions of a nanosecond the phase
+    wanders: the timer is put in step again when calls have come late for a while.
 
     Args:
-        peers: names the acknowledgements carry.
-        window: blocks that may be out and not acknowledged.
-        timeout_ns: clock time after which a peer that owes an acknowledgement counts as silent.
-        clock: monotonic clock [ns].
+        node: owner.
+        callback: called periodically.
     """
 
-    def __init__(self, peers: Iterable[str], window: int, timeout_ns: int, clock: Clock) -> None:
-        self.window = window
-        self.timeout_ns = timeout_ns
-        self._clock = clock
-        self._published = 0
-        self._stamps: list[int] = []  # of the newest blocks; the last one is number self._published
-        self._readers: dict[str, _Reader] = {}
-        self._peers: tuple[str, ...] = ()
-        self.set_peers(peers)
+    def __init__(self, node: ManagedNode[Any], callback: Callable[[], None]) -> None:
+        self._node = node
+        self._callback = callback
+        self._timer: Any = None
+        self._period_s = 1.0
+        self._late = 0
 
-    @property
-    def peers(self) -> tuple[str, ...]:
-        """Names of the peers."""
-        return self._peers
+    def start(self, period_s: float, first_s: float) -> None:
+        """Call back in `first_s` and then every `period_s`; replaces what was going on.
 
-    @property
-    def readers(self) -> tuple[str, ...]:
-        """Names of the peers, and of everybody else who acknowledges."""
-        return tuple(self._readers)
+        What is overdue waits for the next call in step: a call at once would set a phase in which all are late.
+        """
+        self.stop()
+        self._period_s = period_s
+        if first_s < 0.0:
+            first_s %= period_s
+        self._timer = self._node.steady_timer(max(first_s, _AT_ONCE_S), self._first)
 
-    @property
-    def newest_ns(self) -> int | None:
-        """Stamp of the newest block that is out."""
-        return self._stamps[-1] if self._stamps else None
+    def stop(self) -> None:
+        """Call back no more."""
+        if self._timer is not None:
+            self._node.destroy_timer(self._timer)
+            self._timer = None
+        self._late = 0
 
-    def set_peers(self, peers: Iterable[str]) -> None:
-        """Change the peers; new ones owe nothing of what is already out."""
-        before, self._peers = self._peers, tuple(peers)
-        for name in set(self._peers).difference(before):
-            reader = self._readers.setdefault(name, _Reader(self._published, self._clock()))
-            reader.forgiven, reader.heard_ns = self._published, self._clock()
-        for name in set(self._readers).difference(self._peers):
-            if self._readers[name].acknowledged is None:
-                del self._readers[name]
+    def keep_in_step(self, wait_s: float) -> None:
+        """Tell after a call how long the next one should wait.
 
-    def watch(self, name: str) -> None:
-        """Take acknowledgements in this name, too, without waiting for any."""
-        self._readers.setdefault(name, _Reader(0, self._clock()))
+        A wait much below the period means that this call was late; a negative one, that the next will be: what it is
+        for came due during this one.
+        """
+        self._late = self._late + 1 if wait_s < (1.0 - LATE_SHARE) * self._period_s else 0
+        if self._late >= LATE_CALLS:
+            self.start(self._period_s, wait_s)
 
-    def published(self, stamp_ns: int) -> None:
-        """Note that the block with this stamp is out."""
-        now = self._clock()
-        for reader in self._readers.values():
-            if self._owed(reader) == 0:
-                reader.heard_ns = now  # owed nothing until now: its silence starts here
-        self._published += 1
-        self._stamps.append(stamp_ns)
-        if len(self._stamps) >= 2 * KEPT:
-            del self._stamps[:KEPT]
-
-    def acknowledge(self, name: str, stamp_ns: int) -> bool:
-        """Take an acknowledgement; False if it makes no sense (nobody we watch, later than any block)."""
-        reader = self._readers.get(name)
-        if reader is None or self.newest_ns is None or stamp_ns > self.newest_ns:
-            return False
-        count = self._published - len(self._stamps) + bisect.bisect_right(self._stamps, stamp_ns)
-        if reader.acknowledged is None or count > reader.acknowledged:
-            reader.acknowledged = count
-            reader.heard_ns = self._clock()
-        return True
-
-    def room(self) -> int:
-        """Return how many blocks may be published now."""
-        return self.window - self.outstanding()
-
-    def outstanding(self) -> int:
-        """Return how many blocks the slowest peer has not acknowledged."""
-        return max((self._owed(self._readers[name]) for name in self._peers), default=0)
-
-    def behind(self) -> dict[str, int]:
-        """Return the blocks each reader has not acknowledged."""
-        return {name: self._owed(reader) for name, reader in self._readers.items()}
-
-    def heard(self) -> tuple[str, ...]:
-        """Return the readers that have acknowledged."""
-        return tuple(name for name, reader in self._readers.items() if reader.acknowledged is not None)
-
-    def silent(self) -> tuple[str, ...]:
-        """Return the peers that owe an acknowledgement and said nothing for the timeout."""
-        limit = self._clock() - self.timeout_ns
-        owing = (name for name in self._peers if self._owed(self._readers[name]) > 0)
-        return tuple(name for name in owing if self._readers[name].heard_ns < limit)
-
-    def forgive(self) -> None:
-        """Count everything as acknowledged: the operator continues without what a silent peer missed."""
-        for name in self._peers:
-            self._readers[name].forgiven = self._published
-        self.excuse()
-
-    def excuse(self) -> None:
-        """Restart every peer's timeout: this process itself was away, so their silence means nothing."""
-        for name in self._peers:
-            self._readers[name].heard_ns = self._clock()
-
-    def forget(self, name: str) -> None:
-        """Drop what is known of a reader that has left; a peer still owes what it has not acknowledged."""
-        reader = self._readers.pop(name)
-        if name in self._peers:
-            self._readers[name] = _Reader(self._published - self._owed(reader), reader.heard_ns)
-
-    def _owed(self, reader: _Reader) -> int:
-        return self._published - max(reader.acknowledged or 0, reader.forgiven)
+    def _first(self) -> None:
+        self._node.destroy_timer(self._timer)
+        self._timer = self._node.steady_timer(self._period_s, self._callback)
+        self._callback()

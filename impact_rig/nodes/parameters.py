@@ -13,22 +13,25 @@ import array
 import itertools
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import Generic, Protocol, TypeVar
+from typing import Any, Generic, Protocol, TypeVar  # Any: rclpy messages
 
 import attrs
 import yaml
-from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from impact_rig.config import FieldInfo
 from impact_rig.config.fields import METADATA_KEY, info
 from impact_rig.errors import ConfigError
+from impact_rig.nodes.guard import describe
 from impact_rig.rig import config
 from impact_rig.rig.config import RigConfig
 
 Value = bool | int | float | str | tuple[str, ...] | tuple[float, ...]
 S = TypeVar("S")
+Attempt = Callable[[list[Parameter]], SetParametersResult]
+"""Sets some parameters together, or says why not."""
 
 _LARGEST = 1.7976931348623157e308
 _LARGEST_INTEGER = 2**63 - 1
@@ -39,6 +42,8 @@ _FOREIGN = (
 )  # overrides that belong to rclpy, not us
 
 
+CONFIG_FILE = "config_file"
+"""Parameter: a configuration file to start from; other parameters go on top of it."""
 SIM_TIME = "use_sim_time"
 NO_SIM_TIME = "must be false here: this node makes the time that others follow"
 
@@ -203,8 +208,33 @@ class Parameters(Generic[S]):
         return {name: value for name, value in self._schema.flat(settings).items() if value != before[name]}
 
 
-CONFIG_FILE = "config_file"
-"""Parameter: a configuration file to start from; other parameters go on top of it."""
+def set_one_by_one(messages: list[Any], attempt: Attempt) -> list[SetParametersResult]:
+    """Set parameters and return a result for each, in their order; `attempt` may be asked several times.
+
+    One after the other as ROS has it, but in an order that works where there is one: a file of parameters, as
+    `ros2 param load` sends it, comes sorted by name, a new drive frequency before the limit of the shaker that allows
+    it. What is refused at first is tried again as long as another value has been taken.
+    """
+    results: list[SetParametersResult] = []
+    refused: dict[int, Parameter] = {}
+    for number, message in enumerate(messages):
+        try:
+            parameter = Parameter.from_parameter_msg(message)
+        except Exception as error:  # a type that does not exist raises in rclpy
+            results.append(SetParametersResult(successful=False, reason=describe(error)))
+            continue
+        results.append(attempt([parameter]))
+        if not results[number].successful:
+            refused[number] = parameter
+    progress = any(result.successful for result in results)
+    while refused and progress:
+        again = {number: attempt([parameter]) for number, parameter in refused.items()}
+        progress = any(result.successful for result in again.values())
+        for number, result in again.items():
+            results[number] = result
+            if result.successful:
+                del refused[number]
+    return results
 
 
 def descriptor(about: FieldInfo, value: Value) -> ParameterDescriptor:

@@ -25,12 +25,11 @@ from std_srvs.srv import SetBool
 from impact_rig import codec, topics
 from impact_rig.errors import ImpactRigError, RecordingError
 from impact_rig.nodes import messages
-from impact_rig.nodes.convert import CLOCK
+from impact_rig.nodes.acknowledgements import AckWindow, Readers
 from impact_rig.nodes.guard import guarded_service
-from impact_rig.nodes.pacing import AckWindow, Pacer
+from impact_rig.nodes.monitors import CLOCK
+from impact_rig.nodes.pacing import Pacer
 from impact_rig.nodes.process import make_executor
-from impact_rig.nodes.readers import Readers
-from impact_rig.nodes.stamps import nanoseconds
 from impact_rig.nodes.topics import TOPICS
 from impact_rig.recording import Message, RecordedTopic, Run
 from impact_rig.recording.description import matches
@@ -202,7 +201,7 @@ class Player:
             raise ImpactRigError(f"{topic.name}: the interface {topic.type_name!r} is not installed") from error
 
     def _on_ack(self, message: Header) -> None:
-        self._window.acknowledge(message.frame_id, nanoseconds(message.stamp))
+        self._window.acknowledge(message.frame_id, messages.nanoseconds(message.stamp))
 
     def _on_pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         self.paused = request.data

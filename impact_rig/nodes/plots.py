@@ -8,23 +8,18 @@ from collections.abc import Mapping
 from typing import Any  # rclpy publishers, message classes
 
 import numpy as np
-from geometry_msgs.msg import Point32
-from numpy.typing import NDArray
-from rclpy.serialization import serialize_message
 
-from impact_rig import topics
+from impact_rig import codec, topics
 from impact_rig.analysis.envelope import PULSES, HighPass, Intervals
 from impact_rig.analysis.recent import Recent
 from impact_rig.analysis.spectrum import EVERY_S, WINDOW_S, amplitude_spectrum
 from impact_rig.blocks import Table
 from impact_rig.nodes import messages
-from impact_rig.nodes.template import Template
+from impact_rig.nodes.messages import Template
 from impact_rig.nodes.topics import ENVELOPES, SPECTRA
-from impact_rig.simtime import NS_PER_S
 from impact_rig.topics import Topic
 
 VECTOR = ("vector.x", "vector.y", "vector.z")
-_POINT_BYTES = 12
 LOOK_S = 0.1
 """Time of the rig between two looks who listens to what."""
 
@@ -33,11 +28,11 @@ class Plots:
     """Makes the plot topics of the analysis node.
 
     Args:
-        outlets: publisher by topic name; topics without one are left out.
+        publishers: publisher by topic name; topics without one are left out.
     """
 
-    def __init__(self, outlets: Mapping[str, Any]) -> None:
-        self._outlets = outlets
+    def __init__(self, publishers: Mapping[str, Any]) -> None:
+        self._publishers = publishers
         self._vectors = {topic.name: _vector(topic) for topic in (*ENVELOPES.values(), *_VECTORS)}
         self._rate_hz = 0.0
         self._intervals: Intervals | None = None
@@ -120,8 +115,9 @@ class Plots:
         rows = self._recent.rows()[-length:]
         for channel, topic in wanted.items():
             frequencies, amplitudes = amplitude_spectrum(rows[channel], self._rate_hz)
-            data = _polygon(topic, self._recent.stamp_ns(self._recent.count - 1), frequencies, amplitudes)
-            self._outlets[topic.name].publish(data)
+            points = np.column_stack((frequencies, amplitudes, np.zeros(len(frequencies))))
+            stamp = self._recent.stamp_ns(self._recent.count - 1)
+            self._publishers[topic.name].publish(codec.encode_polygon(stamp, topic.frame_id, points))
 
     def _wanted(self, by_channel: Mapping[str, Topic], scan: Table) -> dict[str, Topic]:
         names = scan.rows.dtype.names or ()
@@ -131,14 +127,16 @@ class Plots:
         """Look who listens, ten times a second: to ask for each block costs as much as to measure it."""
         self._until_look -= scans
         if self._until_look < 0:
-            self._listened_to = {name for name, outlet in self._outlets.items() if outlet.get_subscription_count()}
+            self._listened_to = {
+                name for name, publisher in self._publishers.items() if publisher.get_subscription_count()
+            }
             self._until_look = round(LOOK_S * self._rate_hz)
 
     def _heard(self, topic: Topic) -> bool:
         return topic.name in self._listened_to
 
     def _send(self, topic: Topic, stamp_ns: int, *values: float) -> None:
-        self._outlets[topic.name].publish(self._vectors[topic.name].render(stamp_ns, *values))
+        self._publishers[topic.name].publish(self._vectors[topic.name].render(stamp_ns, *values))
 
 
 ACCELEROMETER = "accelerometer"
@@ -151,16 +149,3 @@ def _vector(topic: Topic) -> Template:
     message = messages.class_of(topic)()
     message.header.frame_id = topic.frame_id
     return Template(message, *VECTOR)
-
-
-def _polygon(topic: Topic, stamp_ns: int, x: NDArray[np.float64], y: NDArray[np.float64]) -> bytes:
-    """Return a polygon through points (x, y, 0): CDR ends with them, as little-endian singles."""
-    message = messages.class_of(topic)()
-    message.header.frame_id = topic.frame_id
-    message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, NS_PER_S)
-    message.polygon.points = [Point32()] * len(x)
-    data = bytearray(serialize_message(message))
-    points = np.zeros((len(x), 3), "<f4")
-    points[:, 0], points[:, 1] = x, y
-    data[-_POINT_BYTES * len(x) :] = points.tobytes()
-    return bytes(data)

@@ -5,35 +5,42 @@
 from __future__ import annotations
 
 import functools
+import json
 import math
+import os
+import platform
 import time
+from collections import Counter
+from pathlib import Path
 from typing import Any  # rclpy messages and handles
 
+import yaml
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 import impact_rig
-from impact_rig import codec, topics
-from impact_rig.errors import CodecError, RecordingError
+from impact_rig import states, topics
+from impact_rig.blocks import Table
+from impact_rig.errors import RecordingError
 from impact_rig.nodes import process
-from impact_rig.nodes.acknowledge import Acknowledgements
-from impact_rig.nodes.deferred import Answer, DeferredService
-from impact_rig.nodes.diagnostics import Health, Level
-from impact_rig.nodes.managed import ManagedNode
+from impact_rig.nodes.acknowledgements import Acknowledgements
+from impact_rig.nodes.diagnostics import Health, Level, State
+from impact_rig.nodes.managed import Answer, DeferredService, ManagedNode
 from impact_rig.nodes.parameters import SectionSchema
-from impact_rig.nodes.recorder_content import calibration_yaml, environment, parameters, qos, run_directory
 from impact_rig.nodes.settings import RecorderSettings
 from impact_rig.nodes.topics import TOPICS
 from impact_rig.recording import (
     CONFIGURATION,
     Account,
     Attachment,
+    OfferedQos,
     Provenance,
     RunWriter,
     TopicDescription,
     schema_text,
 )
 from impact_rig.system.endings import Ending
+from impact_rig.system.machine import identity
 
 FLUSH_S = 0.2
 AWAITED = (topics.INFO, topics.APPLIED, topics.JOURNAL, topics.CONFIGURATION, topics.ANALYSIS_SETTINGS)
@@ -41,6 +48,8 @@ AWAITED = (topics.INFO, topics.APPLIED, topics.JOURNAL, topics.CONFIGURATION, to
 AWAIT_S = 2.0
 RESULTS = frozenset({topics.TRANSMISSIBILITY_TABLE.name, topics.CURVE.name, topics.HELD.name})
 """What was measured before a recording is latched, and none of its results: left out."""
+ONE_WRITER = {topic.name for topic in TOPICS if topic.columns is not None} | {topics.CONFIGURATION.name}
+"""Topics that one node alone may write: of two a run could not be simulated or analysed again."""
 BULKY = (topics.SCAN, topics.TRUTH_SCAN)
 QUIET_S = 0.1
 """A configuration this old is the one in force: who comes late is handed every earlier one first."""
@@ -57,6 +66,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
     """
 
     COMPONENT = "recording"
+    STATES = states.Recorder
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("recorder", SectionSchema(RecorderSettings), **kwargs)
@@ -69,7 +79,8 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         self._resolved: dict[str, str] = {}
         self._added: dict[str, str] = {}
         self._account = Account()
-        self._newest_ns = 0
+        self._refused: Counter[str] = Counter()
+        self._newest_ns: int | None = None
         self._certificates = 0
         self._awaited: set[str] = set()
         self._opened_at = 0.0
@@ -97,7 +108,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         """Listen for the configuration; record if `record` says so, else only follow the scans."""
         self._failure = ""
         self._configuration, self._configured_at = None, math.inf
-        self._newest_ns = 0
+        self._newest_ns = None
         self._permanent = [self.subscribe(topics.CONFIGURATION, self._on_configuration)]
         self._timer = self.steady_timer(FLUSH_S, self._on_timer)
         if self.settings.record:
@@ -111,8 +122,8 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         if self._timer is not None:
             self.destroy_timer(self._timer)
             self._timer = None
-        for inlet in [*self._permanent, *([self._scans] if self._scans is not None else [])]:
-            self.destroy_subscription(inlet)
+        for subscription in [*self._permanent, *([self._scans] if self._scans is not None else [])]:
+            self.destroy_subscription(subscription)
         self._permanent, self._scans = [], None
 
     def cleanup(self) -> None:
@@ -122,9 +133,28 @@ class RecorderNode(ManagedNode[RecorderSettings]):
             self._acknowledgements.destroy()
             self._acknowledgements = None
 
-    def rig_time_ns(self) -> int:
-        """Return the stamp of the newest block; 0 (a stamp nobody filled in) before the first."""
+    def rig_time_ns(self) -> int | None:
+        """Return the stamp of the newest block."""
         return self._newest_ns
+
+    def doing(self) -> State:
+        """Return whether it records, and what of that goes wrong."""
+        words, lost = states.Recorder, self._account.lost()
+        if self._failure:
+            return State(words.FAILED, self._failure)
+        if self._writer is not None and self._mixed():
+            return State(words.RIVAL, self._mixed())
+        if self._writer is not None and (lost or self._refused):
+            missing = [f"{count} of {self._added[name]} lost" for name, count in lost.items()]
+            missing += [f"{count} of {name} refused" for name, count in self._refused.items()]
+            return State(words.LOSING, ", ".join(missing))
+        if self._waiting:
+            return State(words.WAITING, "for the rig's configuration")
+        if self._awaited:
+            return State(words.WAITING, f"for {', '.join(sorted(self._awaited))}")
+        if self._writer is not None:
+            return State(words.RECORDING)
+        return State(words.IDLE, "the last recording lacks messages" if lost else "")
 
     def status(self) -> Health:
         """Return what is being written, and what was lost."""
@@ -141,13 +171,24 @@ class RecorderNode(ManagedNode[RecorderSettings]):
             return Health(Level.WARN, self.state, values)
         if self._failure:
             return Health(Level.ERROR, f"{self._failure}; no block is acknowledged until ~/start or ~/stop", values)
+        mixed = self._mixed()
+        if mixed:
+            return Health(Level.WARN, f"this run cannot be verified: {mixed}", values | {"other_publishers": mixed})
         if lost:
             return Health(Level.ERROR, "messages were lost before they reached the recorder", values)
+        if writer is not None and self._refused:
+            names = ", ".join(sorted(self._refused))
+            return Health(Level.WARN, f"not recorded, as it is no such table: what came on {names}", values)
         if self._waiting:
             return Health(Level.OK, "waiting for the rig's configuration", values)
         if self._awaited:
             return Health(Level.OK, f"recording, waiting for {', '.join(sorted(self._awaited))}", values)
         return Health(Level.OK, "recording" if writer is not None else "not recording", values)
+
+    def _mixed(self) -> str:
+        """Return which topics of this run have been written by several nodes, or nothing."""
+        found = {topic: self._account.writers(name) for name, topic in self._added.items() if topic in ONE_WRITER}
+        return "; ".join(f"{' and '.join(names)} publish {topic}" for topic, names in found.items() if len(names) > 1)
 
     # Start and stop
 
@@ -221,7 +262,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         attachments = [Attachment("environment.json", environment(), "application/json")]
         if configuration is not None:
             attachments.append(Attachment(CONFIGURATION, configuration.encode(), "application/yaml"))
-        self._added, self._account = {}, Account(self._publishing)
+        self._added, self._account, self._refused = {}, Account(self._publishing), Counter()
         self._opened_ns = time.time_ns()
         return RunWriter(
             run_directory(settings.directory) / name,
@@ -244,8 +285,8 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         """Close the run; nothing is lost that has arrived."""
         self._waiting = False
         self._awaited = set()
-        for inlet in self._recorded:
-            self.destroy_subscription(inlet)
+        for subscription in self._recorded:
+            self.destroy_subscription(subscription)
         self._recorded = []
         writer, self._writer = self._writer, None
         self._begin.reply(False, "recording was stopped")
@@ -261,10 +302,11 @@ class RecorderNode(ManagedNode[RecorderSettings]):
     def _fail(self, error: RecordingError) -> None:
         """Stop recording, say why, and let the rig go on."""
         self._failure, self._awaited = f"recording stopped: {error}", set()
+        self.report_change()
         self.get_logger().error(self._failure)
         writer, self._writer = self._writer, None
-        for inlet in self._recorded:
-            self.destroy_subscription(inlet)
+        for subscription in self._recorded:
+            self.destroy_subscription(subscription)
         self._recorded = []
         if writer is not None and not writer.closed:
             writer.finish()
@@ -288,7 +330,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
             # a rig that is there and does not say what it is
             self._deadline = time.monotonic() + self.settings.configuration_wait_s
         self._open_when_ready()
-        came_late = self._begin.waiting or self._newest_ns > 0  # otherwise the rig has not begun
+        came_late = self._begin.waiting or self._newest_ns is not None  # otherwise the rig has not begun
         if self._awaited and came_late and time.monotonic() - self._opened_at > AWAIT_S:
             self.get_logger().warning(f"nothing was heard on {', '.join(sorted(self._awaited))}")
             self._awaited = set()
@@ -300,13 +342,23 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         self._answer_start()
 
     def _on_message(self, topic: topics.Topic, data: bytes, info: dict[str, Any]) -> None:
+        table = None
+        if topic.columns is not None:
+            table = self.table(topic, data)
+            if table is None:  # of nobody here: whoever reads the run again would stumble over it
+                self._refused[topic.name] += 1
+                return
         if self._writer is not None:
             try:
                 self._write(self._writer, topic, data, info)
+                if table is not None and topic is topics.INFO:
+                    self._attach_calibration(self._writer, table)
             except RecordingError as error:
                 self._fail(error)
-        if topic is topics.SCAN and not self._failure:
-            self._acknowledge(data)
+        if table is not None and topic is topics.SCAN and not self._failure:
+            assert self._acknowledgements is not None
+            self._newest_ns = table.stamp_ns
+            self._acknowledgements.processed(table.stamp_ns)
 
     def _write(self, writer: RunWriter, topic: topics.Topic, data: bytes, info: dict[str, Any]) -> None:
         if topic.name in RESULTS and int(info["source_timestamp"]) < self._opened_ns:
@@ -318,22 +370,15 @@ class RecorderNode(ManagedNode[RecorderSettings]):
             self._added[name] = topic.name
             writer.add_topic(self._describe(topic, name))
         writer.write(name, data, int(info["source_timestamp"]), int(info["publication_sequence_number"]))
-        if topic is topics.INFO:
-            self._attach_calibration(writer, data)
         if topic.name in self._awaited:
             self._awaited.discard(topic.name)
             self._answer_start()
 
-    def _attach_calibration(self, writer: RunWriter, data: bytes) -> None:
+    def _attach_calibration(self, writer: RunWriter, info: Table) -> None:
         """Keep the certificate as a file too, for people: one per recalibration."""
-        try:
-            text = calibration_yaml(codec.decode(data))
-        except CodecError as error:
-            self.refuse(topics.INFO.name, str(error))
-            return
         self._certificates += 1
         name = CALIBRATION if self._certificates == 1 else f"calibration_{self._certificates}.yaml"
-        writer.attach(Attachment(name, text.encode(), "application/yaml"), instead_of=CALIBRATION)
+        writer.attach(Attachment(name, calibration_yaml(info).encode(), "application/yaml"), instead_of=CALIBRATION)
 
     def _describe(self, topic: topics.Topic, name: str) -> TopicDescription:
         publishers = self.get_publishers_info_by_topic(name)
@@ -346,16 +391,6 @@ class RecorderNode(ManagedNode[RecorderSettings]):
             offered_qos=tuple(qos(publisher.qos_profile) for publisher in publishers),
         )
 
-    def _acknowledge(self, data: bytes) -> None:
-        try:
-            stamp = codec.header_stamp_ns(data)
-        except CodecError as error:
-            self.refuse(topics.SCAN.name, str(error))
-            return
-        self._newest_ns = stamp
-        assert self._acknowledgements is not None
-        self._acknowledgements.processed(stamp)
-
     def _secured(self) -> bool:
         """Make sure that what is acknowledged outlives this process; return whether it may be acknowledged."""
         if self._writer is not None:
@@ -364,6 +399,71 @@ class RecorderNode(ManagedNode[RecorderSettings]):
             except RecordingError as error:
                 self._fail(error)
         return not self._failure
+
+
+def run_directory(text: str) -> Path:
+    """Return the directory a parameter names.
+
+    Raises:
+        RecordingError: its user is not known.
+    """
+    try:
+        return Path(text).expanduser()
+    except RuntimeError as error:  # ~nobody
+        raise RecordingError(f"directory {text!r} cannot be used: {error}") from error
+
+
+def calibration_yaml(info: Table) -> str:
+    """Return daq/info as YAML: one mapping per channel, and the instant from which it holds."""
+    channels: dict[str, dict[str, str | float]] = {}
+    for row in info.rows:
+        values = {name: row[name] for name in info.rows.dtype.names or ()}
+        plain = {
+            name: value.decode(errors="replace") if isinstance(value, bytes) else float(value)
+            for name, value in values.items()
+        }
+        channels[str(plain.pop("name", len(channels)))] = plain
+    text: str = yaml.safe_dump({"stamp_ns": info.stamp_ns, "channels": channels}, sort_keys=False)
+    return text
+
+
+def qos(profile: Any) -> OfferedQos:
+    """Return a profile of rclpy in the words of rosbag2."""
+    return OfferedQos(
+        history=profile.history.name.lower(),
+        depth=profile.depth,
+        reliability=profile.reliability.name.lower(),
+        durability=profile.durability.name.lower(),
+        deadline_ns=profile.deadline.nanoseconds,
+        lifespan_ns=profile.lifespan.nanoseconds,
+        liveliness=profile.liveliness.name.lower(),
+        liveliness_lease_ns=profile.liveliness_lease_duration.nanoseconds,
+    )
+
+
+def parameters(configuration: str | None) -> dict[str, Any]:
+    """Return the nested values of a rig's configuration; empty if it is none (it comes from the network)."""
+    try:
+        document = yaml.safe_load(configuration or "")
+        values = document["/**"]["ros__parameters"]
+    except (yaml.YAMLError, KeyError, TypeError, ValueError, RecursionError):  # a date that is none, nesting
+        return {}
+    sections = values if isinstance(values, dict) else {}
+    return {name: section for name, section in sections.items() if isinstance(section, dict)}
+
+
+def environment() -> bytes:
+    """Return what the run depended on, as JSON."""
+    return json.dumps(
+        {
+            "impact_rig": impact_rig.__version__,
+            **identity(),
+            "machine": platform.machine(),
+            "system": platform.platform(),
+            "ros_distro": os.environ.get("ROS_DISTRO", ""),
+        },
+        indent=1,
+    ).encode()
 
 
 def main(ending: Ending) -> None:

@@ -14,13 +14,9 @@ from typing import Any  # messages of a package that may be absent
 
 from impact_rig import __version__
 from impact_rig.errors import CommandError
-from impact_rig.nodes.deferred import Done, LateService
 from impact_rig.nodes.guard import describe
-from impact_rig.nodes.managed import ManagedNode
-from impact_rig.nodes.pausing import Pause
-from impact_rig.nodes.steps import StepRequests
-from impact_rig.rig import Rig
-from impact_rig.rig.config import RigConfig
+from impact_rig.nodes.inputs import Inputs
+from impact_rig.nodes.managed import Done, LateService
 
 PACKAGE = "simulation_interfaces"
 OFFERS = {
@@ -40,25 +36,12 @@ class StandardServices:
     """Makes the services, if the package is there, and keeps them.
 
     Args:
-        node: owner.
-        rig: returns the rig, if there is one.
-        why_not: returns why there is none.
-        pause: whether it stands still.
-        steps: what it still owes.
-        reset: begins again; CommandError says why it cannot.
+        inputs: of the rig: what these services do in other words.
     """
 
-    def __init__(
-        self,
-        node: ManagedNode[RigConfig],
-        rig: Callable[[], Rig | None],
-        why_not: Callable[[], str],
-        pause: Pause,
-        steps: StepRequests,
-        reset: Callable[[], str],
-    ) -> None:
-        self._node, self._rig, self._why_not = node, rig, why_not
-        self._pause, self._steps, self._reset = pause, steps, reset
+    def __init__(self, inputs: Inputs) -> None:
+        self._inputs, self._session = inputs, inputs.session
+        self._node = inputs.session.node
         self._stopped_ns = -1
         try:
             self._messages = importlib.import_module(f"{PACKAGE}.msg")
@@ -67,7 +50,7 @@ class StandardServices:
             return
         self._offered = [(getattr(services, kind), *OFFERS[kind]) for kind in OFFERS if hasattr(services, kind)]
         for service_type, name, _features in self._offered:
-            LateService(node, service_type, f"~/{name}", self._guarded(service_type, name))
+            LateService(self._node, service_type, f"~/{name}", self._guarded(service_type, name))
 
     def _guarded(self, service_type: Any, name: str) -> Callable[[Any, Callable[[Any], None]], None]:
         """Return what answers each request, whatever happens."""
@@ -99,12 +82,12 @@ class StandardServices:
         return lambda success, message: tell(*((self._messages.Result.RESULT_OK, "") if success else (failed, message)))
 
     def _state(self) -> int:
-        states, rig = self._messages.SimulationState, self._rig()
+        states, rig = self._messages.SimulationState, self._session.rig
         if self._node.quitting or self._node.state == "finalized":
             return int(states.STATE_QUITTING)
-        if rig is None or (self._pause.on and rig.next_block_ns == self._stopped_ns):
+        if rig is None or (self._session.paused and rig.next_block_ns == self._stopped_ns):
             return int(states.STATE_STOPPED)
-        return int(states.STATE_PAUSED if self._pause.on or self._stepped() else states.STATE_PLAYING)
+        return int(states.STATE_PAUSED if self._session.paused or self._stepped() else states.STATE_PLAYING)
 
     def _stepped(self) -> bool:
         return self._node.settings.time.mode == "stepped"
@@ -121,7 +104,7 @@ class StandardServices:
 
     def _set_simulation_state(self, request: Any, response: Any, tell: Tell) -> None:
         codes, states = self._messages.Result, self._messages.SimulationState
-        wanted, present, rig = request.state.state, self._state(), self._rig()
+        wanted, present, rig = request.state.state, self._state(), self._session.rig
         if wanted == present:
             tell(response.ALREADY_IN_TARGET_STATE, "")
         elif wanted not in {states.STATE_STOPPED, states.STATE_PLAYING, states.STATE_PAUSED, states.STATE_QUITTING}:
@@ -132,17 +115,17 @@ class StandardServices:
             self._node.quitting = True
             tell(codes.RESULT_OK, "")
         elif rig is None:
-            tell(response.STATE_TRANSITION_ERROR, self._why_not())
+            tell(response.STATE_TRANSITION_ERROR, self._session.why_not())
         elif wanted == states.STATE_PLAYING and self._stepped():
             tell(response.STATE_TRANSITION_ERROR, "time.mode is stepped: the rig moves by steps only")
         elif wanted == states.STATE_PLAYING:
-            self._pause.resume()
+            self._inputs.pause.resume()
             tell(codes.RESULT_OK, "")
         elif wanted == states.STATE_PAUSED:
             self._stopped_ns = -1
-            self._pause.hold(self._done(tell, response.STATE_TRANSITION_ERROR))
+            self._inputs.pause.begin(self._done(tell, response.STATE_TRANSITION_ERROR))
         else:
-            self._pause.hold(lambda success, message: self._stop(success, message, tell, response))
+            self._inputs.pause.begin(lambda success, message: self._stop(success, message, tell, response))
 
     def _stop(self, paused: bool, message: str, tell: Tell, response: Any) -> None:
         """Reset a rig that has just been paused."""
@@ -155,19 +138,19 @@ class StandardServices:
         tell(code, text)
 
     def _reset_rig(self, stop: bool) -> None:
-        self._reset()
-        rig = self._rig()
+        self._inputs.reset()
+        rig = self._session.rig
         if stop and rig is not None:
             self._stopped_ns = rig.next_block_ns
 
     def _step_simulation(self, request: Any, _response: Any, tell: Tell) -> None:
         failed = self._messages.Result.RESULT_OPERATION_FAILED
-        if self._rig() is None:
-            tell(failed, self._why_not())
+        if self._session.rig is None:
+            tell(failed, self._session.why_not())
         elif self._state() != self._messages.SimulationState.STATE_PAUSED:
             tell(failed, "a step needs the state PAUSED")
         else:
-            self._steps.take(request.steps, self._done(tell, failed))
+            self._inputs.steps.take(request.steps, self._done(tell, failed))
 
     def _reset_simulation(self, request: Any, _response: Any, tell: Tell) -> None:
         kinds, codes = type(request), self._messages.Result

@@ -4,19 +4,18 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable
 from typing import Any  # rclpy messages
 
 from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
 
-from impact_rig import codec, topics
+from impact_rig import codec, states, topics
 from impact_rig.blocks import Table
 from impact_rig.errors import CodecError, ConfigError
 from impact_rig.nodes import process
-from impact_rig.nodes.acknowledge import Acknowledgements
-from impact_rig.nodes.diagnostics import Health, Level
+from impact_rig.nodes.acknowledgements import Acknowledgements
+from impact_rig.nodes.diagnostics import Health, Level, State
 from impact_rig.nodes.managed import ManagedNode
 from impact_rig.nodes.parameters import SectionSchema
 from impact_rig.nodes.settings import PHASE, SteppedSineSettings
@@ -25,7 +24,8 @@ from impact_rig.operate.controlled_sine import ControlledSine
 from impact_rig.operate.locked_sine import LockedSine
 from impact_rig.operate.operator import Applied, News, Operator
 from impact_rig.operate.plan import Setpoint
-from impact_rig.operate.stepped_sine import State, SteppedSine
+from impact_rig.operate.stepped_sine import State as Progress
+from impact_rig.operate.stepped_sine import SteppedSine
 from impact_rig.system.endings import Ending
 
 WATCH_S = 0.1
@@ -47,13 +47,14 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
     """
 
     COMPONENT = "sweep"
+    STATES = states.SteppedSine
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("stepped_sine", SectionSchema(SteppedSineSettings), **kwargs)
         self._operator: Operator[Walk] | None = None
-        self._outlets: dict[str, Any] = {}
+        self._outputs: dict[str, Any] = {}
         self._acknowledgements: Acknowledgements | None = None
-        self._inlets: list[Any] = []
+        self._heard: list[Any] = []
         self._timer: Any = None
         self._pending = False  # wanted, but the rig is not there yet
         self._now_ns: int | None = None
@@ -71,18 +72,18 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
     def configure(self) -> None:
         """Create the publishers."""
         chosen = (topics.FREQUENCY, topics.CURRENT, topics.CURVE, topics.HELD, topics.LOCKED)
-        self._outlets = {topic.name: self.publisher(topic) for topic in chosen}
+        self._outputs = {topic.name: self.publisher(topic) for topic in chosen}
         self._acknowledgements = Acknowledgements(self)
 
     def activate(self) -> None:
         """Listen; begin the sweep as soon as the rig is there if `begin` says so."""
         self._now_ns, self._pending = None, self.settings.begin
-        self._inlets = [
+        self._heard = [
             self.subscribe(MONITORS["base"], self._on_time, raw=True),
-            self._table(topics.APPLIED, self._on_applied),
-            self._table(topics.JOURNAL, self._on_journal),
-            self._table(topics.TRANSMISSIBILITY_TABLE, self._on_measurement),
-            self.subscribe(topics.INFO, self._on_info, raw=True),
+            self._follow(topics.APPLIED, self._on_applied),
+            self._follow(topics.JOURNAL, self._on_journal),
+            self._follow(topics.TRANSMISSIBILITY_TABLE, self._on_measurement),
+            self.subscribe_table(topics.INFO, self._on_info),
         ]
         self._listen()
         self._timer = self.steady_timer(WATCH_S, self._begin_when_ready)
@@ -94,17 +95,17 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
         if self._timer is not None:
             self.destroy_timer(self._timer)
             self._timer = None
-        for inlet in [*self._inlets, *([self._scans] if self._scans is not None else [])]:
-            self.destroy_subscription(inlet)
-        self._inlets, self._scans, self._info = [], None, None
+        for subscription in [*self._heard, *([self._scans] if self._scans is not None else [])]:
+            self.destroy_subscription(subscription)
+        self._heard, self._scans, self._info = [], None, None
 
     def cleanup(self) -> None:
         """Destroy the publishers."""
         self.deactivate()
         self._operator = None
-        for outlet in self._outlets.values():
-            self.destroy_publisher(outlet)
-        self._outlets = {}
+        for publisher in self._outputs.values():
+            self.destroy_publisher(publisher)
+        self._outputs = {}
         if self._acknowledgements is not None:
             self._acknowledgements.destroy()
             self._acknowledgements = None
@@ -123,14 +124,26 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
         wanted = self.settings.hold == PHASE
         if wanted and self._scans is None:
             self._scans_heard = False
-            self._scans = self.subscribe(topics.SCAN, self._on_scan, raw=True)
+            self._scans = self.subscribe_table(topics.SCAN, self._on_scan)
         elif not wanted and self._scans is not None:
             self.destroy_subscription(self._scans)
             self._scans = None
 
-    def rig_time_ns(self) -> int:
-        """Return the newest instant heard of; 0 (a stamp nobody filled in) before the first."""
-        return self._now_ns or 0
+    def rig_time_ns(self) -> int | None:
+        """Return the newest instant heard of."""
+        return self._now_ns
+
+    def doing(self) -> State:
+        """Return how the last sweep is."""
+        words = states.SteppedSine
+        if self._pending:
+            return State(words.WAITING, self._missing() or "about to begin")
+        if self._operator is None:
+            return State(words.IDLE)
+        sweep = self._operator.sweep
+        if sweep.state is Progress.ABORTED:
+            return State(words.ABORTED, sweep.reason)
+        return State(words.RUNNING if self._operator.busy else words.DONE)
 
     def status(self) -> Health:
         """Return how far the sweep is."""
@@ -141,7 +154,7 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
         if self._operator is None:
             return Health(Level.OK, "idle", {})
         sweep = self._operator.sweep
-        if sweep.state is State.ABORTED:
+        if sweep.state is Progress.ABORTED:
             return Health(Level.ERROR, f"aborted: {sweep.reason}", sweep.figures())
         return Health(Level.OK, sweep.describe(), sweep.figures())
 
@@ -181,7 +194,7 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
 
     def _missing(self) -> str:
         """Return who is not there yet; empty when a sweep can begin."""
-        if any(not self._outlets[topic.name].get_subscription_count() for topic in (topics.FREQUENCY, topics.CURRENT)):
+        if any(not self._outputs[topic.name].get_subscription_count() for topic in (topics.FREQUENCY, topics.CURRENT)):
             return "no rig listens to the shaker's topics"
         if self.settings.hold == PHASE:
             if self._info is None or not self._scans_heard:
@@ -211,19 +224,19 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
 
     def now_ns(self) -> int:
         """Return the newest instant heard of."""
-        return self.rig_time_ns()
+        return self._now_ns or 0
 
     def set(self, setpoint: Setpoint) -> None:
         """Send frequency and current; `shaker/applied` tells that they are in force."""
-        self._outlets[topics.FREQUENCY.name].publish(Float64(data=setpoint.frequency_hz))
-        self._outlets[topics.CURRENT.name].publish(Float64(data=setpoint.current_a))
+        self._outputs[topics.FREQUENCY.name].publish(Float64(data=setpoint.frequency_hz))
+        self._outputs[topics.CURRENT.name].publish(Float64(data=setpoint.current_a))
 
     def rest(self) -> None:
         """Set the current to zero, and say why."""
         assert self._operator is not None
-        self._outlets[topics.CURRENT.name].publish(Float64(data=0.0))
+        self._outputs[topics.CURRENT.name].publish(Float64(data=0.0))
         sweep = self._operator.sweep
-        if sweep.state is State.ABORTED:
+        if sweep.state is Progress.ABORTED:
             self.get_logger().error(f"sweep aborted: {sweep.reason}")
         else:
             self.get_logger().info(f"sweep finished: {sweep.measured} measurements")
@@ -231,44 +244,29 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
     def _publish_curve(self, sweep: Walk) -> None:
         if isinstance(sweep, LockedSine):
             if sweep.measured:
-                self._outlets[topics.LOCKED.name].publish(codec.encode(Table(self._began_ns, sweep.newest)))
+                self._outputs[topics.LOCKED.name].publish(codec.encode(Table(self._began_ns, sweep.newest)))
             return
         if sweep.measured:
-            self._outlets[topics.CURVE.name].publish(codec.encode(Table(self._began_ns, sweep.rows)))
+            self._outputs[topics.CURVE.name].publish(codec.encode(Table(self._began_ns, sweep.rows)))
         if sweep.measured and isinstance(sweep, ControlledSine):
-            self._outlets[topics.HELD.name].publish(codec.encode(Table(self._began_ns, sweep.held)))
+            self._outputs[topics.HELD.name].publish(codec.encode(Table(self._began_ns, sweep.held)))
 
     # Messages
 
-    def _table(self, topic: topics.Topic, callback: Callable[[Operator[Walk], Table], None]) -> Any:
+    def _follow(self, topic: topics.Topic, callback: Callable[[Operator[Walk], Table], None]) -> Any:
         """Subscribe to a table topic; `callback` gets the operator, and tables newer than the sweep's begin."""
-        return self.subscribe(topic, functools.partial(self._on_table, topic, callback), raw=True)
 
-    def _on_table(self, topic: topics.Topic, callback: Callable[[Operator[Walk], Table], None], data: bytes) -> None:
-        table, operator = self._decoded(topic, data), self._operator
-        if table is not None and operator is not None and operator.busy and table.stamp_ns >= self._began_ns:
-            callback(operator, table)
+        def take(table: Table) -> None:
+            operator = self._operator
+            if operator is not None and operator.busy and table.stamp_ns >= self._began_ns:
+                callback(operator, table)
 
-    def _decoded(self, topic: topics.Topic, data: bytes) -> Table | None:
-        try:
-            table = codec.decode(data)
-        except CodecError as error:
-            self.refuse(topic.name, str(error))
-            return None
-        assert topic.columns is not None
-        missing = set(topic.columns.names or ()) - set(table.rows.dtype.names or ())
-        if missing:
-            self.refuse(topic.name, f"columns missing: {', '.join(sorted(missing))}")
-            return None
-        return table
+        return self.subscribe_table(topic, take)
 
-    def _on_info(self, data: bytes) -> None:
-        self._info = self._decoded(topics.INFO, data) or self._info
+    def _on_info(self, info: Table) -> None:
+        self._info = info
 
-    def _on_scan(self, data: bytes) -> None:
-        table = self._decoded(topics.SCAN, data)
-        if table is None:
-            return
+    def _on_scan(self, table: Table) -> None:
         self._scans_heard = True
         try:
             if self._operator is not None:

@@ -90,6 +90,11 @@ class Account:
         """Return how many messages are missing, by topic; only topics that lack any."""
         return lost({name: self._streams(name) for name in self._topics})
 
+    def writers(self, topic: str) -> list[str]:
+        """Return the publishers of a topic on which more than one has written, as far as the graph has named them."""
+        known = self._topics.get(topic, _Topic())
+        return sorted(set(known.known.values())) if len(known.streams) > 1 else []
+
     def to_record(self) -> dict[str, str]:
         """Return the content of the metadata record: by topic a JSON list of its streams."""
         return {name: json.dumps([attrs.asdict(s) for s in self._streams(name)]) for name in self._topics}

@@ -12,24 +12,24 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from types import TracebackType
+from types import MappingProxyType, TracebackType
 
 import attrs
 
-from impact_rig import topics
-from impact_rig.errors import RecordingError
+from impact_rig import codec, topics
+from impact_rig.errors import CodecError, RecordingError
 from impact_rig.recording import bag_metadata
 from impact_rig.recording.bag_metadata import FileSpan
-from impact_rig.recording.description import INFINITE_NS, TopicDescription, matches
-from impact_rig.recording.directory import make_room
-from impact_rig.recording.log_time import LogTime
+from impact_rig.recording.description import INFINITE_NS, TopicDescription, matches, starts_with_header
 from impact_rig.recording.losses import RECORD_NAME as LOSSES_RECORD_NAME
 from impact_rig.recording.losses import Account
-from impact_rig.recording.mcap_file import McapFile
+from impact_rig.recording.mcap_file import TAIL_SUFFIX, McapFile, Tail
 from impact_rig.recording.provenance import RECORD_NAME, TOPIC_RECORD_NAME, Attachment, Provenance, protect
-from impact_rig.recording.schema import starts_with_header
-from impact_rig.recording.tail import Tail
+from impact_rig.simtime import NS_PER_S
+from impact_rig.system import files
 
+CONTINUES_RECORD_NAME = "impact_rig/continues"
+"""Metadata record of a file of a split run that another one follows: its name."""
 CHUNK_BYTES = 512 * 1024
 """Uncompressed size at which a chunk is closed: 4 MiB stall the writer for 25 ms, a few hundred KiB for 1-3 ms."""
 CHUNK_OPEN_S = 0.5
@@ -292,15 +292,15 @@ class RunWriter:
         return too_long or 0 < self._max_file_bytes <= self._file.size
 
     def _next_file(self) -> None:
-        self._finish_file()
+        self._finish_file({CONTINUES_RECORD_NAME: {"file": f"{self.directory.name}_{len(self._spans)}.mcap"}})
         self._bytes_before += self._file.size
         self._open_file()
 
-    def _finish_file(self) -> None:
+    def _finish_file(self, further: Mapping[str, Mapping[str, str]] = MappingProxyType({})) -> None:
         try:
             self._file.close_chunk()
             self._file.add_metadata(bag_metadata.RECORD_NAME, bag_metadata.record(self._information()))
-            for name, record in {LOSSES_RECORD_NAME: self._account.to_record(), **self._closing()}.items():
+            for name, record in {LOSSES_RECORD_NAME: self._account.to_record(), **self._closing(), **further}.items():
                 if record:
                     self._file.add_metadata(name, protect(record))
             self._file.finish()
@@ -384,3 +384,79 @@ class _StopOnError:
     ) -> None:
         if isinstance(error, RecordingError):
             self.writer.stop(error)
+
+
+_LONGEST_BLOCK_S = 1e6  # a `time` beyond this (or none at all, or NaN) is no instant of a block
+
+
+class LogTime:
+    """Follows rig time through the stamps of the messages; reads no clock.
+
+    Args:
+        rig_start_ns: rig time before any stamp is known; None: the message's publish time is taken until then.
+    """
+
+    def __init__(self, rig_start_ns: int | None = None) -> None:
+        self._newest_ns = rig_start_ns
+        self._scans_seen = False
+
+    def of(self, data: bytes, publish_time_ns: int, *, has_header: bool, is_scan: bool) -> int:
+        """Return the log time [ns, not negative] of a message received now.
+
+        A stamp of zero is a header nobody filled in (or the first instant of a rig that starts at 0, where the fallback
+        is zero as well), and bytes too short for a header have none: both are logged like header-less messages.
+        """
+        block = _block(data) if is_scan else None
+        if block is not None:
+            stamp, self._newest_ns = block
+            self._scans_seen = True
+            return _clamp(stamp)
+        stamp = _stamp(data) if has_header else 0
+        if stamp > 0:
+            if not self._scans_seen:
+                self._newest_ns = max(stamp, self._newest_ns or 0)
+            return stamp
+        return _clamp(publish_time_ns if self._newest_ns is None else self._newest_ns)
+
+
+def _clamp(time_ns: int) -> int:
+    """Return what rosbag2 can read: its times are signed, MCAP's are not."""
+    return min(max(0, time_ns), INFINITE_NS)
+
+
+def _stamp(data: bytes) -> int:
+    try:
+        return codec.header_stamp_ns(data)
+    except CodecError:
+        return 0
+
+
+def _block(data: bytes) -> tuple[int, int] | None:
+    """Return the times of a block's first and last scan, or None if it is no table with a sound `time` column."""
+    try:
+        table = codec.decode(data)
+    except CodecError:
+        return None
+    if not len(table.rows) or "time" not in (table.rows.dtype.names or ()):
+        return None
+    last_s = float(table.rows["time"][-1])
+    return (table.stamp_ns, table.stamp_ns + round(last_s * NS_PER_S)) if abs(last_s) < _LONGEST_BLOCK_S else None
+
+
+def make_room(directory: Path) -> None:
+    """Make the directory of a run, with its parents, unless it is there.
+
+    Raises:
+        RecordingError: it cannot be made, is not ours, or holds a recording already: nothing is ever overwritten.
+    """
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+        files.refuse_foreign(directory)
+        present = sorted(path.name for path in directory.iterdir())
+    except FileExistsError as error:
+        raise RecordingError(f"{directory} is a file, not a directory to record into") from error
+    except OSError as error:
+        raise RecordingError(f"the run directory {directory} cannot be made: {error.strerror}") from error
+    for name in present:
+        if name.endswith((".mcap", f".mcap{TAIL_SUFFIX}")) or name == bag_metadata.FILE_NAME:
+            raise RecordingError(f"{directory} holds a recording already ({name}); nothing is overwritten")

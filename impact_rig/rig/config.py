@@ -13,7 +13,7 @@ from impact_rig.blocks import TRUTH_SCAN
 from impact_rig.codec import MAX_MESSAGE_BYTES
 from impact_rig.config.mechanics import Barriers, Drive, Shaker, Sphere, Structure
 from impact_rig.config.operation import Daq, Output, Pluck, Step, Time
-from impact_rig.config.tree import Tree
+from impact_rig.config.tree import Tree, parameters_in
 from impact_rig.errors import ConfigError
 from impact_rig.instruments.scan import row_type_of
 from impact_rig.instruments.section import Instruments
@@ -69,6 +69,8 @@ class RigConfig:
 
 
 _TREE = Tree(RigConfig)
-load, dump = _TREE.load, _TREE.dump
+load, parse, dump = _TREE.load, _TREE.parse, _TREE.dump
 from_flat, to_flat = _TREE.from_flat, _TREE.to_flat
 fields = _TREE.fields
+
+__all__ = ["RigConfig", "dump", "fields", "from_flat", "load", "parameters_in", "to_flat"]

@@ -26,7 +26,7 @@ from impact_rig.rig.block import Block
 from impact_rig.rig.changes import INSTRUMENTS, MECHANICS, PLANNED, changed_values, until_reset
 from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.rig.interlock import Interlock, Trip, check_amplitude, check_frequency
-from impact_rig.rig.journal import Journal, Kind, not_default, sampled
+from impact_rig.rig.journal import Journal, Kind, Value, not_default, sampled
 from impact_rig.rig.planned_faults import PlanInForce
 from impact_rig.rig.trial import generator, tried
 from impact_rig.rig.truth import TICKS_PER_S, Truth
@@ -222,7 +222,15 @@ class Rig:
             ConfigError: unknown key, bad value, bad combination, or a value fixed at start; nothing is changed.
         """
         config = from_flat(self.config, changes)
-        changed = changed_values(self.config, config)
+        self.adopt(config, changed_values(self.config, config))
+        return config
+
+    def adopt(self, config: RigConfig, changed: Mapping[str, Value]) -> None:
+        """Take a configuration that differs from the present one in the values `changed`, as `configure` does.
+
+        Raises:
+            ConfigError: a bad combination; nothing is changed.
+        """
         mechanics = attrs.evolve(config, drive=self._drive)
         instruments = until_reset(self._chain.config, config)
         new_mechanics = any(name.startswith(MECHANICS) for name in changed)
@@ -244,7 +252,6 @@ class Rig:
         self._planned_faults.put_into_force(replan, self.frontier_sample, self._clear_if_there, self.inject)
         if new_instruments:
             self._info_sample = self.frontier_sample
-        return config
 
     def reset(self) -> None:
         """Begin again at the frontier with the present configuration: scan 0, everything at rest and as new.

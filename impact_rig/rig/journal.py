@@ -10,22 +10,22 @@ from __future__ import annotations
 
 import enum
 import itertools
-from collections.abc import Iterable, Mapping
+import struct
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 import attrs
 import numpy as np
 
+from impact_rig import codec, topics
 from impact_rig.blocks import JOURNAL, Table
 from impact_rig.columns import TEXT_BYTES
-from impact_rig.errors import ConfigError
+from impact_rig.errors import CodecError, ConfigError
 from impact_rig.rig.config import RigConfig, to_flat
 from impact_rig.simtime import NS_PER_S, stamp_ns
 
 Value = bool | int | float | str | tuple[str, ...]
 
 SEPARATOR = "\n"  # between the items of a list
-_LONGEST_S = 2.0**32  # two stamps cannot be further apart
-_MOST = 2.0**53  # to which whole numbers are exact in a table
 NOT_SAMPLED = ("time.", "step.", "pluck.", "output.")
 """Sections that change when and what is published, but not one sample: they are not in the journal."""
 SAMPLED = frozenset({"output.command_timeout_s"})
@@ -75,6 +75,27 @@ class Entry:
     value: float
     text: bytes
 
+    @classmethod
+    def of(cls, table: Table, row: np.void) -> Entry:
+        """Return a row of a checked table.
+
+        Raises:
+            ConfigError: its kind is unknown.
+        """
+        kind = bytes(row["kind"]).decode()
+        try:
+            known = Kind(kind)
+        except ValueError:
+            raise ConfigError(f"journal row of unknown kind {kind!r}") from None
+        stamp = table.stamp_ns + round(float(row["time"]) * NS_PER_S)
+        key, text = bytes(row["key"]).decode(), bytes(row["text"])
+        return cls(stamp, int(row["sample"]), int(row["sequence"]), known, key, float(row["value"]), text)
+
+    def same(self, other: Entry) -> bool:
+        """Return whether two rows are the same bit for bit."""
+        ours, theirs = (attrs.evolve(one, value=0.0) for one in (self, other))
+        return ours == theirs and struct.pack("<d", self.value) == struct.pack("<d", other.value)
+
 
 class Journal:
     """Numbers the rows and hands them over as tables.
@@ -118,37 +139,133 @@ class Journal:
         return [_table(stamp, list(run)) for stamp, run in itertools.groupby(pending, lambda entry: entry.stamp_ns)]
 
 
+@attrs.frozen(eq=False)
+class Change:
+    """One input, whatever number of rows it has.
+
+    Attributes:
+        stamp_ns: of the first scan it acts on.
+        sample: index of that scan.
+        sequence: number of its first row.
+        kind: what it is; never `more`.
+        key: what it is about.
+        value: new value of a command, displacement of a pluck [m], number of a fault to clear, what tripped.
+        text: of a fault; version at `start` and `reset`.
+        configuration: values by full name; of `parameter` and `initial`, empty otherwise.
+    """
+
+    stamp_ns: int
+    sample: int
+    sequence: int
+    kind: Kind
+    key: str
+    value: float
+    text: str
+    configuration: Mapping[str, Value]
+
+
+def changes(entries: Sequence[Entry]) -> Iterator[Change]:
+    """Yield the inputs that rows say: the one interpretation of a journal.
+
+    Rows `more` belong to the parameter before them; the rows `initial` of one start are one input.
+
+    Raises:
+        ConfigError: a key is no configuration value, or a text no UTF-8.
+    """
+    numbers = itertools.accumulate(_begins(entries[n - 1] if n else None, entry) for n, entry in enumerate(entries))
+    for _, numbered in itertools.groupby(zip(numbers, entries, strict=True), lambda one: one[0]):
+        group = [entry for _, entry in numbered]
+        first = group[0]
+        text = first.text.decode(errors="replace")
+        found = values_of(group) if first.kind in (Kind.PARAMETER, Kind.MORE, Kind.INITIAL) else {}
+        kind = Kind.PARAMETER if first.kind is Kind.MORE else first.kind  # its beginning came in another table
+        yield Change(first.stamp_ns, first.sample, first.sequence, kind, first.key, first.value, text, found)
+
+
+def _begins(before: Entry | None, entry: Entry) -> bool:
+    """Return whether a row is the first of an input."""
+    if entry.kind is Kind.INITIAL:
+        return before is None or before.kind is not Kind.INITIAL
+    return entry.kind is not Kind.MORE
+
+
+class JournalView:
+    """What a journal says so far, table by table: what happened, and what the rig is by that.
+
+    It needs no whole journal: of one that is heard from its middle on it says what it can.
+
+    Attributes:
+        configuration: every value by full name; of what no row has said, the default.
+        drive: what was commanded last, `frequency` [Hz] and `current` [A; m or V by `drive.kind`].
+        latched: the row that latched the shaker, kind `trip` or `stop`; None: it is free.
+        plucked: whether the base is locked after a pluck, until the next reset.
+        start_ns: stamp of scan 0; None: no start has been heard.
+    """
+
+    def __init__(self) -> None:
+        self.start_ns: int | None = None
+        self.configuration: dict[str, Value] = dict(_DEFAULTS)
+        self.drive: dict[str, float] = {}
+        self.latched: Change | None = None
+        self.plucked = False
+
+    def take(self, table: Table) -> list[Change]:
+        """Take the rows of a table and return the inputs they say, in order.
+
+        Raises:
+            ConfigError: the table is no journal's, or of a version with other kinds or values; nothing of it is taken.
+        """
+        found = list(changes([*_entries(table)]))
+        for change in found:
+            self._take(change)
+        return found
+
+    def _take(self, change: Change) -> None:
+        if change.kind in (Kind.START, Kind.RESET):
+            self.start_ns, self.latched, self.plucked = change.stamp_ns, None, False
+            self.configuration, self.drive = dict(_DEFAULTS), {}
+        elif change.kind in (Kind.TRIP, Kind.STOP):
+            self.latched = change
+        elif change.kind is Kind.CLEAR_TRIP:
+            self.latched = None
+        elif change.kind is Kind.PLUCK:
+            self.plucked = True
+        elif change.kind is Kind.COMMAND:
+            self.drive[change.key] = change.value
+        self.configuration.update(change.configuration)
+
+
 def read(tables: Iterable[Table]) -> list[Entry]:
     """Return the rows of the last journal in these tables: from its `start` or `reset` on, in order.
 
     Raises:
-        ConfigError: there is no beginning, rows are missing, or a kind is unknown; the message says why.
+        ConfigError: there is no beginning, rows are missing, a kind is unknown, or a table is no journal's.
     """
     entries: list[Entry] = []
     for table in tables:
-        for row in table.rows:
-            if not (abs(row["time"]) <= _LONGEST_S and all(0 <= row[name] <= _MOST for name in ("sample", "sequence"))):
-                raise ConfigError(
-                    f"journal row {len(entries)} is damaged: time must be within {_LONGEST_S:g} s, sample and sequence "
-                    f"0 to 2**53, got {row['time']!r}, {row['sample']!r}, {row['sequence']!r}"
-                )
-            stamp = table.stamp_ns + round(float(row["time"]) * NS_PER_S)
-            key, kind = bytes(row["key"]).decode(errors="replace"), bytes(row["kind"]).decode(errors="replace")
-            try:
-                known = Kind(kind)
-            except ValueError:
-                raise ConfigError(f"journal row of unknown kind {kind!r}") from None
-            sequence = int(row["sequence"])
-            if known in (Kind.START, Kind.RESET):
+        for entry in _entries(table):
+            if entry.kind in (Kind.START, Kind.RESET):
                 entries.clear()
-            if sequence != len(entries):
-                raise ConfigError(f"the journal is not whole: row {len(entries)} is missing (found {sequence})")
-            entries.append(
-                Entry(stamp, int(row["sample"]), sequence, known, key, float(row["value"]), bytes(row["text"]))
-            )
+            if entry.sequence != len(entries):
+                raise ConfigError(f"the journal is not whole: row {len(entries)} is missing (found {entry.sequence})")
+            entries.append(entry)
     if not entries:
         raise ConfigError("the journal is empty")
     return entries
+
+
+def _entries(table: Table) -> Iterator[Entry]:
+    """Yield the rows of a table.
+
+    Raises:
+        ConfigError: a row is damaged or of unknown kind.
+    """
+    try:
+        rows = codec.checked(table, topics.JOURNAL).rows
+    except CodecError as error:
+        raise ConfigError(str(error)) from error
+    for row in rows:
+        yield Entry.of(table, row)
 
 
 def values_of(entries: Iterable[Entry]) -> dict[str, Value]:

@@ -4,8 +4,8 @@
 
 from __future__ import annotations
 
-import itertools
 import math
+from collections import deque
 from collections.abc import Iterable, Iterator
 
 from impact_rig.blocks import Table
@@ -14,7 +14,7 @@ from impact_rig.instruments.fault import Fault
 from impact_rig.rig.block import Block
 from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.rig.core import Rig
-from impact_rig.rig.journal import RESULTS, Entry, Kind, read, values_of
+from impact_rig.rig.journal import RESULTS, Change, Kind, changes, read
 from impact_rig.rig.truth import TICKS_PER_S
 from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S
 
@@ -29,52 +29,75 @@ def resimulate(journal: Iterable[Table], base: RigConfig | None = None) -> Itera
     Raises:
         ConfigError: the journal is not whole or does not fit this version; the message says why.
     """
-    entries = read(journal)
-    first, rest = entries[0], entries[1:]
-    initial = list(itertools.takewhile(lambda entry: entry.kind is Kind.INITIAL, rest))
-    rig = Rig(from_flat(base or RigConfig(), values_of(initial)), first.stamp_ns)
-    for group in _changes(rest[len(initial) :]):
-        if group[0].kind is not Kind.FAULT:  # a fault was ordered ahead of the scan its row names
-            until_ns = rig.start_ns + _tick(group[0], rig) * COMMAND_GRID_NS
-            while rig.frontier_ns < until_ns:  # in parts: nobody knows how far away a damaged row is
-                yield from rig.advance(min(until_ns, rig.frontier_ns + NS_PER_S))
-        apply(rig, group)
-    while True:
-        yield from rig.advance(rig.block_end_ns(1))
+    yield from Resimulation(journal, base).blocks
 
 
-def apply(rig: Rig, group: list[Entry]) -> None:
-    """Give the rig, at its frontier, one input as journaled (several rows where it was a change of parameters)."""
-    entry = group[0]
-    if entry.kind is Kind.PARAMETER:
-        rig.configure(values_of(group))
-    elif entry.kind is Kind.COMMAND and entry.key == "frequency":
-        rig.accept(frequency_hz=entry.value)
-    elif entry.kind is Kind.COMMAND and entry.key == "current":
-        rig.accept(current_a=entry.value)
-    elif entry.kind is Kind.PLUCK:
-        rig.pluck(entry.value)
-    elif entry.kind is Kind.STOP:
+class Resimulation:
+    """The rig that wrote a journal, run again: see `resimulate`.
+
+    Attributes:
+        rig: the rig, ahead of the blocks that were taken.
+        blocks: its blocks, without end.
+        calibrations: `daq/info` whenever it became another one.
+        configurations: the configuration at the start and after each change.
+    """
+
+    def __init__(self, journal: Iterable[Table], base: RigConfig | None = None) -> None:
+        entries = read(journal)
+        inputs = deque(changes(entries[1:]))
+        initial = inputs.popleft().configuration if inputs and inputs[0].kind is Kind.INITIAL else {}
+        self.rig = Rig(from_flat(base or RigConfig(), initial), entries[0].stamp_ns)
+        self.calibrations: list[Table] = [self.rig.info()]
+        self.configurations: list[RigConfig] = [self.rig.config]
+        self._coming = inputs
+        self.blocks = self._run()
+
+    def finish(self, until_ns: int) -> None:
+        """Give the rig what its journal says up to an instant, at which it was reset."""
+        while self._coming and self._instant(self._coming[0]) <= until_ns:
+            next(self.blocks)
+
+    def _run(self) -> Iterator[Block]:
+        rig = self.rig
+        while self._coming:
+            change = self._coming[0]
+            if change.kind is not Kind.FAULT:  # a fault was ordered ahead of the scan its row names
+                until_ns = self._instant(change)
+                while rig.frontier_ns < until_ns:  # in parts: nobody knows how far away a damaged row is
+                    yield from rig.advance(min(until_ns, rig.frontier_ns + NS_PER_S))
+            apply(rig, self._coming.popleft())
+            if change.kind is Kind.PARAMETER:
+                self.configurations.append(rig.config)
+                info, before = rig.info(), self.calibrations[-1]
+                if (info.stamp_ns, info.rows.tobytes()) != (before.stamp_ns, before.rows.tobytes()):
+                    self.calibrations.append(info)
+        while True:
+            yield from rig.advance(rig.block_end_ns(1))
+
+    def _instant(self, change: Change) -> int:
+        """Return the instant of the command grid at which an input took effect: the tick whose first scan it names."""
+        return self.rig.start_ns + change.sample * TICKS_PER_S // self.rig.rate_hz * COMMAND_GRID_NS
+
+
+def apply(rig: Rig, change: Change) -> None:
+    """Give the rig, at its frontier, one input as journaled."""
+    if change.kind is Kind.PARAMETER:
+        rig.configure(change.configuration)
+    elif change.kind is Kind.COMMAND and change.key == "frequency":
+        rig.accept(frequency_hz=change.value)
+    elif change.kind is Kind.COMMAND and change.key == "current":
+        rig.accept(current_a=change.value)
+    elif change.kind is Kind.PLUCK:
+        rig.pluck(change.value)
+    elif change.kind is Kind.STOP:
         rig.stop()
-    elif entry.kind is Kind.CLEAR_TRIP:
+    elif change.kind is Kind.CLEAR_TRIP:
         rig.clear_trip()
-    elif entry.kind is Kind.FAULT:
-        rig.inject(Fault.from_journal(entry.key, entry.value, entry.text.decode(), entry.sample))
-    elif entry.kind is Kind.CLEAR_FAULT:
-        if not (math.isfinite(entry.value) and entry.value == int(entry.value)):
-            raise ConfigError(f"journal row {entry.sequence}: no fault has the number {entry.value!r}")
-        rig.clear_fault(None if entry.value < 0 else int(entry.value))
-    elif entry.kind not in RESULTS:
-        raise ConfigError(f"journal row {entry.sequence}: {entry.kind.value!r} cannot be in the middle of a journal")
-
-
-def _changes(entries: list[Entry]) -> Iterator[list[Entry]]:
-    """Group rows that were one change: a parameter and the `more` rows after it."""
-    changes = itertools.accumulate(entry.kind is not Kind.MORE for entry in entries)
-    for _, group in itertools.groupby(zip(changes, entries, strict=True), lambda numbered: numbered[0]):
-        yield [entry for _, entry in group]
-
-
-def _tick(entry: Entry, rig: Rig) -> int:
-    """Return the tick at which a row took effect: the one whose first scan it names."""
-    return entry.sample * TICKS_PER_S // rig.rate_hz
+    elif change.kind is Kind.FAULT:
+        rig.inject(Fault.from_journal(change.key, change.value, change.text, change.sample))
+    elif change.kind is Kind.CLEAR_FAULT:
+        if not (math.isfinite(change.value) and change.value == int(change.value)):
+            raise ConfigError(f"journal row {change.sequence}: no fault has the number {change.value!r}")
+        rig.clear_fault(None if change.value < 0 else int(change.value))
+    elif change.kind not in RESULTS:
+        raise ConfigError(f"journal row {change.sequence}: {change.kind.value!r} cannot be in the middle of a journal")

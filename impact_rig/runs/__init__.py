@@ -5,10 +5,7 @@
 from impact_rig.runs.contiguity import Contiguity, Gap, check_contiguity, scan_rate_hz
 from impact_rig.runs.exports import export
 from impact_rig.runs.info import RunInfo, TopicInfo, info
-from impact_rig.runs.recovery import recover
-from impact_rig.runs.recovery_record import Recovered
-from impact_rig.runs.recovery_report import FileReport, RecoverReport
-from impact_rig.runs.salvage import Damage
+from impact_rig.runs.recovery import Damage, FileReport, Recovered, RecoverReport, recover
 
 __all__ = [
     "Contiguity",

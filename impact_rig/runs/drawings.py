@@ -19,7 +19,7 @@ from impact_rig.drawing.style import style
 from impact_rig.errors import RecordingError
 from impact_rig.recording import Run
 from impact_rig.runs import reanalysis
-from impact_rig.runs.excerpt import Excerpt, calibration_rows, last_excerpt
+from impact_rig.runs.wholes import Excerpt, calibration_rows, last_excerpt
 from impact_rig.system import files
 
 if TYPE_CHECKING:

@@ -4,21 +4,27 @@
 
 from __future__ import annotations
 
+import contextlib
+import itertools
+from array import array
 from collections.abc import Mapping
 from pathlib import Path
 
 import attrs
+import numpy as np
+from numpy.typing import NDArray
 
 from impact_rig import codec, topics
 from impact_rig.errors import CodecError
-from impact_rig.recording import losses
+from impact_rig.recording import bag_metadata, losses
 from impact_rig.recording.description import matches
 from impact_rig.recording.provenance import CONFIGURATION
 from impact_rig.recording.reader import Message, Run, open_run
 from impact_rig.recording.records import DamageError
-from impact_rig.runs import recovery_record
+from impact_rig.recording.writer import CONTINUES_RECORD_NAME
+from impact_rig.runs import recovery
 from impact_rig.runs.contiguity import Contiguity, check_contiguity, scan_rate_hz
-from impact_rig.runs.recovery_record import Recovered
+from impact_rig.runs.recovery import Recovered
 from impact_rig.simtime import NS_PER_S
 
 
@@ -126,14 +132,17 @@ def info(path: Path | str) -> RunInfo:
             provenance = run.provenance
             attachments = run.attachments()
             account = losses.read_record(run.record(losses.RECORD_NAME))
-            recovered = recovery_record.read(run.record(recovery_record.NAME))
+            recovered = recovery.read_record(run.record(recovery.RECORD_NAME))
             for message in run.messages(recorded_order=True):
                 tally.add(message)
         except DamageError as error:
             problem = str(error)
-        scans = check_contiguity(tally.blocks, tally.rate_hz) if tally.rate_hz else None
+        rate_hz = tally.rate_hz
+        scans = check_contiguity(tally.blocks, rate_hz) if rate_hz else None
         lost = losses.lost(account)
-        missing = [*_gaps(scans), *_losses(lost), *_unwritten(account, tally), *_left_out(recovered)]
+        missing = [*_absent_files(run), *_gaps(scans), *_losses(lost), *_left_out(recovered)]
+        if recovered is None:  # an account of what was recorded, not of what could be given back
+            missing += _unaccounted(account, tally)
         configuration = attachments.get(CONFIGURATION)
         return RunInfo(
             path=run.path,
@@ -141,7 +150,7 @@ def info(path: Path | str) -> RunInfo:
             start_ns=run.start_ns,
             end_ns=run.end_ns,
             topics=tally.topics(),
-            rate_hz=tally.rate_hz,
+            rate_hz=rate_hz,
             scans=scans,
             provenance=provenance,
             attachments={name: len(data) for name, data in attachments.items()},
@@ -150,16 +159,20 @@ def info(path: Path | str) -> RunInfo:
             accounted=bool(account),
             recovered=recovered,
             intact=not problem and not missing,
-            verdict=problem or _verdict(scans, missing, accounted=bool(account), recovered=recovered is not None),
+            verdict=problem
+            or _verdict(tally, scans, missing, accounted=bool(account), recovered=recovered is not None),
         )
 
 
-def _verdict(scans: Contiguity | None, missing: list[str], *, accounted: bool, recovered: bool) -> str:
+def _verdict(tally: _Tally, scans: Contiguity | None, missing: list[str], *, accounted: bool, recovered: bool) -> str:
     """Return the sentence; only a run whose recorder kept account and missed nothing is called whole."""
     begin = "recovered: every checksum fits" if recovered else "every checksum fits"
     if missing:
         return f"{begin}, but {'; '.join(missing)}"
-    found = f"{scans.blocks} blocks of {topics.SCAN.name} without a gap" if scans else f"there is no {topics.SCAN.name}"
+    found = f"there is no {topics.SCAN.name}"
+    if tally.blocks:
+        judged = "without a gap" if scans else "whose rate is not known, so that nobody can tell whether one is missing"
+        found = f"{len(tally.blocks)} blocks of {topics.SCAN.name} {judged}"
     if recovered:
         return f"{begin}, {found}; what the recorder had missed is not known"
     if not accounted:
@@ -184,12 +197,50 @@ def _losses(lost: Mapping[str, int]) -> list[str]:
     return ["messages were lost on the way to the recorder: " + ", ".join(f"{n} of {name}" for name, n in lost.items())]
 
 
-def _unwritten(account: Mapping[str, list[losses.Stream]], tally: _Tally) -> list[str]:
-    """Return what the recorder received and the files do not hold."""
-    received = {name: sum(stream.received for stream in streams) for name, streams in account.items()}
-    held = {topic.name: topic.count for topic in tally.topics()}
-    short = [f"{n - held.get(name, 0)} of {name}" for name, n in received.items() if n > held.get(name, 0)]
-    return [f"messages that were received are not in it: {', '.join(short)}"] if short else []
+def _absent_files(run: Run) -> list[str]:
+    """Return which files of a run are not there, as far as the others tell."""
+    last = run.sources[-1]
+    follows = [content.get("file", "") for name, content in last.metadata() if name == CONTINUES_RECORD_NAME]
+    missing = [f"{last.path.name} is not the last file of its run: {follows[-1]} is missing"] if follows else []
+    if run.path.is_dir() and not (run.path / bag_metadata.FILE_NAME).exists():
+        missing.append(f"{bag_metadata.FILE_NAME}, which a finished run has, is missing")
+    return missing
+
+
+def _unaccounted(account: Mapping[str, list[losses.Stream]], tally: _Tally) -> list[str]:
+    """Return where the files and the account of the recorder contradict each other, message by message."""
+    short, twice, untold = [], [], []
+    for name, numbers in tally.sequences.items():
+        streams = account.get(name)
+        if streams is None:
+            untold += [name] if account and len(numbers) else []
+            continue
+        received = sum(stream.received for stream in streams)
+        again, absent = _compared(np.frombuffer(numbers, np.uint64), streams)
+        absent = max(absent, received - len(numbers))
+        short += [f"{absent} of {name}"] if absent > 0 else []
+        again = max(again, len(numbers) - received)
+        twice += [f"{again} of {name}"] if again > 0 else []
+    for name, streams in account.items():
+        if name not in tally.sequences and any(stream.received for stream in streams):
+            short.append(f"{sum(stream.received for stream in streams)} of {name}")
+    said = {"messages that were received are not in it": short, "messages are in it twice": twice}
+    said["its recorder kept no account of"] = untold
+    return [f"{what}: {', '.join(which)}" for what, which in said.items() if which]
+
+
+def _compared(numbers: NDArray[np.uint64], streams: list[losses.Stream]) -> tuple[int, int]:
+    """Return how many messages are there more than once, and how many of those received are not there.
+
+    A file does not say who sent a message. So the numbers of a topic are held against all of its publishers together:
+    no number may be there more often than there are publishers that have sent it.
+    """
+    if any(not stream.first or stream.newest >= 2**32 for stream in streams):
+        return 0, 0  # messages without a number, publishers that were forgotten, numbers of which a part is kept
+    present, counts = np.unique(numbers, return_counts=True)
+    sent = sum(((present >= stream.first) & (present <= stream.newest)).astype(np.int64) for stream in streams)
+    again = int(np.maximum(counts - sent, 0).sum())
+    return again, again + sum(stream.received for stream in streams) - len(numbers)
 
 
 def _left_out(recovered: Recovered | None) -> list[str]:
@@ -214,8 +265,12 @@ class _Tally:
         self._types = {name: recorded.topic.type_name for name, recorded in run.topics.items()}
         self._counts = {name: _Count() for name in run.topics}
         self._scan_topics = {name for name in run.topics if matches(name, topics.SCAN.name)}
+        self._info_topics = {name for name in run.topics if matches(name, topics.INFO.name)}
+        self._rates: list[int] = []
+        self._from_times: int | None = None
         self.blocks: list[tuple[int, int]] = []
-        self.rate_hz: int | None = None
+        self.sequences = {name: array("Q") for name in run.topics}
+        """Numbers of the messages of every topic as their publishers gave them."""
 
     def add(self, message: Message) -> None:
         """Count one message; a block of scans is also noted with its stamp."""
@@ -224,8 +279,12 @@ class _Tally:
         count.last_ns = max(count.last_ns, message.log_time)
         count.count += 1
         count.bytes += len(message.data)
+        self.sequences[message.topic].append(message.sequence)
         if message.topic in self._scan_topics:
             self._add_block(message)
+        elif message.topic in self._info_topics:
+            with contextlib.suppress(CodecError):  # what no analysis understands says no rate
+                self._rates += codec.decode(message.data, topics.INFO).rows["rate"][:1].astype(int).tolist()
 
     def _add_block(self, message: Message) -> None:
         try:
@@ -233,8 +292,18 @@ class _Tally:
         except CodecError as error:
             raise DamageError(f"{message.topic} at {message.log_time} ns is no table: {error}") from error
         self.blocks.append((table.stamp_ns, len(table.rows)))
-        if self.rate_hz is None:
-            self.rate_hz = scan_rate_hz(table)
+        if self._from_times is None:
+            self._from_times = scan_rate_hz(table)
+
+    @property
+    def rate_hz(self) -> int | None:
+        """Scans per second: by the times in a block, by the calibration, or by the stamps of two blocks of one scan."""
+        found = self._from_times or next(iter(self._rates), None)
+        if found is None:
+            steps = [after[0] - one[0] for one, after in itertools.pairwise(self.blocks) if one[1] == 1]
+            least = min((step for step in steps if step > 0), default=0)
+            found = round(NS_PER_S / least) or None if least else None
+        return found
 
     def topics(self) -> tuple[TopicInfo, ...]:
         """Return the figures of every topic."""

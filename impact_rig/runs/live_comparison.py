@@ -9,18 +9,18 @@ from the first change on that both saw; before it, one of them has seen more, an
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Iterable, Sequence
 
 import attrs
 import numpy as np
 
-from impact_rig import codec, topics
+from impact_rig import topics
 from impact_rig.analysis.settings import TrackerSettings
 from impact_rig.analysis.tables import machine_of
 from impact_rig.analysis.words import Status
 from impact_rig.blocks import Table
 from impact_rig.recording import Run
-from impact_rig.recording.description import matches
 from impact_rig.runs import check_contiguity
 from impact_rig.simtime import NS_PER_S
 from impact_rig.system.machine import fingerprint
@@ -29,15 +29,38 @@ TOLERANCE = 1e-9
 """Relative, between machines that differ in the last bits."""
 ABSOLUTE = frozenset({"phase", "phase_uncertainty", "frequency_deviation", "thd", "spread"})
 """Columns that can be near zero beside what they were computed from: compared to 1e-9 of their unit."""
+EDGE = 2
+"""Measurements by which two topics of one analysis may differ at the begin and the end of a recording."""
 LAST_WORDS_S = 1.0
 """A recorder that stops first may miss what the analysis said of this last stretch, and of what it holds back."""
 
-_SETTINGS, _TABLE, _SCANS, _INFO = (
-    topics.ANALYSIS_SETTINGS.name,
-    topics.TRANSMISSIBILITY_TABLE.name,
-    topics.SCAN.name,
-    topics.INFO.name,
-)
+_TABLE = topics.TRANSMISSIBILITY_TABLE
+
+
+@attrs.frozen
+class Compared:
+    """What comparing one topic found.
+
+    Attributes:
+        topic: relative name.
+        count: rows or messages that were compared and agree.
+        difference: the first one; empty: none.
+        left_out: what could not be compared, and why; empty: nothing.
+        what: what was counted.
+    """
+
+    topic: str
+    count: int = 0
+    difference: str = ""
+    left_out: str = ""
+    what: str = "rows"
+
+    def __str__(self) -> str:
+        if self.difference:
+            return f"{self.topic}: {self.difference}"
+        if not self.count and self.left_out:
+            return f"{self.topic}: not compared: {self.left_out}"
+        return f"{self.topic}: {self.count} {self.what} agree" + (f"; {self.left_out}" if self.left_out else "")
 
 
 @attrs.frozen
@@ -51,6 +74,7 @@ class Comparison:
         elsewhere: whether the live analysis ran on another machine or with other libraries; None: not recorded.
         reason: the first difference, or why nothing could be compared; empty where all agrees.
         left_out: live and offline rows that could not be compared.
+        others: what came of comparing the other topics of the analysis.
     """
 
     same: bool | None
@@ -59,12 +83,16 @@ class Comparison:
     elsewhere: bool | None = None
     reason: str = ""
     left_out: tuple[int, int] = (0, 0)
+    others: tuple[Compared, ...] = ()
 
     def __str__(self) -> str:
         if self.same is None:
             return f"nothing to compare with: {self.reason}"
         live, offline = self.left_out
-        rest = f"; not compared: {live} live and {offline} rows found here, of data the other did not see"
+        rest = (
+            f"; rows made from scans that only one of the two saw are not compared: {live} of the live analysis, "
+            f"{offline} of this one"
+        )
         return self._sentence() + (rest if live or offline else "")
 
     def _sentence(self) -> str:
@@ -90,15 +118,23 @@ class _Row:
         return bool(self.values["status"] == Status.LOST_BLOCKS.value.encode())
 
 
-def compare(run: Run, offline: Iterable[Table]) -> Comparison:
-    """Compare the measurements of an offline analysis with those the live one published.
+def compare(run: Run, offline: Iterable[Table], impacts: Iterable[Table] | None = None) -> Comparison:
+    """Compare what an offline analysis found with what the live one published.
+
+    Args:
+        run: an open run.
+        offline: measurements found in it.
+        impacts: impacts found in it; None: they are not compared.
 
     Raises:
-        RecordingError: the run is damaged.
+        RecordingError: the run is damaged, or a table in it is none of its topic.
     """
-    if not any(matches(name, _TABLE) for name in run.topics):
+    calibration = next(run.tables(topics.INFO), None) if run.holds(topics.INFO) else None
+    if calibration is None or not len(calibration.rows):
+        return Comparison(None, reason=f"no {topics.INFO.name} is in this run")
+    if not run.holds(_TABLE):
         return Comparison(None, reason="no live results are in this run")
-    rate_hz = round(float(next(run.tables(_INFO)).rows["rate"][0]))
+    rate_hz = round(float(calibration.rows["rate"][0]))
     blocks, tables = _recorded(run)
     live = _rows(tables, rate_hz)
     if not live:
@@ -113,11 +149,18 @@ def compare(run: Run, offline: Iterable[Table]) -> Comparison:
     left_out = len(live) - len(theirs), len(ours) - len(found)
     if not theirs:
         return Comparison(None, reason="live analysis and recording saw no change from the same data on")
-    machines = {machine for table in _settings(run) if (machine := machine_of(table)) is not None}
+    settings = run.tables(topics.ANALYSIS_SETTINGS) if run.holds(topics.ANALYSIS_SETTINGS) else ()
+    machines = {machine for table in settings if (machine := machine_of(table)) is not None}
     elsewhere = machines != {fingerprint()} if machines else None
     late = data_end - round((TrackerSettings().hold_s + LAST_WORDS_S) * rate_hz)
     reason, identical = _difference(theirs, found, late, exact=elsewhere is False)
-    return Comparison(not reason, identical and not reason, len(theirs), elsewhere, reason, left_out)
+    others = [_plotted(run, live)]
+    if impacts is not None:
+        ends = [cut for cut in [*our_cuts[1:], *live_cuts[1:]] if cut > data_begin]
+        span = max(data_begin, live_cuts[0]) + round(LAST_WORDS_S * rate_hz), min([late, *ends])
+        others.append(_impacts(run, impacts, rate_hz, span))
+    reason = reason or next((str(one) for one in others if one.difference), "")
+    return Comparison(not reason, identical and not reason, len(theirs), elsewhere, reason, left_out, tuple(others))
 
 
 def _recorded(run: Run) -> tuple[list[tuple[int, int]], list[Table]]:
@@ -125,20 +168,84 @@ def _recorded(run: Run) -> tuple[list[tuple[int, int]], list[Table]]:
 
     What a latched topic hands to a recorder that comes was measured before its first scan.
     """
-    scans, name = run.resolve(_SCANS), run.resolve(_TABLE)
+    scans, name = run.resolve(topics.SCAN.name), run.resolve(_TABLE.name)
     blocks: list[tuple[int, int]] = []
     tables: list[Table] = []
     for message in run.messages((scans, name), recorded_order=True):
-        table = codec.decode(message.data)
         if message.topic == scans:
+            table = run.table(message)
             blocks.append((table.stamp_ns, len(table.rows)))
-        elif blocks and table.stamp_ns >= blocks[0][0]:
-            tables.append(table)
+        else:
+            table = run.table(message, _TABLE)
+            if blocks and table.stamp_ns >= blocks[0][0]:
+                tables.append(table)
     return blocks, tables
 
 
-def _settings(run: Run) -> Iterable[Table]:
-    return run.tables(_SETTINGS) if any(matches(name, _SETTINGS) for name in run.topics) else ()
+def _plotted(run: Run, live: Sequence[_Row]) -> Compared:
+    """Compare the settled values for plotters with the rows they come from."""
+    name = topics.TRANSMISSIBILITY.name
+    if not run.holds(name):
+        return Compared(name, left_out="it is not in this run")
+    shown = [_number(message.data) for message in run.messages([name], recorded_order=True)]
+    settled = [float(row.values["transmissibility"]) for row in live if row.values["settled"] == 1.0]
+    if not shown or not settled:
+        return Compared(name, left_out="nothing settled in this run")
+    # the two topics do not begin and end with the same measurement where a recorder came or went
+    shift = next((k for k in range(-EDGE, EDGE + 1) if _agree(shown, settled, k)), None)
+    if shift is None:
+        return Compared(name, difference=f"its values are not those of the settled rows of {_TABLE.name}")
+    return Compared(name, min(len(shown), len(settled)), what="values")
+
+
+def _agree(shown: Sequence[float], settled: Sequence[float], shift: int) -> bool:
+    """Return whether values are the same where both are, `shown` beginning `shift` later; the ends may differ."""
+    ours, theirs = shown[max(0, -shift) :], settled[max(0, shift) :]
+    both = min(len(ours), len(theirs))
+    return both > 0 and abs(len(ours) - len(theirs)) <= EDGE and ours[:both] == theirs[:both]
+
+
+def _number(cdr: bytes | memoryview) -> float:
+    """Return the number in a serialized std_msgs/Float64; NaN where there is none."""
+    return float(np.frombuffer(cdr, "<f8", 1, 4)[0]) if len(cdr) >= 12 else math.nan
+
+
+def _impacts(run: Run, offline: Iterable[Table], rate_hz: int, span: tuple[int, int]) -> Compared:
+    """Compare the detected impacts of the scans in `span`, which both sides have seen.
+
+    Peaks are compared to `TOLERANCE`: what the filter remembers of the scans before depends on where each side began.
+    """
+    name = topics.IMPACTS.name
+    if not run.holds(topics.IMPACTS):
+        return Compared(name, left_out="it is not in this run")
+    live, ours = (
+        [(scan, row) for scan, row in _instants(tables, rate_hz) if span[0] <= scan <= span[1]]
+        for tables in (run.tables(topics.IMPACTS), offline)
+    )
+    for count, ((scan, theirs), (found, here)) in enumerate(zip(live, ours, strict=False)):
+        where = f"at {min(scan, found) / rate_hz:.6f} s"
+        if scan != found:
+            return Compared(name, count, f"an impact {where} was found {'live' if scan < found else 'here'} only")
+        column = _different(theirs, here, exact=False)
+        if column:
+            return Compared(
+                name, count, f"{column} {where}: live {theirs[column].item()!r}, here {here[column].item()!r}"
+            )
+    if len(live) != len(ours):
+        longer, side = (live, "live") if len(live) > len(ours) else (ours, "here")
+        scan = longer[min(len(live), len(ours))][0]
+        return Compared(name, min(len(live), len(ours)), f"an impact at {scan / rate_hz:.6f} s was found {side} only")
+    return Compared(name, len(live), left_out="those of the first and last second are left out", what="impacts")
+
+
+def _instants(tables: Iterable[Table], rate_hz: int) -> list[tuple[int, np.void]]:
+    """Return the scan of each row and the row, in order."""
+    found = [
+        (_scan(table.stamp_ns + round(float(row["time"]) * NS_PER_S), rate_hz), row)
+        for table in tables
+        for row in table.rows
+    ]
+    return sorted(found, key=lambda one: one[0])
 
 
 def _rows(tables: Iterable[Table], rate_hz: int) -> list[_Row]:

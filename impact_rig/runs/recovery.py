@@ -3,30 +3,425 @@
 """Gives back what is whole in a run that was cut short or damaged: a new run, index and statistics complete.
 
 Only messages whose chunk fits its checksum are handed out, only attachments that fit theirs, only metadata that carries
-one: everything in the result is as it was recorded. What is left out is listed.
+one: everything in the result is as it was recorded. What is left out is listed, and counted where anything tells how
+much it was.
+
+A damaged file is walked record by record (`DamagedFile`). A record is believed only if its own lengths agree with each
+other and with the file. Where they do not, the walk looks for the next place that is built like a chunk, an attachment
+or metadata and goes on there. The work grows in proportion to the file, whatever it holds: the search never goes back,
+and a chunk whose content is damaged is stepped over.
 """
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterable, Iterator
+import os
+import re
+import struct
+import zlib
+from collections.abc import Callable, Iterable, Iterator, Mapping, Set
 from pathlib import Path
+from types import TracebackType
 
-from impact_rig.errors import RecordingError
-from impact_rig.recording import bag_metadata, losses, mcap_source, provenance, records
-from impact_rig.recording.description import TopicDescription
+import attrs
+
+from impact_rig import codec, topics
+from impact_rig.errors import CodecError, RecordingError
+from impact_rig.recording import bag_metadata, losses, provenance, reader, records
+from impact_rig.recording.description import TopicDescription, matches
+from impact_rig.recording.mcap_file import FOLLOWS, TAIL_RECORD_NAME, TAIL_SUFFIX, tail_of
 from impact_rig.recording.provenance import Attachment, Provenance
 from impact_rig.recording.reader import run_files
-from impact_rig.recording.records import DamageError
-from impact_rig.recording.tail import FOLLOWS, tail_of
-from impact_rig.recording.tail import RECORD_NAME as TAIL_RECORD_NAME
+from impact_rig.recording.records import RECORD_HEAD, DamageError, RawMessage, Statistics
 from impact_rig.recording.writer import RunWriter
-from impact_rig.runs import recovery_record
-from impact_rig.runs.recovery_record import Recovered
-from impact_rig.runs.recovery_report import FileReport, RecoverReport
-from impact_rig.runs.salvage import Damage, DamagedFile, Found
+from impact_rig.runs.contiguity import check_contiguity, scan_rate_hz
+from impact_rig.simtime import NS_PER_S
+from impact_rig.system import budget
 from impact_rig.system.budget import BudgetError, Spending
 from impact_rig.system.endings import unhurried
+from impact_rig.system.files import open_regular
+
+_CHUNK_FIXED = struct.Struct("<QQQII")  # times, size, checksum, length of the compression's name
+_LONGEST_NAME = 16
+_CHUNK_HEAD_BYTES = RECORD_HEAD.size + _CHUNK_FIXED.size + _LONGEST_NAME + 8
+# opcode, length below 4 GiB, two times, size below 4 GiB, checksum, name of the compression
+_RECORD_PATTERN = re.compile(
+    rb"\x06.{4}\x00{4}.{16}.{4}\x00{4}.{4}(?:\x04\x00{3}zstd|\x03\x00{3}lz4|\x00{4})"
+    # opcode, length below 16 MiB, name of metadata that this package writes
+    rb"|\x0c.{3}\x00{5}[\x07-\x40]\x00{3}(?:rosbag2|impact_rig)"
+    # opcode, length below 4 GiB, two times, length of a short name and its first letter
+    rb"|\x09.{4}\x00{4}.{16}[\x01-\x7f]\x00{3}[!-~]",
+    re.DOTALL,
+)
+_PATTERN_BYTES = 64  # at least what the pattern can match
+_FIRST_WINDOW_BYTES = 4096  # doubled until the next chunk is found: many damages do not read the same bytes many times
+_LAST_WINDOW_BYTES = 8 * 2**20
+
+
+@attrs.frozen
+class Found:
+    """A structurally whole record: opcode, place in the file and length with its head."""
+
+    opcode: int
+    offset: int
+    length: int
+
+
+@attrs.frozen
+class Damage:
+    """A part of a file that is lost.
+
+    Attributes:
+        file: name of the file.
+        offset: where it begins [bytes].
+        length: how long it is [bytes].
+        reason: what does not fit.
+    """
+
+    file: str
+    offset: int
+    length: int
+    reason: str
+
+
+class DamagedFile:
+    """A file that may be cut short or damaged anywhere, opened for salvage; a context manager.
+
+    Raises:
+        RecordingError: it cannot be opened or read.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        try:
+            self._fd = open_regular(path)
+            self.size = os.fstat(self._fd).st_size
+        except OSError as error:
+            raise RecordingError(f"{path} cannot be opened: {error.strerror}") from error
+
+    def __enter__(self) -> DamagedFile:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        os.close(self._fd)
+
+    @property
+    def fd(self) -> int:
+        """The open file."""
+        return self._fd
+
+    def content(self, found: Found) -> memoryview:
+        """Return the content of a record."""
+        return memoryview(self._read(found.offset, found.length))[RECORD_HEAD.size :]
+
+    def walk(self) -> Iterator[Found | Damage]:
+        """Yield the records of the data section, and what lies between them where they do not follow each other."""
+        position = 0
+        if self._read(0, len(records.MAGIC)) == records.MAGIC:
+            position = len(records.MAGIC)
+        else:
+            yield Damage(self.path.name, 0, min(len(records.MAGIC), self.size), "it does not begin like an MCAP file")
+        while position < self.size:
+            try:
+                found = self._record_at(position)
+            except DamageError as error:
+                following = self._next_record(position + 1)
+                yield Damage(self.path.name, position, following - position, str(error))
+                position = following
+                continue
+            if found.opcode == records.DATA_END:
+                return
+            yield found
+            position += found.length
+
+    def _record_at(self, offset: int) -> Found:
+        head = self._read(offset, _CHUNK_HEAD_BYTES)
+        if len(head) < RECORD_HEAD.size:
+            raise DamageError("the file ends inside a record")
+        opcode, length = RECORD_HEAD.unpack_from(head)
+        if length > self.size - offset - RECORD_HEAD.size:
+            raise DamageError("the file ends inside a record, or the length of the record is damaged")
+        try:
+            budget.allow("bytes in a record", length, budget.CHUNK_BYTES + budget.MIB)
+        except BudgetError as error:
+            raise DamageError(str(error)) from error
+        found = Found(opcode, offset, RECORD_HEAD.size + length)
+        if opcode == records.CHUNK:
+            _check_chunk_head(head, length)
+        elif opcode in _CHECKS:
+            _CHECKS[opcode](self.content(found))
+        else:
+            raise DamageError(f"no record of an MCAP data section has the opcode {opcode}")
+        return found
+
+    def _next_record(self, start: int) -> int:
+        """Return the next offset from `start` built like a chunk, attachment or metadata; the file's size without."""
+        window, width = start, _FIRST_WINDOW_BYTES
+        while window < self.size:
+            data = self._read(window, width + _PATTERN_BYTES)
+            position = 0
+            while match := _RECORD_PATTERN.search(data, position):
+                if match.start() >= width:
+                    break  # the next window sees it whole
+                try:
+                    return self._record_at(window + match.start()).offset
+                except DamageError:
+                    position = match.start() + 1
+            window += width
+            width = min(2 * width, _LAST_WINDOW_BYTES)
+        return self.size
+
+    def _read(self, offset: int, length: int) -> bytes:
+        parts = []
+        try:
+            while length > 0 and (part := os.pread(self._fd, length, offset)):
+                parts.append(part)
+                offset += len(part)
+                length -= len(part)
+        except OSError as error:
+            raise RecordingError(f"{self.path} cannot be read at byte {offset}: {error.strerror}") from error
+        return b"".join(parts)
+
+
+def _check_chunk_head(head: bytes, length: int) -> None:
+    fixed = _CHUNK_FIXED.size
+    if length < fixed + 8 or len(head) < RECORD_HEAD.size + fixed + 8:
+        raise DamageError("a chunk is too short")
+    _, _, _, _, name_length = _CHUNK_FIXED.unpack_from(head, RECORD_HEAD.size)
+    at = RECORD_HEAD.size + fixed + name_length
+    if name_length > _LONGEST_NAME or at + 8 > len(head):
+        raise DamageError("the name of a chunk's compression is too long")
+    data_length = int.from_bytes(head[at : at + 8], "little")
+    if data_length + fixed + name_length + 8 != length:
+        raise DamageError("the lengths of a chunk contradict each other")
+
+
+def _check_message(content: memoryview) -> None:
+    records.Fields(content).take(22)
+
+
+def _check_data_end(content: memoryview) -> None:
+    fields = records.Fields(content)
+    fields.u4()
+    fields.end()
+
+
+_CHECKS: Mapping[int, Callable[[memoryview], object]] = {
+    records.HEADER: records.parse_header,
+    records.SCHEMA: records.parse_schema,
+    records.CHANNEL: records.parse_channel,
+    records.MESSAGE: _check_message,
+    records.MESSAGE_INDEX: records.parse_message_index,
+    records.ATTACHMENT: records.parse_attachment,
+    records.METADATA: records.parse_metadata,
+    records.DATA_END: _check_data_end,
+}
+
+
+_MAX_LISTED = 1000
+
+
+@attrs.define
+class FileReport:
+    """What came out of one file, its tail included.
+
+    Attributes:
+        name: of the file.
+        size: its bytes.
+        messages: messages given back.
+        chunks: whole chunks they came from.
+        expected: what the file's index counts; None: it has none that can be believed.
+        lost_bytes: bytes that are left out.
+    """
+
+    name: str
+    size: int
+    messages: int = 0
+    chunks: int = 0
+    expected: Statistics | None = None
+    lost_bytes: int = 0
+    _blocks: list[tuple[int, int]] = attrs.field(factory=list)
+    _rate_hz: int | None = None
+    _first_ns: int | None = None
+    _last_ns: int = 0
+
+    def expect(self, statistics: Statistics) -> None:
+        """Note what the index counts."""
+        self.expected = statistics
+
+    def count(self, topic: TopicDescription, message: RawMessage) -> None:
+        """Count a message that is given back."""
+        self.messages += 1
+        time_ns = message.log_time
+        self._first_ns = time_ns if self._first_ns is None else min(self._first_ns, time_ns)
+        self._last_ns = max(self._last_ns, time_ns)
+        if matches(topic.name, topics.SCAN.name):
+            try:
+                table = codec.decode(message.data)
+            except CodecError:
+                return
+            self._blocks.append((table.stamp_ns, len(table.rows)))
+            self._rate_hz = self._rate_hz or scan_rate_hz(table)
+
+    @property
+    def missing_messages(self) -> int | None:
+        """Messages that the index counts and that are not given back; None without an index."""
+        return None if self.expected is None else max(0, self.expected.message_count - self.messages)
+
+    @property
+    def given_s(self) -> float:
+        """Scans given back [s of rig time]."""
+        return sum(length for _, length in self._blocks) / self._rate_hz if self._rate_hz else 0.0
+
+    @property
+    def missing_s(self) -> float | None:
+        """Scans missing between those given back, and time before and after them [s]; None without an index."""
+        if self.expected is None:
+            return None
+        if self._first_ns is None:
+            return (self.expected.end_ns - self.expected.start_ns) / NS_PER_S
+        outside = self._first_ns - self.expected.start_ns + self.expected.end_ns - self._last_ns
+        inside = check_contiguity(self._blocks, self._rate_hz).lost_scans / self._rate_hz if self._rate_hz else 0.0
+        return inside + max(0, outside) / NS_PER_S
+
+
+@attrs.define
+class RecoverReport:
+    """What `recover` found.
+
+    Attributes:
+        directory: the new run.
+        files: what came out of each file.
+        damages: what is left out and why, in order (at most 1000 are listed).
+        damage_count: how many there are.
+        account: what reading has cost.
+    """
+
+    directory: Path
+    files: list[FileReport] = attrs.field(factory=list)
+    damages: list[Damage] = attrs.field(factory=list)
+    damage_count: int = 0
+    account: Spending = attrs.field(factory=lambda: Spending(0), repr=False)
+
+    @property
+    def messages(self) -> int:
+        """Messages given back."""
+        return sum(file.messages for file in self.files)
+
+    @property
+    def chunks(self) -> int:
+        """Whole chunks they came from."""
+        return sum(file.chunks for file in self.files)
+
+    @property
+    def expected_messages(self) -> int | None:
+        """How many there were, if the index of every file tells; None otherwise."""
+        counts = [None if file.expected is None else file.expected.message_count for file in self.files]
+        known = [count for count in counts if count is not None]
+        return sum(known) if len(known) == len(counts) else None
+
+    @property
+    def missing_messages(self) -> int | None:
+        """How many of them are not given back; None where an index is missing."""
+        return None if self.expected_messages is None else max(0, self.expected_messages - self.messages)
+
+    @property
+    def lost_bytes(self) -> int:
+        """Bytes that are left out."""
+        return sum(file.lost_bytes for file in self.files)
+
+    @property
+    def complete(self) -> bool:
+        """Whether nothing is known to be missing; a run that was never finished has no index to tell."""
+        return self.damage_count == 0 and not self.missing_messages
+
+    def file(self, path: Path) -> FileReport:
+        """Return the report of a file, which begins with this."""
+        found = FileReport(path.name, path.stat().st_size)
+        self.files.append(found)
+        return found
+
+    def note(self, damage: Damage) -> None:
+        """Count and list a damage."""
+        self.damage_count += 1
+        for file in self.files:
+            if file.name == damage.file.removesuffix(TAIL_SUFFIX):
+                file.lost_bytes += damage.length
+        if len(self.damages) < _MAX_LISTED:
+            self.damages.append(damage)
+
+    def heal(self, file: str, offset: int) -> None:
+        """Take back the damage that begins at `offset`: what was lost there is found elsewhere."""
+        for damage in self.damages:
+            if (damage.file, damage.offset) == (file, offset):
+                self.damages.remove(damage)
+                self.damage_count -= 1
+                for report in self.files:
+                    if report.name == file:
+                        report.lost_bytes -= damage.length
+                return
+
+
+RECORD_NAME = "impact_rig/recovered"
+"""Metadata record of a run that `recover` has written."""
+
+
+@attrs.frozen
+class Recovered:
+    """What a recovery has left out.
+
+    Attributes:
+        source: name of the run that was damaged or unfinished.
+        damages: places that were left out.
+        lost_bytes: how large they were.
+        missing_messages: messages the damaged run's index counts and that are not given back; None: it has no index.
+        unfinished: whether the damaged run was never finished, so that nobody knows what it should have held.
+    """
+
+    source: str
+    damages: int
+    lost_bytes: int
+    missing_messages: int | None
+    unfinished: bool
+
+    @property
+    def incomplete(self) -> bool:
+        """Whether anything is known to be left out."""
+        return self.damages > 0 or bool(self.missing_messages)
+
+    def to_record(self) -> dict[str, str]:
+        """Return the content of the metadata record."""
+        missing = "" if self.missing_messages is None else str(self.missing_messages)
+        return {
+            "source": self.source,
+            "damages": str(self.damages),
+            "lost_bytes": str(self.lost_bytes),
+            "missing_messages": missing,
+            "unfinished": str(int(self.unfinished)),
+        }
+
+
+def read_record(record: Mapping[str, str]) -> Recovered | None:
+    """Return what `Recovered.to_record` wrote; None for a run that was not recovered, which has no such record.
+
+    Raises:
+        DamageError: the record holds something else.
+    """
+    if not record:
+        return None
+    try:
+        missing = record["missing_messages"]
+        return Recovered(
+            record["source"],
+            int(record["damages"]),
+            int(record["lost_bytes"]),
+            int(missing) if missing else None,
+            record["unfinished"] == "1",
+        )
+    except (KeyError, ValueError) as error:
+        raise DamageError(f"the metadata record {RECORD_NAME!r} cannot be understood: {error}") from error
 
 
 def recover(path: Path | str, out: Path | str, *, accept_unchecked: bool = False) -> RecoverReport:
@@ -62,7 +457,7 @@ def recover(path: Path | str, out: Path | str, *, accept_unchecked: bool = False
                         max_file_bytes=largest,
                         closing=lambda: {
                             losses.RECORD_NAME: accounts[-1] if accounts else {},
-                            recovery_record.NAME: _record(source, report).to_record(),
+                            RECORD_NAME: _record(source, report).to_record(),
                         },
                     )
                     for known in salvages:
@@ -110,11 +505,25 @@ def _bytes(files: Iterable[Path]) -> int:
     return sum(path.stat().st_size for file in files for path in (file, tail_of(file)) if path.exists())
 
 
+_Key = tuple[int, int, int, int, int]
+
+
+def _key(message: records.RawMessage) -> _Key:
+    """Return what tells a message of one file from every other."""
+    return message.channel_id, message.sequence, message.log_time, message.publish_time, zlib.crc32(message.data)
+
+
 class _Salvage:
     """One damaged file: first pass on construction (definitions, attachments, provenance), second for the messages."""
 
     def __init__(
-        self, path: Path, report: RecoverReport, *, accept_unchecked: bool, figures: FileReport | None = None
+        self,
+        path: Path,
+        report: RecoverReport,
+        *,
+        accept_unchecked: bool,
+        figures: FileReport | None = None,
+        topics: Mapping[int, TopicDescription] | None = None,
     ) -> None:
         self.path = path
         self.attachments: list[Attachment] = []
@@ -126,7 +535,7 @@ class _Salvage:
         self._report = report
         self._accept_unchecked = accept_unchecked
         self._schemas: dict[int, records.SchemaRecord] = {}
-        self._topics: dict[int, TopicDescription] = {}
+        self._topics: dict[int, TopicDescription] = dict(topics or {})
         with DamagedFile(path) as file:
             self._read_summary(file)
             for found in file.walk():
@@ -158,23 +567,46 @@ class _Salvage:
     def messages(self) -> Iterator[tuple[TopicDescription, records.RawMessage]]:
         """Yield the messages of all whole chunks in the order of the file, and those of the chunk that was open."""
         last = -1  # where the last whole chunk begins
+        newest: set[_Key] = set()  # what it holds
+        has_tail = os.path.lexists(tail_of(self.path))
         with DamagedFile(self.path) as file:
             for found in file.walk():
                 if isinstance(found, Found) and found.opcode == records.CHUNK:
-                    chunks = self.figures.chunks
-                    yield from self._messages(file, found)
-                    last = found.offset if self.figures.chunks > chunks else last
-        yield from self._open_chunk(last)
+                    chunks, held = self.figures.chunks, []
+                    for topic, message in self._messages(file, found):
+                        held += [_key(message)] if has_tail else []
+                        yield topic, message
+                    if self.figures.chunks > chunks:
+                        last, newest = found.offset, set(held)
+        if has_tail:
+            yield from self._open_chunk(last, newest)
 
-    def _open_chunk(self, last: int) -> Iterator[tuple[TopicDescription, records.RawMessage]]:
-        """Yield the messages of the tail, unless a chunk that begins no earlier than `last` has made it superfluous."""
+    def _open_chunk(self, last: int, newest: Set[_Key]) -> Iterator[tuple[TopicDescription, records.RawMessage]]:
+        """Yield the messages of the tail, unless the last whole chunk holds them: it makes the tail superfluous.
+
+        The tail says where the recording ended when its chunk began; where that is lost, its first message decides.
+
+        Args:
+            last: where the last whole chunk of the recording begins.
+            newest: what that chunk holds.
+        """
         tail = tail_of(self.path)
-        if not tail.exists():
-            return
-        follows = _Salvage(tail, RecoverReport(self._report.directory), accept_unchecked=False).follows
-        if follows is not None and follows > last:
-            self._report.heal(self.path.name, follows)  # the chunk itself may have been cut short in the writing
-            yield from _Salvage(tail, self._report, accept_unchecked=False, figures=self.figures).messages()
+        try:
+            found = _Salvage(tail, RecoverReport(self._report.directory), accept_unchecked=False, topics=self._topics)
+            if found.follows is None:
+                first = next(found.messages(), None)
+                superfluous = first is not None and _key(first[1]) in newest
+            else:
+                superfluous = found.follows <= last
+            if superfluous:
+                return
+            if found.follows is not None:
+                self._report.heal(self.path.name, found.follows)  # the chunk itself may have been cut in the writing
+            yield from _Salvage(
+                tail, self._report, accept_unchecked=False, figures=self.figures, topics=self._topics
+            ).messages()
+        except RecordingError as error:
+            self._report.note(Damage(tail.name, 0, 0, str(error)))
 
     def _messages(self, file: DamagedFile, found: Found) -> Iterator[tuple[TopicDescription, records.RawMessage]]:
         try:
@@ -201,10 +633,10 @@ class _Salvage:
 
     def _read_summary(self, file: DamagedFile) -> None:
         try:
-            summary = mcap_source.read_summary(file.fd, file.size)
-            self._topics.update(mcap_source.topics_of(summary))
-        except DamageError:
-            return
+            summary = reader.read_summary(file.fd, file.size)
+            self._topics.update(reader.topics_of(summary))
+        except (DamageError, BudgetError):
+            return  # the chunks say what they hold, and their bound is that of every reader
         self._schemas.update(summary.schemas)
         self.figures.expect(summary.statistics)
 
@@ -215,8 +647,19 @@ class _Salvage:
         schema = self._schemas.get(definition.schema_id)
         if schema is not None:
             text = schema.data.decode("utf-8", errors="replace")
-            topic = TopicDescription.from_channel(definition.topic, schema.name, text, definition.metadata)
-            self._topics[definition.id] = topic
+            self._know(
+                definition.id, TopicDescription.from_channel(definition.topic, schema.name, text, definition.metadata)
+            )
+
+    def _know(self, channel_id: int, topic: TopicDescription) -> None:
+        """Remember the topic of a channel.
+
+        Raises:
+            BudgetError: there are more topics than any reader takes.
+        """
+        if channel_id not in self._topics:
+            budget.allow("topics", len(self._topics) + 1, budget.TOPICS)
+        self._topics[channel_id] = topic
 
     def _take_attachment(self, file: DamagedFile, found: Found) -> None:
         attachment = records.parse_attachment(file.content(found))
@@ -237,19 +680,20 @@ class _Salvage:
         elif name == provenance.RECORD_NAME:
             self.provenance = Provenance.from_record(verified)
         elif name == provenance.TOPIC_RECORD_NAME:
-            self._take_topic(verified)
+            self._take_topic(found, verified)
         elif name == losses.RECORD_NAME:
             self.losses = verified
         elif name == TAIL_RECORD_NAME:
             with contextlib.suppress(KeyError, ValueError):
                 self.follows = int(verified[FOLLOWS])
 
-    def _take_topic(self, record: dict[str, str]) -> None:
+    def _take_topic(self, found: Found, record: dict[str, str]) -> None:
         try:
             topic = TopicDescription.from_channel(record["name"], record["type_name"], record["schema"], record)
-            self._topics.setdefault(int(record["id"]), topic)
-        except (KeyError, ValueError):
-            return
+            channel_id = int(record["id"])
+            self._know(channel_id, self._topics.get(channel_id, topic))
+        except (KeyError, ValueError, BudgetError) as error:
+            self._report.note(self._damage(found, f"the definition of a topic cannot be taken: {error}"))
 
     def _damage(self, found: Found, reason: str, *, length: int | None = None) -> Damage:
         return Damage(self.path.name, found.offset, found.length if length is None else length, reason)

@@ -1,11 +1,18 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""Prove a run: published = logged = re-simulated, or name the first difference."""
+"""Prove a run: published = logged = re-simulated, or name the first difference.
+
+Compared is what the rig publishes about itself: scans, the truth beside them, what was applied, the journal,
+calibration and configuration. Scans must be there from the first recorded one on; what else is missing counts where
+messages of its topic come before and after, since a recorder subscribes to one topic after the other.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import itertools
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import Any  # what a message holds
 
 import attrs
 import numpy as np
@@ -14,14 +21,32 @@ from numpy.typing import NDArray
 from impact_rig import codec, topics
 from impact_rig.arithmetic import ARITHMETIC
 from impact_rig.blocks import Table
-from impact_rig.errors import CommandError, ConfigError, RecordingError, SimulationError
-from impact_rig.recording import Run, arithmetic_of
-from impact_rig.rig import Block, Kind, resimulate
-from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S
+from impact_rig.errors import CodecError, CommandError, ConfigError, RecordingError, SimulationError
+from impact_rig.recording import CONFIGURATION, Message, Run, arithmetic_of
+from impact_rig.rig import Block, Kind
+from impact_rig.rig.changes import PLANNED
+from impact_rig.rig.config import RigConfig, from_flat, parse, to_flat
+from impact_rig.rig.description import robot_description
+from impact_rig.rig.journal import Entry, read, sampled
+from impact_rig.rig.resimulation import Resimulation
+from impact_rig.runs.live_comparison import Compared
+from impact_rig.runs.reanalysis import text_of
+from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S, stamp_ns
 
 _BEGINS = (Kind.START.value.encode(), Kind.RESET.value.encode())
 _NO_JOURNAL = (ConfigError, CommandError, SimulationError)
 """What a journal raises that is incomplete, or no rig's."""
+_LAST_WORDS_NS = NS_PER_S
+"""Topics overtake each other: what was published in this last stretch may not have reached the recorder."""
+_NOT_COMPARED = {
+    topics.CLOCK.name: "rig time, which the stamps hold",
+    "analysis": "made by the analysis: `impact-rig analyze` compares it",
+    "stepped_sine": "made by an operator from the measurements",
+    "client": "an input: the journal has what became of it",
+    "every node": "what nodes say about themselves",
+}
+"""Why a topic is not compared, by its name or publisher."""
+_MONITOR = "made for plotters from daq/scan, or not of a rig"
 
 
 @attrs.frozen
@@ -32,11 +57,13 @@ class Verification:
         identical: True, False, or None where the run cannot be verified.
         scans: scans that were compared.
         reason: the first difference, or why the run cannot be verified; empty when identical.
+        topics: what was compared and what could not be, topic by topic.
     """
 
     identical: bool | None
     scans: int
     reason: str = ""
+    topics: tuple[Compared, ...] = attrs.field(default=(), eq=False)
 
     def __str__(self) -> str:
         if self.identical is None:
@@ -47,48 +74,70 @@ class Verification:
 
 
 def verify(run: Run) -> Verification:
-    """Re-simulate a run from its journal and compare every scan, bit for bit; a start or reset begins a new journal.
+    """Re-simulate a run from its journal and compare all that the rig published; each start or reset begins a journal.
 
     Raises:
         RecordingError: the run holds no scans, or is damaged.
     """
     if arithmetic_of(run.provenance) not in ("", str(ARITHMETIC)):
         return Verification(None, 0, f"recorded with arithmetic {arithmetic_of(run.provenance)}, this is {ARITHMETIC}")
-    scans = run.tables(topics.SCAN.name, recorded_order=True)
+    run.resolve(topics.SCAN.name)
     try:
-        journals, first = _journals(run)
+        journals, first, foreign = _journals(run)
     except RecordingError as error:
         return Verification(None, 0, str(error))
     if not journals:
         return Verification(None, 0, "the journal is empty")
+    with contextlib.closing(_Beside(run, foreign)) as beside:
+        found = _verify_all(run, journals, first, beside)
+        compared = (Compared(topics.SCAN.name, found.scans, what="scans"), *beside.compared())
+    differences = [str(one) for one in compared if one.difference]
+    if found.identical and differences:
+        found = attrs.evolve(found, identical=False, reason=differences[0])
+    return attrs.evolve(found, topics=compared if found.identical is not None else ())
+
+
+def _verify_all(run: Run, journals: list[list[Table]], first: int, beside: _Beside) -> Verification:
     compared, rest = 0, None
+    scans = run.tables(topics.SCAN, recorded_order=True)
     for number, stretch in itertools.groupby(_assigned(scans, journals, first), key=lambda pair: pair[0]):
         if rest is not None and _is_missing(rest, journals[number][0].stamp_ns):
             return _missing(rest, compared)
-        found, rest = _verify(journals[number], (table for _, table in stretch))
+        following = journals[number + 1][0] if number + 1 < len(journals) else None
+        found, rest = _verify(journals[number], (table for _, table in stretch), beside, following)
         compared += found.scans
         if not found.identical:
             return attrs.evolve(found, scans=compared)
     return Verification(True, compared) if compared else Verification(None, 0, "the run holds no block of daq/scan")
 
 
-def _journals(run: Run) -> tuple[list[list[Table]], int]:
+def _journals(run: Run) -> tuple[list[list[Table]], int, int]:
     """Return the journals of a run, each from its start or reset on, and which of them the first scan belongs to.
 
-    Rows before the first start or reset are a journal without its beginning.
+    Rows before the first start or reset are a journal without its beginning. Messages that are no journal's, of
+    somebody else on the topic, are left out and counted: if they were ours, rows would be missing.
     """
     found: list[list[Table]] = []
-    for table in run.tables(topics.JOURNAL.name, recorded_order=True):
+    scan, journal = run.resolve(topics.SCAN.name), run.resolve(topics.JOURNAL.name)
+    begun, foreign, scans_seen, problem = 0, 0, False, None
+    for message in run.messages([scan, journal], recorded_order=True):
+        if message.topic == scan:
+            scans_seen = True
+            continue
+        try:
+            table = run.table(message, topics.JOURNAL)
+        except RecordingError as error:
+            foreign, problem = foreign + 1, problem or error
+            continue
+        begun += 0 if scans_seen else int(np.isin(table.rows["kind"], _BEGINS).sum())
         for rows in np.split(table.rows, np.flatnonzero(np.isin(table.rows["kind"], _BEGINS))):
             if len(rows) and (not found or rows["kind"][0] in _BEGINS):
                 found.append([])
             if len(rows):
                 found[-1].append(Table(table.stamp_ns, rows))
-    scan, journal = run.resolve(topics.SCAN.name), run.resolve(topics.JOURNAL.name)
-    both = run.messages([scan, journal], recorded_order=True)
-    early = itertools.takewhile(lambda message: message.topic == journal, both)
-    begun = sum(int(np.isin(codec.decode(message.data).rows["kind"], _BEGINS).sum()) for message in early)
-    return found, max(0, begun - 1)
+    if problem is not None and not found:
+        raise problem
+    return found, max(0, begun - 1), foreign
 
 
 def _assigned(scans: Iterable[Table], journals: list[list[Table]], first: int) -> Iterator[tuple[int, Table]]:
@@ -108,25 +157,43 @@ def _assigned(scans: Iterable[Table], journals: list[list[Table]], first: int) -
         yield number, table
 
 
-def _verify(journal: list[Table], scans: Iterator[Table]) -> tuple[Verification, Block | None]:
-    """Compare the blocks of one journal; return also the block that would come next."""
+def _verify(
+    journal: list[Table], scans: Iterator[Table], beside: _Beside, following: Table | None
+) -> tuple[Verification, Block | None]:
+    """Compare the blocks of one journal; return also the block that would come next.
+
+    Args:
+        journal: its tables.
+        scans: the blocks recorded.
+        beside: compares the other topics.
+        following: the first table of the next journal.
+    """
     compared = 0
     try:
-        blocks = resimulate(journal)
-        block = next(blocks)
+        again = beside.begin(journal)
+        block = next(again.blocks)
         for table in scans:
             while block.scan.stamp_ns < table.stamp_ns:  # the recorder came later than the rig's first block
                 if compared and not block.lost:
                     return _missing(block, compared), None
-                block = next(blocks)
+                beside.take(block)
+                block = next(again.blocks)
             difference = _difference(table, block.scan)
             if difference:
-                return Verification(False, compared, difference), None
+                return Verification(False, compared, f"{topics.SCAN.name}{difference}"), None
+            beside.take(block)
             compared += len(table.rows)
-            block = next(blocks)
+            block = next(again.blocks)
+        rest = block
+        by_reset = following is not None and following.rows["kind"][0] == Kind.RESET.value.encode()
+        reset_ns = following.stamp_ns if following is not None and by_reset else None
+        while reset_ns is not None and rest.lost and rest.end_ns <= reset_ns:  # withheld to the end
+            beside.take(rest)
+            rest = next(again.blocks)
+        beside.end(reset_ns, last=following is None)
     except _NO_JOURNAL as error:
         return Verification(None, compared, str(error)), None
-    return Verification(True, compared), block
+    return Verification(True, compared), rest
 
 
 def _is_missing(block: Block, reset_ns: int) -> bool:
@@ -143,29 +210,350 @@ def _missing(block: Block, compared: int) -> Verification:
 
 
 def _difference(logged: Table, again: Table) -> str:
-    """Return the first difference of two blocks (topic, stamp, sample, both values), or nothing."""
+    """Return the first difference of two tables (stamp, row, both values), or nothing."""
     if logged.stamp_ns != again.stamp_ns or len(logged.rows) != len(again.rows):
         return (
-            f"daq/scan: logged {len(logged.rows)} scans at {_s(logged.stamp_ns)} s, "
+            f": logged {len(logged.rows)} rows at {_s(logged.stamp_ns)} s, "
             f"re-simulated {len(again.rows)} at {_s(again.stamp_ns)} s"
         )
     for name in again.rows.dtype.names or ():
+        if name not in (logged.rows.dtype.names or ()):
+            return f" at {_s(logged.stamp_ns)} s: column {name!r} is missing"
         ours, theirs = again.rows[name], logged.rows[name]
         unequal = np.flatnonzero(_bits(ours) != _bits(theirs))
         if len(unequal):
             i = int(unequal[0])
-            return (
-                f"daq/scan at {_s(logged.stamp_ns)} s, sample {i}, {name}: "
-                f"logged {theirs[i]!r}, re-simulated {ours[i]!r}"
-            )
+            return f" at {_s(logged.stamp_ns)} s, sample {i}, {name}: logged {theirs[i]!r}, re-simulated {ours[i]!r}"
     return ""
 
 
 def _bits(column: NDArray[np.generic]) -> NDArray[np.generic]:
     """Return a column's bits as integers: NaN equals NaN, and 0.0 differs from -0.0."""
     packed = np.ascontiguousarray(column)
-    return packed.view(f"u{packed.dtype.itemsize}")
+    return packed if packed.dtype.kind == "S" else packed.view(f"u{packed.dtype.itemsize}")
 
 
 def _s(time_ns: int) -> str:
     return f"{time_ns // NS_PER_S}.{time_ns % NS_PER_S:09d}"
+
+
+class _Recorded:
+    """The recorded messages of one topic, walked beside what the re-simulation gives, both in order.
+
+    Args:
+        run: the run.
+        topic: that is compared.
+        read: returns stamp and content of a message.
+        differ: returns the first difference of two contents, recorded and re-simulated, or nothing.
+    """
+
+    def __init__(
+        self, run: Run, topic: topics.Topic, read: Callable[[Message], Any], differ: Callable[[Any, Any], str]
+    ) -> None:
+        self.topic, self._read, self._differ = topic, read, differ
+        self._messages = run.messages([topic.name] if run.holds(topic) else [], recorded_order=True)
+        self._path = run.path
+        self.count = self._outside = 0
+        self.difference = ""
+        self._last_ns = -(2**63)
+        self._absent_ns: int | None = None
+        self.coming: tuple[int, Any] | None = None
+        self._step()
+
+    def begin(self, start_ns: int, ended_ns: int) -> None:
+        """A journal begins at an instant; where that is before the end of the last one, a rig was started anew."""
+        if start_ns < ended_ns:
+            while self.coming is not None and self.coming[0] >= ended_ns:
+                self._outside += 1
+                self._step()
+        self._last_ns = start_ns
+
+    def expect(self, stamp_ns: int, content: Any, *, optional: bool = False) -> None:
+        """Compare the next message with what the re-simulation published at an instant; optional: if it is that."""
+        self._leave_out_before(stamp_ns)
+        if optional and (
+            self.coming is None or self.coming[0] != stamp_ns or self._differ(self.coming[1], content) != ""
+        ):
+            return
+        if self.coming is None or self.coming[0] > stamp_ns:
+            if self.coming is None and self.count:
+                self._absent_ns = stamp_ns if self._absent_ns is None else self._absent_ns
+            elif self.count:
+                self._differs(f" at {_s(stamp_ns)} s: the message is missing")
+        else:
+            self.compare(content)
+
+    def before(self, end_ns: int, first_ns: int) -> Iterator[int]:
+        """Yield the stamps of coming messages from one instant until before another; each is to be compared."""
+        self._leave_out_before(first_ns)
+        while self.coming is not None and self.coming[0] < end_ns and not self.difference:
+            yield self.coming[0]
+
+    def compare(self, content: Any) -> None:
+        """Compare the coming message, with nothing (None) where the re-simulation published none."""
+        assert self.coming is not None
+        stamp, recorded = self.coming
+        difference = "" if content is None else self._differ(recorded, content)
+        if content is None:
+            self._differs(f" at {_s(stamp)} s: no rig with this journal has published that")
+        elif difference:
+            self._differs(difference if difference.startswith((" at", ":")) else f" at {_s(stamp)} s: {difference}")
+        else:
+            self.count += 1
+        self._last_ns = stamp
+        self._step()
+
+    def end(self, end_ns: int, *, anew: bool, last: bool) -> None:
+        """The scans of a journal end at an instant: what is of before it and was not compared is nobody's.
+
+        Args:
+            end_ns: the instant.
+            anew: another rig comes, with stamps that go back: what comes may be of that.
+            last: the recording ends here.
+        """
+        if not anew and self.coming is not None and self.count and self._last_ns <= self.coming[0] < end_ns:
+            self.compare(None)
+        if self._absent_ns is not None and self._absent_ns < end_ns - _LAST_WORDS_NS * last:
+            self._differs(f" at {_s(self._absent_ns)} s: the message is missing")
+        self._absent_ns = None
+
+    def close(self) -> None:
+        """Read no more."""
+        self._messages.close()
+
+    def compared(self, present: bool) -> Compared:
+        """Return what came of it."""
+        while self.coming is not None:
+            self._outside += 1
+            self._step()
+        if not present:
+            return Compared(self.topic.name, left_out="it is not in this run")
+        rest = f"{self._outside} more are of times without a recorded scan" if self._outside else ""
+        return Compared(self.topic.name, self.count, self.difference, rest, "messages")
+
+    def _leave_out_before(self, stamp_ns: int) -> None:
+        while self.coming is not None and self.coming[0] < stamp_ns:
+            if self.count:
+                self.compare(None)
+                return
+            self._outside += 1
+            self._step()
+
+    def _differs(self, what: str) -> None:
+        self.difference = self.difference or what.lstrip(": ")
+
+    def _step(self) -> None:
+        self.coming = None
+        for message in self._messages:
+            try:
+                self.coming = self._read(message)
+            except (CodecError, RecordingError) as error:
+                self._differs(str(error))
+                continue
+            return
+
+
+class _Beside:
+    """Compares what the rig published beside its scans.
+
+    Args:
+        run: the run.
+        foreign: messages on `rig/journal` that were left out.
+    """
+
+    def __init__(self, run: Run, foreign: int) -> None:
+        self._run = run
+
+        def tables(topic: topics.Topic) -> _Recorded:
+            return _Recorded(run, topic, lambda message: _stamped(run.table(message, topic)), _difference)
+
+        self._applied, self._info = tables(topics.APPLIED), tables(topics.INFO)
+        self._impacts, self._faults = tables(topics.IMPACTS_TRUTH), tables(topics.FAULTS)
+        self._truth = tables(topics.TRUTH_SCAN)
+        self._joints = _Recorded(
+            run, topics.JOINT_STATES, lambda message: codec.joint_state(message.data), _joints_differ
+        )
+        self._journal = Compared(topics.JOURNAL.name, left_out=f"{foreign} messages are no journal's" * bool(foreign))
+        self._configurations: list[dict[str, object]] = []
+        self._descriptions: set[str] = set()
+        self._end_ns = 0
+
+    def begin(self, journal: list[Table]) -> Resimulation:
+        """Begin to re-simulate a journal."""
+        every_scan = self._truth.coming is not None or self._joints.coming is not None
+        entries = read(journal)
+        try:
+            self._again = Resimulation(journal, from_flat(RigConfig(), {"output.truth_scan": every_scan}))
+        except ConfigError:  # the truth of such long blocks has no place in a message
+            self._again = Resimulation(journal)
+        self._entries: list[Entry] = entries
+        self._made: list[Entry] = []
+        self._calibrations = 0
+        for one in self._ordered():
+            one.begin(entries[0].stamp_ns, self._end_ns)
+        return self._again
+
+    def take(self, block: Block) -> None:
+        """Compare what was published with a block, recorded or withheld."""
+        self._drain()
+        self._end_ns = block.end_ns
+        for recorded, table in ((self._impacts, block.impacts), (self._faults, block.faults)):
+            if table is not None:
+                recorded.expect(table.stamp_ns, table)
+        rate, start_ns = self._again.rig.rate_hz, self._again.rig.start_ns
+        for stamp in self._truth.before(block.end_ns, block.scan.stamp_ns):
+            self._truth.compare(block.truth if block.truth is not None and block.truth.stamp_ns == stamp else None)
+        for stamp in self._joints.before(block.end_ns, block.scan.stamp_ns):
+            scan = -(-(stamp - start_ns) * rate // NS_PER_S)
+            states = block.monitor[block.monitor_scans == scan - block.first_sample]
+            exact = stamp_ns(scan, rate, start_ns) == stamp and len(states)
+            self._joints.compare(states[0] if exact else None)
+
+    def end(self, reset_ns: int | None, *, last: bool) -> None:
+        """The blocks of a journal end: by a reset at an instant (None: otherwise), the last ones with the recording."""
+        if reset_ns is not None:
+            self._again.finish(reset_ns)
+            self._end_ns = reset_ns
+        self._drain()
+        for recorded in self._ordered():
+            recorded.end(self._end_ns, anew=not last and reset_ns is None, last=last)
+        self._compare_journal(reset_ns is not None)
+        for config in self._again.configurations:
+            self._configurations.append(_deciding(config))
+            self._descriptions.add(robot_description(config))
+
+    def compared(self) -> Iterator[Compared]:
+        """Yield what came of each topic of the run, compared or not."""
+        yield self._journal
+        known = {topics.SCAN.name, topics.JOURNAL.name}
+        for recorded in self._ordered():
+            known.add(recorded.topic.name)
+            yield recorded.compared(self._run.holds(recorded.topic))
+        yield self._compare_configuration()
+        yield self._compare_description()
+        known |= {topics.CONFIGURATION.name, topics.ROBOT_DESCRIPTION.name}
+        by_name = {topic.name: topic for topic in topics.TOPICS}
+        for name in self._run.topics:
+            relative = next((one for one in [*by_name, *known] if name == one or name.endswith(f"/{one}")), "")
+            if relative not in known:
+                publisher = by_name[relative].publisher if relative else ""
+                why = _NOT_COMPARED.get(relative, _NOT_COMPARED.get(publisher, _MONITOR))
+                yield Compared(relative or name, left_out=why)
+
+    def close(self) -> None:
+        """Read no more."""
+        for recorded in self._ordered():
+            recorded.close()
+
+    def _ordered(self) -> Sequence[_Recorded]:
+        return self._applied, self._info, self._truth, self._impacts, self._faults, self._joints
+
+    def _drain(self) -> None:
+        """Compare what inputs have caused since the last block."""
+        rig = self._again.rig
+        applied = rig.take_applied()
+        for table, after in itertools.zip_longest(applied, applied[1:]):
+            # two commands of one instant may have been given together, which publishes what both have led to
+            together = after is not None and after.stamp_ns == table.stamp_ns
+            self._applied.expect(table.stamp_ns, table, optional=together)
+        for table in self._again.calibrations[self._calibrations :]:
+            self._info.expect(table.stamp_ns, table)
+        self._calibrations = len(self._again.calibrations)
+        self._made += [Entry.of(table, row) for table in rig.take_journal() for row in table.rows]
+
+    def _compare_journal(self, whole: bool) -> None:
+        """Compare the rows that were recorded with those the re-simulation wrote; the first names version and kind."""
+        end = self._end_ns
+        # ordered ahead of its scan, a fault is compared only if the re-simulation has come to it
+        due = [e for e in self._entries if whole or e.stamp_ns < end]
+        count = 0
+        for recorded, made in zip(self._entries[1:], self._made[1:], strict=False):
+            if not recorded.same(made):
+                self._journal_differs(f"row {recorded.sequence} at {_s(recorded.stamp_ns)} s: {_words(recorded, made)}")
+                return
+            count += 1
+        reached = [e for e in due if e.kind is not Kind.FAULT]
+        if reached and reached[-1].sequence >= len(self._made):
+            extra = next(e for e in reached if e.sequence >= len(self._made))
+            self._journal_differs(
+                f"row {extra.sequence} at {_s(extra.stamp_ns)} s: no rig with this journal has written "
+                f"{extra.kind.value} {extra.key} {extra.value!r}"
+            )
+        elif len(self._made) > len(self._entries) and self._made[len(self._entries)].stamp_ns < end - _LAST_WORDS_NS:
+            missing = self._made[len(self._entries)]
+            self._journal_differs(f"the row {missing.kind.value} {missing.key} at {_s(missing.stamp_ns)} s is missing")
+        else:
+            self._journal = attrs.evolve(self._journal, count=self._journal.count + count + 1)
+
+    def _journal_differs(self, what: str) -> None:
+        self._journal = attrs.evolve(self._journal, difference=self._journal.difference or what)
+
+    def _compare_configuration(self) -> Compared:
+        """Compare each configuration that was published or attached with those the journal has led to."""
+        name = topics.CONFIGURATION.name
+        texts = [text_of(message.data) for message in self._run.messages([name])] if self._run.holds(name) else []
+        attached = self._run.attachments().get(CONFIGURATION)
+        count, found = 0, []
+        try:
+            found = [parse(text.encode()) for text in texts]
+            opened = None if attached is None else parse(attached)
+        except ConfigError as error:
+            return Compared(name, count, f"text {len(found)}: {error}")
+        self._descriptions |= {robot_description(config) for config in found}
+        published = [_deciding(config) for config in found]
+        for number, config in enumerate(published):
+            if config in self._configurations:
+                count += 1
+            elif count or number == len(published) - 1:  # else of before the first recorded scan
+                return Compared(name, count, f"text {number}: {self._unlike(config)}")
+        if opened is not None and _deciding(opened) not in [*published, *self._configurations]:
+            return Compared(name, count, f"attachment {CONFIGURATION}: {self._unlike(_deciding(opened))}")
+        if not texts:
+            return Compared(name, left_out="it is not in this run")
+        rest = f"{len(texts) - count} are of before the first scan" if count < len(texts) else ""
+        return Compared(name, count, left_out=rest, what="texts")
+
+    def _unlike(self, config: dict[str, object]) -> str:
+        """Return the first value that the journal does not explain."""
+        if not self._configurations:
+            return "no journal says what it was"
+        nearest = min(self._configurations, key=lambda one: sum(config[key] != one[key] for key in config))
+        key = next(key for key in config if config[key] != nearest[key])
+        return f"{key} is {config[key]!r}, which by the journal it never was"
+
+    def _compare_description(self) -> Compared:
+        name = topics.ROBOT_DESCRIPTION.name
+        if not self._run.holds(name):
+            return Compared(name, left_out="it is not in this run")
+        texts = [text_of(message.data) for message in self._run.messages([name])]
+        wrong = [text for text in texts if text not in self._descriptions]
+        return Compared(name, len(texts), "it is not that of the configuration" if wrong else "", what="texts")
+
+
+def _stamped(table: Table) -> tuple[int, Table]:
+    return table.stamp_ns, table
+
+
+def _joints_differ(recorded: tuple[NDArray[np.float64], ...], truth: np.void) -> str:
+    """Return which true quantity was not published as it was."""
+    push = truth["force_left"] - truth["force_right"]
+    wanted = (
+        [truth[name] for name in ("x_b", "x_1", "x_2")],
+        [truth[name] for name in ("v_b", "v_1", "v_2")],
+        [0.0, -push, push],
+    )
+    for what, found, values in zip(("position", "velocity", "effort"), recorded, wanted, strict=True):
+        true = np.array(values, np.float64)
+        if len(found) != len(true) or (_bits(found) != _bits(true)).any():
+            return f"{what}: logged {found.tolist()}, re-simulated {true.tolist()}"
+    return ""
+
+
+def _deciding(config: RigConfig) -> dict[str, object]:
+    """Return what of a configuration decides samples; planned faults are in the journal as they were injected."""
+    return {name: value for name, value in sampled(to_flat(config)).items() if name != PLANNED}
+
+
+def _words(recorded: Entry, made: Entry) -> str:
+    one, other = (f"{entry.kind.value} {entry.key} {entry.value!r} {entry.text!r}" for entry in (recorded, made))
+    return f"logged {one}, re-simulated {other}"

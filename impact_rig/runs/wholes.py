@@ -1,23 +1,170 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""What is measured of a run as a whole record, beside the live node's path: frequency response, sines, drop test."""
+"""What is measured of a run as a whole record, beside the live node's path: frequency response, sines, drop test.
+
+An excerpt is a stretch of contiguous scans that is drawn, or measured as one record.
+"""
 
 from __future__ import annotations
+
+import math
+import sys
+from collections import deque
+from collections.abc import Sequence
 
 import attrs
 import numpy as np
 from numpy.typing import NDArray
 
+from impact_rig import topics
 from impact_rig.analysis.drop import Drop, DropTest, parse_drop, restitution_of_drops
+from impact_rig.analysis.findings import Findings
 from impact_rig.analysis.frf import Frf, transmissibility_frf
 from impact_rig.analysis.sine import SineFit, fit_sine, fit_sine_frequency
 from impact_rig.analysis.transmissibility import Measurement, measure_record
 from impact_rig.analysis.words import Status
+from impact_rig.blocks import Table
 from impact_rig.errors import RecordingError
-from impact_rig.instruments.scan import channels_of
+from impact_rig.instruments.scan import SCAN, channels_of
 from impact_rig.recording import Run
-from impact_rig.runs.excerpt import Excerpt, calibration_rows, last_record
 from impact_rig.runs.reanalysis import remarks
+from impact_rig.simtime import NS_PER_S
+
+UNSETTLED_S = 5.0
+"""Length of what is drawn of a run in which nothing settled."""
+HELD_S = 0.5
+"""A measurement is reported at most this long after its last scan."""
+FEWEST_SCANS = 100
+MOST_SCANS = 20_000_000
+"""Of a record that is measured as one; 740 MB of scans."""
+
+
+@attrs.frozen(eq=False)
+class Excerpt:
+    """Contiguous scans that are drawn.
+
+    Attributes:
+        rows: scans (`daq/scan`), `time` [s since the first scan of the run], shape (n,).
+        rate_hz: scans per second.
+        drive_hz: drive frequency, 0 if unknown.
+        impact_times: of the impacts detected in it [s as the rows' time], shape (k,).
+        settled: whether it is a settled measurement; the end of the run otherwise.
+    """
+
+    rows: NDArray[np.void]
+    rate_hz: float
+    drive_hz: float
+    impact_times: NDArray[np.float64]
+    settled: bool
+
+    def newest(self, cycles: int) -> Excerpt:
+        """Return the last cycles of the drive; everything where there is none."""
+        scans = round(cycles / self.drive_hz * self.rate_hz) if self.drive_hz else len(self.rows)
+        rows = self.rows[-scans:]
+        return attrs.evolve(self, rows=rows, impact_times=self.impact_times[self.impact_times >= rows["time"][0]])
+
+    def __str__(self) -> str:
+        """Return for people which scans these are."""
+        where = "of the last settled measurement" if self.settled else "of the end of the run; nothing settled"
+        return f"{self.rows['time'][0]:.2f} s to {self.rows['time'][-1]:.2f} s, {where}"
+
+
+def last_excerpt(run: Run, found: Sequence[Findings]) -> Excerpt:
+    """Return the scans of the last settled measurement, or the last `UNSETTLED_S` of the run.
+
+    Raises:
+        RecordingError: too few contiguous scans.
+    """
+    settled = [
+        (number, table)
+        for number, one in enumerate(found)
+        for table in one.measurements
+        if table.rows["settled"][0] == 1.0
+    ]
+    rate_hz = float(calibration_rows(run)["rate"][0])
+    if settled:
+        last, measured = settled[-1][0], settled[-1][1]
+        drive_hz, end_ns = float(measured.rows["frequency"][0]), measured.stamp_ns
+        span_s = float(measured.rows["cycles"][0]) / drive_hz
+    else:
+        drive = [table.rows["frequency"][-1] for table in run.tables(topics.APPLIED.name, recorded_order=True)]
+        last, drive_hz, end_ns, span_s = sys.maxsize, float(drive[-1]) if drive else 0.0, None, UNSETTLED_S
+    first, origin_ns, tables = _newest_scans(run, last, span_s + HELD_S, rate_hz)
+    rows = _joined(tables, origin_ns) if tables else np.empty(0, SCAN)
+    if not len(rows):
+        raise RecordingError(f"{run.path} holds no scans to draw")
+    end_s = rows["time"][-1] if end_ns is None else (end_ns - origin_ns) / NS_PER_S
+    within = (rows["time"] > end_s - span_s) & (rows["time"] < end_s + 0.5 / rate_hz)
+    if np.count_nonzero(within) < FEWEST_SCANS:
+        raise RecordingError(
+            f"{run.path}: {np.count_nonzero(within)} scans without a gap at its end are too few to draw, "
+            f"at least {FEWEST_SCANS} are needed"
+        )
+    rows = rows[within]
+    impacts = [_joined(one.impacts, origin_ns)["time"] for one in found[first : last + 1] if one.impacts]
+    times = np.concatenate(impacts) if impacts else np.empty(0)
+    times = times[(times >= rows["time"][0]) & (times <= rows["time"][-1])]
+    return Excerpt(rows, rate_hz, drive_hz, times, settled=bool(settled))
+
+
+def last_record(run: Run) -> Excerpt:
+    """Return the last scans of a run without a gap, at most `MOST_SCANS`, whatever the drive did meanwhile.
+
+    Raises:
+        RecordingError: there are too few.
+    """
+    rate_hz = float(calibration_rows(run)["rate"][0])
+    _, origin_ns, tables = _newest_scans(run, sys.maxsize, MOST_SCANS / rate_hz, rate_hz)
+    rows = _joined(tables, origin_ns) if tables else np.empty(0, SCAN)
+    if len(rows) < FEWEST_SCANS:
+        raise RecordingError(
+            f"{run.path}: {len(rows)} scans without a gap at its end, at least {FEWEST_SCANS} are needed"
+        )
+    return Excerpt(rows, rate_hz, 0.0, np.empty(0), settled=False)
+
+
+def calibration_rows(run: Run) -> NDArray[np.void]:
+    """Return the newest rows of `daq/info`.
+
+    Raises:
+        RecordingError: there are none.
+    """
+    tables = list(run.tables(topics.INFO.name))
+    if not tables:
+        raise RecordingError(f"{run.path} holds no daq/info: what its scans mean is not known")
+    return tables[-1].rows
+
+
+def _newest_scans(run: Run, last: int, span_s: float, rate_hz: float) -> tuple[int, int, list[Table]]:
+    """Return the contiguous scans before block `last`: number and origin [ns] of their time, and the tables.
+
+    Origin is the first scan of the run, or that after the last reset.
+    """
+    kept: deque[Table] = deque()
+    first, origin_ns = 0, 0
+    for number, table in enumerate(run.tables(topics.SCAN.name, recorded_order=True)):
+        if number > last:
+            break
+        expected_ns = kept[-1].stamp_ns + len(kept[-1].rows) * NS_PER_S / rate_hz if kept else -math.inf
+        if abs(table.stamp_ns - expected_ns) > 0.5 * NS_PER_S / rate_hz:
+            if not kept or table.stamp_ns < kept[-1].stamp_ns:
+                first, origin_ns = number, table.stamp_ns
+            kept.clear()
+        kept.append(table)
+        while table.stamp_ns - kept[0].stamp_ns > span_s * NS_PER_S:
+            kept.popleft()
+    return first, origin_ns, list(kept)
+
+
+def _joined(tables: Sequence[Table], origin_ns: int) -> NDArray[np.void]:
+    """Return the rows of tables, one after the other, `time` since `origin_ns`."""
+    parts = []
+    for table in tables:
+        rows = table.rows.copy()
+        rows["time"] += (table.stamp_ns - origin_ns) / NS_PER_S
+        parts.append(rows)
+    return np.concatenate(parts)
+
 
 EXCITED = 0.9
 """Coherence from which a frequency counts as one that the drive excites."""

@@ -13,6 +13,14 @@ import os
 import tempfile
 from pathlib import Path
 
+PLACES = "impact_rig_places"
+"""Folder of the locks on places in the graph."""
+
+
+def place(domain_id: int, namespace: str) -> str:
+    """Return the name of the lock that a rig of a domain and namespace holds."""
+    return f"{domain_id}{namespace.replace('/', '.').rstrip('.')}"
+
 
 def hold(folder: str, name: str) -> int | None:
     """Return the descriptor that holds a lock, until it is closed; None: it is held, by this process or another.
@@ -31,6 +39,25 @@ def hold(folder: str, name: str) -> int | None:
         os.close(handle)
         return None
     return handle
+
+
+def holder(folder: str, name: str) -> int | None:
+    """Return the id of the process that holds a lock; None: nobody does, or there is no telling."""
+    try:
+        handle = _open(folder, name)
+    except OSError:
+        return None
+    try:
+        inode = os.fstat(handle).st_ino
+        for line in Path("/proc/locks").read_text(encoding="ascii").splitlines():
+            words = line.split()  # number: FLOCK ADVISORY WRITE process major:minor:inode begin end
+            if words[1] == "FLOCK" and words[5].rpartition(":")[2] == str(inode):
+                return int(words[4])
+    except (OSError, ValueError, IndexError):
+        return None
+    finally:
+        os.close(handle)
+    return None
 
 
 def can_hold(folder: str, name: str) -> bool:

@@ -25,7 +25,7 @@ def load(text: str, limit: int) -> object:
     """Return what a plain YAML text of at most `limit` characters holds.
 
     Raises:
-        PlainYamlError: it is longer, is no YAML, names a value twice, or is nested deeper than `MAX_DEPTH`.
+        PlainYamlError: it is longer, no YAML, has an alias, a key twice, or is nested deeper than `MAX_DEPTH`.
     """
     if len(text) > limit:
         raise PlainYamlError(f"it has more than {limit} characters")
@@ -52,7 +52,19 @@ class _Loader(Composer, _Fastest):  # type: ignore[misc]  # chosen at run time
         self._depth += 1
         node = Composer.compose_node(self, parent, index)
         self._depth -= 1
+        if isinstance(node, yaml.MappingNode):
+            _refuse_twice(node)
         return node
+
+
+def _refuse_twice(mapping: yaml.MappingNode) -> None:
+    """Refuse a key that is there twice: the later value would silently take the place of the first."""
+    seen = set()
+    for key, _ in mapping.value:
+        if isinstance(key, yaml.ScalarNode):
+            if (key.tag, key.value) in seen:
+                raise PlainYamlError(f"the key {key.value!r} is there twice, again in line {key.start_mark.line + 1}")
+            seen.add((key.tag, key.value))
 
 
 def _content(text: str) -> object:

@@ -9,7 +9,7 @@ import tracemalloc
 import attrs
 import numpy as np
 import pytest
-from kits.records import F_N, add_impacts, blocks, feed_all, info_rows, linear_transmissibility, words
+from kits.records import F_N, add_impacts, applied, blocks, feed_all, info_rows, linear_transmissibility, words
 from kits.tracker import RATE, record, tracker
 
 from impact_rig.analysis.settings import TrackerSettings
@@ -17,6 +17,7 @@ from impact_rig.analysis.transmissibility import measure_record
 from impact_rig.blocks import Table
 from impact_rig.errors import ConfigError
 from impact_rig.simtime import NS_PER_S
+from impact_rig.states import Analysis
 
 
 def test_a_settled_response_is_measured_window_after_window():
@@ -160,3 +161,25 @@ def test_settings_refuse_nonsense_by_name():
 def test_windows_that_never_fill_are_refused():
     with pytest.raises(ConfigError, match="windows must be <= long_windows = 32, got 40"):
         TrackerSettings(windows=40)
+
+
+def test_the_state_says_what_the_measurement_does_and_since_when():
+    """No scans, settling from the command on, measuring from the first row on, unable while the laser is stuck."""
+    made, rows = tracker(), record(seconds=30.0)
+    assert (made.state.word, made.state.since_ns) == (Analysis.NO_SCANS, None)
+    rows["laser"][20 * RATE :] = rows["laser"][20 * RATE]
+    tables, seen = list(blocks(rows, RATE, 20)), []
+    made.on_applied(applied(9.1, 0.0, at_ns=28 * NS_PER_S))
+    for table in (*tables[:1000], *tables[1010:]):
+        made.feed(table)
+        if not seen or seen[-1] != made.state:
+            seen.append(made.state)
+    found = [(state.word, state.reason) for state in seen]
+    assert found == [
+        (Analysis.AT_REST, ""),  # the command is known with the scans it acts on, which are held back at first
+        (Analysis.SETTLING, ""), (Analysis.MEASURING, ""), (Analysis.LOST_SCANS, "lost_blocks"),
+        (Analysis.MEASURING, ""), (Analysis.UNABLE, "constant"), (Analysis.AT_REST, ""),
+    ]  # fmt: skip
+    assert seen[1].since_ns == 0
+    assert seen[2].since_ns == (int(np.ceil(48 * RATE / 9.1)) - 1) * NS_PER_S // RATE
+    assert seen[-1].since_ns == 28 * NS_PER_S

@@ -82,3 +82,48 @@ def test_a_client_works_where_pytest_captures_what_is_printed(tmp_path: Path) ->
         "-s",
     )
     assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_what_was_given_to_a_rig_is_over_when_it_is_silent_or_another_one_has_begun() -> None:
+    pytest.importorskip("rclpy", reason="no ROS 2 here")
+    from impact_rig.client.waiting import GONE_S, Activation, RigGoneError
+
+    now = 0.0
+    rig = Activation(lambda: now)
+    unknown = rig.given("a command")
+    now = 100.0
+    unknown()  # nobody was ever heard: it may still be starting
+    rig.heard("one", sent_ns=1)
+    unknown()
+    check = rig.given("a command")
+    now += 0.99 * GONE_S
+    check()
+    now += 0.02 * GONE_S
+    with pytest.raises(RigGoneError, match="a command: the rig it was given to is gone, nothing was heard"):
+        check()
+    with pytest.raises(RigGoneError):
+        rig.given("the next")()
+    rig.heard("one", sent_ns=2)  # it was only slow
+    patient = rig.given("a law to compile", 1e9)
+    now += 10.0 * GONE_S
+    patient()
+    rig.heard("two", sent_ns=3)
+    with pytest.raises(RigGoneError, match="another one has begun"):
+        patient()
+    rig.given("a command to the second")()
+
+
+def test_a_rig_that_the_user_has_seen_start_is_the_one_that_is_meant() -> None:
+    pytest.importorskip("rclpy", reason="no ROS 2 here")
+    from impact_rig.client.waiting import Activation, RigGoneError
+
+    rig = Activation(lambda: 0.0)
+    rig.heard("one", sent_ns=1)
+    rig.changed()
+    check = rig.given("a command")
+    rig.heard("one", sent_ns=2)  # sent before: it lay in a queue
+    rig.heard("two", sent_ns=time.time_ns())
+    check()
+    rig.heard("three", sent_ns=time.time_ns())
+    with pytest.raises(RigGoneError):
+        check()

@@ -5,9 +5,11 @@
 from __future__ import annotations
 
 import functools
+import struct
 import time
 from collections.abc import Callable, Iterable
 from pathlib import Path
+from typing import Any
 
 import attrs
 import numpy as np
@@ -20,11 +22,13 @@ from impact_rig.blocks import Table
 from impact_rig.instruments.fault import Fault
 from impact_rig.recording import Provenance, RunWriter, TopicDescription, schema_text
 from impact_rig.rig import Rig
-from impact_rig.rig.config import RigConfig, from_flat
+from impact_rig.rig.config import RigConfig, dump, from_flat
+from impact_rig.simtime import stamp_ns
 
 TICK = 10_000_000
 POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
 STRING = "std_msgs/msg/String"
+KINDS = {"notes": STRING, "rig/configuration": STRING, "truth/joint_states": "sensor_msgs/msg/JointState"}
 Messages = list[tuple[str, Table]]
 PROVENANCE = Provenance(version="0", seed=5, wall_start_ns=0)
 
@@ -44,8 +48,9 @@ def edited(found: Messages, topic: str, change: Callable[[np.ndarray], np.ndarra
     """Messages with the rows of a topic's tables passed through `change` (None: the table is left out)."""
     result: Messages = []
     for name, table in found:
-        rows = change(table.rows.copy()) if name == topic else table.rows
-        if rows is not None:
+        if name != topic:
+            result.append((name, table))
+        elif (rows := change(table.rows.copy())) is not None:
             result.append((name, attrs.evolve(table, rows=rows)))
     return result
 
@@ -87,8 +92,59 @@ def spikes(start: int) -> Fault:
 
 
 @attrs.frozen(eq=False)
+class Joints:
+    """A message of truth/joint_states, where a table would be."""
+
+    stamp_ns: int
+    values: np.ndarray
+
+    def encoded(self) -> bytes:
+        """Return a serialized sensor_msgs/JointState: header, no names, position, velocity, effort of three bodies."""
+        seconds, nanoseconds = divmod(self.stamp_ns, 10**9)
+        data = struct.pack("<iIII", seconds, nanoseconds, 1, 0) + struct.pack("<I", 0)
+        for part in self.values.reshape(3, 3):
+            data += struct.pack("<I", 3)
+            data += bytes(-len(data) % 8) + part.tobytes()
+        return b"\0\1\0\0" + data
+
+
+def everything(rig: Rig, blocks: int, deeds: dict[int, Callable[[], object]] | None = None) -> list[tuple[str, Any]]:
+    """Advance by so many blocks and return what the node would publish about the rig, truth included."""
+    found: list[tuple[str, Any]] = []
+    described: list[bytes] = []
+
+    def changes() -> None:
+        for topic, tables in (("rig/journal", rig.take_journal()), ("shaker/applied", rig.take_applied())):
+            found.extend((topic, table) for table in tables)
+        info = codec.encode(rig.info())
+        if not described or info != described[-1]:
+            found.append(("daq/info", rig.info()))
+            described.append(info)
+        found.append(("rig/configuration", Remark(dump(rig.config), rig.frontier_ns)))
+
+    changes()
+    for number in range(blocks):
+        if deeds and number in deeds:
+            deeds[number]()
+            changes()
+        for block in rig.advance(rig.block_end_ns(1)):
+            if not block.lost:
+                found.append(("daq/scan", block.scan))
+            beside = ("truth/impacts", block.impacts), ("truth/faults", block.faults), ("truth/scan", block.truth)
+            found += [(name, table) for name, table in beside if table is not None]
+            for scan, state in zip(block.monitor_scans, block.monitor, strict=True):
+                push = state["force_left"] - state["force_right"]
+                values = [state[name] for name in ("x_b", "x_1", "x_2", "v_b", "v_1", "v_2")] + [0.0, -push, push]
+                instant = stamp_ns(block.first_sample + int(scan), rig.rate_hz, rig.start_ns)
+                found.append(("truth/joint_states", Joints(instant, np.array(values))))
+        changes_of_time = [("rig/journal", one) for one in rig.take_journal()]
+        found += [*changes_of_time, *(("shaker/applied", one) for one in rig.take_applied())]
+    return found
+
+
+@attrs.frozen(eq=False)
 class Remark:
-    """What an operator notes, where a table would be."""
+    """A text, where a table would be: what an operator notes, or the rig's configuration."""
 
     text: str
     stamp_ns: int
@@ -104,9 +160,7 @@ def note(text: str, stamp_ns: int) -> tuple[str, Remark]:
     return "notes", Remark(text, stamp_ns)
 
 
-def record(
-    directory: Path, found: Iterable[tuple[str, Table | Remark]], provenance: Provenance | None = PROVENANCE
-) -> Path:
+def record(directory: Path, found: Iterable[tuple[str, Any]], provenance: Provenance | None = PROVENANCE) -> Path:
     """Write messages to a run and return its directory."""
     writer = RunWriter(
         directory,
@@ -116,9 +170,9 @@ def record(
     )
     with writer:
         for name in sorted({name for name, _ in found}):
-            kind = STRING if name == "notes" else POINT_CLOUD
+            kind = KINDS.get(name, POINT_CLOUD)
             writer.add_topic(TopicDescription(name=f"/rig/{name}", type_name=kind, schema=schema_text(kind)))
         for name, one in found:
-            data = one.encoded() if isinstance(one, Remark) else codec.encode(one)
+            data = codec.encode(one) if isinstance(one, Table) else one.encoded()
             writer.write(f"/rig/{name}", data, one.stamp_ns)
     return writer.directory

@@ -98,10 +98,62 @@ def test_of_two_rigs_one_is_chosen(open_page: Callable[..., Page], tmp_path: Pat
                 page.js("lab.link.socket.onclose = null")
 
 
+@pytest.mark.ros
+@pytest.mark.pipeline
+def test_a_second_lab_is_refused_the_recording_is_named_and_an_end_of_the_pipe_ends_it(tmp_path: Path) -> None:
+    pytest.importorskip("rclpy", reason="no ROS 2 here")
+    from impact_rig.client import Client, isolated_domain
+
+    with isolated_domain() as domain_id:
+        environment = {**os.environ, "XDG_STATE_HOME": str(tmp_path / "state"), "ROS_DOMAIN_ID": str(domain_id)}
+        command = [*PROGRAM, "lab", "--no-browser", "--port", "0", "--namespace", "/bench/two"]
+        first = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, cwd=tmp_path, env=environment)
+        assert first.stdout is not None
+        assert first.stderr is not None
+        try:
+            assert any(line.startswith(b"http") for line in iter(first.stdout.readline, b""))
+            second = subprocess.run(
+                command, capture_output=True, cwd=tmp_path, env=environment, timeout=PATIENCE_S, check=False
+            )
+            assert second.returncode == 1
+            assert f"the lab of process {first.pid} has /bench/two: look at it with --attach" in second.stderr.decode()
+            assert len(second.stderr.splitlines()) == 1
+            with Client(domain_id, "bench/two", name="observer") as client:
+                client.wait_until(lambda: client.figures("recorder").get("directory"), "a recording", PATIENCE_S)
+                directory = client.figures("recorder")["directory"]
+                client.spin_for(1.5)  # the lab hears the same, once a second
+            first.send_signal(signal.SIGINT)
+            words, errors = first.communicate(timeout=PATIENCE_S)
+            assert words.decode().splitlines()[-1] == f"recorded: {directory}"
+            assert b"Traceback" not in errors
+            assert next(Path(directory).glob("*.mcap")).stat().st_size > 0
+        finally:
+            first.kill()
+            first.wait()
+        third = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, cwd=tmp_path, env=environment)
+        assert third.stdout is not None
+        while not third.stdout.readline().startswith(b"http"):
+            pass
+        third.stdout.close()  # as `| head -2` does
+        third.stdout = None
+        try:
+            assert third.wait(PATIENCE_S) == 128 + signal.SIGPIPE
+            assert third.stderr is not None
+            assert b"Traceback" not in third.stderr.read()
+        finally:
+            third.kill()
+            third.communicate()
+
+
 def test_what_makes_no_sense_is_refused(sample: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     assert main(["lab", str(tmp_path / "nothing"), "--no-browser"]) == 1
     assert "neither a run directory nor an MCAP file" in capsys.readouterr().err
     assert main(["lab", "a", "b", "c"]) == 1
     assert "at most two" in capsys.readouterr().err
+    for namespace in ("/a b", "/1", "//"):
+        assert main(["lab", "--namespace", namespace, "--no-browser", "--port", "0"]) == 1
+        assert "letters, digits" in capsys.readouterr().err
+    assert main(["lab", str(sample), "--port", "99999", "--no-browser"]) == 1
+    assert capsys.readouterr().err.strip().endswith("a port is 0 (any) to 65535, got 99999")
     assert main(["lab", str(sample), "--attach", "/rig"]) == 1
     assert "not both" in capsys.readouterr().err

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -15,11 +16,17 @@ import pytest
 
 pytest.importorskip("rclpy", reason="no ROS 2 here")
 
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from kits.browser import PATIENCE_S, Page, wait_until
 
+from impact_rig import codec
+from impact_rig.blocks import Table
 from impact_rig.client import Client, Collector, Processes, isolated_domain
-from impact_rig.lab.live import LiveSource, Own
+from impact_rig.lab.gateway import Own
+from impact_rig.lab.live import LiveSource
 from impact_rig.lab.server import Server
+from impact_rig.nodes.topics import by_name
+from impact_rig.rig.config import load
 
 pytestmark = [pytest.mark.ros, pytest.mark.pipeline]
 
@@ -120,18 +127,49 @@ def test_from_r_to_a_settled_transmissibility(lab: Lab, page: Page) -> None:
     lab.applied("frequency", 9.1)
     lab.applied("current", 0.52)
     page.wait("!document.getElementById('settling').hidden", "progress of settling")
-    word(page, "driving")
+    word(page, "measured")
     page.wait("/^\\d+\\.\\d+$/.test(document.getElementById('dt-number').textContent)", "a number")
     assert page.text("#dt-u").startswith("± ")
     settled = lab.until(
         lambda: [r for r in lab.topics["transmissibility/table"].rows() if r["settled"] == 1], "a settled row"
     )
     assert any(float(page.text("#dt-number")) == pytest.approx(float(r["transmissibility"]), abs=0.5) for r in settled)
-    page.wait("lab.now.prediction?.words.startsWith('predicted for 6 mm, 0.52 A')", "what theory says")
+    page.wait("lab.now.prediction?.words.startsWith('Predicted for 6 mm, 0.52 A')", "what theory says")
+    ipc = page.js("lab.now.dt.at(-1).ipc")
+    if abs(ipc - 2.0) > 0.05:
+        page.wait(f"lab.now.other_motion.startsWith('Measured: {ipc:.2f} impacts')", "that theory means another motion")
+    untold = "[...document.querySelectorAll('#bar dt, #word, #dt-more dt, .knob label')].filter(e => !e.title)"
+    assert page.js(f"{untold}.map(e => e.textContent)") == []
+    curve(page, lab.directory)
     page.click("[data-mark='gap-4']")
-    page.wait("lab.now.prediction.words.startsWith('predicted for 4 mm')", "the prediction to follow the gap")
+    page.wait("lab.now.prediction.words.startsWith('Predicted for 4 mm')", "the prediction to follow the gap")
+    word(page, "settling", "driving")
+    assert page.js("lab.now.dt_now.holds") is False, "that value was of another gap"
     assert page.js("lab.motion.impacts.length") > 0
     assert page.js("lab.drawn.epoch") == lab.source.epoch
+
+
+def curve(page: Page, directory: Path) -> None:
+    """A point can be taken away and brought back; curve and scope are saved by the browser."""
+    page.call("Page.setDownloadBehavior", behavior="allow", downloadPath=str(directory))
+    for button, name in (
+        ("curve-csv", "transmissibility.csv"),
+        ("curve-picture", "transmissibility.png"),
+        ("scope-picture", "scope.png"),
+    ):
+        page.js(f"document.getElementById('{button}').click()")
+        wait_until((directory / name).exists, name)
+    lines = (directory / "transmissibility.csv").read_text().splitlines()
+    assert lines[0].startswith("time_s,frequency_hz,transmissibility,standard_uncertainty")
+    assert {line.count(",") for line in lines} == {12}
+    assert float(lines[-1].split(",")[1]) == 9.1
+    assert (directory / "scope.png").read_bytes()[:4] == b"\x89PNG"
+    count = page.js("lab.curve.rows.length")
+    page.js("document.activeElement.blur()")
+    page.key("Delete")
+    page.wait(f"lab.curve.rows.length < {count}", "a point to go")
+    page.js("document.getElementById('curve-back').click()")
+    page.wait(f"lab.curve.rows.length >= {count}", "it to come back")
 
 
 def test_numbers_sliders_keys_and_the_papers_values(lab: Lab, page: Page) -> None:
@@ -193,6 +231,101 @@ def test_stop_latches_and_is_cleared(lab: Lab, page: Page) -> None:
     page.click("#notice-buttons button")
     lab.until(lambda: any(kind == "clear_trip" for kind, _, _ in lab.journal()), "the cleared latch")
     word(page, "at rest")
+    page.wait("document.querySelectorAll('.knob.refused').length === 0", "the refusal to go with its cause")
+
+
+def test_stop_is_above_the_help_sheet(lab: Lab, page: Page) -> None:
+    for stop in (lambda: page.click("#stop"), lambda: page.key("Escape")):
+        page.js("document.activeElement.blur()")
+        page.key("?")
+        page.wait("document.getElementById('sheet').open", "the sheet")
+        stop()
+        word(page, "tripped")
+        page.js("document.getElementById('sheet').close()")
+        page.key("c")
+        word(page, "at rest")
+
+
+def no_accelerometer() -> tuple[str, Any]:
+    rows = np.zeros(3, [("time", "f8"), ("laser", "S32"), ("status", "u1")])
+    return "daq/scan", Table(10**9, rows)
+
+
+def no_wall() -> tuple[str, Any]:
+    return "truth/impacts", Table(10**9, np.zeros(1, [("time", "f8"), ("approach_speed", "f8")]))
+
+
+def no_number() -> tuple[str, Any]:
+    return "/diagnostics", {"current_a": "none", "rig_time_s": "soon", "lost_blocks": "nan"}
+
+
+@pytest.mark.parametrize("hostile", [no_accelerometer, no_wall, no_number])
+def test_stop_works_whatever_others_publish(lab: Lab, page: Page, hostile: Callable[[], tuple[str, Any]]) -> None:
+    """One bad message costs that message: it is counted, shown, and the current goes to zero when it is told to."""
+    page.write("#knob-current", "0.2")
+    lab.applied("current", 0.2)
+    name, content = hostile()
+    client = lab.client
+    if name == "/diagnostics":
+        own = client.status("rig")
+        values = [KeyValue(key=one.key, value=content.get(one.key, one.value)) for one in own.values]
+        message = DiagnosticArray(status=[DiagnosticStatus(name=own.name, level=b"\0", values=values)])
+        publisher = client.publisher(by_name(name))
+        for _ in range(3):
+            publisher.publish(message)
+            client.spin_for(0.1)
+    else:
+        publisher = client.publisher(by_name(name))
+        client.wait_until(lambda: publisher.get_subscription_count() >= 1, "a listener")
+        client.spin_for(0.5)
+        for _ in range(3):
+            publisher.publish(codec.encode(content))
+        page.wait(f"lab.now.refused['{name}']?.[0] > 0 && !document.getElementById('refused-box').hidden", "the count")
+    client.node.destroy_publisher(client._publishers.pop(name))
+    page.key("Escape")  # from within a field, too
+    lab.applied("current", 0.0)
+    word(page, "tripped")
+    page.js("document.activeElement.blur()")
+    pictures = page.js("lab.drawn.pictures")
+    page.wait(f"lab.drawn.pictures > {pictures}", "the pictures to go on")
+    page.key("c")
+    word(page, "at rest")
+
+
+def test_settings_are_saved_and_put_in_force_again(lab: Lab, page: Page, tmp_path: Path) -> None:
+    page.call("Page.setDownloadBehavior", behavior="allow", downloadPath=str(tmp_path))
+    page.click("[data-mark='gap-8']")
+    lab.parameter("rig", "barriers.gap_m", 0.008)
+    page.wait("lab.now.knobs['barriers.gap_m'] === 0.008 && lab.now.configuration.includes('gap_m: 0.008')", "the echo")
+    page.js("document.getElementById('settings-save').click()")
+    saved = tmp_path / "rig.yaml"
+    wait_until(lambda: saved.exists() and saved.stat().st_size, "the file")
+    assert load(saved).barriers.gap_m == 0.008
+    lab.client.set_parameters("rig", USUAL)
+    page.wait("lab.now.knobs['barriers.gap_m'] === 0.006", "another gap")
+    asked = "lab.link.ask('load', {{value: {}}}).answer"
+    answer = page.js(asked.format(json.dumps(saved.read_text())))
+    assert answer == {"id": answer["id"], "ok": True, "text": "1 settings changed"}
+    lab.parameter("rig", "barriers.gap_m", 0.008)
+    lab.parameter("analysis", "gap_m", 0.008)
+    for text, words in (("a: [", "not a YAML file"), ("barriers: {gap_mm: 6}", "did you mean")):
+        answer = page.js(asked.format(json.dumps(text)))
+        assert not answer["ok"]
+        assert words in answer["text"]
+
+
+def test_numbers_in_the_units_of_who_wrote_them(page: Page) -> None:
+    page.write("#knob-gap", "-1")
+    page.wait("document.querySelector('.knob.refused .words')?.textContent.includes('got -1 mm')", "the refusal")
+
+
+def test_a_clicked_button_is_not_pressed_again_by_space(lab: Lab, page: Page) -> None:
+    page.click("#reset")
+    page.wait("document.getElementById('answer').textContent !== ''", "the answer")
+    page.key(" ")
+    word(page, "paused")
+    page.key(" ")
+    word(page, "at rest")
 
 
 def test_pluck_pause_and_reset(lab: Lab, page: Page) -> None:
@@ -212,11 +345,22 @@ def test_pluck_pause_and_reset(lab: Lab, page: Page) -> None:
 
 def test_faults_and_remarks(lab: Lab, page: Page) -> None:
     page.js("document.getElementById('faulting').open = true")
+    page.choose("#fault-kind", "gain_error")
+    for field, value in (("fault-value", 0.05), ("fault-duration", 1000)):
+        page.js(f"document.getElementById('{field}').value = {value}")
     page.click("#fault-start")
     lab.until(lambda: len(lab.topics["truth/faults"].rows()) > 0, "the fault in truth/faults")
-    assert lab.topics["truth/faults"].rows()["kind"][0] == b"offset_step"
+    page.wait("document.getElementById('faults').textContent === 'gain error laser (0.05)'", "that it is in force")
+    assert page.js("document.querySelector('#bar dt:has(+ #faults) .badge').textContent") == "truth"
+    page.js("document.activeElement.blur()")
+    page.key("r")
+    page.wait("lab.now.sources?.analysis.state === 'measuring'", "the analysis, which cannot see it")
+    word(page, "driving")
+    assert "gain error laser (0.05) is in force (truth)" in page.text("#sentence")
     page.click("#fault-clear")
     answered(page, "cleared")
+    page.wait("document.getElementById('faults').textContent === 'none'", "its end", 3.0)
+    page.key("0")
     hostile = "<img src=x onerror=alert(1)><b>bold"
     notes = lab.client.collect("notes")
     page.write("#note", hostile)
@@ -249,10 +393,10 @@ def test_scope_spectrum_slow_motion_and_themes(page: Page) -> None:
     page.key("t")
     assert page.js("document.documentElement.dataset.theme") != before
     page.key("?")
-    page.wait("document.getElementById('sheet').open", "the keyboard sheet")
-    page.key("Escape")
+    page.wait("document.getElementById('sheet').open", "the sheet of keys and words")
+    assert page.js("document.querySelectorAll('#sheet-words dt').length") > 70
+    page.key("?")
     page.wait("!document.getElementById('sheet').open", "the sheet to close")
-    assert page.js("lab.now.rig.word") != "tripped", "Esc closed the sheet, and stopped nothing"
 
 
 def test_a_sweep_grows_the_curve_and_a_point_goes_back(lab: Lab, page: Page) -> None:

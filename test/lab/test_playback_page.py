@@ -4,15 +4,20 @@
 
 from __future__ import annotations
 
-import shutil
+import math
+import queue
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import attrs
+import numpy as np
 import pytest
-from kits.browser import Page, wait_until
+from kits.browser import PATIENCE_S, Page, wait_until
+from kits.recorded_rig import Messages, edited, messages, record
 
 from impact_rig.errors import RecordingError
 from impact_rig.lab.playback import PlaybackSource
+from impact_rig.lab.protocol import Request
 from impact_rig.lab.server import Server
 
 
@@ -83,15 +88,139 @@ def test_knobs_are_those_of_the_recording_and_cannot_be_turned(
     assert page.js("lab.link.ask('stop').answer.then(a => a.ok)") is False
 
 
-def test_two_runs_side_by_side(
-    shown: Callable[..., Server], open_page: Callable[..., Page], sample: Path, tmp_path: Path
+def asked(source: PlaybackSource, do: str, **values: object) -> tuple[bool, str]:
+    """Ask for something, and return the answer."""
+    answers: queue.SimpleQueue[tuple[bool, str]] = queue.SimpleQueue()
+    source.ask(Request(1, do, values), lambda ok, text: answers.put((ok, text)))
+    return answers.get(timeout=PATIENCE_S)
+
+
+@pytest.fixture(scope="module")
+def recorded() -> Messages:
+    return messages(12)
+
+
+def from_second(found: Messages, second: float) -> Messages:
+    """What a recorder that came late has kept: what is latched, and the scans from then on."""
+    return [(name, table) for name, table in found if name != "daq/scan" or table.stamp_ns >= second * 1e9]
+
+
+def test_two_runs_are_aligned_by_start_time_or_change_and_have_a_legend(
+    shown: Callable[..., Server], open_page: Callable[..., Page], recorded: Messages, tmp_path: Path
 ) -> None:
-    other = shutil.copytree(sample, tmp_path / "other")
-    page = open_page(shown(sample, other).address, 1920, 1080, prefers_color_scheme="dark")
-    seek(page, 12.0)
-    page.wait("lab.scope.other && lab.drawn.pictures > 2", "traces of both")
+    """The second begins five seconds later in rig time: by their starts both show, by rig time one comes late."""
+    late = record(tmp_path / "late", from_second(recorded, 5.0))
+    page = open_page(shown(record(tmp_path / "first", recorded), late).address, 1920, 1080, prefers_color_scheme="dark")
+    page.wait("window.lab && lab.now.playback?.read === 1", "the marks")
+    page.click("#play")
+    seek(page, 4.0)
+    page.wait("lab.scope.other && Math.abs(lab.scope.trace.now - 4) < 0.02", "traces of both")
+    assert page.js("Math.abs(lab.scope.other.begin - lab.scope.trace.begin - 5) < 0.6")
+    assert [page.text(f"#legend-{run}") for run in "ab"] == ["first", "late"]
+    page.choose("#align", "time")
+    page.wait("lab.now.playback.aligned === 'time' && lab.scope.other === null", "the second not to have begun")
+    seek(page, 10.8)
+    page.wait("lab.scope.other && Math.abs(lab.scope.other.begin - lab.scope.trace.begin) < 0.6", "both at one time")
     page.wait("lab.now.dt_b?.length > 0 && lab.now.dt.length === lab.now.dt_b.length", "measurements of both")
-    assert "sample and other" in page.js("lab.now.rig.text")
+    page.choose("#align", "change")
+    page.wait("lab.now.playback.aligned === 'change'", "the change")
+    page.choose("#align-change", page.js("[...document.querySelectorAll('#align-change option')].at(-1).value"))
+    page.wait("document.getElementById('answer').textContent.startsWith('both runs at stop')", "its words")
+    assert "first and late" in page.js("lab.now.rig.text")
+
+
+def test_a_run_that_begins_in_mid_session_begins_with_its_first_scan(recorded: Messages, tmp_path: Path) -> None:
+    with PlaybackSource([record(tmp_path / "late", from_second(recorded, 6.0))]) as source:
+        source.watched(1)
+        assert source.now_s == pytest.approx(6.0, abs=0.05)
+        wait_until(lambda: source.scope.end_s > 6.2, "scans at once")
+        assert source.snapshot.get("playback")["begin"] == 6.0
+        wait_until(lambda: (source.snapshot.get("applied") or {}).get("current") == 0.52, "the drive of before")
+
+
+def test_a_recorded_value_holds_only_until_something_changes(recorded: Messages, tmp_path: Path) -> None:
+    """At rest, while it settles, and after the latch the last value is not the present one."""
+    rows = [table for name, table in recorded if name == "transmissibility/table"]
+    measured_s = rows[0].stamp_ns / 1e9
+    with PlaybackSource([record(tmp_path / "run", recorded)]) as source:
+        wait_until(lambda: (source.snapshot.get("playback") or {}).get("read") == 1.0, "the marks")
+        asked(source, "play", value=False)
+        for at_s, state in ((0.05, "at_rest"), (measured_s - 0.2, "settling"), (measured_s + 0.1, "measuring"),
+                            (11.65, "settling"), (11.9, "at_rest")):  # fmt: skip
+            asked(source, "seek", value=at_s)
+            now = source.snapshot.get("dt_now")
+            assert (now["state"], now["holds"]) == (state, state == "measuring"), at_s
+        assert "latched by emergency stop" in source.snapshot.get("rig")["text"]
+        asked(source, "seek", value=11.79)
+        assert source.snapshot.get("faults") == []
+
+
+def test_blocks_that_are_missing_are_counted(recorded: Messages, tmp_path: Path) -> None:
+    missing = [one for one in recorded if not (one[0] == "daq/scan" and 3e9 <= one[1].stamp_ns < 4e9)]
+    with PlaybackSource([record(tmp_path / "run", missing)]) as source:
+        wait_until(lambda: (source.snapshot.get("playback") or {}).get("read") == 1.0, "the marks")
+        for at_s, lost in ((2.0, {}), (5.0, {"blocks missing in the recording": 100})):
+            asked(source, "seek", value=at_s)
+            assert source.snapshot.get("lost") == lost
+
+
+@pytest.mark.parametrize("rate", [math.nan, 0.0, math.inf, 1e12])
+def test_a_rate_that_no_board_has_is_one_line(recorded: Messages, tmp_path: Path, rate: float) -> None:
+    def change(rows: np.ndarray) -> np.ndarray:
+        rows["rate"] = rate
+        return rows
+
+    with pytest.raises(RecordingError, match="rate"):
+        PlaybackSource([record(tmp_path / "run", edited(recorded, "daq/info", change))])
+
+
+def without(column: str) -> Callable[[np.ndarray], np.ndarray]:
+    """Leave a column out."""
+
+    def change(rows: np.ndarray) -> np.ndarray:
+        names = [name for name in rows.dtype.names if name != column]
+        found = np.zeros(len(rows), [(name, rows.dtype[name]) for name in names])
+        for name in names:
+            found[name] = rows[name]
+        return found
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("topic", "column"),
+    [
+        ("daq/scan", "status"),
+        ("rig/journal", "kind"),
+        ("transmissibility/table", "phase"),
+        ("shaker/applied", "current"),
+    ],
+)  # fmt: skip
+def test_tables_without_a_column_cost_themselves_alone(
+    recorded: Messages, tmp_path: Path, topic: str, column: str
+) -> None:
+    """Every table of one topic is broken from the third second on; the others are played to the end."""
+    broken = [
+        (name, attrs.evolve(table, rows=without(column)(table.rows)))
+        if name == topic and (table.stamp_ns >= 3e9 or name != "daq/scan") else (name, table)
+        for name, table in recorded
+    ]  # fmt: skip
+    with PlaybackSource([record(tmp_path / "run", broken)]) as source:
+        source.watched(1)
+        wait_until(lambda: (source.snapshot.get("playback") or {}).get("read") == 1.0, "the marks")
+        assert asked(source, "seek", value=2.0) == (True, "")
+        assert asked(source, "seek", value=11.9) == (True, "")
+        assert topic in source.snapshot.get("refused")
+        wait_until(lambda: source.now_s == pytest.approx(12.0, abs=0.05), "the end")
+
+
+def test_runs_without_rows_are_refused_in_one_line(recorded: Messages, tmp_path: Path) -> None:
+    none = edited(recorded, "daq/info", lambda rows: rows[:0])
+    with pytest.raises(RecordingError, match="rate"):
+        PlaybackSource([record(tmp_path / "info", none)])
+    empty = edited(recorded, "daq/scan", lambda rows: rows[:0])
+    with PlaybackSource([record(tmp_path / "scans", empty)]) as source:
+        wait_until(lambda: (source.snapshot.get("playback") or {}).get("read") == 1.0, "the marks")
 
 
 def test_a_run_that_was_cut_short(

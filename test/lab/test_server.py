@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import json
 import socket
 import struct
@@ -20,8 +21,7 @@ from kits.lab import FakeSource, scans
 from impact_rig.errors import ImpactRigError
 from impact_rig.lab import protocol
 from impact_rig.lab.protocol import Kind
-from impact_rig.lab.server import LOOPBACK, POLICY, Server, kept_token
-from impact_rig.lab.session import MOST_UNDRAWN
+from impact_rig.lab.server import LOOPBACK, MOST_CONNECTIONS, MOST_UNDRAWN, POLICY, Server, kept_token
 
 TIMEOUT = aiohttp.ClientTimeout(30)
 
@@ -80,7 +80,7 @@ def test_the_page_needs_the_token_and_carries_a_strict_policy(server: Server) ->
     assert "unsafe" not in POLICY
     assert headers["X-Content-Type-Options"] == "nosniff"
     assert get(server, "/")[0] == get(server, "/?token=guess")[0] == 403
-    assert server.refused == {"token": 2}
+    assert dict(server.refused) == {"token": 2}
     assert server.token not in text
 
 
@@ -106,7 +106,7 @@ def test_another_name_and_another_page_are_refused(server: Server) -> None:
     assert refused_status(server, origin="null") == 403
     assert refused_status(server, origin="") == 403
     assert refused_status(server, token="") == refused_status(server, token="guess") == 403
-    assert server.refused == {"host": 1, "origin": 4, "token": 2}
+    assert dict(server.refused) == {"host": 1, "origin": 4, "token": 2}
 
 
 def test_hostile_requests_are_refused_counted_and_end_the_connection(server: Server, source: FakeSource) -> None:
@@ -207,6 +207,79 @@ def test_pages_are_counted(server: Server, source: FakeSource) -> None:
             assert source.watchers == 1
 
     loops.run(talk())
+
+
+def talk_to(server: Server, data: bytes) -> bytes:
+    """Send some bytes, and return what comes until the server closes."""
+    with socket.create_connection((LOOPBACK, server.port), timeout=30.0) as connection:
+        connection.sendall(data)
+        found = b""
+        with contextlib.suppress(ConnectionError):
+            while part := connection.recv(4096):
+                found += part
+    return found
+
+
+def test_a_request_that_never_ends_is_closed_and_none_prints_anything(
+    server: Server, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("impact_rig.lab.server.HEADERS_S", 0.2)
+    assert talk_to(server, b"GET / HTTP/1.1\r\nHost: here\r\n") == b""
+    assert server.refused["half requests"] == 1
+    for nonsense in (b"\x16\x03\x01\r\n\r\n", b"GET / HTTP/9.9\r\n\r\n", b"GET /\xff HTTP/1.1\r\n\r\n", b"\0" * 20000):
+        talk_to(server, nonsense)
+    assert get(server, f"/?token={server.token}")[0] == 200
+    assert capfd.readouterr() == ("", "")
+
+
+def test_more_connections_than_there_may_be_are_turned_away_and_the_page_goes_on(server: Server) -> None:
+    """Each takes a descriptor: without a bound, a process that has none left cannot accept even its operator."""
+
+    async def talk() -> list[bytes]:
+        async with aiohttp.ClientSession(timeout=TIMEOUT) as session:
+            page = await connect(session, server)
+            held = [await asyncio.open_connection(LOOPBACK, server.port) for _ in range(MOST_CONNECTIONS + 20)]
+            await page.send_str('{"id":1,"do":"stop"}')
+            while True:
+                message = await page.receive()
+                if message.data[0] == Kind.REPLY:
+                    break
+            closed = []
+            for reader, _writer in held[-20:]:
+                with contextlib.suppress(ConnectionError):
+                    closed.append(await asyncio.wait_for(reader.read(), 10.0))
+            for _, writer in held:
+                writer.close()
+            return closed
+
+    assert set(loops.run(talk())) <= {b""}
+    assert server.refused["too many connections"] >= 20
+
+
+def test_runs_are_listed_and_played_beside_what_the_lab_shows(source: FakeSource, sample: Path) -> None:
+    (sample.parent / "no_run").mkdir(exist_ok=True)
+    with Server(source, port=0, runs=sample.parent) as server:
+        token = f"token={server.token}"
+        assert get(server, "/runs")[0] == 403
+        (found,) = (one for one in json.loads(get(server, f"/runs?{token}")[2]) if one["name"] == sample.name)
+        assert found["megabytes"] > 0
+
+        async def talk() -> dict[str, Any]:
+            async with aiohttp.ClientSession(timeout=TIMEOUT) as session:
+                page = await connect(session, server, token=f"{server.token}&run={sample.name}")
+                while (data := (await page.receive()).data)[0] != Kind.STATE:
+                    pass
+                return json.loads(data[8:])
+
+        assert loops.run(talk())["mode"] == "playback"
+        assert refused_status(server, token=f"{server.token}&run=../{sample.name}") == 404
+        assert refused_status(server, token=f"{server.token}&run=no_run") == 404
+
+
+@pytest.mark.parametrize("port", [-1, 65536, 99999])
+def test_a_port_that_there_is_not_is_refused(source: FakeSource, port: int) -> None:
+    with pytest.raises(ImpactRigError, match=f"a port is 0 \\(any\\) to 65535, got {port}"):
+        Server(source, port=port)
 
 
 def test_a_port_that_is_taken_is_named(server: Server, source: FakeSource) -> None:

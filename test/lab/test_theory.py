@@ -14,9 +14,9 @@ from kits.browser import PATIENCE_S, Page
 from kits.lab import FakeSource
 
 from impact_rig.lab import theory
-from impact_rig.lab.parts import closed_form
 from impact_rig.lab.server import Server
-from impact_rig.lab.theory import DECIDING, Theory, predicted
+from impact_rig.lab.state import closed_form
+from impact_rig.lab.theory import DECIDING, Theory, contradiction, predicted
 from impact_rig.physics import prediction
 from impact_rig.rig.config import RigConfig, to_flat
 
@@ -35,10 +35,18 @@ def test_a_line_is_the_prediction_of_these_knobs() -> None:
     f, dt = np.array(found["lines"][0][1]).T
     wanted = prediction.at(RigConfig(), 9.1, 0.020, current_a=CURRENT_A)
     assert np.interp(9.1, f, dt) == pytest.approx(wanted.dt[0], abs=1e-4)
-    assert found["words"] == "predicted for 20 mm, 0.52 A, two impacts per cycle"
-    assert of(12.0, 6e-5, drive__kind="prescribed")["words"].startswith("predicted for 12 mm, 60 µm")
+    assert found["words"] == "Predicted for 20 mm, 0.52 A, two impacts per cycle."
+    assert of(12.0, 6e-5, drive__kind="prescribed")["words"].startswith("Predicted for 12 mm, 60 µm")
     other = of(20.0, contact__law="hu_guo")["lines"]
     assert other != found["lines"]
+
+
+def test_a_measured_motion_that_is_not_the_predicted_one_is_told() -> None:
+    """At 6 mm the rig strikes four times a cycle; the prediction is of two."""
+    found = of(6.0)
+    assert contradiction(found, 4.0).startswith("Measured: 4.00 impacts per cycle.")
+    for same in (contradiction(found, 2.01), contradiction(found, np.nan), contradiction(of(32.0), 4.0)):
+        assert same == ""
 
 
 def test_what_does_not_last_is_a_line_of_its_own_that_joins_its_neighbours() -> None:
@@ -53,8 +61,8 @@ def test_what_does_not_last_is_a_line_of_its_own_that_joins_its_neighbours() -> 
     ("found", "words"),
     [
         (lambda: of(32.0), "no motion with two impacts per cycle at 32 mm, 0.52 A"),
-        (lambda: of(6.0, 0.0), "no prediction at rest"),
-        (lambda: of(6.0, sphere__present=False), "no sphere"),
+        (lambda: of(6.0, 0.0), "No prediction at rest"),
+        (lambda: of(6.0, sphere__present=False), "Without a sphere"),
         (lambda: of(6.0, sphere__guide_friction=0.1), "no friction of the guide"),
         (lambda: of(6.0, drive__kind="voltage"), "a drive of constant voltage"),
         (lambda: of(6.0, drive__waveform="chirp"), "a drive that is chirp"),
@@ -140,9 +148,9 @@ def test_the_page_draws_it_dashed_where_it_does_not_last(open_page: Callable[...
         page.wait(f"{COLOURED}(true).every(share => share > 0.97)", "whole lines")
         (dashed,) = page.js(f"{COLOURED}(false)")
         assert 0.3 < dashed < 0.95
-        assert page.text("#prediction-note").startswith("predicted for 12 mm, 0.52 A")
+        assert page.text("#prediction-note").startswith("Predicted for 12 mm, 0.52 A")
         assert page.js("document.getElementById('curve').getAttribute('aria-label')").startswith("DT over frequency")
         source.snapshot.put("prediction", of(32.0))
         page.wait("lab.curve.predicted.length === 0", "no line")
-        assert page.text("#prediction-note") == "no motion with two impacts per cycle at 32 mm, 0.52 A"
+        assert page.text("#prediction-note") == "Theory finds no motion with two impacts per cycle at 32 mm, 0.52 A."
         page.js("lab.link.socket.onclose = null")  # no wish to connect again

@@ -15,8 +15,8 @@ from std_msgs.msg import Header
 
 from impact_rig import topics
 from impact_rig.client import Client
-from impact_rig.nodes.acknowledge import MOST, Acknowledgements
-from impact_rig.nodes.stamps import nanoseconds
+from impact_rig.nodes.acknowledgements import MOST, Acknowledgements
+from impact_rig.nodes.messages import nanoseconds
 
 pytestmark = pytest.mark.ros
 

@@ -110,7 +110,7 @@ def test_a_time_that_is_none_is_a_status_and_the_block_is_acknowledged(client: C
     assert acknowledged.messages[0].stamp.nanosec == 7
     assert "exception" not in node.refusals.counts
     assert node.refusals.counts["daq/scan"] == 1
-    assert "ends at the time" in node.refusals.last["daq/scan"]
+    assert "time must be" in node.refusals.last["daq/scan"]
 
 
 def test_labels_come_as_remarks_or_as_a_parameter(client: Client) -> None:

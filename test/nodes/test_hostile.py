@@ -28,10 +28,11 @@ from std_srvs.srv import SetBool, Trigger
 from impact_rig import topics
 from impact_rig.client import isolated_domain
 from impact_rig.errors import ConfigError
-from impact_rig.nodes import messages, services
+from impact_rig.nodes import messages
 from impact_rig.nodes.topics import TOPICS
 from impact_rig.recording import open_run
 from impact_rig.rig.config import RigConfig, from_flat
+from tools.generate import services
 
 pytestmark = [pytest.mark.ros, pytest.mark.pipeline, pytest.mark.timeout(120 + CASES)]
 QUEUE = topics.Qos.EVENT.depth

@@ -5,9 +5,12 @@
 from __future__ import annotations
 
 import re
+import subprocess
+import sys
 from collections.abc import Iterator
 
 import pytest
+import yaml
 
 pytest.importorskip("rclpy", reason="no ROS 2 here")
 
@@ -19,14 +22,15 @@ from std_srvs.srv import SetBool, Trigger
 from impact_rig import topics
 from impact_rig.client import Client, isolated_domain
 from impact_rig.client.parameters import ros_parameters
-from impact_rig.nodes import messages, services
+from impact_rig.nodes import messages
+from impact_rig.nodes.__main__ import NODES, show_help
 from impact_rig.nodes.analysis_node import AnalysisNode
 from impact_rig.nodes.recorder_node import RecorderNode
 from impact_rig.nodes.rig_node import RigNode
-from impact_rig.nodes.services import Situation
 from impact_rig.nodes.stepped_sine_node import SteppedSineNode
 from impact_rig.nodes.topics import TOPICS, by_name
-from tools.generate import figures, interface
+from tools.generate import figures, interface, services
+from tools.generate.services import Situation
 
 pytestmark = pytest.mark.ros
 
@@ -124,6 +128,29 @@ def test_figures_of_the_diagnostics_are_those_of_the_page(graph) -> None:
     for figure in figures.RIG:
         found = any(re.fullmatch(_pattern(figure), key) for key in published)
         assert found or figure.key in only_elsewhere, f"the page promises {figure.key}"
+
+
+# Programs
+
+
+@pytest.mark.parametrize("node", [*NODES])
+def test_a_program_tells_its_use_and_starts_nothing(node: str) -> None:
+    """A bug once: `rig_node --help` started a rig."""
+    module = "impact_rig.lab.node" if node == "lab" else "impact_rig.nodes.__main__"
+    call = f"import sys, {module} as m; sys.argv[1:] = ['--help']; m.{'main' if node == 'lab' else node}(); "
+    done = subprocess.run(
+        [sys.executable, "-c", f"{call}assert 'rclpy' not in sys.modules"], capture_output=True, text=True, check=True
+    )
+    assert done.stdout.startswith(f"usage: {node}_node [-h] [--ros-args")
+    assert done.stderr == ""
+    (name, value) = re.search(r"-p ([a-z_.]+):=(\S+)\n", done.stdout).groups()
+    if node in interface.SCHEMAS:  # its example is a parameter of the node, with a value it takes
+        schema = interface.SCHEMAS[node]
+        assert schema.changed(schema.default(), {name: yaml.safe_load(value)}) != schema.default()
+
+
+def test_help_of_what_ros_is_told_is_for_ros() -> None:
+    assert not show_help("rig", ["--ros-args", "-p", "--help"])
 
 
 # Commands and services in every situation

@@ -20,14 +20,13 @@ from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
-from impact_rig import topics
+from impact_rig import states, topics
 from impact_rig.client import Client, ServiceFailedError, isolated_domain
 from impact_rig.client.parameters import ros_parameters
 from impact_rig.config.fields import integer, names, quantity, switch
 from impact_rig.errors import CommandError, ConfigError
-from impact_rig.nodes.deferred import DeferredService
-from impact_rig.nodes.diagnostics import Health, Level
-from impact_rig.nodes.managed import ManagedNode
+from impact_rig.nodes.diagnostics import Health, Level, State
+from impact_rig.nodes.managed import DeferredService, ManagedNode
 from impact_rig.nodes.parameters import SectionSchema
 from impact_rig.nodes.process import EXECUTOR_VARIABLE
 
@@ -51,6 +50,8 @@ class Settings:
 class Small(ManagedNode[Settings]):
     """Everything a node can do wrong."""
 
+    STATES = states.Recorder
+
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("small", SectionSchema(Settings), **kwargs)
         self.changes: list[dict[str, Any]] = []
@@ -68,6 +69,9 @@ class Small(ManagedNode[Settings]):
         if settings.count == 13:
             raise CommandError("thirteen is refused by the node itself")
         self.changes.append(changes)
+
+    def doing(self) -> State:
+        return State(states.Recorder.IDLE)
 
     def status(self) -> Health:
         return Health(Level.OK, "fine", {"ticks": self.ticks})

@@ -8,7 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from impact_rig.nodes.pacing import KEPT, AckWindow, Pacer
+from impact_rig.nodes.acknowledgements import KEPT, AckWindow
+from impact_rig.nodes.pacing import Pacer
 from impact_rig.simtime import NS_PER_S
 
 MS = 1_000_000

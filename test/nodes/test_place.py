@@ -11,7 +11,7 @@ pytest.importorskip("rclpy", reason="no ROS 2 here")
 from rclpy.node import Node
 
 from impact_rig.client import Client
-from impact_rig.nodes.place import Place, ends_here
+from impact_rig.nodes.start import NamespaceLock, ends_here
 
 pytestmark = pytest.mark.ros
 FAST = "rmw_fastrtps_cpp"
@@ -37,7 +37,7 @@ def test_discovery_ends_here_only_where_that_is_sure(environment, middleware, ex
 
 def test_a_place_is_one_namespace_of_one_domain(client: Client) -> None:
     place, same, other = (
-        Place(client.host(Node, node_name=name, namespace=where))
+        NamespaceLock(client.host(Node, node_name=name, namespace=where))
         for name, where in (("a", "/cell/one"), ("b", "/cell/one"), ("c", "/cell/two"))
     )
     assert place.decides
@@ -53,6 +53,6 @@ def test_a_place_is_one_namespace_of_one_domain(client: Client) -> None:
 
 def test_where_nothing_can_be_locked_the_graph_decides(client: Client, monkeypatch) -> None:
     monkeypatch.setattr("tempfile.tempdir", "/nowhere")
-    place = Place(client.node)
+    place = NamespaceLock(client.node)
     assert not place.decides
     assert place.take()

@@ -16,9 +16,9 @@ from impact_rig.client import Client, Collector, ServiceFailedError, WaitTimeout
 from impact_rig.client.parameters import ros_parameters
 from impact_rig.nodes import messages
 from impact_rig.nodes.analysis_node import AnalysisNode
-from impact_rig.nodes.place import Place
 from impact_rig.nodes.recorder_node import RecorderNode
 from impact_rig.nodes.rig_node import RigNode
+from impact_rig.nodes.start import NamespaceLock
 from impact_rig.recording import open_run
 from impact_rig.runs import info
 
@@ -113,7 +113,7 @@ def test_a_second_rig_waits_until_the_first_is_gone(client: Client, mode: str) -
 
 
 def test_a_rig_waits_for_one_of_this_machine_that_the_graph_does_not_know_yet(client: Client) -> None:
-    place = Place(client.node)
+    place = NamespaceLock(client.node)
     assert place.take()
     host_rig(client)
     client.wait_until(lambda: "another rig of this machine" in client.status("rig").message, "the diagnostic")

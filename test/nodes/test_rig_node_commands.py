@@ -12,6 +12,7 @@ import pytest
 pytest.importorskip("rclpy", reason="no ROS 2 here")
 
 from kits.nodes import host_rig, same_as_resimulated
+from rclpy.duration import Duration
 from std_msgs.msg import Float64
 
 from impact_rig import topics
@@ -56,6 +57,27 @@ def test_commands_before_activation_are_refused_and_parameters_accepted(client: 
     configuration = client.collect("rig/configuration")
     client.wait_until(lambda: configuration.messages, "rig/configuration")
     assert "gap_m: 0.008" in configuration.messages[0].data
+
+
+def test_what_was_commanded_before_a_rig_begins_is_dropped(client: Client) -> None:
+    """It waited in the queue of the node, which was busy with its start: meant for another rig, or for none."""
+    node = host_rig(client, output__autostart=False)
+    publisher = client.publisher(topics.CURRENT)
+    client.wait_until(publisher.get_subscription_count, "the subscription")
+    client.spin_for(0.1)
+    for _ in range(3):
+        publisher.publish(Float64(data=0.3))
+    publisher.wait_for_all_acked(Duration(seconds=5.0))
+    node.trigger_configure()
+    node.trigger_activate()
+    client.wait_active("rig")
+    client.spin_for(0.2)
+    assert node.refusals.counts == {"inactive": 3}
+    assert "before this rig began" in node.refusals.last["inactive"]
+    client.step()
+    assert len(client.applied) == 1
+    assert client.applied.last().rows["current"][0] == 0.0
+    assert client.command(current_a=0.2)["current"] == 0.2
 
 
 def test_the_description_is_latched_and_follows_the_gap_and_nothing_that_is_not_seen(client: Client) -> None:

@@ -15,8 +15,8 @@ from kits.nodes import DRIVEN, TICK, dotted, host_rig, same_as_resimulated
 from std_srvs.srv import SetBool, Trigger
 
 from impact_rig.client import Client, ServiceFailedError
+from impact_rig.nodes.messages import nanoseconds
 from impact_rig.nodes.pacing import Pacer
-from impact_rig.nodes.stamps import nanoseconds
 from impact_rig.rig import Rig
 from impact_rig.rig.config import RigConfig, from_flat
 

@@ -18,8 +18,8 @@ from impact_rig.client.parameters import ros_parameters
 from impact_rig.errors import ConfigError
 from impact_rig.nodes.analysis_node import AnalysisNode
 from impact_rig.nodes.recorder_node import RecorderNode
-from impact_rig.nodes.rig_news import summary
 from impact_rig.nodes.rig_node import RigNode
+from impact_rig.nodes.rig_state import summary
 from impact_rig.nodes.stepped_sine_node import SteppedSineNode
 from impact_rig.rig.config import RigConfig, from_flat
 

@@ -15,8 +15,7 @@ pytest.importorskip("rclpy", reason="no ROS 2 here")
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import Imu, JointState, Range
 
-from impact_rig.nodes.stamps import time_message
-from impact_rig.nodes.template import Template, put
+from impact_rig.nodes.messages import Template, put, time_message
 
 pytestmark = pytest.mark.ros
 STAMPS = st.integers(0, 2**31 * 10**9 - 1)

@@ -12,7 +12,7 @@ import pytest
 
 pytest.importorskip("rclpy", reason="no ROS 2 here")
 
-from impact_rig.nodes.work_timer import LATE_CALLS, WorkTimer
+from impact_rig.nodes.pacing import LATE_CALLS, WorkTimer
 
 PERIOD_S = 0.01
 

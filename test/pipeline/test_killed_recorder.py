@@ -14,7 +14,7 @@ import pytest
 pytest.importorskip("rclpy", reason="no ROS 2 here")
 
 from impact_rig.client import Client, Collector, Processes, isolated_domain
-from impact_rig.nodes.stamps import nanoseconds
+from impact_rig.nodes.messages import nanoseconds
 from impact_rig.recording import open_run
 from impact_rig.runs import recover
 

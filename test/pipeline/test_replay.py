@@ -23,9 +23,9 @@ from std_srvs.srv import SetBool
 from impact_rig.blocks import Table
 from impact_rig.client import Client, isolated_domain
 from impact_rig.nodes.analysis_node import AnalysisNode
+from impact_rig.nodes.messages import nanoseconds
 from impact_rig.nodes.recorder_node import RecorderNode
 from impact_rig.nodes.rig_node import RigNode
-from impact_rig.nodes.stamps import nanoseconds
 from impact_rig.recording import open_run
 from impact_rig.runs import live_comparison, reanalysis
 

@@ -161,4 +161,35 @@ def test_a_run_in_real_time_is_whole_from_scan_0_on_and_is_found_again(
         comparison = compare(run, reanalysis.measurements(reanalysis.analyze(run)))
         assert comparison.identical, comparison
         assert comparison.left_out[0] == 0
-        assert verify(run).identical
+        verified = verify(run)
+        assert verified.identical, verified.reason
+        counts = {one.topic: one.count for one in verified.topics}
+        assert min(counts[name] for name in ("daq/info", "shaker/applied", "truth/joint_states", "rig/journal")) > 0
+        assert counts["truth/joint_states"] == run.topics[run.resolve("truth/joint_states")].count
+
+
+def test_a_recording_begun_in_mid_run_is_not_accused(processes: Processes, client: Client, tmp_path: Path) -> None:
+    """Scans reach the recorder some blocks before the calibration and the drive, which are latched."""
+    processes.start("rig", {**RIG, "time.peers": ("analysis",), "sphere.present": False})
+    processes.start("analysis", {"gap_m": 0.0})
+    processes.start("recorder", {"directory": str(tmp_path), "name": "run", "record": False})
+    client.wait_active("rig", "analysis", "recorder")
+    client.command(frequency_hz=9.1, current_a=0.52)
+    table = client.collect("transmissibility/table")
+    client.wait_until(lambda: len(table) > 0, "a row", 60.0)
+    client.trigger("recorder/start")
+    table.clear()
+    client.wait_until(lambda: len(table) > 0, "a row", 60.0)
+    client.command(frequency_hz=9.3)
+    table.clear()
+    client.wait_until(lambda: (table.rows()["settled"] == 1).any() if len(table) else False, "a measurement", 300.0)
+    assert processes.stop("recorder", "analysis", "rig") == {"recorder": 0, "analysis": 0, "rig": 0}
+    assert info(tmp_path / "run").verdict.startswith("whole: ")
+    with open_run(tmp_path / "run") as run:
+        findings = list(reanalysis.analyze(run))
+        impacts = [one for found in findings for one in found.impacts]
+        comparison = compare(run, reanalysis.measurements(iter(findings)), impacts)
+        assert comparison.same, comparison
+        assert comparison.compared > 0
+        verified = verify(run)
+        assert verified.identical, verified.reason

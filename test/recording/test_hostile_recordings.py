@@ -18,9 +18,8 @@ import pytest
 from impact_rig.cli.recover import INCOMPLETE
 from impact_rig.errors import ImpactRigError
 from impact_rig.recording import open_run
-from impact_rig.recording.description import TopicDescription
+from impact_rig.recording.description import TopicDescription, starts_with_header
 from impact_rig.recording.records import DamageError
-from impact_rig.recording.schema import starts_with_header
 from impact_rig.runs import export, info, recover
 from impact_rig.system import budget
 from impact_rig.system.budget import BudgetError
@@ -32,6 +31,7 @@ REFUSED = {
     "chunk of 2 GB": "2000000031 bytes in a chunk, more than 33554432; .* IMPACT_RIG_BUDGET=N",
     "7.7 million empty messages": "bytes in a chunk, more than 33554432; .* IMPACT_RIG_BUDGET=N",
     "one chunk indexed 20,000 times": "twice, or inside another",
+    "60,000 topics": "60000 topics, more than 5000; .* IMPACT_RIG_BUDGET=N",
     "FIFO": "not a regular file",
     "link to /dev/zero": "not a regular file",
     "9 MB metadata.yaml": "bytes in .*metadata.yaml, more than 524288; .* IMPACT_RIG_BUDGET=N",

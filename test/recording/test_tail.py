@@ -4,15 +4,17 @@
 
 from __future__ import annotations
 
+import contextlib
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 from kits.recording import NOTES_TOPIC, SCAN_TOPIC, scan_block, string
 
 from impact_rig.errors import RecordingError
-from impact_rig.recording import open_run
-from impact_rig.recording.tail import Tail, tail_of
+from impact_rig.recording import open_run, records
+from impact_rig.recording.mcap_file import Tail, tail_of
 from impact_rig.runs import recover
 
 BLOCKS = 12
@@ -162,3 +164,68 @@ def test_a_tail_of_somebody_else_is_not_overwritten(record):
     (writer.directory / "run.mcap").unlink()
     with pytest.raises(RecordingError, match=r"holds a recording already \(run.mcap.tail\)"):
         record(tail=True)
+
+
+def flipped_tails(kept, whole):
+    """The tail with one bit flipped at each structural place and at some inside each chunk, and cut short."""
+    rng = np.random.default_rng(5)
+    ends, offset = [], len(records.MAGIC)
+    while offset < len(whole):
+        _, _, end = records.split(memoryview(whole), offset)
+        ends.append((offset, end))
+        offset = end
+    for begin, end in [(0, len(records.MAGIC)), *ends]:
+        inside = rng.integers(begin, end, 3).tolist()
+        for place in sorted({begin, *range(begin, min(end, begin + 140), 13), *inside, end - 1}):
+            damaged = bytearray(whole)
+            damaged[place] ^= 1 << int(rng.integers(8))
+            yield place, bytes(damaged)
+
+
+def test_one_flipped_bit_in_the_tail_costs_at_most_one_of_its_chunks(record, tmp_path):
+    """Neither what it says of itself nor the definitions in its first chunk are needed to read the others."""
+    writer = record(tail=True, chunk_bytes=10**6)
+    writer.add_topic(SCAN_TOPIC)
+    sent = []
+    for number in range(4):
+        sent.append(scan_block(number, scans=4))
+        writer.write(SCAN_TOPIC.name, sent[-1], 0, number)
+        writer.secure()
+    kept = tmp_path / "kept"
+    shutil.copytree(writer.directory, kept)
+    writer.finish()
+    tail = tail_of(kept / "run.mcap")
+    whole = tail.read_bytes()
+    for place, damaged in flipped_tails(kept, whole):
+        tail.write_bytes(damaged)
+        report = recover(kept, tmp_path / "out")
+        shutil.rmtree(tmp_path / "out")
+        assert report.messages >= len(sent) - 1, place
+        assert report.complete == (report.messages == len(sent) and not report.damages), place
+        if report.messages < len(sent):
+            assert report.damages[0].file == "run.mcap.tail", place
+    for size in (len(whole) - 1, 100, 40, 9, 3):  # cut: what is left is given back, what is not is told
+        tail.write_bytes(whole[:size])
+        with contextlib.suppress(RecordingError):
+            assert not recover(kept, tmp_path / "out").complete
+            shutil.rmtree(tmp_path / "out")
+
+
+@pytest.mark.parametrize("follows_readable", [True, False])
+def test_a_tail_that_a_chunk_has_made_superfluous_is_known_without_its_first_record(
+    record, tmp_path, monkeypatch, follows_readable
+):
+    monkeypatch.setattr(Tail, "remove", lambda tail: shutil.copytree(tail.path.parent, tmp_path / "kept"))
+    writer = record(tail=True, chunk_bytes=10**6)
+    writer.add_topic(SCAN_TOPIC)
+    sent = [scan_block(number) for number in range(3)]
+    for number, data in enumerate(sent):
+        writer.write(SCAN_TOPIC.name, data, 0, number)
+        writer.secure()
+    writer.finish()
+    tail = tail_of(tmp_path / "kept" / "run.mcap")
+    if not follows_readable:
+        damaged = bytearray(tail.read_bytes())
+        damaged[len(records.MAGIC) + 60] ^= 4
+        tail.write_bytes(bytes(damaged))
+    assert given_back(tmp_path / "kept", tmp_path / "out") == sent

@@ -4,15 +4,16 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 from kits.rig import START_NS, TICK, config, impacts, resimulated, same
 
-from impact_rig.blocks import Table
+from impact_rig.blocks import JOURNAL, Table
 from impact_rig.errors import ConfigError
 from impact_rig.instruments.fault import Fault
 from impact_rig.rig import Block, Rig
 from impact_rig.rig.config import RigConfig, from_flat, to_flat
-from impact_rig.rig.journal import Kind, read, short_key, values_of
+from impact_rig.rig.journal import JournalView, Kind, read, short_key, values_of
 
 
 def eventful(chosen: RigConfig, cuts: int) -> tuple[list[Block], list[Table], Rig]:
@@ -86,3 +87,44 @@ def test_short_keys_of_configuration_values_are_unique() -> None:
     names = list(to_flat(RigConfig()))
     assert len({short_key(name) for name in names}) == len(names)
     assert all(len(short_key(name).encode()) <= 32 for name in names)
+
+
+def test_a_view_follows_what_a_journal_says_table_by_table() -> None:
+    """What resimulation, playback and page read of it is the same: inputs whole, the state they leave behind."""
+    rig = Rig(from_flat(RigConfig(), {"daq.seed": 5, "contact.law": "hunt_crossley"}), START_NS)
+    view = JournalView()
+
+    def seen() -> list[Kind]:
+        return [change.kind for table in rig.take_journal() for change in view.take(table)]
+
+    rig.advance(START_NS + 5 * TICK)
+    rig.accept(frequency_hz=9.1, current_a=0.3)
+    rig.configure({"barriers.gap_m": 0.004, "sphere.present": True, "contact.law": "lankarani_nikravesh"})
+    assert seen() == [Kind.START, Kind.INITIAL, Kind.COMMAND, Kind.COMMAND, Kind.PARAMETER]
+    assert view.start_ns == START_NS
+    assert (view.configuration["daq.seed"], view.configuration["contact.law"]) == (5, "lankarani_nikravesh")
+    assert view.configuration["barriers.gap_m"] == 0.004
+    assert (view.drive, view.latched, view.plucked) == ({"frequency": 9.1, "current": 0.3}, None, False)
+    rig.stop()
+    assert seen() == [Kind.STOP]
+    assert view.latched is not None
+    assert view.latched.kind is Kind.STOP
+    rig.clear_trip()
+    rig.pluck(0.001)
+    assert seen() == [Kind.CLEAR_TRIP, Kind.PLUCK]
+    assert (view.latched, view.plucked) == (None, True)
+    rig.reset()
+    assert seen()[0] is Kind.RESET
+    assert (view.plucked, view.drive, view.configuration["barriers.gap_m"]) == (False, {}, 0.004)
+
+
+def test_a_view_takes_nothing_of_a_table_it_does_not_understand() -> None:
+    view = JournalView()
+    rows = np.zeros(2, JOURNAL)
+    rows["kind"], rows["key"] = b"command", b"frequency"
+    view.take(Table(0, rows[:1]))
+    rows["kind"][1] = b"unheard"
+    for table in (Table(0, rows), Table(0, np.zeros(1, [("time", "f8")]))):
+        with pytest.raises(ConfigError, match=r"unknown kind 'unheard'|'sample', 'sequence', .* is missing"):
+            view.take(table)
+    assert view.drive == {"frequency": 0.0}

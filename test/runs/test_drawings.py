@@ -18,7 +18,7 @@ from impact_rig.cli import main
 from impact_rig.instruments.scan import SCAN
 from impact_rig.recording import open_run
 from impact_rig.runs import drawings, reanalysis
-from impact_rig.runs.excerpt import Excerpt, last_excerpt
+from impact_rig.runs.wholes import Excerpt, last_excerpt
 from impact_rig.testing import VirtualRig
 
 pytest.importorskip("matplotlib")

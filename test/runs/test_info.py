@@ -4,6 +4,10 @@
 
 from __future__ import annotations
 
+import json
+import shutil
+
+import attrs
 import numpy as np
 import pytest
 from hypothesis import given
@@ -20,12 +24,13 @@ from kits.recording import (
     scan_block,
     string,
 )
+from kits.records import info_rows
 
 from impact_rig import codec
 from impact_rig.blocks import Table
 from impact_rig.errors import RecordingError
 from impact_rig.instruments.scan import SCAN
-from impact_rig.recording import open_run
+from impact_rig.recording import Account, RunWriter, losses, open_run
 from impact_rig.runs import check_contiguity, info, recover
 from impact_rig.simtime import stamp_ns
 
@@ -199,5 +204,123 @@ def test_no_block_at_all_is_whole():
 def test_a_block_with_a_single_scan_has_no_rate(record):
     with record() as writer:
         writer.add_topic(SCAN_TOPIC)
-        writer.write(SCAN_TOPIC.name, scan_block(0, scans=1), 0)
-    assert info(writer.directory).rate_hz is None
+        writer.write(SCAN_TOPIC.name, scan_block(0, scans=1), 0, 1)
+    found = info(writer.directory)
+    assert found.rate_hz is None
+    assert "1 blocks of daq/scan whose rate is not known" in found.verdict
+
+
+def rewritten(run, out, change):
+    """A copy of a run whose messages have gone through `change`, with everything it says of itself as it was."""
+    with open_run(run) as opened:
+        account = losses.read_record(opened.record(losses.RECORD_NAME))
+        record = {name: json.dumps([attrs.asdict(one) for one in found]) for name, found in account.items()}
+        with RunWriter(
+            out, provenance=PROVENANCE, clock=lambda: 0.0, closing=lambda: {losses.RECORD_NAME: record}
+        ) as writer:
+            for recorded in opened.topics.values():
+                writer.add_topic(recorded.topic)
+            for one in change(list(opened.messages(recorded_order=True))):
+                writer.write_at(one.topic, bytes(one.data), one.log_time, one.publish_time, one.sequence)
+    return info(out)
+
+
+@pytest.mark.parametrize("topic", ["/rig/notes", "/rig/daq/scan"])
+def test_a_message_removed_and_its_neighbour_doubled_is_found_by_their_numbers(record, tmp_path, topic):
+    """As many messages as were received, and not those."""
+    with record() as writer:
+        fill(writer, 30)
+
+    def double(messages):
+        places = [place for place, one in enumerate(messages) if one.topic == topic]
+        messages[places[2]] = messages[places[1]]
+        return messages
+
+    assert rewritten(writer.directory, tmp_path / "same", lambda messages: messages).verdict.startswith("whole: ")
+    found = rewritten(writer.directory, tmp_path / "out", double)
+    assert not found.intact
+    assert f"messages that were received are not in it: 1 of {topic}" in found.verdict
+    assert f"messages are in it twice: 1 of {topic}" in found.verdict
+
+
+def test_numbers_of_several_publishers_of_a_topic_overlap_and_are_no_doubles(record):
+    publishers = {"a": "one", "b": "other"}
+    with record(account=Account(lambda _: publishers)) as writer:
+        writer.add_topic(NOTES_TOPIC)
+        for number in range(1, 9):
+            writer.write(NOTES_TOPIC.name, string("x"), number, number)
+            if number > 3:
+                writer.write(NOTES_TOPIC.name, string("y"), number, number - 3 + 100)
+    assert info(writer.directory).verdict.startswith("whole: ")
+
+
+def test_an_account_that_leaves_a_topic_out_makes_no_run_whole(record, tmp_path):
+    with record() as writer:
+        fill(writer, 5)
+    with open_run(writer.directory) as run:
+        account = losses.read_record(run.record(losses.RECORD_NAME))
+    one = {SCAN_TOPIC.name: json.dumps([attrs.asdict(stream) for stream in account[SCAN_TOPIC.name]])}
+    with (
+        open_run(writer.directory) as run,
+        RunWriter(
+            tmp_path / "out", provenance=PROVENANCE, clock=lambda: 0.0, closing=lambda: {losses.RECORD_NAME: one}
+        ) as other,
+    ):
+        for recorded in run.topics.values():
+            other.add_topic(recorded.topic)
+        for message in run.messages(recorded_order=True):
+            other.write_at(message.topic, bytes(message.data), message.log_time, message.publish_time, message.sequence)
+    found = info(tmp_path / "out")
+    assert not found.intact
+    assert "its recorder kept no account of: " in found.verdict
+    assert NOTES_TOPIC.name in found.verdict
+
+
+def test_blocks_of_one_scan_are_judged_too(record):
+    """Their times say no rate; the calibration does, or the stamps."""
+
+    def blocks(directory, numbers, calibration):
+        with record(directory) as writer:
+            writer.add_topic(SCAN_TOPIC)
+            if calibration:
+                writer.add_topic(attrs.evolve(SCAN_TOPIC, name="/rig/daq/info"))
+                writer.write("/rig/daq/info", codec.encode(Table(START_NS, info_rows(RATE_HZ))), 1, 1)
+            for number in numbers:
+                writer.write(SCAN_TOPIC.name, scan_block(number, scans=1), number, number + 1)
+        return info(writer.directory)
+
+    withheld = [*range(40), *range(60, 100)]
+    for calibration in (True, False):
+        assert blocks(f"whole{calibration}", range(100), calibration).verdict.startswith("whole: ")
+        found = blocks(f"short{calibration}", withheld, calibration)
+        assert (found.rate_hz, found.scans.lost_scans, found.intact) == (RATE_HZ, 20, False)
+        assert "20 blocks (20 scans) are missing" in found.verdict
+
+
+def test_a_split_run_without_its_last_file_is_not_whole(record):
+    with record(max_file_bytes=40_000, chunk_bytes=20_000) as writer:
+        fill(writer, 60)
+    assert len(writer.files) > 2
+    assert info(writer.directory).verdict.startswith("whole: ")
+    writer.files[-1].unlink()
+    (writer.directory / "metadata.yaml").unlink()
+    found = info(writer.directory)
+    assert not found.intact
+    last = writer.files[-2].name
+    assert f"{last} is not the last file of its run: {writer.files[-1].name} is missing" in found.verdict
+    assert "metadata.yaml, which a finished run has, is missing" in found.verdict
+
+
+def test_a_run_being_written_is_told_from_one_that_was_cut_short(record, tmp_path):
+    """Its writer holds a lock as long as it lives; the advice for either works."""
+    writer = record(tail=True)
+    sent = fill(writer, 5)
+    writer.secure()
+    with pytest.raises(RecordingError, match="it is being recorded now: it can be read when the recording has ended"):
+        info(writer.directory)
+    assert recover(writer.directory, tmp_path / "copy").messages == len(sent)
+    shutil.copytree(writer.directory, tmp_path / "cut")
+    with pytest.raises(RecordingError, match="its writer was interrupted; impact-rig recover gives back"):
+        info(tmp_path / "cut")
+    writer.finish()
+    assert info(writer.directory).intact

@@ -33,7 +33,9 @@ def whole() -> Messages:
 
 def compared(directory: Path, found: Messages) -> Comparison:
     with open_run(record(directory / "run", found)) as run:
-        return live_comparison.compare(run, reanalysis.measurements(reanalysis.analyze(run)))
+        findings = list(reanalysis.analyze(run))
+        impacts = [table for one in findings for table in one.impacts]
+        return live_comparison.compare(run, reanalysis.measurements(iter(findings)), impacts)
 
 
 def live_rows(found: Messages) -> int:
@@ -192,3 +194,113 @@ def test_a_machine_that_computes_as_another_has_another_number(monkeypatch: pyte
     assert machine.fingerprint() != number
     monkeypatch.undo()
     machine.identity.cache_clear()
+
+
+@pytest.mark.parametrize("late", [1, 8, 60], ids=lambda blocks: f"{blocks} blocks")
+@pytest.mark.parametrize("begun", [0, 300], ids=["scan 0", "3 s"])
+def test_calibration_and_drive_that_come_some_blocks_late_are_those_of_the_first_block(
+    tmp_path: Path, late: int, begun: int
+) -> None:
+    """A recorder that is told to start in mid-run hears the scans before what is latched; live knew it all along."""
+    data = messages(again=AGAIN)
+    part = [(name, one) for name, one in data if name not in ("daq/scan", TABLE) or one.stamp_ns >= begun * TICK]
+    known = [one for one in part if one[0] in ("daq/info", "shaker/applied") and one[1].stamp_ns <= begun * TICK]
+    known = known if begun else [one for one in known if one[0] == "daq/info"]
+    scans = [place for place, one in enumerate(part) if one[0] == "daq/scan"]
+    at = scans[late]
+    told = [one for one in part[:at] if one not in known] + known + [one for one in part[at:] if one not in known]
+    found = compared(tmp_path, told)
+    assert found.same, found.reason
+    assert found.identical
+    assert found.compared >= 3
+
+
+def with_impacts(**values: object) -> Messages:
+    """A rig that strikes, with all that its analysis publishes."""
+    data = messages(6, (), **{"sphere.present": True, "barriers.gap_m": 0.002, **values})
+    tracker, result = Tracker(), []
+    tracker.label(0.0, 0)
+    for name, table in data:
+        result.append((name, table))
+        if name == "daq/info":
+            tracker.configure(table)
+        elif name == "shaker/applied":
+            tracker.on_applied(table)
+        elif name == "daq/scan":
+            result += [("impacts", row) for row in tracker.feed(table).impacts]
+    return result
+
+
+def test_the_impacts_that_live_had_found_are_compared_too(tmp_path: Path) -> None:
+    data = with_impacts()
+    found = compared(tmp_path / "same", data)
+    by_topic = {one.topic: one for one in found.others}
+    assert (found.same, by_topic["impacts"].difference) == (True, ""), str(found)
+    assert by_topic["impacts"].count > 20
+    assert by_topic["transmissibility"].left_out == "it is not in this run"
+    places = [place for place, (name, _) in enumerate(data) if name == "impacts"]
+    middle = places[len(places) // 2]
+
+    def louder(rows: np.ndarray) -> np.ndarray:
+        rows["peak"] *= 1.0 + 1e-8
+        return rows
+
+    altered = [*data[:middle], *edited(data[middle : middle + 1], "impacts", louder), *data[middle + 1 :]]
+    for name, case, said in (
+        ("louder", altered, "impacts: peak at "),
+        ("missing", [*data[:middle], *data[middle + 1 :]], "was found here only"),
+        ("invented", [*data[:middle], *shifted(data[middle]), *data[middle:]], "was found live only"),
+    ):
+        found = compared(tmp_path / name, case)
+        assert found.same is False
+        assert said in found.reason
+
+
+def shifted(message: tuple[str, Table]) -> Messages:
+    """The message, 3 ms earlier."""
+    name, table = message
+    return [(name, attrs.evolve(table, stamp_ns=table.stamp_ns - 3_000_000))]
+
+
+HOSTILE = {
+    "waited NaN": (TABLE, lambda rows: value(rows, "waited", np.nan), "waited must be a number"),
+    "waited 1e308": (TABLE, lambda rows: value(rows, "waited", 1e308), "waited must be a number"),
+    "no frequency": (TABLE, lambda rows: without(rows, "frequency"), "column 'frequency' is missing"),
+    "status no text": (TABLE, lambda rows: value(rows, "status", b"\xff"), "status must be UTF-8"),
+    "no key": ("analysis/settings", lambda rows: without(rows, "key"), "column 'key' is missing"),
+    "no such setting": ("analysis/settings", lambda rows: value(rows, "key", b"unheard"), "unknown key: unheard"),
+    "no calibration": ("daq/info", lambda rows: None, "daq/info"),
+    "rate NaN": ("daq/info", lambda rows: value(rows, "rate", np.nan), "rate must be a whole number"),
+    "no rate": ("daq/info", lambda rows: without(rows, "rate"), "column 'rate' is missing"),
+    "no rows": ("daq/info", lambda rows: rows[:0], "daq/info must have one row for each of"),
+    "no laser": ("daq/scan", lambda rows: without(rows, "laser"), "column 'laser' is missing"),
+    "no drive": ("shaker/applied", lambda rows: without(rows, "frequency"), "column 'frequency' is missing"),
+}
+
+
+def value(rows: np.ndarray, name: str, what: object) -> np.ndarray:
+    rows[name] = what
+    return rows
+
+
+def without(rows: np.ndarray, name: str) -> np.ndarray:
+    kept = [column for column in rows.dtype.names if column != name]
+    return np.array(rows[kept].tolist(), [(column, rows.dtype[column]) for column in kept])
+
+
+@pytest.mark.parametrize("what", HOSTILE)
+def test_a_table_of_another_version_or_with_a_hostile_number_is_answered_in_one_line(
+    whole: Messages, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, what: str
+) -> None:
+    topic, change, said = HOSTILE[what]
+    monkeypatch.setenv("COLUMNS", "300")
+    assert main(["analyze", str(record(tmp_path / "run", edited(whole, topic, change)))]) == 1
+    error = capsys.readouterr().err
+    assert said in error
+    assert error.count("\n") == 1
+
+
+def test_a_measurement_of_a_version_before_some_columns_is_compared(whole: Messages, tmp_path: Path) -> None:
+    for column in ("spread", "regime"):
+        older = edited(whole, TABLE, lambda rows, column=column: without(rows, column))
+        assert compared(tmp_path / column, older).same is False  # the live row does not say it

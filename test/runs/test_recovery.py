@@ -27,11 +27,14 @@ from kits.recording import (
 
 pytest.importorskip("rosbags", reason="an independent reader, only on PyPI")
 
+from mcap.writer import CompressionType, Writer
 from rosbags.highlevel import AnyReader
 
 from impact_rig.errors import RecordingError
 from impact_rig.recording import Attachment, Provenance, RunWriter, TopicDescription, open_run, records
 from impact_rig.runs import recover
+from impact_rig.system import budget
+from impact_rig.system.budget import BudgetError
 
 SMALL_TOPICS = tuple(
     TopicDescription(name=f"/rig/{name}", type_name="std_msgs/msg/String", schema="string data\n")
@@ -405,3 +408,35 @@ def test_a_killed_writer_loses_less_than_a_second(tmp_path, after_s):
 @pytest.mark.parametrize("after_s", np.random.default_rng(5).uniform(0.6, 4.0, 20).round(3).tolist())
 def test_a_killed_writer_loses_less_than_a_second_at_any_instant(tmp_path, after_s):
     kill_a_writer(tmp_path, after_s)
+
+
+def test_more_topics_than_any_reader_takes_are_not_collected(tmp_path, monkeypatch):
+    """A small file can define very many; the bound is that of reading a whole run."""
+    path = tmp_path / "many.mcap"
+    writer = Writer(str(path), compression=CompressionType.NONE)
+    writer.start("ros2")
+    schema = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data\n")
+    channels = [writer.register_channel(f"/{number}", "cdr", schema) for number in range(budget.TOPICS + 2)]
+    writer.add_message(channels[0], 1, string("a"), 1)
+    writer.finish()
+    with pytest.raises(BudgetError, match=f"{budget.TOPICS + 2} topics, more than {budget.TOPICS}"):
+        open_run(path)
+    taken = []
+    monkeypatch.setattr(TopicDescription, "from_channel", lambda *found: taken.append(found[0]))
+    with pytest.raises(RecordingError, match=f"{budget.TOPICS + 1} topics, more than {budget.TOPICS}"):
+        recover(path, tmp_path / "out")
+    assert len(taken) == budget.TOPICS + 1
+
+
+def test_where_records_do_not_follow_each_other_metadata_and_attachments_are_found_again(tmp_path):
+    """One damaged length must not cost what stands between it and the next chunk."""
+    path = small_run(tmp_path / "run")
+    whole = path.read_bytes()
+    _, _, first = records.split(memoryview(whole), len(records.MAGIC))
+    damaged = bytearray(whole)
+    damaged[first + 4] ^= 0x80  # the length of the first metadata record
+    path.write_bytes(bytes(damaged))
+    report = recover(tmp_path / "run", tmp_path / "out")
+    assert report.damage_count == 1
+    _, attachments, provenance = read_all(tmp_path / "out")
+    assert (attachments, provenance["seed"]) == ({"config.yaml": b"a: 1\n"}, "3")

@@ -10,9 +10,10 @@ from pathlib import Path
 import attrs
 import numpy as np
 import pytest
-from kits.recorded_rig import PROVENANCE, TICK, Messages, edited, messages, published, record
+from kits.recorded_rig import PROVENANCE, TICK, Messages, edited, everything, messages, published, record, spikes
 
 from impact_rig.arithmetic import ARITHMETIC
+from impact_rig.blocks import Table
 from impact_rig.cli import main
 from impact_rig.recording import Provenance, arithmetic_of, open_run
 from impact_rig.rig import Rig
@@ -98,7 +99,7 @@ def damaged(rows: np.ndarray) -> np.ndarray:
         (lambda rows: rows[rows["key"] != b"frequency"], "is missing"),
         (lambda rows: rows[:0], "the journal is empty"),
         (lambda rows: None, "no topic 'rig/journal'"),
-        (damaged, "sample and sequence 0 to 2"),
+        (damaged, "sequence must be a whole number from 0"),
     ],
     ids=["beginning", "middle", "empty", "none", "nan"],
 )
@@ -250,3 +251,193 @@ def test_tables_of_another_kind_are_no_settings(whole: Messages, tmp_path: Path)
         return rows
 
     assert main(["analyze", str(record(tmp_path / "run", edited(whole, "analysis/settings", change)))]) == 1
+
+
+@pytest.fixture(scope="module")
+def told() -> list[tuple[str, object]]:
+    """All that a rig publishes about itself: it strikes, is faulty, trips, is reset and goes on."""
+    rig = Rig(from_flat(RigConfig(), {"daq.seed": 5, "barriers.gap_m": 0.002, "output.truth_scan": True}))
+    return everything(
+        rig,
+        300,
+        {
+            5: lambda: rig.accept(frequency_hz=9.1),
+            6: lambda: rig.accept(current_a=0.52),
+            60: lambda: rig.inject(spikes(rig.frontier_sample + 50)),
+            70: lambda: rig.configure({"instruments.laser.lag_s": 0.001}),
+            75: lambda: rig.inject(spikes(rig.frontier_sample + 50)),
+            80: lambda: rig.clear_fault(1),
+            100: lambda: rig.configure({"shaker.travel_limit_m": 1e-4}),  # trips
+            125: lambda: rig.configure({"shaker.travel_limit_m": 0.006}),
+            130: rig.clear_trip,
+            140: rig.reset,
+            150: lambda: rig.configure({"sphere.present": False}),
+            155: lambda: rig.configure({"sphere.present": True}),
+            160: lambda: rig.accept(frequency_hz=8.9, current_a=0.4),
+        },
+    )
+
+
+def test_everything_that_the_rig_published_is_compared_and_told_topic_by_topic(told, tmp_path: Path) -> None:
+    found = verdict(tmp_path, told)
+    assert found.identical, [str(one) for one in found.topics if one.difference]
+    counts = {one.topic: one.count for one in found.topics}
+    published = {name: sum(one == name for one, _ in told) for name, _ in told}
+    for name in ("truth/scan", "truth/impacts", "truth/faults", "truth/joint_states", "daq/info", "rig/configuration"):
+        assert counts[name] == published[name] > 0, name
+    assert counts["shaker/applied"] == published["shaker/applied"]
+    assert counts["rig/journal"] == sum(len(table.rows) for name, table in told if name == "rig/journal")
+
+
+@pytest.mark.parametrize("begun", [3, 80, 200], ids=lambda block: f"block {block}")
+def test_a_recorder_that_came_late_heard_less_and_is_not_accused(told, tmp_path: Path, begun: int) -> None:
+    """Truth and scans begin one after the other; what is latched is there from before."""
+    latched = ("rig/journal", "shaker/applied", "daq/info", "truth/faults", "rig/configuration")
+    scans = [place for place, (name, _) in enumerate(told) if name == "daq/scan"]
+    late = [
+        one
+        for place, one in enumerate(told)
+        if one[0] in latched or place >= scans[begun] + (400 if one[0] == "truth/joint_states" else 0)
+    ]
+    found = verdict(tmp_path, late)
+    assert found.identical, found.reason
+
+
+def altered(rows, name, value):
+    rows[name][-1] = value(rows[name][-1])
+    return rows
+
+
+TAMPERED = {
+    "truth/scan": lambda rows: altered(rows, "x_2", lambda x: np.nextafter(x, 1.0)),
+    "truth/impacts": lambda rows: altered(rows, "energy_lost", lambda x: 1.01 * x),
+    "truth/faults": lambda rows: altered(rows, "value", lambda x: x + 1e-9),
+    "shaker/applied": lambda rows: altered(rows, "current", lambda x: x + 1e-12),
+    "daq/info": lambda rows: altered(rows, "noise", lambda x: 1.001 * x),
+}
+
+
+@pytest.mark.parametrize("where", [0.3, 0.9])
+@pytest.mark.parametrize("topic", TAMPERED)
+def test_one_altered_value_beside_the_scans_is_named(told, tmp_path: Path, topic: str, where: float) -> None:
+    places = [place for place, (name, _) in enumerate(told) if name == topic]
+    place = places[int(where * len(places))]
+    found = verdict(
+        tmp_path, [*told[:place], *edited(told[place : place + 1], topic, TAMPERED[topic]), *told[place + 1 :]]
+    )
+    assert found.identical is False
+    assert found.reason.startswith(f"{topic}: ")
+    assert "logged" in found.reason
+
+
+@pytest.mark.parametrize("topic", [*TAMPERED, "truth/joint_states"])
+def test_a_message_that_is_missing_or_made_up_is_named(told, tmp_path: Path, topic: str) -> None:
+    places = [place for place, (name, _) in enumerate(told) if name == topic]
+    place = places[len(places) // 2]
+    name, one = told[place]
+    made_up = (name, attrs.evolve(one, stamp_ns=one.stamp_ns - 1_000_001))
+    found = verdict(tmp_path / "more", [*told[:place], made_up, *told[place:]])
+    assert found.identical is False
+    assert found.reason.startswith(f"{topic}: at ")
+    assert "no rig with this journal has published that" in found.reason
+    if topic not in ("truth/scan", "truth/joint_states"):  # how often those come is no part of a journal
+        found = verdict(tmp_path / "less", [*told[:place], *told[place + 1 :]])
+        assert found.identical is False
+        assert "is missing" in found.reason
+
+
+def test_an_altered_joint_state_and_configuration_are_named(told, tmp_path: Path) -> None:
+    places = [place for place, (name, _) in enumerate(told) if name == "truth/joint_states"]
+    name, one = told[places[40]]
+    values = one.values.copy()
+    values[4] = np.nextafter(values[4], 1.0)
+    found = verdict(
+        tmp_path / "joints", [*told[: places[40]], (name, attrs.evolve(one, values=values)), *told[places[40] + 1 :]]
+    )
+    assert found.identical is False
+    assert found.reason.startswith("truth/joint_states: at ")
+    assert "velocity: logged" in found.reason
+    other = [
+        (name, attrs.evolve(one, text=one.text.replace("gap_m: 0.002", "gap_m: 0.0021")) if "config" in name else one)
+        for name, one in told
+    ]
+    found = verdict(tmp_path / "configuration", other)
+    assert found.identical is False
+    assert "barriers.gap_m is 0.0021, which by the journal it never was" in found.reason
+
+
+def test_a_row_that_the_rig_itself_would_have_written_cannot_be_invented_or_removed(told, tmp_path: Path) -> None:
+    """A trip is a result: the journal without it, or with one more, leads to other rows."""
+    tables = [place for place, (name, _) in enumerate(told) if name == "rig/journal"]
+    rows = np.concatenate([told[place][1].rows for place in tables])
+    assert b"trip" in rows["kind"]
+
+    def renumbered(change) -> list[tuple[str, object]]:
+        result, sequence = [], -1
+        for name, one in told:
+            if name != "rig/journal":
+                result.append((name, one))
+                continue
+            rows = change(one.rows.copy())
+            for row in rows:
+                sequence = 0 if row["kind"] in (b"start", b"reset") else sequence + 1
+                row["sequence"] = sequence
+            result.append((name, attrs.evolve(one, rows=rows)))
+        return result
+
+    def invented(rows: np.ndarray) -> np.ndarray:
+        if b"frequency" not in rows["key"]:
+            return rows
+        trip = rows[:1].copy()
+        trip["kind"], trip["key"], trip["value"] = b"trip", b"over_travel", 0.007
+        return np.concatenate([rows, trip])
+
+    found = verdict(tmp_path / "invented", renumbered(invented))
+    assert found.identical is False
+    assert found.reason.startswith("rig/journal: row ")
+    assert "trip over_travel" in found.reason
+    found = verdict(tmp_path / "removed", renumbered(lambda rows: rows[rows["kind"] != b"trip"]))
+    assert found.identical is False
+    assert "trip over_travel" in found.reason
+
+
+def test_a_command_altered_by_less_than_a_step_of_the_converter_is_found(told, tmp_path: Path) -> None:
+    """The scans are the same to the last bit; what was applied, and what is true, is not."""
+
+    def command(rows: np.ndarray) -> np.ndarray:
+        rows["value"][(rows["key"] == b"current") & (rows["value"] == 0.52)] = 0.520000000001
+        return rows
+
+    found = verdict(tmp_path, edited([one for one in told if one[0] != "truth/scan"], "rig/journal", command))
+    assert found.identical is False
+    assert any("0.520000000001" in one.difference for one in found.topics if one.topic == "shaker/applied")
+
+
+def test_what_somebody_else_published_on_the_journal_is_left_out_and_told(told, tmp_path: Path) -> None:
+    foreign = ("rig/journal", Table(0, np.zeros(1, [("value", "f8")])))
+    found = verdict(tmp_path, [*told[:400], foreign, *told[400:]])
+    assert found.identical, found.reason
+    assert "rig/journal: " in str(found.topics[1])
+    assert "1 messages are no journal's" in str(found.topics[1])
+
+
+@pytest.mark.parametrize(
+    ("topic", "change", "said"),
+    [
+        ("daq/scan", lambda rows: without(rows, "laser"), "column 'laser' is missing"),
+        ("daq/scan", lambda rows: without(rows, "time"), "column 'time' is missing"),
+        ("rig/journal", lambda rows: without(rows, "key"), "column 'key' is missing"),
+        ("shaker/applied", lambda rows: without(rows, "phase"), "column 'phase' is missing"),
+    ],
+)
+def test_a_column_that_is_missing_is_told_in_one_line(told, tmp_path: Path, topic, change, said, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "300")
+    assert main(["verify", str(record(tmp_path / "run", edited(told[:300], topic, change)))]) == 1
+    shown = capsys.readouterr()
+    assert said in shown.out + shown.err
+    assert "Traceback" not in shown.err
+
+
+def without(rows: np.ndarray, name: str) -> np.ndarray:
+    kept = [column for column in rows.dtype.names if column != name]
+    return np.array(rows[kept].tolist(), [(column, rows.dtype[column]) for column in kept])

@@ -19,7 +19,7 @@ from impact_rig.physics.contact import from_config
 from impact_rig.recording import open_run
 from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.runs import reanalysis, wholes
-from impact_rig.runs.excerpt import last_excerpt
+from impact_rig.runs.wholes import last_excerpt
 from impact_rig.testing import VirtualRig
 
 pytestmark = pytest.mark.ros  # runs carry the schemas of the messages

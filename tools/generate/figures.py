@@ -10,6 +10,8 @@ from __future__ import annotations
 
 import attrs
 
+from impact_rig import states
+
 
 @attrs.frozen
 class Figure:
@@ -21,7 +23,8 @@ class Figure:
 
 
 EVERY_NODE = (
-    Figure("state", "-", "Lifecycle state."),
+    *(Figure(key, "-", f"{doc[0].upper()}{doc[1:]}.") for key, doc in states.KEYS.items()),
+    Figure("lifecycle", "-", "Label of the lifecycle state."),
     Figure("cpu_percent", "%", "Share of one core this process used since the last report."),
     Figure("refused.<reason>", "-", "Inputs refused so far: by topic, service, `parameter`, `transition`, `inactive`."),
     Figure("last_refused.<reason>", "-", "Why the last of them was refused."),
@@ -72,6 +75,7 @@ RECORDER = (
     Figure("directory", "-", "Run that is being written."),
     Figure("messages", "-", "Messages in it."),
     Figure("megabytes", "MB", "Bytes written."),
+    Figure("other_publishers", "-", "Nodes that have written the same topic of this run; empty: none have."),
     Figure("lost.<topic>", "-", "Messages lost before they reached the recorder, by DDS sequence number."),
 )
 

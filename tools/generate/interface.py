@@ -9,21 +9,20 @@ from collections.abc import Callable
 
 import numpy as np
 
-from impact_rig import topics
+from impact_rig import states, topics
 from impact_rig.columns import TEXT, Column
 from impact_rig.config import FieldInfo
 from impact_rig.instruments import scan
 from impact_rig.instruments.fault_kinds import FAULT_KINDS
-from impact_rig.nodes import services
 from impact_rig.nodes.parameters import RigSchema, Schema, SectionSchema, Value
-from impact_rig.nodes.services import Situation
 from impact_rig.nodes.settings import AnalysisSettings, RecorderSettings, SteppedSineSettings
 from impact_rig.nodes.topics import ENVELOPES, SPECTRA, TOPICS
 from impact_rig.rig import takes_effect
 from impact_rig.rig.journal import Kind
-from tools.generate import figures
+from tools.generate import figures, services
 from tools.generate.markdown import table
 from tools.generate.nominal import scalar
+from tools.generate.services import Situation
 
 SCHEMAS: dict[str, Schema[object]] = {
     "rig": RigSchema(),  # type: ignore[dict-item]  # a protocol's type parameter is invariant
@@ -147,6 +146,11 @@ def _figures() -> str:
     return table(("node", "figure", "unit", "meaning"), rows)
 
 
+def _words() -> str:
+    rows = ((node, f"`{word.value}`", f"{word.doc}.") for node, words in states.BY_NODE.items() for word in words)
+    return table(("node", "state", "meaning"), rows)
+
+
 TABLES: dict[str, Callable[[], str]] = {
     "topics": _topics,
     "qualities of service": _qualities,
@@ -161,5 +165,6 @@ TABLES: dict[str, Callable[[], str]] = {
     "recorder parameters": _parameters("recorder"),
     "stepped_sine parameters": _parameters("stepped_sine"),
     "figures": _figures,
+    "words": _words,
 }
 """Name in the page's markers -> its text."""

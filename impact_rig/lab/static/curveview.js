@@ -1,25 +1,31 @@
 // The transmissibility over frequency: points with error bars, earlier gaps in grey; as lines the rig without sphere
 // and what theory predicts with it, dashed where such a motion does not last.
 
-import { colour } from "./paper.js";
+import { colour, stacked } from "./paper.js";
 
 /* global uPlot */
 
 /**
  * @typedef {{lines: [boolean, [number, number][]][], words: string}} Prediction whether each line lasts, frequency and DT
- * @typedef {{f: number, dt: number, u: number, gap: number | null, settled: boolean, t: number}} Row
+ * @typedef {{f: number, dt: number, u: number, gap: number | null, settled: boolean, t: number} & Record<string, any>} Row
  */
 
 export class CurveView {
-  /** @param {HTMLElement} place @param {(row: Row) => void} onPick a point was clicked */
-  constructor(place, onPick) {
+  /**
+   * @param {HTMLElement} place
+   * @param {(row: Row) => void} onPick a point was clicked @param {(row: Row) => void} onRemove with Shift
+   */
+  constructor(place, onPick, onRemove) {
     this.place = place;
+    this.onRemove = onRemove;
     this.onPick = onPick;
     /** @type {Row[]} */ this.rows = [];
     /** @type {Row[]} */ this.others = [];
     /** @type {number[][]} */ this.closed = [];
     /** @type {Prediction["lines"]} */ this.predicted = [];
     this.gap = null;
+    /** @type {Set<string>} points that were taken away */
+    this.removed = new Set();
     this.make();
     new ResizeObserver(() => this.plot.setSize({ width: place.clientWidth, height: Math.max(100, place.clientHeight) })).observe(place);
     place.addEventListener("click", (event) => this.pick(event));
@@ -50,13 +56,39 @@ export class CurveView {
    * @param {number | null} gap of now @param {Row[]} [others] of a second run
    */
   show(rows, closed, predicted, gap, others = []) {
-    this.rows = rows;
+    this.rows = rows.filter((row) => !this.removed.has(key(row)));
     this.closed = closed;
     this.predicted = predicted;
     this.gap = gap;
     this.others = others;
     this.redraw();
   }
+
+  /** Take a point away; it stays in the recording. @param {Row | undefined} row */
+  remove(row) {
+    if (!row) return;
+    this.removed.add(key(row));
+    this.rows = this.rows.filter((one) => one !== row);
+    this.redraw();
+  }
+
+  /** Show every point again. @param {Row[]} rows */
+  restore(rows) {
+    this.removed.clear();
+    this.rows = rows;
+    this.redraw();
+  }
+
+  /** @returns {string} the points as a table, SI units */
+  csv() {
+    const names = ["time_s", "frequency_hz", "transmissibility", "standard_uncertainty", "phase_deg", "gap_m",
+      "impacts_per_cycle", "superior_m", "base_m", "current_a", "settled", "regime", "status"];
+    const lines = this.rows.map((r) => [r.t, r.f, r.dt, r.u, r.phase, r.gap, r.ipc, r.x1, r.xb, r.i, r.settled ? 1 : 0, r.regime, r.status || "ok"]);
+    return [names, ...lines].map((line) => line.map((one) => one ?? "").join(",")).join("\n") + "\n";
+  }
+
+  /** @returns {HTMLCanvasElement} the curve as a picture */
+  picture() { return stacked([this.plot.ctx.canvas]); }
 
   redraw() {
     const x = this.closed.length ? this.closed.map((p) => p[0]) : [7, 11];
@@ -132,6 +164,10 @@ export class CurveView {
       const distance = Math.hypot(x, y);
       if (distance < nearest) { nearest = distance; best = row; }
     }
-    if (best) this.onPick(best);
+    if (best && event.shiftKey) this.onRemove(best);
+    else if (best) this.onPick(best);
   }
 }
+
+/** What tells a point from the others. @param {Row} row */
+function key(row) { return `${row.t} ${row.f}`; }

@@ -12,13 +12,16 @@ export function listen(bindings) {
     const target = /** @type {HTMLElement} */ (event.target);
     const writes = target.matches("input:not([type=checkbox]):not([type=range]), select, textarea");
     if (writes && event.key !== "Escape") return;
-    if (document.querySelector("dialog[open]")) return; // Esc closes it, and stops nothing
     if ((event.key === " " || event.key === "Enter") && target.matches("button, summary, input")) return;
     if (event.key.startsWith("Arrow") && target.matches("input[type=range]")) return;
     const binding = bindings.find((one) => one.keys.includes(event.key));
     if (!binding) return;
-    if (event.key !== "Escape") event.preventDefault();
+    event.preventDefault();
     binding.run();
+  });
+  document.addEventListener("click", (event) => { // one that was clicked must not be pressed again by space
+    const button = /** @type {HTMLElement} */ (event.target).closest?.("button, summary");
+    if (event.detail > 0 && button) /** @type {HTMLElement} */ (button).blur();
   });
 }
 

@@ -1,5 +1,6 @@
 // The knobs: slider, number field, keys; pending until the rig echoes, refusals in its own words beside the knob.
 
+import { steps } from "./format.js";
 import { Knobs } from "./store.js";
 
 const PAPER_GAPS_MM = [0, 2, 4, 6, 8, 10];
@@ -49,6 +50,7 @@ export class KnobPanel {
     const label = document.createElement("label");
     label.textContent = knob.label;
     label.htmlFor = `knob-${knob.name}`;
+    label.dataset.help = knob.label.toLowerCase();
     box.append(label);
     const words = document.createElement("p");
     words.className = "words";
@@ -69,7 +71,7 @@ export class KnobPanel {
     const slider = document.createElement("input");
     Object.assign(slider, { type: "range", min: knob.min, max: knob.max, step: knob.fine });
     slider.setAttribute("aria-label", `${knob.label} slider`);
-    field.addEventListener("input", () => { field.dataset.written = "yes"; });
+    field.addEventListener("input", () => { field.dataset.written = "yes"; this.forgive(); });
     const written = () => { // by Enter, or by leaving the field: once
       if (!field.dataset.written) return;
       delete field.dataset.written;
@@ -112,10 +114,20 @@ export class KnobPanel {
     this.turn(knob, Number((now + step).toFixed(6)));
   }
 
-  /** Ask the rig for a value. @param {Knob | string} which @param {number | string} shown as in the field */
+  /** Refusals whose cause may have gone are not shown any more. */
+  forgive() {
+    this.knobs.forgive();
+    this.refresh();
+  }
+
+  /**
+   * Ask the rig for a value.
+   * @param {Knob | string} which @param {number | string} shown as in the field
+   * @returns {Promise<boolean>} whether it is in force
+   */
   async turn(which, shown) {
     const knob = typeof which === "string" ? /** @type {Knob} */ (KNOBS.find((one) => one.name === which)) : which;
-    if (this.readOnly || (typeof shown === "number" && !Number.isFinite(shown))) return this.refresh();
+    if (this.readOnly || (typeof shown === "number" && !Number.isFinite(shown))) { this.refresh(); return false; }
     const value = typeof shown === "number" ? Number((shown / (knob.factor ?? 1)).toPrecision(12)) : shown;
     const { id, answer } = this.ask(knob.name, { value });
     this.knobs.ask(knob.name, id);
@@ -126,7 +138,7 @@ export class KnobPanel {
     const { ok, text } = await answer;
     this.knobs.answer(knob.name, id, ok, text);
     this.refresh();
-    return undefined;
+    return ok;
   }
 
   /** @param {{law: string[], start: string[]}} choices */
@@ -162,5 +174,36 @@ export class KnobPanel {
       field.dataset.shown = shown;
       if (slider && document.activeElement !== slider) slider.value = shown;
     }
+  }
+}
+
+/** What is held, in which unit a person writes it, how many of that are one SI unit, and what to begin with. */
+const HELD = { base: ["mm", 1e3, 0.06], superior: ["mm", 1e3, 3], current: ["A", 1, 0.3] };
+
+export class SweepForm {
+  /** @param {(id: string) => any} byId @param {(what: string, values: object) => void} act */
+  constructor(byId, act) {
+    this.byId = byId;
+    byId("sweep-hold").addEventListener("change", () => this.choose());
+    byId("sweep-form").addEventListener("submit", (event) => { event.preventDefault(); act("sweep", this.values()); });
+    this.choose();
+  }
+
+  /** Show the target in its unit, where there is one. */
+  choose() {
+    const hold = this.byId("sweep-hold").value, held = HELD[hold], target = this.byId("sweep-target");
+    target.disabled = !held;
+    target.value = held ? held[2] : "";
+    this.byId("sweep-unit").textContent = held ? held[0] : "";
+    this.byId("sweep-start").textContent = hold === "phase" ? "Lock" : "Sweep";
+  }
+
+  /** @returns {{frequencies: number[], direction: string, hold: string, target: number}} what is asked for */
+  values() {
+    const number = (id) => this.byId(id).valueAsNumber, hold = this.byId("sweep-hold").value;
+    return {
+      frequencies: steps(number("sweep-from"), number("sweep-to"), number("sweep-points")),
+      direction: this.byId("sweep-direction").value, hold, target: HELD[hold] ? number("sweep-target") / HELD[hold][1] : 0,
+    };
   }
 }

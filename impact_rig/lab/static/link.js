@@ -17,13 +17,14 @@ export class Link {
     /** @type {Map<number, (answer: {ok: boolean, text: string}) => void>} */
     this.waiting = new Map();
     this.view = null;
+    /** @type {string | null} instance of the rig that is shown: what is asked is meant for it alone */
+    this.rig = null;
     this.connect();
   }
 
   /** @private */
   connect() {
-    const token = new URLSearchParams(location.search).get("token") ?? "";
-    const socket = new WebSocket(`ws://${location.host}/socket?token=${encodeURIComponent(token)}`);
+    const socket = new WebSocket(`ws://${location.host}/socket${location.search}`); // the token, and the runs asked for
     socket.binaryType = "arraybuffer";
     this.socket = socket;
     socket.onopen = () => {
@@ -56,7 +57,7 @@ export class Link {
   ask(what, values = {}) {
     const id = this.next++;
     if (this.socket.readyState !== WebSocket.OPEN) return { id, answer: Promise.resolve({ ok: false, text: "the lab does not answer" }) };
-    this.send({ id, do: what, ...values });
+    this.send({ id, do: what, ...values, ...(this.rig === null ? {} : { rig: this.rig }) });
     return { id, answer: new Promise((resolve) => this.waiting.set(id, resolve)) };
   }
 

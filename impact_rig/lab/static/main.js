@@ -4,16 +4,15 @@ import { CurveView } from "./curveview.js";
 import { clock, fixed, withUncertainty } from "./format.js";
 import { Kind } from "./frames.js";
 import { fillSheet, listen } from "./keys.js";
-import { KnobPanel } from "./knobs.js";
+import { KnobPanel, SweepForm } from "./knobs.js";
 import { Link } from "./link.js";
 import { Clock, Motion } from "./motion.js";
-import { forgetColours } from "./paper.js";
+import { forgetColours, save, savePicture } from "./paper.js";
 import { Player } from "./player.js";
 import { drawPhase, drawRig, GLOW_S } from "./rigview.js";
 import { ScopeView } from "./scopeview.js";
 import { SpectrumView } from "./spectrumview.js";
-import { status } from "./store.js";
-import { SweepForm } from "./sweep.js";
+import { GRAVE, holds, status } from "./store.js";
 
 const byId = (id) => /** @type {any} */ (document.getElementById(id));
 const setText = (id, text) => { const node = byId(id); if (node.textContent !== text) node.textContent = text; };
@@ -27,19 +26,21 @@ const slow = { factor: 1, time: NaN };
 const drawn = { trace: null, number: 0, other: null, epoch: -1, pictures: 0, script: 0, last: 0, phaseAt: 0, rigAt: 0 };
 const calm = matchMedia("(prefers-reduced-motion: reduce)");
 
+let answeredAt = 0;
 const link = new Link(onFrame, onConnection);
 const act = (what, values = {}) => {
   const { id, answer } = link.ask(what, values);
   answer.then(({ ok, text }) => {
     if (what === "seek" && ok) return;
     setText("answer", text);
+    answeredAt = Date.now();
     byId("answer").classList.toggle("bad", !ok);
   });
   return { id, answer };
 };
 const knobs = new KnobPanel(byId("knob-list"), (what, values) => link.ask(what, values));
 const scope = new ScopeView(byId("traces"), byId("cursor"));
-const curve = new CurveView(byId("curve"), (row) => knobs.turn("frequency", row.f));
+const curve = new CurveView(byId("curve"), (row) => knobs.turn("frequency", row.f), (row) => { curve.remove(row); showCurve(); });
 const spectrum = new SpectrumView(byId("spectrum-plot"));
 const player = new Player(act);
 window.lab = { now, drawn, motion, link, scope, curve, spectrum }; // for tests and benchmarks
@@ -50,7 +51,9 @@ function onFrame({ kind, number, content }) {
   if (kind === Kind.STATE) {
     Object.assign(now, content);
     for (const part of Object.keys(content)) SHOW[part]?.(content[part]);
+    link.rig = now.rig?.instance ?? null;
     showStatus();
+    explain();
     return;
   }
   if (kind === Kind.TRACE) { drawn.trace = content; drawn.number = number; return; }
@@ -59,7 +62,7 @@ function onFrame({ kind, number, content }) {
   else if (kind === Kind.IMPACTS) motion.add("impacts", content);
   else if (kind === Kind.DETECTED) {
     for (let i = 0; i < content.rows; i++) detected.push(content.values[i * content.columns]);
-    detected.splice(0, detected.length - 400);
+    while (detected.length && detected[0] < detected[detected.length - 1] - 11) detected.shift(); // the longest window
   } else if (kind === Kind.SPECTRUM) spectrum.show(content);
   else if (kind === Kind.TRACE_B) drawn.other = content;
 }
@@ -91,6 +94,7 @@ const SHOW = {
     look();
   },
   applied: (applied) => {
+    if (!applied) return;
     knobs.show({ frequency: applied.frequency, current: applied.current });
     spectrum.drive = applied.current > 0 ? applied.frequency : 0;
   },
@@ -102,34 +106,61 @@ const SHOW = {
     });
     showCurve();
   },
+  help: () => fillWords(),
   dt: () => { showDt(); showCurve(); },
+  dt_now: () => showDt(),
   dt_b: () => showCurve(), closed_form: () => showCurve(), prediction: () => showCurve(),
-  settling: () => showDt(),
+  other_motion: (words) => setText("other-motion", words),
   journal: (lines) => { showJournal(lines); if (now.playback) player.show(now.playback, lines, now.impact_marks); },
   sweep: (sweep) => setText("sweep-text", sweep.text || "not started"),
   recorder: (recorder) => {
     const size = recorder.megabytes ? ` ${fixed(recorder.megabytes, 1)} MB` : "";
-    setText("recording", now.mode === "playback" ? recorder.name : recorder.name ? `● ${recorder.name}${size}` : recorder.there ? "off" : "no recorder");
-    byId("recording").classList.toggle("bad", recorder.level >= 2);
-    byId("record").textContent = recorder.name ? "Stop recording" : "Record";
-    byId("record").setAttribute("aria-pressed", String(Boolean(recorder.name)));
+    const records = Boolean(recorder.lives && recorder.name);
+    const trouble = ["failed", "rival", "losing"].includes(recorder.state) ? ` ${recorder.state}` : "";
+    setText("recording", now.mode === "playback" ? recorder.name
+      : !recorder.lives ? "no recorder" : records ? `● ${recorder.name}${size}${trouble}` : trouble.trim() || "off");
+    byId("recording").title = recorder.reason || recorder.gone || "";
+    byId("recording").classList.toggle("bad", Boolean(trouble || recorder.gone));
+    byId("record").textContent = records ? "Stop recording" : "Record";
+    byId("record").setAttribute("aria-pressed", String(records));
+    byId("record").disabled = now.mode !== "live" || !recorder.lives;
   },
   lost: (lost) => {
     const names = Object.keys(lost);
     setText("lost", names.length ? names.map((name) => `${lost[name]} ${name}`).join(", ") : "0");
     byId("lost").classList.toggle("bad", names.length > 0);
   },
-  playback: (state) => player.show(state, now.journal, now.impact_marks),
+  faults: (faults) => {
+    setText("faults", faults.length ? faults.join(", ") : "none");
+    byId("faults").classList.toggle("bad", faults.length > 0);
+  },
+  health: (health) => {
+    const bad = health ? Object.entries(health).map(([channel, word]) => `${channel}: ${word}`) : [];
+    setText("health", !health ? "–" : bad.length ? bad.join(", ") : "well");
+    byId("health").classList.toggle("bad", bad.length > 0);
+  },
+  refused: (refused) => {
+    const names = Object.keys(refused);
+    byId("refused-box").hidden = !names.length;
+    setText("refused", names.map((name) => `${refused[name][0]} of ${name}`).join(", "));
+    byId("refused").title = names.map((name) => `${name}: ${refused[name][1]}`).join("\n");
+  },
+  playback: (state) => {
+    player.show(state, now.journal, now.impact_marks);
+    byId("legend").hidden = state.names.length < 2;
+    setText("legend-a", state.names[0]);
+    setText("legend-b", state.names[1] ?? "");
+  },
   impact_marks: () => now.playback && player.show(now.playback, now.journal, now.impact_marks),
   mode: (mode) => {
     const live = mode === "live";
     knobs.readOnly = !live;
     knobs.refresh();
-    for (const id of ["run", "rest", "pause", "reset", "pluck", "clear", "record", "sweep-start", "sweep-stop", "fault-start", "fault-clear", "note", "stop"]) {
+    for (const id of ["run", "rest", "pause", "reset", "pluck", "clear", "record", "sweep-start", "sweep-stop", "fault-start", "fault-clear", "note", "stop", "settings-save", "settings-load"]) {
       byId(id).disabled = !live;
     }
     byId("knobs").querySelector("h2").textContent = live ? "Knobs" : "Knobs, as recorded";
-    byId("record").hidden = byId("note-form").hidden = byId("sweeping").hidden = byId("faulting").hidden = !live;
+    byId("record").hidden = byId("note-form").hidden = byId("sweeping").hidden = byId("faulting").hidden = byId("settings").hidden = !live;
     byId("player").hidden = live;
   },
 };
@@ -143,6 +174,13 @@ function showStatus() {
   setText("lamp", said.lamp);
   setText("word", said.word);
   const rig = now.rig ?? {};
+  const known = `${said.word} ${rig.instance ?? ""}`;
+  if (document.body.dataset.known !== known) { // what was refused before may be taken now
+    document.body.dataset.known = known;
+    knobs.forgive();
+    if (byId("answer").classList.contains("bad") && Date.now() - answeredAt > 1000) setText("answer", "");
+    showDt();
+  }
   setText("time", said.stale || rig.time === null ? "–" : clock(now.playback ? now.playback.now : rig.time));
   setText("speed", said.stale || rig.speed === undefined ? "–" : `× ${fixed(rig.speed, rig.speed >= 10 ? 0 : 2)}`);
   byId("pause").setAttribute("aria-pressed", String(said.word === "paused"));
@@ -158,15 +196,16 @@ function showNotice(said) {
   const buttons = [];
   if (said.word === "tripped") buttons.push(["Clear trip (C)", () => act("clear_trip")]);
   if (said.word === "choose") for (const name of now.rigs ?? []) buttons.push([name, () => act("choose", { value: name })]);
-  if (said.word === "silent") buttons.push(["Go on without it", () => act("pause", { value: false })]);
+  if (said.word === "silent peer") buttons.push(["Go on without it", () => act("pause", { value: false })]);
   if (said.word === "dead" && rig.own) buttons.push(["Start again", () => act("restart")]);
-  const gone = Object.entries(now.others ?? {}).filter(([, why]) => why && link.connected);
+  const gone = ["analysis", "recorder"].filter((name) => now.sources?.[name]?.gone && link.connected);
   if (gone.length && said.word !== "dead") {
-    said = { ...said, text: gone.map(([name, why]) => `The ${name} is gone: ${why}.`).join(" ") };
+    const told = gone.filter((name) => !said.text.includes(now.sources[name].gone)).map((name) => `The ${name} is gone: ${now.sources[name].gone}.`);
+    said = { ...said, text: [said.text, ...told].join(" ") };
     if (rig.own) buttons.push(["Start again", () => act("restart")]);
-    if (now.others.recorder) buttons.push(["Recover the recording", () => act("recover")]);
+    if (gone.includes("recorder")) buttons.push(["Recover the recording", () => act("recover")]);
   }
-  const bad = ["tripped", "dead", "silent", "offline"].includes(said.word);
+  const bad = GRAVE.includes(said.word);
   const shown = buttons.length > 0 || bad;
   byId("notice").hidden = !shown;
   byId("notice").classList.toggle("bad", bad);
@@ -185,29 +224,33 @@ function showNotice(said) {
   return true;
 }
 
+const plain = (word) => String(word ?? "").replaceAll("_", " ");
 const gapNow = () => (now.knobs?.["sphere.present"] ? now.knobs["barriers.gap_m"] : now.knobs ? 0 : null);
 
 function showDt() {
-  const rows = now.dt ?? [], settling = now.settling ?? {};
-  const moving = ["settling", "driving"].includes(settling.word);
-  const changed = settling.word === "settling";
+  const rows = now.dt ?? [], present = now.dt_now ?? {};
+  const settles = present.state === "settling" && !document.body.classList.contains("stale");
   const row = rows[rows.length - 1];
-  const old = Boolean(row) && settling.word !== "driving";
+  const old = Boolean(row) && !holds(document.body.classList.contains("stale"), present);
   byId("dt-value").classList.toggle("old", old);
-  const [value, u] = row && !changed ? withUncertainty(row.dt, row.u) : ["–", ""];
+  const [value, u] = row && !settles ? withUncertainty(row.dt, row.u) : ["–", ""];
   setText("dt-number", value);
   setText("dt-u", u ? `${u} (2u)` : "");
-  byId("settling").hidden = !changed;
-  if (changed) {
-    const done = settling.done ?? 0, of = settling.of ?? 8;
+  byId("settling").hidden = !settles;
+  if (settles) {
+    const done = present.done ?? 0, of = present.of ?? 8;
     byId("settling-bar").value = of ? Math.min(1, done / of) : 0;
-    const rest = settling.rest === null ? "" : `, transient ${fixed(100 * settling.rest, 1)} %`;
-    setText("settling-text", `settling: window ${fixed(done, 0)} of ${fixed(of, 0)}${rest}`);
+    const rest = typeof present.rest === "number" ? `, transient ${fixed(100 * present.rest, 1)} %` : "";
+    setText("settling-text", now.mode === "playback" ? "settling" : `settling: window ${fixed(done, 0)} of ${fixed(of, 0)}${rest}`);
   }
-  const none = row && !changed && row.ipc === 0 && row.gap ? "no impacts at this gap" : "";
-  const more = row && !changed ? {
+  const why = ["unable", "lost scans", "settling"].includes(plain(present.state)) && present.reason ? `not measured: ${present.reason}` : "";
+  byId("dt-why").hidden = !(old || why);
+  setText("dt-why", why || (old && !settles ? "the last value; it does not hold now" : ""));
+  const none = row && !settles && row.ipc === 0 && row.gap ? "no impacts at this gap" : "";
+  const more = row && !settles ? {
     [old ? "last, at" : "at"]: `${fixed(row.f, 3)} Hz`, phase: `${fixed(row.phase, 1)}°`, regime: none || row.regime,
     "impacts per cycle": fixed(row.ipc, 2), "|X₁|": `${fixed(row.x1 * 1e3, 3)} mm`, "|X_b|": `${fixed(row.xb * 1e6, 1)} µm`,
+    ...(row.status ? { status: row.status } : {}),
   } : {};
   const list = byId("dt-more");
   const words = JSON.stringify(more);
@@ -221,13 +264,37 @@ function showDt() {
       return box;
     }));
   }
-  setText("curve-note", settling.refusal && moving && changed ? `last window: ${settling.refusal}` :
-    rows.length ? "grey points: other gaps" : "No measurement yet: it appears when the response has settled.");
+  setText("curve-note", rows.length ? "grey points: other gaps" : "No measurement yet: it appears when the response has settled.");
 }
 
 function showCurve() {
   curve.show(now.dt ?? [], now.closed_form ?? [], now.prediction?.lines ?? [], gapNow(), now.dt_b ?? []);
   setText("prediction-note", now.prediction?.words ?? "");
+  byId("curve-back").hidden = curve.removed.size === 0;
+  byId("curve-remove").disabled = byId("curve-csv").disabled = curve.rows.length === 0;
+}
+
+/** Every word that is shown says what it means, where the mouse rests on it. */
+function explain() {
+  const help = now.help ?? {};
+  for (const node of document.querySelectorAll("#bar dt, #word, #dt-more dt, #dt-more dd, #dt-why, [data-help]")) {
+    const label = /** @type {HTMLElement} */ (node);
+    const word = (label.dataset.help ?? label.firstChild?.textContent ?? "").trim().replace(/^not measured: /, "");
+    const text = help[word] ?? help[plain(word)];
+    if (text && label.title !== text) label.title = text;
+  }
+  for (const name of ["law", "fault-kind"]) {
+    for (const option of byId(name === "law" ? "knob-law" : name).options) option.title = help[option.textContent] ?? "";
+  }
+}
+
+function fillWords() {
+  byId("sheet-words").replaceChildren(...Object.entries(now.help ?? {}).flatMap(([word, text]) => {
+    const dt = document.createElement("dt"), dd = document.createElement("dd");
+    dt.textContent = word;
+    dd.textContent = text;
+    return [dt, dd];
+  }));
 }
 
 function showJournal(lines) {
@@ -312,6 +379,23 @@ function showFault() {
   byId("fault-channel").disabled = board;
 }
 
+const chosenRuns = () => [.../** @type {NodeListOf<HTMLInputElement>} */ (document.querySelectorAll("#run-list input:checked"))].map((box) => box.value);
+
+async function listRuns() {
+  if (!byId("recorded").open) return;
+  const token = new URLSearchParams(location.search).get("token") ?? "";
+  const runs = await (await fetch(`/runs?token=${encodeURIComponent(token)}`)).json();
+  byId("run-list").replaceChildren(...runs.map(({ name, megabytes }) => {
+    const item = document.createElement("li"), label = document.createElement("label"), box = document.createElement("input");
+    Object.assign(box, { type: "checkbox", value: name });
+    box.addEventListener("change", () => { byId("run-play").disabled = ![1, 2].includes(chosenRuns().length); });
+    label.append(box, ` ${name} `, `(${megabytes} MB)`);
+    item.append(label);
+    return item;
+  }));
+  if (!runs.length) byId("run-list").textContent = "none yet";
+}
+
 function theme(next) {
   const dark = matchMedia("(prefers-color-scheme: dark)").matches;
   const wanted = next ?? localStorage.getItem("theme") ?? (dark ? "dark" : "light");
@@ -324,15 +408,17 @@ function theme(next) {
   if (now.playback) player.show(now.playback, now.journal, now.impact_marks);
 }
 
-const run = () => knobs.turn("frequency", 9.1).then(() => knobs.turn("current", 0.52));
+const run = async () => (await knobs.turn("frequency", 9.1)) && knobs.turn("current", 0.52);
 const rest = () => knobs.turn("current", 0);
 const pause = () => (now.mode === "playback" ? player.toggle() : act("pause", { value: now.rig?.word !== "paused" }));
-const record = () => act("record", { value: !now.recorder?.name });
+const record = () => act("record", { value: !(now.recorder?.lives && now.recorder.name) });
+const sheet = () => { if (byId("sheet").open) byId("sheet").close(); else byId("sheet").show(); }; // not modal: STOP stays in reach
+const removeLast = () => { curve.remove(curve.rows[curve.rows.length - 1]); showCurve(); };
 const switchTheme = () => theme(document.documentElement.dataset.theme === "dark" ? "light" : "dark");
 const live = (deed) => () => { if (now.mode === "live") deed(); };
 const focus = (id) => () => byId(id).focus();
 const bindings = [
-  { keys: ["Escape"], text: "STOP: current to zero, latched", run: live(() => act("stop")) },
+  { keys: ["Escape"], text: "STOP: current to zero, latched; always", run: () => { byId("sheet").close(); if (now.mode === "live") act("stop"); } },
   { keys: ["r", "R"], text: "run: 9.1 Hz, 0.52 A", run: live(run) },
   { keys: ["0"], text: "rest: current to zero", run: live(rest) },
   { keys: [" "], text: "pause and go on; in playback play and pause", run: pause },
@@ -355,8 +441,9 @@ const bindings = [
   { keys: ["ArrowRight"], text: "playback: 5 s on", run: () => player.jump(5) },
   { keys: ["."], text: "playback: next impact", run: () => now.playback && act("next_impact", { value: 1 }) },
   { keys: [","], text: "playback: impact before", run: () => now.playback && act("next_impact", { value: -1 }) },
+  { keys: ["Delete"], text: "remove the newest point of the curve", run: removeLast },
   { keys: ["t", "T"], text: "dark or light", run: switchTheme },
-  { keys: ["?"], text: "this sheet", run: () => byId("sheet").showModal() },
+  { keys: ["?"], text: "open and close this sheet", run: sheet },
 ];
 fillSheet(byId("sheet-keys"), bindings);
 listen(bindings);
@@ -366,7 +453,19 @@ for (const [id, what] of [["stop", "stop"], ["reset", "reset"], ["clear", "clear
   onClick(id, () => act(what));
 }
 onClick("theme", switchTheme);
-onClick("help", () => byId("sheet").showModal());
+onClick("help", sheet);
+onClick("curve-remove", removeLast);
+onClick("curve-back", () => { curve.restore(now.dt ?? []); showCurve(); });
+onClick("curve-csv", () => save(new Blob([curve.csv()], { type: "text/csv" }), "transmissibility.csv"));
+onClick("curve-picture", () => savePicture(curve.picture(), "transmissibility.png"));
+onClick("scope-picture", () => savePicture(scope.picture(), "scope.png"));
+onClick("settings-save", () => save(new Blob([now.configuration ?? ""], { type: "application/yaml" }), "rig.yaml"));
+onClick("settings-load", () => byId("settings-file").click());
+byId("settings-file").addEventListener("change", async () => {
+  const [file] = byId("settings-file").files;
+  if (file) act("load", { value: await file.text() });
+  byId("settings-file").value = "";
+});
 onClick("run", run);
 onClick("rest", rest);
 onClick("pause", pause);
@@ -381,6 +480,11 @@ onSubmit("fault-form", () => act("fault", {
 onSubmit("note-form", () => {
   act("note", { value: byId("note").value });
   byId("note").value = "";
+});
+byId("recorded").addEventListener("toggle", listRuns);
+onClick("run-play", () => {
+  const token = new URLSearchParams(location.search).get("token") ?? "";
+  window.open(`/?${new URLSearchParams([["token", token], ...chosenRuns().map((name) => ["run", name])])}`, "_blank", "noopener");
 });
 byId("fault-kind").addEventListener("change", showFault);
 for (const id of ["span", "trigger", "spectrum-channel", "spectrum-top"]) byId(id).addEventListener("change", look);

@@ -15,6 +15,8 @@ export function hermite(t0, x0, v0, t1, x1, v1, t) {
   return a * a * (1 + 2 * s) * x0 + s * s * (3 - 2 * s) * x1 + h * s * a * (a * v0 - s * v1);
 }
 
+const LONGEST_WINDOW_S = 11;
+
 /** The last seconds of motion: states and impacts in the order of their times. */
 export class Motion {
   /** @param {number} [kept] seconds that are kept */
@@ -51,7 +53,7 @@ export class Motion {
       }
       this[what].push(one);
     }
-    const limit = this.newest - this.kept;
+    const limit = this.newest - (what === "impacts" ? LONGEST_WINDOW_S : this.kept); // the scope marks them in any window
     while (this[what].length > 1 && this[what][0][0] < limit) this[what].shift();
   }
 

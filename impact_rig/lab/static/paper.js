@@ -28,3 +28,36 @@ export function colour(name) {
 
 /** The theme has changed: read the colours again. */
 export function forgetColours() { cached = {}; }
+
+/**
+ * Put drawings beneath each other, on the panel's colour.
+ * @param {HTMLCanvasElement[]} drawings @returns {HTMLCanvasElement}
+ */
+export function stacked(drawings) {
+  const whole = document.createElement("canvas");
+  whole.width = Math.max(...drawings.map((one) => one.width));
+  whole.height = drawings.reduce((sum, one) => sum + one.height, 0);
+  const g = /** @type {CanvasRenderingContext2D} */ (whole.getContext("2d"));
+  g.fillStyle = colour("panel");
+  g.fillRect(0, 0, whole.width, whole.height);
+  let y = 0;
+  for (const one of drawings) {
+    g.drawImage(one, 0, y);
+    y += one.height;
+  }
+  return whole;
+}
+
+/** Let the browser save something. @param {Blob} blob @param {string} name of the file */
+export function save(blob, name) {
+  const link = document.createElement("a");
+  link.href = URL.createObjectURL(blob);
+  link.download = name;
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(link.href), 10_000);
+}
+
+/** Let the browser save a drawing. @param {HTMLCanvasElement} drawing @param {string} name of the file */
+export function savePicture(drawing, name) {
+  drawing.toBlob((blob) => { if (blob) save(blob, name); }, "image/png");
+}

@@ -13,16 +13,34 @@ export class Player {
     /** @type {{begin: number, end: number, playing: boolean, speed: number, now: number, read: number} | null} */
     this.state = null;
     this.dragging = false;
+    /** @type {any[]} */
+    this.journal = [];
     const slider = byId("position");
     slider.addEventListener("input", () => { this.dragging = true; ask("seek", { value: slider.valueAsNumber }); });
     slider.addEventListener("change", () => { this.dragging = false; });
     byId("play").addEventListener("click", () => this.toggle());
     byId("play-speed").addEventListener("change", () => ask("speed", { value: Number(byId("play-speed").value) }));
+    byId("align").addEventListener("change", () => this.align());
+    byId("align-change").addEventListener("change", () => this.align());
     byId("next-impact").addEventListener("click", () => ask("next_impact", { value: 1 }));
     byId("previous-impact").addEventListener("click", () => ask("next_impact", { value: -1 }));
   }
 
   toggle() { if (this.state) this.ask("play", { value: !this.state.playing }); }
+
+  /** Lay the second run beside the first. @private */
+  align() {
+    const by = byId("align").value, chosen = byId("align-change");
+    chosen.hidden = by !== "change";
+    if (by === "change") {
+      const lines = this.journal.filter(([time]) => time >= this.state.begin);
+      if (chosen.options.length !== lines.length) {
+        chosen.replaceChildren(...lines.map(([time, ...words]) => new Option(`${clock(time)} ${words.join(" ")}`, time)));
+      }
+      if (!lines.length) return;
+    }
+    this.ask("align", { by, value: by === "change" ? Number(chosen.value) : 0 });
+  }
 
   /** @param {number} seconds */
   jump(seconds) { if (this.state) this.ask("seek", { value: this.state.now + seconds }); }
@@ -30,6 +48,8 @@ export class Player {
   /** @param {any} state part `playback` of the snapshot @param {any[]} journal @param {number[]} impacts how many in every part of the run */
   show(state, journal, impacts) {
     this.state = state;
+    this.journal = journal ?? [];
+    byId("align-box").hidden = state.names.length < 2;
     byId("player").hidden = false;
     const slider = byId("position");
     slider.min = state.begin;

@@ -44,8 +44,8 @@ export function drawRig(canvas, at, knobs, flash, pace = 1) {
   g.fillStyle = colour("accent");
   g.fillRect(top - plate / 2, deck, plate, 12);
   const high = SPHERE_M * scale * 1.15;
-  for (const wall of [-1, 1]) {
-    const hit = knobs.present ? flash(wall) : null;
+  for (const wall of knobs.present ? [-1, 1] : []) { // without a sphere the barriers have no gap to show
+    const hit = flash(wall);
     const glow = hit ? 1 - hit.age / (GLOW_S * pace) : 0;
     g.fillStyle = colour("steel");
     const thick = 0.0045 * scale;
@@ -126,7 +126,7 @@ export function drawPhase(canvas, motion, until, knobs, span) {
   g.stroke();
   g.strokeStyle = colour("hot");
   g.setLineDash([4, 3]);
-  for (const wall of [-1, 1]) {
+  for (const wall of knobs.present ? [-1, 1] : []) {
     g.beginPath();
     g.moveTo(x(wall * knobs.gap / 2), 0);
     g.lineTo(x(wall * knobs.gap / 2), h);

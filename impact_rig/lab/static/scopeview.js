@@ -1,7 +1,7 @@
 // Four traces above one time axis; every column of the picture is a minimum and a maximum.
 
 import { engineering, limits, line } from "./format.js";
-import { colour } from "./paper.js";
+import { colour, stacked } from "./paper.js";
 
 /* global uPlot */
 const CHANNELS = [["accelerometer", "m/s²"], ["laser", "m"], ["base", "m"], ["current", "A"]];
@@ -78,10 +78,13 @@ export class ScopeView {
       this.ranges[number] = limits(this.ranges[number], low, high);
       const [x, y] = line(trace.low[number], trace.high[number], trace.column);
       let b = new Array(x.length).fill(null);
-      if (other && other.low[number].length === trace.low[number].length) b = line(other.low[number], other.high[number], other.column)[1];
+      if (other) b = fitted(line(other.low[number], other.high[number], other.column), x);
       this.plots[number].setData([x, y, b]);
     }
   }
+
+  /** @returns {HTMLCanvasElement} the traces as one picture */
+  picture() { return stacked(this.plots.map((plot) => plot.ctx.canvas)); }
 
   /** @private */
   marks(plot, number) {
@@ -126,6 +129,13 @@ export class ScopeView {
     });
     this.readout.textContent = `${engineering((column + 0.5) * this.trace.column, "s")}: ${parts.join(" · ")}`;
   }
+}
+
+/** The ordinates of a line at other abscissas: runs of another rate have columns of another length. */
+function fitted([from, values], x) {
+  if (from.length === x.length && from[1] === x[1]) return values;
+  const step = from[1] - from[0];
+  return x.map((at) => values[Math.round((at - from[0]) / step)] ?? null);
 }
 
 function triangle(g, x, y, size) {

@@ -31,6 +31,11 @@ export class Knobs {
   /** @param {string} name @returns {boolean} whether the field may show what is in force */
   follows(name) { return this.state(name) !== "pending"; }
 
+  /** What was refused may be taken now: something has changed. */
+  forgive() {
+    for (const [name, knob] of this.all) if (knob.state === "refused") this.all.delete(name);
+  }
+
   /** The connection is gone: no answer will come. */
   lose() {
     for (const [name, knob] of this.all) {
@@ -40,9 +45,12 @@ export class Knobs {
 }
 
 const LAMPS = {
-  "at rest": "○", driving: "●", settling: "◔", tripped: "▲", paused: "❚❚", plucked: "∿", silent: "⚠", dead: "✕",
-  compiling: "⚙", starting: "…", choose: "?", offline: "✕", playback: "▶", "paused playback": "❚❚",
+  "at rest": "○", driving: "◐", measured: "●", settling: "◔", tripped: "▲", paused: "❚❚", plucked: "∿", rival: "⚠",
+  "no peer": "⚠", "silent peer": "⚠", inactive: "…", unknown: "?", dead: "✕", compiling: "⚙", starting: "…", choose: "?",
+  offline: "✕", playback: "▶", "paused playback": "❚❚",
 };
+const STALE = ["offline", "dead", "starting", "compiling", "inactive", "choose"];
+export const GRAVE = ["tripped", "dead", "rival", "silent peer", "no peer", "offline"];
 
 /**
  * What the bar says: the connection comes before the rig, for nothing stale is shown as live.
@@ -52,9 +60,16 @@ const LAMPS = {
 export function status(connected, rig) {
   const word = connected ? rig?.word ?? "starting" : "offline";
   const text = connected ? rig?.text ?? "" : "The lab does not answer: connecting again. What you see is old.";
-  const stale = ["offline", "dead", "starting", "compiling", "choose"].includes(word);
-  return { word, text, lamp: LAMPS[word] ?? "○", stale };
+  return { word, text, lamp: LAMPS[word] ?? "○", stale: STALE.includes(word) };
 }
+
+/**
+ * Whether a measurement holds now: what has no living source is old.
+ * @param {boolean} stale whether rig or server are gone
+ * @param {{holds?: boolean, state?: string} | undefined} present part `dt_now` of the snapshot
+ * @returns {boolean}
+ */
+export function holds(stale, present) { return !stale && Boolean(present?.holds); }
 
 /**
  * Seconds until the next attempt to connect.

@@ -10,8 +10,8 @@ from rclpy.duration import Duration
 from std_msgs.msg import String
 
 from impact_rig import codec, topics
-from impact_rig.nodes.convert import CLOCK, Monitors
 from impact_rig.nodes.managed import ManagedNode
+from impact_rig.nodes.monitors import CLOCK, Monitors
 from impact_rig.nodes.topics import MONITORS, TOPICS
 from impact_rig.rig import Block, Rig
 from impact_rig.rig.config import RigConfig, dump
@@ -24,7 +24,7 @@ DELIVERY = Duration(seconds=0.2)
 """Longest wait for the delivery of a change; only a subscriber that died without a word takes so long."""
 
 
-class Outlets:
+class Publishers:
     """The rig's publishers.
 
     Args:
@@ -65,7 +65,7 @@ class Outlets:
 
     def look(self) -> None:
         """Look which topics anybody listens to, before some blocks are published."""
-        self._listened_to = {name for name, outlet in self._publishers.items() if outlet.get_subscription_count()}
+        self._listened_to = {name for name, publisher in self._publishers.items() if publisher.get_subscription_count()}
 
     def block(self, block: Block) -> None:
         """Publish a block: scans first, then what is true about them, then the monitors."""
@@ -92,13 +92,16 @@ class Outlets:
             self._publishers[topics.CLOCK.name] = self._node.publisher(topics.CLOCK)
         self._publishers[topics.CLOCK.name].publish(CLOCK.render(now_ns))
 
-    def changes(self, rig: Rig) -> None:
-        """Publish the new rows of rig/journal and shaker/applied: causes before effects."""
+    def changes(self, rig: Rig) -> bool:
+        """Publish the new rows of rig/journal and shaker/applied, causes before effects; return whether any came."""
+        changed = False
         for topic, tables in ((topics.JOURNAL, rig.take_journal()), (topics.APPLIED, rig.take_applied())):
             for table in tables:
                 self._publishers[topic.name].publish(codec.encode(table))
             if tables:
                 self._settle(topic)
+                changed = True
+        return changed
 
     def configuration(self, rig: Rig) -> None:
         """Publish the configuration, and the calibration if it is another; take both for the monitors."""

@@ -1,0 +1,296 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""Who follows `daq/scan`, and how far: readers in the graph, the window of what they acknowledge, acknowledging.
+
+A rig that runs ahead of time goes as far as its peers have acknowledged, whom it knows from the graph. A peer says up
+to which block it is: a single one at once, those of a burst together.
+"""
+
+from __future__ import annotations
+
+import bisect
+import time
+from collections.abc import Callable, Iterable
+from typing import Any  # rclpy publishers, settings of any node
+
+import attrs
+from rclpy.node import Node
+from rclpy.qos import QoSCompatibility, qos_check_compatible
+from rclpy.topic_endpoint_info import TopicEndpointInfo
+from std_msgs.msg import Header
+
+from impact_rig import topics
+from impact_rig.nodes.guard import guarded
+from impact_rig.nodes.managed import ManagedNode
+from impact_rig.nodes.messages import Template
+from impact_rig.nodes.pacing import Clock
+from impact_rig.simtime import NS_PER_S
+
+KEPT = 4096
+"""Blocks whose stamps are remembered, at least."""
+POLL_S = 0.02
+"""Least time between two looks for peers that freewheel waits for."""
+LOOK_S = 0.5
+"""Least time between two looks for everybody."""
+REALTIME_S = 0.05
+"""Time between acknowledgements of a rig in real time, which waits for nobody and only wants to know who is late."""
+PRESENT_NS = NS_PER_S
+"""Stamps this near to the system's time are those of a rig in real time; in the other modes they begin at 0."""
+ALONE_S = 0.004
+"""A block that comes this long after the last acknowledgement is acknowledged at once."""
+MOST = 16
+"""Blocks acknowledged together, at most: as many as a rig runs ahead by default."""
+
+
+@attrs.define
+class _Reader:
+    forgiven: int  # blocks up to here are owed no more
+    heard_ns: int  # clock when it last said something new, or when it had nothing to say
+    acknowledged: int | None = None  # blocks, counted from the start; None before it has acknowledged any
+
+
+class AckWindow:
+    """How far every reader of the blocks is, and how far ahead of its slowest peer the rig may run.
+
+    A reader acknowledges by the stamp of the last block it processed, one or several at a time. Blocks are counted, so
+    that "ahead" has one meaning for all. Peers are the readers that are waited for; others are only watched.
+
+    Args:
+        peers: names the acknowledgements carry.
+        window: blocks that may be out and not acknowledged.
+        timeout_ns: clock time after which a peer that owes an acknowledgement counts as silent.
+        clock: monotonic clock [ns].
+    """
+
+    def __init__(self, peers: Iterable[str], window: int, timeout_ns: int, clock: Clock) -> None:
+        self.window = window
+        self.timeout_ns = timeout_ns
+        self._clock = clock
+        self._published = 0
+        self._stamps: list[int] = []  # of the newest blocks; the last one is number self._published
+        self._readers: dict[str, _Reader] = {}
+        self._peers: tuple[str, ...] = ()
+        self.set_peers(peers)
+
+    @property
+    def peers(self) -> tuple[str, ...]:
+        """Names of the peers."""
+        return self._peers
+
+    @property
+    def readers(self) -> tuple[str, ...]:
+        """Names of the peers, and of everybody else who acknowledges."""
+        return tuple(self._readers)
+
+    @property
+    def newest_ns(self) -> int | None:
+        """Stamp of the newest block that is out."""
+        return self._stamps[-1] if self._stamps else None
+
+    def set_peers(self, peers: Iterable[str]) -> None:
+        """Change the peers; new ones owe nothing of what is already out."""
+        before, self._peers = self._peers, tuple(peers)
+        for name in set(self._peers).difference(before):
+            reader = self._readers.setdefault(name, _Reader(self._published, self._clock()))
+            reader.forgiven, reader.heard_ns = self._published, self._clock()
+        for name in set(self._readers).difference(self._peers):
+            if self._readers[name].acknowledged is None:
+                del self._readers[name]
+
+    def watch(self, name: str) -> None:
+        """Take acknowledgements in this name, too, without waiting for any."""
+        self._readers.setdefault(name, _Reader(0, self._clock()))
+
+    def published(self, stamp_ns: int) -> None:
+        """Note that the block with this stamp is out."""
+        now = self._clock()
+        for reader in self._readers.values():
+            if self._owed(reader) == 0:
+                reader.heard_ns = now  # owed nothing until now: its silence starts here
+        self._published += 1
+        self._stamps.append(stamp_ns)
+        if len(self._stamps) >= 2 * KEPT:
+            del self._stamps[:KEPT]
+
+    def acknowledge(self, name: str, stamp_ns: int) -> bool:
+        """Take an acknowledgement; False if it makes no sense (nobody we watch, later than any block)."""
+        reader = self._readers.get(name)
+        if reader is None or self.newest_ns is None or stamp_ns > self.newest_ns:
+            return False
+        count = self._published - len(self._stamps) + bisect.bisect_right(self._stamps, stamp_ns)
+        if reader.acknowledged is None or count > reader.acknowledged:
+            reader.acknowledged = count
+            reader.heard_ns = self._clock()
+        return True
+
+    def room(self) -> int:
+        """Return how many blocks may be published now."""
+        return self.window - self.outstanding()
+
+    def outstanding(self) -> int:
+        """Return how many blocks the slowest peer has not acknowledged."""
+        return max((self._owed(self._readers[name]) for name in self._peers), default=0)
+
+    def behind(self) -> dict[str, int]:
+        """Return the blocks each reader has not acknowledged."""
+        return {name: self._owed(reader) for name, reader in self._readers.items()}
+
+    def heard(self) -> tuple[str, ...]:
+        """Return the readers that have acknowledged."""
+        return tuple(name for name, reader in self._readers.items() if reader.acknowledged is not None)
+
+    def silent(self) -> tuple[str, ...]:
+        """Return the peers that owe an acknowledgement and said nothing for the timeout."""
+        limit = self._clock() - self.timeout_ns
+        owing = (name for name in self._peers if self._owed(self._readers[name]) > 0)
+        return tuple(name for name in owing if self._readers[name].heard_ns < limit)
+
+    def forgive(self) -> None:
+        """Count everything as acknowledged: the operator continues without what a silent peer missed."""
+        for name in self._peers:
+            self._readers[name].forgiven = self._published
+        self.excuse()
+
+    def excuse(self) -> None:
+        """Restart every peer's timeout: this process itself was away, so their silence means nothing."""
+        for name in self._peers:
+            self._readers[name].heard_ns = self._clock()
+
+    def forget(self, name: str) -> None:
+        """Drop what is known of a reader that has left; a peer still owes what it has not acknowledged."""
+        reader = self._readers.pop(name)
+        if name in self._peers:
+            self._readers[name] = _Reader(self._published - self._owed(reader), reader.heard_ns)
+
+    def _owed(self, reader: _Reader) -> int:
+        return self._published - max(reader.acknowledged or 0, reader.forgiven)
+
+
+class Readers:
+    """Looks for the subscriptions of a publisher in the graph; a reader is known by its node name.
+
+    A block sent before a peer is connected would be lost to it. The graph knows a subscription before the publisher is
+    matched with it; the publisher counts its matches, so all that can match must have (one that asks for other
+    qualities of service cannot).
+
+    Args:
+        node: whose view of the graph is taken.
+        publisher: of the blocks.
+    """
+
+    def __init__(self, node: Node, publisher: Any) -> None:
+        self._node = node
+        self._publisher = publisher
+        self._missing: set[str] = set()
+        self._expected_at = 0.0
+        self._present: set[str] = set()
+        self._looked_at = -LOOK_S
+        self._matched = 0
+
+    @property
+    def subscribers(self) -> int:
+        """Matched subscriptions, whether they acknowledge or not."""
+        return int(self._publisher.get_subscription_count())
+
+    def expect(self, names: Iterable[str]) -> None:
+        """Set the peers that must be connected; all are looked for again."""
+        self._missing = set(names)
+        self._expected_at = time.monotonic()
+        self._looked_at = -LOOK_S
+
+    def missing(self) -> tuple[str, ...]:
+        """Return the peers not seen yet."""
+        return tuple(sorted(self._missing))
+
+    def overdue(self, patience_s: float) -> bool:
+        """Whether a peer has not been there for so long."""
+        return bool(self._missing) and time.monotonic() - self._expected_at > patience_s
+
+    def all_matched(self) -> bool:
+        """Look again, at most every 20 ms; true from when every peer was matched once."""
+        if self._missing and self._due(POLL_S):
+            # as the graph tells it: the publisher's own profile says 0 where the graph says infinite
+            offered = [info.qos_profile for info in self._node.get_publishers_info_by_topic(self._publisher.topic_name)]
+            matching = [
+                info
+                for info in self._look()
+                if any(qos_check_compatible(one, info.qos_profile)[0] != QoSCompatibility.ERROR for one in offered)
+            ]
+            if self.subscribers >= len(matching):
+                self._missing -= {info.node_name for info in matching}
+        return not self._missing
+
+    def knows(self, name: str) -> bool:
+        """Whether a node of this name reads: nobody can fill memory with made-up names."""
+        if name not in self._present and (self._due(LOOK_S) or self.subscribers != self._matched):
+            self._look()
+        return name in self._present
+
+    def gone(self, names: Iterable[str]) -> tuple[str, ...]:
+        """Return which of these are no longer there."""
+        if self._due(LOOK_S):
+            self._look()
+        return tuple(name for name in names if name not in self._present)
+
+    def _due(self, period_s: float) -> bool:
+        return time.monotonic() - self._looked_at >= period_s
+
+    def _look(self) -> list[TopicEndpointInfo]:
+        found: list[TopicEndpointInfo] = self._node.get_subscriptions_info_by_topic(self._publisher.topic_name)
+        self._looked_at, self._matched = time.monotonic(), self.subscribers
+        self._present = {info.node_name for info in found}
+        return found
+
+
+class Acknowledgements:
+    """Says on daq/ack up to which block a node has processed daq/scan.
+
+    A block that comes alone is acknowledged at once. Of a burst the executor is asked to come back when it has handed
+    over what is waiting, and one acknowledgement stands for all: a rig that runs ahead sends blocks in bursts, and each
+    message costs its sender and its receiver more than the block it is about. Those of real time wait for a timer.
+
+    Args:
+        node: owner; its name is the peer's.
+        may_send: called before each acknowledgement; keeps the promise it makes, or returns False if that cannot be.
+    """
+
+    def __init__(self, node: ManagedNode[Any], may_send: Callable[[], bool] = lambda: True) -> None:
+        self._node = node
+        self._may_send = may_send
+        self._later = guarded(self._send, node.report_failure)
+        self._publisher = node.publisher(topics.ACK)
+        self._message = Template(Header(frame_id=node.get_name()))
+        self._newest_ns = 0
+        self._waiting = 0
+        self._sent_at = 0.0
+        self._timer: Any = None
+
+    def processed(self, stamp_ns: int) -> None:
+        """Note that the block with this stamp is processed."""
+        self._newest_ns = stamp_ns
+        self._waiting += 1
+        if abs(time.time_ns() - stamp_ns) < PRESENT_NS:
+            self._timer = self._timer or self._node.steady_timer(REALTIME_S, self._send)
+            return
+        executor = self._node.executor
+        if self._waiting >= MOST or executor is None:
+            self._send()
+        elif self._waiting == 1:
+            if time.monotonic() - self._sent_at > ALONE_S:
+                self._send()
+            else:
+                executor.create_task(self._later)
+
+    def destroy(self) -> None:
+        """Say what has not been said, and destroy the publisher."""
+        if self._timer is not None:
+            self._node.destroy_timer(self._timer)
+        if self._node.context.ok():
+            self._send()
+        self._node.destroy_publisher(self._publisher)
+
+    def _send(self) -> None:
+        waiting, self._waiting = self._waiting, 0  # what must not be acknowledged now never is by itself
+        if waiting and self._may_send():
+            self._sent_at = time.monotonic()
+            self._publisher.publish(self._message.render(self._newest_ns))

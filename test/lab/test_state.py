@@ -1,0 +1,312 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""What pages are told: states from keys, requests, joint states, the journal's lines, the speed of rig time."""
+
+from __future__ import annotations
+
+import math
+import re
+from typing import Any
+
+import numpy as np
+import pytest
+from kits.recorded_rig import messages
+from kits.recording import HandClock
+
+from impact_rig import states, topics
+from impact_rig.analysis.words import Regime, Status
+from impact_rig.blocks import Table
+from impact_rig.errors import CodecError, RecordingError
+from impact_rig.instruments.fault_kinds import FAULT_KINDS
+from impact_rig.lab.motion import Motion, decode_joint_state, encode_joint_state
+from impact_rig.lab.protocol import Kind, RequestError, json_frame, parse
+from impact_rig.lab.server import STATIC
+from impact_rig.lab.source import Snapshot
+from impact_rig.lab.state import (
+    FOLLOWED,
+    GAP_S,
+    HURRIED,
+    STALE_S,
+    Curve,
+    Faults,
+    JournalView,
+    Pace,
+    Seen,
+    closed_form,
+    glossary,
+    judge,
+    plain,
+    present,
+    scan_rate,
+)
+from impact_rig.physics.contact import LAWS
+from impact_rig.rig import Rig
+from impact_rig.rig.config import RigConfig
+
+
+def seen(node: str, word: str = "", reason: str = "", age_s: float | None = 0.1, ended: str = "") -> Seen:
+    return Seen.of(node, {"state": word, "reason": reason, "instance": "a1"}, age_s, ended)
+
+
+COLUMNS = [name for name in topics.TRANSMISSIBILITY_TABLE.columns.names if name != "channel"]
+MEASURING = seen("analysis", "measuring")
+
+
+@pytest.mark.parametrize(
+    ("rig", "analysis", "doubts", "word", "words"),
+    [
+        (seen("rig", age_s=None), Seen(), (), "starting", "Waiting"),
+        (seen("rig", "driving", age_s=9.0), MEASURING, (), "dead", "9 s"),
+        (seen("rig", "driving", ended="its process ended with code -9"), MEASURING, (), "dead", "-9"),
+        (seen("rig", "dancing"), MEASURING, (), "unknown", "version"),
+        (seen("rig", "compiling", "3 of 60 functions"), Seen(), (), "compiling", "3 of 60"),
+        (seen("rig", "inactive", "unconfigured"), Seen(), (), "inactive", "unconfigured"),
+        (seen("rig", "rival", "/rig/other publishes daq/scan"), MEASURING, (), "rival", "/rig/other"),
+        (seen("rig", "no_peer", "waiting for x"), MEASURING, (), "no peer", "waiting for x"),
+        (seen("rig", "silent_peer", "peer x silent"), MEASURING, (), "silent peer", "peer x"),
+        (seen("rig", "tripped", "over_travel: 7 mm"), MEASURING, (), "tripped", "over travel: 7 mm"),
+        (seen("rig", "paused"), MEASURING, (), "paused", "stands still"),
+        (seen("rig", "plucked"), MEASURING, (), "plucked", "reset"),
+        (seen("rig", "at_rest"), MEASURING, (), "at rest", "press R"),
+        (seen("rig", "driving"), seen("analysis", "settling"), (), "settling", "transient"),
+        (seen("rig", "driving"), seen("analysis", "unable", "over_range"), (), "driving", "now: over range."),
+        (seen("rig", "driving"), seen("analysis", "no_scans"), (), "driving", "no scans"),
+        (seen("rig", "driving"), seen("analysis", "measuring", age_s=9.0), (), "driving", "silent for 9 s"),
+        (seen("rig", "driving"), Seen(), (), "driving", "there is no analysis"),
+        (seen("rig", "driving"), MEASURING, ("dropout base is in force (truth)",), "driving", "dropout base"),
+        (seen("rig", "driving"), MEASURING, (), "measured", "holds"),
+    ],
+)
+def test_the_word_follows_from_keys_and_the_gravest_comes_first(
+    rig: Seen, analysis: Seen, doubts: tuple[str, ...], word: str, words: str
+) -> None:
+    found = judge(rig, analysis, doubts)
+    assert found[0] == word
+    assert words in found[1]
+
+
+def test_every_state_of_a_rig_and_an_analysis_has_words() -> None:
+    for one in states.Rig:
+        assert judge(seen("rig", one), MEASURING)[1]
+    for other in states.Analysis:
+        assert judge(seen("rig", "driving"), seen("analysis", other, "over_range"))[1].endswith(".")
+
+
+@pytest.mark.parametrize(
+    ("rig", "analysis", "holds"),
+    [
+        (seen("rig", "driving"), MEASURING, True),
+        (seen("rig", "paused"), MEASURING, True),
+        (seen("rig", "tripped"), MEASURING, False),
+        (seen("rig", "driving", age_s=9.0), MEASURING, False),
+        (seen("rig", "driving"), seen("analysis", "measuring", age_s=9.0), False),
+        (seen("rig", "driving"), seen("analysis", "unable", "over_range"), False),
+        (seen("rig", "driving"), Seen(), False),
+    ],
+)
+def test_a_value_holds_only_where_living_nodes_say_so(rig: Seen, analysis: Seen, holds: bool) -> None:
+    assert present(rig, analysis)["holds"] is holds
+
+
+def test_channels_are_well_only_where_a_row_says_so() -> None:
+    """The status of a row and the channel it is about; of a sound row the channel only contributes most."""
+    curve = Curve()
+    assert curve.health() is None
+    kind = np.dtype([*((name, topics.TRANSMISSIBILITY_TABLE.columns[name]) for name in COLUMNS), ("channel", "S32")])
+    for second, status, channel, found in (
+        (1, b"ok", b"laser", {}),
+        (2, b"spikes", b"base", {"base": "spikes"}),
+        (3, b"accelerometer_over_range", b"laser", {"accelerometer": "accelerometer over range"}),
+        (4, b"command_changed", b"", {}),
+    ):
+        rows = np.zeros(1, kind)
+        rows["status"], rows["channel"] = status, channel
+        curve.add(Table(second * 10**9, rows))
+        assert curve.health() == found
+    assert curve.health(2 * 10**9) == {"base": "spikes"}
+
+
+def test_every_word_that_is_shown_has_help() -> None:
+    help_ = glossary()
+    words = {plain(one) for table in (*states.BY_NODE.values(), Status, Regime) for one in table}
+    words |= {plain(name) for name in (*LAWS, *FAULT_KINDS)}
+    lamps = re.search(r"const LAMPS = \{(.*?)\};", (STATIC / "store.js").read_text(encoding="utf-8"), re.DOTALL)
+    assert lamps is not None
+    words |= {quoted or bare for quoted, bare in re.findall(r'(?:"([a-z ]+)"|(\b[a-z]+)): "', lamps[1])}
+    assert len(words) > 70
+    assert sorted(words - help_.keys()) == []
+    assert all(text.endswith((".", ").")) for text in help_.values())
+
+
+def test_faults_are_in_force_from_begin_to_end_and_not_after_a_new_start() -> None:
+    faults, rows = Faults(), np.zeros(1, topics.FAULTS.columns)
+    rows["id"], rows["kind"], rows["channel"], rows["active"], rows["value"] = 1, b"gain_error", b"laser", 1, 0.05
+    faults.add(Table(2 * 10**9, rows))
+    assert faults.in_force(0) == ["gain error laser (0.05)"]
+    assert faults.in_force(0, 10**9) == []
+    assert faults.in_force(3 * 10**9) == []
+    rows = rows.copy()
+    rows["active"] = 0
+    faults.add(Table(4 * 10**9, rows))
+    assert faults.in_force(0) == []
+    assert faults.in_force(0, 3 * 10**9) != []
+
+
+@pytest.mark.parametrize("rate", [math.nan, 0.0, math.inf, 1e12, -1.0])
+def test_a_rate_that_no_board_has_is_refused_before_rings_are_made(rate: float) -> None:
+    info = np.zeros(1, topics.INFO.columns)
+    info["rate"] = rate
+    with pytest.raises(RecordingError, match="a rate of"):
+        scan_rate(Table(0, info))
+    with pytest.raises(RecordingError, match="a rate of"):
+        scan_rate(Table(0, info[:0]))
+
+
+def test_every_parameter_of_a_change_stands_in_the_journal() -> None:
+    """A gap that comes with the sphere is the second row of one change."""
+    rig = Rig(RigConfig())
+    journal = JournalView()
+    rig.configure({"sphere.present": False})
+    rig.configure({"sphere.present": True, "barriers.gap_m": 0.004})
+    for table in rig.take_journal():
+        journal.add(table)
+    lines = [" ".join(line[1:]) for line in journal.part(0)]
+    assert "parameter sphere.present 1" in lines
+    assert "parameter barriers.gap_m 0.004" in lines
+
+
+@pytest.mark.parametrize(
+    ("raw", "words"),
+    [
+        ("", "is JSON"), ("[" * 5000, "is JSON"), ("3", "JSON object"), ('{"do": 3}', "no request 3"),
+        ('{"do":"frequency"}', "takes value"), ('{"do":"frequency","value":true}', "must be a number"),
+        ('{"do":"frequency","value":NaN}', "finite"), ('{"do":"frequency","value":1e999}', "finite"),
+        ('{"do":"frequency","value":1' + "0" * 400 + "}", "finite"), ('{"do":"note","value":"a\\u0000"}', "printable"),
+        ('{"do":"note","value":"' + "a" * 501 + '"}', "at most 500"), ('{"do":"stop","id":1.5}', "whole"),
+        ('{"do":"stop","id":-1}', "within"), ('{"do":"record","value":1}', "true or false"),
+        ('{"do":"sweep","frequencies":[],"direction":"up","hold":"command","target":0}', "1 to 200"),
+        ('{"do":"sweep","frequencies":[9],"direction":"left","hold":"command","target":0}', "one of"),
+        ('{"do":"sweep","frequencies":[9],"direction":"up","hold":"breath","target":0}', "hold must be one of"),
+        ("x" * 70000, "at most 65536"),
+    ],
+)  # fmt: skip
+def test_requests_without_sense_are_refused(raw: str, words: str) -> None:
+    with pytest.raises(RequestError, match=words):
+        parse(raw)
+
+
+def test_a_request_and_a_frame() -> None:
+    held = '{"id":3,"do":"sweep","frequencies":[9,9.1],"direction":"up","hold":"base","target":6e-5}'
+    assert parse(held).values["frequencies"] == (9.0, 9.1)
+    frame = json_frame(Kind.STATE, 7, {"a": float("nan"), "b": [float("inf"), 1.0], "c": {"d": None}})
+    assert frame[8:] == b'{"a":null,"b":[null,1.0],"c":{"d":null}}'
+    assert frame[0] == Kind.STATE
+
+
+def test_joint_states_are_read_from_their_bytes() -> None:
+    data = encode_joint_state(3_500_000_001, (1.0, 2.0, 3.0), (4.0, 5.0, 6.0))
+    assert decode_joint_state(data) == (3_500_000_001, (1.0, 2.0, 3.0), (4.0, 5.0, 6.0))
+    motion = Motion()
+    motion.add_state(data, 500_000_001)
+    assert motion.states.since(0).tolist() == [[3.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0]]
+    for cut in range(len(data) - 4):
+        with pytest.raises(CodecError):
+            decode_joint_state(data[:cut])
+
+
+@pytest.mark.ros
+def test_joint_states_of_ros_are_read_from_their_bytes() -> None:
+    pytest.importorskip("rclpy", reason="no ROS 2 here")
+    from rclpy.serialization import deserialize_message, serialize_message
+    from sensor_msgs.msg import JointState
+
+    message = JointState(name=["base", "structure", "sphere"], position=[1.0, 2.0, 3.0], velocity=[4.0, 5.0, 6.0])
+    message.header.stamp.sec, message.header.frame_id = 3, "rig"
+    assert decode_joint_state(serialize_message(message)) == (3 * 10**9, (1.0, 2.0, 3.0), (4.0, 5.0, 6.0))
+    again = deserialize_message(encode_joint_state(5, (1.0, 2.0, 3.0), (4.0, 5.0, 6.0)), JointState)
+    assert list(again.velocity) == [4.0, 5.0, 6.0]
+    assert again.header.stamp.nanosec == 5
+
+
+def test_readers_of_a_ring_get_what_is_new_to_them() -> None:
+    motion = Motion()
+    for number in range(5000):
+        motion.states.add((float(number), *([0.0] * 6)))
+    assert motion.states.since(4990)[:, 0].tolist() == [float(n) for n in range(4990, 5000)]
+    assert len(motion.states.since(0, 10_000)) == 4096
+
+
+def test_journal_curve_and_closed_form() -> None:
+    journal, curve = JournalView(), Curve()
+    for topic, table in messages(12):
+        if topic == "rig/journal":
+            journal.add(table)
+        if topic == "transmissibility/table":
+            curve.add(table)
+    lines = journal.part(0)
+    assert [line[1] for line in lines if line[1] == "command"]
+    assert lines == sorted(lines, key=lambda line: line[0])
+    assert any(line[1] == "stop" for line in lines)
+    rows = curve.part(0)
+    assert rows
+    assert rows[0]["settled"]
+    closed = closed_form({"structure.natural_frequency_hz": 9.105, "structure.damping_ratio": 0.0045})
+    assert max(value for _, value in closed) == pytest.approx(111.1, rel=0.01)
+    at_drive = np.interp(9.1, *np.array(closed).T)
+    assert rows[0]["dt"] == pytest.approx(at_drive, rel=0.05)
+    assert closed_form({}) == []
+
+
+def test_a_snapshot_tells_each_reader_what_is_new() -> None:
+    snapshot: Any = Snapshot()
+    snapshot.put("a", 1)
+    version, found = snapshot.since(0)
+    assert found == {"a": 1}
+    snapshot.put("a", 1)
+    assert snapshot.since(version)[1] == {}
+    snapshot.put("b", 2)
+    assert snapshot.since(version)[1] == {"b": 2}
+
+
+@pytest.fixture
+def clock() -> HandClock:
+    return HandClock()
+
+
+def speed(clock: HandClock, pace: Pace, factor: float) -> float:
+    """Return what a pace says after two readings, half a second apart."""
+    pace.read(50.0)
+    clock.now_s += 0.5
+    return pace.read(50.0 + 0.5 * factor)
+
+
+@pytest.mark.parametrize("factor", [0.5, 1.0, 4.0, 16.0])
+def test_the_speed_is_that_between_two_readings(clock: HandClock, factor: float) -> None:
+    pace = Pace(clock)
+    assert speed(clock, pace, factor) == pytest.approx(factor)
+    assert pace.is_hurried == (factor > HURRIED)
+    assert pace.is_followed == (factor <= FOLLOWED)
+
+
+def test_one_reading_says_nothing(clock: HandClock) -> None:
+    pace = Pace(clock)
+    assert pace.read(7.0) == 0.0
+    assert pace.is_followed
+
+
+def test_time_that_stands_has_no_speed_after_a_while(clock: HandClock) -> None:
+    pace = Pace(clock)
+    speed(clock, pace, 2.0)
+    clock.now_s += STALE_S
+    assert pace.read(51.0) == pytest.approx(2.0), "readings come twice a second at most"
+    clock.now_s += 0.1
+    assert pace.read(51.0) == 0.0
+
+
+def test_a_reset_or_a_long_silence_gives_no_speed_of_its_own(clock: HandClock) -> None:
+    pace = Pace(clock)
+    speed(clock, pace, 2.0)
+    clock.now_s += 0.5
+    assert pace.read(0.1) == pytest.approx(2.0)
+    clock.now_s += GAP_S
+    assert pace.read(1000.0) == pytest.approx(2.0)

@@ -1,0 +1,69 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""`kill -9` of the rig: what was given to it is over at once, and the rig that comes after begins at rest."""
+
+from __future__ import annotations
+
+import signal
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("rclpy", reason="no ROS 2 here")
+
+from impact_rig.client import Client, Processes, RigGoneError, isolated_domain
+
+pytestmark = [pytest.mark.ros, pytest.mark.pipeline]
+AT_ONCE_S = 1.0
+
+
+@pytest.fixture
+def driven(tmp_path: Path) -> Iterator[tuple[Client, Processes]]:
+    """A rig in real time that was driven, and has been killed."""
+    with isolated_domain() as domain_id, Processes(domain_id, tmp_path / "logs") as processes:
+        processes.start("rig")
+        with Client(domain_id) as client:  # which is not told of the processes: it knows the graph alone
+            client.wait_active("rig")
+            client.wait_until(lambda: client.figures("rig").get("state") == "at_rest", "the rig")
+            client.command(current_a=0.3)
+            processes.running["rig"].signal(signal.SIGKILL)
+            processes.stop("rig")
+            yield client, processes
+
+
+def test_a_command_to_a_dead_rig_is_over_and_moves_no_later_one(driven: tuple[Client, Processes]) -> None:
+    client, processes = driven
+    began = time.monotonic()
+    with pytest.raises(RigGoneError, match=r"current = 0\.5: the rig it was given to is gone"):
+        client.command(current_a=0.5)
+    assert 2.0 <= time.monotonic() - began < 2.0 + 2.0 * AT_ONCE_S
+    began = time.monotonic()
+    with pytest.raises(RigGoneError):
+        client.command(current_a=0.7)
+    with pytest.raises(RigGoneError, match="rig/reset"):
+        client.trigger("rig/reset")
+    assert time.monotonic() - began < AT_ONCE_S, "the second time it is known"
+
+    processes.start("rig")
+    client.wait_active("rig")
+    journal = client.collect("rig/journal")
+    found = client.wait_until(
+        lambda: (f := client.figures("rig")).get("state") == "at_rest" and float(f["rig_time_s"]) > 1.0 and f, "the rig"
+    )
+    assert found["current_a"] == "0"
+    assert [row["kind"] for row in journal.rows()] == [b"start"]
+    assert client.command(current_a=0.2)["current"] == 0.2, "and this one is its own"
+
+
+def test_who_waits_while_another_rig_begins_is_told(driven: tuple[Client, Processes]) -> None:
+    """The rig is replaced within the two seconds: the command was the first one's."""
+    client, processes = driven
+    client.given("nothing")  # it was there a moment ago
+    processes.start("rig")
+    with pytest.raises(RigGoneError, match="is gone"):
+        client.command(current_a=0.5)
+    client.wait_active("rig")
+    client.wait_until(lambda: client.figures("rig").get("state") == "at_rest", "the rig")
+    assert client.figures("rig")["current_a"] == "0"
