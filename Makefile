@@ -73,7 +73,7 @@ $(PACKAGE): $(RUN) setup.py setup.cfg package.xml
 	@touch $@
 
 # --- Targets ----------------------------------------------------------------------------------------------------------
-.PHONY: help lab demo campaign docs figures test lint generate format bench fuzz portability soak colcon release venv lock clean
+.PHONY: help lab demo campaign docs figures test check lint generate format bench fuzz portability soak colcon release venv lock clean
 
 help: ## print this list
 	@echo 'impact_rig: make TARGET, where TARGET is one of'
@@ -106,13 +106,16 @@ COVERAGE := $(VENV)/bin/python -m coverage
 KERNELS = $$(grep -rl --include='*.py' '^from numba import njit' impact_rig | paste -sd,)
 MEASURED := $(if $(ARGS),,1)
 
-test: $(TEST) $(PACKAGE) ## run all tests on real ROS 2; ARGS='-k codec' chooses, SHUFFLE=7 draws another order
+test: $(TEST) $(PACKAGE) ## run all tests on real ROS 2; ARGS=--changed or '-k codec' chooses, SHUFFLE=7 draws another order
 	@$(if $(MEASURED),$(COVERAGE) erase)
 	@begin=$$(date +%s); IMPACT_RIG_REQUIRE_ROS=1 \
 	    $(if $(MEASURED),$(COVERAGE) run,$(VENV)/bin/python) -m pytest $(PYTEST_PLUGINS_USED) \
 	    $(TWO_WORKERS) $(SECOND_CHANCE) $(if $(SHUFFLE),--shuffle=$(SHUFFLE)) $(ARGS); status=$$?; \
 	    $(if $(MEASURED),$(COVERAGE) combine --quiet && $(COVERAGE) report && \
 	    $(COVERAGE) report --include="$(KERNELS)" --fail-under=90 && [ $$status = 0 ] && $(call note,suite_s) &&) exit $$status
+
+check: lint ## after every edit: style, types, layers, and the tests without process, browser and ROS
+	@begin=$$(date +%s); $(VENV)/bin/python -m pytest $(PYTEST_PLUGINS_USED) -q $(TWO_WORKERS) --check $(ARGS) && $(call note,check_s)
 
 lint: $(TEST) $(PACKAGE) ## check style, types and layers
 	@$(VENV)/bin/ruff check .

@@ -48,14 +48,14 @@ def run_pytest(tmp_path: Path, source: str, *options: str) -> subprocess.Complet
 
 def test_compiling_is_not_part_of_a_tests_time(tmp_path: Path) -> None:
     pytest.importorskip("pytest_timeout")
-    lines = "\n".join(f"    x = x * 1.0{n} + y[{n}] / (x + {n}.5)" for n in range(200))
+    lines = "\n".join(f"    x = x * 1.0{n} + y[{n}] / (x + {n}.5)" for n in range(100))
     source = (
         "import time\nimport numba, numpy as np, pytest\n"
         f"@numba.njit\ndef large(x, y):\n{lines}\n    return x\n"
         "@pytest.mark.timeout(LIMIT)\n"
         "def test_large():\n"
         "    began = time.monotonic()\n"
-        "    large(1.0, np.ones(200))\n"
+        "    large(1.0, np.ones(100))\n"
         "    print('took', time.monotonic() - began)\n"
         "def test_endless():\n"
         "    time.sleep(100)\n"
@@ -63,10 +63,9 @@ def test_compiling_is_not_part_of_a_tests_time(tmp_path: Path) -> None:
     once = run_pytest(tmp_path, source.replace("LIMIT", "0"), "-s", "-k", "large")
     takes_s = float(once.stdout.split("took ")[1].split()[0])
     limit = f"{takes_s / 4.0:.3f}"
-    again = run_pytest(tmp_path, source.replace("LIMIT", limit), "-k", "large")
-    assert again.returncode == 0, again.stdout
-    endless = run_pytest(tmp_path, source.replace("LIMIT", limit), "-k", "endless", "--timeout", "1")
-    assert "Timeout" in endless.stdout + endless.stderr
+    again = run_pytest(tmp_path, source.replace("LIMIT", limit), "--timeout", "1")
+    assert "FAILED test_it.py::test_endless - Failed: Timeout" in again.stdout
+    assert "1 failed, 1 passed" in again.stdout, again.stdout
 
 
 @pytest.mark.ros

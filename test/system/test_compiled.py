@@ -74,35 +74,25 @@ def package(tmp_path: Path) -> Package:
     return made
 
 
-def test_an_edit_of_a_callee_reaches_its_callers(package: Package) -> None:
-    assert package.outer().value == 2
-    package.write(callee=CALLEE.format(10))
-    os.utime(package.root / "callee.py", ns=(1, 1))  # whatever the clock says
-    assert package.outer().value == 11
+def test_edits_reach_their_callers_and_nothing_is_thrown_away(package: Package) -> None:
+    """One edit after the other, as in an afternoon's work; every look is a process of its own."""
 
+    def found() -> tuple[int, bool]:
+        answer = package.outer()
+        return answer.value, answer.compiled
 
-def test_a_constant_that_was_compiled_in_is_compiled_in_again(package: Package) -> None:
-    assert package.outer().value == 2
-    package.write(constants="FACTOR = 5\n")
-    assert package.outer().value == 10
-
-
-def test_a_branch_switch_and_back_throws_nothing_away(package: Package) -> None:
-    first = package.outer()
-    package.write(callee=CALLEE.format(10), caller=f"# longer\n{CALLER}")
-    second = package.outer()
-    package.write(callee=CALLEE.format(1), caller=CALLER)  # as git does: the content of before, at another time
-    os.utime(package.root / "caller.py", ns=(1, 1))
-    again = package.outer()
-    assert (first.compiled, second.compiled, again.compiled) == (True, True, False)
-    assert (first.value, second.value, again.value) == (2, 11, 2)
-
-
-def test_an_edit_without_compiled_code_throws_nothing_away(package: Package) -> None:
-    package.outer()
+    assert found() == (2, True)
     package.write(other="SOMETHING = 'else'\n", new="")
     os.utime(package.root / "callee.py")
-    assert not package.outer().compiled
+    assert found() == (2, False), "an edit without compiled code"
+    package.write(callee=CALLEE.format(10), caller=f"# longer\n{CALLER}")
+    os.utime(package.root / "callee.py", ns=(1, 1))  # whatever the clock says
+    assert found() == (11, True), "an edit of a callee"
+    package.write(constants="FACTOR = 5\n")
+    assert found() == (55, True), "a constant that was compiled in"
+    package.write(callee=CALLEE.format(1), caller=CALLER, constants="FACTOR = 1\n")
+    os.utime(package.root / "caller.py", ns=(1, 1))  # as git does: the content of before, at another time
+    assert found() == (2, False), "a branch switch, and back"
 
 
 def test_old_states_do_not_pile_up(package: Package) -> None:
