@@ -55,7 +55,7 @@ $(RUN): requirements/run.txt requirements/$(ROS).txt
 	$(INSTALL) run
 	@touch $@
 
-$(TEST): requirements/run.txt requirements/$(ROS).txt requirements/test.txt
+$(TEST): requirements/run.txt requirements/$(ROS).txt requirements/test.txt requirements/kernels.txt
 	$(INSTALL) run test
 	@test -e $(RUN) || touch $(RUN)
 	@touch $@
@@ -65,20 +65,17 @@ $(DOCS): requirements/run.txt requirements/$(ROS).txt requirements/docs.txt
 	@test -e $(RUN) || touch $(RUN)
 	@touch $@
 
-# Without a C compiler there is no library of kernels: Numba then compiles each at its first call.
-BUILD_KERNELS = $(VENV)/bin/python -m impact_rig.kernels || echo 'going on without: the first start takes a minute'
-
 $(PACKAGE): $(RUN) setup.py setup.cfg package.xml
-	@$(BUILD_KERNELS)
+	@requirements/kernels.sh $(VENV)
 	@$(VENV)/bin/python -m pip install --quiet --disable-pip-version-check --no-input \
 	    --no-deps --no-build-isolation --no-index --editable .
 	@touch $@
 
 kernels: $(PACKAGE) ## build the library of compiled kernels, where their sources have changed
-	@$(BUILD_KERNELS)
+	@requirements/kernels.sh $(VENV)
 
 # --- Targets ----------------------------------------------------------------------------------------------------------
-.PHONY: help kernels lab demo campaign docs figures test lint generate format bench fuzz portability soak colcon release venv lock clean
+.PHONY: help kernels lab demo campaign docs figures test check lint generate format bench fuzz portability soak colcon release venv lock clean
 
 help: ## print this list
 	@echo 'impact_rig: make TARGET, where TARGET is one of'
@@ -111,13 +108,16 @@ COVERAGE := $(VENV)/bin/python -m coverage
 KERNELS = $$(grep -rl --include='*.py' '^from impact_rig.kernels import .*kernel\|^from impact_rig.kernels import .*entry' impact_rig | paste -sd,)
 MEASURED := $(if $(ARGS),,1)
 
-test: $(TEST) kernels ## run all tests on real ROS 2; ARGS='-k codec' chooses, SHUFFLE=7 draws another order
+test: $(TEST) kernels ## run all tests on real ROS 2; ARGS=--changed or '-k codec' chooses, SHUFFLE=7 draws another order
 	@$(if $(MEASURED),$(COVERAGE) erase)
 	@begin=$$(date +%s); IMPACT_RIG_REQUIRE_ROS=1 \
 	    $(if $(MEASURED),$(COVERAGE) run,$(VENV)/bin/python) -m pytest $(PYTEST_PLUGINS_USED) \
 	    $(TWO_WORKERS) $(SECOND_CHANCE) $(if $(SHUFFLE),--shuffle=$(SHUFFLE)) $(ARGS); status=$$?; \
 	    $(if $(MEASURED),$(COVERAGE) combine --quiet && $(COVERAGE) report && \
 	    $(COVERAGE) report --include="$(KERNELS)" --fail-under=90 && [ $$status = 0 ] && $(call note,suite_s) &&) exit $$status
+
+check: lint ## after every edit: style, types, layers, and the tests without process, browser and ROS
+	@begin=$$(date +%s); $(VENV)/bin/python -m pytest $(PYTEST_PLUGINS_USED) -q $(TWO_WORKERS) --check $(ARGS) && $(call note,check_s)
 
 lint: $(TEST) kernels ## check style, types and layers
 	@$(VENV)/bin/ruff check .

@@ -23,7 +23,7 @@ from pathlib import Path
 HERE = Path(__file__).parent
 LOG = Path(sys.prefix) / "install.log"
 SITE = sysconfig.get_path("purelib")
-ON_DISK_MB = {"run": 440, "wheels": 170, "sourced": 60, "test": 320, "docs": 180}
+ON_DISK_MB = {"run": 250, "wheels": 170, "sourced": 60, "kernels": 190, "test": 320, "docs": 180}
 """What each part takes, rounded up; a test compares it with what is installed. Downloads are a third of it."""
 TELL_S = 3.0
 _PIN = re.compile(r"(?P<name>[\w.-]+)==(?P<version>[\w.]+)(?: ; python_version in \"(?P<pythons>[\d. ]+)\")?")
@@ -118,7 +118,7 @@ def link_equal_files() -> None:
 def main() -> int:
     """Install the parts that are named; return the exit code."""
     ros, *tiers = sys.argv[1:]
-    parts = [part for tier in tiers for part in ((tier, ros) if tier == "run" else (tier,))]
+    parts = [part for tier in tiers for part in {"run": ("run", ros), "test": ("test", "kernels")}.get(tier, (tier,))]
     wanted = {name: version for part in parts for name, version in pins(part).items()}
     forget_halves()
     there = installed()

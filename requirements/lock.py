@@ -26,7 +26,7 @@ from packaging.utils import canonicalize_name
 HERE = Path(__file__).parent
 PYTHONS = ("3.11.0", "3.11.2", "3.12.0", "3.12.3", "3.13.0", "3.14.0")
 """The first patch release of each supported Python, and the ones of Debian 12 and Ubuntu 24.04."""
-SECTIONS = ("run", "wheels", "test", "docs")
+SECTIONS = ("run", "wheels", "kernels", "test", "docs")
 SOURCE_ONLY = "empy"  # pure Python
 OF_ROS = {"empy", "lark", "lark-parser", "numpy"}
 """An apt-installed Jazzy brings its own of these: its message classes are compiled against numpy 1.26."""

@@ -7,15 +7,17 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import fcntl
+import multiprocessing
 import os
 import random
 import select
 import signal
+import subprocess
 import sys
 import tempfile
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import IO, TYPE_CHECKING
 
@@ -33,11 +35,13 @@ sys.path.append(str(Path(__file__).parents[1]))  # for `tools`, which is no part
 REQUIRE_ROS = os.environ.get("IMPACT_RIG_REQUIRE_ROS") == "1"
 DOMAINS = range(50, 100)  # 0 to 101 are safe on Linux; people and `make demo` use low numbers
 LONGEST_FILES = (
-    "test_digests", "test_demo", "test_recovery", "test_live_page", "test_guide", "test_examples", "test_told_to_end",
-    "test_three_processes", "test_report", "test_dask", "test_ros_rig", "test_extending", "test_recorder_node",
+    "test_guide", "test_live_page", "test_demo", "test_three_processes", "test_told_to_end", "test_examples",
+    "test_digests", "test_dask", "test_notebook", "test_report", "test_playback_page", "test_accessibility",
+    "test_endings", "test_replay", "test_ros_rig", "test_extending", "test_hostile_recordings", "test_ros",
+    "test_hostile", "test_command", "test_coverage_of_uncertainties", "test_processes", "test_tracker",
 )  # fmt: skip
 """They begin first, the longest of all at the head: a worker takes whole files, and one that begins a long file last
-makes the other wait for it."""
+makes the other wait for it. A shuffle mixes them among themselves, and the others behind them."""
 GRACE_S = 5.0  # how long a thread or process may take to end after its test
 
 # before any module imports a message class or starts a node, and inherited by the processes that tests start
@@ -56,11 +60,18 @@ settings.load_profile("repeatable")
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--thorough", action="store_true", help="run the tests marked slow as well")
     parser.addoption("--shuffle", type=int, metavar="SEED", help="run the tests in an order drawn with this seed")
+    parser.addoption("--check", action="store_true", help="leave out what needs a process, a browser or ROS")
+    parser.addoption(
+        "--changed", nargs="?", const="HEAD", metavar="COMMIT", help="run what a change since a commit (HEAD) can reach"
+    )
 
 
 def pytest_configure(config: pytest.Config) -> None:
     if REQUIRE_ROS and _why_no_ros():
         raise pytest.UsageError(f"IMPACT_RIG_REQUIRE_ROS=1, but {_why_no_ros()}")
+    if config.getoption("--check"):  # a start that is skipped leaves open what was opened for it
+        config.addinivalue_line("filterwarnings", "ignore::ResourceWarning")
+        config.addinivalue_line("filterwarnings", "ignore::pytest.PytestUnraisableExceptionWarning")
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
@@ -69,13 +80,22 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         random.Random(seed).shuffle(items)
     if not config.getoption("-m"):
         left_out = {"benchmark"} if config.getoption("--thorough") else {"benchmark", "slow"}
-        dropped = [item for item in items if left_out & {marker.name for marker in item.iter_markers()}]
-        config.hook.pytest_deselected(items=dropped)
-        gone = set(dropped)
-        items[:] = [item for item in items if item not in gone]
-    if seed is None:
-        place = {name: number for number, name in enumerate(LONGEST_FILES)}
-        items.sort(key=lambda item: place.get(item.path.stem, len(place)))
+        left_out |= {"ros", "pipeline"} if config.getoption("--check") else set()
+        _leave_out(config, items, lambda item: bool(left_out & {marker.name for marker in item.iter_markers()}))
+    if since := config.getoption("--changed"):
+        from kits.reach import ROOT, Reach, changed
+
+        reached = Reach().files(changed(since))
+        _leave_out(config, items, lambda item: reached is not None and str(item.path.relative_to(ROOT)) not in reached)
+    place = {name: number if seed is None else 0 for number, name in enumerate(LONGEST_FILES)}
+    items.sort(key=lambda item: place.get(item.path.stem, len(place)))
+
+
+def _leave_out(config: pytest.Config, items: list[pytest.Item], out: Callable[[pytest.Item], bool]) -> None:
+    dropped = [item for item in items if out(item)]
+    config.hook.pytest_deselected(items=dropped)
+    gone = set(dropped)
+    items[:] = [item for item in items if item not in gone]
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:
@@ -83,44 +103,18 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
         pytest.skip(_why_no_ros())
 
 
-@pytest.hookimpl(tryfirst=True)
-def pytest_timeout_set_timer(item: pytest.Item, settings: object) -> None:
-    """Stop a test's clock while Numba compiles: on a new machine that takes minutes, and is nobody's fault."""
-    if "numba" not in sys.modules or item is _Compiling.item:
-        return
-    _Compiling.item, _Compiling.settings = item, settings
-    if not _Compiling.listening:
-        from numba.core import event
-
-        event.register("numba:compiler_lock", _listener(event.Listener))
-        _Compiling.listening = True
-
-
-class _Compiling:
-    """How deep in the compiler the main thread is, and whose clock stands still."""
-
-    listening = False
-    depth = 0
-    item: pytest.Item | None = None
-    settings: object = None
-
-
-def _listener(base: type) -> object:
-    class Listener(base):  # type: ignore[misc]  # Numba's is loaded late
-        def on_start(self, _event: object) -> None:
-            if threading.current_thread() is threading.main_thread():
-                _Compiling.depth += 1
-                if _Compiling.depth == 1 and _Compiling.item is not None:
-                    _Compiling.item.ihook.pytest_timeout_cancel_timer(item=_Compiling.item)
-
-        def on_end(self, _event: object) -> None:
-            if threading.current_thread() is threading.main_thread():
-                _Compiling.depth -= 1
-                if _Compiling.depth == 0 and _Compiling.item is not None:
-                    item = _Compiling.item
-                    item.ihook.pytest_timeout_set_timer(item=item, settings=_Compiling.settings)
-
-    return Listener()
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call(item: pytest.Item) -> Iterator[None]:
+    """Let no tracer watch a test that repeats: before Python 3.12 it takes half of its time."""
+    measuring = sys.modules.get("coverage")
+    watched = measuring and item.get_closest_marker("repeats") and measuring.Coverage.current()
+    if watched:
+        watched.stop()
+    try:
+        yield
+    finally:
+        if watched:
+            watched.start()
 
 
 def _why_no_ros() -> str:
@@ -134,6 +128,9 @@ def _why_no_ros() -> str:
 @pytest.fixture(scope="session", autouse=True)
 def _own_domain_and_logs(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     """Give this process (each xdist worker is one) a ROS domain that no other test run of this user has."""
+    from kits.measured import hold_back
+
+    hold_back()
     os.environ["ROS_LOG_DIR"] = str(tmp_path_factory.mktemp("ros_log"))
     domain, lock = _claim_domain()
     os.environ["ROS_DOMAIN_ID"] = str(domain)
@@ -154,6 +151,27 @@ def _claim_domain() -> tuple[int, IO[str]]:
         else:
             return domain, lock
     raise RuntimeError(f"no free ROS domain in {DOMAINS}: too many test runs at once")
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _no_process_in_a_check(request: pytest.FixtureRequest) -> None:
+    """Skip whatever starts a process, when it does: no marker that somebody could forget."""
+    if request.config.getoption("--check"):
+        for starter in (subprocess.Popen, multiprocessing.process.BaseProcess):
+            starter.__init__ = _skip  # type: ignore[method-assign]  # for as long as these tests run
+
+
+def _skip(*_arguments: object, **_words: object) -> None:
+    pytest.skip("it starts a process")
+
+
+@pytest.fixture
+def measured_programs(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Measure the coverage of whatever a test starts."""
+    from kits.measured import measured
+
+    for name, value in measured({}).items():
+        monkeypatch.setenv(name, value)
 
 
 @pytest.fixture(scope="session", autouse=True)

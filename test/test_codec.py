@@ -272,6 +272,7 @@ def test_no_flipped_bit_crashes(name):
 
 @settings(max_examples=500)
 @given(tables(), st.data())
+@pytest.mark.repeats
 def test_no_changed_bytes_crash(table, data):
     raw = bytearray(encode(table))
     for _ in range(data.draw(st.integers(1, 8))):

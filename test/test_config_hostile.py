@@ -89,8 +89,9 @@ def copy(tree: object) -> object:
     return {key: copy(value) for key, value in tree.items()} if isinstance(tree, dict) else tree
 
 
-@settings(max_examples=CASES)
+@settings(max_examples=max(1, CASES // 3))
 @given(st.lists(_mistakes, min_size=1, max_size=3), st.booleans())
+@pytest.mark.repeats
 def test_a_file_with_mistakes_is_refused_by_name_or_runs(tmp_path_factory, mistakes, wrapped) -> None:
     tree = copy(NOMINAL)
     for kind, name, what in mistakes:

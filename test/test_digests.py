@@ -13,7 +13,7 @@ from pathlib import Path
 import attrs
 import numpy as np
 import pytest
-from kits.unmeasured import unmeasured
+from kits.measured import measured
 from rich.console import Console
 
 ROOT = Path(__file__).parents[1]
@@ -45,8 +45,8 @@ def record(directory: Path, mask: Mask, *arguments: str, **environment: str) -> 
     output = directory / f"{mask.name}{len(list(directory.iterdir()))}.txt"
     command = [sys.executable, "-m", "tools.portability.child", str(output), *arguments]
     found = full_environment(mask) | environment
-    if environment.get("IMPACT_RIG_KERNELS") != "plain":  # of compiled code coverage sees nothing
-        found = unmeasured(found)
+    if environment.get("IMPACT_RIG_KERNELS") == "plain":  # of compiled code coverage sees nothing
+        found = measured(found)
     done = subprocess.run(command, cwd=ROOT, env=found, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr[-3000:]
     said = (line.partition(" differs: ")[::2] for line in done.stdout.splitlines() if " differs: " in line)

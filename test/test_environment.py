@@ -61,7 +61,7 @@ def test_every_pin_serves_every_python(python: str) -> None:
 
 
 @pytest.mark.parametrize("python", lock.PYTHONS)
-@pytest.mark.parametrize("part", ["run", "test", "docs"])
+@pytest.mark.parametrize("part", ["run", "kernels", "test", "docs"])
 def test_nothing_that_a_pin_needs_is_missing(part: str, python: str) -> None:
     """Every requirement of what is installed here, followed with the markers of each Python, is met by the lock."""
     pinned = versions("run", "wheels", part)
@@ -98,16 +98,17 @@ def test_the_smallest_part_has_what_the_package_imports_and_no_more() -> None:
                 imported |= {alias.name.partition(".")[0] for alias in node.names}
             elif isinstance(node, ast.ImportFrom) and node.module:
                 imported.add(node.module.partition(".")[0])
+    imported -= {"numba", "llvmlite"}  # by what builds the kernels, see requirements/kernels.sh
     provided = {name: set(map(canonicalize_name, by)) for name, by in metadata.packages_distributions().items()}
     providers = [provided[name] for name in imported - EXTRAS - {"impact_rig"} if name in provided]
-    assert {"numba", "aiohttp", "zstandard"} < set().union(*providers)
+    assert {"aiohttp", "zstandard"} < set().union(*providers)
     assert [by for by in providers if not by & versions("run", "wheels").keys()] == []
-    unused = {"pyarrow", "distributed", "mypy", "ruff", "pytest", "mkdocs", "ipython", "pyuff", "hypothesis"}
+    unused = {"numba", "pyarrow", "distributed", "mypy", "ruff", "pytest", "mkdocs", "ipython", "pyuff", "hypothesis"}
     assert versions("run", "wheels").keys().isdisjoint(unused)
-    assert unused <= versions("test", "docs").keys()
+    assert unused <= versions("kernels", "test", "docs").keys()
 
 
-@pytest.mark.parametrize("part", ["run", "test"])
+@pytest.mark.parametrize("part", ["run", "kernels", "test"])
 def test_the_cost_that_is_said_is_what_is_paid(part: str) -> None:
     distributions = {canonicalize_name(one.name): one for one in metadata.distributions() if one.files}
     names = versions(part).keys() & distributions.keys()
@@ -153,7 +154,12 @@ class Checkout:
         for script in ("venv.sh", "install.py"):
             (root / "requirements" / script).write_bytes((REQUIREMENTS / script).read_bytes())
         (root / "requirements" / "venv.sh").chmod(0o755)
-        self.lock(run="inner==1.0", wheels="", test='tester==1.0  # Python any\nolder==1.0 ; python_version in "3.9"')
+        self.lock(
+            run="inner==1.0",
+            wheels="",
+            kernels="",
+            test='tester==1.0  # Python any\nolder==1.0 ; python_version in "3.9"',
+        )
         for name in ("inner", "tester"):
             write_wheel(self.wheels, name)
 

@@ -31,6 +31,7 @@ SLICE = 60
 
 @pytest.mark.parametrize("one", TARGETS, ids=lambda one: one.name)
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
+@pytest.mark.repeats
 def test_a_slice_of_hostile_inputs(one: target.Target) -> None:
     """The same inputs each time; `make fuzz` takes 10,000 per target."""
     tally = target.run(one, SLICE)

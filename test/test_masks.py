@@ -69,6 +69,7 @@ def test_glibc_chose_other_functions(masked: Machine, bare: Machine) -> None:
     assert all(masked.glibc[name] != bare.glibc[name] for name in ("sin", "cos", "exp", "log", "pow"))
 
 
+@pytest.mark.slow  # `make portability` looks for itself before it believes a mask
 @pytest.mark.parametrize("mask", [HASWELL, LLVM_GENERIC, NUMPY_BASELINE, GLIBC_BASELINE], ids=lambda mask: mask.name)
 def test_a_mask_of_its_own_takes_hold_alone(mask: Mask, bare: Machine) -> None:
     assert mask.verdict(machine(mask), bare) != "NO"

@@ -8,7 +8,6 @@ import json
 from pathlib import Path
 
 import pytest
-from kits.unmeasured import unmeasured
 
 nbclient = pytest.importorskip("nbclient", reason="make venv installs what runs notebooks")
 nbformat = pytest.importorskip("nbformat", reason="make venv installs what reads notebooks")
@@ -30,7 +29,7 @@ def executed(tmp_path_factory):
     client = nbclient.NotebookClient(
         notebook, timeout=PATIENCE_S, kernel_name="python3", resources={"metadata": {"path": str(directory)}}
     )
-    client.execute(env=unmeasured())
+    client.execute()
     return notebook
 
 

@@ -41,6 +41,7 @@ def offences(path: Path) -> Iterator[str]:
                     yield f"{where} passes {keyword.arg}={ast.unparse(keyword.value)}"
 
 
+@pytest.mark.repeats
 def test_no_data_becomes_code() -> None:
     assert len(SOURCES) > 150
     assert [offence for path in SOURCES for offence in offences(path)] == []

@@ -256,7 +256,10 @@ def normal_matrix(phase: Real, samples: NDArray[np.int64], step: float, harmonic
     return matrix
 
 
-@entry(TABLE, BYTES, int, int, REALS, REALS, float, INTEGERS, REALS, TABLE, REALS, VOLUME, INTEGERS, returns=(int, int))
+@entry(
+    TABLE, BYTES, int, int, REALS, REALS, float, INTEGERS, REALS, TABLE, REALS, REALS, REALS, VOLUME, INTEGERS, TABLE,
+    returns=(int, int),
+)  # fmt: skip
 def _accumulate(
     samples: Real,
     status: NDArray[np.uint8],

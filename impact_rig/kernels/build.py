@@ -90,7 +90,8 @@ def _translate_all(work: Path) -> None:
     Raises:
         SystemExit: a part failed; its own words are on stderr.
     """
-    environment = {**os.environ, VARIABLE: "plain", "PYTHONPATH": str(PACKAGE.parent)}
+    path = os.pathsep.join(filter(None, (str(PACKAGE.parent), os.environ.get("PYTHONPATH"))))
+    environment = {**os.environ, VARIABLE: "plain", "PYTHONPATH": path}
     command = [sys.executable, "-c", "from impact_rig.kernels.translate import main; main()"]
     running = {
         part: subprocess.Popen([*command, part, str(work)], env=environment)  # noqa: S603  # ourselves

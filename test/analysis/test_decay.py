@@ -54,6 +54,7 @@ def test_acceptance_on_a_locked_base_decay(method):
 
 
 @METHODS
+@pytest.mark.repeats
 def test_uncertainties_cover_the_truth(method):
     """1000 decays, noise, gain, offset, drift and clock drawn anew."""
     rng = np.random.default_rng(2)
@@ -82,6 +83,7 @@ def scans(y):
 
 
 @METHODS
+@pytest.mark.repeats
 def test_the_curve_of_the_sensor_is_in_the_uncertainty_of_the_damping(method):
     """1000 rigs: gain and curve (Legendre, |c_2| + |c_3| <= 1) drawn anew; noise alone would be 10 times too sure."""
     rng = np.random.default_rng(6)

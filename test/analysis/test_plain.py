@@ -4,12 +4,12 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
+from kits.measured import measured
 from kits.tracker import run_scenario
 
 TESTS = Path(__file__).parents[1]
@@ -28,7 +28,7 @@ np.savez(sys.argv[1], **{name: np.concatenate([table.rows for table in found]) f
 def test_plain_python_measures_the_same(tmp_path: Path) -> None:
     """To 1e-9, as on another machine: the analysis may use whatever its libraries offer."""
     output = tmp_path / "plain.npz"
-    environment = os.environ | {"IMPACT_RIG_KERNELS": "plain", "PYTHONPATH": str(TESTS)}
+    environment = measured() | {"IMPACT_RIG_KERNELS": "plain", "PYTHONPATH": str(TESTS)}
     done = subprocess.run(
         [sys.executable, "-c", SCRIPT, str(output)], env=environment, capture_output=True, text=True, check=False
     )

@@ -45,6 +45,7 @@ def measured(calibration, case, gains=(0.0, 0.0), curves=(0.0, 0.0), noise=(0.0,
 
 @pytest.mark.parametrize("linearity_m", [0.0, 30e-6, 300e-6])
 @pytest.mark.parametrize("repetitions", [1, 3])
+@pytest.mark.repeats
 def test_the_uncertainty_covers_the_truth_when_calibrations_are_drawn_anew(linearity_m, repetitions):
     """Gains and curves drawn for each experiment, the same in both measurements; noise drawn for each row."""
     rng, calibration = np.random.default_rng(1), certificate(laser_linearity_m=linearity_m)

@@ -67,6 +67,7 @@ def test_agrees_with_scipys_general_purpose_fit():
 
 
 @pytest.mark.parametrize("colour", ["white", "low-passed"])
+@pytest.mark.repeats
 def test_uncertainties_cover_the_truth(colour):
     """1500 seeded repetitions; the low-passed noise would fool the white formula by a factor of five."""
     rng = np.random.default_rng(5)
@@ -83,6 +84,7 @@ def test_uncertainties_cover_the_truth(colour):
     assert np.all((shares > COVERAGE[0]) & (shares < COVERAGE[1])), shares
 
 
+@pytest.mark.repeats
 def test_four_parameter_uncertainties_cover_the_truth():
     rng = np.random.default_rng(6)
     n, rate, frequency = 1000, 500.0, 9.1

@@ -67,7 +67,11 @@ def test_a_transient_is_waited_for_no_longer_than_needed(frequency_hz, tau_s):
     assert row["waited"] < tau_s * np.log(1 / 2e-4) + 2 * 48 / frequency_hz
 
 
-@pytest.mark.parametrize(("frequency_hz", "tau_s"), [(9.3, 0.34), (9.1, 0.34), (9.3, 1.0)])
+@pytest.mark.parametrize(
+    ("frequency_hz", "tau_s"),
+    [(9.3, 0.34), *(pytest.param(*one, marks=pytest.mark.slow) for one in [(9.1, 0.34), (9.3, 1.0)])],
+)
+@pytest.mark.repeats
 def test_the_first_row_after_a_change_is_as_good_as_any_other(frequency_hz, tau_s):
     """Over 120 draws of noise its mean error is none: at most 3.3 standard errors of that mean, 0.3 of a row's u."""
     truth, info = linear_transmissibility(frequency_hz), info_rows(RATE, gain_u=0.0)
@@ -120,6 +124,7 @@ def test_impacts_per_cycle_come_from_the_accelerometer():
     assert np.array_equal(np.concatenate([table.rows["sign"] for table in impacts]), signs[: len(seconds)])
 
 
+@pytest.mark.repeats
 def test_memory_does_not_grow_with_the_stream():
     made = tracker(tracker_settings=TrackerSettings())
     rows = record(seconds=30.0)

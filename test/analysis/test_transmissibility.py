@@ -133,6 +133,7 @@ def _deviations(gain_u, noise, colour, count, seed=2, lag_u=0.02):
         pytest.param(0.0, 1.0, True, 0.0, id="coloured noise alone"),
     ],
 )
+@pytest.mark.repeats
 def test_reported_uncertainty_covers_the_truth(gain_u, noise, colour, lag_u):
     """Noise and calibration drawn anew 1200 times: the truth lies within ±2u in 93 to 97.5 % of them."""
     shares = np.mean(np.abs(_deviations(gain_u, noise, colour, 1200, lag_u=lag_u)) < 2.0, axis=0)
@@ -154,6 +155,7 @@ def test_a_modulated_response_is_bootstrapped_and_says_so():
     assert found.u_transmissibility > 5 * steady.u_transmissibility
 
 
+@pytest.mark.repeats
 def test_block_bootstrap_covers_the_mean_of_a_chaotic_response():
     """Amplitude driven by noise at cycle scale: the labelled uncertainty covers the true mean, if roughly."""
     rng = np.random.default_rng(4)

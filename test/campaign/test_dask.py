@@ -22,7 +22,7 @@ from impact_rig.maps.plan import load_map, measure_line
 from impact_rig.maps.run import stored
 
 WAIT_S = 60.0
-MORE = "  more: {frequencies_hz: {from: 8, to: 10, step: 0.1}, gaps_m: [none, 0.006]}\n"
+MORE = "  more: {frequencies_hz: {from: 8, to: 10, step: 0.2}, gaps_m: [none, 0.006]}\n"
 
 
 def free_port():
@@ -75,7 +75,7 @@ def test_a_worker_killed_half_way_costs_nothing(cluster, tmp_path, measured):
     output, _ = process.communicate(timeout=WAIT_S)
     assert process.returncode == 0, output
     store, jobs = Store(directory), run.unique_jobs(load_campaign(file).planned())
-    assert len(jobs) > 40
+    assert len(jobs) > 20
     for job in jobs:
         found = store.get(job)
         assert found is not None, job.describe()

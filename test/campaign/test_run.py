@@ -156,6 +156,7 @@ def start(file, directory, workers, *more):
     return subprocess.Popen([*command, *arguments], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
 
 
+@pytest.mark.usefixtures("measured_programs")
 def test_an_interrupted_parallel_campaign_resumes_with_the_same_bits(tmp_path, measured):
     file, directory = tmp_path / "tiny.yaml", tmp_path / "out"
     kept_studies = [line for line in TINY.splitlines(keepends=True) if not line.startswith(("  sweep:", "  again:"))]

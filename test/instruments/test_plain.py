@@ -4,11 +4,11 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
 import sys
 from pathlib import Path
 
+from kits.measured import measured
 from kits.plain_chain import digests
 
 
@@ -16,7 +16,7 @@ def test_plain_python_gives_the_bits_of_compiled_code():
     program = Path(__file__).parents[1] / "kits" / "plain_chain.py"
     plain = subprocess.run(
         [sys.executable, "-W", "error", str(program)],
-        env=os.environ | {"IMPACT_RIG_KERNELS": "plain", "PYTHONPATH": str(program.parents[1])},
+        env=measured() | {"IMPACT_RIG_KERNELS": "plain", "PYTHONPATH": str(program.parents[1])},
         capture_output=True,
         text=True,
         check=False,

@@ -4,7 +4,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import itertools
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import pytest
 
@@ -16,47 +18,58 @@ PERIOD_S = 0.01
 
 
 class Node:
-    """What a work timer asks its node for: (wait, callback) of every timer made."""
+    """Timers in a time of their own; whoever waits for them moves it on."""
 
     def __init__(self) -> None:
-        self.made: list[tuple[float, Callable[[], None]]] = []
+        self.now_s = 0.0
+        self._timers: dict[int, list[Any]] = {}
+        self._numbers = itertools.count()
 
     def steady_timer(self, wait_s: float, callback: Callable[[], None]) -> int:
-        self.made.append((wait_s, callback))
-        return len(self.made)
+        number = next(self._numbers)
+        self._timers[number] = [self.now_s + wait_s, wait_s, callback]
+        return number
 
     def destroy_timer(self, timer: int) -> None:
-        assert timer == len(self.made)
+        del self._timers[timer]
+
+    def wait(self) -> None:
+        """Go on to the next timer that is due, and call it."""
+        number = min(self._timers, key=lambda one: self._timers[one][0])
+        self.now_s, period_s, callback = self._timers[number]
+        self._timers[number][0] += period_s
+        callback()
 
 
-def made() -> tuple[Node, WorkTimer]:
-    node = Node()
-    return node, WorkTimer(node, lambda: None)
+def instants(wait_s: float, count: int, next_waits_s: Sequence[float] = ()) -> list[float]:
+    """When a work timer calls back; after each call it is told how long the next one should wait."""
+    node, found = Node(), list[float]()
+
+    def work() -> None:
+        found.append(node.now_s)
+        timer.keep_in_step(next_waits_s[len(found) - 1] if len(found) <= len(next_waits_s) else PERIOD_S)
+
+    timer = WorkTimer(node, work)
+    timer.start(PERIOD_S, wait_s)
+    while len(found) < count:
+        node.wait()
+    return found
 
 
 @pytest.mark.parametrize(("wait_s", "expected_s"), [(0.004, 0.004), (0.0, 1e-6), (-0.101, 0.009), (-0.0999, 0.0001)])
 def test_what_is_overdue_waits_for_the_next_call_in_step(wait_s: float, expected_s: float) -> None:
-    node, timer = made()
-    timer.start(PERIOD_S, wait_s)
-    assert node.made[0][0] == pytest.approx(expected_s)
-    node.made[0][1]()
-    assert node.made[1][0] == PERIOD_S
+    assert instants(wait_s, 4) == pytest.approx([expected_s + number * PERIOD_S for number in range(4)])
 
 
 @pytest.mark.parametrize("wait_s", [0.003, -0.001, -0.021])
 def test_calls_that_are_late_for_a_while_are_put_in_step(wait_s: float) -> None:
     """A negative wait is as late as a short one: the next block came due during the call."""
-    node, timer = made()
-    timer.start(PERIOD_S, 0.0)
-    for _ in range(LATE_CALLS):
-        timer.keep_in_step(wait_s)
-    assert node.made[-1][0] == pytest.approx(wait_s % PERIOD_S)
-    assert len(node.made) == 2
+    found = instants(0.001, LATE_CALLS + 3, [wait_s] * LATE_CALLS)
+    steps = [after - before for before, after in itertools.pairwise(found)]
+    assert steps[: LATE_CALLS - 1] == pytest.approx([PERIOD_S] * (LATE_CALLS - 1)), "a single one may be chance"
+    assert steps[LATE_CALLS - 1 :] == pytest.approx([wait_s % PERIOD_S, PERIOD_S, PERIOD_S])
 
 
 def test_calls_in_step_are_left_alone() -> None:
-    node, timer = made()
-    timer.start(PERIOD_S, 0.0)
-    for number in range(3 * LATE_CALLS):
-        timer.keep_in_step(0.003 if number % 2 else 0.0095)
-    assert len(node.made) == 1
+    found = instants(0.001, 3 * LATE_CALLS, [0.003, 0.0095] * (3 * LATE_CALLS // 2))
+    assert found == pytest.approx([0.001 + number * PERIOD_S for number in range(3 * LATE_CALLS)])

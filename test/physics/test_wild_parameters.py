@@ -156,6 +156,7 @@ def assert_sane(config: RigConfig, amplitude: float, speed: float) -> int:
 
 @settings(max_examples=200)
 @given(st.data())
+@pytest.mark.repeats
 def test_any_rig_runs_and_makes_no_energy(data):
     config = data.draw(configs())
     impacts = assert_sane(config, data.draw(amplitudes(config)), data.draw(SPEEDS))

@@ -112,7 +112,7 @@ def test_the_demo_reproduces_the_paper_and_loses_nothing(tmp_path: Path) -> None
         assert len(blocks) > 1000
 
 
-@pytest.mark.parametrize("node", ["rig", "analysis", "recorder"])
+@pytest.mark.parametrize("node", ["analysis", *(pytest.param(n, marks=pytest.mark.slow) for n in ("rig", "recorder"))])
 def test_a_killed_process_ends_the_demo_with_a_clear_message(tmp_path: Path, node: str) -> None:
     directory = tmp_path / "demo"
     demo = start_demo(directory)

@@ -22,7 +22,7 @@ from impact_rig.runs.live_comparison import compare
 from impact_rig.runs.verification import verify
 from impact_rig.simtime import NS_PER_S
 
-pytestmark = [pytest.mark.ros, pytest.mark.pipeline]
+pytestmark = [pytest.mark.ros, pytest.mark.pipeline, pytest.mark.usefixtures("measured_programs")]
 TICK = 10_000_000
 RIG = {"barriers.gap_m": 0.002, "time.peers": ("analysis", "recorder")}
 
@@ -137,7 +137,7 @@ def test_a_run_in_real_time_is_whole_from_scan_0_on_and_is_found_again(
     processes: Processes, client: Client, tmp_path: Path
 ) -> None:
     """As the launch file starts it: recorder and analysis come after the rig, which waits for them."""
-    processes.start("rig", {**RIG, "time.start_wait_s": 3600.0, "sphere.present": False})
+    processes.start("rig", {**RIG, "time.start_wait_s": 3600.0, "sphere.present": False, "time.factor": 4.0})
     client.wait_active("rig")
     client.wait_until(lambda: "waiting for peer analysis, recorder" in client.status("rig").message, "the rig to wait")
     processes.start("recorder", {"directory": str(tmp_path), "name": "run"})

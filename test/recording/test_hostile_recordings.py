@@ -38,8 +38,15 @@ REFUSED = {
 }
 
 
-@pytest.mark.parametrize("what", RECORDINGS)
-@pytest.mark.parametrize("command", ["info", "recover", "export"])
+@pytest.mark.parametrize(
+    ("command", "what"),
+    [
+        (command, what)
+        for command in ("info", "recover", "export")
+        for what in RECORDINGS
+        if command != "export" or what not in REFUSED  # it opens them as `info` does, and takes three times as long
+    ],
+)
 def test_a_hostile_recording_costs_little_and_is_answered_in_one_line(tmp_path: Path, command: str, what: str) -> None:
     victim = tmp_path / "victim"
     victim.write_bytes(TOOL["VICTIM"])

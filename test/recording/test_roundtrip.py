@@ -184,6 +184,7 @@ MESSAGES = st.lists(
     chunk_bytes=st.sampled_from([1, 200, 100_000]),
     max_file_bytes=st.sampled_from([0, 1, 20_000]),
 )
+@pytest.mark.repeats
 def test_any_bytes_at_any_time_round_trip(tmp_path_factory, names, messages, compression, chunk_bytes, max_file_bytes):
     directory = tmp_path_factory.mktemp("any") / "run"
     with RunWriter(

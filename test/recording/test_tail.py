@@ -48,6 +48,7 @@ def write(writer, number):
 
 
 @pytest.mark.parametrize("options", [{"chunk_bytes": 2500}, {"max_file_bytes": 3000, "chunk_bytes": 1500}])
+@pytest.mark.repeats
 def test_killed_after_any_call_all_that_was_secured_is_given_back(record, tmp_path, options):
     """A directory as a killed process leaves it is a copy of what is on disk between two calls."""
     writer = record(tail=True, **options)
@@ -73,6 +74,7 @@ def test_killed_after_any_call_all_that_was_secured_is_given_back(record, tmp_pa
 
 
 @pytest.mark.parametrize("chunk_bytes", range(1500, 5000, 100))
+@pytest.mark.repeats
 def test_a_topic_that_comes_when_a_chunk_is_nearly_full_costs_nothing(record, tmp_path, chunk_bytes):
     """Its definition may fill the chunk: what is secured after that belongs to the next one."""
     writer = record(tail=True, chunk_bytes=chunk_bytes)

@@ -87,6 +87,7 @@ def test_the_initial_drive_is_checked_like_a_command() -> None:
 
 @given(st.floats(), st.floats())
 @settings(max_examples=2000)
+@pytest.mark.repeats
 def test_any_command_is_accepted_within_range_or_refused(hammered: Rig, frequency: float, current: float) -> None:
     """Whatever is sent, the drive stays finite and within the shaker's limits."""
     for command in ({"frequency_hz": frequency}, {"current_a": current}, {"frequency_hz": 5 + abs(frequency) % 195}):

@@ -26,7 +26,8 @@ WORDS = {"always": True, "never": False, "butterworth": True, "none": False}
 
 @given(st.dictionaries(_NAMES, _VALUES, min_size=1, max_size=3))
 @example({"structure.mass_kg": 1.8e14, "shaker.damping_n_s_m": 1.8e14})  # the sphere touches without end
-@settings(max_examples=2000)
+@settings(max_examples=500)
+@pytest.mark.repeats
 def test_any_change_of_parameters_is_taken_whole_or_refused_whole(hammered: Rig, changes: dict[str, object]) -> None:
     before = hammered.config
     try:

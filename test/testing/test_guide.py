@@ -12,7 +12,6 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from kits.unmeasured import unmeasured
 
 from impact_rig.recording import open_run
 from impact_rig.runs.verification import verify
@@ -33,7 +32,7 @@ def run(commands: str, folder: Path, project: Path = ROOT) -> subprocess.Complet
     """Run lines of shell as a user with the plugin installed does; that of a checkout is named, as it is not."""
     pytest_here = f"{sys.executable} -m pytest -p impact_rig.testing.plugin -p no:cacheprovider"
     line = " && ".join(re.sub(r"^pytest", pytest_here, command) for command in commands.splitlines())
-    environment = {key: value for key, value in unmeasured().items() if not key.startswith(("PYTEST_", "COV_"))}
+    environment = {key: value for key, value in os.environ.items() if not key.startswith(("PYTEST_", "COV_"))}
     path = os.pathsep.join(filter(None, [str(project), os.environ.get("PYTHONPATH", "")]))
     return subprocess.run(
         line,

@@ -174,7 +174,9 @@ def test_what_is_printed(ros_rig, capsys):
 """
 
 
-@pytest.mark.parametrize("option", ["-s", "--capture=sys", "--capture=fd"])
+@pytest.mark.parametrize(
+    "option", ["-s", *(pytest.param(o, marks=pytest.mark.slow) for o in ("--capture=sys", "--capture=fd"))]
+)
 def test_a_test_may_use_capsys_however_pytest_captures(tmp_path: Path, option: str) -> None:
     """A bug once: with `-s` the executor found no file behind sys.stderr, `UnsupportedOperation: fileno`."""
     (tmp_path / "test_capsys.py").write_text(WITH_CAPSYS, encoding="utf-8")

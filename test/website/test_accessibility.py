@@ -22,8 +22,10 @@ from impact_rig.lab.server import Server
 WIDE, NARROW = 1280, 400
 
 
-@pytest.mark.parametrize(("width", "scheme"), [(WIDE, "light"), (NARROW, "dark")])
-@pytest.mark.parametrize("name", ["index", "rig", "first_node"])
+@pytest.mark.parametrize(
+    ("name", "width", "scheme"),
+    [("index", WIDE, "light"), ("index", NARROW, "dark"), ("rig", NARROW, "light"), ("first_node", WIDE, "dark")],
+)
 def test_pages_of_the_website(site, browser, name, width, scheme):
     page = browser.page(width, 900, prefers_color_scheme=scheme)
     page.goto((site / f"{name}.html").as_uri())

@@ -1,0 +1,125 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""Which tests a change can reach: from `git diff`, along what each Python file says of others.
+
+A file reaches whoever names it: by import, by module name in a string (`python -m impact_rig.nodes`), by file name
+(`"hostile.py"`, `"nominal.yaml"`) or, where it is no module, by a folder of its path. That is more than is executed,
+never less; whatever nobody names reaches everything.
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+import subprocess
+from collections.abc import Iterable
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+FOLDERS = ("impact_rig", "tools", "fuzz", "benchmarks", "examples", "launch", "test")
+EVERYTHING = (
+    "requirements", "pyproject.toml", "setup.py", "setup.cfg", "package.xml", "Makefile",
+    "test/conftest.py", "test/kits/reach.py", "test/kits/measured.py", "impact_rig/client/domain.py",
+)  # fmt: skip
+"""What every test depends on: the environment, how tests are run, and what each of them gets."""
+OUTSIDE = ("docs/", "test/", "README", "CONTRIBUTING", "CHANGELOG", ".")
+"""What the package itself cannot read: it is not installed with it."""
+MODULE = re.compile(r"\b(?:impact_rig|tools|fuzz|benchmarks|kits)(?:\.\w+)*\b")
+FILE = re.compile(r"\b(?!__|conftest)\w+\.py\b")
+BY_NAME = re.compile(r"\b(?:import_module|lazily|iter_modules)\(")
+"""Whoever loads modules by name may load every one of its package."""
+
+
+def changed(since: str) -> list[str]:
+    """Return the paths that differ from a commit, in the working tree or not yet known to git.
+
+    Raises:
+        subprocess.CalledProcessError: this is no checkout, or there is no such commit.
+    """
+    found: list[str] = []
+    for words in (["diff", "--name-only", "--no-renames", since, "--"], ["ls-files", "--others", "--exclude-standard"]):
+        done = subprocess.run(["git", *words], cwd=ROOT, check=True, capture_output=True, text=True)
+        found += done.stdout.splitlines()
+    return found
+
+
+class Reach:
+    """Who names whom in a checkout.
+
+    Args:
+        root: of the checkout.
+    """
+
+    def __init__(self, root: Path = ROOT) -> None:
+        self._texts = {
+            str(path.relative_to(root)): path.read_text(encoding="utf-8")
+            for folder in FOLDERS
+            for path in (root / folder).rglob("*.py")
+        }
+        self._files = {name: path for path in self._texts for name in _called(path)}
+        self._by_file: dict[str, set[str]] = {}
+        for path in self._texts:
+            self._by_file.setdefault(Path(path).name, set()).add(path)
+        self._strings: dict[str, str] = {}
+        self._used = {path: self._uses(path) for path in self._texts}
+
+    def files(self, paths: Iterable[str]) -> set[str] | None:
+        """Return the Python files that changes of `paths` can reach, tests among them; None for all there are."""
+        found: set[str] = set()
+        for path in paths:
+            first = {path} & self._texts.keys() or self._readers(path)
+            if path.startswith(EVERYTHING) or not first:
+                return None
+            found |= first
+        waiting = found
+        while waiting:
+            waiting = {user for user, used in self._used.items() if used & waiting} - found
+            found |= waiting
+        return found
+
+    def _uses(self, path: str) -> set[str]:
+        """Return the files that a Python file names."""
+        names, strings = set[str](), list[str]()
+        tree = ast.parse(self._texts[path])
+        said = {node.value for node in ast.walk(tree) if isinstance(node, ast.Expr)}  # docstrings
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Import):
+                names |= {alias.name for alias in node.names}
+            elif isinstance(node, ast.ImportFrom) and node.module:
+                names |= {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
+            elif isinstance(node, ast.Constant) and isinstance(node.value, str) and node not in said:
+                strings.append(node.value)
+        text = self._strings[path] = "\n".join(strings)
+        names |= set(MODULE.findall(text))
+        parts = [name.split(".") for name in names]
+        names = {".".join(each[: count + 1]) for each in parts for count in range(len(each))}
+        found = {self._files[name] for name in names & self._files.keys()}
+        found |= {self._files[f"{name}.__main__"] for name in names if f"{name}.__main__" in self._files}
+        for name in set(FILE.findall(text)):
+            found |= self._by_file.get(name, set())
+        folder = str(Path(path).parent)
+        if BY_NAME.search(self._texts[path]):
+            found |= {other for other in self._texts if other.startswith(f"{folder}/")}
+        if path.startswith("test/"):
+            conftests = {f"{above}/conftest.py" for above in Path(path).parents}
+            found |= conftests & self._texts.keys() - {"test/conftest.py"}
+        return found - {path}
+
+    def _readers(self, path: str) -> set[str]:
+        """Return the Python files that name a file which is no Python, or a folder (no package) that holds it."""
+        folders = (above for above in Path(path).parents if above.name and f"{above}/__init__.py" not in self._strings)
+        words = "|".join(re.escape(name) for name in {Path(path).name, *(above.name for above in folders)} - {"test"})
+        named = re.compile(rf"(?:^|/)(?:{words})(?:$|/)", re.MULTILINE)
+        outside = path.startswith(OUTSIDE)
+        return {
+            user
+            for user, text in self._strings.items()
+            if named.search(text) and not (outside and user.startswith("impact_rig/"))
+        }
+
+
+def _called(path: str) -> set[str]:
+    """Return the module names of a Python file."""
+    parts = Path(path).with_suffix("").parts
+    parts = parts[1:] if parts[0] == "test" else parts
+    return {".".join(parts[:-1] if parts[-1] == "__init__" else parts)}

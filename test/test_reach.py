@@ -1,0 +1,94 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""`--changed` leaves out what a change cannot reach, and never what it can."""
+
+from __future__ import annotations
+
+import subprocess
+from pathlib import Path
+
+import pytest
+from kits import reach
+from kits.reach import Reach
+
+
+@pytest.fixture(scope="module")
+def checkout() -> Reach:
+    return Reach()
+
+
+@pytest.mark.parametrize(
+    ("changed", "reached", "left_out"),
+    [
+        ("impact_rig/report/page.py", "test/report/test_report.py", "test/physics/test_energy.py"),
+        ("impact_rig/lab/live.py", "test/lab/test_live_page.py", "test/recording/test_tail.py"),
+        ("impact_rig/physics/contact/flores.py", "test/physics/test_contact_laws.py", "test/arithmetic/test_random.py"),
+        ("impact_rig/nodes/rig_node.py", "test/pipeline/test_three_processes.py", "test/physics/test_energy.py"),
+        ("impact_rig/cli/export.py", "test/cli/test_command_line.py", "test/physics/test_energy.py"),
+        ("test/kits/browser.py", "test/website/test_accessibility.py", "test/physics/test_energy.py"),
+        ("tools/hostile.py", "test/recording/test_hostile_recordings.py", "test/physics/test_energy.py"),
+        ("docs/rig.md", "test/test_docs.py", "test/physics/test_energy.py"),
+        ("test/data/digests.txt", "test/test_digests.py", "test/recording/test_tail.py"),
+        ("impact_rig/lab/static/main.js", "test/lab/test_live_page.py", "test/arithmetic/test_random.py"),
+    ],
+)
+def test_a_change_reaches_who_uses_it_and_not_everybody(
+    checkout: Reach, changed: str, reached: str, left_out: str
+) -> None:
+    assert (reach.ROOT / changed).is_file()
+    found = checkout.files([changed])
+    assert found is not None
+    assert reached in found
+    assert left_out not in found
+
+
+@pytest.mark.parametrize("changed", ["pyproject.toml", "test/conftest.py", "quite" + "_new.xyz"])
+def test_what_is_not_known_reaches_everything(checkout: Reach, changed: str) -> None:
+    assert checkout.files(["docs/rig.md", changed]) is None
+
+
+def test_no_change_reaches_nothing(checkout: Reach) -> None:
+    assert checkout.files([]) == set()
+
+
+def test_modules_that_are_found_in_a_folder_and_programs_that_are_started_are_followed(tmp_path: Path) -> None:
+    files = {
+        "impact_rig/__init__.py": "",
+        "impact_rig/laws/__init__.py": "from impact_rig.laws.registry import LAWS",
+        "impact_rig/laws/registry.py": "LAWS = [importlib.import_module(name) for name in places]",
+        "impact_rig/laws/new.py": "",
+        "impact_rig/nodes/__main__.py": "import impact_rig.laws",
+        "test/test_program.py": "run([sys.executable, '-m', 'impact_rig.nodes'])",
+        "test/test_none.py": '"""As impact_rig.nodes does."""',
+        "test/lab/conftest.py": "from impact_rig.laws import LAWS",
+        "test/lab/test_page.py": "",
+    }
+    for name, text in files.items():
+        path = tmp_path / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text)
+    found = Reach(tmp_path).files(["impact_rig/laws/new.py"])
+    assert found is not None
+    assert {path for path in found if "/test_" in path} == {"test/test_program.py", "test/lab/test_page.py"}
+
+
+def test_what_git_says_has_changed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def git(*words: str) -> None:
+        identity = ["-c", "user.name=a", "-c", "user.email=a@b"]
+        subprocess.run(["git", *identity, *words], cwd=tmp_path, check=True, capture_output=True)
+
+    monkeypatch.setattr(reach, "ROOT", tmp_path)
+    git("init")
+    for name in ("kept", "edited", "moved", "removed"):
+        (tmp_path / name).write_text(name)
+    git("add", ".")
+    git("commit", "-m", "first")
+    assert reach.changed("HEAD") == []
+    (tmp_path / "edited").write_text("otherwise")
+    (tmp_path / "removed").unlink()
+    (tmp_path / "new").write_text("")
+    git("mv", "moved", "elsewhere")
+    assert set(reach.changed("HEAD")) == {"edited", "removed", "new", "moved", "elsewhere"}
+    git("commit", "-a", "-m", "second")
+    assert reach.changed("HEAD") == ["new"]
+    assert set(reach.changed("HEAD~")) == {"edited", "removed", "new", "moved", "elsewhere"}
