@@ -182,7 +182,7 @@ def entry(*arguments: Any, returns: Any = None) -> Callable[[Callable[..., Any]]
         entries[name] = Entry(function, arguments, returns)
         if MODE == "library":
             assert _LIBRARY is not None
-            call: Callable[..., Any] = _LIBRARY.entry(name, *plan(arguments), _codes(returns))
+            call: Callable[..., Any] = _LIBRARY.entry(name, *plan(arguments), codes(returns))
             return call
         return _compiled(function)
 
@@ -219,11 +219,12 @@ def plan(arguments: tuple[Any, ...]) -> tuple[str, tuple[np.dtype[Any], ...]]:
             letters.append(f"{array.dimensions}")
             dtypes.append(array.dtype)
         else:
-            letters.append(_codes(one))
+            letters.append(codes(one))
     return "".join(letters), tuple(dtypes)
 
 
-def _codes(kind: Any) -> str:
+def codes(kind: Any) -> str:
+    """Return the letters of numbers, see `plan`; none for None."""
     if kind is None:
         return ""
-    return "".join(map(_codes, kind)) if isinstance(kind, tuple) else {int: "i", bool: "b", float: "f"}[kind]
+    return "".join(map(codes, kind)) if isinstance(kind, tuple) else {int: "i", bool: "b", float: "f"}[kind]

@@ -25,9 +25,10 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from impact_rig.kernels import PACKAGE, VARIABLE, digest
+from impact_rig.kernels.header import whole
 
 FOLDER = Path(__file__).parent
-OUTPUT = "_library.abi3.so"
+OUTPUT, HEADER = "_library.abi3.so", "impact_rig.h"
 PARTS = {
     "mechanics": ("physics.simulation", "physics.motion", "physics.band_pass"),
     "instruments": ("instruments.chain", "rig.interlock", "analysis.tracker"),
@@ -69,6 +70,7 @@ def build(folder: Path = FOLDER) -> None:
         objects = [str(work / f"{part}.o") for part in PARTS]
         _compile([str(FOLDER / "library.c"), str(work / "exports.c"), *objects, "-o", str(built)])
         folder.mkdir(parents=True, exist_ok=True)
+        (folder / HEADER).write_text(whole((work / f"{part}.h").read_text(encoding="utf-8") for part in PARTS), "utf-8")
         new = folder / f".{OUTPUT}.new"
         new.write_bytes(built.read_bytes())
         new.replace(folder / OUTPUT)  # at once: a process that runs the old one keeps it

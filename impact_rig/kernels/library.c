@@ -63,7 +63,16 @@ void *numba_unpickle(const void *data, int size, const void *hash) { (void)data,
 static PyObject *of_dtype; /* "dtype" */
 static PyObject *of_address;
 
-static void *find(const char *name)
+/* For C programs that use the kernels without Python: what of Python is looked for at loading may be missing. */
+#pragma weak PyExc_LookupError
+#pragma weak PyExc_RuntimeError
+#pragma weak PyExc_TypeError
+#pragma weak PyExc_ValueError
+#pragma weak PyTuple_Type
+#pragma weak PyCapsule_Type
+#pragma weak _Py_NoneStruct
+
+void *impact_rig_address(const char *name)
 {
     for (const export *one = kernel_exports; one->name; one++)
         if (!strcmp(one->name, name)) return one->address;
@@ -221,7 +230,7 @@ static PyObject *library_entry(PyObject *Py_UNUSED(module), PyObject *arguments)
     const char *name, *plan, *results;
     PyObject *dtypes;
     if (!PyArg_ParseTuple(arguments, "ssO!s", &name, &plan, &PyTuple_Type, &dtypes, &results)) return NULL;
-    void *address = find(name);
+    void *address = impact_rig_address(name);
     if (!address) return PyErr_Format(PyExc_LookupError, "the library holds no kernel %s: build it again", name);
     Py_ssize_t arrays = PyTuple_Size(dtypes);
     if (strlen(plan) >= 256 || strlen(results) > MOST_RESULTS || arrays > MOST_ARRAYS || slots(plan) > MOST_SLOTS)
@@ -248,7 +257,7 @@ static PyObject *library_address(PyObject *Py_UNUSED(module), PyObject *name)
 {
     PyObject *bytes = PyUnicode_AsUTF8String(name);
     if (!bytes) return NULL;
-    void *address = find(PyBytes_AsString(bytes));
+    void *address = impact_rig_address(PyBytes_AsString(bytes));
     Py_DECREF(bytes);
     return PyLong_FromVoidPtr(address);
 }

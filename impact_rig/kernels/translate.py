@@ -25,6 +25,7 @@ from numba.core.registry import cpu_target
 import impact_rig.kernels as declared
 from impact_rig.kernels import Entry, Exported
 from impact_rig.kernels.build import CPU, PARTS
+from impact_rig.kernels.header import header
 from impact_rig.kernels.jit import OPTIONS, numba_type
 
 INSIDE: dict[str, Any] = {**OPTIONS, "_nrt": False, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
@@ -74,6 +75,7 @@ def main() -> None:
         names = [name for name, _ in wanted]
         (work / f"{part}.progress").write_text("optimised")
         (work / f"{part}.o").write_bytes(_object(context, libraries.values(), set(names)))
+    (work / f"{part}.h").write_text(header(entries), encoding="utf-8")
     (work / f"{part}.names").write_text("\n".join(names))
 
 

@@ -8,6 +8,7 @@ That its bits are those of Numba's own compiler and of plain Python is in test_d
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -16,11 +17,15 @@ import numpy as np
 import pytest
 
 from impact_rig import kernels
-from impact_rig.arithmetic.random import fill_normal
+from impact_rig.arithmetic.random import Random, fill_normal
 from impact_rig.instruments import pieces
-from impact_rig.physics import event_loop
-from impact_rig.physics.state import STATE
+from impact_rig.kernels import build
+from impact_rig.physics import FunctionGenerator, Simulation, event_loop
+from impact_rig.physics.state import STATE, X1
+from impact_rig.rig.config import RigConfig
 from impact_rig.rig.interlock import largest
+
+ROOT = Path(__file__).parents[2]
 
 needs_library = pytest.mark.skipif(kernels.MODE != "library", reason="kernels run otherwise here")
 
@@ -130,3 +135,30 @@ def test_an_unknown_way_to_run_kernels_is_named(asked: str) -> None:
         env=os.environ | {kernels.VARIABLE: asked}, capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert f"must be one of library, jit, plain, got '{asked}'" in done.stderr
+
+
+@needs_library
+def test_a_c_program_simulates_the_same_bits(tmp_path: Path) -> None:
+    """Ten seconds by examples/c, without Python, beside the same ten by `Simulation`."""
+    if not shutil.which("cc"):
+        pytest.skip("no C compiler here")
+    example, folder = ROOT / "examples" / "c", Path(kernels.__file__).parent
+    built = [str(tmp_path / "ten_seconds"), str(example / "ten_seconds.c"), f"-I{folder}", str(folder / build.OUTPUT)]
+    options = ["-Wall", "-Wextra", "-Werror", "-O1", "-Wl,--allow-shlib-undefined", f"-Wl,-rpath,{folder}", "-o"]
+    subprocess.run(["cc", *options, *built], check=True)
+    subprocess.run([sys.executable, str(example / "write_model.py"), str(tmp_path / "model")], check=True, cwd=ROOT)
+    done = subprocess.run([built[0], str(tmp_path / "model")], capture_output=True, text=True, check=True)
+    (status, ended, count, x_1), *impacts = (line.split() for line in done.stdout.splitlines())
+    assert (status, ended) == ("0", str(event_loop.DONE))
+
+    config = RigConfig()
+    drive = FunctionGenerator(config.drive, config.shaker, Random(0))
+    drive.set_frequency(9.1)
+    drive.set_amplitude(0.52)
+    simulation = Simulation(config)
+    motion = simulation.advance(drive.segments(1000))
+    assert len(motion.impacts) == int(count) > 100
+    assert [
+        (int(segment), float.fromhex(offset), float.fromhex(impulse)) for segment, offset, impulse in impacts
+    ] == motion.impacts[["segment", "offset", "impulse"]].tolist()
+    assert float.fromhex(x_1) == simulation._state.y[X1]
