@@ -19,6 +19,7 @@ NAME = PACKAGE.findtext("name")
 MAINTAINER = PACKAGE.find("maintainer")
 EXAMPLES = [
     "examples",
+    "examples/c",
     "examples/golden/test_regression/test_the_analysis_finds_what_it_found",
     "examples/golden/test_regression/test_the_rig_gives_the_readings_it_gave",
 ]

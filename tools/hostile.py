@@ -182,7 +182,7 @@ def bad_name(folder: Path) -> Path:
 def escapes(folder: Path) -> Path:
     """Markup, colours and a new title for the window, in the names of file and topic."""
     tricks = "[/red]\x1b[31m\x1b]0;title\x07"
-    return recording(folder / f"run [gap=2mm] {tricks} x" / "run.mcap", scans(), topic=f"/{tricks}/daq/scan").parent
+    return recording(folder / f"run [gap=2mm] {tricks} x" / "run.mcap", scans(), topic=f"/{tricks}/daq/scan")
 
 
 def fifo(folder: Path) -> Path:

@@ -23,6 +23,8 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
+from impact_rig.kernels.build import HEADER, OUTPUT
+
 ROOT = Path(__file__).parents[1]
 NOT_RELEASED = (".github", ".ci", ".gitignore")
 IN_WHEEL = ("config", "launch", "resource", "rviz", "urdf", "package.xml")
@@ -83,10 +85,11 @@ def differences(sdist: Path, wheel: Path) -> list[str]:
     said += [f"{sdist.name} holds {name}" for name in sorted(found - files - made)]
     with zipfile.ZipFile(wheel) as archive:
         inside = set(archive.namelist())
-    stem = wheel.name.rpartition("-py3")[0]
+    stem = "-".join(wheel.name.split("-")[:2])
     share = f"{stem}.data/data/share/impact_rig/"
     marker = f"{stem}.data/data/share/ament_index/resource_index/packages/impact_rig"
     wanted = {name for name in files if name.startswith("impact_rig/")} | {marker}
+    wanted |= {f"impact_rig/kernels/{made}" for made in (OUTPUT, HEADER)}
     wanted |= {
         share + name for name in files if name.startswith((*IN_WHEEL, "examples/")) and name != "resource/impact_rig"
     }

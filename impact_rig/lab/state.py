@@ -494,4 +494,6 @@ GLOSSARY = {
     "swapped channels": "Laser and base look exchanged.",
     "inverted channel": "Laser or base is wired the wrong way round: the structure seems to lead its base.",
     "no fit": "A fit did not converge, or to something unphysical.",
+    "impacts": "A free decay with impacts: its damping is not that of the structure.",
+    "not exponential": "A free decay whose halves decay at different rates: no single damping ratio describes it.",
 }

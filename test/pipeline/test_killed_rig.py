@@ -53,6 +53,7 @@ def test_a_command_to_a_dead_rig_is_over_and_moves_no_later_one(driven: tuple[Cl
         lambda: (f := client.figures("rig")).get("state") == "at_rest" and float(f["rig_time_s"]) > 1.0 and f, "the rig"
     )
     assert found["current_a"] == "0"
+    client.wait_until(lambda: len(journal.rows()) > 0, "the journal")
     assert [row["kind"] for row in journal.rows()] == [b"start"]
     assert client.command(current_a=0.2)["current"] == 0.2, "and this one is its own"
 

@@ -107,7 +107,7 @@ def _one_contact(law: str) -> tuple[Simulation, Motion]:
             "contact.law": law,
             "barriers.gap_m": GAP_M,
             "structure.mass_kg": HEAVY_KG,
-            "structure.natural_frequency_hz": 1e-3,
+            "structure.natural_frequency_hz": 0.1,
         },
     )
     simulation = Simulation(config)
