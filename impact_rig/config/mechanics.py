@@ -53,7 +53,9 @@ class Shaker:
     suspension_stiffness_n_m: float = quantity(6300.0, "N/m", "Table suspension k_f.", at_least=1, at_most=1e8)
     damping_n_s_m: float = quantity(90.0, "N s/m", "Table damping c_f.", Origin.IDENTIFIED, at_least=1e-3, at_most=1e5)
     armature_mass_kg: float = quantity(0.16, "kg", "Moving element m_a.", at_least=1e-3, at_most=100)
-    base_mass_kg: float = quantity(1.84, "kg", "Inferior base m_b.", Origin.IDENTIFIED, at_least=1e-3, at_most=100)
+    base_mass_kg: float = quantity(
+        1.84, "kg", "Inferior base m_b; 0 is the bare table.", Origin.IDENTIFIED, at_least=0, at_most=100
+    )
     coil_resistance_ohm: float = quantity(
         1.6, "ohm", "Coil resistance (voltage drive only).", at_least=1e-3, at_most=1e4
     )

@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 import pytest
-from kits.mechanics import TWO_PI, at_rest, prescribed, rig, sine
+from kits.mechanics import TWO_PI, at_rest, limit_case, prescribed, rig, sine
 
 from impact_rig.physics import Simulation
 
@@ -42,7 +42,8 @@ def test_a_grazing_touch(excess):
 def test_every_wall_of_a_fast_sphere(speed):
     """A sphere far faster than the base meets the walls at e^n of its speed, one after another, in one segment."""
     e, gap = 0.9, 1e-3
-    config = prescribed(
+    config = limit_case(
+        drive={"kind": "prescribed"},
         structure={"mass_kg": 100.0, "natural_frequency_hz": 1e-3},
         barriers={"gap_m": gap},
         contact={"law": "restitution", "restitution": e},

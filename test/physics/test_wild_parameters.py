@@ -22,6 +22,7 @@ from impact_rig.config.mechanics import FASTEST_HZ, SLOWEST_HZ
 from impact_rig.errors import ConfigError
 from impact_rig.physics import EnergyAccount, Motion, Simulation
 from impact_rig.physics.contact import LAWS
+from impact_rig.physics.contact.law import LEAST_RESTITUTION
 from impact_rig.physics.model import CONTACT_RTOL, STANDARD_GRAVITY, build
 from impact_rig.rig import Rig
 from impact_rig.rig.config import RigConfig, from_flat
@@ -71,7 +72,7 @@ def configs(draw: st.DrawFn) -> RigConfig:
         barriers={"gap_m": draw(decades(1e-6, 1.0)), "young_modulus_pa": draw(decades(1e6, 1e12))},
         contact={
             "law": draw(st.sampled_from(tuple(LAWS))),
-            "restitution": draw(st.floats(0.05, 0.99)),
+            "restitution": draw(st.floats(LEAST_RESTITUTION, 0.99)),
             "speed_floor_m_s": draw(decades(1e-6, 1e-2)),
             "contact_time_s": draw(decades(1e-6, 1e-3)),
             "release": draw(st.sampled_from(["position", "force"])),
@@ -208,8 +209,8 @@ def test_rigs_that_once_broke_the_mechanics(found):
         ("barriers", "gap_m", 0.0, ">= 1e-06 and <= 1"),
         ("barriers", "gap_m", -0.002, ">= 1e-06 and <= 1"),
         ("barriers", "gap_m", 1.5, ">= 1e-06 and <= 1"),
-        ("contact", "restitution", 1.2, ">= 0.05 and <= 1"),
-        ("contact", "restitution", 0.0, ">= 0.05 and <= 1"),
+        ("contact", "restitution", 1.2, ">= 0.01 and <= 1"),
+        ("contact", "restitution", 0.0, ">= 0.01 and <= 1"),
         ("contact", "law", "glue", "one of exact, flores,"),
         ("contact", "speed_floor_m_s", 0.0, ">= 1e-06"),
         ("drive", "amplitude", -1.0, ">= 0"),
