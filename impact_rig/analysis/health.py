@@ -42,7 +42,7 @@ LEAD_LIMIT_RAD = math.radians(0.5)
 CERTAIN = 0.1
 """Relative uncertainty of DT up to which wiring is judged from it: 1.25 and 1.5 are then told apart."""
 ACCELERATION_LIMIT = 0.04
-"""Least relative departure of the acceleration from ω² times the laser's amplitude that is a contradiction: mounting and
+"""Relative departure of the acceleration from ω² times the laser's amplitude that is always allowed: mounting and
 transverse sensitivity stand in no calibration."""
 ACCELEROMETER_HIGH_PASS_HZ = 1.0
 """Corner that a charge amplifier may have and `daq/info` does not tell."""
