@@ -92,7 +92,7 @@ def measure_decay(
     if clipped or np.any(status_of(rows) & (1 << LASER)):
         return Decay(status=Status.OVER_RANGE)
     found = (method or fit_decay)(y, calibration.rate_hz, u_clock)
-    if len(ImpactDetector(calibration).feed(np.asarray(rows["accelerometer"], dtype=np.float64))):
+    if len(ImpactDetector(calibration).feed(np.ascontiguousarray(rows["accelerometer"], dtype=np.float64))):
         return Decay(status=Status.IMPACTS)
     if found.status is not Status.OK:
         return found

@@ -42,7 +42,8 @@ LEAD_LIMIT_RAD = math.radians(0.5)
 CERTAIN = 0.1
 """Relative uncertainty of DT up to which wiring is judged from it: 1.25 and 1.5 are then told apart."""
 ACCELERATION_LIMIT = 0.04
-"""Relative departure of the acceleration from ω² times the laser's amplitude that is the calibrations' own at most."""
+"""Relative departure of the acceleration from ω² times the laser's amplitude that is always allowed: mounting and
+transverse sensitivity stand in no calibration."""
 ACCELEROMETER_HIGH_PASS_HZ = 1.0
 """Corner that a charge amplifier may have and `daq/info` does not tell."""
 ALONE = 0.003
@@ -125,17 +126,19 @@ def _rough(cycles: Cycles, calibration: Calibration, frequency_hz: float, channe
 
 @attrs.frozen(eq=False)
 class Amplitudes:
-    """Amplitudes of a measurement with the standard uncertainty that its own scatter and noise give each.
+    """Amplitudes of a measurement with the standard uncertainty that scatter, noise and steps give each.
 
     Attributes:
         size: by `channels.CHANNELS`; acceleration over ω² [m], X_1 [m], X_b [m], current [A].
         u: of each, in its unit.
         frequency_hz: of the drive.
+        calibrated: relative departure of acceleration over ω² from X_1 that the calibrations allow.
     """
 
     size: Real
     u: Real
     frequency_hz: float
+    calibrated: float = ACCELERATION_LIMIT
 
     @property
     def relative(self) -> Real:
@@ -144,24 +147,36 @@ class Amplitudes:
             return np.where(self.size > 0.0, self.u / self.size, np.inf)
 
 
-def amplitudes(true: list[Complex], noise: Real, cycles: Cycles, frequency_hz: float) -> Amplitudes:
+def amplitudes(
+    true: list[Complex], noise: Real, cycles: Cycles, calibration: Calibration, frequency_hz: float
+) -> Amplitudes:
     """Return the amplitudes of a measurement.
+
+    An acceleration of less than a step of the converter may come out as anything from none to several times its size.
+    What the steps do is told of the amplitude that the laser says: of a reading of 0 they would do nothing.
 
     Args:
         true: phasors of the cycles by channel, corrected, shape (n, H) each.
         noise: variance per scan by channel, shape (4,).
         cycles: that they are of.
+        calibration: of the channels.
         frequency_hz: of the drive.
     """
+    square = (2.0 * math.pi * frequency_hz) ** 2
     size, u = np.zeros(4), np.zeros(4)
     for channel, phasors in enumerate(true):
-        first = phasors[:, 0]
-        size[channel] = abs(complex(first.mean()))
+        size[channel] = abs(complex(phasors[:, 0].mean()))
+    expected = size.copy()
+    expected[ACCELEROMETER] = square * size[LASER]
+    for channel, phasors in enumerate(true):
         white = 2.0 * float(noise[channel]) / float(cycles.samples.sum())
-        u[channel] = math.sqrt(max(float(np.var(np.abs(first))) / len(first), white))
+        random = max(float(np.var(np.abs(phasors[:, 0]))) / len(phasors), white)
+        steps = calibration.steps_uncertainty(channel, float(expected[channel]))
+        u[channel] = math.hypot(math.sqrt(random), steps)
     for of in (size, u):
-        of[ACCELEROMETER] /= (2.0 * math.pi * frequency_hz) ** 2
-    return Amplitudes(size, u, frequency_hz)
+        of[ACCELEROMETER] /= square
+    sensitivities = math.sqrt(3.0) * float(calibration.gain_uncertainty[[ACCELEROMETER, LASER]].sum())
+    return Amplitudes(size, u, frequency_hz, max(ACCELERATION_LIMIT, sensitivities))
 
 
 def misplaced(found: Amplitudes, u_relative: float, phase_rad: float, u_phase_rad: float) -> Verdict | None:
@@ -205,7 +220,7 @@ def contradiction(found: Amplitudes, before: Amplitudes | None = None) -> Verdic
         dead = expected > REFERENCE_FACTOR * u[ACCELEROMETER]  # the motion is one that it would show
         return Verdict(Status.ACCELEROMETER_UNSOUND, CHANNELS[ACCELEROMETER]) if dead else None
     low = expected / math.hypot(1.0, ACCELEROMETER_HIGH_PASS_HZ / found.frequency_hz)
-    allowed = ACCELERATION_LIMIT * expected + 3.0 * math.hypot(u[ACCELEROMETER], u[LASER])
+    allowed = found.calibrated * expected + 3.0 * math.hypot(u[ACCELEROMETER], u[LASER])
     if low - allowed <= found.size[ACCELEROMETER] <= expected + allowed:
         return None
     if before is not None:

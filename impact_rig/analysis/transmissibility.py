@@ -197,7 +197,7 @@ def measure(
         small = 2.0 * steps > u_amplitude**2
         return refuse(Verdict(Status.BELOW_RESOLUTION if small else Status.TOO_UNCERTAIN, most.channel), most.what)
     phase = float(np.angle(ratio))
-    sizes = health.amplitudes(true, noise, cycles, frequency_hz)
+    sizes = health.amplitudes(true, noise, cycles, calibration, frequency_hz)
     wrong = health.misplaced(sizes, u_amplitude, phase, u_phase) or health.contradiction(sizes, before)
     if wrong and wrong.status not in MEASURED:
         return refuse(wrong)

@@ -117,3 +117,22 @@ def test_a_laser_with_a_wrong_gain_from_the_start_contradicts_the_accelerometer(
     found = measure_record(rows, info_rows(RATE), 9.1)
     assert (found.status, found.channel) == (Status.IMPLAUSIBLE, "laser")
     assert LASER_M > 5e-3
+
+
+def test_an_acceleration_below_the_step_of_its_converter_contradicts_nothing():
+    """0.2 m/s² on steps of 0.85: it comes out as nothing, or as twice its size, wherever the zero happens to be."""
+    step, info = 0.85, info_rows(RATE)
+    info["converter_step"][0] = info["resolution"][0] = step
+    for offset in np.linspace(0.0, 1.0, 11):
+        rows = record(seconds=7.0, base_m=BASE_M / 100.0)
+        clean = -((2 * np.pi * 9.1) ** 2) * LASER_M / 100.0 * np.cos(2 * np.pi * 9.1 * np.arange(len(rows)) / RATE)
+        rows["accelerometer"] = step * np.round(clean / step + offset) - step * offset
+        assert measure_record(rows, info, 9.1).status is Status.OK, offset
+
+
+def test_sensitivities_that_are_poorly_known_contradict_nothing():
+    info, rows = info_rows(RATE), record(seconds=7.0)
+    rows["accelerometer"] *= 1.08
+    assert measure_record(rows, info, 9.1).status is Status.IMPLAUSIBLE
+    info["sensitivity_uncertainty"][0] = 0.05
+    assert measure_record(rows, info, 9.1).status is Status.OK

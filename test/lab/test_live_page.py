@@ -44,6 +44,7 @@ USUAL = {
     "sphere.start": "left",
     "contact.law": "flores",
     "contact.restitution": 0.35,
+    "instruments.faults.planned": [""],
 }
 
 
@@ -94,7 +95,7 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Lab]:
 
 @pytest.fixture
 def page(lab: Lab, open_page: Callable[..., Page]) -> Page:
-    """A page on which traces are drawn, of a rig at rest as it is by default."""
+    """A page on which traces are drawn, of a rig at rest as it is by default: no fault of an earlier test is left."""
     lab.client.trigger("rig/clear_trip")
     lab.client.trigger("rig/reset")
     lab.client.set_parameters("rig", USUAL)
@@ -344,19 +345,20 @@ def test_pluck_pause_and_reset(lab: Lab, page: Page) -> None:
 
 
 def test_faults_and_remarks(lab: Lab, page: Page) -> None:
+    """The laser is off by less than its calibration may be: nothing but the truth can tell."""
     page.js("document.getElementById('faulting').open = true")
     page.choose("#fault-kind", "gain_error")
-    for field, value in (("fault-value", 0.05), ("fault-duration", 1000)):
+    for field, value in (("fault-value", 0.003), ("fault-duration", 1000)):
         page.js(f"document.getElementById('{field}').value = {value}")
     page.click("#fault-start")
     lab.until(lambda: len(lab.topics["truth/faults"].rows()) > 0, "the fault in truth/faults")
-    page.wait("document.getElementById('faults').textContent === 'gain error laser (0.05)'", "that it is in force")
+    page.wait("document.getElementById('faults').textContent === 'gain error laser (0.003)'", "that it is in force")
     assert page.js("document.querySelector('#bar dt:has(+ #faults) .badge').textContent") == "truth"
     page.js("document.activeElement.blur()")
     page.key("r")
     page.wait("lab.now.sources?.analysis.state === 'measuring'", "the analysis, which cannot see it")
     word(page, "driving")
-    assert "gain error laser (0.05) is in force (truth)" in page.text("#sentence")
+    assert "gain error laser (0.003) is in force (truth)" in page.text("#sentence")
     page.click("#fault-clear")
     answered(page, "cleared")
     page.wait("document.getElementById('faults').textContent === 'none'", "its end", 3.0)
