@@ -180,6 +180,7 @@ def test_numbers_sliders_keys_and_the_papers_values(lab: Lab, page: Page) -> Non
     page.click("[data-mark='frequency-9.1']")
     lab.applied("frequency", 9.1)
     page.wait("document.querySelectorAll('.pending').length === 0", "the echo")
+    page.wait("document.getElementById('knob-frequency').value === '9.1'", "the field to follow")
     page.js("document.activeElement.blur()")
     page.key("]")
     lab.applied("frequency", 9.11)
