@@ -15,7 +15,6 @@ decided once, when this module is imported:
 from __future__ import annotations
 
 import hashlib
-import importlib
 import importlib.util
 import json
 import os
@@ -144,10 +143,12 @@ def library() -> ModuleType | None:
     """Return the shared library if it is there and was built from the sources as they are."""
     if importlib.util.find_spec(f"{__name__}._library") is None:
         return None
-    found = importlib.import_module(f"{__name__}._library")
+    from impact_rig.kernels import _library as found  # type: ignore[attr-defined]  # noqa: PLC0415  # where it is built
+
     sources: dict[str, str] = json.loads(found.sources())
     paths = ((PACKAGE / name, known) for name, known in sources.items())
-    return found if all(path.exists() and digest(path) == known for path, known in paths) else None
+    whole: ModuleType = found
+    return whole if all(path.exists() and digest(path) == known for path, known in paths) else None
 
 
 def _decide() -> tuple[str, ModuleType | None]:

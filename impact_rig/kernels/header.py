@@ -20,6 +20,7 @@ from impact_rig.kernels import Array, Fields, Function
 
 NAME = "impact_rig.h"
 _FIELD = re.compile(r'^\s*\("(\w+)", [^#\n]*?\),?\s*#\s*(.*)$', re.MULTILINE)
+_TAKEN = re.compile("static|register|default")
 _C = {
     "f8": "double",
     "i8": "int64_t",
@@ -46,7 +47,7 @@ def whole(parts: Iterable[str]) -> str:
  *
  * An array is an address and its rows (columns, layers), in C order. A function returns 0, or the status of a kernel
  * that failed; what the kernel returns is in `result`. What it does stands in its Python: ir_physics_event_loop_run
- * (advance) is `run` of physics/event_loop.py, ir_physics_sampling_sample and ir_instruments_... likewise.
+ * (advance) is `run` of physics.event_loop, ir_physics_sampling_sample and ir_instruments_... likewise.
  * Link with _library.abi3.so and -Wl,--allow-shlib-undefined: Python is not needed.
  */
 #ifndef IMPACT_RIG_H
@@ -115,7 +116,7 @@ static inline int32_t {symbol}({", ".join(parameters)})
 
 def _word(name: str) -> str:
     """Return a name that C has not taken."""
-    return f"{name}_" if name in {"static", "register", "default"} else name
+    return f"{name}_" if _TAKEN.fullmatch(name) else name
 
 
 def _pieces(name: str, kind: Any) -> Iterator[tuple[str, Any]]:

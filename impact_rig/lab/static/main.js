@@ -23,7 +23,7 @@ const motion = new Motion();
 const pace = new Clock(0.12);
 const detected = [];
 const slow = { factor: 1, time: NaN };
-const drawn = { trace: null, number: 0, other: null, epoch: -1, pictures: 0, script: 0, last: 0, phaseAt: 0, rigAt: 0 };
+const drawn = { trace: null, number: 0, other: null, beside: null, epoch: -1, pictures: 0, script: 0, last: 0, phaseAt: 0, rigAt: 0 };
 const calm = matchMedia("(prefers-reduced-motion: reduce)");
 
 let answeredAt = 0;
@@ -56,7 +56,10 @@ function onFrame({ kind, number, content }) {
     explain();
     return;
   }
-  if (kind === Kind.TRACE) { drawn.trace = content; drawn.number = number; return; }
+  if (kind === Kind.TRACE) { // what came beside it, if anything, is of the same picture
+    Object.assign(drawn, { trace: content, number, other: drawn.beside, beside: null });
+    return;
+  }
   if (number !== drawn.epoch) newRecord(number);
   if (kind === Kind.MOTION) motion.add("states", content);
   else if (kind === Kind.IMPACTS) motion.add("impacts", content);
@@ -64,12 +67,12 @@ function onFrame({ kind, number, content }) {
     for (let i = 0; i < content.rows; i++) detected.push(content.values[i * content.columns]);
     while (detected.length && detected[0] < detected[detected.length - 1] - 11) detected.shift(); // the longest window
   } else if (kind === Kind.SPECTRUM) spectrum.show(content);
-  else if (kind === Kind.TRACE_B) drawn.other = content;
+  else if (kind === Kind.TRACE_B) drawn.beside = content;
 }
 
 function newRecord(epoch) {
   drawn.epoch = epoch;
-  drawn.other = null;
+  drawn.other = drawn.beside = null;
   motion.clear();
   detected.length = 0;
   pace.time = NaN;
