@@ -125,7 +125,8 @@ class LiveSource:
     def close(self) -> None:
         """End, and leave the graph."""
         self._end.set()
-        self._thread.join()
+        if self._thread.is_alive():  # else what kept it from starting is the error to be seen
+            self._thread.join()
         self._theory.close()
         if self._own is not None:
             self._own.close()
