@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from impact_rig.campaign.job import Job, Outcome
 from impact_rig.errors import GoneError, ImpactRigError
-from impact_rig.instruments.scan import channels_of
+from impact_rig.instruments.section import channels_of
 from impact_rig.operate.operator import Note, PatientApparatus, operate, silent
 from impact_rig.operate.stepped_sine import State, SteppedSine
 from impact_rig.simtime import NS_PER_S

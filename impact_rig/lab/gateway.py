@@ -24,7 +24,7 @@ from impact_rig import states, topics
 from impact_rig.client.client import Client
 from impact_rig.client.parameters import ros_parameters
 from impact_rig.errors import ImpactRigError
-from impact_rig.instruments.fault_kinds import FAULT_KINDS
+from impact_rig.instruments.instrument import FAULT_KINDS
 from impact_rig.lab.protocol import Request
 from impact_rig.lab.source import Answer
 from impact_rig.lab.state import PLANNED, Seen, figure

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any  # rclpy handles; what goes to JSON
 
 from impact_rig import states
 from impact_rig.errors import ImpactRigError
-from impact_rig.instruments.scan import CHANNELS
+from impact_rig.instruments.section import CHANNELS
 from impact_rig.lab import state
 from impact_rig.lab.motion import Motion
 from impact_rig.lab.protocol import Request

@@ -22,8 +22,8 @@ from impact_rig import states
 from impact_rig.analysis.words import MEASURED, Status
 from impact_rig.blocks import Table
 from impact_rig.errors import RecordingError
-from impact_rig.instruments.fault_kinds import BOARD_KINDS, FAULT_KINDS
-from impact_rig.instruments.scan import CHANNELS
+from impact_rig.instruments.instrument import BOARD_KINDS, FAULT_KINDS
+from impact_rig.instruments.section import CHANNELS
 from impact_rig.physics.contact import LAWS
 from impact_rig.rig.config import fields
 from impact_rig.simtime import NS_PER_S

@@ -12,7 +12,7 @@ from typing import Any  # values of parameters
 
 from impact_rig import codec, topics
 from impact_rig.errors import CodecError, CommandError
-from impact_rig.instruments.scan import channels_of
+from impact_rig.instruments.section import channels_of
 from impact_rig.nodes.acknowledgements import AckWindow, Readers
 from impact_rig.nodes.managed import ManagedNode
 from impact_rig.nodes.pacing import Pacer

@@ -16,8 +16,7 @@ from impact_rig.campaign.summary import FILE_NAME as SUMMARY_FILE
 from impact_rig.errors import RecordingError
 from impact_rig.instruments.chain import Chain
 from impact_rig.physics.contact import from_config
-from impact_rig.physics.linear import constants
-from impact_rig.physics.properties import hertz_stiffness_n_m32, sphere_mass_kg
+from impact_rig.physics.linear import constants, hertz_stiffness_n_m32, sphere_mass_kg
 from impact_rig.report.content import Cell, Content, number
 from impact_rig.report.page import cover, escape, heading, paragraph, tiles
 from impact_rig.report.rig_drawing import set_up

@@ -14,7 +14,7 @@ from impact_rig.campaign.axes import NO_SPHERE
 from impact_rig.drawing.style import Line
 from impact_rig.errors import ConfigError
 from impact_rig.physics import prediction
-from impact_rig.physics.closed_form import transmissibility
+from impact_rig.physics.prediction import transmissibility
 from impact_rig.rig.config import RigConfig, from_flat
 
 

@@ -9,7 +9,7 @@ import threading
 import numpy as np
 
 from impact_rig.blocks import Table
-from impact_rig.instruments.scan import SCAN
+from impact_rig.instruments.section import SCAN
 from impact_rig.lab.motion import Motion
 from impact_rig.lab.protocol import Request
 from impact_rig.lab.scope import Scope

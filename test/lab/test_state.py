@@ -17,7 +17,7 @@ from impact_rig import states, topics
 from impact_rig.analysis.words import Regime, Status
 from impact_rig.blocks import Table
 from impact_rig.errors import CodecError, RecordingError
-from impact_rig.instruments.fault_kinds import FAULT_KINDS
+from impact_rig.instruments.instrument import FAULT_KINDS
 from impact_rig.lab.motion import Motion, decode_joint_state, encode_joint_state
 from impact_rig.lab.protocol import Kind, RequestError, json_frame, parse
 from impact_rig.lab.server import STATIC

@@ -23,7 +23,7 @@ from scipy import special
 from impact_rig.analysis.channels import BASE, CURRENT, LASER
 from impact_rig.analysis.words import Regime
 from impact_rig.errors import ConfigError
-from impact_rig.physics.closed_form import base_amplitude, transmissibility
+from impact_rig.physics.prediction import base_amplitude, transmissibility
 from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.studies.identification.constants import NAMES, SCALE, START, rig
 from impact_rig.studies.identification.fisher import Information, Real, information

@@ -17,7 +17,7 @@ from typing import NamedTuple
 from impact_rig.analysis.words import Regime
 from impact_rig.errors import SimulationError
 from impact_rig.maps.measure import FAILED, MapRig, Settings
-from impact_rig.physics.closed_form import transmissibility
+from impact_rig.physics.prediction import transmissibility
 from impact_rig.rig.config import RigConfig, from_flat
 
 SETTLED = Settings(settle_tolerance=1e-6, settle_cycles=1200, cycles=400)
