@@ -41,9 +41,9 @@ TELL_S = 2.0
 
 
 def sources() -> list[Path]:
-    """Return the files that decide the library: those that hold kernels, and those from which these import."""
+    """Return the files that decide the library: those with kernels or contact laws, and those from which they import."""
     texts = {path: path.read_text(encoding="utf-8") for path in PACKAGE.rglob("*.py")}
-    declares = re.compile(r"^from impact_rig\.kernels import", re.MULTILINE)
+    declares = re.compile(r"^from impact_rig\.(kernels|physics\.contact\.law) import", re.MULTILINE)
     holders = {path for path, text in texts.items() if declares.search(text)}
     found = set(holders)
     for holder in holders:

@@ -42,7 +42,10 @@ MODULES = {"scipy", "cmath"}
 
 ALLOWED = {
     "physics/linear.py: np.linalg": "where the refinement of eigenvalues starts; they do not depend on it",
-    "physics/contact/springs.py: math.atan2": "what kelvin_voigt it returns when it lets go early is told to people",
+    **dict.fromkeys(
+        (f"physics/contact/springs.py: math.{name}" for name in ("log", "exp", "sin", "cos", "atan2")),
+        "what kelvin_voigt returns when it lets go early is told to people",
+    ),
     "physics/prediction.py": "what simulation and analysis are held against",
     "instruments/sensor.py: np.prod": "the frequency response, for whoever judges readings",
     "instruments/checks.py": "judges readings and feeds none",

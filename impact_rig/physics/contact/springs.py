@@ -79,7 +79,7 @@ class KelvinVoigt(ContactLaw):
         if self.release == "position":
             return self.restitution
         beta, omega = -math.log(self.restitution), math.pi  # in units of 1 / t_c
-        angle = math.pi - math.atan2(2.0 * beta * omega, omega**2 - beta**2)
+        angle = math.pi - math.atan2(2.0 * beta * omega, omega * omega - beta * beta)
         # speed of δ = (v0/ω) e^(−βt) sin ωt at the instant the force vanishes
         speed = math.exp(-beta * angle / omega) * (math.cos(angle) - beta / omega * math.sin(angle))
         return -speed
