@@ -12,8 +12,7 @@ from pathlib import Path
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeElapsedColumn, TimeRemainingColumn
 
 from impact_rig.campaign.pool import in_parallel
-from impact_rig.cli import command
-from impact_rig.cli.terminal import Console, Steps, TextTable, Words, add_json, tell_json, tell_program
+from impact_rig.cli.terminal import Console, Steps, TextTable, Words, add_json, subcommand, tell_json, tell_program
 from impact_rig.errors import ConfigError, RecordingError
 from impact_rig.maps import optimum, run
 from impact_rig.maps.plan import Line, load_map, measure_line
@@ -24,7 +23,7 @@ WAYS = ("process", "dask")
 
 def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Register the subcommand."""
-    parser = command.add(
+    parser = subcommand(
         commands, "map", "map DT and regimes over two or three parameters; run again to resume",
         [
             ("map config/maps/gap_frequency.yaml", "on all cores; draws the map beside its table"),

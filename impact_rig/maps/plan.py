@@ -25,7 +25,7 @@ from impact_rig.config.tree import MAX_FILE_BYTES, Value, flatten
 from impact_rig.errors import ConfigError
 from impact_rig.maps.measure import MapRig, Reading, Settings
 from impact_rig.rig.config import RigConfig, from_flat, load, to_flat
-from impact_rig.system import budget, files, plain_yaml
+from impact_rig.system import budget, files
 from impact_rig.system.budget import BudgetError
 
 FREQUENCY, CURRENT, GAP = "frequency_hz", "current_a", "gap_m"
@@ -221,7 +221,7 @@ def load_map(path: Path, workers: int | None = None, resolved: RigConfig | None 
     """
     try:
         text = str(files.read_bytes(path, MAX_FILE_BYTES), "utf-8")
-        document = plain_yaml.load(text, MAX_FILE_BYTES)
+        document = budget.load_yaml(text, MAX_FILE_BYTES)
     except OSError as error:
         raise ConfigError(f"cannot read map: {error.strerror} ({path})") from error
     except ValueError as error:  # PlainYamlError, or it is not UTF-8
