@@ -241,7 +241,7 @@ def test_recording_stops_while_the_disk_still_has_room(record, monkeypatch):
     """What is free is asked after every chunk; the test raises the bar instead of filling a disk."""
     writer = record(chunk_bytes=20_000)
     fill(writer, 20)
-    monkeypatch.setattr(writer, "MIN_FREE_BYTES", 2**62)
+    monkeypatch.setattr(recording_writer, "MIN_FREE_BYTES", 2**62)
     with pytest.raises(RecordingError, match=r"stopped and finished: only \d+ MB are free on its disk"):
         fill(writer, 100, first=20)
     assert writer.closed
