@@ -19,8 +19,7 @@ import attrs
 from impact_rig import topics
 from impact_rig.analysis.settings import TrackerSettings
 from impact_rig.blocks import Table
-from impact_rig.campaign.execution import Trace, columns, run_job
-from impact_rig.campaign.job import TRACE_BLOCKS, Job, Outcome
+from impact_rig.campaign.job import TRACE_BLOCKS, Job, Outcome, Trace, columns, run_job
 from impact_rig.campaign.run import Runner
 from impact_rig.client.client import Client
 from impact_rig.client.domain import isolated_domain

@@ -26,7 +26,7 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_rig.campaign.code import DECIDING, fingerprint
+from impact_rig.campaign.store import DECIDING, fingerprint
 from impact_rig.errors import ConfigError, RecordingError
 from impact_rig.maps.measure import FAILED, Reading
 from impact_rig.maps.plan import DOWN, Line, MapPlan, load_map
