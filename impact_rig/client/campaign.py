@@ -242,7 +242,7 @@ class SteppedApparatus(RosApparatus):
     """Steps the rig from one look to the next; a step is answered when the analysis has acknowledged its blocks.
 
     For every job the rig node is configured anew and the analysis activated anew, so both begin as they would in a
-    process of their own: the bits are those of `campaign.in_process`.
+    process of their own: the bits are those of `campaign.job`.
     """
 
     def __init__(self, client: Client, *, record: bool = False) -> None:

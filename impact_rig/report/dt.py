@@ -464,7 +464,7 @@ def time_trace(trace: Trace, gap_m: float, frequency_hz: float) -> Drawn:
     """Draw the motion over time.
 
     Args:
-        trace: columns of `campaign.execution.columns`.
+        trace: columns of `campaign.job.columns`.
         gap_m: of the run.
         frequency_hz: of the drive.
     """
