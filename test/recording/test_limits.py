@@ -20,6 +20,7 @@ from rosbags.highlevel import AnyReader
 
 from impact_rig.errors import RecordingError
 from impact_rig.recording import open_run
+from impact_rig.recording import writer as recording_writer
 from impact_rig.recording.writer import CHUNK_OPEN_S
 from impact_rig.runs import recover
 
