@@ -43,11 +43,15 @@ def is_dangling(text: str) -> bool:
 
     `rig.save`, of a variable, is looked for in the whole package.
     """
-    name = re.match(r"(?:impact_rig\.)?([a-z_]\w*(?:\.\w+)+)(?:\(.*\))?$", text)
+    name = re.match(r"([a-z_]\w*(?:\.\w+)+)(?:\(.*\))?$", text)
     if not name:
         return False
-    top, *rest = name[1].split(".")
+    top, *rest = name[1].removeprefix("impact_rig.").split(".")
     package = ROOT / "impact_rig"
+    if not rest:  # of the package itself: a module, or what it has for a first look
+        return not (
+            (package / top).exists() or (package / f"{top}.py").exists() or top in _words(package / "__init__.py")
+        )
     if (package / f"{top}.py").is_file():
         where = [package / f"{top}.py"]
     elif top != "rig" and (package / top).is_dir():
