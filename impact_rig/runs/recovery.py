@@ -71,14 +71,7 @@ class Found:
 
 @attrs.frozen
 class Damage:
-    """A part of a file that is lost.
-
-    Attributes:
-        file: name of the file.
-        offset: where it begins [bytes].
-        length: how long it is [bytes].
-        reason: what does not fit.
-    """
+    """A part of a file that is lost [bytes], and what does not fit there."""
 
     file: str
     offset: int
@@ -236,7 +229,6 @@ class FileReport:
     """What came out of one file, its tail included.
 
     Attributes:
-        name: of the file.
         size: its bytes.
         messages: messages given back.
         chunks: whole chunks they came from.
@@ -296,8 +288,6 @@ class RecoverReport:
     """What `recover` found.
 
     Attributes:
-        directory: the new run.
-        files: what came out of each file.
         damages: what is left out and why, in order (at most 1000 are listed).
         damage_count: how many there are.
         account: what reading has cost.
@@ -378,8 +368,7 @@ class Recovered:
 
     Attributes:
         source: name of the run that was damaged or unfinished.
-        damages: places that were left out.
-        lost_bytes: how large they were.
+        lost_bytes: size of the places that were left out.
         missing_messages: messages the damaged run's index counts and that are not given back; None: it has no index.
         unfinished: whether the damaged run was never finished, so that nobody knows what it should have held.
     """
