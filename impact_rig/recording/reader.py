@@ -482,7 +482,7 @@ class McapSource:
                     raise DamageError("its checksum does not fit")  # noqa: TRY301  (one place words both kinds of damage)
             except DamageError as error:
                 raise DamageError(f"{self.path}: the attachment at byte {index.offset} is damaged: {error}") from error
-            found.append(Attachment(attachment.name, attachment.data, attachment.media_type))
+            found.append(Attachment(attachment.name, bytes(attachment.data), attachment.media_type))
         return found
 
     def metadata(self) -> list[tuple[str, dict[str, str]]]:
@@ -612,6 +612,6 @@ def topics_of(summary: Summary) -> dict[int, TopicDescription]:
         schema = summary.schemas.get(channel.schema_id)
         if schema is None:
             raise DamageError(f"topic {channel.topic} has no schema")
-        text = schema.data.decode("utf-8", errors="replace")
+        text = str(schema.data, "utf-8", "replace")
         topics[channel.id] = TopicDescription.from_channel(channel.topic, schema.name, text, channel.metadata)
     return topics

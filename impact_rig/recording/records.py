@@ -19,7 +19,6 @@ import lz4.frame  # type: ignore[import-untyped]  # ships no stubs
 import zstandard
 from mcap import records as mcap_records
 from mcap.data_stream import ReadDataStream
-from mcap.exceptions import EndOfFile
 
 from impact_rig.errors import RecordingError
 
@@ -50,36 +49,39 @@ class RawMessage(NamedTuple):
 
 
 class _Strict(ReadDataStream):
-    """The library's reader of fields, which trusts lengths, refusing a field that its record does not hold."""
+    """The library's reader of fields, which trusts lengths, on a view: nothing is copied, no field is cut short."""
 
-    def read(self, length: int) -> bytes:
+    def __init__(self, view: memoryview) -> None:
+        super().__init__(io.BytesIO())
+        self._view = view
+
+    def read(self, length: int) -> memoryview:  # type: ignore[override]  # what is made of it takes both
         """Return the next bytes, all of them.
 
         Raises:
             DamageError: there are fewer.
         """
-        data = super().read(length) if length else b""
-        if len(data) != length:
-            raise DamageError(f"a field of {length} bytes does not fit the {len(data)} bytes left of its record")
-        return data
+        left = len(self._view) - self._count
+        if length > left:
+            raise DamageError(f"a field of {length} bytes does not fit the {left} bytes left of its record")
+        self._count += length
+        return self._view[self._count - length : self._count]
 
 
 Record = TypeVar("Record", bound=mcap_records.McapRecord)
 
 
 def parse(kind: type[Record], content: memoryview) -> Record:
-    """Return the record of a kind that takes all of `content`.
+    """Return the record of a kind that takes all of `content`; the data in it are views.
 
     Raises:
         DamageError: it is none, or bytes are left.
     """
-    stream = _Strict(io.BytesIO(content))
+    stream = _Strict(content)
     try:
         record: Record = kind.read(stream)  # type: ignore[attr-defined]  # each kind has it, their base class has not
     except UnicodeDecodeError as error:
         raise DamageError(f"a string is not UTF-8: {error}") from error
-    except EndOfFile as error:
-        raise DamageError("a field does not fit its record") from error
     if stream.count != len(content):
         raise DamageError(f"{len(content) - stream.count} bytes too many in a record")
     return record

@@ -639,7 +639,7 @@ class _Salvage:
             return
         schema = self._schemas.get(definition.schema_id)
         if schema is not None:
-            text = schema.data.decode("utf-8", errors="replace")
+            text = str(schema.data, "utf-8", "replace")
             self._know(
                 definition.id, TopicDescription.from_channel(definition.topic, schema.name, text, definition.metadata)
             )
@@ -658,7 +658,7 @@ class _Salvage:
         content = file.content(found)
         attachment = records.parse(mcap_records.Attachment, content)
         if records.attachment_is_intact(content):
-            self.attachments.append(Attachment(attachment.name, attachment.data, attachment.media_type))
+            self.attachments.append(Attachment(attachment.name, bytes(attachment.data), attachment.media_type))
         else:
             self._report.note(self._damage(found, f"the attachment {attachment.name!r} does not fit its checksum"))
 
