@@ -25,7 +25,7 @@ from impact_rig.client import Client, Collector, Processes, isolated_domain
 from impact_rig.lab.gateway import Own
 from impact_rig.lab.live import LiveSource
 from impact_rig.lab.server import Server
-from impact_rig.nodes.topics import by_name
+from impact_rig.nodes.messages import by_name
 from impact_rig.rig.config import load
 
 pytestmark = [pytest.mark.ros, pytest.mark.pipeline]
@@ -147,7 +147,7 @@ def test_from_r_to_a_settled_transmissibility(lab: Lab, page: Page) -> None:
     word(page, "settling", "driving")
     assert page.js("lab.now.dt_now.holds") is False, "that value was of another gap"
     assert page.js("lab.motion.impacts.length") > 0
-    assert page.js("lab.drawn.epoch") == lab.source.epoch
+    assert page.js("lab.drawn.epoch") == lab.source.record.epoch
 
 
 def curve(page: Page, directory: Path) -> None:

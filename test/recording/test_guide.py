@@ -22,7 +22,7 @@ from impact_rig import codec
 from impact_rig.blocks import Table
 from impact_rig.cli import main
 from impact_rig.instruments.scan import SCAN
-from impact_rig.nodes.topics import TOPICS
+from impact_rig.nodes.messages import TOPICS
 
 ROOT = Path(__file__).parents[2]
 GUIDE = ROOT / "docs" / "recording.md"
