@@ -29,7 +29,7 @@ from impact_rig.instruments.fault import Fault
 from impact_rig.nodes.messages import header_stamp_ns
 from impact_rig.nodes.recorder_node import RecorderNode
 from impact_rig.nodes.rig_node import RigNode
-from impact_rig.testing.stepped_rig import SCANS, TOPICS, SteppedRig, configured
+from impact_rig.testing.virtual_rig import SCANS, TOPICS, SteppedRig, configured
 
 NODE_TIMEOUT_S = 30.0
 """How long a node under test may take to subscribe."""
