@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 
 from impact_rig.client.domain import isolated_domain
 from impact_rig.client.processes import NodeProcess, ProcessDiedError, Processes
-from impact_rig.system.lazily import lazily
+from impact_rig.system.resources import lazily
 
 if TYPE_CHECKING:
     from impact_rig.client.client import Client, ServiceFailedError

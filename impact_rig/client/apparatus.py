@@ -19,18 +19,16 @@ import attrs
 from impact_rig import topics
 from impact_rig.analysis.settings import TrackerSettings
 from impact_rig.blocks import Table
-from impact_rig.campaign.execution import Trace, columns, run_job
-from impact_rig.campaign.job import TRACE_BLOCKS, Job, Outcome
+from impact_rig.campaign.job import TRACE_BLOCKS, Job, Outcome, Trace, columns, run_job
 from impact_rig.campaign.run import Runner
 from impact_rig.client.client import Client
 from impact_rig.client.domain import isolated_domain
 from impact_rig.client.processes import ParameterValue, Processes
 from impact_rig.errors import ImpactRigError
-from impact_rig.operate.controlled_sine import HoldPlan
 from impact_rig.operate.operator import Applied, News
-from impact_rig.operate.phasors import Look, PhasorMeter
+from impact_rig.operate.phase_lock import Look, PhasorMeter
 from impact_rig.operate.plan import Setpoint
-from impact_rig.operate.stepped_sine import SteppedSine
+from impact_rig.operate.stepped_sine import HoldPlan, SteppedSine
 from impact_rig.rig import Kind
 from impact_rig.rig.config import RigConfig, from_flat, to_flat
 from impact_rig.rig.interlock import OVER_TRAVEL, Trip, check_amplitude, check_frequency
@@ -246,7 +244,7 @@ class SteppedApparatus(RosApparatus):
     """Steps the rig from one look to the next; a step is answered when the analysis has acknowledged its blocks.
 
     For every job the rig node is configured anew and the analysis activated anew, so both begin as they would in a
-    process of their own: the bits are those of `campaign.in_process`.
+    process of their own: the bits are those of `campaign.job`.
     """
 
     def __init__(self, client: Client, *, record: bool = False) -> None:

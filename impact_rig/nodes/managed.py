@@ -31,11 +31,10 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from impact_rig import codec, states, topics
 from impact_rig.blocks import Table
 from impact_rig.config.tree import Tree
-from impact_rig.errors import CodecError, ImpactRigError
+from impact_rig.errors import CodecError, ImpactRigError, visible
 from impact_rig.nodes import messages
 from impact_rig.nodes.guard import Refusals, describe, guarded, guarded_answer, in_words
 from impact_rig.nodes.parameters import Parameters, Proposal, set_one_by_one
-from impact_rig.system.escapes import visible
 
 S = TypeVar("S", bound=attrs.AttrsInstance)
 

@@ -20,13 +20,11 @@ from impact_rig.nodes import process
 from impact_rig.nodes.acknowledgements import Acknowledgements
 from impact_rig.nodes.managed import Done, Health, Level, ManagedNode, State
 from impact_rig.nodes.messages import MONITORS
-from impact_rig.operate.controlled_sine import ControlledSine, Hold, HoldPlan
-from impact_rig.operate.locked_sine import LockedSine
 from impact_rig.operate.operator import Applied, News, Operator
-from impact_rig.operate.phase_lock import LockPlan, Reference
+from impact_rig.operate.phase_lock import LockedSine, LockPlan, Reference
 from impact_rig.operate.plan import Direction, Plan, Setpoint
+from impact_rig.operate.stepped_sine import ControlledSine, Hold, HoldPlan, SteppedSine
 from impact_rig.operate.stepped_sine import State as Progress
-from impact_rig.operate.stepped_sine import SteppedSine
 from impact_rig.system.endings import Ending
 
 WATCH_S = 0.1
