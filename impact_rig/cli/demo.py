@@ -147,7 +147,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _measure(config: RigConfig, directory: Path) -> dict[float, NDArray[np.void]]:
     """Return the settled measurements by gap; every case is recorded in a directory of its name."""
-    from impact_rig.client.campaign import freewheel_runner  # noqa: PLC0415  # needs rclpy
+    from impact_rig.client.apparatus import freewheel_runner  # noqa: PLC0415  # needs rclpy
 
     jobs = {case.job(config).key: case for case in CASES}
     rows: dict[float, NDArray[np.void]] = {}
