@@ -15,11 +15,20 @@ from impact_rig.arithmetic.records import for_kernels, records, with_fields
 from impact_rig.errors import SimulationError
 from impact_rig.physics import contact as contact_laws
 from impact_rig.physics.contact_step import turned_at
-from impact_rig.physics.event_loop import NEED_ROOM, STUCK, Desk, new_desk, run
+from impact_rig.physics.event_loop import NEED_ROOM, STUCK, Workspace, new_workspace, run
 from impact_rig.physics.flight import SEGMENT
 from impact_rig.physics.linear import Setup
 from impact_rig.physics.model import CONTACT_RTOL, Model, build
-from impact_rig.physics.sampling import PARTS, QUANTITIES, Bench, Query, Trajectory, new_bench, refine, sample
+from impact_rig.physics.sampling import (
+    PARTS,
+    QUANTITIES,
+    Query,
+    SamplingWorkspace,
+    Trajectory,
+    new_sampling_workspace,
+    refine,
+    sample,
+)
 from impact_rig.physics.state import (
     ATTACHED,
     COIL,
@@ -51,7 +60,7 @@ class Motion:
     """The trajectory of consecutive drive segments, numbered from `first_segment`.
 
     Times are (segment, offset into the segment): no value depends on how the run was cut into advances. Motions that
-    are asked in turn may share a `bench`, their scratch memory.
+    are asked in turn may share a `work`, their scratch memory.
 
     Attributes:
         first_segment: number of the first segment, counted since the reset.
@@ -67,14 +76,14 @@ class Motion:
         knots: NDArray[np.void],
         first: NDArray[np.int64],
         impacts: NDArray[np.void],
-        bench: Bench | None = None,
+        work: SamplingWorkspace | None = None,
     ) -> None:
         self.first_segment = first_segment
         self.segments = segments
         self.impacts = impacts
         self._model = model
         self._trajectory = Trajectory(segments, first_segment, knots, first)
-        self._bench = bench or new_bench()
+        self._sampling = work or new_sampling_workspace()
 
     @property
     def last_segment(self) -> int:
@@ -106,7 +115,7 @@ class Motion:
             raise ValueError(f"segment and offset must have one shape, got {segment.shape} and {offset_s.shape}")
         out = np.empty((len(names), segment.size))
         query = Query(_places(names), segment.reshape(-1), offset_s.reshape(-1), out)
-        if not sample(self._model, self._trajectory, query, self._bench):
+        if not sample(self._model, self._trajectory, query, self._sampling):
             raise ValueError(
                 f"this motion holds segments {self.first_segment} to {self.last_segment}, "
                 f"got {segment.min()} to {segment.max()}"
@@ -180,8 +189,8 @@ class Simulation:
         self._rtol = rtol
         self._account = account
         self._config = config
-        self._desk = new_desk(1 << 15, 1 << 11)  # pages that are not touched take no memory
-        self._bench = new_bench()
+        self._work = new_workspace(1 << 15, 1 << 11)  # pages that are not touched take no memory
+        self._sampling = new_sampling_workspace()
         self.reset(model)
 
     @property
@@ -258,30 +267,30 @@ class Simulation:
             segments = segments.copy()
             segments["amplitude"] = segments["slope"] = 0.0
         segments = for_kernels(segments)
-        desk = self._desk._replace(first=np.zeros(len(segments) + 1, np.int64))
-        filled = desk.filled[0]
+        work = self._work._replace(first=np.zeros(len(segments) + 1, np.int64))
+        filled = work.filled[0]
         filled["knots"] = filled["impacts"] = 0
         index = 0
         while True:
-            ended, index = run(self._model, segments, index, self.segment, desk, self._account)
+            ended, index = run(self._model, segments, index, self.segment, work, self._account)
             if ended == STUCK:
                 raise SimulationError(
-                    f"no progress in drive segment {self.segment + index} at {desk.states[0]['t']:.9f} s of it, "
-                    f"phase {desk.states[0]['phase']}"
+                    f"no progress in drive segment {self.segment + index} at {work.states[0]['t']:.9f} s of it, "
+                    f"phase {work.states[0]['phase']}"
                 )
             if ended != NEED_ROOM:
                 break
-            if filled["knots"] - desk.first[index] > MOST_KNOTS:
+            if filled["knots"] - work.first[index] > MOST_KNOTS:
                 raise SimulationError(
                     f"more than {MOST_KNOTS} contacts, rides and flights in drive segment {self.segment + index}, "
-                    f"at {desk.states[0]['t']:.9f} s of it: the motion cannot be resolved"
+                    f"at {work.states[0]['t']:.9f} s of it: the motion cannot be resolved"
                 )
-            desk = self._desk = _grown(desk)
+            work = self._work = _grown(work)
         knots, impacts = int(filled["knots"]), int(filled["impacts"])
-        desk.first[-1] = knots
+        work.first[-1] = knots
         motion = Motion(
-            self._model, self.segment, segments, desk.knots[:knots].copy(), desk.first,
-            desk.impacts[:impacts].copy().view(np.ndarray), self._bench,
+            self._model, self.segment, segments, work.knots[:knots].copy(), work.first,
+            work.impacts[:impacts].copy().view(np.ndarray), self._sampling,
         )  # fmt: skip
         self.segment += len(segments)
         return motion
@@ -289,12 +298,12 @@ class Simulation:
     def copy(self) -> Simulation:
         """Return a simulation that goes on from here on its own; scratch memory is shared, so advance them in turn."""
         twin = copy.copy(self)
-        twin._desk = self._desk._replace(states=self._desk.states.copy(), ledger=self._desk.ledger.copy())
+        twin._work = self._work._replace(states=self._work.states.copy(), ledger=self._work.ledger.copy())
         return twin
 
     def energy(self) -> EnergyAccount:
         """Return the energy account since the reset; only the contacts' share is kept unless `account` is on."""
-        ledger = self._desk.ledger[0]
+        ledger = self._work.ledger[0]
         work, columns, shaker, contact, friction = (float(ledger[name]) for name in LEDGER.names or ())
         return EnergyAccount(work, columns, shaker, contact, friction, self.stored_energy() - self._stored)
 
@@ -317,12 +326,12 @@ class Simulation:
     @property
     def _state(self) -> np.record:
         """The state, its fields by name."""
-        record_: np.record = with_fields(self._desk.states)[0]
+        record_: np.record = with_fields(self._work.states)[0]
         return record_
 
     def _begin(self, y: NDArray[np.float64]) -> None:
-        self._desk = self._desk._replace(states=records(2, STATE), ledger=records(1, LEDGER))
-        self._desk.states[0]["y"][:] = y
+        self._work = self._work._replace(states=records(2, STATE), ledger=records(1, LEDGER))
+        self._work.states[0]["y"][:] = y
         self._put_sphere(_PLACES[self._config.sphere.start] * self._model.parameters[0].half_gap, 0.0)
         self._stored = self.stored_energy()
 
@@ -344,10 +353,10 @@ class Simulation:
         return y
 
 
-def _grown(desk: Desk) -> Desk:
-    """Return the desk with more room in its log, what is in it kept."""
-    knots = records(_GROWTH * len(desk.knots), STATE)
-    knots[: len(desk.knots)] = desk.knots
-    impacts = records(_GROWTH * len(desk.impacts), IMPACT)
-    impacts[: len(desk.impacts)] = desk.impacts
-    return desk._replace(knots=knots, impacts=impacts)
+def _grown(work: Workspace) -> Workspace:
+    """Return the work with more room in its log, what is in it kept."""
+    knots = records(_GROWTH * len(work.knots), STATE)
+    knots[: len(work.knots)] = work.knots
+    impacts = records(_GROWTH * len(work.impacts), IMPACT)
+    impacts[: len(work.impacts)] = work.impacts
+    return work._replace(knots=knots, impacts=impacts)
