@@ -239,9 +239,7 @@ class Judge:
 
     def _measure(self, windows: int, bias: complex, worst: float | None = None) -> Measurement:
         cycles = concatenate(list(self._windows)[-windows:])
-        # one generator per measurement: the draws depend on the data's place, not on what was measured before
-        rng = np.random.default_rng([self._settings.seed, abs(int(cycles.first[0]))])
-        return measure(cycles, self._calibration, self._frequency_hz, self._settings, rng, bias, self._reference, worst)
+        return measure(cycles, self._calibration, self._frequency_hz, self._settings, bias, self._reference, worst)
 
     def _noise(self, ratio: float) -> float:
         """Return the standard uncertainty of X_1 / X_b by noise in `windows` windows, from the newest one."""

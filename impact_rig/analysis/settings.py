@@ -43,8 +43,6 @@ class TrackerSettings:
     worst_relative_uncertainty: float = quantity(
         0.2, "-", "Relative standard uncertainty of DT above which a row has no number.", above=0, at_most=1
     )
-    bootstrap_resamples: int = integer(400, "-", "Resamples of the block bootstrap.", at_least=50, at_most=100_000)
-    seed: int = integer(1, "-", "Seed of the block bootstrap.", at_least=0, at_most=2**53)
 
     def __attrs_post_init__(self) -> None:
         if self.windows > self.long_windows:

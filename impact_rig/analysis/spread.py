@@ -1,6 +1,6 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""Uncertainty of the mean of a series whose values may be correlated: long-run variance, bootstrap, batch means."""
+"""Uncertainty of the mean of a series whose values may be correlated: long-run variance, batch means."""
 
 from __future__ import annotations
 
@@ -44,60 +44,6 @@ def _longest_lag(n: int) -> int:
     return int(n ** (1.0 / 3.0) + 1e-9)
 
 
-def block_length(values: Real) -> int:
-    """Return the block length for the circular block bootstrap of the mean of `values`, shape (n,).
-
-    Politis & White (2004), Econometric Reviews 23, 53–70, with the correction of Patton, Politis & White (2009):
-    the flat-top kernel of twice the lag beyond which the autocorrelation is insignificant.
-    """
-    n = len(values)
-    deviation = values - values.mean()
-    if not np.any(deviation):
-        return 1
-    spectrum = np.abs(np.fft.rfft(deviation, 2 * n)) ** 2
-    covariance = np.fft.irfft(spectrum)[:n] / n
-    limit = 2.0 * math.sqrt(math.log10(n) / n)
-    run = max(5, math.ceil(math.sqrt(math.log10(n))))
-    longest = min(n // 3, math.ceil(math.sqrt(n)) + run)
-    significant = np.abs(covariance[1 : longest + 1] / covariance[0]) >= limit
-    cutoff = longest
-    for lag in range(longest - run + 1):
-        if not significant[lag : lag + run].any():
-            cutoff = lag
-            break
-    bandwidth = max(1, min(2 * cutoff, longest))
-    lags = np.arange(-bandwidth, bandwidth + 1)
-    weights = np.minimum(1.0, 2.0 * (1.0 - np.abs(lags) / bandwidth))
-    weighted = weights * covariance[np.abs(lags)]
-    g, density = float(np.sum(np.abs(lags) * weighted)), float(np.sum(weighted))
-    if density <= 0.0:
-        return 1
-    length = (2.0 * g**2 / (4.0 / 3.0 * density**2)) ** (1.0 / 3.0) * n ** (1.0 / 3.0)
-    return int(np.clip(math.ceil(length), 1, max(1, math.ceil(min(3.0 * math.sqrt(n), n / 3.0)))))
-
-
-def bootstrap_means(values: Complex, length: int, resamples: int, rng: np.random.Generator) -> Complex:
-    """Return means of circular block resamples of rows.
-
-    Args:
-        values: n rows of c columns, resampled together, shape (n, c).
-        length: block length, 1 <= length <= n.
-        resamples: B.
-        rng: source of the draws.
-
-    Returns:
-        Array of shape (B, c).
-    """
-    n = len(values)
-    blocks = math.ceil(n / length)
-    starts = rng.integers(0, n, size=(resamples, blocks))
-    running = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(np.concatenate([values, values]), axis=0)])
-    sizes = np.full(blocks, length)
-    sizes[-1] = n - length * (blocks - 1)
-    sums: Complex = (running[starts + sizes] - running[starts]).sum(axis=1)
-    return sums / n
-
-
 def student_2u(freedom: float) -> float:
     """Return the factor by which a standard uncertainty must grow so that ±2u covers 95.45 % of Student's t.
 
@@ -111,17 +57,23 @@ def student_2u(freedom: float) -> float:
 def batch_variance(values: Complex, batches: int) -> Real:
     """Return the variances (real, imaginary) of the mean of a series from the scatter of the means of a few batches.
 
-    Batches much longer than the correlation are as good as independent, however it decays; that they are few is in
-    `student_2u`. Schmeiser (1982), Operations Research 30, 556–568.
+    Batches much longer than the correlation are as good as independent, however it decays (Schmeiser 1982, Operations
+    Research 30, 556–568). Where they are not, what a variance from b batches lacks is in proportion to b: 2V_b − V_2b
+    has none of it (Vats & Flegal 2022, Biometrika 109, 735–750). That they are few is in `student_2u`.
 
     Args:
         values: series, shape (n,), n >= batches; the first of them may be left out.
-        batches: into how many parts it is cut.
+        batches: into how many parts it is cut, b.
     """
+    coarse = _scatter_of_batches(values, batches)
+    fine = _scatter_of_batches(values, 2 * batches) if len(values) >= 2 * batches else coarse
+    return np.maximum(2.0 * coarse - fine, coarse) * student_2u(batches - 1.0) ** 2
+
+
+def _scatter_of_batches(values: Complex, batches: int) -> Real:
     length = len(values) // batches
     means = values[len(values) - length * batches :].reshape(batches, length).mean(axis=1)
-    scatter = np.array([np.var(means.real, ddof=1), np.var(means.imag, ddof=1)]) / batches
-    return scatter * student_2u(batches - 1.0) ** 2
+    return np.array([np.var(means.real, ddof=1), np.var(means.imag, ddof=1)]) / batches
 
 
 def by_class_removed(values: Complex, period: int) -> Complex:

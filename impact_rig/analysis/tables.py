@@ -21,6 +21,8 @@ from impact_rig.system.machine import fingerprint
 
 MACHINE = "machine"
 GAP = "gap_m"
+RETIRED = ("bootstrap_resamples", "seed")
+"""Settings that earlier versions had: of resampling, which is no longer done."""
 SETTLED = (Status.OK, Status.ACCELEROMETER_OVER_RANGE, Status.ACCELEROMETER_UNSOUND)
 
 
@@ -105,7 +107,8 @@ def read_settings(table: Table) -> tuple[TrackerSettings, float]:
     """
     values = dict(zip(table.rows["key"].astype(str).tolist(), table.rows["value"].tolist(), strict=True))
     gap_m = float(values.pop(GAP, np.nan))
-    values.pop(MACHINE, None)
+    for key in (MACHINE, *RETIRED):
+        values.pop(key, None)
     defaults = TrackerSettings()
     unknown = sorted(set(values) - {attribute.name for attribute in attrs.fields(TrackerSettings)})
     if unknown:

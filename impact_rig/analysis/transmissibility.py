@@ -10,8 +10,7 @@ phase, sensitivities of the complex quotient D = X_1/X_b):
     u²(phase)  = u_A² +                            u_q² + Σ (Im ∂lnL/∂ln τ · u_τ)² + max(Im²(bias/D) − u_A², 0)/3
 
 u_A: the larger of the fit's residual noise, taken as white, and the scatter of the cycles, correlation included; for a
-response that is not periodic, block bootstrap and batch means of the cycles instead. bias: what a dying transient may
-have left.
+response that is not periodic, batch means of the cycles instead. bias: what a dying transient may have left.
 u_Q, u_q: what the steps of sensors and converter do to amplitude and phase where noise does not blur them
 (`calibration`; `_rounding`). What remains too uncertain, u(DT) above `worst_relative_uncertainty`, is no number.
 """
@@ -34,10 +33,7 @@ from impact_rig.analysis.regime import classify
 from impact_rig.analysis.settings import TrackerSettings
 from impact_rig.analysis.spread import (
     batch_variance,
-    block_length,
-    bootstrap_means,
     by_class_removed,
-    student_2u,
     student_factor,
     variance_of_mean,
 )
@@ -45,8 +41,8 @@ from impact_rig.analysis.words import MEASURED, Method, Regime, Status
 
 NAN = float("nan")
 MIN_CYCLES = 4
-BATCHES = (5, 8)
-"""Numbers of batches: a motion that strikes, rests and strikes is correlated beyond any block of the bootstrap."""
+BATCHES = (4, 6)
+"""Numbers of batches: as long as a record allows, for a motion that strikes, rests and strikes; both, as few scatter."""
 
 
 @attrs.frozen(kw_only=True)
@@ -84,7 +80,6 @@ def measure_record(
     info: NDArray[np.void],
     frequency_hz: float,
     settings: TrackerSettings | None = None,
-    rng: np.random.Generator | None = None,
 ) -> Measurement:
     """Measure a whole record at one drive frequency: all its whole cycles, taken as settled.
 
@@ -92,9 +87,7 @@ def measure_record(
         rows: consecutive scans (`daq/scan`), shape (n,).
         info: rows of `daq/info`.
         frequency_hz: of the drive.
-        settings: only harmonics, tolerance, lag and bootstrap settings are used.
-        rng: draws of the block bootstrap, needed if the response may be other than periodic; seeded from the settings
-            if None.
+        settings: only harmonics, tolerance and lag settings are used.
     """
     settings = settings or TrackerSettings()
     calibration = Calibration.from_info(info)
@@ -110,7 +103,7 @@ def measure_record(
     if calibration.rate_hz >= MIN_RATE_HZ:
         impacts = ImpactDetector(calibration).feed(samples[ACCELEROMETER])
         cycles = counted(cycles, impacts, 0, accumulator.period)
-    return measure(cycles, calibration, frequency_hz, settings, rng or np.random.default_rng(settings.seed))
+    return measure(cycles, calibration, frequency_hz, settings)
 
 
 def measure(
@@ -118,7 +111,6 @@ def measure(
     calibration: Calibration,
     frequency_hz: float,
     settings: TrackerSettings,
-    rng: np.random.Generator,
     bias: complex = 0j,
     before: Amplitudes | None = None,
     worst: float | None = None,
@@ -130,7 +122,6 @@ def measure(
         calibration: of the channels.
         frequency_hz: commanded.
         settings: tolerances and lag uncertainty.
-        rng: draws of the block bootstrap.
         bias: of the complex transmissibility, by a transient not quite gone.
         before: amplitudes of an earlier measurement of the same setting, or None.
         worst: relative uncertainty above which there is no number; that of the settings if None.
@@ -178,15 +169,8 @@ def measure(
             freedom * student_factor(len(left)) * np.array([variance_of_mean(left.real), variance_of_mean(left.imag)])
         )
     else:
-        method = Method.BLOCK_BOOTSTRAP
-        length = max(block_length(influence.real), block_length(influence.imag))
-        draws = bootstrap_means(np.stack([x1, xb], axis=1), length, settings.bootstrap_resamples, rng)
-        logs = np.log(draws[:, 0] / draws[:, 1] / ratio)
-        # resampled blocks are centred on this record's mean: short by the share of one block; and they are few
-        few = student_2u(len(cycles) / length - 1.0) ** 2
-        spread = few * np.array([np.var(logs.real), np.var(logs.imag)]) / (1.0 - length / len(cycles))
-        for batches in BATCHES:
-            spread = np.maximum(spread, batch_variance(influence / abs(ratio), min(batches, len(cycles))))
+        method = Method.BATCH_MEANS
+        spread = np.maximum(*(batch_variance(influence / abs(ratio), min(few, len(cycles))) for few in BATCHES))
     variance = np.maximum(spread, white)
     parts = _parts(variance, calibration, frequency_hz, settings.lag_uncertainty, bias / ratio, abs(mean1), abs(mean_b))
     parts += _rounding(cycles, calibration, frequency_hz)

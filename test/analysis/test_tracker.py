@@ -105,7 +105,7 @@ def test_a_modulated_response_is_labelled_and_measured_long():
     rows = record(9.2, 30.0, transient=lambda t: truth * (1 + 0.03 * np.cos(2.7 * t)))
     measurements, _ = feed_all(tracker(9.2), blocks(rows, RATE, 20))
     row = measurements[0].rows[0]
-    assert (row["status"], row["regime"], row["method"]) == (b"ok", b"modulated", b"block_bootstrap")
+    assert (row["status"], row["regime"], row["method"]) == (b"ok", b"modulated", b"batch_means")
     assert row["cycles"] == 192
     assert abs(row["transmissibility"] - abs(truth)) < 3 * row["transmissibility_uncertainty"]
 
