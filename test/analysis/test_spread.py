@@ -48,12 +48,12 @@ def test_batch_means_cover_the_mean_of_a_correlated_series(coefficient, batches)
 def test_batches_that_are_too_alike_are_corrected():
     """Of b batches as long as the correlation the plain scatter gives too little; 2V_b − V_2b gives most of the rest."""
     rng = np.random.default_rng(5)
-    series = [ar1(rng, 192, 0.95) for _ in range(3000)]
+    series = [ar1(rng, 192, 0.9) for _ in range(3000)]
     true = np.var([one.mean() for one in series])
     plain = [np.var(one.reshape(6, -1).mean(axis=1), ddof=1) / 6 for one in series]
     found = [batch_variance(one.astype(complex), 6)[0] / student_2u(5.0) ** 2 for one in series]
-    assert np.mean(plain) < 0.75 * true
-    assert np.mean(found) == pytest.approx(true, rel=0.12)
+    assert np.mean(plain) < 0.8 * true
+    assert np.mean(found) == pytest.approx(true, rel=0.1)
 
 
 def test_a_periodic_pattern_is_removed_by_its_classes():
