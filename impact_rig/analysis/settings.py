@@ -28,7 +28,7 @@ class TrackerSettings:
     )
     wait_limit_s: float = quantity(60.0, "s", "Bound of waiting for a settled response.", above=0, at_most=3600)
     slowest_speed: float = quantity(
-        1e-3,
+        1e-4,
         "m/s",
         "Slowest drift that is waited for: a sphere without impacts rests once it would have crossed the gap so.",
         above=0,
