@@ -247,6 +247,6 @@ TARGETS = (
     ),
     Target("journal", journals(), journal, ("rig/journal.py", "rig/resimulation.py")),
     Target(
-        "analysis", streams(), analysis, ("analysis/calibration.py", "analysis/scan_buffer.py", "analysis/tracker.py")
+        "analysis", streams(), analysis, ("analysis/calibration.py", "analysis/scans.py", "analysis/tracker.py")
     ),
 )

@@ -31,7 +31,7 @@ from rich.console import Console
 from rich.table import Table as TextTable
 
 from impact_rig import topics
-from impact_rig.analysis.channels import CHANNELS
+from impact_rig.analysis.scans import CHANNELS
 from impact_rig.analysis.sine import fit_sine
 from impact_rig.analysis.tracker import Tracker
 from impact_rig.blocks import APPLIED, Table

@@ -46,7 +46,7 @@ def map_errs(config: RigConfig, frequency_hz: float) -> tuple[bool, bool]:
     found = rig.measure(frequency_hz, CURRENT_A)
     if found.regime in (Regime.INTERMITTENT, FAILED) or found.impacts_per_cycle > 0.0:
         return False, False
-    after = rig._run(frequency_hz, CURRENT_A, round(AFTER_S * frequency_hz))  # noqa: SLF001  # the same motion goes on
+    after = rig._run(frequency_hz, CURRENT_A, round(AFTER_S * frequency_hz))  # the same motion goes on
     return True, len(after.speed) > 0
 
 

@@ -39,7 +39,7 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_rig.analysis.channels import CHANNELS
+from impact_rig.analysis.scans import CHANNELS
 from impact_rig.blocks import MOST_HZ
 from impact_rig.errors import ConfigError
 

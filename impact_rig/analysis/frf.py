@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from scipy import signal
 
 from impact_rig.analysis.calibration import Calibration, Complex, Real
-from impact_rig.analysis.channels import BASE, LASER
+from impact_rig.analysis.scans import BASE, LASER
 
 OVERLAP = 0.5
 RESOLVED = 0.02

@@ -19,8 +19,8 @@ import attrs
 import numpy as np
 
 from impact_rig.analysis.calibration import Calibration, Complex, Real
-from impact_rig.analysis.channels import ACCELEROMETER, BASE, CHANNELS, CURRENT, LASER
 from impact_rig.analysis.cycles import RANGE_BIT, Cycles
+from impact_rig.analysis.scans import ACCELEROMETER, BASE, CHANNELS, CURRENT, LASER
 from impact_rig.analysis.words import Status
 
 DISPLACEMENTS = (LASER, BASE, CURRENT)

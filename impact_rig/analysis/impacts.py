@@ -20,10 +20,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig.analysis.calibration import Calibration, Real
-from impact_rig.analysis.channels import ACCELEROMETER
 from impact_rig.analysis.cycles import PHASE_BINS, Cycles
+from impact_rig.analysis.scans import ACCELEROMETER
 from impact_rig.analysis.settings import ImpactSettings
+from impact_rig.blocks import DETECTED_IMPACTS, Table
 from impact_rig.kernels import INTEGERS, REALS, TABLE, entry
+from impact_rig.simtime import COMMAND_GRID_NS, COMMAND_GRID_S
 
 ONSET = 0.45
 LOOK_AHEAD_S = 150e-6
@@ -261,3 +263,17 @@ def _detect(
     state[4], state[5], state[6] = peak, sign, swing
     place[0], place[1], place[2], place[3], place[4], place[5] = scan, blank, hunting, fresh, peak_at, since
     return count, i
+
+
+def impact_tables(found: Impacts, rate_hz: int, start_ns: int) -> list[Table]:
+    """Return detected impacts as tables stamped on the command grid, so that no bit depends on the cut into blocks."""
+    seconds = found.scan / rate_hz
+    cells = np.floor(seconds / COMMAND_GRID_S).astype(np.int64)
+    tables = []
+    for cell in np.unique(cells):
+        chosen = cells == cell
+        rows = np.zeros(int(np.count_nonzero(chosen)), dtype=DETECTED_IMPACTS)
+        rows["time"] = seconds[chosen] - cell * COMMAND_GRID_S
+        rows["peak"], rows["sign"] = found.peak[chosen], found.sign[chosen]
+        tables.append(Table(start_ns + int(cell) * COMMAND_GRID_NS, rows))
+    return tables

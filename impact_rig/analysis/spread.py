@@ -1,15 +1,22 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""Uncertainty of the mean of a series whose values may be correlated: long-run variance, batch means."""
+"""What the cycles do one after the other: periodic, modulated or chaotic; and how uncertain their mean is.
+
+Judged on ε_k, the relative deviation of the fundamental of x_1 fitted cycle by cycle. A subharmonic orbit (2.5 impacts
+per cycle: five impacts in two cycles) repeats after p cycles: the deviation from the mean of each class k mod p must
+vanish within noise, or within a tolerance that does not matter, and so must that of the phases of the impacts. (A light
+sphere can strike irregularly while the amplitude stands still.) What does not repeat is told apart by its spectrum: a
+few lines (modulated) or a continuum (chaotic); that boundary is a convention, as for any finite record.
+"""
 
 from __future__ import annotations
 
-import math
-
+import attrs
 import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig.analysis.calibration import Complex, Real
+from impact_rig.analysis.words import Regime
 
 
 def variance_of_mean(values: Real) -> float:
@@ -81,3 +88,89 @@ def by_class_removed(values: Complex, period: int) -> Complex:
     place: NDArray[np.int64] = np.arange(len(values)) % period
     means = np.array([values[place == p].mean() for p in range(period)])
     return np.asarray(values - means[place], dtype=np.complex128)
+
+
+LONGEST_PERIOD = 8
+NOISE_FACTOR = 2.0
+"""Variance ratio up to which a class scatter counts as noise: 48 cycles exceed it by chance once in a million."""
+SUPPORT = 0.6
+"""Share of the cycles of a class that strike at a phase which belongs to the orbit."""
+REGULAR_SHARE = 0.85
+"""Share of the impacts at such phases from which the impacts repeat."""
+LINES = 3
+"""A response is modulated when this many spectral lines, each as wide as the window's main lobe, hold LINE_SHARE."""
+LINE_SHARE = 0.8
+
+
+@attrs.frozen
+class Behaviour:
+    """What a response does.
+
+    Attributes:
+        regime: the word for it.
+        period: drive cycles after which it repeats, NaN if never.
+        spread: relative cycle-to-cycle rms of the fundamental, noise included.
+        steady: the amplitude repeats, though perhaps the impacts do not.
+    """
+
+    regime: Regime
+    period: float
+    spread: float
+    steady: bool
+
+
+def classify(deviation: Complex, noise_variance: float, tolerance: float, strikes: NDArray[np.uint8]) -> Behaviour:
+    """Return what a response does.
+
+    Args:
+        deviation: ε_k per cycle, shape (n,).
+        noise_variance: E|ε|² that noise alone explains.
+        tolerance: rms deviation that counts as none.
+        strikes: the phases of the impacts (`Cycles.strikes`), shape (n, PHASE_BINS); all 0 if there are none.
+
+    Returns:
+        `unknown` for n < 4 or values that are not finite.
+    """
+    n = len(deviation)
+    if n < 4 or not np.all(np.isfinite(deviation)):
+        return Behaviour(Regime.UNKNOWN, float("nan"), float("nan"), steady=False)
+    spread = float(np.sqrt(np.mean(np.abs(deviation - deviation.mean()) ** 2)))
+    limit = max(NOISE_FACTOR * noise_variance, tolerance**2)
+    steady = False
+    for period in range(1, min(LONGEST_PERIOD, n // 4) + 1):
+        left = by_class_removed(deviation, period)
+        if float(np.sum(np.abs(left) ** 2)) / (n - period) > limit:
+            continue
+        steady = True
+        if _strikes_repeat(strikes, period):
+            return Behaviour(Regime.PERIODIC, float(period), spread, steady)
+    phases = 2.0 * np.pi * np.arange(strikes.shape[1]) / strikes.shape[1]
+    telling = strikes @ np.exp(2j * phases) if steady else deviation
+    regime = Regime.MODULATED if _line_share(telling) >= LINE_SHARE else Regime.CHAOTIC
+    return Behaviour(regime, float("nan"), spread, steady)
+
+
+def _strikes_repeat(strikes: NDArray[np.uint8], period: int) -> bool:
+    """Return whether nearly all impacts fall where most cycles of their class have one, give or take a bin.
+
+    Weak impacts may be missed in some cycles, so a cycle without one proves nothing; one out of place does.
+    """
+    regular = 0
+    for place in range(period):
+        own = strikes[place::period]
+        near = own | np.roll(own, 1, axis=1) | np.roll(own, -1, axis=1)
+        regular += int(own[:, near.mean(axis=0) >= SUPPORT].sum())
+    return regular >= REGULAR_SHARE * int(strikes.sum())
+
+
+def _line_share(deviation: Complex) -> float:
+    """Return the share of the fluctuation power in its strongest `LINES` lines; Hann window, main lobe 5 bins."""
+    n = len(deviation)
+    power = np.abs(np.fft.fft((deviation - deviation.mean()) * np.hanning(n + 1)[:n])) ** 2
+    total = float(power.sum())
+    share = 0.0
+    for _ in range(LINES):
+        lobe = (int(np.argmax(power)) + np.arange(-2, 3)) % n
+        share += float(power[lobe].sum())
+        power[lobe] = 0.0
+    return share / total

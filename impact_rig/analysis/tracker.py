@@ -18,20 +18,56 @@ from numpy.typing import NDArray
 
 from impact_rig import topics
 from impact_rig.analysis.calibration import STEPS, Calibration
-from impact_rig.analysis.channels import SCAN
 from impact_rig.analysis.cycles import Accumulator, Cycles, usable_harmonics
-from impact_rig.analysis.findings import Counters, Findings, State
-from impact_rig.analysis.impacts import MIN_RATE_HZ, ImpactDetector, Impacts, counted, joined
-from impact_rig.analysis.judge import Judge, Progress, Quiet, window_cycles
-from impact_rig.analysis.scan_buffer import ScanBuffer, first_scan_at, scan_index
+from impact_rig.analysis.impacts import MIN_RATE_HZ, ImpactDetector, Impacts, counted, impact_tables, joined
+from impact_rig.analysis.scans import SCAN, ScanBuffer, first_scan_at, need_columns, scan_index
 from impact_rig.analysis.settings import ImpactSettings, TrackerSettings
-from impact_rig.analysis.tables import SETTLED, impact_tables, measurement_table, need_columns
-from impact_rig.analysis.transmissibility import Measurement
-from impact_rig.analysis.words import MEASURED, Status
+from impact_rig.analysis.settling import Judge, Progress, Quiet, window_cycles
+from impact_rig.analysis.transmissibility import Measurement, measurement_table
+from impact_rig.analysis.words import MEASURED, SETTLED, Status
 from impact_rig.blocks import APPLIED, DAQ_INFO, Table
 from impact_rig.errors import ConfigError
 from impact_rig.simtime import NS_PER_S, stamp_ns
 from impact_rig.states import Analysis
+
+
+@attrs.define
+class Counters:
+    """What a tracker has seen so far; for diagnostics."""
+
+    scans: int = 0
+    lost_scans: int = 0
+    duplicate_scans: int = 0
+    unconfigured_scans: int = 0
+    restarts: int = 0
+    late_events: int = 0
+    measurements: int = 0
+    refusals: int = 0
+    impacts: int = 0
+
+
+@attrs.frozen
+class State:
+    """What a measurement does now, decided from scans and commands alone: the same live and from a recorded run.
+
+    Attributes:
+        word: of `states.Analysis`.
+        reason: a status of `transmissibility/table`; empty where the word says it all.
+        since_ns: rig time at which it began; None before the first scan.
+    """
+
+    word: str
+    reason: str = ""
+    since_ns: int | None = None
+
+
+@attrs.frozen(eq=False)
+class Findings:
+    """What one call found: `transmissibility/table` tables of one row each, and tables of detected impacts."""
+
+    measurements: tuple[Table, ...] = ()
+    impacts: tuple[Table, ...] = ()
+
 
 LONGEST_S = 2.0**32
 """Two stamps cannot be further apart."""

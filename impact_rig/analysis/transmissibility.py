@@ -25,24 +25,25 @@ from numpy.typing import NDArray
 
 from impact_rig.analysis import health
 from impact_rig.analysis.calibration import Calibration, Complex, Real
-from impact_rig.analysis.channels import ACCELEROMETER, BASE, CHANNELS, CURRENT, LASER, status_of
 from impact_rig.analysis.cycles import RANGE_BIT, Accumulator, Cycles, distinct_phases, usable_harmonics
 from impact_rig.analysis.health import REFERENCE_FACTOR, Amplitudes, Verdict
 from impact_rig.analysis.impacts import MIN_RATE_HZ, ImpactDetector, counted
-from impact_rig.analysis.regime import classify
+from impact_rig.analysis.scans import ACCELEROMETER, BASE, CHANNELS, CURRENT, LASER, status_of
 from impact_rig.analysis.settings import TrackerSettings
 from impact_rig.analysis.spread import (
     batch_variance,
     by_class_removed,
+    classify,
     student_factor,
     variance_of_mean,
 )
-from impact_rig.analysis.words import MEASURED, Method, Regime, Status
+from impact_rig.analysis.words import MEASURED, SETTLED, Method, Regime, Status
+from impact_rig.blocks import TRANSMISSIBILITY, Table
 
 NAN = float("nan")
 MIN_CYCLES = 4
 BATCHES = (4, 6)
-"""Numbers of batches: as long as a record allows, for a motion that strikes, rests and strikes; both, as few scatter."""
+"""Numbers of batches: few, and so long ones, as a motion that strikes, rests and strikes is correlated for seconds."""
 
 
 @attrs.frozen(kw_only=True)
@@ -322,3 +323,31 @@ def _rounding(cycles: Cycles, calibration: Calibration, frequency_hz: float) -> 
         turned = size * min(1.0, (overtones / step) ** 2)
         parts.append(_Part(CHANNELS[channel], STEPS, size + recurring, turned + recurring))
     return parts
+
+
+def measurement_table(found: Measurement, stamp_ns: int, gap_m: float, waited_s: float) -> Table:
+    """Return one row of `transmissibility/table`; the stamp is that of the last scan in it."""
+    row = np.zeros(1, dtype=TRANSMISSIBILITY)
+    row["frequency"] = found.frequency_hz
+    row["transmissibility"] = found.transmissibility
+    row["phase"] = found.phase_rad
+    row["transmissibility_uncertainty"] = found.u_transmissibility
+    row["phase_uncertainty"] = found.u_phase_rad
+    row["laser_amplitude"] = found.laser_m
+    row["base_amplitude"] = found.base_m
+    row["current_amplitude"] = found.current_a
+    row["thd"] = found.thd
+    row["impacts_per_cycle"] = found.impacts_per_cycle
+    row["settled"] = found.status in SETTLED
+    row["cycles"] = found.cycles
+    row["gap"] = gap_m
+    row["frequency_deviation"] = found.frequency_deviation_hz
+    row["spread"] = found.spread
+    row["period"] = found.period
+    row["waited"] = waited_s
+    row["regime"] = found.regime.value
+    row["method"] = found.method.value
+    row["status"] = found.status.value
+    row["channel"], row["largest"], row["largest_share"] = found.channel, found.largest, found.largest_share
+    row["steps_uncertainty"], row["impact_age"] = found.u_steps, found.impact_age_s
+    return Table(stamp_ns, row)

@@ -61,3 +61,6 @@ class Method(enum.StrEnum):
     GUM = "gum"  # noise and calibration, combined
     BATCH_MEANS = "batch_means"  # of a response that is not periodic, combined with the calibration
     NONE = "none"
+
+
+SETTLED = (Status.OK, Status.ACCELEROMETER_OVER_RANGE, Status.ACCELEROMETER_UNSOUND)

@@ -18,12 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig import topics
-from impact_rig.analysis.channels import CHANNELS
-from impact_rig.analysis.findings import Findings
-from impact_rig.analysis.labels import GapLabel, parse_label
-from impact_rig.analysis.settings import TrackerSettings
-from impact_rig.analysis.tables import machine_of, read_settings
-from impact_rig.analysis.tracker import Tracker
+from impact_rig.analysis.scans import CHANNELS
+from impact_rig.analysis.settings import GapLabel, TrackerSettings, machine_of, parse_label, read_settings
+from impact_rig.analysis.tracker import Findings, Tracker
 from impact_rig.analysis.words import Status
 from impact_rig.blocks import TRANSMISSIBILITY, Table
 from impact_rig.errors import ConfigError, RecordingError

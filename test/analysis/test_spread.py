@@ -9,9 +9,8 @@ import pytest
 from scipy import signal
 
 from impact_rig.analysis.cycles import PHASE_BINS
-from impact_rig.analysis.regime import classify
 from impact_rig.analysis.settling import is_stationary, transient_bias
-from impact_rig.analysis.spread import batch_variance, by_class_removed, student_2u, variance_of_mean
+from impact_rig.analysis.spread import batch_variance, by_class_removed, classify, student_2u, variance_of_mean
 from impact_rig.analysis.words import Regime
 
 QUIET = np.zeros((192, PHASE_BINS), np.uint8)
@@ -46,7 +45,7 @@ def test_batch_means_cover_the_mean_of_a_correlated_series(coefficient, batches)
 
 
 def test_batches_that_are_too_alike_are_corrected():
-    """Of b batches as long as the correlation the plain scatter gives too little; 2V_b − V_2b gives most of the rest."""
+    """Of batches as long as the correlation the plain scatter gives too little; 2V_b − V_2b gives most of the rest."""
     rng = np.random.default_rng(5)
     series = [ar1(rng, 192, 0.9) for _ in range(3000)]
     true = np.var([one.mean() for one in series])

@@ -21,8 +21,8 @@ from kits.records import (
 )
 
 from impact_rig.analysis.calibration import Calibration, first_order, pure_delay, two_pole
-from impact_rig.analysis.channels import BASE, LASER
 from impact_rig.analysis.cycles import distinct_phases
+from impact_rig.analysis.scans import BASE, LASER
 from impact_rig.analysis.settings import TrackerSettings
 from impact_rig.analysis.transmissibility import measure_record
 from impact_rig.analysis.words import Method, Regime, Status
