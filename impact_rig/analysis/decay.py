@@ -80,13 +80,8 @@ def measure_decay(
 ) -> Decay:
     """Measure the free decay of the superior base in scans that begin after its release; the base must be locked.
 
-    `impacts` or `not_exponential` where no single ζ describes the record.
-
-    Args:
-        rows: consecutive scans (`daq/scan`).
-        info: rows of `daq/info`: rate, range and linearity of the laser.
-        method: `fit_decay` if None.
-        u_clock: relative standard uncertainty of the rate.
+    `impacts` or `not_exponential` where no single ζ describes the record. The scans (`daq/scan`) are consecutive;
+    `u_clock` is the relative standard uncertainty of their rate.
 
     Raises:
         ConfigError: `info` does not describe the channels.
@@ -148,10 +143,7 @@ def _moments(k: float) -> tuple[float, float, float]:
 def fit_decay(y: Real, rate_hz: float, u_clock: float = 0.0) -> Decay:
     """Fit a free decay, from its first sample to its last.
 
-    Args:
-        y: displacement [any unit], shape (n,).
-        rate_hz: samples per second.
-        u_clock: relative standard uncertainty of the rate.
+    `u_clock`: relative standard uncertainty of the rate.
     """
     start = _start(y, rate_hz)
     if isinstance(start, Status):
@@ -184,11 +176,6 @@ def log_decrement(y: Real, rate_hz: float, u_clock: float = 0.0) -> Decay:
 
     Amplitude and phase of each cycle come from a fit over that cycle, with weights as their squared amplitudes; the
     uncertainties come from the scatter about the straight lines.
-
-    Args:
-        y: displacement, shape (n,).
-        rate_hz: samples per second.
-        u_clock: relative standard uncertainty of the rate.
     """
     start = _start(y, rate_hz)
     if isinstance(start, Status):
@@ -295,14 +282,7 @@ def _design(time: Real, omega: float, decay: float) -> tuple[Real, Complex]:
 
 
 def _result(
-    residual: Real,
-    rate_hz: float,
-    omega: float,
-    decay: float,
-    normal: Real,
-    linear: Real,
-    u_clock: float,
-    scale: float,
+    residual: Real, rate_hz: float, omega: float, decay: float, normal: Real, linear: Real, u_clock: float, scale: float
 ) -> Decay:
     natural = math.hypot(omega, decay)
     zeta = decay / natural
@@ -366,12 +346,7 @@ def restitution_of_drops(h0_m: Real, h1_m: Real, u_h0_m: float, u_h1_m: float) -
     """Return the mean e of repeated drops; the uncertainty of the heights is independent from drop to drop.
 
     With several drops the scatter of e counts if it is larger than the heights explain: the sphere and barrier vary.
-
-    Args:
-        h0_m: heights of the drops, shape (n,).
-        h1_m: heights of the rebounds, shape (n,).
-        u_h0_m: standard uncertainty of each h0.
-        u_h1_m: standard uncertainty of each h1.
+    The heights of drops and rebounds have shape (n,); the uncertainties are those of each.
 
     Returns:
         `not_finite` for values that are not finite, `no_fit` for heights that are not positive, uncertainties that are
@@ -389,8 +364,5 @@ def restitution_of_drops(h0_m: Real, h1_m: Real, u_h0_m: float, u_h1_m: float) -
     explained = float(np.sum(each**2 * ((u_h1_m / h1_m) ** 2 + (u_h0_m / h0_m) ** 2) / 4.0)) / n**2
     scatter = float(np.var(each, ddof=1)) / n if n > 1 else 0.0
     return DropTest(
-        status=Status.OK,
-        restitution=float(each.mean()),
-        u_restitution=math.sqrt(max(explained, scatter)),
-        drops=n,
+        status=Status.OK, restitution=float(each.mean()), u_restitution=math.sqrt(max(explained, scatter)), drops=n
     )

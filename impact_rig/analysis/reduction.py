@@ -44,26 +44,17 @@ AMPLITUDES = ((LASER, "laser_amplitude"), (BASE, "base_amplitude"))
 
 @attrs.frozen
 class Reduction:
-    """By how much the transmissibility is lower than without the damper.
+    """By how much the transmissibility is lower than without the damper."""
 
-    Attributes:
-        percent: 100 (1 − DT / DT_0).
-        u_points: its standard uncertainty.
-        steps_points: the part of it that the steps of sensors and converter have.
-    """
-
-    percent: float
-    u_points: float
-    steps_points: float = 0.0
+    percent: float  # 100 (1 − DT / DT_0)
+    u_points: float  # its standard uncertainty
+    steps_points: float = 0.0  # the part of it that the steps of sensors and converter have
 
 
 def reduction(without: NDArray[np.void], rows: NDArray[np.void], calibration: Calibration) -> Reduction:
     """Return the reduction of the mean transmissibility.
 
-    Args:
-        without: settled rows of `transmissibility/table` without the damper, shape (n,), n >= 1.
-        rows: those with it, by the same instruments, shape (k,), k >= 1.
-        calibration: of these instruments.
+    Both are settled rows of `transmissibility/table` by the instruments of that calibration, shapes (n,) and (k,).
     """
     quotient = float(np.mean(rows["transmissibility"]) / np.mean(without["transmissibility"]))
     variance = repeatability(without, calibration) ** 2 + repeatability(rows, calibration) ** 2
@@ -73,9 +64,8 @@ def reduction(without: NDArray[np.void], rows: NDArray[np.void], calibration: Ca
         )
         variance += (bent - bent_without) ** 2
     steps = _steps(without) + _steps(rows)
-    return Reduction(
-        100.0 * (1.0 - quotient), 100.0 * quotient * math.sqrt(variance), 100.0 * quotient * math.sqrt(steps)
-    )
+    points = 100.0 * quotient
+    return Reduction(100.0 - points, points * math.sqrt(variance), points * math.sqrt(steps))
 
 
 def combined(rows: NDArray[np.void]) -> float:
@@ -89,9 +79,7 @@ def combined(rows: NDArray[np.void]) -> float:
 def repeatability(rows: NDArray[np.void], calibration: Calibration) -> float:
     """Return the relative standard uncertainty of the mean transmissibility without that of the sensitivities.
 
-    Args:
-        rows: settled rows of `transmissibility/table` of one setting, shape (n,), n >= 1.
-        calibration: of the instruments.
+    The rows are settled ones of `transmissibility/table` of one setting, shape (n,), n >= 1.
     """
     sensitivities = np.array([
         sum(calibration.gain_uncertainty_at(channel, float(row[amplitude])) ** 2 for channel, amplitude in AMPLITUDES)
@@ -109,34 +97,21 @@ def _steps(rows: NDArray[np.void]) -> float:
 
 @attrs.frozen
 class Contribution:
-    """One line of the budget.
+    """One line of the budget."""
 
-    Attributes:
-        source: channel, or `measurement`.
-        what: the error it stands for.
-        evaluation: A (statistics of this measurement) or B (certificate), as the GUM calls them.
-        u_relative: relative standard uncertainty of DT by it.
-    """
-
-    source: str
-    what: str
-    evaluation: str
-    u_relative: float
+    source: str  # channel, or `measurement`
+    what: str  # the error it stands for
+    evaluation: str  # A (statistics of this measurement) or B (certificate), as the GUM calls them
+    u_relative: float  # relative standard uncertainty of DT by it
 
 
 @attrs.frozen
 class Budget:
-    """All lines, and their sum.
+    """All lines, and their sum."""
 
-    Attributes:
-        transmissibility: mean of the rows.
-        u_transmissibility: its stated standard uncertainty.
-        parts: the lines; their squares add up to (u/DT)².
-    """
-
-    transmissibility: float
-    u_transmissibility: float
-    parts: Sequence[Contribution]
+    transmissibility: float  # mean of the rows
+    u_transmissibility: float  # its stated standard uncertainty
+    parts: Sequence[Contribution]  # the lines; their squares add up to (u/DT)²
 
     def share(self, part: Contribution) -> float:
         """Return a line's share of the variance, 0 to 1."""
@@ -147,10 +122,7 @@ class Budget:
 def budget(rows: NDArray[np.void], calibration: Calibration, lag_uncertainty: float = 0.0) -> Budget:
     """Return the budget of the mean transmissibility.
 
-    Args:
-        rows: settled rows of `transmissibility/table` of one setting, shape (n,), n >= 1.
-        calibration: of the instruments.
-        lag_uncertainty: relative standard uncertainty of the lags, as the analysis was told.
+    The rows are settled ones of `transmissibility/table` of one setting, shape (n,), n >= 1.
     """
     dt, u = float(np.mean(rows["transmissibility"])), combined(rows)
     frequency_hz = float(rows["frequency"][0])

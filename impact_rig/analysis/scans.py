@@ -41,13 +41,7 @@ def status_of(rows: NDArray[np.void]) -> NDArray[np.uint8]:
 
 
 def need_columns(table: Table, wanted: np.dtype[np.void], topic: str, later: Collection[str] = ()) -> None:
-    """Refuse a table that lacks a column, or has a text for a number; columns of a later version may be there.
-
-    Args:
-        table: any.
-        wanted: columns and types.
-        topic: named in the refusal.
-        later: columns that earlier versions did not have.
+    """Refuse a table that lacks a column, save those `later` versions have, or has a text for a number.
 
     Raises:
         ConfigError: names the topic and the columns.

@@ -1,6 +1,6 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""What the operator tells: settings of the measurement, and the gap as a remark on `notes`, `gap_m=0.006 at 1250000000`.
+"""What the operator tells: settings of the measurement, and the gap as a remark on `notes`, `gap_m=0.006 at 12500000`.
 
 The rig does not tell the analysis its gap: it must measure without seeing the truth. A label carries the instant it
 holds from, so that the live analysis and a later one of the recorded run apply it to the same scan.

@@ -31,14 +31,7 @@ import numpy as np
 
 from impact_rig.analysis.calibration import Calibration, Complex, Real
 from impact_rig.analysis.cycles import Cycles, concatenate
-from impact_rig.analysis.health import (
-    REFERENCE_FACTOR,
-    SIGNAL_FACTOR,
-    Amplitudes,
-    Verdict,
-    changed_alone,
-    unsound,
-)
+from impact_rig.analysis.health import REFERENCE_FACTOR, SIGNAL_FACTOR, Amplitudes, Verdict, changed_alone, unsound
 from impact_rig.analysis.scans import BASE, CHANNELS, LASER
 from impact_rig.analysis.settings import TrackerSettings
 from impact_rig.analysis.spread import variance_of_mean
@@ -59,12 +52,10 @@ def transient_bias(windows: Complex, measured: int) -> complex:
     The limit is extrapolated from the newest 8 windows and, where there are as many, from the newest 16: the longer
     record sees slow transients below the noise of the shorter one. The larger bias counts.
 
-    Args:
-        windows: the value in successive windows of equal length, oldest first, shape (n,).
-        measured: number of newest windows whose mean is used, 8 <= measured <= n.
+    `windows` is the value in successive windows, oldest first, shape (n,), of which the newest are `measured`.
 
     Raises:
-        ValueError: there are fewer windows.
+        ValueError: not 8 <= measured <= n.
     """
     if not 8 <= measured <= len(windows):
         raise ValueError(f"measured must be 8 to {len(windows)}, the number of windows, got {measured}")
@@ -79,10 +70,7 @@ def more_windows(taken: int, reached: float, share: float) -> int:
     One that began as large as the response itself and took n windows to fall to a part ε of it takes
     n ln(s) / ln(ε) more to fall by another factor s. A transient below the noise cannot be followed, its pace can.
 
-    Args:
-        taken: windows from the change of the drive to the first of those that are measured, n.
-        reached: part of the response that the transient has fallen to, ε.
-        share: s, 0 < s < 1.
+    `taken` is n, from the change of the drive to the first window that is measured; `reached` ε; `share` s, 0 < s < 1.
     """
     return math.ceil(taken * math.log(share) / math.log(reached)) if 0.0 < reached < 1.0 else 0
 
@@ -103,10 +91,8 @@ def is_stationary(windows: Complex) -> bool:
     """Return whether a fluctuating value has neither trend nor growing or dying fluctuation: settled, if not constant.
 
     The means of the halves may differ by `TREND_LIMIT` standard deviations (correlation between windows included) in
-    either component; the fluctuation powers of the halves by a factor `POWER_LIMIT`.
-
-    Args:
-        windows: shape (n,), n >= 16.
+    either component; the fluctuation powers of the halves by a factor `POWER_LIMIT`. The windows have shape (n,), n >=
+    16.
     """
     half = len(windows) // 2
     first, second = windows[:half], windows[half : 2 * half]
@@ -134,40 +120,23 @@ def window_cycles(frequency_hz: float, settings: TrackerSettings) -> int:
 
 @attrs.frozen
 class Progress:
-    """How far a first measurement is.
+    """How far a first measurement is."""
 
-    Attributes:
-        windows: taken since the last change.
-        needed: how many it takes, as far as that is known: the count grows while the transient does not die.
-        remnant: of the transient, over the transmissibility; NaN: not known yet.
-    """
-
-    windows: int
-    needed: int
-    remnant: float
+    windows: int  # taken since the last change
+    needed: int  # how many it takes, as far as that is known: the count grows while the transient does not die
+    remnant: float  # of the transient, over the transmissibility; NaN: not known yet
 
 
 @attrs.frozen
 class Quiet:
-    """How long there has been no impact, and how long that must be until it means that none will come.
+    """How long there has been no impact, and how long that must be until it means that none will come."""
 
-    Attributes:
-        since_s: from the last impact, or from when the sphere was put in; 0 where neither is known.
-        bound_s: from which on no impact is expected; 0 where there is no sphere, or none was ever noticed.
-    """
-
-    since_s: float = 0.0
-    bound_s: float = 0.0
+    since_s: float = 0.0  # from the last impact, or from when the sphere was put in; 0 where neither is known
+    bound_s: float = 0.0  # from which on no impact is expected; 0 where there is no sphere, or none was ever noticed
 
 
 class Judge:
-    """Collects the windows of one drive setting, at most `long_windows` of them.
-
-    Args:
-        calibration: of the channels.
-        frequency_hz: of the drive, commanded.
-        settings: tolerances and lengths.
-    """
+    """Collects the windows of one drive setting, at most `long_windows` of them."""
 
     def __init__(self, calibration: Calibration, frequency_hz: float, settings: TrackerSettings) -> None:
         self._calibration = calibration

@@ -24,10 +24,8 @@ def variance_of_mean(values: Real) -> float:
 
         S = γ_0 + 2 Σ_{l<=L} (1 − l/(L+1)) γ_l,   var = S / (n − L − 1),   L = ⌊n^(1/3)⌋
 
-    Newey & West (1987), Econometrica 55, 703–708; n − L − 1 instead of n makes it unbiased for uncorrelated values.
-
-    Args:
-        values: series, shape (n,), n >= 4.
+    Newey & West (1987), Econometrica 55, 703–708; n − L − 1 instead of n makes it unbiased for uncorrelated values. The
+    values have shape (n,), n >= 4.
     """
     n = len(values)
     deviation = values - values.mean()
@@ -67,10 +65,6 @@ def batch_variance(values: Complex, batches: int) -> Real:
     Batches much longer than the correlation are as good as independent, however it decays (Schmeiser 1982, Operations
     Research 30, 556–568). Where they are not, what a variance from b batches lacks is in proportion to b: 2V_b − V_2b
     has none of it (Vats & Flegal 2022, Biometrika 109, 735–750). That they are few is in `student_2u`.
-
-    Args:
-        values: series, shape (n,), n >= batches; the first of them may be left out.
-        batches: into how many parts it is cut, b.
     """
     coarse = _scatter_of_batches(values, batches)
     fine = _scatter_of_batches(values, 2 * batches) if len(values) >= 2 * batches else coarse
@@ -104,32 +98,19 @@ LINE_SHARE = 0.8
 
 @attrs.frozen
 class Behaviour:
-    """What a response does.
+    """What a response does."""
 
-    Attributes:
-        regime: the word for it.
-        period: drive cycles after which it repeats, NaN if never.
-        spread: relative cycle-to-cycle rms of the fundamental, noise included.
-        steady: the amplitude repeats, though perhaps the impacts do not.
-    """
-
-    regime: Regime
-    period: float
-    spread: float
-    steady: bool
+    regime: Regime  # the word for it
+    period: float  # drive cycles after which it repeats, NaN if never
+    spread: float  # relative cycle-to-cycle rms of the fundamental, noise included
+    steady: bool  # the amplitude repeats, though perhaps the impacts do not
 
 
 def classify(deviation: Complex, noise_variance: float, tolerance: float, strikes: NDArray[np.uint8]) -> Behaviour:
     """Return what a response does.
 
-    Args:
-        deviation: ε_k per cycle, shape (n,).
-        noise_variance: E|ε|² that noise alone explains.
-        tolerance: rms deviation that counts as none.
-        strikes: the phases of the impacts (`Cycles.strikes`), shape (n, PHASE_BINS); all 0 if there are none.
-
-    Returns:
-        `unknown` for n < 4 or values that are not finite.
+    `deviation` is ε_k per cycle, shape (n,), of which noise explains E|ε|² = `noise_variance`; rms `tolerance` counts as
+    none; `strikes` are the phases of the impacts (`Cycles.strikes`). `unknown` for n < 4 or what is not finite.
     """
     n = len(deviation)
     if n < 4 or not np.all(np.isfinite(deviation)):

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import bisect
 import math
+from typing import NamedTuple
 
 import attrs
 import numpy as np
@@ -19,9 +20,9 @@ from numpy.typing import NDArray
 from impact_rig import topics
 from impact_rig.analysis.calibration import STEPS, Calibration
 from impact_rig.analysis.cycles import Accumulator, Cycles, usable_harmonics
-from impact_rig.analysis.impacts import MIN_RATE_HZ, ImpactDetector, Impacts, counted, impact_tables, joined
+from impact_rig.analysis.impacts import MIN_RATE_HZ, NO_IMPACTS, ImpactDetector, counted, impact_tables
 from impact_rig.analysis.scans import SCAN, ScanBuffer, first_scan_at, need_columns, scan_index
-from impact_rig.analysis.settings import ImpactSettings, TrackerSettings
+from impact_rig.analysis.settings import GapLabel, ImpactSettings, TrackerSettings
 from impact_rig.analysis.settling import Judge, Progress, Quiet, window_cycles
 from impact_rig.analysis.transmissibility import Measurement, measurement_table
 from impact_rig.analysis.words import MEASURED, SETTLED, Status
@@ -48,17 +49,11 @@ class Counters:
 
 @attrs.frozen
 class State:
-    """What a measurement does now, decided from scans and commands alone: the same live and from a recorded run.
+    """What a measurement does now, decided from scans and commands alone: the same live and from a recorded run."""
 
-    Attributes:
-        word: of `states.Analysis`.
-        reason: a status of `transmissibility/table`; empty where the word says it all.
-        since_ns: rig time at which it began; None before the first scan.
-    """
-
-    word: str
-    reason: str = ""
-    since_ns: int | None = None
+    word: str  # of `states.Analysis`
+    reason: str = ""  # a status of `transmissibility/table`; empty where the word says it all
+    since_ns: int | None = None  # rig time at which it began; None before the first scan
 
 
 @attrs.frozen(eq=False)
@@ -75,41 +70,24 @@ MIN_HOLD_SCANS = 16
 """Impacts are known this many scans after they happened; cycles are closed no earlier."""
 
 
-@attrs.frozen
-class _Command:
+class _Command(NamedTuple):
     frequency_hz: float
     current: float
 
 
-@attrs.frozen
-class _Label:
-    gap_m: float
-
-
-@attrs.frozen(eq=False)
-class _Recalibration:
-    calibration: Calibration
-
-
-@attrs.frozen(eq=False)
-class _Reset:
+class _Reset(NamedTuple):
     """The rig began again: a new scan 0."""
 
     start_ns: int
     calibration: Calibration
 
 
-_Event = _Command | _Label | _Recalibration
+_Event = _Command | GapLabel | Calibration
 _NOTHING = Findings()
 
 
 class Tracker:
-    """Measures the transmissibility and detects impacts in a stream of scans.
-
-    Args:
-        settings: of the measurement.
-        impact_settings: of the impact detection.
-    """
+    """Measures the transmissibility and detects impacts in a stream of scans."""
 
     def __init__(self, settings: TrackerSettings | None = None, impact_settings: ImpactSettings | None = None) -> None:
         self.counters = Counters()
@@ -131,7 +109,7 @@ class Tracker:
         self._gap_m = math.nan
         self._accumulator: Accumulator | None = None
         self._window = 0
-        self._impacts_ahead: list[Impacts] = []
+        self._impacts_ahead: list[NDArray[np.void]] = []
         self._struck = math.nan  # scan of the last impact in a window judged
         self._placed = 0  # scan from which the label holds
         self._rows: list[Table] = []
@@ -162,7 +140,7 @@ class Tracker:
         if self._calibration is None:
             self._use(_Reset(start_ns, calibration))
         elif start_ns == newest_start_ns and calibration.rate_hz == self._calibration.rate_hz:
-            self._schedule(info.stamp_ns, _Recalibration(calibration))
+            self._schedule(info.stamp_ns, calibration)
         else:
             self._resets.append(_Reset(start_ns, calibration))
 
@@ -181,7 +159,7 @@ class Tracker:
 
     def label(self, gap_m: float, stamp_ns: int) -> None:
         """Take the operator's word for the gap [m] from an instant on: 0 = no sphere, NaN = unknown."""
-        self._schedule(stamp_ns, _Label(gap_m))
+        self._schedule(stamp_ns, GapLabel(gap_m, stamp_ns))
 
     def feed(self, scan: Table) -> Findings:
         """Take a block of `daq/scan`; blocks come in the order of their stamps.
@@ -338,15 +316,15 @@ class Tracker:
                     return
                 self._interrupt(Status.COMMAND_CHANGED)
                 self._command = event
-            case _Label(gap_m):
+            case GapLabel(gap_m):
                 if gap_m == self._gap_m or (math.isnan(gap_m) and math.isnan(self._gap_m)):
                     return
                 self._interrupt(Status.LABEL_CHANGED)
                 self._gap_m = gap_m
                 self._struck, self._placed = math.nan, index
-            case _Recalibration(calibration):
+            case Calibration():
                 self._interrupt(Status.CALIBRATION_CHANGED)
-                self._calibration = calibration
+                self._calibration = event
         self._begin(index, changed=True)
 
     def _enter(self, word: Analysis, reason: str, scan: int) -> None:
@@ -419,14 +397,14 @@ class Tracker:
         assert self._calibration is not None
         if self._calibration.rate_hz < MIN_RATE_HZ:
             return window
-        impacts = joined(self._impacts_ahead)
-        later = int(np.searchsorted(impacts.scan, window.first[-1] + window.samples[-1]))
+        impacts = np.concatenate([NO_IMPACTS, *self._impacts_ahead])
+        later = int(np.searchsorted(impacts["scan"], window.first[-1] + window.samples[-1]))
         self._impacts_ahead = [impacts[later:]] if later < len(impacts) else []
         if later:
-            self._struck = float(impacts.scan[later - 1])
+            self._struck = float(impacts["scan"][later - 1])
         return counted(window, impacts[:later], accumulator.origin, accumulator.period)
 
-    def _impacts(self, found: Impacts) -> list[Table]:
+    def _impacts(self, found: NDArray[np.void]) -> list[Table]:
         assert self._calibration is not None
         self.counters.impacts += len(found)
         self._impacts_ahead.append(found)

@@ -30,13 +30,7 @@ from impact_rig.analysis.health import REFERENCE_FACTOR, Amplitudes, Verdict
 from impact_rig.analysis.impacts import MIN_RATE_HZ, ImpactDetector, counted
 from impact_rig.analysis.scans import ACCELEROMETER, BASE, CHANNELS, CURRENT, LASER, status_of
 from impact_rig.analysis.settings import TrackerSettings
-from impact_rig.analysis.spread import (
-    batch_variance,
-    by_class_removed,
-    classify,
-    student_factor,
-    variance_of_mean,
-)
+from impact_rig.analysis.spread import batch_variance, by_class_removed, classify, student_factor, variance_of_mean
 from impact_rig.analysis.words import MEASURED, SETTLED, Method, Regime, Status
 from impact_rig.blocks import TRANSMISSIBILITY, Table
 
@@ -77,18 +71,11 @@ class Measurement:
 
 
 def measure_record(
-    rows: NDArray[np.void],
-    info: NDArray[np.void],
-    frequency_hz: float,
-    settings: TrackerSettings | None = None,
+    rows: NDArray[np.void], info: NDArray[np.void], frequency_hz: float, settings: TrackerSettings | None = None
 ) -> Measurement:
     """Measure a whole record at one drive frequency: all its whole cycles, taken as settled.
 
-    Args:
-        rows: consecutive scans (`daq/scan`), shape (n,).
-        info: rows of `daq/info`.
-        frequency_hz: of the drive.
-        settings: only harmonics, tolerance and lag settings are used.
+    The scans (`daq/scan`) are consecutive, shape (n,); of the settings only harmonics, tolerance and lag are used.
     """
     settings = settings or TrackerSettings()
     calibration = Calibration.from_info(info)
@@ -116,16 +103,11 @@ def measure(
     before: Amplitudes | None = None,
     worst: float | None = None,
 ) -> Measurement:
-    """Measure settled cycles.
+    """Measure settled, consecutive cycles of one commanded frequency.
 
-    Args:
-        cycles: consecutive whole cycles of one drive frequency.
-        calibration: of the channels.
-        frequency_hz: commanded.
-        settings: tolerances and lag uncertainty.
-        bias: of the complex transmissibility, by a transient not quite gone.
-        before: amplitudes of an earlier measurement of the same setting, or None.
-        worst: relative uncertainty above which there is no number; that of the settings if None.
+    `bias` is that of the complex transmissibility by a transient not quite gone; `before` are the amplitudes of an
+    earlier measurement of the same setting; above the relative uncertainty `worst`, by default that of the settings,
+    there is no number.
     """
 
     def refuse(why: Verdict, largest: str = "") -> Measurement:
@@ -328,26 +310,15 @@ def _rounding(cycles: Cycles, calibration: Calibration, frequency_hz: float) -> 
 def measurement_table(found: Measurement, stamp_ns: int, gap_m: float, waited_s: float) -> Table:
     """Return one row of `transmissibility/table`; the stamp is that of the last scan in it."""
     row = np.zeros(1, dtype=TRANSMISSIBILITY)
-    row["frequency"] = found.frequency_hz
-    row["transmissibility"] = found.transmissibility
-    row["phase"] = found.phase_rad
-    row["transmissibility_uncertainty"] = found.u_transmissibility
-    row["phase_uncertainty"] = found.u_phase_rad
-    row["laser_amplitude"] = found.laser_m
-    row["base_amplitude"] = found.base_m
-    row["current_amplitude"] = found.current_a
-    row["thd"] = found.thd
-    row["impacts_per_cycle"] = found.impacts_per_cycle
-    row["settled"] = found.status in SETTLED
-    row["cycles"] = found.cycles
-    row["gap"] = gap_m
-    row["frequency_deviation"] = found.frequency_deviation_hz
-    row["spread"] = found.spread
-    row["period"] = found.period
-    row["waited"] = waited_s
-    row["regime"] = found.regime.value
-    row["method"] = found.method.value
-    row["status"] = found.status.value
-    row["channel"], row["largest"], row["largest_share"] = found.channel, found.largest, found.largest_share
-    row["steps_uncertainty"], row["impact_age"] = found.u_steps, found.impact_age_s
+    for column, value in {
+        "frequency": found.frequency_hz, "transmissibility": found.transmissibility, "phase": found.phase_rad,
+        "transmissibility_uncertainty": found.u_transmissibility, "phase_uncertainty": found.u_phase_rad,
+        "laser_amplitude": found.laser_m, "base_amplitude": found.base_m, "current_amplitude": found.current_a,
+        "thd": found.thd, "impacts_per_cycle": found.impacts_per_cycle, "settled": found.status in SETTLED,
+        "cycles": found.cycles, "gap": gap_m, "frequency_deviation": found.frequency_deviation_hz,
+        "spread": found.spread, "period": found.period, "waited": waited_s, "regime": found.regime.value,
+        "method": found.method.value, "status": found.status.value, "channel": found.channel, "largest": found.largest,
+        "largest_share": found.largest_share, "steps_uncertainty": found.u_steps, "impact_age": found.impact_age_s,
+    }.items():  # fmt: skip
+        row[column] = value
     return Table(stamp_ns, row)

@@ -20,7 +20,7 @@ from kits.records import (
     steady_record,
 )
 
-from impact_rig.analysis.calibration import Calibration, first_order, pure_delay, two_pole
+from impact_rig.analysis.calibration import LAG_MODELS, Calibration
 from impact_rig.analysis.cycles import distinct_phases
 from impact_rig.analysis.scans import BASE, LASER
 from impact_rig.analysis.settings import TrackerSettings
@@ -242,7 +242,7 @@ def test_an_overloaded_accelerometer_does_not_spoil_the_displacements():
     assert found.transmissibility == pytest.approx(abs(linear_transmissibility(9.1)), rel=EXACT_RTOL)
 
 
-@pytest.mark.parametrize("model", [pure_delay, first_order, two_pole])
+@pytest.mark.parametrize("model", LAG_MODELS.values())
 def test_lag_is_the_group_delay_at_low_frequency(model):
     step = 1e-6
     phase = np.angle(model(np.array(step)))

@@ -28,15 +28,10 @@ from impact_rig.topics import Topic
 
 
 class Blockwise:
-    """An analysis with a topic of its own.
+    """An analysis with a topic of its own."""
 
-    Attributes:
-        topic: its row of the topic table; its publisher is `analysis`, and it carries tables.
-        needs: the channels without which it has nothing to say.
-    """
-
-    topic: ClassVar[Topic]
-    needs: ClassVar[tuple[str, ...]]
+    topic: ClassVar[Topic]  # its row of the topic table; its publisher is `analysis`, and it carries tables
+    needs: ClassVar[tuple[str, ...]]  # the channels without which it has nothing to say
 
     def feed(self, scan: Table) -> Table | None:
         """Return what there is to say of a block of `daq/scan`; blocks come in the order of their stamps."""
@@ -137,9 +132,7 @@ HIGHEST_HZ = 250.0
 def amplitude_spectrum(samples: Real, rate_hz: float) -> tuple[Real, Real]:
     """Return frequencies [Hz] and amplitudes (peak, unit of the samples) up to `HIGHEST_HZ`, each of shape (bins,).
 
-    Args:
-        samples: of one channel, shape (n,); the mean is taken away first.
-        rate_hz: samples per second.
+    The mean is taken away first.
     """
     window = _flat_top(len(samples))
     transformed = np.fft.rfft((samples - samples.mean()) * window)
