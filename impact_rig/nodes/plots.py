@@ -14,8 +14,7 @@ from impact_rig.analysis.blockwise import EVERY_S, PULSES, WINDOW_S, HighPass, I
 from impact_rig.analysis.scans import Recent
 from impact_rig.blocks import Table
 from impact_rig.nodes import messages
-from impact_rig.nodes.messages import Template
-from impact_rig.nodes.topics import ENVELOPES, SPECTRA
+from impact_rig.nodes.messages import ENVELOPES, SPECTRA, Template
 from impact_rig.topics import Topic
 
 VECTOR = ("vector.x", "vector.y", "vector.z")

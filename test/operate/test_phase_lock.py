@@ -189,7 +189,7 @@ def test_a_trip_ends_it():
 @pytest.mark.timeout(200)
 def test_over_topics_it_has_the_same_bits(locked, tmp_path: Path):
     pytest.importorskip("rclpy", reason="no ROS 2 here")
-    from impact_rig.client.closed_loop import stepped_loop
+    from impact_rig.client.apparatus import stepped_loop
 
     with stepped_loop(tmp_path, linear()) as rig:
         lock = PhaseLock(PLAN)
