@@ -247,10 +247,10 @@ class Judge:
                 self._due = self._whole + more_windows(taken, limit / newest, REMNANT)
             if self._whole < self._due:
                 return None
-        if self._may_drift():
-            return None
         found = self._measure(self._settings.windows, bias)
-        return found if found.status not in MEASURED or (found.steady and not self._sparse(found)) else None
+        if found.status not in MEASURED:
+            return found
+        return found if found.steady and not self._sparse(found) and not self._may_drift() else None
 
     def _may_drift(self) -> bool:
         """Return whether the newest windows hold no impact while one may still come."""

@@ -109,8 +109,8 @@ class Behaviour:
 def classify(deviation: Complex, noise_variance: float, tolerance: float, strikes: NDArray[np.uint8]) -> Behaviour:
     """Return what a response does.
 
-    `deviation` is ε_k per cycle, shape (n,), of which noise explains E|ε|² = `noise_variance`; rms `tolerance` counts as
-    none; `strikes` are the phases of the impacts (`Cycles.strikes`). `unknown` for n < 4 or what is not finite.
+    `deviation` is ε_k per cycle, shape (n,), of which noise explains E|ε|² = `noise_variance`; rms `tolerance` is none;
+    `strikes` are the phases of the impacts (`Cycles.strikes`). `unknown` for n < 4 or what is not finite.
     """
     n = len(deviation)
     if n < 4 or not np.all(np.isfinite(deviation)):
