@@ -92,11 +92,7 @@ class Counts:
 
 
 class Session:
-    """The rig of a node; it exists from when nobody else is in its place until the node is deactivated.
-
-    Args:
-        node: the rig's.
-    """
+    """The rig of a node; it exists from when nobody else is in its place until the node is deactivated."""
 
     publishers: Publishers
     """What it publishes; from when the node is configured."""
