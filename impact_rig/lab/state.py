@@ -19,8 +19,8 @@ import attrs
 
 from impact_rig import states
 from impact_rig.analysis.words import Regime, Status
-from impact_rig.instruments.fault_kinds import BOARD_KINDS, FAULT_KINDS
-from impact_rig.instruments.scan import CHANNELS
+from impact_rig.instruments.instrument import BOARD_KINDS, FAULT_KINDS
+from impact_rig.instruments.section import CHANNELS
 from impact_rig.lab.protocol import Request
 from impact_rig.lab.record import Record, guard, plain
 from impact_rig.lab.scope import Scope

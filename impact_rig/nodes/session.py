@@ -20,7 +20,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from impact_rig import codec, states, topics
 from impact_rig.errors import CodecError, CommandError
-from impact_rig.instruments.scan import channels_of
+from impact_rig.instruments.section import channels_of
 from impact_rig.nodes.acknowledgements import AckWindow, Readers
 from impact_rig.nodes.guard import describe
 from impact_rig.nodes.managed import Done, ManagedNode, State
