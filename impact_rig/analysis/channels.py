@@ -1,6 +1,10 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""The channels that the analysis needs of a run; a run may have more of them, in any order."""
+"""The channels that the analysis knows of a run; a run may have more of them, in any order, or lack some.
+
+A measurement of somebody's own rig may lack a channel: neither `daq/info` nor `daq/scan` has it then. Transmissibility
+needs `laser` and `base`; without `accelerometer` no impacts are counted, without `current` it has no amplitude.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +19,7 @@ CHANNELS = ("accelerometer", "laser", "base", "current")
 ACCELEROMETER, LASER, BASE, CURRENT = range(len(CHANNELS))
 _TIME, _STATUS = topics.SCAN.fields
 SCAN = row_type((_TIME, *(Column(name, "SI", "") for name in CHANNELS), _STATUS))
-"""What a row of `daq/scan` must at least have."""
+"""A row of `daq/scan` with every one of them."""
 _FRAME = (_TIME.name, _STATUS.name)
 
 
@@ -27,5 +31,12 @@ def status_of(rows: NDArray[np.void]) -> NDArray[np.uint8]:
         return status
     ours = np.zeros(len(rows), np.uint8)
     for bit, name in enumerate(CHANNELS):
-        ours |= (status >> found.index(name) & 1) << bit
+        if name in found:
+            ours |= (status >> found.index(name) & 1) << bit
     return ours
+
+
+def samples_of(rows: NDArray[np.void], name: str) -> NDArray[np.float64]:
+    """Return a channel of scans, shape (n,): zeros where it was not measured."""
+    present = name in (rows.dtype.names or ())
+    return np.array(rows[name], dtype=np.float64) if present else np.zeros(len(rows))

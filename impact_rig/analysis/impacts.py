@@ -47,6 +47,11 @@ MIN_RATE_HZ = 2_000
 """Below this rate contacts fall between the scans: nothing is detected."""
 
 
+def shows_impacts(calibration: Calibration) -> bool:
+    """Return whether impacts can be detected: there is an accelerometer, at `MIN_RATE_HZ` at least."""
+    return calibration.rate_hz >= MIN_RATE_HZ and bool(calibration.present[ACCELEROMETER])
+
+
 @attrs.frozen(eq=False)
 class Impacts:
     """Detected impacts, in order.

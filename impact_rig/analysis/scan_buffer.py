@@ -53,7 +53,7 @@ class ScanBuffer:
             self._make_room(keep, new)
             used = self.end - self.first
         for j, name in enumerate(CHANNELS):
-            self.samples[j, used : used + new] = rows[name]
+            self.samples[j, used : used + new] = rows[name] if name in rows.dtype.names else 0.0  # not measured
         self.status[used : used + new] = status_of(rows)
         self.end += new
 

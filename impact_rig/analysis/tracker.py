@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 
 from impact_rig import topics
 from impact_rig.analysis.calibration import STEPS, Calibration
-from impact_rig.analysis.channels import SCAN
+from impact_rig.analysis.channels import CHANNELS, SCAN
 from impact_rig.analysis.cycles import Accumulator, Cycles, usable_harmonics
 from impact_rig.analysis.findings import Counters, Findings, State
-from impact_rig.analysis.impacts import MIN_RATE_HZ, ImpactDetector, Impacts, counted, joined
+from impact_rig.analysis.impacts import ImpactDetector, Impacts, counted, joined, shows_impacts
 from impact_rig.analysis.judge import Judge, Progress, Quiet, window_cycles
 from impact_rig.analysis.scan_buffer import ScanBuffer, first_scan_at, scan_index
 from impact_rig.analysis.settings import ImpactSettings, TrackerSettings
@@ -107,7 +107,7 @@ class Tracker:
         Another scan 0 is a reset of the rig: from its first block on everything is measured as in a new record.
 
         Raises:
-            ConfigError: the table does not describe the four channels.
+            ConfigError: the table describes none of the four channels, or one twice.
         """
         need_columns(info, DAQ_INFO, topics.INFO.name, later=STEPS)
         calibration = Calibration.from_info(info.rows)
@@ -153,7 +153,8 @@ class Tracker:
         Raises:
             ConfigError: the table is no such table.
         """
-        need_columns(scan, SCAN, topics.SCAN.name)
+        absent = () if self._calibration is None else np.array(CHANNELS)[~self._calibration.present].tolist()
+        need_columns(scan, SCAN, topics.SCAN.name, later=absent)
         rows = scan.rows
         if self._calibration is None:
             self.counters.unconfigured_scans += len(rows)
@@ -364,7 +365,7 @@ class Tracker:
         """
         assert self._calibration is not None
         never = math.isnan(self._struck)
-        if self._gap_m == 0.0 or (never and math.isnan(self._gap_m)) or self._calibration.rate_hz < MIN_RATE_HZ:
+        if self._gap_m == 0.0 or (never and math.isnan(self._gap_m)) or not shows_impacts(self._calibration):
             return Quiet()
         since = (scan + 1 - (self._placed if never else self._struck)) / self._calibration.rate_hz
         unknown = math.isnan(self._gap_m)
@@ -381,7 +382,7 @@ class Tracker:
     def _counted(self, window: Cycles, accumulator: Accumulator) -> Cycles:
         """Return the window with its impacts counted per cycle; impacts after it are kept."""
         assert self._calibration is not None
-        if self._calibration.rate_hz < MIN_RATE_HZ:
+        if not shows_impacts(self._calibration):
             return window
         impacts = joined(self._impacts_ahead)
         later = int(np.searchsorted(impacts.scan, window.first[-1] + window.samples[-1]))

@@ -21,15 +21,16 @@ EXIT_ERROR = 1
 PROGRAM = "impact-rig"
 COMMANDS = (
     "lab", "demo", "campaign", "map", "loop", "report", "identify",
-    "info", "analyze", "verify", "replay", "recover", "export", "check", "layout", "completion",
+    "info", "analyze", "verify", "replay", "recover", "import", "export", "check", "layout", "completion",
 )  # fmt: skip
-"""Subcommands in the order of the help; each is the module of its name."""
+"""Subcommands in the order of the help; each is the module of its name, `import` is `import_`."""
 
 
 def command_line(command: str = "") -> argparse.ArgumentParser:
     """Return the parser of all subcommands, or of one of them."""
     import argparse  # noqa: PLC0415  # after the signals are taken
     import importlib  # noqa: PLC0415
+    import keyword  # noqa: PLC0415
 
     import impact_rig  # noqa: PLC0415
 
@@ -42,7 +43,8 @@ def command_line(command: str = "") -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"{PROGRAM} {impact_rig.__version__}")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     for name in [command] if command in COMMANDS else [] if command == "--version" else COMMANDS:
-        importlib.import_module(f"impact_rig.cli.{name}").add_command(commands)
+        module = f"{name}_" if keyword.iskeyword(name) else name
+        importlib.import_module(f"impact_rig.cli.{module}").add_command(commands)
     return parser
 
 

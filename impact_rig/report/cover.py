@@ -14,7 +14,6 @@ from impact_rig.campaign import paper, run
 from impact_rig.campaign.run import Finished
 from impact_rig.campaign.summary import FILE_NAME as SUMMARY_FILE
 from impact_rig.errors import RecordingError
-from impact_rig.instruments.chain import Chain
 from impact_rig.physics.contact import from_config
 from impact_rig.physics.linear import constants
 from impact_rig.physics.properties import hertz_stiffness_n_m32, sphere_mass_kg
@@ -149,7 +148,7 @@ def _constants(done: Finished) -> list[list[str | Cell]]:
 
 def _instruments(done: Finished) -> list[list[str | Cell]]:
     rows: list[list[str | Cell]] = []
-    for row in Chain(done.campaign.planned()[0].job.config()).info():
+    for row in done.info:
         unit = row["unit"].decode()
         small, factor = (("µm", 1e6), ("mm", 1e3)) if unit == "m" else ((unit, 1.0), (unit, 1.0))
         rows.append([

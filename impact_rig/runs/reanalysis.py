@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig import topics
-from impact_rig.analysis.channels import CHANNELS
 from impact_rig.analysis.findings import Findings
 from impact_rig.analysis.labels import GapLabel, parse_label
 from impact_rig.analysis.settings import TrackerSettings
@@ -43,7 +42,7 @@ def analyze(run: Run, settings: TrackerSettings | None = None) -> Iterator[Findi
             elif topic is topics.APPLIED:
                 tracker.on_applied(run.table(message, topic))
             else:
-                yield tracker.feed(run.table(message, topic, CHANNELS))
+                yield tracker.feed(run.table(message, topic))
     except ConfigError as error:
         raise RecordingError(f"{run.path}: {error}") from error
     yield tracker.flush()

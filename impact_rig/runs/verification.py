@@ -30,6 +30,7 @@ from impact_rig.rig.description import robot_description
 from impact_rig.rig.journal import Entry, read, sampled
 from impact_rig.rig.resimulation import Resimulation
 from impact_rig.runs.live_comparison import Compared
+from impact_rig.runs.measurement import is_measured
 from impact_rig.runs.reanalysis import text_of
 from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S, stamp_ns
 
@@ -82,6 +83,8 @@ def verify(run: Run) -> Verification:
     if arithmetic_of(run.provenance) not in ("", str(ARITHMETIC)):
         return Verification(None, 0, f"recorded with arithmetic {arithmetic_of(run.provenance)}, this is {ARITHMETIC}")
     run.resolve(topics.SCAN.name)
+    if is_measured(run):
+        return Verification(None, 0, "a measurement: there is nothing to re-simulate")
     try:
         journals, first, foreign = _journals(run)
     except RecordingError as error:

@@ -139,9 +139,12 @@ def sine_of(points: Sequence[Point], gains: Gains) -> SineData:
 
 
 def reduced_of(curves: Curves, frequency_hz: float, gaps_m: Sequence[float], gains: Gains) -> Reduced | None:
-    """Return the ratios at one frequency, or None if there are none; only impacting orbits tell anything."""
+    """Return the ratios at one frequency, or None if there are none; only impacting orbits tell anything.
+
+    Where no accelerometer was there, nobody counted: then the simulated motion says.
+    """
     without = curves.at(NO_SPHERE, frequency_hz)
-    points = [point for gap in gaps_m if (point := curves.at(gap, frequency_hz)) is not None and point.impacts]
+    points = [point for gap in gaps_m if (point := curves.at(gap, frequency_hz)) is not None and _may_impact(point)]
     if without is None or not points:
         return None
     effects = np.zeros((len(points), len(NUISANCES)))
@@ -158,6 +161,10 @@ def reduced_of(curves: Curves, frequency_hz: float, gaps_m: Sequence[float], gai
         effects=effects,
         regimes={point.gap_m: point.regime for point in points},
     )
+
+
+def _may_impact(point: Point) -> bool:
+    return point.impacts or math.isnan(point.impacts_per_cycle)
 
 
 def _noise(point: Point, gains: Gains) -> float:
