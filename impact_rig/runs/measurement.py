@@ -35,7 +35,7 @@ from impact_rig.errors import ConfigError, RecordingError
 from impact_rig.recording import Attachment, Provenance, Run, RunWriter, TopicDescription, schema_text
 from impact_rig.runs.foreign_files import STAMP, Foreign, read
 from impact_rig.simtime import NS_PER_S, stamp_ns
-from impact_rig.system import plain_yaml
+from impact_rig.system import budget
 
 MEASURED = "measured"
 """The `mode` that the provenance of an imported run names, beside what was read."""
@@ -192,8 +192,8 @@ def refined(mapping: Mapping, text: str) -> Mapping:
         ConfigError: a key or value is wrong; the message names both.
     """
     try:
-        content = plain_yaml.load(text, MAPPING_CHARACTERS)
-    except plain_yaml.PlainYamlError as error:
+        content = budget.load_yaml(text, MAPPING_CHARACTERS)
+    except budget.PlainYamlError as error:
         raise ConfigError(f"the mapping is no YAML: {error}") from error
     given = _mapping("the mapping", content)
     _refuse_unknown("", given, ("rate_hz", "resample_hz", "frequency", "amplitude", "gap", "gap_mm", "notes", "channels"))

@@ -8,17 +8,16 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from impact_rig.cli import command
-from impact_rig.cli.terminal import Console, TextTable, add_json, tell_json, tell_program
+from impact_rig.cli.terminal import Console, TextTable, add_json, subcommand, tell_json, tell_program
 from impact_rig.errors import ConfigError
 
 if TYPE_CHECKING:
     from impact_rig.runs.measurement import Mapping, Measurement
 
 
-def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def add_import(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Register the subcommand."""
-    parser = command.add(
+    parser = subcommand(
         commands, "import", "make a run of a measurement of your own rig, or a campaign of several",
         [
             ("import test.csv --output runs/mine --dry-run", "shows what it takes the columns for, and writes nothing"),
@@ -46,10 +45,10 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
     parser.add_argument("--note", action="append", default=[], metavar="TEXT", help="remark to keep with the run")
     parser.add_argument("--campaign", action="store_true", help="one campaign, which report and identify take")
     parser.add_argument("--config", type=Path, metavar="FILE", help="with --campaign: what is known of the rig")
-    parser.set_defaults(run=_run)
+    parser.set_defaults(run=_import)
 
 
-def _run(arguments: argparse.Namespace) -> int:
+def _import(arguments: argparse.Namespace) -> int:
     from impact_rig.runs import foreign_files, measurement  # noqa: PLC0415  # heavy: after the signals are taken
 
     console = Console(quiet=arguments.json)
