@@ -51,7 +51,9 @@ def drawn(seed: int) -> tuple[dict[str, float], float, tuple[float, ...], np.ran
     return rig, float(rng.normal(1.0, GAIN)), gaps, rng
 
 
-def record(rig: dict[str, float], gap_m: float, frequency_hz: float, current_a: float, seconds: float, seed: int) -> np.ndarray:
+def record(
+    rig: dict[str, float], gap_m: float, frequency_hz: float, current_a: float, seconds: float, seed: int
+) -> np.ndarray:
     """Return scans of a rig: driven, or plucked where the frequency is 0."""
     own = {**rig, "daq.rate_hz": RATE_HZ, "daq.block_scans": RATE_HZ, "daq.seed": seed, "sphere.present": gap_m > 0.0}
     config = from_flat(RigConfig(), {**own, **({"barriers.gap_m": gap_m} if gap_m else {})})
@@ -74,7 +76,9 @@ def write_certificate(path: Path, config: RigConfig) -> None:
 
 def write_csv(path: Path, rows: np.ndarray, gain: float) -> None:
     """Write scans as somebody else's program would: its own headings, millimetres, no accelerometer."""
-    columns = np.stack([np.arange(len(rows)) / RATE_HZ, 1e3 * rows["laser"], 1e3 * gain * rows["base"], rows["current"]], axis=1)
+    columns = np.stack(
+        [np.arange(len(rows)) / RATE_HZ, 1e3 * rows["laser"], 1e3 * gain * rows["base"], rows["current"]], axis=1
+    )
     np.savetxt(path, columns, "%.9g", delimiter=";", header="t [s];tip [mm];table [mm];coil [A]", comments="")
 
 
@@ -91,9 +95,9 @@ def told(*words: object) -> dict[str, object]:
     return dict(json.loads(output.getvalue()))
 
 
-def one(seed: int, folder: Path) -> dict[str, object]:
+def one(seed: int, folder: Path, *, compares: bool = True) -> dict[str, object]:
     """Measure the rig of a seed as its owner would; return truth and what the commands found."""
-    rig, gain, gaps, rng = drawn(seed)
+    rig, gain, gaps, _ = drawn(seed)
     f_n = rig["structure.natural_frequency_hz"]
     place = folder / f"{seed:04d}"
     shutil.rmtree(place, ignore_errors=True)
@@ -111,7 +115,16 @@ def one(seed: int, folder: Path) -> dict[str, object]:
     write_csv(place / "decay.csv", record(rig, 0.0, 0.0, 0.0, DECAY_S, seed), gain)
     write_certificate(place / "certificate.csv", from_flat(RigConfig(), {"daq.rate_hz": RATE_HZ, "daq.seed": seed}))
     common = ("--mapping", place / "mapping.yaml", "--calibration", place / "certificate.csv", "--json")
-    told("import", *sorted((place / "csv").iterdir()), "--campaign", "--output", place / "sweep", "--config", place / "known.yaml", *common)
+    told(
+        "import",
+        *sorted((place / "csv").iterdir()),
+        "--campaign",
+        "--output",
+        place / "sweep",
+        "--config",
+        place / "known.yaml",
+        *common,
+    )
     told("import", place / "decay.csv", "--output", place / "decay", *common)
     found = told("identify", place / "sweep", "--decay", place / "decay", "--json")
     truth = dict(zip(NAMES, (
@@ -124,7 +137,9 @@ def one(seed: int, folder: Path) -> dict[str, object]:
         for name, value in dict(found["constants"]).items()  # type: ignore[call-overload]  # JSON
     }
     run = next((place / "sweep" / "runs").glob("no_sphere*"))
-    compared = told("compare", run, "--config", place / "known.yaml", "--json") if "--no-compare" not in sys.argv else {}
+    compared = (
+        told("compare", run, "--config", place / "known.yaml", "--json") if compares else {}
+    )
     for entry in compared.get("constants", {}).items():  # type: ignore[attr-defined]  # JSON
         name, value = entry
         constants[f"compare {name}"] = [truth[name], value["value"], value["standard_uncertainty"]]
@@ -145,15 +160,17 @@ def main() -> int:
     done = [json.loads(line) for line in kept.read_text(encoding="utf-8").splitlines()] if kept.exists() else []
     for seed in range(arguments.first, arguments.first + arguments.seeds):
         if seed not in {one["seed"] for one in done}:
-            done.append(one(seed, arguments.folder))
+            done.append(one(seed, arguments.folder, compares=not arguments.no_compare))
             with kept.open("a", encoding="utf-8") as file:
                 file.write(json.dumps(done[-1], ensure_ascii=False) + "\n")
-    print(f"{len(done)} rigs, {sum(bool(each['consistent']) for each in done)} of them consistent with the model")
+    sound = sum(bool(each["consistent"]) for each in done)
+    print(f"{len(done)} rigs, {sound} of them consistent with the model")  # noqa: T201  # the result
     for name in dict.fromkeys(name for each in done for name in each["constants"]):
         rows = [each["constants"][name] for each in done if each["constants"].get(name, [0, None])[1] is not None]
-        z = np.array([(value - truth) / u for truth, value, u in rows])
+        z = np.array([(value - truth) / u for truth, value, u in rows] or [math.nan])
         inside = int(np.count_nonzero(np.abs(z) <= COVERAGE))
-        print(f"{name:14s} {inside} of {len(z)} within ± {COVERAGE:g} u, rms z {math.sqrt(float(np.mean(z**2))):.2f}" if len(z) else name)
+        rms = math.sqrt(float(np.mean(z**2)))
+        print(f"{name:14s} {inside} of {len(rows)} within ± {COVERAGE:g} u, rms z {rms:.2f}")  # noqa: T201  # as above
     return 0
 
 

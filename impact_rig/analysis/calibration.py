@@ -154,8 +154,8 @@ class Calibration:
         """Return the calibration in the rows of a `daq/info` table, in any order.
 
         Raises:
-            ConfigError: no channel is there or one of them twice, the rates differ or are no positive whole number, a range
-                is empty, a lag order is unknown, or a figure is beyond all measure.
+            ConfigError: no channel is there or one of them twice, the rates differ or are no positive whole number, a
+                range is empty, a lag order is unknown, or a figure is beyond all measure.
         """
         names = [bytes(name).decode(errors="replace") for name in rows["name"]]
         counts = np.array([names.count(channel) for channel in CHANNELS])
@@ -192,7 +192,7 @@ class Calibration:
             sizes = np.abs(values)
             if np.any((sizes > LARGEST) & np.isfinite(sizes)):
                 raise ConfigError(f"daq/info: {name} must be infinite or at most {LARGEST:g}, got {values.tolist()}")
-        return cls(round(rate), *(_finite(known[name]) for name in COLUMNS), present)
+        return cls(round(rate), *(_finite(known[name]) for name in COLUMNS), present=present)
 
     def response(self, channel: int, frequency_hz: Real | float) -> Complex:
         """Return L(ω)·e^{iω·skew} of a channel: measured over true phasor, shape of `frequency_hz`."""

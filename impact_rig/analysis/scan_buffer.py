@@ -52,8 +52,9 @@ class ScanBuffer:
         if used + new > len(self.status):
             self._make_room(keep, new)
             used = self.end - self.first
+        measured = rows.dtype.names or ()
         for j, name in enumerate(CHANNELS):
-            self.samples[j, used : used + new] = rows[name] if name in rows.dtype.names else 0.0  # not measured
+            self.samples[j, used : used + new] = rows[name] if name in measured else 0.0
         self.status[used : used + new] = status_of(rows)
         self.end += new
 

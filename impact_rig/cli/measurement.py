@@ -21,7 +21,7 @@ def add_import(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         commands, "import", "make a run of a measurement of your own rig, or a campaign of several",
         [
             ("import test.csv --output runs/mine --dry-run", "shows what it takes the columns for, and writes nothing"),
-            ("import test.csv --output runs/mine --channel laser=ai0 mm --gap 6", "laser is column ai0, in millimetres"),
+            ("import test.csv --output runs/mine --channel laser=ai0 mm --gap 6", "column ai0 is the laser, in mm"),
             ("import sweep/*.mat --output runs/my_sweep --campaign", "a file a point: frequency and gap by file name"),
         ],
         "Reads CSV, Parquet, npz, WAV, universal files (dataset 58), Rattlesnake netCDF4 and MATLAB 5: "
@@ -31,17 +31,27 @@ def add_import(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     parser.add_argument("files", nargs="+", type=Path, metavar="FILE", help="of the measurement")
     parser.add_argument("--output", type=Path, required=True, metavar="DIR", help="of the run, or of the campaign")
     parser.add_argument("--dry-run", action="store_true", help="show what would be written, and write nothing")
-    parser.add_argument("--mapping", type=Path, metavar="YAML", help="which signal is which channel, units, calibration")
+    parser.add_argument(
+        "--mapping", type=Path, metavar="YAML", help="which signal is which channel, units, calibration"
+    )
     parser.add_argument(
         "--channel", action="append", nargs="+", default=[], metavar="NAME=SIGNAL",
         help="accelerometer, laser, base or current is this signal [in this unit]: --channel laser=ai0 mm",
     )  # fmt: skip
-    parser.add_argument("--rate", type=float, metavar="HZ", help="scans per second, where the file does not tell or errs")
-    parser.add_argument("--resample", type=int, metavar="HZ", help="bring scans to this rate that are not uniform in time")
+    parser.add_argument(
+        "--rate", type=float, metavar="HZ", help="scans per second, where the file does not tell or errs"
+    )
+    parser.add_argument(
+        "--resample", type=int, metavar="HZ", help="bring scans to this rate that are not uniform in time"
+    )
     parser.add_argument("--frequency", metavar="HZ|SIGNAL", help="of the drive (default: file name, or the base's)")
     parser.add_argument("--gap", metavar="MM|SIGNAL", help="label, `none` without sphere (default: by the file name)")
-    parser.add_argument("--drive", type=Path, metavar="FILE", help="table of what was commanded: time, frequency, current")
-    parser.add_argument("--calibration", type=Path, metavar="FILE", help="table with columns of daq/info, a row a channel")
+    parser.add_argument(
+        "--drive", type=Path, metavar="FILE", help="table of what was commanded: time, frequency, current"
+    )
+    parser.add_argument(
+        "--calibration", type=Path, metavar="FILE", help="table with columns of daq/info, a row a channel"
+    )
     parser.add_argument("--note", action="append", default=[], metavar="TEXT", help="remark to keep with the run")
     parser.add_argument("--campaign", action="store_true", help="one campaign, which report and identify take")
     parser.add_argument("--config", type=Path, metavar="FILE", help="with --campaign: what is known of the rig")
@@ -102,8 +112,8 @@ def _mapping(guessed: Mapping, arguments: argparse.Namespace) -> Mapping:
         if not equals or name not in ("accelerometer", "laser", "base", "current"):
             raise ConfigError(f"--channel must be like laser=ai0 or laser=ai0 mm, got {' '.join(words)!r}")
         if column:
-            unit = {"unit": " ".join(words[1:])} if words[1:] else {}
-            channels[name] = attrs.evolve(channels.get(name, Channel(column=column)), column=column, **unit)
+            known = channels.get(name, Channel(column=column))
+            channels[name] = attrs.evolve(known, column=column, unit=" ".join(words[1:]) or known.unit)
         else:
             channels.pop(name, None)
     changes: dict[str, object] = {"channels": channels, "notes": (*mapping.notes, *arguments.note)}
@@ -140,7 +150,8 @@ def _print(console: Console, found: Measurement) -> None:
     used = {one.column: name for name, one in found.mapping.channels.items()}
     table = TextTable(title=f"{found.source.path}: {found.source.kind}")
     for heading, side in (
-        ("signal", "left"), ("unit", "left"), ("channel", "left"), ("least", "right"), ("largest", "right"), ("", "left"),
+        ("signal", "left"), ("unit", "left"), ("channel", "left"), ("least", "right"), ("largest", "right"),
+        ("", "left"),
     ):  # fmt: skip
         table.add_column(heading, justify=side)
     for name, one in found.source.signals.items():
@@ -160,7 +171,7 @@ def _print(console: Console, found: Measurement) -> None:
     for instant, frequency, amplitude in found.drive[:10]:
         since = (instant - found.start_ns) / 1e9
         console.print(f"from {since:.6g} s: {frequency:.6g} Hz, amplitude {amplitude:.4g}")
-    if len(found.drive) > 10:  # noqa: PLR2004  # as above
+    if len(found.drive) > 10:  # as above
         console.print(f"... {len(found.drive)} settings of the drive in all")
     for label in found.labels:
         console.print(f"remark: {label}")

@@ -119,7 +119,7 @@ def _named(path: Path) -> str:
 
 @contextlib.contextmanager
 def _bounded_memory() -> Iterator[None]:
-    """Let this process take only `READING_BYTES` more for a while: a header that lies then costs an error, no machine."""
+    """Let this process take only `READING_BYTES` more for a while: a header that lies then costs an error."""
     soft, hard = resource.getrlimit(resource.RLIMIT_AS)
     pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
     limit = pages * resource.getpagesize() + round(READING_BYTES * budget.factor())
@@ -169,7 +169,7 @@ def _foreign(path: Path, kind: str, columns: Mapping[str, NDArray[np.generic]], 
             times = _seconds(np.asarray(values, np.float64).reshape(-1), units.get(name, "") or _split(name)[1])
         else:
             squeezed = np.atleast_1d(np.squeeze(values))
-            if squeezed.ndim > 2:  # noqa: PLR2004  # a table of tables
+            if squeezed.ndim > 2:  # a table of tables
                 continue
             rows = squeezed[None] if squeezed.ndim == 1 else squeezed if len(squeezed) < len(squeezed.T) else squeezed.T
             for number, row in enumerate(rows):
@@ -202,7 +202,7 @@ def _split(name: str) -> tuple[str, str]:
 
 
 def _csv(path: Path, content: bytes) -> Foreign:
-    """Read separated values: `,` `;` tab or blanks, with a decimal comma where `;` separates; `#` or words above them."""
+    """Read values separated by `,` `;` tab or blanks; where `;` separates, with a decimal comma if need be."""
     text = content.decode("utf-8-sig", errors="replace")
     lines = text.splitlines()
     delimiter, first = _first_row(lines[:HEADER_LINES])
@@ -213,13 +213,17 @@ def _csv(path: Path, content: bytes) -> Foreign:
     names, units = _headings(lines[:first], delimiter, width)
     _allow(len(lines) - first, width)
     rows = (line.replace(",", ".") for line in lines[first:]) if comma else iter(lines[first:])
-    if any(not _is_number(cell) for cell in _cells(lines[first].replace(",", ".") if comma else lines[first], delimiter)):
+    if any(
+        not _is_number(cell) for cell in _cells(lines[first].replace(",", ".") if comma else lines[first], delimiter)
+    ):
         return _worded(path, lines)
     kinds = np.dtype([(f"c{j}", np.int64 if name == STAMP else np.float64) for j, name in enumerate(names)])
     try:
         table = np.loadtxt(rows, kinds, delimiter=delimiter, comments="#", ndmin=1)
     except ValueError as error:
-        raise RecordingError(f"{path}: {' '.join(str(error).split())}; the first row of numbers is line {first + 1}") from error
+        raise RecordingError(
+            f"{path}: {' '.join(str(error).split())}; the first row of numbers is line {first + 1}"
+        ) from error
     return _foreign(path, "CSV", {name: table[f"c{j}"] for j, name in enumerate(names)}, units)
 
 
@@ -227,7 +231,7 @@ def _worded(path: Path, lines: Sequence[str]) -> Foreign:
     """Read a table with words in it, such as an exported `daq/info`: small, by the standard library."""
     csv = importlib.import_module("csv")
     rows = [row for row in csv.reader(line for line in lines if not line.startswith("#")) if row]
-    if len(rows) < 2:  # noqa: PLR2004  # names and a row
+    if len(rows) < 2:  # names and a row
         raise RecordingError(f"{path} has no row of numbers within its first {HEADER_LINES} lines")
     _allow(len(rows), len(rows[0]))
     if any(len(row) != len(rows[0]) for row in rows):
@@ -277,8 +281,10 @@ def _headings(lines: Sequence[str], delimiter: str | None, width: int) -> tuple[
         return [f"column_{j}" for j in range(width)], {}
     rows = usable[-2:]
     names, units = rows[0], {}
-    if len(rows) == 2:  # noqa: PLR2004  # names above units, or something else above the names
-        if all(len(cell.strip("[]()")) <= 12 for cell in rows[1]) and not any(TIMES.fullmatch(cell) for cell in rows[1]):  # noqa: PLR2004
+    if len(rows) == 2:  # names above units, or something else above the names
+        if all(len(cell.strip("[]()")) <= 12 for cell in rows[1]) and not any(
+            TIMES.fullmatch(cell) for cell in rows[1]
+        ):
             units = {name: cell.strip("[]() ") for name, cell in zip(names, rows[1], strict=True)}
         else:
             names = rows[1]
@@ -293,10 +299,14 @@ def _npz(path: Path, content: bytes) -> Foreign:
         for member in archive.infolist():
             with archive.open(member) as stream:
                 version = np.lib.format.read_magic(stream)
-                header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+                header = (
+                    np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+                )
                 shape, _, dtype = header(stream)
             if math.prod(shape) * dtype.itemsize > member.file_size:
-                raise RecordingError(f"{path}: {member.filename} has {member.file_size} bytes and claims {shape} of {dtype}")
+                raise RecordingError(
+                    f"{path}: {member.filename} has {member.file_size} bytes and claims {shape} of {dtype}"
+                )
             with archive.open(member) as stream:
                 columns[member.filename.removesuffix(".npy")] = np.lib.format.read_array(stream, allow_pickle=False)
     return _foreign(path, "npz", columns, {})
@@ -317,7 +327,9 @@ def _wav(path: Path, content: bytes) -> Foreign:
     wavfile = _library("scipy.io.wavfile", "WAV")
     rate, samples = wavfile.read(io.BytesIO(content))
     samples = np.atleast_2d(samples.T)
-    full, zero = {"u1": (128.0, 128.0), "i2": (2.0**15, 0.0), "i4": (2.0**31, 0.0)}.get(samples.dtype.str[1:], (1.0, 0.0))
+    full, zero = {"u1": (128.0, 128.0), "i2": (2.0**15, 0.0), "i4": (2.0**31, 0.0)}.get(
+        samples.dtype.str[1:], (1.0, 0.0)
+    )
     signals = {
         f"channel_{j}": Signal((np.asarray(row, np.float64) - zero) / full, "full scale", float(rate))
         for j, row in enumerate(samples)
@@ -335,7 +347,7 @@ def _uff(path: Path, content: bytes) -> Foreign:
         named = Path(folder) / "all.uff"
         named.write_bytes(content)
         file = pyuff.UFF(str(named))
-        chosen = [number for number, kind in enumerate(file.get_set_types()) if int(kind) == 58]  # noqa: PLR2004
+        chosen = [number for number, kind in enumerate(file.get_set_types()) if int(kind) == 58]
         for number in chosen:
             one = file.read_sets(number)
             data, x = np.asarray(one["data"]), np.asarray(one["x"], np.float64)
@@ -344,7 +356,13 @@ def _uff(path: Path, content: bytes) -> Foreign:
             words = [str(one.get(key, "")).strip() for key in ("id1", "rsp_ent_name")]
             name = next((word for word in words if word and word.upper() != "NONE"), f"dataset_{number}")
             node = f"{one.get('rsp_node', 0)}:{one.get('rsp_dir', 0)}"
-            name = name if name not in signals else f"{name} {node}" if f"{name} {node}" not in signals else f"{name}_{number}"
+            name = (
+                name
+                if name not in signals
+                else f"{name} {node}"
+                if f"{name} {node}" not in signals
+                else f"{name}_{number}"
+            )
             unit = str(one.get("ordinate_axis_units_lab") or "").strip()
             signals[name] = Signal(np.asarray(data, np.float64), "" if unit.upper() == "NONE" else unit)
             times = x - x[0] if times is None and len(x) == len(data) else times
@@ -354,11 +372,13 @@ def _uff(path: Path, content: bytes) -> Foreign:
 
 
 def _netcdf(path: Path, content: bytes) -> Foreign:
-    """Read what the Rattlesnake controller streams: `time_data` (channels, samples), `sample_rate`, group `channels`."""
+    """Read what Rattlesnake streams: `time_data` (channels, samples), `sample_rate`, group `channels`."""
     h5netcdf = _library("h5netcdf", "netCDF4")
     with h5netcdf.File(io.BytesIO(content), "r", decode_vlen_strings=True) as file:
         if "time_data" not in file.variables or "sample_rate" not in file.attrs:
-            raise RecordingError(f"{path} has no variable time_data or no attribute sample_rate: Rattlesnake writes both")
+            raise RecordingError(
+                f"{path} has no variable time_data or no attribute sample_rate: Rattlesnake writes both"
+            )
         data = file.variables["time_data"]
         _allow(math.prod(data.shape), 1)
         rows = np.atleast_2d(np.asarray(data[...], np.float64))

@@ -12,6 +12,7 @@ rows are kept in the run as well. A channel that was not measured is not in the 
 from __future__ import annotations
 
 import difflib
+import itertools
 import json
 import math
 import re
@@ -33,7 +34,7 @@ from impact_rig.blocks import APPLIED, DAQ_INFO, DAQ_INFO_COLUMNS, MOST_HZ, Tabl
 from impact_rig.columns import Column, row_type
 from impact_rig.errors import ConfigError, RecordingError
 from impact_rig.recording import Attachment, Provenance, Run, RunWriter, TopicDescription, schema_text
-from impact_rig.runs.foreign_files import STAMP, Foreign, read
+from impact_rig.runs.foreign_files import Foreign
 from impact_rig.simtime import NS_PER_S, stamp_ns
 from impact_rig.system import budget
 
@@ -196,7 +197,9 @@ def refined(mapping: Mapping, text: str) -> Mapping:
     except budget.PlainYamlError as error:
         raise ConfigError(f"the mapping is no YAML: {error}") from error
     given = _mapping("the mapping", content)
-    _refuse_unknown("", given, ("rate_hz", "resample_hz", "frequency", "amplitude", "gap", "gap_mm", "notes", "channels"))
+    _refuse_unknown(
+        "", given, ("rate_hz", "resample_hz", "frequency", "amplitude", "gap", "gap_mm", "notes", "channels")
+    )
     channels = dict(mapping.channels)
     for name, value in _mapping("channels", given.get("channels")).items():
         if name not in CHANNELS:
@@ -237,7 +240,9 @@ def as_yaml(mapping: Mapping) -> str:
         "amplitude": None if math.isnan(mapping.amplitude) else mapping.amplitude,
         "notes": list(mapping.notes),
     }
-    lines = [f"{key}: {json.dumps(value, ensure_ascii=False)}" for key, value in content.items() if value not in (None, [])]
+    lines = [
+        f"{key}: {json.dumps(value, ensure_ascii=False)}" for key, value in content.items() if value not in (None, [])
+    ]
     return "\n".join(lines) + "\n"
 
 
@@ -290,7 +295,7 @@ _STRANGE_UNIT = re.compile(r"[^\w\s µμ°%/*^·.²³()-]|\d{3}|\d\s*(\*\*|\^)|_
 
 
 def _factor(unit: str, wanted: str) -> float | None:
-    """Return what a value in a unit is multiplied by to be in another; None if the unit is unknown or of another kind."""
+    """Return what a value in a unit is multiplied by to be in another; None: the unit is unknown or of another kind."""
     if unit == wanted:
         return 1.0
     if not unit or len(unit) > LONGEST_UNIT or _STRANGE_UNIT.search(unit):
@@ -305,7 +310,7 @@ def _factor(unit: str, wanted: str) -> float | None:
     for candidate in (words, gravity):
         try:
             return float(registry.Quantity(1.0, registry.parse_units(candidate)).to(wanted).magnitude)
-        except Exception:  # noqa: BLE001, S112  # pint raises what its parser, tokenizer and registry raise
+        except Exception:  # noqa: S112  # pint raises what its parser, tokenizer and registry raise
             continue
     return None
 
@@ -335,7 +340,11 @@ def _to_si(name: str, one: Channel) -> float:
         return volts * lower / (value * upper)
     factor = _factor(unit, UNITS[name])
     if factor is None:
-        hint = f"; a voltage needs a sensitivity, such as `sensitivity: 100 mV/{UNITS[name]}`" if unit in ("V", "mV") else ""
+        hint = (
+            f"; a voltage needs a sensitivity, such as `sensitivity: 100 mV/{UNITS[name]}`"
+            if unit in ("V", "mV")
+            else ""
+        )
         raise ConfigError(f"channels.{name}.unit must be a unit of {UNITS[name]}, got {unit!r}{hint}")
     return factor
 
@@ -343,7 +352,9 @@ def _to_si(name: str, one: Channel) -> float:
 # --- from file to run
 
 
-def measurement(source: Foreign, mapping: Mapping, drive: Foreign | None = None, sheet: Foreign | None = None) -> Measurement:
+def measurement(
+    source: Foreign, mapping: Mapping, drive: Foreign | None = None, sheet: Foreign | None = None
+) -> Measurement:
     """Return what a file holds as scans, calibration, drive and labels.
 
     Args:
@@ -360,6 +371,7 @@ def measurement(source: Foreign, mapping: Mapping, drive: Foreign | None = None,
         known = ", ".join(f"{name} [{one.unit}]" if one.unit else name for name, one in source.signals.items())
         raise ConfigError(f"{source.path}: which signal is which channel is not known; it has: {known[:500]}")
     found: dict[str, NDArray[np.float64]] = {}
+    used: dict[str, Channel] = {}
     for name in CHANNELS:
         if name in mapping.channels:
             one = mapping.channels[name]
@@ -368,9 +380,11 @@ def measurement(source: Foreign, mapping: Mapping, drive: Foreign | None = None,
                 close = difflib.get_close_matches(one.column, list(source.signals), n=1)
                 hint = f"did you mean {close[0]!r}?" if close else f"there are {', '.join(source.signals)[:300]}"
                 raise ConfigError(f"{source.path} has no signal {one.column!r} for {name}: {hint}")
+            one = used[name] = attrs.evolve(one, unit=one.unit or signal.unit)
             found[name] = one.sign * one.scale * _to_si(name, one) * signal.values
             if one.offset:
                 found[name] += one.offset
+    mapping = attrs.evolve(mapping, channels=used)
     lengths = {name: len(values) for name, values in found.items()}
     if len(set(lengths.values())) != 1:
         raise RecordingError(
@@ -391,26 +405,33 @@ def measurement(source: Foreign, mapping: Mapping, drive: Foreign | None = None,
         followed = {key: values[place] for key, values in followed.items()}
     info = _calibration(mapping, rate, sheet)
     start_ns = source.start_ns or 0
-    if sheet is not None and "since_start" in sheet.signals and sheet.start_ns is not None and source.start_ns is not None:
+    if (
+        sheet is not None
+        and "since_start" in sheet.signals
+        and sheet.start_ns is not None
+        and source.start_ns is not None
+    ):
         start_ns = sheet.start_ns - round(float(sheet.signals["since_start"].values[0]) * NS_PER_S)
         index = index + round((source.start_ns - start_ns) * rate / NS_PER_S)
     names = tuple(info["name"].astype(str))
-    rows = np.zeros(len(index), row_type((topics.SCAN.fields[0], *(Column(n, UNITS[n], "") for n in names), topics.SCAN.fields[1])))
+    rows = np.zeros(
+        len(index), row_type((topics.SCAN.fields[0], *(Column(n, UNITS[n], "") for n in names), topics.SCAN.fields[1]))
+    )
     for bit, name in enumerate(names):
         rows[name] = found[name]
         with np.errstate(invalid="ignore"):
             beyond = (found[name] <= info["range_low"][bit]) | (found[name] >= info["range_high"][bit])
         rows["status"] |= beyond.astype(np.uint8) << bit
-    stamps = lambda scan: stamp_ns(int(index[scan]), rate, start_ns)  # noqa: E731  # used twice, below
+    stamps = start_ns + index * NS_PER_S // rate
     commands = _commands(source, mapping, drive, followed.get("frequency"), stamps, start_ns)
     if not commands:
         commands = ((start_ns, _frequency_of(found, rate), math.nan),)
-    commands = tuple(_with_amplitude(commands, found, start_ns + index * NS_PER_S // rate))
+    commands = tuple(_with_amplitude(commands, found, stamps))
     labels = list(mapping.notes)
     if "gap" in followed:
         gaps = followed["gap"]
         changes = [0, *(np.flatnonzero(np.diff(gaps) != 0.0) + 1).tolist()]
-        labels += [GapLabel(float(gaps[scan]), stamps(scan)).text() for scan in changes]
+        labels += [GapLabel(float(gaps[scan]), int(stamps[scan])).text() for scan in changes]
     elif isinstance(mapping.gap, float):
         labels.append(GapLabel(mapping.gap, start_ns).text())
     return Measurement(source, mapping, rate, start_ns, index, rows, info, commands, tuple(labels))
@@ -431,7 +452,7 @@ def _uniform(
         times = np.arange(count) / rate
     if len(times) != count:
         raise RecordingError(f"{source.path}: {len(times)} times for {count} values")
-    if count < 2 or not np.all(np.isfinite(times)) or not np.all(np.diff(times) > 0.0):  # noqa: PLR2004
+    if count < 2 or not np.all(np.isfinite(times)) or not np.all(np.diff(times) > 0.0):
         place = int(np.argmin(np.diff(times))) + 1 if count > 1 else 0
         raise ConfigError(f"{source.path}: times must increase, and do not at value {place + 1} of {count}")
     exact = rate or 1.0 / float(np.median(np.diff(times)))
@@ -440,7 +461,7 @@ def _uniform(
         return _resampled(source, times, found, exact, mapping.resample_hz)
     if not 1 <= whole <= MOST_HZ or abs(exact - whole) > WHOLE * whole:
         raise ConfigError(
-            f"{source.path}: its rate of {exact:.6g} scans per second is no whole number up to {MOST_HZ:g}: resample it, "
+            f"{source.path}: its rate of {exact:.6g} scans per second is no whole number up to {MOST_HZ:g}: resample, "
             f"e.g. to {math.ceil(exact)} Hz"
         )
     index = np.round(times * whole).astype(np.int64)
@@ -449,7 +470,7 @@ def _uniform(
     if np.any(np.diff(index) < 1) or float(off.max()) > EVEN + resolution:
         scan = int(np.argmax(off))
         raise ConfigError(
-            f"{source.path}: not uniform in time: value {scan + 1} is {off[scan]:.2f} of a period off a grid of {whole} "
+            f"{source.path}: not uniform in time: value {scan + 1} is {off[scan]:.2f} of a period off {whole} "
             "scans per second; resample it, or give its rate if the times are not to be believed"
         )
     return whole, index, found
@@ -492,7 +513,12 @@ def _calibration(mapping: Mapping, rate: int, sheet: Foreign | None) -> NDArray[
 
 
 def _commands(
-    source: Foreign, mapping: Mapping, drive: Foreign | None, followed: NDArray[np.float64] | None, stamps: object, start_ns: int
+    source: Foreign,
+    mapping: Mapping,
+    drive: Foreign | None,
+    followed: NDArray[np.float64] | None,
+    stamps: NDArray[np.int64],
+    start_ns: int,
 ) -> tuple[tuple[int, float, float], ...]:
     """Return when which drive was commanded: by a table, by a signal, or one value for all; empty: nothing says so."""
     if drive is not None:
@@ -505,7 +531,7 @@ def _commands(
         return tuple(zip(instants, frequency.values.tolist(), amplitude.tolist(), strict=True))
     if followed is not None:
         changes = [0, *(np.flatnonzero(np.diff(followed) != 0.0) + 1).tolist()]
-        return tuple((stamps(scan), float(followed[scan]), mapping.amplitude) for scan in changes)  # type: ignore[operator]
+        return tuple((int(stamps[scan]), float(followed[scan]), mapping.amplitude) for scan in changes)
     if isinstance(mapping.frequency, float):
         return ((start_ns, mapping.frequency, mapping.amplitude),)
     return ()
@@ -514,7 +540,7 @@ def _commands(
 def _with_amplitude(
     commands: Sequence[tuple[int, float, float]], found: AnyMapping[str, NDArray[np.float64]], stamps: NDArray[np.int64]
 ) -> Iterator[tuple[int, float, float]]:
-    """Yield the commands; where none says an amplitude, that of the current measured, or of the base: √2 times its rms."""
+    """Yield the commands; where none says an amplitude, that of current or base as measured: √2 times its rms."""
     values = next((found[name] for name in ("current", "base") if name in found), np.zeros(len(stamps)))
     ends = [*(one[0] for one in commands[1:]), math.inf]
     for (instant, frequency, amplitude), end in zip(commands, ends, strict=True):
@@ -524,7 +550,7 @@ def _with_amplitude(
 
 
 def _frequency_of(found: AnyMapping[str, NDArray[np.float64]], rate: int) -> float:
-    """Return the frequency of the largest line of base, current, laser or acceleration, refined by a sine fit; 0 if none."""
+    """Return the frequency of the largest line of base, current, laser or acceleration, by a sine fit; 0 if none."""
     from impact_rig.analysis.sine import fit_sine_frequency  # noqa: PLC0415  # only where no frequency is given
     from impact_rig.analysis.words import Status  # noqa: PLC0415  # as above
 
@@ -555,7 +581,14 @@ def write(found: Measurement, directory: Path, clock_ns: int | None = None) -> P
     with RunWriter(
         directory, provenance=provenance, attachments=(kept,), clock=time.monotonic, rig_start_ns=found.start_ns
     ) as writer:
-        for topic in (topics.INFO, topics.APPLIED, topics.NOTES, topics.SCAN, topics.TRANSMISSIBILITY_TABLE, topics.IMPACTS):
+        for topic in (
+            topics.INFO,
+            topics.APPLIED,
+            topics.NOTES,
+            topics.SCAN,
+            topics.TRANSMISSIBILITY_TABLE,
+            topics.IMPACTS,
+        ):
             schema = table if topic.columns is not None else schema_text(topic.type_name)
             writer.add_topic(TopicDescription(name=f"/{topic.name}", type_name=topic.type_name, schema=schema))
 
@@ -566,10 +599,8 @@ def write(found: Measurement, directory: Path, clock_ns: int | None = None) -> P
         tracker = Tracker()
         for topic, one in _heads(found):
             put(topic, one if isinstance(one, bytes) else codec.encode(one))
-            if topic is topics.INFO:
-                tracker.configure(one)
-            elif topic is topics.APPLIED:
-                tracker.on_applied(one)
+            if isinstance(one, Table):
+                (tracker.configure if topic is topics.INFO else tracker.on_applied)(one)
         for label in filter(None, map(parse_label, found.labels)):
             tracker.label(label.gap_m, label.stamp_ns)
         for block in _blocks(found):
@@ -601,7 +632,7 @@ def _blocks(found: Measurement) -> Iterator[Table]:
     """Yield the scans in blocks, a new one after each loss."""
     length = max(1, min(BLOCK_SCANS, round(BLOCK_S * found.rate_hz)))
     cuts = [0, *(np.flatnonzero(np.diff(found.index) != 1) + 1).tolist(), len(found.index)]
-    for first, end in zip(cuts, cuts[1:], strict=False):
+    for first, end in itertools.pairwise(cuts):
         for begin in range(first, end, length):
             rows = found.rows[begin : min(begin + length, end)].copy()
             rows["time"] = np.arange(len(rows)) / found.rate_hz

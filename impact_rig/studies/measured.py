@@ -1,6 +1,6 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""Imported runs of one sweep as a campaign: a point for each gap and frequency that settled, and the calibration used."""
+"""Imported runs of one sweep as a campaign: a point for each gap and frequency that settled, and the calibration."""
 
 from __future__ import annotations
 
@@ -56,12 +56,16 @@ def make_campaign(runs: Sequence[Path], directory: Path, config: Path | None = N
             seconds += (run.end_ns - run.start_ns) / 1e9
         own["since_start"] = 0.0
         if info is not None and own.tobytes() != info.tobytes():
-            raise RecordingError(f"{path}: its calibration is not that of {runs[0]}: one campaign has one set of sensors")
+            raise RecordingError(
+                f"{path}: its calibration is not that of {runs[0]}: one campaign has one set of sensors"
+            )
         info = own
         for row in rows:
             if math.isnan(row["gap"]):
-                raise ConfigError(f"{path}: its gap is not known: name it (--gap, in the mapping, or by the file's name)")
-            found[float(row["gap"]), _known(row["frequency"], found)] = row
+                raise ConfigError(
+                    f"{path}: its gap is not known: name it (--gap, in the mapping, or by the file's name)"
+                )
+            found[float(row["gap"]), _known(float(row["frequency"]), found)] = row
             currents.append(float(row["current_amplitude"] if row["current_amplitude"] > 0.0 else 1.0))
     if info is None or not found:
         raise ConfigError("no run holds a measurement: `impact-rig analyze RUN --all` says why")
