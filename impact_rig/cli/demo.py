@@ -32,6 +32,7 @@ from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.rig.journal import not_default
 from impact_rig.runs import RunInfo, info
 from impact_rig.simtime import NS_PER_S
+from impact_rig.system import files
 
 MEASUREMENTS = 2
 """Settled measurements per case; each takes 5 s of rig time, or 21 s where the response is not periodic."""
@@ -235,7 +236,10 @@ def _new_directory(wanted: Path | None) -> Path:
     directory = wanted or Path("runs") / f"demo_{stamp}"
     if directory.exists() and any(directory.iterdir()):
         raise ImpactRigError(f"{directory} exists and is not empty: nothing is overwritten, choose another --output")
-    directory.mkdir(parents=True, exist_ok=True)
+    try:
+        files.make_folder(directory)
+    except OSError as error:
+        raise ImpactRigError(f"{directory} cannot be made: {error.strerror}") from error
     return directory.resolve()
 
 

@@ -143,7 +143,6 @@ class Compared:
     """What comparing one topic found.
 
     Attributes:
-        topic: relative name.
         count: rows or messages that were compared and agree.
         difference: the first one; empty: none.
         left_out: what could not be compared, and why; empty: nothing.
