@@ -137,9 +137,7 @@ def one(seed: int, folder: Path, *, compares: bool = True) -> dict[str, object]:
         for name, value in dict(found["constants"]).items()  # type: ignore[call-overload]  # JSON
     }
     run = next((place / "sweep" / "runs").glob("no_sphere*"))
-    compared = (
-        told("compare", run, "--config", place / "known.yaml", "--json") if compares else {}
-    )
+    compared = told("compare", run, "--config", place / "known.yaml", "--json") if compares else {}
     for entry in compared.get("constants", {}).items():  # type: ignore[attr-defined]  # JSON
         name, value = entry
         constants[f"compare {name}"] = [truth[name], value["value"], value["standard_uncertainty"]]

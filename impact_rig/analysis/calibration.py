@@ -147,7 +147,7 @@ class Calibration:
     output_noise: Real
     converter_step: Real
     converter_noise: Real
-    present: NDArray[np.bool_] = attrs.field(factory=lambda: np.ones(len(CHANNELS), np.bool_))
+    present: NDArray[np.bool_] = attrs.field(factory=lambda: np.ones(len(CHANNELS), np.bool_), kw_only=True)
 
     @classmethod
     def from_info(cls, rows: NDArray[np.void]) -> Calibration:
@@ -192,7 +192,8 @@ class Calibration:
             sizes = np.abs(values)
             if np.any((sizes > LARGEST) & np.isfinite(sizes)):
                 raise ConfigError(f"daq/info: {name} must be infinite or at most {LARGEST:g}, got {values.tolist()}")
-        return cls(round(rate), *(_finite(known[name]) for name in COLUMNS), present=present)
+        figures = [_finite(known[name]) for name in COLUMNS]
+        return cls(round(rate), *figures, present=present)
 
     def response(self, channel: int, frequency_hz: Real | float) -> Complex:
         """Return L(ω)·e^{iω·skew} of a channel: measured over true phasor, shape of `frequency_hz`."""

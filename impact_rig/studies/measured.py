@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from impact_rig.blocks import DAQ_INFO
 from impact_rig.campaign.job import Outcome
 from impact_rig.campaign.plan import load_campaign
 from impact_rig.campaign.run import (
@@ -84,10 +85,10 @@ def make_campaign(runs: Sequence[Path], directory: Path, config: Path | None = N
     store = prepare(campaign, directory, "import")
     files.write_text(directory / CALIBRATION_FILE, json.dumps([_plain(row) for row in info], indent=1))
     for job in unique_jobs(campaign.planned()):
-        row = found.get((job.gap_m, job.frequencies_hz[0]))
-        if row is not None:
-            row["frequency"] = job.frequencies_hz[0]
-            store.put(job, Outcome(rows=row.reshape(1).copy()))
+        point = found.get((job.gap_m, job.frequencies_hz[0]))
+        if point is not None:
+            point["frequency"] = job.frequencies_hz[0]
+            store.put(job, Outcome(rows=point.reshape(1).copy()))
     done = finished(campaign, directory)
     write_results(done, seconds)
     return done
@@ -106,7 +107,7 @@ def _known(frequency_hz: float, found: dict[tuple[float, float], NDArray[np.void
     return next(near, round(float(frequency_hz), 3))
 
 
-def _plain(row: NDArray[np.void]) -> dict[str, object]:
+def _plain(row: np.void) -> dict[str, object]:
     return {
-        name: row[name].decode() if isinstance(row[name], bytes) else float(row[name]) for name in row.dtype.names or ()
+        name: row[name].decode() if isinstance(row[name], bytes) else float(row[name]) for name in DAQ_INFO.names or ()
     }
