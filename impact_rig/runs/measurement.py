@@ -27,8 +27,8 @@ from numpy.typing import NDArray
 
 import impact_rig
 from impact_rig import codec, topics
-from impact_rig.analysis.channels import CHANNELS
-from impact_rig.analysis.labels import GapLabel, parse_label
+from impact_rig.analysis.scans import CHANNELS
+from impact_rig.analysis.settings import GapLabel, parse_label
 from impact_rig.analysis.tracker import Tracker
 from impact_rig.blocks import APPLIED, DAQ_INFO, DAQ_INFO_COLUMNS, MOST_HZ, Table
 from impact_rig.columns import Column, row_type

@@ -25,7 +25,8 @@ from impact_rig.client import Client, Collector, Processes, isolated_domain
 from impact_rig.lab.gateway import Own
 from impact_rig.lab.live import LiveSource
 from impact_rig.lab.server import Server
-from impact_rig.nodes.topics import by_name
+from impact_rig.nodes import messages
+from impact_rig.nodes.messages import by_name
 from impact_rig.rig.config import load
 
 pytestmark = [pytest.mark.ros, pytest.mark.pipeline]
@@ -147,7 +148,7 @@ def test_from_r_to_a_settled_transmissibility(lab: Lab, page: Page) -> None:
     word(page, "settling", "driving")
     assert page.js("lab.now.dt_now.holds") is False, "that value was of another gap"
     assert page.js("lab.motion.impacts.length") > 0
-    assert page.js("lab.drawn.epoch") == lab.source.epoch
+    assert page.js("lab.drawn.epoch") == lab.source.record.epoch
 
 
 def curve(page: Page, directory: Path) -> None:
@@ -294,6 +295,20 @@ def test_stop_works_whatever_others_publish(lab: Lab, page: Page, hostile: Calla
     word(page, "at rest")
 
 
+def test_a_rival_is_named_while_it_is_there(lab: Lab, page: Page) -> None:
+    """A bug once: a rig with a second publisher of its topics was shown "at rest"."""
+    word(page, "at rest")
+    topic = by_name("truth/impacts")
+    rival = lab.client.node.create_publisher(messages.class_of(topic), topic.name, messages.profile(topic.qos))
+    word(page, "rival")
+    page.wait(
+        "document.getElementById('sentence').title.includes('/rig/observer publishes truth/impacts as well')",
+        "its name",
+    )
+    lab.client.node.destroy_publisher(rival)
+    word(page, "at rest")
+
+
 def test_settings_are_saved_and_put_in_force_again(lab: Lab, page: Page, tmp_path: Path) -> None:
     page.call("Page.setDownloadBehavior", behavior="allow", downloadPath=str(tmp_path))
     page.click("[data-mark='gap-8']")
@@ -387,6 +402,20 @@ def test_scope_spectrum_slow_motion_and_themes(page: Page) -> None:
         page.wait(f"Math.abs(lab.scope.span() - {span}) < 0.05 * {span}", f"a window of {span} s")
     page.click("#trigger")
     page.wait("lab.scope.trace && isNaN(lab.scope.trace.trigger)", "no trigger")
+    page.click("#hold")
+    move = "lab.scope.plots[0].setCursor({left: lab.scope.plots[0].over.clientWidth * %s, top: 20})"
+    page.js(move % 0.25)
+    page.js("lab.scope.plots[0].over.click()")
+    page.js(move % 0.5)
+    time_s, frequency_hz = page.js(
+        "/^Δ (\\S+) s \\((\\S+) (?:m?)Hz\\): acc.* current/.exec(lab.scope.readout.textContent).slice(1)"
+    )
+    assert float(time_s) == pytest.approx(2.5, rel=0.02), "a quarter of the window of ten seconds"
+    assert float(frequency_hz) == pytest.approx(400.0, rel=0.02)
+    page.js("lab.scope.plots[0].over.dispatchEvent(new MouseEvent('dblclick'))")
+    page.js(move % 0.4)
+    assert not page.text("#cursor").startswith("Δ")
+    page.click("#hold")
     page.choose("#spectrum-channel", "current")
     page.wait("lab.spectrum.channel === 3", "the spectrum of the current")
     page.click("[data-slow='0.1']")

@@ -183,7 +183,7 @@ STEADY = lines(lambda k: f"{k / 100},{k},{k}", "t,x1,xb")
 @pytest.mark.parametrize(
     ("text", "mapping", "why"),
     [
-        (lines(lambda k: f"{k / 100},{k}" + (",7" if k == 9 else "")), "{}", "requires 2 columns but 3 were found at row 10"),
+        (lines(lambda k: f"{k / 100},{k}" + (",7" if k == 9 else "")), "{}", "but 3 were found at row 10"),
         (lines(lambda k: f"{k / 100 + (0.004 if k == 7 else 0)},{k},{k}", "t,x1,xb"), MM, "uniform in time: value 8"),
         (lines(lambda k: f"{k / 100 if k != 7 else 0},{k},{k}", "t,x1,xb"), MM, "times must increase"),
         (lines(lambda k: f"{k / 33.3},{k},{k}", "t,x1,xb"), MM, "is no whole number"),
@@ -191,7 +191,7 @@ STEADY = lines(lambda k: f"{k / 100},{k},{k}", "t,x1,xb")
         (STEADY, MM.replace("mm", "furlongs per"), "channels.laser.unit must be a unit of m"),
         (STEADY, MM.replace("unit: mm", "unit: V"), "a voltage needs a sensitivity"),
         (STEADY, MM.replace("unit: mm", "unit: 9**9**9**9"), "must be a unit of m"),
-        (STEADY, MM.replace("x1", "x2"), "no signal 'x2' for laser: did you mean 'x1'"),
+        (STEADY, MM.replace("x1", "x2"), "no signal 'x2' for laser: there are x1, xb"),
         (STEADY, "chanels: {}", "unknown key chanels: did you mean channels"),
         (STEADY, MM + "\nrate_hz: .nan", "rate_hz must be a finite number"),
         (STEADY, MM + "\nresample_hz: 50", "resample to at least its 100"),
