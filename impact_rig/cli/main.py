@@ -26,7 +26,7 @@ COMMANDS = (
 """Subcommands in the order of the help."""
 HOMES = {
     **{name: f"recorded:add_{name}" for name in ("info", "verify", "recover")},
-    **{name: f"measurement:add_{name}" for name in ("import", "compare")},
+    "import": "measurement:add_import",
 }
 """Module and function that register a command; those of all others are its name and `add_command`."""
 
