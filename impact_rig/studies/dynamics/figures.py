@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 Found = Sequence[tuple[Task, Sequence[Row]]]
-MARKS = {"fold": "o", "symmetry": "D", "flip": "s", "torus": "^", "lost": "x"}
+MARKS = {"fold": "o", "symmetry": "D", "flip": "s", "torus": "^", "grazing": "v", "lost": "x"}
 """Of what changes along a branch."""
 _LABELS = {
     FREQUENCY: ("frequency (Hz)", 1.0), CURRENT: ("current (A)", 1.0), GAP: ("gap (mm)", 1e3),

@@ -12,6 +12,7 @@ that folds are no obstacle. Along it the multipliers tell stable from unstable, 
     fold       the branch turns back in p             flip    a multiplier passes −1: twice the period
     symmetry   a multiplier passes 1, no turn: the    torus   a pair passes the unit circle: a second frequency
                two half cycles become different
+    grazing    multipliers jump over 1 or −1: an impact comes or goes; nearby they grow beyond all bounds
 
 H. B. Keller (1977), "Numerical solution of bifurcation and nonlinear eigenvalue problems", in P. H. Rabinowitz (ed.),
 Applications of Bifurcation Theory, Academic Press, 359–384.
@@ -39,11 +40,14 @@ _SHORTEST = 2.0**-6  # of a Newton step that makes the residual worse
 ROUNDED = 1e-8
 """The same where rounding and the contacts' tolerance leave no less: a motion with many impacts."""
 _GROWTH = 1.4  # of the step along a branch that has gone well
-_TURN = 0.9  # cosine between successive tangents, below which a step was too long
+_TURN = 0.97  # cosine between successive tangents, below which a step was too long
 _LOCATED = 1e-9  # share of a step to which a bifurcation is found
 NEUTRAL = 1e-4
 """How near 1 a multiplier counts as 1, where it decides nothing but a word."""
-LASTING, FOLD, SYMMETRY, FLIP, TORUS = "stable", "fold", "symmetry", "flip", "torus"
+PASSING = 1e-3
+"""How near a bifurcation's multiplier is to the place that it passes; else it has jumped over it."""
+LASTING, FOLD, SYMMETRY, FLIP, TORUS, GRAZING = "stable", "fold", "symmetry", "flip", "torus", "grazing"
+PASSED = {SYMMETRY: 1.0, FLIP: -1.0}
 
 
 @attrs.frozen(eq=False)
@@ -85,7 +89,7 @@ class Change:
     """Where a branch changes.
 
     Attributes:
-        kind: fold, symmetry, flip or torus.
+        kind: fold, symmetry, flip, torus or grazing.
         orbit: there.
         note: of it.
     """
@@ -132,7 +136,7 @@ def followed(
     way: float,
     limits: tuple[float, float],
     *,
-    longest: float = 0.05,
+    longest: float = 0.1,
     shortest: float = 1e-5,
     points: int = 400,
     noted: Callable[[Orbit], object] = lambda _: None,
@@ -254,17 +258,30 @@ def _changes(f: Map, here: Orbit, new: Orbit) -> Iterator[Change]:
         tests[SYMMETRY] = lambda one, _: _product(one, 1.0)
     if _product(here, -1.0) * _product(new, -1.0) < 0.0:
         tests[FLIP] = lambda one, _: _product(one, -1.0)
-    if not tests and here.stable != new.stable:
-        tests[TORUS] = lambda one, _: abs(one.multipliers[0]) - 1.0
+    if _pairs(here) * _pairs(new) < 0.0:
+        tests[TORUS] = lambda one, _: _pairs(one)
     for kind, test in tests.items():
         found = _zero(f, here, new, test)
-        if found is not None:
-            yield Change(kind, found)
+        if found is None or (kind == TORUS and not _turns(found)):
+            continue
+        jumps = kind in PASSED and float(np.abs(found.multipliers - PASSED[kind]).min()) > PASSING
+        yield Change(GRAZING if jumps else kind, found)
 
 
 def _product(one: Orbit, value: float) -> float:
     """Return Π (multiplier − value): real, and of another sign where one real multiplier has passed."""
     return float(np.prod(one.multipliers - value).real)
+
+
+def _turns(one: Orbit) -> bool:
+    """Return whether a pair of complex multipliers stands on the unit circle."""
+    return bool((np.abs(np.abs(one.multipliers[one.multipliers.imag > NEUTRAL]) - 1.0) < PASSING).any())
+
+
+def _pairs(one: Orbit) -> float:
+    """Return Π (product of two multipliers − 1): zero where a pair stands on the unit circle."""
+    products = np.outer(one.multipliers, one.multipliers)[np.triu_indices(len(one.multipliers), 1)]
+    return float(np.prod(products - 1.0).real)
 
 
 def _zero(f: Map, here: Orbit, new: Orbit, test: Callable[[Orbit, Real], float]) -> Orbit | None:

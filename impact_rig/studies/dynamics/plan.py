@@ -391,8 +391,8 @@ def _found(task: Task, over: str, value: float, start: Start, unit: float) -> tu
     strobe = Stroboscope(task.place, over, unit)
     rig = _begun(place, start, task.settings)
     reading = rig.measure(place.frequency_hz, place.amplitude)
-    if not math.isfinite(reading.period) or not reading.impacts_per_cycle:
-        return None  # irregular; or the sphere is at rest anywhere, and no single orbit
+    if not math.isfinite(reading.period):
+        return None
     one = orbits.orbit(strobe, strobe.seen(rig, value / unit, reading), value / unit)
     return None if one is None else (strobe, one)
 

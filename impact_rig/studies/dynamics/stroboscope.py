@@ -28,6 +28,8 @@ from impact_rig.studies.dynamics.orbits import Real
 
 COORDINATES = {"prescribed": (0, 1, 5, 6), "current": (0, 1, 2, 3, 5, 6), "voltage": (0, 1, 2, 3, 4, 5, 6)}
 """Places of the coordinates in `Simulation.state`, by kind of drive."""
+SPHERE = (5, 6)
+"""Those of the sphere."""
 CLOSE = 0.02
 """Turns of the drive between an impact and the section below which another section is chosen."""
 _TURN = 2.0 * math.pi
@@ -107,6 +109,7 @@ class Stroboscope:
     def __init__(self, place: Place, over: str, unit: float) -> None:
         self._place, self._over, self._unit, self.cycles = place, over, unit, 1
         self.turn = 0.0
+        self._quiet = False
         self._free = list(COORDINATES[place.config.drive.kind])
         self.scale = np.ones(len(self._free))
         self._simulation = Simulation(place.config)
@@ -120,8 +123,8 @@ class Stroboscope:
     def __call__(self, z: Real, p: float, returns: int = 1) -> Real:
         """Return the coordinates after `cycles`; NaN where the motion stands in a contact, or cannot be resolved."""
         try:
-            self._run(z, p, self.cycles * returns)
-            state = self._simulation.state()
+            motion = self._run(z, p, self.cycles * returns)
+            state = None if self._quiet and len(motion.impacts) else self._simulation.state()
         except (SimulationError, ConfigError):
             state = None
         return np.full(len(z), math.nan) if state is None else state[self._free] / self.scale
@@ -130,6 +133,8 @@ class Stroboscope:
         """Return the coordinates of a settled motion, and choose scale and section for it; it has gone on then."""
         _, frequency, amplitude = self.place(p)
         self.cycles = int(reading.period) if math.isfinite(reading.period) else 1
+        self._quiet = not reading.impacts_per_cycle
+        self._free = [i for i in self._free if not (self._quiet and i in SPHERE)]
         motion = rig.advance(frequency, amplitude, self.cycles)
         self.turn = _longest_flight(motion, self.cycles)
         part = np.zeros(1, SEGMENT)
@@ -206,6 +211,8 @@ class Stroboscope:
         """Return all that `Simulation.set_state` wants."""
         state = np.zeros(7)
         state[self._free] = z * self.scale
+        if self._quiet:
+            state[list(SPHERE)] = -state[:2]
         if place.config.drive.kind == "prescribed":
             angle = _TURN * self.turn
             state[2] = place.amplitude * math.sin(angle)
