@@ -60,6 +60,7 @@ setup(
         (f"share/{NAME}/config", files("config/*.yaml")),
         (f"share/{NAME}/config/campaigns", files("config/campaigns/*.yaml")),
         (f"share/{NAME}/config/maps", files("config/maps/*.yaml")),
+        (f"share/{NAME}/config/dynamics", files("config/dynamics/*.yaml")),
         (f"share/{NAME}/config/foxglove", files("config/foxglove/*.json")),
         (f"share/{NAME}/config/sros2", files("config/sros2/*.xml")),
         (f"share/{NAME}/config/plotjuggler", files("config/plotjuggler/*.xml")),
@@ -84,7 +85,7 @@ setup(
         "wheels": [*ROS_WHEELS, "pytest"],  # pytest: see docs/testing.md
         "jit": ["numba>=0.59"],  # contact laws of one's own, compiled; and kernels where no library was built
         "lab": ["aiohttp>=3.9", "uplot-python>=1.1"],  # `impact-rig lab`; 3.9 is that of Ubuntu 24.04
-        "completion": ["argcomplete>=3.1"],  # `impact-rig completion`; 3.1 is that of Ubuntu 24.04
+        "completion": ["argcomplete>=3.1"],  # `register-python-argcomplete`; 3.1 is that of Ubuntu 24.04
         "cluster": ["distributed>=2024.1"],  # `impact-rig campaign --through dask`
         "exchange": ["pyarrow>=14", "pyuff>=2.4"],  # `impact-rig export` to Parquet and universal files
         "test": ["hypothesis", "pytest", "pytest-timeout"],  # also how `colcon test` knows to run pytest

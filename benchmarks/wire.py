@@ -35,8 +35,8 @@ from impact_rig.blocks import Table
 from impact_rig.client import Client, Processes, isolated_domain
 from impact_rig.instruments.scan import row_type_of
 from impact_rig.nodes import messages
+from impact_rig.nodes.messages import MONITORS
 from impact_rig.nodes.process import make_executor
-from impact_rig.nodes.topics import MONITORS
 from impact_rig.rig.config import RigConfig
 
 BLOCKS_PER_S, SCANS = 100, 100

@@ -6,29 +6,33 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable
+from typing import Any  # settings of any node
 
 import numpy as np
 
 from impact_rig import states, topics
 from impact_rig.columns import TEXT, Column
 from impact_rig.config import FieldInfo
+from impact_rig.config.tree import Tree, Value
 from impact_rig.instruments import scan
 from impact_rig.instruments.fault_kinds import FAULT_KINDS
-from impact_rig.nodes.parameters import RigSchema, Schema, SectionSchema, Value
-from impact_rig.nodes.settings import AnalysisSettings, RecorderSettings, SteppedSineSettings
-from impact_rig.nodes.topics import ENVELOPES, SPECTRA, TOPICS
+from impact_rig.nodes.analysis_node import AnalysisSettings
+from impact_rig.nodes.messages import ENVELOPES, SPECTRA, TOPICS
+from impact_rig.nodes.recorder_node import RecorderSettings
+from impact_rig.nodes.stepped_sine_node import SteppedSineSettings
 from impact_rig.rig import takes_effect
+from impact_rig.rig.config import TREE
 from impact_rig.rig.journal import Kind
 from tools.generate import figures, services
 from tools.generate.markdown import table
 from tools.generate.nominal import scalar
 from tools.generate.services import Situation
 
-SCHEMAS: dict[str, Schema[object]] = {
-    "rig": RigSchema(),  # type: ignore[dict-item]  # a protocol's type parameter is invariant
-    "analysis": SectionSchema(AnalysisSettings),
-    "recorder": SectionSchema(RecorderSettings),
-    "stepped_sine": SectionSchema(SteppedSineSettings),
+SCHEMAS: dict[str, Tree[Any]] = {
+    "rig": TREE,
+    "analysis": Tree(AnalysisSettings),
+    "recorder": Tree(RecorderSettings),
+    "stepped_sine": Tree(SteppedSineSettings),
 }
 
 
