@@ -14,8 +14,8 @@ from collections import Counter
 from pathlib import Path
 
 from impact_rig.campaign.units import Row, Store
-from impact_rig.cli import command, units
-from impact_rig.cli.terminal import Console, TextTable, tell_json, tell_program
+from impact_rig.cli import units
+from impact_rig.cli.terminal import Console, TextTable, subcommand, tell_json, tell_program
 from impact_rig.studies.dynamics import plan as plans
 from impact_rig.studies.dynamics.plan import Plan, Task
 from impact_rig.system import files
@@ -32,7 +32,7 @@ MOST_ROWS = 40
 
 def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Register the subcommand."""
-    parser = command.add(
+    parser = subcommand(
         commands, "dynamics", "sections, bifurcations, basins, orbits, branches and exponents of the model",
         [
             ("dynamics continue config/dynamics/nominal.yaml", "stable and unstable motions over the gap, with folds"),

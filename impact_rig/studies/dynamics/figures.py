@@ -106,7 +106,7 @@ def motion(plan: Plan, row: Row) -> str:
     cell = dict(zip(plans.COLUMNS[plan.kind], row, strict=True))
     if not cell["impacts_per_cycle"]:
         return "no impacts"
-    return f"DT {cell['dt']:.1f}" if cell["attractor"] >= 0.0 else str(cell["regime"])  # type: ignore[operator]  # a number
+    return f"DT {cell['dt']:.0f}" if cell["regime"] == "periodic" else str(cell["regime"])
 
 
 def _orbit(panes: Sequence[Axes], plan: Plan, found: Found) -> None:
