@@ -332,7 +332,7 @@ def test_basin_and_continue_find_both_motions(foretold):
 @pytest.mark.pipeline
 @pytest.mark.timeout(500)
 def test_a_rig_over_ros_ends_in_the_motion_foretold(foretold, tmp_path, request):
-    from impact_rig.client.campaign import stepped_runner
+    from impact_rig.client.apparatus import stepped_runner
 
     places = TWO_MOTIONS if request.config.getoption("--thorough") else TWO_MOTIONS[:1]
     jobs = [
