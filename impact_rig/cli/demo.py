@@ -211,7 +211,7 @@ def _calibration(run: Path) -> Calibration:
 
 
 def _closed_form(config: RigConfig) -> float:
-    from impact_rig.physics.closed_form import transmissibility  # noqa: PLC0415  # compiles nothing, but loads SciPy
+    from impact_rig.physics.prediction import transmissibility  # noqa: PLC0415  # compiles nothing, but loads SciPy
 
     return float(abs(transmissibility(config, paper.FREQUENCY_HZ)))
 

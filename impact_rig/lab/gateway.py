@@ -29,7 +29,7 @@ from std_srvs.srv import SetBool, Trigger
 from impact_rig import states, topics
 from impact_rig.client.client import Client, ros_parameters
 from impact_rig.errors import ImpactRigError
-from impact_rig.instruments.fault_kinds import FAULT_KINDS
+from impact_rig.instruments.instrument import FAULT_KINDS
 from impact_rig.lab.protocol import Request
 from impact_rig.lab.record import Record
 from impact_rig.lab.state import PLANNED, Answer, Seen, figure

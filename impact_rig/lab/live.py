@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any  # what goes to JSON
 
 from impact_rig import states
 from impact_rig.errors import ImpactRigError
-from impact_rig.instruments.scan import CHANNELS
+from impact_rig.instruments.section import CHANNELS
 from impact_rig.lab import state
 from impact_rig.lab.record import Record
 from impact_rig.lab.state import KNOBS, Pace, Seen, Source, figure

@@ -26,7 +26,7 @@ from typing import Any  # values of a view, checked by the protocol
 from aiohttp import WSMsgType, web
 
 from impact_rig.errors import ImpactRigError
-from impact_rig.instruments.scan import CHANNELS
+from impact_rig.instruments.section import CHANNELS
 from impact_rig.lab import protocol
 from impact_rig.lab.playback import PlaybackSource
 from impact_rig.lab.protocol import Kind, Request, RequestError

@@ -15,8 +15,7 @@ from impact_rig.config.mechanics import Barriers, Drive, Shaker, Sphere, Structu
 from impact_rig.config.operation import Daq, Output, Pluck, Step, Time
 from impact_rig.config.tree import Tree, parameters_in
 from impact_rig.errors import ConfigError
-from impact_rig.instruments.scan import row_type_of
-from impact_rig.instruments.section import Instruments
+from impact_rig.instruments.section import Instruments, row_type_of
 from impact_rig.physics.contact import Contact
 
 _OVERHEAD_BYTES = 1000

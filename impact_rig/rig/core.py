@@ -14,6 +14,7 @@ from collections.abc import Mapping
 
 import attrs
 import numpy as np
+from numpy.typing import NDArray
 
 import impact_rig
 from impact_rig.blocks import APPLIED, FRAME_DAQ, Table
@@ -22,15 +23,43 @@ from impact_rig.errors import CommandError
 from impact_rig.instruments.chain import Chain
 from impact_rig.instruments.fault import Fault
 from impact_rig.physics import FunctionGenerator, Motion, Simulation
-from impact_rig.rig.block import Block
-from impact_rig.rig.changes import INSTRUMENTS, MECHANICS, PLANNED, changed_values, until_reset
+from impact_rig.rig.changes import INSTRUMENTS, MECHANICS, PLANNED, PlanInForce, changed_values, until_reset
 from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.rig.interlock import Interlock, Trip, check_amplitude, check_frequency
 from impact_rig.rig.journal import Journal, Kind, Value, not_default, sampled
-from impact_rig.rig.planned_faults import PlanInForce
 from impact_rig.rig.trial import generator, tried
 from impact_rig.rig.truth import TICKS_PER_S, Truth
 from impact_rig.simtime import COMMAND_GRID_NS, COMMAND_GRID_S, NS_PER_S, stamp_ns
+
+
+@attrs.frozen(eq=False)
+class Block:
+    """Consecutive scans and what is true about them.
+
+    Attributes:
+        number: blocks since the start or reset.
+        first_sample: index of the first scan since the start or reset.
+        end_ns: stamp of the first scan after the block: when it is complete.
+        scan: `daq/scan`.
+        impacts: `truth/impacts`: the contacts that ended in this block; None if there were none.
+        monitor: true state at the monitor instants, rows of `blocks.TRUTH_SCAN`, time since the stamp of `scan`.
+        monitor_scans: rows of `scan` at the monitor instants.
+        truth: `truth/scan`, if asked for.
+        faults: `truth/faults`: faults that start or end in this block; None if there are none.
+        lost: a lost_block fault is active: the block is numbered but must not be published.
+    """
+
+    number: int
+    first_sample: int
+    end_ns: int
+    scan: Table
+    impacts: Table | None
+    monitor: NDArray[np.void]
+    monitor_scans: NDArray[np.int64]
+    truth: Table | None
+    faults: Table | None
+    lost: bool
+
 
 BATCH_TICKS = 50
 """Ticks simulated in one call: enough to make the overhead of a call small, few enough to bound memory."""
@@ -61,6 +90,8 @@ class Rig:
         self.config = config
         self.rate_hz = config.daq.rate_hz
         self._journal = Journal(self.rate_hz, start_ns)
+        self.take_journal = self._journal.take
+        """Returns the new rows of the journal and forgets them."""
         self._applied: list[Table] = []
         self._latched: str | None = None
         self._begin(Kind.START, start_ns)
@@ -203,10 +234,10 @@ class Rig:
             check_amplitude(current_a, self._drive, self.config.shaker)
         if frequency_hz is not None:
             self._generator.set_frequency(frequency_hz)
-            self._note(Kind.COMMAND, "frequency", frequency_hz)
+            self._journal.add(self.frontier_sample, Kind.COMMAND, "frequency", frequency_hz)
         if current_a is not None:
             self._generator.set_amplitude(current_a)
-            self._note(Kind.COMMAND, "current", current_a)
+            self._journal.add(self.frontier_sample, Kind.COMMAND, "current", current_a)
         self._last_command_tick, self._timed_out = self._ticks, False
         return self._publish_applied()
 
@@ -310,10 +341,6 @@ class Rig:
         applied, self._applied = self._applied, []
         return applied
 
-    def take_journal(self) -> list[Table]:
-        """Return the new rows of the journal and forget them."""
-        return self._journal.take()
-
     # Inside
 
     @property
@@ -393,7 +420,8 @@ class Rig:
 
     def _publish_applied(self) -> Table:
         sample = self.frontier_sample
-        row = (0.0, sample, self.frequency_hz, self.amplitude, float(self._generator.phase_rad))
+        drive = self._generator
+        row = (0.0, sample, drive.frequency_hz, drive.target_amplitude, drive.phase_rad)
         table = Table(self._stamp(sample), np.array([row], APPLIED))
         self._applied.append(table)
         return table

@@ -19,7 +19,7 @@ from impact_rig import codec, topics
 from impact_rig.blocks import Table
 from impact_rig.errors import CommandError, ConfigError, ImpactRigError, RecordingError
 from impact_rig.instruments.fault import Fault
-from impact_rig.instruments.scan import SCAN
+from impact_rig.instruments.section import SCAN
 from impact_rig.recording import CONFIGURATION, Attachment, Provenance, RunWriter, TopicDescription, schema_text
 from impact_rig.rig import Block, Rig
 from impact_rig.rig.config import RigConfig, dump, from_flat, to_flat
@@ -195,7 +195,7 @@ class SteppedRig(abc.ABC):
         Raises:
             ConfigError: the sphere is there.
         """
-        from impact_rig.physics.closed_form import transmissibility  # noqa: PLC0415  # loads compiled code
+        from impact_rig.physics.prediction import transmissibility  # noqa: PLC0415  # loads compiled code
 
         if self.config.sphere.present:
             raise ConfigError("the closed form holds without the sphere: start the rig with sphere.present: false")

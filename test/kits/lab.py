@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 
 from impact_rig.blocks import Table
-from impact_rig.instruments.scan import SCAN
+from impact_rig.instruments.section import SCAN
 from impact_rig.lab.protocol import Request
 from impact_rig.lab.record import Record
 from impact_rig.lab.scope import Scope

@@ -18,7 +18,7 @@ from impact_rig.analysis.words import Regime, Status
 from impact_rig.blocks import Table
 from impact_rig.codec import encode_joint_state, joint_state
 from impact_rig.errors import CodecError, RecordingError
-from impact_rig.instruments.fault_kinds import FAULT_KINDS
+from impact_rig.instruments.instrument import FAULT_KINDS
 from impact_rig.lab.protocol import Kind, RequestError, json_frame, parse
 from impact_rig.lab.record import Curve, Faults, Journal, Motion, plain, scan_rate
 from impact_rig.lab.server import STATIC

@@ -23,7 +23,7 @@ from impact_rig import codec, topics
 from impact_rig.blocks import Table
 from impact_rig.client import Client, Collector, isolated_domain
 from impact_rig.client.client import ros_parameters
-from impact_rig.instruments.scan import SCAN
+from impact_rig.instruments.section import SCAN
 from impact_rig.nodes import messages
 from impact_rig.nodes.analysis_node import AnalysisNode
 from impact_rig.nodes.managed import ManagedNode

@@ -14,8 +14,8 @@ from impact_rig import states, topics
 from impact_rig.columns import TEXT, Column
 from impact_rig.config import FieldInfo
 from impact_rig.config.tree import Tree, Value
-from impact_rig.instruments import scan
-from impact_rig.instruments.fault_kinds import FAULT_KINDS
+from impact_rig.instruments import section
+from impact_rig.instruments.instrument import FAULT_KINDS
 from impact_rig.nodes.analysis_node import AnalysisSettings
 from impact_rig.nodes.messages import ENVELOPES, SPECTRA, TOPICS
 from impact_rig.nodes.recorder_node import RecorderSettings
@@ -74,7 +74,7 @@ def _columns() -> str:
     for fields, names in titles.items():
         begun = [earlier for earlier in titles if fields != earlier and fields[: len(earlier)] == earlier]
         same = f"The columns of {titles[begun[0]][0]}, and\n\n" if begun else ""
-        columns = scan.COLUMNS if f"`{topics.SCAN.name}`" in names else fields[len(begun[0]) :] if begun else fields
+        columns = section.COLUMNS if f"`{topics.SCAN.name}`" in names else fields[len(begun[0]) :] if begun else fields
         rows = ((f"`{c.name}`", _kind(c.kind), c.unit, c.doc) for c in columns)
         parts.append(f"### {', '.join(names)}\n\n{same}" + table(("column", "type", "unit", "meaning"), rows))
     return "\n".join(parts)
