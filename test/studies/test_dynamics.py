@@ -156,7 +156,7 @@ def impact_map_exponent(e: float, gamma: float, bounces: int) -> float:
         def above(tau: float, t: float = t, v: float = v) -> float:
             return math.sin(t) + v * tau - 0.5 * g * tau * tau - math.sin(t + tau)
 
-        grid = np.linspace(1e-4, 2.0 * v / g + 2.0 * math.sqrt(1.0 / g) + 1.0, 4000)
+        grid = np.geomspace(1e-7, 2.0 * abs(v) / g + 2.0 * math.sqrt(1.0 / g) + 1.0, 4000)
         first = int(np.argmax(np.array([above(x) for x in grid]) < 0.0))
         tau = brentq(above, grid[max(first - 1, 0)], grid[first], xtol=1e-14)
         later, before = t + tau, v - g * tau
