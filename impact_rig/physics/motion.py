@@ -25,14 +25,15 @@ def _places(names: tuple[str, ...]) -> NDArray[np.int64]:
 
 
 class Motion:
-    """The trajectory of consecutive drive segments, numbered from `first_segment`.
+    """The trajectory of consecutive ticks, numbered from `first_segment`: drive segments, where a tick has no more.
 
-    Times are (segment, offset into the segment): no value depends on how the run was cut into advances. Motions that
+    Times are (tick, offset into the tick): no value depends on how the run was cut into advances. Motions that
     are asked in turn may share a `bench`, their scratch memory.
 
     Attributes:
-        first_segment: number of the first segment, counted since the reset.
+        first_segment: number of the first tick, counted since the reset.
         segments: the drive, shape (n,), dtype `forcing.SEGMENT`.
+        ticks: row of each tick's first segment, and the number of segments.
         impacts: contacts that ended in this motion, dtype `IMPACT`; a contact may have begun in an earlier one.
     """
 
@@ -41,22 +42,23 @@ class Motion:
         model: Model,
         first_segment: int,
         segments: NDArray[np.void],
+        ticks: NDArray[np.int64],
         knots: NDArray[np.void],
         first: NDArray[np.int64],
         impacts: NDArray[np.void],
         bench: Bench | None = None,
     ) -> None:
         self.first_segment = first_segment
-        self.segments = segments
+        self.segments, self.ticks = segments, ticks
         self.impacts = impacts
         self._model = model
-        self._trajectory = Trajectory(segments, first_segment, knots, first)
+        self._trajectory = Trajectory(segments, first_segment, ticks, knots, first)
         self._bench = bench or new_bench()
 
     @property
     def last_segment(self) -> int:
-        """Number of the last segment, inclusive."""
-        return self.first_segment + len(self.segments) - 1
+        """Number of the last tick, inclusive."""
+        return self.first_segment + len(self._trajectory.ticks) - 2
 
     def sample(self, segment: NDArray[np.int64], offset_s: NDArray[np.float64]) -> NDArray[np.void]:
         """Return all quantities (dtype `SAMPLE`, SI) at the instants, in their shape; fastest when in order."""

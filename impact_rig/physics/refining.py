@@ -13,21 +13,25 @@ PARTS = 3
 
 
 @entry(TRAJECTORY, INTEGERS, REALS, FLAGS, returns=int)
-def refine(trajectory, segment, offset, touching):  # type: ignore[no-untyped-def]  # compiled: types are inferred
-    """Fill in segment, offset [s] and whether sphere and wall touch from each instant on; return how many there are.
+def refine(trajectory, tick, offset, touching):  # type: ignore[no-untyped-def]  # compiled: types are inferred
+    """Fill in tick, offset [s] and whether sphere and wall touch from each instant on; return how many there are.
 
     The arrays have room for PARTS instants a knot.
     """
     knots, first, count = trajectory.knots, trajectory.first, 0
-    for i in range(first.shape[0] - 1):
-        for row in range(first[i], first[i + 1]):
+    i = -1
+    for at in range(first.shape[0] - 1):
+        begin = trajectory.segments[at].begin
+        if at == trajectory.ticks[i + 1]:
+            i += 1
+        for row in range(first[at], first[at + 1]):
             knot = knots[row]
-            segment[count], offset[count], touching[count] = trajectory.base + i, knot.t, knot.phase != FREE
+            tick[count], offset[count], touching[count] = trajectory.base + i, begin + knot.t, knot.phase != FREE
             count += 1
             if knot.phase == CONTACT and knot.whole != 0:
                 length = knots[row + 1].t - knot.t
                 for part in range(1, PARTS):
-                    segment[count], touching[count] = trajectory.base + i, True
-                    offset[count] = knot.t + length * (part / PARTS)
+                    tick[count], touching[count] = trajectory.base + i, True
+                    offset[count] = begin + (knot.t + length * (part / PARTS))
                     count += 1
     return count

@@ -138,7 +138,7 @@ class Simulation:
         self._stored = self.stored_energy()
 
     def advance(self, segments: NDArray[np.void]) -> Motion:
-        """Simulate the drive segments (dtype `forcing.SEGMENT`) and return their motion.
+        """Simulate the drive segments (dtype `forcing.SEGMENT`), the first of which begins a tick; return their motion.
 
         Raises:
             SimulationError: the integration makes no progress, or needs more than `MOST_KNOTS` steps in a segment.
@@ -147,33 +147,35 @@ class Simulation:
         if self.locked:
             segments = segments.copy()
             segments["amplitude"] = segments["slope"] = 0.0
+        rows = np.append(np.flatnonzero(segments["begin"] == 0.0), len(segments))
+        ticks = np.repeat(np.arange(self.segment, self.segment + len(rows) - 1), np.diff(rows))
         segments = for_kernels(segments)
         desk = self._desk._replace(first=np.zeros(len(segments) + 1, np.int64))
         filled = desk.filled[0]
         filled["knots"] = filled["impacts"] = 0
         index = 0
         while True:
-            ended, index = run(self._model, segments, index, self.segment, desk, self._account)
+            ended, index = run(self._model, segments, ticks, index, desk, self._account)
             if ended == STUCK:
                 raise SimulationError(
-                    f"no progress in drive segment {self.segment + index} at {desk.states[0]['t']:.9f} s of it, "
+                    f"no progress in drive segment {ticks[index]} at {desk.states[0]['t']:.9f} s of it, "
                     f"phase {desk.states[0]['phase']}"
                 )
             if ended != NEED_ROOM:
                 break
             if filled["knots"] - desk.first[index] > MOST_KNOTS:
                 raise SimulationError(
-                    f"more than {MOST_KNOTS} contacts, rides and flights in drive segment {self.segment + index}, "
+                    f"more than {MOST_KNOTS} contacts, rides and flights in drive segment {ticks[index]}, "
                     f"at {desk.states[0]['t']:.9f} s of it: the motion cannot be resolved"
                 )
             desk = self._desk = _grown(desk)
         knots, impacts = int(filled["knots"]), int(filled["impacts"])
         desk.first[-1] = knots
         motion = Motion(
-            self._model, self.segment, segments, desk.knots[:knots].copy(), desk.first,
+            self._model, self.segment, segments, rows, desk.knots[:knots].copy(), desk.first,
             desk.impacts[:impacts].copy().view(np.ndarray), self._bench,
         )  # fmt: skip
-        self.segment += len(segments)
+        self.segment += len(rows) - 1
         return motion
 
     def copy(self) -> Simulation:

@@ -55,11 +55,21 @@ class Kind(enum.Enum):
     CLEAR_TRIP = "clear_trip", "The latch is released."
     FAULT = "fault", "An instrument fault on demand: key = kind/channel, text = duration/seed/rate."
     CLEAR_FAULT = "clear_fault", "value = id of the fault, -1 all of them."
-    TRIP = "trip", "The interlock: key = over_travel or over_current, value = what was measured; a result, no input."
+    TRIP = (
+        "trip",
+        "The interlock: key = over_travel, over_current or underrun, value = what was measured, of an underrun the "
+        "sample that was missing; a result, no input.",
+    )
     TIMEOUT = "timeout", "No command for output.command_timeout_s; a result, no input."
+    STREAM = (
+        "stream",
+        "Samples of shaker/waveform, value = number of the first: key = begin (it is in force); end (it is not; text = "
+        "underrun, ended or stopped); crc32 (text = how many came into force since the last such row, their CRC-32); "
+        "a result.",
+    )
 
 
-RESULTS = (Kind.TRIP, Kind.TIMEOUT)
+RESULTS = (Kind.TRIP, Kind.TIMEOUT, Kind.STREAM)
 """Rows a re-simulation produces by itself."""
 
 
