@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import doctest
 import re
 import runpy
 import subprocess
@@ -97,7 +98,13 @@ def test_shell_is_shell(block):
 
 
 @pytest.mark.parametrize("block", [block for block in OURS if block.language == "python"], ids=by_place)
-def test_python_runs(block, monkeypatch):
+def test_python_runs(block, monkeypatch, tmp_path):
+    """A session, `>>>`, shows what stands there; other code runs to its end."""
+    if ">>>" in block.content:
+        monkeypatch.chdir(tmp_path)  # it may write
+        session = doctest.DocTestParser().get_doctest(block.content, {}, by_place(block), block.page, block.line)
+        assert doctest.DocTestRunner().run(session).failed == 0
+        return
     monkeypatch.chdir(ROOT)
     exec(compile(block.content, by_place(block), "exec"), {})
 

@@ -45,7 +45,7 @@ def _run(arguments: argparse.Namespace) -> int:
     path, target = arguments.path, arguments.target
     if arguments.format and target.suffix != f".{arguments.format}":
         target = target.with_name(f"{target.name}.{arguments.format}")
-    if (path / maps.MAP_FILE).exists():
+    if maps.store(path).file.exists():
         _need_points(arguments.topic)
         written = write_columns(lambda: iter([_columns(*maps.table(maps.open_map(path)))]), target)
     elif (path / CAMPAIGN_FILE).exists():

@@ -13,7 +13,7 @@ import itertools
 import json
 import math
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import attrs
@@ -21,11 +21,12 @@ import attrs
 from impact_rig.campaign import axes
 from impact_rig.campaign.paper import CURRENT_A, FREQUENCY_HZ
 from impact_rig.campaign.plan import STARTS
-from impact_rig.config.tree import MAX_FILE_BYTES, Value, flatten
+from impact_rig.campaign.units import Row, load_plan
+from impact_rig.config.tree import Value, flatten
 from impact_rig.errors import ConfigError
-from impact_rig.maps.measure import MapRig, Reading, Settings
+from impact_rig.maps.measure import FAILED, MapRig, Reading, Settings
 from impact_rig.rig.config import RigConfig, from_flat, load, to_flat
-from impact_rig.system import budget, files, plain_yaml
+from impact_rig.system import budget
 from impact_rig.system.budget import BudgetError
 
 FREQUENCY, CURRENT, GAP = "frequency_hz", "current_a", "gap_m"
@@ -81,6 +82,16 @@ class Line:
         content = attrs.asdict(self)
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
 
+    def read(self, rows: Sequence[Row]) -> list[Reading]:
+        """Return stored rows as readings.
+
+        Raises:
+            ValueError: they are none.
+        """
+        if len(rows) != len(self.values):
+            raise ValueError("not the readings of this line")
+        return [_reading(row) for row in rows]
+
     def place(self, value: float) -> tuple[dict[str, Value], float, float, tuple[float, float] | None]:
         """Return configuration values, frequency, amplitude and sphere of the place with this value of the axis.
 
@@ -91,6 +102,15 @@ class Line:
         sphere = (at.pop(POSITION, 0.0), at.pop(SPEED, 0.0)) if {POSITION, SPEED} & set(at) else None
         changes: dict[str, Value] = {"barriers.gap_m" if name == GAP else name: one for name, one in at.items()}
         return changes, frequency, current, sphere
+
+
+def _reading(row: Row) -> Reading:
+    regime, *numbers = row
+    if len(row) != len(Reading._fields) or any(isinstance(value, str) for value in numbers):
+        raise ValueError("not a reading")
+    if not (regime == FAILED or float(numbers[0]) > 0.0):
+        raise ValueError("not a reading")
+    return Reading(str(regime), *map(float, numbers))
 
 
 def measure_line(line: Line) -> list[Reading]:
@@ -219,22 +239,14 @@ def load_map(path: Path, workers: int | None = None, resolved: RigConfig | None 
         ConfigError: the file cannot be read or is wrong; the message names key, value, range and file.
         BudgetError: it would take too long.
     """
-    try:
-        text = str(files.read_bytes(path, MAX_FILE_BYTES), "utf-8")
-        document = plain_yaml.load(text, MAX_FILE_BYTES)
-    except OSError as error:
-        raise ConfigError(f"cannot read map: {error.strerror} ({path})") from error
-    except ValueError as error:  # PlainYamlError, or it is not UTF-8
-        raise ConfigError(f"not a YAML file: {' '.join(str(error).split())} ({path})") from error
-    try:
+
+    def read(document: object, text: str) -> MapPlan:
         plan = _read(axes.mapping("a map", document), path, text, resolved)
         allow_time(plan.points, workers)
         _check_corners(plan)
-    except ConfigError as error:
-        raise ConfigError(f"{error} ({path})") from error
-    except BudgetError as error:
-        raise BudgetError(f"{error} ({path})") from error
-    return plan
+        return plan
+
+    return load_plan(path, "map", read)
 
 
 def _read(top: Mapping[str, object], path: Path, text: str, resolved: RigConfig | None) -> MapPlan:

@@ -19,7 +19,7 @@ from impact_rig.campaign import run
 from impact_rig.campaign.plan import load_campaign
 from impact_rig.campaign.store import Store
 from impact_rig.maps.plan import load_map, measure_line
-from impact_rig.maps.run import stored
+from impact_rig.maps.run import store
 
 WAIT_S = 60.0
 MORE = "  more: {frequencies_hz: {from: 8, to: 10, step: 0.2}, gaps_m: [none, 0.006]}\n"
@@ -91,7 +91,7 @@ def test_a_map_has_the_same_bits_there(cluster, tmp_path):
     output, _ = process.communicate(timeout=2 * WAIT_S)
     assert process.returncode == 0, output
     for line in load_map(file).lines():
-        assert stored(line, directory) == measure_line(line)
+        assert store(directory).get(line) == measure_line(line)
 
 
 def test_a_cluster_that_cannot_be_reached_is_one_clear_line(tmp_path):

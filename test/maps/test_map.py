@@ -129,28 +129,29 @@ def test_a_beginning_that_cannot_be_is_refused(tmp_path, text, words):
 
 def test_what_was_interrupted_is_resumed_to_the_same_bits(small, tmp_path):
     plan, directory = small
-    run.prepare(plan, tmp_path / "again")
+    kept = run.store(tmp_path / "again")
+    kept.prepare(plan.text, plan.base)
     lines = plan.lines()
-    measured = run.measure(lines, tmp_path / "again", one_by_one)
+    measured = kept.measure(lines, one_by_one)
     next(measured)
     measured.close()
     assert len(files_of(tmp_path / "again")) == 1
-    again = [line for line, _ in run.measure(lines, tmp_path / "again", one_by_one)]
+    again = [line for line, _ in kept.measure(lines, one_by_one)]
     assert len(again) == len(lines) == 6
     assert files_of(tmp_path / "again") == files_of(directory)
 
 
 def test_a_line_of_other_code_or_a_damaged_one_is_measured_anew(small, tmp_path):
     plan, directory = small
-    run.prepare(plan, tmp_path)
+    run.store(tmp_path).prepare(plan.text, plan.base)
     line = plan.lines()[0]
     name = f"{line.key}.json"
     good = json.loads(files_of(directory)[name])
-    for spoilt in ("{", json.dumps({**good, "code": "other"}), json.dumps({**good, "readings": [[1], [2]]})):
+    for spoilt in ("{", json.dumps({**good, "code": "other"}), json.dumps({**good, "rows": [[1], [2]]})):
         (tmp_path / "lines" / name).write_text(spoilt)
-        assert run.stored(line, tmp_path) is None
+        assert run.store(tmp_path).get(line) is None
     (tmp_path / "lines" / name).write_text(json.dumps(good))
-    assert run.stored(line, tmp_path) == measure_line(line)
+    assert run.store(tmp_path).get(line) == measure_line(line)
 
 
 def test_down_is_visited_from_above(small):
@@ -224,7 +225,7 @@ def test_three_axes_are_one_picture_each(tmp_path):
     assert plan.points == 8
     assert len(plan.lines()) == 4
     assert plan.sweep == "frequency_hz"
-    run.prepare(plan, tmp_path / "out")
+    run.store(tmp_path / "out").prepare(plan.text, plan.base)
     drawn = list(heat_maps(run.finished(plan, tmp_path / "out")))
     assert [one.name for one in drawn] == ["map_reset_0", "map_reset_1"]
 
@@ -261,7 +262,7 @@ def test_a_directory_of_something_else_is_left_alone(small, tmp_path):
     plan, _ = small
     (tmp_path / "mine.txt").write_text("mine")
     with pytest.raises(RecordingError, match="holds no map"):
-        run.prepare(plan, tmp_path)
+        run.store(tmp_path).prepare(plan.text, plan.base)
     with pytest.raises(ConfigError, match="is no map's directory"):
         run.open_map(tmp_path)
 

@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from tools.figures import animation, contacts, damping, graph, paper, rig, transmissibility
+from tools.figures import animation, contacts, damping, first_look, graph, paper, rig, transmissibility
 
 COMMAND = "make figures"
 ROOT = Path(__file__).parents[2]
@@ -38,6 +38,7 @@ DRAWN: Mapping[str, Callable[[], str]] = {
     "animation.svg": animation.draw,
     "contact_laws.svg": contacts.draw_laws,
     "contact_order.svg": contacts.draw_order,
+    "first_look.svg": first_look.draw,
     "graph.svg": graph.draw,
     "impact_damping.svg": damping.draw,
     "paper.svg": paper.draw,

@@ -1,0 +1,190 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""Units of work: measured anywhere, in any order, one file each in a directory, and never measured twice.
+
+| file | content |
+|---|---|
+| `<what>.yaml` | the file as it was given |
+| `configuration.yaml` | the rig, complete |
+| `<folder>/` | one file per unit: what it is, the code that measured it, its rows |
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+from collections.abc import Callable, Generator, Sequence
+from pathlib import Path
+from typing import Generic, Protocol, TypeVar
+
+import attrs
+
+from impact_rig.campaign.code import DECIDING, fingerprint
+from impact_rig.config.tree import MAX_FILE_BYTES
+from impact_rig.errors import ConfigError, RecordingError
+from impact_rig.rig.config import RigConfig, dump, load
+from impact_rig.system import files, plain_yaml
+from impact_rig.system.budget import BudgetError
+
+CONFIGURATION_FILE = "configuration.yaml"
+MAX_UNIT_BYTES = 64 * 2**20
+
+Row = Sequence[str | float]
+"""What was found at one place: words and numbers; NaN where there is none."""
+
+
+class Unit(Protocol):
+    """What is measured as a whole: a value, so that it can travel to a worker."""
+
+    @property
+    def key(self) -> str:
+        """Identify it by all values that decide its result."""
+
+    def describe(self) -> str:
+        """Return a short name for people."""
+
+    def read(self, rows: Sequence[Row]) -> Sequence[Row]:
+        """Return stored rows as they were measured.
+
+        Raises:
+            ValueError: this unit never has such rows.
+        """
+
+
+U = TypeVar("U", bound=Unit)
+Runner = Callable[[Sequence[U]], Generator[tuple[U, Sequence[Row]], None, None]]
+"""A way of measuring: yields every unit with its rows, in any order."""
+
+
+@attrs.frozen
+class Store(Generic[U]):
+    """The directory of a study.
+
+    Attributes:
+        directory: of the study.
+        what: word for the study; names its file.
+        folder: name of the folder that holds the units.
+        room: of the package: besides `DECIDING`, whose code decides the numbers.
+    """
+
+    directory: Path
+    what: str
+    folder: str
+    room: str
+
+    @property
+    def file(self) -> Path:
+        """The file that asks for the study."""
+        return self.directory / f"{self.what}.yaml"
+
+    def prepare(self, text: str, base: RigConfig) -> None:
+        """Make the directory.
+
+        Raises:
+            RecordingError: it cannot be written, or holds something else.
+        """
+        if self.directory.exists() and any(self.directory.iterdir()) and not self.file.exists():
+            raise RecordingError(f"{self.directory} is not empty and holds no {self.what}: choose another --output")
+        try:
+            files.make_folder(self.directory / self.folder)
+            files.write_text(self.file, text)
+            files.write_text(self.directory / CONFIGURATION_FILE, dump(base))
+        except OSError as error:
+            raise RecordingError(f"cannot write {self.directory}: {error.strerror}") from error
+
+    def configuration(self) -> RigConfig:
+        """Return the rig of a directory that is there.
+
+        Raises:
+            ConfigError: it is no directory of such a study.
+        """
+        if not self.file.exists() or not (self.directory / self.folder).is_dir():
+            raise ConfigError(
+                f"{self.directory} is no {self.what}'s directory: `impact-rig {self.what} FILE --output NEW` makes one"
+            )
+        return load(self.directory / CONFIGURATION_FILE)
+
+    def code(self) -> str:
+        """Return what decides the numbers: results of other code are measured anew."""
+        return fingerprint((*DECIDING, self.room))
+
+    def measure(self, units: Sequence[U], runner: Runner[U]) -> Generator[tuple[U, Sequence[Row]], None, None]:
+        """Yield every unit with its rows as soon as they are stored: those stored already first.
+
+        Raises:
+            RecordingError: a unit cannot be stored.
+        """
+        missing = []
+        for unit in units:
+            rows = self.get(unit)
+            if rows is None:
+                missing.append(unit)
+            else:
+                yield unit, rows
+        if not missing:
+            return
+        with contextlib.closing(runner(missing)) as measured:
+            for unit, rows in measured:
+                self.put(unit, rows)
+                yield unit, rows
+
+    def get(self, unit: U) -> Sequence[Row] | None:
+        """Return the rows of a unit, or None if it is to be measured: never was, with other code, or damaged."""
+        try:
+            found = json.loads(files.read_bytes(self._path(unit), MAX_UNIT_BYTES))
+            if found["code"] != self.code() or found["key"] != unit.key:
+                return None
+            return unit.read([[_number(value) for value in row] for row in found["rows"]])
+        except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError):
+            return None
+
+    def put(self, unit: U, rows: Sequence[Row]) -> None:
+        """Store the rows of a unit.
+
+        Raises:
+            RecordingError: it cannot be written.
+        """
+        plain = [[value if isinstance(value, str) or math.isfinite(value) else None for value in row] for row in rows]
+        content = {"unit": unit.describe(), "key": unit.key, "code": self.code(), "rows": plain}
+        try:
+            files.write_text(self._path(unit), json.dumps(content) + "\n")
+        except OSError as error:
+            raise RecordingError(f"cannot write {self.directory / self.folder}: {error.strerror}") from error
+
+    def _path(self, unit: U) -> Path:
+        return self.directory / self.folder / f"{unit.key}.json"
+
+
+def _number(value: object) -> str | float:
+    if isinstance(value, str):
+        return value
+    found = math.nan if value is None else float(value)  # type: ignore[arg-type]  # it raises
+    if math.isinf(found):
+        raise ValueError("not a number that is measured")
+    return found
+
+
+P = TypeVar("P")
+
+
+def load_plan(path: Path, what: str, read: Callable[[object, str], P]) -> P:
+    """Return the plan that `read` makes of a YAML document and its text.
+
+    Raises:
+        ConfigError: the file cannot be read or is wrong; the message ends with the file.
+        BudgetError: it would take too long.
+    """
+    try:
+        text = str(files.read_bytes(path, MAX_FILE_BYTES), "utf-8")
+        document = plain_yaml.load(text, MAX_FILE_BYTES)
+    except OSError as error:
+        raise ConfigError(f"cannot read {what}: {error.strerror} ({path})") from error
+    except ValueError as error:  # PlainYamlError, or it is not UTF-8
+        raise ConfigError(f"not a YAML file: {' '.join(str(error).split())} ({path})") from error
+    try:
+        return read(document, text)
+    except ConfigError as error:
+        raise ConfigError(f"{error} ({path})") from error
+    except BudgetError as error:
+        raise BudgetError(f"{error} ({path})") from error

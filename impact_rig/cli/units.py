@@ -1,0 +1,97 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""What the commands that measure a study's units share: words of the command line, the way, progress."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TypeVar
+
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeElapsedColumn, TimeRemainingColumn
+
+from impact_rig.campaign.pool import in_parallel
+from impact_rig.campaign.units import Row, Runner, Store, Unit
+from impact_rig.cli.terminal import Console, Steps, Words, add_json
+from impact_rig.errors import ConfigError, RecordingError
+from impact_rig.system import files
+
+WAYS = ("process", "dask")
+U = TypeVar("U", bound=Unit)
+
+
+def add_words(parser: argparse.ArgumentParser, what: str) -> None:
+    """Add the words that every such command takes."""
+    parser.add_argument(
+        "--through", nargs="+", default=["process"], metavar="WAY",
+        help="process: all cores (default); dask ADDRESS: on a Dask cluster",
+    )  # fmt: skip
+    parser.add_argument("--output", type=Path, metavar="DIR", help=f"default: runs/{what}_<file>; resumed if it exists")
+    parser.add_argument("--workers", type=int, metavar="N", help="processes (default: one per core)")
+    add_json(parser)
+    parser.add_argument("--no-figures", action="store_true", help="measure only")
+
+
+def words(
+    arguments: argparse.Namespace, work: Callable[[U], Sequence[Row]], what: str, example: str
+) -> tuple[Path, Path, Runner[U]]:
+    """Return file, directory and runner; the file may stand behind `--through` and its words, too.
+
+    Raises:
+        ConfigError: a word is wrong.
+    """
+    way, *rest = arguments.through
+    if way not in WAYS:
+        raise ConfigError(f"--through must be one of {', '.join(WAYS)}, got {way!r}")
+    if arguments.workers is not None and arguments.workers < 1:
+        raise ConfigError(f"--workers must be >= 1, got {arguments.workers}")
+    runner: Runner[U] = lambda units: in_parallel(work, units, arguments.workers)  # noqa: E731  # either of two
+    if way == "dask":
+        if not rest:
+            raise ConfigError("--through dask needs the address of a scheduler, e.g. tcp://127.0.0.1:8786")
+        from impact_rig.campaign.cluster import on_cluster  # noqa: PLC0415  # needs dask
+
+        runner = on_cluster(work, rest.pop(0))
+    file = arguments.file or (Path(rest.pop(0)) if rest else None)
+    if file is None or rest:
+        raise ConfigError(f"one {what} file is needed, e.g. impact-rig {example}")
+    return file, (arguments.output or Path("runs") / f"{what}_{file.stem}").resolve(), runner
+
+
+def measure(
+    units: Sequence[U], store: Store[U], runner: Runner[U], console: Console, places: Callable[[U], int]
+) -> int:
+    """Measure what is missing, with progress by `places`; return how many places that were."""
+    new = sum(places(unit) for unit in units if store.get(unit) is None)
+    columns = (
+        Words("{task.description}"), BarColumn(24), MofNCompleteColumn(), TimeElapsedColumn(),
+        Words("left"), TimeRemainingColumn(), Words("{task.fields[state]}"),
+    )  # fmt: skip
+    bar = Progress(*columns, console=console, disable=not console.is_terminal)
+    with bar as progress, contextlib.closing(store.measure(units, runner)) as done:
+        total = sum(map(places, units))
+        task = progress.add_task("points", total=total, state="starting")
+        steps, count = Steps("points", total), 0
+        for unit, _ in done:
+            count += places(unit)
+            progress.update(task, completed=count, state=unit.describe())
+            if not console.is_terminal:
+                steps.show(count, unit.describe())
+        progress.update(task, state="done")
+    return new
+
+
+def figures_folder(directory: Path) -> Path:
+    """Make and return the folder of a study's figures.
+
+    Raises:
+        RecordingError: it cannot be made.
+    """
+    folder = directory / "figures"
+    try:
+        files.make_folder(folder)
+    except OSError as error:
+        raise RecordingError(f"cannot write {folder}: {error.strerror}") from error
+    return folder

@@ -1,0 +1,115 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""The first look, without ROS: simulate the rig, read its instruments, measure DT, draw it.
+
+What the analysis sees is what the rig publishes: calibration, accepted commands and scans; never the truth.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import attrs
+import numpy as np
+from numpy.typing import NDArray
+
+from impact_rig.analysis.drawings import COVERAGE, time_traces
+from impact_rig.analysis.findings import State
+from impact_rig.analysis.tracker import Tracker
+from impact_rig.blocks import IMPACTS, TRANSMISSIBILITY, Table, joined
+from impact_rig.errors import ConfigError
+from impact_rig.rig import Rig
+from impact_rig.rig.config import RigConfig, from_flat
+from impact_rig.simtime import NS_PER_S
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+LONGEST_S = 3600.0
+"""All scans are kept in memory: 2 GB at 10 kS/s."""
+DRAWN_S = 0.5
+
+
+@attrs.frozen(eq=False, repr=False)
+class Record:
+    """What the instruments of a simulated rig read, and what follows from it.
+
+    Attributes:
+        config: of the rig.
+        scans: columns of `daq/scan`, docs/interface.md, SI; `time` [s] since the start; shape (n,).
+        state: of the measurement at the end: settling, measuring, ...
+        measurements: rows of `transmissibility/table`, the newest last; empty before the first window is full.
+        impact_times: when the analysis found impacts in the acceleration [s], shape (k,).
+        truth: rows of `truth/impacts`, `time` [s] since the start: what really happened.
+    """
+
+    config: RigConfig
+    scans: NDArray[np.void]
+    state: State
+    measurements: NDArray[np.void]
+    impact_times: NDArray[np.float64]
+    truth: NDArray[np.void]
+
+    @property
+    def transmissibility(self) -> tuple[float, float]:
+        """DT and its standard uncertainty u, of the newest window; NaN while it cannot be measured."""
+        row = self.measurements[-1] if len(self.measurements) else np.full((), np.nan, TRANSMISSIBILITY)
+        return float(row["transmissibility"]), float(row["transmissibility_uncertainty"])
+
+    def __str__(self) -> str:
+        value, u = self.transmissibility
+        if not math.isfinite(value):
+            return f"no DT: {' '.join((self.state.word, self.state.reason)).strip()}"
+        return f"DT {value:.2f} ± {COVERAGE * u:.2f} (2u) at {self.measurements[-1]['frequency']:g} Hz"
+
+    def plot(self, path: Path | str | None = None) -> Figure:
+        """Draw the newest half second of base, structure and acceleration; write it where a path is given."""
+        rows = self.scans[-round(DRAWN_S * self.config.daq.rate_hz) :]
+        figure = time_traces(rows, self.impact_times[self.impact_times >= rows["time"][0]])
+        figure.axes[0].set_title(str(self), loc="left", fontsize=9.5, pad=11.0)
+        if path is not None:
+            figure.savefig(path)
+        return figure
+
+
+def simulate(seconds: float, parameters: Mapping[str, object] | None = None) -> Record:
+    """Run a new rig from rest, driven from its first instant, as fast as the machine goes.
+
+    Args:
+        seconds: of rig time, at most an hour.
+        parameters: configuration values that differ from the paper's, `section.key` -> value, as in docs/interface.md.
+
+    Raises:
+        ConfigError: unknown key, value out of range, or too long.
+    """
+    if not 0.0 < seconds <= LONGEST_S:
+        raise ConfigError(f"seconds must be above 0 and at most {LONGEST_S:g}, got {seconds!r}")
+    config = from_flat(RigConfig(), parameters or {})
+    rig, tracker = Rig(config), Tracker()
+    tracker.configure(rig.info())
+    for table in rig.take_applied():
+        tracker.on_applied(table)
+    scans, rows, found, truth = [], [], [], []
+    for block in rig.advance(round(seconds * NS_PER_S)):
+        findings = tracker.feed(block.scan)
+        scans.append(_since_start(block.scan))
+        rows += [table.rows for table in findings.measurements]
+        found += [_since_start(table) for table in findings.impacts]
+        truth += [_since_start(block.impacts)] if block.impacts is not None else []
+    return Record(
+        config=config,
+        scans=joined(scans),
+        state=tracker.state,
+        measurements=joined(rows) if rows else np.empty(0, TRANSMISSIBILITY),
+        impact_times=np.concatenate([part["time"] for part in found]) if found else np.empty(0),
+        truth=joined(truth) if truth else np.empty(0, IMPACTS),
+    )
+
+
+def _since_start(table: Table) -> NDArray[np.void]:
+    rows = table.rows.copy()
+    rows["time"] += table.stamp_ns / NS_PER_S
+    return rows

@@ -1,0 +1,56 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""The first look: what `impact_rig.simulate` gives is what rig and analysis give; docs/index.md is run by test_docs."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import impact_rig
+from impact_rig.errors import ConfigError
+from impact_rig.physics.closed_form import transmissibility
+from impact_rig.rig import Rig
+from impact_rig.rig.config import RigConfig, from_flat
+from impact_rig.simulation import simulate
+
+DRIVEN = {"drive.frequency_hz": 9.1, "drive.amplitude": 0.52}
+
+
+def test_dt_without_sphere_is_the_closed_form_within_its_uncertainty():
+    record = simulate(30.0, {**DRIVEN, "sphere.present": False})
+    value, u = record.transmissibility
+    assert abs(value - abs(complex(transmissibility(record.config, 9.1)))) < 3.0 * u
+    assert str(record) == f"DT {value:.2f} ± {2 * u:.2f} (2u) at 9.1 Hz"
+
+
+def test_scans_are_the_rigs_and_impacts_found_are_the_true_ones():
+    record = simulate(2.0, DRIVEN)
+    rig = Rig(from_flat(RigConfig(), DRIVEN))
+    blocks = rig.advance(2 * 10**9)
+    assert np.array_equal(record.scans["laser"], np.concatenate([block.scan.rows["laser"] for block in blocks]))
+    assert np.allclose(np.diff(record.scans["time"]), 1e-4, rtol=0.0, atol=1e-12)
+    hard = record.truth[record.truth["approach_speed"] > 0.05]
+    assert len(hard) > 5
+    for begin in hard["time"]:
+        assert np.min(np.abs(record.impact_times - begin)) < 2e-3
+    assert str(record) == "no DT: settling"
+
+
+def test_what_cannot_be_simulated_is_refused():
+    for seconds in (0.0, -1.0, float("nan"), 1e9):
+        with pytest.raises(ConfigError, match="seconds must be above 0"):
+            simulate(seconds)
+    with pytest.raises(ConfigError, match="gap"):
+        simulate(1.0, {"barriers.gap_m": -1.0})
+    assert impact_rig.simulate is simulate
+    with pytest.raises(AttributeError, match="simulat"):
+        impact_rig.simulat  # noqa: B018
+
+
+def test_importing_the_package_loads_nothing_heavy():
+    code = "import sys, impact_rig; print({'numpy', 'scipy', 'attrs'} & set(sys.modules))"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "set()\n"
