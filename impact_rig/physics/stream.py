@@ -161,7 +161,7 @@ class Stream:
         late = min(len(values), max(0, self.played - first))
         if late < len(values) or len(values) == 0:
             self.buffer.put(max(first, self.played), values[late:])
-        if len(values) == 0 and self.state is not State.PLAYING:
+        if len(values) == 0 and self.state is not State.PLAYING and self.buffer.first_there(self.played) is None:
             self.state = State.OVER
         return late
 
