@@ -22,8 +22,7 @@ import attrs
 import numpy as np
 
 from impact_rig.campaign.axes import NO_SPHERE
-from impact_rig.campaign.in_process import execute
-from impact_rig.campaign.job import Job
+from impact_rig.campaign.job import Job, execute
 from impact_rig.campaign.pool import in_parallel
 from impact_rig.drawing.palette import SERIES
 from impact_rig.drawing.style import legend_below, new_axes, style

@@ -20,7 +20,7 @@ from typing import Generic, Protocol, TypeVar
 
 import attrs
 
-from impact_rig.campaign.code import DECIDING, fingerprint
+from impact_rig.campaign.store import DECIDING, fingerprint
 from impact_rig.config.tree import MAX_FILE_BYTES
 from impact_rig.errors import ConfigError, RecordingError
 from impact_rig.rig.config import RigConfig, dump, load

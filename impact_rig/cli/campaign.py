@@ -15,9 +15,9 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeElapsedCo
 from impact_rig.campaign import paper, pool, run
 from impact_rig.campaign.job import Job
 from impact_rig.campaign.plan import load_campaign
+from impact_rig.campaign.results import FILE_NAME
 from impact_rig.campaign.statements import Verdict
 from impact_rig.campaign.store import Store
-from impact_rig.campaign.summary import FILE_NAME
 from impact_rig.cli import command
 from impact_rig.cli.terminal import Console, Steps, TextTable, Words, add_json, tell_json, tell_program
 from impact_rig.errors import ConfigError
@@ -118,7 +118,7 @@ def _runner(way: str, address: str, arguments: argparse.Namespace, directory: Pa
 
         return stepped_runner(directory, record=arguments.record)
     if way == "dask":
-        from impact_rig.campaign.cluster import dask_runner  # noqa: PLC0415  # needs dask
+        from impact_rig.campaign.pool import dask_runner  # noqa: PLC0415  # needs dask
 
         return dask_runner(address)
     return lambda jobs: pool.run_parallel(jobs, arguments.workers)

@@ -22,11 +22,16 @@ from impact_rig.recording import open_run
 from impact_rig.rig import Rig
 from impact_rig.rig.config import RigConfig, dump, load
 from impact_rig.studies.identification import paper_fit
-from impact_rig.studies.identification.constants import NAMES, UNITS
-from impact_rig.studies.identification.fisher import Information
-from impact_rig.studies.identification.fit import Identified, identify
-from impact_rig.studies.identification.measurements import U_RESTITUTION, Gains, Measured, reduced_of, sine_of
-from impact_rig.studies.identification.pluck import measured_decay, recorded_decay
+from impact_rig.studies.identification.fit import NAMES, UNITS, Identified, Information, identify
+from impact_rig.studies.identification.measurements import (
+    U_RESTITUTION,
+    Gains,
+    Measured,
+    measured_decay,
+    recorded_decay,
+    reduced_of,
+    sine_of,
+)
 from impact_rig.system import files
 
 JSON_FILE, CONFIGURATION_FILE = "identification.json", "identified.yaml"

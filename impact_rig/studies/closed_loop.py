@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig.blocks import joined
-from impact_rig.campaign.in_process import ProcessApparatus
-from impact_rig.campaign.job import Job
+from impact_rig.campaign.job import Job, ProcessApparatus
 from impact_rig.operate.controlled_sine import ControlledSine, HoldPlan
 from impact_rig.operate.operator import PatientApparatus, operate
 from impact_rig.operate.phasors import Look, PhasorMeter
