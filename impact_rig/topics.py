@@ -218,7 +218,7 @@ WAVEFORM = _table(
 )
 STREAM = _table(
     "shaker/stream",
-    Qos.DATA,
+    Qos.LATCHED,
     "rig",
     blocks.STREAM_COLUMNS,
     "Which sample of shaker/waveform is wanted next, and what came of those that came, after each block.",

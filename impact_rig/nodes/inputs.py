@@ -11,6 +11,7 @@ from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 
 from impact_rig import topics
+from impact_rig.blocks import Table
 from impact_rig.errors import CommandError
 from impact_rig.nodes.managed import Answer, DeferredService, Done
 from impact_rig.nodes.session import Session
@@ -69,7 +70,9 @@ class Steps:
         if not self._service.waiting:
             return
         silent = self._session.window.silent()
-        if silent:
+        if self._session.starving():
+            self.refuse(f"{self._session.controllers()} sends no samples on {topics.WAVEFORM.name}")
+        elif silent:
             self.refuse(f"peer {', '.join(silent)} does not acknowledge")
         elif self.left <= 0 and self._session.window.outstanding() == 0:
             self._service.reply(True, f"at {self._session.running().next_block_ns / NS_PER_S:.9f} s")
@@ -123,12 +126,16 @@ class Pause:
     def resume(self) -> str:
         """Go on, without what a silent peer has missed; returns the answer."""
         session = self._session
-        if session.paused or session.window.silent():  # else it was running: nothing is given up
+        starving = session.starving()
+        if session.paused or session.window.silent() or starving:  # else it was running: nothing is given up
             session.paused = self.blocks_steps = False
             self._service.reply(False, "told to go on")
             if session.node.settings.time.mode != "stepped":
                 self._steps.refuse("told to go on")
             session.window.forgive()
+            if starving:
+                stream = session.running().stream
+                session.running().feed(stream.played + stream.buffered(), ())
             session.pacer.rebase(session.running().next_block_ns - session.base_ns)
             self._go_on()
             session.node.report_change()
@@ -150,17 +157,22 @@ class Inputs:
         session: of the rig.
         work: called once a step is asked for.
         go_on: called when a paused rig has been told to go on.
+        work_on: called when samples have come that a rig ahead of time may have waited for.
     """
 
-    def __init__(self, session: Session, work: Callable[[], None], go_on: Callable[[], None]) -> None:
+    def __init__(
+        self, session: Session, work: Callable[[], None], go_on: Callable[[], None], work_on: Callable[[], None]
+    ) -> None:
         self.session = session
         node = session.node
         self._commands = [
             node.subscribe(topics.FREQUENCY, self._on_frequency),
             node.subscribe(topics.CURRENT, self._on_current),
+            node.subscribe_table(topics.WAVEFORM, self._on_waveform),
         ]
         self.steps = Steps(session, work)
         self.pause = Pause(session, self.steps, go_on)
+        self._go_on_with_samples = work_on
         node.service(Trigger, "~/reset", self._on_reset)
         node.service(Trigger, "~/stop", self._on_stop)
         node.service(Trigger, "~/clear_trip", self._on_clear_trip)
@@ -193,6 +205,21 @@ class Inputs:
 
     def _on_current(self, message: Float64) -> None:
         self._accept(topics.CURRENT.name, current_a=message.data)
+
+    def _on_waveform(self, table: Table) -> None:
+        session = self.session
+        try:
+            rig = session.running()
+        except CommandError as error:
+            session.node.refuse("inactive", f"{topics.WAVEFORM.name}: {error}")
+            return
+        try:
+            rig.feed(rig.sample_at(table.stamp_ns), table.rows["value"])
+        finally:
+            if not session.is_realtime:  # in real time the next block says it
+                session.publishers.stream(rig)
+        if not session.is_realtime:
+            self._go_on_with_samples()
 
     def _accept(self, name: str, **values: float) -> None:
         node = self.session.node

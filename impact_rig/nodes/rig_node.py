@@ -63,7 +63,9 @@ class RigNode(ManagedNode[RigConfig]):
         self._session = Session(self)
         self._timer = WorkTimer(self, self._on_timer)
         self._worked_at = self._slice_began = 0.0
-        self._inputs = Inputs(self._session, guarded(self._on_step, self.report_failure), self._start_timer)
+        self._inputs = Inputs(
+            self._session, guarded(self._on_step, self.report_failure), self._start_timer, self._on_samples
+        )
         self._state = RigState(self._inputs)
         self._standard = StandardServices(self._inputs)
         self.subscribe(topics.ACK, self._on_ack, raw=True)
@@ -169,6 +171,10 @@ class RigNode(ManagedNode[RigConfig]):
             if not self._session.is_realtime and time.monotonic() - self._slice_began < SLICE_S:
                 self._work()
 
+    def _on_samples(self) -> None:
+        if self._session.starved_at is not None:
+            self._work()
+
     def _work(self) -> None:
         session, pause, now = self._session, self._inputs.pause, time.monotonic()
         if now - self._worked_at > AWAY_S:
@@ -209,11 +215,16 @@ class RigNode(ManagedNode[RigConfig]):
         if not session.history_settled:
             session.publishers.settle_history()
             session.history_settled = True
+        now = time.monotonic()
         batch = max(1, round(LARGEST_BATCH_S * self.settings.daq.rate_hz / self.settings.daq.block_scans))
         while limit > 0 and not window.silent():
             room = min(window.room(), limit, batch)
             if room < min(limit, batch, (window.window + 1) // 2):
                 break  # waiting for half a window makes batches worth their overhead
+            room = rig.blocks_with_samples(room)
+            if room == 0:
+                session.starved_at = session.starved_at or now
+                break
             blocks = rig.advance(rig.block_end_ns(room))
             session.publish(blocks)
             if by_steps:

@@ -14,6 +14,8 @@ from collections.abc import Callable
 from impact_rig import states, topics
 from impact_rig.nodes.diagnostics import Health, Level, State, worst
 from impact_rig.nodes.inputs import Inputs
+from impact_rig.physics.stream import State as StreamState
+from impact_rig.rig import Rig
 from impact_rig.rig.config import RigConfig
 from impact_rig.simtime import NS_PER_S
 
@@ -21,6 +23,7 @@ SLOW_S = 1.0
 """A reader this much wall time behind is reported; with 100 blocks per second its queue holds ten times that."""
 CLOCK_STEP_S = 0.1
 """A step of the system clock by this much is reported; slewing moves both clocks alike."""
+_WITHOUT = {"ramp": "is ramped to zero", "hold": "holds the last one", "trip": "is ramped to zero"}
 MOST = 5
 """Faults that are told of at one look; of more only the number."""
 
@@ -37,6 +40,7 @@ class RigState:
         self._node = inputs.session.node
         self._latched: str | None = None
         self._faults: dict[int, str] = {}
+        self._stream: StreamState | None = None
         self._silent: tuple[str, ...] = ()
         self._gone: set[str] = set()
 
@@ -69,6 +73,8 @@ class RigState:
             return State(words.NO_PEER, f"waiting for peer {', '.join(missing)}")
         if silent:
             return State(words.SILENT_PEER, f"peer {', '.join(silent)} silent for {timing.peer_timeout_s:g} s")
+        if session.starving():
+            return State(words.SILENT_PEER, f"{session.controllers()} sends no samples on {topics.WAVEFORM.name}")
         if rig.latched is not None:
             return State(words.TRIPPED, rig.latched)
         if session.paused:
@@ -78,7 +84,7 @@ class RigState:
         if rig.plucked:
             return State(words.PLUCKED)
         without = f"without peer {', '.join(missing)}" if missing else ""
-        return State(words.DRIVING if rig.amplitude else words.AT_REST, without)
+        return State(words.DRIVING if rig.amplitude or rig.streaming else words.AT_REST, without)
 
     def health(self) -> Health:
         """Return mode, time, lateness, peers, shaker, over-ranges; or why the rig has not begun."""
@@ -111,8 +117,13 @@ class RigState:
             seconds = f"{config.time.peer_timeout_s:g} s"
             names = ", ".join(silent)
             troubles.append((Level.ERROR, f"paused: peer {names} silent for {seconds} (~/pause false goes on without)"))
+        if session.starving():
+            who = session.controllers()
+            troubles.append((Level.ERROR, f"paused: {who} sends no samples (~/pause false goes on without)"))
         if rig.latched is not None:
             troubles.append((Level.ERROR, f"shaker latched by {rig.latched}"))
+        if rig.takes_samples:
+            troubles += self._stream_troubles(rig)
         if pacer.slips:
             troubles.append((Level.WARN, "could not keep real time: see slips"))
         if realtime:
@@ -158,6 +169,9 @@ class RigState:
             "subscribers": readers.subscribers,
             "other_acks": counts.other_acks,
         }
+        if rig.takes_samples:
+            row = rig.stream_state().rows[0]
+            values |= {f"stream.{name}": row[name] for name in row.dtype.names[1:]}
         late = pacer.lateness() if realtime else None
         if late is not None:
             values |= {
@@ -168,6 +182,16 @@ class RigState:
         values |= {f"behind.{name}": count for name, count in behind.items()}
         values |= {f"over_range.{one.name}": counts.over_range[one.name] for one in config.instruments.fitted()}
         return Health(level, message, values)
+
+    def _stream_troubles(self, rig: Rig) -> list[tuple[Level, str]]:
+        found, who = [], self._session.controllers()
+        if " and " in who:
+            found.append((Level.WARN, f"{who} all send samples: the last to come counts"))
+        if rig.stream.state is StreamState.MISSING:
+            found.append(
+                (Level.WARN, f"no samples of {who} in time: the drive {_WITHOUT[rig.config.drive.on_underrun]}")
+            )
+        return found
 
     # The log
 
@@ -184,6 +208,11 @@ class RigState:
             else:
                 self._warn(f"tripped: shaker latched by {self._latched}, ~/clear_trip releases it")
         self._look_at_faults(session.counts.faults)
+        state = rig.stream.state if rig.takes_samples else None
+        if state is not self._stream and StreamState.MISSING in (state, self._stream):
+            say = self._warn if state is StreamState.MISSING else self._info
+            say(f"{topics.WAVEFORM.name}: {state.value if state else 'the drive is another one'}")
+        self._stream = state
         silent = window.silent()
         for name in set(silent).difference(self._silent):
             self._warn(f"peer {name} is silent: it owes acknowledgements of {topics.SCAN.name}")

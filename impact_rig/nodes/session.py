@@ -89,6 +89,8 @@ class Session:
         """What the contact law really returns: with the paper's law 0.309 for 0.35."""
         self.paused = False
         """Whether rig time stands still, but for steps that are asked for meanwhile."""
+        self.starved_at: float | None = None
+        """Since when (monotonic) a rig ahead of time waits for samples of a stream."""
         self.base_ns = self.clock_offset_ns = 0
         self.history_settled = False
         self._publishers: Publishers | None = None
@@ -120,6 +122,7 @@ class Session:
         self.gate = StartGate(self.node, self.lock, self.duplicates, awaited, config.time.start_wait_s)
         publishers.forget()
         self.history_settled = False
+        self.starved_at = None
         self.counts = Counts()
 
     def begin(self) -> Rig:
@@ -167,6 +170,16 @@ class Session:
             return f"the rig has not begun, {obstacle.reason}"
         return f"the rig is {self.node.state}, activate it first"
 
+    def starving(self) -> bool:
+        """Whether the rig has been waiting for samples of a stream for as long as it waits for a peer."""
+        patience_s = self.node.settings.time.peer_timeout_s
+        return self.starved_at is not None and time.monotonic() - self.starved_at > patience_s
+
+    def controllers(self) -> str:
+        """Return who could send samples of a stream, in words."""
+        found = self.node.get_publishers_info_by_topic(self.node.resolve_topic_name(topics.WAVEFORM.name))
+        return " and ".join(sorted({info.node_name for info in found})) or "nobody"
+
     # Publishing
 
     def publish(self, blocks: Sequence[Block]) -> None:
@@ -183,6 +196,9 @@ class Session:
             if not self.paused:
                 self.pacer.published(block.end_ns - self.base_ns)
             self.counts.take(block)
+        if blocks:
+            self.starved_at = None
+            self.publishers.stream(self.rig)
         if blocks and self.node.settings.time.publishes_clock:
             self.publishers.clock(blocks[-1].end_ns)
 
@@ -195,6 +211,7 @@ class Session:
         """Publish the configuration in force, and the calibration if it is another."""
         assert self.rig is not None
         self.publishers.configuration(self.rig)
+        self.publishers.stream(self.rig)
         self.realised_restitution = self.rig.simulation.realised_restitution
 
     # What comes from outside

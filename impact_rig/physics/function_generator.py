@@ -119,7 +119,7 @@ class FunctionGenerator:
         return twin
 
     def segments(self, count: int) -> NDArray[np.void]:
-        """Return the drive segments of the next `count` ticks, dtype `SEGMENT`: one a tick, or one a stream's sample."""
+        """Return the drive segments of the next `count` ticks, dtype `SEGMENT`: one each, or one a sample."""
         if self.stream is not None:
             self.tick += count
             return self.stream.segments(self.tick - count, count, self._tick_s)

@@ -4,7 +4,7 @@
 
 Sample k lies k · 10⁹ // rate nanoseconds after scan 0. Between samples the drive is a straight line (first-order hold)
 or the sample before (zero-order hold); its segments end at samples and at ticks of the command grid. What has come by
-the time a tick is simulated is in force; into which blocks it was cut, in which order and how often it came is not seen.
+the time a tick is simulated is in force; into which blocks it was cut, in which order and how often it came, is lost.
 """
 
 from __future__ import annotations

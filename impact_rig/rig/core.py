@@ -115,6 +115,11 @@ class Rig:
         return self._generator.stream is not None and self._generator.stream.state is State.PLAYING
 
     @property
+    def takes_samples(self) -> bool:
+        """Whether the drive is a stream."""
+        return self._generator.stream is not None
+
+    @property
     def stream(self) -> Stream:
         """The stream that drives the rig.
 
@@ -281,8 +286,6 @@ class Rig:
         try:
             self._refuse_if_stopped()
             samples = np.array(values, np.float64)
-            if samples.ndim != 1:
-                raise CommandError(f"a block of samples must have the shape (n,), got {samples.shape}")
             check_stream(samples, self._drive, self.config.shaker)
             late = stream.put(first_sample, samples)
         except CommandError:

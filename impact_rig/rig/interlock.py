@@ -170,8 +170,10 @@ def check_stream(values: NDArray[np.float64], drive: Drive, shaker: Shaker) -> N
     """Refuse samples of which one is not finite or beyond what the shaker may carry.
 
     Raises:
-        CommandError: names the first such sample and the limit.
+        CommandError: names the first such sample and the limit, or the shape that is none.
     """
+    if values.ndim != 1:
+        raise CommandError(f"a block of samples must have the shape (n,), got {values.shape}")
     name, unit, high, why = amplitude_limit(drive, shaker)
     wrong = np.flatnonzero(~(np.abs(values) <= high))
     if len(wrong):

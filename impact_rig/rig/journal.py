@@ -57,15 +57,19 @@ class Kind(enum.Enum):
     CLEAR_FAULT = "clear_fault", "value = id of the fault, -1 all of them."
     TRIP = (
         "trip",
-        "The interlock: key = over_travel, over_current or underrun, value = what was measured, of an underrun the "
-        "sample that was missing; a result, no input.",
+        (
+            "The interlock: key = over_travel, over_current or underrun, value = what was measured, of an underrun the "
+            "sample that was missing; a result, no input."
+        ),
     )
     TIMEOUT = "timeout", "No command for output.command_timeout_s; a result, no input."
     STREAM = (
         "stream",
-        "Samples of shaker/waveform, value = number of the first: key = begin (it is in force); end (it is not; text = "
-        "underrun, ended or stopped); crc32 (text = how many came into force since the last such row, their CRC-32); "
-        "a result.",
+        (
+            "Of shaker/waveform, value = number of a sample; key = begin (samples are in force from it on), end (they "
+            "no longer are; text = underrun, ended or stopped), crc32 (so many from it on came into force; text = how "
+            "many, and their CRC-32); a result."
+        ),
     )
 
 

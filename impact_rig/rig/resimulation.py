@@ -25,7 +25,6 @@ from impact_rig.rig.journal import RESULTS, Change, Entry, Kind, changes, read
 from impact_rig.rig.truth import TICKS_PER_S
 from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S
 
-
 Samples = NDArray[np.float64]
 
 
@@ -88,10 +87,11 @@ class RecordedSamples(Buffer):
         lacking = numbers[wanted & ~held]
         if len(lacking) and (lacking[0] < len(self._recorded) or lacking[0] < self._changes[-1]):
             raise ConfigError(
-                f"the recording lacks sample {lacking[0]} of {topics.WAVEFORM.name}, {lacking[0] * self._seconds:.6f} s "
-                "after the start, which was in force"
+                f"the recording lacks sample {lacking[0]} of {topics.WAVEFORM.name}, which was in force "
+                f"{lacking[0] * self._seconds:.6f} s after the start"
             )
-        return wanted & held
+        held &= wanted
+        return held
 
     def values(self, first: int, last: int) -> Samples:
         """Return the samples first … last − 1."""
