@@ -18,8 +18,7 @@ from impact_rig.campaign.plan import load_campaign
 from impact_rig.campaign.results import FILE_NAME
 from impact_rig.campaign.statements import Verdict
 from impact_rig.campaign.store import Store
-from impact_rig.cli import command
-from impact_rig.cli.terminal import Console, Steps, TextTable, Words, add_json, tell_json, tell_program
+from impact_rig.cli.terminal import Console, Steps, TextTable, Words, add_json, subcommand, tell_json, tell_program
 from impact_rig.errors import ConfigError
 from impact_rig.studies.margins import Variation, variations
 
@@ -32,7 +31,7 @@ SHOWN = 20
 
 def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Register the subcommand."""
-    parser = command.add(
+    parser = subcommand(
         commands, "campaign", "measure all points of a campaign file; run again to resume",
         [
             ("campaign config/paper.yaml", "the whole paper, on all cores"),

@@ -22,8 +22,7 @@ from impact_rig.campaign import paper
 from impact_rig.campaign.job import Job
 from impact_rig.campaign.paper import Reductions
 from impact_rig.campaign.results import FILE_NAME, Statement, write_summary
-from impact_rig.cli import command
-from impact_rig.cli.terminal import Console, Steps, TextTable, Words, add_json, tell_json, tell_program
+from impact_rig.cli.terminal import Console, Steps, TextTable, Words, add_json, subcommand, tell_json, tell_program
 from impact_rig.errors import ImpactRigError
 from impact_rig.operate.plan import Direction
 from impact_rig.operate.stepped_sine import SteppedSine
@@ -76,7 +75,7 @@ CASES = (Case(0.0), *(Case(gap) for gap in paper.REDUCTION_PERCENT))
 
 def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Register the subcommand."""
-    parser = command.add(
+    parser = subcommand(
         commands, "demo", "measure the paper's five reductions through the topics",
         [
             ("demo", "three processes, six runs recorded below runs/, a table and a figure"),

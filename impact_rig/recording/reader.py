@@ -26,11 +26,11 @@ import attrs
 from impact_rig import codec, topics
 from impact_rig.blocks import Table
 from impact_rig.errors import CodecError, RecordingError
-from impact_rig.recording import bag_metadata, records
+from impact_rig.recording import description, records
 from impact_rig.recording.description import TopicDescription, matches, resolve
 from impact_rig.recording.provenance import RECORD_NAME, Attachment, verify
 from impact_rig.recording.records import DamageError
-from impact_rig.system import budget, files, plain_yaml
+from impact_rig.system import budget, files
 from impact_rig.system.budget import BudgetError, Spending
 from impact_rig.system.files import open_regular
 from impact_rig.topics import Topic
@@ -341,7 +341,7 @@ def run_files(path: Path) -> list[Path]:
     files = sorted(path.glob("*.mcap"), key=_split_order)
     missing = set(_listed_files(path)) - {file.name for file in files}
     if missing:
-        raise RecordingError(f"{path}: {', '.join(sorted(missing))} is missing ({bag_metadata.FILE_NAME} lists it)")
+        raise RecordingError(f"{path}: {', '.join(sorted(missing))} is missing ({description.METADATA_FILE} lists it)")
     if not files:
         raise RecordingError(f"{path} holds no *.mcap file")
     return files
@@ -353,12 +353,12 @@ def _split_order(file: Path) -> tuple[str, int]:
 
 
 def _listed_files(directory: Path) -> list[str]:
-    path = directory / bag_metadata.FILE_NAME
+    path = directory / description.METADATA_FILE
     try:
         size = path.stat().st_size
         budget.allow(f"bytes in {path}", size, budget.METADATA_BYTES)
-        content: Any = plain_yaml.load(str(files.read_bytes(path, size), "utf-8"), size)
-        listed = content[bag_metadata.TOP_KEY]["relative_file_paths"]
+        content: Any = budget.load_yaml(str(files.read_bytes(path, size), "utf-8"), size)
+        listed = content[description.METADATA_KEY]["relative_file_paths"]
         return [str(name) for name in listed]
     except FileNotFoundError:
         return []

@@ -16,14 +16,14 @@ from numpy.typing import NDArray
 
 from impact_rig import codec, topics
 from impact_rig.errors import CodecError
-from impact_rig.recording import bag_metadata, losses
+from impact_rig.recording import description, losses
 from impact_rig.recording.description import matches
+from impact_rig.recording.losses import Contiguity, check_contiguity, scan_rate_hz
 from impact_rig.recording.provenance import CONFIGURATION
 from impact_rig.recording.reader import Message, Run, open_run
 from impact_rig.recording.records import DamageError
 from impact_rig.recording.writer import CONTINUES_RECORD_NAME
 from impact_rig.runs import recovery
-from impact_rig.runs.contiguity import Contiguity, check_contiguity, scan_rate_hz
 from impact_rig.runs.recovery import Recovered
 from impact_rig.simtime import NS_PER_S
 
@@ -202,8 +202,8 @@ def _absent_files(run: Run) -> list[str]:
     last = run.sources[-1]
     follows = [content.get("file", "") for name, content in last.metadata() if name == CONTINUES_RECORD_NAME]
     missing = [f"{last.path.name} is not the last file of its run: {follows[-1]} is missing"] if follows else []
-    if run.path.is_dir() and not (run.path / bag_metadata.FILE_NAME).exists():
-        missing.append(f"{bag_metadata.FILE_NAME}, which a finished run has, is missing")
+    if run.path.is_dir() and not (run.path / description.METADATA_FILE).exists():
+        missing.append(f"{description.METADATA_FILE}, which a finished run has, is missing")
     return missing
 
 

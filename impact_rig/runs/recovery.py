@@ -27,14 +27,13 @@ import attrs
 
 from impact_rig import codec, topics
 from impact_rig.errors import CodecError, RecordingError
-from impact_rig.recording import bag_metadata, losses, provenance, reader, records
+from impact_rig.recording import description, losses, provenance, reader, records
 from impact_rig.recording.description import TopicDescription, matches
-from impact_rig.recording.mcap_file import FOLLOWS, TAIL_RECORD_NAME, TAIL_SUFFIX, tail_of
+from impact_rig.recording.losses import check_contiguity, scan_rate_hz
 from impact_rig.recording.provenance import Attachment, Provenance
 from impact_rig.recording.reader import run_files
 from impact_rig.recording.records import RECORD_HEAD, DamageError, RawMessage, Statistics
-from impact_rig.recording.writer import RunWriter
-from impact_rig.runs.contiguity import check_contiguity, scan_rate_hz
+from impact_rig.recording.writer import FOLLOWS, TAIL_RECORD_NAME, TAIL_SUFFIX, RunWriter, tail_of
 from impact_rig.simtime import NS_PER_S
 from impact_rig.system import budget
 from impact_rig.system.budget import BudgetError, Spending
@@ -670,7 +669,7 @@ class _Salvage:
 
     def _take_metadata(self, file: DamagedFile, found: Found) -> None:
         name, content = records.parse_metadata(file.content(found))
-        if name == bag_metadata.RECORD_NAME:
+        if name == description.BAG_RECORD_NAME:
             return  # written anew
         verified = provenance.verify(content)
         if verified is None:

@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 
-from impact_rig.cli.recover import INCOMPLETE
+from impact_rig.cli.recorded import INCOMPLETE
 from impact_rig.errors import ImpactRigError
 from impact_rig.recording import open_run
 from impact_rig.recording.description import TopicDescription, starts_with_header

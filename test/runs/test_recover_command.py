@@ -8,7 +8,7 @@ import pytest
 from kits.recording import SCAN_TOPIC, fill, foreign_file, scan_block
 
 from impact_rig.cli import main
-from impact_rig.cli.recover import INCOMPLETE
+from impact_rig.cli.recorded import INCOMPLETE
 from impact_rig.recording import open_run
 from impact_rig.runs import info, recover
 
