@@ -7,7 +7,8 @@ from __future__ import annotations
 import contextlib
 import math
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,20 +29,33 @@ from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S
 Samples = NDArray[np.float64]
 
 
+class Sent(NamedTuple):
+    """A block of shaker/waveform as received: its stamp, and the end of the newest scans at that time [ns]."""
+
+    stamp_ns: int
+    samples: Samples
+    received_ns: int = 0
+
+
 def resimulate(
-    journal: Iterable[Table], base: RigConfig | None = None, waveform: Iterable[tuple[int, Samples]] = ()
+    journal: Iterable[Table], base: RigConfig | None = None, waveform: Sequence[Sent] = ()
 ) -> Iterator[Block]:
     """Yield the blocks of the rig that wrote this journal, from its last start or reset on, without end.
 
     Args:
         journal: the tables of rig/journal, in order; the last `start` or `reset` in them begins.
         base: what the initial rows do not decide (`daq.block_scans` is in them): publishing options; default none.
-        waveform: blocks of shaker/waveform as received, (stamp [ns], samples), where the drive is a stream.
+        waveform: what came on shaker/waveform, in order, where the drive is a stream.
 
     Raises:
         ConfigError: the journal is not whole or does not fit this version; the message says why.
     """
     yield from Resimulation(journal, base, waveform).blocks
+
+
+def _number(rig: Rig, stamp_ns: int) -> int:
+    """Return the number of the first sample that is not before an instant."""
+    return -(-(stamp_ns - rig.start_ns) * rig.stream.rate_hz // NS_PER_S)
 
 
 class RecordedSamples(Buffer):
@@ -50,21 +64,26 @@ class RecordedSamples(Buffer):
     Args:
         rig: the rig, new.
         entries: its journal.
-        waveform: blocks as received, (stamp [ns], samples), those left out that came too late.
+        waveform: what came, in order; of what came late only that is taken of which nothing came before.
     """
 
-    def __init__(self, rig: Rig, entries: Iterable[Entry], waveform: Iterable[tuple[int, Samples]]) -> None:
+    def __init__(self, rig: Rig, entries: Iterable[Entry], waveform: Sequence[Sent]) -> None:
         super().__init__(0)
-        parts = []
-        for stamp_ns, samples in waveform:
+        parts, last = [], 0
+        most = rig.stream.capacity + 1 + _number(rig, max((sent.received_ns for sent in waveform), default=0))
+        for stamp_ns, samples, received_ns in waveform:
             with contextlib.suppress(CommandError):  # what the rig had refused as well
                 check_stream(samples, rig.config.drive, rig.config.shaker)
-                parts.append((rig.sample_at(stamp_ns), samples))
-        last = max((first + len(samples) for first, samples in parts), default=0)
+                first = rig.sample_at(stamp_ns)
+                if 0 <= first + len(samples) <= most:
+                    parts.append((np.arange(first, first + len(samples)), samples, _number(rig, received_ns)))
+                    last = max(last, first + len(samples))
         self._recorded, self._are_there = np.zeros(last), np.zeros(last, np.bool_)
-        for first, samples in parts:
-            self._recorded[max(first, 0) : first + len(samples)] = samples[max(0, -first) :]
-            self._are_there[max(first, 0) : first + len(samples)] = True
+        for numbers, samples, received in parts:
+            taken = numbers >= 0
+            taken[taken] = (numbers[taken] >= received) | ~self._are_there[numbers[taken]]
+            self._recorded[numbers[taken]] = samples[taken]
+            self._are_there[numbers[taken]] = True
         self._changes = [0]  # samples are in force from each odd one of these to the next
         for entry in entries:
             if entry.kind is Kind.STREAM and entry.key in (Event.BEGIN, Event.END):
@@ -122,7 +141,7 @@ class Resimulation:
     Args:
         journal: the tables of rig/journal, in order; the last `start` or `reset` in them begins.
         base: what the initial rows do not decide; default none.
-        waveform: blocks of shaker/waveform as received, (stamp [ns], samples).
+        waveform: what came on shaker/waveform, in order.
 
     Attributes:
         rig: the rig, ahead of the blocks that were taken.
@@ -131,9 +150,7 @@ class Resimulation:
         configurations: the configuration at the start and after each change.
     """
 
-    def __init__(
-        self, journal: Iterable[Table], base: RigConfig | None = None, waveform: Iterable[tuple[int, Samples]] = ()
-    ) -> None:
+    def __init__(self, journal: Iterable[Table], base: RigConfig | None = None, waveform: Sequence[Sent] = ()) -> None:
         entries = read(journal)
         inputs = deque(changes(entries[1:]))
         initial = inputs.popleft().configuration if inputs and inputs[0].kind is Kind.INITIAL else {}

@@ -12,29 +12,30 @@ from numpy.typing import NDArray
 from impact_rig.errors import CommandError, ConfigError
 from impact_rig.rig import Block, Kind, Rig, resimulate
 from impact_rig.rig.journal import Entry, read
+from impact_rig.rig.resimulation import Sent
 from impact_rig.simtime import NS_PER_S
 
 RATE_HZ = 10_000
 SECONDS = 2
 TIME = np.arange(SECONDS * RATE_HZ) / RATE_HZ
 WAVE = 0.6 * np.sin(2.0 * np.pi * 9.1 * TIME) + 0.01 * np.random.default_rng(4).standard_normal(len(TIME))
-Sent = list[tuple[int, NDArray[np.float64]]]
+Blocks = list[tuple[int, NDArray[np.float64]]]
 
 
 def stream_rig(**values: object) -> Rig:
     return Rig(config(drive__waveform="stream", drive__amplitude=0.0, **values))
 
 
-def in_blocks(size: int) -> Sent:
+def in_blocks(size: int) -> Blocks:
     return [(first, WAVE[first : first + size]) for first in range(0, len(WAVE), size)]
 
 
-def shuffled(blocks: Sent, within: int) -> Sent:
+def shuffled(blocks: Blocks, within: int) -> Blocks:
     order = np.argsort(np.arange(len(blocks)) + np.random.default_rng(2).uniform(0, within, len(blocks)))
     return [blocks[k] for k in order]
 
 
-def played(sent: Sent, step: int = TICK, until_ns: int = SECONDS * NS_PER_S, **values: object) -> list[Block]:
+def played(sent: Blocks, step: int = TICK, until_ns: int = SECONDS * NS_PER_S, **values: object) -> list[Block]:
     """Give the blocks as soon as the buffer takes them; go on as far as there are samples."""
     rig, found, coming = stream_rig(**values), [], list(sent)
     while rig.frontier_ns < until_ns:
@@ -184,7 +185,7 @@ def test_the_rig_has_samples_for_so_many_blocks():
     assert Rig(config()).blocks_with_samples(50) == 50
 
 
-def eventful() -> tuple[Rig, list[Block], Sent]:
+def eventful() -> tuple[Rig, list[Block], Blocks]:
     """A run in which samples are late, replaced and missing, the shaker is stopped, and parameters change."""
     rig, sent, found = stream_rig(), [], []
 
@@ -215,7 +216,7 @@ def eventful() -> tuple[Rig, list[Block], Sent]:
 def test_journal_and_samples_give_the_run_again_bit_for_bit():
     rig, blocks, sent = eventful()
     journal = rig.take_journal()
-    waveform = [(first * NS_PER_S // RATE_HZ, values) for first, values in sent]
+    waveform = [Sent(first * NS_PER_S // RATE_HZ, values) for first, values in sent]
     again = [block for block, _ in zip(resimulate(journal, waveform=waveform), blocks, strict=False)]
     assert same(samples(again), samples(blocks))
     assert same(impacts(again), impacts(blocks))
