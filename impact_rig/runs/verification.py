@@ -114,8 +114,8 @@ def _verify_all(run: Run, journals: list[list[Table]], first: int, beside: _Besi
 def _journals(run: Run) -> tuple[list[list[Table]], list[list[Sent]], int, int]:
     """Return the journals of a run, what came on shaker/waveform in each, and which the first scan belongs to.
 
-    A journal goes from its start or reset on; rows before the first are one without its beginning. Messages that are no journal's, of
-    somebody else on the topic, are left out and counted: if they were ours, rows would be missing.
+    A journal goes from its start or reset on; rows before the first are one without its beginning. Messages that are no
+    journal's, of somebody else on the topic, are left out and counted: if they were ours, rows would be missing.
     """
     found: list[list[Table]] = []
     scan, journal = run.resolve(topics.SCAN.name), run.resolve(topics.JOURNAL.name)
