@@ -59,5 +59,8 @@ class Method(enum.StrEnum):
     """How the uncertainty of a row was found."""
 
     GUM = "gum"  # noise and calibration, combined
-    BLOCK_BOOTSTRAP = "block_bootstrap"  # of a response that is not periodic, combined with the calibration
+    BATCH_MEANS = "batch_means"  # of a response that is not periodic, combined with the calibration
     NONE = "none"
+
+
+SETTLED = (Status.OK, Status.ACCELEROMETER_OVER_RANGE, Status.ACCELEROMETER_UNSOUND)

@@ -32,6 +32,7 @@ from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.rig.journal import not_default
 from impact_rig.runs import RunInfo, info
 from impact_rig.simtime import NS_PER_S
+from impact_rig.system import files
 
 MEASUREMENTS = 2
 """Settled measurements per case; each takes 5 s of rig time, or 21 s where the response is not periodic."""
@@ -146,7 +147,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _measure(config: RigConfig, directory: Path) -> dict[float, NDArray[np.void]]:
     """Return the settled measurements by gap; every case is recorded in a directory of its name."""
-    from impact_rig.client.campaign import freewheel_runner  # noqa: PLC0415  # needs rclpy
+    from impact_rig.client.apparatus import freewheel_runner  # noqa: PLC0415  # needs rclpy
 
     jobs = {case.job(config).key: case for case in CASES}
     rows: dict[float, NDArray[np.void]] = {}
@@ -210,7 +211,7 @@ def _calibration(run: Path) -> Calibration:
 
 
 def _closed_form(config: RigConfig) -> float:
-    from impact_rig.physics.closed_form import transmissibility  # noqa: PLC0415  # compiles nothing, but loads SciPy
+    from impact_rig.physics.prediction import transmissibility  # noqa: PLC0415  # compiles nothing, but loads SciPy
 
     return float(abs(transmissibility(config, paper.FREQUENCY_HZ)))
 
@@ -235,7 +236,10 @@ def _new_directory(wanted: Path | None) -> Path:
     directory = wanted or Path("runs") / f"demo_{stamp}"
     if directory.exists() and any(directory.iterdir()):
         raise ImpactRigError(f"{directory} exists and is not empty: nothing is overwritten, choose another --output")
-    directory.mkdir(parents=True, exist_ok=True)
+    try:
+        files.make_folder(directory)
+    except OSError as error:
+        raise ImpactRigError(f"{directory} cannot be made: {error.strerror}") from error
     return directory.resolve()
 
 

@@ -66,8 +66,8 @@ class InProcess:
         stream = self.rig.stream
         return Wanted(stream.played, stream.buffered(), stream.capacity)
 
-    def turn(self, timeout_s: float) -> tuple[int, NDArray[np.void]] | None:
-        """Advance by one block, if there are samples for it; `timeout_s` does not matter."""
+    def turn(self, timeout_s: float) -> tuple[int, NDArray[np.void]] | None:  # noqa: ARG002  # nothing to wait for
+        """Advance by one block, if there are samples for it."""
         if self.rig.blocks_with_samples(1) == 0:
             return None
         block = self.rig.advance(self.rig.block_end_ns(1))[0]
@@ -222,7 +222,7 @@ class Acquisition:
         parts = [rows[max(0, first - at) : max(0, first + count - at)] for at, rows in self._kept]
         self.next_scan = first + count
         self._kept = [part for part in self._kept if part[0] + len(part[1]) > self.next_scan]
-        return np.concatenate([part for part in parts if len(part)] or [np.empty(0)])
+        return np.concatenate([part for part in parts if len(part)] or [np.empty(0, np.dtype([]))])
 
 
 class Exchange:

@@ -27,10 +27,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig.analysis.calibration import Calibration
-from impact_rig.analysis.channels import BASE, CHANNELS, CURRENT, LASER
+from impact_rig.analysis.scans import BASE, CHANNELS, CURRENT, LASER
 from impact_rig.blocks import PHASE_LOCK, Table
 from impact_rig.errors import ConfigError
-from impact_rig.operate.plan import Setpoint
+from impact_rig.operate.plan import Setpoint, positive
 from impact_rig.operate.stepped_sine import SAME, State
 from impact_rig.simtime import NS_PER_S
 
@@ -120,13 +120,8 @@ class Reference(enum.StrEnum):
     CURRENT = "current"
 
 
-def _positive(_: object, attribute: attrs.Attribute[float], value: float) -> None:
-    if not (math.isfinite(value) and value > 0.0):
-        raise ConfigError(f"{attribute.name} must be > 0 and finite, got {value!r}")
-
-
 def _amount(default: float) -> float:
-    value: float = attrs.field(default=default, validator=_positive)
+    value: float = attrs.field(default=default, validator=positive)
     return value
 
 
@@ -154,8 +149,8 @@ class LockPlan:
         ConfigError: a value that cannot work; the message names it.
     """
 
-    start_hz: float = attrs.field(validator=_positive)
-    current_a: float = attrs.field(validator=_positive)
+    start_hz: float = attrs.field(validator=positive)
+    current_a: float = attrs.field(validator=positive)
     low_hz: float = _amount(5.0)
     high_hz: float = _amount(20.0)
     reference: Reference = attrs.field(default=Reference.BASE, converter=Reference)

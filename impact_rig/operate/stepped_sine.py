@@ -25,8 +25,7 @@ from numpy.typing import NDArray
 
 from impact_rig.analysis.words import Status
 from impact_rig.blocks import HELD, TRANSMISSIBILITY, Table
-from impact_rig.errors import ConfigError
-from impact_rig.operate.plan import Plan, Setpoint
+from impact_rig.operate.plan import Plan, Setpoint, positive
 from impact_rig.simtime import NS_PER_S
 
 SAME = 1e-9
@@ -221,11 +220,6 @@ SLOPES = (0.3, 3.0)
 """Bounds of d ln amplitude / d ln current that a correction believes."""
 
 
-def _positive(_: object, attribute: attrs.Attribute[float], value: float) -> None:
-    if not (math.isfinite(value) and value > 0.0):
-        raise ConfigError(f"{attribute.name} must be > 0 and finite, got {value!r}")
-
-
 @attrs.frozen(kw_only=True)
 class HoldPlan:
     """What is held, and how far a point may go for it.
@@ -243,11 +237,11 @@ class HoldPlan:
     """
 
     hold: Hold = attrs.field(converter=Hold)
-    target: float = attrs.field(validator=_positive)
-    tolerance: float = attrs.field(default=2e-3, validator=_positive)
+    target: float = attrs.field(validator=positive)
+    tolerance: float = attrs.field(default=2e-3, validator=positive)
     corrections: int = 8
-    current_limit_a: float = attrs.field(default=15.0, validator=_positive)
-    superior_limit_m: float = attrs.field(default=0.05, validator=_positive)
+    current_limit_a: float = attrs.field(default=15.0, validator=positive)
+    superior_limit_m: float = attrs.field(default=0.05, validator=positive)
 
 
 class ControlledSine(SteppedSine):

@@ -18,10 +18,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_rig.arithmetic.scalars import PI
+from impact_rig.arithmetic.elementary import PI
 from impact_rig.config import Drive, Shaker
 from impact_rig.errors import CommandError
-from impact_rig.physics.forcing import SEGMENT
+from impact_rig.physics.flight import SEGMENT
 from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S
 
 SUM_TICKS = 100

@@ -20,7 +20,8 @@ from impact_rig.arithmetic.records import for_kernels
 from impact_rig.config import Drive, Shaker
 from impact_rig.errors import CommandError
 from impact_rig.kernels import INTEGERS, REALS, TABLE, entry
-from impact_rig.physics import SEGMENT, Motion
+from impact_rig.physics import Motion
+from impact_rig.physics.flight import SEGMENT
 
 LOOKS_PER_TICK = 10
 """1 ms apart, with the extremes between them from position and velocity: at the 30 Hz below which this shaker can reach

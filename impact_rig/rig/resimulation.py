@@ -18,9 +18,8 @@ from impact_rig.blocks import Table
 from impact_rig.errors import CommandError, ConfigError
 from impact_rig.instruments.fault import Fault
 from impact_rig.physics.stream import ENDED, Buffer, Event
-from impact_rig.rig.block import Block
 from impact_rig.rig.config import RigConfig, from_flat
-from impact_rig.rig.core import Rig
+from impact_rig.rig.core import Block, Rig
 from impact_rig.rig.interlock import check_stream
 from impact_rig.rig.journal import RESULTS, Change, Entry, Kind, changes, read
 from impact_rig.rig.truth import TICKS_PER_S

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig.analysis import drawings
-from impact_rig.analysis.findings import Findings
+from impact_rig.analysis.tracker import Findings
 from impact_rig.drawing.style import style
 from impact_rig.errors import RecordingError
 from impact_rig.recording import Run
@@ -42,7 +42,7 @@ def prepare(directory: Path, suffix: str, names: Sequence[str] = NAMES) -> None:
         RecordingError: it cannot be made or written to, or there are figures in it already.
     """
     try:
-        directory.mkdir(parents=True, exist_ok=True)
+        files.make_folder(directory)
         with tempfile.TemporaryFile(dir=directory):
             pass
     except OSError as error:

@@ -33,12 +33,8 @@ class TopicInfo:
     """A topic in figures.
 
     Attributes:
-        name: of the topic.
-        type_name: of its messages.
-        count: messages read.
         rate_hz: messages per second of rig time between its first and last; None with fewer than two instants.
-        first_ns: earliest log time; 0 without messages.
-        last_ns: latest log time; 0 without messages.
+        first_ns, last_ns: earliest and latest log time; 0 without messages.
         bytes: CDR bytes of all its messages.
     """
 
@@ -56,16 +52,13 @@ class RunInfo:
     """A run in figures.
 
     Attributes:
-        path: what was opened.
         files: name and size [bytes] of every file.
-        start_ns: earliest log time.
-        end_ns: latest log time.
+        start_ns, end_ns: earliest and latest log time.
         topics: in the order they were registered.
         rate_hz: scans per second of `daq/scan`; None without it.
         scans: whether its blocks follow each other; None without it.
         provenance: version, seed, wall_start_ns, ...; empty for other recorders' files.
         attachments: name and size [bytes].
-        configuration: text of the attached configuration; None if there is none.
         lost: messages that never reached the recorder, by topic; only topics that lack any.
         accounted: whether the recorder kept account of them.
         recovered: what a recovery has left out; None: this is the run as it was recorded.

@@ -15,13 +15,13 @@ from kits.nodes import host_rig
 from rclpy.serialization import deserialize_message
 
 from impact_rig import codec, topics
-from impact_rig.analysis.labels import GapLabel, parse_label
+from impact_rig.analysis.settings import GapLabel, parse_label
 from impact_rig.analysis.tracker import Tracker
 from impact_rig.blocks import Table
 from impact_rig.client import Client
-from impact_rig.client.parameters import ros_parameters
+from impact_rig.client.client import ros_parameters
 from impact_rig.errors import ConfigError
-from impact_rig.instruments.scan import SCAN
+from impact_rig.instruments.section import SCAN
 from impact_rig.nodes import messages
 from impact_rig.nodes.analysis_node import AnalysisNode
 

@@ -21,7 +21,7 @@ from sensor_msgs.msg import PointCloud2
 from impact_rig import codec, topics
 from impact_rig.blocks import WAVEFORM, Table
 from impact_rig.client import Client
-from impact_rig.client.parameters import ros_parameters
+from impact_rig.client.client import ros_parameters
 from impact_rig.nodes.recorder_node import RecorderNode
 from impact_rig.recording import Run
 from impact_rig.rig import Rig
@@ -142,7 +142,7 @@ def test_hostile_samples_are_refused_whole_counted_and_change_nothing(client):
     for values in (np.array([0.1, math.nan]), np.array([math.inf]), np.array([1e308])):
         send(client, 10**6, values, rig.start_ns)
     send(client, rig.stream.played + 10 * RATE_HZ, WAVE[:10], rig.start_ns)
-    send(client, 2**44, WAVE[:10], 0)
+    send(client, 10**12, WAVE[:10], rig.start_ns)
     send(client, 3, WAVE[:10], rig.start_ns + 40_000)
     client.wait_until(lambda: node.refusals.counts["shaker/waveform"] == 6, "six refusals")
     send(client, 0, WAVE[:10], rig.start_ns)

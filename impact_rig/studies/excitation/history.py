@@ -94,7 +94,7 @@ def replicate(
     length = len(asked) + 2 * lead
     target = np.zeros(length)
     target[lead : lead + len(asked)] = asked
-    frequency = np.fft.rfftfreq(length, 1.0 / rate_hz)
+    frequency: Real = np.asarray(np.fft.rfftfreq(length, 1.0 / rate_hz), np.float64)
     inverse = _inverse(hardware, plan, response, frequency)
     drive = np.fft.irfft(inverse * np.fft.rfft(target), length)
     errors: list[float] = []

@@ -143,7 +143,7 @@ def control(
         hardware: output and acquisition, of one rate.
         plan: what is held, and how.
         response: takes from scans what is controlled, shape (n,).
-        weight: what the density of that is multiplied by at some frequencies: ω⁴ for the acceleration of a displacement.
+        weight: what its density is multiplied by at some frequencies: ω⁴ for the acceleration of a displacement.
         progress: called after each loop with its number and the rms error [dB].
 
     Raises:
@@ -152,7 +152,7 @@ def control(
     """
     rate_hz = hardware.wire.rate_hz
     length = 2 * round(plan.frame_s * rate_hz / 2)
-    lines = np.fft.rfftfreq(length, 1.0 / rate_hz)
+    lines: Real = np.asarray(np.fft.rfftfreq(length, 1.0 / rate_hz), np.float64)
     asked = plan.spectrum.at(lines)
     band = asked > 0.0
     scale = np.where(band, weight(np.maximum(lines, lines[1])), 0.0)

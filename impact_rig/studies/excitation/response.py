@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Frequency response of a rig to its current: burst random, pseudo-random or chirp, frame by frame, with coherence.
 
-A burst fills the first part of a frame and has died away at its end, a pseudo-random frame or a chirp repeats: in both
-nothing leaks, so no window is needed. Of a rig with its sphere this is the best linear approximation at this level: what
+A burst fills the first part of a frame and has died away at its end, a pseudo-random frame or a chirp repeats: nothing
+leaks, so no window is needed. Of a rig with its sphere this is the best linear approximation at this level: what the
 coherence lacks is noise and distortion (Pintelon & Schoukens 2012, System Identification, chapter 4).
 """
 
@@ -94,7 +94,9 @@ def measure(
     rows = hardware.respond(excitation.samples(rate_hz))
     length = round(excitation.frame_s * rate_hz)
     rows = rows[len(rows) - excitation.frames * length :]
-    found = frf(rows[reference].astype(float), rows[channel].astype(float), rate_hz, length, overlap=0.0, window="boxcar")
+    found = frf(
+        rows[reference].astype(float), rows[channel].astype(float), rate_hz, length, overlap=0.0, window="boxcar"
+    )
     calibration = Calibration.from_info(info)
     x, y = CHANNELS.index(reference), CHANNELS.index(channel)
     lag = calibration.response(x, found.frequency_hz) / calibration.response(y, found.frequency_hz)

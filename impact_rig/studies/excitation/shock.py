@@ -62,7 +62,7 @@ class Pulse:
 
 
 def shock_response_spectrum(acceleration: Real, rate_hz: float, frequency_hz: Real, quality: float = 10.0) -> Real:
-    """Return the maximax absolute acceleration of single degrees of freedom, primary and residual, shape as frequencies.
+    """Return the largest absolute acceleration of single degrees of freedom, during and after, shape as frequencies.
 
     Args:
         acceleration: of the base [m/s²], shape (n,).
@@ -88,8 +88,8 @@ def shock_response_spectrum(acceleration: Real, rate_hz: float, frequency_hz: Re
 def half_sine_spectrum(peak: float, duration_s: float, frequency_hz: Real) -> Real:
     """Return the undamped shock response spectrum of an ideal half sine, in closed form.
 
-    With r = 2 f τ: the residual is 2 r cos(π / 2 · r') / |1 − r²| · …; the primary's largest extreme lies within the pulse
-    where r > 1. (Harris & Piersol, Shock and Vibration Handbook, chapter 8.)
+    With r = 2 f τ the residual is 2 r |cos(π r / 2)| / |1 − r²|; where r > 1, an extreme within the pulse may be larger
+    (Harris & Piersol 2002, Shock and Vibration Handbook, chapter 8).
     """
     r = 2.0 * frequency_hz * duration_s
     found = np.empty(len(r))

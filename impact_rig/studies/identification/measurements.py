@@ -18,16 +18,16 @@ from numpy.typing import NDArray
 
 from impact_rig import topics
 from impact_rig.analysis.calibration import U_CUBIC, Calibration, Real
-from impact_rig.analysis.channels import BASE, CURRENT, LASER
 from impact_rig.analysis.decay import Decay, DecayMethod, fit_decay, measure_decay
 from impact_rig.analysis.reduction import repeatability
+from impact_rig.analysis.scans import BASE, CURRENT, LASER
 from impact_rig.analysis.words import Regime
 from impact_rig.blocks import joined
 from impact_rig.campaign.axes import NO_SPHERE
 from impact_rig.campaign.results import Curves, Point
 from impact_rig.errors import RecordingError, SimulationError
 from impact_rig.maps.measure import FAILED, MapRig, Settings
-from impact_rig.physics.closed_form import transmissibility
+from impact_rig.physics.prediction import transmissibility
 from impact_rig.recording import Run
 from impact_rig.rig import Kind, Rig
 from impact_rig.rig.config import RigConfig, from_flat
