@@ -54,11 +54,7 @@ class AnalysisSettings(TrackerSettings):
 
 
 class AnalysisNode(ManagedNode[AnalysisSettings]):
-    """Feeds `Tracker` and publishes what it finds; acknowledges every block.
-
-    Args:
-        kwargs: passed to rclpy's Node.
-    """
+    """Feeds `Tracker` and publishes what it finds; acknowledges every block."""
 
     COMPONENT = "measurement"
     STATES = states.Analysis

@@ -93,11 +93,7 @@ class Counts:
 
 
 class Session:
-    """The rig of a node; it exists from when nobody else is in its place until the node is deactivated.
-
-    Args:
-        node: the rig's.
-    """
+    """The rig of a node; it exists from when nobody else is in its place until the node is deactivated."""
 
     publishers: Publishers
     """What it publishes; from when the node is configured."""
@@ -446,6 +442,7 @@ class Session:
             except CommandError as error:
                 self.node.refuse("inactive", f"{name}: {error}")
             return
+        was_driven = self.rig.amplitude != 0.0
         try:
             self.rig.accept(**{key: message.data})
         except CommandError as error:
@@ -453,7 +450,8 @@ class Session:
             return
         self.node.get_logger().debug(f"accepted: {key} = {message.data:g}")
         self.publishers.changes(self.rig)
-        self.node.report_change()
+        if was_driven != (self.rig.amplitude != 0.0):
+            self.node.report_change()
 
     def _on_waveform(self, table: Table) -> None:
         try:
