@@ -75,7 +75,7 @@ def test_the_linear_rig_follows_the_exact_solution_for_a_minute(rate_hz, hold):
         slope = np.zeros(n)
     y, exact = np.zeros(n), np.empty((seconds * rate_hz + 1, n))
     exact[0] = y
-    for k, (u, following) in enumerate(itertools.pairwise(samples)):
+    for k, (u, following) in enumerate(itertools.pairwise(samples[:-1])):
         y = decay @ y + level * u + slope * (following - u)
         exact[k + 1] = y
     # ticks that end on a sample
