@@ -6,12 +6,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy import signal
 
 from impact_rig.errors import CommandError
 from impact_rig.operate.hardware import Exchange, Hardware, InProcess
 from impact_rig.physics.linear import constants, input_vectors, state_matrix
 from impact_rig.rig import Rig
 from impact_rig.rig.config import RigConfig, from_flat
+from impact_rig.studies.excitation.history import ReplicatePlan, replicate
 from impact_rig.studies.excitation.random import RandomPlan, Spectrum, control
 from impact_rig.studies.excitation.response import BURST, Excitation, measure
 from impact_rig.studies.excitation.shock import Pulse, half_sine_spectrum, shock_response_spectrum
@@ -97,3 +99,16 @@ def test_a_compensated_pulse_leaves_nothing_behind():
     assert acceleration.max() == pytest.approx(pulse.peak, rel=1e-3)
     assert abs(acceleration.sum()) / rate_hz < 1e-12
     assert abs(moved[-1]) < 1e-12 < np.abs(moved).max()
+
+
+def test_a_history_of_the_superior_base_is_replicated_within_two_percent():
+    band = signal.butter(4, (6.0, 14.0), "bandpass", fs=RATE_HZ, output="sos")
+    asked = signal.sosfilt(band, np.random.default_rng(3).standard_normal(4 * RATE_HZ)) * signal.windows.tukey(
+        8_000, 0.2
+    )
+    asked *= 1.5e-3 / asked.std()
+    plan = ReplicatePlan(low_hz=4.0, high_hz=25.0, identify_rms=0.15)
+    found = replicate(hardware(sphere__present=False), asked, plan, lambda rows: rows["laser"].astype(float))
+    assert len(found.errors) <= 6
+    assert np.sqrt(np.mean((found.reached - asked) ** 2) / np.mean(asked**2)) == pytest.approx(min(found.errors))
+    assert min(found.errors) <= 0.02

@@ -23,6 +23,10 @@ Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 
+WORSE = 1.2
+"""A trial this much worse than the best ends the learning: lines on which H was estimated badly only grow."""
+
+
 @attrs.frozen(kw_only=True)
 class ReplicatePlan:
     """How a history is replicated.
@@ -110,7 +114,7 @@ def replicate(
             best = Replicated(
                 asked=asked, reached=found[lead : lead + len(asked)], drive=drive, rows=rows, lead=lead, errors=()
             )
-        if errors[-1] <= plan.enough:
+        if errors[-1] <= plan.enough or errors[-1] > WORSE * min(errors):
             break
         drive = drive + np.fft.irfft(inverse * np.fft.rfft(miss), length)
     assert best is not None
