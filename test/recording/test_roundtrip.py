@@ -25,7 +25,7 @@ from kits.recording import (
 from impact_rig import codec
 from impact_rig.errors import RecordingError
 from impact_rig.recording import Attachment, RunWriter, open_run
-from impact_rig.recording.description import resolve
+from impact_rig.recording.description import INFINITE_NS, resolve
 
 
 def as_sent(message):
@@ -50,6 +50,17 @@ def test_every_message_comes_back_as_sent(record, compression):
             type(known).from_channel(known.name, known.type_name, known.schema, known.channel_metadata())
             for known in ALL_TOPICS
         ]
+
+
+def test_times_that_rosbag2_cannot_read_become_those_it_can(record):
+    """Its times are signed, those of MCAP are not."""
+    with record() as writer:
+        writer.add_topic(NOTES_TOPIC)
+        for publish_time in (-1, 0, INFINITE_NS, INFINITE_NS + 1):
+            writer.write(NOTES_TOPIC.name, string("a"), publish_time)
+    with open_run(writer.directory) as run:
+        times = [(m.log_time, m.publish_time) for m in run.messages(recorded_order=True)]
+    assert times == [(time, time) for time in (0, 0, INFINITE_NS, INFINITE_NS)]
 
 
 def test_log_time_order_and_ties(record):
