@@ -207,7 +207,7 @@ class Page:
         x, y = self.wait(
             f"(async () => {{ const e = document.querySelector({selector!r}); if (!e) return;"
             " e.scrollIntoView({block: 'nearest'}); const frame = () => new Promise(requestAnimationFrame);"
-            " const at = () => { const b = e.getBoundingClientRect(); return [b.x + b.width / 2, b.y + b.height / 2]; };"
+            " const at = () => { const b = e.getBoundingClientRect(); return [b.x + b.width / 2, b.y + b.height / 2] };"
             " const before = at(); await frame(); await frame(); const still = `${at()}` === `${before}`;"
             " return still && e.contains(document.elementFromPoint(...before)) && before; })()",
             f"{selector} to stand still in sight",

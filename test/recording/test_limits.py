@@ -116,7 +116,9 @@ def test_a_file_is_split_by_size_and_each_part_stands_alone(record):
 def test_a_full_file_takes_no_further_message(record):
     """Full is a file of exactly that size as well: here the size of the whole ones is known beforehand."""
     alone = record("run1", max_file_bytes=10**9, chunk_bytes=20_000)
-    fill(alone, 40, topics=(SCAN_TOPIC,))
+    alone.add_topic(SCAN_TOPIC)
+    for number in range(40):
+        alone.write(SCAN_TOPIC.name, scan_block(number), 0, number + 1)
     full, _ = alone.bytes_written, alone.finish()
     writer = record("run2", max_file_bytes=full, chunk_bytes=20_000)
     writer.add_topic(SCAN_TOPIC)
