@@ -84,7 +84,7 @@ setup(
         "wheels": [*ROS_WHEELS, "pytest"],  # pytest: see docs/testing.md
         "jit": ["numba>=0.59"],  # contact laws of one's own, compiled; and kernels where no library was built
         "lab": ["aiohttp>=3.9", "uplot-python>=1.1"],  # `impact-rig lab`; 3.9 is that of Ubuntu 24.04
-        "completion": ["argcomplete>=3.1"],  # `impact-rig completion`; 3.1 is that of Ubuntu 24.04
+        "completion": ["argcomplete>=3.1"],  # `register-python-argcomplete`; 3.1 is that of Ubuntu 24.04
         "cluster": ["distributed>=2024.1"],  # `impact-rig campaign --through dask`
         "exchange": ["pyarrow>=14", "pyuff>=2.4"],  # `impact-rig export` to Parquet and universal files
         "test": ["hypothesis", "pytest", "pytest-timeout"],  # also how `colcon test` knows to run pytest

@@ -18,7 +18,7 @@ from impact_rig import codec, topics
 from impact_rig.blocks import Table
 from impact_rig.instruments.scan import SCAN
 from impact_rig.recording import Provenance, RunWriter, TopicDescription, open_run, schema_text
-from impact_rig.recording.mcap_file import COMPRESSIONS
+from impact_rig.recording.writer import COMPRESSIONS
 
 RATE_HZ = 50_000
 BLOCK_SCANS = 500

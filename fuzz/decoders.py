@@ -20,7 +20,7 @@ from impact_rig.analysis.tracker import Tracker
 from impact_rig.blocks import Table
 from impact_rig.errors import CodecError, ConfigError
 from impact_rig.recording import Attachment, Provenance, RunWriter, TopicDescription, open_run
-from impact_rig.recording.mcap_file import tail_of
+from impact_rig.recording.writer import tail_of
 from impact_rig.rig import Rig, resimulate
 from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.rig.journal import JournalView
@@ -243,7 +243,7 @@ TARGETS = (
         | st.tuples(mutated(UNFINISHED), st.sampled_from(TAILS))
         | st.sampled_from(list(zip(UNFINISHED, TAILS, strict=True))),
         mcap_recover,
-        ("runs/recovery.py", "recording/mcap_file.py"),
+        ("runs/recovery.py", "recording/writer.py"),
     ),
     Target("journal", journals(), journal, ("rig/journal.py", "rig/resimulation.py")),
     Target(

@@ -2,6 +2,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """The exceptions of impact_rig: one type per kind of mistake; messages say what was wrong and what would be right."""
 
+from __future__ import annotations
+
+
+def visible(text: str, *, lines: bool = False) -> str:
+    r"""Return a text from outside for people: what would command a terminal as escapes, ESC as `\x1b`.
+
+    Args:
+        text: from anywhere: files, their names, the network.
+        lines: leave line ends as they are.
+    """
+    return "".join(c if c.isprintable() or (lines and c == "\n") else c.encode("unicode_escape").decode() for c in text)
+
 
 class ImpactRigError(Exception):
     """Base class: catch this to catch every error this package raises on purpose."""

@@ -28,7 +28,7 @@ from launch_ros.substitutions import FindPackageShare
 from impact_rig.config.tree import flatten
 from impact_rig.rig.config import RigConfig, from_flat, load
 from impact_rig.rig.description import ROOT, robot_description
-from impact_rig.system import plain_yaml
+from impact_rig.system import budget
 from impact_rig.system.endings import PARENT_VARIABLE
 from impact_rig.system.resources import share_dir
 
@@ -41,7 +41,7 @@ def parameters_of_rig(context: LaunchContext, file: RigConfig) -> dict[str, Any]
     def word(name: str) -> str:
         return LaunchConfiguration(name).perform(context)
 
-    given: dict[str, Any] = flatten(plain_yaml.load(word("overrides"), LONGEST_OVERRIDES) or {})
+    given: dict[str, Any] = flatten(budget.load_yaml(word("overrides"), LONGEST_OVERRIDES) or {})
     if word("mode"):
         given["time.mode"] = word("mode")
     if word("factor"):

@@ -23,7 +23,7 @@ from impact_rig.errors import ConfigError
 from impact_rig.instruments.scan import CHANNELS
 from impact_rig.rig import Rig, config
 from impact_rig.rig.config import RigConfig
-from impact_rig.system import plain_yaml
+from impact_rig.system import budget
 from impact_rig.system.resources import config_dir
 
 CASES = int(os.environ.get("IMPACT_RIG_HOSTILE", "120"))
@@ -121,6 +121,6 @@ def _runs(path: Path) -> None:
 @pytest.mark.parametrize("text", ["a: 1\na: 2\n", "b: {a: 1, a: 1}", "- {'x': 1, x: 2}"])
 def test_a_key_that_is_there_twice_is_refused(text: str) -> None:
     """The later value would silently take the place of the first."""
-    with pytest.raises(plain_yaml.PlainYamlError, match="is there twice, again in line"):
-        plain_yaml.load(text, 100)
-    assert plain_yaml.load("1: a\n'1': b\n", 100) == {1: "a", "1": "b"}
+    with pytest.raises(budget.PlainYamlError, match="is there twice, again in line"):
+        budget.load_yaml(text, 100)
+    assert budget.load_yaml("1: a\n'1': b\n", 100) == {1: "a", "1": "b"}

@@ -72,6 +72,9 @@ def test_a_test_that_runs_a_page_reads_it():
         ("<!-- figures: make tset -->\n", "make tset: the Makefile has no target tset"),
         ("<!-- figures: test/test_nothing.py -->\n", "there is no test/test_nothing.py, which is to answer"),
         ("<!-- figures: make test; test/test_docs.py::test_none -->\n", "test/test_docs.py has no test_none"),
+        ("`analysis.tracker.Trackers`", "the package has no analysis.tracker.Trackers"),
+        ("`codec.decode_all()`", "the package has no codec.decode_all()"),
+        ("`daq.rate`", "the package has no daq.rate"),
         ("[x](none.md)", "there is no none.md"),
         ("[x](physics.md#nothing)", "physics.md has no heading #nothing"),
     ],
@@ -86,7 +89,7 @@ def test_what_is_right_is_not():
     text = (
         "```sh\nmake bench ONLY=physics; make  # all\n```\n\n`build/bench.json`, `test_codec.py`, "
         "`impact-rig recover`, `rig/start`, `analysis/settings`, `impact-rig campaign FILE`, "
-        "`~/stop`, [x](physics.md#numerics)\n"
+        "`~/stop`, `daq.rate_hz`, `analysis.tracker.Tracker`, `e.g.`, [x](physics.md#numerics)\n"
     )
     assert list(TOOL["faults"](TOOL["Page"].parse("docs/page.md", text))) == []
 

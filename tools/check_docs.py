@@ -45,7 +45,7 @@ from markdown_it import MarkdownIt
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from tools.doc_commands import PROGRAMS, command_faults, commands
-from tools.doc_paths import ROOT, exists, is_path
+from tools.doc_paths import ROOT, exists, is_dangling, is_path
 
 SCRATCH = ROOT / "build" / "docs"
 RUN_BY = {
@@ -188,6 +188,8 @@ def faults(page: Page) -> Iterator[str]:
             yield from (f"{where}: {fault}" for fault in command_faults(command, whole=False))
         if is_path(text) and text not in titles and not exists(text):
             yield f"{where}: there is no {text}"
+        if is_dangling(text) and not any(text.rpartition(".")[2] in block.content for block in page.blocks):
+            yield f"{where}: the package has no {text}"
     for line, link in page.links:
         target, _, anchor = link.partition("#")
         if "://" in link or link.startswith("mailto:"):

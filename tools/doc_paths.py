@@ -1,6 +1,6 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""Paths of the repository in its documents: which words are one, and whether there is such a file."""
+"""Paths of the repository and names of its code in its documents: which words are one, and whether it is there."""
 
 from __future__ import annotations
 
@@ -36,3 +36,46 @@ def is_path(text: str) -> bool:
 def exists(text: str) -> bool:
     """Whether there is such a file or folder; `nodes/topics.py` may stand for `impact_rig/topics.py`."""
     return (ROOT / text).exists() or any(name.endswith(f"/{text}") for name in files())
+
+
+def is_dangling(text: str) -> bool:
+    """Whether a word is a dotted name of this package, module or parameter first, whose last part is nowhere there.
+
+    `rig.save`, of a variable, is looked for in the whole package.
+    """
+    name = re.match(r"([a-z_]\w*(?:\.\w+)+)(?:\(.*\))?$", text)
+    if not name:
+        return False
+    top, *rest = name[1].removeprefix("impact_rig.").split(".")
+    package = ROOT / "impact_rig"
+    if not rest:  # of the package itself: a module, or what it has for a first look
+        return not (
+            (package / top).exists() or (package / f"{top}.py").exists() or top in _words(package / "__init__.py")
+        )
+    if (package / f"{top}.py").is_file():
+        where = [package / f"{top}.py"]
+    elif top != "rig" and (package / top).is_dir():
+        where = [path for path in (package / top).rglob("*") if path.suffix in (".py", ".js")]
+    elif top == "rig":
+        where = list(package.rglob("*.py"))
+    else:
+        return top in _sections() and f"{top}.{rest[0]}" not in _parameters()
+    known = {word for path in where for word in _words(path)} | {path.stem for path in where}
+    known |= {path.name for path in (package / top).rglob("*") if path.is_dir()} | {"py", "md", "yaml"}
+    return f"{top}.{rest[0]}" not in _parameters() and not known.issuperset(rest)
+
+
+@cache
+def _words(path: Path) -> frozenset[str]:
+    return frozenset(re.findall(r"\w+", path.read_text(encoding="utf-8")))
+
+
+@cache
+def _parameters() -> frozenset[str]:
+    text = (ROOT / "docs" / "interface.md").read_text(encoding="utf-8")
+    return frozenset(re.findall(r"`([a-z_]+\.\w+)", text))
+
+
+@cache
+def _sections() -> frozenset[str]:
+    return frozenset(name.partition(".")[0] for name in _parameters())

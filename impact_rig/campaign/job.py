@@ -15,17 +15,25 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+import time
+from collections.abc import Callable, Mapping
+from typing import Protocol
 
 import attrs
 import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig.analysis.settings import TrackerSettings
-from impact_rig.blocks import TRANSMISSIBILITY
+from impact_rig.analysis.tracker import Tracker
+from impact_rig.blocks import TRANSMISSIBILITY, joined
 from impact_rig.campaign.axes import NO_SPHERE
 from impact_rig.config.tree import Value
-from impact_rig.operate.plan import Direction, Plan
+from impact_rig.errors import GoneError, ImpactRigError
+from impact_rig.instruments.scan import channels_of
+from impact_rig.operate.operator import Applied, News, Note, PatientApparatus, operate, silent
+from impact_rig.operate.plan import Direction, Plan, Setpoint
+from impact_rig.operate.stepped_sine import State, SteppedSine
+from impact_rig.rig import Block, Rig
 from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.rig.journal import not_default
 from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S
@@ -136,3 +144,142 @@ class Outcome:
     wall_s: float = 0.0
     lost_scans: int = 0
     trace: Mapping[str, NDArray[np.generic]] = attrs.field(factory=dict)
+
+
+# --- How a job becomes an outcome. Whatever it is measured with, the rig in this process or one behind topics, answers
+# the same calls with the same values, so the numbers are the same bits.
+
+Trace = Mapping[str, NDArray[np.generic]]
+TRUE_COLUMNS = ("x_b", "x_1", "x_2", "v_1", "v_2")
+
+
+class JobApparatus(PatientApparatus, Protocol):
+    """An apparatus made ready for one job."""
+
+    def trace(self) -> Trace:
+        """Let a few blocks pass and return their scans and truth, see `columns`."""
+        ...
+
+    def lost_scans(self) -> int:
+        """Return how many scans the analysis has missed."""
+        ...
+
+
+def run_job(job: Job, prepare: Callable[[Job], JobApparatus], note: Note = silent) -> Outcome:
+    """Measure a job; whatever goes wrong in it is its outcome, not an exception.
+
+    Args:
+        job: what is measured.
+        prepare: gives an apparatus for it.
+        note: told when the drive is set, and of every measurement.
+
+    Raises:
+        GoneError: a process of the apparatus died, which says nothing about the job.
+    """
+    started = time.perf_counter()
+    apparatus: JobApparatus | None = None
+    sweep = SteppedSine(job.plan())
+    failure, trace = "", {}
+    try:
+        apparatus = prepare(job)
+        operate(sweep, apparatus, note)
+        failure = sweep.reason
+        if job.traces and sweep.state is State.FINISHED:
+            trace = dict(apparatus.trace())
+    except GoneError:
+        raise
+    except ImpactRigError as error:
+        failure = str(error)
+    return Outcome(
+        rows=sweep.rows,
+        failure=failure,
+        skipped_hz=tuple(sweep.skipped),
+        simulated_s=apparatus.now_ns() / NS_PER_S if apparatus else 0.0,
+        wall_s=time.perf_counter() - started,
+        lost_scans=apparatus.lost_scans() if apparatus else 0,
+        trace=trace,
+    )
+
+
+def columns(scans: NDArray[np.void], truth: NDArray[np.void], rate_hz: int) -> Trace:
+    """Return consecutive scans and the truth at the same instants as columns; time from their first scan on [s].
+
+    Args:
+        scans: rows of `daq/scan`, shape (n,).
+        truth: rows of `truth/scan`, shape (n,).
+        rate_hz: scans per second.
+    """
+    found: dict[str, NDArray[np.generic]] = {"time": np.arange(len(scans)) / rate_hz}
+    for rows, names in ((scans, channels_of(scans)), (truth, TRUE_COLUMNS)):
+        found.update({name: rows[name].astype(np.float32) for name in names})
+    return found
+
+
+# --- The rig and the analysis in this process: what the nodes run, without DDS between them. The analysis sees what the
+# rig publishes: calibration, accepted commands, scans, and the operator's label.
+
+
+class ProcessApparatus:
+    """A `JobApparatus` in this process.
+
+    Args:
+        job: what it is made for.
+
+    Raises:
+        ConfigError: the job's values together cannot be simulated.
+    """
+
+    def __init__(self, job: Job) -> None:
+        self._rig = Rig(job.config())
+        self._tracker = Tracker(job.settings())
+        self._applied: list[Applied] = []
+        info = self._rig.info()
+        self._tracker.configure(info)
+        self._tracker.label(job.gap_m, info.stamp_ns)
+
+    def now_ns(self) -> int:
+        """Return the rig time since the reset."""
+        return self._rig.next_block_ns - self._rig.start_ns
+
+    def set(self, setpoint: Setpoint) -> None:
+        """Command frequency, then current."""
+        rig = self._rig
+        rig.accept(frequency_hz=setpoint.frequency_hz)
+        rig.accept(current_a=setpoint.current_a)
+        for table in rig.take_applied():
+            self._tracker.on_applied(table)
+            self._applied += Applied.of(table, self.now_ns())
+
+    def rest(self) -> None:
+        """Do nothing: this rig is given up."""
+
+    def wait(self) -> News:
+        """Let one block pass."""
+        rows: list[np.void] = []
+        for block in self._advance():
+            for table in self._tracker.feed(block.scan).measurements:
+                rows.extend(table.rows)
+        applied, self._applied = self._applied, []
+        stopped = None if self._rig.latched is None else f"the rig tripped: {self._rig.latched}"
+        return News(now_ns=self.now_ns(), applied=applied, rows=rows, stopped=stopped)
+
+    def trace(self) -> Trace:
+        """Let a few blocks pass and return their scans and truth."""
+        self._rig.configure({"output.truth_scan": True})  # changes what is handed out, not one sample
+        self._advance()  # half of its truth was not kept
+        blocks = [block for _ in range(TRACE_BLOCKS) for block in self._advance()]
+        scans = joined([block.scan.rows for block in blocks])
+        truth = joined([block.truth.rows for block in blocks if block.truth is not None])
+        return columns(scans, truth, self._rig.rate_hz)
+
+    def lost_scans(self) -> int:
+        """Return how many scans the analysis has missed."""
+        return self._tracker.counters.lost_scans
+
+    def _advance(self) -> list[Block]:
+        return self._rig.advance(self._rig.block_end_ns(1))
+
+
+def execute(job: Job) -> Outcome:
+    """Measure a job in this process."""
+    return run_job(job, ProcessApparatus)

@@ -25,7 +25,7 @@ from impact_rig.errors import ConfigError
 from impact_rig.operate.plan import Direction
 from impact_rig.physics.contact import LAWS
 from impact_rig.rig.config import RigConfig, from_flat, load, to_flat
-from impact_rig.system import budget, files, plain_yaml
+from impact_rig.system import budget, files
 from impact_rig.system.budget import BudgetError
 
 RESET = "reset"
@@ -171,7 +171,7 @@ def load_campaign(
     """
     try:
         text = str(files.read_bytes(path, MAX_FILE_BYTES), "utf-8")
-        document = plain_yaml.load(text, MAX_FILE_BYTES)
+        document = budget.load_yaml(text, MAX_FILE_BYTES)
     except OSError as error:
         raise ConfigError(f"cannot read campaign: {error.strerror} ({path})") from error
     except ValueError as error:  # PlainYamlError, or it is not UTF-8

@@ -29,14 +29,12 @@ from impact_rig.analysis.calibration import Calibration
 from impact_rig.arithmetic import ARITHMETIC
 from impact_rig.campaign import statements
 from impact_rig.campaign.axes import NO_SPHERE
-from impact_rig.campaign.code import fingerprint
 from impact_rig.campaign.job import Job, Outcome
 from impact_rig.campaign.paper import FREQUENCY_HZ, REDUCTION_PERCENT, Reductions
 from impact_rig.campaign.plan import Campaign, Planned, load_campaign
-from impact_rig.campaign.results import Curves, Point, points_of, write_csv
+from impact_rig.campaign.results import Curves, Point, points_of, write_csv, write_summary
 from impact_rig.campaign.statements import Verdict
-from impact_rig.campaign.store import FOLDER, Store
-from impact_rig.campaign.summary import write_summary
+from impact_rig.campaign.store import FOLDER, Store, fingerprint
 from impact_rig.errors import ConfigError, RecordingError
 from impact_rig.instruments.chain import Chain
 from impact_rig.rig.config import dump, load

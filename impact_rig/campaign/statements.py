@@ -17,8 +17,7 @@ import attrs
 
 from impact_rig.campaign.axes import NO_SPHERE
 from impact_rig.campaign.paper import FREQUENCIES_HZ, FREQUENCY_HZ, REDUCTION_PERCENT
-from impact_rig.campaign.results import Curves, Point
-from impact_rig.campaign.summary import Statement
+from impact_rig.campaign.results import Curves, Point, Statement
 
 ABOVE_HZ = (9.2, 9.5)
 FAR_HZ = (7.5, 8.0, 10.0, 10.5)

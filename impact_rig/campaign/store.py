@@ -9,6 +9,7 @@ changed, is named and not believed.
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import io
 import json
@@ -20,11 +21,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+import impact_rig
 from impact_rig.analysis.words import MEASURED, Method, Regime, Status
 from impact_rig.blocks import TRANSMISSIBILITY
-from impact_rig.campaign.code import fingerprint
-from impact_rig.campaign.execution import TRUE_COLUMNS
-from impact_rig.campaign.job import Job, Outcome
+from impact_rig.campaign.job import TRUE_COLUMNS, Job, Outcome
 from impact_rig.errors import RecordingError
 from impact_rig.system import files
 
@@ -303,3 +303,22 @@ def _row(plain: Mapping[str, object]) -> tuple[object, ...]:
         str(plain[name]).encode() if name in _TEXTS else math.nan if plain[name] is None else plain[name]
         for name in TRANSMISSIBILITY.names or ()
     )
+
+
+# --- Which code a result was measured with: results of other code are shown, but never mixed with new ones
+
+DECIDING = ("arithmetic", "physics", "instruments", "rig", "analysis", "operate", "config", "blocks.py", "simtime.py")
+"""What decides a measured number; the rest of the package commands, stores and shows."""
+
+
+@functools.cache
+def fingerprint(deciding: tuple[str, ...] = DECIDING) -> str:
+    """Return the package's version and 12 hexadecimal digits of the sources in these rooms."""
+    root = Path(impact_rig.__file__).parent
+    digest = hashlib.sha256()
+    for path in sorted(root.rglob("*.py")):
+        name = path.relative_to(root)
+        if name.parts[0] in deciding:
+            digest.update(f"{name.as_posix()}\0".encode())
+            digest.update(path.read_bytes())
+    return f"{impact_rig.__version__}-{digest.hexdigest()[:12]}"

@@ -20,11 +20,11 @@ from typing import Generic, Protocol, TypeVar
 
 import attrs
 
-from impact_rig.campaign.code import DECIDING, fingerprint
+from impact_rig.campaign.store import DECIDING, fingerprint
 from impact_rig.config.tree import MAX_FILE_BYTES
 from impact_rig.errors import ConfigError, RecordingError
 from impact_rig.rig.config import RigConfig, dump, load
-from impact_rig.system import files, plain_yaml
+from impact_rig.system import budget, files
 from impact_rig.system.budget import BudgetError
 
 CONFIGURATION_FILE = "configuration.yaml"
@@ -177,7 +177,7 @@ def load_plan(path: Path, what: str, read: Callable[[object, str], P]) -> P:
     """
     try:
         text = str(files.read_bytes(path, MAX_FILE_BYTES), "utf-8")
-        document = plain_yaml.load(text, MAX_FILE_BYTES)
+        document = budget.load_yaml(text, MAX_FILE_BYTES)
     except OSError as error:
         raise ConfigError(f"cannot read {what}: {error.strerror} ({path})") from error
     except ValueError as error:  # PlainYamlError, or it is not UTF-8

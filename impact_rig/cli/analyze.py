@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig.analysis.words import MEASURED
-from impact_rig.cli import command
-from impact_rig.cli.terminal import Console, TextTable, add_json, tell_json
+from impact_rig.cli.terminal import Console, TextTable, add_json, subcommand, tell_json
 from impact_rig.errors import ConfigError
 from impact_rig.recording import Run, open_run
 
@@ -34,7 +33,7 @@ DRAWN_CYCLES = 4
 
 def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Register the subcommand."""
-    parser = command.add(
+    parser = subcommand(
         commands, "analyze", "analyse a run again, as the live node did; says if the results agree",
         [
             ("analyze runs/demo/gap_6mm", "every measurement in it, and whether the live analysis found the same"),
@@ -92,13 +91,13 @@ def _run(arguments: argparse.Namespace) -> int:
 
 
 def _as_live(console: Console, run: Run, arguments: argparse.Namespace) -> int:
-    from impact_rig.runs import drawings, live_comparison, reanalysis  # noqa: PLC0415
+    from impact_rig.runs import drawings, reanalysis  # noqa: PLC0415
 
     if arguments.figures is not None:
         drawings.prepare(arguments.figures, arguments.format)
     findings = list(reanalysis.analyze(run))
     found = reanalysis.measurements(iter(findings))
-    comparison = live_comparison.compare(run, found, [table for one in findings for table in one.impacts])
+    comparison = reanalysis.compare(run, found, [table for one in findings for table in one.impacts])
     rows = reanalysis.rows(found)
     if arguments.json:
         keys = ("same", "identical", "compared", "reason")

@@ -15,11 +15,10 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeElapsedCo
 from impact_rig.campaign import paper, pool, run
 from impact_rig.campaign.job import Job
 from impact_rig.campaign.plan import load_campaign
+from impact_rig.campaign.results import FILE_NAME
 from impact_rig.campaign.statements import Verdict
 from impact_rig.campaign.store import Store
-from impact_rig.campaign.summary import FILE_NAME
-from impact_rig.cli import command
-from impact_rig.cli.terminal import Console, Steps, TextTable, Words, add_json, tell_json, tell_program
+from impact_rig.cli.terminal import Console, Steps, TextTable, Words, add_json, subcommand, tell_json, tell_program
 from impact_rig.errors import ConfigError
 from impact_rig.studies.margins import Variation, variations
 
@@ -32,7 +31,7 @@ SHOWN = 20
 
 def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Register the subcommand."""
-    parser = command.add(
+    parser = subcommand(
         commands, "campaign", "measure all points of a campaign file; run again to resume",
         [
             ("campaign config/paper.yaml", "the whole paper, on all cores"),
@@ -118,7 +117,7 @@ def _runner(way: str, address: str, arguments: argparse.Namespace, directory: Pa
 
         return stepped_runner(directory, record=arguments.record)
     if way == "dask":
-        from impact_rig.campaign.cluster import dask_runner  # noqa: PLC0415  # needs dask
+        from impact_rig.campaign.pool import dask_runner  # noqa: PLC0415  # needs dask
 
         return dask_runner(address)
     return lambda jobs: pool.run_parallel(jobs, arguments.workers)

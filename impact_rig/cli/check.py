@@ -12,8 +12,7 @@ from pathlib import Path
 import attrs
 from rich.text import Text
 
-from impact_rig.cli import command
-from impact_rig.cli.terminal import Console, TextTable, add_json, tell_json
+from impact_rig.cli.terminal import Console, TextTable, add_json, subcommand, tell_json
 from impact_rig.errors import ConfigError
 from impact_rig.instruments import check_known_input
 from impact_rig.instruments.checks import ChannelCheck
@@ -26,7 +25,7 @@ _POLARITY = {1: "right", 0: "no signal", -1: "reversed"}
 
 def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Register the subcommand."""
-    parser = command.add(
+    parser = subcommand(
         commands, "check", "validate a configuration file without starting anything",
         [
             ("check config/nominal.yaml", "names key, value, range and file of what is wrong"),

@@ -21,18 +21,18 @@ from impact_rig.analysis.calibration import Calibration
 from impact_rig.campaign import paper
 from impact_rig.campaign.job import Job
 from impact_rig.campaign.paper import Reductions
-from impact_rig.campaign.summary import FILE_NAME, Statement, write_summary
-from impact_rig.cli import command
-from impact_rig.cli.terminal import Console, Steps, TextTable, Words, add_json, tell_json, tell_program
+from impact_rig.campaign.results import FILE_NAME, Statement, write_summary
+from impact_rig.cli.terminal import Console, Steps, TextTable, Words, add_json, subcommand, tell_json, tell_program
 from impact_rig.errors import ImpactRigError
 from impact_rig.operate.plan import Direction
 from impact_rig.operate.stepped_sine import SteppedSine
 from impact_rig.recording import open_run
-from impact_rig.report.reductions import draw_reductions
+from impact_rig.report.dt import draw_reductions
 from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.rig.journal import not_default
 from impact_rig.runs import RunInfo, info
 from impact_rig.simtime import NS_PER_S
+from impact_rig.system import files
 
 MEASUREMENTS = 2
 """Settled measurements per case; each takes 5 s of rig time, or 21 s where the response is not periodic."""
@@ -76,7 +76,7 @@ CASES = (Case(0.0), *(Case(gap) for gap in paper.REDUCTION_PERCENT))
 
 def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Register the subcommand."""
-    parser = command.add(
+    parser = subcommand(
         commands, "demo", "measure the paper's five reductions through the topics",
         [
             ("demo", "three processes, six runs recorded below runs/, a table and a figure"),
@@ -236,7 +236,10 @@ def _new_directory(wanted: Path | None) -> Path:
     directory = wanted or Path("runs") / f"demo_{stamp}"
     if directory.exists() and any(directory.iterdir()):
         raise ImpactRigError(f"{directory} exists and is not empty: nothing is overwritten, choose another --output")
-    directory.mkdir(parents=True, exist_ok=True)
+    try:
+        files.make_folder(directory)
+    except OSError as error:
+        raise ImpactRigError(f"{directory} cannot be made: {error.strerror}") from error
     return directory.resolve()
 
 

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from impact_rig.campaign.results import Point, table
 from impact_rig.campaign.run import CAMPAIGN_FILE, open_finished
-from impact_rig.cli import command
-from impact_rig.cli.terminal import Console
+from impact_rig.cli.terminal import Console, subcommand
 from impact_rig.errors import ConfigError, RecordingError
 from impact_rig.maps import run as maps
 from impact_rig.recording import open_run
@@ -26,7 +25,7 @@ FORMATS = ("csv", "npz", "parquet", "uff")
 
 def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Register the subcommand."""
-    parser = command.add(
+    parser = subcommand(
         commands, "export", "write a table topic, a campaign or a map as .csv, .npz, .parquet or .uff",
         [
             ("export runs/demo/gap_6mm transmissibility/table dt.csv", "what was measured"),

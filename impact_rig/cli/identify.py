@@ -15,18 +15,22 @@ from impact_rig.analysis.words import Status
 from impact_rig.campaign import run
 from impact_rig.campaign.axes import NO_SPHERE
 from impact_rig.campaign.paper import CURRENT_A, FREQUENCIES_HZ, FREQUENCY_HZ, REDUCTION_PERCENT
-from impact_rig.cli import command
-from impact_rig.cli.terminal import Console, TextTable, add_json, tell_json, tell_program
+from impact_rig.cli.terminal import Console, TextTable, add_json, subcommand, tell_json, tell_program
 from impact_rig.errors import ConfigError, ImpactRigError
 from impact_rig.recording import open_run
 from impact_rig.rig import Rig
 from impact_rig.rig.config import RigConfig, dump, load
 from impact_rig.studies.identification import paper_fit
-from impact_rig.studies.identification.constants import NAMES, UNITS
-from impact_rig.studies.identification.fisher import Information
-from impact_rig.studies.identification.fit import Identified, identify
-from impact_rig.studies.identification.measurements import U_RESTITUTION, Gains, Measured, reduced_of, sine_of
-from impact_rig.studies.identification.pluck import measured_decay, recorded_decay
+from impact_rig.studies.identification.fit import NAMES, UNITS, Identified, Information, identify
+from impact_rig.studies.identification.measurements import (
+    U_RESTITUTION,
+    Gains,
+    Measured,
+    measured_decay,
+    recorded_decay,
+    reduced_of,
+    sine_of,
+)
 from impact_rig.system import files
 
 JSON_FILE, CONFIGURATION_FILE = "identification.json", "identified.yaml"
@@ -34,7 +38,7 @@ JSON_FILE, CONFIGURATION_FILE = "identification.json", "identified.yaml"
 
 def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Register the subcommand."""
-    parser = command.add(
+    parser = subcommand(
         commands, "identify", "constants of the rig from measured runs, and what they cannot tell",
         [
             ("identify runs/campaign_paper", "from its curves, its reductions and a free decay"),

@@ -15,10 +15,9 @@ import webbrowser
 from pathlib import Path
 from typing import Any  # a source of either kind
 
-from impact_rig.cli import command
-from impact_rig.cli.terminal import Console
+from impact_rig.cli.terminal import Console, subcommand
 from impact_rig.errors import ImpactRigError
-from impact_rig.system import locks
+from impact_rig.system import files
 
 SAMPLE = Path("build") / "lab_sample"
 FOUND = "?"
@@ -26,7 +25,7 @@ FOUND = "?"
 
 def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Register the subcommand."""
-    parser = command.add(
+    parser = subcommand(
         commands, "lab", "see the rig move and turn its knobs, live, in a browser",
         [
             ("lab", "starts a rig and opens its page"),
@@ -125,20 +124,20 @@ def _take_place(domain: int, namespace: str, stack: contextlib.ExitStack) -> Non
     Raises:
         ImpactRigError: another lab or rig of this machine has it; names it.
     """
-    name = locks.place(domain, namespace)
+    name = files.place(domain, namespace)
     advice = f"look at it with --attach {namespace}, or give this one another --namespace"
     try:
-        held = locks.hold(locks.PLACES, f"{name}.lab")
+        held = files.hold(files.PLACES, f"{name}.lab")
     except OSError:
         return  # there is no telling on this machine
     if held is None:
         raise ImpactRigError(
-            f"the lab of process {locks.holder(locks.PLACES, f'{name}.lab')} has {namespace}: {advice}"
+            f"the lab of process {files.holder(files.PLACES, f'{name}.lab')} has {namespace}: {advice}"
         )
     stack.callback(os.close, held)
-    rig = locks.hold(locks.PLACES, name)
+    rig = files.hold(files.PLACES, name)
     if rig is None:
-        raise ImpactRigError(f"the rig of process {locks.holder(locks.PLACES, name)} is in {namespace}: {advice}")
+        raise ImpactRigError(f"the rig of process {files.holder(files.PLACES, name)} is in {namespace}: {advice}")
     os.close(rig)  # for the rig that is started now
 
 

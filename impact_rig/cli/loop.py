@@ -21,14 +21,12 @@ from numpy.typing import NDArray
 from impact_rig.campaign.axes import NO_SPHERE
 from impact_rig.campaign.job import Job
 from impact_rig.campaign.paper import CURRENT_A, FREQUENCIES_HZ
-from impact_rig.cli import command
-from impact_rig.cli.terminal import Console, TextTable, add_json, tell_json
+from impact_rig.cli.terminal import Console, TextTable, add_json, subcommand, tell_json
 from impact_rig.errors import ConfigError, RecordingError
-from impact_rig.operate.controlled_sine import Hold, HoldPlan
 from impact_rig.operate.looking import Ladder, LoopApparatus, Rung, climb, lock_on, mean
 from impact_rig.operate.phase_lock import LockPlan, Reference
 from impact_rig.operate.plan import Direction
-from impact_rig.operate.stepped_sine import State
+from impact_rig.operate.stepped_sine import Hold, HoldPlan, State
 from impact_rig.rig.config import RigConfig, from_flat, load, to_flat
 from impact_rig.simtime import NS_PER_S
 from impact_rig.studies.closed_loop import Held, ProcessLoop, hold
@@ -40,7 +38,7 @@ SHOWN = 12
 
 def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Register the subcommand."""
-    parser = command.add(
+    parser = subcommand(
         commands, "loop", "closed-loop tests: hold an amplitude, lock a resonance, follow a backbone",
         [
             ("loop hold base 6e-5 --frequencies 8.8 9.1 9.4", "the base at 60 µm, at three frequencies"),

@@ -21,9 +21,11 @@ EXIT_ERROR = 1
 PROGRAM = "impact-rig"
 COMMANDS = (
     "lab", "demo", "campaign", "map", "loop", "report", "identify",
-    "info", "analyze", "verify", "replay", "recover", "export", "check", "layout", "completion",
+    "info", "analyze", "verify", "replay", "recover", "export", "check",
 )  # fmt: skip
-"""Subcommands in the order of the help; each is the module of its name."""
+"""Subcommands in the order of the help."""
+HOMES = {name: f"recorded:add_{name}" for name in ("info", "verify", "recover")}
+"""Module and function that register a command; those of all others are its name and `add_command`."""
 
 
 def command_line(command: str = "") -> argparse.ArgumentParser:
@@ -42,7 +44,8 @@ def command_line(command: str = "") -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"{PROGRAM} {impact_rig.__version__}")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     for name in [command] if command in COMMANDS else [] if command == "--version" else COMMANDS:
-        importlib.import_module(f"impact_rig.cli.{name}").add_command(commands)
+        home, _, function = HOMES.get(name, f"{name}:add_command").partition(":")
+        getattr(importlib.import_module(f"impact_rig.cli.{home}"), function)(commands)
     return parser
 
 
@@ -66,26 +69,28 @@ def _parse(arguments: Sequence[str]) -> argparse.Namespace:
     first = arguments[0] if arguments else ""
     parser = command_line(first)
     if first and not first.startswith("-") and first not in COMMANDS:
-        from impact_rig.cli import guess  # noqa: PLC0415
-        from impact_rig.system.escapes import visible  # noqa: PLC0415
+        import difflib  # noqa: PLC0415
 
-        hint = guess.command(first, COMMANDS) or f"the commands are {', '.join(COMMANDS)}"
+        from impact_rig.errors import visible  # noqa: PLC0415
+
+        close = difflib.get_close_matches(first, COMMANDS, n=1)
+        hint = f"did you mean `{PROGRAM} {close[0]}`?" if close else f"the commands are {', '.join(COMMANDS)}"
         parser.error(visible(f"{first!r} is no command: {hint}"))
     return parser.parse_args(arguments)
 
 
 def _complete() -> None:
-    """Answer a shell that asks what could come next, and end."""
-    from impact_rig.cli.completion import complete  # noqa: PLC0415
-
+    """Answer a shell that asks what could come next, and end, if argcomplete is installed."""
+    try:
+        import argcomplete  # noqa: PLC0415  # an extra
+    except ImportError:
+        return
     words = os.environ.get("COMP_LINE", "").split()
-    complete(command_line(words[1] if len(words) > 1 else ""))
+    argcomplete.autocomplete(command_line(words[1] if len(words) > 1 else ""))
 
 
 def _run(chosen: argparse.Namespace, ending: Ending | None) -> int:
-    from impact_rig.cli import guess  # noqa: PLC0415
-    from impact_rig.errors import ImpactRigError  # noqa: PLC0415
-    from impact_rig.system.escapes import visible  # noqa: PLC0415
+    from impact_rig.errors import ImpactRigError, visible  # noqa: PLC0415
 
     try:
         result: int = chosen.run(chosen)
@@ -94,7 +99,5 @@ def _run(chosen: argparse.Namespace, ending: Ending | None) -> int:
             about_content = isinstance(error, (ValueError, OSError))  # not the last lines of a process that died
             text = visible(str(error), lines=not about_content)
             print(f"{PROGRAM} {chosen.command}: {text}", file=sys.stderr)  # noqa: T201  # a command line tool talks
-            if hint := guess.meant(chosen):
-                print(f"{PROGRAM} {chosen.command}: {visible(hint)}", file=sys.stderr)  # noqa: T201  # as above
         return EXIT_ERROR
     return result

@@ -8,15 +8,15 @@ import argparse
 import time
 from pathlib import Path
 
-from impact_rig.cli import command, units
-from impact_rig.cli.terminal import Console, TextTable, tell_json, tell_program
+from impact_rig.cli import units
+from impact_rig.cli.terminal import Console, TextTable, subcommand, tell_json, tell_program
 from impact_rig.maps import optimum, run
 from impact_rig.maps.plan import load_map, measure_line
 
 
 def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Register the subcommand."""
-    parser = command.add(
+    parser = subcommand(
         commands, "map", "map DT and regimes over two or three parameters; run again to resume",
         [
             ("map config/maps/gap_frequency.yaml", "on all cores; draws the map beside its table"),

@@ -11,8 +11,7 @@ from pathlib import Path
 
 from rich.progress import BarColumn, Progress, TimeRemainingColumn
 
-from impact_rig.cli import command
-from impact_rig.cli.terminal import Console, Steps, Words
+from impact_rig.cli.terminal import Console, Steps, Words, subcommand
 from impact_rig.errors import ImpactRigError
 from impact_rig.recording import Run, open_run
 from impact_rig.simtime import NS_PER_S
@@ -22,7 +21,7 @@ FASTEST = "max"
 
 def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Register the subcommand."""
-    parser = command.add(
+    parser = subcommand(
         commands, "replay", "publish a run onto the graph again, with /clock",
         [
             ("replay runs/demo/gap_6mm", "in real time"),

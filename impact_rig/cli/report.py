@@ -7,13 +7,12 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from impact_rig.cli import command
-from impact_rig.cli.terminal import tell_program
+from impact_rig.cli.terminal import subcommand, tell_program
 
 
 def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Register the subcommand."""
-    parser = command.add(
+    parser = subcommand(
         commands, "report", "write a campaign's report: one HTML page, figures as PNG and SVG, numbers as JSON",
         [
             ("report runs/campaign_paper", "writes runs/campaign_paper/report.html"),

@@ -1,9 +1,10 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""The one way of text to the terminal: nothing in it is markup, a picture word or a control character.
+"""What every command shares: how it is registered, and the one way of text to the terminal.
 
-Names of files and topics, texts of recordings and campaigns come from anybody. What is coloured here is coloured by
-`style`, never inside a text; `NO_COLOR` in the environment switches all colours off.
+Nothing in a text is markup, a picture word or a control character: names of files and topics, texts of recordings and
+campaigns come from anybody. What is coloured here is coloured by `style`, never inside a text; `NO_COLOR` in the
+environment switches all colours off.
 """
 
 from __future__ import annotations
@@ -12,6 +13,8 @@ import argparse
 import json
 import math
 import sys
+import textwrap
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any  # what rich's methods take
 
@@ -22,7 +25,7 @@ from rich import table as rich_table
 from rich.progress import Task, TextColumn
 from rich.text import Text
 
-from impact_rig.system.escapes import visible
+from impact_rig.errors import visible
 
 __all__ = ["Console", "Steps", "TextTable", "Words", "tell_json", "tell_program"]
 
@@ -129,3 +132,35 @@ def _plain(value: object) -> object:
     if isinstance(value, (float, np.floating)):
         return float(value) if math.isfinite(value) else None
     return int(value) if isinstance(value, np.integer) else bool(value) if isinstance(value, np.bool_) else str(value)
+
+
+WIDTH = 78
+"""Of help pages: they are made for a terminal of 80 columns."""
+
+
+def subcommand(
+    commands: argparse._SubParsersAction[argparse.ArgumentParser],
+    name: str,
+    sentence: str,
+    examples: Sequence[tuple[str, str]],
+    more: str = "",
+) -> argparse.ArgumentParser:
+    """Register a subcommand and return its parser.
+
+    Args:
+        commands: of the program.
+        name: of the subcommand.
+        sentence: what it does, for the list of commands and the head of its page.
+        examples: command without the program's name, and what it is for.
+        more: what else is to be known, below the examples.
+    """
+    lines = [f"  impact-rig {words}\n      {what}" for words, what in examples]
+    head = "example:" if len(lines) == 1 else "examples:"
+    epilog = "\n".join([head, *lines, *(["", textwrap.fill(more, WIDTH)] if more else [])])
+    return commands.add_parser(
+        name,
+        help=sentence,
+        description=textwrap.fill(f"{sentence[:1].upper()}{sentence[1:]}.", WIDTH),
+        epilog=epilog,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )

@@ -51,7 +51,7 @@ def words(
     if way == "dask":
         if not rest:
             raise ConfigError("--through dask needs the address of a scheduler, e.g. tcp://127.0.0.1:8786")
-        from impact_rig.campaign.cluster import on_cluster  # noqa: PLC0415  # needs dask
+        from impact_rig.campaign.pool import on_cluster  # noqa: PLC0415  # needs dask
 
         runner = on_cluster(work, rest.pop(0))
     file = arguments.file or (Path(rest.pop(0)) if rest else None)

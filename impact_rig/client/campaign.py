@@ -19,8 +19,7 @@ import attrs
 from impact_rig import topics
 from impact_rig.analysis.settings import TrackerSettings
 from impact_rig.blocks import Table
-from impact_rig.campaign.execution import Trace, columns, run_job
-from impact_rig.campaign.job import TRACE_BLOCKS, Job, Outcome
+from impact_rig.campaign.job import TRACE_BLOCKS, Job, Outcome, Trace, columns, run_job
 from impact_rig.campaign.run import Runner
 from impact_rig.client.client import Client
 from impact_rig.client.domain import isolated_domain
@@ -243,7 +242,7 @@ class SteppedApparatus(RosApparatus):
     """Steps the rig from one look to the next; a step is answered when the analysis has acknowledged its blocks.
 
     For every job the rig node is configured anew and the analysis activated anew, so both begin as they would in a
-    process of their own: the bits are those of `campaign.in_process`.
+    process of their own: the bits are those of `campaign.job`.
     """
 
     def __init__(self, client: Client, *, record: bool = False) -> None:

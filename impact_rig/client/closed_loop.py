@@ -15,9 +15,9 @@ from impact_rig.client.client import Client
 from impact_rig.client.domain import isolated_domain
 from impact_rig.client.processes import ParameterValue, Processes
 from impact_rig.errors import ImpactRigError
-from impact_rig.operate.controlled_sine import HoldPlan
-from impact_rig.operate.phasors import Look, PhasorMeter
+from impact_rig.operate.phase_lock import Look, PhasorMeter
 from impact_rig.operate.plan import Setpoint
+from impact_rig.operate.stepped_sine import HoldPlan
 from impact_rig.rig import Kind
 from impact_rig.rig.config import RigConfig, from_flat, to_flat
 from impact_rig.simtime import NS_PER_S

@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from impact_rig.errors import ImpactRigError
-from impact_rig.system import locks
+from impact_rig.system import files
 
 FOLDER = "impact_rig_domains"
 FIRST_DOMAIN, LAST_DOMAIN = 1, 49
@@ -91,6 +91,6 @@ def _candidates() -> Iterator[int]:
 
 def _hold(domain_id: int) -> int | None:
     try:
-        return locks.hold(FOLDER, str(domain_id))
+        return files.hold(FOLDER, str(domain_id))
     except OSError:  # of a user who does not share
         return None

@@ -21,6 +21,7 @@ import attrs
 
 import impact_rig
 from impact_rig.errors import GoneError, ImpactRigError
+from impact_rig.system import files
 from impact_rig.system.endings import PARENT_VARIABLE, unhurried
 
 STOP_TIMEOUT_S = 10.0
@@ -86,7 +87,7 @@ class Processes:
         self.directory = directory
         self.namespace = namespace
         self.running: dict[str, NodeProcess] = {}
-        directory.mkdir(parents=True, exist_ok=True)
+        files.make_folder(directory)
 
     def __enter__(self) -> Processes:
         return self

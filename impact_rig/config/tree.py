@@ -20,7 +20,7 @@ import yaml
 
 from impact_rig.config.fields import METADATA_KEY, FieldInfo, info
 from impact_rig.errors import ConfigError
-from impact_rig.system import files, plain_yaml
+from impact_rig.system import budget, files
 
 MAX_FILE_BYTES = 1_000_000
 MAX_KEYS = 2000
@@ -127,8 +127,8 @@ def parameters_in(text: str) -> dict[str, object]:
         ConfigError: it is no YAML, or no mapping of sections.
     """
     try:
-        document = plain_yaml.load(text, MAX_FILE_BYTES)
-    except plain_yaml.PlainYamlError as error:
+        document = budget.load_yaml(text, MAX_FILE_BYTES)
+    except budget.PlainYamlError as error:
         raise ConfigError(f"not a YAML file: {error}") from error
     return flatten(_unwrap(document))
 

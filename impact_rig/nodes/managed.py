@@ -28,12 +28,11 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 
 from impact_rig import codec, states, topics
 from impact_rig.blocks import Table
-from impact_rig.errors import CodecError, ImpactRigError
+from impact_rig.errors import CodecError, ImpactRigError, visible
 from impact_rig.nodes import diagnostics, messages
 from impact_rig.nodes.diagnostics import CpuMeter, Health, Level, State
 from impact_rig.nodes.guard import Refusals, describe, guarded, guarded_answer, guarded_service, in_words
 from impact_rig.nodes.parameters import Parameters, Schema, set_one_by_one
-from impact_rig.system.escapes import visible
 
 S = TypeVar("S")
 

@@ -9,10 +9,9 @@ import attrs
 from impact_rig.analysis.settings import TrackerSettings
 from impact_rig.config.fields import Origin, choice, integer, quantities, quantity, switch, text
 from impact_rig.errors import ConfigError
-from impact_rig.operate.controlled_sine import ControlledSine, Hold, HoldPlan
 from impact_rig.operate.phase_lock import LockPlan, Reference
 from impact_rig.operate.plan import Direction, Plan
-from impact_rig.operate.stepped_sine import SteppedSine
+from impact_rig.operate.stepped_sine import ControlledSine, Hold, HoldPlan, SteppedSine
 
 UNKNOWN_GAP = -1.0
 COMMAND, PHASE = "command", "phase"

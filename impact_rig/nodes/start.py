@@ -19,7 +19,7 @@ from rclpy.utilities import get_rmw_implementation_identifier
 from impact_rig import states
 from impact_rig.nodes.acknowledgements import Readers
 from impact_rig.nodes.diagnostics import State
-from impact_rig.system import locks
+from impact_rig.system import files
 
 OBEDIENT = ("rmw_fastrtps_cpp", "rmw_fastrtps_dynamic_cpp", "rmw_cyclonedds_cpp")
 """Middleware that keeps to `ROS_AUTOMATIC_DISCOVERY_RANGE`."""
@@ -42,16 +42,16 @@ class NamespaceLock:
     """
 
     def __init__(self, node: Node) -> None:
-        self._name = locks.place(node.context.get_domain_id(), node.get_namespace())
+        self._name = files.place(node.context.get_domain_id(), node.get_namespace())
         self._held: int | None = None
         here = ends_here(os.environ, get_rmw_implementation_identifier())
-        self.decides = here and locks.can_hold(locks.PLACES, self._name)
+        self.decides = here and files.can_hold(files.PLACES, self._name)
         """Whether no rig can be in this namespace unseen; False: only the graph tells."""
 
     def take(self) -> bool:
         """Return whether the namespace is ours now; true as well where only the graph tells."""
         if self._held is None and self.decides:
-            self._held = locks.hold(locks.PLACES, self._name)
+            self._held = files.hold(files.PLACES, self._name)
         return self._held is not None or not self.decides
 
     def leave(self) -> None:

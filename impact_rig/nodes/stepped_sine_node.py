@@ -20,12 +20,11 @@ from impact_rig.nodes.managed import ManagedNode
 from impact_rig.nodes.parameters import SectionSchema
 from impact_rig.nodes.settings import PHASE, SteppedSineSettings
 from impact_rig.nodes.topics import MONITORS
-from impact_rig.operate.controlled_sine import ControlledSine
-from impact_rig.operate.locked_sine import LockedSine
 from impact_rig.operate.operator import Applied, News, Operator
+from impact_rig.operate.phase_lock import LockedSine
 from impact_rig.operate.plan import Setpoint
+from impact_rig.operate.stepped_sine import ControlledSine, SteppedSine
 from impact_rig.operate.stepped_sine import State as Progress
-from impact_rig.operate.stepped_sine import SteppedSine
 from impact_rig.system.endings import Ending
 
 WATCH_S = 0.1

@@ -10,6 +10,9 @@ frequency by the detuning that each look shows, a part at a time, for ever: an i
 the detuning is known, whatever the damping: 1/T = 1 − r² + 2iζr, so it is f/2 Re(X_b/X_1). Against the current it is
 tan φ' (φ' = phase + 90°) times the resonance's own slope, which the search has shown and which is corrected under way:
 where the detuning changes sign from look to look it was taken for too large, where it keeps its sign for too small.
+
+A look (`PhasorMeter`) is quicker than a settled measurement: of every stretch of constant frequency the scans of its
+last whole cycles are fitted by a sine of that frequency, and corrected for skew and lag by the certificate.
 """
 
 from __future__ import annotations
@@ -17,17 +20,87 @@ from __future__ import annotations
 import cmath
 import enum
 import math
+from typing import NamedTuple
 
 import attrs
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_rig.blocks import PHASE_LOCK
+from impact_rig.analysis.calibration import Calibration
+from impact_rig.analysis.channels import BASE, CHANNELS, CURRENT, LASER
+from impact_rig.blocks import PHASE_LOCK, Table
 from impact_rig.errors import ConfigError
-from impact_rig.operate.phasors import Look
-from impact_rig.operate.plan import Setpoint
-from impact_rig.operate.stepped_sine import State
+from impact_rig.operate.plan import Setpoint, positive
+from impact_rig.operate.stepped_sine import SAME, State
 from impact_rig.simtime import NS_PER_S
+
+MIN_CYCLES = 2
+
+
+class Look(NamedTuple):
+    """One stretch of scans.
+
+    Attributes:
+        end_ns: rig time of its end.
+        frequency_hz: of the drive.
+        base: complex amplitude [m]; only ratios of the three mean anything.
+        superior: complex amplitude [m].
+        current: complex amplitude [A].
+        u_gain: relative standard uncertainty of DT by the sensitivities, at these amplitudes.
+    """
+
+    end_ns: int
+    frequency_hz: float
+    base: complex
+    superior: complex
+    current: complex
+    u_gain: float = 0.0
+
+    @property
+    def dt(self) -> float:
+        """|X_1| / |X_b|."""
+        return abs(self.superior) / abs(self.base)
+
+    @property
+    def sound(self) -> bool:
+        """Whether all three are numbers, and base and current move at all."""
+        sizes = abs(self.base), abs(self.superior), abs(self.current)
+        return all(map(math.isfinite, sizes)) and sizes[0] > 0.0 and sizes[2] > 0.0
+
+
+class PhasorMeter:
+    """Fits the newest scans.
+
+    Args:
+        info: rows of `daq/info`.
+    """
+
+    def __init__(self, info: NDArray[np.void]) -> None:
+        self._calibration = Calibration.from_info(info)
+
+    def look(self, rows: NDArray[np.void], frequency_hz: float, end_ns: int) -> Look | None:
+        """Return the phasors of consecutive scans at one frequency, or None if they are fewer than `MIN_CYCLES`.
+
+        Args:
+            rows: of `daq/scan`, shape (n,).
+            frequency_hz: of the drive during all of them.
+            end_ns: rig time of the scan after the last.
+        """
+        period = self._calibration.rate_hz / frequency_hz
+        cycles = math.floor(len(rows) / period)
+        if cycles < MIN_CYCLES:
+            return None
+        kept = rows[len(rows) - round(cycles * period) :]
+        angle = 2.0 * np.pi / period * np.arange(len(kept))
+        basis = np.stack([np.ones(len(kept)), np.cos(angle), np.sin(angle)])
+        values = np.stack([kept[CHANNELS[channel]].astype(float) for channel in (BASE, LASER, CURRENT)])
+        found = np.linalg.solve(basis @ basis.T, basis @ values.T)
+        phasors = found[1] - 1j * found[2]
+        seen = [complex(self._calibration.response(channel, frequency_hz)) for channel in (BASE, LASER, CURRENT)]
+        base, superior, current = (complex(y / r) for y, r in zip(phasors, seen, strict=True))
+        u = [self._calibration.gain_uncertainty_at(ch, abs(x)) for ch, x in ((BASE, base), (LASER, superior))]
+        return Look(end_ns, frequency_hz, base, superior, current, math.hypot(*u))
+
 
 STEEPEST = 4.0
 """tan φ' that is believed: beyond, the phase says only on which side the resonance is."""
@@ -47,13 +120,8 @@ class Reference(enum.StrEnum):
     CURRENT = "current"
 
 
-def _positive(_: object, attribute: attrs.Attribute[float], value: float) -> None:
-    if not (math.isfinite(value) and value > 0.0):
-        raise ConfigError(f"{attribute.name} must be > 0 and finite, got {value!r}")
-
-
 def _amount(default: float) -> float:
-    value: float = attrs.field(default=default, validator=_positive)
+    value: float = attrs.field(default=default, validator=positive)
     return value
 
 
@@ -81,8 +149,8 @@ class LockPlan:
         ConfigError: a value that cannot work; the message names it.
     """
 
-    start_hz: float = attrs.field(validator=_positive)
-    current_a: float = attrs.field(validator=_positive)
+    start_hz: float = attrs.field(validator=positive)
+    current_a: float = attrs.field(validator=positive)
     low_hz: float = _amount(5.0)
     high_hz: float = _amount(20.0)
     reference: Reference = attrs.field(default=Reference.BASE, converter=Reference)
@@ -282,3 +350,118 @@ def _detuning(turned: complex) -> float:
     if abs(angle) >= math.atan(STEEPEST):
         return math.copysign(STEEPEST, angle)
     return math.tan(angle)
+
+
+class LockedSine:
+    """Seeks a resonance, tracks it, dwells there.
+
+    Args:
+        plan: of the lock.
+        info: rows of `daq/info`.
+        accept_limit_s: rig time within which a command must be accepted, and the next scans must come.
+    """
+
+    def __init__(self, plan: LockPlan, info: NDArray[np.void], accept_limit_s: float = 5.0) -> None:
+        self._lock, self._meter = PhaseLock(plan), PhasorMeter(info)
+        self._rate_hz, self._limit_s = float(info["rate"][0]), accept_limit_s
+        self._wanted = Setpoint(plan.start_hz, plan.current_a)
+        self._since_ns: int | None = None  # from when the setpoint is in force
+        self._heard_ns = 0
+        self._scans: list[NDArray[np.void]] = []
+        self._end_ns = 0
+        self.measured = 0
+        """Looks so far."""
+
+    @property
+    def state(self) -> State:
+        """Where the lock stands."""
+        return self._lock.state
+
+    @property
+    def reason(self) -> str:
+        """Why it was aborted, in words; empty otherwise."""
+        return self._lock.reason
+
+    @property
+    def rows(self) -> NDArray[np.void]:
+        """Every look so far: rows of `blocks.PHASE_LOCK`."""
+        return self._lock.rows
+
+    @property
+    def newest(self) -> NDArray[np.void]:
+        """The last of them, shape (1,); (0,) before the first."""
+        return self._lock.newest
+
+    def describe(self) -> str:
+        """Say what it does, for people."""
+        at = f"{self._lock.frequency_hz:.6g} Hz"
+        return f"{self._lock.stage} at {at}" if self.state is State.RUNNING else f"finished, the resonance is at {at}"
+
+    def figures(self) -> dict[str, float]:
+        """Return how far it is, for programs."""
+        phase = math.degrees(float(self.newest["phase"][0])) if self.measured else math.nan
+        locked = float(self._lock.locked)
+        return {"looks": self.measured, "frequency_hz": self._lock.frequency_hz, "phase_deg": phase, "locked": locked}
+
+    def start(self, now_ns: int) -> Setpoint:
+        """Begin."""
+        return self._ask(self._lock.start(now_ns), now_ns)
+
+    def on_applied(self, frequency_hz: float, current_a: float, now_ns: int) -> Setpoint | None:
+        """Take an accepted change of the drive; one that is not ours ends the lock."""
+        if self.state is not State.RUNNING:
+            return None
+        wanted = self._wanted
+        if math.isclose(frequency_hz, wanted.frequency_hz, rel_tol=SAME) and math.isclose(
+            current_a, wanted.current_a, rel_tol=SAME
+        ):
+            if self._since_ns is None:
+                self._since_ns = self._heard_ns = now_ns
+            return None
+        if self._since_ns is not None:
+            return self.abort(f"somebody else set {frequency_hz:g} Hz and {current_a:g} A")
+        return None  # frequency and current come one after the other
+
+    def on_measurement(self, row: np.void, now_ns: int) -> Setpoint | None:
+        """Leave a settled measurement to others: a lock is quicker."""
+        del row, now_ns
+        return None
+
+    def on_scans(self, table: Table) -> Setpoint | None:
+        """Take a block of `daq/scan`; return what to set next once a stretch is whole."""
+        rows, step_ns = table.rows, NS_PER_S / self._rate_hz
+        if self.state is not State.RUNNING or self._since_ns is None or not len(rows):
+            return None
+        if self._scans and abs(table.stamp_ns - self._end_ns) > step_ns / 2.0:
+            self._scans.clear()  # scans are missing: the stretch begins anew
+        self._heard_ns = self._end_ns = table.stamp_ns + round(len(rows) * step_ns)
+        early = max(0, math.ceil((self._since_ns - table.stamp_ns) / step_ns - 0.5))
+        self._scans.append(rows[early:])
+        if sum(map(len, self._scans)) < round(self._lock.look_s * self._rate_hz):
+            return None
+        look = self._meter.look(np.concatenate(self._scans), self._wanted.frequency_hz, self._end_ns)
+        if look is None:
+            return None  # a very low frequency: more scans are needed
+        self._scans.clear()
+        setpoint = self._lock.on_look(look)
+        self.measured += 1
+        if self.state is State.RUNNING and setpoint == self._wanted:
+            return None
+        return self._ask(setpoint, self._end_ns)
+
+    def on_time(self, now_ns: int) -> Setpoint | None:
+        """Take the rig time; ends the lock when a command is not accepted, or no scans come."""
+        if self.state is not State.RUNNING or (now_ns - self._heard_ns) / NS_PER_S <= self._limit_s:
+            return None
+        if self._since_ns is None:
+            return self.abort(f"{self._wanted.frequency_hz:g} Hz was not accepted within {self._limit_s:g} s")
+        return self.abort(f"no scans came for {self._limit_s:g} s")
+
+    def abort(self, reason: str) -> Setpoint | None:
+        """End a lock under way: the rig tripped, or the operator wants it."""
+        return self._lock.abort(reason) if self.state is State.RUNNING else None
+
+    def _ask(self, setpoint: Setpoint, now_ns: int) -> Setpoint:
+        self._wanted, self._since_ns, self._heard_ns = setpoint, None, now_ns
+        self._scans.clear()
+        return setpoint

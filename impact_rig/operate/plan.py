@@ -29,7 +29,8 @@ class Setpoint:
     current_a: float
 
 
-def _positive(_: object, attribute: attrs.Attribute[float], value: float) -> None:
+def positive(_: object, attribute: attrs.Attribute[float], value: float) -> None:
+    """Refuse a value of a plan that is not > 0 and finite."""
     if not (math.isfinite(value) and value > 0.0):
         raise ConfigError(f"{attribute.name} must be > 0 and finite, got {value!r}")
 
@@ -69,11 +70,11 @@ class Plan:
     """
 
     frequencies_hz: tuple[float, ...] = attrs.field(converter=tuple, validator=_frequencies)
-    current_a: float = attrs.field(validator=_positive)
+    current_a: float = attrs.field(validator=positive)
     direction: Direction = attrs.field(default=Direction.UP, converter=Direction)
     measurements_per_point: int = attrs.field(default=1, validator=_at_least(1))
-    dwell_limit_s: float = attrs.field(default=150.0, validator=_positive)
-    accept_limit_s: float = attrs.field(default=5.0, validator=_positive)
+    dwell_limit_s: float = attrs.field(default=150.0, validator=positive)
+    accept_limit_s: float = attrs.field(default=5.0, validator=positive)
     retries: int = attrs.field(default=2, validator=_at_least(0))
     skip_over_range: bool = True
     keep_unsettled: bool = True

@@ -15,22 +15,25 @@ import fcntl
 import os
 import re
 import zlib
-from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Generator, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from types import TracebackType
 from typing import Any, NamedTuple  # Any: what YAML may hold
 
 import attrs
+from mcap import records as mcap_records
+from mcap.records import ChunkIndex
+from mcap.summary import Summary
 
 from impact_rig import codec, topics
 from impact_rig.blocks import Table
 from impact_rig.errors import CodecError, RecordingError
-from impact_rig.recording import bag_metadata, records
+from impact_rig.recording import description, records
 from impact_rig.recording.description import TopicDescription, matches, resolve
 from impact_rig.recording.provenance import RECORD_NAME, Attachment, verify
 from impact_rig.recording.records import DamageError
-from impact_rig.system import budget, files, plain_yaml
+from impact_rig.system import budget, files
 from impact_rig.system.budget import BudgetError, Spending
 from impact_rig.system.files import open_regular
 from impact_rig.topics import Topic
@@ -62,7 +65,7 @@ class _Place:
     """A chunk of one of the files."""
 
     source: McapSource
-    index: records.ChunkIndex
+    index: ChunkIndex
 
 
 _Item = tuple[int, int, int, Message]  # log time, running number of the chunk, of the message: a total order
@@ -106,17 +109,17 @@ class Run:
     @property
     def message_count(self) -> int:
         """Messages in all files."""
-        return sum(source.summary.statistics.message_count for source in self.sources)
+        return sum(source.statistics.message_count for source in self.sources)
 
     @property
     def start_ns(self) -> int:
         """Log time of the earliest message; 0 without messages."""
-        return min((s.summary.statistics.start_ns for s in self._with_messages()), default=0)
+        return min((s.statistics.message_start_time for s in self._with_messages()), default=0)
 
     @property
     def end_ns(self) -> int:
         """Log time of the latest message; 0 without messages."""
-        return max((s.summary.statistics.end_ns for s in self._with_messages()), default=0)
+        return max((s.statistics.message_end_time for s in self._with_messages()), default=0)
 
     @property
     def provenance(self) -> dict[str, str]:
@@ -228,7 +231,7 @@ class Run:
         return name
 
     def _with_messages(self) -> list[McapSource]:
-        return [source for source in self.sources if source.summary.statistics.message_count]
+        return [source for source in self.sources if source.statistics.message_count]
 
     def _refuse_excess(self) -> None:
         """Refuse what the index alone shows to be beyond the budget.
@@ -239,7 +242,7 @@ class Run:
         account = self._account()
         try:
             for source in self.sources:
-                for index in source.summary.chunks:
+                for index in source.summary.chunk_indexes:
                     account.chunk(index.uncompressed_size)
             budget.allow("topics", len(self.topics), budget.TOPICS)
             texts = sum(len(recorded.topic.offered_qos_text) for recorded in self.topics.values())
@@ -254,7 +257,7 @@ class Run:
         merged: dict[str, RecordedTopic] = {}
         for source in self.sources:
             for channel_id, topic in source.topics.items():
-                count = source.summary.statistics.channel_counts.get(channel_id, 0)
+                count = source.statistics.channel_message_counts.get(channel_id, 0)
                 known = merged.get(topic.name)
                 merged[topic.name] = RecordedTopic(topic, count + (known.count if known else 0))
         return merged
@@ -265,15 +268,15 @@ class Run:
         places = [
             _Place(source, index)
             for source in self.sources
-            for index in source.summary.chunks
+            for index in source.summary.chunk_indexes
             if _wanted(source, index, names)
-            and (start_ns is None or index.end_ns >= start_ns)
-            and (end_ns is None or index.start_ns < end_ns)
+            and (start_ns is None or index.message_end_time >= start_ns)
+            and (end_ns is None or index.message_start_time < end_ns)
         ]
         recorded = list(places)
         running_number = {id(place): number for number, place in enumerate(recorded)}
         if not recorded_order:
-            places.sort(key=lambda place: place.index.start_ns)
+            places.sort(key=lambda place: place.index.message_start_time)
         pending: list[_Item] = []
         account = self._account()
         with ThreadPoolExecutor(1, thread_name_prefix="read-ahead") as pool:
@@ -290,7 +293,7 @@ class Run:
                 if not recorded_order:
                     pending.sort()
                     if following is not None:  # nothing in the chunks to come is earlier than the next one's start
-                        cut = bisect.bisect_left(pending, (following.index.start_ns,))
+                        cut = bisect.bisect_left(pending, (following.index.message_start_time,))
                 for log_time, _, _, message in pending[:cut]:
                     if (start_ns is None or log_time >= start_ns) and (end_ns is None or log_time < end_ns):
                         yield message
@@ -341,7 +344,7 @@ def run_files(path: Path) -> list[Path]:
     files = sorted(path.glob("*.mcap"), key=_split_order)
     missing = set(_listed_files(path)) - {file.name for file in files}
     if missing:
-        raise RecordingError(f"{path}: {', '.join(sorted(missing))} is missing ({bag_metadata.FILE_NAME} lists it)")
+        raise RecordingError(f"{path}: {', '.join(sorted(missing))} is missing ({description.METADATA_FILE} lists it)")
     if not files:
         raise RecordingError(f"{path} holds no *.mcap file")
     return files
@@ -353,12 +356,12 @@ def _split_order(file: Path) -> tuple[str, int]:
 
 
 def _listed_files(directory: Path) -> list[str]:
-    path = directory / bag_metadata.FILE_NAME
+    path = directory / description.METADATA_FILE
     try:
         size = path.stat().st_size
         budget.allow(f"bytes in {path}", size, budget.METADATA_BYTES)
-        content: Any = plain_yaml.load(str(files.read_bytes(path, size), "utf-8"), size)
-        listed = content[bag_metadata.TOP_KEY]["relative_file_paths"]
+        content: Any = budget.load_yaml(str(files.read_bytes(path, size), "utf-8"), size)
+        listed = content[description.METADATA_KEY]["relative_file_paths"]
         return [str(name) for name in listed]
     except FileNotFoundError:
         return []
@@ -368,10 +371,10 @@ def _listed_files(directory: Path) -> list[str]:
         raise RecordingError(f"{path} cannot be understood: {error}") from error
 
 
-def _wanted(source: McapSource, index: records.ChunkIndex, names: frozenset[str] | None) -> bool:
-    if names is None or not index.channel_ids:  # no message index: the chunk may hold anything
+def _wanted(source: McapSource, index: ChunkIndex, names: frozenset[str] | None) -> bool:
+    if names is None or not index.message_index_offsets:  # no message index: the chunk may hold anything
         return True
-    return any(source.topics[i].name in names for i in index.channel_ids if i in source.topics)
+    return any(source.topics[i].name in names for i in index.message_index_offsets if i in source.topics)
 
 
 def _items(place: _Place, content: memoryview, names: frozenset[str] | None, chunk_number: int) -> list[_Item]:
@@ -400,18 +403,6 @@ _BEING_WRITTEN = (
 )
 
 
-@attrs.frozen
-class Summary:
-    """The index of a file, whose checksum has been verified (where the writer computed one)."""
-
-    schemas: Mapping[int, records.SchemaRecord]
-    channels: Mapping[int, records.ChannelRecord]
-    chunks: tuple[records.ChunkIndex, ...]
-    attachments: tuple[tuple[int, int], ...]
-    metadata: tuple[tuple[int, int], ...]
-    statistics: records.Statistics
-
-
 class McapSource:
     """A finished MCAP file, opened for reading.
 
@@ -428,6 +419,8 @@ class McapSource:
         try:
             self.size = os.fstat(self._fd).st_size
             self.summary = read_summary(self._fd, self.size)
+            assert self.summary.statistics is not None
+            self.statistics = self.summary.statistics
             self.topics = topics_of(self.summary)
         except DamageError as error:
             if self._is_being_written():
@@ -459,19 +452,19 @@ class McapSource:
         fcntl.flock(self._fd, fcntl.LOCK_UN)
         return False
 
-    def chunk(self, index: records.ChunkIndex) -> memoryview:
+    def chunk(self, index: ChunkIndex) -> memoryview:
         """Return the records of a chunk, decompressed and checked.
 
         Raises:
             RecordingError: the chunk is damaged.
         """
         try:
-            chunk = records.parse_chunk(self._record(index.offset, index.length, records.CHUNK))
+            chunk = records.parse(mcap_records.Chunk, self._record(index, records.CHUNK))
             if chunk.uncompressed_size != index.uncompressed_size:
                 raise DamageError("its size is not that in the index")  # noqa: TRY301  (one place words both kinds)
             return records.decompress(chunk)
         except DamageError as error:
-            where = f"{self.path}: the chunk at byte {index.offset} is damaged"
+            where = f"{self.path}: the chunk at byte {index.chunk_start_offset} is damaged"
             raise DamageError(f"{where}: {error}; {_REMEDY}") from error
 
     def attachments(self) -> list[Attachment]:
@@ -481,14 +474,15 @@ class McapSource:
             RecordingError: one is damaged.
         """
         found = []
-        for offset, length in self.summary.attachments:
+        for index in self.summary.attachment_indexes:
             try:
-                attachment = records.parse_attachment(self._record(offset, length, records.ATTACHMENT))
-                if not attachment.intact:
+                content = self._record(index, records.ATTACHMENT)
+                attachment = records.parse(mcap_records.Attachment, content)
+                if not records.attachment_is_intact(content):
                     raise DamageError("its checksum does not fit")  # noqa: TRY301  (one place words both kinds of damage)
             except DamageError as error:
-                raise DamageError(f"{self.path}: the attachment at byte {offset} is damaged: {error}") from error
-            found.append(Attachment(attachment.name, attachment.data, attachment.media_type))
+                raise DamageError(f"{self.path}: the attachment at byte {index.offset} is damaged: {error}") from error
+            found.append(Attachment(attachment.name, bytes(attachment.data), attachment.media_type))
         return found
 
     def metadata(self) -> list[tuple[str, dict[str, str]]]:
@@ -498,14 +492,23 @@ class McapSource:
             RecordingError: one is not a metadata record.
         """
         found = []
-        for offset, length in self.summary.metadata:
+        for index in self.summary.metadata_indexes:
             try:
-                found.append(records.parse_metadata(self._record(offset, length, records.METADATA)))
+                record = records.parse(mcap_records.Metadata, self._record(index, records.METADATA))
             except DamageError as error:
-                raise DamageError(f"{self.path}: the metadata record at byte {offset} is damaged: {error}") from error
+                raise DamageError(
+                    f"{self.path}: the metadata record at byte {index.offset} is damaged: {error}"
+                ) from error
+            found.append((record.name, record.metadata))
         return found
 
-    def _record(self, offset: int, length: int, opcode: int) -> memoryview:
+    def _record(
+        self, index: ChunkIndex | mcap_records.AttachmentIndex | mcap_records.MetadataIndex, opcode: int
+    ) -> memoryview:
+        if isinstance(index, ChunkIndex):
+            offset, length = index.chunk_start_offset, index.chunk_length
+        else:
+            offset, length = index.offset, index.length
         if length > self.size - offset:
             raise DamageError(f"it claims {length} bytes of a file of {self.size}")
         budget.allow("bytes in a record", length, budget.CHUNK_BYTES + budget.MIB)
@@ -536,7 +539,8 @@ def read_summary(fd: int, size: int) -> Summary:
     opcode, content, _ = records.split(memoryview(tail), 0, end=records.FOOTER_BYTES)
     if opcode != records.FOOTER:
         raise DamageError("its footer is damaged")
-    start, crc = records.parse_footer(content)
+    footer = records.parse(mcap_records.Footer, content)
+    start, crc = footer.summary_start, footer.summary_crc
     footer_offset = size - tail_bytes
     if start == 0:
         raise DamageError("it has no index")
@@ -556,29 +560,25 @@ def parse_summary(section: memoryview) -> Summary:
     Raises:
         DamageError: it is not a sequence of records, or there are no statistics.
     """
-    schemas: dict[int, records.SchemaRecord] = {}
-    channels: dict[int, records.ChannelRecord] = {}
-    chunks: list[records.ChunkIndex] = []
-    attachments: list[tuple[int, int]] = []
-    metadata: list[tuple[int, int]] = []
-    statistics: records.Statistics | None = None
+    found = Summary()
     offset = 0
     while offset < len(section):
         opcode, content, offset = records.split(section, offset)
         if opcode == records.SCHEMA:
-            schema = records.parse_schema(content)
-            schemas[schema.id] = schema
+            schema = records.parse(mcap_records.Schema, content)
+            found.schemas[schema.id] = schema
         elif opcode == records.CHANNEL:
-            channel = records.parse_channel(content)
-            channels[channel.id] = channel
+            channel = records.parse(mcap_records.Channel, content)
+            found.channels[channel.id] = channel
         elif opcode == records.CHUNK_INDEX:
-            chunks.append(records.parse_chunk_index(content))
+            found.chunk_indexes.append(records.parse(ChunkIndex, content))
         elif opcode == records.ATTACHMENT_INDEX:
-            attachments.append(records.parse_index(content))
+            found.attachment_indexes.append(records.parse(mcap_records.AttachmentIndex, content))
         elif opcode == records.METADATA_INDEX:
-            metadata.append(records.parse_index(content))
+            found.metadata_indexes.append(records.parse(mcap_records.MetadataIndex, content))
         elif opcode == records.STATISTICS:
-            statistics = records.parse_statistics(content)
+            found.statistics = records.parse(mcap_records.Statistics, content)
+    chunks, statistics = found.chunk_indexes, found.statistics
     if statistics is None:
         raise DamageError("it has no statistics")
     if statistics.chunk_count != len(chunks):
@@ -586,16 +586,17 @@ def parse_summary(section: memoryview) -> Summary:
     if statistics.message_count and not chunks:
         raise DamageError("its messages are not in chunks, which alone carry checksums")
     _refuse_shared_bytes(chunks)
-    return Summary(schemas, channels, tuple(chunks), tuple(attachments), tuple(metadata), statistics)
+    return found
 
 
-def _refuse_shared_bytes(chunks: list[records.ChunkIndex]) -> None:
+def _refuse_shared_bytes(chunks: list[ChunkIndex]) -> None:
     """Refuse an index that lists a chunk, or a part of one, twice: a short file would have to be read for ever."""
     ends_at = 0
-    for index in sorted(chunks, key=lambda index: index.offset):
-        if index.offset < ends_at:
-            raise DamageError(f"its index lists the chunk at byte {index.offset} twice, or inside another")
-        ends_at = index.offset + index.length
+    for index in sorted(chunks, key=lambda index: index.chunk_start_offset):
+        offset = index.chunk_start_offset
+        if offset < ends_at:
+            raise DamageError(f"its index lists the chunk at byte {offset} twice, or inside another")
+        ends_at = offset + index.chunk_length
 
 
 def topics_of(summary: Summary) -> dict[int, TopicDescription]:
@@ -611,6 +612,6 @@ def topics_of(summary: Summary) -> dict[int, TopicDescription]:
         schema = summary.schemas.get(channel.schema_id)
         if schema is None:
             raise DamageError(f"topic {channel.topic} has no schema")
-        text = schema.data.decode("utf-8", errors="replace")
+        text = str(schema.data, "utf-8", "replace")
         topics[channel.id] = TopicDescription.from_channel(channel.topic, schema.name, text, channel.metadata)
     return topics

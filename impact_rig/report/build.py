@@ -15,14 +15,12 @@ from impact_rig.campaign.run import Finished
 from impact_rig.drawing.style import Drawn, style
 from impact_rig.errors import ConfigError, RecordingError
 from impact_rig.report import content as kept
-from impact_rig.report import cover, dt, findings, residuals
-from impact_rig.report import curves as papers
+from impact_rig.report import cover, dt, findings
 from impact_rig.report.content import Cell, Content, number
+from impact_rig.report.dt import phase_plane, time_trace
 from impact_rig.report.findings import value_cell
-from impact_rig.report.motion import phase_plane, time_trace
 from impact_rig.report.page import contents, folded, link, page, paragraph, section
-from impact_rig.report.predicted import reduction_over_gap
-from impact_rig.report.studies import study_figures
+from impact_rig.report.studies import reduction_over_gap, study_figures
 from impact_rig.rig.config import fields, to_flat
 from impact_rig.studies.margins import Variation, variations
 from impact_rig.system import files
@@ -73,11 +71,11 @@ def _sections(done: Finished, varied: list[Variation], content: Content, folder:
     reductions = done.reductions()
     compared = _chain(
         dt.without_sphere(curves, config),
-        residuals.reductions_by_gap(reductions),
-        residuals.differences(reductions),
-        residuals.without_sphere(curves, config),
+        dt.reductions_by_gap(reductions),
+        dt.differences(reductions),
+        dt.errors_without_sphere(curves, config),
     )
-    details = _chain(papers.peaks(curves), papers.amplitudes(curves), papers.regime_map(curves))
+    details = _chain(dt.peaks(curves), dt.amplitudes(curves), dt.regime_map(curves))
     yield section("Set-up and instruments", *cover.apparatus(done, content), part=True)
     yield section("Transmissibility", keep(dt.by_frequency(curves, config), large=True), part=True)
     yield section(
@@ -87,7 +85,7 @@ def _sections(done: Finished, varied: list[Variation], content: Content, folder:
     yield section("Uncertainty of one transmissibility", *findings.uncertainty(done, content))
     yield section("What was chosen, and what a verdict is worth", *findings.chosen(config, content))
     yield section("What the statements owe to the choice", *findings.margins(varied, content))
-    yield section("Each gap beside the curve without sphere", keep(papers.figure_8(curves)))
+    yield section("Each gap beside the curve without sphere", keep(dt.figure_8(curves)))
     yield section("Peak, amplitudes, regimes", keep(details))
     yield section("Motion", keep(_motions(done)))
     yield section("Further studies", keep(_studies(done)))

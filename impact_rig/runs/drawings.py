@@ -42,7 +42,7 @@ def prepare(directory: Path, suffix: str, names: Sequence[str] = NAMES) -> None:
         RecordingError: it cannot be made or written to, or there are figures in it already.
     """
     try:
-        directory.mkdir(parents=True, exist_ok=True)
+        files.make_folder(directory)
         with tempfile.TemporaryFile(dir=directory):
             pass
     except OSError as error:

@@ -16,14 +16,14 @@ from numpy.typing import NDArray
 
 from impact_rig import codec, topics
 from impact_rig.errors import CodecError
-from impact_rig.recording import bag_metadata, losses
+from impact_rig.recording import description, losses
 from impact_rig.recording.description import matches
+from impact_rig.recording.losses import Contiguity, check_contiguity, scan_rate_hz
 from impact_rig.recording.provenance import CONFIGURATION
 from impact_rig.recording.reader import Message, Run, open_run
 from impact_rig.recording.records import DamageError
 from impact_rig.recording.writer import CONTINUES_RECORD_NAME
 from impact_rig.runs import recovery
-from impact_rig.runs.contiguity import Contiguity, check_contiguity, scan_rate_hz
 from impact_rig.runs.recovery import Recovered
 from impact_rig.simtime import NS_PER_S
 
@@ -33,12 +33,8 @@ class TopicInfo:
     """A topic in figures.
 
     Attributes:
-        name: of the topic.
-        type_name: of its messages.
-        count: messages read.
         rate_hz: messages per second of rig time between its first and last; None with fewer than two instants.
-        first_ns: earliest log time; 0 without messages.
-        last_ns: latest log time; 0 without messages.
+        first_ns, last_ns: earliest and latest log time; 0 without messages.
         bytes: CDR bytes of all its messages.
     """
 
@@ -56,16 +52,13 @@ class RunInfo:
     """A run in figures.
 
     Attributes:
-        path: what was opened.
         files: name and size [bytes] of every file.
-        start_ns: earliest log time.
-        end_ns: latest log time.
+        start_ns, end_ns: earliest and latest log time.
         topics: in the order they were registered.
         rate_hz: scans per second of `daq/scan`; None without it.
         scans: whether its blocks follow each other; None without it.
         provenance: version, seed, wall_start_ns, ...; empty for other recorders' files.
         attachments: name and size [bytes].
-        configuration: text of the attached configuration; None if there is none.
         lost: messages that never reached the recorder, by topic; only topics that lack any.
         accounted: whether the recorder kept account of them.
         recovered: what a recovery has left out; None: this is the run as it was recorded.
@@ -202,8 +195,8 @@ def _absent_files(run: Run) -> list[str]:
     last = run.sources[-1]
     follows = [content.get("file", "") for name, content in last.metadata() if name == CONTINUES_RECORD_NAME]
     missing = [f"{last.path.name} is not the last file of its run: {follows[-1]} is missing"] if follows else []
-    if run.path.is_dir() and not (run.path / bag_metadata.FILE_NAME).exists():
-        missing.append(f"{bag_metadata.FILE_NAME}, which a finished run has, is missing")
+    if run.path.is_dir() and not (run.path / description.METADATA_FILE).exists():
+        missing.append(f"{description.METADATA_FILE}, which a finished run has, is missing")
     return missing
 
 

@@ -1,12 +1,19 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""Analyse a recorded run: the live node's `Tracker` on the live node's messages, so the results are the same bits."""
+"""Analyse a recorded run by the live node's `Tracker` on the live node's messages, and compare with what it found.
+
+A measurement begins at the last change (a command, a label, a reset) or where the data begin. So live and file agree
+from the first change on that both saw; before it, one of them has seen more, and the two cannot be compared.
+"""
 
 from __future__ import annotations
 
+import itertools
+import math
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 
+import attrs
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,11 +22,15 @@ from impact_rig.analysis.channels import CHANNELS
 from impact_rig.analysis.findings import Findings
 from impact_rig.analysis.labels import GapLabel, parse_label
 from impact_rig.analysis.settings import TrackerSettings
-from impact_rig.analysis.tables import read_settings
+from impact_rig.analysis.tables import machine_of, read_settings
 from impact_rig.analysis.tracker import Tracker
+from impact_rig.analysis.words import Status
 from impact_rig.blocks import TRANSMISSIBILITY, Table
 from impact_rig.errors import ConfigError, RecordingError
 from impact_rig.recording import Message, Run
+from impact_rig.recording.losses import check_contiguity
+from impact_rig.simtime import NS_PER_S
+from impact_rig.system.machine import fingerprint
 
 _NEEDED = (topics.INFO, topics.APPLIED, topics.SCAN)
 
@@ -114,3 +125,291 @@ def text_of(cdr: bytes | memoryview) -> str:
     """Return the text of a serialized std_msgs/String: 4 bytes of encapsulation, length with terminator, UTF-8."""
     length = int.from_bytes(cdr[4:8], "little")
     return bytes(cdr[8 : 8 + max(0, length - 1)]).decode(errors="replace")
+
+
+TOLERANCE = 1e-9
+"""Relative, between machines that differ in the last bits."""
+ABSOLUTE = frozenset({"phase", "phase_uncertainty", "frequency_deviation", "thd", "spread"})
+"""Columns that can be near zero beside what they were computed from: compared to 1e-9 of their unit."""
+EDGE = 2
+"""Measurements by which two topics of one analysis may differ at the begin and the end of a recording."""
+LAST_WORDS_S = 1.0
+"""A recorder that stops first may miss what the analysis said of this last stretch, and of what it holds back."""
+
+_TABLE = topics.TRANSMISSIBILITY_TABLE
+
+
+@attrs.frozen
+class Compared:
+    """What comparing one topic found.
+
+    Attributes:
+        count: rows or messages that were compared and agree.
+        difference: the first one; empty: none.
+        left_out: what could not be compared, and why; empty: nothing.
+        what: what was counted.
+    """
+
+    topic: str
+    count: int = 0
+    difference: str = ""
+    left_out: str = ""
+    what: str = "rows"
+
+    def __str__(self) -> str:
+        if self.difference:
+            return f"{self.topic}: {self.difference}"
+        if not self.count and self.left_out:
+            return f"{self.topic}: not compared: {self.left_out}"
+        return f"{self.topic}: {self.count} {self.what} agree" + (f"; {self.left_out}" if self.left_out else "")
+
+
+@attrs.frozen
+class Comparison:
+    """What comparing found.
+
+    Attributes:
+        same: whether all that could be compared agrees; None: nothing could be.
+        identical: whether it agrees bit for bit.
+        compared: rows compared.
+        elsewhere: whether the live analysis ran on another machine or with other libraries; None: not recorded.
+        reason: the first difference, or why nothing could be compared; empty where all agrees.
+        left_out: live and offline rows that could not be compared.
+        others: what came of comparing the other topics of the analysis.
+    """
+
+    same: bool | None
+    identical: bool = False
+    compared: int = 0
+    elsewhere: bool | None = None
+    reason: str = ""
+    left_out: tuple[int, int] = (0, 0)
+    others: tuple[Compared, ...] = ()
+
+    def __str__(self) -> str:
+        if self.same is None:
+            return f"nothing to compare with: {self.reason}"
+        live, offline = self.left_out
+        rest = (
+            f"; rows made from scans that only one of the two saw are not compared: {live} of the live analysis, "
+            f"{offline} of this one"
+        )
+        return self._sentence() + (rest if live or offline else "")
+
+    def _sentence(self) -> str:
+        if not self.same:
+            return f"not identical to the live results: {self.reason}"
+        if self.identical:
+            return f"identical to the live results: {self.compared} rows, bit for bit"
+        where = "it is not recorded on which machine" if self.elsewhere is None else "on another machine or libraries"
+        return f"equal to the live results to {TOLERANCE:g}, not bit for bit: {self.compared} rows, made {where}"
+
+
+@attrs.frozen(eq=False)
+class _Row:
+    """A measurement: the stretch it belongs to begins after scan `begin` and it ends with scan `end`."""
+
+    begin: int
+    end: int
+    stamp_ns: int
+    values: np.void
+
+    @property
+    def lost_blocks(self) -> bool:
+        return bool(self.values["status"] == Status.LOST_BLOCKS.value.encode())
+
+
+def compare(run: Run, offline: Iterable[Table], impacts: Iterable[Table] | None = None) -> Comparison:
+    """Compare what an offline analysis found with what the live one published.
+
+    Args:
+        run: an open run.
+        offline: measurements found in it.
+        impacts: impacts found in it; None: they are not compared.
+
+    Raises:
+        RecordingError: the run is damaged, or a table in it is none of its topic.
+    """
+    calibration = next(run.tables(topics.INFO), None) if run.holds(topics.INFO) else None
+    if calibration is None or not len(calibration.rows):
+        return Comparison(None, reason=f"no {topics.INFO.name} is in this run")
+    if not run.holds(_TABLE):
+        return Comparison(None, reason="no live results are in this run")
+    rate_hz = round(float(calibration.rows["rate"][0]))
+    blocks, tables = _recorded(run)
+    live = _rows(tables, rate_hz)
+    if not live:
+        return Comparison(None, reason="no live results are in this run")
+    ours = _rows(offline, rate_hz)
+    gaps = check_contiguity(blocks, rate_hz).gaps
+    data_begin, data_end = _scan(blocks[0][0], rate_hz) - 1, _scan(blocks[-1][0], rate_hz) + blocks[-1][1] - 1
+    our_cuts = [data_begin, *(_scan(gap.stamp_ns, rate_hz) - 1 for gap in gaps)]
+    live_cuts = _cuts(live)
+    theirs = [row for row in live if row.end <= data_end and _comparable(row, live_cuts, our_cuts, ours)]
+    found = [row for row in ours if _comparable(row, our_cuts, live_cuts, live)]
+    left_out = len(live) - len(theirs), len(ours) - len(found)
+    if not theirs:
+        return Comparison(None, reason="live analysis and recording saw no change from the same data on")
+    settings = run.tables(topics.ANALYSIS_SETTINGS) if run.holds(topics.ANALYSIS_SETTINGS) else ()
+    machines = {machine for table in settings if (machine := machine_of(table)) is not None}
+    elsewhere = machines != {fingerprint()} if machines else None
+    late = data_end - round((TrackerSettings().hold_s + LAST_WORDS_S) * rate_hz)
+    reason, identical = _difference(theirs, found, late, exact=elsewhere is False)
+    others = [_plotted(run, live)]
+    if impacts is not None:
+        ends = [cut for cut in [*our_cuts[1:], *live_cuts[1:]] if cut > data_begin]
+        span = max(data_begin, live_cuts[0]) + round(LAST_WORDS_S * rate_hz), min([late, *ends])
+        others.append(_impacts(run, impacts, rate_hz, span))
+    reason = reason or next((str(one) for one in others if one.difference), "")
+    return Comparison(not reason, identical and not reason, len(theirs), elsewhere, reason, left_out, tuple(others))
+
+
+def _recorded(run: Run) -> tuple[list[tuple[int, int]], list[Table]]:
+    """Return stamp and length of every block, and the live measurements of these blocks.
+
+    What a latched topic hands to a recorder that comes was measured before its first scan.
+    """
+    scans, name = run.resolve(topics.SCAN.name), run.resolve(_TABLE.name)
+    blocks: list[tuple[int, int]] = []
+    tables: list[Table] = []
+    for message in run.messages((scans, name), recorded_order=True):
+        if message.topic == scans:
+            table = run.table(message)
+            blocks.append((table.stamp_ns, len(table.rows)))
+        else:
+            table = run.table(message, _TABLE)
+            if blocks and table.stamp_ns >= blocks[0][0]:
+                tables.append(table)
+    return blocks, tables
+
+
+def _plotted(run: Run, live: Sequence[_Row]) -> Compared:
+    """Compare the settled values for plotters with the rows they come from."""
+    name = topics.TRANSMISSIBILITY.name
+    if not run.holds(name):
+        return Compared(name, left_out="it is not in this run")
+    shown = [_number(message.data) for message in run.messages([name], recorded_order=True)]
+    settled = [float(row.values["transmissibility"]) for row in live if row.values["settled"] == 1.0]
+    if not shown or not settled:
+        return Compared(name, left_out="nothing settled in this run")
+    # the two topics do not begin and end with the same measurement where a recorder came or went
+    shift = next((k for k in range(-EDGE, EDGE + 1) if _agree(shown, settled, k)), None)
+    if shift is None:
+        return Compared(name, difference=f"its values are not those of the settled rows of {_TABLE.name}")
+    return Compared(name, min(len(shown), len(settled)), what="values")
+
+
+def _agree(shown: Sequence[float], settled: Sequence[float], shift: int) -> bool:
+    """Return whether values are the same where both are, `shown` beginning `shift` later; the ends may differ."""
+    ours, theirs = shown[max(0, -shift) :], settled[max(0, shift) :]
+    both = min(len(ours), len(theirs))
+    return both > 0 and abs(len(ours) - len(theirs)) <= EDGE and ours[:both] == theirs[:both]
+
+
+def _number(cdr: bytes | memoryview) -> float:
+    """Return the number in a serialized std_msgs/Float64; NaN where there is none."""
+    return float(np.frombuffer(cdr, "<f8", 1, 4)[0]) if len(cdr) >= 12 else math.nan
+
+
+def _impacts(run: Run, offline: Iterable[Table], rate_hz: int, span: tuple[int, int]) -> Compared:
+    """Compare the detected impacts of the scans in `span`, which both sides have seen.
+
+    Peaks are compared to `TOLERANCE`: what the filter remembers of the scans before depends on where each side began.
+    """
+    name = topics.IMPACTS.name
+    if not run.holds(topics.IMPACTS):
+        return Compared(name, left_out="it is not in this run")
+    live, ours = (
+        [(scan, row) for scan, row in _instants(tables, rate_hz) if span[0] <= scan <= span[1]]
+        for tables in (run.tables(topics.IMPACTS), offline)
+    )
+    for count, ((scan, theirs), (found, here)) in enumerate(zip(live, ours, strict=False)):
+        where = f"at {min(scan, found) / rate_hz:.6f} s"
+        if scan != found:
+            return Compared(name, count, f"an impact {where} was found {'live' if scan < found else 'here'} only")
+        column = _different(theirs, here, exact=False)
+        if column:
+            return Compared(
+                name, count, f"{column} {where}: live {theirs[column].item()!r}, here {here[column].item()!r}"
+            )
+    if len(live) != len(ours):
+        longer, side = (live, "live") if len(live) > len(ours) else (ours, "here")
+        scan = longer[min(len(live), len(ours))][0]
+        return Compared(name, min(len(live), len(ours)), f"an impact at {scan / rate_hz:.6f} s was found {side} only")
+    return Compared(name, len(live), left_out="those of the first and last second are left out", what="impacts")
+
+
+def _instants(tables: Iterable[Table], rate_hz: int) -> list[tuple[int, np.void]]:
+    """Return the scan of each row and the row, in order."""
+    found = [
+        (_scan(table.stamp_ns + round(float(row["time"]) * NS_PER_S), rate_hz), row)
+        for table in tables
+        for row in table.rows
+    ]
+    return sorted(found, key=lambda one: one[0])
+
+
+def _rows(tables: Iterable[Table], rate_hz: int) -> list[_Row]:
+    found = []
+    for table in tables:
+        end = _scan(table.stamp_ns, rate_hz)
+        found += [_Row(end - round(float(row["waited"]) * rate_hz), end, table.stamp_ns, row) for row in table.rows]
+    return found
+
+
+def _scan(stamp_ns: int, rate_hz: int) -> int:
+    return (stamp_ns * rate_hz + NS_PER_S // 2) // NS_PER_S
+
+
+def _cuts(live: Sequence[_Row]) -> list[int]:
+    """Return where the data of the live analysis begin, and go on after lost blocks."""
+    after_loss = (row.begin for before, row in itertools.pairwise(live) if before.lost_blocks)
+    return [min(row.begin for row in live), *after_loss]
+
+
+def _comparable(row: _Row, own_cuts: Sequence[int], other_cuts: Sequence[int], others: Sequence[_Row]) -> bool:
+    """Return whether the other side saw all that a measurement was made from, and began it at the same change."""
+    if row.lost_blocks or row.end <= other_cuts[0] or any(row.begin < cut <= row.end for cut in other_cuts):
+        return False
+    return row.begin not in own_cuts or row.begin in other_cuts or any(row.begin == other.begin for other in others)
+
+
+def _difference(live: Sequence[_Row], ours: Sequence[_Row], late: int, *, exact: bool) -> tuple[str, bool]:
+    """Return the first difference, and whether all bits agree."""
+    identical = True
+    for theirs, found in zip(live, ours, strict=False):
+        where = f"at {theirs.stamp_ns / NS_PER_S:.9f} s"
+        if theirs.end != found.end:
+            return f"live measured {where}, here at {found.stamp_ns / NS_PER_S:.9f} s", False
+        column = _different(theirs.values, found.values, exact=True)
+        if column:
+            identical = False
+            if exact:
+                return _named(where, column, theirs, found), False
+            column = _different(theirs.values, found.values, exact=False)
+            if column:
+                return _named(where, column, theirs, found), False
+    if len(live) > len(ours):
+        return f"the live result at {live[len(ours)].stamp_ns / NS_PER_S:.9f} s was not found again", False
+    missing = [row for row in ours[len(live) :] if row.end <= late]
+    if missing:
+        return f"the live analysis said nothing at {missing[0].stamp_ns / NS_PER_S:.9f} s: had it ended?", False
+    return "", identical
+
+
+def _named(where: str, column: str, theirs: _Row, found: _Row) -> str:
+    live, here = theirs.values[column].item(), found.values[column].item()
+    return f"{column} {where}: live {live!r}, here {here!r}"
+
+
+def _different(theirs: np.void, ours: np.void, *, exact: bool) -> str:
+    """Return the first column that differs, bit for bit or beyond the tolerance; empty if none does."""
+    for name in ours.dtype.names or ():
+        a, b = theirs[name].astype(ours.dtype[name]), ours[name]
+        if a.tobytes() == b.tobytes():
+            continue
+        if exact or ours.dtype[name].kind != "f":
+            return str(name)
+        if not np.isclose(a, b, rtol=TOLERANCE, atol=TOLERANCE if name in ABSOLUTE else 0.0, equal_nan=True):
+            return str(name)
+    return ""

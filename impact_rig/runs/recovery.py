@@ -15,6 +15,7 @@ and a chunk whose content is damaged is stepped over.
 from __future__ import annotations
 
 import contextlib
+import functools
 import os
 import re
 import struct
@@ -24,17 +25,18 @@ from pathlib import Path
 from types import TracebackType
 
 import attrs
+from mcap import records as mcap_records
+from mcap.records import Statistics
 
 from impact_rig import codec, topics
 from impact_rig.errors import CodecError, RecordingError
-from impact_rig.recording import bag_metadata, losses, provenance, reader, records
+from impact_rig.recording import description, losses, provenance, reader, records
 from impact_rig.recording.description import TopicDescription, matches
-from impact_rig.recording.mcap_file import FOLLOWS, TAIL_RECORD_NAME, TAIL_SUFFIX, tail_of
+from impact_rig.recording.losses import check_contiguity, scan_rate_hz
 from impact_rig.recording.provenance import Attachment, Provenance
 from impact_rig.recording.reader import run_files
-from impact_rig.recording.records import RECORD_HEAD, DamageError, RawMessage, Statistics
-from impact_rig.recording.writer import RunWriter
-from impact_rig.runs.contiguity import check_contiguity, scan_rate_hz
+from impact_rig.recording.records import RECORD_HEAD, DamageError, RawMessage
+from impact_rig.recording.writer import FOLLOWS, TAIL_RECORD_NAME, TAIL_SUFFIX, RunWriter, tail_of
 from impact_rig.simtime import NS_PER_S
 from impact_rig.system import budget
 from impact_rig.system.budget import BudgetError, Spending
@@ -69,14 +71,7 @@ class Found:
 
 @attrs.frozen
 class Damage:
-    """A part of a file that is lost.
-
-    Attributes:
-        file: name of the file.
-        offset: where it begins [bytes].
-        length: how long it is [bytes].
-        reason: what does not fit.
-    """
+    """A part of a file that is lost [bytes], and what does not fit there."""
 
     file: str
     offset: int
@@ -199,24 +194,30 @@ def _check_chunk_head(head: bytes, length: int) -> None:
 
 
 def _check_message(content: memoryview) -> None:
-    records.Fields(content).take(22)
+    if len(content) < records.MESSAGE_HEAD.size - RECORD_HEAD.size:
+        raise DamageError("a message is too short")
 
 
-def _check_data_end(content: memoryview) -> None:
-    fields = records.Fields(content)
-    fields.u4()
-    fields.end()
+def _check_message_index(content: memoryview) -> None:
+    length = int.from_bytes(content[2:6], "little")
+    if len(content) != 6 + length or length % 16:
+        raise DamageError(f"a message index of {len(content)} bytes does not hold whole entries")
 
 
 _CHECKS: Mapping[int, Callable[[memoryview], object]] = {
-    records.HEADER: records.parse_header,
-    records.SCHEMA: records.parse_schema,
-    records.CHANNEL: records.parse_channel,
     records.MESSAGE: _check_message,
-    records.MESSAGE_INDEX: records.parse_message_index,
-    records.ATTACHMENT: records.parse_attachment,
-    records.METADATA: records.parse_metadata,
-    records.DATA_END: _check_data_end,
+    records.MESSAGE_INDEX: _check_message_index,
+    **{
+        opcode: functools.partial(records.parse, kind)
+        for opcode, kind in (
+            (records.HEADER, mcap_records.Header),
+            (records.SCHEMA, mcap_records.Schema),
+            (records.CHANNEL, mcap_records.Channel),
+            (records.ATTACHMENT, mcap_records.Attachment),
+            (records.METADATA, mcap_records.Metadata),
+            (records.DATA_END, mcap_records.DataEnd),
+        )
+    },
 }
 
 
@@ -228,7 +229,6 @@ class FileReport:
     """What came out of one file, its tail included.
 
     Attributes:
-        name: of the file.
         size: its bytes.
         messages: messages given back.
         chunks: whole chunks they came from.
@@ -246,10 +246,6 @@ class FileReport:
     _rate_hz: int | None = None
     _first_ns: int | None = None
     _last_ns: int = 0
-
-    def expect(self, statistics: Statistics) -> None:
-        """Note what the index counts."""
-        self.expected = statistics
 
     def count(self, topic: TopicDescription, message: RawMessage) -> None:
         """Count a message that is given back."""
@@ -281,8 +277,8 @@ class FileReport:
         if self.expected is None:
             return None
         if self._first_ns is None:
-            return (self.expected.end_ns - self.expected.start_ns) / NS_PER_S
-        outside = self._first_ns - self.expected.start_ns + self.expected.end_ns - self._last_ns
+            return (self.expected.message_end_time - self.expected.message_start_time) / NS_PER_S
+        outside = self._first_ns - self.expected.message_start_time + self.expected.message_end_time - self._last_ns
         inside = check_contiguity(self._blocks, self._rate_hz).lost_scans / self._rate_hz if self._rate_hz else 0.0
         return inside + max(0, outside) / NS_PER_S
 
@@ -292,8 +288,6 @@ class RecoverReport:
     """What `recover` found.
 
     Attributes:
-        directory: the new run.
-        files: what came out of each file.
         damages: what is left out and why, in order (at most 1000 are listed).
         damage_count: how many there are.
         account: what reading has cost.
@@ -374,8 +368,7 @@ class Recovered:
 
     Attributes:
         source: name of the run that was damaged or unfinished.
-        damages: places that were left out.
-        lost_bytes: how large they were.
+        lost_bytes: size of the places that were left out.
         missing_messages: messages the damaged run's index counts and that are not given back; None: it has no index.
         unfinished: whether the damaged run was never finished, so that nobody knows what it should have held.
     """
@@ -534,7 +527,7 @@ class _Salvage:
         self.figures = figures or report.file(path)
         self._report = report
         self._accept_unchecked = accept_unchecked
-        self._schemas: dict[int, records.SchemaRecord] = {}
+        self._schemas: dict[int, mcap_records.Schema] = {}
         self._topics: dict[int, TopicDescription] = dict(topics or {})
         with DamagedFile(path) as file:
             self._read_summary(file)
@@ -610,7 +603,7 @@ class _Salvage:
 
     def _messages(self, file: DamagedFile, found: Found) -> Iterator[tuple[TopicDescription, records.RawMessage]]:
         try:
-            chunk = records.parse_chunk(file.content(found))
+            chunk = records.parse(mcap_records.Chunk, file.content(found))
             self._report.account.chunk(chunk.uncompressed_size)
             content = records.decompress(chunk, need_crc=not self._accept_unchecked)
             self._report.account.records(records.count(content, most=len(content)))
@@ -638,15 +631,15 @@ class _Salvage:
         except (DamageError, BudgetError):
             return  # the chunks say what they hold, and their bound is that of every reader
         self._schemas.update(summary.schemas)
-        self.figures.expect(summary.statistics)
+        self.figures.expected = summary.statistics
 
-    def _define(self, definition: records.SchemaRecord | records.ChannelRecord) -> None:
-        if isinstance(definition, records.SchemaRecord):
+    def _define(self, definition: mcap_records.Schema | mcap_records.Channel) -> None:
+        if isinstance(definition, mcap_records.Schema):
             self._schemas[definition.id] = definition
             return
         schema = self._schemas.get(definition.schema_id)
         if schema is not None:
-            text = schema.data.decode("utf-8", errors="replace")
+            text = str(schema.data, "utf-8", "replace")
             self._know(
                 definition.id, TopicDescription.from_channel(definition.topic, schema.name, text, definition.metadata)
             )
@@ -662,15 +655,17 @@ class _Salvage:
         self._topics[channel_id] = topic
 
     def _take_attachment(self, file: DamagedFile, found: Found) -> None:
-        attachment = records.parse_attachment(file.content(found))
-        if attachment.intact:
-            self.attachments.append(Attachment(attachment.name, attachment.data, attachment.media_type))
+        content = file.content(found)
+        attachment = records.parse(mcap_records.Attachment, content)
+        if records.attachment_is_intact(content):
+            self.attachments.append(Attachment(attachment.name, bytes(attachment.data), attachment.media_type))
         else:
             self._report.note(self._damage(found, f"the attachment {attachment.name!r} does not fit its checksum"))
 
     def _take_metadata(self, file: DamagedFile, found: Found) -> None:
-        name, content = records.parse_metadata(file.content(found))
-        if name == bag_metadata.RECORD_NAME:
+        record = records.parse(mcap_records.Metadata, file.content(found))
+        name, content = record.name, record.metadata
+        if name == description.BAG_RECORD_NAME:
             return  # written anew
         verified = provenance.verify(content)
         if verified is None:

@@ -29,8 +29,7 @@ from impact_rig.rig.config import RigConfig, from_flat, parse, to_flat
 from impact_rig.rig.description import robot_description
 from impact_rig.rig.journal import Entry, read, sampled
 from impact_rig.rig.resimulation import Resimulation
-from impact_rig.runs.live_comparison import Compared
-from impact_rig.runs.reanalysis import text_of
+from impact_rig.runs.reanalysis import Compared, text_of
 from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S, stamp_ns
 
 _BEGINS = (Kind.START.value.encode(), Kind.RESET.value.encode())

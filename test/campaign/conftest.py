@@ -5,8 +5,7 @@ from __future__ import annotations
 import pytest
 from kits.campaign import TINY
 
-from impact_rig.campaign.in_process import execute
-from impact_rig.campaign.job import Job, Outcome
+from impact_rig.campaign.job import Job, Outcome, execute
 from impact_rig.campaign.plan import Campaign, load_campaign
 from impact_rig.campaign.run import unique_jobs
 

@@ -97,7 +97,7 @@ def test_a_map_has_the_same_bits_there(cluster, tmp_path):
 def test_a_cluster_that_cannot_be_reached_is_one_clear_line(tmp_path):
     file, address = tmp_path / "tiny.yaml", f"tcp://127.0.0.1:{free_port()}"
     file.write_text(TINY)
-    impatient = "from impact_rig.campaign import cluster; cluster.CONNECT_S = 1.0; "
+    impatient = "from impact_rig.campaign import pool; pool.CONNECT_S = 1.0; "
     process = start(file, tmp_path / "out", address, before=impatient)
     output, _ = process.communicate(timeout=WAIT_S)
     assert process.returncode == 1

@@ -17,13 +17,13 @@ from pathlib import Path
 import pytest
 from kits.recorded_rig import messages, record
 
-from impact_rig.cli import guess, main, terminal
+from impact_rig.cli import main, terminal
 from impact_rig.cli.main import COMMANDS, command_line
 from impact_rig.cli.terminal import Console, Steps, TextTable, tell_json
 from impact_rig.system.resources import config_dir
 
 PROGRAM = [sys.executable, "-c", "from impact_rig.cli import main; raise SystemExit(main())"]
-CAMPAIGN, NOMINAL = str(config_dir() / "paper.yaml"), str(config_dir() / "nominal.yaml")
+NOMINAL = str(config_dir() / "nominal.yaml")
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +56,6 @@ def test_every_help_page_has_examples_that_can_be_given(name: str) -> None:
 
 WRONG = [
     (["analyse", "x"], "did you mean `impact-rig analyze`?"),
-    ([CAMPAIGN], f"is a campaign: `impact-rig campaign {CAMPAIGN}`"),
     (["nothing"], "the commands are lab, demo"),
 ]
 
@@ -69,36 +68,6 @@ def test_a_word_that_is_no_command_is_answered(
         main(words)
     assert ended.value.code == 2
     assert answer in capsys.readouterr().err
-
-
-def test_a_path_that_a_command_does_not_take_is_answered(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    for name in ("gap_2mm", "gap_4mm", "no_sphere"):
-        (tmp_path / "demo" / name).mkdir(parents=True)
-        (tmp_path / "demo" / name / "x.mcap").touch()
-    (tmp_path / "campaign").mkdir()
-    (tmp_path / "campaign" / "campaign.yaml").touch()
-    demo, campaign, one = tmp_path / "demo", tmp_path / "campaign", tmp_path / "demo" / "gap_2mm"
-    for words, answer in (
-        (["info", demo], f"{demo} holds 3 runs: gap_2mm, gap_4mm, no_sphere; give one of them, e.g. {one}"),
-        (["analyze", campaign], f"{campaign} is the directory of a campaign: `impact-rig report {campaign}`"),
-        (["report", one], f"{one} is a run: `impact-rig info {one}`"),
-        (["check", CAMPAIGN], f"is a campaign: `impact-rig campaign {CAMPAIGN}`"),
-        (["campaign", NOMINAL], f"is a configuration of the rig: `impact-rig check {NOMINAL}`"),
-        (["info", tmp_path / "dmo"], f"did you mean {demo}?"),
-    ):
-        assert main(list(map(str, words))) == 1
-        first, second = capsys.readouterr().err.splitlines()
-        assert first.startswith(f"impact-rig {words[0]}: ")
-        assert answer in second
-
-
-def test_what_a_command_takes_gets_no_second_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "x.mcap").write_bytes(b"damaged")
-    (tmp_path / "empty").mkdir()
-    for words in (["info", tmp_path / "x.mcap"], ["info", tmp_path / "empty"], ["check", tmp_path / "empty"]):
-        assert main(list(map(str, words))) == 1
-        assert len(capsys.readouterr().err.splitlines()) == 1
-    assert guess.kind(tmp_path / "empty") == ""
 
 
 def test_measurements_fit_80_columns_whole_and_without_nan(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -189,13 +158,6 @@ def test_progress_without_a_terminal_is_some_plain_lines(capsys: pytest.CaptureF
 def test_json_has_no_number_that_json_lacks(capsys: pytest.CaptureFixture[str]) -> None:
     tell_json({"a": math.nan, "b": (1.5, math.inf), "c": Path("x"), 4: b"word"})
     assert json.loads(capsys.readouterr().out) == {"a": None, "b": [1.5, None], "c": "x", "4": "word"}
-
-
-@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
-def test_a_shell_is_told_how_to_complete(shell: str, capsys: pytest.CaptureFixture[str]) -> None:
-    pytest.importorskip("argcomplete")
-    assert main(["completion", shell]) == 0
-    assert "impact-rig" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

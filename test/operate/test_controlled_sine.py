@@ -11,12 +11,11 @@ import pytest
 from impact_rig.analysis.reduction import combined
 from impact_rig.blocks import TRANSMISSIBILITY
 from impact_rig.campaign.axes import NO_SPHERE
-from impact_rig.campaign.in_process import execute
+from impact_rig.campaign.job import execute
 from impact_rig.errors import ConfigError
-from impact_rig.operate.controlled_sine import ControlledSine, Hold, HoldPlan
 from impact_rig.operate.operator import Applied, News, operate
 from impact_rig.operate.plan import Plan
-from impact_rig.operate.stepped_sine import State
+from impact_rig.operate.stepped_sine import ControlledSine, Hold, HoldPlan, State
 from impact_rig.physics.closed_form import transmissibility
 from impact_rig.rig.config import RigConfig
 from impact_rig.simtime import NS_PER_S

@@ -9,9 +9,8 @@ import math
 import numpy as np
 import pytest
 
-from impact_rig.operate.locked_sine import LockedSine
 from impact_rig.operate.operator import Applied, News, Operator
-from impact_rig.operate.phase_lock import LockPlan
+from impact_rig.operate.phase_lock import LockedSine, LockPlan
 from impact_rig.operate.plan import Setpoint
 from impact_rig.operate.stepped_sine import State
 from impact_rig.rig import Rig

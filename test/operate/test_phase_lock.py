@@ -14,8 +14,7 @@ import pytest
 
 from impact_rig.errors import ConfigError
 from impact_rig.operate.looking import Ladder, climb, follow, lock_on, mean
-from impact_rig.operate.phase_lock import LockPlan, PhaseLock, Reference, Stage
-from impact_rig.operate.phasors import Look
+from impact_rig.operate.phase_lock import LockPlan, Look, PhaseLock, Reference, Stage
 from impact_rig.operate.stepped_sine import State
 from impact_rig.physics.closed_form import transmissibility
 from impact_rig.rig.config import RigConfig, from_flat

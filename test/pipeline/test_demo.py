@@ -20,7 +20,7 @@ from impact_rig.analysis.reduction import Reduction, reduction
 from impact_rig.campaign.paper import REDUCTION_PERCENT
 from impact_rig.cli.demo import CASES, MEASUREMENTS
 from impact_rig.recording import open_run
-from impact_rig.runs import check_contiguity, live_comparison, reanalysis
+from impact_rig.runs import check_contiguity, reanalysis
 
 pytestmark = [pytest.mark.ros, pytest.mark.pipeline, pytest.mark.timeout(300)]
 
@@ -105,7 +105,7 @@ def test_the_demo_reproduces_the_paper_and_loses_nothing(tmp_path: Path) -> None
         with open_run(run.parent) as opened:
             blocks = [(table.stamp_ns, len(table.rows)) for table in opened.tables("daq/scan", recorded_order=True)]
             again = reanalysis.measurements(reanalysis.analyze(opened))
-            comparison = live_comparison.compare(opened, again)
+            comparison = reanalysis.compare(opened, again)
             assert comparison.identical, f"{run.parent.name}: {comparison}"
             assert len(again) >= MEASUREMENTS
         assert check_contiguity(blocks, 10_000).whole, f"{run.parent.name}: blocks are missing or come twice"

@@ -27,7 +27,7 @@ from impact_rig.nodes.messages import nanoseconds
 from impact_rig.nodes.recorder_node import RecorderNode
 from impact_rig.nodes.rig_node import RigNode
 from impact_rig.recording import open_run
-from impact_rig.runs import live_comparison, reanalysis
+from impact_rig.runs import reanalysis
 
 pytestmark = [pytest.mark.ros, pytest.mark.pipeline]
 BLOCKS = 1600
@@ -103,7 +103,7 @@ def test_a_live_analysis_finds_in_a_replay_what_it_found_before(client: Client, 
     with open_run(run) as opened:
         recorded = list(opened.tables("daq/scan", recorded_order=True))
         again = reanalysis.measurements(reanalysis.analyze(opened))
-        assert live_comparison.compare(opened, again).identical
+        assert reanalysis.compare(opened, again).identical
     client.wait_until(lambda: len(scans) == len(recorded) == BLOCKS, "every block")
     assert content(scans.tables()) == content(recorded)
     settled = [table for table in again if table.rows["settled"][0] == 1]

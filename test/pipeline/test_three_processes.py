@@ -18,7 +18,7 @@ from impact_rig.client import Client, ProcessDiedError, Processes, isolated_doma
 from impact_rig.recording import open_run
 from impact_rig.rig import resimulate
 from impact_rig.runs import info, reanalysis, recover
-from impact_rig.runs.live_comparison import compare
+from impact_rig.runs.reanalysis import compare
 from impact_rig.runs.verification import verify
 from impact_rig.simtime import NS_PER_S
 

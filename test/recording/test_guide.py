@@ -20,7 +20,6 @@ from rosbags.typesys import Stores, get_typestore
 
 from impact_rig import codec
 from impact_rig.blocks import Table
-from impact_rig.cli import main
 from impact_rig.instruments.scan import SCAN
 from impact_rig.nodes.topics import TOPICS
 
@@ -140,25 +139,3 @@ def test_plotjuggler_layout_plots_fields_that_exist():
 def test_layouts_name_topics_and_types_of_the_topic_table():
     known = {f"/rig/{topic.name}": topic.type_name for topic in TOPICS}
     assert known.items() >= ALL.items()
-
-
-@pytest.mark.parametrize(
-    ("namespace", "prefix"), [("/", "/"), ("", "/"), ("cell/two", "/cell/two/"), ("/rig2/", "/rig2/")]
-)
-def test_layouts_are_written_for_any_namespace(tmp_path, capsys, namespace, prefix):
-    assert main(["layout", str(tmp_path / "out"), "--namespace", namespace]) == 0
-    foxglove, plotjuggler = map(Path, capsys.readouterr().out.split())
-    for path, original in ((foxglove, "foxglove/rig.json"), (plotjuggler, "plotjuggler/rig.xml")):
-        before = (ROOT / "config" / original).read_text(encoding="utf-8")
-        after = path.read_text(encoding="utf-8")
-        assert after.count(f'"{prefix}') >= before.count('"/rig/') > 10
-        assert '"/rig/' not in after
-        assert '"/diagnostics"' in after or path.suffix == ".xml"
-    json.loads(foxglove.read_text(encoding="utf-8"))
-    ET.parse(plotjuggler)
-    assert main(["layout", str(tmp_path / "out"), "--namespace", namespace]) == 1, "nothing is overwritten"
-
-
-def test_a_namespace_that_cannot_be_is_refused(tmp_path, capsys):
-    assert main(["layout", str(tmp_path), "--namespace", 'a"b']) == 1
-    assert "a namespace has names of letters" in capsys.readouterr().err

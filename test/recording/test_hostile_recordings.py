@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 
-from impact_rig.cli.recover import INCOMPLETE
+from impact_rig.cli.recorded import INCOMPLETE
 from impact_rig.errors import ImpactRigError
 from impact_rig.recording import open_run
 from impact_rig.recording.description import TopicDescription, starts_with_header
@@ -105,7 +105,7 @@ def test_an_index_that_lies_about_the_size_of_a_chunk_is_damage(tmp_path: Path) 
     path = TOOL["recording"](tmp_path / "liar.mcap", TOOL["scans"]())
     data = bytearray(path.read_bytes())
     with open_run(path) as run:
-        size = run.sources[0].summary.chunks[0].uncompressed_size
+        size = run.sources[0].summary.chunk_indexes[0].uncompressed_size
     at = data.rindex(size.to_bytes(8, "little"))
     data[at : at + 8] = (size - 1).to_bytes(8, "little")
     path.write_bytes(data)

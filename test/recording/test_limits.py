@@ -19,7 +19,8 @@ pytest.importorskip("rosbags", reason="an independent reader, only on PyPI")
 from rosbags.highlevel import AnyReader
 
 from impact_rig.errors import RecordingError
-from impact_rig.recording import mcap_file, open_run
+from impact_rig.recording import open_run
+from impact_rig.recording import writer as recording_writer
 from impact_rig.recording.writer import CHUNK_OPEN_S
 from impact_rig.runs import recover
 
@@ -246,7 +247,7 @@ def test_a_write_that_fails_unforeseen_leaves_whole_records(tmp_path):
     """As when the disk fills between two looks at it: the check is told there is room, the system call fails."""
     limit = (
         "resource.setrlimit(resource.RLIMIT_FSIZE, (300_000, resource.RLIM_INFINITY)); "
-        "import impact_rig.recording.mcap_file as m; m.McapFile.shortage = lambda self: ''"
+        "import impact_rig.recording.writer as m; m.McapFile.shortage = lambda self: ''"
     )
     message = run_limited(tmp_path, limit)
     assert "run.mcap cannot be written: File too large; it ends with its last whole record" in message
@@ -261,7 +262,7 @@ def test_recording_stops_while_the_disk_still_has_room(record, monkeypatch):
     """What is free is asked after every chunk; the test raises the bar instead of filling a disk."""
     writer = record(chunk_bytes=20_000)
     fill(writer, 20)
-    monkeypatch.setattr(mcap_file, "MIN_FREE_BYTES", 2**62)
+    monkeypatch.setattr(recording_writer, "MIN_FREE_BYTES", 2**62)
     with pytest.raises(RecordingError, match=r"stopped and finished: only \d+ MB are free on its disk"):
         fill(writer, 100, first=20)
     assert writer.closed

@@ -14,7 +14,7 @@ from kits.recording import NOTES_TOPIC, SCAN_TOPIC, scan_block, string
 
 from impact_rig.errors import RecordingError
 from impact_rig.recording import open_run, records
-from impact_rig.recording.mcap_file import Tail, tail_of
+from impact_rig.recording.writer import Tail, tail_of
 from impact_rig.runs import recover
 
 BLOCKS = 12

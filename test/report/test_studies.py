@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from impact_rig.campaign import run
-from impact_rig.campaign.in_process import execute
+from impact_rig.campaign.job import execute
 from impact_rig.campaign.plan import load_campaign
 from impact_rig.report import studies
 

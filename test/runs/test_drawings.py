@@ -15,6 +15,7 @@ from kits.recorded_rig import Messages, record
 
 from impact_rig.blocks import TRANSMISSIBILITY
 from impact_rig.cli import main
+from impact_rig.errors import RecordingError
 from impact_rig.instruments.scan import SCAN
 from impact_rig.recording import open_run
 from impact_rig.runs import drawings, reanalysis
@@ -138,3 +139,11 @@ def test_curves_are_by_gap_and_direction_and_need_two_frequencies() -> None:
     assert drawings.measured_curves(repeated) == {}, "what is measured again at one frequency is no sweep"
     rows["settled"] = 0.0
     assert drawings.measured_curves(rows) == {}
+
+
+def test_figures_are_not_written_through_a_link(tmp_path: Path) -> None:
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "figures").symlink_to("elsewhere")
+    with pytest.raises(RecordingError, match="it is a link, and nothing is written through one"):
+        drawings.prepare(tmp_path / "figures", "png")
+    assert not list((tmp_path / "elsewhere").iterdir())

@@ -114,13 +114,13 @@ def test_a_damaged_chunk_becomes_the_verdict(record, tmp_path):
     with record(chunk_bytes=20_000) as writer:
         fill(writer, 50)
     with open_run(writer.directory) as run:
-        index = run.sources[0].summary.chunks[3]
+        index = run.sources[0].summary.chunk_indexes[3]
     data = bytearray(writer.files[0].read_bytes())
-    data[index.offset + 100] ^= 1
+    data[index.chunk_start_offset + 100] ^= 1
     writer.files[0].write_bytes(data)
     found = info(writer.directory)
     assert not found.intact
-    assert f"the chunk at byte {index.offset} is damaged" in found.verdict
+    assert f"the chunk at byte {index.chunk_start_offset} is damaged" in found.verdict
     assert 0 < found.messages < 50
     assert recover(writer.directory, tmp_path / "out").messages > found.messages
 

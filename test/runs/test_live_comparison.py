@@ -16,8 +16,8 @@ from impact_rig.analysis.tracker import Tracker
 from impact_rig.blocks import Table
 from impact_rig.cli import main
 from impact_rig.recording import open_run
-from impact_rig.runs import live_comparison, reanalysis
-from impact_rig.runs.live_comparison import Comparison
+from impact_rig.runs import reanalysis
+from impact_rig.runs.reanalysis import Comparison
 from impact_rig.simtime import NS_PER_S
 from impact_rig.system import machine
 
@@ -35,7 +35,7 @@ def compared(directory: Path, found: Messages) -> Comparison:
     with open_run(record(directory / "run", found)) as run:
         findings = list(reanalysis.analyze(run))
         impacts = [table for one in findings for table in one.impacts]
-        return live_comparison.compare(run, reanalysis.measurements(iter(findings)), impacts)
+        return reanalysis.compare(run, reanalysis.measurements(iter(findings)), impacts)
 
 
 def live_rows(found: Messages) -> int:

@@ -8,7 +8,7 @@ import pytest
 from kits.recording import SCAN_TOPIC, fill, foreign_file, scan_block
 
 from impact_rig.cli import main
-from impact_rig.cli.recover import INCOMPLETE
+from impact_rig.cli.recorded import INCOMPLETE
 from impact_rig.recording import open_run
 from impact_rig.runs import info, recover
 
@@ -52,10 +52,10 @@ def test_messages_seconds_and_bytes_are_told_by_file(record, tmp_path):
         sent = fill(writer, 40)
     first, second = writer.files
     with open_run(second) as part:
-        index = part.sources[0].summary.chunks[1]
-        inside = [m for m in part.messages() if index.start_ns <= m.log_time <= index.end_ns]
+        index = part.sources[0].summary.chunk_indexes[1]
+        inside = [m for m in part.messages() if index.message_start_time <= m.log_time <= index.message_end_time]
     data = bytearray(second.read_bytes())
-    data[index.offset + index.length - 3] ^= 0xFF
+    data[index.chunk_start_offset + index.chunk_length - 3] ^= 0xFF
     second.write_bytes(data)
     report = recover(writer.directory, tmp_path / "out")
     whole, damaged = report.files
@@ -65,7 +65,7 @@ def test_messages_seconds_and_bytes_are_told_by_file(record, tmp_path):
     lost_blocks = sum(message.topic == SCAN_TOPIC.name for message in inside)
     assert lost_blocks > 0
     assert damaged.missing_s == pytest.approx(lost_blocks * BLOCK_S)
-    assert damaged.lost_bytes == index.length
+    assert damaged.lost_bytes == index.chunk_length
     assert not report.complete
 
 

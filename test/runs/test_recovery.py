@@ -76,9 +76,9 @@ def chunk_ends(path):
     """Where each chunk ends in the file, and how many messages the file holds up to there."""
     ends, count = [], 0
     with open_run(path) as run:
-        for index in run.sources[0].summary.chunks:
+        for index in run.sources[0].summary.chunk_indexes:
             count += sum(1 for _ in records.messages(run.sources[0].chunk(index), None))
-            ends.append((index.offset + index.length, count))
+            ends.append((index.chunk_start_offset + index.chunk_length, count))
     return ends
 
 
@@ -373,9 +373,9 @@ def test_messages_outside_chunks_are_refused_with_the_reason(tmp_path):
 def test_a_chunk_that_claims_gigabytes_is_not_believed(tmp_path):
     path = small_run(tmp_path / "run", "none")
     with open_run(path) as run:
-        index = run.sources[0].summary.chunks[1]
+        index = run.sources[0].summary.chunk_indexes[1]
     data = bytearray(path.read_bytes())
-    at = index.offset + records.RECORD_HEAD.size + 16
+    at = index.chunk_start_offset + records.RECORD_HEAD.size + 16
     data[at : at + 8] = (2**40).to_bytes(8, "little")
     path.write_bytes(data)
     with open_run(path) as run, pytest.raises(RecordingError, match="its size is not that in the index"):

@@ -15,7 +15,7 @@ from kits.recorded_rig import record
 from impact_rig.analysis.decay import Decay
 from impact_rig.analysis.words import Status
 from impact_rig.campaign import run
-from impact_rig.campaign.in_process import execute
+from impact_rig.campaign.job import execute
 from impact_rig.campaign.paper import FREQUENCIES_HZ
 from impact_rig.campaign.plan import load_campaign
 from impact_rig.cli import main
@@ -24,21 +24,24 @@ from impact_rig.recording import open_run
 from impact_rig.rig import Rig
 from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.simtime import NS_PER_S
-from impact_rig.studies.identification.constants import NAMES, SCALE, SCALED, logarithms, rig
-from impact_rig.studies.identification.fisher import information
-from impact_rig.studies.identification.fit import identify
-from impact_rig.studies.identification.impacts import Motion, simulated, slope
+from impact_rig.studies.identification.fit import NAMES, SCALE, SCALED, identify, information, logarithms, rig
 from impact_rig.studies.identification.measurements import (
+    DISPLACEMENT_M,
     NUISANCES,
+    RECORD_S,
     Gains,
     Measured,
+    Motion,
     Reduced,
     SineData,
+    measured_decay,
+    recorded_decay,
     reduced_of,
+    simulated,
     sine_of,
+    slope,
 )
 from impact_rig.studies.identification.paper_fit import fit_paper
-from impact_rig.studies.identification.pluck import DISPLACEMENT_M, RECORD_S, measured_decay, recorded_decay
 
 TRUTH = rig(RigConfig(), logarithms(RigConfig()) + np.array([0.002, 0.25, 0.15, -0.1, 0.1, 0.08, 0.2]))
 """Not the shipped rig: m_1 = 0.151 kg, ζ = 0.0058, ..."""

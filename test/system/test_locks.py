@@ -10,12 +10,12 @@ import sys
 
 import pytest
 
-from impact_rig.system import locks
+from impact_rig.system import files
 
 HOLDER = """
 import sys
-from impact_rig.system import locks
-print(locks.hold("places", "7.cell") is not None, flush=True)
+from impact_rig.system import files
+print(files.hold("places", "7.cell") is not None, flush=True)
 sys.stdin.readline()
 """
 
@@ -27,14 +27,14 @@ def _own_directory(tmp_path, monkeypatch) -> None:
 
 
 def test_a_lock_is_held_by_one_until_it_is_closed() -> None:
-    first = locks.hold("places", "7.cell")
+    first = files.hold("places", "7.cell")
     assert first is not None
-    assert locks.hold("places", "7.cell") is None
-    other = locks.hold("places", "8.cell")
+    assert files.hold("places", "7.cell") is None
+    other = files.hold("places", "8.cell")
     assert other is not None
     os.close(other)
     os.close(first)
-    again = locks.hold("places", "7.cell")
+    again = files.hold("places", "7.cell")
     assert again is not None
     os.close(again)
 
@@ -44,10 +44,10 @@ def test_a_lock_is_free_as_soon_as_its_holder_is_killed() -> None:
     with holder:
         assert holder.stdout is not None
         assert holder.stdout.readline() == "True\n"
-        assert locks.hold("places", "7.cell") is None
+        assert files.hold("places", "7.cell") is None
         holder.kill()
         holder.wait()
-    again = locks.hold("places", "7.cell")
+    again = files.hold("places", "7.cell")
     assert again is not None
     os.close(again)
 
@@ -56,7 +56,7 @@ def test_a_link_that_somebody_laid_out_is_not_followed(tmp_path) -> None:
     (tmp_path / "places").mkdir()
     (tmp_path / "places" / "7.cell.lock").symlink_to(tmp_path / "mine")
     with pytest.raises(OSError, match=r"7\.cell\.lock"):
-        locks.hold("places", "7.cell")
-    assert not locks.can_hold("places", "7.cell")
-    assert locks.can_hold("places", "8.cell")
+        files.hold("places", "7.cell")
+    assert not files.can_hold("places", "7.cell")
+    assert files.can_hold("places", "8.cell")
     assert not (tmp_path / "mine").exists()

@@ -14,21 +14,166 @@ reductions weigh the structure with the known mass of the sphere.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 
 import attrs
 import numpy as np
 from scipy import special
 
+from impact_rig.analysis.calibration import Real
 from impact_rig.analysis.channels import BASE, CURRENT, LASER
 from impact_rig.analysis.words import Regime
+from impact_rig.config.tree import Value
 from impact_rig.errors import ConfigError
 from impact_rig.physics.closed_form import base_amplitude, transmissibility
 from impact_rig.rig.config import RigConfig, from_flat
-from impact_rig.studies.identification.constants import NAMES, SCALE, START, rig
-from impact_rig.studies.identification.fisher import Information, Real, information
-from impact_rig.studies.identification.impacts import Motion, simulated, slope
-from impact_rig.studies.identification.measurements import NUISANCES, RESTITUTION, Measured
+from impact_rig.studies.identification.measurements import NUISANCES, RESTITUTION, Measured, Motion, simulated, slope
+
+# --- The constants that are identified, as logarithms, and the rig that they make.
+
+NAMES = ("f_n", "ζ", "m_1", "K_f", "k_f", "M", "c_f")
+"""Structure: natural frequency, damping ratio, mass. Shaker: force factor, suspension, mass m_a + m_b, damping."""
+UNITS = ("Hz", "-", "kg", "N/A", "N/m", "kg", "N s/m")
+SCALED = ("m_1", "K_f", "k_f", "M", "c_f")
+"""Forces and masses: multiplied by one factor they give the same motion, unless something of known mass takes part."""
+SCALE = np.array([float(name in SCALED) for name in NAMES])
+"""The direction of that factor."""
+
+
+START = np.log([9.0, 0.005, 0.2, 6.0, 8000.0, 2.5, 60.0])
+"""Where a fit begins: round numbers in the right order of magnitude."""
+
+
+def logarithms(config: RigConfig) -> Real:
+    """Return the logarithms of a rig's constants, in the order of `NAMES`."""
+    structure, shaker = config.structure, config.shaker
+    return np.log([
+        structure.natural_frequency_hz, structure.damping_ratio, structure.mass_kg, shaker.force_factor_n_a,
+        shaker.suspension_stiffness_n_m, shaker.armature_mass_kg + shaker.base_mass_kg, shaker.damping_n_s_m,
+    ])  # fmt: skip
+
+
+def rig(base: RigConfig, log_constants: Real) -> RigConfig:
+    """Return `base` with these constants; the share of the armature in the moving mass stays.
+
+    Raises:
+        ConfigError: they make no rig.
+    """
+    values = dict(zip(NAMES, (float(value) for value in np.exp(log_constants)), strict=True))
+    moving = base.shaker.armature_mass_kg + base.shaker.base_mass_kg
+    changes: Mapping[str, Value] = {
+        "structure.natural_frequency_hz": values["f_n"],
+        "structure.damping_ratio": values["ζ"],
+        "structure.mass_kg": values["m_1"],
+        "shaker.force_factor_n_a": values["K_f"],
+        "shaker.suspension_stiffness_n_m": values["k_f"],
+        "shaker.armature_mass_kg": base.shaker.armature_mass_kg * values["M"] / moving,
+        "shaker.base_mass_kg": base.shaker.base_mass_kg * values["M"] / moving,
+        "shaker.damping_n_s_m": values["c_f"],
+    }
+    return from_flat(base, changes)
+
+
+# --- What a least-squares problem determines: Fisher information, its singular values, and combinations of parameters.
+#
+# Parameters are logarithms, so a direction in their space is a product of powers, and 1/s, s a singular value of the
+# whitened Jacobian, is the relative standard uncertainty of that product. Nuisance parameters (gain errors of sensors,
+# say) are eliminated first: what they can imitate is no information.
+
+
+DETERMINED = 0.2
+"""Relative standard uncertainty up to which a parameter, or a combination, counts as determined."""
+LEAST_SHARE = 0.05
+"""Powers below this share of the largest are left out of a combination's name."""
+SMALLEST = 1e-9
+"""Singular values below this share of the largest are rounding."""
+UNTOUCHED = 1e-3
+"""A parameter with less than this power in a combination that is not known at all does not take part in it."""
+
+
+@attrs.frozen(eq=False)
+class Combination:
+    """A product of powers of parameters.
+
+    Attributes:
+        powers: by parameter, shape (n,); the largest is 1.
+        u_relative: its relative standard uncertainty; infinite if the data say nothing.
+        text: for people.
+    """
+
+    powers: Real
+    u_relative: float
+    text: str
+
+    @property
+    def determined(self) -> bool:
+        """Whether the data determine it."""
+        return self.u_relative <= DETERMINED
+
+
+@attrs.frozen(eq=False)
+class Information:
+    """What the data say about logarithmic parameters.
+
+    Attributes:
+        names: of the parameters, n of them.
+        combinations: independent ones, best determined first.
+        u_relative: relative standard uncertainty of each parameter, infinite if it takes part in what is not known.
+    """
+
+    names: tuple[str, ...]
+    combinations: tuple[Combination, ...]
+    u_relative: Real
+
+    def determined(self, name: str) -> bool:
+        """Return whether the data determine a parameter by itself."""
+        return bool(self.u_relative[self.names.index(name)] <= DETERMINED)
+
+    def unknown(self) -> list[Combination]:
+        """Return the combinations that the data do not determine."""
+        return [combination for combination in self.combinations if not combination.determined]
+
+
+def information(names: Sequence[str], jacobian: Real, nuisances: Real | None = None) -> Information:
+    """Return what a whitened Jacobian says.
+
+    Args:
+        names: of the parameters.
+        jacobian: d residual / d ln parameter, residuals in units of their standard uncertainty, shape (m, n).
+        nuisances: the same for nuisance parameters, shape (m, k), rows of their prior knowledge included.
+    """
+    matrix = np.asarray(jacobian, float)
+    if nuisances is not None and nuisances.shape[1]:
+        basis, _ = np.linalg.qr(nuisances)
+        matrix = matrix - basis @ (basis.T @ matrix)
+    _, values, directions = np.linalg.svd(matrix, full_matrices=True)
+    padded = np.zeros(len(names))
+    padded[: len(values)] = values
+    padded[padded < SMALLEST * padded.max(initial=0.0)] = 0.0
+    with np.errstate(divide="ignore"):
+        spread = 1.0 / padded
+    combinations = tuple(
+        _combination(names, direction, float(u)) for direction, u in zip(directions, spread, strict=True)
+    )
+    takes_part = np.isfinite(spread)[:, None] | (np.abs(directions) > UNTOUCHED)
+    with np.errstate(invalid="ignore"):
+        terms = np.where(takes_part, directions**2 * (spread**2)[:, None], 0.0)
+    return Information(tuple(names), combinations, np.sqrt(terms.sum(axis=0)))
+
+
+def _combination(names: Sequence[str], direction: Real, u: float) -> Combination:
+    largest = int(np.argmax(np.abs(direction)))
+    powers = direction / direction[largest]
+    size = float(np.linalg.norm(powers))
+    parts = [
+        name if math.isclose(power, 1.0, abs_tol=5e-3) else f"{name}^{power:.2g}"
+        for name, power in sorted(zip(names, powers, strict=True), key=lambda item: -abs(item[1]))
+        if abs(power) >= LEAST_SHARE
+    ]
+    return Combination(powers, u * size, " · ".join(parts))
+
+
+# --- The fit
 
 STEP = 1e-6
 """Of logarithms, for derivatives of closed forms."""

@@ -9,19 +9,29 @@ nuisance parameters with the certificate's standard uncertainties; what is left 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple
 
 import attrs
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_rig.analysis.calibration import U_CUBIC, Calibration
+from impact_rig import topics
+from impact_rig.analysis.calibration import U_CUBIC, Calibration, Real
 from impact_rig.analysis.channels import BASE, CURRENT, LASER
-from impact_rig.analysis.decay import Decay
+from impact_rig.analysis.decay import Decay, DecayMethod, fit_decay, measure_decay
 from impact_rig.analysis.reduction import repeatability
+from impact_rig.analysis.words import Regime
+from impact_rig.blocks import joined
 from impact_rig.campaign.axes import NO_SPHERE
 from impact_rig.campaign.results import Curves, Point
-from impact_rig.studies.identification.fisher import Real
+from impact_rig.errors import RecordingError, SimulationError
+from impact_rig.maps.measure import FAILED, MapRig, Settings
+from impact_rig.physics.closed_form import transmissibility
+from impact_rig.recording import Run
+from impact_rig.rig import Kind, Rig
+from impact_rig.rig.config import RigConfig, from_flat
+from impact_rig.simtime import NS_PER_S
 
 LEAST_NOISE = 1e-4
 """Relative; repeatability that is not claimed to be better, whatever a few seconds of signal suggest."""
@@ -174,3 +184,118 @@ class Measured:
     sine: SineData | None = None
     reduced: Reduced | None = None
     u_restitution: float = U_RESTITUTION
+
+
+# --- The free decay with the base locked: measured on a rig in this process, or taken from a recorded run
+
+DISPLACEMENT_M = 5e-3
+RECORD_S = 20.0
+"""Five time constants of the structure."""
+SETTLE_S = 0.05
+"""Left out at the beginning: the laser's lag dies away."""
+
+
+def measured_decay(config: RigConfig, method: DecayMethod = fit_decay) -> Decay:
+    """Pluck the rig without its sphere and measure f_n and ζ by a fit, or by `method`."""
+    config = from_flat(config, {"sphere.present": False, "daq.block_scans": min(config.daq.rate_hz, 10_000)})
+    rig = Rig(config)
+    rig.pluck(DISPLACEMENT_M)
+    blocks = rig.advance(round(RECORD_S * NS_PER_S))
+    rows = joined([block.scan.rows for block in blocks])
+    return measure_decay(rows[round(SETTLE_S * config.daq.rate_hz) :], rig.info().rows, method)
+
+
+def recorded_decay(run: Run, method: DecayMethod = fit_decay) -> Decay:
+    """Measure the decay after the last pluck of a recorded run by a fit, or by `method`.
+
+    Raises:
+        RecordingError: nothing was plucked, or the run holds no scans after it.
+    """
+    plucks = [
+        table.stamp_ns + round(float(row["time"]) * NS_PER_S)
+        for table in run.tables(topics.JOURNAL.name, recorded_order=True)
+        for row in table.rows
+        if row["kind"] == Kind.PLUCK.value.encode()
+    ]
+    if not plucks:
+        raise RecordingError(f"{run.path}: nothing was plucked in this run (rig/pluck)")
+    info = list(run.tables(topics.INFO.name, recorded_order=True))[-1]
+    first = plucks[-1] + round(SETTLE_S * NS_PER_S)
+    parts = [table.rows for table in run.tables(topics.SCAN.name, recorded_order=True) if table.stamp_ns >= first]
+    if not parts:
+        raise RecordingError(f"{run.path}: no scans after the pluck")
+    return measure_decay(np.concatenate(parts), info.rows, method)
+
+
+# --- Simulated reductions, and their derivatives along one orbit: the mechanics alone, settled to 1e-6. ln(DT with /
+# DT without) is smooth in the constants of the rig as long as the sphere strikes in the same pattern; where the pattern
+# changes it has a kink or a jump, and a difference across one is no derivative. So a difference counts only where the
+# motion on its sides repeats after as many cycles, with as many impacts, as the motion between, and where both sides
+# give one slope.
+
+SETTLED = Settings(settle_tolerance=1e-6, settle_cycles=1200, cycles=400)
+STEPS = (1e-3, 3e-4, 1e-4)
+"""For differences; the next one where the one before crosses a change of orbit."""
+SAME_SLOPE, LEAST_SLOPE = 0.1, 0.05
+"""The slopes of both sides differ by at most this share of them, plus this."""
+
+
+class Motion(NamedTuple):
+    """What the rig settles to with its sphere.
+
+    Attributes:
+        log_ratio: ln(DT with sphere / DT without).
+        regime: periodic, modulated or chaotic.
+        period: cycles after which it repeats; NaN if it does not.
+        impacts: that many in a period.
+    """
+
+    log_ratio: float
+    regime: str
+    period: float
+    impacts: float
+
+    def orbit(self) -> tuple[float, int] | None:
+        """Return period and impacts of an orbit, None of a motion that does not repeat."""
+        if self.regime != Regime.PERIODIC.value:
+            return None
+        return self.period, round(self.impacts)
+
+
+def simulated(config: RigConfig, gap_m: float, frequency_hz: float, current_a: float) -> Motion:
+    """Return the motion of a rig, from its reset on; without the sphere DT is known in closed form.
+
+    Raises:
+        SimulationError: it could not be resolved.
+    """
+    config = from_flat(config, {"sphere.present": True, "barriers.gap_m": gap_m})
+    found = MapRig(config, SETTLED).measure(frequency_hz, current_a)
+    if found.regime == FAILED or not found.dt > 0.0:
+        raise SimulationError(f"gap {gap_m * 1e3:g} mm, {frequency_hz:g} Hz: the motion cannot be resolved")
+    without = abs(complex(transmissibility(config, frequency_hz)))
+    return Motion(math.log(found.dt / without), found.regime, found.period, found.impacts_per_cycle * found.period)
+
+
+def slope(at: Callable[[float], Motion], here: Motion) -> float | None:
+    """Return the derivative of `log_ratio` along the orbit of `here`, or None where its neighbours have no such one.
+
+    Args:
+        at: the motion a step away; the step is of the order of a relative change.
+        here: the motion at step 0.
+    """
+    orbit = here.orbit()
+    if orbit is None:
+        return None
+    one_sided = None
+    for step in STEPS:
+        sides = [
+            ((other.log_ratio - here.log_ratio) / h, other.orbit() == orbit)
+            for h in (step, -step)
+            for other in (at(h),)
+        ]
+        (right, right_same), (left, left_same) = sides
+        if right_same and left_same and abs(right - left) <= SAME_SLOPE * (abs(right) + abs(left)) + LEAST_SLOPE:
+            return 0.5 * (right + left)
+        if right_same != left_same:
+            one_sided = right if right_same else left
+    return one_sided

@@ -14,11 +14,11 @@ from collections.abc import Callable, Mapping, Sequence
 import attrs
 import numpy as np
 
+from impact_rig.analysis.calibration import Real
 from impact_rig.campaign.paper import CURRENT_A, FREQUENCY_HZ, REDUCTION_PERCENT
 from impact_rig.rig.config import RigConfig
-from impact_rig.studies.identification.constants import NAMES, logarithms, rig
-from impact_rig.studies.identification.fisher import Information, Real, information
-from impact_rig.studies.identification.impacts import simulated
+from impact_rig.studies.identification.fit import NAMES, Information, information, logarithms, rig
+from impact_rig.studies.identification.measurements import simulated
 
 U_POINTS = 1.0
 """Assumed standard uncertainty of a published reduction: the paper prints three of five to whole percent, states no

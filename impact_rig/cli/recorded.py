@@ -1,0 +1,214 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""`impact-rig info`, `verify` and `recover`: what a run holds, whether it is sound, what is whole of it."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import attrs
+
+from impact_rig.cli.terminal import Console, TextTable, add_json, subcommand, tell_json
+from impact_rig.recording import open_run
+from impact_rig.runs import RecoverReport, RunInfo, info, recover
+
+
+def add_info(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Register the subcommand."""
+    parser = subcommand(
+        commands, "info", "what a run holds and whether it is whole",
+        [
+            ("info runs/demo/gap_6mm", "verdict, duration, topics"),
+            ("info runs/demo/gap_6mm --json", "the same for a script"),
+        ],
+        "Exit code 0: every checksum fits and nothing is known to be missing; 1: not so.",
+    )  # fmt: skip
+    add_json(parser)
+    parser.add_argument("path", type=Path, metavar="RUN", help="run directory or .mcap file")
+    parser.set_defaults(run=_info)
+
+
+def _info(arguments: argparse.Namespace) -> int:
+    found = info(arguments.path)
+    if arguments.json:
+        tell_json(_info_content(found))
+        return 0 if found.intact else 1
+    console = Console()
+    proven = found.intact and found.accounted and found.recovered is None
+    style = "green" if proven else "yellow" if found.intact else "red"
+    console.print(f"{found.path}: {found.verdict}", style=style)
+    size = sum(size for _, size in found.files)
+    console.print(f"{found.duration_s:.3f} s of rig time, files: {len(found.files)}, {size / 1e6:.2f} MB")
+    if found.recovered is not None:
+        console.print(f"recovered from {found.recovered.source}", highlight=False)
+    for key, value in found.provenance.items():
+        console.print(f"{key}: {value}")
+    table = TextTable()
+    for heading, side in (
+        ("topic", "left"),
+        ("type", "left"),
+        ("messages", "right"),
+        ("per s", "right"),
+        ("kB", "right"),
+    ):
+        table.add_column(heading, justify=side, overflow="fold")
+    for topic in found.topics:
+        rate = "" if topic.rate_hz is None else f"{topic.rate_hz:.1f}"
+        table.add_row(
+            topic.name, topic.type_name.rpartition("/")[2], str(topic.count), rate, f"{topic.bytes / 1e3:.1f}"
+        )
+    console.print(table)
+    if found.attachments:
+        console.print("attached: " + ", ".join(f"{name} ({size} bytes)" for name, size in found.attachments.items()))
+    return 0 if found.intact else 1
+
+
+def _info_content(found: RunInfo) -> dict[str, object]:
+    return {
+        "path": str(found.path),
+        "intact": found.intact,
+        "verdict": found.verdict,
+        "duration_s": found.duration_s,
+        "files": dict(found.files),
+        "provenance": dict(found.provenance),
+        "recovered_from": None if found.recovered is None else found.recovered.source,
+        "lost_messages": dict(found.lost),
+        "lost_blocks": None if found.scans is None else found.scans.lost_blocks,
+        "topics": [
+            {"name": one.name, "type": one.type_name, "messages": one.count, "rate_hz": one.rate_hz, "bytes": one.bytes}
+            for one in found.topics
+        ],
+        "attachments": dict(found.attachments),
+    }
+
+
+def add_verify(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Register the subcommand."""
+    parser = subcommand(
+        commands, "verify", "re-simulate a run from its journal and compare all that the rig published",
+        [("verify runs/demo/gap_6mm", "says `identical`, or names the first difference; then topic by topic")],
+        "Exit code 0: identical; 1: different, or not verifiable.",
+    )  # fmt: skip
+    parser.add_argument("path", type=Path, metavar="RUN", help="run directory or .mcap file")
+    add_json(parser)
+    parser.set_defaults(run=_verify)
+
+
+def _verify(arguments: argparse.Namespace) -> int:
+    with open_run(arguments.path) as run:
+        from impact_rig.runs.verification import verify  # noqa: PLC0415
+
+        found = verify(run)
+    if arguments.json:
+        content = {"identical": found.identical, "scans": found.scans, "reason": found.reason}
+        tell_json({**content, "topics": [attrs.asdict(one) for one in found.topics]})
+    else:
+        console = Console()
+        console.print(f"{arguments.path}: {found}", style="green" if found.identical else "red")
+        for one in found.topics:
+            console.print(str(one), style="red" if one.difference else None)
+    return 0 if found.identical else 1
+
+
+INCOMPLETE = 3
+"""Exit code when the new run lacks something of the old one."""
+LISTED = 20
+"""Places that are shown one by one."""
+
+
+def add_recover(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Register the subcommand."""
+    parser = subcommand(
+        commands, "recover", "save every whole chunk of a damaged or unfinished run",
+        [("recover runs/killed runs/saved", "writes what is whole to a new run, and says what is missing")],
+        f"Exit code 0: all that was found is whole; {INCOMPLETE}: something is missing; 1: nothing was saved.",
+    )  # fmt: skip
+    parser.add_argument("path", type=Path, metavar="RUN", help="run directory or .mcap file")
+    add_json(parser)
+    parser.add_argument("out", type=Path, metavar="OUT", help="new run directory")
+    parser.add_argument(
+        "--accept-unchecked",
+        action="store_true",
+        help="also take chunks without a checksum, as rosbag2 writes them: nobody can tell whether they are right",
+    )
+    parser.set_defaults(run=_recover)
+
+
+def _recover(arguments: argparse.Namespace) -> int:
+    """Recover and return the exit code."""
+    report = recover(arguments.path, arguments.out, accept_unchecked=arguments.accept_unchecked)
+    if arguments.json:
+        tell_json(_recover_content(report))
+        return 0 if report.complete else INCOMPLETE
+    console = Console()
+    style = "green" if report.complete else "yellow"
+    console.print(f"{report.directory}: {_recover_verdict(report)}", style=style)
+    _print_files(console, report)
+    for damage in report.damages[:LISTED]:
+        console.print(
+            f"{damage.file}, byte {damage.offset}, {damage.length} bytes: {damage.reason}",
+        )
+    if report.damage_count > LISTED:
+        console.print(f"and {report.damage_count - LISTED} more places")
+    return 0 if report.complete else INCOMPLETE
+
+
+def _recover_verdict(report: RecoverReport) -> str:
+    if not report.complete:
+        missing = "an unknown number of" if report.missing_messages is None else str(report.missing_messages)
+        return (
+            f"{report.messages} messages given back; {missing} messages, {report.lost_bytes} bytes in "
+            f"{report.damage_count} places are missing"
+        )
+    if report.expected_messages is None:
+        return f"all {report.messages} messages that were found are given back; the run was never finished"
+    return f"all {report.messages} messages are given back"
+
+
+def _print_files(console: Console, report: RecoverReport) -> None:
+    table = TextTable()
+    table.add_column("file", overflow="fold")
+    for heading in (
+        "bytes",
+        "messages\nback",
+        "seconds\nback",
+        "messages\nmissing",
+        "seconds\nmissing",
+        "bytes\nmissing",
+    ):
+        table.add_column(heading, justify="right")
+    for file in report.files:
+        table.add_row(
+            file.name,
+            str(file.size),
+            str(file.messages),
+            f"{file.given_s:.3f}",
+            "unknown" if file.missing_messages is None else str(file.missing_messages),
+            "unknown" if file.missing_s is None else f"{file.missing_s:.3f}",
+            str(file.lost_bytes),
+        )
+    console.print(table)
+
+
+def _recover_content(report: RecoverReport) -> dict[str, object]:
+    return {
+        "directory": str(report.directory),
+        "complete": report.complete,
+        "verdict": _recover_verdict(report),
+        "messages": report.messages,
+        "missing_messages": report.missing_messages,
+        "lost_bytes": report.lost_bytes,
+        "files": [
+            {
+                "name": one.name, "bytes": one.size, "messages": one.messages, "given_s": one.given_s,
+                "missing_messages": one.missing_messages, "missing_s": one.missing_s, "lost_bytes": one.lost_bytes,
+            }
+            for one in report.files
+        ],
+        "damages": [
+            {"file": str(one.file), "offset": one.offset, "length": one.length, "reason": one.reason}
+            for one in report.damages
+        ],
+        "damage_count": report.damage_count,
+    }  # fmt: skip
