@@ -308,7 +308,7 @@ import rich.table
 from impact_rig.analysis import tracker
 from impact_rig.cli import main
 from impact_rig.cli.main import command_line
-from impact_rig.runs import exports, info, reanalysis, recovery, verification
+from impact_rig.runs import drawings, exports, info, reanalysis, recovery, verification
 command_line()
 write = os.O_WRONLY | os.O_CREAT | os.O_TRUNC
 for line in sys.stdin:

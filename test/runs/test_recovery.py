@@ -253,7 +253,7 @@ def test_a_chunk_is_found_wherever_the_damage_before_it_ends(tmp_path, monkeypat
 def test_records_that_are_cut_anywhere_are_damage(tmp_path):
     path = small_run(tmp_path / "run", "none")
     with open_run(path) as run:
-        content = bytes(run.sources[0].chunk(run.sources[0].summary.chunks[0]))
+        content = bytes(run.sources[0].chunk(run.sources[0].summary.chunk_indexes[0]))
     edges = [0]
     while edges[-1] < len(content):
         edges.append(records.split(memoryview(content), edges[-1])[2])
