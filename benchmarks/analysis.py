@@ -17,7 +17,7 @@ import numpy as np
 from impact_rig import codec, topics
 from impact_rig.analysis.tracker import Tracker
 from impact_rig.blocks import APPLIED, DAQ_INFO, Table
-from impact_rig.instruments.scan import CHANNELS, SCAN
+from impact_rig.instruments.section import CHANNELS, SCAN
 from impact_rig.recording import Provenance, RunWriter, TopicDescription, open_run, schema_text
 
 RATE_HZ = 50_000

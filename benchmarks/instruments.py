@@ -18,7 +18,7 @@ import numpy as np
 from benchmarks.scipy_chain import SciPyChain
 from impact_rig.arithmetic.random import Random
 from impact_rig.instruments import Chain, chain, conversion, response
-from impact_rig.instruments.fault_board import FaultBoard
+from impact_rig.instruments.fault import FaultBoard
 from impact_rig.physics import FunctionGenerator, Motion, Simulation
 from impact_rig.rig.config import RigConfig, from_flat
 

@@ -22,7 +22,7 @@ import numpy as np
 from benchmarks.physics_peers import peer_c, scipy_wall_s
 from impact_rig.arithmetic.random import Random
 from impact_rig.physics import SEGMENT, FunctionGenerator, Simulation
-from impact_rig.physics.properties import hertz_stiffness_n_m32, sphere_mass_kg
+from impact_rig.physics.linear import hertz_stiffness_n_m32, sphere_mass_kg
 from impact_rig.rig.config import RigConfig, from_flat
 
 END_S, LATE_S, TURNS = 60.0, 40.0, 5

@@ -16,7 +16,7 @@ import numpy as np
 
 from impact_rig import codec, topics
 from impact_rig.blocks import Table
-from impact_rig.instruments.scan import SCAN
+from impact_rig.instruments.section import SCAN
 from impact_rig.recording import Provenance, RunWriter, TopicDescription, open_run, schema_text
 from impact_rig.recording.writer import COMPRESSIONS
 

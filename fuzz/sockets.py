@@ -11,8 +11,9 @@ from hypothesis import strategies as st
 
 from fuzz.mutation import mutated
 from fuzz.target import Target
-from impact_rig.lab.motion import decode_joint_state, encode_joint_state
+from impact_rig.codec import encode_joint_state
 from impact_rig.lab.protocol import LONGEST_TEXT, REQUESTS, parse
+from impact_rig.lab.record import Motion
 
 GOOD = [
     json.dumps(request).encode()
@@ -59,11 +60,12 @@ def requests(raw: bytes) -> None:
 
 def joint_states(raw: bytes) -> None:
     """What is taken has three bodies."""
-    _, positions, velocities = decode_joint_state(raw)
-    assert len(positions) == len(velocities) == 3
+    motion = Motion()
+    motion.add_state(raw, 0)
+    assert motion.states.since(0).shape == (1, 7)
 
 
 TARGETS = (
     Target("lab_socket", mutated(GOOD) | NAMED | st.binary(max_size=100), requests, ("lab/protocol.py",)),
-    Target("lab_motion", mutated(JOINTS) | st.binary(max_size=120), joint_states, ("lab/motion.py",)),
+    Target("joint_state", mutated(JOINTS) | st.binary(max_size=120), joint_states, ("lab/record.py", "codec.py")),
 )

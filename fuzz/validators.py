@@ -21,7 +21,7 @@ from impact_rig.analysis.tables import read_settings
 from impact_rig.blocks import SETTINGS, Table
 from impact_rig.errors import ImpactRigError
 from impact_rig.instruments.fault import Fault
-from impact_rig.instruments.fault_kinds import FAULT_KINDS
+from impact_rig.instruments.instrument import FAULT_KINDS
 from impact_rig.recording.description import schema_text
 from impact_rig.rig import Rig
 from impact_rig.rig.config import RigConfig, dump, fields, from_flat, load, to_flat

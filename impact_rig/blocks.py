@@ -25,7 +25,7 @@ SCAN_FRAME = (
     time("Scan clock, since the stamp; a channel is converted its `skew` later (daq/info)."),
     Column("status", "-", "Bit j: channel j (in the order of these columns, from 0) is over range or clipped.", "u1"),
 )
-"""What a scan has besides its channels, which follow from the instruments: `impact_rig.instruments.scan`."""
+"""What a scan has besides its channels, which follow from the instruments: `impact_rig.instruments.section`."""
 
 TRUTH_SCAN_COLUMNS = (
     time("Scan clock, since the stamp."),

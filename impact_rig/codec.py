@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import functools
 import struct
+from collections.abc import Sequence
 from typing import Any  # numbers of any precision
 
 import attrs
@@ -307,6 +308,26 @@ def joint_state(data: Buffer) -> tuple[int, tuple[NDArray[np.float64], ...]]:
     for _ in range(cursor.u4("number of names")):
         cursor.text("name of a joint")
     return stamp, tuple(cursor.numbers(what) for what in ("position", "velocity", "effort"))
+
+
+def encode_joint_state(stamp_ns: int, *values: Sequence[float]) -> bytes:
+    """Return a serialised `sensor_msgs/JointState` without names: positions, velocities, efforts, as far as given."""
+    stream = bytearray(_HEADER.pack(_ENCAPSULATION, *divmod(stamp_ns, NS_PER_S)))
+    _append_text(stream, "", "frame_id")
+    for numbers in ((), *values, *[()] * (3 - len(values))):
+        _append_u4(stream, len(numbers))
+        if numbers:
+            stream += bytes((_ORIGIN - len(stream)) % 8) + struct.pack(f"<{len(numbers)}d", *numbers)
+    return bytes(stream)
+
+
+def text(data: Buffer) -> str:
+    """Return what a serialised `std_msgs/String` says.
+
+    Raises:
+        CodecError: it is none.
+    """
+    return _Cursor(memoryview(data).cast("B"), _ORIGIN).text("data")
 
 
 @attrs.define

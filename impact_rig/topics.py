@@ -358,4 +358,4 @@ TOPICS = (
     DIAGNOSTICS,
     CLOCK,
 )
-"""Every topic that is the same whatever the instruments; with those of their monitors: `impact_rig.nodes.topics`."""
+"""Every topic that is the same whatever the instruments; with those of their monitors: `impact_rig.nodes.messages`."""

@@ -17,7 +17,7 @@ from impact_rig.blocks import Table
 from impact_rig.codec import MAX_COLUMNS, checked, decode, encode, header_stamp_ns
 from impact_rig.columns import TEXT
 from impact_rig.errors import CodecError
-from impact_rig.instruments.scan import SCAN
+from impact_rig.instruments.section import SCAN
 
 TABLE_DTYPES = {
     name: value for name, value in vars(blocks).items() if isinstance(value, np.dtype) and value.names is not None

@@ -20,7 +20,7 @@ from hypothesis import strategies as st
 
 from impact_rig.cli.main import EXIT_ERROR, main
 from impact_rig.errors import ConfigError
-from impact_rig.instruments.scan import CHANNELS
+from impact_rig.instruments.section import CHANNELS
 from impact_rig.rig import Rig, config
 from impact_rig.rig.config import RigConfig
 from impact_rig.system import budget

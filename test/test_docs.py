@@ -17,7 +17,7 @@ pytest.importorskip("markdown_it", reason="comes with rich, except with Ubuntu's
 from impact_rig.campaign.paper import FREQUENCY_HZ, REDUCTION_PERCENT
 from impact_rig.campaign.plan import load_campaign
 from impact_rig.maps.plan import load_map
-from impact_rig.physics.closed_form import transmissibility
+from impact_rig.physics.prediction import transmissibility
 from impact_rig.rig.config import RigConfig, dump, load
 
 ROOT = Path(__file__).parents[1]

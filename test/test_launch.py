@@ -109,11 +109,14 @@ def test_an_argument_that_cannot_be_is_refused_before_anything_starts(arguments:
 
 @pytest.mark.ros
 def test_the_parameters_are_those_of_the_nodes() -> None:
-    from impact_rig.nodes.parameters import CONFIG_FILE, RigSchema, SectionSchema
-    from impact_rig.nodes.settings import AnalysisSettings, RecorderSettings
+    from impact_rig.config.tree import Tree
+    from impact_rig.nodes.analysis_node import AnalysisSettings
+    from impact_rig.nodes.parameters import CONFIG_FILE
+    from impact_rig.nodes.recorder_node import RecorderSettings
+    from impact_rig.rig.config import TREE
 
-    schemas = {"rig": RigSchema(), "analysis": SectionSchema(AnalysisSettings)}
-    schemas["recorder"] = SectionSchema(RecorderSettings)
+    schemas = {"rig": TREE, "analysis": Tree(AnalysisSettings)}
+    schemas["recorder"] = Tree(RecorderSettings)
     started = nodes(RIG, mode="freewheel", factor="1", start_wait="1", autostart="true")
     for name, schema in schemas.items():
         known = {field for field, _, _ in schema.fields()} | {CONFIG_FILE, "use_sim_time"}

@@ -22,7 +22,11 @@ def checkout() -> Reach:
     [
         ("impact_rig/report/page.py", "test/report/test_report.py", "test/physics/test_energy.py"),
         ("impact_rig/lab/live.py", "test/lab/test_live_page.py", "test/recording/test_tail.py"),
-        ("impact_rig/physics/contact/flores.py", "test/physics/test_contact_laws.py", "test/arithmetic/test_random.py"),
+        (
+            "impact_rig/physics/contact/hunt_crossley.py",
+            "test/physics/test_contact_laws.py",
+            "test/arithmetic/test_random.py",
+        ),
         ("impact_rig/nodes/rig_node.py", "test/pipeline/test_three_processes.py", "test/physics/test_energy.py"),
         ("impact_rig/cli/export.py", "test/cli/test_command_line.py", "test/physics/test_energy.py"),
         ("test/kits/browser.py", "test/website/test_accessibility.py", "test/physics/test_energy.py"),

@@ -30,8 +30,7 @@ from impact_rig.operate.looking import Ladder, Rung, climb, follow, lock_on
 from impact_rig.operate.phase_lock import LockPlan, PhaseLock
 from impact_rig.operate.stepped_sine import Hold, HoldPlan, State
 from impact_rig.physics import prediction
-from impact_rig.physics.closed_form import transmissibility
-from impact_rig.physics.slow_manifold import Manifold
+from impact_rig.physics.prediction import Manifold, transmissibility
 from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.simtime import NS_PER_S
 from impact_rig.studies.closed_loop import ProcessLoop, hold

@@ -29,7 +29,7 @@ from rich.table import Table as TextTable
 from impact_rig import codec
 from impact_rig.blocks import Table
 from impact_rig.cli.recorded import INCOMPLETE
-from impact_rig.instruments.scan import SCAN
+from impact_rig.instruments.section import SCAN
 from impact_rig.recording import schema_text
 from impact_rig.recording.records import (
     CHANNEL,

@@ -31,8 +31,8 @@ from rich.console import Console
 
 from impact_rig.config.fields import LEAST, MOST, FieldInfo
 from impact_rig.errors import CommandError, ConfigError, SimulationError
-from impact_rig.instruments.adc import ADC_RANGES_V
-from impact_rig.instruments.scan import CHANNELS as SCANNED
+from impact_rig.instruments.section import CHANNELS as SCANNED
+from impact_rig.instruments.sensor import ADC_RANGES_V
 from impact_rig.physics import Simulation
 from impact_rig.rig import Rig
 from impact_rig.rig.config import RigConfig, dump, fields, from_flat

@@ -23,12 +23,11 @@ from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters
 from rclpy.parameter import parameter_dict_from_yaml_file, parameter_value_to_python
 
 from impact_rig.client import Client, Processes, isolated_domain
-from impact_rig.client.parameters import ros_parameters
+from impact_rig.client.client import ros_parameters
 from impact_rig.client.waiting import WaitTimeoutError
 from impact_rig.nodes.analysis_node import AnalysisNode
-from impact_rig.nodes.messages import nanoseconds
+from impact_rig.nodes.messages import TOPICS, nanoseconds
 from impact_rig.nodes.rig_node import RigNode
-from impact_rig.nodes.topics import TOPICS
 from tools.generate.services import SERVICES
 
 NODES = ("rig", "analysis", "recorder")

@@ -24,8 +24,8 @@ int main(int count, char **words)
 {
     FILE *file = count == 2 ? fopen(words[1], "rb") : 0;
     if (!file || !READ(parameters) || !READ(systems) || !READ(table) || !READ(states) || !READ(segments)) return 1;
-    void *one = impact_rig_address("force.impact_rig.physics.contact.law._hertz_damped.one");
-    void *at_stages = impact_rig_address("force.impact_rig.physics.contact.law._hertz_damped.at_stages");
+    void *one = impact_rig_address("force.impact_rig.physics.contact.hunt_crossley._hertz_damped.one");
+    void *at_stages = impact_rig_address("force.impact_rig.physics.contact.hunt_crossley._hertz_damped.at_stages");
     int32_t status = ir_physics_event_loop_run(
         parameters, 1, systems, 2, table, 1, one, at_stages, segments, SEGMENTS, 0, 0, states, 2, flight, 1, press, 1,
         ledger, 1, filled, 1, knots, KNOTS, impacts, IMPACTS, first, SEGMENTS + 1, 0, result);

@@ -18,6 +18,9 @@ import numpy as np
 
 from impact_rig.kernels import kernel
 
+PI = 3.141592653589793
+TWO_PI = 6.283185307179586
+
 _TWO_OVER_PI = 0.6366197723675814
 _HALF_PI_1 = 1.5707963267341256  # π/2 in pieces of 33 bits: k times the first two is exact up to k = 2^20
 _HALF_PI_2 = 6.077100506303966e-11

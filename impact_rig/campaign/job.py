@@ -29,7 +29,7 @@ from impact_rig.blocks import TRANSMISSIBILITY, joined
 from impact_rig.campaign.axes import NO_SPHERE
 from impact_rig.config.tree import Value
 from impact_rig.errors import GoneError, ImpactRigError
-from impact_rig.instruments.scan import channels_of
+from impact_rig.instruments.section import channels_of
 from impact_rig.operate.operator import Applied, News, Note, PatientApparatus, operate, silent
 from impact_rig.operate.plan import Direction, Plan, Setpoint
 from impact_rig.operate.stepped_sine import State, SteppedSine

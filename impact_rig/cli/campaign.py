@@ -113,7 +113,7 @@ def _words(arguments: argparse.Namespace) -> tuple[Path, str, str]:
 
 def _runner(way: str, address: str, arguments: argparse.Namespace, directory: Path) -> run.Runner:
     if way == "ros":
-        from impact_rig.client.campaign import stepped_runner  # noqa: PLC0415  # needs rclpy
+        from impact_rig.client.apparatus import stepped_runner  # noqa: PLC0415  # needs rclpy
 
         return stepped_runner(directory, record=arguments.record)
     if way == "dask":

@@ -147,7 +147,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _measure(config: RigConfig, directory: Path) -> dict[float, NDArray[np.void]]:
     """Return the settled measurements by gap; every case is recorded in a directory of its name."""
-    from impact_rig.client.campaign import freewheel_runner  # noqa: PLC0415  # needs rclpy
+    from impact_rig.client.apparatus import freewheel_runner  # noqa: PLC0415  # needs rclpy
 
     jobs = {case.job(config).key: case for case in CASES}
     rows: dict[float, NDArray[np.void]] = {}
@@ -211,7 +211,7 @@ def _calibration(run: Path) -> Calibration:
 
 
 def _closed_form(config: RigConfig) -> float:
-    from impact_rig.physics.closed_form import transmissibility  # noqa: PLC0415  # compiles nothing, but loads SciPy
+    from impact_rig.physics.prediction import transmissibility  # noqa: PLC0415  # compiles nothing, but loads SciPy
 
     return float(abs(transmissibility(config, paper.FREQUENCY_HZ)))
 

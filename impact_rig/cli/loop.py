@@ -135,7 +135,7 @@ def _hold(arguments: argparse.Namespace, config: RigConfig, gap: float, console:
 def _held(way: str, job: Job, plan: HoldPlan) -> Held:
     if way == "process":
         return hold(job, plan)
-    from impact_rig.client.closed_loop import stepped_hold  # noqa: PLC0415  # needs rclpy
+    from impact_rig.client.apparatus import stepped_hold  # noqa: PLC0415  # needs rclpy
 
     with tempfile.TemporaryDirectory(prefix="impact_rig_loop_") as logs:
         return stepped_hold(Path(logs), job, plan)
@@ -206,7 +206,7 @@ def _apparatus(way: str, config: RigConfig) -> Iterator[LoopApparatus]:
     if way == "process":
         yield ProcessLoop(config)
         return
-    from impact_rig.client.closed_loop import stepped_loop  # noqa: PLC0415  # needs rclpy
+    from impact_rig.client.apparatus import stepped_loop  # noqa: PLC0415  # needs rclpy
 
     with tempfile.TemporaryDirectory(prefix="impact_rig_loop_") as logs, stepped_loop(Path(logs), config) as apparatus:
         yield apparatus

@@ -15,11 +15,11 @@ Importing this does not import rclpy: it is loaded when something that needs it 
 
 from __future__ import annotations
 
-import importlib
 from typing import TYPE_CHECKING
 
 from impact_rig.client.domain import isolated_domain
 from impact_rig.client.processes import NodeProcess, ProcessDiedError, Processes
+from impact_rig.system.resources import lazily
 
 if TYPE_CHECKING:
     from impact_rig.client.client import Client, ServiceFailedError
@@ -38,18 +38,11 @@ __all__ = [
     "isolated_domain",
 ]
 
-_LATER = {
-    "Client": "client",
-    "Collector": "collector",
-    "RigGoneError": "waiting",
-    "ServiceFailedError": "client",
-    "WaitTimeoutError": "waiting",
-}
-"""What is imported only when it is used -> its module."""
-
-
-def __getattr__(name: str) -> object:
-    """Import what was asked for."""
-    if name not in _LATER:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(importlib.import_module(f"impact_rig.client.{_LATER[name]}"), name)
+__getattr__ = lazily(
+    __name__,
+    Client="client",
+    Collector="collector",
+    RigGoneError="waiting",
+    ServiceFailedError="client",
+    WaitTimeoutError="waiting",
+)

@@ -23,7 +23,7 @@ from lifecycle_msgs.srv import ChangeState, GetState
 from rcl_interfaces.srv import GetParameters, SetParametersAtomically
 from rclpy.context import Context
 from rclpy.node import Node
-from rclpy.parameter import parameter_value_to_python
+from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.qos import QoSProfile
 from std_msgs.msg import Float64, Header, String
 from std_srvs.srv import SetBool, Trigger
@@ -32,15 +32,13 @@ from impact_rig import codec, topics
 from impact_rig.blocks import Table
 from impact_rig.client.collector import Collector, Received
 from impact_rig.client.hosting import HostedNodes, acknowledge_callbacks
-from impact_rig.client.parameters import ros_parameters
 from impact_rig.client.processes import ParameterValue, Processes
 from impact_rig.client.waiting import LOOK_S, SPIN_S, Activation, Check, Spinner, WaitTimeoutError, patiently
 from impact_rig.errors import ConfigError, ImpactRigError
 from impact_rig.nodes import messages
 from impact_rig.nodes.guard import with_info
-from impact_rig.nodes.messages import Template
+from impact_rig.nodes.messages import Template, by_name
 from impact_rig.nodes.process import make_executor
-from impact_rig.nodes.topics import by_name
 from impact_rig.system.endings import unhurried
 
 T = TypeVar("T")
@@ -104,10 +102,10 @@ class Client:
         self._acknowledgements: dict[str, Template] = {}
         self._heard: set[Any] = set()
         self._clients: dict[tuple[str, Any], Any] = {}
-        self._subscribe(topics.DIAGNOSTICS, self._on_diagnostics)
+        self.subscribe(topics.DIAGNOSTICS, self._on_diagnostics)
         self.applied = Collector(topics.APPLIED)
         """What the rig has accepted since this client is there: `shaker/applied`."""
-        self._subscribe(topics.APPLIED, self.applied.take, raw=True)
+        self.subscribe(topics.APPLIED, self.applied.take, raw=True)
 
     def __enter__(self) -> Client:
         return self
@@ -392,7 +390,7 @@ class Client:
         """
         topic = by_name(name)
         collector = Collector(topic, self._acknowledge if acknowledge else None)
-        subscription = self._subscribe(topic, collector.take, raw=topic.columns is not None)
+        subscription = self.subscribe(topic, collector.take, raw=topic.columns is not None)
         self.wait_until(subscription.get_publisher_count, f"a publisher of {name}", timeout_s)
         return collector
 
@@ -415,7 +413,7 @@ class Client:
         topic, profile = self.wait_until(lambda: published(self.node, name), f"a publisher of {full_name}", timeout_s)
         collector = Collector(topic, on_message)
         is_table = topic.type_name == topics.SCAN.type_name
-        subscription = self._subscribe(topic, collector.take, is_table, profile)
+        subscription = self.subscribe(topic, collector.take, is_table, profile)
         self.wait_until(subscription.get_publisher_count, f"a publisher of {full_name} to match", timeout_s)
         return collector
 
@@ -432,9 +430,10 @@ class Client:
             self._publishers[topic.name] = self.node.create_publisher(kind, topic.name, profile)
         return self._publishers[topic.name]
 
-    def _subscribe(
+    def subscribe(
         self, topic: topics.Topic, callback: Callable[..., None], raw: bool = False, profile: QoSProfile | None = None
     ) -> Any:
+        """Subscribe to a row of the topics table; the callback gets message, or CDR bytes if `raw`, and info."""
         kind, profile = messages.class_of(topic), profile or messages.profile(topic.qos)
         return self.node.create_subscription(kind, topic.name, with_info(callback), profile, raw=raw)
 
@@ -469,6 +468,14 @@ class Client:
         """Return what nodes that are not well say: most waits in vain have their reason there."""
         bad = [f"{name}: {status.message}" for name, status in self.diagnostics.items() if status.level != b"\0"]
         return f" ({'; '.join(bad)})" if bad else ""
+
+
+def ros_parameters(values: Mapping[str, ParameterValue]) -> list[Parameter]:
+    """Return parameters by name and value; rclpy knows no sequences but lists, tuples and arrays."""
+    return [
+        Parameter(name, value=value if isinstance(value, str) or not isinstance(value, Sequence) else list(value))
+        for name, value in values.items()
+    ]
 
 
 def subscribers(node: Node, topic: str) -> set[str]:

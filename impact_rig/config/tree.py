@@ -31,15 +31,15 @@ Root = TypeVar("Root", bound=attrs.AttrsInstance)
 
 
 class Tree(Generic[Root]):
-    """A configuration whose root is the attrs class `root`: its fields are sections, those of sections values."""
+    """A configuration whose root is the attrs class `root`: a field is a value, or a section of further ones."""
 
     def __init__(self, root: type[Root]) -> None:
-        self._root = root
+        self.root = root
 
     @functools.cached_property
     def _known(self) -> dict[str, FieldInfo]:
         """What each value means, by dotted name, in order."""
-        return dict(_walk(self._root, ""))
+        return dict(_walk(self.root, ""))
 
     def load(self, path: Path | str, overrides: Mapping[str, object] | None = None) -> Root:
         """Return the configuration in the YAML file `path`, flat `overrides` (`section.key` -> value) on top.
@@ -68,7 +68,7 @@ class Tree(Generic[Root]):
             text = str(content, "utf-8")
         except ValueError as error:
             raise ConfigError(f"not a YAML file: {' '.join(str(error).split())}") from error
-        return self.from_flat(self._root(), {**parameters_in(text), **(overrides or {})})
+        return self.from_flat(self.root(), {**parameters_in(text), **(overrides or {})})
 
     def from_flat(self, base: Root, changes: Mapping[str, object]) -> Root:
         """Return `base` with the flat `changes` (`section.key` -> value) applied together: all of them, or none.
@@ -88,7 +88,7 @@ class Tree(Generic[Root]):
                 node = child
             node[key] = value
         changed = _evolve(base, nested)
-        assert isinstance(changed, self._root)
+        assert isinstance(changed, self.root)
         return changed
 
     def to_flat(self, config: Root) -> dict[str, Value]:
@@ -97,7 +97,7 @@ class Tree(Generic[Root]):
 
     def fields(self) -> Iterator[tuple[str, FieldInfo, Value]]:
         """Yield (dotted name, what it means, default) of every configuration value, in order."""
-        default = self._root()
+        default = self.root()
         for name, about in self._known.items():
             yield name, about, _lookup(default, name)
 

@@ -17,8 +17,7 @@ import attrs
 from impact_rig.columns import Column
 from impact_rig.config.fields import integer, quantity, switch
 from impact_rig.instruments.instrument import Instrument
-from impact_rig.instruments.sensor import Sensor
-from impact_rig.instruments.transfer import butterworth, high_pass, resonance
+from impact_rig.instruments.sensor import Sensor, butterworth, high_pass, resonance
 from impact_rig.topics import Qos, Topic
 
 STANDARD_GRAVITY = 9.80665

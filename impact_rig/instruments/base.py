@@ -11,8 +11,7 @@ import attrs
 from impact_rig.columns import Column
 from impact_rig.config.fields import quantity, switch
 from impact_rig.instruments.instrument import Instrument
-from impact_rig.instruments.sensor import Sensor
-from impact_rig.instruments.transfer import butterworth
+from impact_rig.instruments.sensor import Sensor, butterworth
 from impact_rig.topics import Qos, Topic
 
 

@@ -22,9 +22,8 @@ from numpy.typing import NDArray
 
 from impact_rig.arithmetic.random import Random
 from impact_rig.blocks import DAQ_INFO
-from impact_rig.instruments.adc import Adc
 from impact_rig.instruments.clock import ScanClock
-from impact_rig.instruments.sensor import Sensor
+from impact_rig.instruments.sensor import Adc, Sensor
 
 _VARIANCE_C = 1.0 / 6.0
 

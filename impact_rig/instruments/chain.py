@@ -18,13 +18,10 @@ from impact_rig.errors import CommandError, ConfigError
 from impact_rig.instruments import calibration
 from impact_rig.instruments.channel import Channel, Instants, Sine, Stretch
 from impact_rig.instruments.clock import scan_clock
-from impact_rig.instruments.fault import Fault
-from impact_rig.instruments.fault_board import FaultBoard
-from impact_rig.instruments.motion import Motion
-from impact_rig.instruments.pieces import PIECES_PER_PERIOD, Limits, Pieces, cut, polynomials
-from impact_rig.instruments.scan import row_type_of
+from impact_rig.instruments.fault import Fault, FaultBoard
+from impact_rig.instruments.pieces import PIECES_PER_PERIOD, Limits, Motion, Pieces, cut, polynomials
+from impact_rig.instruments.section import Setup, row_type_of
 from impact_rig.instruments.sensor import Sensor
-from impact_rig.instruments.setup import Setup
 from impact_rig.simtime import COMMAND_GRID_NS, COMMAND_GRID_S, NS_PER_S
 
 SEED_STREAM = 1

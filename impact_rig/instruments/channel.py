@@ -10,19 +10,16 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_rig.arithmetic.elementary import sincos
+from impact_rig.arithmetic.elementary import TWO_PI, sincos
 from impact_rig.arithmetic.random import Random
-from impact_rig.arithmetic.scalars import TWO_PI
 from impact_rig.instruments import conversion
-from impact_rig.instruments.adc import Adc
 from impact_rig.instruments.calibration import BoardErrors, Errors
 from impact_rig.instruments.clock import ScanClock
 from impact_rig.instruments.conversion import Converter, OutputStage
-from impact_rig.instruments.fault_board import FaultBoard
-from impact_rig.instruments.motion import Motion
-from impact_rig.instruments.pieces import Pieces, first_value
+from impact_rig.instruments.fault import FaultBoard
+from impact_rig.instruments.pieces import Motion, Pieces, first_value
 from impact_rig.instruments.response import Response
-from impact_rig.instruments.sensor import Sensor
+from impact_rig.instruments.sensor import Adc, Sensor
 from impact_rig.kernels import INTEGERS, REALS, entry
 
 Instants = tuple[NDArray[np.int64], NDArray[np.float64]]

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from impact_rig.instruments.chain import Chain, sensors
 from impact_rig.instruments.fault import Fault
-from impact_rig.instruments.fault_kinds import BOARD_KINDS
-from impact_rig.instruments.setup import Setup
+from impact_rig.instruments.instrument import BOARD_KINDS
+from impact_rig.instruments.section import Setup
 
 _SETTLE_TICKS = 400  # 4 s: the 1 Hz high-pass forgets its start to e^-25
 _MEASURE_TICKS = 100

@@ -11,7 +11,7 @@ from __future__ import annotations
 import attrs
 
 from impact_rig.errors import ConfigError
-from impact_rig.instruments.setup import Setup
+from impact_rig.instruments.section import Setup
 from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S
 
 LONGEST_STEP_HZ = 10_000

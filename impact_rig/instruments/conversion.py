@@ -19,13 +19,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_rig.arithmetic.elementary import exp
+from impact_rig.arithmetic.elementary import TWO_PI, exp
 from impact_rig.arithmetic.random import Random, fill_normal
-from impact_rig.arithmetic.scalars import TWO_PI
 from impact_rig.instruments import calibration
-from impact_rig.instruments.adc import Adc
 from impact_rig.instruments.calibration import BoardErrors, Errors
-from impact_rig.instruments.sensor import Sensor
+from impact_rig.instruments.sensor import Adc, Sensor
 from impact_rig.kernels import FLAGS, REALS, WORDS, Fields, entry
 
 

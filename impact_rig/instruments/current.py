@@ -6,11 +6,10 @@ from __future__ import annotations
 
 import attrs
 
-from impact_rig.arithmetic.scalars import TWO_PI
+from impact_rig.arithmetic.elementary import TWO_PI
 from impact_rig.config.fields import quantity, switch
 from impact_rig.instruments.instrument import Instrument
-from impact_rig.instruments.sensor import Sensor
-from impact_rig.instruments.transfer import lag
+from impact_rig.instruments.sensor import Sensor, lag
 
 
 @attrs.frozen(kw_only=True)

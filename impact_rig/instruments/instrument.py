@@ -1,6 +1,6 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""What an instrument is: a section of the configuration that knows its channel, its sensor and its monitor message."""
+"""What an instrument is: a section of the configuration that knows its channel, sensor, faults and message."""
 
 from __future__ import annotations
 
@@ -10,9 +10,23 @@ from typing import ClassVar
 import attrs
 
 from impact_rig.columns import Column
-from impact_rig.instruments.fault_kinds import CHANNEL_KINDS
 from impact_rig.instruments.sensor import Sensor
 from impact_rig.topics import Topic
+
+FAULT_KINDS = {
+    "dropout": "the cable is open: 0 V at the converter",
+    "stuck": "the converter repeats its last code",
+    "offset_step": "`value` [unit of the channel] is added",
+    "gain_error": "the signal grows by the fraction `value`",
+    "spike_train": "`rate_hz` spikes per second of ± `value` [unit], at random",
+    "saturation": "the signal is limited to ± `value` [unit] and flagged",
+    "added_noise": "white noise of `value` rms [unit] is added",
+    "lost_block": "blocks are numbered but not published",
+    "clock_drift": "the scan clock is off by `value` ppm, on top of daq.clock_error_ppm",
+}
+BOARD_KINDS = frozenset({"lost_block", "clock_drift"})
+"""Faults of the whole board: their channel is empty."""
+CHANNEL_KINDS = frozenset(FAULT_KINDS) - BOARD_KINDS
 
 
 @attrs.frozen(kw_only=True)

@@ -13,13 +13,12 @@ from collections.abc import Mapping
 
 import attrs
 
-from impact_rig.arithmetic.scalars import TWO_PI
+from impact_rig.arithmetic.elementary import TWO_PI
 from impact_rig.columns import Column
 from impact_rig.config.fields import quantity, switch
 from impact_rig.errors import ConfigError
 from impact_rig.instruments.instrument import Instrument
-from impact_rig.instruments.sensor import Sensor
-from impact_rig.instruments.transfer import lag
+from impact_rig.instruments.sensor import Sensor, lag
 from impact_rig.topics import Qos, Topic
 
 CONE_RAD = 1e-3

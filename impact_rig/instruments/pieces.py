@@ -13,7 +13,7 @@ depends on the scan rate.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,6 +41,25 @@ def _chebyshev() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 
 
 _X, _TO_MONOMIALS = _chebyshev()
+
+
+class Motion(Protocol):
+    """What an instrument needs to see of a motion: `impact_rig.physics.Motion` has it, any analytic motion can.
+
+    Quantities of the rig are functions of (segment, offset within it); a segment is one 10 ms tick.
+    """
+
+    @property
+    def impacts(self) -> NDArray[np.void]:
+        """Contacts, with fields segment, offset [s], wall (-1 left, +1 right), impulse [N s] and duration [s]."""
+
+    def quantities(
+        self, names: tuple[str, ...], segment: NDArray[np.int64], offset_s: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return some quantities (SI) at each instant, shape (names, n)."""
+
+    def breakpoints(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """Return the instants (segment, offset [s]), in order, between which every quantity is smooth."""
 
 
 class Limits(NamedTuple):

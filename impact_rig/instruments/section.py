@@ -3,20 +3,28 @@
 """The configuration's `instruments` section: the board, what every rig has of faults, and a section per instrument.
 
 Tolerances are limits: the rig draws its errors once per seed, evenly within them; the analysis knows only the limits.
+The columns of daq/scan follow from the instruments that are fitted, in the order of their places.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any  # attrs attributes of any type
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Any, Protocol  # attrs attributes of any type
 
 import attrs
+import numpy as np
+from numpy.typing import NDArray
 
+from impact_rig.columns import Column, row_type
 from impact_rig.config.fields import switch
+from impact_rig.config.mechanics import Shaker, Structure
+from impact_rig.config.operation import Daq
 from impact_rig.errors import ConfigError
-from impact_rig.instruments.adc import ADC_RANGES_V, Adc
 from impact_rig.instruments.fault import FaultPlan
 from impact_rig.instruments.instrument import Instrument
 from impact_rig.instruments.registry import INSTRUMENTS
+from impact_rig.instruments.sensor import ADC_RANGES_V, Adc
+from impact_rig.topics import SCAN as FRAME
 
 
 def _with_instruments(_section: type, own: list[attrs.Attribute[Any]]) -> list[attrs.Attribute[Any]]:
@@ -58,3 +66,50 @@ class Instruments:
     def fitted(self) -> tuple[Instrument, ...]:
         """Return those that are scanned."""
         return tuple(instrument for instrument in self.all() if instrument.fitted)
+
+
+def columns(fitted: Iterable[Instrument | type[Instrument]]) -> tuple[Column, ...]:
+    """Return the columns of a scan of these instruments; the status bit of channel j is 1 << j."""
+    time, status = FRAME.fields
+    return (time, *(instrument.column() for instrument in fitted), status)
+
+
+def row_type_of(instruments: Instruments) -> np.dtype[np.void]:
+    """Return the type of the rows that a configuration scans."""
+    return row_type(columns(instruments.fitted()))
+
+
+COLUMNS = columns(INSTRUMENTS.values())
+"""With every instrument there is."""
+SCAN = row_type_of(Instruments())
+"""The rows of the default configuration."""
+CHANNELS = tuple(instrument.name for instrument in Instruments().fitted())
+"""Its channels; channel j is converted j conversion intervals after the scan clock."""
+
+
+def channels_of(rows: NDArray[np.void]) -> tuple[str, ...]:
+    """Return the channels of some scans: their columns without those of the frame."""
+    return tuple(name for name in rows.dtype.names or () if name not in _FRAME)
+
+
+_FRAME = frozenset(column.name for column in FRAME.fields)
+
+
+class Setup(Protocol):
+    """Some sections of a configuration; `impact_rig.rig.config.RigConfig` has them."""
+
+    @property
+    def daq(self) -> Daq:
+        """Scan clock and seed."""
+
+    @property
+    def instruments(self) -> Instruments:
+        """The instruments themselves."""
+
+    @property
+    def shaker(self) -> Shaker:
+        """How fast things move at most."""
+
+    @property
+    def structure(self) -> Structure:
+        """What an impact makes jump."""

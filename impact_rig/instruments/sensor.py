@@ -1,15 +1,177 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""What every sensor is made of: a transfer function, a calibration with its tolerances, a range, noise."""
+"""What every sensor is made of: a transfer function, a calibration with its tolerances, a range, noise.
+
+**Transfer functions** are poles, zeros and gain, and the partial fractions in which they are simulated.
+A chain H(s) is run as Σ r_k / (s − p_k): every mode is one complex number that follows z' = p z + u, exactly, however
+its input is cut into steps. So there is no discretised filter and no sampling rate in here: a 25 kHz resonance is the
+same at 1 kS/s and at 250 kS/s.
+
+Poles, zeros and residues have 70 digits and are rounded once, at the end: every machine gets the same ones.
+
+    r_k = g Π_j (p_k − q_j) / Π_{j≠k} (p_k − p_j) at distinct poles
+    Butterworth: p_k = ω e^{jπ(2k + n + 1)/2n}, k = 0 … n − 1, g = ω^n
+    resonance: p = −ω/2Q ± j ω √(1 − 1/4Q²), g = ω²
+"""
 
 from __future__ import annotations
 
+import functools
 import math
+from decimal import Decimal
 
 import attrs
+import numpy as np
+from numpy.typing import NDArray
 
-from impact_rig.instruments.adc import Adc
-from impact_rig.instruments.transfer import Transfer, butterworth
+from impact_rig.arithmetic.precise import ONE, TWO, ZERO, Complex, modulus, pi, precise, product, unit
+from impact_rig.config.fields import choice, integer, quantity, switch
+
+ADC_RANGES_V = (10.0, 5.0, 2.0, 1.0, 0.5, 0.2, 0.1)
+"""Input ranges of the board [± V]."""
+
+
+@attrs.frozen(kw_only=True)
+class Adc:
+    """Multiplexed converter of the DAQ board (NI USB-6251 class)."""
+
+    bits: int = integer(16, "bit", "Resolution.", at_least=8, at_most=24)
+    noise_v_rms: float = quantity(
+        280e-6, "V", "Noise at ± 10 V, rms; proportional to the range.", at_least=0, at_most=0.1
+    )
+    gain_tolerance: float = quantity(60e-6, "-", "Limit of the relative gain error.", at_least=0, below=1)
+    offset_tolerance: float = quantity(20e-6, "-", "Limit of the offset, of the range.", at_least=0, below=1)
+    multiplexed: bool = switch(True, "One converter for all channels: they are converted one after another.")
+    conversion_ns: int = integer(
+        11_000, "ns", "Conversion interval; shorter when the scan period is.", at_least=1, at_most=10_000_000
+    )
+    aggregate_limit_hz: float = quantity(1e6, "Hz", "Conversions per second, all channels together.", above=0)
+    anti_alias: str = choice(
+        "none", ("none", "butterworth"), "Anti-alias filter ahead of the converter.", switched={False: "none"}
+    )
+    anti_alias_hz: float = quantity(4e3, "Hz", "Its corner; below half the scan rate to be of use.", above=0)
+    anti_alias_order: int = integer(4, "-", "Its order.", at_least=1, at_most=8)
+
+
+_DISTINCT = Decimal("1e-5")
+"""Poles nearer to each other than this, relative, are moved apart by it: partial fractions need distinct poles."""
+
+
+@attrs.frozen(eq=False)
+class Modes:
+    """Partial fractions of a strictly proper H: y = Σ Re(residue z), z' = pole z + u.
+
+    Attributes:
+        poles: complex, shape (k,) [rad/s]; one of each conjugate pair, imaginary part >= 0.
+        residues: complex, shape (k,); doubled where a pair is represented.
+    """
+
+    poles: NDArray[np.complex128]
+    residues: NDArray[np.complex128]
+
+    def same_as(self, other: Modes) -> bool:
+        """Whether both describe the same chain, bit for bit."""
+        return np.array_equal(self.poles, other.poles) and np.array_equal(self.residues, other.residues)
+
+
+@attrs.frozen
+class Transfer:
+    """H(s) = gain Π(s − zero) / Π(s − pole); a product of two is the cascade.
+
+    Attributes:
+        zeros: of many digits [rad/s].
+        poles: of many digits, both of a conjugate pair [rad/s].
+        gain: leading coefficient.
+    """
+
+    zeros: tuple[Complex, ...]
+    poles: tuple[Complex, ...]
+    gain: Decimal
+
+    @precise
+    def __mul__(self, other: Transfer) -> Transfer:
+        return Transfer(self.zeros + other.zeros, self.poles + other.poles, self.gain * other.gain)
+
+    def response(self, frequency_hz: NDArray[np.float64] | float) -> NDArray[np.complex128]:
+        """Return H(j 2π f), same shape as the frequencies: for whoever judges readings, no reading depends on it."""
+        s = 2j * np.pi * np.asarray(frequency_hz, dtype=np.float64)[..., None]
+        above, below = (np.array([complex(place) for place in places]) for places in (self.zeros, self.poles))
+        ratio = float(self.gain) * np.prod(s - above, axis=-1) / np.prod(s - below, axis=-1)
+        return np.asarray(ratio, dtype=np.complex128)
+
+    @precise
+    def delay_s(self) -> float:
+        """Return the group delay at low frequency [s]: −Σ Re(1/p) of a low-pass without zeros."""
+        return float(sum((-pole.real / pole.square() for pole in self.poles), ZERO))
+
+    def modes(self) -> Modes:
+        """Return the partial fractions of H."""
+        return _modes(self)
+
+
+@functools.lru_cache(maxsize=64)  # a change that leaves a sensor's dynamics alone recomputes none of them
+@precise
+def _modes(chain: Transfer) -> Modes:
+    upper = _distinct(chain.poles)
+    poles = [*upper, *(pole.conjugate() for pole in upper if pole.imag)]
+    residues = []
+    for k, pole in enumerate(upper):
+        above = product(pole - zero for zero in chain.zeros)
+        below = product(pole - other for j, other in enumerate(poles) if j != k)
+        weight = TWO if pole.imag else ONE  # the conjugate's part is the conjugate of this one
+        residues.append(Complex(weight * chain.gain) * above / below)
+    return Modes(np.array([complex(p) for p in upper]), np.array([complex(r) for r in residues]))
+
+
+def _distinct(poles: tuple[Complex, ...]) -> list[Complex]:
+    """Return those poles that are not below the real axis, each further than `_DISTINCT` from all others."""
+    upper: list[Complex] = []
+    for pole in poles:
+        if pole.imag < 0:
+            continue
+        moved = pole
+        while any(modulus(moved - other) < _DISTINCT * modulus(other) for other in upper):
+            moved = moved * Complex(ONE + TWO * _DISTINCT)
+        upper.append(moved)
+    return upper
+
+
+@functools.lru_cache
+@precise
+def lag(time_constant_s: float) -> Transfer:
+    """Return a first-order lag 1 / (1 + τ s)."""
+    rate = ONE / Decimal(time_constant_s)
+    return Transfer((), (Complex(-rate),), rate)
+
+
+@functools.lru_cache
+@precise
+def high_pass(corner_hz: float) -> Transfer:
+    """Return a first-order high-pass s / (s + ω)."""
+    return Transfer((Complex(ZERO),), (Complex(-TWO * pi() * Decimal(corner_hz)),), ONE)
+
+
+@functools.lru_cache
+@precise
+def butterworth(order: int, corner_hz: float) -> Transfer:
+    """Return a Butterworth low-pass: unit gain, −3 dB at the corner."""
+    omega = TWO * pi() * Decimal(corner_hz)
+    upper = [unit(pi() * (2 * k + order + 1) / (2 * order)) for k in range(order // 2)]
+    poles = [Complex(omega) * pole for one in upper for pole in (one, one.conjugate())]
+    if order % 2:
+        poles.append(Complex(-omega))
+    return Transfer((), tuple(poles), omega**order)
+
+
+@functools.lru_cache
+@precise
+def resonance(frequency_hz: float, quality: float) -> Transfer:
+    """Return ω² / (s² + s ω/Q + ω²), Q > 1/2: a sensor below its mounted resonance."""
+    omega = TWO * pi() * Decimal(frequency_hz)
+    damping = omega / (TWO * Decimal(quality))
+    damped = (omega * omega - damping * damping).sqrt()
+    pole = Complex(-damping, damped)
+    return Transfer((), (pole, pole.conjugate()), omega * omega)
 
 
 @attrs.frozen(eq=False, kw_only=True)

@@ -30,7 +30,7 @@ from impact_rig.kernels.header import whole
 FOLDER = Path(__file__).parent
 OUTPUT, HEADER = "_library.abi3.so", "impact_rig.h"
 PARTS = {
-    "mechanics": ("physics.simulation", "physics.motion", "physics.band_pass"),
+    "mechanics": ("physics.simulation", "physics.function_generator"),
     "instruments": ("instruments.chain", "rig.interlock", "analysis.tracker"),
 }
 """What is translated side by side: modules whose import declares the entries."""
@@ -41,9 +41,9 @@ TELL_S = 2.0
 
 
 def sources() -> list[Path]:
-    """Return the files that decide the library: those that hold kernels, and those from which these import."""
+    """Return the files that decide the library: kernels, contact laws, and what these import from."""
     texts = {path: path.read_text(encoding="utf-8") for path in PACKAGE.rglob("*.py")}
-    declares = re.compile(r"^from impact_rig\.kernels import", re.MULTILINE)
+    declares = re.compile(r"^from impact_rig\.(kernels|physics\.contact\.law) import", re.MULTILINE)
     holders = {path for path, text in texts.items() if declares.search(text)}
     found = set(holders)
     for holder in holders:

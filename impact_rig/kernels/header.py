@@ -54,7 +54,7 @@ def whole(parts: Iterable[str]) -> str:
 #define IMPACT_RIG_H
 #include <stdint.h>
 
-void *impact_rig_address(const char *name); /* of the force of a contact law: `physics.contact.law._hertz_damped.one` */
+void *impact_rig_address(const char *name); /* as in examples/c/ten_seconds.c */
 
 {"".join(parts)}
 #endif

@@ -1,36 +1,40 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""What a page can ask of a live rig: each action goes through the topics, services and parameters that anybody has.
+"""The way to one rig of the graph: what is heard of it, and what pages ask of it, in one event loop.
 
-Actions are coroutines of the lab's one event loop: whatever one waits for, STOP is sent meanwhile. An action belongs to
-the activation of the rig that it was asked of; when that is gone, it is refused and never reaches a later one.
+Actions are coroutines of that loop: whatever one waits for, STOP is sent meanwhile. An action belongs to the activation
+of the rig that it was asked of; when that is gone, it is refused and never reaches a later one.
+
+Blocks and joint states come by the hundred per second: nobody is woken for them. They are taken in their bytes, some
+at a time, by whoever draws, and only while somebody looks. A queue that overflows meanwhile loses pictures only.
 """
 
 from __future__ import annotations
 
 import asyncio
+import functools
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Awaitable, Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any  # messages and values of parameters
 
 import attrs
 from rcl_interfaces.srv import SetParametersAtomically
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from std_srvs.srv import SetBool, Trigger
 
 from impact_rig import states, topics
-from impact_rig.client.client import Client
-from impact_rig.client.parameters import ros_parameters
+from impact_rig.client.client import Client, ros_parameters
 from impact_rig.errors import ImpactRigError
-from impact_rig.instruments.fault_kinds import FAULT_KINDS
+from impact_rig.instruments.instrument import FAULT_KINDS
 from impact_rig.lab.protocol import Request
-from impact_rig.lab.source import Answer
-from impact_rig.lab.state import PLANNED, Seen, figure
-from impact_rig.lab.subscriptions import Subscriptions
+from impact_rig.lab.record import Record
+from impact_rig.lab.state import PLANNED, Answer, Seen, figure
 from impact_rig.nodes import messages
-from impact_rig.nodes.guard import describe
+from impact_rig.nodes.guard import in_words
 from impact_rig.rig.config import RigConfig, fields, from_flat, parameters_in, to_flat
 from impact_rig.runs import recover
 
@@ -45,10 +49,32 @@ AGAIN_S, ATTEMPTS = 0.5, 20
 """How often a node that has just been started is asked to begin."""
 MOST_FAULTS = 16
 SWEEPER = "stepped_sine"
-FREE = frozenset({"stop", "sweep_stop", "note", "record", "restart", "recover", "choose"})
+FREE = frozenset({"stop", "sweep_stop", "note", "record", "restart", "recover"})
 """Requests that belong to no activation of the rig: those that make safe, and those about something else."""
-PREPARED = ("rig/stop", "rig/reset", "rig/pluck", "rig/clear_trip", "recorder/start", "recorder/stop")
+COMMANDS = {"frequency": topics.FREQUENCY, "current": topics.CURRENT}
+"""Commands, and the columns of `shaker/applied` that tell them back."""
+TRIGGERS = {"reset": "rig/reset", "clear_trip": "rig/clear_trip", "sweep_stop": f"{SWEEPER}/stop"}
+PARAMETERS = {
+    "start": ("sphere.start", "sphere at {}"),
+    "law": ("contact.law", "law {}"),
+    "restitution": ("contact.restitution", "restitution {:g}"),
+}
+"""Requests that set one parameter of the rig, and what is answered."""
+PREPARED = (*TRIGGERS.values(), "rig/stop", "rig/pluck", "recorder/start", "recorder/stop")
 """Services whose clients are made early: they have been discovered when they are used."""
+KEPT = (
+    topics.INFO, topics.APPLIED, topics.JOURNAL, topics.FAULTS, topics.TRANSMISSIBILITY_TABLE, topics.CONFIGURATION,
+    topics.NOTES,
+)  # fmt: skip
+"""What is rare and must not be lost."""
+SCANS, TRUTH = (topics.SCAN, topics.IMPACTS), (topics.JOINT_STATES, topics.IMPACTS_TRUTH)
+"""What is drawn."""
+MOST_PER_LOOK = 300
+"""Messages taken of one topic at once: a picture must come out between."""
+PICTURES = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST, depth=256, reliability=ReliabilityPolicy.BEST_EFFORT,
+    durability=DurabilityPolicy.VOLATILE,
+)  # fmt: skip
 
 
 class Refused(ImpactRigError):  # noqa: N818  # a fact about a request, not a mistake of ours
@@ -101,64 +127,123 @@ class _Running:
 
 
 class Gateway:
-    """Does what pages ask for, in the event loop that creates it.
+    """Hears one rig and does what pages ask for, in the event loop that creates it.
 
     Args:
-        client: of the graph.
-        heard: what the rig publishes.
-        seen: returns what is known of a node.
+        client: of the graph, in the namespace of the rig.
+        record: gets what the rig publishes.
         own: nodes that can be started; None: those of others are only looked at.
-        choose: called with the name of another rig to look at.
     """
 
-    def __init__(
-        self, client: Client, heard: Subscriptions, seen: Callable[[str], Seen], own: Own | None,
-        choose: Callable[[str], None],
-    ) -> None:  # fmt: skip
-        self._client, self._heard, self._seen, self._own, self._choose = client, heard, seen, own, choose
+    def __init__(self, client: Client, record: Record, own: Own | None) -> None:
+        self.client, self.record, self._own = client, record, own
+        self._heard_at: dict[str, tuple[Any, float]] = {}
         self._running: set[_Running] = set()
+        self._actions: dict[str, Callable[..., Awaitable[str]]] = {
+            name.removeprefix("do_"): getattr(self, name) for name in dir(self) if name.startswith("do_")
+        }
+        self._actions |= {do: functools.partial(self._trigger, name) for do, name in TRIGGERS.items()}
+        self._actions |= {do: functools.partial(self._command, do) for do in COMMANDS}
+        self._actions |= {do: functools.partial(self._parameter, *told) for do, told in PARAMETERS.items()}
         for name in PREPARED:
             client.prepare(Trigger, name)
         client.prepare(SetBool, "rig/pause")
         for node in ("rig", "analysis"):
             client.prepare(SetParametersAtomically, f"{node}/set_parameters_atomically")
-        self._publishers = {
-            topic.name: client.node.create_publisher(messages.class_of(topic), topic.name, messages.profile(topic.qos))
-            for topic in (topics.FREQUENCY, topics.CURRENT, topics.NOTES)
-        }
+        for topic in (*COMMANDS.values(), topics.NOTES):
+            client.publisher(topic)
+        for topic in KEPT:
+            client.subscribe(topic, functools.partial(self._on_message, topic), raw=True)
+        self._view = Node(  # spun by nobody
+            "lab_view", namespace=client.node.get_namespace(), context=client.context,
+            use_global_arguments=False, enable_rosout=False, start_parameter_services=False,
+        )  # fmt: skip
+        self._looks: dict[topics.Topic, Any] = {}
 
-    def __len__(self) -> int:
-        return len(self._running)
+    async def close(self, why: str) -> None:
+        """Break off everything under way, and hear nothing more."""
+        self.end(why)
+        await asyncio.sleep(0)
+        self._view.destroy_node()
+
+    # What is heard
+
+    def _on_message(self, topic: topics.Topic, data: bytes, _info: Any) -> None:
+        self.record.take(topic, data)
+
+    def look(self, scans: bool, motion: bool) -> None:
+        """Take what has come since the last look.
+
+        Args:
+            scans: whether anything is drawn.
+            motion: the motion as well; else what was known of that is forgotten.
+        """
+        wanted = {*(SCANS if scans else ()), *(TRUTH if scans and motion else ())}
+        for topic in self._looks.keys() - wanted:
+            self._view.destroy_subscription(self._looks.pop(topic))
+            if scans and topic is topics.JOINT_STATES:
+                with self.record.lock:
+                    self.record.forget_motion()
+        for topic in wanted - self._looks.keys():
+            kind = messages.class_of(topic)
+            self._looks[topic] = self._view.create_subscription(kind, topic.name, _ignore, PICTURES, raw=True)
+        for topic, subscription in self._looks.items():
+            found: list[bytes] = []
+            with subscription.handle:
+                while len(found) < MOST_PER_LOOK:
+                    one = subscription.handle.take_message(subscription.msg_type, True)
+                    if one is None:
+                        break
+                    found.append(one[0])
+            with self.record.lock:
+                for data in found:
+                    self.record.take(topic, data)
+
+    def seen(self, node: str) -> Seen:
+        """Return what a node has said last, and how long ago."""
+        status = self.client.diagnostics.get(node)
+        ended = self._own.ended(node) if self._own is not None else ""
+        if status is None:
+            return Seen(ended=ended)
+        known = self._heard_at.get(node)
+        if known is None or known[0] is not status:
+            self._heard_at[node] = known = (status, time.monotonic())
+        return Seen.of(node, self.client.figures(node), time.monotonic() - known[1], ended)
+
+    # Actions
 
     def begin(self, request: Request, answer: Answer) -> None:
         """Begin an action; one for a rig that is gone is refused at once."""
-        action = getattr(self, f"do_{request.do}", None)
-        bound = request.do not in FREE
-        rig = self._seen("rig")
-        given = (rig.instance if request.rig is None else request.rig) if bound else None
+        action = self._actions.get(request.do)
+        instance = None
+        if request.do not in FREE:
+            instance = self.seen("rig").instance if request.rig is None else request.rig
         if action is None:
             answer(False, f"{request.do}: a live rig cannot do that")
-        elif why := self._gone(given):
+        elif why := self._gone(instance):
             answer(False, f"{why}: not sent")
         else:
             if request.do == "stop":
                 self.end("the emergency stop came first", bound=True)
-            task = asyncio.create_task(action(**request.values))
-            running = _Running(answer, given, task)
+            running = _Running(answer, instance, asyncio.ensure_future(action(**request.values)))
             self._running.add(running)
-            task.add_done_callback(lambda _task: self._done(running))
+            running.task.add_done_callback(lambda _task: self._done(running))
 
     def _done(self, running: _Running) -> None:
         """Tell the page how an action has ended."""
         self._running.discard(running)
+        error = None if running.task.cancelled() else running.task.exception()
         if running.task.cancelled():
             running.answer(False, running.why)
-            return
-        error = running.task.exception()
-        if error is None:
+        elif error is None:
             running.answer(True, running.task.result())
         else:  # of whatever kind: the others go on, and so does the page
-            running.answer(False, str(error) if isinstance(error, ImpactRigError) else describe(error))
+            running.answer(False, in_words(error))
+
+    @property
+    def is_busy(self) -> bool:
+        """Whether an action is under way."""
+        return bool(self._running)
 
     def watch(self) -> None:
         """Refuse what waits for a rig that is gone."""
@@ -180,7 +265,7 @@ class Gateway:
         """Return why the rig of an action is gone; empty: it is there, or the action belongs to none."""
         if instance is None:
             return ""
-        rig = self._seen("rig")
+        rig = self.seen("rig")
         silent_s = math.inf if self._own is not None and "rig" in self._own.processes.running else EXPIRES_S
         if rig.ended:
             return f"the rig is gone, {rig.ended}"
@@ -206,7 +291,7 @@ class Gateway:
         return found
 
     async def _call(self, service_type: Any, name: str, request: Any, timeout_s: float = ANSWER_S) -> Any:
-        client = self._client.prepare(service_type, name)
+        client = self.client.prepare(service_type, name)
         await self.until(client.service_is_ready, f"the service {name}: is its node there?", timeout_s)
         future = client.call_async(request)
         try:
@@ -214,55 +299,49 @@ class Gateway:
         finally:
             if not future.done():
                 client.remove_pending_request(future)
-        return future.result()
+        response = future.result()
+        refused = response.result if hasattr(response, "result") else response
+        if not (refused.successful if hasattr(refused, "successful") else refused.success):
+            raise Refused(refused.reason if hasattr(refused, "reason") else refused.message)
+        return response
 
     async def _trigger(self, name: str, timeout_s: float = ANSWER_S) -> str:
-        response = await self._call(Trigger, name, Trigger.Request(), timeout_s)
-        if not response.success:
-            raise Refused(response.message)
-        return str(response.message)
+        return str((await self._call(Trigger, name, Trigger.Request(), timeout_s)).message)
 
     async def _set(self, node: str, values: Mapping[str, Any]) -> None:
         """Set parameters of a node; those of the rig are in force when this returns."""
         request = SetParametersAtomically.Request(parameters=[one.to_parameter_msg() for one in ros_parameters(values)])
-        response = await self._call(SetParametersAtomically, f"{node}/set_parameters_atomically", request)
-        if not response.result.successful:
-            raise Refused(response.result.reason)
+        await self._call(SetParametersAtomically, f"{node}/set_parameters_atomically", request)
         if node == "rig":
             told = {name: list(value) if isinstance(value, tuple) else value for name, value in values.items()}
-            knobs = self._heard.knobs
+            knobs = self.record.knobs
             await self.until(
-                lambda: all(self._heard.knobs.get(name) == value for name, value in told.items())
-                or self._heard.knobs is not knobs, "rig/configuration", ECHO_S,
+                lambda: all(self.record.knobs.get(name) == value for name, value in told.items())
+                or self.record.knobs is not knobs, "rig/configuration", ECHO_S,
             )  # fmt: skip
 
+    async def _parameter(self, name: str, words: str, value: Any) -> str:
+        await self._set("rig", {name: value})
+        return words.format(value)
+
     def _publish(self, topic: topics.Topic, value: Any) -> None:
-        publisher = self._publishers[topic.name]
+        publisher = self.client.publisher(topic)
         if not publisher.get_subscription_count():
             raise Refused(f"nobody listens to {topic.name}: is the rig there?")
         publisher.publish(publisher.msg_type(data=value))
 
-    # Drive
-
-    async def do_frequency(self, value: float) -> str:
-        """Command the frequency [Hz]."""
-        return await self._command(topics.FREQUENCY, "frequency", value)
-
-    async def do_current(self, value: float) -> str:
-        """Command the current, peak [A]."""
-        return await self._command(topics.CURRENT, "current", value)
-
-    async def _command(self, topic: topics.Topic, column: str, value: float) -> str:
+    async def _command(self, column: str, value: float) -> str:
         """Publish a command and wait for its row in shaker/applied, or for the refusal."""
-        heard, before, refused = self._heard, self._heard.changes, self._refusals(topic.name)
+        record, topic = self.record, COMMANDS[column]
+        before, refused = record.changes, self._refusals(topic.name)
         self._publish(topic, value)
 
         def is_answered() -> bool:
-            new = heard.applied[-(heard.changes - before) :] if heard.changes > before else []
-            if any(row[column] == value for row in new):
+            new = list(record.applied)[-(record.changes - before) :] if record.changes > before else []
+            if any(row[column] == value for _, row in new):
                 return True
             for reason, (count, words) in self._refusals(topic.name).items():
-                if count > refused.get(reason, (0.0, ""))[0]:
+                if count > refused[reason][0]:
                     raise Refused(words)
             return False
 
@@ -270,25 +349,19 @@ class Gateway:
         return f"{column} {value:g}"
 
     def _refusals(self, topic: str) -> dict[str, tuple[float, str]]:
-        figures = self._seen("rig").figures
+        figures = self.seen("rig").figures
         return {
             reason: (figure(figures.get(f"refused.{reason}")) or 0.0, figures.get(f"last_refused.{reason}", ""))
             for reason in (topic, "inactive")
         }
 
+    # The rig
+
     async def do_stop(self) -> str:
         """Ramp the current to zero and latch it, whatever is known of the rig."""
-        if gone := self._seen("rig").ended:
+        if gone := self.seen("rig").ended:
             raise Refused(f"there is no rig to stop, {gone}")
         return await self._trigger("rig/stop")
-
-    async def do_clear_trip(self) -> str:
-        """Release the latch."""
-        return await self._trigger("rig/clear_trip")
-
-    async def do_reset(self) -> str:
-        """Begin again at scan 0."""
-        return await self._trigger("rig/reset")
 
     async def do_pluck(self, value: float) -> str:
         """Release the superior base from a displacement [m]."""
@@ -297,12 +370,7 @@ class Gateway:
 
     async def do_pause(self, value: bool) -> str:  # as the request has it
         """Let rig time stand still, or go on."""
-        response = await self._call(SetBool, "rig/pause", SetBool.Request(data=value))
-        if not response.success:
-            raise Refused(response.message)
-        return str(response.message)
-
-    # Parameters
+        return str((await self._call(SetBool, "rig/pause", SetBool.Request(data=value))).message)
 
     async def do_gap(self, value: float) -> str:
         """Set the gap of the rig and the label of the analysis together [m]; 0 takes the sphere away."""
@@ -311,39 +379,23 @@ class Gateway:
         await self._set(
             "rig", {"sphere.present": True, "barriers.gap_m": value} if value else {"sphere.present": False}
         )
-        words = f"gap {value * 1e3:g} mm" if value else "no sphere"
-        return words + await self._label(value)
+        return (f"gap {value * 1e3:g} mm" if value else "no sphere") + await self._label(value)
 
     async def do_present(self, value: bool) -> str:  # as the request has it
         """Put the sphere in, or take it away."""
-        return await self.do_gap(float(self._heard.knobs.get("barriers.gap_m", math.nan)) if value else 0.0)
+        return await self.do_gap(float(self.record.knobs.get("barriers.gap_m", math.nan)) if value else 0.0)
 
     async def _label(self, gap_m: float) -> str:
         """Tell the analysis the gap; return what to add to an answer."""
-        if not self._seen("analysis").lives:
+        if not self.seen("analysis").lives:
             return "; there is no analysis to be told"
         await self._set("analysis", {"gap_m": gap_m})
         return ""
 
-    async def do_start(self, value: str) -> str:
-        """Set where the sphere starts."""
-        await self._set("rig", {"sphere.start": value})
-        return f"sphere at {value}"
-
-    async def do_law(self, value: str) -> str:
-        """Set the contact law."""
-        await self._set("rig", {"contact.law": value})
-        return f"law {value}"
-
-    async def do_restitution(self, value: float) -> str:
-        """Set the restitution."""
-        await self._set("rig", {"contact.restitution": value})
-        return f"restitution {value:g}"
-
     async def do_load(self, value: str) -> str:
         """Put a ROS 2 parameter file in force: what differs from now, all of it or nothing."""
         wanted = to_flat(from_flat(RigConfig(), parameters_in(value)))
-        present = to_flat(from_flat(RigConfig(), self._heard.knobs))
+        present = to_flat(from_flat(RigConfig(), self.record.knobs))
         changes = {name: found for name, found in wanted.items() if found != present[name]}
         fixed = sorted(name for name, about, _ in fields() if about.read_only and name in changes)
         changes = {name: found if found != () else ("",) for name, found in changes.items() if name not in fixed}
@@ -360,7 +412,7 @@ class Gateway:
             raise Refused(f"there is no fault {kind!r}")
         words = [kind, f"channel={channel}"] if channel else [kind]
         words += [f"duration_s={duration:g}", f"value={value!r}", f"rate_hz={rate:g}"]
-        lines = [line for line in self._heard.knobs.get(PLANNED) or () if line][-(MOST_FAULTS - 1) :]
+        lines = [line for line in self.record.knobs.get(PLANNED) or () if line][-(MOST_FAULTS - 1) :]
         await self._set("rig", {PLANNED: [*lines, " ".join(words)]})
         return f"fault: {' '.join(words)}"
 
@@ -373,11 +425,11 @@ class Gateway:
 
     async def do_sweep(self, frequencies: tuple[float, ...], direction: str, hold: str, target: float) -> str:
         """Start a stepped sine, and its node if it is not there."""
-        was_there = self._seen(SWEEPER).lives
+        was_there = self.seen(SWEEPER).lives
         if not was_there:
             self._start(SWEEPER)
-            await self.until(lambda: self._seen(SWEEPER).lives, f"the node {SWEEPER}", START_S)
-        current = self._heard.applied[-1]["current"] if self._heard.applied else 0.0
+            await self.until(lambda: self.seen(SWEEPER).lives, f"the node {SWEEPER}", START_S)
+        current = (self.record.drive or {"current": 0.0})["current"]
         plan = {
             "frequencies_hz": list(frequencies), "direction": direction, "current_a": current or 0.52, "hold": hold,
             **({"target": target} if hold in ("current", "base", "superior") else {}),
@@ -393,13 +445,9 @@ class Gateway:
                     raise
             await asyncio.sleep(AGAIN_S)
 
-    async def do_sweep_stop(self) -> str:
-        """End the stepped sine."""
-        return await self._trigger(f"{SWEEPER}/stop")
-
     async def do_note(self, value: str) -> str:
         """Record a remark."""
-        recorder = self._seen("recorder")
+        recorder = self.seen("recorder")
         if not value.strip():
             raise Refused("a remark has words")
         if not recorder.lives:
@@ -414,7 +462,7 @@ class Gateway:
 
     async def do_recover(self) -> str:
         """Recover the last recording."""
-        recorder = self._seen("recorder")
+        recorder = self.seen("recorder")
         directory = recorder.figures.get("directory", "")
         if recorder.lives or not directory:
             raise Refused("the recorder is there: nothing needs to be recovered")
@@ -431,12 +479,12 @@ class Gateway:
         if not ended:
             raise Refused("every process runs")
         if "rig" in ended:
-            self._heard.knobs, self._heard.configuration = {}, ""
+            self.record.knobs, self.record.configuration = {}, ""
         for name in ended:
             self._start(name)
         for name in ended:
-            await self.until(lambda name=name: self._seen(name).lives, f"the node {name}", START_S)  # type: ignore[misc]
-        knobs = await self.until(lambda: self._heard.knobs, "rig/configuration", START_S)
+            await self.until(lambda name=name: self.seen(name).lives, f"the node {name}", START_S)  # type: ignore[misc]
+        knobs = await self.until(lambda: self.record.knobs, "rig/configuration", START_S)
         await self._label(knobs["barriers.gap_m"] if knobs["sphere.present"] else 0.0)
         return f"started again: {', '.join(ended)}"
 
@@ -446,10 +494,9 @@ class Gateway:
             raise Refused(f"there is no node {node}: start it beside the rig (ros2 run impact_rig {node}_node)")
         if node in self._own.processes.running:
             self._own.processes.stop(node)
-        self._client.diagnostics.pop(node, None)
+        self.client.diagnostics.pop(node, None)
         self._own.start(node)
 
-    async def do_choose(self, value: str) -> str:
-        """Look at another rig."""
-        self._choose(value)
-        return f"looking at {value}"
+
+def _ignore(_message: Any) -> None:
+    """Nobody spins the node whose callback this is."""

@@ -10,14 +10,14 @@ from __future__ import annotations
 
 import bisect
 import contextlib
-import queue
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any  # values of parameters
 
+import attrs
 import numpy as np
 from numpy.typing import NDArray
 
@@ -25,15 +25,12 @@ from impact_rig import codec, topics
 from impact_rig.analysis.words import MEASURED
 from impact_rig.blocks import Table
 from impact_rig.errors import ImpactRigError, RecordingError
-from impact_rig.lab import state, theory
-from impact_rig.lab.motion import Motion
 from impact_rig.lab.protocol import Request
+from impact_rig.lab.record import Record, plain, scan_rate, start_ns
 from impact_rig.lab.scope import LONGEST_S, Scope
-from impact_rig.lab.source import Answer, Snapshot
-from impact_rig.lab.state import KNOBS, Curve, Faults, JournalView, plain, scan_rate, start_ns, text
+from impact_rig.lab.state import KNOBS, Answer, Source
+from impact_rig.lab.theory import closed_form
 from impact_rig.recording import Message, Run, open_run
-from impact_rig.rig.config import RigConfig, to_flat
-from impact_rig.rig.journal import short_key
 from impact_rig.runs import recover
 from impact_rig.simtime import NS_PER_S
 
@@ -42,6 +39,7 @@ RARE = (
     topics.JOURNAL, topics.APPLIED, topics.TRANSMISSIBILITY_TABLE, topics.FAULTS, topics.IMPACTS_TRUTH, topics.NOTES,
     topics.SCAN,
 )  # fmt: skip
+"""What the marks are made of."""
 MOST_FILLED = 250_000
 """Scans read before the instant that is jumped to."""
 BINS = 400
@@ -50,9 +48,26 @@ TELL_S = 0.1
 MARKS_S = 1.0
 PEEK_S = 0.05
 """An impact that is jumped to stands this much before the end of the picture."""
-READ = (*KNOBS, *sorted(set(theory.DECIDING) - set(KNOBS)))
-"""Parameters that are looked at: those that are shown, and what theory needs."""
-_NAMES = {short_key(name): name for name in READ}
+AT_REST = {"frequency": 0.0, "current": 0.0}
+
+
+@attrs.frozen
+class Instant:
+    """What a rig was at an instant, as its recording says.
+
+    Attributes:
+        values: its parameters by name.
+        applied: the drive.
+        latched: by what the shaker was; empty: it was free.
+        plucked: whether the base was locked.
+        changed_ns: when the last of all this came into force.
+    """
+
+    values: Mapping[str, Any]
+    applied: Mapping[str, float]
+    latched: str
+    plucked: bool
+    changed_ns: int
 
 
 class RunPlayer:
@@ -70,8 +85,6 @@ class RunPlayer:
         self.recovered = False
         self.offset_s = 0.0
         """What is to be added to the time of the page for that of this run."""
-        self.refused: dict[str, list[Any]] = {}
-        """Messages that made no sense, by topic: how many, and the last reason."""
         self._stack = contextlib.ExitStack()
         with contextlib.ExitStack() as stack:
             self._run = stack.enter_context(self._open(path, stack))
@@ -93,12 +106,11 @@ class RunPlayer:
             self.begin_ns, self.end_ns = codec.header_stamp_ns(first.data), self._run.end_ns
             self.start_ns = min(self.start_ns, self.begin_ns)
             self._stack = stack.pop_all()
-        self.scope, self.motion = Scope(self.rate_hz), Motion()
-        self.journal, self.curve, self.faults = JournalView(), Curve(), Faults()
+        self.record = Record(most=None)
+        self.record.scope, self.record.start_ns = Scope(self.rate_hz), self.start_ns
         self.read_s = 0.0
         """How far the marks are read [s since scan 0]."""
         self.whole = False
-        self._changes: list[tuple[int, str, Any]] = []
         self._impacts: list[float] = []
         self._lost: list[tuple[int, int]] = []
         self._expected_ns = self.begin_ns
@@ -150,16 +162,6 @@ class RunPlayer:
         """Return the stamp that belongs to an instant of the page."""
         return self.start_ns + round((page_s + self.offset_s) * NS_PER_S)
 
-    def _guard(self, message: Message, take: Callable[[Message, topics.Topic], None]) -> None:
-        """Take a message; where that fails, count it."""
-        topic = self._topics[message.topic]
-        try:
-            take(message, topic)
-        except Exception as error:  # whatever stands in a file, the others are shown
-            count = self.refused.setdefault(topic.name, [0, ""])
-            count[0] += 1
-            count[1] = str(error) if isinstance(error, ImpactRigError) else f"{type(error).__name__}: {error}"
-
     # Playing
 
     def jump(self, page_s: float) -> None:
@@ -167,8 +169,9 @@ class RunPlayer:
         self._quiet.clear()
         try:
             self._stop_reading()
-            self.scope.clear()
-            self.motion = Motion()
+            assert self.record.scope is not None
+            self.record.scope.clear()
+            self.record.forget_motion()
             back_s = min(LONGEST_S + 0.5, MOST_FILLED / self.rate_hz)
             self._reading = self._messages(DRAWN, self.instant_ns(page_s - back_s))
             self._next = next(self._reading, None)
@@ -180,21 +183,8 @@ class RunPlayer:
         """Read on to an instant."""
         until = self.instant_ns(page_s)
         while self._next is not None and self._next.log_time <= until:
-            self._guard(self._next, self._draw)
+            self.record.take(self._topics[self._next.topic], bytes(self._next.data))
             self._next = next(self._reading, None) if self._reading is not None else None
-
-    def _draw(self, message: Message, topic: topics.Topic) -> None:
-        data = bytes(message.data)
-        if topic is topics.JOINT_STATES:
-            self.motion.add_state(data, self.start_ns)
-            return
-        table = codec.decode(data, topic)
-        if topic is topics.SCAN:
-            self.scope.add(table, self.start_ns)
-        elif topic is topics.IMPACTS_TRUTH:
-            self.motion.add_impacts(table.stamp_ns, table.rows, self.start_ns)
-        else:
-            self.motion.add_detected(table.stamp_ns, table.rows, self.start_ns)
 
     def _stop_reading(self) -> None:
         reading, self._reading, self._next = self._reading, None, None
@@ -209,37 +199,24 @@ class RunPlayer:
                 self._quiet.wait()  # a jump comes first
                 if self._end.is_set():
                     return
-                self._guard(message, self._note)
+                self._note(self._topics[message.topic], message)
                 self.read_s = (message.log_time - self.start_ns) / NS_PER_S
         except RecordingError as error:
-            self.refused["the file"] = [1, str(error)]  # what was read before is right
+            self.record.refused["the file"] = [1, str(error)]  # what was read before is right
             return
         self.whole = True
 
-    def _note(self, message: Message, topic: topics.Topic) -> None:
-        if topic is topics.NOTES:
-            self.journal.remark(bytes(message.data[8:-1]).decode("utf-8", errors="replace"), message.log_time)
-            return
-        table = codec.decode(bytes(message.data), topic)
+    def _note(self, topic: topics.Topic, message: Message) -> None:
         if topic is topics.SCAN:
-            self._count_lost(table)
-        elif topic is topics.JOURNAL:
-            self.journal.add(table)
-            self._changes += _changes(table)
-        elif topic is topics.APPLIED:
-            for row in table.rows:
-                stamp = table.stamp_ns + round(float(row["time"]) * NS_PER_S)
-                self._changes.append(
-                    (stamp, "applied", {"frequency": float(row["frequency"]), "current": float(row["current"])})
-                )
-        elif topic is topics.TRANSMISSIBILITY_TABLE:
-            self.curve.add(table)
-        elif topic is topics.FAULTS:
-            self.faults.add(table)
-            self.journal.fault(table)
+            self.record.guard(topic.name, lambda: self._count_lost(codec.decode(message.data, topic)))
+        elif topic is topics.IMPACTS_TRUTH:
+            self.record.guard(topic.name, lambda: self._note_impacts(codec.decode(message.data, topic)))
         else:
-            begin = (table.stamp_ns - self.start_ns) / NS_PER_S
-            self._impacts += [begin + float(time) for time in table.rows["time"]]
+            self.record.take(topic, bytes(message.data), message.log_time)
+
+    def _note_impacts(self, table: Table) -> None:
+        begin = (table.stamp_ns - self.start_ns) / NS_PER_S
+        self._impacts += [begin + float(time) for time in table.rows["time"]]
 
     def _count_lost(self, table: Table) -> None:
         """Count the blocks, as long as this one, between the end of the one before and this one."""
@@ -256,49 +233,37 @@ class RunPlayer:
         at = self.instant_ns(page_s)
         return sum(count for stamp, count in list(self._lost) if stamp <= at)
 
-    def knobs(self, page_s: float) -> dict[str, Any]:
-        """Return the recorded parameters that are read at an instant.
+    def at(self, page_s: float) -> Instant:
+        """Return what the rig was at an instant of the page."""
+        at_ns = self.instant_ns(page_s)
+        view, changed_ns = self.record.journal.at(at_ns)
+        drives = [one for one in list(self.record.applied) if one[0] <= at_ns] or [(self.start_ns, AT_REST)]
+        latched = "" if view.latched is None else plain(view.latched.key) or "emergency stop"
+        values = {
+            name: list(value) if isinstance(value, tuple) else value for name, value in view.configuration.items()
+        }
+        return Instant(values, drives[-1][1], latched, view.plucked, max(changed_ns, drives[-1][0]))
 
-        Besides them `applied` (the drive), `latched` (by what), `plucked`, and `changed_ns`: when the last of all this
-        came into force.
-        """
-        at = self.instant_ns(page_s)
-        flat = to_flat(RigConfig())
-        initial = {name: list(v) if isinstance(v := flat[name], tuple) else v for name in READ}
-        found: dict[str, Any] = dict(initial)
-        applied = {"frequency": 0.0, "current": 0.0}
-        latched, plucked, changed_ns = "", False, self.start_ns
-        for stamp, name, value in sorted(self._changes, key=lambda change: change[0]):
-            if stamp > at:
-                break
-            changed_ns = stamp
-            if name == "begin":
-                found, latched, plucked = dict(initial), "", False
-            elif name == "latched":
-                latched = value
-            elif name == "plucked":
-                plucked = True
-            elif name == "applied":
-                applied = value
-            elif name:
-                found[name] = bool(value) if isinstance(initial.get(name), bool) else value
-        return {**found, "applied": applied, "latched": latched, "plucked": plucked, "changed_ns": changed_ns}
-
-    def present(self, page_s: float, knobs: dict[str, Any]) -> dict[str, Any]:
+    def present(self, page_s: float, then: Instant) -> dict[str, Any]:
         """Return whether the newest measurement before an instant held then; as `state.present`.
 
         It did where the shaker drove and nothing had changed since, nor had a later one failed.
         """
-        at = self.instant_ns(page_s)
-        rows = [(stamp, status) for stamp, status, _ in self.curve.statuses if knobs["changed_ns"] < stamp <= at]
-        drives = knobs["applied"]["current"] > 0.0 and not knobs["latched"] and not knobs["plucked"]
+        at_ns = self.instant_ns(page_s)
+        rows = [status for stamp, status, _ in list(self.record.curve.statuses) if then.changed_ns < stamp <= at_ns]
+        drives = then.applied["current"] > 0.0 and not then.latched and not then.plucked
         state = "at_rest" if not drives else "settling" if not rows else "measuring"
         reason = ""
-        if state == "measuring" and (rows[-1][1] not in MEASURED or rows[-1][1] == "not_settled"):
-            state, reason = "unable", plain(rows[-1][1])
+        if state == "measuring" and (rows[-1] not in MEASURED or rows[-1] == "not_settled"):
+            state, reason = "unable", plain(rows[-1])
         return {
             "state": state, "holds": state == "measuring", "reason": reason, "done": None, "of": None, "rest": None
         }  # fmt: skip
+
+    def rows(self, page_s: float) -> list[dict[str, Any]]:
+        """Return the measurements before an instant of the page."""
+        at_s = page_s + self.offset_s
+        return [row for row in self.record.curve.part(self.start_ns) if row["t"] <= at_s]
 
     def impact_after(self, page_s: float, direction: float) -> float | None:
         """Return the next impact after an instant of the page, or the last one before it; None: there is none."""
@@ -315,23 +280,7 @@ class RunPlayer:
         return [int(n) for n in np.histogram(times, BINS, (self.begin_s, max(self.end_s, self.begin_s + 1e-3)))[0]]
 
 
-def _changes(table: Table) -> Iterator[tuple[int, str, Any]]:
-    """Yield stamp, name and value of what a journal's rows change; an empty name: something that is not looked at."""
-    for row in table.rows:
-        kind, key, words = text(row["kind"]), text(row["key"]), text(row["text"])
-        if kind in ("start", "reset"):
-            yield table.stamp_ns, "begin", None
-        elif kind in ("trip", "stop"):
-            yield table.stamp_ns, "latched", plain(key) or "emergency stop"
-        elif kind == "clear_trip":
-            yield table.stamp_ns, "latched", ""
-        elif kind == "pluck":
-            yield table.stamp_ns, "plucked", True
-        elif kind in ("initial", "parameter", "more"):
-            yield table.stamp_ns, _NAMES.get(key, ""), words or float(row["value"])
-
-
-class PlaybackSource:
+class PlaybackSource(Source):
     """Plays runs.
 
     Args:
@@ -339,10 +288,6 @@ class PlaybackSource:
     """
 
     def __init__(self, paths: Sequence[Path]) -> None:
-        self.snapshot = Snapshot()
-        self.lock = threading.Lock()
-        self.epoch = 0
-        self.now_s = 0.0
         self._runs: list[RunPlayer] = []
         try:
             for path in paths:
@@ -351,110 +296,70 @@ class PlaybackSource:
             for run in self._runs:
                 run.close()
             raise
-        self._failures: dict[str, list[Any]] = {}
-        self._playing, self._speed, self._aligned = True, 1.0, "start"
-        self._asked: queue.SimpleQueue[tuple[Request, Answer]] = queue.SimpleQueue()
-        self._end = threading.Event()
-        self._thread = threading.Thread(target=self._serve, name="lab-playback", daemon=True)
-        self._watchers = 0
-        self._theory = theory.Theory(lambda found: self.snapshot.put("prediction", found))
         first = self._runs[0]
-        self._begin_s, self._end_s = first.begin_s, first.end_s
+        self._now_s, self._begin_s, self._end_s = 0.0, first.begin_s, first.end_s
+        self._playing, self._speed, self._aligned = True, 1.0, "start"
         for run in self._runs[1:]:
             run.offset_s = run.begin_s - first.begin_s
-        self.snapshot.put("mode", "playback")
-        self.snapshot.put("choices", state.choices())
-        self.snapshot.put("help", state.glossary())
+        super().__init__("playback", first.record)
         self._move(self._begin_s)
 
     @property
-    def scope(self) -> Scope | None:
-        """The scans before the instant shown."""
-        return self._runs[0].scope
-
-    @property
     def other(self) -> Scope | None:
-        """Those of the second run; None where it has none at this instant."""
+        """The scans of the second run; None where it has none at this instant."""
         if len(self._runs) < 2:
             return None
         run = self._runs[1]
-        return run.scope if run.begin_s <= self.now_s + run.offset_s <= run.end_s else None
+        return run.record.scope if run.begin_s <= self.now_s + run.offset_s <= run.end_s else None
 
     @property
-    def motion(self) -> Motion:
-        """The true motion before it."""
-        return self._runs[0].motion
-
-    def watched(self, count: int) -> None:
-        """Know how many pages look: nothing is played to nobody."""
-        self._watchers = count
-
-    def ask(self, request: Request, answer: Answer) -> None:
-        """Do what a page asks for."""
-        self._asked.put((request, answer))
+    def now_s(self) -> float:
+        """The instant played."""
+        return self._now_s
 
     def start(self) -> None:
         """Begin."""
         for run in self._runs:
             run.start()
-        self._thread.start()
+        super().start()
 
     def close(self) -> None:
         """End."""
-        self._end.set()
-        if self._thread.is_alive():
-            self._thread.join()
-        self._theory.close()
+        super().close()
         for run in self._runs:
             run.close()
 
-    def __enter__(self) -> PlaybackSource:
-        self.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def _serve(self) -> None:
+    def _run(self) -> None:
         before = time.monotonic()
         told = marked = 0.0
-        while not self._end.wait(TICK_S):
-            self._guard("requests", self._obey)
+        while not self.end.wait(TICK_S):
+            self.guard("requests", self._obey)
             now = time.monotonic()
-            if self._playing and self._watchers:
-                self._guard("playing", lambda: self._play(self.now_s + (now - before) * self._speed))  # noqa: B023
+            if self._playing and self.watchers:
+                self.guard("playing", lambda: self._play(self.now_s + (now - before) * self._speed))  # noqa: B023
             before = now
             if now - told >= TELL_S:
                 told = now
-                self._guard("state", self._tell)
+                self.guard("state", self._tell)
             if now - marked >= MARKS_S:
                 marked = now
-                self._guard("marks", lambda: self.snapshot.put("impact_marks", self._runs[0].histogram()))
+                self.guard("marks", lambda: self.snapshot.put("impact_marks", self._runs[0].histogram()))
 
-    def _guard(self, what: str, work: Callable[[], None]) -> None:
-        """Do a part of a turn; where it fails, the page says so and the rest goes on."""
-        try:
-            work()
-        except Exception as error:  # a damaged chunk, for one
-            self._failures[what] = [self._failures.get(what, [0])[0] + 1, f"{type(error).__name__}: {error}"]
-            self.snapshot.put("refused", self._refused())
-
-    def _refused(self) -> dict[str, list[Any]]:
-        found = {name: list(count) for run in self._runs for name, count in run.refused.items()}
-        return {**found, **self._failures}
+    def _refusals(self) -> dict[str, list[Any]]:
+        others = {name: found for run in self._runs[1:] for name, found in run.record.refused.items()}
+        return {**others, **super()._refusals()}
 
     def _play(self, until_s: float) -> None:
-        with self.lock:
-            self.now_s = min(until_s, self._end_s)
+        with self.record.lock:
+            self._now_s = min(until_s, self._end_s)
             for run in self._runs:
                 run.play(self.now_s)
         if self.now_s >= self._end_s:
             self._playing = False
 
     def _move(self, to_s: float) -> None:
-        with self.lock:
-            self.now_s = min(max(to_s, self._begin_s), self._end_s)
-            self.epoch += 1
+        with self.record.lock:
+            self._now_s = min(max(to_s, self._begin_s), self._end_s)
             for run in self._runs:
                 run.jump(self.now_s)
 
@@ -474,7 +379,7 @@ class PlaybackSource:
                 done = True, self._do(request)
             except ImpactRigError as error:
                 done = False, str(error)
-            self._guard("state", self._tell)  # what is shown now comes before the answer
+            self.guard("state", self._tell)  # what is shown now comes before the answer
             answer(*done)
 
     def _do(self, request: Request) -> str:
@@ -516,11 +421,11 @@ class PlaybackSource:
         words = {"start": "both runs begin together", "time": "both runs by their time since scan 0"}.get(by, "")
         offset_s = second.begin_s - first.begin_s if by == "start" else 0.0
         if by == "change":
-            changes = [line for line in first.journal.part(first.start_ns) if line[0] >= first.begin_s]
+            changes = [line for line in first.record.journal.part(first.start_ns) if line[0] >= first.begin_s]
             if not changes:
                 raise RecordingError(f"nothing changes in {first.path.name}, as far as it was read")
             chosen = min(changes, key=lambda line: abs(line[0] - at_s))
-            same = [line for line in second.journal.part(second.start_ns) if line[1:] == chosen[1:]]
+            same = [line for line in second.record.journal.part(second.start_ns) if line[1:] == chosen[1:]]
             if not same:
                 raise RecordingError(f"{second.path.name} has no {' '.join(chosen[1:]).strip()}")
             offset_s = same[0][0] - chosen[0]
@@ -532,54 +437,44 @@ class PlaybackSource:
     # What pages are told
 
     def _tell(self) -> None:
-        run, put = self._runs[0], self.snapshot.put
-        knobs = run.knobs(self.now_s)
-        applied, at = knobs["applied"], run.instant_ns(self.now_s)
-        word, words = self._words(knobs)
-        put("rig", {
-            "word": word, "text": words, "name": run.path.name, "age": 0, "time": round(self.now_s, 2),
-            "speed": self._speed if self._playing else 0.0, "mode": "playback", "own": False, "over": {},
-        })  # fmt: skip
-        put("applied", applied)
-        put("knobs", {name: knobs[name] for name in KNOBS})
-        if self._watchers:
-            self._theory.want(knobs, applied["current"])
-        rows = [row for row in run.curve.part(run.start_ns) if row["t"] <= self.now_s]
-        put("dt", rows)
-        now = run.present(self.now_s, knobs)
-        put("dt_now", now)
-        prediction = self.snapshot.get("prediction") or {}
-        put("other_motion", theory.contradiction(prediction, rows[-1]["ipc"]) if rows and now["holds"] else "")
-        if len(self._runs) > 1:
-            other = self._runs[1]
-            put("dt_b", [
-                row for row in other.curve.part(other.start_ns) if row["t"] <= self.now_s + other.offset_s
-            ])  # fmt: skip
-        put("closed_form", state.closed_form(knobs))
-        put("faults", run.faults.in_force(run.start_ns, at))
-        put("health", run.curve.health(at))
-        put("journal", run.journal.part(run.start_ns))
-        put("recorder", {"name": run.path.name})
+        run, record = self._runs[0], self.record
+        then, at_ns = run.at(self.now_s), run.instant_ns(self.now_s)
         lost = run.lost_blocks(self.now_s)
-        put("lost", {"blocks missing in the recording": lost} if lost else {})
-        put("refused", self._refused())
-        put("playback", {
-            "begin": self._begin_s, "end": self._end_s, "now": round(self.now_s, 3), "playing": self._playing,
-            "speed": self._speed, "read": 1.0 if run.whole else round(run.read_s / max(self._end_s, 1e-3), 2),
-            "names": [one.path.name for one in self._runs], "aligned": self._aligned,
-        })  # fmt: skip
+        word = "playback" if self._playing else "paused playback"
+        self.tell({
+            "rig": lambda: {
+                "word": word, "text": self._words(then), "name": run.path.name, "age": 0,
+                "time": round(self.now_s, 2), "speed": self._speed if self._playing else 0.0, "mode": "playback",
+                "own": False, "over": {},
+            },
+            "applied": lambda: then.applied,
+            "knobs": lambda: {name: then.values[name] for name in KNOBS},
+            "dt": lambda: run.rows(self.now_s),
+            "dt_now": lambda: run.present(self.now_s, then),
+            **({"dt_b": lambda: self._runs[1].rows(self.now_s)} if len(self._runs) > 1 else {}),
+            "closed_form": lambda: closed_form(then.values),
+            "faults": lambda: record.faults.in_force(run.start_ns, at_ns),
+            "health": lambda: record.curve.health(at_ns),
+            "journal": lambda: record.journal.part(run.start_ns),
+            "recorder": lambda: {"name": run.path.name},
+            "lost": lambda: {"blocks missing in the recording": lost} if lost else {},
+            "playback": lambda: {
+                "begin": self._begin_s, "end": self._end_s, "now": round(self.now_s, 3), "playing": self._playing,
+                "speed": self._speed, "read": 1.0 if run.whole else round(run.read_s / max(self._end_s, 1e-3), 2),
+                "names": [one.path.name for one in self._runs], "aligned": self._aligned,
+            },
+        }, then.values)  # fmt: skip
 
-    def _words(self, knobs: dict[str, Any]) -> tuple[str, str]:
+    def _words(self, then: Instant) -> str:
         names = " and ".join(run.path.name for run in self._runs)
         if any(run.recovered for run in self._runs):
             names += " (cut short: what is whole is shown)"
-        applied = knobs["applied"]
-        if knobs["latched"]:
-            found = f"the shaker was latched by {knobs['latched']}"
-        elif knobs["plucked"]:
+        if then.latched:
+            found = f"the shaker was latched by {then.latched}"
+        elif then.plucked:
             found = "the base was locked after a pluck"
-        elif applied["current"]:
-            found = f"driven at {applied['frequency']:g} Hz, {applied['current']:g} A"
+        elif then.applied["current"]:
+            found = f"driven at {then.applied['frequency']:g} Hz, {then.applied['current']:g} A"
         else:
             found = "at rest"
-        return ("playback" if self._playing else "paused playback"), f"{names}: {found}."
+        return f"{names}: {found}."

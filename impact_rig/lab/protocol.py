@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig.errors import ImpactRigError
-from impact_rig.instruments.scan import CHANNELS
+from impact_rig.instruments.section import CHANNELS
 from impact_rig.lab.scope import LONGEST_S, Trace
 
 LONGEST_REQUEST = 65536

@@ -14,7 +14,6 @@ from impact_rig.analysis.settings import TrackerSettings
 from impact_rig.analysis.tables import settings_table
 from impact_rig.analysis.tracker import Tracker
 from impact_rig.blocks import Table
-from impact_rig.lab.motion import encode_joint_state
 from impact_rig.recording import Provenance, RunWriter, TopicDescription, open_run, schema_text
 from impact_rig.rig import Rig
 from impact_rig.rig.config import RigConfig
@@ -91,7 +90,7 @@ def _advance(rig: Rig, tracker: Tracker, writer: RunWriter, until_ns: int) -> No
         for row in block.monitor:
             stamp = block.scan.stamp_ns + round(float(row["time"]) * NS_PER_S)
             positions, velocities = ([float(row[f"{what}_{body}"]) for body in "b12"] for what in "xv")
-            writer.write(f"/rig/{JOINTS}", encode_joint_state(stamp, positions, velocities), stamp)
+            writer.write(f"/rig/{JOINTS}", codec.encode_joint_state(stamp, positions, velocities), stamp)
         if block.impacts is not None:
             write(topics.IMPACTS_TRUTH.name, [block.impacts])
         found = tracker.feed(block.scan)

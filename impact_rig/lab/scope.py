@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from impact_rig.blocks import Table
 from impact_rig.errors import CodecError
-from impact_rig.instruments.scan import CHANNELS, channels_of
+from impact_rig.instruments.section import CHANNELS, channels_of
 from impact_rig.simtime import NS_PER_S
 
 LONGEST_S = 10.0

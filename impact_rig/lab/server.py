@@ -26,12 +26,13 @@ from typing import Any  # values of a view, checked by the protocol
 from aiohttp import WSMsgType, web
 
 from impact_rig.errors import ImpactRigError
-from impact_rig.instruments.scan import CHANNELS
+from impact_rig.instruments.section import CHANNELS
 from impact_rig.lab import protocol
 from impact_rig.lab.playback import PlaybackSource
 from impact_rig.lab.protocol import Kind, Request, RequestError
 from impact_rig.lab.scope import Scope, Trace, spectrum
-from impact_rig.lab.source import Source, be_gentle
+from impact_rig.lab.state import Source
+from impact_rig.lab.theory import be_gentle
 
 Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 STATIC = Path(__file__).parent / "static"
@@ -219,12 +220,12 @@ class Session:
 
     def _picture(self, now: float) -> list[bytes]:
         """Return the frames of one picture; the trace comes last, and is the one that is acknowledged."""
-        source, view = self._source, self._view
-        with source.lock:
-            if source.epoch != self._epoch:
-                self._epoch, self._drawn_end = source.epoch, -1.0
+        source, record, view = self._source, self._source.record, self._view
+        with record.lock:
+            if record.epoch != self._epoch:
+                self._epoch, self._drawn_end = record.epoch, -1.0
                 self._seen = dict.fromkeys(self._seen, 0)
-            scope, motion = source.scope, source.motion
+            scope, motion = record.scope, record.motion
             if scope is None or scope.end_s == self._drawn_end:
                 return []
             trace = self._trace(scope)
@@ -498,7 +499,7 @@ class Server:
         return socket
 
     def _watched(self, source: Source) -> None:
-        source.watched(sum(one is source for one in self._sockets.values()))
+        source.watchers = sum(one is source for one in self._sockets.values())
 
     # Recorded runs
 

@@ -1,6 +1,6 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""What pages are told, live and in playback alike: each node's state from its keys, journal, faults and curve.
+"""What pages are told, live and in playback alike, and the `Source` that tells it.
 
 States come from the keys of `impact_rig.states` alone: no sentence is read. What was never said, or too long ago, is
 not shown as present. Times are seconds since scan 0; what came before it is negative.
@@ -8,31 +8,25 @@ not shown as present. Times are seconds since scan 0; what came before it is neg
 
 from __future__ import annotations
 
-import math
+import abc
+import queue
+import threading
 import time
-from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any  # what goes to JSON
+from typing import Any, Self  # Any: what goes to JSON
 
 import attrs
-import numpy as np
-from numpy.typing import NDArray
 
 from impact_rig import states
-from impact_rig.analysis.words import MEASURED, Status
-from impact_rig.blocks import Table
-from impact_rig.errors import RecordingError
-from impact_rig.instruments.fault_kinds import BOARD_KINDS, FAULT_KINDS
-from impact_rig.instruments.scan import CHANNELS
+from impact_rig.instruments.instrument import BOARD_KINDS, FAULT_KINDS
+from impact_rig.instruments.section import CHANNELS
+from impact_rig.lab.protocol import Request
+from impact_rig.lab.record import Record, guard, plain
+from impact_rig.lab.scope import Scope
+from impact_rig.lab.theory import Theory, contradiction
 from impact_rig.physics.contact import LAWS
 from impact_rig.rig.config import fields
-from impact_rig.simtime import NS_PER_S
 
-MOST_ROWS = 400
-MOST_ENTRIES = 300
-QUIET = frozenset({"initial"})
-"""Kinds of journal rows that are no events."""
-JOINED = "more"
 HURRIED = 1.5
 """Speed from which on pictures come now and then: nobody sees every cycle, and rig and analysis need the machine."""
 FOLLOWED = 4.5
@@ -41,8 +35,6 @@ STALE_S = 3.0
 """Rig time that has not moved for so long stands still."""
 GAP_S = 10.0
 """Two readings further apart say nothing about the speed between them."""
-ACCELEROMETER = {Status.ACCELEROMETER_OVER_RANGE.value: "accelerometer"}
-"""Statuses that name their channel themselves."""
 PLANNED = "instruments.faults.planned"
 KNOBS = (
     "barriers.gap_m", "sphere.present", "sphere.start", "contact.law", "contact.restitution", "pluck.displacement_m",
@@ -50,16 +42,10 @@ KNOBS = (
     "structure.natural_frequency_hz", "structure.damping_ratio", "time.mode", "time.factor", "drive.kind", PLANNED,
 )  # fmt: skip
 """Parameters of the rig that the page shows."""
-HIGHEST_RATE_HZ = 1e7
-LONGEST_RUN_S = 1e9
+Answer = Callable[[bool, str], None]
+"""Tells the page whether what it asked for was done, and in which words; may be called from any thread, once."""
 DEAD_S = 4.0
 """A node that has said nothing for so long is not there."""
-UNITS = {"frequency": "Hz", "current": "A", "over_travel": "m", "over_current": "A"}
-
-
-def text(raw: Any) -> str:
-    """Return the text in a column."""
-    return bytes(raw).rstrip(b"\0").decode("utf-8", errors="replace")
 
 
 @attrs.frozen
@@ -165,92 +151,6 @@ def judge(rig: Seen, analysis: Seen, doubts: Sequence[str] = ()) -> tuple[str, s
     return "measured", "The measurement holds."
 
 
-def plain(word: str) -> str:
-    """Return a key as people write it."""
-    return word.replace("_", " ")
-
-
-class JournalView:
-    """The journal, faults and remarks, as lines for people."""
-
-    def __init__(self) -> None:
-        self._lines: deque[list[Any]] = deque(maxlen=MOST_ENTRIES)
-        self._part: tuple[int, list[list[Any]]] | None = None
-
-    def add(self, table: Table) -> None:
-        """Take a table of `rig/journal`."""
-        self._part = None
-        for row in table.rows:
-            kind, key, value, words = text(row["kind"]), text(row["key"]), float(row["value"]), text(row["text"])
-            if kind in QUIET:
-                continue
-            if kind == JOINED and not self._lines:
-                continue  # of a change that nobody was there to hear
-            if kind == JOINED and (not key or key == self._lines[-1][2]):  # one more part of a text
-                self._lines[-1][3] += words
-                continue
-            kind = "parameter" if kind == JOINED else kind
-            self._lines.append([table.stamp_ns, kind, key, words or _value(kind, key, value)])
-
-    def remark(self, words: str, stamp_ns: int) -> None:
-        """Take an operator's remark."""
-        self._part = None
-        self._lines.append([stamp_ns, "note", "", words[:200]])
-
-    def fault(self, table: Table) -> None:
-        """Take a table of `truth/faults`."""
-        self._part = None
-        for row in table.rows:
-            what = f"{text(row['kind'])} {text(row['channel'])}".strip()
-            self._lines.append([table.stamp_ns, "fault", "begins" if row["active"] else "ends", what])
-
-    def part(self, start_ns: int) -> list[list[Any]]:
-        """Return time, kind, key, words of every line, in order; the same list while nothing is new."""
-        if self._part is None or self._part[0] != start_ns:
-            found = sorted(self._lines, key=lambda line: line[0])
-            self._part = start_ns, [[round((stamp - start_ns) / NS_PER_S, 3), *words] for stamp, *words in found]
-        return self._part[1]
-
-
-class Faults:
-    """Instrument faults, of `truth/faults`: which are in force, now or at an instant."""
-
-    def __init__(self) -> None:
-        self._rows: deque[tuple[int, int, bool, str]] = deque(maxlen=MOST_ENTRIES)
-
-    def add(self, table: Table) -> None:
-        """Take a table of `truth/faults`."""
-        for row in table.rows:
-            what = f"{plain(text(row['kind']))} {text(row['channel'])}".strip()
-            stamp = table.stamp_ns + round(float(row["time"]) * NS_PER_S)
-            self._rows.append((stamp, int(row["id"]), bool(row["active"]), f"{what} ({float(row['value']):g})"))
-
-    def in_force(self, start_ns: int, at_ns: int | None = None) -> list[str]:
-        """Return the faults that are in force, in words.
-
-        Args:
-            start_ns: stamp of scan 0; a fault of before belongs to another record.
-            at_ns: an instant; None: after everything that was heard.
-        """
-        active: dict[int, str] = {}
-        for stamp, number, begins, words in self._rows:
-            if stamp < start_ns or (at_ns is not None and stamp > at_ns):
-                continue
-            if begins:
-                active[number] = words
-            else:
-                active.pop(number, None)
-        return list(active.values())
-
-
-def _value(kind: str, key: str, value: float) -> str:
-    if kind in ("command", "trip"):
-        return f"{value:.6g} {UNITS.get(key, '')}".strip()
-    if kind in ("parameter", "clear_fault"):
-        return f"{value:.6g}"
-    return f"{value * 1e3:.4g} mm" if kind == "pluck" else ""
-
-
 class Pace:
     """Seconds of rig time per second, from readings that come once or twice a second.
 
@@ -283,104 +183,6 @@ class Pace:
             self.speed = (rig_s - self._rig_s) / (now - self._read_at)
         self._read_at, self._rig_s = now, rig_s
         return self.speed
-
-
-class Curve:
-    """The measurements of the transmissibility."""
-
-    def __init__(self) -> None:
-        self._rows: deque[tuple[int, dict[str, Any]]] = deque(maxlen=MOST_ROWS)
-        self.statuses: deque[tuple[int, str, str]] = deque(maxlen=MOST_ROWS)
-        """Stamp, status and the channel it is about of every row, those without numbers too."""
-        self._part: tuple[int, list[dict[str, Any]]] | None = None
-
-    def add(self, table: Table) -> None:
-        """Take a table of `transmissibility/table`."""
-        for row in table.rows:
-            status = text(row["status"])
-            channel = text(row["channel"]) if "channel" in row.dtype.names else ""
-            self.statuses.append((table.stamp_ns, status, ACCELEROMETER.get(status, channel)))
-            if status in MEASURED:
-                self._rows.append((table.stamp_ns, _measurement(row)))
-                self._part = None
-
-    def health(self, at_ns: int | None = None) -> dict[str, str] | None:
-        """Return what the newest row, or that of an instant, says against a channel, in words.
-
-        None: there is no row, so nothing is known; empty: it says nothing against any.
-        """
-        rows = [row for row in self.statuses if at_ns is None or row[0] <= at_ns]
-        if not rows:
-            return None
-        _, status, channel = rows[-1]
-        return {channel: plain(status)} if channel and status not in (Status.OK, Status.NOT_SETTLED) else {}
-
-    def part(self, start_ns: int) -> list[dict[str, Any]]:
-        """Return the rows, oldest first; the same list while nothing is new."""
-        if self._part is None or self._part[0] != start_ns:
-            found = [{"t": round((stamp - start_ns) / NS_PER_S, 3), **row} for stamp, row in self._rows]
-            self._part = start_ns, found
-        return self._part[1]
-
-
-def _measurement(row: NDArray[np.void]) -> dict[str, Any]:
-    return {
-        "f": float(row["frequency"]),
-        "dt": float(row["transmissibility"]),
-        "u": float(row["transmissibility_uncertainty"]),
-        "phase": math.degrees(float(row["phase"])),
-        "settled": bool(row["settled"] == 1.0),
-        "gap": float(row["gap"]),
-        "ipc": float(row["impacts_per_cycle"]),
-        "x1": float(row["laser_amplitude"]),
-        "xb": float(row["base_amplitude"]),
-        "i": float(row["current_amplitude"]),
-        "spread": float(row["spread"]),
-        "period": float(row["period"]),
-        "thd": float(row["thd"]),
-        "regime": text(row["regime"]),
-        "status": "" if text(row["status"]) == Status.OK else plain(text(row["status"])),
-    }
-
-
-def start_ns(info: Table) -> int:
-    """Return the stamp of scan 0, of a table of `daq/info`.
-
-    Raises:
-        RecordingError: it does not say when that was.
-    """
-    since_s = float(info.rows["since_start"][0]) if len(info.rows) else math.nan
-    if not 0.0 <= since_s < LONGEST_RUN_S:
-        raise RecordingError(f"daq/info says that scan 0 was {since_s:g} s before it")
-    return info.stamp_ns - round(since_s * NS_PER_S)
-
-
-def scan_rate(info: Table) -> float:
-    """Return the scans per second, of a table of `daq/info`.
-
-    Raises:
-        RecordingError: it is no rate that a board can have: rings are as long as the rate says.
-    """
-    rate_hz = float(info.rows["rate"][0]) if len(info.rows) else math.nan
-    if not 1.0 <= rate_hz <= HIGHEST_RATE_HZ:
-        raise RecordingError(f"daq/info has a rate of {rate_hz:g} Hz; 1 to {HIGHEST_RATE_HZ:g} Hz can be shown")
-    return rate_hz
-
-
-def closed_form(values: dict[str, Any]) -> list[list[float]]:
-    """Return frequency and transmissibility of the rig without the sphere, for the curve's background.
-
-    Args:
-        values: parameters by name; needs natural frequency and damping ratio of the structure.
-    """
-    natural, damping = values.get("structure.natural_frequency_hz"), values.get("structure.damping_ratio")
-    if not natural or not damping:
-        return []
-    frequency = np.unique(np.concatenate([np.linspace(5.0, 14.0, 181), natural + np.linspace(-0.6, 0.6, 121)]))
-    ratio = frequency / natural
-    loss = 2.0j * damping * ratio
-    found = np.abs((1.0 + loss) / (1.0 - ratio**2 + loss))
-    return [[round(float(f), 4), round(float(v), 4)] for f, v in zip(frequency, found, strict=True)]
 
 
 def choices() -> dict[str, Any]:
@@ -417,6 +219,117 @@ def present(rig: Seen, analysis: Seen) -> dict[str, Any]:
         "done": figure(figures.get("settling_windows")), "of": figure(figures.get("settling_windows_needed")),
         "rest": figure(figures.get("settling_remnant")),
     }  # fmt: skip
+
+
+class Snapshot:
+    """The state of things in named parts, each with a version: a session sends the parts that are new to it."""
+
+    def __init__(self) -> None:
+        self._parts: dict[str, Any] = {}
+        self._versions: dict[str, int] = {}
+        self._lock = threading.Lock()
+        self.version = 0
+
+    def put(self, name: str, value: Any) -> None:
+        """Set a part; nothing happens where it is the same."""
+        with self._lock:
+            if name in self._parts and self._parts[name] == value:
+                return
+            self.version += 1
+            self._parts[name], self._versions[name] = value, self.version
+
+    def get(self, name: str) -> Any:
+        """Return a part, None where there is none yet."""
+        return self._parts.get(name)
+
+    def since(self, version: int) -> tuple[int, Mapping[str, Any]]:
+        """Return the present version, and the parts that have changed after an earlier one."""
+        with self._lock:
+            return self.version, {name: self._parts[name] for name, at in self._versions.items() if at > version}
+
+
+class Source(abc.ABC):
+    """A rig, or runs: a thread that does what pages ask for and keeps a snapshot and a record up to date.
+
+    Args:
+        mode: `live` or `playback`.
+        record: what is drawn.
+    """
+
+    def __init__(self, mode: str, record: Record) -> None:
+        self.record = record
+        self.snapshot = Snapshot()
+        self.failures: dict[str, list[Any]] = {}
+        """Parts of the work that failed: how often, and the last reason."""
+        self.watchers = 0
+        """How many pages look."""
+        self._asked: queue.SimpleQueue[tuple[Request, Answer]] = queue.SimpleQueue()
+        self.end = threading.Event()
+        self._theory = Theory(lambda found: self.snapshot.put("prediction", found))
+        self._thread = threading.Thread(target=self._run, name=f"lab-{mode}", daemon=True)
+        for part, value in (("mode", mode), ("choices", choices()), ("help", glossary())):
+            self.snapshot.put(part, value)
+
+    @property
+    def other(self) -> Scope | None:
+        """The scans of a second run, shown beside the first."""
+        return None
+
+    @property
+    @abc.abstractmethod
+    def now_s(self) -> float:
+        """Instant the page shows [s since scan 0]."""
+
+    @abc.abstractmethod
+    def _run(self) -> None:
+        """Work until `end` is set, in the thread of this source."""
+
+    def ask(self, request: Request, answer: Answer) -> None:
+        """Do what a page asks for, in the thread of this source."""
+        self._asked.put((request, answer))
+
+    def start(self) -> None:
+        """Begin."""
+        self._thread.start()
+
+    def __enter__(self) -> Self:
+        self.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """End."""
+        self.end.set()
+        if self._thread.is_alive():  # else what kept it from starting is the error to be seen
+            self._thread.join()
+        self._theory.close()
+
+    def guard(self, what: str, work: Callable[[], Any]) -> None:
+        """Do a part of a turn; where it fails that is counted, and the rest goes on: STOP is sent from here."""
+        guard(self.failures, what, work)
+
+    def tell(self, parts: Mapping[str, Callable[[], Any]], values: Mapping[str, Any]) -> None:
+        """Bring the snapshot up to date, part by part: one that cannot be told does not keep the others back.
+
+        Args:
+            parts: what makes each; `applied`, `dt` and `dt_now` are among them.
+            values: the rig's parameters by name, for what theory says of them; empty: they are not known.
+        """
+        for name, make in parts.items():
+            self.guard(f"state of {name}", lambda name=name, make=make: self.snapshot.put(name, make()))  # type: ignore[misc]
+        self.snapshot.put("refused", {name: list(found) for name, found in self._refusals().items()})
+        rows, now = self.snapshot.get("dt"), self.snapshot.get("dt_now")
+        prediction = self.snapshot.get("prediction") or {}
+        told = contradiction(prediction, rows[-1]["ipc"]) if rows and now and now["holds"] else ""
+        self.snapshot.put("other_motion", told)
+        drive = self.snapshot.get("applied")
+        if values and drive is not None and self.watchers:
+            self._theory.want(values, drive["current"])
+
+    def _refusals(self) -> dict[str, list[Any]]:
+        return {**self.record.refused, **self.failures}
 
 
 def glossary() -> dict[str, str]:

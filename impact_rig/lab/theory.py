@@ -8,6 +8,7 @@ gap, current, sphere, law or anything else it depends on has changed; what was o
 
 from __future__ import annotations
 
+import os
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any  # values of parameters, and what goes to JSON
@@ -16,12 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig.errors import ConfigError
-from impact_rig.lab.source import be_gentle
 from impact_rig.rig.config import RigConfig, fields, from_flat
 
 if TYPE_CHECKING:
     from impact_rig.physics.prediction import Branch
 
+GENTLE = 10
+"""Priority (nice) of the lab's threads: on a busy machine pictures are late, not blocks."""
 KIND, WAVEFORM = "drive.kind", "drive.waveform"
 _SECTIONS = ("structure.", "shaker.", "sphere.", "barriers.", "contact.")
 DECIDING = (*(name for name, _, _ in fields() if name.startswith(_SECTIONS)), KIND, WAVEFORM)
@@ -35,6 +37,28 @@ OTHER_MOTION = 0.05
 """Difference of impacts per cycle from which on a motion is another one; an impact missed now and then is less."""
 HELD = {"current": (1.0, "A"), "prescribed": (1e6, "µm")}
 """Kinds of drive that keep current or base constant, and in what that is told."""
+
+
+def be_gentle() -> None:
+    """Lower the priority of the calling thread, and of those it will begin."""
+    thread = threading.get_native_id()
+    os.setpriority(os.PRIO_PROCESS, thread, max(GENTLE, os.getpriority(os.PRIO_PROCESS, thread)))
+
+
+def closed_form(values: Mapping[str, Any]) -> list[list[float]]:
+    """Return frequency and transmissibility of the rig without the sphere, for the curve's background.
+
+    Args:
+        values: parameters by name; needs natural frequency and damping ratio of the structure.
+    """
+    natural, damping = values.get("structure.natural_frequency_hz"), values.get("structure.damping_ratio")
+    if not natural or not damping:
+        return []
+    frequency = np.unique(np.concatenate([np.linspace(5.0, 14.0, 181), natural + np.linspace(-0.6, 0.6, 121)]))
+    ratio = frequency / natural
+    loss = 2.0j * damping * ratio
+    found = np.abs((1.0 + loss) / (1.0 - ratio**2 + loss))
+    return [[round(float(f), 4), round(float(v), 4)] for f, v in zip(frequency, found, strict=True)]
 
 
 def predicted(values: Mapping[str, Any], amplitude: float) -> dict[str, Any]:

@@ -21,7 +21,7 @@ from impact_rig.analysis.words import Regime
 from impact_rig.config.fields import integer, quantity
 from impact_rig.errors import SimulationError
 from impact_rig.physics import SEGMENT, Simulation
-from impact_rig.physics.closed_form import transmissibility
+from impact_rig.physics.prediction import transmissibility
 from impact_rig.rig.config import RigConfig
 
 PER_CYCLE = 32

@@ -250,7 +250,7 @@ class Acknowledgements:
     message costs its sender and its receiver more than the block it is about. Those of real time wait for a timer.
 
     Args:
-        node: owner; its name is the peer's.
+        node: owner, which offers `daq/ack` while it is configured; its name is the peer's.
         may_send: called before each acknowledgement; keeps the promise it makes, or returns False if that cannot be.
     """
 
@@ -258,19 +258,20 @@ class Acknowledgements:
         self._node = node
         self._may_send = may_send
         self._later = guarded(self._send, node.report_failure)
-        self._publisher = node.publisher(topics.ACK)
         self._message = Template(Header(frame_id=node.get_name()))
         self._newest_ns = 0
         self._waiting = 0
         self._sent_at = 0.0
-        self._timer: Any = None
+        self._is_timed = False
 
     def processed(self, stamp_ns: int) -> None:
         """Note that the block with this stamp is processed."""
         self._newest_ns = stamp_ns
         self._waiting += 1
         if abs(time.time_ns() - stamp_ns) < PRESENT_NS:
-            self._timer = self._timer or self._node.steady_timer(REALTIME_S, self._send)
+            if not self._is_timed:
+                self._node.tick(REALTIME_S, self._send)
+            self._is_timed = True
             return
         executor = self._node.executor
         if self._waiting >= MOST or executor is None:
@@ -281,16 +282,14 @@ class Acknowledgements:
             else:
                 executor.create_task(self._later)
 
-    def destroy(self) -> None:
-        """Say what has not been said, and destroy the publisher."""
-        if self._timer is not None:
-            self._node.destroy_timer(self._timer)
+    def flush(self) -> None:
+        """Say what has not been said: the node is being deactivated."""
+        self._is_timed = False
         if self._node.context.ok():
             self._send()
-        self._node.destroy_publisher(self._publisher)
 
     def _send(self) -> None:
         waiting, self._waiting = self._waiting, 0  # what must not be acknowledged now never is by itself
         if waiting and self._may_send():
             self._sent_at = time.monotonic()
-            self._publisher.publish(self._message.render(self._newest_ns))
+            self._node.send(topics.ACK, self._message.render(self._newest_ns))

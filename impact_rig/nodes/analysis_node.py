@@ -20,21 +20,40 @@ from impact_rig.analysis.settings import TrackerSettings
 from impact_rig.analysis.tables import settings_table
 from impact_rig.analysis.tracker import Tracker
 from impact_rig.blocks import Table
+from impact_rig.config.fields import quantity, switch
+from impact_rig.config.tree import Tree
 from impact_rig.errors import CodecError, ConfigError, ImpactRigError
 from impact_rig.nodes import process
 from impact_rig.nodes.acknowledgements import Acknowledgements
-from impact_rig.nodes.diagnostics import Health, Level, State
-from impact_rig.nodes.managed import ManagedNode
-from impact_rig.nodes.parameters import SectionSchema
+from impact_rig.nodes.managed import Health, Level, ManagedNode, State
+from impact_rig.nodes.messages import TOPICS
 from impact_rig.nodes.plots import Plots
-from impact_rig.nodes.settings import UNKNOWN_GAP, AnalysisSettings
-from impact_rig.nodes.topics import TOPICS
 from impact_rig.simtime import NS_PER_S
 from impact_rig.system.endings import Ending
 
 PUBLISHED = [topic for topic in TOPICS if topic.publisher == "analysis"]
 SILENCE_S = 2.0
 """Wall time without a block after which there are no scans; a paused rig sends none either."""
+UNKNOWN_GAP = -1.0
+
+
+@attrs.frozen(kw_only=True)
+class AnalysisSettings(TrackerSettings):
+    """Parameters of the analysis node: those of `Tracker`, and what the operator knows."""
+
+    gap_m: float = quantity(
+        UNKNOWN_GAP,
+        "m",
+        "Operator's label: total gap, 0 = no sphere, -1 = unknown; holds from the newest scan on.",
+        at_least=UNKNOWN_GAP,
+        at_most=1,
+    )
+    autostart: bool = switch(True, "Configure and activate by itself at start.", read_only=True)
+
+    def __attrs_post_init__(self) -> None:
+        super().__attrs_post_init__()
+        if UNKNOWN_GAP < self.gap_m < 0:
+            raise ConfigError(f"gap_m must be >= 0, or -1 for unknown, got {self.gap_m:g} m")
 
 
 class AnalysisNode(ManagedNode[AnalysisSettings]):
@@ -48,60 +67,41 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
     STATES = states.Analysis
 
     def __init__(self, **kwargs: Any) -> None:
-        super().__init__("analysis", SectionSchema(AnalysisSettings), **kwargs)
+        super().__init__("analysis", Tree(AnalysisSettings), **kwargs)
         self._tracker: Tracker | None = None
         self._blockwise: list[Blockwise] = []
         self._plots = Plots({})
-        self._outputs: dict[str, Any] = {}
-        self._heard: list[Any] = []
-        self._acknowledgements: Acknowledgements | None = None
+        self._acknowledgements = Acknowledgements(self)
         self._newest_ns: int | None = None
         self._heard_at = 0.0
         self._latest = math.nan
 
-    def autostarts(self) -> bool:
-        """Follow `autostart`."""
-        return self.settings.autostart
-
     def configure(self) -> None:
-        """Create the publishers, and let nobody wait for the compiler once the node is active."""
-        self._outputs = {topic.name: self.publisher(topic) for topic in PUBLISHED}
-        self._acknowledgements = Acknowledgements(self)
+        """Create the publishers."""
+        self.offer(*PUBLISHED, topics.ACK)
 
     def activate(self) -> None:
         """Start a new measurement."""
-        names = [name for name, _, _ in SectionSchema(TrackerSettings).fields()]
+        names = [name for name, _, _ in Tree(TrackerSettings).fields()]
         self._tracker = Tracker(TrackerSettings(**{name: getattr(self.settings, name) for name in names}))
         self._blockwise = [analysis() for analysis in ANALYSES]
-        self._plots = Plots(self._outputs)
+        self._plots = Plots(self.outputs)
         self._newest_ns = None
         self._label(_gap(self.settings), 0)
         # calibration and present command first: both are transient-local, so they arrive though published long ago
-        self._heard = [
+        self.hear(
             self.subscribe_table(topics.INFO, self._on_info),
             self.subscribe_table(topics.APPLIED, self._on_applied),
             self.subscribe(topics.NOTES, self._on_note),
             self.subscribe(topics.SCAN, self._on_scan, raw=True),
-        ]
+        )
 
     def deactivate(self) -> None:
         """Measure what was held back, and stop listening."""
-        for subscription in self._heard:
-            self.destroy_subscription(subscription)
-        self._heard = []
         tracker, self._tracker = self._tracker, None
         if tracker is not None and self.context.ok():
             self._publish(tracker.flush())
-
-    def cleanup(self) -> None:
-        """Destroy the publishers."""
-        self.deactivate()
-        for publisher in self._outputs.values():
-            self.destroy_publisher(publisher)
-        self._outputs = {}
-        if self._acknowledgements is not None:
-            self._acknowledgements.destroy()
-            self._acknowledgements = None
+        self._acknowledgements.flush()
 
     def settings_changed(self, settings: AnalysisSettings, changes: dict[str, Any]) -> None:
         """Take a new label at once; settings of the measurement wait for the next activation."""
@@ -153,7 +153,7 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
         assert self._tracker is not None
         self._tracker.label(gap_m, stamp_ns)
         table = settings_table(self.settings, gap_m, stamp_ns)
-        self._outputs[topics.ANALYSIS_SETTINGS.name].publish(codec.encode(table))
+        self.send(topics.ANALYSIS_SETTINGS, codec.encode(table))
 
     # Messages
 
@@ -194,19 +194,18 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
             self._acknowledge(data)
 
     def _acknowledge(self, data: bytes) -> None:
-        assert self._acknowledgements is not None
         with contextlib.suppress(CodecError):  # told already
             self._acknowledgements.processed(codec.header_stamp_ns(data))
 
     def _publish(self, findings: Findings) -> None:
         for table in findings.impacts:
-            self._outputs[topics.IMPACTS.name].publish(codec.encode(table))
+            self.send(topics.IMPACTS, codec.encode(table))
         for table in findings.measurements:
-            self._outputs[topics.TRANSMISSIBILITY_TABLE.name].publish(codec.encode(table))
+            self.send(topics.TRANSMISSIBILITY_TABLE, codec.encode(table))
             for row in table.rows:
                 if row["settled"] == 1:
                     self._latest = float(row["transmissibility"])
-                    self._outputs[topics.TRANSMISSIBILITY.name].publish(Float64(data=self._latest))
+                    self.send(topics.TRANSMISSIBILITY, Float64(data=self._latest))
                     self._plots.measured(table.stamp_ns, row)
 
     def _analyse(self, scan: Table) -> None:
@@ -215,7 +214,7 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
             if set(analysis.needs) <= set(scan.rows.dtype.names or ()):
                 table = analysis.feed(scan)
                 if table is not None:
-                    self._outputs[analysis.topic.name].publish(codec.encode(table))
+                    self.send(analysis.topic, codec.encode(table))
 
 
 def _gap(settings: AnalysisSettings) -> float:

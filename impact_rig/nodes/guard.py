@@ -73,35 +73,6 @@ def _each(args: tuple[Any, ...]) -> tuple[Any, ...]:
     return args[0] if len(args) == 1 and type(args[0]) is tuple else args
 
 
-def guarded_service(callback: Callable[[Any, Any], Any], report: Report, refuse: Report) -> Callable[[Any, Any], Any]:
-    """Return a service callback that always answers: an exception gives `success = False` with the message.
-
-    An error this package raises on purpose is a refusal, as is an answer without success; any other is a failure.
-    """
-    name = _name(callback).removeprefix("on_")
-
-    @functools.wraps(callback)
-    def safe(request: Any, response: Any) -> Any:
-        try:
-            answer = callback(request, response)
-        except ImpactRigError as error:
-            message = str(error)
-            refuse(name, message)
-        except Exception as error:  # see `guarded`
-            message = describe(error)
-            report(_name(callback), message)
-        else:
-            if not answer.success:
-                refuse(name, answer.message)
-            return answer
-        response.success = False
-        if hasattr(response, "message"):
-            response.message = message
-        return response
-
-    return safe
-
-
 def guarded_answer(callback: Callable[[Any, Any], Any], refuse: Callable[[str], None]) -> Callable[[Any, Any], Any]:
     """Return a callback of any service, rclpy's own included, that answers a request it cannot digest with a refusal.
 
@@ -132,7 +103,7 @@ def describe(error: BaseException) -> str:
     return f"{type(error).__name__}: {error}{where}"
 
 
-def in_words(error: Exception) -> str:
+def in_words(error: BaseException) -> str:
     """Return why something was refused: our own errors say it in their words, what is unexpected is described."""
     return str(error) if isinstance(error, ImpactRigError) else describe(error)
 

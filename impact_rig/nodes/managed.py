@@ -4,19 +4,21 @@
 
 It configures and activates itself (`autostart`), survives invalid transition requests and callback exceptions (both end
 a plain Jazzy Python node), takes parameters through one validator, and reports at 1 Hz and on change. A subclass fills
-in what happens on configure, activate, deactivate and clean up. Its services may answer later (`DeferredService`).
+in what happens on configure, activate, deactivate and clean up. Its services may answer later.
 """
 
 from __future__ import annotations
 
+import contextlib
 import enum
-import functools
 import secrets
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, ClassVar, Generic, TypeVar  # rclpy is untyped
 
+import attrs
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from lifecycle_msgs.srv import ChangeState
 from rcl_interfaces.msg import SetParametersResult
 from rcl_interfaces.srv import SetParameters
@@ -28,18 +30,16 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 
 from impact_rig import codec, states, topics
 from impact_rig.blocks import Table
+from impact_rig.config.tree import Tree
 from impact_rig.errors import CodecError, ImpactRigError, visible
-from impact_rig.nodes import diagnostics, messages
-from impact_rig.nodes.diagnostics import CpuMeter, Health, Level, State
-from impact_rig.nodes.guard import Refusals, describe, guarded, guarded_answer, guarded_service, in_words
-from impact_rig.nodes.parameters import Parameters, Schema, set_one_by_one
+from impact_rig.nodes import messages
+from impact_rig.nodes.guard import Refusals, describe, guarded, guarded_answer, in_words
+from impact_rig.nodes.parameters import Parameters, Proposal, set_one_by_one
 
-S = TypeVar("S")
+S = TypeVar("S", bound=attrs.AttrsInstance)
 
-Answer = tuple[bool, str]
-"""`success` and `message` of `std_srvs/Trigger` and `std_srvs/SetBool`."""
 Done = Callable[[bool, str], None]
-"""Takes `success` and `message`, once."""
+"""Answers a request of `std_srvs/Trigger` or `std_srvs/SetBool`: takes `success` and `message`, once."""
 
 DIAGNOSTICS_PERIOD_S = 1.0
 CHANGE_PERIOD_S = 0.1
@@ -52,12 +52,67 @@ WARN_PERIOD_S = 1.0
 """Least time between two warnings of one reason."""
 
 
+class Level(enum.IntEnum):
+    """Levels of `diagnostic_msgs/DiagnosticStatus`, in order of gravity."""
+
+    OK = 0
+    WARN = 1
+    ERROR = 2
+
+
+@attrs.frozen
+class State:
+    """What a node does, in one word of `impact_rig.states`.
+
+    Attributes:
+        word: the gravest that is true.
+        reason: why, for people; empty where the word says it all.
+        since_ns: rig time at which it began; None: when the node came to say so.
+    """
+
+    word: enum.StrEnum
+    reason: str = ""
+    since_ns: int | None = None
+
+
+@attrs.frozen
+class Health:
+    """How one node is, for people: level, one sentence, figures."""
+
+    level: Level
+    message: str
+    values: Mapping[str, object]
+
+
+@attrs.define
+class CpuMeter:
+    """Share of one core this process used since the last call [%]."""
+
+    clock: Callable[[], float] = time.monotonic
+    used: Callable[[], float] = time.process_time
+    _last: tuple[float, float] | None = None
+
+    def percent(self) -> float:
+        """Return the share since the last call; 0 at the first."""
+        now = (self.clock(), self.used())
+        before, self._last = self._last, now
+        if before is None or now[0] <= before[0]:
+            return 0.0
+        return 100.0 * (now[1] - before[1]) / (now[0] - before[0])
+
+
+def worst(*statuses: tuple[Level, str]) -> tuple[Level, str]:
+    """Return the gravest of several (level, message), messages of that level joined; ("OK", "") gives OK."""
+    level = max((found for found, _ in statuses), default=Level.OK)
+    return level, "; ".join(message for found, message in statuses if found == level and message)
+
+
 class ManagedNode(LifecycleNode, Generic[S]):
     """A lifecycle node with guards, validated parameters and diagnostics.
 
     Args:
         name: node name.
-        schema: the node's parameters.
+        tree: the node's parameters.
         kwargs: passed to rclpy's Node (context, namespace, parameter_overrides, ...).
     """
 
@@ -68,7 +123,7 @@ class ManagedNode(LifecycleNode, Generic[S]):
     MAKES_TIME: ClassVar[bool] = False
     """Whether its clock is what others follow, so that it can follow nobody's."""
 
-    def __init__(self, name: str, schema: Schema[S], **kwargs: Any) -> None:
+    def __init__(self, name: str, tree: Tree[S], **kwargs: Any) -> None:
         super().__init__(name, **kwargs)
         self.is_told_to_end: Callable[[], bool] = lambda: False
         """Whether the process is about to end: that others end as well is no news then."""
@@ -76,9 +131,13 @@ class ManagedNode(LifecycleNode, Generic[S]):
         """Whether a client asked for the end of the process."""
         self.steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.refusals = Refusals()
-        self.parameters = Parameters(self, schema, kwargs.get("cli_args") or sys.argv, self.MAKES_TIME)
+        self.parameters = Parameters(self, tree, kwargs.get("cli_args") or sys.argv, self.MAKES_TIME)
+        self.outputs: dict[str, Publisher] = {}
+        """Publishers by topic, made by `offer`; they end with the configuration."""
+        self.activation = contextlib.ExitStack()
+        """What ends with the activation, after `deactivate`: see `hear`, `tick`."""
         self.add_on_set_parameters_callback(self._on_set_parameters)
-        self._proposed: S | None = None
+        self._proposed: Proposal[S] | None = None
         self._guard_transitions()
         self._cpu = CpuMeter()
         self._last_error: tuple[float, str] = (-ERROR_MEMORY_S, "")
@@ -103,10 +162,10 @@ class ManagedNode(LifecycleNode, Generic[S]):
         """Begin to work."""
 
     def deactivate(self) -> None:
-        """Stop working; configuration stays."""
+        """Stop working, if it works; what `offer` made stays."""
 
     def cleanup(self) -> None:
-        """Free what `configure` made; must not fail when that failed half-way."""
+        """Free what else `configure` made; must not fail when that failed half-way."""
 
     def settings_changed(self, settings: S, changes: dict[str, Any]) -> None:
         """Take validated new settings; an exception refuses the set."""
@@ -124,7 +183,7 @@ class ManagedNode(LifecycleNode, Generic[S]):
 
     def autostarts(self) -> bool:
         """Say whether the node configures and activates itself."""
-        return True
+        return bool(getattr(self.settings, "autostart", True))
 
     def rig_time_ns(self) -> int | None:
         """Return the time that stamps diagnostics: rig time in a node that follows it, here the node's clock.
@@ -168,6 +227,23 @@ class ManagedNode(LifecycleNode, Generic[S]):
         """Create a guarded timer on the monotonic clock: neither sim time nor a clock step moves it."""
         return self.create_timer(period_s, guarded(callback, self.report_failure), clock=self.steady)
 
+    def tick(self, period_s: float, callback: Callable[[], None]) -> None:
+        """Call back with a period, until the activation ends."""
+        self.activation.callback(self.destroy_timer, self.steady_timer(period_s, callback))
+
+    def offer(self, *chosen: topics.Topic) -> None:
+        """Create the publishers of some topics, for as long as the node is configured."""
+        self.outputs |= {topic.name: self.publisher(topic) for topic in chosen}
+
+    def send(self, topic: topics.Topic, message: Any) -> None:
+        """Publish a message, or its CDR bytes, on a topic that is offered."""
+        self.outputs[topic.name].publish(message)
+
+    def hear(self, *subscriptions: Any) -> None:
+        """Let subscriptions end with the activation."""
+        for subscription in subscriptions:
+            self.activation.callback(self.destroy_subscription, subscription)
+
     def publisher(self, topic: topics.Topic, depth: int | None = None) -> Publisher:
         """Create the publisher of a row of the topics table, perhaps less deep; `qos_overrides` parameters apply."""
         profile = messages.profile(topic.qos)
@@ -210,21 +286,33 @@ class ManagedNode(LifecycleNode, Generic[S]):
             self.refuse(topic.name, str(error))
             return None
 
-    def service(self, service_type: Any, name: str, callback: Callable[[Any, Any], Any]) -> Any:
-        """Create a guarded service; private names (`~/name`) are the convention.
+    def service(self, service_type: Any, name: str, on_request: Callable[[Any, Done], None]) -> None:
+        """Create a service of `std_srvs`; private names (`~/name`) are the convention.
 
-        What a call changes is reported at once.
+        Args:
+            service_type: `Trigger` or `SetBool`.
+            name: service name.
+            on_request: called with each request and with what answers it, now or later. An error of this package is a
+                refusal, any other a failure: both are answered. What a call changes is reported at once.
         """
-        safe = guarded_service(callback, self.report_failure, self.refuse)
+        reason = name.removeprefix("~/")
 
-        @functools.wraps(callback)
-        def serve(request: Any, response: Any) -> Any:
+        def answer(request: Any, send: Callable[[Any], None]) -> None:
+            def done(success: bool, message: str) -> None:
+                if not success:
+                    self.refuse(reason, message)
+                send(service_type.Response(success=success, message=message))
+
             try:
-                return safe(request, response)
-            finally:
-                self.report_change()
+                on_request(request, done)
+            except ImpactRigError as error:
+                done(False, str(error))
+            except Exception as error:  # nothing a request causes may end the process
+                self.report_failure(reason, describe(error))
+                send(service_type.Response(success=False, message=describe(error)))
+            self.report_change()
 
-        return self.create_service(service_type, name, serve)
+        LateService(self, service_type, name, answer)
 
     def report_failure(self, where: str, message: str) -> None:
         """Log an exception that a guard caught, and show it in diagnostics."""
@@ -252,7 +340,7 @@ class ManagedNode(LifecycleNode, Generic[S]):
         if self.parameters.refused is not None:
             return self._failed("configure", self.parameters.refused)
         self._last_error = (-ERROR_MEMORY_S, "")
-        done = self._transition("configure", self.configure, undo=self.cleanup)
+        done = self._transition("configure", self.configure, undo=self._free)
         if done == TransitionCallbackReturn.SUCCESS:
             self.get_logger().info("configured")
         return done
@@ -260,7 +348,7 @@ class ManagedNode(LifecycleNode, Generic[S]):
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Begin to work."""
         self._instance = secrets.token_hex(INSTANCE_BYTES)
-        done = self._transition("activate", self.activate, undo=self.deactivate)
+        done = self._transition("activate", self.activate, undo=self._stop)
         if done != TransitionCallbackReturn.SUCCESS:
             return done
         self.get_logger().info("active")
@@ -268,35 +356,40 @@ class ManagedNode(LifecycleNode, Generic[S]):
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Stop working."""
-        self._transition("deactivate", self.deactivate)
+        self._transition("deactivate", self._stop)
         self.get_logger().info("deactivated")
         return super().on_deactivate(state)
 
     def on_cleanup(self, _state: LifecycleState) -> TransitionCallbackReturn:
-        """Free everything."""
-        return self._transition("clean up", self.cleanup)
+        """Stop and free everything, from any state; the node can be configured again, unless it is finalized."""
+        return self._transition("clean up", self._free)
 
-    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Stop and free everything, from any state."""
-        if state.label == "active":
-            self._transition("deactivate", self.deactivate)
-        return self._transition("clean up", self.cleanup)
-
-    def on_error(self, _state: LifecycleState) -> TransitionCallbackReturn:
-        """Free everything; the node is unconfigured and can be configured again."""
-        return self._transition("clean up", self.cleanup)
+    on_shutdown = on_cleanup
+    on_error = on_cleanup
 
     def close(self) -> None:
         """Stop working before the process ends, without ROS if it is already down."""
-        if self.active:
-            self._transition("deactivate", self.deactivate)
-        self._transition("clean up", self.cleanup)
+        self._transition("clean up", self._free)
         self.get_logger().info("ended")
 
     def destroy_node(self) -> None:
         """Destroy the node with its state machine, which rclpy forgets: that would keep the node in the graph."""
         super().destroy_node()
         self._state_machine.destroy_when_not_in_use()
+
+    def _stop(self) -> None:
+        try:
+            self.deactivate()
+        finally:
+            self.activation.close()
+
+    def _free(self) -> None:
+        try:
+            self._stop()
+        finally:
+            self.cleanup()
+            while self.outputs:
+                self.destroy_publisher(self.outputs.popitem()[1])
 
     def _transition(
         self, what: str, action: Callable[[], None], undo: Callable[[], None] | None = None
@@ -354,10 +447,10 @@ class ManagedNode(LifecycleNode, Generic[S]):
     def _attempt(self, parameter_list: list[Parameter]) -> SetParametersResult:
         """Set all or none."""
         try:
-            stored, self._proposed = self.parameters.check(parameter_list)
-            result = super().set_parameters_atomically(stored)
+            self._proposed = proposed = self.parameters.check(parameter_list)
+            result = super().set_parameters_atomically(proposed.stored)
             if result.successful:
-                self.parameters.settings = self._proposed
+                self.parameters.settings = proposed.settings
                 self.settings_in_force()
                 self.report_change()
         except Exception as error:  # a set is refused with its reason, never fatal
@@ -383,9 +476,8 @@ class ManagedNode(LifecycleNode, Generic[S]):
         if self._proposed is None:  # rclpy declares a parameter of its own (qos_overrides)
             return SetParametersResult(successful=True)
         try:
-            changes = self.parameters.changes(self._proposed)
-            if changes:
-                self.settings_changed(self._proposed, changes)
+            if self._proposed.changes:
+                self.settings_changed(self._proposed.settings, self._proposed.changes)
         except Exception as error:  # a set is refused with its reason, never fatal
             return SetParametersResult(successful=False, reason=in_words(error))
         return SetParametersResult(successful=True)
@@ -434,16 +526,23 @@ class ManagedNode(LifecycleNode, Generic[S]):
             **{f"refused.{reason}": count for reason, count in sorted(self.refusals.counts.items())},
             **{f"last_refused.{reason}": text for reason, text in sorted(self.refusals.last.items())},
         }
-        full = Health(level, message, values)
-        name = f"{self.get_fully_qualified_name().lstrip('/')}: {self.COMPONENT}"
-        hardware = f"impact_rig{self.get_namespace()}".rstrip("/")
-        self._diagnostics.publish(diagnostics.to_message(name, hardware, full, now_ns or 0))
+        one = DiagnosticStatus(
+            level=bytes([level]), name=f"{self.get_fully_qualified_name().lstrip('/')}: {self.COMPONENT}",
+            message=message, hardware_id=f"impact_rig{self.get_namespace()}".rstrip("/"),
+            values=[
+                KeyValue(key=key, value=f"{value:.6g}" if isinstance(value, float) else str(value))
+                for key, value in values.items()
+            ],
+        )  # fmt: skip
+        array = DiagnosticArray(status=[one])
+        array.header.stamp = messages.time_message(now_ns or 0)
+        self._diagnostics.publish(array)
 
     def _judged(self, status: Health) -> tuple[Level, str]:
         """Return the node's own status, or the last error while it is fresh."""
         at, message = self._last_error
         if time.monotonic() - at < ERROR_MEMORY_S:
-            return diagnostics.worst((status.level, status.message), (Level.ERROR, message))
+            return worst((status.level, status.message), (Level.ERROR, message))
         return status.level, status.message
 
 
@@ -482,62 +581,3 @@ class LateService:
 
     def _begin(self, _marker: Any, header: Any) -> None:
         self._on_request(self._request, lambda response: self._send(response, header))
-
-
-class DeferredService:
-    """A service of `std_srvs` whose requests may be answered by `reply`.
-
-    Args:
-        node: owner; counts refusals.
-        service_type: `Trigger` or `SetBool`.
-        name: service name.
-        accept: called with each request; returns None to defer the answer, or the answer to give at once.
-        registered: called once a deferred request is known, so that it may be answered; work begins here. It must not
-            raise.
-    """
-
-    def __init__(
-        self,
-        node: ManagedNode[Any],
-        service_type: Any,
-        name: str,
-        accept: Callable[[Any], Answer | None],
-        registered: Callable[[], None],
-    ) -> None:
-        self._type = service_type
-        self._refuse = functools.partial(node.refuse, name.removeprefix("~/"))
-        self._accept = accept
-        self._registered = registered
-        self._waiting: list[Done] = []
-        self._service = LateService(node, service_type, name, self._on_request)
-
-    @property
-    def waiting(self) -> int:
-        """Requests not answered yet."""
-        return len(self._waiting)
-
-    def wait(self, done: Done) -> None:
-        """Let somebody of this process wait as a client does whose request was deferred."""
-        self._waiting.append(done)
-        self._registered()
-
-    def reply(self, success: bool, message: str) -> None:
-        """Answer every waiting request."""
-        waiting, self._waiting = self._waiting, []
-        for done in waiting:
-            done(success, message)
-
-    def _on_request(self, request: Any, send: Callable[[Any], None]) -> None:
-        def done(success: bool, message: str) -> None:
-            if not success:
-                self._refuse(message)
-            send(self._type.Response(success=success, message=message))
-
-        try:
-            answer = self._accept(request)
-        except Exception as error:  # as `guarded_service`: nothing a request causes may end the process
-            answer = False, describe(error)
-        if answer is None:
-            self.wait(done)
-        else:
-            done(*answer)

@@ -1,6 +1,8 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""Messages: classes and qualities of service of the topic table's rows, stamps, and messages made once as bytes.
+"""Every topic of the graph, with what rclpy wants of each: classes, qualities of service, stamps, messages as bytes.
+
+The table at the ground (`impact_rig.topics`) is completed by the monitors of instruments and the analyses of blocks.
 
 Filling a message object and serialising it takes 30 to 60 µs in Python, writing its numbers into bytes one or two: a
 `Template` does that for messages whose sequences and texts keep their lengths, so that every number keeps its place
@@ -16,12 +18,51 @@ from typing import Any  # message classes have no common base
 from builtin_interfaces.msg import Time
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import serialize_message
+from rosgraph_msgs.msg import Clock
 
-from impact_rig import codec
+from impact_rig import codec, topics
+from impact_rig.analysis.blockwise import ANALYSES
+from impact_rig.instruments.registry import INSTRUMENTS
 from impact_rig.simtime import NS_PER_S
 from impact_rig.topics import Qos, Topic
 
 _MARK = struct.unpack("<f", b"\x13\x57\x9b\x71")[0]  # exact in both precisions, and no number of a message of ours
+
+MONITORS = {name: instrument.monitor for name, instrument in INSTRUMENTS.items() if instrument.monitor is not None}
+"""The topic of each instrument that has one, by channel."""
+
+ENVELOPES = {name: topics.envelope(name, kind.unit) for name, kind in INSTRUMENTS.items()}
+"""The envelope of each channel."""
+SPECTRA = {name: topics.spectrum(name, INSTRUMENTS[name].unit) for name in ("laser", "accelerometer")}
+"""The amplitude spectrum of each channel that has one."""
+
+_MONITORS_FROM = topics.TOPICS.index(topics.INFO) + 1
+_ANALYSES_FROM = topics.TOPICS.index(topics.IMPACTS) + 1
+_PLOTS_FROM = topics.TOPICS.index(topics.PLOT_PULSES) + 1
+
+TOPICS: tuple[Topic, ...] = (
+    *topics.TOPICS[:_MONITORS_FROM],
+    *MONITORS.values(),
+    *topics.TOPICS[_MONITORS_FROM:_ANALYSES_FROM],
+    *(analysis.topic for analysis in ANALYSES),
+    *topics.TOPICS[_ANALYSES_FROM:_PLOTS_FROM],
+    *SPECTRA.values(),
+    *ENVELOPES.values(),
+    *topics.TOPICS[_PLOTS_FROM:],
+)
+"""Every topic of the interface, in the order of the documentation."""
+
+
+def by_name(name: str) -> Topic:
+    """Return the topic of this (relative or absolute) name.
+
+    Raises:
+        KeyError: there is none.
+    """
+    return _BY_NAME[name]
+
+
+_BY_NAME = {topic.name: topic for topic in TOPICS}
 
 
 def class_of(topic: Topic) -> Any:
@@ -108,3 +149,7 @@ def _find(message: Any, path: str) -> tuple[struct.Struct, int]:
     offsets = {kind: marked.find(struct.pack(kind, _MARK)) for kind in ("<d", "<f")}
     kind = next(kind for kind, offset in offsets.items() if offset >= 0)
     return struct.Struct(kind), offsets[kind]
+
+
+CLOCK = Template(Clock())
+"""`/clock`: nothing but a stamp."""

@@ -12,8 +12,7 @@ from __future__ import annotations
 import array
 import itertools
 from collections.abc import Callable, Iterable, Mapping
-from pathlib import Path
-from typing import Any, Generic, Protocol, TypeVar  # Any: rclpy messages
+from typing import Any, Generic, TypeVar  # Any: rclpy messages
 
 import attrs
 import yaml
@@ -22,14 +21,11 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from impact_rig.config import FieldInfo
-from impact_rig.config.fields import METADATA_KEY, info
+from impact_rig.config.tree import Tree, Value
 from impact_rig.errors import ConfigError
 from impact_rig.nodes.guard import describe
-from impact_rig.rig import config
-from impact_rig.rig.config import RigConfig
 
-Value = bool | int | float | str | tuple[str, ...] | tuple[float, ...]
-S = TypeVar("S")
+S = TypeVar("S", bound=attrs.AttrsInstance)
 Attempt = Callable[[list[Parameter]], SetParametersResult]
 """Sets some parameters together, or says why not."""
 
@@ -48,102 +44,36 @@ SIM_TIME = "use_sim_time"
 NO_SIM_TIME = "must be false here: this node makes the time that others follow"
 
 
-class Schema(Protocol[S]):
-    """What a node's parameters are: names, meanings, defaults and the validator."""
+@attrs.frozen
+class Proposal(Generic[S]):
+    """A set of parameters that the validator has accepted.
 
-    def fields(self) -> Iterable[tuple[str, FieldInfo, Value]]:
-        """Yield (name, meaning, default)."""
-
-    def default(self) -> S:
-        """Return the settings with every value at its default."""
-
-    def changed(self, settings: S, changes: Mapping[str, object]) -> S:
-        """Return `settings` with `changes`; ConfigError names key, value and range."""
-
-    def flat(self, settings: S) -> Mapping[str, Value]:
-        """Return every value by name."""
-
-    def load(self, path: Path) -> S:
-        """Return the settings in a file; ConfigError names the file as well."""
-
-
-class RigSchema:
-    """The rig's parameters: one per value of `RigConfig`, named `section.key`."""
-
-    def fields(self) -> Iterable[tuple[str, FieldInfo, Value]]:
-        """Yield (name, meaning, default)."""
-        return config.fields()
-
-    def default(self) -> RigConfig:
-        """Return the paper's rig."""
-        return RigConfig()
-
-    def changed(self, settings: RigConfig, changes: Mapping[str, object]) -> RigConfig:
-        """Return `settings` with `changes`."""
-        return config.from_flat(settings, changes)
-
-    def flat(self, settings: RigConfig) -> Mapping[str, Value]:
-        """Return every value by name."""
-        return config.to_flat(settings)
-
-    def load(self, path: Path) -> RigConfig:
-        """Return the configuration in a file."""
-        return config.load(path)
-
-
-class SectionSchema(Generic[S]):
-    """The parameters of a node that are one flat section: an attrs class made of `impact_rig.config.fields`.
-
-    Args:
-        section: the class.
+    Attributes:
+        stored: the parameters as they will be stored.
+        settings: all of them as one value.
+        changes: the values that are new, by name.
     """
 
-    def __init__(self, section: Callable[[], S]) -> None:
-        self._section = section
-        assert isinstance(section, type)
-        self._infos = {a.name: info(a) for a in attrs.fields(section) if METADATA_KEY in a.metadata}
-
-    def fields(self) -> Iterable[tuple[str, FieldInfo, Value]]:
-        """Yield (name, meaning, default)."""
-        default = self._section()
-        for name, about in self._infos.items():
-            yield name, about, getattr(default, name)
-
-    def default(self) -> S:
-        """Return the section's defaults."""
-        return self._section()
-
-    def changed(self, settings: S, changes: Mapping[str, object]) -> S:
-        """Return `settings` with `changes`."""
-        for name in changes:
-            if name not in self._infos:
-                raise ConfigError(f"unknown key {name!r}, known are {', '.join(self._infos)}")
-        return attrs.evolve(settings, **changes)  # type: ignore[misc]  # S is an attrs class
-
-    def flat(self, settings: S) -> Mapping[str, Value]:
-        """Return every value by name."""
-        return {name: getattr(settings, name) for name in self._infos}
-
-    def load(self, path: Path) -> S:
-        """Refuse: these nodes take ROS parameter files only."""
-        raise ConfigError(f"this node has no config_file, got {path}")
+    stored: list[Parameter]
+    settings: S
+    changes: dict[str, Value]
 
 
 class Parameters(Generic[S]):
-    """The parameters of one node: declared from a schema, changed only through its validator.
+    """The parameters of one node: declared from a tree of settings, changed only through its validator.
 
     Args:
         node: owner; its `set_parameters_atomically` asks `check` first.
-        schema: names, meanings and validator.
+        tree: names, meanings and validator.
         arguments: command line, to name the parameter files in an error of the start-up values.
         makes_time: the node is where rig time comes from: it cannot follow anybody's.
     """
 
-    def __init__(self, node: Node, schema: Schema[S], arguments: Iterable[str] = (), makes_time: bool = False) -> None:
+    def __init__(self, node: Node, tree: Tree[S], arguments: Iterable[str] = (), makes_time: bool = False) -> None:
         self._makes_time = makes_time
         self._node = node
-        self._schema = schema
-        self._infos = {name: about for name, about, _ in schema.fields()}
+        self._tree = tree
+        self._infos = {name: about for name, about, _ in tree.fields()}
         self.refused: ConfigError | None = None
         """Why the values given at start were refused; the settings are then the defaults."""
         # rclpy has no public accessor of the overrides, and declaring them one by one would stop at the first bad one
@@ -151,7 +81,7 @@ class Parameters(Generic[S]):
         self.settings = self._at_start(given, _files(arguments))
         if makes_time and given.get(SIM_TIME) is True:
             self.refused = ConfigError(f"{SIM_TIME} {NO_SIM_TIME}")
-        for name, value in schema.flat(self.settings).items():
+        for name, value in tree.to_flat(self.settings).items():
             found = descriptor(self._infos[name], value)
             node.declare_parameter(name, _to_ros(value), found, ignore_override=True)
         about = ParameterDescriptor(description="Configuration file to start from.", read_only=True)
@@ -161,14 +91,14 @@ class Parameters(Generic[S]):
         ours = {name: _from_ros(value) for name, value in given.items() if not name.startswith(_FOREIGN)}
         try:
             path = ours.pop(CONFIG_FILE, "")
-            base = self._schema.load(Path(str(path))) if path else self._schema.default()
-            return self._schema.changed(base, ours)
+            base = self._tree.load(str(path)) if path else self._tree.root()
+            return self._tree.from_flat(base, ours)
         except ConfigError as error:
             self.refused = ConfigError(f"{error}{files}")
-            return self._schema.default()
+            return self._tree.root()
 
-    def check(self, wanted: list[Parameter]) -> tuple[list[Parameter], S]:
-        """Return the parameters as they will be stored, and the settings with them.
+    def check(self, wanted: list[Parameter]) -> Proposal[S]:
+        """Return what setting these parameters comes to.
 
         What is fixed and comes back as it is, as in `ros2 param load` of a dump, is left out.
 
@@ -182,18 +112,18 @@ class Parameters(Generic[S]):
                 raise ConfigError(f"{SIM_TIME} {NO_SIM_TIME}")
             if not parameter.name.startswith(_FOREIGN):
                 changes[parameter.name] = _from_ros(parameter.value)
-        settings = self._schema.changed(self.settings, changes)
-        values = self._schema.flat(settings)
+        settings = self._tree.from_flat(self.settings, changes)
+        values, before = self._tree.to_flat(settings), self._tree.to_flat(self.settings)
         stored = [
             Parameter(p.name, value=_to_ros(values[p.name])) if p.name in changes and values[p.name] != () else p
             for p in wanted
         ]
-        return stored, settings
+        return Proposal(stored, settings, {name: value for name, value in values.items() if value != before[name]})
 
     def _unchanged(self, parameter: Parameter) -> bool:
         """Whether a parameter that is fixed, or a text, is given as it is; ConfigError if a fixed one is not."""
         if not self._node.has_parameter(parameter.name):
-            return False  # the schema, or rclpy, refuses it by name
+            return False  # the tree, or rclpy, refuses it by name
         given, present = _from_ros(parameter.value), _from_ros(self._node.get_parameter(parameter.name).value)
         loaded = _as_loaded(present)
         same = given == present or (type(given) is type(loaded) and given == loaded)
@@ -201,11 +131,6 @@ class Parameters(Generic[S]):
         if fixed and not same:
             raise ConfigError(f"{parameter.name} can be set at start only (parameter file or -p), it is read-only")
         return same and (fixed or isinstance(present, str))
-
-    def changes(self, settings: S) -> dict[str, Value]:
-        """Return what differs between the present settings and `settings`."""
-        before = self._schema.flat(self.settings)
-        return {name: value for name, value in self._schema.flat(settings).items() if value != before[name]}
 
 
 def set_one_by_one(messages: list[Any], attempt: Attempt) -> list[SetParametersResult]:

@@ -26,11 +26,9 @@ from impact_rig import codec, topics
 from impact_rig.errors import ImpactRigError, RecordingError
 from impact_rig.nodes import messages
 from impact_rig.nodes.acknowledgements import AckWindow, Readers
-from impact_rig.nodes.guard import guarded_service
-from impact_rig.nodes.monitors import CLOCK
+from impact_rig.nodes.messages import TOPICS
 from impact_rig.nodes.pacing import Pacer
 from impact_rig.nodes.process import make_executor
-from impact_rig.nodes.topics import TOPICS
 from impact_rig.recording import Message, RecordedTopic, Run
 from impact_rig.recording.description import matches
 from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S
@@ -118,7 +116,7 @@ class Player:
         self._pacer = Pacer(time.monotonic_ns, factor or 1.0)
         ack = self._scan.removesuffix(topics.SCAN.name) + topics.ACK.name
         node.create_subscription(Header, ack, self._on_ack, messages.profile(topics.ACK.qos))
-        node.create_service(SetBool, "~/pause", guarded_service(self._on_pause, self._report, self._report))
+        node.create_service(SetBool, "~/pause", self._on_pause)
         self.paused = paused
         self.now_ns = self.start_ns = self._first_scan_ns()
         self.end_ns = run.end_ns
@@ -143,7 +141,7 @@ class Player:
                 yield from self._rest(self._time_left_s(message.log_time))
             self.now_ns = max(self.now_ns, message.log_time)
             while clock_ns <= message.log_time:
-                self._clock.publish(CLOCK.render(clock_ns))
+                self._clock.publish(messages.CLOCK.render(clock_ns))
                 clock_ns += COMMAND_GRID_NS
             self._publish(message)
         while self._window.outstanding():
@@ -208,6 +206,3 @@ class Player:
         self._pacer.rebase(self.now_ns)
         response.success, response.message = True, "paused" if request.data else "playing"
         return response
-
-    def _report(self, where: str, message: str) -> None:
-        self._node.get_logger().error(f"{where}: {message}")

@@ -15,8 +15,7 @@ from impact_rig.analysis.recent import Recent
 from impact_rig.analysis.spectrum import EVERY_S, WINDOW_S, amplitude_spectrum
 from impact_rig.blocks import Table
 from impact_rig.nodes import messages
-from impact_rig.nodes.messages import Template
-from impact_rig.nodes.topics import ENVELOPES, SPECTRA
+from impact_rig.nodes.messages import ENVELOPES, SPECTRA, Template
 from impact_rig.topics import Topic
 
 VECTOR = ("vector.x", "vector.y", "vector.z")

@@ -14,6 +14,7 @@ from collections import Counter
 from pathlib import Path
 from typing import Any  # rclpy messages and handles
 
+import attrs
 import yaml
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
@@ -21,14 +22,13 @@ from std_srvs.srv import Trigger
 import impact_rig
 from impact_rig import states, topics
 from impact_rig.blocks import Table
+from impact_rig.config.fields import choice, integer, quantity, switch, text
+from impact_rig.config.tree import Tree
 from impact_rig.errors import RecordingError
 from impact_rig.nodes import process
 from impact_rig.nodes.acknowledgements import Acknowledgements
-from impact_rig.nodes.diagnostics import Health, Level, State
-from impact_rig.nodes.managed import Answer, DeferredService, ManagedNode
-from impact_rig.nodes.parameters import SectionSchema
-from impact_rig.nodes.settings import RecorderSettings
-from impact_rig.nodes.topics import TOPICS
+from impact_rig.nodes.managed import Done, Health, Level, ManagedNode, State
+from impact_rig.nodes.messages import TOPICS
 from impact_rig.recording import (
     CONFIGURATION,
     Account,
@@ -56,6 +56,21 @@ QUIET_S = 0.1
 CALIBRATION = "calibration.yaml"
 
 
+@attrs.frozen(kw_only=True)
+class RecorderSettings:
+    """Parameters of the recorder node."""
+
+    directory: str = text("runs", "Where run directories are made.")
+    name: str = text("", "Name of the run directory; empty: run_ and the date and time.")
+    record: bool = switch(True, "Start recording on activation; otherwise with ~/start.", read_only=True)
+    compression: str = choice("zstd", ("none", "lz4", "zstd"), "Compression of the chunks.")
+    max_file_mb: int = integer(0, "MB", "Split files at this size; 0 = never.", at_least=0, at_most=1_000_000)
+    configuration_wait_s: float = quantity(
+        5.0, "s", "How long a start waits for the rig's configuration before it records without.", at_least=0
+    )
+    autostart: bool = switch(True, "Configure and activate by itself at start.", read_only=True)
+
+
 class RecorderNode(ManagedNode[RecorderSettings]):
     """Writes what it receives; acknowledges every block that is written, or that nobody asked it to record.
 
@@ -69,7 +84,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
     STATES = states.Recorder
 
     def __init__(self, **kwargs: Any) -> None:
-        super().__init__("recorder", SectionSchema(RecorderSettings), **kwargs)
+        super().__init__("recorder", Tree(RecorderSettings), **kwargs)
         self._writer: RunWriter | None = None
         self._failure = ""
         self._configuration: str | None = None
@@ -86,31 +101,26 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         self._opened_at = 0.0
         self._opened_ns = 0
         self._scans: Any = None
-        self._permanent: list[Any] = []
         self._recorded: list[Any] = []
-        self._acknowledgements: Acknowledgements | None = None
-        self._timer: Any = None
-        self._begin = DeferredService(self, Trigger, "~/start", self._on_start, self._answer_start)
+        self._acknowledgements = Acknowledgements(self, self._secured)
+        self._starting: list[Done] = []
+        self.service(Trigger, "~/start", self._on_start)
         self.service(Trigger, "~/stop", self._on_stop)
-
-    def autostarts(self) -> bool:
-        """Follow `autostart`."""
-        return self.settings.autostart
 
     def configure(self) -> None:
         """Check that the interfaces are installed; create the acknowledgement's publisher."""
         for type_name in {topic.type_name for topic in TOPICS if topic.recorded}:
             schema_text(type_name)
         environment()  # asked once, and now: nobody waits yet
-        self._acknowledgements = Acknowledgements(self, self._secured)
+        self.offer(topics.ACK)
 
     def activate(self) -> None:
         """Listen for the configuration; record if `record` says so, else only follow the scans."""
         self._failure = ""
         self._configuration, self._configured_at = None, math.inf
         self._newest_ns = None
-        self._permanent = [self.subscribe(topics.CONFIGURATION, self._on_configuration)]
-        self._timer = self.steady_timer(FLUSH_S, self._on_timer)
+        self.hear(self.subscribe(topics.CONFIGURATION, self._on_configuration))
+        self.tick(FLUSH_S, self._on_timer)
         if self.settings.record:
             self._start(patiently=True)
         else:
@@ -119,19 +129,8 @@ class RecorderNode(ManagedNode[RecorderSettings]):
     def deactivate(self) -> None:
         """Finish the run and stop listening."""
         self._finish()
-        if self._timer is not None:
-            self.destroy_timer(self._timer)
-            self._timer = None
-        for subscription in [*self._permanent, *([self._scans] if self._scans is not None else [])]:
-            self.destroy_subscription(subscription)
-        self._permanent, self._scans = [], None
-
-    def cleanup(self) -> None:
-        """Destroy the publisher."""
-        self.deactivate()
-        if self._acknowledgements is not None:
-            self._acknowledgements.destroy()
-            self._acknowledgements = None
+        self._acknowledgements.flush()
+        self._scans = None
 
     def rig_time_ns(self) -> int | None:
         """Return the stamp of the newest block."""
@@ -192,30 +191,33 @@ class RecorderNode(ManagedNode[RecorderSettings]):
 
     # Start and stop
 
-    def _on_start(self, _request: Trigger.Request) -> Answer | None:
+    def _on_start(self, _request: Trigger.Request, done: Done) -> None:
         if not self.active:
-            return False, f"the recorder is {self.state}, activate it first"
+            raise RecordingError(f"the recorder is {self.state}, activate it first")
         if self._writer is not None or self._waiting:
-            return False, f"already recording {self._writer.directory if self._writer else ''}"
+            raise RecordingError(f"already recording {self._writer.directory if self._writer else ''}")
+        self._starting.append(done)
         self._start()
-        return (False, self._failure) if self._failure else None
+        self._answer_start()
 
     def _answer_start(self) -> None:
         """Answer ~/start once the run is open and holds what was published before it."""
         if self._writer is not None and not self._awaited:
-            self._begin.reply(True, str(self._writer.directory))
+            self._answer(True, str(self._writer.directory))
         elif self._failure:
-            self._begin.reply(False, self._failure)
+            self._answer(False, self._failure)
 
-    def _on_stop(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    def _answer(self, success: bool, message: str) -> None:
+        while self._starting:
+            self._starting.pop()(success, message)
+
+    def _on_stop(self, _request: Trigger.Request, done: Done) -> None:
         directory = self._writer.directory if self._writer else None
         self._failure = ""
         self._finish()
         if self.active:
             self._follow_scans()
-        done = str(directory) if directory else "nothing was being recorded"
-        response.success, response.message = not self._failure, self._failure or done
-        return response
+        done(not self._failure, self._failure or (str(directory) if directory else "nothing was being recorded"))
 
     def _start(self, patiently: bool = False) -> None:
         """Open the run, or wait for the configuration that belongs into it; patiently: however late the rig starts."""
@@ -248,6 +250,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
     def _follow_scans(self) -> None:
         if self._scans is None:
             self._scans = self._listen(topics.SCAN)
+            self.hear(self._scans)
 
     def _listen(self, topic: topics.Topic) -> Any:
         """Subscribe with a queue that outlasts a stall: a burst of small messages must not push each other out."""
@@ -289,7 +292,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
             self.destroy_subscription(subscription)
         self._recorded = []
         writer, self._writer = self._writer, None
-        self._begin.reply(False, "recording was stopped")
+        self._answer(False, "recording was stopped")
         if writer is None:
             return
         try:
@@ -330,7 +333,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
             # a rig that is there and does not say what it is
             self._deadline = time.monotonic() + self.settings.configuration_wait_s
         self._open_when_ready()
-        came_late = self._begin.waiting or self._newest_ns is not None  # otherwise the rig has not begun
+        came_late = self._starting or self._newest_ns is not None  # otherwise the rig has not begun
         if self._awaited and came_late and time.monotonic() - self._opened_at > AWAIT_S:
             self.get_logger().warning(f"nothing was heard on {', '.join(sorted(self._awaited))}")
             self._awaited = set()
@@ -356,7 +359,6 @@ class RecorderNode(ManagedNode[RecorderSettings]):
             except RecordingError as error:
                 self._fail(error)
         if table is not None and topic is topics.SCAN and not self._failure:
-            assert self._acknowledgements is not None
             self._newest_ns = table.stamp_ns
             self._acknowledgements.processed(table.stamp_ns)
 

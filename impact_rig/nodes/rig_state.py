@@ -9,11 +9,14 @@ nothing is said twice and a fault that flickers does not flood the log.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+
+import attrs
 
 from impact_rig import states, topics
-from impact_rig.nodes.diagnostics import Health, Level, State, worst
-from impact_rig.nodes.inputs import Inputs
+from impact_rig.nodes.managed import Health, Level, State, worst
+from impact_rig.nodes.session import Session
+from impact_rig.rig import Rig
 from impact_rig.rig.config import RigConfig
 from impact_rig.simtime import NS_PER_S
 
@@ -25,110 +28,58 @@ MOST = 5
 """Faults that are told of at one look; of more only the number."""
 
 
+@attrs.frozen
+class Trouble:
+    """Something to be told of a rig: how bad it is, in which words, and the state that it is, if it is one."""
+
+    level: Level
+    message: str
+    state: State | None = None
+
+
 class RigState:
     """Looks at a rig and puts into words what it sees.
 
     Args:
-        inputs: of the rig.
+        session: of the rig.
     """
 
-    def __init__(self, inputs: Inputs) -> None:
-        self._session, self._steps = inputs.session, inputs.steps
-        self._node = inputs.session.node
+    def __init__(self, session: Session) -> None:
+        self._session, self._node = session, session.node
+        self._rig: Rig | None = None
         self._latched: str | None = None
         self._faults: dict[int, str] = {}
         self._silent: tuple[str, ...] = ()
         self._gone: set[str] = set()
 
-    def begun(self, absent: str) -> None:
-        """Tell the log what runs from scan 0 on.
-
-        Args:
-            absent: peers that did not come in time, with commas between.
-        """
-        self._latched, self._faults, self._silent = None, {}, ()
-        self._info(f"running: {summary(self._node.settings)}")
-        if absent:
-            self._warn(f"scan 0 without {absent}, which did not come in time")
-
     def word(self) -> State:
         """Return what the rig does: what keeps it from beginning or from going on, what holds the shaker, its drive."""
-        session, words = self._session, states.Rig
-        obstacle = session.gate.obstacle() if session.gate is not None else None
+        session = self._session
+        obstacle = session.obstacle()
         if obstacle is not None:
             return obstacle
-        rig, timing = session.rig, self._node.settings.time
-        if rig is None or session.readers is None or session.duplicates is None:  # between two callbacks only
-            return State(words.INACTIVE, self._node.state)
-        others = session.duplicates.sentence()
+        if session.rig is None:  # between two callbacks only
+            return State(states.Rig.INACTIVE, self._node.state)
+        found = next((one.state for one in self._troubles(session.rig) if one.state is not None), None)
+        if found is not None:
+            return found
         missing = () if session.readers.all_matched() else session.readers.missing()
-        silent = () if session.is_realtime else session.window.silent()
-        if others:
-            return State(words.RIVAL, others)
-        if missing and not session.is_realtime:
-            return State(words.NO_PEER, f"waiting for peer {', '.join(missing)}")
-        if silent:
-            return State(words.SILENT_PEER, f"peer {', '.join(silent)} silent for {timing.peer_timeout_s:g} s")
-        if rig.latched is not None:
-            return State(words.TRIPPED, rig.latched)
-        if session.paused:
-            return State(words.PAUSED, "~/pause")
-        if timing.mode == "stepped" and self._steps.is_idle:
-            return State(words.PAUSED, "no step is asked for")
-        if rig.plucked:
-            return State(words.PLUCKED)
         without = f"without peer {', '.join(missing)}" if missing else ""
-        return State(words.DRIVING if rig.amplitude else words.AT_REST, without)
+        return State(states.Rig.DRIVING if session.rig.amplitude else states.Rig.AT_REST, without)
 
     def health(self) -> Health:
         """Return mode, time, lateness, peers, shaker, over-ranges; or why the rig has not begun."""
         session, config = self._session, self._node.settings
-        obstacle = session.gate.obstacle() if session.gate is not None else None
+        obstacle = session.obstacle()
         if obstacle is not None:
             level = Level.ERROR if obstacle.word is states.Rig.RIVAL else Level.WARN
             return Health(level, obstacle.reason, {"mode": config.time.mode})
-        rig, readers, duplicates = session.rig, session.readers, session.duplicates
-        if rig is None or readers is None or duplicates is None:
+        rig = session.rig
+        if rig is None:
             return Health(Level.WARN, self._node.state, {"mode": config.time.mode})
-        pacer, window, counts = session.pacer, session.window, session.counts
-        clock_step_s = (time.time_ns() - time.monotonic_ns() - session.clock_offset_ns) / NS_PER_S
-        realtime = config.time.mode == "realtime"
-        silent = () if realtime else window.silent()
-        missing = () if readers.all_matched() else readers.missing()
-        others = duplicates.sentence()
-        behind = window.behind()
-        troubles = [(Level.OK, f"running, {config.time.mode}")]
-        if session.paused:
-            troubles.append((Level.WARN, "paused"))
-        if others:
-            troubles.append((Level.ERROR, others))
-        if missing and realtime:
-            troubles.append((Level.WARN, f"running without peer {', '.join(missing)}"))
-        elif missing:
-            level = Level.ERROR if readers.overdue(config.time.peer_timeout_s) else Level.WARN
-            troubles.append((level, f"waiting for peer {', '.join(missing)}"))
-        if silent:
-            seconds = f"{config.time.peer_timeout_s:g} s"
-            names = ", ".join(silent)
-            troubles.append((Level.ERROR, f"paused: peer {names} silent for {seconds} (~/pause false goes on without)"))
-        if rig.latched is not None:
-            troubles.append((Level.ERROR, f"shaker latched by {rig.latched}"))
-        if pacer.slips:
-            troubles.append((Level.WARN, "could not keep real time: see slips"))
-        if realtime:
-            per_second = config.daq.rate_hz * config.time.factor / config.daq.block_scans
-            troubles += [
-                (Level.WARN, f"{name} is {count / per_second:.0f} s behind")
-                for name, count in behind.items()
-                if count > SLOW_S * per_second + 1
-            ]
-        if realtime and abs(clock_step_s) > CLOCK_STEP_S:
-            troubles.append((Level.WARN, f"the system clock was moved by {clock_step_s:+.3f} s, stamps were not"))
-        if rig.plucked:
-            troubles.append((Level.OK, "base locked after a pluck"))
-        if counts.faults:
-            troubles.append((Level.OK, f"faults active: {', '.join(counts.faults.values())}"))
-        level, message = worst(*troubles)
+        running = (Level.OK, f"running, {config.time.mode}")
+        level, message = worst(running, *((one.level, one.message) for one in self._troubles(rig)))
+        pacer, counts = session.pacer, session.counts
         energy = rig.simulation.energy()
         lost_j = energy.columns + energy.shaker + energy.contact + energy.friction
         largest = max(abs(energy.work), abs(lost_j), abs(energy.stored))
@@ -153,30 +104,78 @@ class RigState:
             "faults": ", ".join(counts.faults.values()),
             "slips": pacer.slips,
             "slipped_s": pacer.slipped_ns / NS_PER_S,
-            "clock_step_s": clock_step_s,
-            "other_publishers": others,
-            "subscribers": readers.subscribers,
+            "clock_step_s": self._clock_step_s(),
+            "other_publishers": session.duplicates.sentence(),
+            "subscribers": session.readers.subscribers,
             "other_acks": counts.other_acks,
         }
-        late = pacer.lateness() if realtime else None
+        late = pacer.lateness() if session.is_realtime else None
         if late is not None:
             values |= {
                 "lateness_median_ms": late.median_ms,
                 "lateness_p99_ms": late.p99_ms,
                 "lateness_worst_ms": late.worst_ms,
             }
-        values |= {f"behind.{name}": count for name, count in behind.items()}
+        values |= {f"behind.{name}": count for name, count in session.window.behind().items()}
         values |= {f"over_range.{one.name}": counts.over_range[one.name] for one in config.instruments.fitted()}
         return Health(level, message, values)
+
+    def _clock_step_s(self) -> float:
+        return (time.time_ns() - time.monotonic_ns() - self._session.clock_offset_ns) / NS_PER_S
+
+    def _troubles(self, rig: Rig) -> Iterator[Trouble]:
+        """Yield what is to be told of a rig that has begun; of those with a state the gravest comes first."""
+        session, words, readers = self._session, states.Rig, self._session.readers
+        timing, daq, realtime = self._node.settings.time, self._node.settings.daq, session.is_realtime
+        others = session.duplicates.sentence()
+        missing = "" if readers.all_matched() else ", ".join(readers.missing())
+        silent = "" if realtime else ", ".join(session.window.silent())
+        if others:
+            yield Trouble(Level.ERROR, others, State(words.RIVAL, others))
+        if missing and not realtime:
+            waiting = f"waiting for peer {missing}"
+            level = Level.ERROR if readers.overdue(timing.peer_timeout_s) else Level.WARN
+            yield Trouble(level, waiting, State(words.NO_PEER, waiting))
+        if silent:
+            why = f"peer {silent} silent for {timing.peer_timeout_s:g} s"
+            go_on = f"paused: {why} (~/pause false goes on without)"
+            yield Trouble(Level.ERROR, go_on, State(words.SILENT_PEER, why))
+        if rig.latched is not None:
+            yield Trouble(Level.ERROR, f"shaker latched by {rig.latched}", State(words.TRIPPED, rig.latched))
+        if session.paused:
+            yield Trouble(Level.WARN, "paused", State(words.PAUSED, "~/pause"))
+        if session.is_stepped and session.is_idle:
+            yield Trouble(Level.OK, "", State(words.PAUSED, "no step is asked for"))
+        if missing and realtime:
+            yield Trouble(Level.WARN, f"running without peer {missing}")
+        if session.pacer.slips:
+            yield Trouble(Level.WARN, "could not keep real time: see slips")
+        if realtime:
+            per_second = daq.rate_hz * timing.factor / daq.block_scans
+            for name, count in session.window.behind().items():
+                if count > SLOW_S * per_second + 1:
+                    yield Trouble(Level.WARN, f"{name} is {count / per_second:.0f} s behind")
+        if realtime and abs(self._clock_step_s()) > CLOCK_STEP_S:
+            moved = f"the system clock was moved by {self._clock_step_s():+.3f} s, stamps were not"
+            yield Trouble(Level.WARN, moved)
+        if rig.plucked:
+            yield Trouble(Level.OK, "base locked after a pluck", State(words.PLUCKED))
+        if session.counts.faults:
+            yield Trouble(Level.OK, f"faults active: {', '.join(session.counts.faults.values())}")
 
     # The log
 
     def look(self) -> None:
         """Tell the log what has changed since the last look."""
         session = self._session
-        rig, readers, window = session.rig, session.readers, session.window
-        if rig is None or readers is None:
+        rig, window = session.rig, session.window
+        if rig is None:
             return
+        if rig is not self._rig:
+            self._rig, self._latched, self._faults, self._silent = rig, None, {}, ()
+            self._info(f"running: {summary(self._node.settings)}")
+            if session.absent:
+                self._warn(f"scan 0 without {session.absent}, which did not come in time")
         if rig.latched != self._latched:
             self._latched = rig.latched
             if self._latched is None:
@@ -190,7 +189,7 @@ class RigState:
         for name in set(self._silent).difference(silent):
             self._info(f"peer {name} is back")
         self._silent = silent
-        for name in readers.gone(window.heard()):
+        for name in session.readers.gone(window.heard()):
             window.forget(name)
             self._gone.add(name)
             self._warn(f"{name} no longer subscribes to {topics.SCAN.name}")

@@ -1,27 +1,52 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""A rig on the graph: the device itself, what it publishes, who follows it, and how far each of them is."""
+"""A rig on the graph: the device, what it is told, its time, what it publishes, and how far its readers are.
+
+The work is one call into `Rig` for the blocks that are due: by the clock in realtime, otherwise as far as the slowest
+peer allows, and where rig time is stepped or paused only as far as steps were asked for.
+"""
 
 from __future__ import annotations
 
+import functools
 import math
 import time
 from collections import Counter, deque
-from collections.abc import Sequence
+from collections.abc import Callable
 from typing import Any  # values of parameters
 
-from impact_rig import codec, topics
+from std_msgs.msg import Float64
+from std_srvs.srv import SetBool, Trigger
+
+from impact_rig import codec, states, topics
 from impact_rig.errors import CodecError, CommandError
-from impact_rig.instruments.scan import channels_of
+from impact_rig.instruments.section import channels_of
 from impact_rig.nodes.acknowledgements import AckWindow, Readers
-from impact_rig.nodes.managed import ManagedNode
-from impact_rig.nodes.pacing import Pacer
+from impact_rig.nodes.guard import describe
+from impact_rig.nodes.managed import Done, ManagedNode, State
+from impact_rig.nodes.pacing import Pacer, WorkTimer
 from impact_rig.nodes.publishers import Publishers
-from impact_rig.nodes.start import DuplicatePublishers, NamespaceLock, StartGate
+from impact_rig.nodes.start import DuplicatePublishers, NamespaceLock
 from impact_rig.rig import Block, Rig
 from impact_rig.rig.config import RigConfig
 from impact_rig.simtime import NS_PER_S
 
+WORK_S = 0.02
+"""Wall time one call of the work timer may fill before commands and services are looked at."""
+LARGEST_BATCH_S = 0.2
+"""Rig time simulated at once, for the same reason."""
+SMALLEST_BATCH_NS = 50_000_000
+"""Rig time caught up at once in realtime: a rig that is slower than real time must still answer."""
+SHORTEST_PERIOD_S, LONGEST_PERIOD_S = 0.001, 0.05
+AHEAD_PERIOD_S = 0.005
+"""Period of the work timer where acknowledgements drive the work."""
+SLICE_S = 0.02
+"""How long after a call of the timer acknowledgements may drive the work: an executor that hands over the messages of
+one subscription for as long as there are any would never come to services and timers."""
+AWAY_S = 1.0
+"""A gap this long between two calls of the work timer: this process was suspended, not the peers."""
+IDLE_S = 1.0
+"""Who steps in turns asks more often than this: a rig between two steps of a series is not paused."""
 RATE_WINDOW_S = 2.0
 
 
@@ -67,88 +92,144 @@ class Counts:
 
 
 class Session:
-    """Everything of a rig node that begins and ends with its activations.
+    """The rig of a node; it exists from when nobody else is in its place until the node is deactivated.
 
     Args:
         node: the rig's.
     """
+
+    publishers: Publishers
+    """What it publishes; from when the node is configured."""
+    readers: Readers
+    """Who reads its scans, and, below, who else publishes; from when the node is active."""
+    duplicates: DuplicatePublishers
 
     def __init__(self, node: ManagedNode[RigConfig]) -> None:
         self.node = node
         self.lock = NamespaceLock(node)
         self.rig: Rig | None = None
         """The device; None before it has begun."""
-        self.readers: Readers | None = None
-        self.duplicates: DuplicatePublishers | None = None
-        self.gate: StartGate | None = None
-        """Whether it may begin; None once it has."""
         self.pacer = Pacer(time.monotonic_ns)
         self.window = AckWindow((), 1, NS_PER_S, time.monotonic_ns)
         self.counts = Counts()
+        self.absent = ""
+        """Peers that did not come in time, with commas between."""
         self.realised_restitution = math.nan
         """What the contact law really returns: with the paper's law 0.309 for 0.35."""
         self.paused = False
         """Whether rig time stands still, but for steps that are asked for meanwhile."""
-        self.base_ns = self.clock_offset_ns = 0
-        self.history_settled = False
-        self._publishers: Publishers | None = None
-
-    @property
-    def publishers(self) -> Publishers:
-        """What it publishes; only while the node is configured."""
-        assert self._publishers is not None
-        return self._publishers
+        self.clock_offset_ns = 0
+        self._is_still = False  # altogether: since the pause no step has been asked for
+        self._steps_left, self._stepped_at = 0, -IDLE_S  # blocks owed, and when a step was asked for
+        self._stepping: list[Done] = []
+        self._pausing: list[Done] = []
+        self._base_ns = 0
+        self._history_settled = self._active = False
+        self._timer = WorkTimer(node, self._on_timer)
+        self._worked_at = self._slice_began = 0.0
+        self._commands = [
+            node.subscribe(topic, functools.partial(self._on_command, topic.name, key))
+            for topic, key in ((topics.FREQUENCY, "frequency_hz"), (topics.CURRENT, "current_a"))
+        ]
+        node.subscribe(topics.ACK, self._on_ack, raw=True)
+        node.service(Trigger, "~/step", self._on_step)
+        node.service(SetBool, "~/pause", lambda request, done: self.pause(done) if request.data else self.resume(done))
+        for name, act, said in (
+            ("reset", self.reset, "reset: scan 0"),
+            ("stop", Rig.stop, "shaker ramps to zero and stays latched until ~/clear_trip"),
+            ("clear_trip", Rig.clear_trip, "latch released; current stays zero until the next command"),
+            ("pluck", self._pluck, "base locked, structure released; ~/reset unlocks"),
+        ):
+            node.service(Trigger, f"~/{name}", functools.partial(self._act, act, said))
 
     @property
     def is_realtime(self) -> bool:
         """Whether blocks are due by the clock."""
         return self.node.settings.time.mode == "realtime"
 
+    @property
+    def is_stepped(self) -> bool:
+        """Whether rig time moves by steps only, paused or not."""
+        return self.node.settings.time.mode == "stepped"
+
+    @property
+    def is_idle(self) -> bool:
+        """Whether no step is owed, and for a while nobody has asked for one."""
+        return self._steps_left <= 0 and time.monotonic() - self._stepped_at > IDLE_S
+
     # Begin and end
 
     def configure(self) -> None:
         """Create the publishers."""
-        self._publishers = Publishers(self.node, self.node.settings)
+        self.publishers = Publishers(self.node, self.node.settings)
 
     def activate(self) -> None:
-        """Look who else is there, and let the gate decide when scan 0 may be."""
-        config, publishers = self.node.settings, self.publishers
-        self.readers = Readers(self.node, publishers.scan)
-        self.readers.expect(config.time.peers)
-        self.duplicates = DuplicatePublishers(self.node, publishers.names)
-        awaited = self.readers if self.is_realtime else None
-        self.gate = StartGate(self.node, self.lock, self.duplicates, awaited, config.time.start_wait_s)
-        publishers.forget()
-        self.history_settled = False
-        self.counts = Counts()
+        """Begin, once nobody else publishes here; in realtime also once the peers listen, or after `start_wait_s`."""
+        timing = self.node.settings.time
+        self.publishers.forget()
+        self.duplicates = DuplicatePublishers(self.node, self.publishers.names)
+        self.readers = Readers(self.node, self.publishers.scan)
+        self.readers.expect(timing.peers)
+        if self.is_realtime and timing.peers:
+            names = ", ".join(self.readers.missing())
+            self.node.get_logger().info(f"scan 0 waits for {names}, at most {timing.start_wait_s:g} s")
+        self._history_settled, self._active = False, True
+        self._steps_left, self.counts = 0, Counts()
+        self._timer.start(AHEAD_PERIOD_S, 0.0)
+        if self.obstacle() is None:
+            self._begin()
+        else:
+            self.publishers.announce(self.node.settings)
 
-    def begin(self) -> Rig:
+    def obstacle(self) -> State | None:
+        """Return what a rig waits for that has not begun.
+
+        A rig that finds others at its topics waits until they are gone: two rigs in one place would drive each other's
+        shaker and fill one recording. Whoever is there already goes on.
+        """
+        if not self._active or self.rig is not None:
+            return None
+        others = self.duplicates.sentence()
+        if others:
+            return State(states.Rig.RIVAL, f"waiting to be alone: {others}")
+        if not self.lock.take():
+            return State(states.Rig.RIVAL, "waiting to be alone: another rig of this machine is in this namespace")
+        patience_s = self.node.settings.time.start_wait_s
+        if not self.is_realtime or self.readers.all_matched() or self.readers.overdue(patience_s):
+            return None  # the other modes wait block by block
+        names = ", ".join(self.readers.missing())
+        return State(states.Rig.NO_PEER, f"waiting for peer {names}, at most {patience_s:g} s")
+
+    def _begin(self) -> None:
         """Start a new rig: scan 0 is now in realtime, at 0 otherwise."""
         config = self.node.settings
         timing = config.time
+        self.absent = ", ".join(self.readers.missing()) if self.is_realtime else ""
+        for subscription in self._commands:  # given to no rig, or to the one before
+            with subscription.handle:
+                while subscription.handle.take_message(subscription.msg_type, False) is not None:
+                    self.node.refuse("inactive", f"{subscription.topic_name}: it came before this rig began")
         self.clock_offset_ns = time.time_ns() - time.monotonic_ns()
-        self.base_ns = time.time_ns() if self.is_realtime else 0
+        self._base_ns = time.time_ns() if self.is_realtime else 0
         self.pacer = Pacer(time.monotonic_ns, timing.factor)  # beside the stamp: both mean the same instant
-        self.rig = rig = Rig(config, self.base_ns)
-        self.gate = None
+        self.rig = Rig(config, self._base_ns)
         timeout_ns = round(timing.peer_timeout_s * NS_PER_S)
         self.window = AckWindow(timing.peers, timing.ack_window, timeout_ns, time.monotonic_ns)
-        self.flush()
-        self.publish_configuration()
+        self.publishers.changes(self.rig)
+        self._publish_configuration(self.rig)
         if timing.peers and self.is_realtime:
             self.publishers.settle_history()
-        return rig
+        self._worked_at = time.monotonic()
+        self.start_timer()
 
     def deactivate(self) -> None:
-        """End the rig; what was not published is dropped."""
-        self.rig = self.readers = self.duplicates = self.gate = None
+        """End the rig; what was not published is dropped, and whoever waits is told why."""
+        self._timer.stop()
+        self.rig, self._active = None, False
         self.lock.leave()
-
-    def cleanup(self) -> None:
-        """Destroy the publishers."""
-        if self._publishers is not None:
-            self._publishers.destroy()
-            self._publishers = None
+        self.paused = self._is_still = False
+        self._end_steps("the rig was deactivated")
+        _answer(self._pausing, False, "the rig was deactivated")
 
     def running(self) -> Rig:
         """Return the rig.
@@ -156,23 +237,97 @@ class Session:
         Raises:
             CommandError: there is none, and why.
         """
-        if self.rig is None:
-            raise CommandError(self.why_not())
-        return self.rig
-
-    def why_not(self) -> str:
-        """Return why there is no rig to talk to."""
-        obstacle = self.gate.obstacle() if self.gate is not None else None
+        if self.rig is not None:
+            return self.rig
+        obstacle = self.obstacle()
         if obstacle is not None:
-            return f"the rig has not begun, {obstacle.reason}"
-        return f"the rig is {self.node.state}, activate it first"
+            raise CommandError(f"the rig has not begun, {obstacle.reason}")
+        raise CommandError(f"the rig is {self.node.state}, activate it first")
 
-    # Publishing
+    # Work
 
-    def publish(self, blocks: Sequence[Block]) -> None:
-        """Publish blocks, after the changes that act on them."""
-        assert self.rig is not None
-        if self.publishers.changes(self.rig):
+    def start_timer(self) -> None:
+        """Look for work from now on as often as the settings want it."""
+        config, period_s = self.node.settings, AHEAD_PERIOD_S
+        if self.is_realtime:
+            block_s = config.daq.block_scans / config.daq.rate_hz / config.time.factor
+            period_s = min(max(block_s, SHORTEST_PERIOD_S), LONGEST_PERIOD_S)
+        self._timer.start(period_s, self._wait_s() if self.is_realtime else 0.0)
+
+    def _wait_s(self) -> float:
+        """Return the time until the next block is due."""
+        return self.pacer.wait_ns(self.running().block_end_ns(1) - self._base_ns) / NS_PER_S
+
+    def _on_timer(self) -> None:
+        self.work()
+        self._slice_began = time.monotonic()
+        if self.rig is not None and self.is_realtime and not self.paused:
+            self._timer.keep_in_step(self._wait_s())
+
+    def work(self) -> None:
+        """Publish what is due, or as much of it as the time of one call allows; begin first if nothing is in the way.
+
+        An error of the model ends the activation: it cannot go on.
+        """
+        now = time.monotonic()
+        if now - self._worked_at > AWAY_S:
+            self.window.excuse()
+        self._worked_at = now
+        try:
+            if self.rig is None:
+                if self._active and self.obstacle() is None:
+                    self._begin()
+            elif self.is_realtime and not self.paused:
+                self._catch_up(self.rig, now + WORK_S)
+            elif not self._is_still and (self._stepping or not self.paused):
+                self._run_ahead(self.rig, now + WORK_S)
+        except Exception as error:
+            self.node.report_failure("simulation", describe(error))
+            self.node.trigger_deactivate()
+        if self._pausing and (self.window.outstanding() == 0 or self.window.silent()):
+            _answer(self._pausing, True, "paused")
+
+    def _catch_up(self, rig: Rig, deadline: float) -> None:
+        """Publish what is due, or as much of it as the deadline allows: the next call goes on."""
+        due_ns = self._base_ns + self.pacer.due_ns(rig.next_block_ns - self._base_ns)
+        while True:
+            until_ns = min(due_ns, rig.frontier_ns + SMALLEST_BATCH_NS)
+            self._advance(rig, until_ns)
+            if until_ns == due_ns or time.monotonic() > deadline:
+                return
+
+    def _run_ahead(self, rig: Rig, deadline: float) -> None:
+        """Publish as many blocks as the window (and a step) allows, until the deadline."""
+        daq, window = self.node.settings.daq, self.window
+        by_steps = self.paused or self.is_stepped
+        limit = self._steps_left if by_steps else window.window
+        if not self.readers.all_matched():
+            self._refuse_without_peers()
+            return
+        if not self._history_settled:
+            self.publishers.settle_history()
+            self._history_settled = True
+        batch = max(1, round(LARGEST_BATCH_S * daq.rate_hz / daq.block_scans))
+        while limit > 0 and not window.silent():
+            room = min(window.room(), limit, batch)
+            if room < min(limit, batch, (window.window + 1) // 2):
+                break  # waiting for half a window makes batches worth their overhead
+            published = self._advance(rig, rig.block_end_ns(room))
+            if by_steps:
+                self._steps_left -= published
+                limit = self._steps_left
+            if time.monotonic() > deadline:
+                break
+        silent = window.silent() if self._stepping else ()
+        if silent:
+            self._end_steps(f"peer {', '.join(silent)} does not acknowledge")
+        elif self._steps_left <= 0 and self._stepping and window.outstanding() == 0:
+            _answer(self._stepping, True, f"at {rig.next_block_ns / NS_PER_S:.9f} s")
+
+    def _advance(self, rig: Rig, until_ns: int) -> int:
+        """Advance the rig, publish the blocks after the changes that act on them, and return how many there were."""
+        blocks = rig.advance(until_ns)
+        if self.publishers.changes(rig):
             self.node.report_change()  # a trip, for one
         if blocks:
             self.publishers.look()
@@ -181,23 +336,121 @@ class Session:
             if not block.lost:
                 self.window.published(block.scan.stamp_ns)
             if not self.paused:
-                self.pacer.published(block.end_ns - self.base_ns)
+                self.pacer.published(block.end_ns - self._base_ns)
             self.counts.take(block)
         if blocks and self.node.settings.time.publishes_clock:
             self.publishers.clock(blocks[-1].end_ns)
+        return len(blocks)
 
-    def flush(self) -> None:
-        """Publish what an input has changed."""
-        assert self.rig is not None
+    # Steps and pauses
+
+    def step(self, steps: int, done: Done) -> None:
+        """Take so many steps; answered when the last block is out and acknowledged."""
+        self._steps_left += steps * self.node.settings.step.blocks
+        self._stepped_at = time.monotonic()
+        self._stepping.append(done)
+        self._is_still = False  # who steps a paused rig wants what was left of steps before, too
+        self.work()
+
+    def pause(self, done: Done) -> None:
+        """Let rig time stand still; answered when the peers have processed all that was out."""
+        self.running()
+        self.paused = self._is_still = True
+        self._pausing.append(done)
+        self.work()
+        self.node.report_change()
+
+    def resume(self, done: Done) -> None:
+        """Go on, without what a silent peer has missed."""
+        rig = self.running()
+        if self.paused or self.window.silent():  # else it was running: nothing is given up
+            self.paused = self._is_still = False
+            _answer(self._pausing, False, "told to go on")
+            if not self.is_stepped:
+                self._end_steps("told to go on")
+            self.window.forgive()
+            self.pacer.rebase(rig.next_block_ns - self._base_ns)
+            self.start_timer()
+            self.node.report_change()
+        done(True, "running")
+
+    def _end_steps(self, message: str) -> None:
+        """Refuse the steps that wait, and drop what is left of them."""
+        self._steps_left = 0
+        _answer(self._stepping, False, message)
+
+    def _refuse_without_peers(self) -> None:
+        """Refuse steps when a peer has not been there for too long."""
+        patience_s = self.node.settings.time.peer_timeout_s
+        waited = time.monotonic() - self._stepped_at > patience_s
+        if self._stepping and waited and self.readers.overdue(patience_s):
+            self._end_steps(f"peer {', '.join(self.readers.missing())} is not there")
+
+    def _on_step(self, _request: Trigger.Request, done: Done) -> None:
+        self.running()
+        if not self.is_stepped and not self.paused:
+            mode = self.node.settings.time.mode
+            raise CommandError(f"the rig runs in {mode}: pause it first (~/pause), or set time.mode to stepped")
+        self.step(1, done)
+
+    # Other inputs
+
+    def reset(self, rig: Rig) -> None:
+        """Begin again from scan 0."""
+        rig.reset()
+        self.publishers.changes(rig)
+        self.counts.faults.clear()  # planned ones begin anew, and say so
+        self._publish_configuration(rig)
+        self.node.get_logger().info("reset: scan 0")
+
+    def _pluck(self, rig: Rig) -> None:
+        rig.pluck(self.node.settings.pluck.displacement_m)
+
+    def _act(self, act: Callable[[Rig], None], said: str, _request: Trigger.Request, done: Done) -> None:
+        """Do something with the rig, and say what was done."""
+        rig = self.running()
+        act(rig)
+        self.publishers.changes(rig)
+        done(True, said)
+
+    def _on_command(self, name: str, key: str, message: Float64) -> None:
+        if self.rig is None:
+            try:
+                self.running()
+            except CommandError as error:
+                self.node.refuse("inactive", f"{name}: {error}")
+            return
+        try:
+            self.rig.accept(**{key: message.data})
+        except CommandError as error:
+            self.node.refuse(name, str(error))
+            return
+        self.node.get_logger().debug(f"accepted: {key} = {message.data:g}")
         self.publishers.changes(self.rig)
+        self.node.report_change()
 
-    def publish_configuration(self) -> None:
-        """Publish the configuration in force, and the calibration if it is another."""
-        assert self.rig is not None
-        self.publishers.configuration(self.rig)
-        self.realised_restitution = self.rig.simulation.realised_restitution
-
-    # What comes from outside
+    def _on_ack(self, data: bytes) -> None:
+        """Take an acknowledgement, which every reader may send in every mode; one of a peer makes room for work."""
+        if not self._active:
+            return
+        try:
+            stamp, name = codec.header(data)
+        except CodecError as error:
+            self.node.refuse(topics.ACK.name, str(error))
+            return
+        window = self.window
+        if window.newest_ns is None or stamp > window.newest_ns:
+            self.node.refuse(topics.ACK.name, f"{name!r} acknowledged {stamp} ns, which was never published")
+            return
+        if name not in window.readers:
+            if not self.readers.knows(name):
+                self.counts.other_acks += 1
+                return
+            window.watch(name)
+        window.acknowledge(name, stamp)
+        is_awaited = name in window.peers and (self._pausing or not self.is_realtime)
+        if is_awaited and time.monotonic() - self._slice_began < SLICE_S:
+            self.work()
 
     def change(self, settings: RigConfig, changes: dict[str, Any]) -> None:
         """Give the rig there is new settings, which the validator has accepted.
@@ -205,40 +458,30 @@ class Session:
         Raises:
             ImpactRigError: it refuses them; nothing is changed.
         """
-        if self.readers is None:
-            return
-        if "time.peers" in changes:
+        if self._active and "time.peers" in changes:
             self.readers.expect(settings.time.peers)
-            self.history_settled = False
-        if self.rig is None:
+            self._history_settled = False
+        rig = self.rig
+        if rig is None:
             return
-        self.rig.adopt(settings, changes)
-        self.flush()
+        rig.adopt(settings, changes)
+        self.publishers.changes(rig)
         if any(name.startswith(("time.peers", "time.ack_window", "time.peer_timeout")) for name in changes):
             self.window.set_peers(settings.time.peers)
             self.window.window = settings.time.ack_window
             self.window.timeout_ns = round(settings.time.peer_timeout_s * NS_PER_S)
         if "time.factor" in changes:
-            self.pacer.rebase(self.rig.next_block_ns - self.base_ns, settings.time.factor)
-        self.publish_configuration()
+            self.pacer.rebase(rig.next_block_ns - self._base_ns, settings.time.factor)
+        self._publish_configuration(rig)
 
-    def acknowledged(self, data: bytes) -> bool:
-        """Take an acknowledgement, which every reader may send in every mode; return whether it is a peer's."""
-        if self.readers is None:
-            return False
-        try:
-            stamp, name = codec.header(data)
-        except CodecError as error:
-            self.node.refuse(topics.ACK.name, str(error))
-            return False
-        window = self.window
-        if window.newest_ns is None or stamp > window.newest_ns:
-            self.node.refuse(topics.ACK.name, f"{name!r} acknowledged {stamp} ns, which was never published")
-            return False
-        if name not in window.readers:
-            if not self.readers.knows(name):
-                self.counts.other_acks += 1
-                return False
-            window.watch(name)
-        window.acknowledge(name, stamp)
-        return name in window.peers
+    def _publish_configuration(self, rig: Rig) -> None:
+        """Publish the configuration in force, and the calibration if it is another."""
+        self.publishers.configuration(rig)
+        self.realised_restitution = rig.simulation.realised_restitution
+
+
+def _answer(waiting: list[Done], success: bool, message: str) -> None:
+    """Answer all who wait; none of them waits any more, so whatever an answer sets off finds the list empty."""
+    told, waiting[:] = list(waiting), []
+    for done in told:
+        done(success, message)

@@ -15,8 +15,8 @@ from typing import Any  # messages of a package that may be absent
 from impact_rig import __version__
 from impact_rig.errors import CommandError
 from impact_rig.nodes.guard import describe
-from impact_rig.nodes.inputs import Inputs
 from impact_rig.nodes.managed import Done, LateService
+from impact_rig.nodes.session import Session
 
 PACKAGE = "simulation_interfaces"
 OFFERS = {
@@ -36,12 +36,11 @@ class StandardServices:
     """Makes the services, if the package is there, and keeps them.
 
     Args:
-        inputs: of the rig: what these services do in other words.
+        session: of the rig: what these services do in other words.
     """
 
-    def __init__(self, inputs: Inputs) -> None:
-        self._inputs, self._session = inputs, inputs.session
-        self._node = inputs.session.node
+    def __init__(self, session: Session) -> None:
+        self._session, self._node = session, session.node
         self._stopped_ns = -1
         try:
             self._messages = importlib.import_module(f"{PACKAGE}.msg")
@@ -81,16 +80,21 @@ class StandardServices:
         """Return what answers once a pause or a step is over."""
         return lambda success, message: tell(*((self._messages.Result.RESULT_OK, "") if success else (failed, message)))
 
+    def _tell_why_not(self, tell: Tell, code: int) -> None:
+        """Tell why there is no rig."""
+        try:
+            self._session.running()
+        except CommandError as error:
+            tell(code, str(error))
+
     def _state(self) -> int:
         states, rig = self._messages.SimulationState, self._session.rig
         if self._node.quitting or self._node.state == "finalized":
             return int(states.STATE_QUITTING)
         if rig is None or (self._session.paused and rig.next_block_ns == self._stopped_ns):
             return int(states.STATE_STOPPED)
-        return int(states.STATE_PAUSED if self._session.paused or self._stepped() else states.STATE_PLAYING)
-
-    def _stepped(self) -> bool:
-        return self._node.settings.time.mode == "stepped"
+        stands = self._session.paused or self._session.is_stepped
+        return int(states.STATE_PAUSED if stands else states.STATE_PLAYING)
 
     def _get_simulator_features(self, _request: Any, response: Any, tell: Tell) -> None:
         features = self._messages.SimulatorFeatures
@@ -115,17 +119,16 @@ class StandardServices:
             self._node.quitting = True
             tell(codes.RESULT_OK, "")
         elif rig is None:
-            tell(response.STATE_TRANSITION_ERROR, self._session.why_not())
-        elif wanted == states.STATE_PLAYING and self._stepped():
+            self._tell_why_not(tell, response.STATE_TRANSITION_ERROR)
+        elif wanted == states.STATE_PLAYING and self._session.is_stepped:
             tell(response.STATE_TRANSITION_ERROR, "time.mode is stepped: the rig moves by steps only")
         elif wanted == states.STATE_PLAYING:
-            self._inputs.pause.resume()
-            tell(codes.RESULT_OK, "")
+            self._session.resume(self._done(tell, response.STATE_TRANSITION_ERROR))
         elif wanted == states.STATE_PAUSED:
             self._stopped_ns = -1
-            self._inputs.pause.begin(self._done(tell, response.STATE_TRANSITION_ERROR))
+            self._session.pause(self._done(tell, response.STATE_TRANSITION_ERROR))
         else:
-            self._inputs.pause.begin(lambda success, message: self._stop(success, message, tell, response))
+            self._session.pause(lambda success, message: self._stop(success, message, tell, response))
 
     def _stop(self, paused: bool, message: str, tell: Tell, response: Any) -> None:
         """Reset a rig that has just been paused."""
@@ -138,19 +141,19 @@ class StandardServices:
         tell(code, text)
 
     def _reset_rig(self, stop: bool) -> None:
-        self._inputs.reset()
-        rig = self._session.rig
-        if stop and rig is not None:
+        rig = self._session.running()
+        self._session.reset(rig)
+        if stop:
             self._stopped_ns = rig.next_block_ns
 
     def _step_simulation(self, request: Any, _response: Any, tell: Tell) -> None:
         failed = self._messages.Result.RESULT_OPERATION_FAILED
         if self._session.rig is None:
-            tell(failed, self._session.why_not())
+            self._tell_why_not(tell, failed)
         elif self._state() != self._messages.SimulationState.STATE_PAUSED:
             tell(failed, "a step needs the state PAUSED")
         else:
-            self._inputs.steps.take(request.steps, self._done(tell, failed))
+            self._session.step(request.steps, self._done(tell, failed))
 
     def _reset_simulation(self, request: Any, _response: Any, tell: Tell) -> None:
         kinds, codes = type(request), self._messages.Result

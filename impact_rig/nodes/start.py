@@ -1,6 +1,6 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""What keeps a rig from beginning: somebody else is in its place, or a peer it was told of is not there yet.
+"""Who else is in a rig's place.
 
 A rig's domain and namespace belong to one rig of a machine at a time. The graph knows of another rig only after seconds
 where an announcement was missed; a lock tells at once, but only on this machine. Where discovery ends at this machine,
@@ -16,9 +16,6 @@ from collections.abc import Callable, Iterable, Mapping
 from rclpy.node import Node
 from rclpy.utilities import get_rmw_implementation_identifier
 
-from impact_rig import states
-from impact_rig.nodes.acknowledgements import Readers
-from impact_rig.nodes.diagnostics import State
 from impact_rig.system import files
 
 OBEDIENT = ("rmw_fastrtps_cpp", "rmw_fastrtps_dynamic_cpp", "rmw_cyclonedds_cpp")
@@ -102,47 +99,3 @@ class DuplicatePublishers:
         ]
         others = {publisher for publisher in publishers if publisher != own}
         return others | {f"another {own}"} if publishers.count(own) > 1 else others
-
-
-class StartGate:
-    """Decides when scan 0 may be.
-
-    A rig that finds others at its topics waits until they are gone: two rigs in one place would drive each other's
-    shaker and fill one recording. Whoever is there already goes on.
-
-    Args:
-        node: the rig's.
-        lock: of its namespace.
-        duplicates: other publishers of its topics.
-        readers: of its scans; None: nobody is waited for (other modes wait block by block).
-        patience_s: how long readers are waited for.
-    """
-
-    def __init__(
-        self,
-        node: Node,
-        lock: NamespaceLock,
-        duplicates: DuplicatePublishers,
-        readers: Readers | None,
-        patience_s: float,
-    ) -> None:
-        self._lock = lock
-        self._duplicates = duplicates
-        self._readers = readers
-        self._patience_s = patience_s
-        if readers is not None and readers.missing():
-            names = ", ".join(readers.missing())
-            node.get_logger().info(f"scan 0 waits for {names}, at most {patience_s:g} s")
-
-    def obstacle(self) -> State | None:
-        """Return what it waits for; None: it may begin."""
-        others = self._duplicates.sentence()
-        if others:
-            return State(states.Rig.RIVAL, f"waiting to be alone: {others}")
-        if not self._lock.take():
-            return State(states.Rig.RIVAL, "waiting to be alone: another rig of this machine is in this namespace")
-        readers = self._readers
-        if readers is None or readers.all_matched() or readers.overdue(self._patience_s):
-            return None
-        names = ", ".join(readers.missing())
-        return State(states.Rig.NO_PEER, f"waiting for peer {names}, at most {self._patience_s:g} s")

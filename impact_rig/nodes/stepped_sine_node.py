@@ -7,23 +7,23 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any  # rclpy messages
 
+import attrs
 from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
 
 from impact_rig import codec, states, topics
 from impact_rig.blocks import Table
-from impact_rig.errors import CodecError, ConfigError
+from impact_rig.config.fields import Origin, choice, integer, quantities, quantity, switch
+from impact_rig.config.tree import Tree
+from impact_rig.errors import CodecError, ConfigError, ImpactRigError
 from impact_rig.nodes import process
 from impact_rig.nodes.acknowledgements import Acknowledgements
-from impact_rig.nodes.diagnostics import Health, Level, State
-from impact_rig.nodes.managed import ManagedNode
-from impact_rig.nodes.parameters import SectionSchema
-from impact_rig.nodes.settings import PHASE, SteppedSineSettings
-from impact_rig.nodes.topics import MONITORS
+from impact_rig.nodes.managed import Done, Health, Level, ManagedNode, State
+from impact_rig.nodes.messages import MONITORS
 from impact_rig.operate.operator import Applied, News, Operator
-from impact_rig.operate.phase_lock import LockedSine
-from impact_rig.operate.plan import Setpoint
-from impact_rig.operate.stepped_sine import ControlledSine, SteppedSine
+from impact_rig.operate.phase_lock import LockedSine, LockPlan, Reference
+from impact_rig.operate.plan import Direction, Plan, Setpoint
+from impact_rig.operate.stepped_sine import ControlledSine, Hold, HoldPlan, SteppedSine
 from impact_rig.operate.stepped_sine import State as Progress
 from impact_rig.system.endings import Ending
 
@@ -31,9 +31,84 @@ WATCH_S = 0.1
 """How often the node looks for the rig, while a sweep waits to begin."""
 STOPPING = {b"trip": "tripped", b"stop": "was stopped", b"timeout": "missed commands", b"reset": "was reset"}
 """Kinds of journal entries that end a sweep, and what the rig did then."""
-
+COMMAND, PHASE = "command", "phase"
+"""What stays constant besides the amplitudes of `Hold`."""
 
 Walk = SteppedSine | LockedSine
+
+
+@attrs.frozen(kw_only=True)
+class SteppedSineSettings:
+    """Parameters of the stepped-sine node: those of `Plan`, and when to begin."""
+
+    frequencies_hz: tuple[float, ...] = quantities(
+        (7.5, 8.0, 8.5, 8.9, 9.0, 9.1, 9.2, 9.5, 10.0, 10.5), "Hz", "The points.", Origin.PAPER, above=0, at_most=1000
+    )
+    current_a: float = quantity(
+        0.52, "A", "Peak current at all points (m or V by drive.kind).", Origin.IDENTIFIED, above=0, at_most=1000
+    )
+    direction: str = choice("up", tuple(Direction), "Order of the visit; up_down keeps the state between the two.")
+    measurements_per_point: int = integer(1, "-", "Measurements taken at each point.", at_least=1, at_most=1000)
+    dwell_limit_s: float = quantity(
+        150.0, "s", "Rig time at one point after which the sweep is aborted.", above=0, at_most=1e5
+    )
+    accept_limit_s: float = quantity(
+        5.0, "s", "Rig time within which a command must be accepted.", above=0, at_most=1e5
+    )
+    retries: int = integer(2, "-", "Refused measurements borne per point.", at_least=0, at_most=1000)
+    skip_over_range: bool = switch(True, "Leave out a point where a sensor is over range, instead of aborting.")
+    keep_unsettled: bool = switch(True, "Take a response that does not settle in the analysis' bound.")
+    hold: str = choice(
+        "command",
+        (COMMAND, *Hold, PHASE),
+        "What stays constant: the commanded current, a measured amplitude, for which the current is set anew, or the "
+        "phase at -90 degrees, for which the frequency is: sought from the first point on.",
+    )
+    target: float = quantity(
+        60e-6,
+        "m or A",
+        "Amplitude that is held, peak; of no meaning where hold is command or phase.",
+        above=0,
+        at_most=1000,
+    )
+    tolerance: float = quantity(2e-3, "-", "Relative error up to which it counts as held.", above=0, at_most=0.5)
+    corrections: int = integer(8, "-", "Of the current per point, at most.", at_least=1, at_most=1000)
+    current_limit_a: float = quantity(
+        15.0, "A", "A held amplitude that needs more current aborts the sweep.", above=0, at_most=1000
+    )
+    superior_limit_m: float = quantity(
+        0.05, "m", "A larger superior base aborts the sweep while an amplitude is held.", above=0, at_most=1
+    )
+    reference: str = choice("base", tuple(Reference), "What the superior base's phase is held against.")
+    within_deg: float = quantity(
+        2.0, "deg", "Deviation of a second's mean phase up to which it counts as locked.", above=0, at_most=90
+    )
+    dwell_s: float = quantity(
+        30.0, "s", "Rig time to stay at the resonance, from the first lock on.", above=0, at_most=1e6
+    )
+    begin: bool = switch(False, "Begin when the rig is there; otherwise with ~/start.", read_only=True)
+    autostart: bool = switch(True, "Configure and activate by itself at start.", read_only=True)
+
+    def __attrs_post_init__(self) -> None:
+        self.plan()  # refuses frequencies given twice
+        if self.hold == PHASE:
+            self.lock_plan()  # refuses a beginning out of its range
+
+    def plan(self) -> Plan:
+        """Return the sweep."""
+        return Plan(**{attribute.name: getattr(self, attribute.name) for attribute in attrs.fields(Plan)})
+
+    def lock_plan(self) -> LockPlan:
+        """Return the search, from the first point on, and what follows it."""
+        names = ("current_a", "reference", "within_deg", "dwell_s", "superior_limit_m")
+        return LockPlan(start_hz=self.plan().points()[0], **{name: getattr(self, name) for name in names})
+
+    def sweep(self) -> SteppedSine:
+        """Return what walks through it, with an amplitude held if that is asked for."""
+        if self.hold == COMMAND:
+            return SteppedSine(self.plan())
+        names = [attribute.name for attribute in attrs.fields(HoldPlan)]
+        return ControlledSine(self.plan(), HoldPlan(**{name: getattr(self, name) for name in names}))
 
 
 class SteppedSineNode(ManagedNode[SteppedSineSettings]):
@@ -49,12 +124,9 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
     STATES = states.SteppedSine
 
     def __init__(self, **kwargs: Any) -> None:
-        super().__init__("stepped_sine", SectionSchema(SteppedSineSettings), **kwargs)
+        super().__init__("stepped_sine", Tree(SteppedSineSettings), **kwargs)
         self._operator: Operator[Walk] | None = None
-        self._outputs: dict[str, Any] = {}
-        self._acknowledgements: Acknowledgements | None = None
-        self._heard: list[Any] = []
-        self._timer: Any = None
+        self._acknowledgements = Acknowledgements(self)
         self._pending = False  # wanted, but the rig is not there yet
         self._now_ns: int | None = None
         self._info: Table | None = None
@@ -64,50 +136,35 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
         self.service(Trigger, "~/start", self._on_start)
         self.service(Trigger, "~/stop", self._on_stop)
 
-    def autostarts(self) -> bool:
-        """Follow `autostart`."""
-        return self.settings.autostart
-
     def configure(self) -> None:
         """Create the publishers."""
-        chosen = (topics.FREQUENCY, topics.CURRENT, topics.CURVE, topics.HELD, topics.LOCKED)
-        self._outputs = {topic.name: self.publisher(topic) for topic in chosen}
-        self._acknowledgements = Acknowledgements(self)
+        self.offer(topics.FREQUENCY, topics.CURRENT, topics.CURVE, topics.HELD, topics.LOCKED, topics.ACK)
 
     def activate(self) -> None:
         """Listen; begin the sweep as soon as the rig is there if `begin` says so."""
         self._now_ns, self._pending = None, self.settings.begin
-        self._heard = [
+        self.hear(
             self.subscribe(MONITORS["base"], self._on_time, raw=True),
             self._follow(topics.APPLIED, self._on_applied),
             self._follow(topics.JOURNAL, self._on_journal),
             self._follow(topics.TRANSMISSIBILITY_TABLE, self._on_measurement),
             self.subscribe_table(topics.INFO, self._on_info),
-        ]
+        )
         self._listen()
-        self._timer = self.steady_timer(WATCH_S, self._begin_when_ready)
+        self.tick(WATCH_S, self._begin_when_ready)
 
     def deactivate(self) -> None:
         """Abort a running sweep, the shaker at rest, and stop listening."""
         if self._operator is not None and self.context.ok():
             self._operator.abort("the node was deactivated")
-        if self._timer is not None:
-            self.destroy_timer(self._timer)
-            self._timer = None
-        for subscription in [*self._heard, *([self._scans] if self._scans is not None else [])]:
-            self.destroy_subscription(subscription)
-        self._heard, self._scans, self._info = [], None, None
+        self._acknowledgements.flush()
+        if self._scans is not None:
+            self.destroy_subscription(self._scans)
+        self._scans = self._info = None
 
     def cleanup(self) -> None:
-        """Destroy the publishers."""
-        self.deactivate()
+        """Forget the last sweep."""
         self._operator = None
-        for publisher in self._outputs.values():
-            self.destroy_publisher(publisher)
-        self._outputs = {}
-        if self._acknowledgements is not None:
-            self._acknowledgements.destroy()
-            self._acknowledgements = None
 
     def settings_changed(self, _settings: SteppedSineSettings, changes: dict[str, Any]) -> None:
         """Refuse to change a sweep under way; the next one takes the new plan."""
@@ -159,27 +216,22 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
 
     # Start and stop
 
-    def _on_start(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        missing = self._missing()
+    def _on_start(self, _request: Trigger.Request, done: Done) -> None:
+        refusal = "a sweep is under way already" if self._running else self._missing()
         if not self.active:
-            response.message = f"the node is {self.state}, activate it first"
-        elif self._running:
-            response.message = "a sweep is under way already"
-        elif missing:
-            response.message = missing
-        else:
-            self._begin()
-            response.success, response.message = True, self._announced()
-        return response
+            refusal = f"the node is {self.state}, activate it first"
+        if refusal:
+            raise ImpactRigError(refusal)
+        self._begin()
+        done(True, self._announced())
 
-    def _on_stop(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        response.success, response.message = True, "the shaker is told to rest"
+    def _on_stop(self, _request: Trigger.Request, done: Done) -> None:
         self._pending = False
-        if self._operator is not None and self._operator.busy:
-            self._operator.abort("stopped by the operator")
-        else:
-            response.message = "no sweep is under way"
-        return response
+        if self._operator is None or not self._operator.busy:
+            done(True, "no sweep is under way")
+            return
+        self._operator.abort("stopped by the operator")
+        done(True, "the shaker is told to rest")
 
     def _announced(self) -> str:
         points = self.settings.plan().points()
@@ -193,7 +245,7 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
 
     def _missing(self) -> str:
         """Return who is not there yet; empty when a sweep can begin."""
-        if any(not self._outputs[topic.name].get_subscription_count() for topic in (topics.FREQUENCY, topics.CURRENT)):
+        if any(not self.outputs[topic.name].get_subscription_count() for topic in (topics.FREQUENCY, topics.CURRENT)):
             return "no rig listens to the shaker's topics"
         if self.settings.hold == PHASE:
             if self._info is None or not self._scans_heard:
@@ -227,13 +279,13 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
 
     def set(self, setpoint: Setpoint) -> None:
         """Send frequency and current; `shaker/applied` tells that they are in force."""
-        self._outputs[topics.FREQUENCY.name].publish(Float64(data=setpoint.frequency_hz))
-        self._outputs[topics.CURRENT.name].publish(Float64(data=setpoint.current_a))
+        self.send(topics.FREQUENCY, Float64(data=setpoint.frequency_hz))
+        self.send(topics.CURRENT, Float64(data=setpoint.current_a))
 
     def rest(self) -> None:
         """Set the current to zero, and say why."""
         assert self._operator is not None
-        self._outputs[topics.CURRENT.name].publish(Float64(data=0.0))
+        self.send(topics.CURRENT, Float64(data=0.0))
         sweep = self._operator.sweep
         if sweep.state is Progress.ABORTED:
             self.get_logger().error(f"sweep aborted: {sweep.reason}")
@@ -243,12 +295,12 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
     def _publish_curve(self, sweep: Walk) -> None:
         if isinstance(sweep, LockedSine):
             if sweep.measured:
-                self._outputs[topics.LOCKED.name].publish(codec.encode(Table(self._began_ns, sweep.newest)))
+                self.send(topics.LOCKED, codec.encode(Table(self._began_ns, sweep.newest)))
             return
         if sweep.measured:
-            self._outputs[topics.CURVE.name].publish(codec.encode(Table(self._began_ns, sweep.rows)))
+            self.send(topics.CURVE, codec.encode(Table(self._began_ns, sweep.rows)))
         if sweep.measured and isinstance(sweep, ControlledSine):
-            self._outputs[topics.HELD.name].publish(codec.encode(Table(self._began_ns, sweep.held)))
+            self.send(topics.HELD, codec.encode(Table(self._began_ns, sweep.held)))
 
     # Messages
 
@@ -271,7 +323,6 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
             if self._operator is not None:
                 self._operator.hear(News(now_ns=self.now_ns(), scans=[table]))
         finally:  # a rig that waits for us must not be held up
-            assert self._acknowledgements is not None
             self._acknowledgements.processed(table.stamp_ns)
 
     def _on_time(self, data: bytes) -> None:

@@ -11,18 +11,17 @@ from typing import TYPE_CHECKING
 from impact_rig.system.resources import lazily
 
 if TYPE_CHECKING:
-    from impact_rig.physics.forcing import SEGMENT
+    from impact_rig.physics.flight import SEGMENT
     from impact_rig.physics.function_generator import FunctionGenerator
-    from impact_rig.physics.motion import IMPACT, SAMPLE, Motion
-    from impact_rig.physics.simulation import EnergyAccount, Simulation
+    from impact_rig.physics.simulation import IMPACT, SAMPLE, EnergyAccount, Motion, Simulation
 
 __getattr__ = lazily(  # compiled code is loaded where it is used, not where a configuration is read
     __name__,
-    SEGMENT="forcing",
+    SEGMENT="flight",
     FunctionGenerator="function_generator",
-    IMPACT="motion",
-    SAMPLE="motion",
-    Motion="motion",
+    IMPACT="state",
+    SAMPLE="simulation",
+    Motion="simulation",
     EnergyAccount="simulation",
     Simulation="simulation",
 )

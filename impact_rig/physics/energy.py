@@ -12,10 +12,8 @@ import math
 
 from impact_rig.kernels import kernel
 from impact_rig.physics.collocation import GAUSS_NODES, GAUSS_WEIGHTS, POINTS
-from impact_rig.physics.flight import arrive
-from impact_rig.physics.forcing import drive, size
-from impact_rig.physics.parameters import PRESCRIBED, VOLTAGE
-from impact_rig.physics.state import COIL, V1, VB, X1, XB
+from impact_rig.physics.flight import arrive, drive, size
+from impact_rig.physics.state import COIL, PRESCRIBED, V1, VB, VOLTAGE, X1, XB
 
 _PANEL = 1.0  # radians (or e-foldings) of the fastest motion per quadrature panel: 8 Gauss points leave 1e-14
 _FORGOTTEN = 50.0  # e-foldings after which a mode no longer needs panels of its own

@@ -22,31 +22,7 @@ from numpy.typing import NDArray
 
 from impact_rig.arithmetic.records import records
 from impact_rig.kernels import INTEGERS, Fields, entry, kernel
-from impact_rig.physics.energy import account_flight
-from impact_rig.physics.flight import STOPPED, aim, carry, fly, look, rounding
-from impact_rig.physics.forcing import SEGMENT, Forcing, bound_omega, drive, transfer
-from impact_rig.physics.foresight import forget
-from impact_rig.physics.indentation import turned_at
-from impact_rig.physics.model import MODEL
-from impact_rig.physics.outcome import leap, look_up
-from impact_rig.physics.pair import expand
-from impact_rig.physics.parameters import HELD, LOOSE, PRESCRIBED
-from impact_rig.physics.state import (
-    ATTACHED,
-    CONTACT,
-    FLIGHT,
-    FREE,
-    IMPACT,
-    LEDGER,
-    LOG,
-    PRESS,
-    STATE,
-    V1,
-    VB,
-    X1,
-    XB,
-)
-from impact_rig.physics.touching import (
+from impact_rig.physics.contact_phase import (
     FAILED,
     LEFT,
     NOTHING,
@@ -61,6 +37,41 @@ from impact_rig.physics.touching import (
     peak_in_step,
     settles,
     take_step,
+)
+from impact_rig.physics.contact_step import expand, forget, turned_at
+from impact_rig.physics.energy import account_flight
+from impact_rig.physics.flight import (
+    SEGMENT,
+    STOPPED,
+    Forcing,
+    aim,
+    bound_omega,
+    carry,
+    drive,
+    fly,
+    look,
+    rounding,
+    transfer,
+)
+from impact_rig.physics.model import MODEL
+from impact_rig.physics.outcome import leap, look_up
+from impact_rig.physics.state import (
+    ATTACHED,
+    CONTACT,
+    FLIGHT,
+    FREE,
+    HELD,
+    IMPACT,
+    LEDGER,
+    LOG,
+    LOOSE,
+    PRESCRIBED,
+    PRESS,
+    STATE,
+    V1,
+    VB,
+    X1,
+    XB,
 )
 
 DONE, NEED_ROOM, STUCK = range(3)

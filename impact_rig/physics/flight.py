@@ -2,22 +2,167 @@
 # SPDX-License-Identifier: Apache-2.0
 """Flight: the sphere is loose, the structure is linear, and both are known in closed form until a wall is reached.
 
+**Drive.** Inside one segment u(t) = (A + B t) sin(ω t + φ). With y' = M y + b_0 u + b_1 u' and the resolvent
+R(ω) = (jω − M)^-1 the linear system's particular answer to it is
+
+    y_p(t) = Im[(P + Q t) exp(jωt)],   H = R (b_0 + jω b_1),   G = R (b_1 − H)
+    Q = B e^{jφ} H,                    P = A e^{jφ} H + B e^{jφ} G
+
+**Motion.** From the state y_0 at t_0, with the modes of `linear`,
+
     y(t) = Re Σ_k R_k c_k exp(λ_k (t − t_0)) + Im[(P + Q t) exp(jωt)] + static · push,   c_k = L_k · (y_0 − y_p(t_0))
     x_2(t) = x_2(t_0) + v_2 (t − t_0) + braking (t − t_0)² / 2
 
-`push` and `braking` are the guide's friction, constant while the sphere slides one way. The next touch is approached
-by strides (see `strides`) that a bound on the third derivative of x_1 makes safe.
+`push` [N] and `braking` [m/s²] are the guide's friction, constant while the sphere slides one way.
+
+**Touch.** It is approached by conservative advancement. With speed v and acceleration a towards a target and
+|jerk| <= j, a point covers within any h at most
+
+    v τ + (a + j h / 3) τ² / 2,   0 <= τ <= h
+
+The first τ at which that is the distance is safe if it comes before h, and h itself is safe otherwise. Repeated
+advances close in on the first touch from before it and cannot step over it, however short or grazing the crossing.
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
-from impact_rig.arithmetic.elementary import exp, sincos
+import numpy as np
+
+from impact_rig.arithmetic.elementary import exp, modulus, power, sincos
 from impact_rig.kernels import kernel
-from impact_rig.physics.forcing import particular, size, turned
 from impact_rig.physics.state import ORDERS, V1, X1
-from impact_rig.physics.strides import stride
+
+SEGMENT = np.dtype([("duration", "f8"), ("omega", "f8"), ("phase", "f8"), ("amplitude", "f8"), ("slope", "f8")])
+"""Drive segments, in order: seconds, rad/s, rad, and amplitude and its rate in A, m or V by drive."""
+
+
+class Forcing(NamedTuple):
+    """One segment of the drive."""
+
+    omega: float
+    phase: float
+    amplitude: float
+    slope: float
+
+
+@kernel
+def drive(f, t):  # type: ignore[no-untyped-def]  # compiled: types are inferred
+    """Return u and u' at t."""
+    level = f.amplitude + f.slope * t
+    sine, cosine = sincos(f.omega * t + f.phase)
+    return level * sine, f.slope * sine + level * f.omega * cosine
+
+
+@kernel
+def turned(angle):  # type: ignore[no-untyped-def]
+    """Return exp(j angle)."""
+    sine, cosine = sincos(angle)
+    return complex(cosine, sine)
+
+
+@kernel
+def size(z):  # type: ignore[no-untyped-def]
+    """Return |z|."""
+    return modulus(z.real, z.imag)
+
+
+@kernel
+def bound_omega(system, omega):  # type: ignore[no-untyped-def]
+    """Return the fastest rate [1/s] of the drive and the modes."""
+    fastest = max(omega, 1e-9)
+    for k in range(system.modes):
+        fastest = max(fastest, size(system.rate[k]))
+    return fastest
+
+
+@kernel
+def _half_reciprocal(z):  # type: ignore[no-untyped-def]
+    """Return 1 / (2 z)."""
+    scale = 0.5 / (z.real * z.real + z.imag * z.imag)
+    return complex(z.real * scale, -z.imag * scale)
+
+
+@kernel
+def _resolve(system, omega, vector, out):  # type: ignore[no-untyped-def]
+    """Fill out = (jω − M)^-1 vector; each kept mode stands for itself and its conjugate."""
+    n = system.states
+    for i in range(n):
+        out[i] = 0.0j
+    for k in range(system.modes):
+        rate = system.rate[k]
+        plus, minus = 0.0j, 0.0j
+        for i in range(n):
+            left = system.left[k, i]
+            plus += left * vector[i]
+            minus += complex(left.real, -left.imag) * vector[i]
+        plus *= _half_reciprocal(complex(-rate.real, omega - rate.imag))
+        minus *= _half_reciprocal(complex(-rate.real, omega + rate.imag))
+        for i in range(n):
+            right = system.right[k, i]
+            out[i] += right * plus + complex(right.real, -right.imag) * minus
+
+
+@kernel
+def transfer(system, omega, k):  # type: ignore[no-untyped-def]
+    """Fill `k.answer` (H) and `k.drift` (G): what the system does for a steady and for a growing drive."""
+    n = system.states
+    vector = k.steady  # scratch: `particular` fills it anew
+    for i in range(n):
+        vector[i] = complex(system.b_0[i], omega * system.b_1[i])
+    _resolve(system, omega, vector, k.answer)
+    for i in range(n):
+        vector[i] = complex(system.b_1[i] - k.answer[i].real, -k.answer[i].imag)
+    _resolve(system, omega, vector, k.drift)
+
+
+@kernel
+def particular(system, f, k):  # type: ignore[no-untyped-def]
+    """Fill `k.steady` (P) and `k.growing` (Q) for this segment's amplitude and phase."""
+    turn = turned(f.phase)
+    for i in range(system.states):
+        k.growing[i] = f.slope * turn * k.answer[i]
+        k.steady[i] = f.amplitude * turn * k.answer[i] + f.slope * turn * k.drift[i]
+
+
+_THIRD = 1.0 / 3.0
+_ROUNDS = 12
+_CLOSE = 0.8  # how near to the best horizon is good enough
+
+
+@kernel
+def stride(distance, speed, acceleration, jerk, horizon):  # type: ignore[no-untyped-def]  # compiled: types are inferred
+    """Return a time, at most `horizon` [s], in which a point cannot cover `distance` [m]."""
+    h = horizon
+    if jerk > 0.0:
+        h = min(
+            h,
+            3.0 * abs(acceleration) / jerk + math.sqrt(6.0 * abs(speed) / jerk) + power(6.0 * distance / jerk, _THIRD),
+        )
+    safe = 0.0
+    for _ in range(_ROUNDS):
+        half = 0.5 * (acceleration + jerk * h / 3.0)
+        under = speed * speed + 4.0 * half * distance
+        reach = math.inf
+        if speed > 0.0:
+            if under >= 0.0:
+                reach = 2.0 * distance / (speed + math.sqrt(under))
+        elif half > 0.0:
+            reach = (math.sqrt(under) - speed) / (2.0 * half)
+        if reach >= h:
+            if h >= horizon:
+                return horizon
+            safe = h
+            h = min(2.0 * h, reach, horizon)
+        else:
+            safe = max(safe, reach)
+            if reach > _CLOSE * h or reach <= 0.0:
+                break
+            h = math.sqrt(h * reach)
+    return safe
+
 
 STOPPED = 2
 """Returned by `fly` when friction brings the sphere to rest on its guide."""

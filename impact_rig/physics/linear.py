@@ -1,8 +1,8 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""The linear part of the rig and its modes: what moves between impacts, propagated exactly.
+"""The linear rig: from a configuration to the constants of the equations of motion, and the modes of what is linear.
 
-    y' = M y + b0 u + b1 u',   y = (x_1, v_1[, x_b, v_b[, i]]),   u = coil current, base displacement or coil voltage
+    y' = M y + b_0 u + b_1 u',   y = (x_1, v_1[, x_b, v_b[, i]]),   u = coil current, base displacement or coil voltage
 
 In modal form y(t) = Re Σ_k R_k c_k exp(λ_k t) + y_p(t), with c_k = L_k · (y − y_p) and the drive's particular
 solution y_p. Two such systems exist: with the sphere loose (mass m_1) and with the sphere attached to the superior
@@ -14,11 +14,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from decimal import Decimal
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from impact_rig.arithmetic.elementary import PI, TWO_PI
 from impact_rig.arithmetic.precise import (
     ONE,
     TWO,
@@ -32,10 +33,64 @@ from impact_rig.arithmetic.precise import (
     resolvent,
     roots,
 )
-from impact_rig.arithmetic.scalars import TWO_PI
+from impact_rig.config.mechanics import Barriers, Drive, Shaker, Sphere, Structure
 from impact_rig.errors import ConfigError
-from impact_rig.physics.setup import Setup
+from impact_rig.physics.contact import Contact
 from impact_rig.physics.state import COIL, V1, VB, X1, XB
+
+
+class Setup(Protocol):
+    """Some sections of a configuration; `impact_rig.rig.config.RigConfig` has them."""
+
+    @property
+    def structure(self) -> Structure:
+        """Columns and superior base."""
+
+    @property
+    def shaker(self) -> Shaker:
+        """Table and coil."""
+
+    @property
+    def drive(self) -> Drive:
+        """What drives it."""
+
+    @property
+    def sphere(self) -> Sphere:
+        """The loose sphere."""
+
+    @property
+    def barriers(self) -> Barriers:
+        """What it strikes."""
+
+    @property
+    def contact(self) -> Contact:
+        """How it strikes."""
+
+
+def sphere_mass_kg(sphere: Sphere) -> float:
+    """Return m = ρ π d³ / 6 [kg]."""
+    return sphere.density_kg_m3 * PI * (sphere.diameter_m * sphere.diameter_m * sphere.diameter_m) / 6.0
+
+
+def hertz_stiffness_n_m32(sphere: Sphere, barriers: Barriers) -> float:
+    """Return K of F = K δ^(3/2) for a sphere on a plane [N/m^1.5].
+
+    K = 4 sqrt(R) / {3 [(1 − ν₁²)/E₁ + (1 − ν₂²)/E₂]}: the paper's Eq. (4), Goldsmith (1960).
+    """
+    compliance = _compliance(sphere.poisson_ratio, sphere.young_modulus_pa) + _compliance(
+        barriers.poisson_ratio, barriers.young_modulus_pa
+    )
+    return 4.0 * math.sqrt(sphere.diameter_m / 2.0) / (3.0 * compliance)
+
+
+def _compliance(poisson_ratio: float, young_modulus_pa: float) -> float:
+    return (1.0 - poisson_ratio * poisson_ratio) / young_modulus_pa
+
+
+def effective_mass_kg(first_kg: float, second_kg: float) -> float:
+    """Return the mass that the relative motion of two free bodies sees, m₁ m₂ / (m₁ + m₂) [kg]."""
+    return first_kg * second_kg / (first_kg + second_kg)
+
 
 _WORST_CONDITION = Decimal("1e7")  # how much larger than the motion its modes may be
 _GOOD_SIZE = Decimal("0.1")  # of the largest entry of a residue

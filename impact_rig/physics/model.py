@@ -15,14 +15,22 @@ from impact_rig.arithmetic.records import with_fields
 from impact_rig.kernels import Fields
 from impact_rig.physics import contact as contact_laws
 from impact_rig.physics.contact import ContactPair, Force
-from impact_rig.physics.contact.compiled_force import FORCE, CompiledForce, compiled_force
-from impact_rig.physics.forcing import bound_omega
-from impact_rig.physics.linear import Constants, constants, input_vectors, modes, state_matrix, static_answer
+from impact_rig.physics.contact.law import FORCE, CompiledForce, compiled_force
+from impact_rig.physics.flight import bound_omega
+from impact_rig.physics.linear import (
+    Constants,
+    Setup,
+    constants,
+    effective_mass_kg,
+    hertz_stiffness_n_m32,
+    input_vectors,
+    modes,
+    sphere_mass_kg,
+    state_matrix,
+    static_answer,
+)
 from impact_rig.physics.outcome import TABLE, tabulate
-from impact_rig.physics.parameters import DRIVES, PARAMETERS, PRESCRIBED, SYSTEM
-from impact_rig.physics.properties import effective_mass_kg, hertz_stiffness_n_m32, sphere_mass_kg
-from impact_rig.physics.setup import Setup
-from impact_rig.physics.state import V1, record
+from impact_rig.physics.state import DRIVES, PARAMETERS, PRESCRIBED, SYSTEM, V1, record
 
 STANDARD_GRAVITY = 9.80665
 CONTACT_RTOL = 1e-9

@@ -21,16 +21,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_rig.arithmetic.elementary import sincos
-from impact_rig.arithmetic.scalars import PI
+from impact_rig.arithmetic.elementary import PI, sincos
 from impact_rig.kernels import REALS, entry, kernel
 from impact_rig.physics.collocation import LAST, MATRIX, STAGES
-from impact_rig.physics.contact.compiled_force import FORCE, CompiledForce
-from impact_rig.physics.foresight import forget
-from impact_rig.physics.pair import moved
-from impact_rig.physics.parameters import PARAMETERS
-from impact_rig.physics.state import PRESS, STATE, V1, VB, X1, XB, record
-from impact_rig.physics.touching import (
+from impact_rig.physics.contact.law import FORCE, CompiledForce
+from impact_rig.physics.contact_phase import (
     LEFT,
     NOTHING,
     TURNED,
@@ -39,6 +34,8 @@ from impact_rig.physics.touching import (
     peak_in_step,
     take_step,
 )
+from impact_rig.physics.contact_step import forget, moved
+from impact_rig.physics.state import PARAMETERS, PRESS, STATE, V1, VB, X1, XB, record
 
 SEPARATION, DURATION, LOST, PEAK, DEPTH, SUM, MOMENT = range(7)
 """Quantities, in units made of m_eff, v and t_0: separation speed, duration, energy lost, peak force, largest

@@ -18,17 +18,40 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig.arithmetic.elementary import exp, sincos
-from impact_rig.kernels import INTEGERS, REALS, TABLE, Fields, entry, kernel
+from impact_rig.kernels import FLAGS, INTEGERS, REALS, TABLE, Fields, entry, kernel
 from impact_rig.physics.collocation import LAST
-from impact_rig.physics.flight import launch
-from impact_rig.physics.forcing import SEGMENT, Forcing, bound_omega, drive, particular, transfer, turned
-from impact_rig.physics.foresight import foreseen, forget, remember
-from impact_rig.physics.indentation import ROUNDS, begin_step, solve
+from impact_rig.physics.contact_phase import FAILED, LEFT, RELEASED, conclude, first_step, take_step
+from impact_rig.physics.contact_step import (
+    ROUNDS,
+    add_recoil,
+    begin_step,
+    expand,
+    foreseen,
+    forget,
+    moved,
+    remember,
+    solve,
+)
+from impact_rig.physics.flight import SEGMENT, Forcing, bound_omega, drive, launch, particular, transfer, turned
 from impact_rig.physics.model import MODEL
-from impact_rig.physics.pair import add_recoil, expand, moved
-from impact_rig.physics.parameters import HELD, LOOSE, PRESCRIBED, VOLTAGE
-from impact_rig.physics.state import ATTACHED, COIL, CONTACT, FLIGHT, PRESS, STATE, V1, VB, X1, XB, record
-from impact_rig.physics.touching import FAILED, LEFT, RELEASED, conclude, first_step, take_step
+from impact_rig.physics.state import (
+    ATTACHED,
+    COIL,
+    CONTACT,
+    FLIGHT,
+    FREE,
+    HELD,
+    LOOSE,
+    PRESCRIBED,
+    PRESS,
+    STATE,
+    V1,
+    VB,
+    VOLTAGE,
+    X1,
+    XB,
+    record,
+)
 
 X_B, X_1, X_2, V_B, V_1, V_2, A_B, A_1, A_2, CURRENT, FORCE_LEFT, FORCE_RIGHT = range(12)
 QUANTITIES = (
@@ -394,3 +417,28 @@ def sample(model, trajectory, query, bench):  # type: ignore[no-untyped-def]
         else:
             _sample_flight(model, f, trajectory.knots[row], start, i, query, bench)
     return True
+
+
+PARTS = 3
+"""Pieces in which a contact that was looked up as a whole is smooth enough for the instruments' polynomials."""
+
+
+@entry(TRAJECTORY, INTEGERS, REALS, FLAGS, returns=int)
+def refine(trajectory, segment, offset, touching):  # type: ignore[no-untyped-def]  # compiled: types are inferred
+    """Fill in segment, offset [s] and whether sphere and wall touch from each instant on; return how many there are.
+
+    The arrays have room for PARTS instants a knot.
+    """
+    knots, first, count = trajectory.knots, trajectory.first, 0
+    for i in range(first.shape[0] - 1):
+        for row in range(first[i], first[i + 1]):
+            knot = knots[row]
+            segment[count], offset[count], touching[count] = trajectory.base + i, knot.t, knot.phase != FREE
+            count += 1
+            if knot.phase == CONTACT and knot.whole != 0:
+                length = knots[row + 1].t - knot.t
+                for part in range(1, PARTS):
+                    segment[count], touching[count] = trajectory.base + i, True
+                    offset[count] = knot.t + length * (part / PARTS)
+                    count += 1
+    return count

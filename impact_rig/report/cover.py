@@ -19,8 +19,7 @@ from impact_rig.drawing.style import WIDTH_INCH, Drawn, new_axes
 from impact_rig.errors import RecordingError
 from impact_rig.instruments.chain import Chain
 from impact_rig.physics.contact import from_config
-from impact_rig.physics.linear import constants
-from impact_rig.physics.properties import hertz_stiffness_n_m32, sphere_mass_kg
+from impact_rig.physics.linear import constants, hertz_stiffness_n_m32, sphere_mass_kg
 from impact_rig.report.content import Cell, Content, number
 from impact_rig.report.page import cover, escape, heading, paragraph, tiles
 

@@ -21,7 +21,7 @@ from impact_rig.drawing.palette import PREDICTED, SERIES
 from impact_rig.drawing.style import Drawn, Line, legend_below, new_axes
 from impact_rig.errors import ConfigError
 from impact_rig.physics import prediction
-from impact_rig.physics.closed_form import transmissibility
+from impact_rig.physics.prediction import transmissibility
 from impact_rig.report.content import COVERAGE
 from impact_rig.rig.config import RigConfig, from_flat
 

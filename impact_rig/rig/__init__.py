@@ -7,15 +7,14 @@ from typing import TYPE_CHECKING
 from impact_rig.system.resources import lazily
 
 if TYPE_CHECKING:
-    from impact_rig.rig.block import Block
     from impact_rig.rig.changes import takes_effect
-    from impact_rig.rig.core import Rig
+    from impact_rig.rig.core import Block, Rig
     from impact_rig.rig.journal import Journal, Kind
     from impact_rig.rig.resimulation import resimulate
 
 __getattr__ = lazily(  # `rig.config` does without compiled code
     __name__,
-    Block="block",
+    Block="core",
     takes_effect="changes",
     Rig="core",
     Journal="journal",

@@ -15,8 +15,7 @@ from impact_rig.config.mechanics import Barriers, Drive, Shaker, Sphere, Structu
 from impact_rig.config.operation import Daq, Output, Pluck, Step, Time
 from impact_rig.config.tree import Tree, parameters_in
 from impact_rig.errors import ConfigError
-from impact_rig.instruments.scan import row_type_of
-from impact_rig.instruments.section import Instruments
+from impact_rig.instruments.section import Instruments, row_type_of
 from impact_rig.physics.contact import Contact
 
 _OVERHEAD_BYTES = 1000
@@ -68,9 +67,9 @@ class RigConfig:
             raise ConfigError(f"daq.block_scans must be <= {most} {why}, got {self.daq.block_scans}")
 
 
-_TREE = Tree(RigConfig)
-load, parse, dump = _TREE.load, _TREE.parse, _TREE.dump
-from_flat, to_flat = _TREE.from_flat, _TREE.to_flat
-fields = _TREE.fields
+TREE = Tree(RigConfig)
+load, parse, dump = TREE.load, TREE.parse, TREE.dump
+from_flat, to_flat = TREE.from_flat, TREE.to_flat
+fields = TREE.fields
 
-__all__ = ["RigConfig", "dump", "fields", "from_flat", "load", "parameters_in", "to_flat"]
+__all__ = ["TREE", "RigConfig", "dump", "fields", "from_flat", "load", "parameters_in", "to_flat"]

@@ -14,6 +14,7 @@ from collections.abc import Mapping
 
 import attrs
 import numpy as np
+from numpy.typing import NDArray
 
 import impact_rig
 from impact_rig.blocks import APPLIED, FRAME_DAQ, Table
@@ -22,15 +23,43 @@ from impact_rig.errors import CommandError
 from impact_rig.instruments.chain import Chain
 from impact_rig.instruments.fault import Fault
 from impact_rig.physics import FunctionGenerator, Motion, Simulation
-from impact_rig.rig.block import Block
-from impact_rig.rig.changes import INSTRUMENTS, MECHANICS, PLANNED, changed_values, until_reset
+from impact_rig.rig.changes import INSTRUMENTS, MECHANICS, PLANNED, PlanInForce, changed_values, until_reset
 from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.rig.interlock import Interlock, Trip, check_amplitude, check_frequency
 from impact_rig.rig.journal import Journal, Kind, Value, not_default, sampled
-from impact_rig.rig.planned_faults import PlanInForce
 from impact_rig.rig.trial import generator, tried
 from impact_rig.rig.truth import TICKS_PER_S, Truth
 from impact_rig.simtime import COMMAND_GRID_NS, COMMAND_GRID_S, NS_PER_S, stamp_ns
+
+
+@attrs.frozen(eq=False)
+class Block:
+    """Consecutive scans and what is true about them.
+
+    Attributes:
+        number: blocks since the start or reset.
+        first_sample: index of the first scan since the start or reset.
+        end_ns: stamp of the first scan after the block: when it is complete.
+        scan: `daq/scan`.
+        impacts: `truth/impacts`: the contacts that ended in this block; None if there were none.
+        monitor: true state at the monitor instants, rows of `blocks.TRUTH_SCAN`, time since the stamp of `scan`.
+        monitor_scans: rows of `scan` at the monitor instants.
+        truth: `truth/scan`, if asked for.
+        faults: `truth/faults`: faults that start or end in this block; None if there are none.
+        lost: a lost_block fault is active: the block is numbered but must not be published.
+    """
+
+    number: int
+    first_sample: int
+    end_ns: int
+    scan: Table
+    impacts: Table | None
+    monitor: NDArray[np.void]
+    monitor_scans: NDArray[np.int64]
+    truth: Table | None
+    faults: Table | None
+    lost: bool
+
 
 BATCH_TICKS = 50
 """Ticks simulated in one call: enough to make the overhead of a call small, few enough to bound memory."""

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from xml.etree import ElementTree as ET
 
-from impact_rig.physics.properties import sphere_mass_kg
+from impact_rig.physics.linear import sphere_mass_kg
 from impact_rig.rig.config import RigConfig
 
 JOINTS = ("base", "structure", "sphere")

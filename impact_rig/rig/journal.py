@@ -217,10 +217,11 @@ class JournalView:
         """
         found = list(changes([*_entries(table)]))
         for change in found:
-            self._take(change)
+            self.follow(change)
         return found
 
-    def _take(self, change: Change) -> None:
+    def follow(self, change: Change) -> None:
+        """Take one input."""
         if change.kind in (Kind.START, Kind.RESET):
             self.start_ns, self.latched, self.plucked = change.stamp_ns, None, False
             self.configuration, self.drive = dict(_DEFAULTS), {}

@@ -11,9 +11,8 @@ from collections.abc import Iterable, Iterator
 from impact_rig.blocks import Table
 from impact_rig.errors import ConfigError
 from impact_rig.instruments.fault import Fault
-from impact_rig.rig.block import Block
 from impact_rig.rig.config import RigConfig, from_flat
-from impact_rig.rig.core import Rig
+from impact_rig.rig.core import Block, Rig
 from impact_rig.rig.journal import RESULTS, Change, Kind, changes, read
 from impact_rig.rig.truth import TICKS_PER_S
 from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S

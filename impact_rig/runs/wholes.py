@@ -25,7 +25,7 @@ from impact_rig.analysis.transmissibility import Measurement, measure_record
 from impact_rig.analysis.words import Status
 from impact_rig.blocks import Table
 from impact_rig.errors import RecordingError
-from impact_rig.instruments.scan import SCAN, channels_of
+from impact_rig.instruments.section import SCAN, channels_of
 from impact_rig.recording import Run
 from impact_rig.runs.reanalysis import remarks
 from impact_rig.simtime import NS_PER_S

@@ -22,8 +22,7 @@ if TYPE_CHECKING:
     from impact_rig.instruments.fault import Fault
     from impact_rig.testing.golden import Golden, first_difference
     from impact_rig.testing.ros_rig import RosRig
-    from impact_rig.testing.stepped_rig import NotReachedError, SteppedRig
-    from impact_rig.testing.virtual_rig import VirtualRig
+    from impact_rig.testing.virtual_rig import NotReachedError, SteppedRig, VirtualRig
 
 __all__ = ["Fault", "Golden", "NotReachedError", "RosRig", "SteppedRig", "VirtualRig", "first_difference"]
 
@@ -31,9 +30,9 @@ __getattr__ = lazily(
     __name__,
     Fault="impact_rig.instruments.fault",
     Golden="golden",
-    NotReachedError="stepped_rig",
+    NotReachedError="virtual_rig",
     RosRig="ros_rig",
-    SteppedRig="stepped_rig",
+    SteppedRig="virtual_rig",
     VirtualRig="virtual_rig",
     first_difference="golden",
 )

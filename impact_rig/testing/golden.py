@@ -12,6 +12,7 @@ import json
 import shutil
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +21,10 @@ from impact_rig.blocks import Table
 from impact_rig.errors import ConfigError
 from impact_rig.recording import open_run
 from impact_rig.simtime import NS_PER_S
-from impact_rig.testing.stepped_rig import SCANS, SteppedRig
+from impact_rig.topics import SCAN
+
+if TYPE_CHECKING:
+    from impact_rig.testing.virtual_rig import SteppedRig
 
 UPDATE_OPTION = "--rig-update-golden"
 
@@ -38,7 +42,7 @@ class Golden:
         self._update = update
 
     def run(
-        self, rig: SteppedRig, topics: Sequence[str] = (SCANS,), tolerances: Mapping[str, float] | None = None
+        self, rig: SteppedRig, topics: Sequence[str] = (SCAN.name,), tolerances: Mapping[str, float] | None = None
     ) -> None:
         """Compare what a rig has published with the golden run.
 

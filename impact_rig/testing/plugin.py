@@ -25,8 +25,7 @@ import pytest
 if TYPE_CHECKING:
     from impact_rig.testing.golden import Golden
     from impact_rig.testing.ros_rig import RosRig
-    from impact_rig.testing.stepped_rig import SteppedRig
-    from impact_rig.testing.virtual_rig import VirtualRig
+    from impact_rig.testing.virtual_rig import SteppedRig, VirtualRig
 
 DEFAULT_DIRECTORY = "failed_runs"
 _RIGS = pytest.StashKey[list["SteppedRig"]]()

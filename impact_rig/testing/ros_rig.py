@@ -20,17 +20,16 @@ from std_srvs.srv import Trigger
 
 from impact_rig import codec
 from impact_rig.blocks import Table
-from impact_rig.client.client import START_TIMEOUT_S, Client, subscribers
+from impact_rig.client.client import START_TIMEOUT_S, Client, ros_parameters, subscribers
 from impact_rig.client.collector import Collector, Received
 from impact_rig.client.domain import isolated_domain
-from impact_rig.client.parameters import ros_parameters
 from impact_rig.client.processes import ParameterValue, Processes
 from impact_rig.errors import ConfigError, ImpactRigError, RecordingError
 from impact_rig.instruments.fault import Fault
 from impact_rig.nodes.messages import header_stamp_ns
 from impact_rig.nodes.recorder_node import RecorderNode
 from impact_rig.nodes.rig_node import RigNode
-from impact_rig.testing.stepped_rig import SCANS, TOPICS, SteppedRig, configured
+from impact_rig.testing.virtual_rig import SCANS, TOPICS, SteppedRig, configured
 
 NODE_TIMEOUT_S = 30.0
 """How long a node under test may take to subscribe."""

@@ -1,24 +1,43 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""The rig in the test's own process, without ROS: the pipeline under test is a function of blocks."""
+"""A rig under test: advances in steps, takes inputs at exact samples, tells what it did; here in the test's process."""
 
 from __future__ import annotations
 
+import abc
+import math
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 import impact_rig
 from impact_rig import codec, topics
 from impact_rig.blocks import Table
-from impact_rig.errors import RecordingError
+from impact_rig.errors import CommandError, ConfigError, ImpactRigError, RecordingError
 from impact_rig.instruments.fault import Fault
+from impact_rig.instruments.section import SCAN
 from impact_rig.recording import CONFIGURATION, Attachment, Provenance, RunWriter, TopicDescription, schema_text
 from impact_rig.rig import Block, Rig
-from impact_rig.rig.config import RigConfig, dump
-from impact_rig.testing.stepped_rig import SCANS, TOPICS, SteppedRig, configured, first_sample
+from impact_rig.rig.config import RigConfig, dump, from_flat, to_flat
+from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S
 
+SCANS = topics.SCAN.name
+TOPICS = (
+    SCANS,
+    topics.INFO.name,
+    topics.APPLIED.name,
+    topics.JOURNAL.name,
+    topics.IMPACTS_TRUTH.name,
+    topics.FAULTS.name,
+)
+"""Tables that every rig under test keeps, and that are in the run of a failed test."""
+_GRID_PER_S = NS_PER_S // COMMAND_GRID_NS
+_DEFAULTS = to_flat(RigConfig())
+_UNSAID = ("time.", "instruments.faults")  # the same in every test; told in words
 BATCH_BLOCKS = 50
 KEPT_BYTES = 256_000_000
 """Scans beyond this are forgotten, oldest first: 10 minutes at 10 kS/s."""
@@ -27,6 +46,198 @@ ESSENTIAL = (topics.INFO.name, topics.APPLIED.name, topics.JOURNAL.name)
 """Never forgotten: what they say holds until the next of them."""
 
 Listener = Callable[[Table], object]
+
+
+class NotReachedError(ImpactRigError, AssertionError):
+    """What a test waited for did not happen in the simulated time it was given."""
+
+
+class SteppedRig(abc.ABC):
+    """A rig that only moves when told to.
+
+    Args:
+        name: what reports call it.
+        config: its configuration.
+    """
+
+    def __init__(self, name: str, config: RigConfig) -> None:
+        self.name = name
+        self.config = config
+        self.sample = 0
+        """First scan of the next block: where the rig stands."""
+        self._kept_from = 0
+
+    # What a subclass fills in
+
+    @abc.abstractmethod
+    def step(self, blocks: int = 1) -> None:
+        """Advance by whole blocks; when it returns the pipeline under test has processed all of them."""
+
+    @abc.abstractmethod
+    def tables(self, topic: str = SCANS) -> list[Table]:
+        """Return what was published on a table topic, see `TOPICS`, oldest first."""
+
+    @abc.abstractmethod
+    def save(self, directory: Path) -> Path:
+        """Write everything so far as an MCAP run into a directory that does not exist yet, and return it.
+
+        Raises:
+            RecordingError: it cannot be written.
+        """
+
+    @abc.abstractmethod
+    def close(self) -> None:
+        """End the rig."""
+
+    @abc.abstractmethod
+    def _command(self, frequency_hz: float | None, current_a: float | None) -> int:
+        """Command and return the first scan it acts on."""
+
+    # Time
+
+    @property
+    def rate_hz(self) -> int:
+        """Scans per second."""
+        return self.config.daq.rate_hz
+
+    @property
+    def block_scans(self) -> int:
+        """Scans per block."""
+        return self.config.daq.block_scans
+
+    @property
+    def time_s(self) -> float:
+        """Rig time since the start or reset."""
+        return self.sample / self.rate_hz
+
+    def run(self, seconds: float) -> None:
+        """Advance by this much rig time, rounded up to whole blocks."""
+        self.step(math.ceil(seconds * self.rate_hz / self.block_scans - 1e-9))
+
+    def run_to_sample(self, sample: int) -> None:
+        """Advance until the next block begins with this scan.
+
+        Raises:
+            ConfigError: no block begins there, or the rig is past it.
+        """
+        blocks, rest = divmod(sample - self.sample, self.block_scans)
+        if rest or blocks < 0:
+            raise ConfigError(
+                f"cannot run to sample {sample}: {self.name} is at {self.sample} and a block has {self.block_scans}"
+            )
+        if blocks:
+            self.step(blocks)
+
+    def wait_until(
+        self, condition: Callable[[], object], what: str, limit_s: float = 30.0, every_s: float = 0.05
+    ) -> float:
+        """Advance until `condition()` is true, and return the rig time.
+
+        Args:
+            condition: asked before the first step, and after each.
+            what: what is awaited, for the message.
+            limit_s: rig time it may take.
+            every_s: rig time between two looks, rounded up to whole blocks.
+
+        Raises:
+            NotReachedError: it did not become true in time.
+        """
+        begin, blocks = self.time_s, max(1, math.ceil(every_s * self.rate_hz / self.block_scans - 1e-9))
+        while not condition():
+            left = math.ceil((begin + limit_s - self.time_s) * self.rate_hz / self.block_scans - 1e-6)
+            if left <= 0:
+                raise NotReachedError(
+                    f"waited {limit_s:g} s of rig time in vain for {what} "
+                    f"({self.name} is at {self.time_s:g} s, {self._faults_so_far()})"
+                )
+            self.step(min(blocks, left))
+        return self.time_s
+
+    # Inputs
+
+    def command(
+        self, frequency_hz: float | None = None, current_a: float | None = None, *, at_sample: int | None = None
+    ) -> int:
+        """Command frequency [Hz] and current [A peak], and return the first scan they act on.
+
+        Args:
+            frequency_hz: None: as it is.
+            current_a: None: as it is.
+            at_sample: run up to this scan first; it must be a whole block and lie on the 10 ms grid of commands.
+
+        Raises:
+            CommandError: the scan is not a possible one, or the rig refused.
+            ConfigError: the rig is past it.
+        """
+        if at_sample is None:
+            return self._command(frequency_hz, current_a)
+        if first_scan_on_grid(at_sample, self.rate_hz) != at_sample or at_sample % self.block_scans:
+            raise CommandError(
+                f"no command can act on sample {at_sample}: at {self.rate_hz} Hz commands act every "
+                f"{self.rate_hz / _GRID_PER_S:g} samples, and a block has {self.block_scans}"
+            )
+        self.run_to_sample(at_sample)
+        acts_on = self._command(frequency_hz, current_a)
+        if acts_on != at_sample:
+            raise CommandError(f"the command acts on sample {acts_on}, not on {at_sample}")
+        return acts_on
+
+    # What there is to compare with
+
+    def rows(self, topic: str = SCANS) -> NDArray[np.void]:
+        """Return the rows of all tables of a topic, one after the other; shape (n,)."""
+        parts = [table.rows for table in self.tables(topic)]
+        return np.concatenate(parts) if parts else np.empty(0, SCAN)
+
+    def expected_transmissibility(self, frequency_hz: float) -> complex:
+        """Return X_1 / X_b in closed form, which exists for a rig without its sphere.
+
+        Raises:
+            ConfigError: the sphere is there.
+        """
+        from impact_rig.physics.prediction import transmissibility  # noqa: PLC0415  # loads compiled code
+
+        if self.config.sphere.present:
+            raise ConfigError("the closed form holds without the sphere: start the rig with sphere.present: false")
+        return complex(transmissibility(self.config, frequency_hz))
+
+    def lost_samples(self) -> list[tuple[int, int]]:
+        """Return the scans that were not published, as (first, one after the last)."""
+        lost, expected, start_ns = [], self._kept_from, self._start_ns()
+        for table in self.tables():
+            first = first_sample(table, start_ns, self.rate_hz)
+            if first > expected:
+                lost.append((expected, first))
+            expected = first + len(table.rows)
+        return lost if expected >= self.sample else [*lost, (expected, self.sample)]
+
+    @property
+    def faults(self) -> list[Fault]:
+        """The faults that were planned."""
+        return list(self.config.instruments.faults.faults(self.rate_hz))
+
+    # Reports
+
+    def report(self) -> str:
+        """Return for people what this rig is and what happened to it."""
+        values = to_flat(self.config)
+        changed = [key for key, value in values.items() if value != _DEFAULTS[key] and not key.startswith(_UNSAID)]
+        lines = [f"{self.name}: {self.time_s:g} s of rig time, {self.sample} scans at {self.rate_hz} Hz"]
+        lines += [f"    {key} = {values[key]}" for key in changed]
+        lines += [f"    fault: {fault}" for fault in self.faults]
+        lines += [f"    scans {first} to {end - 1} were not published" for first, end in self.lost_samples()[:5]]
+        applied = {int(row["sample"]): row for row in self.rows(topics.APPLIED.name)}
+        for sample, row in list(applied.items())[-10:]:
+            lines.append(f"    from scan {sample} on: {row['frequency']:g} Hz, {row['current']:g} A")
+        return "\n".join(lines)
+
+    def _start_ns(self) -> int:
+        info = self.tables(topics.INFO.name)
+        return info[0].stamp_ns if info else 0
+
+    def _faults_so_far(self) -> str:
+        begun = [str(fault) for fault in self.faults if fault.start_sample < self.sample]
+        return f"faults: {'; '.join(begun)}" if begun else "no faults"
 
 
 class VirtualRig(SteppedRig):
@@ -177,3 +388,26 @@ class VirtualRig(SteppedRig):
         self._bytes -= table.rows.nbytes
         if topic == SCANS:
             self._kept_from = first_sample(self._kept[SCANS][0], self._start_ns(), self.rate_hz)
+
+
+def first_scan_on_grid(sample: int, rate_hz: int) -> int:
+    """Return the first scan on which a command can act that is not before `sample`."""
+    tick = -(-sample * _GRID_PER_S // rate_hz)
+    first = -(-tick * rate_hz // _GRID_PER_S)
+    return first if first >= sample else -(-(tick + 1) * rate_hz // _GRID_PER_S)
+
+
+def first_sample(table: Table, start_ns: int, rate_hz: int) -> int:
+    """Return the index of the first scan of a block, from its stamp."""
+    return -(-(table.stamp_ns - start_ns) * rate_hz // NS_PER_S)
+
+
+def configured(parameters: Mapping[str, object], faults: Iterable[Fault]) -> RigConfig:
+    """Return the configuration of a rig under test: defaults, `parameters` on top, and the faults.
+
+    Raises:
+        ConfigError: unknown key, bad value or fault.
+    """
+    config = from_flat(RigConfig(), {"time.mode": "stepped", **parameters})
+    lines = [fault.line(config.daq.rate_hz) for fault in faults]
+    return from_flat(config, {"instruments.faults.planned": lines}) if lines else config

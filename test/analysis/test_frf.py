@@ -10,7 +10,7 @@ from kits.records import F_N, channel_response, info_rows, linear_transmissibili
 from scipy import signal
 
 from impact_rig.analysis.frf import RESOLVED, find_resonance, frf, resolution_bias, resolving_s, transmissibility_frf
-from impact_rig.instruments.scan import SCAN
+from impact_rig.instruments.section import SCAN
 
 RATE = 1000.0
 

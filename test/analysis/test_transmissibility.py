@@ -27,7 +27,7 @@ from impact_rig.analysis.settings import TrackerSettings
 from impact_rig.analysis.transmissibility import measure_record
 from impact_rig.analysis.words import Method, Regime, Status
 from impact_rig.errors import ConfigError
-from impact_rig.instruments.scan import CHANNELS
+from impact_rig.instruments.section import CHANNELS
 
 COVERAGE = (0.93, 0.975)
 EXACT_RTOL = 1e-8

@@ -16,7 +16,7 @@ pytestmark = [pytest.mark.ros, pytest.mark.pipeline, pytest.mark.timeout(200)]
 
 
 def test_ros_and_process_give_the_same_bits(tmp_path, measured):
-    from impact_rig.client.campaign import stepped_runner
+    from impact_rig.client.apparatus import stepped_runner
 
     point, _, sweep, _, trip, refused = (job for job, _ in measured.values())
     jobs = [point, sweep, trip, refused]

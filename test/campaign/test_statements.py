@@ -13,7 +13,7 @@ from impact_rig.campaign.paper import CURRENT_A, FREQUENCIES_HZ, REDUCTION_PERCE
 from impact_rig.campaign.results import Curves, Point
 from impact_rig.campaign.statements import Worth, judge, peak_hz
 from impact_rig.config import Origin
-from impact_rig.physics.closed_form import base_amplitude, transmissibility
+from impact_rig.physics.prediction import base_amplitude, transmissibility
 from impact_rig.rig.config import RigConfig, fields, from_flat
 from impact_rig.studies.margins import variations
 

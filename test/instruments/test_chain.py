@@ -13,7 +13,7 @@ from impact_rig.arithmetic.random import Random
 from impact_rig.blocks import DAQ_INFO
 from impact_rig.errors import CommandError, ConfigError
 from impact_rig.instruments import Chain, Fault
-from impact_rig.instruments.scan import CHANNELS, SCAN
+from impact_rig.instruments.section import CHANNELS, SCAN
 from impact_rig.physics import FunctionGenerator, Simulation
 from impact_rig.rig.config import from_flat
 

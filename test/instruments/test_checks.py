@@ -7,7 +7,7 @@ from kits.instruments import configured
 
 from impact_rig.cli import main
 from impact_rig.instruments import Fault, check_known_input, check_polarity
-from impact_rig.instruments.scan import CHANNELS
+from impact_rig.instruments.section import CHANNELS
 from impact_rig.rig.config import RigConfig, dump, from_flat
 
 

@@ -9,7 +9,7 @@ from kits.instruments import EXACT, AnalyticMotion, configured, measured, sine
 from impact_rig.errors import ConfigError
 from impact_rig.instruments import Chain
 from impact_rig.instruments.chain import sensors
-from impact_rig.instruments.scan import CHANNELS
+from impact_rig.instruments.section import CHANNELS
 from impact_rig.rig.config import RigConfig, from_flat
 
 BIT = {name: 1 << index for index, name in enumerate(CHANNELS)}

@@ -12,7 +12,7 @@ from kits.instruments import AnalyticMotion, configured, measured, sine
 from impact_rig.blocks import FAULTS
 from impact_rig.errors import CommandError, ConfigError
 from impact_rig.instruments import Chain, Fault
-from impact_rig.instruments.fault_kinds import FAULT_KINDS
+from impact_rig.instruments.instrument import FAULT_KINDS
 from impact_rig.rig.config import RigConfig, from_flat
 
 START, DURATION = 300, 400

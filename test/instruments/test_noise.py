@@ -12,7 +12,7 @@ from scipy import signal
 from impact_rig.instruments import Chain
 from impact_rig.instruments.calibration import converter_noise_v, lsb_v
 from impact_rig.instruments.chain import sensors
-from impact_rig.instruments.scan import CHANNELS
+from impact_rig.instruments.section import CHANNELS
 
 SIGMAS = 4.5  # two-sided chance of a false alarm per comparison: 7e-6
 N = 200_000

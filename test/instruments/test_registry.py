@@ -13,9 +13,9 @@ import pytest
 from impact_rig.columns import Column
 from impact_rig.instruments import registry
 from impact_rig.instruments.checks import check_known_input
-from impact_rig.instruments.fault_kinds import CHANNEL_KINDS
+from impact_rig.instruments.instrument import CHANNEL_KINDS
 from impact_rig.instruments.registry import INSTRUMENTS
-from impact_rig.instruments.scan import CHANNELS, COLUMNS, SCAN, channels_of
+from impact_rig.instruments.section import CHANNELS, COLUMNS, SCAN, channels_of
 from impact_rig.recording import open_run
 from impact_rig.rig.config import RigConfig, fields, from_flat
 from impact_rig.testing import VirtualRig

@@ -8,7 +8,7 @@ from kits.instruments import AnalyticMotion, configured, fitted, measured, sine
 
 from impact_rig.instruments import Chain
 from impact_rig.instruments.chain import sensors
-from impact_rig.instruments.scan import CHANNELS
+from impact_rig.instruments.section import CHANNELS
 
 AMPLITUDES = {"accelerometer": 20.0, "laser": 5e-3, "base": 2e-3, "current": 2.0}
 QUANTITIES = {"accelerometer": "a_1", "laser": "x_1", "base": "x_b", "current": "current"}

@@ -7,9 +7,9 @@ import pytest
 from kits.instruments import configured
 from scipy import integrate, signal
 
-from impact_rig.instruments import transfer
+from impact_rig.instruments import sensor as transfer
 from impact_rig.instruments.chain import sensors
-from impact_rig.instruments.weights import weigh
+from impact_rig.instruments.response import weigh
 
 FREQUENCIES = np.geomspace(0.1, 60e3, 50)
 

@@ -51,7 +51,7 @@ find = util.find_spec
 util.find_spec = lambda name, *more: None if name == "numba" else find(name, *more)
 """
 OWN_LAW = '''
-from impact_rig.physics.contact import law
+from impact_rig.physics.contact import hunt_crossley as law
 exec("""
 def own(stiffness, factor, per_v0, turned_at, w, speed):
     hertz = stiffness * w * w * w

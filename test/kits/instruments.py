@@ -13,7 +13,7 @@ import numpy as np
 from scipy import signal
 
 from impact_rig.instruments import Chain
-from impact_rig.instruments.transfer import Transfer
+from impact_rig.instruments.sensor import Transfer
 from impact_rig.rig.config import RigConfig, from_flat
 
 TICK_S = 0.01

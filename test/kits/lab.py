@@ -4,35 +4,30 @@
 
 from __future__ import annotations
 
-import threading
-
 import numpy as np
 
 from impact_rig.blocks import Table
-from impact_rig.instruments.scan import SCAN
-from impact_rig.lab.motion import Motion
+from impact_rig.instruments.section import SCAN
 from impact_rig.lab.protocol import Request
+from impact_rig.lab.record import Record
 from impact_rig.lab.scope import Scope
-from impact_rig.lab.source import Answer, Snapshot
+from impact_rig.lab.state import Answer, Snapshot
 
 RATE = 1000
 
 
 class FakeSource:
+    other: Scope | None = None
+
     def __init__(self) -> None:
         self.snapshot = Snapshot()
         self.snapshot.put("rig", {"word": "at rest", "text": "", "name": ""})
-        self.scope: Scope | None = Scope(RATE)
-        self.other: Scope | None = None
-        self.motion = Motion()
-        self.lock = threading.Lock()
+        self.record = Record()
+        self.record.scope = self.scope = Scope(RATE)
+        self.record.epoch = 1
         self.now_s = 0.0
-        self.epoch = 1
-        self.asked: list[Request] = []
         self.watchers = 0
-
-    def watched(self, count: int) -> None:
-        self.watchers = count
+        self.asked: list[Request] = []
 
     def ask(self, request: Request, answer: Answer) -> None:
         self.asked.append(request)

@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig.physics import SEGMENT, Motion, Simulation
-from impact_rig.physics.contact import LAWS, HystereticLaw
-from impact_rig.physics.properties import hertz_stiffness_n_m32, sphere_mass_kg
+from impact_rig.physics.contact import LAWS
+from impact_rig.physics.contact.hunt_crossley import HystereticLaw
+from impact_rig.physics.linear import hertz_stiffness_n_m32, sphere_mass_kg
 from impact_rig.rig.config import RigConfig
 
 TWO_PI = 2.0 * math.pi

@@ -7,7 +7,7 @@ from __future__ import annotations
 from typing import Any
 
 from impact_rig.client import Client, Collector
-from impact_rig.client.parameters import ros_parameters
+from impact_rig.client.client import ros_parameters
 from impact_rig.nodes.rig_node import RigNode
 from impact_rig.rig import resimulate
 from impact_rig.simtime import COMMAND_GRID_NS

@@ -18,7 +18,7 @@ from mcap.writer import CompressionType, Writer
 
 from impact_rig import codec
 from impact_rig.blocks import APPLIED, Table
-from impact_rig.instruments.scan import SCAN
+from impact_rig.instruments.section import SCAN
 from impact_rig.recording import Attachment, OfferedQos, Provenance, RunWriter, TopicDescription, schema_text
 
 POINT_CLOUD = "sensor_msgs/msg/PointCloud2"

@@ -10,7 +10,7 @@ import numpy as np
 from scipy import signal
 
 from impact_rig.blocks import APPLIED, DAQ_INFO, Table
-from impact_rig.instruments.scan import CHANNELS, SCAN
+from impact_rig.instruments.section import CHANNELS, SCAN
 from impact_rig.simtime import stamp_ns
 
 F_N, ZETA = 9.105, 0.0044974

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.lib.recfunctions import repack_fields
 
 from impact_rig.blocks import Table
-from impact_rig.instruments.scan import CHANNELS
+from impact_rig.instruments.section import CHANNELS
 from impact_rig.rig import Block, resimulate
 from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.simtime import COMMAND_GRID_NS

@@ -25,7 +25,8 @@ from impact_rig.client import Client, Collector, Processes, isolated_domain
 from impact_rig.lab.gateway import Own
 from impact_rig.lab.live import LiveSource
 from impact_rig.lab.server import Server
-from impact_rig.nodes.topics import by_name
+from impact_rig.nodes import messages
+from impact_rig.nodes.messages import by_name
 from impact_rig.rig.config import load
 
 pytestmark = [pytest.mark.ros, pytest.mark.pipeline]
@@ -147,7 +148,7 @@ def test_from_r_to_a_settled_transmissibility(lab: Lab, page: Page) -> None:
     word(page, "settling", "driving")
     assert page.js("lab.now.dt_now.holds") is False, "that value was of another gap"
     page.wait("lab.motion.impacts.length > 0", "impacts in the new gap")
-    assert page.js("lab.drawn.epoch") == lab.source.epoch
+    assert page.js("lab.drawn.epoch") == lab.source.record.epoch
 
 
 def curve(page: Page, directory: Path) -> None:
@@ -291,6 +292,20 @@ def test_stop_works_whatever_others_publish(lab: Lab, page: Page, hostile: Calla
     pictures = page.js("lab.drawn.pictures")
     page.wait(f"lab.drawn.pictures > {pictures}", "the pictures to go on")
     page.key("c")
+    word(page, "at rest")
+
+
+def test_a_rival_is_named_while_it_is_there(lab: Lab, page: Page) -> None:
+    """A bug once: a rig with a second publisher of its topics was shown "at rest"."""
+    word(page, "at rest")
+    topic = by_name("truth/impacts")
+    rival = lab.client.node.create_publisher(messages.class_of(topic), topic.name, messages.profile(topic.qos))
+    word(page, "rival")
+    page.wait(
+        "document.getElementById('sentence').title.includes('/rig/observer publishes truth/impacts as well')",
+        "its name",
+    )
+    lab.client.node.destroy_publisher(rival)
     word(page, "at rest")
 
 

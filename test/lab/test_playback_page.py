@@ -131,9 +131,9 @@ def test_two_runs_are_aligned_by_start_time_or_change_and_have_a_legend(
 
 def test_a_run_that_begins_in_mid_session_begins_with_its_first_scan(recorded: Messages, tmp_path: Path) -> None:
     with PlaybackSource([record(tmp_path / "late", from_second(recorded, 6.0))]) as source:
-        source.watched(1)
+        source.watchers = 1
         assert source.now_s == pytest.approx(6.0, abs=0.05)
-        wait_until(lambda: source.scope.end_s > 6.2, "scans at once")
+        wait_until(lambda: source.record.scope.end_s > 6.2, "scans at once")
         assert source.snapshot.get("playback")["begin"] == 6.0
         wait_until(lambda: (source.snapshot.get("applied") or {}).get("current") == 0.52, "the drive of before")
 
@@ -206,7 +206,7 @@ def test_tables_without_a_column_cost_themselves_alone(
         for name, table in recorded
     ]  # fmt: skip
     with PlaybackSource([record(tmp_path / "run", broken)]) as source:
-        source.watched(1)
+        source.watchers = 1
         wait_until(lambda: (source.snapshot.get("playback") or {}).get("read") == 1.0, "the marks")
         assert asked(source, "seek", value=2.0) == (True, "")
         assert asked(source, "seek", value=11.9) == (True, "")

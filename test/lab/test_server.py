@@ -155,7 +155,7 @@ def test_a_stalled_page_gets_two_pictures_and_another_all_of_them(server: Server
             stalled, quick = await connect(session, server), await connect(session, server)
             drawn = 0
             for number in range(8):
-                with source.lock:
+                with source.record.lock:
                     source.scope.add(scans(number * 100, 100, laser=float(number)), 0)
                 while True:
                     data = (await quick.receive()).data

@@ -15,8 +15,7 @@ from kits.lab import FakeSource
 
 from impact_rig.lab import theory
 from impact_rig.lab.server import Server
-from impact_rig.lab.state import closed_form
-from impact_rig.lab.theory import DECIDING, Theory, contradiction, predicted
+from impact_rig.lab.theory import DECIDING, Theory, closed_form, contradiction, predicted
 from impact_rig.physics import prediction
 from impact_rig.rig.config import RigConfig, to_flat
 

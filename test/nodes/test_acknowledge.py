@@ -24,6 +24,7 @@ pytestmark = pytest.mark.ros
 def _told(client: Client, blocks: int, may_send: bool = True) -> list[Header]:
     """Return what is heard of blocks processed in one go."""
     node = host_rig(client, time__peers=[])
+    node.offer(topics.ACK)
     acknowledgements = Acknowledgements(node, lambda: may_send)
     heard = client.listen(topics.ACK.name)
     for number in range(blocks):
@@ -32,7 +33,7 @@ def _told(client: Client, blocks: int, may_send: bool = True) -> list[Header]:
         client.wait_until(lambda: [*heard.messages[-1:]] and heard.messages[-1].stamp.nanosec == blocks - 1, "the last")
     else:
         client.spin_for(0.2)
-    acknowledgements.destroy()
+    acknowledgements.flush()
     return list(heard.messages)
 
 
@@ -48,6 +49,7 @@ def test_blocks_of_a_burst_are_acknowledged_together_and_the_last_one_soon(clien
 
 def test_blocks_of_real_time_are_acknowledged_together_and_the_last_one_without_another(client: Client) -> None:
     node = host_rig(client, time__peers=[])
+    node.offer(topics.ACK)
     acknowledgements = Acknowledgements(node)
     heard = client.listen(topics.ACK.name)
     now = time.time_ns()
@@ -55,7 +57,7 @@ def test_blocks_of_real_time_are_acknowledged_together_and_the_last_one_without_
         acknowledgements.processed(now + number)
     assert not heard.messages
     client.wait_until(lambda: len(heard.messages) > 0, "an acknowledgement")
-    acknowledgements.destroy()
+    acknowledgements.flush()
     assert [nanoseconds(header.stamp) for header in heard.messages] == [now + MOST]
 
 

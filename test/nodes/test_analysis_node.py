@@ -19,9 +19,9 @@ from impact_rig.analysis.labels import GapLabel, parse_label
 from impact_rig.analysis.tracker import Tracker
 from impact_rig.blocks import Table
 from impact_rig.client import Client
-from impact_rig.client.parameters import ros_parameters
+from impact_rig.client.client import ros_parameters
 from impact_rig.errors import ConfigError
-from impact_rig.instruments.scan import SCAN
+from impact_rig.instruments.section import SCAN
 from impact_rig.nodes import messages
 from impact_rig.nodes.analysis_node import AnalysisNode
 

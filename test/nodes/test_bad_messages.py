@@ -22,14 +22,14 @@ from sensor_msgs.msg import PointCloud2, PointField
 from impact_rig import codec, topics
 from impact_rig.blocks import Table
 from impact_rig.client import Client, Collector, isolated_domain
-from impact_rig.client.parameters import ros_parameters
-from impact_rig.instruments.scan import SCAN
+from impact_rig.client.client import ros_parameters
+from impact_rig.instruments.section import SCAN
 from impact_rig.nodes import messages
 from impact_rig.nodes.analysis_node import AnalysisNode
 from impact_rig.nodes.managed import ManagedNode
+from impact_rig.nodes.messages import TOPICS
 from impact_rig.nodes.recorder_node import RecorderNode
 from impact_rig.nodes.stepped_sine_node import SteppedSineNode
-from impact_rig.nodes.topics import TOPICS
 
 pytestmark = pytest.mark.ros
 TABLES = {topic.name: topic for topic in TOPICS if topic.columns is not None}

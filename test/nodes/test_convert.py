@@ -14,9 +14,8 @@ pytest.importorskip("rclpy", reason="no ROS 2 here")
 from rclpy.serialization import deserialize_message
 
 from impact_rig.nodes import messages
-from impact_rig.nodes.messages import nanoseconds
-from impact_rig.nodes.monitors import HALF_PERIODS, AntiAlias, Monitors, taps
-from impact_rig.nodes.topics import by_name
+from impact_rig.nodes.messages import by_name, nanoseconds
+from impact_rig.nodes.publishers import HALF_PERIODS, AntiAlias, Monitors, taps
 from impact_rig.rig import Block, Rig
 from impact_rig.rig.config import RigConfig, from_flat
 

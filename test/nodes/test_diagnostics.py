@@ -17,7 +17,7 @@ from kits.nodes import host_rig
 from impact_rig import codec, topics
 from impact_rig.client import Client, isolated_domain
 from impact_rig.client.collector import Received
-from impact_rig.nodes.diagnostics import CpuMeter, Level, worst
+from impact_rig.nodes.managed import CpuMeter, Level, worst
 from impact_rig.physics.contact import from_config
 from impact_rig.rig.config import RigConfig
 from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S

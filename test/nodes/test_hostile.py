@@ -29,7 +29,7 @@ from impact_rig import topics
 from impact_rig.client import isolated_domain
 from impact_rig.errors import ConfigError
 from impact_rig.nodes import messages
-from impact_rig.nodes.topics import TOPICS
+from impact_rig.nodes.messages import TOPICS
 from impact_rig.recording import open_run
 from impact_rig.rig.config import RigConfig, from_flat
 from tools.generate import services

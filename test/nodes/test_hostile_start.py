@@ -16,7 +16,7 @@ from kits.hostile import CASES, FIELDS, cases, texts
 from rclpy.lifecycle import TransitionCallbackReturn
 
 from impact_rig.client import Client, isolated_domain
-from impact_rig.client.parameters import ros_parameters
+from impact_rig.client.client import ros_parameters
 from impact_rig.errors import ConfigError
 from impact_rig.nodes.rig_node import RigNode
 from impact_rig.rig.config import RigConfig, from_flat

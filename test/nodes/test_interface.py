@@ -21,14 +21,14 @@ from std_srvs.srv import SetBool, Trigger
 
 from impact_rig import topics
 from impact_rig.client import Client, isolated_domain
-from impact_rig.client.parameters import ros_parameters
+from impact_rig.client.client import ros_parameters
 from impact_rig.nodes import messages
 from impact_rig.nodes.__main__ import NODES, show_help
 from impact_rig.nodes.analysis_node import AnalysisNode
+from impact_rig.nodes.messages import TOPICS, by_name
 from impact_rig.nodes.recorder_node import RecorderNode
 from impact_rig.nodes.rig_node import RigNode
 from impact_rig.nodes.stepped_sine_node import SteppedSineNode
-from impact_rig.nodes.topics import TOPICS, by_name
 from tools.generate import figures, interface, services
 from tools.generate.services import Situation
 
@@ -145,8 +145,8 @@ def test_a_program_tells_its_use_and_starts_nothing(node: str) -> None:
     assert done.stderr == ""
     (name, value) = re.search(r"-p ([a-z_.]+):=(\S+)\n", done.stdout).groups()
     if node in interface.SCHEMAS:  # its example is a parameter of the node, with a value it takes
-        schema = interface.SCHEMAS[node]
-        assert schema.changed(schema.default(), {name: yaml.safe_load(value)}) != schema.default()
+        tree = interface.SCHEMAS[node]
+        assert tree.from_flat(tree.root(), {name: yaml.safe_load(value)}) != tree.root()
 
 
 def test_help_of_what_ros_is_told_is_for_ros() -> None:

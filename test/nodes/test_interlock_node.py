@@ -13,7 +13,7 @@ pytest.importorskip("rclpy", reason="no ROS 2 here")
 from kits.nodes import host_rig
 
 from impact_rig.client import Client, ServiceFailedError, WaitTimeoutError
-from impact_rig.client.parameters import ros_parameters
+from impact_rig.client.client import ros_parameters
 from impact_rig.nodes.recorder_node import RecorderNode
 from impact_rig.nodes.rig_node import RigNode
 from impact_rig.recording import open_run

@@ -20,8 +20,7 @@ from rcl_interfaces.srv import GetParameterTypes, ListParameters
 from rclpy.qos import qos_profile_parameter_events
 
 from impact_rig.client import Client, Collector, isolated_domain
-from impact_rig.nodes.messages import nanoseconds
-from impact_rig.nodes.topics import by_name
+from impact_rig.nodes.messages import by_name, nanoseconds
 from impact_rig.rig import config
 from impact_rig.rig.config import RigConfig
 from impact_rig.simtime import NS_PER_S

@@ -19,7 +19,7 @@ from rcl_interfaces.srv import GetParameters, ListParameters, SetParameters
 from rclpy.parameter import parameter_dict_from_yaml_file, parameter_value_to_python
 
 from impact_rig.client import Client, isolated_domain
-from impact_rig.client.parameters import ros_parameters
+from impact_rig.client.client import ros_parameters
 from impact_rig.nodes.analysis_node import AnalysisNode
 from impact_rig.nodes.managed import ManagedNode
 from impact_rig.nodes.recorder_node import RecorderNode

@@ -17,8 +17,7 @@ from impact_rig import topics
 from impact_rig.analysis.sine import fit_sine
 from impact_rig.client import Client, Collector, isolated_domain
 from impact_rig.nodes.analysis_node import AnalysisNode
-from impact_rig.nodes.messages import nanoseconds
-from impact_rig.nodes.topics import ENVELOPES, SPECTRA, TOPICS
+from impact_rig.nodes.messages import ENVELOPES, SPECTRA, TOPICS, nanoseconds
 from impact_rig.simtime import NS_PER_S
 
 pytestmark = pytest.mark.ros

@@ -22,7 +22,7 @@ from std_msgs.msg import Float64, String
 from impact_rig import codec, topics
 from impact_rig.blocks import TRANSMISSIBILITY, Table
 from impact_rig.client import Client, ServiceFailedError
-from impact_rig.client.parameters import ros_parameters
+from impact_rig.client.client import ros_parameters
 from impact_rig.nodes import messages
 from impact_rig.nodes.recorder_node import RecorderNode
 from impact_rig.recording import open_run

@@ -13,7 +13,7 @@ from rclpy.node import Node
 
 from impact_rig import topics
 from impact_rig.client import Client, Collector, ServiceFailedError, WaitTimeoutError
-from impact_rig.client.parameters import ros_parameters
+from impact_rig.client.client import ros_parameters
 from impact_rig.nodes import messages
 from impact_rig.nodes.analysis_node import AnalysisNode
 from impact_rig.nodes.recorder_node import RecorderNode

@@ -21,7 +21,7 @@ pytest.importorskip("rclpy", reason="no ROS 2 here")
 from kits.nodes import host_rig
 
 from impact_rig.client import Client, isolated_domain
-from impact_rig.client.parameters import ros_parameters
+from impact_rig.client.client import ros_parameters
 from impact_rig.nodes import process
 from impact_rig.nodes.rig_node import RigNode
 

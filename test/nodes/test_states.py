@@ -21,7 +21,7 @@ from rclpy.node import Node
 from impact_rig import codec, states, topics
 from impact_rig.blocks import JOURNAL, Table
 from impact_rig.client import Client
-from impact_rig.client.parameters import ros_parameters
+from impact_rig.client.client import ros_parameters
 from impact_rig.errors import RecordingError
 from impact_rig.nodes import messages
 from impact_rig.nodes.analysis_node import AnalysisNode

@@ -13,11 +13,11 @@ from kits.nodes import host_rig
 from std_srvs.srv import Trigger
 
 from impact_rig.client import Client, ServiceFailedError
-from impact_rig.client.parameters import ros_parameters
+from impact_rig.client.client import ros_parameters
 from impact_rig.errors import ConfigError
 from impact_rig.nodes.analysis_node import AnalysisNode
 from impact_rig.nodes.stepped_sine_node import SteppedSineNode
-from impact_rig.physics.closed_form import transmissibility
+from impact_rig.physics.prediction import transmissibility
 from impact_rig.rig.config import RigConfig
 
 pytestmark = pytest.mark.ros

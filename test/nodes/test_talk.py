@@ -14,7 +14,7 @@ from rclpy.logging import LoggingSeverity
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile
 
 from impact_rig.client import Client, isolated_domain
-from impact_rig.client.parameters import ros_parameters
+from impact_rig.client.client import ros_parameters
 from impact_rig.errors import ConfigError
 from impact_rig.nodes.analysis_node import AnalysisNode
 from impact_rig.nodes.recorder_node import RecorderNode

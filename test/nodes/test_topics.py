@@ -14,7 +14,7 @@ from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from impact_rig.client import Client
 from impact_rig.codec import MAX_MESSAGE_BYTES
 from impact_rig.nodes.analysis_node import AnalysisNode
-from impact_rig.nodes.topics import TOPICS
+from impact_rig.nodes.messages import TOPICS
 
 pytestmark = pytest.mark.ros
 

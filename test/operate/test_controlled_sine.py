@@ -16,7 +16,7 @@ from impact_rig.errors import ConfigError
 from impact_rig.operate.operator import Applied, News, operate
 from impact_rig.operate.plan import Plan
 from impact_rig.operate.stepped_sine import ControlledSine, Hold, HoldPlan, State
-from impact_rig.physics.closed_form import transmissibility
+from impact_rig.physics.prediction import transmissibility
 from impact_rig.rig.config import RigConfig
 from impact_rig.simtime import NS_PER_S
 from impact_rig.studies import prediction as by_test

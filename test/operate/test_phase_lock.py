@@ -16,7 +16,7 @@ from impact_rig.errors import ConfigError
 from impact_rig.operate.looking import Ladder, climb, follow, lock_on, mean
 from impact_rig.operate.phase_lock import LockPlan, Look, PhaseLock, Reference, Stage
 from impact_rig.operate.stepped_sine import State
-from impact_rig.physics.closed_form import transmissibility
+from impact_rig.physics.prediction import transmissibility
 from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.simtime import NS_PER_S
 from impact_rig.studies.closed_loop import ProcessLoop
@@ -189,7 +189,7 @@ def test_a_trip_ends_it():
 @pytest.mark.timeout(200)
 def test_over_topics_it_has_the_same_bits(locked, tmp_path: Path):
     pytest.importorskip("rclpy", reason="no ROS 2 here")
-    from impact_rig.client.closed_loop import stepped_loop
+    from impact_rig.client.apparatus import stepped_loop
 
     with stepped_loop(tmp_path, linear()) as rig:
         lock = PhaseLock(PLAN)

@@ -13,9 +13,10 @@ import pytest
 from kits.mechanics import benchmark_rig, hit, lock_in, prescribed, rig, sine, sphere_kg, stiffness
 from scipy.integrate import solve_ivp
 
-from impact_rig.physics import Simulation, restitution
+from impact_rig.physics import Simulation
 from impact_rig.physics.collocation import LAST
-from impact_rig.physics.indentation import ROUNDS, begin_step, solve
+from impact_rig.physics.contact import hunt_crossley
+from impact_rig.physics.contact_step import ROUNDS, begin_step, solve
 from impact_rig.physics.model import CONTACT_RTOL, Model, build
 from impact_rig.physics.state import PRESS, STATE, record
 from impact_rig.rig.config import RigConfig
@@ -120,7 +121,7 @@ def test_a_classical_method_has_order_two_and_a_half_on_the_same_contact():
     """RK4 in (δ, δ') and time: what the regularised variable is for."""
     factor, speed = 8.0 * 0.65 / (5.0 * 0.35), 0.3
     k = stiffness() / sphere_kg()
-    exact = restitution.realised(factor)
+    exact = hunt_crossley.realised(factor)
 
     def rates(y: np.ndarray) -> np.ndarray:
         return np.array([y[1], -k * max(y[0], 0.0) ** 1.5 * (1.0 + factor * y[1] / speed)])
@@ -140,7 +141,7 @@ def test_a_classical_method_has_order_two_and_a_half_on_the_same_contact():
 @pytest.mark.parametrize("law", ["flores", "kelvin_voigt"])
 def test_the_error_of_a_contact_follows_the_tolerance(law):
     """From the default tolerance on Flores' contacts are looked up, which is as good as the tightest one."""
-    exact = restitution.realised(8.0 * 0.65 / (5.0 * 0.35)) if law == "flores" else 0.35
+    exact = hunt_crossley.realised(8.0 * 0.65 / (5.0 * 0.35)) if law == "flores" else 0.35
     tolerances = 10.0 ** -np.arange(3, 13)
     errors = [
         np.mean([abs(hit(v, law=law, rtol=rtol).restitution / exact - 1.0) for v in np.geomspace(0.1, 1.0, 5)])

@@ -9,7 +9,7 @@ import pytest
 from scipy import signal
 
 from impact_rig.arithmetic.random import Random
-from impact_rig.physics.band_pass import BandNoise, band_pass, run
+from impact_rig.physics.function_generator import BandNoise, band_pass, run
 
 BANDS = [(5.0, 20.0), (5.0, 5.2), (0.5, 44.0), (30.0, 31.0)]
 RATE_HZ = 100.0

@@ -12,7 +12,7 @@ from kits.mechanics import TWO_PI, rig, sine
 
 from impact_rig.errors import ConfigError
 from impact_rig.physics import Simulation, prediction
-from impact_rig.physics.slow_manifold import THETA_SYMMETRIC, Manifold
+from impact_rig.physics.prediction import THETA_SYMMETRIC, Manifold
 from impact_rig.rig.config import RigConfig
 
 CURRENT_A = 0.52

@@ -20,8 +20,8 @@ from rosbags.typesys import Stores, get_typestore
 
 from impact_rig import codec
 from impact_rig.blocks import Table
-from impact_rig.instruments.scan import SCAN
-from impact_rig.nodes.topics import TOPICS
+from impact_rig.instruments.section import SCAN
+from impact_rig.nodes.messages import TOPICS
 
 ROOT = Path(__file__).parents[2]
 GUIDE = ROOT / "docs" / "recording.md"

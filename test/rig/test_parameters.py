@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from kits.rig import TICK, config, resimulated, same, samples
 
 from impact_rig.errors import CommandError, ConfigError
-from impact_rig.instruments.scan import CHANNELS
+from impact_rig.instruments.section import CHANNELS
 from impact_rig.rig import Block, Rig
 from impact_rig.rig.config import RigConfig, to_flat
 

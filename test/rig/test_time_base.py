@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from kits.rig import START_NS, TICK, config, impacts, same, samples
 
-from impact_rig.instruments.scan import CHANNELS
+from impact_rig.instruments.section import CHANNELS
 from impact_rig.rig import Block, Rig
 from impact_rig.simtime import NS_PER_S
 

@@ -16,7 +16,7 @@ from kits.recorded_rig import Messages, record
 from impact_rig.blocks import TRANSMISSIBILITY
 from impact_rig.cli import main
 from impact_rig.errors import RecordingError
-from impact_rig.instruments.scan import SCAN
+from impact_rig.instruments.section import SCAN
 from impact_rig.recording import open_run
 from impact_rig.runs import drawings, reanalysis
 from impact_rig.runs.wholes import Excerpt, last_excerpt

@@ -29,7 +29,7 @@ from kits.records import info_rows
 from impact_rig import codec
 from impact_rig.blocks import Table
 from impact_rig.errors import RecordingError
-from impact_rig.instruments.scan import SCAN
+from impact_rig.instruments.section import SCAN
 from impact_rig.recording import Account, RunWriter, losses, open_run
 from impact_rig.runs import check_contiguity, info, recover
 from impact_rig.simtime import stamp_ns

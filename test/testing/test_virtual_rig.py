@@ -12,7 +12,7 @@ import pytest
 from impact_rig.analysis.sine import fit_sine
 from impact_rig.blocks import Table
 from impact_rig.errors import CommandError, ConfigError, RecordingError
-from impact_rig.instruments.scan import CHANNELS
+from impact_rig.instruments.section import CHANNELS
 from impact_rig.recording import open_run
 from impact_rig.runs.verification import verify
 from impact_rig.testing import Fault, Golden, NotReachedError, VirtualRig, first_difference, virtual_rig

@@ -30,7 +30,7 @@ from rosbags.typesys.store import Typestore
 
 from impact_rig import codec
 from impact_rig.blocks import Table
-from impact_rig.instruments.scan import SCAN
+from impact_rig.instruments.section import SCAN
 from impact_rig.recording import (
     Attachment,
     OfferedQos,

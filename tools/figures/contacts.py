@@ -9,10 +9,10 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_rig.physics import SEGMENT, Motion, Simulation, restitution
+from impact_rig.physics import SEGMENT, Motion, Simulation
 from impact_rig.physics.collocation import LAST
-from impact_rig.physics.contact import LAWS
-from impact_rig.physics.indentation import ROUNDS, begin_step, solve
+from impact_rig.physics.contact import LAWS, hunt_crossley
+from impact_rig.physics.contact_step import ROUNDS, begin_step, solve
 from impact_rig.physics.model import Model, build
 from impact_rig.physics.state import PRESS, STATE, record
 from impact_rig.rig.config import RigConfig, from_flat
@@ -66,7 +66,7 @@ def draw_order() -> str:
     model = build(from_flat(RigConfig(), {"drive.kind": "prescribed"}))
     exact = _by_collocation(model, EXACT_STEPS)
     ours = [np.abs(_by_collocation(model, steps) / exact - 1.0).max() for steps in COLLOCATION_STEPS]
-    returned = restitution.realised(factor)
+    returned = hunt_crossley.realised(factor)
     k = model.parameters[0].stiffness / model.parameters[0].m
     classical = np.array([abs(_rk4(k, factor, steps) / returned - 1.0) for steps in RK4_STEPS])
     with style():

@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 
 from impact_rig.campaign.paper import FREQUENCY_HZ, REDUCTION_PERCENT
-from impact_rig.physics import closed_form
+from impact_rig.physics.prediction import transmissibility
 from impact_rig.rig.config import RigConfig
 from tools.figures import simulated
 from tools.figures.style import INK, MUTED, PAPER, STRUCTURE, direct_label, finished, new_figure, style
@@ -26,12 +26,12 @@ CURVE_SETTLE_S = 20.0
 
 def draw() -> str:
     """Return the drawing."""
-    without = abs(complex(closed_form.transmissibility(RigConfig(), FREQUENCY_HZ)))
+    without = abs(complex(transmissibility(RigConfig(), FREQUENCY_HZ)))
     with style():
         figure = new_figure(HEIGHT)
         left, right = figure.subplots(1, 2, width_ratios=[1.0, 1.0])
         fine = np.linspace(FROM_HZ, UPTO_HZ, 201)
-        bare = [abs(complex(closed_form.transmissibility(RigConfig(), float(frequency)))) for frequency in fine]
+        bare = [abs(complex(transmissibility(RigConfig(), float(frequency)))) for frequency in fine]
         left.plot(fine, bare, color=MUTED, linestyle="--")
         direct_label(left, 9.13, 104.0, "no sphere", MUTED)
         dt = [simulated.transmissibility(GAP_M, frequency, CURVE_SETTLE_S) for frequency in FREQUENCIES_HZ]

@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 
 from impact_rig.campaign.paper import FREQUENCY_HZ
-from impact_rig.physics import closed_form
+from impact_rig.physics.prediction import transmissibility
 from impact_rig.rig.config import RigConfig
 from tools.figures import simulated
 from tools.figures.style import BASE, INK, MUTED, STRUCTURE, direct_label, finished, new_figure, style
@@ -20,7 +20,7 @@ def draw() -> str:
     """Return the drawing."""
     time = np.arange(CYCLES * PER_CYCLE + 1) / (PER_CYCLE * FREQUENCY_HZ)
     base, structure = simulated.steady(0.0, cycles=CYCLES).at(("x_b", "x_1"), time)
-    ratio = abs(complex(closed_form.transmissibility(RigConfig(), FREQUENCY_HZ)))
+    ratio = abs(complex(transmissibility(RigConfig(), FREQUENCY_HZ)))
     with style():
         figure = new_figure(HEIGHT)
         axes = figure.subplot_mosaic([["structure", "ratio"], ["base", "ratio"]], width_ratios=[1.0, 1.0])
@@ -32,9 +32,7 @@ def draw() -> str:
         lower.set_xlabel("time (ms)")
         upper.sharex(lower)
         frequency = np.geomspace(4.0, 25.0, 401)
-        right.loglog(
-            frequency, [abs(complex(closed_form.transmissibility(RigConfig(), float(f)))) for f in frequency], color=INK
-        )
+        right.loglog(frequency, [abs(complex(transmissibility(RigConfig(), float(f)))) for f in frequency], color=INK)
         right.axhline(1.0, color=MUTED, linewidth=1.0, linestyle=":")
         right.plot([FREQUENCY_HZ], [ratio], "o", color=STRUCTURE)
         direct_label(right, FREQUENCY_HZ * 1.03, ratio, f"DT = {ratio:.0f}", STRUCTURE, fontweight="bold")

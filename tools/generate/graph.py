@@ -8,7 +8,7 @@ from html import escape
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
-from impact_rig.nodes.topics import by_name
+from impact_rig.nodes.messages import by_name
 
 ROOT = Path(__file__).parents[2]
 PICTURE = ROOT / "docs" / "images" / "nodes.svg"

@@ -6,29 +6,33 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable
+from typing import Any  # settings of any node
 
 import numpy as np
 
 from impact_rig import states, topics
 from impact_rig.columns import TEXT, Column
 from impact_rig.config import FieldInfo
-from impact_rig.instruments import scan
-from impact_rig.instruments.fault_kinds import FAULT_KINDS
-from impact_rig.nodes.parameters import RigSchema, Schema, SectionSchema, Value
-from impact_rig.nodes.settings import AnalysisSettings, RecorderSettings, SteppedSineSettings
-from impact_rig.nodes.topics import ENVELOPES, SPECTRA, TOPICS
+from impact_rig.config.tree import Tree, Value
+from impact_rig.instruments import section
+from impact_rig.instruments.instrument import FAULT_KINDS
+from impact_rig.nodes.analysis_node import AnalysisSettings
+from impact_rig.nodes.messages import ENVELOPES, SPECTRA, TOPICS
+from impact_rig.nodes.recorder_node import RecorderSettings
+from impact_rig.nodes.stepped_sine_node import SteppedSineSettings
 from impact_rig.rig import takes_effect
+from impact_rig.rig.config import TREE
 from impact_rig.rig.journal import Kind
 from tools.generate import figures, services
 from tools.generate.markdown import table
 from tools.generate.nominal import scalar
 from tools.generate.services import Situation
 
-SCHEMAS: dict[str, Schema[object]] = {
-    "rig": RigSchema(),  # type: ignore[dict-item]  # a protocol's type parameter is invariant
-    "analysis": SectionSchema(AnalysisSettings),
-    "recorder": SectionSchema(RecorderSettings),
-    "stepped_sine": SectionSchema(SteppedSineSettings),
+SCHEMAS: dict[str, Tree[Any]] = {
+    "rig": TREE,
+    "analysis": Tree(AnalysisSettings),
+    "recorder": Tree(RecorderSettings),
+    "stepped_sine": Tree(SteppedSineSettings),
 }
 
 
@@ -70,7 +74,7 @@ def _columns() -> str:
     for fields, names in titles.items():
         begun = [earlier for earlier in titles if fields != earlier and fields[: len(earlier)] == earlier]
         same = f"The columns of {titles[begun[0]][0]}, and\n\n" if begun else ""
-        columns = scan.COLUMNS if f"`{topics.SCAN.name}`" in names else fields[len(begun[0]) :] if begun else fields
+        columns = section.COLUMNS if f"`{topics.SCAN.name}`" in names else fields[len(begun[0]) :] if begun else fields
         rows = ((f"`{c.name}`", _kind(c.kind), c.unit, c.doc) for c in columns)
         parts.append(f"### {', '.join(names)}\n\n{same}" + table(("column", "type", "unit", "meaning"), rows))
     return "\n".join(parts)

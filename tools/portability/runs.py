@@ -19,7 +19,7 @@ from impact_rig.blocks import Table
 from impact_rig.physics import contact as contact_laws
 from impact_rig.physics import outcome
 from impact_rig.physics.contact import LAWS, ContactPair
-from impact_rig.physics.contact.compiled_force import compiled_force
+from impact_rig.physics.contact.law import compiled_force
 from impact_rig.physics.model import unit_parameters
 from impact_rig.rig import Rig
 from impact_rig.rig.config import RigConfig, from_flat

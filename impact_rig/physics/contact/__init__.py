@@ -1,13 +1,75 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""Contact laws, one file each, found by name; docs/extending.md shows how to add one.
+"""Contact laws, found by name, and the configuration's `contact` section; docs/extending.md shows how to add a law.
 
 `LAWS` holds every law that a module of this folder defines, in alphabetical order of names. Nothing else lists them:
 the configuration's choices and its `contact` section, the tables of the documentation and the tests are made from it.
 """
 
-from impact_rig.physics.contact.law import ContactLaw, ContactPair, Force, HystereticLaw
-from impact_rig.physics.contact.registry import LAWS
-from impact_rig.physics.contact.section import Contact, from_config
+from __future__ import annotations
 
-__all__ = ["LAWS", "Contact", "ContactLaw", "ContactPair", "Force", "HystereticLaw", "from_config"]
+import importlib
+import pkgutil
+from pathlib import Path
+from typing import Any  # attrs attributes of any type
+
+import attrs
+
+from impact_rig.config.fields import Origin, choice, quantity
+from impact_rig.physics.contact.law import ContactLaw, ContactPair, Force, declare, restitution
+
+__all__ = ["LAWS", "Contact", "ContactLaw", "ContactPair", "Force", "from_config"]
+
+
+def _found() -> dict[str, type[ContactLaw]]:
+    laws: dict[str, type[ContactLaw]] = {}
+    for place in pkgutil.iter_modules([str(Path(__file__).parent)]):
+        module = importlib.import_module(f"{__package__}.{place.name}")
+        own = (kind for kind in vars(module).values() if getattr(kind, "__module__", None) == module.__name__)
+        for law in own:
+            if isinstance(law, type) and issubclass(law, ContactLaw) and hasattr(law, "name"):
+                assert law.name not in laws, f"two contact laws are called {law.name}"
+                laws[law.name] = law
+    return dict(sorted(laws.items()))
+
+
+LAWS: dict[str, type[ContactLaw]] = _found()
+"""Every contact law by its name, in alphabetical order."""
+
+for _law in LAWS.values():
+    declare(_law().force(ContactPair(1.0, 1.0)).function)
+
+
+def _with_settings_of_laws(_section: type, own: list[attrs.Attribute[Any]]) -> list[attrs.Attribute[Any]]:
+    """Return the section's attributes and those that only some laws have; laws that share one share its meaning."""
+    found = {attribute.name: attribute for attribute in own}
+    for law in LAWS.values():
+        for attribute in attrs.fields(law):
+            known = found.setdefault(attribute.name, attribute.evolve(kw_only=True, inherited=False))
+            same = (known.default, known.metadata) == (attribute.default, attribute.metadata)
+            assert same, f"two contact laws mean different things by {attribute.name}"
+    return list(found.values())
+
+
+@attrs.frozen(kw_only=True, field_transformer=_with_settings_of_laws)
+class Contact:
+    """The contact between sphere and barrier."""
+
+    law: str = choice("flores", tuple(LAWS), "Contact law, by name.", Origin.PAPER)
+    restitution: float = restitution()
+    calibration: str = choice(
+        "nominal",
+        ("nominal", "exact"),
+        "nominal: e goes into the law as published; exact: the law is adjusted until it returns e.",
+        Origin.PAPER,
+    )
+    speed_floor_m_s: float = quantity(
+        1e-3, "m/s", "Floor of the approach speed in c = a K / v0, singular as v0 -> 0.", at_least=1e-6, at_most=0.1
+    )
+
+
+def from_config(contact: Contact) -> ContactLaw:
+    """Return the configured law; `calibration: exact` replaces a damping factor by the one that returns e."""
+    named = LAWS[contact.law]
+    law = LAWS["exact"] if contact.calibration == "exact" and named.adjustable else named
+    return law(**{attribute.name: getattr(contact, attribute.name) for attribute in attrs.fields(law)})

@@ -18,18 +18,29 @@ function is called with in a `Force`:
     stored     that energy [J], ∫ elastic dδ; where the contact lets go, what is left of it is lost
 
 On either branch the force must be smooth in w and δ', also a little beyond w = 0, where a step may try it.
-Nothing else of the package asks which law it is.
+Nothing else of the package asks which law it is: kernels call a force by function pointers of one type, those of
+`CompiledForce`. The forces of the package's own laws are in the library. That of a law from elsewhere is compiled by
+Numba where it is installed, and its address handed over; without Numba the library calls back into plain Python.
 """
 
 from __future__ import annotations
 
+import ctypes
+import functools
+import importlib.util
+import logging
+import math
 from collections.abc import Callable
 from typing import Any, ClassVar, NamedTuple
 
 import attrs
+import numpy as np
 
+from impact_rig import kernels
 from impact_rig.config.fields import Origin, quantity
-from impact_rig.physics import restitution as closed_form
+from impact_rig.kernels import Exported, Fields, Function, Pointer, Record
+from impact_rig.physics.collocation import STAGES
+from impact_rig.physics.state import PARAMETERS, PRESS
 
 ForceFunction = Callable[[float, float, float, float, float, float], tuple[float, float, float, float, float]]
 
@@ -78,11 +89,6 @@ def restitution() -> Any:
     return quantity(0.35, "-", about, Origin.PAPER, at_least=LEAST_RESTITUTION, at_most=1)
 
 
-def contact_time_s() -> Any:
-    """Return the attrs field of t_c, which linear laws take in place of the Hertz stiffness."""
-    return quantity(45e-6, "s", "Contact time of laws that take it for a stiffness.", at_least=1e-6, at_most=0.01)
-
-
 @attrs.frozen
 class ContactLaw:
     """A contact law; its fields are the values of the configuration's `contact` section that it reads.
@@ -113,37 +119,96 @@ class ContactLaw:
         raise NotImplementedError
 
 
-def _hertz_damped(
-    stiffness: float,
-    factor: float,
-    per_v0: float,
-    turned_at: float,  # noqa: ARG001  # this force has no memory
-    w: float,
-    speed: float,
-) -> tuple[float, float, float, float, float]:
-    """F = K w³ (1 + a δ'/v0)."""
-    hertz = stiffness * w * w * w
-    damping = factor * per_v0
-    pressing = 1.0 + damping * speed
-    return hertz, hertz * damping * speed, 0.4 * hertz * w * w, 3.0 * stiffness * w * w * pressing, hertz * damping
+ONE = Function(6 * (float,), 5 * (float,))
+AT_STAGES = Function((Record(PARAMETERS), float, Record(PRESS)), None)
 
 
-@attrs.frozen
-class HystereticLaw(ContactLaw):
-    """Hunt–Crossley form F = K δ^1.5 (1 + a δ'/v0); a law of this family says only what `a` is."""
+class CompiledForce(NamedTuple):
+    """A law's force as function pointers.
 
-    adjustable = True
+    Attributes:
+        one: the law's function itself.
+        at_stages: called with (parameters, per_v0, press), fills the step's force, lossy, force_by_w, force_by_speed.
+    """
 
-    def hysteresis_factor(self) -> float:
-        """Return a, dimensionless; c = a K / v0 with the approach speed of each contact."""
-        raise NotImplementedError
+    one: Any
+    at_stages: Any
 
-    def force(self, pair: ContactPair) -> Force:
-        """Return the force between the bodies of `pair`."""
-        return Force(
-            _hertz_damped, pair.hertz_stiffness, self.hysteresis_factor(), 1.5, self.restitution, scale_free=True
+
+FORCE = Fields(CompiledForce, (ONE, AT_STAGES))
+
+
+def at_stages_of(one: Any) -> Any:
+    """Return the function that asks a force at the stages of a step."""
+
+    def at_stages(p, per_v0, k):  # type: ignore[no-untyped-def]  # compiled: types are declared
+        for i in range(STAGES):
+            elastic, lossy, _, by_w, by_speed = one(p.stiffness, p.factor, per_v0, k.turned_at, k.w[i], k.speed[i])
+            k.force[i], k.lossy[i] = elastic + lossy, lossy
+            k.force_by_w[i], k.force_by_speed[i] = by_w, by_speed
+
+    return at_stages
+
+
+def declare(function: ForceFunction) -> None:
+    """Let the library hold a law's force."""
+    kernels.exported[f"{name_of(function)}.one"] = Exported(function, ONE)
+    kernels.exported[f"{name_of(function)}.at_stages"] = Exported(function, AT_STAGES, at_stages_of)
+
+
+def name_of(function: ForceFunction) -> str:
+    """Return the name under which the library holds a force, less `.one` or `.at_stages`."""
+    return f"force.{function.__module__}.{function.__qualname__}"
+
+
+@functools.cache
+def compiled_force(function: ForceFunction) -> CompiledForce:
+    """Return a law's force as the kernels of this process take it."""
+    if kernels.MODE == "plain":
+        return CompiledForce(function, at_stages_of(function))
+    name = name_of(function)
+    if kernels.address(f"{name}.one"):
+        return CompiledForce(
+            Pointer(kernels.address(f"{name}.one"), function),
+            Pointer(kernels.address(f"{name}.at_stages"), at_stages_of(function)),
         )
+    if importlib.util.find_spec("numba"):
+        from impact_rig.kernels import jit  # noqa: PLC0415  # Numba is imported where it compiles
 
-    def realised_restitution(self) -> float:
-        """Return e_out from ln[(1 + a)/(1 − a e_out)] = a (1 + e_out)."""
-        return closed_form.realised(self.hysteresis_factor())
+        inner = at_stages_of(jit.compiled(function))
+        found = jit.pointer(function, ONE), jit.pointer(inner, AT_STAGES)
+        return CompiledForce(*(one if kernels.MODE == "jit" else Pointer(one.address, one) for one in found))
+    logging.getLogger(__name__).warning(
+        "the contact force %s runs as plain Python, some hundred times slower: pip install impact-rig[jit]", name
+    )
+    return CompiledForce(_callback_one(function), _callback_at_stages(function))
+
+
+def _callback_one(function: ForceFunction) -> Pointer:
+    """Return a callback with the convention of compiled code: what does not fit registers is written where told."""
+    results = 5 * ctypes.c_double
+
+    def one(out: Any, *numbers: float) -> int:
+        out.contents[:] = 5 * [math.nan]  # where the function raises: the contact then fails instead of going on
+        out.contents[:] = function(*numbers)
+        return ctypes.addressof(out.contents)
+
+    return _pointer(ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.POINTER(results), *6 * (ctypes.c_double,))(one))
+
+
+def _callback_at_stages(function: ForceFunction) -> Pointer:
+    inner = at_stages_of(function)
+
+    def at_stages(parameters: Any, per_v0: float, step: Any) -> None:
+        step.contents.force[:] = STAGES * [math.nan]
+        inner(parameters.contents, per_v0, step.contents)
+
+    layout: Any = np.ctypeslib.as_ctypes_type
+    parameters, step = ctypes.POINTER(layout(PARAMETERS)), ctypes.POINTER(layout(PRESS))
+    return _pointer(ctypes.CFUNCTYPE(None, parameters, ctypes.c_double, step)(at_stages))
+
+
+def _pointer(callback: Any) -> Pointer:
+    address = ctypes.cast(callback, ctypes.c_void_p).value
+    assert address is not None
+    return Pointer(address, callback)

@@ -25,7 +25,7 @@ from impact_rig.analysis.channels import BASE, CURRENT, LASER
 from impact_rig.analysis.words import Regime
 from impact_rig.config.tree import Value
 from impact_rig.errors import ConfigError
-from impact_rig.physics.closed_form import base_amplitude, transmissibility
+from impact_rig.physics.prediction import base_amplitude, transmissibility
 from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.studies.identification.measurements import NUISANCES, RESTITUTION, Measured, Motion, simulated, slope
 

@@ -27,7 +27,7 @@ from impact_rig.campaign.axes import NO_SPHERE
 from impact_rig.campaign.results import Curves, Point
 from impact_rig.errors import RecordingError, SimulationError
 from impact_rig.maps.measure import FAILED, MapRig, Settings
-from impact_rig.physics.closed_form import transmissibility
+from impact_rig.physics.prediction import transmissibility
 from impact_rig.recording import Run
 from impact_rig.rig import Kind, Rig
 from impact_rig.rig.config import RigConfig, from_flat

@@ -1,13 +1,13 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""A contact from touch to release: steps of the indentation, ended exactly where something happens.
+"""A contact from touch to release: steps of the indentation, each ended exactly where something happens.
 
-δ is the indentation, w = √δ, and a step has a length in s, with dt = w ds (see `indentation`, which solves the step):
+δ is the indentation, w = √δ, and a step has a length in s, with dt = w ds (see `contact_step`, which solves the step):
 
     dw/ds = δ'/2,    dt/ds = w,    dδ'/ds = w δ'',    F the law's force, elastic and lossy part together
 
-The state y holds the centre of mass of structure and sphere, x_1* = x_1 + side share δ (see `pair`). In the functions p
-are the parameters, force the law, f the drive, s the state (not the variable), and k the step with its stages.
+The state y holds the centre of mass of structure and sphere, x_1* = x_1 + side σ δ. In the functions p are the
+parameters, force the law, f the drive, s the state (not the variable), and k the step with its stages.
 
 A step ends where its error allows, and earlier at the first of these events:
 
@@ -27,10 +27,21 @@ import math
 from impact_rig.arithmetic.elementary import power
 from impact_rig.kernels import kernel
 from impact_rig.physics.collocation import GAUSS_NODES, GAUSS_WEIGHTS, LAST, MATRIX, POINTS, STAGES
+from impact_rig.physics.contact_step import (
+    FEW_ROUNDS,
+    ROUNDS,
+    add_recoil,
+    begin_step,
+    estimate,
+    foreseen,
+    moved,
+    remember,
+    rescaled,
+    slope_foreseen,
+    solve,
+    turned_at,
+)
 from impact_rig.physics.energy import add_powers
-from impact_rig.physics.foresight import foreseen, remember, slope_foreseen
-from impact_rig.physics.indentation import FEW_ROUNDS, ROUNDS, begin_step, estimate, rescaled, solve, turned_at
-from impact_rig.physics.pair import add_recoil, moved
 from impact_rig.physics.state import V1, X1
 
 NOTHING, LEFT, TIME, RELEASED, TURNED, RELOADED, FAILED, SETTLED = range(8)

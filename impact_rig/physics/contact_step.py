@@ -1,12 +1,29 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""One step of a contact: the indentation δ under the law's force, pressed by what moves sphere and wall together.
+"""One step of a contact: sphere and superior base press each other, and move on together.
+
+x_1 and x_2 are superior base (mass m_1, with the walls) and sphere (mass m), x_b the inferior base that the columns
+k_1, c_1 stand on (mass m_a + m_b, on k_f, c_f), i the current of its coil. While the sphere indents the wall on `side`
+by δ, x_2 − x_1 = side (g/2 + δ). In a contact the structural state y holds the centre of mass of both, measured as the
+position that x_1 has at δ = 0:
+
+    x_1* = x_1 + side σ δ,   v_1* = v_1 + side σ δ',   σ = m / (m_1 + m)
+    (m_1 + m) x_1*'' = Q,    Q = −k_1 (x_1* − x_b) − c_1 (v_1* − v_b)
+    (m_a + m_b) x_b'' = K_f i − c_f x_b' − k_f x_b − Q,    voltage drive: L i' = U − R i − K_f x_b'
+
+The contact force is inner to the pair and does not appear; a prescribed base moves as it is told. These equations give
+y as Taylor polynomials in time (`expand`), and the thrust −side Q / m_1, the relative acceleration [m/s²] with which
+the columns press sphere and wall together: m_1 x_1'' = Q + side F, m x_2'' = −side F.
+
+That leaves out what the indentation adds to Q, side σ (k_1 δ + c_1 δ'), most often a millionth of it. It moves the pair
+by side σ z, its `recoil`, from z = 0 at the start of each step on:
+
+    z_x1' = z_v1,   (m_1 + m) z_v1' = q,    q = k_1 (δ − z_x1 + z_xb) + c_1 (δ' − z_v1 + z_vb)
+    z_xb' = z_vb,   (m_a + m_b) z_vb' = K_f z_i − c_f z_vb − k_f z_xb − q,   L z_i' = −R z_i − K_f z_vb
+
+**Indentation.** With m_eff = m m_1 / (m + m_1),
 
     δ'' = −F(δ, δ') / m_eff + thrust(t) − (σ/m_1) (k_1 δ + c_1 δ') + (σ/m_1) [k_1 (z_x1 − z_xb) + c_1 (z_v1 − z_vb)]
-
-m_1 is the superior base that carries the wall, k_1 and c_1 its columns, m the sphere, m_eff = m m_1 / (m + m_1),
-σ = m / (m + m_1). The thrust is the relative acceleration with which the columns press both together, z how far the
-indentation itself has moved both (its recoil, a small correction): see `pair`, which knows how they move.
 
 F has a kink where the contact starts and ends (δ^1.5), which limits every classical method to order 2.5. With w = √δ
 and dt = w ds, s in s/m^0.5 (a Sundman transformation), the equations are smooth through w = 0:
@@ -16,18 +33,197 @@ and dt = w ds, s in s/m^0.5 (a Sundman transformation), the equations are smooth
 A step has a length h in s. It solves the collocation equations of `collocation` at five stages (Radau IIA, order 9,
 L-stable: a sphere that rests on the wall is no harder than one that bounces off). w and t follow linearly from the
 speeds δ' at the stages, which are the only unknowns of Newton's method. The last stage is the end of the step.
+
+**Dense output.** The speeds at the start and at the stages define a polynomial of degree 5 in x = s / h, and through
+dw/ds and dt/ds also w and the time. It is a thousandth or a millionth off, not as good as the step itself: it predicts
+the next step for Newton's method and about where an event lies, and decides nothing.
 """
 
 from __future__ import annotations
 
 import math
 
-from impact_rig.arithmetic.elementary import power
+from impact_rig.arithmetic.elementary import power, sincos
 from impact_rig.kernels import kernel
-from impact_rig.physics.collocation import INVERSE, LAST, MATRIX, REAL_EIGENVALUE, STAGES, TO_START
-from impact_rig.physics.foresight import guess
-from impact_rig.physics.pair import improve_recoil
-from impact_rig.physics.state import V1, VB, X1, XB
+from impact_rig.physics.collocation import (
+    INVERSE,
+    LAST,
+    MATRIX,
+    NODES,
+    REAL_EIGENVALUE,
+    STAGES,
+    TO_POLYNOMIAL,
+    TO_START,
+)
+from impact_rig.physics.state import COIL, PRESCRIBED, STRUCTURE, TERMS, V1, VB, VOLTAGE, X1, XB
+
+FEW = 8
+_FEW_REACH, _REACH = 0.03, 0.25  # radians of the fastest motion in one step: what FEW and TERMS leave out is 1e-16
+_AMPLE = 4.0  # the terms are chosen before the step is: it may end up shorter, or a bit longer than its start tells
+
+
+@kernel
+def expand(p, f, s, k):  # type: ignore[no-untyped-def]  # compiled: types are inferred
+    """Fill `k.path` and `k.thrust` with the pair's Taylor coefficients about the state s, drive included.
+
+    As many terms as the step that is foreseen needs, and how long they hold: `k.terms`, `k.reach`.
+    """
+    path = k.path
+    fastest = max(p.fastest, f.omega)
+    foreseen = _AMPLE * s.next_step * max(s.w, 0.5 * s.next_step * abs(s.speed))  # ∫ w ds, with w + (δ'/2) s
+    k.terms, k.reach = FEW, _FEW_REACH / fastest
+    if foreseen > k.reach:
+        k.terms, k.reach = TERMS, _REACH / fastest
+    k.fastest_time = 1.0 / fastest
+    for q in range(STRUCTURE):
+        path[q, 0] = s.y[q]
+    level = f.amplitude + f.slope * s.t
+    sine, cosine = sincos(f.omega * s.t + f.phase)  # then their coefficients, order by order
+    drive = level * sine
+    for n in range(k.terms):
+        per = 1.0 / (n + 1)
+        sine_next, cosine_next = f.omega * cosine * per, -f.omega * sine * per
+        drive_next = level * sine_next + f.slope * sine
+        if p.drive == PRESCRIBED:
+            path[XB, n], path[VB, n] = drive, (n + 1) * drive_next
+        columns = -p.k_1 * (path[X1, n] - path[XB, n]) - p.c_1 * (path[V1, n] - path[VB, n])
+        k.thrust[n] = -s.side * columns * p.per_m_1
+        if n + 1 < k.terms:
+            path[X1, n + 1] = path[V1, n] * per
+            path[V1, n + 1] = columns * p.per_m_pair * per
+            if p.drive != PRESCRIBED:
+                current = drive
+                if p.drive == VOLTAGE:
+                    current = path[COIL, n]
+                    path[COIL, n + 1] = (drive - p.resistance * current - p.force_factor * path[VB, n]) * (
+                        p.per_inductance * per
+                    )
+                table = p.force_factor * current - p.c_f * path[VB, n] - p.k_f * path[XB, n] - columns
+                path[XB, n + 1] = path[VB, n] * per
+                path[VB, n + 1] = table * p.per_m_base * per
+        sine, cosine, drive = sine_next, cosine_next, drive_next
+
+
+@kernel
+def polynomial(coefficients, x, terms):  # type: ignore[no-untyped-def]
+    """Return the Taylor polynomial at x, from its first terms."""
+    total = coefficients[terms - 1]
+    for n in range(terms - 2, -1, -1):
+        total = total * x + coefficients[n]
+    return total
+
+
+@kernel
+def moved(k, since, y):  # type: ignore[no-untyped-def]
+    """Fill y with the pair's state `since` seconds after the start of the step, without its recoil."""
+    for q in range(STRUCTURE):
+        y[q] = polynomial(k.path[q], since, k.terms)
+
+
+@kernel
+def _integrate(k, state, h):  # type: ignore[no-untyped-def]
+    """Fill the recoil of one state at the stages from its slopes d/ds there."""
+    slope, recoil = k.recoil_slope[state], k.recoil[state]
+    for i in range(STAGES):
+        total = 0.0
+        for j in range(STAGES):
+            total += MATRIX[i, j] * slope[j]
+        recoil[i] = h * total
+
+
+@kernel
+def improve_recoil(p, k, h):  # type: ignore[no-untyped-def]
+    """Improve the recoil z at the stages by one sweep of fixed-point iteration; each sweep adds an order in h."""
+    z, slope = k.recoil, k.recoil_slope
+    for j in range(STAGES):
+        push = p.k_1 * (k.w[j] * k.w[j] - z[X1, j] + z[XB, j]) + p.c_1 * (k.speed[j] - z[V1, j] + z[VB, j])
+        slope[V1, j] = k.w[j] * push * p.per_m_pair
+        if p.drive != PRESCRIBED:
+            table = p.force_factor * z[COIL, j] - p.c_f * z[VB, j] - p.k_f * z[XB, j] - push
+            slope[VB, j] = k.w[j] * table * p.per_m_base
+    _integrate(k, V1, h)
+    for j in range(STAGES):
+        slope[X1, j] = k.w[j] * z[V1, j]
+    _integrate(k, X1, h)
+    if p.drive != PRESCRIBED:
+        _integrate(k, VB, h)
+        for j in range(STAGES):
+            slope[XB, j] = k.w[j] * z[VB, j]
+        _integrate(k, XB, h)
+    if p.drive == VOLTAGE:
+        for j in range(STAGES):
+            voltage = -p.resistance * z[COIL, j] - p.force_factor * z[VB, j]
+            slope[COIL, j] = k.w[j] * voltage * p.per_inductance
+        _integrate(k, COIL, h)
+
+
+@kernel
+def add_recoil(p, side, k, stage, y):  # type: ignore[no-untyped-def]
+    """Add the recoil at a stage to y."""
+    for q in range(STRUCTURE):
+        y[q] += side * p.share * k.recoil[q, stage]
+
+
+_FAR = 1.6  # times its length: further on the polynomial is worse than a straight line
+
+
+@kernel
+def remember(s, k, h):  # type: ignore[no-untyped-def]  # compiled: types are inferred
+    """Keep the polynomial of the step of length h that was solved from s."""
+    for n in range(STAGES + 1):
+        total = TO_POLYNOMIAL[n, 0] * s.speed
+        for j in range(STAGES):
+            total += TO_POLYNOMIAL[n, j + 1] * k.speed[j]
+        k.known[n] = total
+    k.known_length, k.known_since = h, 0.0
+
+
+@kernel
+def forget(k):  # type: ignore[no-untyped-def]
+    """Let the next step begin without a polynomial: what follows must not depend on what was solved before."""
+    k.known_length = 0.0
+
+
+@kernel
+def _speed(k, x):  # type: ignore[no-untyped-def]
+    """Return δ' at x."""
+    speed = k.known[STAGES]
+    for n in range(STAGES - 1, -1, -1):
+        speed = speed * x + k.known[n]
+    return speed
+
+
+@kernel
+def slope_foreseen(k, x):  # type: ignore[no-untyped-def]
+    """Return dδ'/ds at x of the step that was solved last."""
+    slope = STAGES * k.known[STAGES]
+    for n in range(STAGES - 1, 0, -1):
+        slope = slope * x + n * k.known[n]
+    return slope / k.known_length
+
+
+@kernel
+def guess(s, k, h):  # type: ignore[no-untyped-def]
+    """Fill the stages of a step of length h from s with the speeds that are expected there."""
+    if k.known_since + h <= _FAR * k.known_length:
+        begin, stretch = k.known_since / k.known_length, h / k.known_length
+        for i in range(STAGES):
+            k.speed[i] = _speed(k, begin + NODES[i] * stretch)
+    else:
+        for i in range(STAGES):
+            k.speed[i] = s.speed + NODES[i] * h * k.start_slope
+
+
+@kernel
+def foreseen(s, k, x):  # type: ignore[no-untyped-def]
+    """Return (time since the start [s], w, δ') at x of the step from s, which is the one that was solved last."""
+    since, w = 0.0, 0.0
+    for n in range(STAGES, -1, -1):
+        w = w * x + k.known[n] / (n + 1)
+        since = since * x + k.known[n] / ((n + 1) * (n + 2))
+    half = 0.5 * k.known_length * x
+    return k.known_length * x * (s.w + half * since), s.w + half * w, _speed(k, x)
+
 
 ERROR_ORDER = 8.0  # in h, of the relieved estimate: between 6, where it is relieved by a constant, and 10
 _RELIEF = 1e4  # found by trial: the largest with which contacts still keep their tolerance

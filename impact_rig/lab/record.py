@@ -1,0 +1,394 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""What is known of one rig, live or recorded: its messages, into rings for pictures and lines and rows for the page.
+
+A message that makes no sense costs that message: it is counted under its topic. Times are seconds since scan 0; what
+came before it is negative.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections import deque
+from collections.abc import Callable
+from typing import Any  # what goes to JSON
+
+import numpy as np
+from numpy.typing import NDArray
+
+from impact_rig import codec, topics
+from impact_rig.analysis.words import MEASURED, Status
+from impact_rig.blocks import Table
+from impact_rig.errors import CodecError, ImpactRigError, RecordingError
+from impact_rig.lab.scope import Scope
+from impact_rig.rig.config import parameters_in
+from impact_rig.rig.journal import SEPARATOR, Change, JournalView, Kind, short_key
+from impact_rig.simtime import NS_PER_S
+
+BODIES = 3
+MOST_ROWS = 400
+MOST_ENTRIES = 300
+MOST_APPLIED = 100
+ACCELEROMETER = {Status.ACCELEROMETER_OVER_RANGE.value: "accelerometer"}
+"""Statuses that name their channel themselves."""
+HIGHEST_RATE_HZ = 1e7
+LONGEST_RUN_S = 1e9
+UNITS = {"frequency": "Hz", "current": "A", "over_travel": "m", "over_current": "A"}
+
+
+def text(raw: Any) -> str:
+    """Return the text in a column."""
+    return bytes(raw).rstrip(b"\0").decode("utf-8", errors="replace")
+
+
+def plain(word: str) -> str:
+    """Return a key as people write it."""
+    return word.replace("_", " ")
+
+
+class Rows:
+    """A ring of rows of numbers, of which each reader takes those that are new to it.
+
+    Args:
+        size: rows kept.
+        columns: numbers per row; the first is the time [s].
+    """
+
+    def __init__(self, size: int, columns: int) -> None:
+        self._rows = np.zeros((size, columns))
+        self.count = 0
+        """Rows ever added."""
+
+    def add(self, row: tuple[float, ...]) -> None:
+        """Append one row."""
+        self._rows[self.count % len(self._rows)] = row
+        self.count += 1
+
+    def since(self, number: int, most: int = 2000) -> NDArray[np.float64]:
+        """Return the rows from a number on, the newest if there are more than are kept or asked for; shape (n, …)."""
+        first = max(number, self.count - min(len(self._rows), most), 0)
+        return self._rows[np.arange(first, self.count) % len(self._rows)]
+
+
+class Motion:
+    """The last seconds of true motion.
+
+    Attributes:
+        states: time, x_b, x_1, x_2, v_b, v_1, v_2.
+        impacts: time, wall, approach speed, separation speed, peak force.
+        detected: time, peak, sign.
+    """
+
+    def __init__(self) -> None:
+        self.states = Rows(4096, 7)
+        self.impacts = Rows(4096, 5)
+        self.detected = Rows(4096, 3)
+
+    def add_state(self, data: bytes, start_ns: int) -> None:
+        """Take a message of `truth/joint_states`.
+
+        Raises:
+            CodecError: it is none, or of another number of bodies.
+        """
+        stamp, (positions, velocities, _efforts) = codec.joint_state(data)
+        if not len(positions) == len(velocities) == BODIES:
+            raise CodecError(f"a joint state of this rig has {BODIES} bodies, got {len(positions)}")
+        self.states.add(((stamp - start_ns) / NS_PER_S, *positions, *velocities))
+
+    def add_rows(self, table: Table, start_ns: int) -> None:
+        """Take a table of `truth/impacts`, or of `impacts`."""
+        true = ("wall", "approach_speed", "separation_speed", "peak_force")
+        is_true = "wall" in (table.rows.dtype.names or ())
+        ring, names = (self.impacts, true) if is_true else (self.detected, ("peak", "sign"))
+        begin = (table.stamp_ns - start_ns) / NS_PER_S
+        for row in table.rows:
+            ring.add((begin + row["time"], *(row[name] for name in names)))
+
+
+class Journal:
+    """The journal, faults and remarks, as lines for people; and what the rig is by the journal, at any instant.
+
+    Args:
+        most: changes that are kept; None: all.
+    """
+
+    def __init__(self, most: int | None = MOST_APPLIED) -> None:
+        self._view = JournalView()
+        self._changes: deque[Change] = deque(maxlen=most)
+        self._lines: deque[list[Any]] = deque(maxlen=MOST_ENTRIES)
+        self._part: tuple[int, list[list[Any]]] | None = None
+
+    def add(self, table: Table) -> None:
+        """Take a table of `rig/journal`.
+
+        Raises:
+            ConfigError: it is none.
+        """
+        for change in self._view.take(table):
+            self._changes.append(change)
+            if change.kind is Kind.PARAMETER:
+                for name, value in change.configuration.items():
+                    words = SEPARATOR.join(value) if isinstance(value, tuple) else value
+                    shown = words if isinstance(words, str) else f"{words:.6g}"
+                    self._add(change.stamp_ns, "parameter", short_key(name), shown)
+            elif change.kind is not Kind.INITIAL:
+                words = "" if change.text else _value(change.kind, change.key, change.value)
+                self._add(change.stamp_ns, change.kind.value, change.key, change.text or words)
+
+    def remark(self, words: str, stamp_ns: int) -> None:
+        """Take an operator's remark."""
+        self._add(stamp_ns, "note", "", words[:200])
+
+    def fault(self, table: Table) -> None:
+        """Take a table of `truth/faults`."""
+        for row in table.rows:
+            what = f"{text(row['kind'])} {text(row['channel'])}".strip()
+            self._add(table.stamp_ns, "fault", "begins" if row["active"] else "ends", what)
+
+    def _add(self, *line: Any) -> None:
+        self._part = None
+        self._lines.append([*line])
+
+    def part(self, start_ns: int) -> list[list[Any]]:
+        """Return time, kind, key, words of every line, in order; the same list while nothing is new."""
+        if self._part is None or self._part[0] != start_ns:
+            found = sorted(self._lines, key=lambda line: line[0])
+            self._part = start_ns, [[round((stamp - start_ns) / NS_PER_S, 3), *words] for stamp, *words in found]
+        return self._part[1]
+
+    def at(self, instant_ns: int) -> tuple[JournalView, int]:
+        """Return what the rig was at an instant, and when it had last been changed [ns]; 0: never."""
+        view, changed_ns = JournalView(), 0
+        for change in list(self._changes):
+            if change.stamp_ns <= instant_ns:
+                view.follow(change)
+                if change.kind not in (Kind.FAULT, Kind.CLEAR_FAULT):
+                    changed_ns = change.stamp_ns
+        return view, changed_ns
+
+
+def _value(kind: Kind, key: str, value: float) -> str:
+    if kind in (Kind.COMMAND, Kind.TRIP):
+        return f"{value:.6g} {UNITS.get(key, '')}".strip()
+    if kind is Kind.CLEAR_FAULT:
+        return f"{value:.6g}"
+    return f"{value * 1e3:.4g} mm" if kind is Kind.PLUCK else ""
+
+
+class Faults:
+    """Instrument faults, of `truth/faults`: which are in force, now or at an instant."""
+
+    def __init__(self) -> None:
+        self._rows: deque[tuple[int, int, bool, str]] = deque(maxlen=MOST_ENTRIES)
+
+    def add(self, table: Table) -> None:
+        """Take a table of `truth/faults`."""
+        for row in table.rows:
+            what = f"{plain(text(row['kind']))} {text(row['channel'])}".strip()
+            stamp = table.stamp_ns + round(float(row["time"]) * NS_PER_S)
+            self._rows.append((stamp, int(row["id"]), bool(row["active"]), f"{what} ({float(row['value']):g})"))
+
+    def in_force(self, start_ns: int, at_ns: int | None = None) -> list[str]:
+        """Return the faults that are in force, in words.
+
+        Args:
+            start_ns: stamp of scan 0; a fault of before belongs to another record.
+            at_ns: an instant; None: after everything that was heard.
+        """
+        active: dict[int, str] = {}
+        for stamp, number, begins, words in self._rows:
+            if stamp < start_ns or (at_ns is not None and stamp > at_ns):
+                continue
+            if begins:
+                active[number] = words
+            else:
+                active.pop(number, None)
+        return list(active.values())
+
+
+class Curve:
+    """The measurements of the transmissibility."""
+
+    def __init__(self) -> None:
+        self._rows: deque[tuple[int, dict[str, Any]]] = deque(maxlen=MOST_ROWS)
+        self.statuses: deque[tuple[int, str, str]] = deque(maxlen=MOST_ROWS)
+        """Stamp, status and the channel it is about of every row, those without numbers too."""
+        self._part: tuple[int, list[dict[str, Any]]] | None = None
+
+    def add(self, table: Table) -> None:
+        """Take a table of `transmissibility/table`."""
+        for row in table.rows:
+            status = text(row["status"])
+            channel = text(row["channel"]) if "channel" in row.dtype.names else ""
+            self.statuses.append((table.stamp_ns, status, ACCELEROMETER.get(status, channel)))
+            if status in MEASURED:
+                self._rows.append((table.stamp_ns, _measurement(row)))
+                self._part = None
+
+    def health(self, at_ns: int | None = None) -> dict[str, str] | None:
+        """Return what the newest row, or that of an instant, says against a channel, in words.
+
+        None: there is no row, so nothing is known; empty: it says nothing against any.
+        """
+        rows = [row for row in self.statuses if at_ns is None or row[0] <= at_ns]
+        if not rows:
+            return None
+        _, status, channel = rows[-1]
+        return {channel: plain(status)} if channel and status not in (Status.OK, Status.NOT_SETTLED) else {}
+
+    def part(self, start_ns: int) -> list[dict[str, Any]]:
+        """Return the rows, oldest first; the same list while nothing is new."""
+        if self._part is None or self._part[0] != start_ns:
+            found = [{"t": round((stamp - start_ns) / NS_PER_S, 3), **row} for stamp, row in self._rows]
+            self._part = start_ns, found
+        return self._part[1]
+
+
+def _measurement(row: NDArray[np.void]) -> dict[str, Any]:
+    return {
+        "f": float(row["frequency"]),
+        "dt": float(row["transmissibility"]),
+        "u": float(row["transmissibility_uncertainty"]),
+        "phase": math.degrees(float(row["phase"])),
+        "settled": bool(row["settled"] == 1.0),
+        "gap": float(row["gap"]),
+        "ipc": float(row["impacts_per_cycle"]),
+        "x1": float(row["laser_amplitude"]),
+        "xb": float(row["base_amplitude"]),
+        "i": float(row["current_amplitude"]),
+        "spread": float(row["spread"]),
+        "period": float(row["period"]),
+        "thd": float(row["thd"]),
+        "regime": text(row["regime"]),
+        "status": "" if text(row["status"]) == Status.OK else plain(text(row["status"])),
+    }
+
+
+class Record:
+    """One rig: every message of it comes through `take`, from the graph or from a file.
+
+    Args:
+        most: changes of rig and drive that are kept; None: all.
+    """
+
+    def __init__(self, most: int | None = MOST_APPLIED) -> None:
+        self.scope: Scope | None = None
+        """The newest scans; None before the calibration has said how many there are a second."""
+        self.motion = Motion()
+        self.journal = Journal(most)
+        self.faults = Faults()
+        self.curve = Curve()
+        self.epoch = 0
+        """Counts resets and jumps: what was drawn before belongs to another record."""
+        self.start_ns = self.newest_ns = 0
+        self.configuration = ""
+        """What is in force, as a ROS 2 parameter file."""
+        self.knobs: dict[str, Any] = {}
+        """The same by name."""
+        self.applied: deque[tuple[int, dict[str, float]]] = deque(maxlen=most)
+        """The newest changes of the drive, and when they came into force."""
+        self.changes = 0
+        """How many there were."""
+        self.refused: dict[str, list[Any]] = {}
+        """Messages that made no sense, by topic: how many, and the last reason."""
+        self.lock = threading.Lock()
+        """Held while rings are written or read."""
+
+    def take(self, topic: topics.Topic, data: bytes, at_ns: int | None = None) -> None:
+        """Take a message; where that fails, count it.
+
+        Args:
+            topic: its row of the table.
+            data: its CDR bytes.
+            at_ns: when it came, for a remark; None: now.
+        """
+        self.guard(topic.name, lambda: self._take(topic, data, at_ns))
+
+    def guard(self, what: str, work: Callable[[], Any]) -> None:
+        """Do something with what others have published; where that fails, count it."""
+        guard(self.refused, what, work)
+
+    def _take(self, topic: topics.Topic, data: bytes, at_ns: int | None) -> None:
+        if topic is topics.JOINT_STATES:
+            self.motion.add_state(data, self.start_ns)
+        elif topic is topics.NOTES:
+            self.journal.remark(codec.text(data), self.newest_ns if at_ns is None else at_ns)
+        elif topic is topics.CONFIGURATION:
+            content = codec.text(data)
+            self.knobs, self.configuration = parameters_in(content), content
+        else:
+            self._take_table(topic, codec.decode(data, topic))
+
+    def _take_table(self, topic: topics.Topic, table: Table) -> None:
+        if topic is topics.SCAN:
+            if self.scope is not None and len(table.rows):
+                self.scope.add(table, self.start_ns)
+                self.newest_ns = max(self.newest_ns, table.stamp_ns)
+        elif topic in (topics.IMPACTS, topics.IMPACTS_TRUTH):
+            self.motion.add_rows(table, self.start_ns)
+        elif topic is topics.INFO:
+            self._begin(table)
+        elif topic is topics.APPLIED:
+            for row in table.rows:
+                stamp = table.stamp_ns + round(float(row["time"]) * NS_PER_S)
+                self.applied.append((stamp, {name: float(row[name]) for name in ("frequency", "current")}))
+                self.changes += 1
+        elif topic is topics.JOURNAL:
+            self.journal.add(table)
+        elif topic is topics.FAULTS:
+            self.faults.add(table)
+            self.journal.fault(table)
+        elif topic is topics.TRANSMISSIBILITY_TABLE:
+            self.curve.add(table)
+
+    def _begin(self, info: Table) -> None:
+        rate_hz, begin_ns = scan_rate(info), start_ns(info)
+        if self.scope is None or (begin_ns, rate_hz) != (self.start_ns, self.scope.rate_hz):
+            with self.lock:
+                self.start_ns, self.scope = begin_ns, Scope(rate_hz)
+                self.forget_motion()
+
+    def forget_motion(self) -> None:
+        """Begin the pictures of the motion anew."""
+        self.motion = Motion()
+        self.epoch += 1
+
+    @property
+    def drive(self) -> dict[str, float] | None:
+        """Frequency [Hz] and current [A] in force; None: nothing is known of them."""
+        return self.applied[-1][1] if self.applied else None
+
+
+def guard(refused: dict[str, list[Any]], what: str, work: Callable[[], Any]) -> None:
+    """Do something with what others have published; where it fails, count that: whatever it is, the rest goes on."""
+    try:
+        work()
+    except Exception as error:
+        count = refused.setdefault(what, [0, ""])
+        count[0] += 1
+        count[1] = str(error) if isinstance(error, ImpactRigError) else f"{type(error).__name__}: {error}"
+
+
+def start_ns(info: Table) -> int:
+    """Return the stamp of scan 0, of a table of `daq/info`.
+
+    Raises:
+        RecordingError: it does not say when that was.
+    """
+    since_s = float(info.rows["since_start"][0]) if len(info.rows) else math.nan
+    if not 0.0 <= since_s < LONGEST_RUN_S:
+        raise RecordingError(f"daq/info says that scan 0 was {since_s:g} s before it")
+    return info.stamp_ns - round(since_s * NS_PER_S)
+
+
+def scan_rate(info: Table) -> float:
+    """Return the scans per second, of a table of `daq/info`.
+
+    Raises:
+        RecordingError: it is no rate that a board can have: rings are as long as the rate says.
+    """
+    rate_hz = float(info.rows["rate"][0]) if len(info.rows) else math.nan
+    if not 1.0 <= rate_hz <= HIGHEST_RATE_HZ:
+        raise RecordingError(f"daq/info has a rate of {rate_hz:g} Hz; 1 to {HIGHEST_RATE_HZ:g} Hz can be shown")
+    return rate_hz

@@ -1,0 +1,127 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""Springs in place of Hertz's stiffness: laws that follow from a contact time t_c and a restitution e.
+
+**Kelvin–Voigt**: linear spring and damper, the textbook model with a closed form.
+
+    F = k δ + c δ',   k = m (π² + ln²e) / t_c²,   c = −2 m ln(e) / t_c        m: effective mass, t_c: contact time
+
+The force jumps to c v0 at the first touch and pulls just before the end. Released at zero indentation (as published)
+it returns e; released at zero force it returns more.
+
+**Walton–Braun**: loading along one line, unloading along a steeper one; no damping, a loss by plastic yielding.
+
+    loading    F = k_1 δ
+    unloading  F = k_2 (δ − δ_p),   k_2 = k_1 / e²,   δ_p = (1 − e²) δ_max        below the largest indentation δ_max
+
+With a constant coefficient of restitution, which it returns whatever the speed: the areas under the two lines are as
+1 : e². The sphere lets go at δ_p, where the force is gone, and flies on from there; the dent belongs to one contact.
+k_1 follows from the contact time, a quarter period on each line: t_c = (π/2) (1 + e) √(m_eff / k_1).
+
+A pressed sphere rings on the unloading line for ever. Below `contact.speed_floor_m_s` the ringing is averaged: sphere
+and base go on as one body, and its energy is booked as lost.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import attrs
+
+from impact_rig.arithmetic.elementary import PI, log
+from impact_rig.config.fields import choice, quantity
+from impact_rig.physics.contact.law import ContactLaw, ContactPair, Force
+
+
+def contact_time_s() -> Any:
+    """Return the attrs field of t_c, which linear laws take in place of the Hertz stiffness."""
+    return quantity(45e-6, "s", "Contact time of laws that take it for a stiffness.", at_least=1e-6, at_most=0.01)
+
+
+def _spring_damper(
+    stiffness: float,
+    factor: float,
+    per_v0: float,  # noqa: ARG001  # this force knows neither the approach speed
+    turned_at: float,  # noqa: ARG001  # nor its past
+    w: float,
+    speed: float,
+) -> tuple[float, float, float, float, float]:
+    """F = k w² + c δ'."""
+    return stiffness * w * w, factor * speed, 0.5 * stiffness * w * w * w * w, 2.0 * stiffness * w, factor
+
+
+@attrs.frozen
+class KelvinVoigt(ContactLaw):
+    """Linear contact with restitution e and contact time t_c [s]."""
+
+    name = "kelvin_voigt"
+    formula = "linear spring and damper, released at δ = 0; at F = 0 it returns 0.434"
+    source = "Nagurka & Huang (2004), Proc. American Control Conference"
+    returns = 0.350
+    contact_time_s: float = contact_time_s()
+    release: str = choice(
+        "position", ("position", "force"), "kelvin_voigt lets go at zero indentation, or already at zero force."
+    )
+
+    def force(self, pair: ContactPair) -> Force:
+        """Return the force between the bodies of `pair`."""
+        log_e = float(log(self.restitution))
+        stiffness = pair.effective_mass * (PI * PI + log_e * log_e) / (self.contact_time_s * self.contact_time_s)
+        damping = -2.0 * pair.effective_mass * log_e / self.contact_time_s
+        return Force(_spring_damper, stiffness, damping, 1.0, self.restitution, clipped=self.release == "force")
+
+    def realised_restitution(self) -> float:
+        """Return e, or the larger value that release at zero force gives.
+
+        With decay rate β = −ln(e)/t_c and ω_d = π/t_c, the force vanishes where tan(ω_d t) = −2 β ω_d / (ω_d² − β²).
+        """
+        if self.release == "position":
+            return self.restitution
+        beta, omega = -math.log(self.restitution), math.pi  # in units of 1 / t_c
+        angle = math.pi - math.atan2(2.0 * beta * omega, omega * omega - beta * beta)
+        # speed of δ = (v0/ω) e^(−βt) sin ωt at the instant the force vanishes
+        speed = math.exp(-beta * angle / omega) * (math.cos(angle) - beta / omega * math.sin(angle))
+        return -speed
+
+
+def _elastoplastic(
+    stiffness: float,
+    factor: float,
+    per_v0: float,  # noqa: ARG001  # this force knows no speed
+    turned_at: float,
+    w: float,
+    speed: float,  # noqa: ARG001  # as above
+) -> tuple[float, float, float, float, float]:
+    """F on the loading line, or on the unloading line from where it turned; factor is e²."""
+    if turned_at == 0.0:
+        force = stiffness * w * w
+        return factor * force, (1.0 - factor) * force, 0.5 * factor * force * w * w, 2.0 * stiffness * w, 0.0
+    unloading = stiffness / factor
+    pressed = w * w - (1.0 - factor) * turned_at * turned_at
+    return unloading * pressed, 0.0, 0.5 * unloading * pressed * pressed, 2.0 * unloading * w, 0.0
+
+
+@attrs.frozen
+class WaltonBraun(ContactLaw):
+    """Elastoplastic contact with restitution e and contact time t_c [s]."""
+
+    name = "walton_braun"
+    formula = "loading along k_1 δ, unloading along k_1/e² (δ − δ_p), no damping"
+    source = "Walton & Braun (1986), J. Rheology 30, 949–980"
+    returns = 0.350
+    contact_time_s: float = contact_time_s()
+
+    def loading_stiffness(self, pair: ContactPair) -> float:
+        """Return k_1 [N/m]."""
+        per_root = 2.0 * self.contact_time_s / (PI * (1.0 + self.restitution))
+        return pair.effective_mass / (per_root * per_root)
+
+    def force(self, pair: ContactPair) -> Force:
+        """Return the force between the bodies of `pair`."""
+        squared = self.restitution * self.restitution
+        return Force(_elastoplastic, self.loading_stiffness(pair), squared, 1.0, self.restitution, remembers=True)
+
+    def realised_restitution(self) -> float:
+        """Return e."""
+        return self.restitution
