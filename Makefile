@@ -117,16 +117,16 @@ test: $(TEST) kernels ## run all tests on real ROS 2; ARGS=--changed or '-k code
 	    $(if $(MEASURED),$(COVERAGE) combine --quiet && $(COVERAGE) report && \
 	    $(COVERAGE) report --include="$(KERNELS)" --fail-under=90 && [ $$status = 0 ] && $(call note,suite_s) &&) exit $$status
 
-check: lint ## after every edit: style, types, layers, and the tests without process, browser and ROS
-	@begin=$$(date +%s); $(VENV)/bin/python -m pytest $(PYTEST_PLUGINS_USED) -q -n 2 $(BY_FILE) --check $(ARGS) && $(call note,check_s)
+LINT = $(VENV)/bin/ruff check . && $(VENV)/bin/ruff format --check . && $(VENV)/bin/mypy && $(VENV)/bin/lint-imports && \
+    if command -v node >/dev/null; then for file in impact_rig/lab/static/*.js; do \
+    node --check --input-type=module < $$file || exit 1; done; fi
+
+check: $(TEST) kernels ## after every edit: style, types, layers, and the tests without process, browser and ROS
+	@begin=$$(date +%s); $(LINT) && \
+	    $(VENV)/bin/python -m pytest $(PYTEST_PLUGINS_USED) -q -n 2 $(BY_FILE) --check $(ARGS) $(if $(MEASURED),&& $(call note,check_s))
 
 lint: $(TEST) kernels ## check style, types and layers
-	@$(VENV)/bin/ruff check .
-	@$(VENV)/bin/ruff format --check .
-	@$(VENV)/bin/mypy
-	@$(VENV)/bin/lint-imports
-	@if command -v node >/dev/null; then for file in impact_rig/lab/static/*.js; do \
-	    node --check --input-type=module < $$file || exit 1; done; fi
+	@$(LINT)
 
 generate: $(TEST) $(PACKAGE) ## rewrite the pages and files that are made from the code
 	@$(VENV)/bin/python -m tools.generate
