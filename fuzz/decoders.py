@@ -246,7 +246,5 @@ TARGETS = (
         ("runs/recovery.py", "recording/writer.py"),
     ),
     Target("journal", journals(), journal, ("rig/journal.py", "rig/resimulation.py")),
-    Target(
-        "analysis", streams(), analysis, ("analysis/calibration.py", "analysis/scan_buffer.py", "analysis/tracker.py")
-    ),
+    Target("analysis", streams(), analysis, ("analysis/calibration.py", "analysis/scans.py", "analysis/tracker.py")),
 )

@@ -15,9 +15,7 @@ from hypothesis import strategies as st
 
 from fuzz.mutation import HOSTILE_WORDS, mutated_lines
 from fuzz.target import Target
-from impact_rig.analysis.labels import parse_label
-from impact_rig.analysis.settings import ImpactSettings, TrackerSettings
-from impact_rig.analysis.tables import read_settings
+from impact_rig.analysis.settings import ImpactSettings, TrackerSettings, parse_label, read_settings
 from impact_rig.blocks import SETTINGS, Table
 from impact_rig.errors import ImpactRigError
 from impact_rig.instruments.fault import Fault
@@ -174,8 +172,8 @@ TARGETS = (
         ("config/tree.py", "config/fields.py", "rig/config.py", "config/mechanics.py"),
     ),
     Target("parameters", CHANGES, parameters, ("config/tree.py", "config/fields.py")),
-    Target("settings", _settings(), settings, ("analysis/settings.py", "analysis/tables.py")),
-    Target("texts", LINES, texts, ("analysis/labels.py", "instruments/fault.py", "recording/description.py")),
+    Target("settings", _settings(), settings, ("analysis/settings.py",)),
+    Target("texts", LINES, texts, ("analysis/settings.py", "instruments/fault.py", "recording/description.py")),
     Target(
         "commands", st.lists(OPERATIONS, max_size=12), commands, ("rig/core.py", "rig/interlock.py", "rig/journal.py")
     ),

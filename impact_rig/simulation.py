@@ -17,8 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig.analysis.drawings import COVERAGE, time_traces
-from impact_rig.analysis.findings import State
-from impact_rig.analysis.tracker import Tracker
+from impact_rig.analysis.tracker import State, Tracker
 from impact_rig.blocks import IMPACTS, TRANSMISSIBILITY, Table, joined
 from impact_rig.errors import ConfigError
 from impact_rig.rig import Rig

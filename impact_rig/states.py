@@ -20,19 +20,20 @@ KEYS = {
 """Keys in the diagnostics of every node, and what they hold; all values are text, as in `diagnostic_msgs/KeyValue`."""
 
 
-class _Word(enum.StrEnum):
+class Word(enum.StrEnum):
     """A word and what it means."""
 
     doc: str
 
     def __new__(cls, word: str, doc: str = "") -> Self:
+        """Make a member of a word and what it means."""
         member = str.__new__(cls, word)
         member._value_ = word
         member.doc = doc
         return member
 
 
-class Rig(_Word):
+class Rig(Word):
     """What the rig does; the gravest first."""
 
     INACTIVE = "inactive", "unconfigured, inactive or finalised: the reason begins with the lifecycle state"
@@ -46,7 +47,7 @@ class Rig(_Word):
     DRIVING = "driving", "running, an amplitude is commanded"
 
 
-class Analysis(_Word):
+class Analysis(Word):
     """What the analysis node does; the gravest first."""
 
     INACTIVE = "inactive", "unconfigured, inactive or finalised: the reason begins with the lifecycle state"
@@ -61,7 +62,7 @@ class Analysis(_Word):
     MEASURING = "measuring", "the newest row of `transmissibility/table` holds for the present drive"
 
 
-class Recorder(_Word):
+class Recorder(Word):
     """What the recorder does; the gravest first."""
 
     INACTIVE = "inactive", "unconfigured, inactive or finalised: the reason begins with the lifecycle state"
@@ -76,7 +77,7 @@ class Recorder(_Word):
     IDLE = "idle", "no recording"
 
 
-class SteppedSine(_Word):
+class SteppedSine(Word):
     """What the stepped-sine node does; the gravest first."""
 
     INACTIVE = "inactive", "unconfigured, inactive or finalised: the reason begins with the lifecycle state"

@@ -16,7 +16,7 @@ sys.path.insert(0, str(ROOT))  # the targets are no part of the package
 
 from fuzz import decoders, sockets, target, validators  # noqa: E402
 from impact_rig import blocks  # noqa: E402
-from impact_rig.analysis.tables import read_settings  # noqa: E402
+from impact_rig.analysis.settings import read_settings  # noqa: E402
 from impact_rig.analysis.tracker import Tracker  # noqa: E402
 from impact_rig.blocks import Table  # noqa: E402
 from impact_rig.errors import ConfigError, RecordingError  # noqa: E402

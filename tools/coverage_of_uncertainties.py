@@ -8,7 +8,7 @@ tracker measures. Three tables:
 
     small        prescribed base, no sphere: 2 to 50 µm, 12 to 16 bits, noise of the laser on and off, 6 to 100 Hz;
                  truth: displacements of the motion, without instruments, fitted over the scans of the row
-    irregular    gaps at which the motion never repeats; truth: the mean of a record a hundred times as long; every
+    irregular    gaps at which the motion never repeats; truth: the mean over ten hours; every
                  seed reads another stretch of it
     reductions   a session: the rig runs at 9.1 Hz without the sphere, then with each gap in turn, and goes on all the
                  while; the reductions of `analysis.reduction`, from one row per gap and from two
@@ -27,6 +27,7 @@ from collections import Counter
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from functools import cache
+from itertools import repeat
 
 import attrs
 import numpy as np
@@ -141,24 +142,37 @@ def reduction_cases() -> Iterator[Case]:
         )
 
 
-@cache
-def motions(case: Case, stretch: int = 0) -> tuple[Motion, ...]:
-    """Return the motion at each gap, one after the other; nothing in it depends on instruments or seed.
-
-    The `stretch`-th of an irregular motion follows the one before: the sphere begins elsewhere after each wait.
-    """
-    configs = [case.config(gap_m) for gap_m in case.gaps_m]
-    drive = FunctionGenerator(configs[0].drive, configs[0].shaker, np.random.default_rng(1))
+def driven(case: Case) -> tuple[Simulation, FunctionGenerator]:
+    """Return the mechanics from rest and their drive, `wait_s` after its start."""
+    config = case.config(case.gaps_m[0])
+    drive = FunctionGenerator(config.drive, config.shaker, np.random.default_rng(1))
     drive.set_frequency(case.frequency_hz)
     drive.set_amplitude(case.amplitude)
-    simulation, found = Simulation(configs[0]), []
+    simulation = Simulation(config)
     if case.wait_s:
-        simulation.advance(drive.segments(round((case.wait_s + stretch * case.span_s) * TICKS_PER_S)))
-    for config in configs:
+        simulation.advance(drive.segments(round(case.wait_s * TICKS_PER_S)))
+    return simulation, drive
+
+
+@cache
+def motions(case: Case) -> tuple[Motion, ...]:
+    """Return the motion at each gap, one after the other; nothing in it depends on instruments or seed."""
+    simulation, drive = driven(case)
+    found: list[Motion] = []
+    for gap_m in case.gaps_m:
         if found:
-            simulation.configure(config)
+            simulation.configure(case.config(gap_m))
         found.append(simulation.advance(drive.segments(round(case.span_s * TICKS_PER_S))))
     return tuple(found)
+
+
+def stretches(case: Case, numbers: range) -> Iterator[Motion]:
+    """Yield stretches of one irregular motion, the n-th n spans after the first: each is another draw of it."""
+    simulation, drive = driven(case)
+    for number in range(numbers.stop):
+        motion = simulation.advance(drive.segments(round(case.span_s * TICKS_PER_S)))
+        if number in numbers:
+            yield motion
 
 
 def measured(case: Case, seed: int, found: tuple[Motion, ...]) -> tuple[list[Table], Calibration]:
@@ -191,27 +205,22 @@ def true_ratio(case: Case, stamp_ns: int, cycles: int) -> complex:
     return complex(phasors[0] / phasors[1])
 
 
-LONG_S = 6000.0
+LONG_S = 36_000.0
+CHUNK_S = 60.0
 PER_CYCLE = 32
 
 
 @cache
 def long_run_ratio(case: Case) -> complex:
     """Return X_1 / X_b of means over a long record: DT and phase of an irregular motion."""
-    config = case.config(case.gaps_m[0])
-    drive = FunctionGenerator(config.drive, config.shaker, np.random.default_rng(1))
-    drive.set_frequency(case.frequency_hz)
-    drive.set_amplitude(case.amplitude)
-    simulation = Simulation(config)
-    simulation.advance(drive.segments(round(case.wait_s * TICKS_PER_S)))
+    simulation, drive = driven(case)
     total = np.zeros(2, np.complex128)
-    chunk = round(60.0 * TICKS_PER_S)
-    for _ in range(round(LONG_S / 60.0)):
+    chunk = round(CHUNK_S * TICKS_PER_S)
+    for _ in range(round(LONG_S / CHUNK_S)):
         motion = simulation.advance(drive.segments(chunk))
         number = np.repeat(np.arange(motion.first_segment, motion.last_segment + 1), PER_CYCLE)
         offset = np.tile(np.arange(PER_CYCLE) / PER_CYCLE / TICKS_PER_S, chunk)
-        time = number / TICKS_PER_S + offset
-        turn = np.exp(-2j * np.pi * case.frequency_hz * time)
+        turn = np.exp(-2j * np.pi * case.frequency_hz * (number / TICKS_PER_S + offset))
         total += motion.quantities(("x_1", "x_b"), number, offset) @ turn
     return complex(total[0] / total[1])
 
@@ -223,11 +232,10 @@ def judged(case: Case, seeds: range) -> Found:
     """Return table, deviations by what they are of, and the statuses of what was refused."""
     cells: dict[tuple[str, ...], list[Deviation]] = {}
     refused: Counter[str] = Counter()
-    for seed in seeds:
-        irregular = case.table == "irregular"
-        rows, calibration = measured(case, seed, motions(case, seed if irregular else 0))
-        if irregular:
-            motions.cache_clear()
+    irregular = case.table == "irregular"
+    read = ((one,) for one in stretches(case, seeds)) if irregular else repeat(motions(case))
+    for seed, found in zip(seeds, read, strict=False):
+        rows, calibration = measured(case, seed, found)
         settled = [table for table in rows if table.rows["settled"][0] == 1.0]
         if case.table == "reductions":
             for name, one in reductions(case, settled, calibration):

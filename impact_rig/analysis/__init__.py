@@ -4,5 +4,5 @@
 
 Nothing here imports ROS, the physics or the instruments, so live, replayed and real data take one path. One topic per
 module: `sine` (IEEE 1057 fits), `transmissibility`, `tracker` (the same, streaming), `impacts`, `frf`, `decay`,
-`drop`, `stepped`, `figures`. Import the module you need: this package imports none of them by itself.
+`settling`, `reduction`. Import the module you need: this package imports none of them by itself.
 """

@@ -39,7 +39,7 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_rig.analysis.channels import CHANNELS
+from impact_rig.analysis.scans import CHANNELS
 from impact_rig.blocks import MOST_HZ
 from impact_rig.errors import ConfigError
 
@@ -47,21 +47,12 @@ Complex = NDArray[np.complex128]
 Real = NDArray[np.float64]
 
 
-def pure_delay(omega_lag: Real) -> Complex:
-    """Return L of a sensor that only delays; `omega_lag` = ω·lag, dimensionless."""
-    return np.asarray(np.exp(-1j * omega_lag), dtype=np.complex128)
-
-
-def first_order(omega_lag: Real) -> Complex:
-    """Return L of a first-order sensor."""
-    return np.asarray(1.0 / (1.0 + 1j * omega_lag), dtype=np.complex128)
-
-
-def two_pole(omega_lag: Real) -> Complex:
-    """Return L of a Butterworth two-pole sensor; equals a pure delay to second order in ω·lag."""
-    scaled = omega_lag / math.sqrt(2.0)
-    return np.asarray(1.0 / (1.0 + 1j * math.sqrt(2.0) * scaled - scaled**2), dtype=np.complex128)
-
+LAG_MODELS: dict[int, Callable[[Real], NDArray[np.complexfloating]]] = {
+    0: lambda omega_lag: np.exp(-1j * omega_lag),
+    1: lambda omega_lag: 1.0 / (1.0 + 1j * omega_lag),
+    2: lambda omega_lag: 1.0 / (1.0 + 1j * omega_lag - omega_lag**2 / 2.0),
+}
+"""`lag_order` to L of ω·lag; the two poles are a pure delay to second order."""
 
 J_1_MOST, J_1_TAIL = 0.5819, 0.684
 """Largest J_1(x), and largest x J_1²(x)."""
@@ -78,9 +69,6 @@ def bessel_j_1(x: Real) -> Real:
     return np.asarray(np.cos(angle - x[..., None] * np.sin(angle)).mean(axis=-1))
 
 
-LAG_MODELS: dict[int, Callable[[Real], Complex]] = {0: pure_delay, 1: first_order, 2: two_pole}
-"""`lag_order` to model."""
-
 U_CUBIC = 1.0 / math.sqrt(6.0)
 """Standard uncertainty of the share c that the cubic has in a sensor's curve."""
 
@@ -92,59 +80,31 @@ TERMS = 12
 """Of the sum over the harmonics of a step: they fall with their cube where no noise blurs it."""
 
 COLUMNS = (
-    "range_low",
-    "range_high",
-    "resolution",
-    "noise",
-    "sensitivity_uncertainty",
-    "lag",
-    "skew",
-    "lag_order",
-    "bandwidth",
-    "linearity",
-    *STEPS,
-)
-
-
+    "range_low", "range_high", "resolution", "noise", "sensitivity_uncertainty", "lag", "skew", "lag_order",
+    "bandwidth", "linearity", *STEPS,
+)  # fmt: skip
 LARGEST = 1e100
 """Of any figure: its square is a number."""
 
 
 @attrs.frozen(eq=False)
 class Calibration:
-    """The columns of `daq/info` as arrays over `channels.CHANNELS`.
+    """The columns of `daq/info` as arrays over `scans.CHANNELS`."""
 
-    Attributes:
-        rate_hz: scans per second.
-        low: lower end of the range [SI unit of the channel]; high: upper end.
-        resolution: 1 LSB [unit]; 0 where unknown.
-        noise: rms [unit].
-        gain_uncertainty: relative standard uncertainty of the sensitivity.
-        lag: group delay at low frequency [s].
-        skew: conversion after the scan clock [s].
-        lag_order: key into `LAG_MODELS`.
-        bandwidth: corner of the sensor and its noise [Hz]; 0 where unknown.
-        linearity: limit of the departure from a straight line [unit].
-        output_step: of the sensor's output [unit]; 0 for none.
-        output_noise: rms ahead of it [unit].
-        converter_step: of the converter [unit].
-        converter_noise: rms ahead of it [unit].
-    """
-
-    rate_hz: int
-    low: Real
+    rate_hz: int  # scans per second
+    low: Real  # lower end of the range [SI unit of the channel]; high: upper end
     high: Real
-    resolution: Real
-    noise: Real
-    gain_uncertainty: Real
-    lag: Real
-    skew: Real
-    lag_order: Real
-    bandwidth: Real
-    linearity: Real
-    output_step: Real
+    resolution: Real  # 1 LSB [unit]; 0 where unknown
+    noise: Real  # rms [unit]
+    gain_uncertainty: Real  # relative standard uncertainty of the sensitivity
+    lag: Real  # group delay at low frequency [s]
+    skew: Real  # conversion after the scan clock [s]
+    lag_order: Real  # key into `LAG_MODELS`
+    bandwidth: Real  # corner of the sensor and its noise [Hz]; 0 where unknown
+    linearity: Real  # limit of the departure from a straight line [unit]
+    output_step: Real  # of the sensor's output [unit], 0 for none; output_noise: rms ahead of it
     output_noise: Real
-    converter_step: Real
+    converter_step: Real  # of the converter [unit]; converter_noise: rms ahead of it
     converter_noise: Real
 
     @classmethod
@@ -172,13 +132,8 @@ class Calibration:
         known = {name: ordered[name] for name in COLUMNS if name in (ordered.dtype.names or ())}
         if set(STEPS) - set(known) or not any(np.any(known[name]) for name in STEPS):
             # a certificate that does not tell the steps apart: one, ahead of which all noise is
-            known |= dict(
-                zip(
-                    STEPS,
-                    (np.zeros(len(CHANNELS)), known["noise"], known["resolution"], np.zeros(len(CHANNELS))),
-                    strict=True,
-                )
-            )
+            none = np.zeros(len(CHANNELS))
+            known |= dict(zip(STEPS, (none, known["noise"], known["resolution"], none), strict=True))
         for name, values in known.items():
             sizes = np.abs(values)
             if np.any((sizes > LARGEST) & np.isfinite(sizes)):

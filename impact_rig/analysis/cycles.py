@@ -14,6 +14,7 @@ the cycles nor their bits depend on how the stream was cut into blocks.
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import attrs
 import numpy as np
@@ -31,31 +32,18 @@ PHASE_BINS = 64
 
 @attrs.frozen(eq=False)
 class Cycles:
-    """n consecutive whole cycles of the drive, 4 channels in the order of `channels.CHANNELS`, H harmonics.
+    """n consecutive whole cycles of the drive, 4 channels in the order of `scans.CHANNELS`, H harmonics."""
 
-    Attributes:
-        first: index of each cycle's first scan, counted like `Accumulator.origin`, shape (n,).
-        samples: scans per cycle, shape (n,).
-        phasors: Y_h in the channel's unit, drive phase zero at the origin, shape (n, 4, H).
-        mean: mean per cycle, shape (n, 4).
-        variance: variance about the mean per cycle, shape (n, 4).
-        residual: residual sum of squares of the fit, shape (n, 4).
-        flags: status bits seen, and RANGE_BIT bits, shape (n,).
-        jump: largest change from one scan to the next, shape (n, 4).
-        impacts: impacts detected per cycle, NaN where not counted, shape (n,).
-        strikes: 1 where an impact fell into that part of the cycle, shape (n, PHASE_BINS).
-    """
-
-    first: NDArray[np.int64]
-    samples: NDArray[np.int64]
-    phasors: Complex
-    mean: Real
-    variance: Real
-    residual: Real
-    flags: NDArray[np.int64]
-    jump: Real
-    impacts: Real
-    strikes: NDArray[np.uint8]
+    first: NDArray[np.int64]  # index of each cycle's first scan, counted like `Accumulator.origin`, shape (n,)
+    samples: NDArray[np.int64]  # scans per cycle, shape (n,)
+    phasors: Complex  # Y_h in the channel's unit, drive phase zero at the origin, shape (n, 4, H)
+    mean: Real  # mean per cycle, shape (n, 4)
+    variance: Real  # variance about the mean per cycle, shape (n, 4)
+    residual: Real  # residual sum of squares of the fit, shape (n, 4)
+    flags: NDArray[np.int64]  # status bits seen, and RANGE_BIT bits, shape (n,)
+    jump: Real  # largest change from one scan to the next, shape (n, 4)
+    impacts: Real  # impacts detected per cycle, NaN where not counted, shape (n,)
+    strikes: NDArray[np.uint8]  # 1 where an impact fell into that part of the cycle, shape (n, PHASE_BINS)
 
     def __len__(self) -> int:
         return len(self.first)
@@ -82,11 +70,8 @@ def distinct_phases(samples: int, period: float) -> int:
     """Return at how many phases of the drive a run of samples is taken: all its samples, or fewer where they recur.
 
     Where a few cycles hold a whole number of samples, the same phases come again and again, and what rounding adds to
-    each of them is the same each time. They recur if within the run they drift by less than half a sample.
-
-    Args:
-        samples: of the run.
-        period: samples per cycle, fractions included.
+    each of them is the same each time. They recur if within the run they drift by less than half a sample. `period`:
+    samples per cycle, fractions included.
     """
     for cycles in range(1, int(samples / period / 2.0) + 1):
         drift = abs(cycles * period - round(cycles * period)) * samples / (cycles * period)
@@ -106,18 +91,10 @@ def usable_harmonics(rate_hz: int, frequency_hz: float, wanted: int) -> int:
 
 
 class Accumulator:
-    """Reduces scans to cycles; the state is a few dozen numbers.
+    """Reduces scans to cycles of `period` scans, fractions included; the state is a few dozen numbers.
 
-    Attributes:
-        origin: index of the first scan: cycle 0 starts there.
-        period: scans per drive cycle, fractions included.
-
-    Args:
-        rate_hz: scans per second.
-        frequency_hz: of the drive.
-        harmonics: H >= 1, from `usable_harmonics`.
-        origin: index of the first scan: cycle 0 starts there.
-        low: values at or below it are flagged, shape (4,); high: values at or above it.
+    H harmonics (`usable_harmonics`) are fitted; cycle 0 starts at scan `origin`; values at or below `low` and at or
+    above `high`, shape (4,), are flagged.
     """
 
     def __init__(
@@ -136,7 +113,7 @@ class Accumulator:
         self._out_jump = np.zeros((capacity, 4))
         self._out = np.zeros((capacity, 4, size))
         self._out_flags = np.zeros(capacity, dtype=np.int64)
-        self._done: list[tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.float64]]] = []
+        self._done: list[tuple[NDArray[Any], ...]] = []  # sums, flags and jumps
         self._cycle = 0
 
     @property
@@ -148,27 +125,11 @@ class Accumulator:
         """Accumulate the scans begin <= i < end of a buffer; samples has shape (4, capacity), status (capacity,)."""
         while begin < end:
             done, begin = _accumulate(
-                samples,
-                status,
-                begin,
-                end,
-                self._low,
-                self._high,
-                self.period,
-                self._place,
-                self._rotor,
-                self._sums,
-                self._basis,
-                self._last,
-                self._jump,
-                self._out,
-                self._out_flags,
-                self._out_jump,
-            )
+                samples, status, begin, end, self._low, self._high, self.period, self._place, self._rotor, self._sums,
+                self._basis, self._last, self._jump, self._out, self._out_flags, self._out_jump,
+            )  # fmt: skip
             if done:
-                self._done.append(
-                    (self._out[:done].copy(), self._out_flags[:done].copy(), self._out_jump[:done].copy())
-                )
+                self._done.append(tuple(out[:done].copy() for out in (self._out, self._out_flags, self._out_jump)))
 
     def take(self, count: int) -> Cycles:
         """Return and forget the oldest `count` whole cycles, fitted.
@@ -187,14 +148,9 @@ class Accumulator:
 
 
 def _solve(
-    sums: Real,
-    flags: NDArray[np.int64],
-    jump: Real,
-    edges: NDArray[np.int64],
-    numbers: NDArray[np.int64],
-    period: float,
-    origin: int,
-) -> Cycles:
+    sums: Real, flags: NDArray[np.int64], jump: Real, edges: NDArray[np.int64], numbers: NDArray[np.int64],
+    period: float, origin: int,
+) -> Cycles:  # fmt: skip
     """Fit every cycle from its sums: one small normal system per cycle, all at once."""
     samples = np.diff(edges)
     size = sums.shape[2] - 1
@@ -209,31 +165,15 @@ def _solve(
         variance = np.maximum(sums[:, :, size] / samples[:, None] - mean**2, 0.0)
         residual = np.maximum(sums[:, :, size] - explained, 0.0)
     phasors = np.swapaxes(solution[:, 1::2] - 1j * solution[:, 2::2], 1, 2)
-    return Cycles(
-        first=origin + edges[:-1],
-        samples=samples,
-        phasors=phasors,
-        mean=mean,
-        variance=variance,
-        residual=residual,
-        flags=flags,
-        jump=jump,
-        impacts=np.full(len(samples), np.nan),
-        strikes=np.zeros((len(samples), PHASE_BINS), dtype=np.uint8),
-    )
+    uncounted = np.full(len(samples), np.nan), np.zeros((len(samples), PHASE_BINS), dtype=np.uint8)
+    return Cycles(origin + edges[:-1], samples, phasors, mean, variance, residual, flags, jump, *uncounted)
 
 
 def normal_matrix(phase: Real, samples: NDArray[np.int64], step: float, harmonics: int) -> Real:
     """Return the normal matrices of [1, cos φ, sin φ, cos 2φ, sin 2φ, …] in closed form.
 
-    Args:
-        phase: φ of each run's first sample [rad], shape (n,).
-        samples: samples per run, shape (n,).
-        step: φ per sample [rad].
-        harmonics: H; 2 H step must stay below 2π.
-
-    Returns:
-        Array of shape (n, 2H+1, 2H+1).
+    `phase` is φ of each run's first sample and `step` φ per sample [rad], 2 H step < 2π; `samples` are those of each
+    run. Shapes (n,), (n,) and, returned, (n, 2H+1, 2H+1).
     """
     order = np.arange(1, 2 * harmonics + 1)
     count = samples[:, None]
@@ -261,23 +201,10 @@ def normal_matrix(phase: Real, samples: NDArray[np.int64], step: float, harmonic
     returns=(int, int),
 )  # fmt: skip
 def _accumulate(
-    samples: Real,
-    status: NDArray[np.uint8],
-    begin: int,
-    end: int,
-    low: Real,
-    high: Real,
-    period: float,
-    place: NDArray[np.int64],
-    rotor: Real,
-    sums: Real,
-    basis: Real,
-    last: Real,
-    jump: Real,
-    out: Real,
-    out_flags: NDArray[np.int64],
-    out_jump: Real,
-) -> tuple[int, int]:
+    samples: Real, status: NDArray[np.uint8], begin: int, end: int, low: Real, high: Real, period: float,
+    place: NDArray[np.int64], rotor: Real, sums: Real, basis: Real, last: Real, jump: Real, out: Real,
+    out_flags: NDArray[np.int64], out_jump: Real,
+) -> tuple[int, int]:  # fmt: skip
     """Add scans to the running sums; stop early when `out` is full. Return (cycles completed, next scan).
 
     place = [sample since the origin, cycle, first sample of the next cycle, flags],

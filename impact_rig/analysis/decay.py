@@ -1,6 +1,6 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""Free decay → natural frequency f_n and damping ratio ζ, by logarithmic decrement and by a fit of the whole record.
+"""Free decay → natural frequency f_n and damping ratio ζ, by logarithmic decrement or a fit; drop test → restitution.
 
     y(t) = C + D t + e^{−λt} (A cos ω_d t + B sin ω_d t),   λ = ζω_n,   ω_d = ω_n √(1 − ζ²)
     ω_n = √(ω_d² + λ²),   ζ = λ/ω_n;      decrement per cycle δ = 2πλ/ω_d,   ζ = δ/√(4π² + δ²)
@@ -11,11 +11,17 @@ of noise (density near ω_d, as in `sine`) and clock, u(ζ) that of noise and cu
 
 A record in which the accelerometer shows impacts has no ζ: the sphere takes energy as long as it strikes. Nor has one
 whose two halves decay at different rates, whatever the cause. Both are refused.
+
+A sphere dropped from H0 on the fixed barrier rebounds to H1. The operator notes the heights as a remark on `notes`,
+`drop h0_m=0.2 h1_m=0.0245`:
+
+    e = √(H1/H0),   (u(e)/e)² = ¼ [(u(H1)/H1)² + (u(H0)/H0)²]
 """
 
 from __future__ import annotations
 
 import math
+import re
 from typing import Protocol
 
 import attrs
@@ -24,8 +30,8 @@ from numpy.typing import NDArray
 from scipy import fft
 
 from impact_rig.analysis.calibration import Calibration, Complex, Real
-from impact_rig.analysis.channels import LASER, status_of
 from impact_rig.analysis.impacts import ImpactDetector
+from impact_rig.analysis.scans import LASER, status_of
 from impact_rig.analysis.sine import least_squares, noise_density
 from impact_rig.analysis.words import Status
 
@@ -74,13 +80,8 @@ def measure_decay(
 ) -> Decay:
     """Measure the free decay of the superior base in scans that begin after its release; the base must be locked.
 
-    `impacts` or `not_exponential` where no single ζ describes the record.
-
-    Args:
-        rows: consecutive scans (`daq/scan`).
-        info: rows of `daq/info`: rate, range and linearity of the laser.
-        method: `fit_decay` if None.
-        u_clock: relative standard uncertainty of the rate.
+    `impacts` or `not_exponential` where no single ζ describes the record. The scans (`daq/scan`) are consecutive;
+    `u_clock` is the relative standard uncertainty of their rate.
 
     Raises:
         ConfigError: `info` does not describe the channels.
@@ -142,10 +143,7 @@ def _moments(k: float) -> tuple[float, float, float]:
 def fit_decay(y: Real, rate_hz: float, u_clock: float = 0.0) -> Decay:
     """Fit a free decay, from its first sample to its last.
 
-    Args:
-        y: displacement [any unit], shape (n,).
-        rate_hz: samples per second.
-        u_clock: relative standard uncertainty of the rate.
+    `u_clock`: relative standard uncertainty of the rate.
     """
     start = _start(y, rate_hz)
     if isinstance(start, Status):
@@ -178,11 +176,6 @@ def log_decrement(y: Real, rate_hz: float, u_clock: float = 0.0) -> Decay:
 
     Amplitude and phase of each cycle come from a fit over that cycle, with weights as their squared amplitudes; the
     uncertainties come from the scatter about the straight lines.
-
-    Args:
-        y: displacement, shape (n,).
-        rate_hz: samples per second.
-        u_clock: relative standard uncertainty of the rate.
     """
     start = _start(y, rate_hz)
     if isinstance(start, Status):
@@ -289,14 +282,7 @@ def _design(time: Real, omega: float, decay: float) -> tuple[Real, Complex]:
 
 
 def _result(
-    residual: Real,
-    rate_hz: float,
-    omega: float,
-    decay: float,
-    normal: Real,
-    linear: Real,
-    u_clock: float,
-    scale: float,
+    residual: Real, rate_hz: float, omega: float, decay: float, normal: Real, linear: Real, u_clock: float, scale: float
 ) -> Decay:
     natural = math.hypot(omega, decay)
     zeta = decay / natural
@@ -316,4 +302,67 @@ def _result(
         u_damping_ratio=math.sqrt(to_zeta @ covariance @ to_zeta),
         amplitude=scale * amplitude,
         cycles=int(len(residual) / rate_hz * omega / (2.0 * math.pi)),
+    )
+
+
+_NUMBER = r"[0-9.eE+-]{1,32}"
+_PATTERN = re.compile(rf"\s*drop\s+h0_m\s*=\s*(?P<h0>{_NUMBER})\s+h1_m\s*=\s*(?P<h1>{_NUMBER})\s*")
+
+
+@attrs.frozen
+class Drop:
+    """Heights of one drop [m]: where the sphere was let go, and how high it came back."""
+
+    h0_m: float
+    h1_m: float
+
+    def text(self) -> str:
+        """Return the remark; `parse_drop` reads it back exactly."""
+        return f"drop h0_m={self.h0_m!r} h1_m={self.h1_m!r}"
+
+
+def parse_drop(remark: str) -> Drop | None:
+    """Return the drop in a remark, or None if it is any other remark."""
+    match = _PATTERN.fullmatch(remark)
+    if match is None:
+        return None
+    try:
+        return Drop(float(match["h0"]), float(match["h1"]))
+    except ValueError:
+        return None
+
+
+@attrs.frozen(kw_only=True)
+class DropTest:
+    """Coefficient of restitution with its standard uncertainty; NaN where the heights give none."""
+
+    status: Status
+    restitution: float = math.nan
+    u_restitution: float = math.nan
+    drops: int = 0
+
+
+def restitution_of_drops(h0_m: Real, h1_m: Real, u_h0_m: float, u_h1_m: float) -> DropTest:
+    """Return the mean e of repeated drops; the uncertainty of the heights is independent from drop to drop.
+
+    With several drops the scatter of e counts if it is larger than the heights explain: the sphere and barrier vary.
+    The heights of drops and rebounds have shape (n,); the uncertainties are those of each.
+
+    Returns:
+        `not_finite` for values that are not finite, `no_fit` for heights that are not positive, uncertainties that are
+        negative, or a rebound higher than the drop by more than three standard uncertainties.
+    """
+    if h0_m.shape != h1_m.shape or h0_m.ndim != 1 or not len(h0_m):
+        raise ValueError(f"h0_m and h1_m must be one-dimensional and of equal length, got {h0_m.shape}, {h1_m.shape}")
+    if not (np.all(np.isfinite(h0_m)) and np.all(np.isfinite(h1_m)) and math.isfinite(u_h0_m + u_h1_m)):
+        return DropTest(status=Status.NOT_FINITE)
+    higher = h1_m - h0_m > 3.0 * math.hypot(u_h0_m, u_h1_m)
+    if min(u_h0_m, u_h1_m) < 0.0 or np.any(h0_m <= 0.0) or np.any(h1_m <= 0.0) or np.any(higher):
+        return DropTest(status=Status.NO_FIT)
+    each = np.sqrt(h1_m / h0_m)
+    n = len(each)
+    explained = float(np.sum(each**2 * ((u_h1_m / h1_m) ** 2 + (u_h0_m / h0_m) ** 2) / 4.0)) / n**2
+    scatter = float(np.var(each, ddof=1)) / n if n > 1 else 0.0
+    return DropTest(
+        status=Status.OK, restitution=float(each.mean()), u_restitution=math.sqrt(max(explained, scatter)), drops=n
     )

@@ -32,11 +32,7 @@ SMOOTHED_SAMPLES = 11
 
 @styled
 def transmissibility_curves(curves: Mapping[str, NDArray[np.void]]) -> Figure:
-    """Draw DT over frequency with ±2u, and the phase beneath.
-
-    Args:
-        curves: label to rows of `transmissibility/table`; rows without numbers are left out.
-    """
+    """Draw DT over frequency with ±2u, the phase beneath, of rows by label; those without numbers are left out."""
     from matplotlib.ticker import LogFormatter  # noqa: PLC0415  # heavy: only when something is drawn
 
     figure, (upper, lower) = _axes(2)
@@ -62,10 +58,7 @@ def transmissibility_curves(curves: Mapping[str, NDArray[np.void]]) -> Figure:
 def time_traces(rows: NDArray[np.void], impact_times: Real | None = None, remark: str = "") -> Figure:
     """Draw base, superior base and acceleration over time; impacts are marked above the axes, where no pulse is hidden.
 
-    Args:
-        rows: scans (`daq/scan`).
-        impact_times: instants of impacts [s on the rows' time], shape (k,); None for none.
-        remark: what is to be known about the pulses of the acceleration, written above them.
+    `impact_times` are on the time of the scans [s], shape (k,); `remark` is written above the acceleration.
     """
     figure, axes = _axes(3)
     for axis, name, factor, label in zip(
@@ -101,10 +94,7 @@ def time_traces(rows: NDArray[np.void], impact_times: Real | None = None, remark
 def phase_plane(displacement: Real, rate_hz: float, smooth_s: float = 0.0) -> Figure:
     """Draw velocity over displacement; the velocity is the derivative of a cubic fitted to the samples around.
 
-    Args:
-        displacement: [m], shape (n,), n >= 11.
-        rate_hz: samples per second.
-        smooth_s: span of the fit [s], at least 11 samples and at most all; what is faster is lost, with the noise.
+    `smooth_s`, the span of the fit, is at least 11 samples and at most all: what is faster is lost, with the noise.
     """
     samples = max(SMOOTHED_SAMPLES, 2 * round(smooth_s * rate_hz / 2.0) + 1)
     samples = min(samples, (len(displacement) - 1) // 2 * 2 + 1)
@@ -120,12 +110,7 @@ def phase_plane(displacement: Real, rate_hz: float, smooth_s: float = 0.0) -> Fi
 def spectrum(y: Real, rate_hz: float, unit: str, drive_hz: float | None = None, upto_hz: float | None = None) -> Figure:
     """Draw the amplitude spectrum: a sine of amplitude A stands A high (flat-top window).
 
-    Args:
-        y: samples, shape (n,).
-        rate_hz: samples per second.
-        unit: of y, for the axis.
-        drive_hz: marked with its harmonics if given.
-        upto_hz: end of the axis; rate / 2 if None.
+    `drive_hz` is marked with its harmonics; the axis ends at `upto_hz`, or rate / 2.
     """
     frequency, power = signal.periodogram(y, rate_hz, window="flattop", scaling="spectrum", detrend="constant")
     end = upto_hz or rate_hz / 2.0
@@ -143,13 +128,7 @@ def spectrum(y: Real, rate_hz: float, unit: str, drive_hz: float | None = None, 
 
 @styled
 def frequency_response(found: Frf, from_hz: float, upto_hz: float) -> Figure:
-    """Draw |H1|, |H2| and |Hv|, the phase of H1, and the coherence.
-
-    Args:
-        found: what is drawn.
-        from_hz: begin of the axis.
-        upto_hz: end of the axis.
-    """
+    """Draw |H1|, |H2| and |Hv|, the phase of H1, and the coherence."""
     shown = (found.frequency_hz >= from_hz) & (found.frequency_hz <= upto_hz)
     frequency = found.frequency_hz[shown]
     figure, (upper, middle, lower) = _axes(3)
@@ -170,11 +149,7 @@ def frequency_response(found: Frf, from_hz: float, upto_hz: float) -> Figure:
 def sine_fits(rows: NDArray[np.void], fits: Mapping[str, SineFit], units: Mapping[str, str], rate_hz: float) -> Figure:
     """Draw the samples of every channel and the sine that was fitted to them, the residual's rms beside it.
 
-    Args:
-        rows: the first of the scans that were fitted (`blocks.SCAN`).
-        fits: by channel.
-        units: of the channels.
-        rate_hz: scans per second.
+    `rows` are the first of the scans that were fitted; fits and units go by channel.
     """
     figure, axes = _axes(len(fits))
     for axis, (name, fit) in zip(axes, fits.items(), strict=True):
@@ -191,10 +166,7 @@ def sine_fits(rows: NDArray[np.void], fits: Mapping[str, SineFit], units: Mappin
 def restitution_by_drop(each: Real, mean: float, u_mean: float) -> Figure:
     """Draw the restitution of every drop, and their mean with ±2u.
 
-    Args:
-        each: √(h1/h0), shape (n,).
-        mean: of them.
-        u_mean: its standard uncertainty.
+    `each` is √(h1/h0), shape (n,).
     """
     from matplotlib.ticker import MaxNLocator  # noqa: PLC0415  # heavy: only when something is drawn
 

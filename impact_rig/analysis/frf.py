@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from scipy import signal
 
 from impact_rig.analysis.calibration import Calibration, Complex, Real
-from impact_rig.analysis.channels import BASE, LASER
+from impact_rig.analysis.scans import BASE, LASER
 
 OVERLAP = 0.5
 RESOLVED = 0.02
@@ -71,31 +71,23 @@ class Frf:
     """Frequency response function of one pair of channels.
 
     Attributes:
-        frequency_hz: shape (n,).
-        h1: estimators, shape (n,); h2, hv likewise.
-        coherence: γ², shape (n,).
         u_relative: standard uncertainty of |H1| relative to it, and of its phase [rad], shape (n,): by noise alone
             from `frf`, with calibration and resolution from `transmissibility_frf`.
-        averages: n_d, effective number of independent averages.
-        excitation: S_xx, shape (n,).
-        excited: indices of the lines that the excitation reaches, shape (k,); of a sine its one line.
-        sine: whether the excitation is one.
         resonance: what was found in the excited band, None if no single one fits; from `transmissibility_frf` alone.
-        bias: `resolution_bias` at the peak, 0 if there is no resonance.
     """
 
-    frequency_hz: Real
-    h1: Complex
+    frequency_hz: Real  # shape (n,)
+    h1: Complex  # estimators, shape (n,); h2, hv likewise
     h2: Complex
     hv: Complex
-    coherence: Real
+    coherence: Real  # γ², shape (n,)
     u_relative: Real
-    averages: float
-    excitation: Real
-    excited: NDArray[np.intp]
-    sine: bool
+    averages: float  # n_d, effective number of independent averages
+    excitation: Real  # S_xx, shape (n,)
+    excited: NDArray[np.intp]  # indices of the lines that the excitation reaches, shape (k,); of a sine its one line
+    sine: bool  # whether the excitation is one
     resonance: Resonance | None = None
-    bias: float = 0.0
+    bias: float = 0.0  # `resolution_bias` at the peak, 0 if there is no resonance
 
 
 def frf(
@@ -111,15 +103,8 @@ def frf(
 ) -> Frf:
     """Estimate y / x.
 
-    Args:
-        x: excitation, shape (n,).
-        y: response, shape (n,).
-        rate_hz: samples per second.
-        segment: samples per segment: frequency resolution rate / segment. For a periodic chirp one period, boxcar.
-        overlap: share of a segment that overlaps the next.
-        window: name of a window of scipy.signal.
-        noise_ratio: κ of Hv, noise power of y over that of x.
-        x_noise: rms of the noise of x, which is white.
+    x and y have shape (n,), a segment so many samples (for a periodic chirp one period, boxcar), of which the share
+    `overlap` is also in the next; `noise_ratio` is κ of Hv, `x_noise` the rms of the noise of x, which is white.
 
     Raises:
         ValueError: lengths differ, values are not finite, a channel is constant, or the record is too short.
@@ -182,15 +167,9 @@ def find_resonance(
         (s² + 2ζω_n s + ω_n²) Y − (2ζω_n s + ω_n²) X = a + b s,   s = iω
 
     over the lines of the whole record: a and b are what its two ends contribute, so nothing leaks, and the resonance
-    may be narrower than a line of the estimators. Pintelon & Schoukens (2012), System Identification, 2.6.
-
-    Args:
-        x: displacement of the base, shape (n,).
-        y: displacement it causes, shape (n,).
-        rate_hz: samples per second.
-        low_hz: lower edge of the band that x excites.
-        high_hz: its upper edge.
-        corrected: what Y is multiplied by at a frequency [Hz], for the sensors' lag and skew.
+    may be narrower than a line of the estimators. Pintelon & Schoukens (2012), System Identification, 2.6. `x` is the
+    displacement of the base and `y` what it causes, shape (n,), in a band that x excites; Y is multiplied by
+    `corrected` of a frequency [Hz], for the sensors' lag and skew.
     """
     frequency = np.asarray(np.fft.rfftfreq(len(x), 1.0 / rate_hz), dtype=np.float64)
     moved, stirred = np.fft.rfft(y - y.mean()), np.fft.rfft(x - x.mean())
@@ -256,13 +235,9 @@ def transmissibility_frf(
 
     u_relative includes calibration and resolution.
 
-    Args:
-        rows: consecutive scans (`daq/scan`).
-        info: rows of `daq/info`.
-        segment: samples per segment; None for what resolves the resonance that is found.
-        overlap: as in `frf`; None for a half, and for none with `boxcar`.
-        window: as in `frf`; `boxcar` for an excitation that repeats from segment to segment.
-        damping_ratio: of the resonance, instead of what is found.
+    The scans are consecutive. Without `segment` [samples] it is what resolves the resonance that is found; without
+    `overlap` a half, or none with `boxcar`, which is for an excitation that repeats from segment to segment;
+    `damping_ratio` stands in for that of the resonance.
 
     Raises:
         ConfigError: `info` does not describe the channels.

@@ -19,8 +19,8 @@ import attrs
 import numpy as np
 
 from impact_rig.analysis.calibration import Calibration, Complex, Real
-from impact_rig.analysis.channels import ACCELEROMETER, BASE, CHANNELS, CURRENT, LASER
 from impact_rig.analysis.cycles import RANGE_BIT, Cycles
+from impact_rig.analysis.scans import ACCELEROMETER, BASE, CHANNELS, CURRENT, LASER
 from impact_rig.analysis.words import Status
 
 DISPLACEMENTS = (LASER, BASE, CURRENT)
@@ -57,20 +57,14 @@ almost equal forces leave."""
 
 @attrs.frozen
 class Verdict:
-    """What is wrong, and with which channel; no channel: with none in particular."""
+    """What is wrong, and with which channel, if with one in particular."""
 
     status: Status
     channel: str = ""
 
 
 def unsound(cycles: Cycles, calibration: Calibration, frequency_hz: float) -> Verdict | None:
-    """Return why cycles must not be averaged, or None.
-
-    Args:
-        cycles: consecutive.
-        calibration: of the channels.
-        frequency_hz: of the drive.
-    """
+    """Return why cycles must not be averaged, or None."""
     flags = int(np.bitwise_or.reduce(cycles.flags))
     for channel in DISPLACEMENTS:
         if not np.all(np.isfinite(cycles.mean[:, channel])):
@@ -129,15 +123,12 @@ class Amplitudes:
     """Amplitudes of a measurement with the standard uncertainty that scatter, noise and steps give each.
 
     Attributes:
-        size: by `channels.CHANNELS`; acceleration over ω² [m], X_1 [m], X_b [m], current [A].
-        u: of each, in its unit.
-        frequency_hz: of the drive.
         calibrated: relative departure of acceleration over ω² from X_1 that the calibrations allow.
     """
 
-    size: Real
-    u: Real
-    frequency_hz: float
+    size: Real  # by `scans.CHANNELS`; acceleration over ω² [m], X_1 [m], X_b [m], current [A]
+    u: Real  # of each, in its unit
+    frequency_hz: float  # of the drive
     calibrated: float = ACCELERATION_LIMIT
 
     @property
@@ -153,14 +144,8 @@ def amplitudes(
     """Return the amplitudes of a measurement.
 
     An acceleration of less than a step of the converter may come out as anything from none to several times its size.
-    What the steps do is told of the amplitude that the laser says: of a reading of 0 they would do nothing.
-
-    Args:
-        true: phasors of the cycles by channel, corrected, shape (n, H) each.
-        noise: variance per scan by channel, shape (4,).
-        cycles: that they are of.
-        calibration: of the channels.
-        frequency_hz: of the drive.
+    What the steps do is told of the amplitude that the laser says: of a reading of 0 they would do nothing. `true` are
+    the corrected phasors of the cycles by channel, shape (n, H) each; `noise` the variance per scan, shape (4,).
     """
     square = (2.0 * math.pi * frequency_hz) ** 2
     size, u = np.zeros(4), np.zeros(4)
@@ -182,11 +167,7 @@ def amplitudes(
 def misplaced(found: Amplitudes, u_relative: float, phase_rad: float, u_phase_rad: float) -> Verdict | None:
     """Tell whether laser and base have changed places, or one of them is wired the wrong way round.
 
-    Args:
-        found: amplitudes.
-        u_relative: relative standard uncertainty of DT; of an uncertain one nothing is told.
-        phase_rad: of X_1 / X_b; far above resonance it is ± π.
-        u_phase_rad: its standard uncertainty.
+    Of a DT uncertain by more than `CERTAIN` nothing is told. The phase is that of X_1 / X_b, ± π far above resonance.
     """
     if u_relative > CERTAIN:
         return None
@@ -208,10 +189,6 @@ def contradiction(found: Amplitudes, before: Amplitudes | None = None) -> Verdic
 
     A dead accelerometer leaves the displacements sound; of one that moves, but not as the laser says, it is not known
     which of the two is wrong, unless the laser says what it did before.
-
-    Args:
-        found: amplitudes.
-        before: those of an earlier row of the same setting.
     """
     u, expected = found.u, found.size[LASER]
     if not math.isfinite(found.size[ACCELEROMETER]):

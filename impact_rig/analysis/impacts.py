@@ -20,10 +20,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig.analysis.calibration import Calibration, Real
-from impact_rig.analysis.channels import ACCELEROMETER
 from impact_rig.analysis.cycles import PHASE_BINS, Cycles
+from impact_rig.analysis.scans import ACCELEROMETER
 from impact_rig.analysis.settings import ImpactSettings
+from impact_rig.blocks import DETECTED_IMPACTS, Table
 from impact_rig.kernels import INTEGERS, REALS, TABLE, entry
+from impact_rig.simtime import COMMAND_GRID_NS, COMMAND_GRID_S
 
 ONSET = 0.45
 LOOK_AHEAD_S = 150e-6
@@ -47,55 +49,22 @@ MIN_RATE_HZ = 2_000
 """Below this rate contacts fall between the scans: nothing is detected."""
 
 
-@attrs.frozen(eq=False)
-class Impacts:
-    """Detected impacts, in order.
-
-    Attributes:
-        scan: instant of first touch in scans since scan 0, fractions included, shape (n,).
-        peak: of the high-passed acceleration [m/s²], positive, shape (n,).
-        sign: +1 where the structure is pushed to the right, i.e. the right wall is struck, shape (n,).
-    """
-
-    scan: Real
-    peak: Real
-    sign: NDArray[np.int8]
-
-    def __len__(self) -> int:
-        return len(self.scan)
-
-    def __getitem__(self, part: slice) -> Impacts:
-        return Impacts(self.scan[part], self.peak[part], self.sign[part])
+IMPACT = np.dtype([("scan", "f8"), ("peak", "f8"), ("sign", "f8")])
+"""A detected impact: instant of first touch in scans since scan 0, fractions included; peak of the high-passed
+acceleration [m/s²], positive; sign, +1 where the structure is pushed to the right, i.e. the right wall is struck."""
+NO_IMPACTS = np.zeros(0, IMPACT)
 
 
-NO_IMPACTS = Impacts(np.empty(0), np.empty(0), np.empty(0, dtype=np.int8))
-
-
-def joined(parts: list[Impacts]) -> Impacts:
-    """Return runs of impacts as one."""
-    if not parts:
-        return NO_IMPACTS
-    return Impacts(
-        np.concatenate([part.scan for part in parts]),
-        np.concatenate([part.peak for part in parts]),
-        np.concatenate([part.sign for part in parts]),
-    )
-
-
-def counted(cycles: Cycles, impacts: Impacts, origin: int, period: float) -> Cycles:
+def counted(cycles: Cycles, impacts: NDArray[np.void], origin: int, period: float) -> Cycles:
     """Return the cycles with `impacts` and `strikes` filled in.
 
-    Args:
-        cycles: consecutive.
-        impacts: all within them, others do not matter.
-        origin: first scan of cycle 0.
-        period: scans per cycle.
+    Impacts (`IMPACT`) outside the cycles do not matter; `origin` is the first scan of cycle 0, `period` in scans.
     """
     edges = np.append(cycles.first, cycles.first[-1] + cycles.samples[-1])
-    place = np.searchsorted(edges, impacts.scan, side="right") - 1
+    place = np.searchsorted(edges, impacts["scan"], side="right") - 1
     inside = (place >= 0) & (place < len(cycles))
     count = np.bincount(place[inside], minlength=len(cycles))
-    turns = (impacts.scan[inside] - origin) / period
+    turns = (impacts["scan"][inside] - origin) / period
     strikes = np.zeros((len(cycles), PHASE_BINS), dtype=np.uint8)
     strikes[place[inside], np.floor((turns - np.floor(turns)) * PHASE_BINS).astype(np.int64) % PHASE_BINS] = 1
     return attrs.evolve(cycles, impacts=count.astype(np.float64), strikes=strikes)
@@ -114,12 +83,7 @@ def _high_pass(corner_hz: float, rate_hz: float) -> NDArray[np.float64]:
 
 
 class ImpactDetector:
-    """Finds impacts in a stream of acceleration; the result does not depend on how the stream is cut.
-
-    Args:
-        calibration: rate, noise and lag of the accelerometer.
-        settings: thresholds.
-    """
+    """Finds impacts in a stream of acceleration; the result does not depend on how the stream is cut."""
 
     def __init__(self, calibration: Calibration, settings: ImpactSettings | None = None) -> None:
         settings = settings or ImpactSettings()
@@ -129,22 +93,12 @@ class ImpactDetector:
         ring_time = max(settings.ring_time_s, RING_SCANS / rate)
         self._filter = _high_pass(corner, rate)
         self._noise = max(float(calibration.noise[ACCELEROMETER]), 1e-9)
-        self._limits = np.array(
-            [
-                settings.threshold_m_s2,
-                settings.noise_factor,
-                settings.ring_factor,
-                math.exp(-1.0 / (ring_time * rate)),
-                1.0 / (RMS_TIME_S * rate),
-            ]
-        )
-        self._times = np.array(
-            [
-                max(LOOK_AHEAD_SCANS, math.ceil(LOOK_AHEAD_S * rate)),
-                round(BLANK_S * rate),
-                round(QUIET_RING_TIMES * ring_time * rate),
-            ]
-        )
+        decay, forget = math.exp(-1.0 / (ring_time * rate)), 1.0 / (RMS_TIME_S * rate)
+        self._limits = np.array([
+            settings.threshold_m_s2, settings.noise_factor, settings.ring_factor, decay, forget,
+        ])  # fmt: skip
+        look_ahead = max(LOOK_AHEAD_SCANS, math.ceil(LOOK_AHEAD_S * rate))
+        self._times = np.array([look_ahead, round(BLANK_S * rate), round(QUIET_RING_TIMES * ring_time * rate)])
         self._delay = (float(calibration.lag[ACCELEROMETER]) - float(calibration.skew[ACCELEROMETER])) * rate
         self._history = np.zeros(HISTORY_MASK + 1)
         self._state = np.zeros(7)
@@ -158,44 +112,31 @@ class ImpactDetector:
         self._place[:] = (scan, 0, 0, 1, 0, 0)
         self._history[:] = 0.0
 
-    def feed(self, acceleration: Real) -> Impacts:
-        """Return the impacts found in the next samples [m/s²], shape (n,): each LOOK_AHEAD_S after it happened."""
+    def feed(self, acceleration: Real) -> NDArray[np.void]:
+        """Return the impacts (`IMPACT`) in the next samples [m/s²], shape (n,): each LOOK_AHEAD_S after it happened."""
         if self._rate < MIN_RATE_HZ:
             return NO_IMPACTS
         found: list[Real] = []
         begin = 0
         while begin < len(acceleration):
             count, begin = _detect(
-                acceleration,
-                begin,
-                self._filter,
-                self._limits,
-                self._times,
-                self._state,
-                self._place,
-                self._history,
+                acceleration, begin, self._filter, self._limits, self._times, self._state, self._place, self._history,
                 self._out,
-            )
+            )  # fmt: skip
             if count:
                 found.append(self._out[:count].copy())
         if not found:
             return NO_IMPACTS
-        rows = found[0] if len(found) == 1 else np.concatenate(found)
-        return Impacts(rows[:, 0] - self._delay, rows[:, 1], rows[:, 2].astype(np.int8))
+        impacts: NDArray[np.void] = np.concatenate(found).view(IMPACT)[:, 0]
+        impacts["scan"] -= self._delay
+        return impacts
 
 
 @entry(REALS, int, REALS, REALS, INTEGERS, REALS, INTEGERS, REALS, TABLE, returns=(int, int))
 def _detect(
-    acceleration: Real,
-    begin: int,
-    coefficients: Real,
-    limits: Real,
-    times: NDArray[np.int64],
-    state: Real,
-    place: NDArray[np.int64],
-    history: Real,
-    out: Real,
-) -> tuple[int, int]:
+    acceleration: Real, begin: int, coefficients: Real, limits: Real, times: NDArray[np.int64], state: Real,
+    place: NDArray[np.int64], history: Real, out: Real,
+) -> tuple[int, int]:  # fmt: skip
     """Filter and watch samples from `begin`; stop early when `out` is full. Return (impacts found, next sample).
 
     state = [z1, z2, variance, ring envelope, peak, sign, swing],
@@ -261,3 +202,17 @@ def _detect(
     state[4], state[5], state[6] = peak, sign, swing
     place[0], place[1], place[2], place[3], place[4], place[5] = scan, blank, hunting, fresh, peak_at, since
     return count, i
+
+
+def impact_tables(found: NDArray[np.void], rate_hz: int, start_ns: int) -> list[Table]:
+    """Return detected impacts as tables stamped on the command grid, so that no bit depends on the cut into blocks."""
+    seconds = found["scan"] / rate_hz
+    cells = np.floor(seconds / COMMAND_GRID_S).astype(np.int64)
+    tables = []
+    for cell in np.unique(cells):
+        chosen = cells == cell
+        rows = np.zeros(int(np.count_nonzero(chosen)), dtype=DETECTED_IMPACTS)
+        rows["time"] = seconds[chosen] - cell * COMMAND_GRID_S
+        rows["peak"], rows["sign"] = found["peak"][chosen], found["sign"][chosen]
+        tables.append(Table(start_ns + int(cell) * COMMAND_GRID_NS, rows))
+    return tables

@@ -1,13 +1,23 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""Settings of the streaming measurement; each with its unit, range and reason, made like the rig's configuration."""
+"""What the operator tells: settings of the measurement, and the gap as a remark on `notes`, `gap_m=0.006 at 12500000`.
+
+The rig does not tell the analysis its gap: it must measure without seeing the truth. A label carries the instant it
+holds from, so that the live analysis and a later one of the recorded run apply it to the same scan.
+"""
 
 from __future__ import annotations
 
-import attrs
+import re
+from typing import Any
 
+import attrs
+import numpy as np
+
+from impact_rig.blocks import SETTINGS, Table
 from impact_rig.config.fields import integer, quantity
 from impact_rig.errors import ConfigError
+from impact_rig.system.machine import fingerprint
 
 
 @attrs.frozen(kw_only=True)
@@ -28,7 +38,7 @@ class TrackerSettings:
     )
     wait_limit_s: float = quantity(60.0, "s", "Bound of waiting for a settled response.", above=0, at_most=3600)
     slowest_speed: float = quantity(
-        1e-3,
+        1e-4,
         "m/s",
         "Slowest drift that is waited for: a sphere without impacts rests once it would have crossed the gap so.",
         above=0,
@@ -43,8 +53,6 @@ class TrackerSettings:
     worst_relative_uncertainty: float = quantity(
         0.2, "-", "Relative standard uncertainty of DT above which a row has no number.", above=0, at_most=1
     )
-    bootstrap_resamples: int = integer(400, "-", "Resamples of the block bootstrap.", at_least=50, at_most=100_000)
-    seed: int = integer(1, "-", "Seed of the block bootstrap.", at_least=0, at_most=2**53)
 
     def __attrs_post_init__(self) -> None:
         if self.windows > self.long_windows:
@@ -64,3 +72,74 @@ class ImpactSettings:
     ring_time_s: float = quantity(
         4e-4, "s", "Time constant of the ringing, Q / (π f) of the mounted sensor: 30 at 25 kHz.", above=0
     )
+
+
+_PATTERN = re.compile(r"\s*gap_m\s*=\s*(?P<gap>nan|[0-9.eE+-]+)\s+at\s+(?P<stamp>[0-9]{1,19})\s*")
+_END_NS = 2**31 * 1_000_000_000
+"""A ROS stamp carries no later instant."""
+
+
+@attrs.frozen
+class GapLabel:
+    """A gap [m] (0 = no sphere, NaN = unknown) from an instant of rig time on."""
+
+    gap_m: float
+    stamp_ns: int
+
+    def text(self) -> str:
+        """Return the remark; `parse_label` reads it back exactly."""
+        return f"gap_m={self.gap_m!r} at {self.stamp_ns}"
+
+
+def parse_label(remark: str) -> GapLabel | None:
+    """Return the label in a remark, or None if it is any other remark."""
+    match = _PATTERN.fullmatch(remark)
+    if match is None:
+        return None
+    try:
+        gap, stamp = float(match["gap"]), int(match["stamp"])
+    except ValueError:
+        return None
+    if gap < 0 or gap > 1 or stamp >= _END_NS:
+        return None
+    return GapLabel(gap, stamp)
+
+
+MACHINE = "machine"
+GAP = "gap_m"
+RETIRED = ("bootstrap_resamples", "seed")
+"""Settings that earlier versions had: of resampling, which is no longer done."""
+
+
+def settings_table(settings: TrackerSettings, gap_m: float, stamp_ns: int) -> Table:
+    """Return `analysis/settings`: settings and the operator's label from an instant on, and which machine analyses."""
+    values = {attribute.name: getattr(settings, attribute.name) for attribute in attrs.fields(TrackerSettings)}
+    return Table(stamp_ns, np.array([*values.items(), (GAP, gap_m), (MACHINE, fingerprint())], dtype=SETTINGS))
+
+
+def read_settings(table: Table) -> tuple[TrackerSettings, float]:
+    """Return settings and label of `analysis/settings`; what the table does not name has its default.
+
+    Raises:
+        ConfigError: a key is unknown, or a value out of range.
+    """
+    values = dict(zip(table.rows["key"].astype(str).tolist(), table.rows["value"].tolist(), strict=True))
+    gap_m = float(values.pop(GAP, np.nan))
+    for key in (MACHINE, *RETIRED):
+        values.pop(key, None)
+    defaults = TrackerSettings()
+    unknown = sorted(set(values) - {attribute.name for attribute in attrs.fields(TrackerSettings)})
+    if unknown:
+        raise ConfigError(f"analysis/settings has an unknown key: {', '.join(unknown)}")
+    return TrackerSettings(**{key: _as_set(getattr(defaults, key), value) for key, value in values.items()}), gap_m
+
+
+def machine_of(table: Table) -> int | None:
+    """Return the fingerprint in `analysis/settings` of the machine that analyses, see `machine`; None without."""
+    found = table.rows["value"][table.rows["key"] == MACHINE.encode()]
+    return int(found[0]) if len(found) and np.isfinite(found[0]) else None
+
+
+def _as_set(default: float, value: float) -> Any:  # int or float, as the setting is; the validator decides
+    """Return a setting as its type; what is no whole number where it should be is left for the validator to refuse."""
+    return int(value) if isinstance(default, int) and np.isfinite(value) and value == int(value) else value

@@ -1,20 +1,42 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""Has the response settled? Judged from successive windows of the complex transmissibility, not from a fixed wait.
+"""Decides, window by window, when the response of one drive setting has settled, and measures it.
 
-A dying transient adds a term c·q^w to the value of window w, q complex (decay and beat of the free vibration against
-the drive). Its sum beyond the last window follows from the differences of the windows (Aitken), which gives the bias
-of a mean *including* the part that differences of neighbours cannot show.
+A dying transient adds a term c·q^w to the complex transmissibility of window w, q complex (decay and beat of the free
+vibration against the drive). Its sum beyond the last window follows from the differences of the windows (Aitken), which
+gives the bias of a mean *including* the part that differences of neighbours cannot show.
+
+Three ways to a row, tried in this order after each window once enough windows have passed since the last row:
+
+1. steady: the bias that a transient leaves in the last `windows` windows is below `settle_tolerance` or twice the
+   noise, and the amplitude repeats from cycle to cycle (or after a few). The first row after a change would carry a
+   bias just below the limit, the same in every run; so it waits until, at the pace of the transient so far, the bias
+   is `REMNANT` of the limit;
+2. stationary: the last `long_windows` windows have neither trend nor changing fluctuation: modulated or chaotic;
+3. the bound `wait_limit_s` is reached: numbers as they are, status `not_settled`.
+
+A sphere that drifts from wall to wall leaves the structure as steady as if there were none, for as long as it takes. So
+windows without impacts are no measurement until none has come for as long as the slowest sphere that is waited for
+takes across the gap (`Quiet`); and one with few, whose instants do not repeat, is none of 8 windows but of the long
+record.
 """
 
 from __future__ import annotations
 
 import math
+from collections import deque
 
+import attrs
 import numpy as np
 
-from impact_rig.analysis.calibration import Complex
+from impact_rig.analysis.calibration import Calibration, Complex, Real
+from impact_rig.analysis.cycles import Cycles, concatenate
+from impact_rig.analysis.health import REFERENCE_FACTOR, SIGNAL_FACTOR, Amplitudes, Verdict, changed_alone, unsound
+from impact_rig.analysis.scans import BASE, CHANNELS, LASER
+from impact_rig.analysis.settings import TrackerSettings
 from impact_rig.analysis.spread import variance_of_mean
+from impact_rig.analysis.transmissibility import Measurement, complex_transmissibility, measure
+from impact_rig.analysis.words import MEASURED, Regime, Status
 
 SLOWEST_RATIO = 0.97
 """|q| is bounded here: slower transients than 33 window pairs per time constant are beyond what a fit can tell."""
@@ -30,12 +52,10 @@ def transient_bias(windows: Complex, measured: int) -> complex:
     The limit is extrapolated from the newest 8 windows and, where there are as many, from the newest 16: the longer
     record sees slow transients below the noise of the shorter one. The larger bias counts.
 
-    Args:
-        windows: the value in successive windows of equal length, oldest first, shape (n,).
-        measured: number of newest windows whose mean is used, 8 <= measured <= n.
+    `windows` is the value in successive windows, oldest first, shape (n,), of which the newest are `measured`.
 
     Raises:
-        ValueError: there are fewer windows.
+        ValueError: not 8 <= measured <= n.
     """
     if not 8 <= measured <= len(windows):
         raise ValueError(f"measured must be 8 to {len(windows)}, the number of windows, got {measured}")
@@ -50,10 +70,7 @@ def more_windows(taken: int, reached: float, share: float) -> int:
     One that began as large as the response itself and took n windows to fall to a part ε of it takes
     n ln(s) / ln(ε) more to fall by another factor s. A transient below the noise cannot be followed, its pace can.
 
-    Args:
-        taken: windows from the change of the drive to the first of those that are measured, n.
-        reached: part of the response that the transient has fallen to, ε.
-        share: s, 0 < s < 1.
+    `taken` is n, from the change of the drive to the first window that is measured; `reached` ε; `share` s, 0 < s < 1.
     """
     return math.ceil(taken * math.log(share) / math.log(reached)) if 0.0 < reached < 1.0 else 0
 
@@ -74,10 +91,8 @@ def is_stationary(windows: Complex) -> bool:
     """Return whether a fluctuating value has neither trend nor growing or dying fluctuation: settled, if not constant.
 
     The means of the halves may differ by `TREND_LIMIT` standard deviations (correlation between windows included) in
-    either component; the fluctuation powers of the halves by a factor `POWER_LIMIT`.
-
-    Args:
-        windows: shape (n,), n >= 16.
+    either component; the fluctuation powers of the halves by a factor `POWER_LIMIT`. The windows have shape (n,), n >=
+    16.
     """
     half = len(windows) // 2
     first, second = windows[:half], windows[half : 2 * half]
@@ -87,3 +102,201 @@ def is_stationary(windows: Complex) -> bool:
             return False
     powers = np.var(first), np.var(second)
     return bool(max(powers) <= POWER_LIMIT * min(powers))
+
+
+CYCLE_MULTIPLE = 6
+"""Windows hold a multiple of 6 cycles: orbits of period 2, 3 and 6 close in each, those of period 4 and 8 in pairs."""
+NOISE_FACTOR = 2.0
+SPARSE = 0.5
+"""Impacts per cycle below which a motion whose impacts do not repeat is looked at for long."""
+REMNANT = 0.02
+"""Share of the limit on the bias that a transient may leave in the first measurement after a change."""
+
+
+def window_cycles(frequency_hz: float, settings: TrackerSettings) -> int:
+    """Return the whole drive cycles per window."""
+    return CYCLE_MULTIPLE * max(1, math.ceil(settings.window_s * frequency_hz / CYCLE_MULTIPLE))
+
+
+@attrs.frozen
+class Progress:
+    """How far a first measurement is."""
+
+    windows: int  # taken since the last change
+    needed: int  # how many it takes, as far as that is known: the count grows while the transient does not die
+    remnant: float  # of the transient, over the transmissibility; NaN: not known yet
+
+
+@attrs.frozen
+class Quiet:
+    """How long there has been no impact, and how long that must be until it means that none will come."""
+
+    since_s: float = 0.0  # from the last impact, or from when the sphere was put in; 0 where neither is known
+    bound_s: float = 0.0  # from which on no impact is expected; 0 where there is no sphere, or none was ever noticed
+
+
+class Judge:
+    """Collects the windows of one drive setting, at most `long_windows` of them."""
+
+    def __init__(self, calibration: Calibration, frequency_hz: float, settings: TrackerSettings) -> None:
+        self._calibration = calibration
+        self._frequency_hz = frequency_hz
+        self._settings = settings
+        self._windows: deque[Cycles] = deque(maxlen=settings.long_windows)
+        self._ratios: deque[complex] = deque(maxlen=settings.long_windows)
+        self._since_row = 0
+        self._reported = False
+        self._waited_windows = 0
+        self._window_s = window_cycles(frequency_hz, settings) / frequency_hz
+        self._broken: Status | None = None
+        self._quiet = Quiet()
+        self._whole = 0  # windows since the change of the drive, or since the last broken one
+        self._reference: Amplitudes | None = None  # of the newest good row of this setting
+        self._due: int | None = None  # of them, before the first measurement
+        self._remnant = math.nan  # of the transient, over the newest transmissibility
+
+    def add(self, window: Cycles, quiet: Quiet = Quiet()) -> Measurement | None:
+        """Take the next window; return a measurement if one is due.
+
+        A window with lost, over-range or non-finite values is thrown away with all before it; it is reported when it
+        begins a spell of such windows and every `windows` windows thereafter.
+        """
+        self._quiet = quiet
+        self._since_row += 1
+        self._waited_windows += 1
+        broken = unsound(window, self._calibration, self._frequency_hz) or self._lost_signal(window)
+        if broken:
+            return self._break(broken)
+        self._broken = None
+        self._whole += 1
+        self._windows.append(window)
+        self._ratios.append(complex_transmissibility(window, self._calibration, self._frequency_hz))
+        short = self._settings.windows
+        if len(self._windows) < short or (self._reported and self._since_row < short):
+            return None
+        found = self._steady() or self._stationary() or self._overdue()
+        if found:
+            found = self._compared(found)
+            self._since_row, self._waited_windows, self._reported = 0, 0, True
+        return found
+
+    @property
+    def pending(self) -> bool:
+        """Whether windows have been taken that no row has told of."""
+        return self._since_row > 0
+
+    @property
+    def progress(self) -> Progress:
+        """How far the first measurement of this setting is."""
+        needed = max(self._settings.windows, self._due or 0)
+        if self._reported:
+            return Progress(needed, needed, self._remnant)
+        if self._due is None and self._whole >= needed:
+            needed = self._whole + 1  # the transient is still there: at least one more
+        return Progress(self._whole, needed, self._remnant)
+
+    def _compared(self, found: Measurement) -> Measurement:
+        """Refuse a measurement in which one channel has changed by itself since the last good one of this setting."""
+        if found.amplitudes is None or found.status is Status.NOT_SETTLED:
+            return found
+        alone = changed_alone(self._reference, found.amplitudes) if self._reference else None
+        if alone:
+            return Measurement(
+                status=alone.status, channel=alone.channel, frequency_hz=self._frequency_hz, cycles=found.cycles
+            )
+        self._reference = found.amplitudes
+        return found
+
+    def _lost_signal(self, window: Cycles) -> Verdict | None:
+        """Return whether a channel that had a signal in the windows before shows none in the newest.
+
+        What is so small that only many windows show it, is left to them.
+        """
+        if not self._windows:
+            return None
+        before = self._windows[-1]
+        for channel in (LASER, BASE):
+            had, has = (abs(complex(one.phasors[:, channel, 0].mean())) for one in (before, window))
+            floor = SIGNAL_FACTOR * math.sqrt(
+                2.0 * float(self._per_channel_noise(window)[channel] / window.samples.sum())
+            )
+            if has <= floor and had > REFERENCE_FACTOR * floor:
+                return Verdict(Status.NO_SIGNAL, CHANNELS[channel])
+        return None
+
+    def _break(self, why: Verdict) -> Measurement | None:
+        status = why.status
+        self._windows.clear()
+        self._ratios.clear()
+        self._whole, self._due, self._remnant = 0, None, math.nan
+        if status is self._broken and self._since_row < self._settings.windows:
+            return None
+        self._broken, self._since_row = status, 0
+        return Measurement(status=status, channel=why.channel, frequency_hz=self._frequency_hz)
+
+    def _steady(self) -> Measurement | None:
+        newest = abs(self._ratios[-1])
+        limit = max(self._settings.settle_tolerance * newest, NOISE_FACTOR * self._noise(newest))
+        bias = self._bias()
+        self._remnant = abs(bias) / newest if newest > 0.0 else math.nan
+        if abs(bias) > limit:
+            return None
+        if not self._reported and newest > 0.0:
+            if self._due is None:
+                taken = self._whole - self._settings.windows
+                self._due = self._whole + more_windows(taken, limit / newest, REMNANT)
+            if self._whole < self._due:
+                return None
+        found = self._measure(self._settings.windows, bias)
+        if found.status not in MEASURED:
+            return found
+        return found if found.steady and not self._sparse(found) and not self._may_drift() else None
+
+    def _may_drift(self) -> bool:
+        """Return whether the newest windows hold no impact while one may still come."""
+        struck = any(np.nansum(window.impacts) > 0 for window in list(self._windows)[-self._settings.windows :])
+        return self._quiet.since_s < self._quiet.bound_s and not struck
+
+    def _sparse(self, found: Measurement) -> bool:
+        """Return whether impacts are few and do not repeat: then more of the motion must be seen."""
+        return found.regime is not Regime.PERIODIC and 0.0 < found.impacts_per_cycle < SPARSE
+
+    def _stationary(self) -> Measurement | None:
+        long = self._settings.long_windows
+        if len(self._windows) < long or (self._reported and self._since_row < long):
+            return None
+        if self._may_drift() or not is_stationary(np.array(self._ratios)):
+            return None
+        return self._measure(long, 0j)
+
+    def _overdue(self) -> Measurement | None:
+        if self._waited_windows * self._window_s < self._settings.wait_limit_s:
+            return None
+        found = self._measure(self._settings.windows, self._bias(), worst=math.inf)
+        if found.status not in MEASURED:
+            return found
+        regime = Regime.INTERMITTENT if self._may_drift() else found.regime
+        return attrs.evolve(found, status=Status.NOT_SETTLED, regime=regime)
+
+    def _bias(self) -> complex:
+        ratios = np.array(self._ratios)
+        return transient_bias(ratios, self._settings.windows) if np.all(np.isfinite(ratios)) else 0j
+
+    def _measure(self, windows: int, bias: complex, worst: float | None = None) -> Measurement:
+        cycles = concatenate(list(self._windows)[-windows:])
+        return measure(cycles, self._calibration, self._frequency_hz, self._settings, bias, self._reference, worst)
+
+    def _noise(self, ratio: float) -> float:
+        """Return the standard uncertainty of X_1 / X_b by noise in `windows` windows, from the newest one."""
+        window = self._windows[-1]
+        per_channel = self._per_channel_noise(window)
+        base = abs(complex(window.phasors[:, BASE, 0].mean()))
+        scans = float(window.samples.sum()) * self._settings.windows
+        if base == 0.0 or not np.isfinite(ratio):
+            return math.inf
+        return math.sqrt(2.0 * float(per_channel[LASER] + ratio**2 * per_channel[BASE]) / scans) / base
+
+    def _per_channel_noise(self, window: Cycles) -> Real:
+        """Return the variance per scan of the noise near the drive, shape (4,)."""
+        residual = window.residual.sum(axis=0) / window.degrees_of_freedom
+        return np.asarray(self._calibration.noise_crowding() * np.maximum(residual, self._calibration.noise**2))

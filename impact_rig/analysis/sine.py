@@ -31,31 +31,19 @@ CONVERGED_RAD = 1e-10
 """Phase by which the last frequency step would turn the end of the record."""
 
 
-@attrs.frozen(eq=False, kw_only=True)
+@attrs.frozen(eq=False)
 class SineFit:
-    """A fitted sine; everything but `status` and `frequency_hz` is NaN where there is no fit.
+    """A fitted sine; everything but `status` and `frequency_hz` is NaN where there is no fit."""
 
-    Attributes:
-        status: `ok`, or why there is no fit.
-        frequency_hz: given or refined.
-        offset: C [unit of y].
-        phasors: Y_h, shape (H,).
-        residual_rms: root mean square of what the fit leaves, per degree of freedom.
-        u_offset: standard uncertainty of C.
-        u_amplitudes: of |Y_h|, shape (H,).
-        u_phases_rad: of arg Y_h, shape (H,).
-        u_frequency_hz: 0 for a given frequency.
-    """
-
-    status: Status
-    frequency_hz: float
-    offset: float
-    phasors: Complex
-    residual_rms: float
-    u_offset: float
-    u_amplitudes: Real
-    u_phases_rad: Real
-    u_frequency_hz: float
+    status: Status  # `ok`, or why there is no fit
+    frequency_hz: float  # given or refined
+    offset: float  # C [unit of y]
+    phasors: Complex  # Y_h, shape (H,)
+    residual_rms: float  # root mean square of what the fit leaves, per degree of freedom
+    u_offset: float  # standard uncertainty of C
+    u_amplitudes: Real  # of |Y_h|, shape (H,)
+    u_phases_rad: Real  # of arg Y_h, shape (H,)
+    u_frequency_hz: float  # 0 for a given frequency
 
     @property
     def amplitude(self) -> float:
@@ -77,11 +65,7 @@ class SineFit:
 def fit_sine(y: Real, rate_hz: float, frequency_hz: float, harmonics: int = 1) -> SineFit:
     """Fit offset and harmonics at a known frequency: three parameters for harmonics = 1.
 
-    Args:
-        y: samples, shape (n,).
-        rate_hz: samples per second.
-        frequency_hz: of the fundamental.
-        harmonics: H, the fundamental included; H · frequency must lie below rate / 2.
+    `y` has shape (n,); H harmonics, the fundamental included, must lie below rate / 2.
     """
     refusal = _refusal(y, rate_hz, frequency_hz, harmonics)
     if refusal:
@@ -96,12 +80,6 @@ def fit_sine_frequency(y: Real, rate_hz: float, frequency_hz: float, harmonics: 
 
     Gauss–Newton from the given frequency, which must be right to within about half a cycle over the record; `no_fit` if
     it does not converge.
-
-    Args:
-        y: samples, shape (n,).
-        rate_hz: samples per second.
-        frequency_hz: first guess of the fundamental.
-        harmonics: H, the fundamental included.
     """
     refusal = _refusal(y, rate_hz, frequency_hz, harmonics)
     if refusal:
@@ -132,9 +110,7 @@ def fit_sine_frequency(y: Real, rate_hz: float, frequency_hz: float, harmonics: 
 def least_squares(design: Real, y: Real) -> tuple[Real, Real]:
     """Return the solution and the inverse normal matrix, columns brought to one size first; fast for tall designs.
 
-    Args:
-        design: independent columns, none of them zero, shape (n, p).
-        y: shape (n,).
+    The design, shape (n, p), has independent columns, none of them zero; y has shape (n,).
     """
     normal = design.T @ design
     size = np.sqrt(np.diagonal(normal))
@@ -143,21 +119,11 @@ def least_squares(design: Real, y: Real) -> tuple[Real, Real]:
 
 
 def noise_density(residual: Real, frequency_hz: float, rate_hz: float) -> float:
-    """Return the residual's variance per sample as its spectrum near a frequency has it: the variance if white.
-
-    Args:
-        residual: of a fit, shape (n,).
-        frequency_hz: where the fit is sensitive.
-        rate_hz: samples per second.
-    """
+    """Return the residual's variance per sample as its spectrum near a frequency has it: the variance if white."""
     power = np.abs(np.fft.rfft(residual)) ** 2 / len(residual)
     middle = round(frequency_hz / rate_hz * len(residual))
-    near = np.concatenate(
-        [
-            np.arange(middle - SKIP_BINS - NEAR_BINS, middle - SKIP_BINS),
-            np.arange(middle + SKIP_BINS + 1, middle + SKIP_BINS + NEAR_BINS + 1),
-        ]
-    )
+    apart = np.arange(SKIP_BINS + 1, SKIP_BINS + NEAR_BINS + 1)
+    near = np.concatenate([middle - apart[::-1], middle + apart])
     near = near[(near > 0) & (near < len(power))]
     return float(power[near].mean()) if len(near) >= NEAR_BINS else float(np.var(residual))
 
@@ -185,16 +151,9 @@ def _design(n: int, rate_hz: float, frequency_hz: float, harmonics: int) -> Real
 
 
 def _finished(
-    y: Real,
-    rate_hz: float,
-    frequency_hz: float,
-    design: Real,
-    normal: Real,
-    solution: Real,
-    harmonics: int,
-    scale: float,
-    middle_s: float | None = None,
-) -> SineFit:
+    y: Real, rate_hz: float, frequency_hz: float, design: Real, normal: Real, solution: Real, harmonics: int,
+    scale: float, middle_s: float | None = None,
+) -> SineFit:  # fmt: skip
     """Turn a solution into values with uncertainties; y was divided by `scale`.
 
     `middle_s` is given when the last column is the frequency's.
@@ -235,14 +194,5 @@ def _finished(
 
 def _no_fit(status: Status, frequency_hz: float, harmonics: int) -> SineFit:
     unknown: NDArray[np.float64] = np.full(harmonics, np.nan)
-    return SineFit(
-        status=status,
-        frequency_hz=frequency_hz,
-        offset=math.nan,
-        phasors=unknown.astype(np.complex128),
-        residual_rms=math.nan,
-        u_offset=math.nan,
-        u_amplitudes=unknown,
-        u_phases_rad=unknown,
-        u_frequency_hz=math.nan,
-    )
+    phasors = unknown.astype(np.complex128)
+    return SineFit(status, frequency_hz, math.nan, phasors, math.nan, math.nan, unknown, unknown, math.nan)

@@ -1,15 +1,22 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""Uncertainty of the mean of a series whose values may be correlated: long-run variance, bootstrap, batch means."""
+"""What the cycles do one after the other: periodic, modulated or chaotic; and how uncertain their mean is.
+
+Judged on ε_k, the relative deviation of the fundamental of x_1 fitted cycle by cycle. A subharmonic orbit (2.5 impacts
+per cycle: five impacts in two cycles) repeats after p cycles: the deviation from the mean of each class k mod p must
+vanish within noise, or within a tolerance that does not matter, and so must that of the phases of the impacts. (A light
+sphere can strike irregularly while the amplitude stands still.) What does not repeat is told apart by its spectrum: a
+few lines (modulated) or a continuum (chaotic); that boundary is a convention, as for any finite record.
+"""
 
 from __future__ import annotations
 
-import math
-
+import attrs
 import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig.analysis.calibration import Complex, Real
+from impact_rig.analysis.words import Regime
 
 
 def variance_of_mean(values: Real) -> float:
@@ -17,10 +24,8 @@ def variance_of_mean(values: Real) -> float:
 
         S = γ_0 + 2 Σ_{l<=L} (1 − l/(L+1)) γ_l,   var = S / (n − L − 1),   L = ⌊n^(1/3)⌋
 
-    Newey & West (1987), Econometrica 55, 703–708; n − L − 1 instead of n makes it unbiased for uncorrelated values.
-
-    Args:
-        values: series, shape (n,), n >= 4.
+    Newey & West (1987), Econometrica 55, 703–708; n − L − 1 instead of n makes it unbiased for uncorrelated values. The
+    values have shape (n,), n >= 4.
     """
     n = len(values)
     deviation = values - values.mean()
@@ -44,60 +49,6 @@ def _longest_lag(n: int) -> int:
     return int(n ** (1.0 / 3.0) + 1e-9)
 
 
-def block_length(values: Real) -> int:
-    """Return the block length for the circular block bootstrap of the mean of `values`, shape (n,).
-
-    Politis & White (2004), Econometric Reviews 23, 53–70, with the correction of Patton, Politis & White (2009):
-    the flat-top kernel of twice the lag beyond which the autocorrelation is insignificant.
-    """
-    n = len(values)
-    deviation = values - values.mean()
-    if not np.any(deviation):
-        return 1
-    spectrum = np.abs(np.fft.rfft(deviation, 2 * n)) ** 2
-    covariance = np.fft.irfft(spectrum)[:n] / n
-    limit = 2.0 * math.sqrt(math.log10(n) / n)
-    run = max(5, math.ceil(math.sqrt(math.log10(n))))
-    longest = min(n // 3, math.ceil(math.sqrt(n)) + run)
-    significant = np.abs(covariance[1 : longest + 1] / covariance[0]) >= limit
-    cutoff = longest
-    for lag in range(longest - run + 1):
-        if not significant[lag : lag + run].any():
-            cutoff = lag
-            break
-    bandwidth = max(1, min(2 * cutoff, longest))
-    lags = np.arange(-bandwidth, bandwidth + 1)
-    weights = np.minimum(1.0, 2.0 * (1.0 - np.abs(lags) / bandwidth))
-    weighted = weights * covariance[np.abs(lags)]
-    g, density = float(np.sum(np.abs(lags) * weighted)), float(np.sum(weighted))
-    if density <= 0.0:
-        return 1
-    length = (2.0 * g**2 / (4.0 / 3.0 * density**2)) ** (1.0 / 3.0) * n ** (1.0 / 3.0)
-    return int(np.clip(math.ceil(length), 1, max(1, math.ceil(min(3.0 * math.sqrt(n), n / 3.0)))))
-
-
-def bootstrap_means(values: Complex, length: int, resamples: int, rng: np.random.Generator) -> Complex:
-    """Return means of circular block resamples of rows.
-
-    Args:
-        values: n rows of c columns, resampled together, shape (n, c).
-        length: block length, 1 <= length <= n.
-        resamples: B.
-        rng: source of the draws.
-
-    Returns:
-        Array of shape (B, c).
-    """
-    n = len(values)
-    blocks = math.ceil(n / length)
-    starts = rng.integers(0, n, size=(resamples, blocks))
-    running = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(np.concatenate([values, values]), axis=0)])
-    sizes = np.full(blocks, length)
-    sizes[-1] = n - length * (blocks - 1)
-    sums: Complex = (running[starts + sizes] - running[starts]).sum(axis=1)
-    return sums / n
-
-
 def student_2u(freedom: float) -> float:
     """Return the factor by which a standard uncertainty must grow so that ±2u covers 95.45 % of Student's t.
 
@@ -111,17 +62,19 @@ def student_2u(freedom: float) -> float:
 def batch_variance(values: Complex, batches: int) -> Real:
     """Return the variances (real, imaginary) of the mean of a series from the scatter of the means of a few batches.
 
-    Batches much longer than the correlation are as good as independent, however it decays; that they are few is in
-    `student_2u`. Schmeiser (1982), Operations Research 30, 556–568.
-
-    Args:
-        values: series, shape (n,), n >= batches; the first of them may be left out.
-        batches: into how many parts it is cut.
+    Batches much longer than the correlation are as good as independent, however it decays (Schmeiser 1982, Operations
+    Research 30, 556–568). Where they are not, what a variance from b batches lacks is in proportion to b: 2V_b − V_2b
+    has none of it (Vats & Flegal 2022, Biometrika 109, 735–750). That they are few is in `student_2u`.
     """
+    coarse = _scatter_of_batches(values, batches)
+    fine = _scatter_of_batches(values, 2 * batches) if len(values) >= 2 * batches else coarse
+    return np.maximum(2.0 * coarse - fine, coarse) * student_2u(batches - 1.0) ** 2
+
+
+def _scatter_of_batches(values: Complex, batches: int) -> Real:
     length = len(values) // batches
     means = values[len(values) - length * batches :].reshape(batches, length).mean(axis=1)
-    scatter = np.array([np.var(means.real, ddof=1), np.var(means.imag, ddof=1)]) / batches
-    return scatter * student_2u(batches - 1.0) ** 2
+    return np.array([np.var(means.real, ddof=1), np.var(means.imag, ddof=1)]) / batches
 
 
 def by_class_removed(values: Complex, period: int) -> Complex:
@@ -129,3 +82,76 @@ def by_class_removed(values: Complex, period: int) -> Complex:
     place: NDArray[np.int64] = np.arange(len(values)) % period
     means = np.array([values[place == p].mean() for p in range(period)])
     return np.asarray(values - means[place], dtype=np.complex128)
+
+
+LONGEST_PERIOD = 8
+NOISE_FACTOR = 2.0
+"""Variance ratio up to which a class scatter counts as noise: 48 cycles exceed it by chance once in a million."""
+SUPPORT = 0.6
+"""Share of the cycles of a class that strike at a phase which belongs to the orbit."""
+REGULAR_SHARE = 0.85
+"""Share of the impacts at such phases from which the impacts repeat."""
+LINES = 3
+"""A response is modulated when this many spectral lines, each as wide as the window's main lobe, hold LINE_SHARE."""
+LINE_SHARE = 0.8
+
+
+@attrs.frozen
+class Behaviour:
+    """What a response does."""
+
+    regime: Regime  # the word for it
+    period: float  # drive cycles after which it repeats, NaN if never
+    spread: float  # relative cycle-to-cycle rms of the fundamental, noise included
+    steady: bool  # the amplitude repeats, though perhaps the impacts do not
+
+
+def classify(deviation: Complex, noise_variance: float, tolerance: float, strikes: NDArray[np.uint8]) -> Behaviour:
+    """Return what a response does.
+
+    `deviation` is ε_k per cycle, shape (n,), of which noise explains E|ε|² = `noise_variance`; rms `tolerance` is none;
+    `strikes` are the phases of the impacts (`Cycles.strikes`). `unknown` for n < 4 or what is not finite.
+    """
+    n = len(deviation)
+    if n < 4 or not np.all(np.isfinite(deviation)):
+        return Behaviour(Regime.UNKNOWN, float("nan"), float("nan"), steady=False)
+    spread = float(np.sqrt(np.mean(np.abs(deviation - deviation.mean()) ** 2)))
+    limit = max(NOISE_FACTOR * noise_variance, tolerance**2)
+    steady = False
+    for period in range(1, min(LONGEST_PERIOD, n // 4) + 1):
+        left = by_class_removed(deviation, period)
+        if float(np.sum(np.abs(left) ** 2)) / (n - period) > limit:
+            continue
+        steady = True
+        if _strikes_repeat(strikes, period):
+            return Behaviour(Regime.PERIODIC, float(period), spread, steady)
+    phases = 2.0 * np.pi * np.arange(strikes.shape[1]) / strikes.shape[1]
+    telling = strikes @ np.exp(2j * phases) if steady else deviation
+    regime = Regime.MODULATED if _line_share(telling) >= LINE_SHARE else Regime.CHAOTIC
+    return Behaviour(regime, float("nan"), spread, steady)
+
+
+def _strikes_repeat(strikes: NDArray[np.uint8], period: int) -> bool:
+    """Return whether nearly all impacts fall where most cycles of their class have one, give or take a bin.
+
+    Weak impacts may be missed in some cycles, so a cycle without one proves nothing; one out of place does.
+    """
+    regular = 0
+    for place in range(period):
+        own = strikes[place::period]
+        near = own | np.roll(own, 1, axis=1) | np.roll(own, -1, axis=1)
+        regular += int(own[:, near.mean(axis=0) >= SUPPORT].sum())
+    return regular >= REGULAR_SHARE * int(strikes.sum())
+
+
+def _line_share(deviation: Complex) -> float:
+    """Return the share of the fluctuation power in its strongest `LINES` lines; Hann window, main lobe 5 bins."""
+    n = len(deviation)
+    power = np.abs(np.fft.fft((deviation - deviation.mean()) * np.hanning(n + 1)[:n])) ** 2
+    total = float(power.sum())
+    share = 0.0
+    for _ in range(LINES):
+        lobe = (int(np.argmax(power)) + np.arange(-2, 3)) % n
+        share += float(power[lobe].sum())
+        power[lobe] = 0.0
+    return share / total

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import bisect
 import math
+from typing import NamedTuple
 
 import attrs
 import numpy as np
@@ -18,20 +19,50 @@ from numpy.typing import NDArray
 
 from impact_rig import topics
 from impact_rig.analysis.calibration import STEPS, Calibration
-from impact_rig.analysis.channels import SCAN
 from impact_rig.analysis.cycles import Accumulator, Cycles, usable_harmonics
-from impact_rig.analysis.findings import Counters, Findings, State
-from impact_rig.analysis.impacts import MIN_RATE_HZ, ImpactDetector, Impacts, counted, joined
-from impact_rig.analysis.judge import Judge, Progress, Quiet, window_cycles
-from impact_rig.analysis.scan_buffer import ScanBuffer, first_scan_at, scan_index
-from impact_rig.analysis.settings import ImpactSettings, TrackerSettings
-from impact_rig.analysis.tables import SETTLED, impact_tables, measurement_table, need_columns
-from impact_rig.analysis.transmissibility import Measurement
-from impact_rig.analysis.words import MEASURED, Status
+from impact_rig.analysis.impacts import MIN_RATE_HZ, NO_IMPACTS, ImpactDetector, counted, impact_tables
+from impact_rig.analysis.scans import SCAN, ScanBuffer, first_scan_at, need_columns, scan_index
+from impact_rig.analysis.settings import GapLabel, ImpactSettings, TrackerSettings
+from impact_rig.analysis.settling import Judge, Progress, Quiet, window_cycles
+from impact_rig.analysis.transmissibility import Measurement, measurement_table
+from impact_rig.analysis.words import MEASURED, SETTLED, Status
 from impact_rig.blocks import APPLIED, DAQ_INFO, Table
 from impact_rig.errors import ConfigError
 from impact_rig.simtime import NS_PER_S, stamp_ns
 from impact_rig.states import Analysis
+
+
+@attrs.define
+class Counters:
+    """What a tracker has seen so far; for diagnostics."""
+
+    scans: int = 0
+    lost_scans: int = 0
+    duplicate_scans: int = 0
+    unconfigured_scans: int = 0
+    restarts: int = 0
+    late_events: int = 0
+    measurements: int = 0
+    refusals: int = 0
+    impacts: int = 0
+
+
+@attrs.frozen
+class State:
+    """What a measurement does now, decided from scans and commands alone: the same live and from a recorded run."""
+
+    word: str  # of `states.Analysis`
+    reason: str = ""  # a status of `transmissibility/table`; empty where the word says it all
+    since_ns: int | None = None  # rig time at which it began; None before the first scan
+
+
+@attrs.frozen(eq=False)
+class Findings:
+    """What one call found: `transmissibility/table` tables of one row each, and tables of detected impacts."""
+
+    measurements: tuple[Table, ...] = ()
+    impacts: tuple[Table, ...] = ()
+
 
 LONGEST_S = 2.0**32
 """Two stamps cannot be further apart."""
@@ -39,41 +70,24 @@ MIN_HOLD_SCANS = 16
 """Impacts are known this many scans after they happened; cycles are closed no earlier."""
 
 
-@attrs.frozen
-class _Command:
+class _Command(NamedTuple):
     frequency_hz: float
     current: float
 
 
-@attrs.frozen
-class _Label:
-    gap_m: float
-
-
-@attrs.frozen(eq=False)
-class _Recalibration:
-    calibration: Calibration
-
-
-@attrs.frozen(eq=False)
-class _Reset:
+class _Reset(NamedTuple):
     """The rig began again: a new scan 0."""
 
     start_ns: int
     calibration: Calibration
 
 
-_Event = _Command | _Label | _Recalibration
+_Event = _Command | GapLabel | Calibration
 _NOTHING = Findings()
 
 
 class Tracker:
-    """Measures the transmissibility and detects impacts in a stream of scans.
-
-    Args:
-        settings: of the measurement.
-        impact_settings: of the impact detection.
-    """
+    """Measures the transmissibility and detects impacts in a stream of scans."""
 
     def __init__(self, settings: TrackerSettings | None = None, impact_settings: ImpactSettings | None = None) -> None:
         self.counters = Counters()
@@ -95,7 +109,7 @@ class Tracker:
         self._gap_m = math.nan
         self._accumulator: Accumulator | None = None
         self._window = 0
-        self._impacts_ahead: list[Impacts] = []
+        self._impacts_ahead: list[NDArray[np.void]] = []
         self._struck = math.nan  # scan of the last impact in a window judged
         self._placed = 0  # scan from which the label holds
         self._rows: list[Table] = []
@@ -126,7 +140,7 @@ class Tracker:
         if self._calibration is None:
             self._use(_Reset(start_ns, calibration))
         elif start_ns == newest_start_ns and calibration.rate_hz == self._calibration.rate_hz:
-            self._schedule(info.stamp_ns, _Recalibration(calibration))
+            self._schedule(info.stamp_ns, calibration)
         else:
             self._resets.append(_Reset(start_ns, calibration))
 
@@ -145,7 +159,7 @@ class Tracker:
 
     def label(self, gap_m: float, stamp_ns: int) -> None:
         """Take the operator's word for the gap [m] from an instant on: 0 = no sphere, NaN = unknown."""
-        self._schedule(stamp_ns, _Label(gap_m))
+        self._schedule(stamp_ns, GapLabel(gap_m, stamp_ns))
 
     def feed(self, scan: Table) -> Findings:
         """Take a block of `daq/scan`; blocks come in the order of their stamps.
@@ -302,15 +316,15 @@ class Tracker:
                     return
                 self._interrupt(Status.COMMAND_CHANGED)
                 self._command = event
-            case _Label(gap_m):
+            case GapLabel(gap_m):
                 if gap_m == self._gap_m or (math.isnan(gap_m) and math.isnan(self._gap_m)):
                     return
                 self._interrupt(Status.LABEL_CHANGED)
                 self._gap_m = gap_m
                 self._struck, self._placed = math.nan, index
-            case _Recalibration(calibration):
+            case Calibration():
                 self._interrupt(Status.CALIBRATION_CHANGED)
-                self._calibration = calibration
+                self._calibration = event
         self._begin(index, changed=True)
 
     def _enter(self, word: Analysis, reason: str, scan: int) -> None:
@@ -383,14 +397,14 @@ class Tracker:
         assert self._calibration is not None
         if self._calibration.rate_hz < MIN_RATE_HZ:
             return window
-        impacts = joined(self._impacts_ahead)
-        later = int(np.searchsorted(impacts.scan, window.first[-1] + window.samples[-1]))
+        impacts = np.concatenate([NO_IMPACTS, *self._impacts_ahead])
+        later = int(np.searchsorted(impacts["scan"], window.first[-1] + window.samples[-1]))
         self._impacts_ahead = [impacts[later:]] if later < len(impacts) else []
         if later:
-            self._struck = float(impacts.scan[later - 1])
+            self._struck = float(impacts["scan"][later - 1])
         return counted(window, impacts[:later], accumulator.origin, accumulator.period)
 
-    def _impacts(self, found: Impacts) -> list[Table]:
+    def _impacts(self, found: NDArray[np.void]) -> list[Table]:
         assert self._calibration is not None
         self.counters.impacts += len(found)
         self._impacts_ahead.append(found)

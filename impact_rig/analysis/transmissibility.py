@@ -10,8 +10,7 @@ phase, sensitivities of the complex quotient D = X_1/X_b):
     u²(phase)  = u_A² +                            u_q² + Σ (Im ∂lnL/∂ln τ · u_τ)² + max(Im²(bias/D) − u_A², 0)/3
 
 u_A: the larger of the fit's residual noise, taken as white, and the scatter of the cycles, correlation included; for a
-response that is not periodic, block bootstrap and batch means of the cycles instead. bias: what a dying transient may
-have left.
+response that is not periodic, batch means of the cycles instead. bias: what a dying transient may have left.
 u_Q, u_q: what the steps of sensors and converter do to amplitude and phase where noise does not blur them
 (`calibration`; `_rounding`). What remains too uncertain, u(DT) above `worst_relative_uncertainty`, is no number.
 """
@@ -26,27 +25,19 @@ from numpy.typing import NDArray
 
 from impact_rig.analysis import health
 from impact_rig.analysis.calibration import Calibration, Complex, Real
-from impact_rig.analysis.channels import ACCELEROMETER, BASE, CHANNELS, CURRENT, LASER, status_of
 from impact_rig.analysis.cycles import RANGE_BIT, Accumulator, Cycles, distinct_phases, usable_harmonics
 from impact_rig.analysis.health import REFERENCE_FACTOR, Amplitudes, Verdict
 from impact_rig.analysis.impacts import MIN_RATE_HZ, ImpactDetector, counted
-from impact_rig.analysis.regime import classify
+from impact_rig.analysis.scans import ACCELEROMETER, BASE, CHANNELS, CURRENT, LASER, status_of
 from impact_rig.analysis.settings import TrackerSettings
-from impact_rig.analysis.spread import (
-    batch_variance,
-    block_length,
-    bootstrap_means,
-    by_class_removed,
-    student_2u,
-    student_factor,
-    variance_of_mean,
-)
-from impact_rig.analysis.words import MEASURED, Method, Regime, Status
+from impact_rig.analysis.spread import batch_variance, by_class_removed, classify, student_factor, variance_of_mean
+from impact_rig.analysis.words import MEASURED, SETTLED, Method, Regime, Status
+from impact_rig.blocks import TRANSMISSIBILITY, Table
 
 NAN = float("nan")
 MIN_CYCLES = 4
-BATCHES = (5, 8)
-"""Numbers of batches: a motion that strikes, rests and strikes is correlated beyond any block of the bootstrap."""
+BATCHES = (4, 6)
+"""Numbers of batches: few, and so long ones, as a motion that strikes, rests and strikes is correlated for seconds."""
 
 
 @attrs.frozen(kw_only=True)
@@ -80,21 +71,11 @@ class Measurement:
 
 
 def measure_record(
-    rows: NDArray[np.void],
-    info: NDArray[np.void],
-    frequency_hz: float,
-    settings: TrackerSettings | None = None,
-    rng: np.random.Generator | None = None,
+    rows: NDArray[np.void], info: NDArray[np.void], frequency_hz: float, settings: TrackerSettings | None = None
 ) -> Measurement:
     """Measure a whole record at one drive frequency: all its whole cycles, taken as settled.
 
-    Args:
-        rows: consecutive scans (`daq/scan`), shape (n,).
-        info: rows of `daq/info`.
-        frequency_hz: of the drive.
-        settings: only harmonics, tolerance, lag and bootstrap settings are used.
-        rng: draws of the block bootstrap, needed if the response may be other than periodic; seeded from the settings
-            if None.
+    The scans (`daq/scan`) are consecutive, shape (n,); of the settings only harmonics, tolerance and lag are used.
     """
     settings = settings or TrackerSettings()
     calibration = Calibration.from_info(info)
@@ -110,7 +91,7 @@ def measure_record(
     if calibration.rate_hz >= MIN_RATE_HZ:
         impacts = ImpactDetector(calibration).feed(samples[ACCELEROMETER])
         cycles = counted(cycles, impacts, 0, accumulator.period)
-    return measure(cycles, calibration, frequency_hz, settings, rng or np.random.default_rng(settings.seed))
+    return measure(cycles, calibration, frequency_hz, settings)
 
 
 def measure(
@@ -118,22 +99,15 @@ def measure(
     calibration: Calibration,
     frequency_hz: float,
     settings: TrackerSettings,
-    rng: np.random.Generator,
     bias: complex = 0j,
     before: Amplitudes | None = None,
     worst: float | None = None,
 ) -> Measurement:
-    """Measure settled cycles.
+    """Measure settled, consecutive cycles of one commanded frequency.
 
-    Args:
-        cycles: consecutive whole cycles of one drive frequency.
-        calibration: of the channels.
-        frequency_hz: commanded.
-        settings: tolerances and lag uncertainty.
-        rng: draws of the block bootstrap.
-        bias: of the complex transmissibility, by a transient not quite gone.
-        before: amplitudes of an earlier measurement of the same setting, or None.
-        worst: relative uncertainty above which there is no number; that of the settings if None.
+    `bias` is that of the complex transmissibility by a transient not quite gone; `before` are the amplitudes of an
+    earlier measurement of the same setting; above the relative uncertainty `worst`, by default that of the settings,
+    there is no number.
     """
 
     def refuse(why: Verdict, largest: str = "") -> Measurement:
@@ -178,15 +152,8 @@ def measure(
             freedom * student_factor(len(left)) * np.array([variance_of_mean(left.real), variance_of_mean(left.imag)])
         )
     else:
-        method = Method.BLOCK_BOOTSTRAP
-        length = max(block_length(influence.real), block_length(influence.imag))
-        draws = bootstrap_means(np.stack([x1, xb], axis=1), length, settings.bootstrap_resamples, rng)
-        logs = np.log(draws[:, 0] / draws[:, 1] / ratio)
-        # resampled blocks are centred on this record's mean: short by the share of one block; and they are few
-        few = student_2u(len(cycles) / length - 1.0) ** 2
-        spread = few * np.array([np.var(logs.real), np.var(logs.imag)]) / (1.0 - length / len(cycles))
-        for batches in BATCHES:
-            spread = np.maximum(spread, batch_variance(influence / abs(ratio), min(batches, len(cycles))))
+        method = Method.BATCH_MEANS
+        spread = np.maximum(*(batch_variance(influence / abs(ratio), min(few, len(cycles))) for few in BATCHES))
     variance = np.maximum(spread, white)
     parts = _parts(variance, calibration, frequency_hz, settings.lag_uncertainty, bias / ratio, abs(mean1), abs(mean_b))
     parts += _rounding(cycles, calibration, frequency_hz)
@@ -338,3 +305,20 @@ def _rounding(cycles: Cycles, calibration: Calibration, frequency_hz: float) -> 
         turned = size * min(1.0, (overtones / step) ** 2)
         parts.append(_Part(CHANNELS[channel], STEPS, size + recurring, turned + recurring))
     return parts
+
+
+def measurement_table(found: Measurement, stamp_ns: int, gap_m: float, waited_s: float) -> Table:
+    """Return one row of `transmissibility/table`; the stamp is that of the last scan in it."""
+    row = np.zeros(1, dtype=TRANSMISSIBILITY)
+    for column, value in {
+        "frequency": found.frequency_hz, "transmissibility": found.transmissibility, "phase": found.phase_rad,
+        "transmissibility_uncertainty": found.u_transmissibility, "phase_uncertainty": found.u_phase_rad,
+        "laser_amplitude": found.laser_m, "base_amplitude": found.base_m, "current_amplitude": found.current_a,
+        "thd": found.thd, "impacts_per_cycle": found.impacts_per_cycle, "settled": found.status in SETTLED,
+        "cycles": found.cycles, "gap": gap_m, "frequency_deviation": found.frequency_deviation_hz,
+        "spread": found.spread, "period": found.period, "waited": waited_s, "regime": found.regime.value,
+        "method": found.method.value, "status": found.status.value, "channel": found.channel, "largest": found.largest,
+        "largest_share": found.largest_share, "steps_uncertainty": found.u_steps, "impact_age": found.impact_age_s,
+    }.items():  # fmt: skip
+        row[column] = value
+    return Table(stamp_ns, row)

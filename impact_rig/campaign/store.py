@@ -9,6 +9,7 @@ changed, is named and not believed.
 
 from __future__ import annotations
 
+import enum
 import functools
 import hashlib
 import io
@@ -37,7 +38,7 @@ SHOWN = 60
 """Characters of a wrong value that an error quotes."""
 _POSITIVE = frozenset({"frequency", "transmissibility", "base_amplitude", "laser_amplitude"})
 """Columns that are > 0 wherever something was measured."""
-_WORDS = {"regime": Regime, "method": Method, "status": Status}
+_WORDS: dict[str, type[enum.StrEnum]] = {"regime": Regime, "method": Method, "status": Status}
 _TEXTS = frozenset(name for name in TRANSMISSIBILITY.names or () if TRANSMISSIBILITY[name].kind == "S")
 
 

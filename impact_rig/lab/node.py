@@ -7,26 +7,18 @@ Light on purpose: signals and the end of the parent are taken care of before any
 
 from __future__ import annotations
 
-import os
-import signal
 import sys
 import time
 
-from impact_rig.nodes.__main__ import show_help
-from impact_rig.system.endings import PARENT_VARIABLE, PATIENCE_S, Ending, end_with
+from impact_rig.nodes.__main__ import begin
+from impact_rig.system.endings import Ending
 
 WATCH_S = 0.2
 
 
 def main() -> None:
     """Serve until told to end."""
-    if show_help("lab", sys.argv[1:]):
-        return
-    ending = Ending("lab_node", code=lambda _number: 0)
-    parent = int(os.environ.get(PARENT_VARIABLE, "0"))
-    if parent:
-        end_with(parent, _end)
-    sys.exit(ending.run(lambda: _serve(ending), interrupting=False))
+    begin("lab", lambda ending: sys.exit(ending.run(lambda: _serve(ending), interrupting=False)))
 
 
 def _serve(ending: Ending) -> int:
@@ -64,13 +56,6 @@ def _settings() -> tuple[int, str, str, int]:
     finally:
         node.destroy_node()
         context.try_shutdown()
-
-
-def _end() -> None:
-    """End in order, or after a while in any way."""
-    os.kill(os.getpid(), signal.SIGTERM)
-    time.sleep(PATIENCE_S)
-    os._exit(1)
 
 
 if __name__ == "__main__":

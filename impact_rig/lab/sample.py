@@ -10,8 +10,7 @@ from pathlib import Path
 
 import impact_rig
 from impact_rig import codec, topics
-from impact_rig.analysis.settings import TrackerSettings
-from impact_rig.analysis.tables import settings_table
+from impact_rig.analysis.settings import TrackerSettings, settings_table
 from impact_rig.analysis.tracker import Tracker
 from impact_rig.blocks import Table
 from impact_rig.recording import Provenance, RunWriter, TopicDescription, open_run, schema_text

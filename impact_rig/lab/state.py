@@ -18,6 +18,7 @@ from typing import Any, Self  # Any: what goes to JSON
 import attrs
 
 from impact_rig import states
+from impact_rig.analysis.words import Regime, Status
 from impact_rig.instruments.instrument import BOARD_KINDS, FAULT_KINDS
 from impact_rig.instruments.section import CHANNELS
 from impact_rig.lab.protocol import Request
@@ -341,15 +342,17 @@ def glossary() -> dict[str, str]:
         for word in table:
             told = f"Of the {plain(node)}: {word.doc}."
             words[plain(word)] = f"{words[plain(word)]} {told}" if plain(word) in words else told
-    return {**laws, **faults, **words, **GLOSSARY}
+    measured = {plain(word): word.doc for table in (Status, Regime) for word in table}
+    return {**laws, **faults, **words, **measured, **GLOSSARY}
 
 
 GLOSSARY = {
     # the bar
     "rig time": "Time of the rig's scan clock since scan 0.",
     "speed": "Seconds of rig time per second.",
-    "recording": "The run that is being recorded, and its size so far.",
+    "unknown": "The rig does not say its state, or there are too few cycles to tell the regime.",
     "lost blocks": "Blocks of scans that a fault withheld, that the analysis missed, or that the recorder missed.",
+    "recording": "The run that is being recorded, and its size so far.",
     "channels": "What the analysis says of the channels it measures with.",
     "faults in force": "Instrument faults that act now, as the rig tells the truth of it; no analysis sees them.",
     "status": "What else is to be known of the value.",
@@ -359,7 +362,6 @@ GLOSSARY = {
     "dead": "The rig's process has ended, or nothing was heard of the rig for 4 s.",
     "starting": "The rig was not heard of yet.",
     "choose": "Several rigs are running.",
-    "unknown": "The rig does not say its state.",
     "playback": "A recorded run is played.",
     "paused playback": "A recorded run stands still.",
     "measured": "The analysis says that its newest value holds for the present drive, and nothing speaks against it.",
@@ -368,9 +370,6 @@ GLOSSARY = {
     "last, at": "Drive frequency of the last value, which does not hold now.",
     "phase": "Phase of the superior base's motion relative to the inferior base's.",
     "regime": "What the response of the structure does from cycle to cycle.",
-    "periodic": "The response repeats after whole drive cycles.",
-    "modulated": "The response has a few spectral lines beside the drive.",
-    "chaotic": "The response has a continuous spectrum; DT is its coherent mean.",
     "no impacts at this gap": "The sphere lies or moves between the walls without striking them.",
     "impacts per cycle": "Impacts detected by the accelerometer per cycle of the drive.",
     "|X₁|": "Amplitude of the superior base, from the laser.",
@@ -381,32 +380,4 @@ GLOSSARY = {
     "frequency": "Frequency of the drive.",
     "current": "Amplitude of the coil's current, peak.",
     "sphere at": "Where the sphere lies after a reset or a change of the gap.",
-    # statuses of a row
-    "ok": "A measurement.",
-    "accelerometer over range": "The displacements are sound, the impacts may not be.",
-    "not settled": "The longest wait is over and the response still changes: numbers are given, DT may drift.",
-    "over range": "A displacement or the current was at or beyond the range of its channel.",
-    "command changed": "Frequency or current changed while it was measured.",
-    "label changed": "The gap was set anew while it was measured.",
-    "calibration changed": "The calibration changed while it was measured.",
-    "restarted": "The scans began anew.",
-    "not finite": "A scan was no number.",
-    "no frequency": "There is no drive frequency to measure at.",
-    "too few cycles": "The record holds too few cycles of the drive.",
-    "silence": "Neither base nor structure moves measurably.",
-    "no signal": "A channel shows no vibration above its noise while another does.",
-    "too uncertain": "Noise or scatter leave more doubt than a measurement may have.",
-    "below resolution": "The vibration is too small for the steps of a sensor or of the converter.",
-    "spikes": "A channel jumps and returns from scan to scan, as neither vibration nor noise does.",
-    "level jump": "A channel jumps and stays there: a step of its zero.",
-    "noisy": "The noise of a channel is far above that of its calibration.",
-    "implausible": "A channel contradicts the others, or has changed while they have not.",
-    "accelerometer unsound": "The accelerometer is dead, or contradicts the laser: the displacements are sound.",
-    "intermittent": "Impacts came and stay away: the sphere may be drifting towards the next.",
-    "constant": "One displacement channel stands still while the other moves: stuck, or its cable open.",
-    "swapped channels": "Laser and base look exchanged.",
-    "inverted channel": "Laser or base is wired the wrong way round: the structure seems to lead its base.",
-    "no fit": "A fit did not converge, or to something unphysical.",
-    "impacts": "A free decay with impacts: its damping is not that of the structure.",
-    "not exponential": "A free decay whose halves decay at different rates: no single damping ratio describes it.",
 }

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig.analysis.cycles import PHASE_BINS
-from impact_rig.analysis.regime import Behaviour, classify
+from impact_rig.analysis.spread import Behaviour, classify
 from impact_rig.analysis.words import Regime
 from impact_rig.config.fields import integer, quantity
 from impact_rig.errors import SimulationError

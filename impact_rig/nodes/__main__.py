@@ -13,7 +13,7 @@ import os
 import signal
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from impact_rig.system.endings import PARENT_VARIABLE, PATIENCE_S, Ending, end_with
 
@@ -97,6 +97,11 @@ def stepped_sine() -> None:
 
 
 def _run(node: str) -> None:
+    begin(node, lambda ending: importlib.import_module(f"impact_rig.nodes.{node}_node").main(ending))
+
+
+def begin(node: str, main: Callable[[Ending], None]) -> None:
+    """Run a program that ends in order; what is heavy is imported by its `main`, not before."""
     if show_help(node, sys.argv[1:]):
         return
     # a node that is told to end has done its work: launch takes any other code for a crash
@@ -104,7 +109,7 @@ def _run(node: str) -> None:
     parent = int(os.environ.get(PARENT_VARIABLE, "0"))
     if parent:
         end_with(parent, lambda: _end(ending))
-    importlib.import_module(f"impact_rig.nodes.{node}_node").main(ending)
+    main(ending)
 
 
 def _end(ending: Ending) -> None:

@@ -14,11 +14,8 @@ from std_msgs.msg import Float64, String
 
 from impact_rig import codec, states, topics
 from impact_rig.analysis.blockwise import ANALYSES, Blockwise
-from impact_rig.analysis.findings import Findings
-from impact_rig.analysis.labels import parse_label
-from impact_rig.analysis.settings import TrackerSettings
-from impact_rig.analysis.tables import settings_table
-from impact_rig.analysis.tracker import Tracker
+from impact_rig.analysis.settings import TrackerSettings, parse_label, settings_table
+from impact_rig.analysis.tracker import Findings, Tracker
 from impact_rig.blocks import Table
 from impact_rig.config.fields import quantity, switch
 from impact_rig.config.tree import Tree
@@ -57,11 +54,7 @@ class AnalysisSettings(TrackerSettings):
 
 
 class AnalysisNode(ManagedNode[AnalysisSettings]):
-    """Feeds `Tracker` and publishes what it finds; acknowledges every block.
-
-    Args:
-        kwargs: passed to rclpy's Node.
-    """
+    """Feeds `Tracker` and publishes what it finds; acknowledges every block."""
 
     COMPONENT = "measurement"
     STATES = states.Analysis

@@ -10,9 +10,8 @@ from typing import Any  # rclpy publishers, message classes
 import numpy as np
 
 from impact_rig import codec, topics
-from impact_rig.analysis.envelope import PULSES, HighPass, Intervals
-from impact_rig.analysis.recent import Recent
-from impact_rig.analysis.spectrum import EVERY_S, WINDOW_S, amplitude_spectrum
+from impact_rig.analysis.blockwise import EVERY_S, PULSES, WINDOW_S, HighPass, Intervals, amplitude_spectrum
+from impact_rig.analysis.scans import Recent
 from impact_rig.blocks import Table
 from impact_rig.nodes import messages
 from impact_rig.nodes.messages import ENVELOPES, SPECTRA, Template

@@ -273,7 +273,7 @@ class Publishers:
         changed = False
         for topic, tables in ((topics.JOURNAL, rig.take_journal()), (topics.APPLIED, rig.take_applied())):
             for table in tables:
-                self._node.send(topic, codec.encode(table))
+                self._publishers[topic.name].publish(codec.encode(table))
             if tables:
                 self._settle(topic)
                 changed = True

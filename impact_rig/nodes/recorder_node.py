@@ -75,9 +75,6 @@ class RecorderNode(ManagedNode[RecorderSettings]):
     """Writes what it receives; acknowledges every block that is written, or that nobody asked it to record.
 
     A recorder that was to record and cannot acknowledges nothing: a rig that waits for it stops and names it.
-
-    Args:
-        kwargs: passed to rclpy's Node.
     """
 
     COMPONENT = "recording"

@@ -38,11 +38,7 @@ class Trouble:
 
 
 class RigState:
-    """Looks at a rig and puts into words what it sees.
-
-    Args:
-        session: of the rig.
-    """
+    """Looks at a rig and puts into words what it sees."""
 
     def __init__(self, session: Session) -> None:
         self._session, self._node = session, session.node

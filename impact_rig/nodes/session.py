@@ -92,11 +92,7 @@ class Counts:
 
 
 class Session:
-    """The rig of a node; it exists from when nobody else is in its place until the node is deactivated.
-
-    Args:
-        node: the rig's.
-    """
+    """The rig of a node; it exists from when nobody else is in its place until the node is deactivated."""
 
     publishers: Publishers
     """What it publishes; from when the node is configured."""
@@ -420,6 +416,7 @@ class Session:
             except CommandError as error:
                 self.node.refuse("inactive", f"{name}: {error}")
             return
+        was_driven = self.rig.amplitude != 0.0
         try:
             self.rig.accept(**{key: message.data})
         except CommandError as error:
@@ -427,7 +424,8 @@ class Session:
             return
         self.node.get_logger().debug(f"accepted: {key} = {message.data:g}")
         self.publishers.changes(self.rig)
-        self.node.report_change()
+        if was_driven != (self.rig.amplitude != 0.0):
+            self.node.report_change()
 
     def _on_ack(self, data: bytes) -> None:
         """Take an acknowledgement, which every reader may send in every mode; one of a peer makes room for work."""

@@ -32,11 +32,7 @@ def ends_here(environment: Mapping[str, str], middleware: str) -> bool:
 
 
 class NamespaceLock:
-    """Takes a rig's domain and namespace, and leaves them.
-
-    Args:
-        node: the rig's.
-    """
+    """Takes a rig's domain and namespace, and leaves them."""
 
     def __init__(self, node: Node) -> None:
         self._name = files.place(node.context.get_domain_id(), node.get_namespace())

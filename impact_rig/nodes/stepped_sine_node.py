@@ -115,9 +115,6 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
     """Sets one frequency after the other, waits for the analysis, and publishes the curve; or locks on a resonance.
 
     Where the phase is held it looks at the scans itself, and acknowledges them, so that it can be a peer.
-
-    Args:
-        kwargs: passed to rclpy's Node.
     """
 
     COMPONENT = "sweep"

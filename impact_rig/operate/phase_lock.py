@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig.analysis.calibration import Calibration
-from impact_rig.analysis.channels import BASE, CHANNELS, CURRENT, LASER
+from impact_rig.analysis.scans import BASE, CHANNELS, CURRENT, LASER
 from impact_rig.blocks import PHASE_LOCK, Table
 from impact_rig.errors import ConfigError
 from impact_rig.operate.plan import Setpoint, positive

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from impact_rig.analysis.budget import Contribution, budget
+from impact_rig.analysis.reduction import Contribution, budget
 from impact_rig.campaign.axes import NO_SPHERE
 from impact_rig.campaign.paper import CURRENT_A, FREQUENCY_HZ, REDUCTION_PERCENT
 from impact_rig.campaign.results import Point

@@ -90,6 +90,8 @@ class Rig:
         self.config = config
         self.rate_hz = config.daq.rate_hz
         self._journal = Journal(self.rate_hz, start_ns)
+        self.take_journal = self._journal.take
+        """Returns the new rows of the journal and forgets them."""
         self._applied: list[Table] = []
         self._latched: str | None = None
         self._begin(Kind.START, start_ns)
@@ -232,10 +234,10 @@ class Rig:
             check_amplitude(current_a, self._drive, self.config.shaker)
         if frequency_hz is not None:
             self._generator.set_frequency(frequency_hz)
-            self._note(Kind.COMMAND, "frequency", frequency_hz)
+            self._journal.add(self.frontier_sample, Kind.COMMAND, "frequency", frequency_hz)
         if current_a is not None:
             self._generator.set_amplitude(current_a)
-            self._note(Kind.COMMAND, "current", current_a)
+            self._journal.add(self.frontier_sample, Kind.COMMAND, "current", current_a)
         self._last_command_tick, self._timed_out = self._ticks, False
         return self._publish_applied()
 
@@ -339,10 +341,6 @@ class Rig:
         applied, self._applied = self._applied, []
         return applied
 
-    def take_journal(self) -> list[Table]:
-        """Return the new rows of the journal and forget them."""
-        return self._journal.take()
-
     # Inside
 
     @property
@@ -422,7 +420,8 @@ class Rig:
 
     def _publish_applied(self) -> Table:
         sample = self.frontier_sample
-        row = (0.0, sample, self.frequency_hz, self.amplitude, float(self._generator.phase_rad))
+        drive = self._generator
+        row = (0.0, sample, drive.frequency_hz, drive.target_amplitude, drive.phase_rad)
         table = Table(self._stamp(sample), np.array([row], APPLIED))
         self._applied.append(table)
         return table

@@ -136,7 +136,11 @@ class Journal:
     def take(self) -> list[Table]:
         """Return the new rows, one table per run of equal stamps, and forget them."""
         pending, self._pending = self._pending, []
-        return [_table(stamp, list(run)) for stamp, run in itertools.groupby(pending, lambda entry: entry.stamp_ns)]
+        tables: list[Table] = []
+        for stamp, run in itertools.groupby(pending, lambda entry: entry.stamp_ns):
+            rows = [(0.0, e.sample, e.sequence, e.kind.value, e.key, e.value, e.text) for e in run]
+            tables.append(Table(stamp, np.array(rows, JOURNAL)))
+        return tables
 
 
 @attrs.frozen(eq=False)
@@ -325,8 +329,3 @@ def _full_name(key: str) -> tuple[str, Value]:
     if key not in _NAMES:
         raise ConfigError(f"journal row of unknown configuration value {key!r}")
     return _NAMES[key], _DEFAULTS[_NAMES[key]]
-
-
-def _table(stamp: int, entries: list[Entry]) -> Table:
-    rows = [(0.0, e.sample, e.sequence, e.kind.value, e.key, e.value, e.text) for e in entries]
-    return Table(stamp, np.array(rows, JOURNAL))

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig.analysis import drawings
-from impact_rig.analysis.findings import Findings
+from impact_rig.analysis.tracker import Findings
 from impact_rig.drawing.style import style
 from impact_rig.errors import RecordingError
 from impact_rig.recording import Run

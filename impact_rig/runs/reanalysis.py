@@ -18,12 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig import topics
-from impact_rig.analysis.channels import CHANNELS
-from impact_rig.analysis.findings import Findings
-from impact_rig.analysis.labels import GapLabel, parse_label
-from impact_rig.analysis.settings import TrackerSettings
-from impact_rig.analysis.tables import machine_of, read_settings
-from impact_rig.analysis.tracker import Tracker
+from impact_rig.analysis.scans import CHANNELS
+from impact_rig.analysis.settings import GapLabel, TrackerSettings, machine_of, parse_label, read_settings
+from impact_rig.analysis.tracker import Findings, Tracker
 from impact_rig.analysis.words import Status
 from impact_rig.blocks import TRANSMISSIBILITY, Table
 from impact_rig.errors import ConfigError, RecordingError
@@ -94,16 +91,30 @@ def _as_set_live(run: Run) -> tuple[TrackerSettings, list[GapLabel]]:
     """
     if not run.holds(topics.ANALYSIS_SETTINGS):
         return TrackerSettings(), [label for label in map(parse_label, remarks(run)) if label is not None]
-    try:
-        found = [
-            (table.stamp_ns, *read_settings(table))
-            for table in run.tables(topics.ANALYSIS_SETTINGS, recorded_order=True)
-        ]
-    except ConfigError as error:
-        raise RecordingError(f"{run.path}: {error}") from error
-    if not found:
-        return TrackerSettings(), []
-    return found[-1][1], [GapLabel(gap_m, stamp_ns) for stamp_ns, _, gap_m in found]
+    told = [(table.stamp_ns, *read_settings(table)) for table in _settings_told(run)]
+    return (told[-1][1] if told else TrackerSettings()), [GapLabel(gap_m, stamp_ns) for stamp_ns, _, gap_m in told]
+
+
+def _settings_told(run: Run) -> list[Table]:
+    """Return the tables of settings; what others sent on their topic, and is none, costs nothing but itself.
+
+    Raises:
+        RecordingError: none is one.
+    """
+    found, refused = [], []
+    topic = topics.ANALYSIS_SETTINGS
+    if not run.holds(topic):
+        return []
+    for message in run.messages([run.resolve(topic.name)], recorded_order=True):
+        try:
+            table = run.table(message, topic)
+            read_settings(table)
+            found.append(table)
+        except (ConfigError, RecordingError) as error:
+            refused.append(error)
+    if refused and not found:
+        raise RecordingError(f"{run.path}: {refused[0]}") from refused[0]
+    return found
 
 
 def remarks(run: Run) -> list[str]:
@@ -250,7 +261,7 @@ def compare(run: Run, offline: Iterable[Table], impacts: Iterable[Table] | None 
     left_out = len(live) - len(theirs), len(ours) - len(found)
     if not theirs:
         return Comparison(None, reason="live analysis and recording saw no change from the same data on")
-    settings = run.tables(topics.ANALYSIS_SETTINGS) if run.holds(topics.ANALYSIS_SETTINGS) else ()
+    settings = _settings_told(run)
     machines = {machine for table in settings if (machine := machine_of(table)) is not None}
     elsewhere = machines != {fingerprint()} if machines else None
     late = data_end - round((TrackerSettings().hold_s + LAST_WORDS_S) * rate_hz)

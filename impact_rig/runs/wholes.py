@@ -17,10 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig import topics
-from impact_rig.analysis.drop import Drop, DropTest, parse_drop, restitution_of_drops
-from impact_rig.analysis.findings import Findings
+from impact_rig.analysis.decay import Drop, DropTest, parse_drop, restitution_of_drops
 from impact_rig.analysis.frf import Frf, transmissibility_frf
 from impact_rig.analysis.sine import SineFit, fit_sine, fit_sine_frequency
+from impact_rig.analysis.tracker import Findings
 from impact_rig.analysis.transmissibility import Measurement, measure_record
 from impact_rig.analysis.words import Status
 from impact_rig.blocks import Table

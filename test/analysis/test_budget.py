@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from kits.records import info_rows
 
-from impact_rig.analysis.budget import budget
 from impact_rig.analysis.calibration import Calibration
-from impact_rig.analysis.channels import BASE, LASER
+from impact_rig.analysis.reduction import budget
+from impact_rig.analysis.scans import BASE, LASER
 from impact_rig.blocks import TRANSMISSIBILITY
 
 GAIN_U, NOISE, LAG_U = 2e-3, 4e-4, 0.05

@@ -9,7 +9,7 @@ import pytest
 from kits.records import info_rows
 
 from impact_rig.analysis.calibration import Calibration
-from impact_rig.analysis.channels import LASER, status_of
+from impact_rig.analysis.scans import LASER, status_of
 from impact_rig.columns import Column, row_type
 from impact_rig.errors import ConfigError
 

@@ -10,8 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from kits.records import F_N, ZETA, add_impacts, info_rows
 
-from impact_rig.analysis.decay import bent, fit_decay, log_decrement, measure_decay
-from impact_rig.analysis.drop import restitution_of_drops
+from impact_rig.analysis.decay import bent, fit_decay, log_decrement, measure_decay, restitution_of_drops
 from impact_rig.analysis.words import Status
 from impact_rig.instruments.section import SCAN
 

@@ -9,10 +9,18 @@ import numpy as np
 import pytest
 from kits.rig import paper_rig
 
-from impact_rig.analysis.envelope import INTERVALS_HZ, PULSES, HighPass, Interval, Intervals
-from impact_rig.analysis.recent import Recent
+from impact_rig.analysis.blockwise import (
+    HIGHEST_HZ,
+    INTERVALS_HZ,
+    PULSES,
+    WINDOW_S,
+    HighPass,
+    Interval,
+    Intervals,
+    amplitude_spectrum,
+)
+from impact_rig.analysis.scans import Recent
 from impact_rig.analysis.sine import fit_sine
-from impact_rig.analysis.spectrum import HIGHEST_HZ, WINDOW_S, amplitude_spectrum
 from impact_rig.blocks import Table
 from impact_rig.rig import Block, Rig
 from impact_rig.simtime import NS_PER_S

@@ -9,8 +9,8 @@ import pytest
 from kits.records import info_rows
 
 from impact_rig.analysis.calibration import Calibration
-from impact_rig.analysis.channels import BASE, LASER
 from impact_rig.analysis.reduction import reduction, repeatability
+from impact_rig.analysis.scans import BASE, LASER
 from impact_rig.blocks import TRANSMISSIBILITY
 
 DRAWS = 4000

@@ -9,9 +9,8 @@ import pytest
 from scipy import signal
 
 from impact_rig.analysis.cycles import PHASE_BINS
-from impact_rig.analysis.regime import classify
 from impact_rig.analysis.settling import is_stationary, transient_bias
-from impact_rig.analysis.spread import block_length, bootstrap_means, by_class_removed, variance_of_mean
+from impact_rig.analysis.spread import batch_variance, by_class_removed, classify, student_2u, variance_of_mean
 from impact_rig.analysis.words import Regime
 
 QUIET = np.zeros((192, PHASE_BINS), np.uint8)
@@ -34,30 +33,26 @@ def test_variance_of_the_mean_sees_correlation():
     assert 0.75 * 4 / 500 < np.mean(estimates) < 1.05 * 4 / 500
 
 
-def test_block_length_grows_with_correlation():
-    rng = np.random.default_rng(3)
-    lengths = [np.median([block_length(ar1(rng, 400, c)) for _ in range(40)]) for c in (0.0, 0.5, 0.9)]
-    assert lengths[0] <= 3 < lengths[1] < lengths[2]
-    assert block_length(np.ones(50)) == 1
-
-
-def test_block_bootstrap_finds_the_spread_of_the_mean_of_a_correlated_series():
+@pytest.mark.parametrize(("coefficient", "batches"), [(0.0, 4), (0.9, 4), (0.9, 6)])
+def test_batch_means_cover_the_mean_of_a_correlated_series(coefficient, batches):
+    """±2u of 95.45 %, though batches of 32 cycles are as long as 1.7 correlation times only."""
     rng = np.random.default_rng(4)
-    found = []
-    for _ in range(60):
-        series = ar1(rng, 500, 0.7)
-        draws = bootstrap_means(series[:, None].astype(complex), block_length(series), 300, rng)
-        found.append(np.std(draws.real))
-    true = 1 / (1 - 0.7) / np.sqrt(500)
-    assert np.mean(found) == pytest.approx(true, rel=0.15)
+    off = []
+    for _ in range(1500):
+        series = ar1(rng, 192, coefficient)
+        off.append(abs(series.mean()) / np.sqrt(batch_variance(series.astype(complex), batches)[0]))
+    assert 0.93 < np.mean(np.array(off) < 2.0) < 0.98
 
 
-def test_bootstrap_means_of_constant_rows_are_that_row_and_repeat_with_the_seed():
-    rows = np.tile([1.0 + 2j, 3.0], (50, 1))
-    assert np.allclose(bootstrap_means(rows, 7, 100, np.random.default_rng(5)), rows[0])
-    noise = np.random.default_rng(6).standard_normal((50, 1)).astype(complex)
-    draws = [bootstrap_means(noise, 4, 50, np.random.default_rng(9)) for _ in range(2)]
-    assert draws[0].tobytes() == draws[1].tobytes()
+def test_batches_that_are_too_alike_are_corrected():
+    """Of batches as long as the correlation the plain scatter gives too little; 2V_b − V_2b gives most of the rest."""
+    rng = np.random.default_rng(5)
+    series = [ar1(rng, 192, 0.9) for _ in range(3000)]
+    true = np.var([one.mean() for one in series])
+    plain = [np.var(one.reshape(6, -1).mean(axis=1), ddof=1) / 6 for one in series]
+    found = [batch_variance(one.astype(complex), 6)[0] / student_2u(5.0) ** 2 for one in series]
+    assert np.mean(plain) < 0.8 * true
+    assert np.mean(found) == pytest.approx(true, rel=0.1)
 
 
 def test_a_periodic_pattern_is_removed_by_its_classes():

@@ -9,10 +9,8 @@ import pytest
 from kits.records import blocks, feed_all, info_rows, words
 from kits.tracker import RATE, record, tracker
 
-from impact_rig.analysis.findings import Counters
-from impact_rig.analysis.tables import SETTLED
-from impact_rig.analysis.tracker import Tracker
-from impact_rig.analysis.words import MEASURED, Status
+from impact_rig.analysis.tracker import Counters, Tracker
+from impact_rig.analysis.words import MEASURED, SETTLED, Status
 from impact_rig.blocks import Table
 from impact_rig.errors import ConfigError
 from impact_rig.simtime import NS_PER_S

@@ -20,9 +20,9 @@ from kits.records import (
     steady_record,
 )
 
-from impact_rig.analysis.calibration import Calibration, first_order, pure_delay, two_pole
-from impact_rig.analysis.channels import BASE, LASER
+from impact_rig.analysis.calibration import LAG_MODELS, Calibration
 from impact_rig.analysis.cycles import distinct_phases
+from impact_rig.analysis.scans import BASE, LASER
 from impact_rig.analysis.settings import TrackerSettings
 from impact_rig.analysis.transmissibility import measure_record
 from impact_rig.analysis.words import Method, Regime, Status
@@ -153,14 +153,14 @@ def test_reported_uncertainty_covers_the_truth(gain_u, noise, colour, lag_u):
     assert np.all((shares >= COVERAGE[0]) & (shares <= COVERAGE[1])), shares
 
 
-def test_a_modulated_response_is_bootstrapped_and_says_so():
+def test_a_modulated_response_is_measured_from_batches_and_says_so():
     """Slow 5 % modulation: labelled, its spread reported, the uncertainty far above that of the noise."""
     rng = np.random.default_rng(3)
     k = 2 * np.pi * 0.437
     ratio = linear_transmissibility(9.2)
     rows = steady_record(9.2, 21.0, rng=rng, transient=lambda t: ratio * (1 + 0.05 * np.cos(k * t)))
     found = measure_record(rows, info_rows(gain_u=0.0), 9.2, TrackerSettings(lag_uncertainty=0.0))
-    assert (found.status, found.regime, found.method) == (Status.OK, Regime.MODULATED, Method.BLOCK_BOOTSTRAP)
+    assert (found.status, found.regime, found.method) == (Status.OK, Regime.MODULATED, Method.BATCH_MEANS)
     assert found.spread / found.transmissibility == pytest.approx(0.05 / np.sqrt(2), rel=0.05)
     steady = measure_record(
         steady_record(9.2, 21.0, rng=rng), info_rows(gain_u=0.0), 9.2, TrackerSettings(lag_uncertainty=0.0)
@@ -169,7 +169,7 @@ def test_a_modulated_response_is_bootstrapped_and_says_so():
 
 
 @pytest.mark.repeats
-def test_block_bootstrap_covers_the_mean_of_a_chaotic_response():
+def test_batch_means_cover_the_mean_of_a_chaotic_response():
     """Amplitude driven by noise at cycle scale: the labelled uncertainty covers the true mean, if roughly."""
     rng = np.random.default_rng(4)
     ratio, rate = linear_transmissibility(9.2), 500
@@ -181,7 +181,7 @@ def test_block_bootstrap_covers_the_mean_of_a_chaotic_response():
             9.2, 21.0, rate_hz=rate, info=info, rng=rng, transient=lambda t, w=wander: ratio * (1 + 0.03 * w[: len(t)])
         )
         found = measure_record(rows, info, 9.2)
-        assert found.method is Method.BLOCK_BOOTSTRAP
+        assert found.method is Method.BATCH_MEANS
         inside.append(abs(found.transmissibility - abs(ratio)) < 2 * found.u_transmissibility)
     assert 0.85 < np.mean(inside) <= 1.0
 
@@ -255,7 +255,7 @@ def test_an_overloaded_accelerometer_does_not_spoil_the_displacements():
     assert found.transmissibility == pytest.approx(abs(linear_transmissibility(9.1)), rel=EXACT_RTOL)
 
 
-@pytest.mark.parametrize("model", [pure_delay, first_order, two_pole])
+@pytest.mark.parametrize("model", LAG_MODELS.values())
 def test_lag_is_the_group_delay_at_low_frequency(model):
     step = 1e-6
     phase = np.angle(model(np.array(step)))

@@ -15,8 +15,7 @@ import attrs
 import numpy as np
 
 from impact_rig import codec
-from impact_rig.analysis.settings import TrackerSettings
-from impact_rig.analysis.tables import settings_table
+from impact_rig.analysis.settings import TrackerSettings, settings_table
 from impact_rig.analysis.tracker import Tracker
 from impact_rig.blocks import Table
 from impact_rig.instruments.fault import Fault

@@ -402,6 +402,20 @@ def test_scope_spectrum_slow_motion_and_themes(page: Page) -> None:
         page.wait(f"Math.abs(lab.scope.span() - {span}) < 0.05 * {span}", f"a window of {span} s")
     page.click("#trigger")
     page.wait("lab.scope.trace && isNaN(lab.scope.trace.trigger)", "no trigger")
+    page.click("#hold")
+    move = "lab.scope.plots[0].setCursor({left: lab.scope.plots[0].over.clientWidth * %s, top: 20})"
+    page.js(move % 0.25)
+    page.js("lab.scope.plots[0].over.click()")
+    page.js(move % 0.5)
+    time_s, frequency_hz = page.js(
+        "/^Δ (\\S+) s \\((\\S+) (?:m?)Hz\\): acc.* current/.exec(lab.scope.readout.textContent).slice(1)"
+    )
+    assert float(time_s) == pytest.approx(2.5, rel=0.02), "a quarter of the window of ten seconds"
+    assert float(frequency_hz) == pytest.approx(400.0, rel=0.02)
+    page.js("lab.scope.plots[0].over.dispatchEvent(new MouseEvent('dblclick'))")
+    page.js(move % 0.4)
+    assert not page.text("#cursor").startswith("Δ")
+    page.click("#hold")
     page.choose("#spectrum-channel", "current")
     page.wait("lab.spectrum.channel === 3", "the spectrum of the current")
     page.click("[data-slow='0.1']")

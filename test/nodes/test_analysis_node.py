@@ -15,7 +15,7 @@ from kits.nodes import host_rig
 from rclpy.serialization import deserialize_message
 
 from impact_rig import codec, topics
-from impact_rig.analysis.labels import GapLabel, parse_label
+from impact_rig.analysis.settings import GapLabel, parse_label
 from impact_rig.analysis.tracker import Tracker
 from impact_rig.blocks import Table
 from impact_rig.client import Client

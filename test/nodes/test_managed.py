@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import gc
+from pathlib import Path
 from typing import Any
 
 import attrs
@@ -214,6 +215,15 @@ def test_bad_values_at_start_refuse_to_configure(client: Client, values: dict[st
     word = {"config_file": "cannot read configuration"}.get(*values, *values)
     client.wait_until(lambda: word in client.status("small").message, "the reason")
     assert client.state("small") == "unconfigured"
+
+
+def test_every_node_may_begin_from_a_configuration_file(client: Client, tmp_path: Path) -> None:
+    path = tmp_path / "small.yaml"
+    path.write_text("/**:\n  ros__parameters:\n    count: 7\n    speed_m_s: 5.0\n", encoding="utf-8")
+    values = {"config_file": str(path), "speed_m_s": 6.0, "bugs": False}
+    node = client.host(Small, parameter_overrides=ros_parameters(values))
+    client.wait_active("small")
+    assert (node.settings.count, node.settings.speed_m_s) == (7, 6.0)
 
 
 def test_a_parameter_of_a_type_that_does_not_exist_is_refused(user: Client) -> None:

@@ -8,6 +8,7 @@ A law that enters the registry joins the parametrised tests by itself.
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 
 import attrs
@@ -24,6 +25,7 @@ from impact_rig.errors import ConfigError
 from impact_rig.physics import contact
 from impact_rig.physics.contact import LAWS, Contact, from_config, hunt_crossley
 from impact_rig.physics.contact.law import LEAST_RESTITUTION
+from impact_rig.rig.config import RigConfig
 
 RESTITUTIONS = (LEAST_RESTITUTION, 0.05, 0.2, 0.35, 0.6, 0.8, 0.95)
 TOLERANCE = 1e-6
@@ -233,3 +235,15 @@ def test_factor_and_restitution_are_inverse(e):
 def test_a_law_refuses_an_impossible_restitution(law, wrong):
     with pytest.raises(ConfigError, match=rf"restitution must be >= 0.01 and <= 1, got {wrong}"):
         LAWS[law](wrong)
+
+
+def test_the_speed_at_which_a_barrier_yields():
+    """Hertz, p = (2/π) E* √(δ/R) with K = 4/3 E* √R and δ of an elastic impact, as in docs/limits.md; p ~ v^(2/5)."""
+    text = (Path(__file__).parents[2] / "docs" / "limits.md").read_text(encoding="utf-8")
+    stated = r"put ([\d.]+) GPa .*?\(yield stress\s+([\d.]+) GPa\).*?reached at ([\d.]+) m/s"
+    pressure_gpa, yield_gpa, speed = map(float, re.search(stated, text, re.DOTALL).groups())
+    radius, k, mass = RigConfig().sphere.diameter_m / 2.0, stiffness(), sphere_kg()
+    indentation = (5.0 * mass / (4.0 * k)) ** 0.4
+    pressure = 2.0 / math.pi * 0.75 * k / math.sqrt(radius) * math.sqrt(indentation / radius)
+    assert pressure_gpa == pytest.approx(pressure / 1e9, abs=0.05)
+    assert speed == pytest.approx((1.6 * yield_gpa * 1e9 / pressure) ** 2.5, abs=0.0006)

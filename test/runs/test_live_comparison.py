@@ -300,6 +300,20 @@ def test_a_table_of_another_version_or_with_a_hostile_number_is_answered_in_one_
     assert error.count("\n") == 1
 
 
+def test_settings_of_another_publisher_that_are_none_cost_nothing_but_themselves(
+    whole: Messages, tmp_path: Path
+) -> None:
+    """A key that is unknown, a column that is missing: the settings of the analysis are there, and are believed."""
+    own = next(message for message in whole if message[0] == "analysis/settings")
+    foreign = [
+        edited([own], "analysis/settings", change)[0]
+        for change in (lambda rows: value(rows, "key", b"unheard"), lambda rows: without(rows, "key"))
+    ]
+    for place in (0, len(whole)):
+        found = compared(tmp_path / f"{place}", [*whole[:place], *foreign, *whole[place:]])
+        assert (found.same, found.identical) == (True, True)
+
+
 def test_a_measurement_of_a_version_before_some_columns_is_compared(whole: Messages, tmp_path: Path) -> None:
     for column in ("spread", "regime"):
         older = edited(whole, TABLE, lambda rows, column=column: without(rows, column))

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from kits.recorded_rig import Messages, note, record
 
-from impact_rig.analysis.drop import Drop, parse_drop
+from impact_rig.analysis.decay import Drop, parse_drop
 from impact_rig.cli import main
 from impact_rig.errors import RecordingError
 from impact_rig.physics.contact import from_config

@@ -16,6 +16,8 @@ export class ScopeView {
     /** @type {import("./frames.js").Trace | null} */
     this.trace = null;
     this.other = null;
+    /** @type {number | null} the cursor that stays: a column of the window */
+    this.mark = null;
     /** @type {number[][]} truth, detected: times [s] */
     this.impacts = [[], []];
     this.make();
@@ -30,7 +32,7 @@ export class ScopeView {
       const box = document.createElement("div");
       this.place.append(box);
       const axis = { stroke: colour("soft"), grid: { stroke: colour("line"), width: 1 }, ticks: { show: false }, font: "10.5px system-ui" };
-      return new uPlot({
+      const made = new uPlot({
         width: Math.max(50, box.clientWidth), height: Math.max(40, box.clientHeight), pxAlign: false, legend: { show: false },
         padding: [6, 22, 0, 0],
         cursor: { sync: { key: "scope" }, drag: { x: false, y: false }, points: { show: false } },
@@ -48,7 +50,16 @@ export class ScopeView {
           setCursor: [(plot) => { if (number === 0) this.read(plot); }],
         },
       }, [[0, 1], [null, null], [null, null]], box);
+      made.over.addEventListener("click", () => this.hold(made.cursor.idx));
+      made.over.addEventListener("dblclick", () => this.hold(null));
+      return made;
     });
+  }
+
+  /** @private leave a cursor where the other one is, or take it away */
+  hold(index) {
+    this.mark = index === null || index === undefined ? null : index >> 1;
+    for (const plot of this.plots) plot.redraw(false);
   }
 
   span() { return this.trace ? this.trace.column * this.trace.low[0].length : 1; }
@@ -109,6 +120,7 @@ export class ScopeView {
     if (over) g.fillText("over range", left + 6 * ratio, top + height - 8 * ratio);
     g.fillStyle = colour("soft");
     g.fillText(CHANNELS[number][0], left + 6 * ratio, top + 12 * ratio);
+    if (this.mark !== null) g.fillRect(left + (this.mark + 0.5) / this.trace.low[0].length * width, top, ratio, height);
     if (number === 0) {
       g.fillStyle = colour("sphere");
       for (const time of this.impacts[0]) triangle(g, at(time), top, 5 * ratio);
@@ -122,12 +134,20 @@ export class ScopeView {
   read(plot) {
     const i = plot.cursor.idx;
     if (i === null || i === undefined || !this.trace) { this.readout.textContent = ""; return; }
-    const column = i >> 1;
+    const column = i >> 1, mark = this.mark;
     const parts = CHANNELS.map(([name, unit], number) => {
-      const low = this.trace.low[number][column], high = this.trace.high[number][column];
-      return `${name} ${engineering(Math.abs(high) >= Math.abs(low) ? high : low, unit)}`;
+      const value = this.value(number, column) - (mark === null ? 0 : this.value(number, mark));
+      return `${name} ${engineering(value, unit)}`;
     });
-    this.readout.textContent = `${engineering((column + 0.5) * this.trace.column, "s")}: ${parts.join(" · ")}`;
+    const time = mark === null ? (column + 0.5) * this.trace.column : Math.abs(column - mark) * this.trace.column;
+    const rate = mark === null || mark === column ? "" : ` (${engineering(1 / time, "Hz")})`;
+    this.readout.textContent = `${mark === null ? "" : "Δ "}${engineering(time, "s")}${rate}: ${parts.join(" · ")}`;
+  }
+
+  /** @private the extreme of a column that is further from zero */
+  value(number, column) {
+    const low = this.trace.low[number][column] ?? NaN, high = this.trace.high[number][column] ?? NaN;
+    return Math.abs(high) >= Math.abs(low) ? high : low;
   }
 }
 

@@ -21,7 +21,7 @@ import numpy as np
 from scipy import special
 
 from impact_rig.analysis.calibration import Real
-from impact_rig.analysis.channels import BASE, CURRENT, LASER
+from impact_rig.analysis.scans import BASE, CURRENT, LASER
 from impact_rig.analysis.words import Regime
 from impact_rig.config.tree import Value
 from impact_rig.errors import ConfigError

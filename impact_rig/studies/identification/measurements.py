@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 
 from impact_rig import topics
 from impact_rig.analysis.calibration import U_CUBIC, Calibration, Real
-from impact_rig.analysis.channels import BASE, CURRENT, LASER
 from impact_rig.analysis.decay import Decay, DecayMethod, fit_decay, measure_decay
 from impact_rig.analysis.reduction import repeatability
+from impact_rig.analysis.scans import BASE, CURRENT, LASER
 from impact_rig.analysis.words import Regime
 from impact_rig.blocks import joined
 from impact_rig.campaign.axes import NO_SPHERE

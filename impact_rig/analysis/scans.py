@@ -1,0 +1,167 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""Scans as the analysis takes them: the channels it needs, blocks of any length made one stream, and the last seconds.
+
+A run may have more channels than these, in any order.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Collection
+
+import numpy as np
+from numpy.typing import NDArray
+
+from impact_rig import topics
+from impact_rig.blocks import Table, joined
+from impact_rig.columns import Column, row_type
+from impact_rig.errors import ConfigError
+from impact_rig.simtime import NS_PER_S
+
+CHANNELS = ("accelerometer", "laser", "base", "current")
+"""By name; arrays over channels have this order."""
+ACCELEROMETER, LASER, BASE, CURRENT = range(len(CHANNELS))
+_TIME, _STATUS = topics.SCAN.fields
+SCAN = row_type((_TIME, *(Column(name, "SI", "") for name in CHANNELS), _STATUS))
+"""What a row of `daq/scan` must at least have."""
+_FRAME = (_TIME.name, _STATUS.name)
+
+
+def status_of(rows: NDArray[np.void]) -> NDArray[np.uint8]:
+    """Return the status of scans with bit j for channel j of `CHANNELS`, shape (n,), whatever their place in a scan."""
+    status: NDArray[np.uint8] = rows["status"]
+    found = tuple(name for name in rows.dtype.names or () if name not in _FRAME)
+    if found[: len(CHANNELS)] == CHANNELS:
+        return status
+    ours = np.zeros(len(rows), np.uint8)
+    for bit, name in enumerate(CHANNELS):
+        ours |= (status >> found.index(name) & 1) << bit
+    return ours
+
+
+def need_columns(table: Table, wanted: np.dtype[np.void], topic: str, later: Collection[str] = ()) -> None:
+    """Refuse a table that lacks a column, save those `later` versions have, or has a text for a number.
+
+    Raises:
+        ConfigError: names the topic and the columns.
+    """
+    found = table.rows.dtype
+    if found == wanted:
+        return
+    names = found.names or ()
+    wrong = [
+        name
+        for name in wanted.names or ()
+        if (name not in later if name not in names else (found[name].kind == "S") != (wanted[name].kind == "S"))
+    ]
+    if wrong:
+        raise ConfigError(f"{topic} lacks the column {', '.join(wrong)}, or has another type there")
+
+
+def scan_index(stamp_ns: int, rate_hz: int, start_ns: int) -> int:
+    """Return the index of the scan with this stamp: the inverse of `simtime.stamp_ns`."""
+    return ((stamp_ns - start_ns) * rate_hz + NS_PER_S // 2) // NS_PER_S
+
+
+def first_scan_at(time_ns: int, rate_hz: int, start_ns: int) -> int:
+    """Return the index of the first scan at or after an instant (a stamp is its scan's instant)."""
+    return -(-(time_ns - start_ns) * rate_hz // NS_PER_S)
+
+
+class ScanBuffer:
+    """Consecutive scans, contiguous in memory per channel; grows to what is held back and the longest block.
+
+    Attributes:
+        samples: shape (4, capacity).
+        status: shape (capacity,).
+        first: index of the scan in column 0.
+        end: index after the newest scan.
+    """
+
+    def __init__(self) -> None:
+        self.samples = np.empty((len(CHANNELS), 0))
+        self.status = np.empty(0, dtype=np.uint8)
+        self.first = 0
+        self.end = 0
+
+    def restart(self, index: int) -> None:
+        """Drop everything; the next scan is `index`."""
+        self.first = self.end = index
+
+    def renumber(self, index: int) -> None:
+        """Call scan `index` scan 0, and what is kept after it accordingly."""
+        self.first -= index
+        self.end -= index
+
+    def append(self, rows: NDArray[np.void], keep: int) -> None:
+        """Add scans; those before index `keep` may be dropped to make room."""
+        used, new = self.end - self.first, len(rows)
+        if used + new > len(self.status):
+            self._make_room(keep, new)
+            used = self.end - self.first
+        for j, name in enumerate(CHANNELS):
+            self.samples[j, used : used + new] = rows[name]
+        self.status[used : used + new] = status_of(rows)
+        self.end += new
+
+    def column(self, index: int) -> int:
+        """Return where scan `index` is kept."""
+        return index - self.first
+
+    def _make_room(self, keep: int, new: int) -> None:
+        left, right = keep - self.first, self.end - self.first
+        need = right - left + new
+        samples, status = self.samples, self.status
+        if 4 * need > len(status):  # at least four times the need: then room is made every third block at most
+            self.samples = np.empty((len(CHANNELS), 8 * need))
+            self.status = np.empty(8 * need, dtype=np.uint8)
+        self.samples[:, : right - left] = samples[:, left:right].copy()
+        self.status[: right - left] = status[left:right].copy()
+        self.first = keep
+
+
+class Recent:
+    """Keeps as many scans as asked for; forgets all when blocks do not follow on one another.
+
+    Args:
+        rate_hz: scans per second, from daq/info.
+        length: scans that are kept, at least.
+    """
+
+    def __init__(self, rate_hz: float, length: int) -> None:
+        self._rate_hz = rate_hz
+        self._length = length
+        self._blocks: deque[Table] = deque()
+        self.count = 0
+        """Scans that are kept."""
+
+    def follows(self, scan: Table) -> bool:
+        """Whether a block goes on where the one before ended; false of the first."""
+        return bool(self._blocks) and abs(scan.stamp_ns - self.next_ns()) <= 0.5 * NS_PER_S / self._rate_hz
+
+    def add(self, scan: Table) -> None:
+        """Take a block; where it does not follow on the one before, those before are forgotten."""
+        if not self.follows(scan):
+            self.clear()
+        self._blocks.append(scan)
+        self.count += len(scan.rows)
+        while self.count - len(self._blocks[0].rows) >= self._length:
+            self.count -= len(self._blocks.popleft().rows)
+
+    def clear(self) -> None:
+        """Forget everything."""
+        self._blocks.clear()
+        self.count = 0
+
+    def next_ns(self) -> int:
+        """Return the stamp of the scan that would come next [ns]."""
+        return self.stamp_ns(self.count)
+
+    def stamp_ns(self, number: int) -> int:
+        """Return when scan `number` of those that are kept was, or will be [ns]."""
+        return self._blocks[0].stamp_ns + int(number * NS_PER_S / self._rate_hz)
+
+    def rows(self) -> NDArray[np.void]:
+        """Return the scans that are kept, oldest first."""
+        return joined([block.rows for block in self._blocks])
