@@ -31,6 +31,8 @@ unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE LD_LIBRARY_PATH ROS_DISTRO
 endif
 endif
 unexport VIRTUAL_ENV
+# Container images set it; every process would compile all that it imports anew, which is most of a short one's time.
+unexport PYTHONDONTWRITEBYTECODE
 
 # --- What everything that is started here sees ------------------------------------------------------------------------
 export ROS_AUTOMATIC_DISCOVERY_RANGE := LOCALHOST
