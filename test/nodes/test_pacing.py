@@ -83,6 +83,8 @@ def test_window_follows_the_slowest_peer() -> None:
     assert window.acknowledge("b", 10)
     assert window.room() == 3
     assert window.behind() == {"a": 0, "b": 1}
+    assert window.acknowledge("a", 10), "an earlier one that comes late"
+    assert window.behind() == {"a": 0, "b": 1}
 
 
 @pytest.mark.parametrize(("peer", "stamp"), [("nobody", 0), ("a", 21), ("", 0)])
