@@ -249,6 +249,31 @@ class Simulation:
         self._put_sphere(d, d_rate)
         self._stored = self.stored_energy()
 
+    def state(self) -> NDArray[np.float64] | None:
+        """Return x_1, v_1, x_b, v_b, the coil's current, x_2 − x_1 and its rate after the last segment, shape (7,).
+
+        None during a contact: how it began decides its force, which these numbers do not tell.
+        """
+        s = self._desk.states[0]
+        if s["phase"] == CONTACT:
+            return None
+        return np.array([*s["y"].tolist(), float(s["d"]), float(s["d_rate"])])
+
+    def set_state(self, state: NDArray[np.float64]) -> None:
+        """Go on from what `state` gave; a sphere at rest on a wall stays there until that pulls away."""
+        *y, d, rate = state.tolist()
+        self._desk.states[0] = np.zeros((), STATE)
+        s = self._desk.states[0]
+        s["y"][:], s["d"], s["d_rate"] = y, d, rate
+        p = self._model.parameters[0]
+        if rate == 0.0 and p["sphere_present"] and (p["friction"] > 0.0 or abs(d) >= p["half_gap"]):
+            s["phase"], s["side"] = ATTACHED, np.sign(d) if abs(d) >= p["half_gap"] else 0.0
+        elif p["friction"] > 0.0:
+            s["slide"] = np.sign(rate)
+        if self._account:
+            self._desk.ledger[0] = np.zeros((), LEDGER)
+            self._stored = self.stored_energy()
+
     def advance(self, segments: NDArray[np.void]) -> Motion:
         """Simulate the drive segments (dtype `forcing.SEGMENT`), the first of which begins a tick; return their motion.
 
