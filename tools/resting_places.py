@@ -13,6 +13,7 @@ import argparse
 import sys
 
 import numpy as np
+from numpy.typing import NDArray
 from rich.console import Console
 
 from impact_rig.analysis.settings import TrackerSettings
@@ -22,10 +23,11 @@ from impact_rig.blocks import APPLIED, Table
 from impact_rig.campaign.paper import CURRENT_A
 from impact_rig.instruments.chain import Chain
 from impact_rig.maps.measure import FAILED, MapRig, Settings
-from impact_rig.physics import FunctionGenerator, Simulation
+from impact_rig.physics import FunctionGenerator, Motion, Simulation
 from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.simtime import NS_PER_S
 
+Array = NDArray[np.float64]
 GAPS_MM = np.linspace(16.0, 40.0, 17)
 FREQUENCIES_HZ = np.linspace(8.0, 11.1, 32)
 TICKS_PER_S, RATE_HZ = 100, 10_000
@@ -50,32 +52,45 @@ def map_errs(config: RigConfig, frequency_hz: float) -> tuple[bool, bool]:
     return True, len(after.speed) > 0
 
 
-def tracker_errs(config: RigConfig, frequency_hz: float) -> tuple[int, int]:
-    """Return how many settled rows without impacts the tracker gives, and after how many the sphere strikes."""
+def driven(config: RigConfig, frequency_hz: float, *spans_s: float) -> list[Motion]:
+    """Return the motion from rest in consecutive spans."""
     drive = FunctionGenerator(config.drive, config.shaker, np.random.default_rng(1))
     drive.set_frequency(frequency_hz)
     drive.set_amplitude(CURRENT_A)
     simulation = Simulation(config)
-    motion = simulation.advance(drive.segments(round(WATCHED_S * TICKS_PER_S)))
-    later = simulation.advance(drive.segments(round(AFTER_S * TICKS_PER_S)))
-    impacts = np.concatenate([motion.impacts, later.impacts])
-    struck = impacts["segment"] / TICKS_PER_S + impacts["offset"]
-    heard = struck[(struck < WATCHED_S) & (impacts["approach_speed"] > FAST)]
-    if np.diff(heard, prepend=0.0, append=WATCHED_S).max() < config.barriers.gap_m / TrackerSettings().slowest_speed:
-        return 0, 0  # never long enough for a row without impacts
-    chain, tracker = Chain(config), Tracker()
+    return [simulation.advance(drive.segments(round(span_s * TICKS_PER_S))) for span_s in spans_s]
+
+
+def strikes(motions: list[Motion]) -> tuple[Array, Array]:
+    """Return instants [s] and approach speeds [m/s] of the impacts."""
+    impacts = np.concatenate([motion.impacts for motion in motions])
+    return impacts["segment"] / TICKS_PER_S + impacts["offset"], impacts["approach_speed"]
+
+
+def ends_of_rest(config: RigConfig, frequency_hz: float, motion: Motion, settings: TrackerSettings) -> list[float]:
+    """Return where the settled rows without impacts end that the tracker gives of a motion [s]."""
+    chain, tracker = Chain(config), Tracker(settings)
     tracker.configure(Table(0, chain.info()))
     command = np.zeros(1, APPLIED)
     command["frequency"], command["current"] = frequency_hz, CURRENT_A
     tracker.on_applied(Table(0, command))
     tracker.label(config.barriers.gap_m, 0)
     chain.acquire(motion, motion.first_segment, len(motion.segments))
-    rows = tracker.feed(Table(0, chain.read(chain.ready))).measurements
-    ends = [
+    return [
         table.stamp_ns / NS_PER_S
-        for table in rows
+        for table in tracker.feed(Table(0, chain.read(chain.ready))).measurements
         if table.rows["settled"][0] == 1.0 and table.rows["impacts_per_cycle"][0] == 0.0
     ]
+
+
+def tracker_errs(config: RigConfig, frequency_hz: float) -> tuple[int, int]:
+    """Return how many settled rows without impacts the tracker gives, and after how many the sphere strikes."""
+    settings, motions = TrackerSettings(), driven(config, frequency_hz, WATCHED_S, AFTER_S)
+    struck, speed = strikes(motions)
+    heard = struck[(struck < WATCHED_S) & (speed > FAST)]
+    if np.diff(heard, prepend=0.0, append=WATCHED_S).max() < config.barriers.gap_m / settings.slowest_speed:
+        return 0, 0  # never long enough for a row without impacts
+    ends = ends_of_rest(config, frequency_hz, motions[0], settings)
     return len(ends), sum(bool(np.any((struck > end) & (struck <= end + AFTER_S))) for end in ends)
 
 

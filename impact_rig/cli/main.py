@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 EXIT_ERROR = 1
 PROGRAM = "impact-rig"
 COMMANDS = (
-    "lab", "demo", "campaign", "map", "loop", "report", "identify",
+    "lab", "demo", "campaign", "map", "dynamics", "loop", "report", "identify",
     "info", "analyze", "verify", "replay", "recover", "import", "export", "check",
 )  # fmt: skip
 """Subcommands in the order of the help."""

@@ -165,7 +165,7 @@ def _part(p, s, way, ledger):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _touch(p, s, side, segment, ledger):  # type: ignore[no-untyped-def]
+def _touch(p, s, side, ledger):  # type: ignore[no-untyped-def]
     """Begin a contact with the wall just reached: y becomes that of the pair.
 
     The energy that the least speed adds is a negative loss of the contact.
@@ -180,7 +180,7 @@ def _touch(p, s, side, segment, ledger):  # type: ignore[no-untyped-def]
     s.w, s.speed, s.deepest = 0.0, speed, 0.0
     s.per_v0 = 1.0 / max(speed, p.speed_floor)
     s.next_step, s.whole = 0.0, 0
-    s.approach, s.begin_segment, s.begin_t = speed, segment, s.t
+    s.approach = speed
     s.elapsed, s.peak_force, s.impulse, s.lost = 0.0, 0.0, 0.0, 0.0
 
 
@@ -244,7 +244,7 @@ def _bounce(p, s, side, acceleration, noise, desk):  # type: ignore[no-untyped-d
 
 
 @kernel
-def _free_phase(model, f, desk, t_end, segment, account):  # type: ignore[no-untyped-def]
+def _free_phase(model, f, desk, t_end, tick, account):  # type: ignore[no-untyped-def]
     """Fly, and begin whatever the flight ends in."""
     p, system = model.parameters[0], model.systems[LOOSE]
     s, k = desk.states[0], desk.flight[0]
@@ -265,11 +265,12 @@ def _free_phase(model, f, desk, t_end, segment, account):  # type: ignore[no-unt
             _hold(s, s.d, 0.0)
         else:
             _part(p, s, -np.sign(acceleration), desk.ledger[0])
-    elif p.rigid:
-        s.begin_segment, s.begin_t = segment, s.t
+        return
+    s.begin_segment, s.begin_t = tick, f.begin + s.t
+    if p.rigid:
         _bounce(p, s, float(touched), acceleration, rounding(p, system, k, s.t), desk)
     else:
-        _touch(p, s, float(touched), segment, desk.ledger[0])
+        _touch(p, s, float(touched), desk.ledger[0])
 
 
 @kernel
@@ -384,9 +385,9 @@ def _move_base(p, f, s, ledger):  # type: ignore[no-untyped-def]
     ledger.work += p.k_1 * (s.y[XB] - before) * (0.5 * (s.y[XB] + before) - x_1)
 
 
-@entry(MODEL, SEGMENT, int, int, DESK, bool, returns=(int, int))
-def run(model, segments, index, base, desk, account):  # type: ignore[no-untyped-def]
-    """Advance the state through `segments[index:]`, numbered from `base`; return (how it ended, the segment it is in).
+@entry(MODEL, SEGMENT, INTEGERS, int, DESK, bool, returns=(int, int))
+def run(model, segments, ticks, index, desk, account):  # type: ignore[no-untyped-def]
+    """Advance the state through `segments[index:]`, each of its tick; return (how it ended, the segment it is in).
 
     Flights are accounted for only if `account`, because it costs as much as flying.
     """
@@ -394,7 +395,7 @@ def run(model, segments, index, base, desk, account):  # type: ignore[no-untyped
     desk.flight[0].omega = -1.0
     while index < segments.shape[0]:
         row = segments[index]
-        f = Forcing(row.omega, row.phase, row.amplitude, row.slope)
+        f = Forcing(row.omega, row.phase, row.amplitude, row.slope, row.begin)
         t_end, fresh = row.duration, True
         if s.t == 0.0:
             desk.first[index] = desk.filled[0].knots
@@ -413,7 +414,7 @@ def run(model, segments, index, base, desk, account):  # type: ignore[no-untyped
                 _ready(model, f, desk, t_end, fresh)
                 fresh = False
                 if s.phase == FREE:
-                    _free_phase(model, f, desk, t_end, base + index, account)
+                    _free_phase(model, f, desk, t_end, ticks[index], account)
                 else:
                     _attached_phase(model, f, desk, t_end, account)
             if s.t >= t_end:

@@ -35,8 +35,9 @@ from impact_rig.arithmetic.elementary import exp, modulus, power, sincos
 from impact_rig.kernels import kernel
 from impact_rig.physics.state import ORDERS, V1, X1
 
-SEGMENT = np.dtype([("duration", "f8"), ("omega", "f8"), ("phase", "f8"), ("amplitude", "f8"), ("slope", "f8")])
-"""Drive segments, in order: seconds, rad/s, rad, and amplitude and its rate in A, m or V by drive."""
+SEGMENT = np.dtype([(name, "f8") for name in ("duration", "omega", "phase", "amplitude", "slope", "begin")])
+"""Drive segments, in order: seconds, rad/s, rad, and amplitude and its rate in A, m or V by drive. A segment begins a
+tick of its own, or goes on `begin` > 0 seconds after the start of the tick of the one before."""
 
 
 class Forcing(NamedTuple):
@@ -46,6 +47,7 @@ class Forcing(NamedTuple):
     phase: float
     amplitude: float
     slope: float
+    begin: float
 
 
 @kernel

@@ -234,13 +234,13 @@ def test_live_analysis_settings_are_those_of_the_run(whole: Messages, tmp_path: 
 
     def change(rows: np.ndarray) -> np.ndarray:
         rows["value"][rows["key"] == b"harmonics"] = 1
-        rows["value"][rows["key"] == b"gap_m"] = 0.004
+        rows["value"][rows["key"] == b"gap_m"] = 0.0004
         return rows
 
     with open_run(record(tmp_path / "other", edited(whole, "analysis/settings", change))) as run:
         other = reanalysis.rows(reanalysis.measurements(reanalysis.analyze(run)))
     assert default["gap"][0] == 0.0
-    assert other["gap"][0] == 0.004
+    assert other["gap"][0] == 0.0004
     distortion = [rows[rows["settled"] == 1]["thd"][0] for rows in (default, other)]
     assert distortion[0] > distortion[1] == 0.0, "one harmonic knows no distortion"
 

@@ -1,6 +1,9 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""A slice of `tools/coverage_of_uncertainties.py`: rows of the rig's own instruments, drawn anew, against the truth."""
+"""A slice of `tools/coverage_of_uncertainties.py`: rows of the rig's own instruments, drawn anew, against the truth.
+
+And a place of `tools/resting_places.py`.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +15,11 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-TOOL = runpy.run_path(str(Path(__file__).parents[2] / "tools" / "coverage_of_uncertainties.py"))
+from impact_rig.analysis.settings import TrackerSettings
+
+TOOLS = Path(__file__).parents[2] / "tools"
+TOOL = runpy.run_path(str(TOOLS / "coverage_of_uncertainties.py"))
+PLACES = runpy.run_path(str(TOOLS / "resting_places.py"))
 SEEDS = range(1, 17)
 CHANCE = 1e-4
 
@@ -49,3 +56,14 @@ def test_small_signals_are_covered_or_refused(base_um, bits, noise, measured):
     for name, off in found.items():
         assert len(off) >= len(SEEDS) - 2
         assert np.mean(np.abs(off) <= 2.0) >= 0.75, (name, off)
+
+
+def test_a_sphere_that_drifts_for_twenty_seconds_is_not_at_rest():
+    """At 16 mm, 10.7 Hz it leaves a wall at less than 1 mm/s and strikes again; who waits for 16 s is deceived."""
+    config = PLACES["configuration"](16.0)
+    (motion,) = PLACES["driven"](config, 10.7, 40.0)
+    struck, _ = PLACES["strikes"]([motion])
+    deceived = PLACES["ends_of_rest"](config, 10.7, motion, TrackerSettings(slowest_speed=1e-3))
+    assert deceived
+    assert struck.max() > deceived[-1]
+    assert PLACES["ends_of_rest"](config, 10.7, motion, TrackerSettings()) == []

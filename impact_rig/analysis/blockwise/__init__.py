@@ -40,8 +40,6 @@ class Blockwise:
 
 INTERVALS_HZ = 50.0
 """Intervals per second: what plotters draw without falling behind."""
-
-
 PULSES = "pulses"
 """Column of what `HighPass` lets through."""
 PULSES_HZ = 500.0
