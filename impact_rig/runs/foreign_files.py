@@ -11,7 +11,9 @@ from __future__ import annotations
 import contextlib
 import importlib
 import io
+import json
 import math
+import os
 import re
 import resource
 import tempfile
@@ -20,6 +22,7 @@ import zipfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import ModuleType
+from typing import BinaryIO
 
 import attrs
 import numpy as np
@@ -100,7 +103,7 @@ def read(path: Path) -> Foreign:
     try:
         with _bounded_memory(), warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("ignore")  # of libraries, about files they then refuse or read
-            found = reader(path, content)
+            found = _apart(reader, path, content) if reader in CRASHING else reader(path, content)
     except RecordingError:
         raise
     except MemoryError as error:
@@ -129,6 +132,53 @@ def _bounded_memory() -> Iterator[None]:
         yield
     finally:
         resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
+
+
+def _apart(reader: Callable[[Path, bytes], Foreign], path: Path, content: bytes) -> Foreign:
+    """Read a file in a child process: a damaged one can crash the library, which then is only an error."""
+    source, sink = os.pipe()
+    child = os.fork()
+    if not child:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # what a library says while it fails
+        with os.fdopen(sink, "wb") as out:
+            try:
+                _send(reader(path, content), out)
+            except MemoryError:
+                out.write(json.dumps({"error": "it asks for more memory than a file of its size may"}).encode())
+            except BaseException as error:  # whatever the library raises, the parent says it
+                out.write(json.dumps({"error": " ".join(str(error).split()) or type(error).__name__}).encode())
+            out.flush()
+            os._exit(0)
+    os.close(sink)
+    with os.fdopen(source, "rb") as received:
+        head, _, data = received.read().partition(b"\n")
+    os.waitpid(child, 0)
+    if not head:
+        raise RecordingError(f"{path} is damaged: the library that reads it crashed")
+    told = json.loads(head)
+    if "error" in told:
+        message = str(told["error"])
+        raise RecordingError(
+            message if message.startswith(str(path)) else f"{path} is no {_named(path)}: {message[:300]}"
+        )
+    values = np.frombuffer(data)
+    ends = np.cumsum([told["times"], *(one[1] for one in told["signals"])]).tolist()
+    parts = [values[begin:end] for begin, end in zip([0, *ends], ends, strict=False)]
+    signals = {
+        name: Signal(part, unit, rate) for (name, _, unit, rate), part in zip(told["signals"], parts[1:], strict=True)
+    }
+    return Foreign(path, told["kind"], signals, parts[0] if told["times"] else None, told["start_ns"], told["texts"])
+
+
+def _send(found: Foreign, out: BinaryIO) -> None:
+    """Write what was read: a line of JSON, then all numbers."""
+    times = np.zeros(0) if found.time_s is None else found.time_s
+    signals = [(name, len(one.values), one.unit, one.rate_hz) for name, one in found.signals.items()]
+    texts = {name: list(words) for name, words in found.texts.items()}
+    told = {"kind": found.kind, "times": len(times), "signals": signals, "start_ns": found.start_ns, "texts": texts}
+    out.write(json.dumps(told).encode() + b"\n")
+    for values in (times, *(one.values for one in found.signals.values())):
+        out.write(np.ascontiguousarray(values, np.float64).tobytes())
 
 
 def _library(name: str, what: str) -> ModuleType:
@@ -409,3 +459,5 @@ READERS: Mapping[str, Callable[[Path, bytes], Foreign]] = {
     ".csv": _csv, ".txt": _csv, ".tsv": _csv, ".npz": _npz, ".parquet": _parquet, ".wav": _wav, ".uff": _uff,
     ".unv": _uff, ".nc": _netcdf, ".nc4": _netcdf, ".mat": _matlab,
 }  # fmt: skip
+CRASHING = (_matlab, _netcdf)
+"""Readers around libraries in C that a damaged file can crash: SciPy's of MATLAB files does."""

@@ -57,6 +57,8 @@ EVEN = 0.02
 """Of a period: departure from a uniform grid of times that is called jitter of the clock's last digit."""
 WHOLE = 1e-4
 """Relative departure of a rate from a whole number of Hz that times printed with few digits have."""
+ROUNDED = 0.5
+"""Of a period: by how much times may depart from the rate that the same file states."""
 LONGEST_UNIT = 40
 FROM_FILE_NAME = {
     "frequency_hz": re.compile(r"(?<![\d.])(\d+(?:[.p]\d+)?)\s*_?hz", re.IGNORECASE),
@@ -444,10 +446,18 @@ def _uniform(
     count = len(next(iter(found.values())))
     times = source.time_s
     rates = {one.rate_hz for name, one in source.signals.items() if one.rate_hz and name in _columns(mapping)}
-    rate = mapping.rate_hz or (rates.pop() if len(rates) == 1 else None)
+    rate = rates.pop() if len(rates) == 1 else None
+    if mapping.rate_hz is not None:
+        rate, times = mapping.rate_hz, None
+        if not 0.0 < rate <= MOST_HZ:
+            raise ConfigError(f"rate_hz must be > 0 and <= {MOST_HZ:g}, got {rate:g}")
+    elif (
+        rate and times is not None and len(times) == count and np.all(np.abs(times * rate - np.arange(count)) < ROUNDED)
+    ):
+        times = None  # the file says the rate beside times that were rounded
     if times is None and rate is None:
         raise ConfigError(f"{source.path} has neither times nor a rate: give the rate, in scans per second")
-    if times is None or mapping.rate_hz is not None:
+    if times is None:
         assert rate is not None
         times = np.arange(count) / rate
     if len(times) != count:

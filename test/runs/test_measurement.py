@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import wave
 from collections.abc import Callable
 from pathlib import Path
@@ -194,6 +196,7 @@ STEADY = lines(lambda k: f"{k / 100},{k},{k}", "t,x1,xb")
         (STEADY, MM.replace("x1", "x2"), "no signal 'x2' for laser: there are x1, xb"),
         (STEADY, "chanels: {}", "unknown key chanels: did you mean channels"),
         (STEADY, MM + "\nrate_hz: .nan", "rate_hz must be a finite number"),
+        (STEADY, MM + "\nrate_hz: 0", "rate_hz must be > 0"),
         (STEADY, MM + "\nresample_hz: 50", "resample to at least its 100"),
         ("some words\n", "{}", "no row of numbers"),
     ],
@@ -213,6 +216,28 @@ def test_scans_that_are_missing_stay_missing_and_uneven_ones_can_be_resampled(tm
     uneven = table(tmp_path, lines(lambda k: f"{(k + 0.3 * (k % 2)) / 100},{(k + 0.3 * (k % 2)) / 100},{k}"))
     found = measurement(uneven, refined(guess(uneven), "resample_hz: 200"))
     assert found.rows["laser"] == pytest.approx(MILLIMETRE * np.arange(len(found.rows)) / 200)
+
+
+def test_a_file_that_crashes_its_library_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A reader that ends its process as a fault of memory would."""
+
+    def crash(path: Path, content: bytes) -> foreign_files.Foreign:
+        os.kill(os.getpid(), signal.SIGSEGV)
+        raise AssertionError
+
+    monkeypatch.setitem(foreign_files.READERS, ".mat", crash)
+    monkeypatch.setattr(foreign_files, "CRASHING", (crash,))
+    (tmp_path / "own.mat").write_bytes(b"MATLAB 5.0")
+    with pytest.raises(ImpactRigError, match="the library that reads it crashed"):
+        foreign_files.read(tmp_path / "own.mat")
+
+
+def test_a_rate_that_the_file_states_counts_more_than_its_rounded_times(tmp_path: Path) -> None:
+    """Times of single precision, added up: a sixth of a period off after 4,096 values."""
+    times = np.arange(4096) / 1280 * (1 - 4e-5)
+    np.savez(tmp_path / "own.npz", time=times, laser=times, rate=1280.0)
+    source = foreign_files.read(tmp_path / "own.npz")
+    assert measurement(source, guess(source)).index.tolist() == list(range(4096))
 
 
 def test_the_command_shows_before_it_writes_and_makes_a_campaign(
