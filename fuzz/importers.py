@@ -11,6 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import h5netcdf
+import h5py
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet
@@ -79,6 +80,8 @@ def _netcdf() -> bytes:
         content.dimensions = {"response_channels": 3, "time_samples": SCANS}
         data = content.create_variable("time_data", ("response_channels", "time_samples"), "f8")
         data[...] = np.stack([COLUMNS[name] for name in ("laser", "base", "current")])
+        names = content.create_group("channels").create_variable("comment", ("response_channels",), h5py.string_dtype())
+        names[...] = np.array(["laser", "base", "current"], object)
     return file.getvalue()
 
 

@@ -9,6 +9,7 @@ come from anybody: their size is bounded, and while a library reads one, so is t
 from __future__ import annotations
 
 import contextlib
+import faulthandler
 import importlib
 import io
 import json
@@ -139,6 +140,7 @@ def _apart(reader: Callable[[Path, bytes], Foreign], path: Path, content: bytes)
     source, sink = os.pipe()
     child = os.fork()
     if not child:
+        faulthandler.disable()
         os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # what a library says while it fails
         with os.fdopen(sink, "wb") as out:
             try:

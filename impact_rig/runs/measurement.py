@@ -31,10 +31,10 @@ from impact_rig.analysis.scans import CHANNELS
 from impact_rig.analysis.settings import GapLabel, parse_label
 from impact_rig.analysis.tracker import Tracker
 from impact_rig.blocks import APPLIED, DAQ_INFO, DAQ_INFO_COLUMNS, MOST_HZ, Table
-from impact_rig.columns import Column, row_type
+from impact_rig.columns import LONGEST_S, Column, row_type
 from impact_rig.errors import ConfigError, RecordingError
 from impact_rig.recording import Attachment, Provenance, Run, RunWriter, TopicDescription, schema_text
-from impact_rig.runs.foreign_files import Foreign
+from impact_rig.runs.foreign_files import VALUES, Foreign
 from impact_rig.simtime import NS_PER_S, stamp_ns
 from impact_rig.system import budget
 
@@ -465,6 +465,8 @@ def _uniform(
     if count < 2 or not np.all(np.isfinite(times)) or not np.all(np.diff(times) > 0.0):
         place = int(np.argmin(np.diff(times))) + 1 if count > 1 else 0
         raise ConfigError(f"{source.path}: times must increase, and do not at value {place + 1} of {count}")
+    if not float(times[-1]) <= LONGEST_S:
+        raise ConfigError(f"{source.path}: its times span {float(times[-1]):.3g} s, more than {LONGEST_S:g}")
     exact = rate or 1.0 / float(np.median(np.diff(times)))
     whole = round(exact)
     if mapping.resample_hz is not None:
@@ -498,6 +500,7 @@ def _resampled(
 
     if not exact * (1.0 - WHOLE) <= rate <= MOST_HZ:
         raise ConfigError(f"{source.path}: resample to at least its {exact:.6g} Hz, at most {MOST_HZ:g}, got {rate}")
+    budget.allow("values after resampling", float(times[-1]) * rate * len(found), VALUES)
     index = np.arange(int(times[-1] * rate) + 1, dtype=np.int64)
     return rate, index, {name: CubicSpline(times, values)(index / rate) for name, values in found.items()}
 

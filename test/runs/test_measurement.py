@@ -197,6 +197,8 @@ STEADY = lines(lambda k: f"{k / 100},{k},{k}", "t,x1,xb")
         (STEADY, "chanels: {}", "unknown key chanels: did you mean channels"),
         (STEADY, MM + "\nrate_hz: .nan", "rate_hz must be a finite number"),
         (STEADY, MM + "\nrate_hz: 0", "rate_hz must be > 0"),
+        (STEADY, MM + "\nrate_hz: 1.0e-50\nresample_hz: 200", "its times span"),
+        (STEADY, MM + "\nrate_hz: 1.0e-6\nresample_hz: 200", "values after resampling"),
         (STEADY, MM + "\nresample_hz: 50", "resample to at least its 100"),
         ("some words\n", "{}", "no row of numbers"),
     ],
