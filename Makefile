@@ -98,8 +98,9 @@ campaign: kernels ## measure all points of the paper, judge its statements, writ
 SECOND_CHANCE := --reruns 1 --only-rerun WaitTimeoutError --only-rerun TimeoutExpired
 
 # Files go to the workers in the order of test/conftest.py, the longest first; left to itself, xdist begins with the file
-# of most tests and ends with those of a single long one.
-TWO_WORKERS := -n 2 --dist loadfile --no-loadscope-reorder --max-worker-restart 0
+# of most tests and ends with those of a single long one. Of what a test takes half is waiting for other processes: two
+# cores serve three workers. What starts no process only computes.
+BY_FILE := --dist loadfile --no-loadscope-reorder --max-worker-restart 0
 
 # How many seconds it took since `begin` is a figure of `make bench ONLY=start`.
 note = mkdir -p build/start && echo $$(($$(date +%s) - begin)) > build/start/$(1)
@@ -114,20 +115,20 @@ test: $(TEST) kernels ## run all tests on real ROS 2; ARGS=--changed or '-k code
 	@$(if $(MEASURED),$(COVERAGE) erase)
 	@begin=$$(date +%s); IMPACT_RIG_REQUIRE_ROS=1 \
 	    $(if $(MEASURED),$(COVERAGE) run,$(VENV)/bin/python) -m pytest $(PYTEST_PLUGINS_USED) \
-	    $(TWO_WORKERS) $(SECOND_CHANCE) $(if $(SHUFFLE),--shuffle=$(SHUFFLE)) $(ARGS); status=$$?; \
+	    -n 3 $(BY_FILE) $(SECOND_CHANCE) $(if $(SHUFFLE),--shuffle=$(SHUFFLE)) $(ARGS); status=$$?; \
 	    $(if $(MEASURED),$(COVERAGE) combine --quiet && $(COVERAGE) report && \
 	    $(COVERAGE) report --include="$(KERNELS)" --fail-under=90 && [ $$status = 0 ] && $(call note,suite_s) &&) exit $$status
 
-check: lint ## after every edit: style, types, layers, and the tests without process, browser and ROS
-	@begin=$$(date +%s); $(VENV)/bin/python -m pytest $(PYTEST_PLUGINS_USED) -q $(TWO_WORKERS) --check $(ARGS) && $(call note,check_s)
+LINT = $(VENV)/bin/ruff check . && $(VENV)/bin/ruff format --check . && $(VENV)/bin/mypy && $(VENV)/bin/lint-imports && \
+    if command -v node >/dev/null; then for file in impact_rig/lab/static/*.js; do \
+    node --check --input-type=module < $$file || exit 1; done; fi
+
+check: $(TEST) kernels ## after every edit: style, types, layers, and the tests without process, browser and ROS
+	@begin=$$(date +%s); $(LINT) && \
+	    $(VENV)/bin/python -m pytest $(PYTEST_PLUGINS_USED) -q -n 2 $(BY_FILE) --check $(ARGS) $(if $(MEASURED),&& $(call note,check_s))
 
 lint: $(TEST) kernels ## check style, types and layers
-	@$(VENV)/bin/ruff check .
-	@$(VENV)/bin/ruff format --check .
-	@$(VENV)/bin/mypy
-	@$(VENV)/bin/lint-imports
-	@if command -v node >/dev/null; then for file in impact_rig/lab/static/*.js; do \
-	    node --check --input-type=module < $$file || exit 1; done; fi
+	@$(LINT)
 
 generate: $(TEST) $(PACKAGE) ## rewrite the pages and files that are made from the code
 	@$(VENV)/bin/python -m tools.generate

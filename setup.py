@@ -60,6 +60,7 @@ setup(
         (f"share/{NAME}/config", files("config/*.yaml")),
         (f"share/{NAME}/config/campaigns", files("config/campaigns/*.yaml")),
         (f"share/{NAME}/config/maps", files("config/maps/*.yaml")),
+        (f"share/{NAME}/config/dynamics", files("config/dynamics/*.yaml")),
         (f"share/{NAME}/config/foxglove", files("config/foxglove/*.json")),
         (f"share/{NAME}/config/sros2", files("config/sros2/*.xml")),
         (f"share/{NAME}/config/plotjuggler", files("config/plotjuggler/*.xml")),
@@ -87,6 +88,7 @@ setup(
         "completion": ["argcomplete>=3.1"],  # `register-python-argcomplete`; 3.1 is that of Ubuntu 24.04
         "cluster": ["distributed>=2024.1"],  # `impact-rig campaign --through dask`
         "exchange": ["pyarrow>=14", "pyuff>=2.4"],  # `impact-rig export` to Parquet and universal files
+        "import": ["h5netcdf>=1.3", "h5py>=3.10", "pint>=0.23", "pyarrow>=14", "pyuff>=2.4"],  # `impact-rig import`
         "test": ["hypothesis", "pytest", "pytest-timeout"],  # also how `colcon test` knows to run pytest
     },
     zip_safe=False,

@@ -70,6 +70,22 @@ APPLIED_COLUMNS = (
 )
 APPLIED = row_type(APPLIED_COLUMNS)
 
+WAVEFORM_COLUMNS = (Column("value", "A, m or V", "A sample of the drive, by `drive.kind`; the next row is the next."),)
+WAVEFORM = row_type(WAVEFORM_COLUMNS)
+
+STREAM_COLUMNS = (
+    time("Since the stamp, which is that of the sample wanted next: 0."),
+    index("wanted", "Number of that sample since the start or reset; all before it are in force."),
+    Column("buffered", "-", "Samples that are there from that one on, without a gap."),
+    Column("capacity", "-", "Samples that may be there."),
+    Column("playing", "-", "1 while samples are in force, 0 before the first and where they are missing or over."),
+    Column("late", "-", "Samples that came too late."),
+    Column("refused", "-", "Blocks that were refused."),
+    Column("missing", "-", "Samples that did not come in time."),
+    Column("rate", "Hz", "Samples per second."),
+)
+STREAM = row_type(STREAM_COLUMNS)
+
 JOURNAL_COLUMNS = (
     time("Since the stamp, which is that of `sample`: 0."),
     index("sample", "Index of the first scan it acts on, since the start or reset."),

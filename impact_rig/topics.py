@@ -209,6 +209,20 @@ CURRENT = Topic(
     "Command: drive amplitude.",
     (Column("data", "A", "Peak (rms for random), at most shaker.current_limit_a_rms; m or V by drive.kind."),),
 )
+WAVEFORM = _table(
+    "shaker/waveform",
+    Qos.DATA,
+    "client",
+    blocks.WAVEFORM_COLUMNS,
+    "Command: samples of the drive (drive.waveform: stream); stamp = first sample. No rows end the stream there.",
+)
+STREAM = _table(
+    "shaker/stream",
+    Qos.LATCHED,
+    "rig",
+    blocks.STREAM_COLUMNS,
+    "Which sample of shaker/waveform is wanted next, and what came of those that came, after each block.",
+)
 NOTES = Topic(
     "notes",
     "std_msgs/msg/String",
@@ -353,6 +367,8 @@ TOPICS = (
     PLOT_PULSES,
     FREQUENCY,
     CURRENT,
+    WAVEFORM,
+    STREAM,
     NOTES,
     ACK,
     DIAGNOSTICS,

@@ -19,6 +19,9 @@ from impact_rig.campaign.plan import load_campaign
 from impact_rig.maps.plan import load_map
 from impact_rig.physics.prediction import transmissibility
 from impact_rig.rig.config import RigConfig, dump, load
+from impact_rig.runs.measurement import Mapping, refined
+from impact_rig.studies.dynamics.plan import KINDS
+from impact_rig.studies.dynamics.plan import load as load_dynamics
 
 ROOT = Path(__file__).parents[1]
 TOOL = runpy.run_path(str(ROOT / "tools" / "check_docs.py"))
@@ -144,6 +147,10 @@ def test_yaml_is_accepted(block, tmp_path):
         assert load_campaign(file).base.daq.rate_hz == 20_000
     elif block.page == "docs/maps.md":
         assert load_map(file).direction == "both"
+    elif block.page == "docs/own_measurement.md":
+        assert sorted(refined(Mapping(channels={}), block.content).channels) == ["accelerometer", "base", "laser"]
+    elif block.page == "docs/dynamics.md":
+        assert [bool(load_dynamics(file, kind).tasks) for kind in KINDS] == [True] * len(KINDS)
     else:
         assert len(load(file).instruments.faults.planned) == 2
 

@@ -1,6 +1,10 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""The recipes of docs/extending.md, done to the letter in a copy of the repository: their files, no other by hand."""
+"""The recipes of docs/extending.md, done to the letter in a copy of the repository: their files, no other by hand.
+
+All of them one after another in one copy, whose pages are made and whose tests are run once; each in a copy of its own
+with `--thorough`, which shows that none needs another one.
+"""
 
 from __future__ import annotations
 
@@ -34,15 +38,15 @@ class Recipe:
         files: what it writes, by path.
         most: how many files its table allows.
         common: tests that must take the new thing up by themselves.
-        chosen: which of those and of its own are run here, a `-k` expression.
-        passed: at least so many.
+        chosen: words of which one must stand in the name of those that are run here.
+        passed: at least so many, with its own tests.
         seen: generated files, and what must have come to them.
     """
 
     title: str
     most: int
     common: str
-    chosen: str
+    chosen: tuple[str, ...]
     passed: int
     seen: dict[str, str]
 
@@ -57,19 +61,19 @@ RECIPES = (
         "A contact law",
         2,
         "test/physics/test_contact_laws.py",
-        "my_law and not 0.6 and not 0.8",
+        ("my_law",),
         12,
         {
-            "config/nominal.yaml": "lee_wang, my_law, restitution",
+            "config/nominal.yaml": "my_law, restitution",
             "docs/physics.md": "| `my_law` | 2(1 − e) | 0.526 |",
-            "docs/interface.md": "lee_wang, my_law, restitution",
+            "docs/interface.md": "my_law, restitution",
         },
     ),
     Recipe(
         "A contact law of another shape",
         2,
         "test/physics/test_contact_laws.py",
-        "linear_hysteretic and not 0.6 and not 0.8",
+        ("linear_hysteretic",),
         12,
         {
             "config/nominal.yaml": "linear_stiffness_n_m: 5000000.0  # N/m",
@@ -81,7 +85,7 @@ RECIPES = (
         "An instrument",
         3,
         "test/instruments/test_registry.py",
-        "force or optional or folder",
+        ("force", "optional", "folder"),
         7,
         {
             "config/nominal.yaml": "force:\n        present: false  # -; assumed: ",
@@ -92,7 +96,7 @@ RECIPES = (
         "An analysis with a topic",
         3,
         "test/nodes/test_interface.py",
-        "rms",
+        ("rms",),
         3,
         {"docs/interface.md": "### `acceleration_rms`"},
     ),
@@ -133,22 +137,33 @@ def copy(tmp_path: Path) -> Copy:
 
 @pytest.mark.ros
 @pytest.mark.timeout(900)  # in a fresh clone it may be the first to compile
-@pytest.mark.parametrize("recipe", RECIPES, ids=lambda recipe: recipe.title)
-def test_a_recipe_is_the_whole_change(recipe: Recipe, copy: Copy):
+@pytest.mark.parametrize(
+    "recipes",
+    [RECIPES, *(pytest.param((recipe,), marks=pytest.mark.slow) for recipe in RECIPES)],
+    ids=lambda recipes: " and ".join(recipe.title for recipe in recipes),
+)
+def test_a_recipe_is_the_whole_change(recipes: tuple[Recipe, ...], copy: Copy):
     before = copy.state()
-    for path, content in recipe.files.items():
+    files = {path: content for recipe in recipes for path, content in recipe.files.items()}
+    for path, content in files.items():
         assert not (copy.root / path).exists(), f"{path}: a recipe adds files, it edits none"
         (copy.root / path).write_text(NOTICE + content, encoding="utf-8")
     copy.run("-m", "tools.generate")
     after = copy.state()
     changed = {path for path in {*before, *after} if before.get(path) != after.get(path)}
-    assert changed - GENERATED == set(recipe.files)
-    assert len(recipe.files) <= recipe.most
-    for path, text in recipe.seen.items():
-        assert text in (copy.root / path).read_text(encoding="utf-8"), path
-    own = [path for path in recipe.files if path.startswith("test/")]
-    assert own, "the recipe has a test of its own"
-    chosen = (*own, recipe.common, "-k", recipe.chosen)
-    ran = copy.run("-m", "pytest", "-q", "-p", "no:cacheprovider", *chosen)
-    assert int(re.findall(r"(\d+) passed", ran)[0]) >= recipe.passed, f"it has not joined the common tests\n{ran}"
-    copy.run("-m", "ruff", "check", *recipe.files)
+    assert changed - GENERATED == set(files)
+    own = {path for path in files if path.startswith("test/")}
+    words = " or ".join(word for recipe in recipes for word in recipe.chosen)
+    chosen = " or ".join([*(Path(path).name for path in own), f"(({words}) and not 0.6 and not 0.8)"])
+    common = {recipe.common for recipe in recipes}
+    ran = copy.run("-m", "pytest", "-q", "-rA", "-p", "no:cacheprovider", *own, *common, "-k", chosen)
+    passed = re.findall(r"^PASSED (.+)", ran, re.MULTILINE)
+    for recipe in recipes:
+        assert len(recipe.files) <= recipe.most
+        for path, text in recipe.seen.items():
+            assert text in (copy.root / path).read_text(encoding="utf-8"), path
+        of_it = [test for test in passed if test.partition("::")[0] in recipe.files]
+        assert of_it, "the recipe has a test of its own"
+        of_it += [test for test in passed if test.startswith(recipe.common) and any(w in test for w in recipe.chosen)]
+        assert len(of_it) >= recipe.passed, f"{recipe.title} has not joined the common tests\n{ran}"
+    copy.run("-m", "ruff", "check", *files)

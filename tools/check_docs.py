@@ -50,6 +50,7 @@ from tools.doc_paths import ROOT, exists, is_dangling, is_path
 SCRATCH = ROOT / "build" / "docs"
 RUN_BY = {
     ("docs/analysis.md", "python"): "test/analysis/test_guide.py",
+    ("docs/drive.md", "python title"): "test/testing/test_examples.py",
     ("docs/extending.md", "python title"): "test/test_extending.py",
     ("docs/first_node.md", "python title"): "test/testing/test_examples.py",
     ("docs/recording.md", "python"): "test/recording/test_guide.py",

@@ -302,29 +302,61 @@ class Cost:
         return found
 
 
-LAUNCHER = """
-import json, os, subprocess, sys, time
-began = time.monotonic()
-with open("stdout", "wb") as output, open("stderr", "wb") as error:
-    process = subprocess.Popen(sys.argv[2:], stdin=subprocess.DEVNULL, stdout=output, stderr=error)
-while not (ended := os.wait4(process.pid, os.WNOHANG))[0]:
-    if time.monotonic() - began > float(sys.argv[1]):
-        process.kill()
-    time.sleep(0.01)
-code, usage = os.waitstatus_to_exitcode(ended[1]), ended[2]
-print(json.dumps([code, time.monotonic() - began, usage.ru_utime + usage.ru_stime, usage.ru_maxrss * 1024 / 1e6]))
+SERVER = f"""
+import json, os, sys, time
+import rich.table
+from impact_rig.analysis import tracker
+from impact_rig.cli import main
+from impact_rig.cli.main import command_line
+from impact_rig.runs import drawings, exports, info, reanalysis, recovery, verification
+command_line()
+write = os.O_WRONLY | os.O_CREAT | os.O_TRUNC
+for line in sys.stdin:
+    folder, *words = json.loads(line)
+    began = time.monotonic()
+    child = os.fork()
+    if not child:
+        os.chdir(folder)
+        for number, (name, how) in enumerate(((os.devnull, os.O_RDONLY), ("stdout", write), ("stderr", write))):
+            os.dup2(os.open(name, how, 0o600), number)
+        sys.argv = ["impact-rig", *words]
+        sys.exit(main())
+    while not (ended := os.wait4(child, os.WNOHANG))[0]:
+        if time.monotonic() - began > {PATIENCE_S}:
+            os.kill(child, 9)
+        time.sleep(0.01)
+    code, usage = os.waitstatus_to_exitcode(ended[1]), ended[2]
+    wall_s, cpu_s = time.monotonic() - began, usage.ru_utime + usage.ru_stime
+    print(json.dumps([code, wall_s, cpu_s, usage.ru_maxrss * 1024 / 1e6]), flush=True)
 """
-"""Starts a program and measures it, in a small process of its own: the peak of memory begins with the parent's."""
+"""Imports once what all programs import, forks for each of them and measures it. The peak of memory begins with that of
+the imports."""
 
 
-def cost(arguments: Sequence[str | Path], folder: Path) -> Cost:
-    """Run `impact-rig` with these arguments and return what it took."""
-    program = [sys.executable, "-c", "import sys; from impact_rig.cli import main; sys.exit(main())"]
-    command = [sys.executable, "-S", "-c", LAUNCHER, str(PATIENCE_S), *program, *map(str, arguments)]
-    measured = subprocess.run(command, cwd=folder, check=True, capture_output=True)  # noqa: S603  # our own program
-    code, wall_s, cpu_s, peak_mb = json.loads(measured.stdout)
-    written = [(folder / name).read_text(encoding="utf-8", errors="replace") for name in ("stdout", "stderr")]
-    return Cost(code, wall_s, cpu_s, peak_mb, "".join(written), written[1])
+class Programs:
+    """Runs `impact-rig` again and again; a context manager."""
+
+    def __init__(self) -> None:
+        self._server = subprocess.Popen(  # noqa: S603  # our own program
+            [sys.executable, "-c", SERVER],
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
+        )  # fmt: skip
+
+    def __enter__(self) -> Programs:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._server.communicate()
+
+    def cost(self, arguments: Sequence[str | Path], folder: Path) -> Cost:
+        """Run it with these arguments in a folder and return what it took."""
+        assert self._server.stdin is not None
+        assert self._server.stdout is not None
+        self._server.stdin.write(json.dumps([str(folder), *map(str, arguments)]).encode() + b"\n")
+        self._server.stdin.flush()
+        code, wall_s, cpu_s, peak_mb = json.loads(self._server.stdout.readline())
+        written = [(folder / name).read_text(encoding="utf-8", errors="replace") for name in ("stdout", "stderr")]
+        return Cost(code, wall_s, cpu_s, peak_mb, "".join(written), written[1])
 
 
 def words(command: str, path: Path, folder: Path) -> list[str | Path]:
@@ -349,7 +381,7 @@ def main() -> int:
     for heading in ("", *COMMANDS):
         table.add_column(heading, justify="left" if not heading else "right")
     troubles = []
-    with tempfile.TemporaryDirectory() as name:
+    with tempfile.TemporaryDirectory() as name, Programs() as programs:
         folder = Path(name)
         (folder / "victim").write_bytes(VICTIM)
         for what, make in (RECORDINGS | CAMPAIGNS).items():
@@ -357,7 +389,7 @@ def main() -> int:
             asked = [words(command, path, folder) for command in COMMANDS]
             if what in CAMPAIGNS:
                 asked = [["campaign", path, "--output", folder / "campaign"], ["check", path]]
-            costs = [cost(arguments, folder) for arguments in asked]
+            costs = [programs.cost(arguments, folder) for arguments in asked]
             cells = [f"{one.peak_mb:.0f} / {one.cpu_s:.1f} / {one.wall_s:.1f} / {one.code}" for one in costs]
             table.add_row(what + (" (campaign, check)" if what in CAMPAIGNS else ""), *cells)
             for arguments, one in zip(asked, costs, strict=True):

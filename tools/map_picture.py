@@ -1,6 +1,9 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""Measure the maps that the docs show, on the mechanics, and keep their pictures: some minutes."""
+"""Measure the maps and the dynamics that the docs show, on the mechanics, and keep their pictures: some minutes.
+
+`python tools/map_picture.py dynamics` does so for those whose page is named only.
+"""
 
 from __future__ import annotations
 
@@ -12,21 +15,36 @@ from pathlib import Path
 from impact_rig.cli.main import main
 
 ROOT = Path(__file__).parents[1]
-MAPS = ("gap_frequency", "coexistence")
-"""Files in config/maps; the picture of each is docs/images/map_<name>.png."""
+PICTURES = {
+    ("map", "maps/gap_frequency"): ("map_reset", "map_gap_frequency"),
+    ("map", "maps/coexistence"): ("map_reset", "map_coexistence"),
+    **{
+        ("dynamics", kind, "dynamics/nominal"): (f"dynamics_{kind}", f"dynamics_{kind}")
+        for kind in ("section", "bifurcation", "continue", "exponent")
+    },
+    **{
+        ("dynamics", kind, "dynamics/two_motions"): (f"dynamics_{kind}", f"dynamics_{kind}")
+        for kind in ("basin", "orbit")
+    },
+    ("dynamics", "continue", "dynamics/current"): ("dynamics_continue", "dynamics_current"),
+}
+"""Command and file in config/ -> the picture that it draws, and its name in docs/images."""
 
 
-def draw() -> int:
+def draw(page: str) -> int:
     """Measure and draw; return the exit code."""
-    for name in MAPS:
+    for words, (picture, name) in PICTURES.items():
+        if not words[0].startswith(page):
+            continue
         with tempfile.TemporaryDirectory() as directory:
-            output = Path(directory, "map")
-            code = main(["map", str(ROOT / "config" / "maps" / f"{name}.yaml"), "--output", str(output)])
+            output = Path(directory, "out")
+            file = str(ROOT / "config" / f"{words[-1]}.yaml")
+            code = main([*words[:-1], file, "--output", str(output)])
             if code:
                 return code
-            shutil.copy(output / "figures" / "map_reset.png", ROOT / "docs" / "images" / f"map_{name}.png")
+            shutil.copy(output / "figures" / f"{picture}.png", ROOT / "docs" / "images" / f"{name}.png")
     return 0
 
 
 if __name__ == "__main__":
-    sys.exit(draw())
+    sys.exit(draw(sys.argv[1] if len(sys.argv) > 1 else ""))

@@ -46,8 +46,13 @@ def tracked() -> list[str]:
     ]
 
 
-def build(directory: Path) -> tuple[Path, Path]:
-    """Return a new source distribution and a new wheel made from it."""
+def build(directory: Path, kernels: Path | None = None) -> tuple[Path, Path]:
+    """Return a new source distribution and a new wheel made from it.
+
+    Args:
+        directory: where they are put.
+        kernels: folder of a library of these sources, which the wheel then holds; None: it is built for it.
+    """
     directory.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as name:
         source = Path(name) / "source"
@@ -56,6 +61,9 @@ def build(directory: Path) -> tuple[Path, Path]:
             shutil.copy2(ROOT / file, source / file)
         sdist = directory / _backend("build_sdist", source, directory)
         unpacked = unpack(sdist, Path(name))
+        if kernels is not None:
+            for made in (OUTPUT, HEADER):
+                shutil.copy2(kernels / made, unpacked / "impact_rig" / "kernels")
         return sdist, directory / _backend("build_wheel", unpacked, directory)
 
 

@@ -106,19 +106,27 @@ class Calibration:
     output_noise: Real
     converter_step: Real  # of the converter [unit]; converter_noise: rms ahead of it
     converter_noise: Real
+    present: NDArray[np.bool_] = attrs.field(factory=lambda: np.ones(len(CHANNELS), np.bool_), kw_only=True)  # measured
 
     @classmethod
     def from_info(cls, rows: NDArray[np.void]) -> Calibration:
         """Return the calibration in the rows of a `daq/info` table, in any order.
 
         Raises:
-            ConfigError: a channel is missing or twice there, the rates differ or are no positive whole number, a range
-                is empty, a lag order is unknown, or a figure is beyond all measure.
+            ConfigError: no channel is there or one of them twice, the rates differ or are no positive whole number, a
+                range is empty, a lag order is unknown, or a figure is beyond all measure.
         """
         names = [bytes(name).decode(errors="replace") for name in rows["name"]]
-        if any(names.count(channel) != 1 for channel in CHANNELS):
-            raise ConfigError(f"daq/info must have one row for each of {', '.join(CHANNELS)}, got {', '.join(names)}")
-        ordered = rows[[names.index(channel) for channel in CHANNELS]]
+        counts = np.array([names.count(channel) for channel in CHANNELS])
+        if counts.max() != 1:
+            raise ConfigError(
+                f"daq/info must have one row for each of {', '.join(CHANNELS)} that is measured, got {', '.join(names)}"
+            )
+        present = counts == 1
+        measured = [names.index(channel) for channel in CHANNELS if channel in names]
+        ordered = np.zeros(len(CHANNELS), rows.dtype)
+        ordered["rate"], ordered["range_low"], ordered["range_high"] = rows["rate"][measured[0]], -math.inf, math.inf
+        ordered[present] = rows[measured]
         rate = float(ordered["rate"][0])
         if not (np.all(ordered["rate"] == rate) and 0 < rate <= MOST_HZ and rate == round(rate)):
             raise ConfigError(
@@ -138,7 +146,8 @@ class Calibration:
             sizes = np.abs(values)
             if np.any((sizes > LARGEST) & np.isfinite(sizes)):
                 raise ConfigError(f"daq/info: {name} must be infinite or at most {LARGEST:g}, got {values.tolist()}")
-        return cls(round(rate), *(_finite(known[name]) for name in COLUMNS))
+        figures = [_finite(known[name]) for name in COLUMNS]
+        return cls(round(rate), *figures, present=present)
 
     def response(self, channel: int, frequency_hz: Real | float) -> Complex:
         """Return L(ω)·e^{iω·skew} of a channel: measured over true phasor, shape of `frequency_hz`."""

@@ -31,7 +31,7 @@ from scipy import fft
 
 from impact_rig.analysis.calibration import Calibration, Complex, Real
 from impact_rig.analysis.impacts import ImpactDetector
-from impact_rig.analysis.scans import LASER, status_of
+from impact_rig.analysis.scans import LASER, samples_of, status_of
 from impact_rig.analysis.sine import least_squares, noise_density
 from impact_rig.analysis.words import Status
 
@@ -93,7 +93,7 @@ def measure_decay(
     if clipped or np.any(status_of(rows) & (1 << LASER)):
         return Decay(status=Status.OVER_RANGE)
     found = (method or fit_decay)(y, calibration.rate_hz, u_clock)
-    if len(ImpactDetector(calibration).feed(np.ascontiguousarray(rows["accelerometer"], dtype=np.float64))):
+    if len(ImpactDetector(calibration).feed(samples_of(rows, "accelerometer"))):
         return Decay(status=Status.IMPACTS)
     if found.status is not Status.OK:
         return found

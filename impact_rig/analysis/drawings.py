@@ -54,20 +54,19 @@ def transmissibility_curves(curves: Mapping[str, NDArray[np.void]]) -> Figure:
     return figure
 
 
+TRACES = (("base", 1e3, "$x_b$ (mm)"), ("laser", 1e3, "$x_1$ (mm)"), ("accelerometer", 1.0, "$a_1$ (m/s²)"))
+"""What is drawn of scans, as far as it was measured: channel, factor, label."""
+
+
 @styled
 def time_traces(rows: NDArray[np.void], impact_times: Real | None = None, remark: str = "") -> Figure:
     """Draw base, superior base and acceleration over time; impacts are marked above the axes, where no pulse is hidden.
 
     `impact_times` are on the time of the scans [s], shape (k,); `remark` is written above the acceleration.
     """
-    figure, axes = _axes(3)
-    for axis, name, factor, label in zip(
-        axes,
-        ("base", "laser", "accelerometer"),
-        (1e3, 1e3, 1.0),
-        ("$x_b$ (mm)", "$x_1$ (mm)", "$a_1$ (m/s²)"),
-        strict=True,
-    ):
+    shown = [one for one in TRACES if one[0] in (rows.dtype.names or ())] or [("current", 1.0, "current (A)")]
+    figure, axes = _axes(len(shown))
+    for axis, (name, factor, label) in zip(axes, shown, strict=True):
         axis.plot(rows["time"], factor * rows[name], linewidth=0.8)
         axis.set_ylabel(label)
         if impact_times is not None:

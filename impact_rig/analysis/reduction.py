@@ -96,6 +96,55 @@ def _steps(rows: NDArray[np.void]) -> float:
 
 
 @attrs.frozen
+class Damper:
+    """What a damper does to the structure at one frequency, as a share of the structure's mass m_1.
+
+    Attributes:
+        added_mass: force in phase with the displacement over ω² m_1 X_1: the mass that it seems to add.
+        loss_factor: energy lost per cycle over 2π · ½ m_1 ω² X_1².
+        u_added_mass, u_loss_factor: standard uncertainties.
+    """
+
+    added_mass: float
+    loss_factor: float
+    u_added_mass: float
+    u_loss_factor: float
+
+
+def damper(without: NDArray[np.void], rows: NDArray[np.void], calibration: Calibration) -> Damper:
+    """Return what DT with and without the damper tells of it, at one frequency and without any constant of the rig.
+
+    The structure obeys m_1 ω² (K/ω² (1 − 1/D) − 1) X_1 = F, D = X_1/X_b complex, with K its complex stiffness over m_1.
+    Without the damper F = 0, which is K/ω² = 1 / (1 − 1/D_0). So
+
+        F / (m_1 ω² X_1) = (1/D_0 − 1/D) / (1 − 1/D_0) = added mass − i · loss factor
+
+    The error of a sensitivity is one factor on D and D_0; what repeats not is each one's own.
+
+    Args:
+        without: settled rows of `transmissibility/table` without the damper, shape (n,), n >= 1.
+        rows: those with it, at the same frequency, shape (k,), k >= 1.
+        calibration: of these instruments.
+    """
+    d_0, d = (complex(np.mean(one["transmissibility"] * np.exp(1j * one["phase"]))) for one in (without, rows))
+    a, b = 1.0 / d, 1.0 / d_0
+    z = (b - a) / (1.0 - b)
+    slopes = (-b * (1.0 - a) / (1.0 - b) ** 2, a / (1.0 - b))  # by ln D_0 and ln D
+    variance = np.zeros(2)
+    for slope, one in zip(slopes, (without, rows), strict=True):
+        for part, u in ((slope, repeatability(one, calibration)), (1j * slope, _phase_u(one))):
+            variance += (u * np.array([part.real, part.imag])) ** 2
+    gain = sum(slopes)
+    common = math.hypot(*(float(calibration.gain_uncertainty[channel]) for channel, _ in AMPLITUDES))
+    variance += (common * np.array([gain.real, gain.imag])) ** 2
+    return Damper(z.real, -z.imag, math.sqrt(variance[0]), math.sqrt(variance[1]))
+
+
+def _phase_u(rows: NDArray[np.void]) -> float:
+    return math.sqrt(float(np.sum(rows["phase_uncertainty"] ** 2))) / len(rows)
+
+
+@attrs.frozen
 class Contribution:
     """One line of the budget."""
 

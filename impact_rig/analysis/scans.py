@@ -2,7 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Scans as the analysis takes them: the channels it needs, blocks of any length made one stream, and the last seconds.
 
-A run may have more channels than these, in any order.
+A run may have more channels than these, in any order. A measurement of somebody's own rig may lack some: neither
+`daq/info` nor `daq/scan` has them then. Transmissibility needs `laser` and `base`; without `accelerometer` no impacts
+are counted, without `current` it has no amplitude.
 """
 
 from __future__ import annotations
@@ -24,7 +26,7 @@ CHANNELS = ("accelerometer", "laser", "base", "current")
 ACCELEROMETER, LASER, BASE, CURRENT = range(len(CHANNELS))
 _TIME, _STATUS = topics.SCAN.fields
 SCAN = row_type((_TIME, *(Column(name, "SI", "") for name in CHANNELS), _STATUS))
-"""What a row of `daq/scan` must at least have."""
+"""A row of `daq/scan` with every one of them."""
 _FRAME = (_TIME.name, _STATUS.name)
 
 
@@ -36,8 +38,15 @@ def status_of(rows: NDArray[np.void]) -> NDArray[np.uint8]:
         return status
     ours = np.zeros(len(rows), np.uint8)
     for bit, name in enumerate(CHANNELS):
-        ours |= (status >> found.index(name) & 1) << bit
+        if name in found:
+            ours |= (status >> found.index(name) & 1) << bit
     return ours
+
+
+def samples_of(rows: NDArray[np.void], name: str) -> NDArray[np.float64]:
+    """Return a channel of scans, shape (n,): zeros where it was not measured."""
+    present = name in (rows.dtype.names or ())
+    return np.array(rows[name], dtype=np.float64) if present else np.zeros(len(rows))
 
 
 def need_columns(table: Table, wanted: np.dtype[np.void], topic: str, later: Collection[str] = ()) -> None:
@@ -100,8 +109,9 @@ class ScanBuffer:
         if used + new > len(self.status):
             self._make_room(keep, new)
             used = self.end - self.first
+        measured = rows.dtype.names or ()
         for j, name in enumerate(CHANNELS):
-            self.samples[j, used : used + new] = rows[name]
+            self.samples[j, used : used + new] = rows[name] if name in measured else 0.0
         self.status[used : used + new] = status_of(rows)
         self.end += new
 

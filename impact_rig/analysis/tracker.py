@@ -20,11 +20,11 @@ from numpy.typing import NDArray
 from impact_rig import topics
 from impact_rig.analysis.calibration import STEPS, Calibration
 from impact_rig.analysis.cycles import Accumulator, Cycles, usable_harmonics
-from impact_rig.analysis.impacts import MIN_RATE_HZ, NO_IMPACTS, ImpactDetector, counted, impact_tables
-from impact_rig.analysis.scans import SCAN, ScanBuffer, first_scan_at, need_columns, scan_index
+from impact_rig.analysis.impacts import NO_IMPACTS, ImpactDetector, counted, impact_tables
+from impact_rig.analysis.scans import CHANNELS, SCAN, ScanBuffer, first_scan_at, need_columns, scan_index
 from impact_rig.analysis.settings import GapLabel, ImpactSettings, TrackerSettings
 from impact_rig.analysis.settling import Judge, Progress, Quiet, window_cycles
-from impact_rig.analysis.transmissibility import Measurement, measurement_table
+from impact_rig.analysis.transmissibility import Measurement, counts_impacts, measurement_table
 from impact_rig.analysis.words import MEASURED, SETTLED, Status
 from impact_rig.blocks import APPLIED, DAQ_INFO, Table
 from impact_rig.errors import ConfigError
@@ -121,7 +121,7 @@ class Tracker:
         Another scan 0 is a reset of the rig: from its first block on everything is measured as in a new record.
 
         Raises:
-            ConfigError: the table does not describe the four channels.
+            ConfigError: the table describes none of the four channels, or one twice.
         """
         need_columns(info, DAQ_INFO, topics.INFO.name, later=STEPS)
         calibration = Calibration.from_info(info.rows)
@@ -167,7 +167,8 @@ class Tracker:
         Raises:
             ConfigError: the table is no such table.
         """
-        need_columns(scan, SCAN, topics.SCAN.name)
+        absent = () if self._calibration is None else np.array(CHANNELS)[~self._calibration.present].tolist()
+        need_columns(scan, SCAN, topics.SCAN.name, later=absent)
         rows = scan.rows
         if self._calibration is None:
             self.counters.unconfigured_scans += len(rows)
@@ -378,7 +379,7 @@ class Tracker:
         """
         assert self._calibration is not None
         never = math.isnan(self._struck)
-        if self._gap_m == 0.0 or (never and math.isnan(self._gap_m)) or self._calibration.rate_hz < MIN_RATE_HZ:
+        if self._gap_m == 0.0 or (never and math.isnan(self._gap_m)) or not counts_impacts(self._calibration):
             return Quiet()
         since = (scan + 1 - (self._placed if never else self._struck)) / self._calibration.rate_hz
         unknown = math.isnan(self._gap_m)
@@ -395,7 +396,7 @@ class Tracker:
     def _counted(self, window: Cycles, accumulator: Accumulator) -> Cycles:
         """Return the window with its impacts counted per cycle; impacts after it are kept."""
         assert self._calibration is not None
-        if self._calibration.rate_hz < MIN_RATE_HZ:
+        if not counts_impacts(self._calibration):
             return window
         impacts = np.concatenate([NO_IMPACTS, *self._impacts_ahead])
         later = int(np.searchsorted(impacts["scan"], window.first[-1] + window.samples[-1]))

@@ -28,7 +28,7 @@ from impact_rig.analysis.calibration import Calibration, Complex, Real
 from impact_rig.analysis.cycles import RANGE_BIT, Accumulator, Cycles, distinct_phases, usable_harmonics
 from impact_rig.analysis.health import REFERENCE_FACTOR, Amplitudes, Verdict
 from impact_rig.analysis.impacts import MIN_RATE_HZ, ImpactDetector, counted
-from impact_rig.analysis.scans import ACCELEROMETER, BASE, CHANNELS, CURRENT, LASER, status_of
+from impact_rig.analysis.scans import ACCELEROMETER, BASE, CHANNELS, CURRENT, LASER, samples_of, status_of
 from impact_rig.analysis.settings import TrackerSettings
 from impact_rig.analysis.spread import batch_variance, by_class_removed, classify, student_factor, variance_of_mean
 from impact_rig.analysis.words import MEASURED, SETTLED, Method, Regime, Status
@@ -70,6 +70,11 @@ class Measurement:
     amplitudes: Amplitudes | None = None
 
 
+def counts_impacts(calibration: Calibration) -> bool:
+    """Return whether impacts can be counted: there is an accelerometer, at `MIN_RATE_HZ` at least."""
+    return calibration.rate_hz >= MIN_RATE_HZ and bool(calibration.present[ACCELEROMETER])
+
+
 def measure_record(
     rows: NDArray[np.void], info: NDArray[np.void], frequency_hz: float, settings: TrackerSettings | None = None
 ) -> Measurement:
@@ -82,13 +87,13 @@ def measure_record(
     harmonics = usable_harmonics(calibration.rate_hz, frequency_hz, settings.harmonics)
     if not harmonics:
         return Measurement(status=Status.NO_FREQUENCY, frequency_hz=frequency_hz)
-    samples = np.stack([np.asarray(rows[name], dtype=np.float64) for name in CHANNELS])
+    samples = np.stack([samples_of(rows, name) for name in CHANNELS])
     accumulator = Accumulator(calibration.rate_hz, frequency_hz, harmonics, 0, calibration.low, calibration.high)
     accumulator.add(samples, np.ascontiguousarray(status_of(rows)), 0, len(rows))
     if accumulator.pending_cycles < MIN_CYCLES:
         return Measurement(status=Status.TOO_FEW_CYCLES, frequency_hz=frequency_hz)
     cycles = accumulator.take(accumulator.pending_cycles)
-    if calibration.rate_hz >= MIN_RATE_HZ:
+    if counts_impacts(calibration):
         impacts = ImpactDetector(calibration).feed(samples[ACCELEROMETER])
         cycles = counted(cycles, impacts, 0, accumulator.period)
     return measure(cycles, calibration, frequency_hz, settings)
@@ -165,7 +170,9 @@ def measure(
         return refuse(Verdict(Status.BELOW_RESOLUTION if small else Status.TOO_UNCERTAIN, most.channel), most.what)
     phase = float(np.angle(ratio))
     sizes = health.amplitudes(true, noise, cycles, calibration, frequency_hz)
-    wrong = health.misplaced(sizes, u_amplitude, phase, u_phase) or health.contradiction(sizes, before)
+    wrong = health.misplaced(sizes, u_amplitude, phase, u_phase)
+    if not wrong and calibration.present[ACCELEROMETER]:
+        wrong = health.contradiction(sizes, before)
     if wrong and wrong.status not in MEASURED:
         return refuse(wrong)
     overtones = true[LASER][:, 1:].mean(axis=0)
@@ -180,7 +187,7 @@ def measure(
         u_phase_rad=u_phase,
         laser_m=abs(mean1),
         base_m=abs(mean_b),
-        current_a=abs(complex(true[CURRENT][:, 0].mean())),
+        current_a=abs(complex(true[CURRENT][:, 0].mean())) if calibration.present[CURRENT] else NAN,
         thd=float(np.sqrt(np.sum(np.abs(overtones) ** 2))) / abs(mean1),
         impacts_per_cycle=NAN if wrong else float(cycles.impacts.mean()),
         cycles=len(cycles),

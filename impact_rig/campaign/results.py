@@ -183,6 +183,10 @@ class Curves:
         """Return a point, or None if there is none."""
         return self.by_gap.get(gap_m, {}).get(frequency_hz)
 
+    def frequencies(self, gap_m: float) -> list[float]:
+        """Return the frequencies of one gap, ascending."""
+        return sorted(self.by_gap.get(gap_m, {}))
+
     def gaps(self) -> list[float]:
         """Return all gaps with a sphere, ascending."""
         return sorted(gap for gap in self.by_gap if gap != NO_SPHERE)

@@ -10,6 +10,7 @@
 | `points/` | one file per job, and its trace |
 | `points.csv` | every point of every study |
 | `summary.json` | figures for programs |
+| `calibration.json` | `daq/info` of the instruments, where the points were imported and not measured on this rig |
 """
 
 from __future__ import annotations
@@ -24,9 +25,12 @@ from importlib import metadata
 from pathlib import Path
 
 import attrs
+import numpy as np
+from numpy.typing import NDArray
 
 from impact_rig.analysis.calibration import Calibration
 from impact_rig.arithmetic import ARITHMETIC
+from impact_rig.blocks import DAQ_INFO
 from impact_rig.campaign import statements
 from impact_rig.campaign.axes import NO_SPHERE
 from impact_rig.campaign.job import Job, Outcome
@@ -41,7 +45,8 @@ from impact_rig.rig.config import dump, load
 from impact_rig.system import files
 
 CAMPAIGN_FILE, CONFIGURATION_FILE, PROVENANCE_FILE = "campaign.yaml", "configuration.yaml", "provenance.json"
-CSV_FILE = "points.csv"
+CSV_FILE, CALIBRATION_FILE = "points.csv", "calibration.json"
+MAX_CALIBRATION_BYTES = 100_000
 LIBRARIES = ("numpy", "scipy", "numba", "llvmlite", "attrs", "matplotlib")
 
 Runner = Callable[[Sequence[Job]], Generator[tuple[Job, Outcome], None, None]]
@@ -80,9 +85,33 @@ class Finished:
         return Reductions.of({gap: point.rows for gap, point in found.items() if point}, self.calibration)
 
     @property
+    def imported(self) -> bool:
+        """Whether the points are measurements of somebody's own rig."""
+        return (self.directory / CALIBRATION_FILE).exists()
+
+    @property
+    def info(self) -> NDArray[np.void]:
+        """Rows of `daq/info`: of the instruments that the points were imported with, else of the reference rig.
+
+        Raises:
+            RecordingError: the file that holds them is damaged.
+        """
+        path = self.directory / CALIBRATION_FILE
+        if not path.exists():
+            return Chain(self.campaign.planned()[0].job.config()).info()
+        try:
+            rows = json.loads(files.read_bytes(path, MAX_CALIBRATION_BYTES))
+            names = DAQ_INFO.names or ()
+            found: NDArray[np.void] = np.array([tuple(row[name] for name in names) for row in rows], DAQ_INFO)
+            Calibration.from_info(found)
+        except (OSError, ValueError, TypeError, KeyError, RecursionError, OverflowError) as error:
+            raise RecordingError(f"{path} is no calibration: {' '.join(str(error).split())[:200]}") from error
+        return found
+
+    @property
     def calibration(self) -> Calibration:
-        """What the certificate of the reference rig says."""
-        return Calibration.from_info(Chain(self.campaign.planned()[0].job.config()).info())
+        """What the certificate of the instruments says."""
+        return Calibration.from_info(self.info)
 
     def failed(self) -> list[Point]:
         """Return the points without a settled measurement."""

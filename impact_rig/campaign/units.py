@@ -65,13 +65,13 @@ class Store(Generic[U]):
         directory: of the study.
         what: word for the study; names its file.
         folder: name of the folder that holds the units.
-        room: of the package: besides `DECIDING`, whose code decides the numbers.
+        rooms: of the package: besides `DECIDING`, whose code decides the numbers.
     """
 
     directory: Path
     what: str
     folder: str
-    room: str
+    rooms: tuple[str, ...]
 
     @property
     def file(self) -> Path:
@@ -107,7 +107,7 @@ class Store(Generic[U]):
 
     def code(self) -> str:
         """Return what decides the numbers: results of other code are measured anew."""
-        return fingerprint((*DECIDING, self.room))
+        return fingerprint((*DECIDING, *self.rooms))
 
     def measure(self, units: Sequence[U], runner: Runner[U]) -> Generator[tuple[U, Sequence[Row]], None, None]:
         """Yield every unit with its rows as soon as they are stored: those stored already first.

@@ -18,10 +18,9 @@ from impact_rig.campaign.paper import CURRENT_A, FREQUENCIES_HZ, FREQUENCY_HZ, R
 from impact_rig.cli.terminal import Console, TextTable, add_json, subcommand, tell_json, tell_program
 from impact_rig.errors import ConfigError, ImpactRigError
 from impact_rig.recording import open_run
-from impact_rig.rig import Rig
 from impact_rig.rig.config import RigConfig, dump, load
 from impact_rig.studies.identification import paper_fit
-from impact_rig.studies.identification.fit import NAMES, UNITS, Identified, Information, identify
+from impact_rig.studies.identification.fit import NAMES, START, UNITS, Identified, Information, identify, logarithms
 from impact_rig.studies.identification.measurements import (
     U_RESTITUTION,
     Gains,
@@ -85,7 +84,9 @@ def _run(arguments: argparse.Namespace) -> int:
         raise ConfigError(f"--e-uncertainty must be >= 0 and <= 1, got {arguments.e_uncertainty!r}")
     done = run.open_finished(arguments.directory)
     measured = _measured(done, arguments, console)
-    found = identify(measured, done.campaign.base, on_step=lambda what: console.print(f"{what} ..."))
+    base = done.campaign.base
+    start = logarithms(base) if done.imported else START
+    found = identify(measured, base, start, lambda what: console.print(f"{what} ..."))
     _print(console, found)
     content = _content(found)
     _write(arguments.directory, found, content)
@@ -99,15 +100,16 @@ def _run(arguments: argparse.Namespace) -> int:
 def _measured(done: run.Finished, arguments: argparse.Namespace, console: Console) -> Measured:
     """Gather what there is, and say what it is."""
     base, curves = done.campaign.base, done.curves
-    gains = Gains.of(Rig(base).info().rows)
+    gains = Gains.of(done.info)
     decay = sine = reduced = None
     method = log_decrement if arguments.decrement else fit_decay
     if "decay" not in arguments.without:
         if arguments.decay is None:
-            decay = measured_decay(base, method)
+            decay = None if done.imported else measured_decay(base, method)
         else:
             with open_run(arguments.decay) as recorded:
                 decay = recorded_decay(recorded, method)
+    if decay is not None:
         if decay.status is not Status.OK:
             why = REASONS.get(decay.status, decay.status.value)
             raise ImpactRigError(f"the free decay cannot be measured: {why}")
@@ -116,12 +118,18 @@ def _measured(done: run.Finished, arguments: argparse.Namespace, console: Consol
             f"ζ {decay.damping_ratio:.6f} ± {2 * decay.u_damping_ratio:.6f} (2u)"
         )
     if "sine" not in arguments.without:
-        points = [point for f in FREQUENCIES_HZ if (point := curves.at(NO_SPHERE, f)) is not None]
+        frequencies = curves.frequencies(NO_SPHERE) if done.imported else FREQUENCIES_HZ
+        points = [point for f in frequencies if (point := curves.at(NO_SPHERE, f)) is not None]
         sine = sine_of(points, gains) if points else None
         console.print(f"stepped sine without sphere: {len(points)} points")
     if "reductions" not in arguments.without:
-        reduced = reduced_of(curves, FREQUENCY_HZ, tuple(REDUCTION_PERCENT), gains)
-        console.print(f"reductions at {FREQUENCY_HZ:g} Hz: {len(reduced.ratio) if reduced else 0} gaps")
+        at_hz, gaps = FREQUENCY_HZ, tuple(REDUCTION_PERCENT)
+        if done.imported:  # where most gaps were measured beside the curve without sphere
+            gaps = tuple(curves.gaps())
+            counts = {f: sum(curves.at(g, f) is not None for g in gaps) for f in curves.frequencies(NO_SPHERE)}
+            at_hz = max(counts, key=lambda f: counts[f], default=FREQUENCY_HZ)
+        reduced = reduced_of(curves, at_hz, gaps, gains)
+        console.print(f"reductions at {at_hz:g} Hz: {len(reduced.ratio) if reduced else 0} gaps")
     return Measured(
         gains=gains, decay=decay, sine=sine, reduced=reduced, u_restitution=arguments.e_uncertainty
     )  # fmt: skip

@@ -20,11 +20,14 @@ if TYPE_CHECKING:
 EXIT_ERROR = 1
 PROGRAM = "impact-rig"
 COMMANDS = (
-    "lab", "demo", "campaign", "map", "loop", "report", "identify",
-    "info", "analyze", "verify", "replay", "recover", "export", "check",
+    "lab", "demo", "campaign", "map", "dynamics", "loop", "report", "identify",
+    "info", "analyze", "verify", "replay", "recover", "import", "export", "check",
 )  # fmt: skip
 """Subcommands in the order of the help."""
-HOMES = {name: f"recorded:add_{name}" for name in ("info", "verify", "recover")}
+HOMES = {
+    **{name: f"recorded:add_{name}" for name in ("info", "verify", "recover")},
+    "import": "measurement:add_import",
+}
 """Module and function that register a command; those of all others are its name and `add_command`."""
 
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import attrs
 
-from impact_rig.config.fields import Origin, choice, quantity, switch
+from impact_rig.config.fields import Origin, choice, integer, quantity, switch
 
 FASTEST_HZ = 1e4
 """Far beyond any motion of this rig; at a hundred megahertz a tick would take minutes to simulate."""
@@ -88,7 +88,7 @@ class Drive:
         ("current", "prescribed", "voltage"),
         "Constant-current shaker, prescribed base motion (paper's Eq. 3) or constant-voltage shaker.",
     )
-    waveform: str = choice("sine", ("sine", "chirp", "random"), "Shape of the drive signal.")
+    waveform: str = choice("sine", ("sine", "chirp", "random", "stream"), "Shape of the drive signal.")
     frequency_hz: float = quantity(
         9.1, "Hz", "Frequency before the first command.", Origin.PAPER, at_least=SLOWEST_HZ, at_most=FASTEST_HZ
     )
@@ -107,6 +107,23 @@ class Drive:
     )
     random_high_hz: float = quantity(
         20.0, "Hz", "Upper edge of the random band.", at_least=SLOWEST_NOISE_HZ, at_most=FASTEST_HZ
+    )
+    stream_rate_hz: int = integer(10_000, "Hz", "Samples per second of a stream.", at_least=1, at_most=50_000)
+    stream_hold: str = choice(
+        "first_order",
+        ("first_order", "zero_order"),
+        "Between the samples of a stream: a straight line, or the sample before.",
+    )
+    stream_buffer_s: float = quantity(
+        2.0, "s", "How far ahead samples of a stream are taken.", at_least=0.02, at_most=60
+    )
+    stream_wait: bool = switch(
+        True, "In freewheel and stepped the rig goes no further than it has samples of a stream."
+    )
+    on_underrun: str = choice(
+        "ramp",
+        ("ramp", "hold", "trip"),
+        "Where samples of a stream are missing: to zero within shaker.ramp_s, the last one stays, or the shaker trips.",
     )
 
 

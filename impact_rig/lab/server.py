@@ -380,7 +380,11 @@ class Server:
         listener.close()
         for socket in list(self._sockets):
             await socket.close(code=1001, message=b"the lab has ended")
+        transports = [one.transport for one, _ in self._connections if one.transport is not None]
         await runner.cleanup()
+        for transport in transports:  # one that still has to send would outlive the loop
+            transport.abort()
+        await asyncio.sleep(0)
 
     def _connect(self, runner: web.AppRunner) -> asyncio.Protocol:
         """Return who talks to a new connection: nobody where there are too many."""

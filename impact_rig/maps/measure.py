@@ -20,7 +20,7 @@ from impact_rig.analysis.spread import Behaviour, classify
 from impact_rig.analysis.words import Regime
 from impact_rig.config.fields import integer, quantity
 from impact_rig.errors import SimulationError
-from impact_rig.physics import SEGMENT, Simulation
+from impact_rig.physics import SEGMENT, Motion, Simulation
 from impact_rig.physics.prediction import transmissibility
 from impact_rig.rig.config import RigConfig
 
@@ -114,7 +114,7 @@ class MapRig:
     def __init__(self, config: RigConfig, settings: Settings) -> None:
         self._settings = settings
         self._config = config
-        self._simulation = Simulation(config)
+        self.simulation = Simulation(config)
         self._amplitude = 0.0
         self._sphere = 0.0, 0.0
         """Place and velocity of the sphere at the end of the newest cycle [m, m/s]."""
@@ -122,8 +122,19 @@ class MapRig:
     def change(self, config: RigConfig) -> None:
         """Go on with another configuration: the structure keeps its motion, the sphere begins at its start again."""
         if config is not self._config:
-            self._simulation.configure(config)
+            self.simulation.configure(config)
             self._config = config
+
+    def carry(self, config: RigConfig) -> None:
+        """Go on with another configuration: all keeps its motion, the sphere stays between the new walls."""
+        if config is self._config:
+            return
+        state = self.simulation.state()
+        self.change(config)
+        if state is not None:  # in a contact: it begins at its start
+            half = config.barriers.gap_m / 2.0
+            state[-2] = min(max(state[-2], -half), half)
+            self.simulation.set_state(state)
 
     def reset(self, sphere: tuple[float, float] | None = None) -> None:
         """Put everything to rest, the sphere at its start.
@@ -131,10 +142,10 @@ class MapRig:
         Args:
             sphere: instead, where it is, from the middle between the walls [m], and its speed to the right [m/s].
         """
-        self._simulation.reset()
+        self.simulation.reset()
         if sphere is not None:
             place, speed = sphere
-            self._simulation.place(d=place, d_rate=speed)
+            self.simulation.place(d=place, d_rate=speed)
         self._amplitude = 0.0
 
     def measure(self, frequency_hz: float, amplitude: float) -> Reading:
@@ -184,16 +195,20 @@ class MapRig:
         reach = self._config.barriers.gap_m / 2.0 - float(np.abs(record.superior[-CHUNK:]).max())
         return bool(abs(place + velocity * NEAR_S) > reach > 0.0) and abs(velocity) > 0.0
 
-    def _run(self, frequency_hz: float, amplitude: float, cycles: int) -> _Record:
-        """Advance by whole cycles."""
-        simulation, period = self._simulation, 1.0 / frequency_hz
+    def advance(self, frequency_hz: float, amplitude: float, cycles: int) -> Motion:
+        """Return the motion of the next whole cycles, one drive segment each; the first ramps to a new amplitude."""
+        period = 1.0 / frequency_hz
         segments = np.zeros(cycles, SEGMENT)
         segments["duration"], segments["omega"] = period, 2.0 * np.pi * frequency_hz
         segments["amplitude"] = amplitude
         segments[0]["amplitude"] = self._amplitude  # a ramp of one cycle to what is new
         segments[0]["slope"] = (amplitude - self._amplitude) / period
         self._amplitude = amplitude
-        motion = simulation.advance(segments)
+        return self.simulation.advance(segments)
+
+    def _run(self, frequency_hz: float, amplitude: float, cycles: int) -> _Record:
+        """Advance by whole cycles."""
+        motion, period = self.advance(frequency_hz, amplitude, cycles), 1.0 / frequency_hz
         number = np.repeat(np.arange(motion.first_segment, motion.last_segment + 1), PER_CYCLE)
         offset = np.tile(_ANGLE / (2.0 * np.pi) * period, cycles)
         x_b, x_1 = motion.quantities(("x_b", "x_1"), number, offset).reshape(2, cycles, PER_CYCLE)

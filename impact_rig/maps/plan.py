@@ -266,26 +266,27 @@ def _read(top: Mapping[str, object], path: Path, text: str, resolved: RigConfig 
         raise ConfigError(f"starts and an axis {POSITION} or {SPEED} exclude each other")
     return MapPlan(
         title=str(top.get("title", path.stem)),
-        base=resolved or _base(top, path.parent),
+        base=resolved or base(top, path.parent),
         axes=given,
         direction=direction,
         starts=tuple(axes.word("starts", start, STARTS) for start in starts),
         sweep=sweep,
         frequency_hz=axes.number(FREQUENCY, top.get(FREQUENCY, FREQUENCY_HZ), 0.0, 1e4),
         current_a=axes.number(CURRENT, top.get(CURRENT, CURRENT_A), 0.0),
-        settings=_settings(top.get("measure")),
+        settings=settings_of(top.get("measure")),
         search=_search(top.get("optimum")),
         text=text,
     )
 
 
-def _base(top: Mapping[str, object], folder: Path) -> RigConfig:
+def base(top: Mapping[str, object], folder: Path) -> RigConfig:
+    """Return the rig that a file asks for by `config` and `set`."""
     file = top.get("config")
     if file is not None and not isinstance(file, str):
         raise axes.wrong("config", "the name of a file", file)
     changes = flatten(axes.mapping("set", top.get("set")))
     for name in changes:
-        _refuse_owned(f"set.{name}", name)
+        refuse_owned(f"set.{name}", name)
     return from_flat(load(folder / file) if file else RigConfig(), changes)
 
 
@@ -298,14 +299,15 @@ def _axes(given: Mapping[str, object]) -> dict[str, tuple[float, ...]]:
         raise axes.wrong("axes", "two or three", list(given))
     found = {}
     for name, value in plain.items():
-        _refuse_owned(f"axes.{name}", name)
+        refuse_owned(f"axes.{name}", name)
         found[name] = tuple(sorted(axes.numbers(f"axes.{name}", value, -math.inf)))
         if len(found[name]) < 2:
             raise axes.wrong(f"axes.{name}", "two values or more", value)
     return found
 
 
-def _settings(given: object) -> Settings:
+def settings_of(given: object) -> Settings:
+    """Return how a place is measured."""
     wanted = axes.mapping("measure", given)
     axes.check_keys("measure", wanted, [attribute.name for attribute in attrs.fields(Settings)])
     try:
@@ -320,7 +322,7 @@ def _search(given: object) -> Search | None:
     wanted = axes.mapping("optimum", given)
     axes.check_keys("optimum", wanted, ("over", "from", "to", "points"))
     over = str(wanted.get("over", GAP))
-    _refuse_owned("optimum.over", over)
+    refuse_owned("optimum.over", over)
     low = axes.number("optimum.from", wanted.get("from"), 0.0)
     return Search(
         over=over,
@@ -330,7 +332,8 @@ def _search(given: object) -> Search | None:
     )
 
 
-def _refuse_owned(key: str, name: str) -> None:
+def refuse_owned(key: str, name: str) -> None:
+    """Refuse the name of a value that is no parameter of the mechanics, or has a shorter one."""
     if name == "sphere.start" and key.startswith("axes."):
         raise ConfigError(f"{key}: use starts: [left, centre, right]")
     if name == "barriers.gap_m" and not key.startswith("set."):

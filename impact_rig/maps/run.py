@@ -49,7 +49,7 @@ class FinishedMap:
 
 def store(directory: Path) -> Store[Line]:
     """Return what keeps a map's lines in a directory."""
-    return Store(directory, "map", "lines", "maps")
+    return Store(directory, "map", "lines", ("maps",))
 
 
 def finished(plan: MapPlan, directory: Path) -> FinishedMap:

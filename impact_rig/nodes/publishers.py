@@ -262,6 +262,11 @@ class Publishers:
         """Whether anybody listens: what nobody hears is not even made."""
         return topic.name in self._listened_to
 
+    def stream(self, rig: Rig) -> None:
+        """Publish which sample is wanted next, where the drive is a stream."""
+        if rig.takes_samples:
+            self._publishers[topics.STREAM.name].publish(codec.encode(rig.stream_state()))
+
     def clock(self, now_ns: int) -> None:
         """Publish rig time; a rig that does not has no publisher either, since a clock must have only one."""
         if topics.CLOCK.name not in self._publishers:

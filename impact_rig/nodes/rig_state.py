@@ -16,6 +16,7 @@ import attrs
 from impact_rig import states, topics
 from impact_rig.nodes.managed import Health, Level, State, worst
 from impact_rig.nodes.session import Session
+from impact_rig.physics.stream import State as StreamState
 from impact_rig.rig import Rig
 from impact_rig.rig.config import RigConfig
 from impact_rig.simtime import NS_PER_S
@@ -24,6 +25,7 @@ SLOW_S = 1.0
 """A reader this much wall time behind is reported; with 100 blocks per second its queue holds ten times that."""
 CLOCK_STEP_S = 0.1
 """A step of the system clock by this much is reported; slewing moves both clocks alike."""
+_WITHOUT = {"ramp": "ramped to zero", "hold": "the last one is held", "trip": "ramped to zero"}
 MOST = 5
 """Faults that are told of at one look; of more only the number."""
 
@@ -45,6 +47,7 @@ class RigState:
         self._rig: Rig | None = None
         self._latched: str | None = None
         self._faults: dict[int, str] = {}
+        self._stream: StreamState | None = None
         self._silent: tuple[str, ...] = ()
         self._gone: set[str] = set()
 
@@ -61,7 +64,7 @@ class RigState:
             return found
         missing = () if session.readers.all_matched() else session.readers.missing()
         without = f"without peer {', '.join(missing)}" if missing else ""
-        return State(states.Rig.DRIVING if session.rig.amplitude else states.Rig.AT_REST, without)
+        return State(states.Rig.DRIVING if session.rig.is_driven else states.Rig.AT_REST, without)
 
     def health(self) -> Health:
         """Return mode, time, lateness, peers, shaker, over-ranges; or why the rig has not begun."""
@@ -105,6 +108,9 @@ class RigState:
             "subscribers": session.readers.subscribers,
             "other_acks": counts.other_acks,
         }
+        if rig.takes_samples:
+            row = rig.stream_state().rows[0]
+            values |= {f"stream.{name}": row[name] for name in row.dtype.names[1:]}
         late = pacer.lateness() if session.is_realtime else None
         if late is not None:
             values |= {
@@ -136,6 +142,10 @@ class RigState:
             why = f"peer {silent} silent for {timing.peer_timeout_s:g} s"
             go_on = f"paused: {why} (~/pause false goes on without)"
             yield Trouble(Level.ERROR, go_on, State(words.SILENT_PEER, why))
+        if session.is_starving:
+            why = f"{session.controllers()} sends no samples on {topics.WAVEFORM.name}"
+            go_on = f"paused: {why} (~/pause false goes on without)"
+            yield Trouble(Level.ERROR, go_on, State(words.SILENT_PEER, why))
         if rig.latched is not None:
             yield Trouble(Level.ERROR, f"shaker latched by {rig.latched}", State(words.TRIPPED, rig.latched))
         if session.paused:
@@ -144,6 +154,12 @@ class RigState:
             yield Trouble(Level.OK, "", State(words.PAUSED, "no step is asked for"))
         if missing and realtime:
             yield Trouble(Level.WARN, f"running without peer {missing}")
+        if rig.takes_samples:
+            who = session.controllers()
+            if " and " in who:
+                yield Trouble(Level.WARN, f"{who} all send samples: the last to come counts")
+            if rig.stream.state is StreamState.MISSING:
+                yield Trouble(Level.WARN, f"no samples of {who} in time: {_WITHOUT[rig.config.drive.on_underrun]}")
         if session.pacer.slips:
             yield Trouble(Level.WARN, "could not keep real time: see slips")
         if realtime:
@@ -178,6 +194,11 @@ class RigState:
                 self._info("latch released: the shaker takes commands again")
             else:
                 self._warn(f"tripped: shaker latched by {self._latched}, ~/clear_trip releases it")
+        state = rig.stream.state if rig.takes_samples else None
+        if state is not self._stream and StreamState.MISSING in (state, self._stream):
+            say = self._warn if state is StreamState.MISSING else self._info
+            say(f"{topics.WAVEFORM.name}: {state.value if state else 'the drive is another one'}")
+        self._stream = state
         self._look_at_faults(session.counts.faults)
         silent = window.silent()
         for name in set(silent).difference(self._silent):

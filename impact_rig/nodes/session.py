@@ -19,6 +19,7 @@ from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 
 from impact_rig import codec, states, topics
+from impact_rig.blocks import Table
 from impact_rig.errors import CodecError, CommandError
 from impact_rig.instruments.section import channels_of
 from impact_rig.nodes.acknowledgements import AckWindow, Readers
@@ -116,6 +117,7 @@ class Session:
         """Whether rig time stands still, but for steps that are asked for meanwhile."""
         self.clock_offset_ns = 0
         self._is_still = False  # altogether: since the pause no step has been asked for
+        self._starved_at: float | None = None  # since when a rig ahead of time waits for samples of a stream
         self._steps_left, self._stepped_at = 0, -IDLE_S  # blocks owed, and when a step was asked for
         self._stepping: list[Done] = []
         self._pausing: list[Done] = []
@@ -127,6 +129,7 @@ class Session:
             node.subscribe(topic, functools.partial(self._on_command, topic.name, key))
             for topic, key in ((topics.FREQUENCY, "frequency_hz"), (topics.CURRENT, "current_a"))
         ]
+        self._commands.append(node.subscribe_table(topics.WAVEFORM, self._on_waveform))
         node.subscribe(topics.ACK, self._on_ack, raw=True)
         node.service(Trigger, "~/step", self._on_step)
         node.service(SetBool, "~/pause", lambda request, done: self.pause(done) if request.data else self.resume(done))
@@ -153,6 +156,17 @@ class Session:
         """Whether no step is owed, and for a while nobody has asked for one."""
         return self._steps_left <= 0 and time.monotonic() - self._stepped_at > IDLE_S
 
+    @property
+    def is_starving(self) -> bool:
+        """Whether the rig has been waiting for samples of a stream for as long as it waits for a peer."""
+        patience_s = self.node.settings.time.peer_timeout_s
+        return self._starved_at is not None and time.monotonic() - self._starved_at > patience_s
+
+    def controllers(self) -> str:
+        """Return who could send samples of a stream, in words."""
+        found = self.node.get_publishers_info_by_topic(self.node.resolve_topic_name(topics.WAVEFORM.name))
+        return " and ".join(sorted({info.node_name for info in found})) or "nobody"
+
     # Begin and end
 
     def configure(self) -> None:
@@ -170,7 +184,7 @@ class Session:
             names = ", ".join(self.readers.missing())
             self.node.get_logger().info(f"scan 0 waits for {names}, at most {timing.start_wait_s:g} s")
         self._history_settled, self._active = False, True
-        self._steps_left, self.counts = 0, Counts()
+        self._steps_left, self.counts, self._starved_at = 0, Counts(), None
         self._timer.start(AHEAD_PERIOD_S, 0.0)
         if self.obstacle() is None:
             self._begin()
@@ -308,6 +322,10 @@ class Session:
             room = min(window.room(), limit, batch)
             if room < min(limit, batch, (window.window + 1) // 2):
                 break  # waiting for half a window makes batches worth their overhead
+            room = rig.blocks_with_samples(room)
+            if room == 0:
+                self._starved_at = self._starved_at or time.monotonic()
+                break
             published = self._advance(rig, rig.block_end_ns(room))
             if by_steps:
                 self._steps_left -= published
@@ -315,7 +333,9 @@ class Session:
             if time.monotonic() > deadline:
                 break
         silent = window.silent() if self._stepping else ()
-        if silent:
+        if self._stepping and self.is_starving:
+            self._end_steps(f"{self.controllers()} sends no samples on {topics.WAVEFORM.name}")
+        elif silent:
             self._end_steps(f"peer {', '.join(silent)} does not acknowledge")
         elif self._steps_left <= 0 and self._stepping and window.outstanding() == 0:
             _answer(self._stepping, True, f"at {rig.next_block_ns / NS_PER_S:.9f} s")
@@ -334,6 +354,9 @@ class Session:
             if not self.paused:
                 self.pacer.published(block.end_ns - self._base_ns)
             self.counts.take(block)
+        if blocks:
+            self._starved_at = None
+            self.publishers.stream(rig)
         if blocks and self.node.settings.time.publishes_clock:
             self.publishers.clock(blocks[-1].end_ns)
         return len(blocks)
@@ -359,12 +382,15 @@ class Session:
     def resume(self, done: Done) -> None:
         """Go on, without what a silent peer has missed."""
         rig = self.running()
-        if self.paused or self.window.silent():  # else it was running: nothing is given up
+        starving = self.is_starving
+        if self.paused or self.window.silent() or starving:  # else it was running: nothing is given up
             self.paused = self._is_still = False
             _answer(self._pausing, False, "told to go on")
             if not self.is_stepped:
                 self._end_steps("told to go on")
             self.window.forgive()
+            if starving:
+                rig.feed(rig.stream.played + rig.stream.buffered(), ())
             self.pacer.rebase(rig.next_block_ns - self._base_ns)
             self.start_timer()
             self.node.report_change()
@@ -427,6 +453,20 @@ class Session:
         if was_driven != (self.rig.amplitude != 0.0):
             self.node.report_change()
 
+    def _on_waveform(self, table: Table) -> None:
+        try:
+            rig = self.running()
+        except CommandError as error:
+            self.node.refuse("inactive", f"{topics.WAVEFORM.name}: {error}")
+            return
+        try:
+            rig.feed(rig.sample_at(table.stamp_ns), table.rows["value"])
+        finally:
+            if not self.is_realtime:  # in real time the next block says it
+                self.publishers.stream(rig)
+        if self._starved_at is not None:
+            self.work()
+
     def _on_ack(self, data: bytes) -> None:
         """Take an acknowledgement, which every reader may send in every mode; one of a peer makes room for work."""
         if not self._active:
@@ -475,6 +515,7 @@ class Session:
     def _publish_configuration(self, rig: Rig) -> None:
         """Publish the configuration in force, and the calibration if it is another."""
         self.publishers.configuration(rig)
+        self.publishers.stream(rig)
         self.realised_restitution = rig.simulation.realised_restitution
 
 

@@ -161,7 +161,7 @@ def _part(p, s, way, ledger):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _touch(p, s, side, segment, ledger):  # type: ignore[no-untyped-def]
+def _touch(p, s, side, ledger):  # type: ignore[no-untyped-def]
     """Begin a contact with the wall just reached: y becomes that of the pair.
 
     The energy that the least speed adds is a negative loss of the contact.
@@ -176,7 +176,7 @@ def _touch(p, s, side, segment, ledger):  # type: ignore[no-untyped-def]
     s.w, s.speed, s.deepest = 0.0, speed, 0.0
     s.per_v0 = 1.0 / max(speed, p.speed_floor)
     s.next_h, s.whole = 0.0, 0
-    s.approach, s.begin_segment, s.begin_t = speed, segment, s.t
+    s.approach = speed
     s.elapsed, s.peak_force, s.impulse, s.lost = 0.0, 0.0, 0.0, 0.0
 
 
@@ -325,7 +325,7 @@ def _contact_phase(model, f, work, t_end, account):  # type: ignore[no-untyped-d
 
 
 @kernel
-def _change_phase(model, f, work, segment, ended):  # type: ignore[no-untyped-def]
+def _change_phase(model, f, work, tick, ended):  # type: ignore[no-untyped-def]
     """Do what an event asks for, see the table above."""
     p, s, flight, ledger = model.parameters[0], work.states[0], work.flight[0], work.ledger[0]
     if ended == TIME:
@@ -335,13 +335,14 @@ def _change_phase(model, f, work, segment, ended):  # type: ignore[no-untyped-de
     elif s.phase == ATTACHED:
         _part(p, s, s.slide, ledger)
     elif ended == TOUCHED and not p.rigid:
-        _touch(p, s, s.side, segment, ledger)
+        s.begin_segment, s.begin_t = tick, f.begin + s.t
+        _touch(p, s, s.side, ledger)
     else:
         system = model.systems[LOOSE]
         evaluate(system, f, flight, s.t, 0)
         pull = (p.m_1 * flight.a - flight.friction_force) * p.per_m_pair  # acceleration of both, were they held
         if ended == TOUCHED:
-            s.begin_segment, s.begin_t = segment, s.t
+            s.begin_segment, s.begin_t = tick, f.begin + s.t
             _bounce(p, s, s.side, pull, rounding(p, system, flight, s.t), work)
         elif abs(pull) <= p.friction:
             s.y[V1] += p.share * s.d_rate
@@ -376,9 +377,9 @@ def _move_base(p, f, s, ledger):  # type: ignore[no-untyped-def]
     ledger.work += p.k_1 * (s.y[XB] - before) * (0.5 * (s.y[XB] + before) - x_1)
 
 
-@entry(MODEL, SEGMENT, int, int, WORKSPACE, bool, returns=(int, int))
-def run(model, segments, index, base, work, account):  # type: ignore[no-untyped-def]
-    """Advance the state through `segments[index:]`, numbered from `base`; return (how it ended, the segment it is in).
+@entry(MODEL, SEGMENT, INTEGERS, int, WORKSPACE, bool, returns=(int, int))
+def run(model, segments, ticks, index, work, account):  # type: ignore[no-untyped-def]
+    """Advance the state through `segments[index:]`, each of its tick; return (how it ended, the segment it is in).
 
     Flights are accounted for only if `account`, because it costs as much as flying.
     """
@@ -386,7 +387,7 @@ def run(model, segments, index, base, work, account):  # type: ignore[no-untyped
     work.flight[0].omega = -1.0
     while index < segments.shape[0]:
         row = segments[index]
-        f = Forcing(row.omega, row.phase, row.amplitude, row.slope)
+        f = Forcing(row.omega, row.phase, row.amplitude, row.slope, row.begin)
         t_end, fresh = row.duration, True
         if s.t == 0.0:
             work.first[index] = work.filled[0].knots
@@ -403,7 +404,7 @@ def run(model, segments, index, base, work, account):  # type: ignore[no-untyped
                 _ready(model, f, work, t_end, fresh)
                 fresh = False
                 ended = _flight_phase(model, f, work, t_end, account)
-            _change_phase(model, f, work, base + index, ended)
+            _change_phase(model, f, work, ticks[index], ended)
             if s.t >= t_end:
                 break
         else:

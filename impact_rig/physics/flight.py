@@ -44,8 +44,9 @@ _TIME_RESOLUTION = 2.0**-51
 _POSITION_RESOLUTION = 2.0**-47
 _SHORTEST = 1e-3  # segments may be shorter than the time scale of rounding errors [s]
 
-SEGMENT = np.dtype([("duration", "f8"), ("omega", "f8"), ("phase", "f8"), ("amplitude", "f8"), ("slope", "f8")])
-"""Drive segments, in order: seconds, rad/s, rad, and amplitude and its rate in A, m or V by drive."""
+SEGMENT = np.dtype([(name, "f8") for name in ("duration", "omega", "phase", "amplitude", "slope", "begin")])
+"""Drive segments, in order: seconds, rad/s, rad, and amplitude and its rate in A, m or V by drive. A segment begins a
+tick of its own, or goes on `begin` > 0 seconds after the start of the tick of the one before."""
 
 
 class Forcing(NamedTuple):
@@ -55,6 +56,7 @@ class Forcing(NamedTuple):
     phase: float
     amplitude: float
     slope: float
+    begin: float
 
 
 @kernel

@@ -33,6 +33,7 @@ from impact_rig.config import Drive, Shaker
 from impact_rig.errors import CommandError
 from impact_rig.kernels import REALS, entry
 from impact_rig.physics.flight import SEGMENT
+from impact_rig.physics.stream import Stream
 from impact_rig.simtime import COMMAND_GRID_S
 
 SECTIONS = 4
@@ -143,7 +144,7 @@ def run(sections, memory, samples):  # type: ignore[no-untyped-def]  # compiled:
 
 
 class FunctionGenerator:
-    """Sine with phase-continuous frequency changes, a chirp in steps of one tick, or seeded band-limited noise.
+    """Sine with phase-continuous frequency changes, a chirp in steps of one tick, seeded band-limited noise, a stream.
 
     The amplitude moves linearly to a new command within `shaker.ramp_s`, rounded up to whole ticks. Random drive is
     Gaussian noise of unit rms,
@@ -152,6 +153,7 @@ class FunctionGenerator:
     Attributes:
         frequency_hz: commanded frequency from the next tick on.
         tick: number of ticks generated so far.
+        stream: what plays the samples of a stream; None with any other waveform. It has no amplitude: that is 0.
     """
 
     def __init__(self, drive: Drive, shaker: Shaker, random: Random, tick_s: float = COMMAND_GRID_S) -> None:
@@ -164,6 +166,9 @@ class FunctionGenerator:
         self._ramp = (0, 0.0, drive.amplitude)  # first tick, amplitude there, target
         if self._ramp_ticks == 0 or drive.amplitude == 0.0:
             self._ramp = (0, drive.amplitude, drive.amplitude)
+        self.stream = Stream(drive, shaker) if drive.waveform == "stream" else None
+        if self.stream is not None:
+            self._ramp = (0, 0.0, 0.0)
         self._noise: BandNoise | None = None
         if drive.waveform == "random":
             if drive.random_high_hz >= 0.45 / tick_s:
@@ -198,14 +203,23 @@ class FunctionGenerator:
         self.frequency_hz = frequency_hz
 
     def set_amplitude(self, amplitude: float) -> None:
-        """Ramp to another amplitude (A, m or V by drive; peak, or rms for random drive) from the next tick."""
+        """Ramp to another amplitude (A, m or V by drive; peak, or rms for random drive) from the next tick.
+
+        A stream is stopped: what is buffered of it is forgotten.
+        """
         if not (math.isfinite(amplitude) and amplitude >= 0.0):
             raise CommandError(f"amplitude must be >= 0, got {amplitude!r}")
+        if self.stream is not None:
+            self.stream.stop()
+            return
         now = self.amplitude if self._ramp_ticks else amplitude
         self._ramp = (self.tick, now, amplitude)
 
     def set_ramp(self, ramp_s: float) -> None:
         """Ramp later amplitude changes within another time; a ramp under way starts again with it."""
+        if self.stream is not None:
+            self.stream.set_ramp(ramp_s)
+            return
         now, target = self.amplitude, self.target_amplitude
         self._ramp_ticks = math.ceil(ramp_s / self._tick_s - 1e-9)
         self._ramp = (self.tick, now if self._ramp_ticks else target, target)
@@ -220,10 +234,14 @@ class FunctionGenerator:
         """Return a generator that goes on from here on its own, with the same noise."""
         twin = copy.copy(self)
         twin._noise = self._noise and self._noise.copy()
+        twin.stream = self.stream and self.stream.copy()
         return twin
 
     def segments(self, count: int) -> NDArray[np.void]:
-        """Return the next `count` drive segments, shape (count,), dtype `SEGMENT`."""
+        """Return the drive segments of the next `count` ticks, dtype `SEGMENT`: one each, or one a sample."""
+        if self.stream is not None:
+            self.tick += count
+            return self.stream.segments(self.tick - count, count, self._tick_s)
         rows = np.zeros(count, SEGMENT)
         rows["duration"] = self._tick_s
         self._fill_level(rows)

@@ -84,18 +84,20 @@ class Trajectory(NamedTuple):
 
     Attributes:
         segments: the drive.
-        base: number of the first segment.
+        base: number of the first tick.
+        ticks: row of each tick's first segment, and the number of segments.
         knots: records of STATE.
         first: row of each segment's first knot, and the number of knots.
     """
 
     segments: NDArray[np.void]
     base: int
+    ticks: NDArray[np.int64]
     knots: NDArray[np.void]
     first: NDArray[np.int64]
 
 
-TRAJECTORY = Fields(Trajectory, (SEGMENT, int, STATE, INTEGERS))
+TRAJECTORY = Fields(Trajectory, (SEGMENT, int, INTEGERS, STATE, INTEGERS))
 
 
 class Query(NamedTuple):
@@ -103,13 +105,13 @@ class Query(NamedTuple):
 
     Attributes:
         wanted: places in QUANTITIES, shape (q,).
-        segment: shape (n,).
-        offset: time since the segment's start [s], shape (n,).
+        tick: shape (n,).
+        offset: time since the tick's start [s], shape (n,).
         out: shape (q, n).
     """
 
     wanted: NDArray[np.int64]
-    segment: NDArray[np.int64]
+    tick: NDArray[np.int64]
     offset: NDArray[np.float64]
     out: NDArray[np.float64]
 
@@ -359,7 +361,7 @@ def _sample_contact(model, f, knots, row, start, stop, query, work):  # type: ig
         low, high = 0, trace(model, f, step, steps)
     end = 0.0, 0.0, 0.0
     for i in range(start, stop):
-        t = query.offset[i]
+        t = query.offset[i] - f.begin
         row = before(steps, low, high, t)
         if row != current:
             current, end = row, _solve_again(model, f, steps[row], step)
@@ -382,7 +384,7 @@ def _sample_flight(model, f, knot, start, stop, query, work):  # type: ignore[no
     launch(system, f, flight, knot.y, knot.t)
     anchor = -1
     for i in range(start, stop):
-        since = query.offset[i] - knot.t
+        since = query.offset[i] - f.begin - knot.t
         place = int(since / flight.reach)
         middle = (place + 0.5) * flight.reach
         if place != anchor:
@@ -395,9 +397,22 @@ def _sample_flight(model, f, knot, start, stop, query, work):  # type: ignore[no
             query.out[q, i] = _in_flight(p, knot, query.wanted[q], work.polynomials[q], since - middle, since)
 
 
+@kernel
+def _segment_at(trajectory, tick, offset):  # type: ignore[no-untyped-def]
+    """Return the row of the segment that holds an instant of a tick."""
+    low, high = trajectory.ticks[tick], trajectory.ticks[tick + 1]
+    while high - low > 1:
+        middle = (low + high) // 2
+        if trajectory.segments[middle].begin <= offset:
+            low = middle
+        else:
+            high = middle
+    return low
+
+
 @entry(MODEL, TRAJECTORY, QUERY, SAMPLING_WORKSPACE, returns=bool)
 def sample(model, trajectory, query, work):  # type: ignore[no-untyped-def]
-    """Fill `query.out` and return whether there are such segments.
+    """Fill `query.out` and return whether there are such ticks.
 
     Runs of instants in one piece of the trajectory are evaluated together.
     """
@@ -405,18 +420,22 @@ def sample(model, trajectory, query, work):  # type: ignore[no-untyped-def]
     work.flight[0].omega = -1.0
     i = 0
     while i < n:
-        segment = query.segment[i] - trajectory.base
-        if not 0 <= segment < trajectory.segments.shape[0]:
+        tick = query.tick[i] - trajectory.base
+        if not 0 <= tick < trajectory.ticks.shape[0] - 1:
             return False
+        segment = _segment_at(trajectory, tick, query.offset[i])
         drive_row = trajectory.segments[segment]
-        f = Forcing(drive_row.omega, drive_row.phase, drive_row.amplitude, drive_row.slope)
+        f = Forcing(drive_row.omega, drive_row.phase, drive_row.amplitude, drive_row.slope, drive_row.begin)
+        until = trajectory.segments[segment + 1].begin if segment + 1 < trajectory.ticks[tick + 1] else np.inf
         low, high = trajectory.first[segment], trajectory.first[segment + 1]
-        row = before(trajectory.knots, low, high, query.offset[i])
+        row = before(trajectory.knots, low, high, query.offset[i] - f.begin)
         begin = trajectory.knots[row].t
         end = trajectory.knots[row + 1].t if row + 1 < high else np.inf
         start = i
         i += 1
-        while i < n and query.segment[i] - trajectory.base == segment and begin <= query.offset[i] < end:
+        while i < n and query.tick[i] - trajectory.base == tick:
+            if not (begin <= query.offset[i] - f.begin < end and query.offset[i] < until):
+                break
             i += 1
         if trajectory.knots[row].phase == CONTACT:
             _sample_contact(model, f, trajectory.knots, row, start, i, query, work)
@@ -430,21 +449,25 @@ PARTS = 3
 
 
 @entry(TRAJECTORY, INTEGERS, REALS, FLAGS, returns=int)
-def refine(trajectory, segment, offset, touching):  # type: ignore[no-untyped-def]  # compiled: types are inferred
-    """Fill in segment, offset [s] and whether sphere and wall touch from each instant on; return how many there are.
+def refine(trajectory, tick, offset, touching):  # type: ignore[no-untyped-def]  # compiled: types are inferred
+    """Fill in tick, offset [s] and whether sphere and wall touch from each instant on; return how many there are.
 
     The arrays have room for PARTS instants a knot.
     """
     knots, first, count = trajectory.knots, trajectory.first, 0
-    for i in range(first.shape[0] - 1):
-        for row in range(first[i], first[i + 1]):
+    i = -1
+    for at in range(first.shape[0] - 1):
+        begin = trajectory.segments[at].begin
+        if at == trajectory.ticks[i + 1]:
+            i += 1
+        for row in range(first[at], first[at + 1]):
             knot = knots[row]
-            segment[count], offset[count], touching[count] = trajectory.base + i, knot.t, knot.phase != FREE
+            tick[count], offset[count], touching[count] = trajectory.base + i, begin + knot.t, knot.phase != FREE
             count += 1
             if knot.phase == CONTACT and knot.whole != 0:
                 length = knots[row + 1].t - knot.t
                 for part in range(1, PARTS):
-                    segment[count], touching[count] = trajectory.base + i, True
-                    offset[count] = knot.t + length * (part / PARTS)
+                    tick[count], touching[count] = trajectory.base + i, True
+                    offset[count] = begin + (knot.t + length * (part / PARTS))
                     count += 1
     return count

@@ -57,14 +57,15 @@ def _places(names: tuple[str, ...]) -> NDArray[np.int64]:
 
 
 class Motion:
-    """The trajectory of consecutive drive segments, numbered from `first_segment`.
+    """The trajectory of consecutive ticks, numbered from `first_segment`: drive segments, where a tick has no more.
 
-    Times are (segment, offset into the segment): no value depends on how the run was cut into advances. Motions that
+    Times are (tick, offset into the tick): no value depends on how the run was cut into advances. Motions that
     are asked in turn may share a `work`, their scratch memory.
 
     Attributes:
-        first_segment: number of the first segment, counted since the reset.
-        segments: the drive, shape (n,), dtype `forcing.SEGMENT`.
+        first_segment: number of the first tick, counted since the reset.
+        segments: the drive, shape (n,), dtype `flight.SEGMENT`.
+        ticks: row of each tick's first segment, and the number of segments.
         impacts: contacts that ended in this motion, dtype `IMPACT`; a contact may have begun in an earlier one.
     """
 
@@ -73,22 +74,23 @@ class Motion:
         model: Model,
         first_segment: int,
         segments: NDArray[np.void],
+        ticks: NDArray[np.int64],
         knots: NDArray[np.void],
         first: NDArray[np.int64],
         impacts: NDArray[np.void],
         work: SamplingWorkspace | None = None,
     ) -> None:
         self.first_segment = first_segment
-        self.segments = segments
+        self.segments, self.ticks = segments, ticks
         self.impacts = impacts
         self._model = model
-        self._trajectory = Trajectory(segments, first_segment, knots, first)
+        self._trajectory = Trajectory(segments, first_segment, ticks, knots, first)
         self._sampling = work or new_sampling_workspace()
 
     @property
     def last_segment(self) -> int:
-        """Number of the last segment, inclusive."""
-        return self.first_segment + len(self.segments) - 1
+        """Number of the last tick, inclusive."""
+        return self.first_segment + len(self.ticks) - 2
 
     def sample(self, segment: NDArray[np.int64], offset_s: NDArray[np.float64]) -> NDArray[np.void]:
         """Return all quantities (dtype `SAMPLE`, SI) at the instants, in their shape; fastest when in order."""
@@ -256,8 +258,33 @@ class Simulation:
         self._put_sphere(d, d_rate)
         self._stored = self.stored_energy()
 
+    def state(self) -> NDArray[np.float64] | None:
+        """Return x_1, v_1, x_b, v_b, the coil's current, x_2 − x_1 and its rate after the last segment, shape (7,).
+
+        None during a contact: how it began decides its force, which these numbers do not tell.
+        """
+        s = self._work.states[0]
+        if s["phase"] == CONTACT:
+            return None
+        return np.array([*s["y"].tolist(), float(s["d"]), float(s["d_rate"])])
+
+    def set_state(self, state: NDArray[np.float64]) -> None:
+        """Go on from what `state` gave; a sphere at rest on a wall stays there until that pulls away."""
+        *y, d, rate = state.tolist()
+        self._work.states[0] = np.zeros((), STATE)
+        s = self._work.states[0]
+        s["y"][:], s["d"], s["d_rate"] = y, d, rate
+        p = self._model.parameters[0]
+        if rate == 0.0 and p["sphere_present"] and (p["friction"] > 0.0 or abs(d) >= p["half_gap"]):
+            s["phase"], s["side"] = ATTACHED, np.sign(d) if abs(d) >= p["half_gap"] else 0.0
+        elif p["friction"] > 0.0:
+            s["slide"] = np.sign(rate)
+        if self._account:
+            self._work.ledger[0] = np.zeros((), LEDGER)
+            self._stored = self.stored_energy()
+
     def advance(self, segments: NDArray[np.void]) -> Motion:
-        """Simulate the drive segments (dtype `forcing.SEGMENT`) and return their motion.
+        """Simulate the drive segments (dtype `forcing.SEGMENT`), the first of which begins a tick; return their motion.
 
         Raises:
             SimulationError: the integration makes no progress, or needs more than `MOST_KNOTS` steps in a segment.
@@ -266,33 +293,35 @@ class Simulation:
         if self.locked:
             segments = segments.copy()
             segments["amplitude"] = segments["slope"] = 0.0
+        rows = np.append(np.flatnonzero(segments["begin"] == 0.0), len(segments))
+        ticks = np.repeat(np.arange(self.segment, self.segment + len(rows) - 1), np.diff(rows))
         segments = for_kernels(segments)
         work = self._work._replace(first=np.zeros(len(segments) + 1, np.int64))
         filled = work.filled[0]
         filled["knots"] = filled["impacts"] = 0
         index = 0
         while True:
-            ended, index = run(self._model, segments, index, self.segment, work, self._account)
+            ended, index = run(self._model, segments, ticks, index, work, self._account)
             if ended == STUCK:
                 raise SimulationError(
-                    f"no progress in drive segment {self.segment + index} at {work.states[0]['t']:.9f} s of it, "
+                    f"no progress in drive segment {ticks[index]} at {work.states[0]['t']:.9f} s of it, "
                     f"phase {work.states[0]['phase']}"
                 )
             if ended != NEED_ROOM:
                 break
             if filled["knots"] - work.first[index] > MOST_KNOTS:
                 raise SimulationError(
-                    f"more than {MOST_KNOTS} contacts, rides and flights in drive segment {self.segment + index}, "
+                    f"more than {MOST_KNOTS} contacts, rides and flights in drive segment {ticks[index]}, "
                     f"at {work.states[0]['t']:.9f} s of it: the motion cannot be resolved"
                 )
             work = self._work = _grown(work)
         knots, impacts = int(filled["knots"]), int(filled["impacts"])
         work.first[-1] = knots
         motion = Motion(
-            self._model, self.segment, segments, work.knots[:knots].copy(), work.first,
+            self._model, self.segment, segments, rows, work.knots[:knots].copy(), work.first,
             work.impacts[:impacts].copy().view(np.ndarray), self._sampling,
         )  # fmt: skip
-        self.segment += len(segments)
+        self.segment += len(rows) - 1
         return motion
 
     def copy(self) -> Simulation:

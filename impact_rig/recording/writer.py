@@ -159,9 +159,9 @@ class RunWriter:
         self._refuse_if_closed()
         known = self._channels.get(topic.name)
         if known is None:
-            channel = _Channel(
-                topic, starts_with_header(topic.type_name, topic.schema), matches(topic.name, topics.SCAN.name)
-            )
+            has_header = starts_with_header(topic.type_name, topic.schema)
+            is_ahead = matches(topic.name, topics.WAVEFORM.name)  # its stamp is when it will act, or whatever is sent
+            channel = _Channel(topic, has_header and not is_ahead, matches(topic.name, topics.SCAN.name))
             with self._stopping_on_error:
                 self._file.close_chunk()  # a definition that filled it would close it behind the tail's back
                 self._commit()

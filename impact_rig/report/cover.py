@@ -17,7 +17,6 @@ from impact_rig.campaign.run import Finished
 from impact_rig.drawing.palette import GRID, INK, MEASURED, MUTED, QUIET, TRUTH
 from impact_rig.drawing.style import WIDTH_INCH, Drawn, new_axes
 from impact_rig.errors import RecordingError
-from impact_rig.instruments.chain import Chain
 from impact_rig.physics.contact import from_config
 from impact_rig.physics.linear import constants, hertz_stiffness_n_m32, sphere_mass_kg
 from impact_rig.report.content import Cell, Content, number
@@ -153,7 +152,7 @@ def _constants(done: Finished) -> list[list[str | Cell]]:
 
 def _instruments(done: Finished) -> list[list[str | Cell]]:
     rows: list[list[str | Cell]] = []
-    for row in Chain(done.campaign.planned()[0].job.config()).info():
+    for row in done.info:
         unit = row["unit"].decode()
         small, factor = (("µm", 1e6), ("mm", 1e3)) if unit == "m" else ((unit, 1.0), (unit, 1.0))
         rows.append([

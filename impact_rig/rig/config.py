@@ -60,6 +60,8 @@ class RigConfig:
                 f"drive.frequency_hz must be within the shaker's {shaker.frequency_min_hz:g} to "
                 f"{shaker.frequency_max_hz:g} Hz, got {drive.frequency_hz:g}"
             )
+        if (drive.kind, drive.waveform, drive.stream_hold) == ("prescribed", "stream", "zero_order"):
+            raise ConfigError("drive.stream_hold must be first_order for a prescribed base, which cannot jump")
         scan = row_type_of(self.instruments).itemsize
         most = (MAX_MESSAGE_BYTES - _OVERHEAD_BYTES) // max(scan, TRUTH_SCAN.itemsize * self.output.truth_scan)
         if self.daq.block_scans > most:

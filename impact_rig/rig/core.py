@@ -14,18 +14,19 @@ from collections.abc import Mapping
 
 import attrs
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 import impact_rig
-from impact_rig.blocks import APPLIED, FRAME_DAQ, Table
+from impact_rig.blocks import APPLIED, FRAME_DAQ, STREAM, Table
 from impact_rig.config import Drive
 from impact_rig.errors import CommandError
 from impact_rig.instruments.chain import Chain
 from impact_rig.instruments.fault import Fault
 from impact_rig.physics import FunctionGenerator, Motion, Simulation
+from impact_rig.physics.stream import Event, State, Stream
 from impact_rig.rig.changes import INSTRUMENTS, MECHANICS, PLANNED, PlanInForce, changed_values, until_reset
 from impact_rig.rig.config import RigConfig, from_flat
-from impact_rig.rig.interlock import Interlock, Trip, check_amplitude, check_frequency
+from impact_rig.rig.interlock import UNDERRUN, Interlock, Trip, check_amplitude, check_frequency, check_stream
 from impact_rig.rig.journal import Journal, Kind, Value, not_default, sampled
 from impact_rig.rig.trial import generator, tried
 from impact_rig.rig.truth import TICKS_PER_S, Truth
@@ -138,6 +139,45 @@ class Rig:
         """The mechanics, for figures of diagnostics (energy balance)."""
         return self._simulation
 
+    @property
+    def is_driven(self) -> bool:
+        """Whether an amplitude is commanded, or samples of a stream are in force."""
+        stream = self._generator.stream
+        return self.amplitude != 0.0 if stream is None else stream.state is State.PLAYING
+
+    @property
+    def takes_samples(self) -> bool:
+        """Whether the drive is a stream."""
+        return self._generator.stream is not None
+
+    @property
+    def stream(self) -> Stream:
+        """The stream that drives the rig.
+
+        Raises:
+            CommandError: the drive is another one.
+        """
+        if self._generator.stream is None:
+            raise CommandError(f"the drive is {self._drive.waveform}, no stream: set drive.waveform and reset")
+        return self._generator.stream
+
+    def blocks_with_samples(self, most: int) -> int:
+        """Return how many of the next blocks the stream has samples for; all, where it does not wait for any."""
+        stream = self._generator.stream
+        whole = stream.whole_ticks() if stream is not None and self._drive.stream_wait else None
+        if whole is None:
+            return most
+        last_scan = whole * self.rate_hz // TICKS_PER_S
+        return min(most, max(0, last_scan - self._next_scan) // self.config.daq.block_scans)
+
+    def stream_state(self) -> Table:
+        """Return `shaker/stream`; its stamp is that of the sample that is wanted next."""
+        stream = self.stream
+        buffered, playing = stream.buffered(), float(stream.state is State.PLAYING)
+        late, refused = self._late_samples, self._refused_blocks
+        row = (0.0, stream.played, buffered, stream.capacity, playing, late, refused, stream.missing, stream.rate_hz)
+        return Table(self.start_ns + stream.time_ns(stream.played), np.array([row], STREAM))
+
     def block_end_ns(self, blocks: int) -> int:
         """Return when `blocks` more blocks are complete."""
         return self._stamp(self._next_scan + blocks * self.config.daq.block_scans)
@@ -174,6 +214,8 @@ class Rig:
     def _simulate(self, ticks: int) -> None:
         """Simulate at most `ticks` ticks; fewer where something happens inside them."""
         ticks = self._until_timeout(ticks)
+        if self._generator.stream is not None:
+            ticks = min(ticks, self._generator.stream.ticks_until_event(self._ticks))
         ppm = self._chain.clock_ppm(self._ticks)
         ticks = next((k for k in range(1, ticks) if self._chain.clock_ppm(self._ticks + k) != ppm), ticks)
         tick_s = COMMAND_GRID_S * (1.0 + 1e-6 * (self.config.daq.clock_error_ppm + ppm))
@@ -190,10 +232,23 @@ class Rig:
         self._truth.take(motion, tick_s)
         self._chain.acquire(motion, self._ticks, ticks, tick_s)
         self._ticks += ticks
+        trip = self._note_stream() or trip
         if trip is not None:
             self._trip(trip)
         elif self._ticks == self._timeout_tick():
             self._time_out()
+
+    def _note_stream(self) -> Trip | None:
+        """Journal what happened to the stream; return the trip of an underrun, where that is asked for."""
+        stream, trip = self._generator.stream, None
+        if stream is None or not stream.events:
+            return None
+        happened, stream.events = stream.events, []
+        for event, sample, text in happened:
+            self._note(Kind.STREAM, event.value, float(sample), text.encode())
+            if event is Event.END and text == UNDERRUN and self._drive.on_underrun == "trip" and self._latched is None:
+                trip = Trip(0, UNDERRUN, float(sample), 0.0)
+        return trip
 
     def _cut(self, size: int) -> Block:
         """Return the next `size` scans as a block."""
@@ -228,6 +283,8 @@ class Rig:
             CommandError: out of range, not finite, or the shaker is latched or locked; nothing is changed.
         """
         self._refuse_if_stopped()
+        if self._generator.stream is not None:
+            raise CommandError("the drive is a stream: it takes samples on shaker/waveform, no frequency or current")
         if frequency_hz is not None:
             check_frequency(frequency_hz, self.config.shaker)
         if current_a is not None:
@@ -240,6 +297,47 @@ class Rig:
             self._journal.add(self.frontier_sample, Kind.COMMAND, "current", current_a)
         self._last_command_tick, self._timed_out = self._ticks, False
         return self._publish_applied()
+
+    def feed(self, first_sample: int, values: ArrayLike) -> int:
+        """Take samples of the stream from number `first_sample` on; return how many of them came too late.
+
+        Sample k lies k · 10⁹ // `drive.stream_rate_hz` ns after scan 0. One that is not yet in force may be replaced,
+        and one that has come twice counts once. No samples at all end the stream at `first_sample`: where others are
+        missing, that is an underrun.
+
+        Args:
+            first_sample: number of the first sample.
+            values: A, m or V by `drive.kind`, shape (n,).
+
+        Raises:
+            CommandError: a value is not finite or beyond the shaker, the block reaches beyond `drive.stream_buffer_s`,
+                the shaker is latched or locked, or the drive is no stream; nothing of the block is taken.
+        """
+        stream = self.stream
+        try:
+            self._refuse_if_stopped()
+            samples = np.array(values, np.float64)
+            check_stream(samples, self._drive, self.config.shaker)
+            late = stream.put(first_sample, samples)
+        except CommandError:
+            self._refused_blocks += 1
+            raise
+        self._late_samples += late
+        return late
+
+    def sample_at(self, stamp_ns: int) -> int:
+        """Return the number of the sample of the stream that lies at an instant.
+
+        Raises:
+            CommandError: the instant is more than a quarter of a sample off.
+        """
+        rate, since = self.stream.rate_hz, stamp_ns - self.start_ns
+        sample = (2 * since * rate + NS_PER_S) // (2 * NS_PER_S)
+        off_ns = since - self.stream.time_ns(sample)
+        if abs(off_ns) * rate * 4 > NS_PER_S:
+            self._refused_blocks += 1
+            raise CommandError(f"a block must begin at a sample: {stamp_ns} ns is {off_ns} ns off the nearest")
+        return sample
 
     def configure(self, changes: Mapping[str, object]) -> RigConfig:
         """Change configuration values, all or none, at the frontier; return the new configuration.
@@ -361,6 +459,7 @@ class Rig:
         self._latched = None
         self._last_command_tick = 0
         self._timed_out = False
+        self._late_samples = self._refused_blocks = 0
         self._info_sample = 0
         self._interlock = Interlock()
         self._planned_faults = PlanInForce(config.instruments.faults.planned, self.rate_hz)

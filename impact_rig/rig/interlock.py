@@ -16,10 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig.arithmetic.elementary import exp
+from impact_rig.arithmetic.records import for_kernels
 from impact_rig.config import Drive, Shaker
 from impact_rig.errors import CommandError
-from impact_rig.kernels import REALS, TABLE, entry
+from impact_rig.kernels import INTEGERS, REALS, TABLE, entry
 from impact_rig.physics import Motion
+from impact_rig.physics.flight import SEGMENT
 
 LOOKS_PER_TICK = 10
 """1 ms apart, with the extremes between them from position and velocity: at the 30 Hz below which this shaker can reach
@@ -29,7 +31,7 @@ CURRENT_TIME_S = 1.0
 OVER_CURRENT_MARGIN = 1.05
 """Trips above the limit times this: the average of a sine at the limit, which is a legal command, ripples by 0.8 % at
 5 Hz."""
-OVER_TRAVEL, OVER_CURRENT = "over_travel", "over_current"
+OVER_TRAVEL, OVER_CURRENT, UNDERRUN = "over_travel", "over_current", "underrun"
 
 
 @attrs.frozen
@@ -43,6 +45,8 @@ class Trip:
 
     def message(self) -> str:
         """Return one line for people."""
+        if self.reason == UNDERRUN:
+            return f"{self.reason}: sample {self.measured:.0f} of the stream did not come in time"
         unit = "m of travel" if self.reason == OVER_TRAVEL else "A rms"
         return f"{self.reason}: {self.measured:.4g} {unit}, limit {self.limit:.4g}"
 
@@ -67,13 +71,16 @@ class Interlock:
         """Return the first trip in simulated ticks, or None; remembers the current up to there."""
         if drive.kind == "prescribed":
             return None
-        ticks = len(motion.segments)
+        ticks = motion.last_segment - motion.first_segment + 1
         after, offset = _instants(ticks, tick_s)
         seen = motion.quantities(("x_b", "v_b", "current"), motion.first_segment + after, offset)
         travel, velocity, current = seen.reshape(3, ticks, LOOKS_PER_TICK + 1)
         worst, square = np.empty(ticks), np.empty(ticks)
         largest(travel, velocity, tick_s / LOOKS_PER_TICK, worst)
-        mean_square(current, square)
+        if (drive.kind, drive.waveform) == ("current", "stream"):  # it may do anything between the looks
+            mean_square_of_lines(for_kernels(motion.segments), motion.ticks, tick_s, square)
+        else:
+            mean_square(current, square)
         gain = 1.0 - exp(-tick_s / CURRENT_TIME_S)
         limit, limit_rms = shaker.travel_limit_m, shaker.current_limit_a_rms
         for tick in range(ticks):
@@ -103,6 +110,18 @@ def mean_square(values, found):  # type: ignore[no-untyped-def]  # compiled: typ
         for i in range(1, values.shape[1]):
             found[row] += values[row, i] * values[row, i]
         found[row] /= values.shape[1] - 1
+
+
+@entry(SEGMENT, INTEGERS, float, REALS)
+def mean_square_of_lines(segments, ticks, tick_s, found):  # type: ignore[no-untyped-def]
+    """Fill `found` with the mean square of each tick of a drive of straight lines, shape (ticks,)."""
+    for tick in range(found.shape[0]):
+        total = 0.0
+        for i in range(ticks[tick], ticks[tick + 1]):
+            row = segments[i]
+            low, high = row.amplitude, row.amplitude + row.slope * row.duration
+            total += row.duration * (low * low + low * high + high * high) * (1.0 / 3.0)
+        found[tick] = total / tick_s
 
 
 @entry(TABLE, TABLE, float, REALS)
@@ -146,6 +165,21 @@ def check_amplitude(amplitude: float, drive: Drive, shaker: Shaker) -> None:
     name, unit, high, why = amplitude_limit(drive, shaker)
     if not math.isfinite(amplitude) or not 0.0 <= amplitude <= high:
         raise CommandError(f"{name} must be >= 0 and <= {high:.4g} {unit} ({why}), got {amplitude:g}")
+
+
+def check_stream(values: NDArray[np.float64], drive: Drive, shaker: Shaker) -> None:
+    """Refuse samples of which one is not finite or beyond what the shaker may carry.
+
+    Raises:
+        CommandError: names the first such sample and the limit, or the shape that is none.
+    """
+    if values.ndim != 1:
+        raise CommandError(f"a block of samples must have the shape (n,), got {values.shape}")
+    name, unit, high, why = amplitude_limit(drive, shaker)
+    wrong = np.flatnonzero(~(np.abs(values) <= high))
+    if len(wrong):
+        got = f"got {values[wrong[0]]:g} at row {wrong[0]} of {len(values)}"
+        raise CommandError(f"{name} must be within {high:.4g} {unit} either side ({why}), {got}")
 
 
 def amplitude_limit(drive: Drive, shaker: Shaker) -> tuple[str, str, float, str]:

@@ -4,35 +4,143 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
+from typing import NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
+from impact_rig import topics
 from impact_rig.blocks import Table
-from impact_rig.errors import ConfigError
+from impact_rig.errors import CommandError, ConfigError
 from impact_rig.instruments.fault import Fault
+from impact_rig.physics.stream import ENDED, Buffer, Event
 from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.rig.core import Block, Rig
-from impact_rig.rig.journal import RESULTS, Change, Kind, changes, read
+from impact_rig.rig.interlock import check_stream
+from impact_rig.rig.journal import RESULTS, Change, Entry, Kind, changes, read
 from impact_rig.rig.truth import TICKS_PER_S
 from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S
 
+Samples = NDArray[np.float64]
 
-def resimulate(journal: Iterable[Table], base: RigConfig | None = None) -> Iterator[Block]:
+
+class Sent(NamedTuple):
+    """A block of shaker/waveform as received: its stamp, and the end of the newest scans at that time [ns]."""
+
+    stamp_ns: int
+    samples: Samples
+    received_ns: int = 0
+
+
+def resimulate(
+    journal: Iterable[Table], base: RigConfig | None = None, waveform: Sequence[Sent] = ()
+) -> Iterator[Block]:
     """Yield the blocks of the rig that wrote this journal, from its last start or reset on, without end.
 
     Args:
         journal: the tables of rig/journal, in order; the last `start` or `reset` in them begins.
         base: what the initial rows do not decide (`daq.block_scans` is in them): publishing options; default none.
+        waveform: what came on shaker/waveform, in order, where the drive is a stream.
 
     Raises:
         ConfigError: the journal is not whole or does not fit this version; the message says why.
     """
-    yield from Resimulation(journal, base).blocks
+    yield from Resimulation(journal, base, waveform).blocks
+
+
+def _number(rig: Rig, stamp_ns: int) -> int:
+    """Return the number of the first sample that is not before an instant."""
+    return -(-(stamp_ns - rig.start_ns) * rig.stream.rate_hz // NS_PER_S)
+
+
+class RecordedSamples(Buffer):
+    """All samples of a recording at once, in the place of a stream's buffer: there is what the journal says was.
+
+    Args:
+        rig: the rig, new.
+        entries: its journal.
+        waveform: what came, in order; of what came late only that is taken of which nothing came before.
+    """
+
+    def __init__(self, rig: Rig, entries: Iterable[Entry], waveform: Sequence[Sent]) -> None:
+        super().__init__(0)
+        parts, last = [], 0
+        most = rig.stream.capacity + 1 + _number(rig, max((sent.received_ns for sent in waveform), default=0))
+        for stamp_ns, samples, received_ns in waveform:
+            with contextlib.suppress(CommandError):  # what the rig had refused as well
+                check_stream(samples, rig.config.drive, rig.config.shaker)
+                first = rig.sample_at(stamp_ns)
+                if 0 <= first + len(samples) <= most:
+                    parts.append((np.arange(first, first + len(samples)), samples, _number(rig, received_ns)))
+                    last = max(last, first + len(samples))
+        self._recorded, self._are_there = np.zeros(last), np.zeros(last, np.bool_)
+        for numbers, samples, received in parts:
+            taken = numbers >= 0
+            taken[taken] = (numbers[taken] >= received) | ~self._are_there[numbers[taken]]
+            self._recorded[numbers[taken]] = samples[taken]
+            self._are_there[numbers[taken]] = True
+        self._changes = [0]  # samples are in force from each odd one of these to the next
+        for entry in entries:
+            if entry.kind is Kind.STREAM and entry.key in (Event.BEGIN, Event.END):
+                self._changes.append(int(entry.value))
+            if entry.kind is Kind.STREAM and entry.text == ENDED.encode():
+                self.ends.add(int(entry.value))
+        self._seconds = NS_PER_S / rig.stream.rate_hz / NS_PER_S
+
+    def there(self, first: int, last: int) -> NDArray[np.bool_]:
+        """Return which of the samples first … last − 1 were in force.
+
+        Raises:
+            ConfigError: one of them is not in the recording.
+        """
+        numbers = np.arange(first, last)
+        wanted = np.searchsorted(self._changes, numbers, side="right") % 2 == 0
+        held = np.zeros(last - first, np.bool_)
+        known = self._are_there[first:last]
+        held[: len(known)] = known
+        lacking = numbers[wanted & ~held]
+        if len(lacking) and (lacking[0] < len(self._recorded) or lacking[0] < self._changes[-1]):
+            raise ConfigError(
+                f"the recording lacks sample {lacking[0]} of {topics.WAVEFORM.name}, which was in force "
+                f"{lacking[0] * self._seconds:.6f} s after the start"
+            )
+        held &= wanted
+        return held
+
+    def values(self, first: int, last: int) -> Samples:
+        """Return the samples first … last − 1."""
+        found: Samples = self._recorded[first:last]
+        return found
+
+    def first_missing(self, first: int) -> int:
+        """Return the number of the first sample from `first` on that was not in force."""
+        at = int(np.searchsorted(self._changes, first, side="right"))
+        if at % 2:
+            return first
+        return self._changes[at] if at < len(self._changes) else max(first, len(self._recorded))
+
+    def first_there(self, first: int) -> int | None:
+        """Return the number of the first sample from `first` on that was in force, or None."""
+        at = int(np.searchsorted(self._changes, first, side="right"))
+        if at % 2 == 0:
+            return first
+        return self._changes[at] if at < len(self._changes) else None
+
+    def clear(self) -> None:
+        """Keep all samples: what was not in force after a stop is known."""
 
 
 class Resimulation:
     """The rig that wrote a journal, run again: see `resimulate`.
+
+    Args:
+        journal: the tables of rig/journal, in order; the last `start` or `reset` in them begins.
+        base: what the initial rows do not decide; default none.
+        waveform: what came on shaker/waveform, in order.
 
     Attributes:
         rig: the rig, ahead of the blocks that were taken.
@@ -41,7 +149,7 @@ class Resimulation:
         configurations: the configuration at the start and after each change.
     """
 
-    def __init__(self, journal: Iterable[Table], base: RigConfig | None = None) -> None:
+    def __init__(self, journal: Iterable[Table], base: RigConfig | None = None, waveform: Sequence[Sent] = ()) -> None:
         entries = read(journal)
         inputs = deque(changes(entries[1:]))
         initial = inputs.popleft().configuration if inputs and inputs[0].kind is Kind.INITIAL else {}
@@ -50,6 +158,8 @@ class Resimulation:
         self.configurations: list[RigConfig] = [self.rig.config]
         self._coming = inputs
         self.blocks = self._run()
+        if self.rig.config.drive.waveform == "stream":
+            self.rig.stream.buffer = RecordedSamples(self.rig, entries, waveform)
 
     def finish(self, until_ns: int) -> None:
         """Give the rig what its journal says up to an instant, at which it was reset."""

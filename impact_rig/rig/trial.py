@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import attrs
 import numpy as np
 
 from impact_rig.arithmetic.random import Random
@@ -46,7 +47,8 @@ def tried(config: RigConfig) -> Model:
     try:
         model = build(config)
         _check_together(config, model)
-        trial, drive = Simulation(config, model=model), FunctionGenerator(config.drive, config.shaker, Random(0))
+        sine = attrs.evolve(config.drive, waveform="sine") if config.drive.waveform == "stream" else config.drive
+        trial, drive = Simulation(config, model=model), FunctionGenerator(sine, config.shaker, Random(0))
         drive.set_amplitude(1.0)
         motion = trial.advance(drive.segments(TRIAL_TICKS))
         last = motion.sample(np.array([motion.last_segment]), np.array([COMMAND_GRID_S]))

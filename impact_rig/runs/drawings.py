@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig.analysis import drawings
+from impact_rig.analysis.scans import samples_of
 from impact_rig.analysis.tracker import Findings
 from impact_rig.drawing.style import style
 from impact_rig.errors import RecordingError
@@ -67,13 +68,14 @@ def draw(run: Run, found: Sequence[Findings], directory: Path, suffix: str = "pn
     excerpt = last_excerpt(run, found)
     traced = excerpt.newest(TRACED_CYCLES)
     remark = aliasing(calibration_rows(run))
+    x_1 = samples_of(excerpt.rows, "laser")
     drawn = {
         "time_traces": drawings.time_traces(traced.rows, traced.impact_times, remark),
         "phase_plane": drawings.phase_plane(
-            excerpt.rows["laser"], excerpt.rate_hz, 1.0 / (SMOOTHED_CYCLE * excerpt.drive_hz or math.inf)
+            x_1, excerpt.rate_hz, 1.0 / (SMOOTHED_CYCLE * excerpt.drive_hz or math.inf)
         ),
         "spectrum": drawings.spectrum(
-            1e3 * excerpt.rows["laser"], excerpt.rate_hz, "mm", excerpt.drive_hz,
+            1e3 * x_1, excerpt.rate_hz, "mm", excerpt.drive_hz,
             min(HARMONICS * excerpt.drive_hz or UNDRIVEN_HZ, excerpt.rate_hz / 2.0),
         ),
     }  # fmt: skip
@@ -119,7 +121,10 @@ def aliasing(info: NDArray[np.void]) -> str:
     Args:
         info: rows of `daq/info`.
     """
-    (channel,) = info[info["name"] == b"accelerometer"]
+    found = info[info["name"] == b"accelerometer"]
+    if not len(found):
+        return ""
+    channel = found[0]
     rate_hz, band_hz = float(channel["rate"]), float(channel["bandwidth"])
     if not band_hz > rate_hz / 2.0:
         return ""

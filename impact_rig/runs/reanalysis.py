@@ -18,7 +18,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig import topics
-from impact_rig.analysis.scans import CHANNELS
 from impact_rig.analysis.settings import GapLabel, TrackerSettings, machine_of, parse_label, read_settings
 from impact_rig.analysis.tracker import Findings, Tracker
 from impact_rig.analysis.words import Status
@@ -51,7 +50,7 @@ def analyze(run: Run, settings: TrackerSettings | None = None) -> Iterator[Findi
             elif topic is topics.APPLIED:
                 tracker.on_applied(run.table(message, topic))
             else:
-                yield tracker.feed(run.table(message, topic, CHANNELS))
+                yield tracker.feed(run.table(message, topic))
     except ConfigError as error:
         raise RecordingError(f"{run.path}: {error}") from error
     yield tracker.flush()

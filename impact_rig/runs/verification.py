@@ -28,7 +28,8 @@ from impact_rig.rig.changes import PLANNED
 from impact_rig.rig.config import RigConfig, from_flat, parse, to_flat
 from impact_rig.rig.description import robot_description
 from impact_rig.rig.journal import Entry, read, sampled
-from impact_rig.rig.resimulation import Resimulation
+from impact_rig.rig.resimulation import Resimulation, Sent
+from impact_rig.runs.measurement import is_measured
 from impact_rig.runs.reanalysis import Compared, text_of
 from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S, stamp_ns
 
@@ -39,6 +40,7 @@ _LAST_WORDS_NS = NS_PER_S
 """Topics overtake each other: what was published in this last stretch may not have reached the recorder."""
 _NOT_COMPARED = {
     topics.CLOCK.name: "rig time, which the stamps hold",
+    topics.STREAM.name: "how far ahead a controller was, which no sample depends on",
     "analysis": "made by the analysis: `impact-rig analyze` compares it",
     "stepped_sine": "made by an operator from the measurements",
     "client": "an input: the journal has what became of it",
@@ -81,13 +83,15 @@ def verify(run: Run) -> Verification:
     if arithmetic_of(run.provenance) not in ("", str(ARITHMETIC)):
         return Verification(None, 0, f"recorded with arithmetic {arithmetic_of(run.provenance)}, this is {ARITHMETIC}")
     run.resolve(topics.SCAN.name)
+    if is_measured(run):
+        return Verification(None, 0, "a measurement: there is nothing to re-simulate")
     try:
-        journals, first, foreign = _journals(run)
+        journals, waveforms, first, foreign = _journals(run)
     except RecordingError as error:
         return Verification(None, 0, str(error))
     if not journals:
         return Verification(None, 0, "the journal is empty")
-    with contextlib.closing(_Beside(run, foreign)) as beside:
+    with contextlib.closing(_Beside(run, foreign, list(zip(journals, waveforms, strict=True)))) as beside:
         found = _verify_all(run, journals, first, beside)
         compared = (Compared(topics.SCAN.name, found.scans, what="scans"), *beside.compared())
     differences = [str(one) for one in compared if one.difference]
@@ -110,18 +114,25 @@ def _verify_all(run: Run, journals: list[list[Table]], first: int, beside: _Besi
     return Verification(True, compared) if compared else Verification(None, 0, "the run holds no block of daq/scan")
 
 
-def _journals(run: Run) -> tuple[list[list[Table]], int, int]:
-    """Return the journals of a run, each from its start or reset on, and which of them the first scan belongs to.
+def _journals(run: Run) -> tuple[list[list[Table]], list[list[Sent]], int, int]:
+    """Return the journals of a run, what came on shaker/waveform in each, and which the first scan belongs to.
 
-    Rows before the first start or reset are a journal without its beginning. Messages that are no journal's, of
-    somebody else on the topic, are left out and counted: if they were ours, rows would be missing.
+    A journal goes from its start or reset on; rows before the first are one without its beginning. Messages that are no
+    journal's, of somebody else on the topic, are left out and counted: if they were ours, rows would be missing.
     """
     found: list[list[Table]] = []
     scan, journal = run.resolve(topics.SCAN.name), run.resolve(topics.JOURNAL.name)
+    waveform = run.resolve(topics.WAVEFORM.name) if run.holds(topics.WAVEFORM) else ""
+    sent: list[list[Sent]] = [[]]
     begun, foreign, scans_seen, problem = 0, 0, False, None
-    for message in run.messages([scan, journal], recorded_order=True):
+    for message in run.messages([scan, journal, *([waveform] if waveform else [])], recorded_order=True):
         if message.topic == scan:
             scans_seen = True
+            continue
+        if message.topic == waveform:
+            with contextlib.suppress(RecordingError):  # what is no table was refused by the rig, too
+                table = run.table(message, topics.WAVEFORM)
+                sent[-1].append(Sent(table.stamp_ns, table.rows["value"].astype(float), message.log_time))
             continue
         try:
             table = run.table(message, topics.JOURNAL)
@@ -131,12 +142,13 @@ def _journals(run: Run) -> tuple[list[list[Table]], int, int]:
         begun += 0 if scans_seen else int(np.isin(table.rows["kind"], _BEGINS).sum())
         for rows in np.split(table.rows, np.flatnonzero(np.isin(table.rows["kind"], _BEGINS))):
             if len(rows) and (not found or rows["kind"][0] in _BEGINS):
+                sent += [[]] * bool(found)
                 found.append([])
             if len(rows):
                 found[-1].append(Table(table.stamp_ns, rows))
     if problem is not None and not found:
         raise problem
-    return found, max(0, begun - 1), foreign
+    return found, sent, max(0, begun - 1), foreign
 
 
 def _assigned(scans: Iterable[Table], journals: list[list[Table]], first: int) -> Iterator[tuple[int, Table]]:
@@ -358,10 +370,12 @@ class _Beside:
     Args:
         run: the run.
         foreign: messages on `rig/journal` that were left out.
+        waveforms: each journal, and what came on `shaker/waveform` meanwhile.
     """
 
-    def __init__(self, run: Run, foreign: int) -> None:
+    def __init__(self, run: Run, foreign: int, waveforms: Sequence[tuple[list[Table], list[Sent]]]) -> None:
         self._run = run
+        self._waveforms = waveforms
 
         def tables(topic: topics.Topic) -> _Recorded:
             return _Recorded(run, topic, lambda message: _stamped(run.table(message, topic)), _difference)
@@ -380,11 +394,11 @@ class _Beside:
     def begin(self, journal: list[Table]) -> Resimulation:
         """Begin to re-simulate a journal."""
         every_scan = self._truth.coming is not None or self._joints.coming is not None
-        entries = read(journal)
+        entries, sent = read(journal), next(sent for one, sent in self._waveforms if one is journal)
         try:
-            self._again = Resimulation(journal, from_flat(RigConfig(), {"output.truth_scan": every_scan}))
+            self._again = Resimulation(journal, from_flat(RigConfig(), {"output.truth_scan": every_scan}), sent)
         except ConfigError:  # the truth of such long blocks has no place in a message
-            self._again = Resimulation(journal)
+            self._again = Resimulation(journal, None, sent)
         self._entries: list[Entry] = entries
         self._made: list[Entry] = []
         self._calibrations = 0

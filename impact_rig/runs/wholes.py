@@ -206,7 +206,8 @@ class Sines:
     """An excerpt as sines of one frequency.
 
     Attributes:
-        reference: the current with its frequency refined, four parameters and the harmonics.
+        reference: the current, or the base where no current was measured, with its frequency refined: four parameters
+            and the harmonics.
         fits: every channel at that frequency, by name.
         measured: the transmissibility of the whole excerpt at the commanded frequency.
         excerpt: the scans.
@@ -232,10 +233,11 @@ def sines_of(run: Run, excerpt: Excerpt, harmonics: int = 1) -> Sines:
     if not excerpt.drive_hz > 0.0:
         raise RecordingError(f"{run.path} holds no drive frequency (shaker/applied) for {excerpt}")
     samples = {name: np.asarray(excerpt.rows[name], dtype=np.float64) for name in channels_of(excerpt.rows)}
-    reference = fit_sine_frequency(samples["current"], excerpt.rate_hz, excerpt.drive_hz, harmonics)
+    name = "current" if "current" in samples else "base"
+    reference = fit_sine_frequency(samples[name], excerpt.rate_hz, excerpt.drive_hz, harmonics)
     if reference.status is not Status.OK:
         raise RecordingError(
-            f"{run.path}: the current is no sine of {excerpt.drive_hz:g} Hz, {excerpt}: {reference.status.value}"
+            f"{run.path}: the {name} is no sine of {excerpt.drive_hz:g} Hz, {excerpt}: {reference.status.value}"
         )
     return Sines(
         reference=reference,

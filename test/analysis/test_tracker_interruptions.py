@@ -75,6 +75,7 @@ def test_a_repeated_block_is_dropped_and_a_jump_back_starts_anew():
     tables = list(blocks(rows, RATE, 100))
     feed_all(made, [*tables[:50], tables[49]])
     assert made.counters.duplicate_scans == 100
+    assert made.counters.scans == 50 * 100, "all that came, and what came twice once"
     measurements, _ = feed_all(made, tables)  # from scan 0 again: the rig was reset
     assert words(measurements) == ["restarted", "ok"]
     assert made.counters.restarts == 1

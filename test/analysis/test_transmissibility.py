@@ -64,6 +64,19 @@ def test_thd_is_the_overtones_of_x_1_before_the_lag():
     assert measure_record(rows, info_rows(), 9.1).thd == pytest.approx(0.05, rel=1e-6)
 
 
+def test_noise_that_does_not_scatter_the_cycles_counts_as_white():
+    """At a hundred times the drive it is the same in each cycle: all that is left is σ √(2 / N) of each amplitude."""
+    info = info_rows(ideal=True)
+    rows = steady_record(10.0, 3.0, info=info, noise=0)
+    peak_m = 1e-6
+    rows["laser"] += peak_m * np.cos(2 * np.pi * 1000.0 * rows["time"])
+    found = measure_record(rows, info, 10.0)
+    expected_m = peak_m / np.sqrt(1000 * found.cycles)
+    assert found.spread < 1e-9
+    assert found.amplitudes.u[LASER] == pytest.approx(expected_m, rel=0.01)
+    assert found.u_transmissibility == pytest.approx(expected_m / BASE_M, rel=0.01)
+
+
 def test_clock_error_does_not_smear_the_ratio():
     """A DAQ clock off by 500 ppm turns the phase by a third of a cycle in 75 s: DT stays, the deviation is told."""
     true_hz = 9.1 * (1 + 500e-6)

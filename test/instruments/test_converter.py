@@ -30,6 +30,18 @@ def test_readings_are_whole_steps_of_16_bits(channel, quantity, peak):
     assert set(np.unique(np.diff(np.unique(np.rint(codes))))) == {1.0}  # every code within the swing occurs
 
 
+def test_codes_end_where_those_of_the_board_do_and_both_ends_are_flagged():
+    """Of 2^16 codes, one more is negative."""
+    config = exact_16_bit()
+    scans = measured(Chain(config), AnalyticMotion(a_1=sine(5.0, 2500.0)), 0.4)
+    sensor = next(sensor for sensor in sensors(config) if sensor.name == "accelerometer")
+    step = 2 * sensor.adc_range_v / 2**16 / sensor.volt_per_unit
+    codes = np.rint(scans["accelerometer"] / step)
+    assert (codes.min(), codes.max()) == (-(2**15), 2**15 - 1)
+    ends = (codes == codes.min()) | (codes == codes.max())
+    np.testing.assert_array_equal(scans["status"] & BIT["accelerometer"] > 0, ends)
+
+
 def test_quantisation_error_is_spread_over_one_step():
     config = exact_16_bit()
     scans = measured(Chain(config), AnalyticMotion(x_b=lambda t: 1e-4 * t), 5.0)

@@ -203,10 +203,14 @@ class Page:
         return str(self.js(f"document.querySelector({selector!r}).textContent"))
 
     def click(self, selector: str) -> None:
-        """Click in the middle of what a selector finds, with the mouse."""
-        x, y = self.js(
-            f"(() => {{ const e = document.querySelector({selector!r}); e.scrollIntoView({{block: 'nearest'}});"
-            " const b = e.getBoundingClientRect(); return [b.x + b.width / 2, b.y + b.height / 2]; })()"
+        """Click in the middle of what a selector finds, with the mouse, when it stands still and nothing covers it."""
+        x, y = self.wait(
+            f"(async () => {{ const e = document.querySelector({selector!r}); if (!e) return;"
+            " e.scrollIntoView({block: 'nearest'}); const frame = () => new Promise(requestAnimationFrame);"
+            " const at = () => { const b = e.getBoundingClientRect(); return [b.x + b.width / 2, b.y + b.height / 2] };"
+            " const before = at(); await frame(); await frame(); const still = `${at()}` === `${before}`;"
+            " return still && e.contains(document.elementFromPoint(...before)) && before; })()",
+            f"{selector} to stand still in sight",
         )
         for kind in ("mousePressed", "mouseReleased"):
             self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)

@@ -24,7 +24,7 @@ from impact_rig.recording import Attachment, OfferedQos, Provenance, RunWriter, 
 POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
 RATE_HZ = 10_000
 BLOCK_SCANS = 100
-START_NS = 1_700_000_000_000_000_000
+START_NS = 1_700_000_000_123_456_789
 PROVENANCE = Provenance(version="1.2.3", seed=7, wall_start_ns=START_NS, extra={"mode": "realtime"})
 CONFIG = b"rig:\n  ros__parameters:\n    daq:\n      rate_hz: 10000\n"
 

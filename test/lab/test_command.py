@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import os
 import signal
 import subprocess
@@ -13,13 +14,15 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import aiohttp
 import pytest
+from kits import loops
 from kits.browser import PATIENCE_S, Page, wait_until
 
 from impact_rig import topics
 from impact_rig.cli import main
-from impact_rig.lab.sample import make
 from impact_rig.recording import open_run
+from impact_rig.runs.sample import make
 
 PROGRAM = [sys.executable, "-c", "from impact_rig.cli import main; raise SystemExit(main())"]
 
@@ -67,10 +70,10 @@ def test_the_sample_says_what_the_analysis_was_set_to(sample: Path, capsys: pyte
 
 def test_a_sample_of_an_earlier_version_is_made_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with monkeypatch.context() as before:
-        before.setattr("impact_rig.lab.sample.SECONDS", 0)
-        before.setattr("impact_rig.lab.sample.TOPICS", (topics.INFO.name, topics.ANALYSIS_SETTINGS.name))
+        before.setattr("impact_rig.runs.sample.SECONDS", 0)
+        before.setattr("impact_rig.runs.sample.TOPICS", (topics.INFO.name, topics.ANALYSIS_SETTINGS.name))
         make(tmp_path / "sample")
-    monkeypatch.setattr("impact_rig.lab.sample.SECONDS", 1)
+    monkeypatch.setattr("impact_rig.runs.sample.SECONDS", 1)
     with open_run(make(tmp_path / "sample")) as run:
         assert f"/rig/{topics.SCAN.name}" in run.topics
 
@@ -98,6 +101,20 @@ def test_of_two_rigs_one_is_chosen(open_page: Callable[..., Page], tmp_path: Pat
                 page.js("lab.link.socket.onclose = null")
 
 
+async def shown(address: str, name: str) -> None:
+    """Wait until the page that is served at an address is sent a name."""
+    at = address.replace("/?", "/socket?")
+    async with (
+        asyncio.timeout(PATIENCE_S),
+        aiohttp.ClientSession() as session,
+        session.ws_connect(at, headers={"Origin": address.partition("/?")[0]}, max_msg_size=0) as socket,
+    ):
+        async for message in socket:
+            if name.encode() in message.data:
+                return
+    raise AssertionError(f"{name} was not sent before the end")
+
+
 @pytest.mark.ros
 @pytest.mark.pipeline
 def test_a_second_lab_is_refused_the_recording_is_named_and_an_end_of_the_pipe_ends_it(tmp_path: Path) -> None:
@@ -111,7 +128,9 @@ def test_a_second_lab_is_refused_the_recording_is_named_and_an_end_of_the_pipe_e
         assert first.stdout is not None
         assert first.stderr is not None
         try:
-            assert any(line.startswith(b"http") for line in iter(first.stdout.readline, b""))
+            address = (
+                next(line for line in iter(first.stdout.readline, b"") if line.startswith(b"http")).decode().strip()
+            )
             second = subprocess.run(
                 command, capture_output=True, cwd=tmp_path, env=environment, timeout=PATIENCE_S, check=False
             )
@@ -121,7 +140,7 @@ def test_a_second_lab_is_refused_the_recording_is_named_and_an_end_of_the_pipe_e
             with Client(domain_id, "bench/two", name="observer") as client:
                 client.wait_until(lambda: client.figures("recorder").get("directory"), "a recording", PATIENCE_S)
                 directory = client.figures("recorder")["directory"]
-                client.spin_for(1.5)  # the lab hears the same, once a second
+            loops.run(shown(address, Path(directory).name))
             first.send_signal(signal.SIGINT)
             words, errors = first.communicate(timeout=PATIENCE_S)
             assert words.decode().splitlines()[-1] == f"recorded: {directory}"

@@ -147,7 +147,7 @@ def test_from_r_to_a_settled_transmissibility(lab: Lab, page: Page) -> None:
     page.wait("lab.now.prediction.words.startsWith('Predicted for 4 mm')", "the prediction to follow the gap")
     word(page, "settling", "driving")
     assert page.js("lab.now.dt_now.holds") is False, "that value was of another gap"
-    assert page.js("lab.motion.impacts.length") > 0
+    page.wait("lab.motion.impacts.length > 0", "impacts in the new gap")
     assert page.js("lab.drawn.epoch") == lab.source.record.epoch
 
 
@@ -377,7 +377,7 @@ def test_faults_and_remarks(lab: Lab, page: Page) -> None:
     assert "gain error laser (0.003) is in force (truth)" in page.text("#sentence")
     page.click("#fault-clear")
     answered(page, "cleared")
-    page.wait("document.getElementById('faults').textContent === 'none'", "its end", 3.0)
+    page.wait("document.getElementById('faults').textContent === 'none'", "its end")
     page.key("0")
     hostile = "<img src=x onerror=alert(1)><b>bold"
     notes = lab.client.collect("notes")

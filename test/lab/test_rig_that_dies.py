@@ -80,7 +80,7 @@ def test_what_dies_is_grey_and_comes_back(graph: tuple[Processes, str], open_pag
     assert "code -9" in page.text("#notice-text")
     page.js("document.activeElement.blur()")
     page.key("r")
-    page.wait("document.querySelector('.knob.refused .words')?.textContent.includes('rig is gone')", "a refusal", 2.0)
+    page.wait("document.querySelector('.knob.refused .words')?.textContent.includes('rig is gone')", "a refusal")
     assert page.js("document.querySelectorAll('.pending').length") == 0
     pictures = page.js("lab.drawn.pictures")
     page.click("#notice-buttons button")

@@ -36,6 +36,13 @@ def test_due_time_follows_the_clock_without_drift() -> None:
 
 def test_a_suspended_process_is_rebased_and_says_by_how_much() -> None:
     clock = FakeClock()
+    pacer = Pacer(clock, max_lag_ns=200 * MS)
+    pacer.rebase(0)
+    clock.now += 200 * MS
+    assert pacer.due_ns(0) == 200 * MS, "so much is caught up"
+    clock.now += 1
+    assert pacer.due_ns(1) == 200 * MS + 1
+    assert pacer.due_ns(0) == 0, "a nanosecond more is given up"
     pacer = Pacer(clock)
     pacer.rebase(0)
     clock.now += 5 * NS_PER_S
@@ -75,6 +82,8 @@ def test_window_follows_the_slowest_peer() -> None:
     assert window.room() == 1
     assert window.acknowledge("b", 10)
     assert window.room() == 3
+    assert window.behind() == {"a": 0, "b": 1}
+    assert window.acknowledge("a", 10), "an earlier one that comes late"
     assert window.behind() == {"a": 0, "b": 1}
 
 

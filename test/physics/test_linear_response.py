@@ -158,7 +158,7 @@ def test_a_ramped_drive_agrees_with_another_integrator(kind):
         coil = (u - c.resistance * i - c.force_factor * v_b) / c.inductance
         return [v_1, column / c.m_1, v_b, table, coil]
 
-    motion = Simulation(config).advance(np.array([(0.5, omega, phase, level, slope)], sine(1, 1, 1).dtype))
+    motion = Simulation(config).advance(np.array([(0.5, omega, phase, level, slope, 0.0)], sine(1, 1, 1).dtype))
     t = np.linspace(0.0, 0.5, 21)
     other = solve_ivp(rates, (0.0, 0.5), np.zeros(5), "DOP853", t, rtol=1e-12, atol=1e-16)
     names = ("x_1", "v_1") if kind == "prescribed" else ("x_1", "v_1", "x_b", "v_b")

@@ -9,7 +9,7 @@ all of it, and some of them the others.
 from __future__ import annotations
 
 import runpy
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +38,12 @@ REFUSED = {
 }
 
 
+@pytest.fixture(scope="module")
+def programs() -> Iterator[Any]:
+    with TOOL["Programs"]() as found:
+        yield found
+
+
 @pytest.mark.parametrize(
     ("command", "what"),
     [
@@ -47,11 +53,13 @@ REFUSED = {
         if command != "export" or what not in REFUSED  # it opens them as `info` does, and takes three times as long
     ],
 )
-def test_a_hostile_recording_costs_little_and_is_answered_in_one_line(tmp_path: Path, command: str, what: str) -> None:
+def test_a_hostile_recording_costs_little_and_is_answered_in_one_line(
+    programs: Any, tmp_path: Path, command: str, what: str
+) -> None:
     victim = tmp_path / "victim"
     victim.write_bytes(TOOL["VICTIM"])
     path = RECORDINGS[what](tmp_path)
-    cost = TOOL["cost"](TOOL["words"](command, path, tmp_path), tmp_path)
+    cost = programs.cost(TOOL["words"](command, path, tmp_path), tmp_path)
     kept = command == "recover" and what == "9 MB metadata.yaml"  # what metadata.yaml says is not needed there
     expected = 1 if what in REFUSED else 0
     assert cost.faults(INCOMPLETE if kept else expected) == [], cost.output
@@ -62,10 +70,12 @@ def test_a_hostile_recording_costs_little_and_is_answered_in_one_line(tmp_path: 
 
 @pytest.mark.ros
 @pytest.mark.parametrize("command", ["replay", "verify", "analyze"])
-def test_a_recording_that_lies_about_time_and_names_is_answered_by_every_command(tmp_path: Path, command: str) -> None:
+def test_a_recording_that_lies_about_time_and_names_is_answered_by_every_command(
+    programs: Any, tmp_path: Path, command: str
+) -> None:
     pytest.importorskip("rclpy", reason="no ROS 2 here")
     for what in ("log time 2⁶⁴ − 1", "invalid topic name", "aliases in a QoS text", "FIFO"):
-        cost = TOOL["cost"](TOOL["words"](command, RECORDINGS[what](tmp_path), tmp_path), tmp_path)
+        cost = programs.cost(TOOL["words"](command, RECORDINGS[what](tmp_path), tmp_path), tmp_path)
         expected = 0 if command == "replay" and what == "aliases in a QoS text" else 1
         assert cost.faults(expected) == [], (what, cost.output)
         assert cost.peak_mb <= TOOL["MEMORY_LIMIT_MB"]

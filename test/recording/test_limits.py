@@ -114,6 +114,26 @@ def test_a_file_is_split_by_size_and_each_part_stands_alone(record):
         assert sum(1 for _ in reader.messages()) == len(sent)
 
 
+def test_a_full_file_takes_no_further_message(record):
+    """Full is a file of exactly that size as well: here the size of the whole ones is known beforehand."""
+    alone = record("run1", max_file_bytes=10**9, chunk_bytes=20_000)
+    alone.add_topic(SCAN_TOPIC)
+    for number in range(40):
+        alone.write(SCAN_TOPIC.name, scan_block(number), 0, number + 1)
+    full, _ = alone.bytes_written, alone.finish()
+    writer = record("run2", max_file_bytes=full, chunk_bytes=20_000)
+    writer.add_topic(SCAN_TOPIC)
+    ended_at = []
+    for number in range(100):
+        before, size = len(writer.files), writer.files[-1].stat().st_size
+        writer.write(SCAN_TOPIC.name, scan_block(number), 0, number + 1)
+        assert len(writer.files) - before == (size >= full), f"block {number}"
+        ended_at += [size] if size >= full else []
+    assert ended_at[0] == full
+    assert len(ended_at) > 1
+    writer.finish()
+
+
 def test_a_file_is_split_by_rig_time(record):
     with record(max_file_duration_ns=100_000_000) as writer:
         fill(writer, 50)

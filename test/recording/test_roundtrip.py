@@ -25,7 +25,7 @@ from kits.recording import (
 from impact_rig import codec
 from impact_rig.errors import RecordingError
 from impact_rig.recording import Attachment, RunWriter, open_run
-from impact_rig.recording.description import resolve
+from impact_rig.recording.description import INFINITE_NS, resolve
 
 
 def as_sent(message):
@@ -52,6 +52,17 @@ def test_every_message_comes_back_as_sent(record, compression):
         ]
 
 
+def test_times_that_rosbag2_cannot_read_become_those_it_can(record):
+    """Its times are signed, those of MCAP are not."""
+    with record() as writer:
+        writer.add_topic(NOTES_TOPIC)
+        for publish_time in (-1, 0, INFINITE_NS, INFINITE_NS + 1):
+            writer.write(NOTES_TOPIC.name, string("a"), publish_time)
+    with open_run(writer.directory) as run:
+        times = [(m.log_time, m.publish_time) for m in run.messages(recorded_order=True)]
+    assert times == [(time, time) for time in (0, 0, INFINITE_NS, INFINITE_NS)]
+
+
 def test_log_time_order_and_ties(record):
     with record(chunk_bytes=20_000) as writer:
         sent = fill(writer, 50)
@@ -63,7 +74,7 @@ def test_log_time_order_and_ties(record):
 def test_selected_topics_and_times(record):
     with record(chunk_bytes=20_000) as writer:
         sent = fill(writer, 50)
-    begin, end = START_NS + 100_000_000, START_NS + 300_000_000
+    begin, end = START_NS + 109_900_000, START_NS + 309_900_000  # two instants at which something was said
     with open_run(writer.directory) as run:
         got = [as_sent(m) for m in run.messages(["notes", "/rig/daq/ack"], start_ns=begin, end_ns=end)]
     wanted = [s for s in sent if s.topic in {"/rig/notes", "/rig/daq/ack"} and begin <= s.log_time < end]

@@ -128,6 +128,7 @@ def test_a_chunk_cut_short_while_it_was_written_is_replaced_by_the_tail(record, 
     kept = tmp_path / "kept"
     shutil.copytree(writer.directory, kept)
     writer.finish()
+    assert not tail_of(Path(writer.files[0])).exists()
     recording, tail = kept / "run.mcap", tail_of(kept / "run.mcap")
     begun, whole, secured = recording.stat().st_size, writer.files[0].read_bytes(), tail.read_bytes()
     for size in range(begun, begun + 200, 29):

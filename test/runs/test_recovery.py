@@ -4,8 +4,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import shutil
+import struct
 import subprocess
 import sys
 import textwrap
@@ -32,7 +34,7 @@ from rosbags.highlevel import AnyReader
 
 from impact_rig.errors import RecordingError
 from impact_rig.recording import Attachment, Provenance, RunWriter, TopicDescription, open_run, records
-from impact_rig.runs import recover
+from impact_rig.runs import recover, recovery
 from impact_rig.system import budget
 from impact_rig.system.budget import BudgetError
 
@@ -132,6 +134,7 @@ def test_truncation_at_any_byte(tmp_path, compression, topics, cuts):
         report = recover(cut_file, out)
         assert report.messages == expected
         assert report.expected_messages is None
+        assert all(damage.offset + damage.length <= cut for damage in report.damages)
         assert read_all(out / f"{out.name}.mcap") == (sent[:expected], attachments, provenance)
         shutil.rmtree(out)
 
@@ -230,6 +233,40 @@ def test_many_flipped_bits_and_overwritten_stretches(tmp_path, cases):
         args = (tmp_path / "damaged.mcap", tmp_path / f"out{case}", sent, attachments, provenance)
         back.append(check_never_wrong(*args))
     assert sum(back) > cases  # the test would prove nothing if everything were refused
+
+
+def test_a_chunk_is_found_wherever_the_damage_before_it_ends(tmp_path, monkeypatch):
+    """It may lie across the edges of what is read at once; and none is too short by the length of a name."""
+    monkeypatch.setattr(recovery, "_FIRST_WINDOW_BYTES", recovery._PATTERN_BYTES)
+    path = tmp_path / "damaged.mcap"
+    for name in (b"", b"lz4", b"zstd", b"x" * recovery._LONGEST_NAME):
+        fixed = struct.pack("<QQQII", 1, 2, 3, 4, len(name)) + name + struct.pack("<Q", 1) + b"."
+        chunk = records.RECORD_HEAD.pack(records.CHUNK, len(fixed)) + fixed
+        for lost in range(150) if len(name) < recovery._LONGEST_NAME else (0,):  # no such chunk is searched for
+            path.write_bytes(records.MAGIC + b"\xff" * lost + chunk)
+            with recovery.DamagedFile(path) as file:
+                *damages, found = file.walk()
+            assert [(damage.offset, damage.length) for damage in damages] == [(len(records.MAGIC), lost)][: lost > 0]
+            assert found == recovery.Found(records.CHUNK, len(records.MAGIC) + lost, len(chunk))
+
+
+def test_records_that_are_cut_anywhere_are_damage(tmp_path):
+    path = small_run(tmp_path / "run", "none")
+    with open_run(path) as run:
+        content = bytes(run.sources[0].chunk(run.sources[0].summary.chunk_indexes[0]))
+    edges = [0]
+    while edges[-1] < len(content):
+        edges.append(records.split(memoryview(content), edges[-1])[2])
+    assert len(edges) > 3
+    for cut in range(len(content) + 1):
+        view = memoryview(content)[:cut]
+        for read in (
+            lambda v: [*records.messages(v, None)],
+            lambda v: [*records.definitions(v)],
+            lambda v: records.count(v, 99),
+        ):
+            with contextlib.nullcontext() if cut in edges else pytest.raises(records.DamageError):
+                read(view)
 
 
 def test_losing_the_chunk_with_the_definitions_costs_only_that_chunk(tmp_path):

@@ -15,7 +15,7 @@ import pytest
 
 from impact_rig.client import isolated_domain
 from impact_rig.errors import ImpactRigError
-from impact_rig.kernels.build import OUTPUT
+from impact_rig.kernels.build import FOLDER, OUTPUT
 from impact_rig.system.resources import config_dir, share_dir
 from tools.release import build, differences, page
 
@@ -54,8 +54,8 @@ RELEASED = pytest.mark.skipif(
 
 @pytest.fixture(scope="module")
 def built(tmp_path_factory):
-    """The source distribution, and the wheel that is made from it."""
-    return build(tmp_path_factory.mktemp("release"))
+    """The source distribution, and the wheel that is made from it, with the library that the tests run on."""
+    return build(tmp_path_factory.mktemp("release"), FOLDER)
 
 
 @RELEASED

@@ -33,10 +33,11 @@ def test_every_example_passes(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir()), "only failures leave runs"
 
 
-def test_the_first_node_of_the_docs_is_the_one_that_is_tested() -> None:
-    page = (ROOT / "docs" / "first_node.md").read_text(encoding="utf-8")
-    (block,) = re.findall(r"^```python title=examples/first_node.py\n(.*?)^```$", page, re.MULTILINE | re.DOTALL)
-    notice, file = re.split("^(?!#)", (EXAMPLES / "first_node.py").read_text(encoding="utf-8"), maxsplit=1, flags=re.M)
+@pytest.mark.parametrize(("page", "name"), [("first_node", "first_node.py"), ("drive", "velocity_feedback.py")])
+def test_a_node_of_the_docs_is_the_one_that_is_tested(page: str, name: str) -> None:
+    text = (ROOT / "docs" / f"{page}.md").read_text(encoding="utf-8")
+    (block,) = re.findall(rf"^```python title=examples/{name}\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
+    notice, file = re.split("^(?!#)", (EXAMPLES / name).read_text(encoding="utf-8"), maxsplit=1, flags=re.M)
     assert "Copyright" in notice
     assert block == file
 

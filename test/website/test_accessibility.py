@@ -16,8 +16,8 @@ pytest.importorskip("aiohttp", reason="the extra [lab] is not installed")
 from kits.browser import serious_faults
 
 from impact_rig.lab.playback import PlaybackSource
-from impact_rig.lab.sample import make
 from impact_rig.lab.server import Server
+from impact_rig.runs.sample import make
 
 WIDE, NARROW = 1280, 400
 

@@ -30,6 +30,10 @@ BY_TOOLS: Mapping[str, tuple[str, ...]] = {
         "gallery_study_hysteresis.png",
     ),
     "tools/map_picture.py": ("map_gap_frequency.png", "map_coexistence.png"),
+    "tools/map_picture.py dynamics": (
+        "dynamics_section.png", "dynamics_bifurcation.png", "dynamics_continue.png", "dynamics_exponent.png",
+        "dynamics_basin.png", "dynamics_orbit.png", "dynamics_current.png",
+    ),
     "tools/prediction.py --draw": ("prediction.png",),
     "tools/urdf_picture.py": ("urdf.png",),
 }  # fmt: skip

@@ -257,7 +257,7 @@ def identify(
     """
     if measured.decay is None and measured.sine is None and measured.reduced is None:
         raise ConfigError("nothing to identify from: no free decay, no stepped sine, no reductions")
-    theta, nuisance = start.copy(), np.zeros(len(NUISANCES))
+    theta, nuisance = _begun(measured, start), np.zeros(len(NUISANCES))
     for _ in range(ITERATIONS if measured.decay or measured.sine else 0):
         change, along = _step(*_linear(measured, known, theta, nuisance))
         theta, nuisance = theta + change, nuisance + along
@@ -296,6 +296,17 @@ def identify(
         theta, found, float(residual @ residual), len(residual) - len(NUISANCES) - determined, config,
         restitution, u_restitution, left_out, contradicted,
     )  # fmt: skip
+
+
+def _begun(measured: Measured, start: Real) -> Real:
+    """Return the start with the f_n and ζ that the data show at a glance: far from them nothing else can be fitted."""
+    theta = start.copy()
+    if measured.decay is not None:
+        theta[:2] = np.log([measured.decay.natural_frequency_hz, measured.decay.damping_ratio])
+    elif measured.sine is not None:
+        peak = int(np.argmax(measured.sine.dt))
+        theta[:2] = np.log([measured.sine.frequency_hz[peak], 0.5 / measured.sine.dt[peak]])
+    return theta
 
 
 def _spread(jacobian: Real, column: int) -> float:

@@ -20,7 +20,7 @@ from impact_rig import topics
 from impact_rig.analysis.calibration import U_CUBIC, Calibration, Real
 from impact_rig.analysis.decay import Decay, DecayMethod, fit_decay, measure_decay
 from impact_rig.analysis.reduction import repeatability
-from impact_rig.analysis.scans import BASE, CURRENT, LASER
+from impact_rig.analysis.scans import BASE, CURRENT, LASER, samples_of
 from impact_rig.analysis.words import Regime
 from impact_rig.blocks import joined
 from impact_rig.campaign.axes import NO_SPHERE
@@ -31,6 +31,8 @@ from impact_rig.physics.prediction import transmissibility
 from impact_rig.recording import Run
 from impact_rig.rig import Kind, Rig
 from impact_rig.rig.config import RigConfig, from_flat
+from impact_rig.runs.measurement import is_measured
+from impact_rig.runs.wholes import calibration_rows, last_record
 from impact_rig.simtime import NS_PER_S
 
 LEAST_NOISE = 1e-4
@@ -149,9 +151,12 @@ def sine_of(points: Sequence[Point], gains: Gains) -> SineData:
 
 
 def reduced_of(curves: Curves, frequency_hz: float, gaps_m: Sequence[float], gains: Gains) -> Reduced | None:
-    """Return the ratios at one frequency, or None if there are none; only impacting orbits tell anything."""
+    """Return the ratios at one frequency, or None if there are none; only impacting orbits tell anything.
+
+    Where no accelerometer was there, nobody counted: then the simulated motion says.
+    """
     without = curves.at(NO_SPHERE, frequency_hz)
-    points = [point for gap in gaps_m if (point := curves.at(gap, frequency_hz)) is not None and point.impacts]
+    points = [point for gap in gaps_m if (point := curves.at(gap, frequency_hz)) is not None and _may_impact(point)]
     if without is None or not points:
         return None
     effects = np.zeros((len(points), len(NUISANCES)))
@@ -168,6 +173,10 @@ def reduced_of(curves: Curves, frequency_hz: float, gaps_m: Sequence[float], gai
         effects=effects,
         regimes={point.gap_m: point.regime for point in points},
     )
+
+
+def _may_impact(point: Point) -> bool:
+    return point.impacts or math.isnan(point.impacts_per_cycle)
 
 
 def _noise(point: Point, gains: Gains) -> float:
@@ -208,9 +217,18 @@ def measured_decay(config: RigConfig, method: DecayMethod = fit_decay) -> Decay:
 def recorded_decay(run: Run, method: DecayMethod = fit_decay) -> Decay:
     """Measure the decay after the last pluck of a recorded run by a fit, or by `method`.
 
+    A measurement of somebody's own rig has no journal: its decay begins where the structure is farthest from where it
+    comes to rest.
+
     Raises:
         RecordingError: nothing was plucked, or the run holds no scans after it.
     """
+    if not run.holds(topics.JOURNAL) and is_measured(run):
+        record = last_record(run)
+        x_1 = samples_of(record.rows, "laser")
+        rest = x_1[-max(1, len(x_1) // 4) :].mean()
+        begin = int(np.argmax(np.abs(x_1 - rest))) + round(SETTLE_S * record.rate_hz)
+        return measure_decay(record.rows[begin:], calibration_rows(run), method)
     plucks = [
         table.stamp_ns + round(float(row["time"]) * NS_PER_S)
         for table in run.tables(topics.JOURNAL.name, recorded_order=True)

@@ -1,0 +1,20 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""The controller of the documentation, against a rig in real time: what it sends comes into force."""
+
+from velocity_feedback import VelocityFeedback
+
+from impact_rig.client import Client, isolated_domain
+from impact_rig.client.client import ros_parameters
+from impact_rig.nodes.rig_node import RigNode
+
+
+def test_what_it_sends_drives_the_rig():
+    settings = {"drive.waveform": "stream", "sphere.present": False}
+    with isolated_domain() as domain_id, Client(domain_id) as client:
+        client.host(RigNode, parameter_overrides=ros_parameters(settings))
+        node = client.host(VelocityFeedback)
+        client.wait_active("rig")
+        said = client.collect("shaker/stream")
+        client.wait_until(lambda: node.sent > 10_000 and said.last().rows["playing"][0], "a second of samples")
+        assert said.last().rows["refused"][0] == 0

@@ -1,0 +1,133 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""`impact-rig dynamics`: sections, bifurcations, basins, orbits, branches and exponents of the model."""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import io
+import json
+import math
+import time
+from collections import Counter
+from pathlib import Path
+
+from impact_rig.campaign.units import Row, Store
+from impact_rig.cli import units
+from impact_rig.cli.terminal import Console, TextTable, subcommand, tell_json, tell_program
+from impact_rig.studies.dynamics import plan as plans
+from impact_rig.studies.dynamics.plan import Plan, Task
+from impact_rig.system import files
+
+FOLDER = "tasks"
+SHOWN = {
+    plans.ORBIT: ("event", "period", "dt", "impacts_per_cycle", "loss_factor", "multiplier_real", "multiplier_imag"),
+    plans.CONTINUE: ("value", "event", "dt", "impacts_per_cycle", "loss_factor", "multiplier_real", "multiplier_imag"),
+    plans.EXPONENT: plans.COLUMNS[plans.EXPONENT],
+}
+"""Columns that the terminal shows; of a branch only where something happens."""
+MOST_ROWS = 40
+
+
+def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Register the subcommand."""
+    parser = subcommand(
+        commands, "dynamics", "sections, bifurcations, basins, orbits, branches and exponents of the model",
+        [
+            ("dynamics continue config/dynamics/nominal.yaml", "stable and unstable motions over the gap, with folds"),
+            ("dynamics basin config/dynamics/two_motions.yaml", "which start of the sphere leads where"),
+        ],
+        more="Everything is of the mechanics, without instruments. Run again, it goes on where it was interrupted.",
+    )  # fmt: skip
+    parser.add_argument("kind", choices=plans.KINDS, help="of study: a section of the file")
+    parser.add_argument("file", nargs="?", type=Path, metavar="FILE", help="e.g. config/dynamics/nominal.yaml")
+    units.add_words(parser, "dynamics")
+    parser.set_defaults(run=_run)
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    kind = arguments.kind
+    file, directory, runner = units.words(
+        arguments, plans.run, "dynamics", f"dynamics {kind} config/dynamics/nominal.yaml"
+    )
+    plan = plans.load(file, kind)
+    store: Store[Task] = Store(directory, "dynamics", FOLDER, ("maps", "studies"))
+    store.prepare(plan.text, plan.base)
+    console = Console(quiet=arguments.json)
+    began = time.monotonic()
+    measured = units.measure(plan.tasks, store, runner, console, lambda _: 1)
+    wall_s = time.monotonic() - began
+    found = [(task, store.get(task) or []) for task in plan.tasks]
+    rows = [row for _, each in found for row in each]
+    _write_table(plan, rows, directory)
+    told = {
+        "title": plan.title, "kind": kind, "measured_on": "mechanics", "tasks": len(plan.tasks), "rows": len(rows),
+        "measured_tasks": measured, "wall_s": wall_s, **_summary(plan, rows),
+    }  # fmt: skip
+    files.write_text(directory / f"{kind}.json", json.dumps(told, indent=2) + "\n")
+    if not arguments.no_figures:
+        from impact_rig.studies.dynamics.figures import drawn  # noqa: PLC0415  # matplotlib
+
+        drawn(plan, found).save(units.figures_folder(directory))
+    _show(console, plan, rows)
+    console.print(f"{len(rows)} rows on the mechanics; {kind}.csv, {kind}.json")
+    if arguments.json:
+        tell_json({"directory": str(directory), **told})
+    else:
+        tell_program(directory)
+    return 0
+
+
+def _write_table(plan: Plan, rows: list[Row], directory: Path) -> None:
+    text = io.StringIO(newline="")
+    writer = csv.writer(text)
+    writer.writerow(plans.COLUMNS[plan.kind])
+    writer.writerows([["" if isinstance(cell, float) and math.isnan(cell) else cell for cell in row] for row in rows])
+    files.write_text(directory / f"{plan.kind}.csv", text.getvalue())
+
+
+def _named(plan: Plan, rows: list[Row], names: tuple[str, ...]) -> list[dict[str, object]]:
+    """Return some columns of rows by name; what is no number is None."""
+    columns = plans.COLUMNS[plan.kind]
+    return [
+        {
+            name: None if isinstance(cell, float) and math.isnan(cell) else cell
+            for name, cell in zip(columns, row, strict=True)
+            if name in names
+        }
+        for row in rows
+    ]
+
+
+def _told(plan: Plan, rows: list[Row]) -> list[Row]:
+    """Return the rows that say what happens: along a branch those that are no mere orbits."""
+    if plan.kind != plans.CONTINUE:
+        return rows
+    event = plans.COLUMNS[plan.kind].index("event")
+    return [row for row in rows if row[event] != "orbit"]
+
+
+def _summary(plan: Plan, rows: list[Row]) -> dict[str, object]:
+    """Return the figures for programs."""
+    if plan.kind == plans.BASIN:
+        from impact_rig.studies.dynamics.figures import motion  # noqa: PLC0415  # as above
+
+        counts = Counter(motion(plan, row) for row in rows)
+        return {"shares": {name: count / len(rows) for name, count in sorted(counts.items())}}
+    if plan.kind in (plans.SECTION, plans.BIFURCATION):
+        return {}
+    return {"found": _named(plan, _told(plan, rows), plans.COLUMNS[plan.kind])}
+
+
+def _show(console: Console, plan: Plan, rows: list[Row]) -> None:
+    for name, share in _summary(plan, rows).get("shares", {}).items():  # type: ignore[attr-defined]  # a mapping
+        console.print(f"{100.0 * share:.2f} % lead to: {name}")
+    if plan.kind not in SHOWN:
+        return
+    table = TextTable()
+    for name in SHOWN[plan.kind]:
+        table.add_column(name.replace("_", " "), justify="right")
+    for row in _named(plan, _told(plan, rows)[:MOST_ROWS], SHOWN[plan.kind]):
+        table.add_row(*(f"{cell:.5g}" if isinstance(cell, float) else str(cell or "-") for cell in row.values()))
+    console.print(table)

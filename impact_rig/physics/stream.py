@@ -1,0 +1,269 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""The drive as a stream of samples: what is buffered, what is in force, and what stands where samples are missing.
+
+Sample k lies k · 10⁹ // rate nanoseconds after scan 0. Between samples the drive is a straight line (first-order hold)
+or the sample before (zero-order hold); its segments end at samples and at ticks of the command grid. What has come by
+the time a tick is simulated is in force; into which blocks it was cut, in which order and how often it came, is lost.
+"""
+
+from __future__ import annotations
+
+import binascii
+import copy
+import enum
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from impact_rig.arithmetic.elementary import PI
+from impact_rig.config import Drive, Shaker
+from impact_rig.errors import CommandError
+from impact_rig.physics.flight import SEGMENT
+from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S
+
+SUM_TICKS = 100
+"""Once a second the samples that came into force are summed up."""
+
+
+class Event(enum.StrEnum):
+    """What happens to a stream."""
+
+    BEGIN = "begin"
+    END = "end"
+    SUM = "crc32"
+
+
+class Happened(NamedTuple):
+    """An event, the sample it begins with, and of an END why, of a SUM `count crc`."""
+
+    event: Event
+    sample: int
+    text: str = ""
+
+
+UNDERRUN, ENDED, STOPPED = "underrun", "ended", "stopped"
+"""Why a stream ends: no sample came in time; its controller said so; the shaker was stopped."""
+
+
+class State(enum.Enum):
+    """Where a stream is."""
+
+    RESTING = "no sample has come yet"
+    PLAYING = "samples are in force"
+    MISSING = "no sample came in time"
+    OVER = "the controller has ended it"
+
+
+class Buffer:
+    """A ring of samples by number, in which one may be put again until it is played."""
+
+    def __init__(self, capacity: int) -> None:
+        self.capacity = capacity
+        self.ends: set[int] = set()
+        """Numbers of samples that will not come."""
+        self._values = np.zeros(capacity)
+        self._tags = np.zeros(capacity, np.int64)  # number + 1
+        self._whole_to = 0  # all are there from the first one played to here
+
+    def put(self, first: int, values: NDArray[np.float64]) -> None:
+        """Put the samples from number `first` on, no more than the capacity; none at all: they end there."""
+        self.ends = {end for end in self.ends if end >= first + len(values)}
+        if len(values) == 0:
+            self.ends.add(first)
+        numbers = np.arange(first, first + len(values))
+        self._values[numbers % self.capacity] = values
+        self._tags[numbers % self.capacity] = numbers + 1
+
+    def clear(self) -> None:
+        """Forget all samples."""
+        self._tags[:] = 0
+        self._whole_to = 0
+        self.ends.clear()
+
+    def there(self, first: int, last: int) -> NDArray[np.bool_]:
+        """Return which of the samples first … last − 1 are there."""
+        numbers = np.arange(first, last)
+        found: NDArray[np.bool_] = self._tags[numbers % self.capacity] == numbers + 1
+        return found
+
+    def values(self, first: int, last: int) -> NDArray[np.float64]:
+        """Return the samples first … last − 1."""
+        found: NDArray[np.float64] = self._values[np.arange(first, last) % self.capacity]
+        return found
+
+    def first_missing(self, first: int) -> int:
+        """Return the number of the first sample from `first` on that is not there."""
+        at = max(first, self._whole_to)
+        missing = np.flatnonzero(~self.there(at, first + self.capacity))
+        self._whole_to = at + int(missing[0]) if len(missing) else first + self.capacity
+        return self._whole_to
+
+    def first_there(self, first: int) -> int | None:
+        """Return the number of the first sample from `first` on that is there, or None."""
+        found = np.flatnonzero(self.there(first, first + self.capacity))
+        return first + int(found[0]) if len(found) else None
+
+
+class Stream:
+    """Plays buffered samples as drive segments, tick by tick; copies share the buffer.
+
+    Attributes:
+        played: number of the next sample that is wanted: all before it are in force.
+        state: where it is.
+        missing: samples that did not come in time.
+        events: what has happened and was not taken away yet.
+    """
+
+    def __init__(self, drive: Drive, shaker: Shaker) -> None:
+        self.rate_hz = drive.stream_rate_hz
+        self.capacity = math.ceil(drive.stream_buffer_s * self.rate_hz) + 1
+        self.buffer = Buffer(self.capacity)
+        self.played = 0
+        self.state = State.RESTING
+        self.missing = 0
+        self.events: list[Happened] = []
+        self._linear = drive.stream_hold == "first_order"
+        self._holds = drive.on_underrun == "hold"
+        self._recent = np.zeros(2)  # the last two samples in force
+        self._from, self._since, self._falls = 0.0, 0, True
+        self._why = UNDERRUN
+        self._sum_first, self._sum_count, self._sum = 0, 0, 0
+        self.set_ramp(shaker.ramp_s)
+
+    def set_ramp(self, ramp_s: float) -> None:
+        """Ramp to zero within another time where samples are missing."""
+        self._ramp = max(1, math.ceil(ramp_s * self.rate_hz - 1e-9))
+
+    def copy(self) -> Stream:
+        """Return a stream that goes on from here on its own, from the same buffer."""
+        twin = copy.copy(self)
+        twin.events = list(self.events)
+        return twin
+
+    def time_ns(self, sample: int) -> int:
+        """Return when a sample lies, since scan 0."""
+        return sample * NS_PER_S // self.rate_hz
+
+    def put(self, first: int, values: NDArray[np.float64]) -> int:
+        """Take a block, the samples from number `first` on; return how many of them are late and were left out.
+
+        A block without samples ends the stream at `first`.
+
+        Raises:
+            CommandError: it reaches beyond the buffer.
+        """
+        if first + len(values) > self.played + self.capacity:
+            ahead = (self.time_ns(first + len(values)) - self.time_ns(self.played)) / NS_PER_S
+            raise CommandError(f"the block reaches {ahead:.6g} s ahead, beyond drive.stream_buffer_s")
+        late = min(len(values), max(0, self.played - first))
+        if late < len(values) or len(values) == 0:
+            self.buffer.put(max(first, self.played), values[late:])
+        if len(values) == 0 and self.state is not State.PLAYING and self.buffer.first_there(self.played) is None:
+            self.state = State.OVER
+        return late
+
+    def stop(self) -> None:
+        """Play nothing more of what is buffered, and ramp to zero."""
+        self.buffer.clear()
+        self._why = STOPPED
+        if self.state is not State.PLAYING:
+            self.state = State.OVER
+        if not self._falls:  # it holds a value for want of others
+            self._since, self._falls = 0, True
+
+    def buffered(self) -> int:
+        """Return how many samples are there that follow each other from the next one wanted on."""
+        return self.buffer.first_missing(self.played) - self.played
+
+    def ticks_until_event(self, tick: int) -> int:
+        """Return how many ticks from `tick` on end with the first event to come, or the first sum."""
+        ahead = SUM_TICKS - tick % SUM_TICKS
+        at = self._first_missing() if self.state is State.PLAYING else self.buffer.first_there(self.played)
+        return ahead if at is None else min(ahead, max(1, self._tick_of(at) - tick + 1))
+
+    def whole_ticks(self) -> int | None:
+        """Return up to which tick samples suffice, or None: no more will come."""
+        missing = self._first_missing()
+        over = self.state is State.OVER or self._why == STOPPED
+        if missing in self.buffer.ends or (over and missing == self.played):
+            return None
+        return self._tick_of(missing)
+
+    def segments(self, tick: int, count: int, tick_s: float) -> NDArray[np.void]:
+        """Return the drive of the ticks tick … tick + count − 1, dtype `SEGMENT`."""
+        begin, end = tick * COMMAND_GRID_NS, (tick + count) * COMMAND_GRID_NS
+        first = -(-(begin + 1) * self.rate_hz // NS_PER_S) - 1  # the last one not after the begin
+        before, last = self.played, -(-end * self.rate_hz // NS_PER_S) + self._linear
+        values = self._play(last)
+        values = np.concatenate([self._recent[2 - before + first :], values]) if first < before else values
+        self._recent = np.concatenate([self._recent, values])[-2:]
+        numbers = np.arange(first, last)
+        times = numbers // self.rate_hz * NS_PER_S + numbers % self.rate_hz * NS_PER_S // self.rate_hz
+        edges = np.union1d(times[(times >= begin) & (times < end)], np.arange(begin, end, COMMAND_GRID_NS))
+        at = np.searchsorted(times, edges, side="right") - 1
+        rows = np.zeros(len(edges), SEGMENT)
+        rows["begin"] = edges % COMMAND_GRID_NS / COMMAND_GRID_NS * tick_s
+        rows["duration"] = np.diff(edges, append=end) / COMMAND_GRID_NS * tick_s
+        rows["phase"] = PI / 2.0
+        rows["amplitude"] = values[at]
+        if self._linear:
+            part = (edges - times[at]) / (times[at + 1] - times[at])
+            step = values[at + 1] - values[at]
+            rows["amplitude"] += step * part
+            rows["slope"] = step / ((times[at + 1] - times[at]) / COMMAND_GRID_NS * tick_s)
+        if (tick + count) % SUM_TICKS == 0:
+            self._sum_up()
+        return rows
+
+    def _first_missing(self) -> int:
+        return self.buffer.first_missing(self.played)
+
+    def _tick_of(self, sample: int) -> int:
+        """Return the first tick that needs a sample."""
+        return self.time_ns(max(0, sample - self._linear)) // COMMAND_GRID_NS
+
+    def _play(self, last: int) -> NDArray[np.float64]:
+        """Return the values of the samples played … last − 1, which from now on are in force."""
+        parts = [np.empty(0)]
+        while self.played < last:
+            there = self.buffer.there(self.played, last)
+            change = np.flatnonzero(there != there[0])
+            count = int(change[0]) if len(change) else last - self.played
+            parts.append(self._samples(count) if there[0] else self._without(count))
+            self.played += count
+        return np.concatenate(parts)
+
+    def _samples(self, count: int) -> NDArray[np.float64]:
+        if self.state is not State.PLAYING:
+            self.state = State.PLAYING
+            self.events.append(Happened(Event.BEGIN, self.played))
+        self._why = UNDERRUN
+        values = self.buffer.values(self.played, self.played + count)
+        if self._sum_count == 0:
+            self._sum_first = self.played
+        self._sum, self._sum_count = binascii.crc32(values.tobytes(), self._sum), self._sum_count + count
+        self._from = float(values[-1])
+        return values
+
+    def _without(self, count: int) -> NDArray[np.float64]:
+        """Return what stands in place of samples that are missing: zero, a straight ramp to it, or the last one."""
+        if self.state is State.PLAYING:
+            self._sum_up()
+            why = ENDED if self._why == UNDERRUN and self.played in self.buffer.ends else self._why
+            self.events.append(Happened(Event.END, self.played, why))
+            self.state = State.MISSING if why == UNDERRUN else State.OVER
+            self._since, self._falls = 0, why != UNDERRUN or not self._holds
+        self.missing += count * (self.state is State.MISSING)
+        steps = np.arange(self._since + 1, self._since + count + 1)
+        self._since = min(self._since + count, self._ramp)
+        if not self._falls:
+            return np.full(count, self._from)
+        return np.asarray(self._from * (1.0 - np.minimum(steps, self._ramp) / self._ramp))
+
+    def _sum_up(self) -> None:
+        if self._sum_count:
+            self.events.append(Happened(Event.SUM, self._sum_first, f"{self._sum_count} {self._sum:08x}"))
+        self._sum_count = self._sum = 0

@@ -1,0 +1,68 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""The largest Lyapunov exponent by two particles: how fast neighbours part, with events as they are.
+
+A second state a small distance away is taken along; after each return the distance is read and made small again
+(Benettin, Galgani & Strelcyn 1976). No derivative is needed, so an impact is no exception. The exponent is the mean
+over windows, its standard uncertainty their scatter: windows longer than the motion remembers count as independent.
+
+G. Benettin, L. Galgani & J.-M. Strelcyn (1976), "Kolmogorov entropy and numerical experiments", Phys. Rev. A 14, 2338.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from impact_rig.studies.dynamics.orbits import Real
+
+APART = 1e-7
+"""Distance of the two states at the beginning of a return, in dimensionless coordinates."""
+_OUT_OF_SIGHT = 64  # returns in a row after which a motion is never seen whole
+
+
+class Exponent(NamedTuple):
+    """The largest exponent per return.
+
+    Attributes:
+        value: mean over the windows; NaN where the states are never seen.
+        uncertainty: standard uncertainty, from the windows' scatter.
+        windows: of each window.
+    """
+
+    value: float
+    uncertainty: float
+    windows: tuple[float, ...]
+
+
+def largest(f: Callable[[Real, int], Real], z: Real, returns: int, windows: int = 20) -> Exponent:
+    """Return the largest exponent of the motion from z on, which should have settled.
+
+    Args:
+        f: coordinates after a number of returns; NaN where they cannot be told then.
+        z: coordinates, shape (n,).
+        returns: in each window.
+        windows: how many; one more at the beginning only turns the distance to the direction that grows.
+    """
+    apart = np.full(len(z), APART / math.sqrt(len(z)))
+    found = []
+    for _ in range(windows + 1):
+        total, done = 0.0, 0
+        while done < returns:
+            for steps in range(1, _OUT_OF_SIGHT + 1):
+                here, there = f(z, steps), f(z + apart, steps)
+                if np.isfinite(here).all() and np.isfinite(there).all():
+                    break
+            else:
+                return Exponent(math.nan, math.nan, ())
+            distance = float(np.linalg.norm(there - here))
+            total += math.log(max(distance, 1e-300) / APART)
+            if distance > 0.0:
+                apart = (there - here) * (APART / distance)
+            z, done = here, done + steps
+        found.append(total / done)
+    kept = np.array(found[1:])
+    return Exponent(float(kept.mean()), float(kept.std(ddof=1) / math.sqrt(len(kept))), tuple(kept.tolist()))

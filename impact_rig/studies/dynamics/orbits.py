@@ -1,0 +1,305 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""Periodic orbits as fixed points of a map z → f(z, p): Newton's method, multipliers, branches around folds.
+
+The map is a function of dimensionless coordinates z, shape (n,), and of one dimensionless parameter p. It need not be
+smooth, only where the orbit runs: derivatives are central differences. Of an orbit that repeats after several returns,
+the map is the whole of them. Where the motion cannot be told (in the midst of a contact) it returns NaN.
+
+A branch is followed by pseudo-arclength (Keller 1977): the next point is sought in the plane across the tangent, so
+that folds are no obstacle. Along it the multipliers tell stable from unstable, and where that changes, how:
+
+    fold       the branch turns back in p             flip    a multiplier passes −1: twice the period
+    symmetry   a multiplier passes 1, no turn: the    torus   a pair passes the unit circle: a second frequency
+               two half cycles become different
+    grazing    multipliers jump over 1 or −1: an impact comes or goes; nearby they grow beyond all bounds
+
+H. B. Keller (1977), "Numerical solution of bifurcation and nonlinear eigenvalue problems", in P. H. Rabinowitz (ed.),
+Applications of Bifurcation Theory, Academic Press, 359–384.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+
+import attrs
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+
+Real = NDArray[np.float64]
+Map = Callable[[Real, float], Real]
+
+STEP = 1e-6
+"""Of the differences: cut off like its square, rounding and the contacts' tolerance like its reciprocal."""
+TOLERANCE = 1e-10
+"""Largest component of f(z, p) − z of an orbit."""
+ROUNDS = 14
+_SHORTEST = 2.0**-6  # of a Newton step that makes the residual worse
+ROUNDED = 1e-8
+"""The same where rounding and the contacts' tolerance leave no less: a motion with many impacts."""
+_GROWTH = 1.4  # of the step along a branch that has gone well
+_TURN = 0.97  # cosine between successive tangents, below which a step was too long
+_LOCATED = 1e-9  # share of a step to which a bifurcation is found
+NEUTRAL = 1e-4
+"""How near 1 a multiplier counts as 1, where it decides nothing but a word."""
+PASSING = 1e-3
+"""How near a bifurcation's multiplier is to the place that it passes; else it has jumped over it."""
+LASTING, FOLD, SYMMETRY, FLIP, TORUS, GRAZING = "stable", "fold", "symmetry", "flip", "torus", "grazing"
+PASSED = {SYMMETRY: 1.0, FLIP: -1.0}
+
+
+@attrs.frozen(eq=False)
+class Orbit:
+    """A fixed point.
+
+    Attributes:
+        z: coordinates, shape (n,).
+        p: parameter.
+        residual: largest component of f(z, p) − z.
+        multipliers: eigenvalues of df/dz, the largest first, shape (n,).
+        tangent: unit vector (z, p) along the branch, shape (n + 1,).
+        note: what was asked of it along a branch.
+    """
+
+    z: Real
+    p: float
+    residual: float
+    multipliers: NDArray[np.complex128]
+    tangent: Real
+    note: object = None
+
+    @property
+    def stable(self) -> bool:
+        """Whether small errors die."""
+        return bool(abs(self.multipliers[0]) < 1.0)
+
+    @property
+    def kind(self) -> str:
+        """`stable`, or through what an orbit loses its stability with such multipliers: fold, flip, torus."""
+        largest = self.multipliers[0]
+        if self.stable:
+            return LASTING
+        return TORUS if abs(largest.imag) > NEUTRAL else FOLD if largest.real > 0.0 else FLIP
+
+
+@attrs.frozen(eq=False)
+class Change:
+    """Where a branch changes.
+
+    Attributes:
+        kind: fold, symmetry, flip, torus or grazing.
+        orbit: there.
+        note: of it.
+    """
+
+    kind: str
+    orbit: Orbit
+    note: object = None
+
+
+@attrs.frozen(eq=False)
+class Arc:
+    """A branch one way from an orbit.
+
+    Attributes:
+        orbits: in order, the first one not counted.
+        changes: where stability or direction changes, in order.
+        end: why it ends: `edge` of the range, `lost` (no step is short enough: an impact comes or goes, or the motion
+            is out of sight at the section), `closed`, or `length`.
+    """
+
+    orbits: tuple[Orbit, ...]
+    changes: tuple[Change, ...]
+    end: str
+
+
+def jacobian(f: Map, z: Real, p: float) -> Real:
+    """Return df/dz by central differences, shape (n, n)."""
+    columns = []
+    for i in range(len(z)):
+        aside = np.zeros(len(z))
+        aside[i] = STEP
+        columns.append((f(z + aside, p) - f(z - aside, p)) / (2.0 * STEP))
+    return np.stack(columns, axis=1)
+
+
+def orbit(f: Map, z: Real, p: float) -> Orbit | None:
+    """Return the fixed point near z, or None if Newton's method finds none."""
+    return _corrected(f, z, p, None)
+
+
+def followed(
+    f: Map,
+    start: Orbit,
+    way: float,
+    limits: tuple[float, float],
+    *,
+    longest: float = 0.1,
+    shortest: float = 1e-5,
+    points: int = 400,
+    noted: Callable[[Orbit], object] = lambda _: None,
+    moved: Callable[[Real, float, Real, float], tuple[Real, Real] | None] = lambda *_: None,
+) -> Arc:
+    """Return the branch of an orbit one way.
+
+    Args:
+        f: the map.
+        start: an orbit on it.
+        way: −1.0 or 1.0: p falls or rises at first.
+        limits: least and largest p.
+        longest: step along the arc.
+        shortest: step at which the branch is given up.
+        points: at most.
+        noted: asked for the `note` of every orbit while `f` is read in its coordinates.
+        moved: given the newest two points (z, p, z, p), returns both z in other coordinates in which `f` is to be read
+            from now on, or None.
+    """
+    orbits: list[Orbit] = []
+    changes: list[Change] = []
+    here, length = start, longest / 4.0
+    if way * here.tangent[-1] < 0.0:
+        here = attrs.evolve(here, tangent=-here.tangent)
+    while len(orbits) < points:
+        guess = np.append(here.z, here.p) + length * here.tangent
+        new = _corrected(f, guess[:-1], float(guess[-1]), here.tangent)
+        if new is not None and float(new.tangent @ here.tangent) < 0.0:
+            new = attrs.evolve(new, tangent=-new.tangent)
+        if new is None or float(new.tangent @ here.tangent) < _TURN:
+            length *= 0.5
+            if length < shortest:
+                return Arc(tuple(orbits), tuple(changes), "lost")
+            continue
+        if not limits[0] <= new.p <= limits[1]:
+            edge = limits[0] if new.p < limits[0] else limits[1]
+            share = (edge - here.p) / (new.p - here.p)
+            last = orbit(f, here.z + share * (new.z - here.z), edge)
+            orbits += [] if last is None else [attrs.evolve(last, note=noted(last))]
+            return Arc(tuple(orbits), tuple(changes), "edge")
+        changes += [attrs.evolve(one, note=noted(one.orbit)) for one in _changes(f, here, new)]
+        orbits.append(attrs.evolve(new, note=noted(new)))
+        if len(orbits) > 3 and np.abs(np.append(new.z - start.z, new.p - start.p)).max() < 0.5 * length:
+            return Arc(tuple(orbits), tuple(changes), "closed")
+        secant = moved(here.z, here.p, new.z, new.p)
+        if secant is not None:  # seen in other coordinates from now on
+            told = _told(f, np.append(secant[1], new.p))
+            if told is None:
+                return Arc(tuple(orbits), tuple(changes), "lost")
+            along = np.append(secant[1] - secant[0], new.p - here.p)
+            new = told if float(told.tangent @ along) > 0.0 else attrs.evolve(told, tangent=-told.tangent)
+        here, length = new, min(longest, _GROWTH * length)
+    return Arc(tuple(orbits), tuple(changes), "length")
+
+
+def _corrected(f: Map, z: Real, p: float, tangent: Real | None) -> Orbit | None:
+    """Return the orbit near a guess: in the plane across the tangent, or at the same p. None if there is none."""
+    y = origin = np.append(z, p)
+    residual = f(z, p) - z
+    for _ in range(ROUNDS):
+        size = float(np.abs(residual).max())
+        if not math.isfinite(size):
+            return None
+        if size <= TOLERANCE:
+            return _told(f, y)
+        try:
+            matrix = _extended(f, y, tangent)
+            across = 0.0 if tangent is None else float(tangent @ (y - origin))
+            change = np.linalg.solve(matrix, np.append(-residual, -across))
+        except np.linalg.LinAlgError:
+            return None
+        share = 1.0
+        while True:
+            trial = y + share * change
+            after = f(trial[:-1], float(trial[-1])) - trial[:-1]
+            if float(np.abs(after).max()) < size:
+                break
+            share *= 0.5
+            if share < _SHORTEST:
+                return _told(f, y) if size < ROUNDED else None
+        y, residual = trial, after
+    return None
+
+
+def _extended(f: Map, y: Real, tangent: Real | None) -> Real:
+    """Return the matrix of the equations for (z, p); without a tangent p is held."""
+    z, p = y[:-1], float(y[-1])
+    n = len(z)
+    matrix = np.zeros((n + 1, n + 1))
+    matrix[:n, :n] = jacobian(f, z, p) - np.eye(n)
+    if tangent is None:
+        matrix[n, n] = 1.0
+    else:
+        matrix[:n, n] = (f(z, p + STEP) - f(z, p - STEP)) / (2.0 * STEP)
+        matrix[n] = tangent
+    if not np.isfinite(matrix).all():
+        raise np.linalg.LinAlgError
+    return matrix
+
+
+def _told(f: Map, y: Real) -> Orbit | None:
+    """Return what an orbit at (z, p) is, or None where its neighbours cannot be told."""
+    z, p = y[:-1], float(y[-1])
+    try:
+        rows = _extended(f, y, np.zeros(len(y)))[:-1]
+    except np.linalg.LinAlgError:
+        return None
+    multipliers = np.linalg.eigvals(rows[:, :-1] + np.eye(len(z))).astype(np.complex128)
+    order = np.lexsort((-multipliers.imag, -np.round(np.abs(multipliers), 12)))
+    return Orbit(z, p, float(np.abs(f(z, p) - z).max()), multipliers[order], np.linalg.svd(rows)[2][-1])
+
+
+def _changes(f: Map, here: Orbit, new: Orbit) -> Iterator[Change]:
+    """Yield what happens between two neighbours: where a test function passes zero."""
+    tests: dict[str, Callable[[Orbit, Real], float]] = {}
+    if here.tangent[-1] * new.tangent[-1] < 0.0:
+        tests[FOLD] = lambda _, along: float(along[-1])
+    elif _product(here, 1.0) * _product(new, 1.0) < 0.0:
+        tests[SYMMETRY] = lambda one, _: _product(one, 1.0)
+    if _product(here, -1.0) * _product(new, -1.0) < 0.0:
+        tests[FLIP] = lambda one, _: _product(one, -1.0)
+    if _pairs(here) * _pairs(new) < 0.0:
+        tests[TORUS] = lambda one, _: _pairs(one)
+    for kind, test in tests.items():
+        found = _zero(f, here, new, test)
+        if found is None or (kind == TORUS and not _turns(found)):
+            continue
+        jumps = kind in PASSED and float(np.abs(found.multipliers - PASSED[kind]).min()) > PASSING
+        yield Change(GRAZING if jumps else kind, found)
+
+
+def _product(one: Orbit, value: float) -> float:
+    """Return Π (multiplier − value): real, and of another sign where one real multiplier has passed."""
+    return float(np.prod(one.multipliers - value).real)
+
+
+def _turns(one: Orbit) -> bool:
+    """Return whether a pair of complex multipliers stands on the unit circle."""
+    return bool((np.abs(np.abs(one.multipliers[one.multipliers.imag > NEUTRAL]) - 1.0) < PASSING).any())
+
+
+def _pairs(one: Orbit) -> float:
+    """Return Π (product of two multipliers − 1): zero where a pair stands on the unit circle."""
+    products = np.outer(one.multipliers, one.multipliers)[np.triu_indices(len(one.multipliers), 1)]
+    return float(np.prod(products - 1.0).real)
+
+
+def _zero(f: Map, here: Orbit, new: Orbit, test: Callable[[Orbit, Real], float]) -> Orbit | None:
+    """Return the orbit between two at which a test function is zero."""
+    origin, whole = np.append(here.z, here.p), np.append(new.z - here.z, new.p - here.p)
+    found = here
+
+    def value(share: float) -> float:
+        nonlocal found
+        guess = origin + share * whole
+        one = _corrected(f, guess[:-1], float(guess[-1]), here.tangent)
+        if one is None:
+            raise ArithmeticError
+        found = one
+        return test(found, found.tangent if float(found.tangent @ whole) > 0.0 else -found.tangent)
+
+    try:
+        brentq(value, 0.0, 1.0, xtol=_LOCATED)
+    except (ArithmeticError, ValueError):  # no orbit there, or it only looked as if the sign changed
+        return None
+    return found

@@ -1,0 +1,272 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""The rig seen once in so many cycles of its drive: a map of its state onto the next, with exact events between.
+
+The state is (x_1, v_1, d, d') and, where the base is not prescribed, (x_b, v_b) and a coil's current; d = x_2 − x_1.
+It is divided by what the motion reaches, so that a step of 1 means as much in each. The section is the phase of the
+drive at which one looks; it lies where the sphere is longest without a contact, because a contact under way is not told
+by its state alone.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from impact_rig.errors import ConfigError, SimulationError
+from impact_rig.maps.measure import PER_CYCLE, MapRig, Reading
+from impact_rig.maps.plan import CURRENT, FREQUENCY, GAP
+from impact_rig.physics import SEGMENT, Motion, Simulation
+from impact_rig.physics.linear import constants
+from impact_rig.physics.model import build
+from impact_rig.rig.config import RigConfig, from_flat
+from impact_rig.studies.dynamics.orbits import Real
+
+COORDINATES = {"prescribed": (0, 1, 5, 6), "current": (0, 1, 2, 3, 5, 6), "voltage": (0, 1, 2, 3, 4, 5, 6)}
+"""Places of the coordinates in `Simulation.state`, by kind of drive."""
+SPHERE = (5, 6)
+"""Those of the sphere."""
+CLOSE = 0.02
+"""Turns of the drive between an impact and the section below which another section is chosen."""
+_TURN = 2.0 * math.pi
+_FINE = 64  # parts of a cycle at which a place for the section is looked for
+
+
+class Place(NamedTuple):
+    """Where a rig is driven."""
+
+    config: RigConfig
+    frequency_hz: float
+    amplitude: float
+
+
+class Energy(NamedTuple):
+    """Energies per cycle of the drive [J].
+
+    Attributes:
+        work: what the shaker, or a prescribed base, gives.
+        columns: lost in the columns.
+        shaker: lost in the shaker.
+        contact: lost in the contacts.
+        friction: lost on the guide.
+        imbalance: work − losses − what is stored.
+    """
+
+    work: float
+    columns: float
+    shaker: float
+    contact: float
+    friction: float
+    imbalance: float
+
+
+class Properties(NamedTuple):
+    """What an orbit does.
+
+    Attributes:
+        dt: |X_1| / |X_b| of the fundamentals.
+        phase_rad: of X_1 / X_b.
+        base_m: |X_b|.
+        superior_m: |X_1|.
+        impacts_per_cycle: of all impacts.
+        slowest_m_s: approach speed of the slowest impact; NaN without one.
+        loss_factor: of the damper from energy: its loss per cycle over π m_1 ω² |X_1|².
+        dt_loss_factor: the same from DT alone: −Im N / (m_1 ω²), N the sphere's force per x_1.
+        added_mass: of the damper from DT alone, over m_1: Re N / (m_1 ω²).
+        energy: per cycle.
+    """
+
+    dt: float
+    phase_rad: float
+    base_m: float
+    superior_m: float
+    impacts_per_cycle: float
+    slowest_m_s: float
+    loss_factor: float
+    dt_loss_factor: float
+    added_mass: float
+    energy: Energy
+
+
+class Stroboscope:
+    """The map of a rig along one parameter, in dimensionless coordinates.
+
+    Args:
+        place: the rig and its drive.
+        over: name of the parameter: frequency_hz, current_a, gap_m, or a number of the configuration by dotted name.
+        unit: what a step of 1 of the dimensionless parameter is.
+
+    Attributes:
+        cycles: of the drive, after which an orbit repeats.
+        turn: the section: where in the drive's cycle, in turns.
+        scale: of each coordinate.
+    """
+
+    def __init__(self, place: Place, over: str, unit: float) -> None:
+        self._place, self._over, self._unit, self.cycles = place, over, unit, 1
+        self.turn = 0.0
+        self._quiet = False
+        self._free = list(COORDINATES[place.config.drive.kind])
+        self.scale = np.ones(len(self._free))
+        self._simulation = Simulation(place.config)
+        self._at = place.config
+        self._models = functools.lru_cache(maxsize=8)(build)
+
+    def place(self, p: float) -> Place:
+        """Return the rig and its drive at a value of the dimensionless parameter."""
+        return at(self._place, self._over, p * self._unit)
+
+    def __call__(self, z: Real, p: float, returns: int = 1) -> Real:
+        """Return the coordinates after `cycles`; NaN where the motion stands in a contact, or cannot be resolved."""
+        try:
+            motion = self._run(z, p, self.cycles * returns)
+            state = None if self._quiet and len(motion.impacts) else self._simulation.state()
+        except (SimulationError, ConfigError):
+            state = None
+        return np.full(len(z), math.nan) if state is None else state[self._free] / self.scale
+
+    def seen(self, rig: MapRig, p: float, reading: Reading) -> Real:
+        """Return the coordinates of a settled motion, and choose scale and section for it; it has gone on then."""
+        _, frequency, amplitude = self.place(p)
+        self.cycles = int(reading.period) if math.isfinite(reading.period) else 1
+        self._quiet = not reading.impacts_per_cycle
+        self._free = [i for i in self._free if not (self._quiet and i in SPHERE)]
+        motion = rig.advance(frequency, amplitude, self.cycles)
+        self.turn = _longest_flight(motion, self.cycles)
+        part = np.zeros(1, SEGMENT)
+        part["duration"], part["omega"], part["amplitude"] = self.turn / frequency, _TURN * frequency, amplitude
+        rig.simulation.advance(part)
+        state = rig.simulation.state()
+        if state is None:
+            raise SimulationError("the sphere is never free of the walls: there is no section")
+        self.scale = size(self.place(p), state)[self._free]
+        return state[self._free] / self.scale
+
+    def moved(self, z_0: Real, p_0: float, z_1: Real, p_1: float) -> tuple[Real, Real] | None:
+        """Return two points of a branch at another section if an impact is near this one, else None."""
+        motion = self._run(z_1, p_1, self.cycles)
+        turns = motion.impacts["offset"] / motion.segments["duration"][0]
+        if not len(turns) or np.abs((turns + 0.5) % 1.0 - 0.5).min() > CLOSE:
+            return None
+        turn, old = (self.turn + _longest_flight(motion, self.cycles)) % 1.0, self.turn
+        found = []
+        for z, p in ((z_0, p_0), (z_1, p_1)):
+            self.turn = old
+            found.append(self._moved(z, p, turn))
+        return found[0], found[1]
+
+    def properties(self, z: Real, p: float) -> Properties:
+        """Return what the orbit through z does."""
+        place = self.place(p)
+        config, frequency = place.config, place.frequency_hz
+        simulation = Simulation(config, account=True)
+        simulation.set_state(self._whole(z, place))
+        motion = simulation.advance(self._segments(place, self.cycles))
+        energy, period = simulation.energy(), 1.0 / frequency
+        angle = (np.arange(PER_CYCLE) / PER_CYCLE - self.turn) % 1.0
+        number = np.repeat(np.arange(motion.first_segment, motion.last_segment + 1), PER_CYCLE)
+        found = motion.quantities(("x_b", "x_1"), number, np.tile(angle * period, self.cycles))
+        turning = np.tile(np.exp(-1j * _TURN * np.arange(PER_CYCLE) / PER_CYCLE), self.cycles)
+        base, superior = 2j / (PER_CYCLE * self.cycles) * (found * turning).sum(axis=1)
+        ratio, speeds = superior / base, motion.impacts["approach_speed"]
+        c, s = constants(config), 1j * _TURN * frequency
+        k, inertia = c.k_1 + c.c_1 * s, c.m_1 * abs(s) ** 2
+        force = k - inertia - k / ratio
+        per_cycle = [getattr(energy, name) / self.cycles for name in Energy._fields]
+        damper = (energy.contact + energy.friction) / self.cycles
+        return Properties(
+            dt=float(abs(ratio)),
+            phase_rad=float(np.angle(ratio)),
+            base_m=float(abs(base)),
+            superior_m=float(abs(superior)),
+            impacts_per_cycle=len(speeds) / self.cycles,
+            slowest_m_s=float(speeds.min()) if len(speeds) else math.nan,
+            loss_factor=damper / (math.pi * inertia * float(abs(superior)) ** 2),
+            dt_loss_factor=float(-force.imag / inertia),
+            added_mass=float(force.real / inertia),
+            energy=Energy(*per_cycle),
+        )
+
+    def _run(self, z: Real, p: float, cycles: float) -> Motion:
+        place = self.place(p)
+        if place.config != self._at:
+            self._simulation.configure(place.config, self._models(place.config))
+            self._at = place.config
+        self._simulation.set_state(self._whole(z, place))
+        return self._simulation.advance(self._segments(place, cycles))
+
+    def _segments(self, place: Place, cycles: float) -> NDArray[np.void]:
+        """Return the drive from the section on, a segment a cycle; a part of a cycle is one segment."""
+        segments = np.zeros(max(1, int(cycles)), SEGMENT)
+        segments["duration"] = min(cycles, 1.0) / place.frequency_hz
+        segments["omega"], segments["phase"] = _TURN * place.frequency_hz, _TURN * self.turn
+        segments["amplitude"] = place.amplitude
+        return segments
+
+    def _whole(self, z: Real, place: Place) -> Real:
+        """Return all that `Simulation.set_state` wants."""
+        state = np.zeros(7)
+        state[self._free] = z * self.scale
+        if self._quiet:
+            state[list(SPHERE)] = -state[:2]
+        if place.config.drive.kind == "prescribed":
+            angle = _TURN * self.turn
+            state[2] = place.amplitude * math.sin(angle)
+            state[3] = place.amplitude * _TURN * place.frequency_hz * math.cos(angle)
+        return state
+
+    def _moved(self, z: Real, p: float, turn: float) -> Real:
+        """Return the coordinates at another section, which is the one from now on."""
+        later = (turn - self.turn) % 1.0
+        if later == 0.0:
+            return z
+        self._run(z, p, later)
+        state = self._simulation.state()
+        self.turn = turn
+        return np.full(len(z), math.nan) if state is None else state[self._free] / self.scale
+
+
+def at(place: Place, over: str, value: float) -> Place:
+    """Return a place with another value of one parameter.
+
+    Raises:
+        ConfigError: there is no such number in a configuration, or it is out of range.
+    """
+    config, frequency, amplitude = place
+    if over == FREQUENCY:
+        return Place(config, value, amplitude)
+    if over == CURRENT:
+        return Place(config, frequency, value)
+    return Place(_changed(config, "barriers.gap_m" if over == GAP else over, value), frequency, amplitude)
+
+
+@functools.lru_cache(maxsize=64)
+def _changed(config: RigConfig, name: str, value: float) -> RigConfig:
+    return from_flat(config, {name: value})
+
+
+def _longest_flight(motion: Motion, cycles: int) -> float:
+    """Return the middle of the longest stretch of the drive's cycle without a contact in any cycle, in turns."""
+    period = float(motion.segments["duration"][0])
+    number = np.repeat(np.arange(motion.first_segment, motion.last_segment + 1), _FINE)
+    part = np.tile(np.arange(_FINE) / _FINE, cycles)
+    force = motion.quantities(("force_left", "force_right"), number, part * period)
+    busy = (force != 0.0).any(axis=0).reshape(cycles, _FINE).any(axis=0)
+    busy[(motion.impacts["offset"] / period * _FINE).astype(np.int64) % _FINE] = True
+    if not busy.any():
+        return 0.0
+    places = np.flatnonzero(busy)
+    lengths = np.diff(np.append(places, places[0] + _FINE))
+    best = int(np.argmax(lengths))
+    return float((places[best] + 0.5 + 0.5 * lengths[best]) / _FINE % 1.0)
+
+
+def size(place: Place, state: Real) -> Real:
+    """Return what a motion reaches in each of the coordinates of `Simulation.state`, shape (7,)."""
+    omega, half = _TURN * place.frequency_hz, 0.5 * place.config.barriers.gap_m
+    x, b = (max(math.hypot(at, rate / omega), 1e-9) for at, rate in (state[0:2], state[2:4]))
+    return np.array([x, omega * x, b, omega * b, max(place.amplitude, 1e-9), half, omega * half])

@@ -1,0 +1,184 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""A controller over topics: the bits of the rig in process; one that is slow, hostile or gone is told by name."""
+
+from __future__ import annotations
+
+import functools
+import math
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy", reason="no ROS 2 here")
+
+from kits.nodes import host_rig
+from kits.rig import paper_rig
+from numpy.typing import NDArray
+from rclpy.node import Node
+from sensor_msgs.msg import PointCloud2
+
+from impact_rig import codec, topics
+from impact_rig.blocks import WAVEFORM, Table
+from impact_rig.client import Client
+from impact_rig.client.client import ros_parameters
+from impact_rig.nodes.recorder_node import RecorderNode
+from impact_rig.recording import Run
+from impact_rig.rig import Rig
+from impact_rig.runs.verification import verify
+from impact_rig.simtime import NS_PER_S
+from impact_rig.states import Rig as Words
+
+pytestmark = pytest.mark.ros
+RATE_HZ = 10_000
+STREAM = {"drive__waveform": "stream", "barriers__gap_m": 0.002}
+WAVE = 0.6 * np.sin(2.0 * np.pi * 9.1 * np.arange(RATE_HZ) / RATE_HZ)
+
+
+def block(first: int, values: NDArray[np.float64], start_ns: int = 0) -> bytes:
+    rows = np.zeros(len(values), WAVEFORM)
+    rows["value"] = values
+    return codec.encode(Table(start_ns + first * NS_PER_S // RATE_HZ, rows))
+
+
+def send(client: Client, first: int, values: NDArray[np.float64], start_ns: int = 0) -> None:
+    client.publish(topics.WAVEFORM, block(first, values, start_ns), listener="rig")
+
+
+@pytest.fixture(scope="module")
+def in_process() -> NDArray[np.void]:
+    rig = Rig(paper_rig(**STREAM))
+    rig.feed(0, WAVE)
+    rig.feed(len(WAVE), ())
+    return np.concatenate([block.scan.rows for block in rig.advance(NS_PER_S)])
+
+
+@pytest.mark.parametrize(("mode", "block"), [("freewheel", 100), ("freewheel", 5_000), ("stepped", 700)])
+def test_over_topics_come_the_bits_of_the_rig_in_process(client, in_process, mode, block):
+    host_rig(client, mode, time__peers=[client.name], **STREAM)
+    client.wait_active("rig")
+    scans = client.collect("daq/scan", acknowledge=True)
+    wanted = client.collect("shaker/stream")
+    client.wait_until(lambda: len(wanted), "shaker/stream")
+    for first in range(0, len(WAVE), block):
+        send(client, first, WAVE[first : first + block])
+    send(client, len(WAVE), WAVE[:0])
+    if mode == "stepped":
+        client.step(100)
+    client.wait_until(lambda: len(scans) >= 100, "a second of scans")
+    rows = np.concatenate([table.rows for table in scans.tables()])
+    names = [name for name in rows.dtype.names if name != "time"]
+    for name in names:
+        assert rows[name][:RATE_HZ].tobytes() == in_process[name].tobytes(), name
+
+
+@pytest.mark.parametrize(
+    ("harm", "says"),
+    [
+        (None, "identical: "),
+        ("removed", "lacks sample 2000 of shaker/waveform, which was in force 0.200000 s after the start"),
+        (0.1, "daq/scan at 0.240000000 s, sample 89, current: logged"),
+        (1e-16, "rig/journal: row 4 at 1.000000000 s: logged stream crc32 0.0 b'10000 "),
+    ],
+)
+def test_a_recording_verifies_with_all_its_samples_only(client, tmp_path, harm, says):
+    client.host(RecorderNode, parameter_overrides=ros_parameters({"directory": str(tmp_path), "name": "run"}))
+    host_rig(client, "freewheel", time__peers=[client.name, "recorder"], **STREAM)
+    client.wait_active("rig", "recorder")
+    client.wait_until(lambda: client.status("recorder").message == "recording", "the recorder")
+    scans = client.collect("daq/scan", acknowledge=True)
+    for first in range(0, len(WAVE), 500):
+        send(client, first, WAVE[first : first + 500])
+    send(client, len(WAVE), WAVE[:0])
+    client.wait_until(lambda: len(scans) >= 120, "scans")
+    client.trigger("recorder/stop")
+    path = next(tmp_path.iterdir())
+    with Run(path) as run:
+        messages = run.messages
+
+        def harmed(names, **options):
+            for received in messages(names, **options):
+                message = received
+                if harm and message.topic.endswith(topics.WAVEFORM.name):
+                    table = run.table(message, topics.WAVEFORM)
+                    if table.stamp_ns == NS_PER_S // 5:
+                        if harm == "removed":
+                            continue
+                        rows = table.rows.copy()
+                        rows["value"][490] += harm
+                        message = message._replace(data=memoryview(codec.encode(Table(table.stamp_ns, rows))))
+                yield message
+
+        run.messages = harmed
+        assert says in str(verify(run))
+
+
+def test_in_real_time_a_controller_that_dies_leaves_a_ramp_a_row_and_a_warning(client):
+    node = host_rig(client, "realtime", **STREAM)
+    client.wait_active("rig")
+    journal = client.collect("rig/journal")
+    wanted = client.collect("shaker/stream")
+    client.wait_until(lambda: len(wanted), "shaker/stream")
+    rig = node._session.rig
+    first = rig.stream.played + 2_000
+    send(client, first, np.full(1_000, 0.2), rig.start_ns)
+
+    def kinds():
+        return [bytes(row["key"]) for table in journal.tables() for row in table.rows if row["kind"] == b"stream"]
+
+    client.wait_until(lambda: b"end" in kinds(), "the end of the stream")
+    assert kinds()[:3] == [b"begin", b"crc32", b"end"]
+    client.wait_until(lambda: "no samples" in client.status("rig").message, "the warning")
+    send(client, rig.stream.played + 2_000, np.full(1_000, 0.2), rig.start_ns)
+    client.wait_until(lambda: kinds().count(b"begin") == 2, "that it goes on")
+    assert node.refusals.total() == 0
+
+
+def test_hostile_samples_are_refused_whole_counted_and_change_nothing(client):
+    node = host_rig(client, "realtime", **STREAM)
+    client.wait_active("rig")
+    client.wait_until(lambda: node._session.rig is not None, "the rig")
+    rig = node._session.rig
+    for values in (np.array([0.1, math.nan]), np.array([math.inf]), np.array([1e308])):
+        send(client, 10**6, values, rig.start_ns)
+    send(client, rig.stream.played + 10 * RATE_HZ, WAVE[:10], rig.start_ns)
+    send(client, 10**12, WAVE[:10], rig.start_ns)
+    send(client, 3, WAVE[:10], rig.start_ns + 40_000)
+    client.wait_until(lambda: node.refusals.counts["shaker/waveform"] == 6, "six refusals")
+    send(client, 0, WAVE[:10], rig.start_ns)
+    client.wait_until(lambda: rig.stream_state().rows["late"][0] == 10, "ten late samples")
+    assert rig.stream_state().rows["refused"][0] == 6
+    assert rig.stream.buffered() == 0
+    assert client.state("rig") == "active"
+
+
+def test_a_rig_ahead_of_time_waits_for_samples_and_names_who_sends_none(client):
+    node = host_rig(client, "freewheel", time__peers=[client.name], time__peer_timeout_s=0.3, **STREAM)
+    client.wait_active("rig")
+    scans = client.collect("daq/scan", acknowledge=True)
+    send(client, 0, WAVE[:2_050])
+    client.wait_until(lambda: len(scans) == 20, "twenty blocks")
+    client.wait_until(lambda: node.doing().word is Words.SILENT_PEER, "the word")
+    assert client.name in node.doing().reason
+    send(client, 2_050, WAVE[2_050:4_001])
+    client.wait_until(lambda: len(scans) == 40, "twenty more, when samples come again")
+    client.wait_until(lambda: node.doing().word is Words.SILENT_PEER, "the word again")
+    client.pause(False)
+    client.wait_until(lambda: len(scans) > 60, "that it goes on without")
+
+
+def test_of_two_controllers_the_last_counts_and_both_are_named(client):
+    node = host_rig(client, "stepped", time__peers=[client.name], **STREAM)
+    other = client.host(functools.partial(Node, "other"))
+    client.wait_active("rig")
+    publisher = other.create_publisher(PointCloud2, topics.WAVEFORM.name, 10)
+    scans = client.collect("daq/scan", acknowledge=True)
+    send(client, 0, np.full(2_001, 0.1))
+    client.wait_until(lambda: node._session.rig.stream.buffered() == 2_001, "the first")
+    client.wait_until(publisher.get_subscription_count, "the rig to listen to the other")
+    publisher.publish(block(0, np.full(2_001, 0.3)))
+    client.wait_until(lambda: node._session.rig.stream.buffer.values(0, 1)[0] == 0.3, "the second")
+    client.step(20)
+    client.wait_until(lambda: len(scans) == 20, "the blocks")
+    assert scans.tables()[-1].rows["current"].mean() == pytest.approx(0.3, abs=0.02)
+    client.wait_until(lambda: "all send samples" in client.status("rig").message, "both named")

@@ -1,0 +1,162 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""The rig under a stream of samples follows what a matrix exponential and an independent integration say."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+from kits.mechanics import rig, sphere_kg, stiffness
+from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
+from scipy.linalg import expm
+from scipy.signal import butter, sosfilt
+
+from impact_rig.arithmetic.random import Random
+from impact_rig.physics import FunctionGenerator, Simulation, contact
+from impact_rig.physics.linear import constants, input_vectors, state_matrix
+from impact_rig.rig.config import RigConfig
+from impact_rig.simtime import COMMAND_GRID_S
+
+TICKS_PER_S = round(1.0 / COMMAND_GRID_S)
+NAMES = ("x_1", "v_1", "x_b", "v_b")
+
+
+def noise(count: int, rate_hz: int, low_hz: float, high_hz: float, rms: float) -> NDArray[np.float64]:
+    """Seeded band-limited noise."""
+    sections = butter(4, (low_hz, high_hz), "bandpass", fs=rate_hz, output="sos")
+    samples = sosfilt(sections, np.random.default_rng(31).standard_normal(count))
+    return samples * (rms / samples.std())
+
+
+def driven(config: RigConfig, samples: NDArray[np.float64], ticks: int) -> tuple[NDArray[np.float64], NDArray[np.void]]:
+    """The state at the end of each tick, shape (len(NAMES), ticks), and the impacts, under a stream of samples."""
+    generator = FunctionGenerator(config.drive, config.shaker, Random(1))
+    simulation = Simulation(config)
+    states, impacts, given = [], [], 0
+    for tick in range(0, ticks, 10):
+        last = min(len(samples), generator.stream.played + generator.stream.capacity)
+        generator.stream.put(given, samples[given:last])
+        given = last
+        motion = simulation.advance(generator.segments(min(10, ticks - tick)))
+        at = np.arange(motion.first_segment, motion.last_segment + 1)
+        states.append(motion.quantities(NAMES, at, np.full(len(at), COMMAND_GRID_S)))
+        impacts.append(motion.impacts)
+    return np.concatenate(states, axis=1), np.concatenate(impacts)
+
+
+def system(config: RigConfig) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """M and b of y' = M y + b i."""
+    c = constants(config)
+    return state_matrix(c, "current", c.m_1), input_vectors(c, "current", c.m_1)[0]
+
+
+@pytest.mark.parametrize(("rate_hz", "hold"), [(10_000, "first_order"), (10_000, "zero_order"), (1_250, "first_order")])
+def test_the_linear_rig_follows_the_exact_solution_for_a_minute(rate_hz, hold):
+    """Between samples the current is a straight line (or stays), of which a matrix exponential is the whole answer.
+
+    At 1,250 Hz every second tick begins between two samples.
+    """
+    drive = {"waveform": "stream", "stream_rate_hz": rate_hz, "stream_hold": hold}
+    config = rig(sphere={"present": False}, drive=drive)
+    seconds = 60
+    samples = noise(seconds * rate_hz + 2, rate_hz, 5.0, 200.0, 0.5)
+    found, _ = driven(config, samples, seconds * TICKS_PER_S)
+
+    matrix, b = system(config)
+    h, n = 1.0 / rate_hz, len(b)
+    block = np.zeros((n + 2, n + 2))  # y' = M y + b u, u' = v, v' = 0
+    block[:n, :n], block[:n, n], block[n, n + 1] = matrix, b, 1.0
+    step = expm(block * h)
+    decay, level, slope = step[:n, :n], step[:n, n], step[:n, n + 1] / h
+    if hold == "zero_order":
+        slope = np.zeros(n)
+    y, exact = np.zeros(n), np.empty((seconds * rate_hz + 1, n))
+    exact[0] = y
+    for k, (u, following) in enumerate(itertools.pairwise(samples[:-1])):
+        y = decay @ y + level * u + slope * (following - u)
+        exact[k + 1] = y
+    # ticks that end on a sample
+    ticks = np.array([t for t in range(1, seconds * TICKS_PER_S + 1) if t * rate_hz % TICKS_PER_S == 0])
+    expected = exact[ticks * rate_hz // TICKS_PER_S]
+    for row, name in enumerate(NAMES):
+        wrong = np.abs(found[row][ticks - 1] - expected[:, row]).max() / np.abs(expected[:, row]).max()
+        assert wrong < 1e-9, f"{name}: {wrong:.1e}"
+
+
+@pytest.mark.parametrize("seconds", [2, pytest.param(10, marks=[pytest.mark.slow, pytest.mark.timeout(1800)])])
+def test_impacts_under_noise_agree_with_an_independent_integration(seconds):
+    """DOP853 with events at 1e-11 from sample to sample, the contacts' force as the paper writes it."""
+    rate_hz = 500
+    config = rig(drive={"waveform": "stream", "stream_rate_hz": rate_hz}, sphere={"start": "centre"})
+    samples = noise(seconds * rate_hz + 2, rate_hz, 6.0, 14.0, 0.45)
+    _, impacts = driven(config, samples, seconds * TICKS_PER_S)
+    ours = impacts["segment"] * COMMAND_GRID_S + impacts["offset"]
+    assert len(ours) > 10 * seconds
+
+    theirs, _speeds = integrated(config, samples, rate_hz, seconds)
+    both = min(len(ours), len(theirs))
+    apart = np.abs(ours[:both] - theirs[:both])
+    agree = int(np.argmax(apart > 1e-6)) if (apart > 1e-6).any() else both
+    assert agree == min(len(ours), 50)
+
+
+def integrated(
+    config: RigConfig, samples: NDArray[np.float64], rate_hz: int, seconds: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """When contacts begin and how fast, by `solve_ivp`: y, x_2 and v_2 as they are, wall after wall."""
+    matrix, b = system(config)
+    c, m, k = constants(config), sphere_kg(config), stiffness(config)
+    factor = contact.from_config(config.contact).hysteresis_factor()
+    half, n = config.barriers.gap_m / 2.0, len(b)
+    y = np.zeros(n + 2)
+    side, v_0 = 0.0, 1.0
+    begun, speeds = [], []
+
+    def rates(t, y, u, slope):
+        out = np.empty_like(y)
+        out[:n] = matrix @ y[:n] + b * (u + slope * t)
+        out[n], out[n + 1] = y[n + 1], 0.0
+        if side:
+            depth, speed = max(0.0, side * (y[n] - y[0]) - half), side * (y[n + 1] - y[1])
+            force = max(0.0, k * depth**1.5 * (1.0 + factor * speed / v_0))
+            out[1] += side * force / c.m_1
+            out[n + 1] -= side * force / m
+        return out
+
+    def right(t, y, u, slope):
+        return y[n] - y[0] - half
+
+    def left(t, y, u, slope):
+        return -(y[n] - y[0]) - half
+
+    for event in (right, left):
+        event.terminal, event.direction = True, 1.0
+
+    def out(t, y, u, slope):
+        return side * (y[n] - y[0]) - half
+
+    out.terminal, out.direction = True, -1.0
+    h = 1.0 / rate_hz
+    for number in range(seconds * rate_hz):
+        t, u, slope = 0.0, samples[number], (samples[number + 1] - samples[number]) * rate_hz
+        while t < h:
+            events = [out] if side else [right, left]
+            found = solve_ivp(
+                rates, (t, h), y, "DOP853", events=events, args=(u, slope), rtol=1e-11, atol=1e-15,
+                first_step=min(1e-6, h - t) if side else None, max_step=np.inf if side else h / 4.0,
+            )  # fmt: skip
+            y, t = found.y[:, -1], found.t[-1]
+            if found.status != 1:
+                break
+            if side:
+                side = 0.0
+                continue
+            side = 1.0 if len(found.t_events[0]) else -1.0
+            v_0 = side * (y[n + 1] - y[1])
+            begun.append(number * h + t)
+            speeds.append(v_0)
+            y[n] = y[0] + side * half
+    return np.array(begun), np.array(speeds)

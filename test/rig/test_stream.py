@@ -1,0 +1,225 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""A stream drives the rig by what came in time, however it came; its journal and what was sent give the run again."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from kits.rig import TICK, config, impacts, same, samples
+from numpy.typing import NDArray
+
+from impact_rig.errors import CommandError, ConfigError
+from impact_rig.rig import Block, Kind, Rig, resimulate
+from impact_rig.rig.journal import Entry, read
+from impact_rig.rig.resimulation import Sent
+from impact_rig.simtime import NS_PER_S
+
+RATE_HZ = 10_000
+SECONDS = 2
+TIME = np.arange(SECONDS * RATE_HZ) / RATE_HZ
+WAVE = 0.6 * np.sin(2.0 * np.pi * 9.1 * TIME) + 0.01 * np.random.default_rng(4).standard_normal(len(TIME))
+Blocks = list[tuple[int, NDArray[np.float64]]]
+
+
+def stream_rig(**values: object) -> Rig:
+    return Rig(config(drive__waveform="stream", drive__amplitude=0.0, **values))
+
+
+def in_blocks(size: int) -> Blocks:
+    return [(first, WAVE[first : first + size]) for first in range(0, len(WAVE), size)]
+
+
+def shuffled(blocks: Blocks, within: int) -> Blocks:
+    order = np.argsort(np.arange(len(blocks)) + np.random.default_rng(2).uniform(0, within, len(blocks)))
+    return [blocks[k] for k in order]
+
+
+def played(sent: Blocks, step: int = TICK, until_ns: int = SECONDS * NS_PER_S, **values: object) -> list[Block]:
+    """Give the blocks as soon as the buffer takes them; go on as far as there are samples."""
+    rig, found, coming = stream_rig(**values), [], list(sent)
+    while rig.frontier_ns < until_ns:
+        while coming and coming[0][0] + len(coming[0][1]) <= rig.stream.played + RATE_HZ:
+            rig.feed(*coming.pop(0))
+        found += rig.advance(min(rig.start_ns + until_ns, rig.frontier_ns + step))
+    return found
+
+
+@pytest.fixture(scope="module")
+def reference() -> list[Block]:
+    return played(in_blocks(100))
+
+
+@pytest.mark.parametrize(
+    ("sent", "step"),
+    [
+        (in_blocks(1), TICK),
+        (in_blocks(7), 3 * TICK),
+        (in_blocks(5_000), 20 * TICK),
+        (shuffled(in_blocks(100), 30), TICK),
+        ([block for block in in_blocks(250) for _ in range(2)], 2 * TICK),
+        ([block for first in in_blocks(500) for block in ((first[0], -first[1]), first)], TICK),
+    ],
+    ids=["1", "7", "5000", "shuffled", "twice", "replaced"],
+)
+def test_how_samples_come_does_not_matter(reference, sent, step):
+    found = played(sent, step)
+    assert same(samples(found), samples(reference))
+    assert same(impacts(found), impacts(reference))
+
+
+def test_the_scan_rate_does_not_move_an_impact(reference):
+    found = played(in_blocks(100), daq__rate_hz=25_600)
+    assert same(impacts(found), impacts(reference))
+
+
+def rows(rig: Rig, entries: list[Entry]) -> list[tuple[str, float, str]]:
+    entries += read(rig.take_journal()) if not entries else []
+    return [(e.key, e.value, e.text.decode()) for e in entries if e.kind is Kind.STREAM]
+
+
+def test_missing_samples_ramp_to_zero_and_are_told():
+    rig = stream_rig()
+    rig.feed(0, np.full(500, 0.3))
+    blocks = rig.advance(NS_PER_S // 5)
+    rig.feed(3_000, np.full(2_000, 0.1))
+    rig.feed(5_000, [])
+    blocks += rig.advance(NS_PER_S)
+    current = np.concatenate([block.scan.rows["current"] for block in blocks])
+    assert current[300:490] == pytest.approx(0.3, abs=0.02)
+    assert current[1_000] == pytest.approx(0.15, abs=0.02), "half of a ramp of 0.1 s"
+    assert current[1_600:2_900] == pytest.approx(0.0, abs=0.02)
+    assert current[3_100:4_900] == pytest.approx(0.1, abs=0.02)
+    told = rows(rig, [])
+    assert [(key, value) for key, value, _ in told] == [
+        ("begin", 0.0), ("crc32", 0.0), ("end", 500.0), ("begin", 3_000.0), ("crc32", 3_000.0), ("end", 5_000.0)
+    ]  # fmt: skip
+    assert [text for key, _, text in told if key == "end"] == ["underrun", "ended"]
+    assert rig.stream.missing == 2_500
+
+
+def test_what_an_underrun_does_can_be_chosen():
+    holding, tripping = stream_rig(drive__on_underrun="hold"), stream_rig(drive__on_underrun="trip")
+    for rig in (holding, tripping):
+        rig.feed(0, np.full(500, 0.3))
+    kept = holding.advance(NS_PER_S // 2)[-1].scan.rows["current"]
+    assert kept == pytest.approx(0.3, abs=0.02)
+    assert tripping.advance(NS_PER_S // 2)[-1].scan.rows["current"] == pytest.approx(0.0, abs=0.02)
+    assert tripping.latched is not None
+    assert tripping.latched.startswith("underrun: sample 500")
+    with pytest.raises(CommandError, match="latched"):
+        tripping.feed(6_000, [0.1])
+    tripping.clear_trip()
+    tripping.feed(6_000, [0.1])
+
+
+@pytest.mark.parametrize(
+    ("first", "values", "says"),
+    [
+        (0, [0.1, np.nan], "row 1 of 2"),
+        (0, [np.inf], "either side"),
+        (0, [0.1] * 99 + [22.0], r"current must be within 21\.21 A"),
+        (30_000, [0.1], r"3\.\d+ s ahead, beyond drive.stream_buffer_s"),
+        (0, [[0.1]], "shape"),
+    ],
+)
+def test_a_block_is_refused_whole(first, values, says):
+    rig = stream_rig()
+    with pytest.raises(CommandError, match=says):
+        rig.feed(first, values)
+    assert rig.stream.buffered() == 0
+    assert rig.stream_state().rows["refused"] == 1
+    assert not np.any(rig.advance(NS_PER_S // 10)[-1].monitor["current"])
+
+
+def test_samples_of_the_past_are_dropped_and_counted():
+    rig = stream_rig()
+    rig.advance(NS_PER_S // 10)
+    wanted = rig.stream.played
+    assert rig.feed(wanted - 30, np.full(100, 0.1)) == 30
+    state = rig.stream_state()
+    assert state.rows["late"] == 30
+    assert state.rows["buffered"] == 70
+    assert state.stamp_ns == rig.start_ns + wanted * NS_PER_S // RATE_HZ
+
+
+def test_a_stop_drops_what_is_buffered_and_refuses_more():
+    rig = stream_rig()
+    rig.feed(0, WAVE[:10_000])
+    rig.advance(NS_PER_S // 5)
+    rig.stop()
+    with pytest.raises(CommandError, match="emergency stop"):
+        rig.feed(5_000, WAVE[:10])
+    blocks = rig.advance(NS_PER_S // 2)
+    assert blocks[-1].scan.rows["current"] == pytest.approx(0.0, abs=0.02)
+    assert [text for key, _, text in rows(rig, []) if key == "end"] == ["stopped"]
+    assert rig.blocks_with_samples(7) == 7, "a stopped rig waits for nobody"
+
+
+def test_the_interlock_sees_what_lies_between_its_looks():
+    """A current that is zero at every millisecond has an rms of 7.4 A for all that."""
+    rig = stream_rig(shaker__current_limit_a_rms=6.0, sphere__present=False)
+    number = np.arange(20_000)
+    rig.feed(0, np.where(number % 10 == 0, 0.0, np.where(number // 10 % 2, -8.0, 8.0)))
+    rig.advance(2 * NS_PER_S)
+    assert rig.latched is not None
+    assert rig.latched.startswith("over_current")
+
+
+def test_the_drive_takes_no_other_command_and_no_other_drive_takes_samples():
+    with pytest.raises(CommandError, match="shaker/waveform"):
+        stream_rig().accept(current_a=0.1)
+    with pytest.raises(CommandError, match="the drive is sine"):
+        Rig(config()).feed(0, [0.1])
+    with pytest.raises(ConfigError, match="first_order"):
+        stream_rig(drive__kind="prescribed", drive__stream_hold="zero_order")
+
+
+def test_the_rig_has_samples_for_so_many_blocks():
+    rig = stream_rig()
+    assert rig.blocks_with_samples(50) == 0
+    rig.feed(0, WAVE[:1_001])
+    assert rig.blocks_with_samples(50) == 10
+    rig.feed(1_001, [])
+    assert rig.blocks_with_samples(50) == 50
+    assert Rig(config()).blocks_with_samples(50) == 50
+
+
+def eventful() -> tuple[Rig, list[Block], Blocks]:
+    """A run in which samples are late, replaced and missing, the shaker is stopped, and parameters change."""
+    rig, sent, found = stream_rig(), [], []
+
+    def send(first: int, values: NDArray[np.float64]) -> None:
+        sent.append((first, values))
+        try:
+            rig.feed(first, values)
+        except CommandError:
+            return
+
+    send(0, WAVE[:3_000])
+    send(1_000, 0.5 * WAVE[1_000:2_000])
+    found += rig.advance(NS_PER_S // 2)
+    send(6_000, WAVE[:2_000])
+    send(7_000, np.full(10, np.nan))
+    found += rig.advance(NS_PER_S * 7 // 10)
+    rig.stop()
+    send(7_500, WAVE[:500])
+    found += rig.advance(NS_PER_S)
+    rig.clear_trip()
+    rig.configure({"barriers.gap_m": 0.004})
+    send(11_000, WAVE[:9_000])
+    found += rig.advance(3 * NS_PER_S // 2)
+    send(20_000, WAVE[:0])
+    return rig, found + rig.advance(5 * NS_PER_S // 2), sent
+
+
+def test_journal_and_samples_give_the_run_again_bit_for_bit():
+    rig, blocks, sent = eventful()
+    journal = rig.take_journal()
+    waveform = [Sent(first * NS_PER_S // RATE_HZ, values) for first, values in sent]
+    again = [block for block, _ in zip(resimulate(journal, waveform=waveform), blocks, strict=False)]
+    assert same(samples(again), samples(blocks))
+    assert same(impacts(again), impacts(blocks))
+    with pytest.raises(ConfigError, match=r"lacks sample 11000 of shaker/waveform, which was in force 1\.100000 s"):
+        for _ in zip(resimulate(journal, waveform=waveform[:-2]), blocks, strict=False):
+            pass

@@ -1,0 +1,259 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""Measurements of other rigs: every format gives back what was measured; what is wrong with a file is said."""
+
+from __future__ import annotations
+
+import os
+import signal
+import wave
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from impact_rig import topics
+from impact_rig.cli.main import main
+from impact_rig.errors import ImpactRigError
+from impact_rig.recording import open_run
+from impact_rig.runs import export, foreign_files, reanalysis, verification
+from impact_rig.runs.measurement import Channel, Mapping, guess, measurement, refined, write
+from impact_rig.testing import VirtualRig
+
+RATE_HZ, SECONDS, GAP_M = 2000, 12, 0.006
+MILLIMETRE = 1e-3
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run with sphere, driven from its first instant: 12 s at 2 kS/s."""
+    rig = VirtualRig({"daq.rate_hz": RATE_HZ, "daq.block_scans": 200, "barriers.gap_m": GAP_M})
+    rig.command(frequency_hz=9.1, current_a=0.52)
+    rig.step(SECONDS * RATE_HZ // 200)
+    return rig.save(tmp_path_factory.mktemp("recorded") / "run")
+
+
+def scans(run: Path) -> NDArray[np.void]:
+    with open_run(run) as found:
+        return np.concatenate([table.rows for table in found.tables(topics.SCAN)])
+
+
+def analysed(run: Path) -> tuple[NDArray[np.void], list[bytes]]:
+    """Return measurements and impacts that the analysis finds in a run."""
+    with open_run(run) as found:
+        findings = list(reanalysis.analyze(found))
+    impacts = [table.stamp_ns.to_bytes(8, "big") + table.rows.tobytes() for one in findings for table in one.impacts]
+    return reanalysis.rows(reanalysis.measurements(iter(findings))), impacts
+
+
+def write_wav(path: Path, rows: NDArray[np.void]) -> None:
+    full = np.stack([rows["laser"] / 0.01, rows["base"] / 0.0125, rows["current"] / 25.0], axis=1)
+    with wave.open(str(path), "wb") as file:
+        file.setparams((3, 2, RATE_HZ, 0, "NONE", ""))
+        file.writeframes(np.round(full * 2**15).clip(-(2**15), 2**15 - 1).astype("<i2").tobytes())
+
+
+def write_matlab(path: Path, rows: NDArray[np.void]) -> None:
+    io = pytest.importorskip("scipy.io")
+    io.savemat(path, {**{name: rows[name] for name in ("accelerometer", "laser", "base", "current")}, "fs": RATE_HZ})
+
+
+def write_rattlesnake(path: Path, rows: NDArray[np.void]) -> None:
+    h5netcdf = pytest.importorskip("h5netcdf")
+    h5py = pytest.importorskip("h5py")
+    names = ("accelerometer", "laser", "base", "current")
+    with h5netcdf.File(path, "w") as file:
+        file.attrs["sample_rate"] = RATE_HZ
+        file.dimensions = {"response_channels": 4, "time_samples": len(rows)}
+        data = file.create_variable("time_data", ("response_channels", "time_samples"), "f8")
+        data[...] = np.stack([rows[name] for name in names])
+        group = file.create_group("channels")
+        for key, words in (("comment", names), ("unit", ("m/s^2", "m", "m", "A"))):
+            column = group.create_variable(key, ("response_channels",), h5py.string_dtype())
+            column[...] = np.array(words, object)
+
+
+EXACT = ("csv", "npz", "parquet", "uff", "mat", "nc")
+
+
+@pytest.mark.parametrize("kind", EXACT)
+def test_what_is_exported_and_imported_is_measured_alike_bit_for_bit(recorded: Path, tmp_path: Path, kind: str) -> None:
+    """Scans, measurements and impacts: with the commands and the calibration that the run had."""
+    source = tmp_path / f"scans.{kind}"
+    with open_run(recorded) as run:
+        if kind in ("mat", "nc"):
+            (write_matlab if kind == "mat" else write_rattlesnake)(source, scans(recorded))
+        else:
+            export(run, topics.SCAN.name, source)
+        drive = foreign_files.read(export(run, topics.APPLIED.name, tmp_path / "drive.csv"))
+        sheet = foreign_files.read(export(run, topics.INFO.name, tmp_path / "sheet.csv"))
+    found = foreign_files.read(source)
+    target = write(measurement(found, guess(found), drive, sheet), tmp_path / "run")
+    ours, theirs = scans(target), scans(recorded)
+    assert all(ours[name].tobytes() == theirs[name].tobytes() for name in ("accelerometer", "laser", "base", "current"))
+    rows, impacts = analysed(target)
+    expected, struck = analysed(recorded)
+    assert expected["settled"].any()
+    assert struck
+    assert rows.tobytes() == expected.tobytes()
+    assert impacts == struck
+    with open_run(target) as run:
+        kept = reanalysis.rows(list(run.tables(topics.TRANSMISSIBILITY_TABLE)))
+        assert kept.tobytes() == rows.tobytes(), "what the import kept is what the analysis finds"
+        assert str(verification.verify(run)).endswith("a measurement: there is nothing to re-simulate")
+
+
+def test_a_wav_file_gives_the_transmissibility_within_its_resolution(recorded: Path, tmp_path: Path) -> None:
+    """16 bits full scale: steps of 0.3 and 0.4 µm; three channels, so nothing is said about impacts."""
+    write_wav(tmp_path / "sound.wav", scans(recorded))
+    source = foreign_files.read(tmp_path / "sound.wav")
+    mapping = Mapping(
+        channels={
+            "laser": Channel(column="channel_0", unit="mm", scale=10.0, calibration={"lag": 7e-4, "lag_order": 1}),
+            "base": Channel(column="channel_1", unit="mm", scale=12.5, calibration={"lag": 2.25e-4, "lag_order": 2}),
+            "current": Channel(column="channel_2", unit="A", scale=25.0),
+        },
+        frequency=9.1,
+    )
+    found = measurement(source, mapping)
+    target = write(found, tmp_path / "run")
+    assert found.info["name"].tolist() == [b"laser", b"base", b"current"]
+    row, expected = analysed(target)[0][-1], analysed(recorded)[0][-1]
+    assert row["transmissibility"] == pytest.approx(expected["transmissibility"], rel=4e-3)
+    assert np.isnan(row["impacts_per_cycle"])
+    assert expected["impacts_per_cycle"] > 1.0
+
+
+def table(tmp_path: Path, text: str, name: str = "own.csv") -> foreign_files.Foreign:
+    (tmp_path / name).write_text(text, encoding="utf-8")
+    return foreign_files.read(tmp_path / name)
+
+
+def lines(change: Callable[[int], str], head: str = "t,x1 [mm],xb [mm]", count: int = 40) -> str:
+    return "\n".join([head, *(change(k) for k in range(count))]) + "\n"
+
+
+def semicolons(k: int) -> str:
+    return f"{k / 100:g};{k}.0;{2 * k}.5".replace(".", ",")
+
+
+@pytest.mark.parametrize(
+    ("text", "name", "laser_m", "gap"),
+    [
+        (lines(lambda k: f"{k / 100},{k},{2 * k}"), "gap_4mm_9.1Hz.csv", 1e-3, 0.004),
+        (lines(semicolons, "time;laser (µm);base (µm)"), "no_sphere.csv", 1e-6, 0.0),
+        (lines(lambda k: f"{10 * k}\t{k}\t{k}", "t\tresponse\ttable\n[ms]\t[cm]\t[cm]"), "own.txt", 1e-2, None),
+    ],
+)  # fmt: skip
+def test_headings_units_and_file_names_are_understood(
+    tmp_path: Path, text: str, name: str, laser_m: float, gap: float | None
+) -> None:
+    source = table(tmp_path, text, name)
+    found = measurement(source, guess(source))
+    assert found.rate_hz == 100
+    assert found.rows["laser"][1] == pytest.approx(laser_m)
+    assert found.mapping.gap == gap
+    assert found.mapping.frequency == (9.1 if "9.1Hz" in name else None)
+
+
+def test_a_mapping_says_what_headings_do_not(tmp_path: Path) -> None:
+    """Voltages with a sensitivity, sign and offset; frequency and gap by columns; a uniform rate given."""
+    head = "ai0,ai1,f,g"
+    source = table(tmp_path, lines(lambda k: f"{k},{k},{9 if k < 20 else 10},{0 if k < 30 else 0.004}", head))
+    text = """
+rate_hz: 1000
+frequency: f
+gap: g
+channels:
+  laser: {column: ai0, unit: V, sensitivity: 500 mV/mm, sign: -1, offset: 0.001, sensitivity_uncertainty: 0.01}
+  accelerometer: {column: ai1, unit: mV, sensitivity: 100 mV/g}
+"""
+    found = measurement(source, refined(guess(source), text))
+    assert found.rows["laser"][3] == pytest.approx(-6e-3 + 0.001)
+    assert found.rows["accelerometer"][3] == pytest.approx(3e-3 / 0.1 * 9.80665)
+    assert [one[:2] for one in found.drive] == [(0, 9.0), (20_000_000, 10.0)]
+    assert [label.split()[0] for label in found.labels] == ["gap_m=0.0", "gap_m=0.004"]
+    assert found.info["sensitivity_uncertainty"].tolist() == [0.0, 0.01]
+
+
+MM = "channels: {laser: {column: x1, unit: mm}, base: {column: xb, unit: mm}}"
+STEADY = lines(lambda k: f"{k / 100},{k},{k}", "t,x1,xb")
+
+
+@pytest.mark.parametrize(
+    ("text", "mapping", "why"),
+    [
+        (lines(lambda k: f"{k / 100},{k}" + (",7" if k == 9 else "")), "{}", "but 3 were found at row 10"),
+        (lines(lambda k: f"{k / 100 + (0.004 if k == 7 else 0)},{k},{k}", "t,x1,xb"), MM, "uniform in time: value 8"),
+        (lines(lambda k: f"{k / 100 if k != 7 else 0},{k},{k}", "t,x1,xb"), MM, "times must increase"),
+        (lines(lambda k: f"{k / 33.3},{k},{k}", "t,x1,xb"), MM, "is no whole number"),
+        (lines(lambda k: f"{k},{k}", "x1,xb"), MM, "neither times nor a rate"),
+        (STEADY, MM.replace("mm", "furlongs per"), "channels.laser.unit must be a unit of m"),
+        (STEADY, MM.replace("unit: mm", "unit: V"), "a voltage needs a sensitivity"),
+        (STEADY, MM.replace("unit: mm", "unit: 9**9**9**9"), "must be a unit of m"),
+        (STEADY, MM.replace("x1", "x2"), "no signal 'x2' for laser: there are x1, xb"),
+        (STEADY, "chanels: {}", "unknown key chanels: did you mean channels"),
+        (STEADY, MM + "\nrate_hz: .nan", "rate_hz must be a finite number"),
+        (STEADY, MM + "\nrate_hz: 0", "rate_hz must be > 0"),
+        (STEADY, MM + "\nrate_hz: 1.0e-50\nresample_hz: 200", "its times span"),
+        (STEADY, MM + "\nrate_hz: 1.0e-6\nresample_hz: 200", "values after resampling"),
+        (STEADY, MM + "\nresample_hz: 50", "resample to at least its 100"),
+        ("some words\n", "{}", "no row of numbers"),
+    ],
+)  # fmt: skip
+def test_what_is_wrong_is_said(tmp_path: Path, text: str, mapping: str, why: str) -> None:
+    def imported() -> None:
+        source = table(tmp_path, text)
+        measurement(source, refined(guess(source), mapping))
+
+    with pytest.raises(ImpactRigError, match=why):
+        imported()
+
+
+def test_scans_that_are_missing_stay_missing_and_uneven_ones_can_be_resampled(tmp_path: Path) -> None:
+    source = table(tmp_path, lines(lambda k: f"{(k if k < 20 else k + 5) / 100},{k},{k}"))
+    assert measurement(source, guess(source)).index.tolist() == [*range(20), *range(25, 45)]
+    uneven = table(tmp_path, lines(lambda k: f"{(k + 0.3 * (k % 2)) / 100},{(k + 0.3 * (k % 2)) / 100},{k}"))
+    found = measurement(uneven, refined(guess(uneven), "resample_hz: 200"))
+    assert found.rows["laser"] == pytest.approx(MILLIMETRE * np.arange(len(found.rows)) / 200)
+
+
+def test_a_file_that_crashes_its_library_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A reader that ends its process as a fault of memory would."""
+
+    def crash(path: Path, content: bytes) -> foreign_files.Foreign:
+        os.kill(os.getpid(), signal.SIGSEGV)
+        raise AssertionError
+
+    monkeypatch.setitem(foreign_files.READERS, ".mat", crash)
+    monkeypatch.setattr(foreign_files, "CRASHING", (crash,))
+    (tmp_path / "own.mat").write_bytes(b"MATLAB 5.0")
+    with pytest.raises(ImpactRigError, match="the library that reads it crashed"):
+        foreign_files.read(tmp_path / "own.mat")
+
+
+def test_a_rate_that_the_file_states_counts_more_than_its_rounded_times(tmp_path: Path) -> None:
+    """Times of single precision, added up: a sixth of a period off after 4,096 values."""
+    times = np.arange(4096) / 1280 * (1 - 4e-5)
+    np.savez(tmp_path / "own.npz", time=times, laser=times, rate=1280.0)
+    source = foreign_files.read(tmp_path / "own.npz")
+    assert measurement(source, guess(source)).index.tolist() == list(range(4096))
+
+
+def test_the_command_shows_before_it_writes_and_makes_a_campaign(
+    recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with open_run(recorded) as run:
+        file = export(run, topics.SCAN.name, tmp_path / "gap_6mm_9.1Hz.csv")
+    words = ["import", str(file), "--output", str(tmp_path / "out")]
+    assert main([*words, "--dry-run"]) == 0
+    assert not (tmp_path / "out").exists()
+    assert "nothing was written" in capsys.readouterr().out
+    assert main([*words, "--campaign"]) == 0
+    points = (tmp_path / "out" / "points.csv").read_text(encoding="utf-8").splitlines()
+    assert len(points) == 2
+    assert points[1].startswith("measured,0.006,9.1,")
+    assert main(["report", str(tmp_path / "out")]) == 0
+    assert main([*words]) == 1, "nothing is overwritten"

@@ -1,0 +1,176 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""Do import, identify and compare find the constants of somebody else's rig? Rigs drawn at random, told only as CSV.
+
+    python tools/foreign_rig.py --seeds 100 build/foreign
+
+Each rig has other masses, damping, stiffness and gaps than the default one, its table is measured with a gain wrong by
+3 % (standard deviation, which its calibration states), 1 kS/s, and no accelerometer. Its stepped sine without sphere,
+two gaps and a free decay are written as CSV with headings and units of their own, imported, and given to `identify` and
+`compare`. Printed is in how many rigs each constant lies within twice its stated uncertainty. What is done stays done.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import io
+import json
+import math
+import shutil
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from impact_rig.blocks import joined
+from impact_rig.cli.main import main as impact_rig
+from impact_rig.rig import Rig
+from impact_rig.rig.config import RigConfig, dump, from_flat
+from impact_rig.simtime import NS_PER_S
+
+RATE_HZ, GAIN, COVERAGE = 1000, 0.03, 2.0
+DETUNING = (0.82, 0.93, 0.985, 1.0, 1.015, 1.07, 1.15)
+"""Frequencies of the stepped sine over that of the structure."""
+SECONDS, DECAY_S, AMPLITUDE_M = 16.0, 25.0, 5.5e-3
+MAPPING = "channels: {laser: {column: tip}, base: {column: table}, current: {column: coil}}\n"
+NAMES = ("f_n", "ζ", "m_1", "K_f", "k_f", "M", "c_f")
+
+
+def drawn(seed: int) -> tuple[dict[str, float], float, tuple[float, ...], np.random.Generator]:
+    """Return the rig of a seed: configuration, gain of its table's sensor, gaps [m], and what draws further."""
+    rng = np.random.default_rng(seed)
+    around = lambda value, share: float(value * math.exp(rng.uniform(-share, share)))  # noqa: E731  # seven times
+    rig = {
+        "structure.natural_frequency_hz": around(9.105, 0.15), "structure.damping_ratio": around(0.0045, 0.25),
+        "structure.mass_kg": around(0.13, 0.25), "shaker.force_factor_n_a": around(5.3, 0.2),
+        "shaker.suspension_stiffness_n_m": around(6300.0, 0.2), "shaker.damping_n_s_m": around(90.0, 0.2),
+        "shaker.base_mass_kg": around(1.84, 0.2),
+    }  # fmt: skip
+    gaps = tuple(round(float(gap), 4) for gap in sorted(rng.uniform(0.003, 0.008, 2)))
+    return rig, float(rng.normal(1.0, GAIN)), gaps, rng
+
+
+def record(
+    rig: dict[str, float], gap_m: float, frequency_hz: float, current_a: float, seconds: float, seed: int
+) -> np.ndarray:
+    """Return scans of a rig: driven, or plucked where the frequency is 0."""
+    own = {**rig, "daq.rate_hz": RATE_HZ, "daq.block_scans": RATE_HZ, "daq.seed": seed, "sphere.present": gap_m > 0.0}
+    config = from_flat(RigConfig(), {**own, **({"barriers.gap_m": gap_m} if gap_m else {})})
+    one = Rig(config)
+    if frequency_hz:
+        one.accept(frequency_hz, current_a)
+    else:
+        one.pluck(5e-3)
+    return joined([block.scan.rows for block in one.advance(round(seconds * NS_PER_S))])
+
+
+def write_certificate(path: Path, config: RigConfig) -> None:
+    """Write what the sensors' certificates say, as a table: the base sensor's states the wrong gain."""
+    rows = Rig(config).info().rows
+    names = [name for name in rows.dtype.names or () if name not in ("unit", "rate", "since_start")]
+    rows["sensitivity_uncertainty"][rows["name"] == b"base"] = GAIN
+    lines = [",".join(row[name].decode() if name == "name" else f"{row[name]:.17g}" for name in names) for row in rows]
+    path.write_text("\n".join([",".join(names), *lines]) + "\n", encoding="utf-8")
+
+
+def write_csv(path: Path, rows: np.ndarray, gain: float) -> None:
+    """Write scans as somebody else's program would: its own headings, millimetres, no accelerometer."""
+    columns = np.stack(
+        [np.arange(len(rows)) / RATE_HZ, 1e3 * rows["laser"], 1e3 * gain * rows["base"], rows["current"]], axis=1
+    )
+    np.savetxt(path, columns, "%.9g", delimiter=";", header="t [s];tip [mm];table [mm];coil [A]", comments="")
+
+
+def told(*words: object) -> dict[str, object]:
+    """Return what a command of the package prints as JSON.
+
+    Raises:
+        SystemExit: it fails.
+    """
+    with contextlib.redirect_stdout(io.StringIO()) as output:
+        code = impact_rig([str(word) for word in words])
+    if code:
+        sys.exit(f"impact-rig {' '.join(map(str, words))} failed")
+    return dict(json.loads(output.getvalue()))
+
+
+def one(seed: int, folder: Path, *, compares: bool = True) -> dict[str, object]:
+    """Measure the rig of a seed as its owner would; return truth and what the commands found."""
+    rig, gain, gaps, _ = drawn(seed)
+    f_n = rig["structure.natural_frequency_hz"]
+    place = folder / f"{seed:04d}"
+    shutil.rmtree(place, ignore_errors=True)
+    (place / "csv").mkdir(parents=True)
+    (place / "mapping.yaml").write_text(MAPPING, encoding="utf-8")
+    (place / "known.yaml").write_text(dump(RigConfig()), encoding="utf-8")
+    stiffness = rig["structure.mass_kg"] * (2.0 * math.pi * f_n) ** 2
+    current = AMPLITUDE_M * stiffness / rig["shaker.force_factor_n_a"]  # what moves x_1 by about that much at resonance
+    for gap in (0.0, *gaps):
+        for detuning in DETUNING if gap == 0.0 else (1.0,):
+            frequency = round(f_n * detuning, 3)
+            rows = record(rig, gap, frequency, current, SECONDS, seed)
+            name = f"{f'{1e3 * gap:g}mm' if gap else 'no_sphere'}_{frequency:.3f}Hz.csv"
+            write_csv(place / "csv" / name, rows, gain)
+    write_csv(place / "decay.csv", record(rig, 0.0, 0.0, 0.0, DECAY_S, seed), gain)
+    write_certificate(place / "certificate.csv", from_flat(RigConfig(), {"daq.rate_hz": RATE_HZ, "daq.seed": seed}))
+    common = ("--mapping", place / "mapping.yaml", "--calibration", place / "certificate.csv", "--json")
+    told(
+        "import",
+        *sorted((place / "csv").iterdir()),
+        "--campaign",
+        "--output",
+        place / "sweep",
+        "--config",
+        place / "known.yaml",
+        *common,
+    )
+    told("import", place / "decay.csv", "--output", place / "decay", *common)
+    found = told("identify", place / "sweep", "--decay", place / "decay", "--json")
+    truth = dict(zip(NAMES, (
+        f_n, rig["structure.damping_ratio"], rig["structure.mass_kg"], rig["shaker.force_factor_n_a"],
+        rig["shaker.suspension_stiffness_n_m"], rig["shaker.base_mass_kg"] + RigConfig().shaker.armature_mass_kg,
+        rig["shaker.damping_n_s_m"],
+    ), strict=True))  # fmt: skip
+    constants = {
+        name: [truth[name], value["value"], value["standard_uncertainty"]]
+        for name, value in dict(found["constants"]).items()  # type: ignore[call-overload]  # JSON
+    }
+    run = next((place / "sweep" / "runs").glob("no_sphere*"))
+    compared = told("compare", run, "--config", place / "known.yaml", "--json") if compares else {}
+    for entry in compared.get("constants", {}).items():  # type: ignore[attr-defined]  # JSON
+        name, value = entry
+        constants[f"compare {name}"] = [truth[name], value["value"], value["standard_uncertainty"]]
+    shutil.rmtree(place)
+    return {"seed": seed, "gain": gain, "consistent": found["consistent"], "constants": constants}
+
+
+def main() -> int:
+    """Return 0."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--seeds", type=int, default=100)
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--no-compare", action="store_true")
+    arguments = parser.parse_args()
+    arguments.folder.mkdir(parents=True, exist_ok=True)
+    kept = arguments.folder / "found.jsonl"
+    done = [json.loads(line) for line in kept.read_text(encoding="utf-8").splitlines()] if kept.exists() else []
+    for seed in range(arguments.first, arguments.first + arguments.seeds):
+        if seed not in {one["seed"] for one in done}:
+            done.append(one(seed, arguments.folder, compares=not arguments.no_compare))
+            with kept.open("a", encoding="utf-8") as file:
+                file.write(json.dumps(done[-1], ensure_ascii=False) + "\n")
+    sound = sum(bool(each["consistent"]) for each in done)
+    print(f"{len(done)} rigs, {sound} of them consistent with the model")  # noqa: T201  # the result
+    for name in dict.fromkeys(name for each in done for name in each["constants"]):
+        rows = [each["constants"][name] for each in done if each["constants"].get(name, [0, None])[1] is not None]
+        z = np.array([(value - truth) / u for truth, value, u in rows] or [math.nan])
+        inside = int(np.count_nonzero(np.abs(z) <= COVERAGE))
+        rms = math.sqrt(float(np.mean(z**2)))
+        print(f"{name:14s} {inside} of {len(rows)} within ± {COVERAGE:g} u, rms z {rms:.2f}")  # noqa: T201  # as above
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
