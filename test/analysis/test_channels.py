@@ -1,6 +1,6 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""The analysis takes its channels by name: other channels may be there, in any order, and a missing one is named."""
+"""The analysis takes its channels by name: other channels may be there, in any order, and one may be missing."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 from kits.records import info_rows
 
 from impact_rig.analysis.calibration import Calibration
-from impact_rig.analysis.scans import LASER, status_of
+from impact_rig.analysis.scans import CHANNELS, LASER, status_of
 from impact_rig.columns import Column, row_type
 from impact_rig.errors import ConfigError
 
@@ -23,10 +23,12 @@ def test_status_bits_follow_the_names_not_the_places():
     assert status_of(rows).tolist() == [1 << LASER, 0, 0]
 
 
-def test_a_channel_more_is_no_matter_and_one_less_is_named():
+def test_a_channel_more_or_less_is_no_matter_and_one_twice_is_named():
     rows = info_rows()
     more = np.concatenate([rows[:1], rows])
     more["name"][0] = b"force"
     assert Calibration.from_info(more).noise.tolist() == Calibration.from_info(rows).noise.tolist()
     with pytest.raises(ConfigError, match=r"one row for each of .*laser"):
-        Calibration.from_info(rows[rows["name"] != b"laser"])
+        Calibration.from_info(np.concatenate([rows, rows[:1]]))
+    without = Calibration.from_info(rows[rows["name"] != b"accelerometer"])
+    assert without.present.tolist() == [name != "accelerometer" for name in CHANNELS]
