@@ -37,7 +37,7 @@ from impact_rig.physics import Simulation
 from impact_rig.rig import Rig
 from impact_rig.rig.config import RigConfig, dump, fields, from_flat
 from impact_rig.rig.interlock import amplitude_limit
-from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S
+from impact_rig.simtime import COMMAND_GRID_NS, COMMAND_GRID_S, NS_PER_S
 
 UNACCOUNTED = 1e-8
 STEP_NS = 10 * COMMAND_GRID_NS
@@ -140,6 +140,16 @@ def legal(values: dict[str, object]) -> RigConfig:
     return from_flat(RigConfig(), flat)
 
 
+def feed(rig: Rig, amplitude: float) -> None:
+    """Give a rig the next samples of its stream, a sine of the drive's frequency: two ticks, or one sample, ahead."""
+    drive, now_s = rig.config.drive, rig.frontier_ns / NS_PER_S
+    ahead_s = min(drive.stream_buffer_s, max(2.0 * COMMAND_GRID_S, 1.1 / drive.stream_rate_hz))
+    numbers = np.arange(math.ceil(now_s * drive.stream_rate_hz), int((now_s + ahead_s) * drive.stream_rate_hz))
+    if len(numbers):
+        angle = 2.0 * math.pi * drive.frequency_hz / drive.stream_rate_hz * numbers
+        rig.feed(int(numbers[0]), amplitude * np.sin(angle))
+
+
 def run(config: RigConfig, loudness: float, seconds: float) -> Result:
     """Run a rig and judge it."""
     limit = amplitude_limit(config.drive, config.shaker)[2]
@@ -152,10 +162,14 @@ def run(config: RigConfig, loudness: float, seconds: float) -> Result:
     end_ns, finite, commanded = round(seconds * NS_PER_S), True, False
     try:
         while rig.frontier_ns < end_ns:
-            if not commanded and rig.frontier_ns >= end_ns / 3 and rig.latched is None:
+            step_ns = STEP_NS
+            if rig.latched is None and config.drive.waveform == "stream":
+                step_ns = COMMAND_GRID_NS  # a stream takes as few as two ticks ahead
+                feed(rig, limit if rig.frontier_ns >= end_ns / 3 else amplitude)
+            elif not commanded and rig.frontier_ns >= end_ns / 3 and rig.latched is None:
                 rig.accept(current_a=min(2.0 * amplitude, limit))
                 commanded = True
-            for block in rig.advance(rig.frontier_ns + STEP_NS):
+            for block in rig.advance(rig.frontier_ns + step_ns):
                 impacts += 0 if block.impacts is None else len(block.impacts.rows)
                 finite &= all(np.isfinite(block.scan.rows[name]).all() for name in block.scan.rows.dtype.names or ())
     except (SimulationError, CommandError, ArithmeticError, ValueError, AssertionError) as error:
