@@ -29,6 +29,10 @@ BLOCKS = [block for page in TOOL["pages"]().values() for block in page.blocks]
 OURS = [block for block in BLOCKS if block.owner == "test/test_docs.py"]
 
 
+NO_SYMBOLS = {"d", "Σ"}
+"""The differential, and the sum."""
+
+
 def by_place(block):
     return f"{block.page}:{block.line}"
 
@@ -38,6 +42,25 @@ def test_nothing_is_wrong_in_any_page():
     assert found == []
     assert len(BLOCKS) > 40
     assert {"README.md", "CONTRIBUTING.md", "docs/interface.md", "examples/README.md"} <= TOOL["pages"]().keys()
+
+
+def symbol_rows(page: str) -> list[list[str]]:
+    """The rows (symbols, unit, meaning) of a page's table of symbols."""
+    text = (
+        (ROOT / "docs" / page).read_text(encoding="utf-8").partition("| symbol | unit | meaning |\n|---|---|---|\n")[2]
+    )
+    return [line.strip("| ").split(" | ") for line in text.partition("\n\n")[0].splitlines()]
+
+
+def test_every_symbol_of_the_kernels_is_in_the_glossary():
+    """Every letter in the equations of docs/kernels.md, subscript included, has a unit, or a dash, and a meaning."""
+    page = (ROOT / "docs" / "kernels.md").read_text(encoding="utf-8").partition("| kernel | equation |")[2]
+    equations = re.sub("`[^`]*`|'s ", " ", page.partition("\n\n")[0])
+    used = set(re.findall(r"(?<!\w)[A-Za-zα-ωΑ-Ω](?:_\w+)?(?!\w)", equations)) - NO_SYMBOLS
+    assert len(used) > 20, "the page has no equations"
+    rows = symbol_rows("glossary.md") + symbol_rows("physics.md")
+    assert used <= {symbol for row in rows for symbol in re.findall(r"[^\W\d](?:_\w+)?", row[0])}
+    assert all(len(row) == 3 and all(row) for row in rows)
 
 
 def test_a_test_that_runs_a_page_reads_it():

@@ -65,7 +65,7 @@ def reduction(without: NDArray[np.void], rows: NDArray[np.void], calibration: Ca
         variance += (bent - bent_without) ** 2
     steps = _steps(without) + _steps(rows)
     points = 100.0 * quotient
-    return Reduction(100.0 - points, points * math.sqrt(variance), points * math.sqrt(steps))
+    return Reduction(100.0 * (1.0 - quotient), points * math.sqrt(variance), points * math.sqrt(steps))
 
 
 def combined(rows: NDArray[np.void]) -> float:

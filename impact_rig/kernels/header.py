@@ -41,7 +41,8 @@ def header(entries: Mapping[str, kernels.Entry]) -> str:
 
 
 def whole(parts: Iterable[str]) -> str:
-    """Return the header of the library from the declarations of its parts."""
+    """Return the header of the library from the declarations of its parts, which may have records in common."""
+    declarations = "\n\n".join(dict.fromkeys(block.strip("\n") for part in parts for block in part.split("\n\n")))
     return f"""\
 /* The compiled kernels of impact_rig, for C: made by impact_rig/kernels/header.py. SI units.
  *
@@ -56,7 +57,7 @@ def whole(parts: Iterable[str]) -> str:
 
 void *impact_rig_address(const char *name); /* as in examples/c/ten_seconds.c */
 
-{"".join(parts)}
+{declarations}
 #endif
 """
 

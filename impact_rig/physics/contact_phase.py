@@ -2,12 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """A contact from touch to release: steps of the indentation, each ended exactly where something happens.
 
-δ is the indentation, w = √δ, and a step has a length in s, with dt = w ds (see `contact_step`, which solves the step):
+δ is the indentation, w = √δ, and a step has a length in χ, with dt = w dχ (see `contact_step`, which solves the step):
 
-    dw/ds = δ'/2,    dt/ds = w,    dδ'/ds = w δ'',    F the law's force, elastic and lossy part together
+    dw/dχ = δ'/2,    dt/dχ = w,    dδ'/dχ = w δ'',    F the law's force, elastic and lossy part together
 
 The state y holds the centre of mass of structure and sphere, x_1* = x_1 + side σ δ. In the functions p are the
-parameters, force the law, f the drive, s the state (not the variable), and k the step with its stages.
+parameters, force the law, f the drive, s the state, step the step with its stages.
 
 A step ends where its error allows, and earlier at the first of these events:
 
@@ -30,21 +30,21 @@ from impact_rig.physics.collocation import GAUSS_NODES, GAUSS_WEIGHTS, LAST, MAT
 from impact_rig.physics.contact_step import (
     FEW_ROUNDS,
     ROUNDS,
-    add_recoil,
+    add_correction,
     begin_step,
+    dense_output,
+    dense_slope,
     estimate,
-    foreseen,
+    expand,
+    keep_dense_output,
     moved,
-    remember,
     rescaled,
-    slope_foreseen,
     solve,
     turned_at,
 )
 from impact_rig.physics.energy import add_powers
-from impact_rig.physics.state import V1, X1
+from impact_rig.physics.state import FAILED, LEFT, NOTHING, RELEASED, RELOADED, TIME, TURNED, V1, X1
 
-NOTHING, LEFT, TIME, RELEASED, TURNED, RELOADED, FAILED, SETTLED = range(8)
 _IN_ORDER = (LEFT, TIME, RELEASED, TURNED, RELOADED)  # past LEFT the others mean nothing: it comes first
 
 _REJECTIONS = 60
@@ -59,15 +59,15 @@ _PEAK_FOUND = 1e-5  # of a step: the force is flat there
 
 
 @kernel
-def _force_slope(p, force, s, k, point):  # type: ignore[no-untyped-def]
-    """Return the force at a point (w, δ', dδ'/ds) of the step, and its derivative along the motion, dF/ds."""
+def _force_slope(p, force, s, step, point):  # type: ignore[no-untyped-def]
+    """Return the force at a point (w, δ', dδ'/dχ) of the step, and its derivative along the motion, dF/dχ."""
     w, speed, slope = point
-    elastic, lossy, _, by_w, by_speed = force.one(p.stiffness, p.factor, s.per_v0, k.turned_at, w, speed)
+    elastic, lossy, _, by_w, by_speed = force.one(p.stiffness, p.factor, s.per_v0, step.turned_at, w, speed)
     return elastic + lossy, 0.5 * by_w * speed + by_speed * slope
 
 
 @kernel
-def _beyond(p, force, s, k, event, at):  # type: ignore[no-untyped-def]  # compiled: types are inferred
+def _beyond(p, force, s, step, event, at):  # type: ignore[no-untyped-def]  # compiled: types are inferred
     """Return how far a point of the step is beyond an event, in units of the event's scale; at most 0 before it.
 
     The point is `at` = (time since the start of the step, w, δ').
@@ -76,43 +76,43 @@ def _beyond(p, force, s, k, event, at):  # type: ignore[no-untyped-def]  # compi
     if event == LEFT:
         return -w / max(s.w, s.deepest, _SMALLEST)
     if event == TIME:
-        return (since - k.rest) / k.rest
+        return (since - step.rest) / step.rest
     if event == RELEASED:
         if not p.clipped:
             return -1.0
-        elastic, lossy, _, _, _ = force.one(p.stiffness, p.factor, s.per_v0, k.turned_at, w, speed)
-        return -(elastic + lossy) / max(k.start_force, s.peak_force, _SMALLEST)
+        elastic, lossy, _, _, _ = force.one(p.stiffness, p.factor, s.per_v0, step.turned_at, w, speed)
+        return -(elastic + lossy) / max(step.start_force, s.peak_force, _SMALLEST)
     if event == TURNED:
-        return -speed / s.speed if k.turned_at == 0.0 and s.speed > 0.0 else -1.0
+        return -speed / s.speed if step.turned_at == 0.0 and s.speed > 0.0 else -1.0
     return (w - s.deepest) / s.deepest if p.remembers and s.w < s.deepest else -1.0
 
 
 @kernel
-def _slope_beyond(p, force, s, k, event):  # type: ignore[no-untyped-def]
+def _slope_beyond(p, force, s, step, event):  # type: ignore[no-untyped-def]
     """Return the derivative of `_beyond` at the end of the step with respect to its length."""
-    w, speed = k.w[LAST], k.speed[LAST]
+    w, speed = step.w[LAST], step.speed[LAST]
     if event == LEFT:
         return -0.5 * speed / max(s.w, s.deepest, _SMALLEST)
     if event == TIME:
-        return w / k.rest
+        return w / step.rest
     if event == RELEASED:
-        _, slope = _force_slope(p, force, s, k, (w, speed, k.slope[LAST]))
-        return -slope / max(k.start_force, s.peak_force, _SMALLEST)
+        _, slope = _force_slope(p, force, s, step, (w, speed, step.speed_slope[LAST]))
+        return -slope / max(step.start_force, s.peak_force, _SMALLEST)
     if event == TURNED:
-        return -k.slope[LAST] / s.speed
+        return -step.speed_slope[LAST] / s.speed
     return 0.5 * speed / s.deepest
 
 
 @kernel
-def _about(p, force, s, k, event):  # type: ignore[no-untyped-def]
+def _about(p, force, s, step, event):  # type: ignore[no-untyped-def]
     """Return about how long a step is up to an event that it went beyond, by the Illinois method on its polynomial."""
     low, high, x, last = 0.0, 1.0, 1.0, 0
-    before = _beyond(p, force, s, k, event, foreseen(s, k, low))
-    behind = _beyond(p, force, s, k, event, foreseen(s, k, high))
+    before = _beyond(p, force, s, step, event, dense_output(s, step, low))
+    behind = _beyond(p, force, s, step, event, dense_output(s, step, high))
     before = before if before < 0.0 else -behind  # the step may have started at the same event
     for _ in range(_GUESSES):
         x = (low * behind - high * before) / (behind - before)
-        beyond = _beyond(p, force, s, k, event, foreseen(s, k, x))
+        beyond = _beyond(p, force, s, step, event, dense_output(s, step, x))
         if abs(beyond) <= _NEAR:
             break
         if beyond > 0.0:
@@ -123,149 +123,160 @@ def _about(p, force, s, k, event):  # type: ignore[no-untyped-def]
             low, before = x, beyond
             behind *= 0.5 if last == -1 else 1.0
             last = -1
-    return x * s.step
+    return x * s.h
 
 
 @kernel
-def _land(p, force, s, k, event):  # type: ignore[no-untyped-def]
-    """Take the step again until it ends at the event, its length in `s.step`; return whether that succeeded."""
-    low, high = 0.0, s.step
-    s.step = _about(p, force, s, k, event)
+def _land(p, force, s, step, event):  # type: ignore[no-untyped-def]
+    """Take the step again until it ends at the event, its length in `s.h`; return whether that succeeded."""
+    low, high = 0.0, s.h
+    s.h = _about(p, force, s, step, event)
     for _ in range(_LANDINGS):
-        if not solve(p, force, s, k, s.step, ROUNDS):
+        if not solve(p, force, s, step, s.h, ROUNDS):
             return False
-        beyond = _beyond(p, force, s, k, event, (k.since[LAST], k.w[LAST], k.speed[LAST]))
+        beyond = _beyond(p, force, s, step, event, (step.since[LAST], step.w[LAST], step.speed[LAST]))
         if abs(beyond) <= _LANDED:
             break
         if beyond > 0.0:
-            high = s.step
+            high = s.h
         else:
-            low = s.step
-        slope = _slope_beyond(p, force, s, k, event)
-        s.step = s.step - beyond / slope if slope > 0.0 else low
-        if not low < s.step < high:
-            s.step = 0.5 * (low + high)
-    else:  # as near as numbers resolve: what is in k must be the step whose length is in s
-        if not solve(p, force, s, k, s.step, ROUNDS):
+            low = s.h
+        slope = _slope_beyond(p, force, s, step, event)
+        s.h = s.h - beyond / slope if slope > 0.0 else low
+        if not low < s.h < high:
+            s.h = 0.5 * (low + high)
+    else:  # as near as numbers resolve: what is in step must be the step whose length is in s
+        if not solve(p, force, s, step, s.h, ROUNDS):
             return False
-    remember(s, k, s.step)
+    keep_dense_output(s, step, s.h)
     return True
 
 
 @kernel
-def _first_event(p, force, s, k):  # type: ignore[no-untyped-def]
+def _first_event(p, force, s, step):  # type: ignore[no-untyped-def]
     """End the step solved last at the first event that it went beyond; return that, NOTHING or FAILED.
 
     What ends there must be as exact as any step, and touch the wall all the way: near the end of a contact and where
-    the thrust jumps, the equations of a long step have a second, false solution, in which the indentation collapses at
-    once or passes through zero and back, and the time with it.
+    the acceleration jumps, the equations of a long step have a second, false solution, in which the indentation
+    collapses at once or passes through zero and back, and the time with it.
     """
     ended = NOTHING
     for event in _IN_ORDER:
-        if _beyond(p, force, s, k, event, (k.since[LAST], k.w[LAST], k.speed[LAST])) > _LANDED:
-            if not _land(p, force, s, k, event) or estimate(k, s.step) > 1.0:
+        if _beyond(p, force, s, step, event, (step.since[LAST], step.w[LAST], step.speed[LAST])) > _LANDED:
+            if not _land(p, force, s, step, event) or estimate(step, s.h) > 1.0:
                 return FAILED
             ended = event
     for i in range(STAGES):
         slight = 0.0 if ended == LEFT and i >= LAST - 1 else _COLLAPSED * s.w
-        if not k.w[i] > slight and not (ended == LEFT and i == LAST):
+        if not step.w[i] > slight and not (ended == LEFT and i == LAST):
             return FAILED
-    return ended if k.since[LAST] > 0.0 else FAILED
+    return ended if step.since[LAST] > 0.0 else FAILED
 
 
 @kernel
-def take_step(p, force, s, k):  # type: ignore[no-untyped-def]
-    """Solve the next step, its length in `s.step`, and propose one in `s.next_step`; return the event it ends at.
+def take_step(p, force, s, step):  # type: ignore[no-untyped-def]
+    """Solve the next step, its length in `s.h`, and propose one in `s.next_h`; return the event it ends at.
 
-    `k` must have been expanded about s, and hold the `rest` of the segment.
+    `step` must have been expanded about s, and hold the `rest` of the segment.
     """
-    begin_step(p, force, s, k)
-    s.step = s.next_step
+    begin_step(p, force, s, step)
+    s.h = s.next_h
     for _ in range(_REJECTIONS):
-        if not solve(p, force, s, k, s.step, FEW_ROUNDS):
-            s.step *= 0.25
-        elif k.since[LAST] > k.reach:
-            s.step *= 0.9 * k.reach / k.since[LAST]
+        if not solve(p, force, s, step, s.h, FEW_ROUNDS):
+            s.h *= 0.25
+        elif step.since[LAST] > step.reach:
+            s.h *= 0.9 * step.reach / step.since[LAST]
         else:
-            remember(s, k, s.step)
-            error = estimate(k, s.step)
+            keep_dense_output(s, step, s.h)
+            error = estimate(step, s.h)
             if error <= 1.0:
-                s.next_step = rescaled(s.step, error)
-                ended = _first_event(p, force, s, k)
+                s.next_h = rescaled(s.h, error)
+                ended = _first_event(p, force, s, step)
                 if ended != FAILED:
                     return ended
-                s.step *= 0.5  # nearer to the event the step up to it is an easier one
+                s.h *= 0.5  # nearer to the event the step up to it is an easier one
             else:
-                s.step = rescaled(s.step, error)
+                s.h = rescaled(s.h, error)
     return FAILED
 
 
 @kernel
-def dissipated(k, h):  # type: ignore[no-untyped-def]
+def take_next_step(model, f, s, step, t_end):  # type: ignore[no-untyped-def]
+    """Take the next step of the contact at s, or its first; return the event it ends at; `conclude` moves s there."""
+    p = model.parameters[0]
+    expand(p, f, s, step)
+    if s.next_h == 0.0:
+        s.next_h = first_step(p, s.approach, step.acceleration[0])
+    step.rest = t_end - s.t
+    return take_step(p, model.force, s, step)
+
+
+@kernel
+def dissipated(step, h):  # type: ignore[no-untyped-def]
     """Return the energy that the contact loses during the step [J], by the quadrature of the collocation."""
     lost = 0.0
     for i in range(STAGES):
-        lost += h * MATRIX[LAST, i] * k.w[i] * k.lossy[i] * k.speed[i]
+        lost += h * MATRIX[LAST, i] * step.w[i] * step.lossy[i] * step.speed[i]
     return lost
 
 
 @kernel
-def peak_in_step(p, force, s, k):  # type: ignore[no-untyped-def]
-    """Return the largest force of the step [N]: at an end, or where dF/ds = 0 inside, found between the ends."""
-    w, speed, slope = k.w[LAST], k.speed[LAST], k.slope[LAST]
-    _, rising = _force_slope(p, force, s, k, (s.w, s.speed, k.start_slope))
-    last, falling = _force_slope(p, force, s, k, (w, speed, slope))
-    peak = max(k.start_force, last)
+def peak_in_step(p, force, s, step):  # type: ignore[no-untyped-def]
+    """Return the largest force of the step [N]: at an end, or where dF/dχ = 0 inside, found between the ends."""
+    w, speed, slope = step.w[LAST], step.speed[LAST], step.speed_slope[LAST]
+    _, rising = _force_slope(p, force, s, step, (s.w, s.speed, step.start_speed_slope))
+    last, falling = _force_slope(p, force, s, step, (w, speed, slope))
+    peak = max(step.start_force, last)
     if not rising > 0.0 > falling:
         return peak
     low, high = 0.0, 1.0
     while high - low > _PEAK_FOUND:
         middle = 0.5 * (low + high)
-        _, inside, speed = foreseen(s, k, middle)
-        _, rising = _force_slope(p, force, s, k, (inside, speed, slope_foreseen(k, middle)))
+        _, inside, speed = dense_output(s, step, middle)
+        _, rising = _force_slope(p, force, s, step, (inside, speed, dense_slope(step, middle)))
         if rising > 0.0:
             low = middle
         else:
             high = middle
-    if solve(p, force, s, k, low * s.step, ROUNDS):  # a step that ends at the peak; then the step itself again
-        found, _ = _force_slope(p, force, s, k, (k.w[LAST], k.speed[LAST], k.slope[LAST]))
+    if solve(p, force, s, step, low * s.h, ROUNDS):  # a step that ends at the peak; then the step itself again
+        found, _ = _force_slope(p, force, s, step, (step.w[LAST], step.speed[LAST], step.speed_slope[LAST]))
         peak = max(peak, found)
-    solve(p, force, s, k, s.step, ROUNDS)
+    solve(p, force, s, step, s.h, ROUNDS)
     return peak
 
 
 @kernel
-def account_step(p, f, s, k, ledger):  # type: ignore[no-untyped-def]
+def account_step(p, f, s, step, ledger):  # type: ignore[no-untyped-def]
     """Add the work of the drive and the losses outside the contact during the step.
 
     First those of the pair as it would move with nothing indented, which is smooth in time; then the difference that
     the indentation makes, which is known at the stages only.
     """
-    half = 0.5 * k.since[LAST]
+    half = 0.5 * step.since[LAST]
     for point in range(POINTS):
         since = half * (1.0 + GAUSS_NODES[point])
-        moved(k, since, k.y)
-        add_powers(p, f, k.y, s.t + since, half * GAUSS_WEIGHTS[point], ledger)
+        moved(step, since, step.y)
+        add_powers(p, f, step.y, s.t + since, half * GAUSS_WEIGHTS[point], ledger)
     for i in range(STAGES):
-        weight = s.step * MATRIX[LAST, i] * k.w[i]
-        moved(k, k.since[i], k.y)
-        add_powers(p, f, k.y, s.t + k.since[i], -weight, ledger)
-        add_recoil(p, s.side, k, i, k.y)
-        k.y[X1] -= p.share * s.side * k.w[i] * k.w[i]
-        k.y[V1] -= p.share * s.side * k.speed[i]
-        add_powers(p, f, k.y, s.t + k.since[i], weight, ledger)
+        weight = s.h * MATRIX[LAST, i] * step.w[i]
+        moved(step, step.since[i], step.y)
+        add_powers(p, f, step.y, s.t + step.since[i], -weight, ledger)
+        add_correction(p, s.side, step, i, step.y)
+        step.y[X1] -= p.share * s.side * step.w[i] * step.w[i]
+        step.y[V1] -= p.share * s.side * step.speed[i]
+        add_powers(p, f, step.y, s.t + step.since[i], weight, ledger)
 
 
 @kernel
-def conclude(p, s, k, ended, t_end):  # type: ignore[no-untyped-def]
+def conclude(p, s, step, ended, t_end):  # type: ignore[no-untyped-def]
     """Move the state to the end of the step, with the impulse on the sphere and the deepest point."""
-    since, w, speed = k.since[LAST], max(k.w[LAST], 0.0), k.speed[LAST]
+    since, w, speed = step.since[LAST], max(step.w[LAST], 0.0), step.speed[LAST]
     sphere = s.y[V1] + s.side * (1.0 - p.share) * s.speed
-    moved(k, since, s.y)
-    add_recoil(p, s.side, k, LAST, s.y)
+    moved(step, since, s.y)
+    add_correction(p, s.side, step, LAST, s.y)
     s.impulse -= s.side * p.m * (s.y[V1] + s.side * (1.0 - p.share) * speed - sphere)
     s.elapsed += since
-    k.known_since = k.known_length  # the next step starts where this one ends
+    step.dense_since = step.dense_length  # the next step starts where this one ends
     s.w = 0.0 if ended == LEFT else w
     s.speed = 0.0 if ended == TURNED else speed
     if ended == RELOADED:
@@ -275,16 +286,16 @@ def conclude(p, s, k, ended, t_end):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def settles(p, force, s, k):  # type: ignore[no-untyped-def]
+def settles(p, force, s, step):  # type: ignore[no-untyped-def]
     """Whether a law without damping only rings about its rest any more, slower than the floored approach speed.
 
     At a turning point the ringing has the speed amplitude |δ''| / ω, ω the contact's own frequency. Up to three times
     the acceleration that presses, a hop is as short as a period of the ringing: it counts as ringing, not as flight.
     """
     elastic, lossy, _, by_w, _ = force.one(p.stiffness, p.factor, s.per_v0, turned_at(s), s.w, s.speed)
-    thrust = k.thrust[0]
-    ringing = abs(thrust - (elastic + lossy) * p.per_m_eff)
-    return ringing <= _HOP * thrust and ringing <= p.speed_floor * math.sqrt(0.5 * by_w * p.per_m_eff / s.w)
+    acceleration = step.acceleration[0]
+    ringing = abs(acceleration - (elastic + lossy) * p.per_m_eff)
+    return ringing <= _HOP * acceleration and ringing <= p.speed_floor * math.sqrt(0.5 * by_w * p.per_m_eff / s.w)
 
 
 @kernel
@@ -294,7 +305,7 @@ def contact_time(p, speed):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def first_step(p, speed, thrust):  # type: ignore[no-untyped-def]
-    """Return a first step [s/m^0.5]: a part of ∫ dt/√(v t) up to the time scale of the law, or of the thrust."""
-    scale = min(contact_time(p, speed), speed / max(abs(thrust), _SMALLEST))
+def first_step(p, speed, acceleration):  # type: ignore[no-untyped-def]
+    """Return a first step [s/m^0.5]: a part of ∫ dt/√(v t) up to the time scale of the law, or of the acceleration."""
+    scale = min(contact_time(p, speed), speed / max(abs(acceleration), _SMALLEST))
     return _FIRST_STEP * math.sqrt(scale / speed)

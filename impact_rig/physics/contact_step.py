@@ -12,11 +12,11 @@ position that x_1 has at δ = 0:
     (m_a + m_b) x_b'' = K_f i − c_f x_b' − k_f x_b − Q,    voltage drive: L i' = U − R i − K_f x_b'
 
 The contact force is inner to the pair and does not appear; a prescribed base moves as it is told. These equations give
-y as Taylor polynomials in time (`expand`), and the thrust −side Q / m_1, the relative acceleration [m/s²] with which
-the columns press sphere and wall together: m_1 x_1'' = Q + side F, m x_2'' = −side F.
+y as Taylor polynomials in time (`expand`), and the relative acceleration a = −side Q / m_1 [m/s²] with which the
+columns press sphere and wall together: m_1 x_1'' = Q + side F, m x_2'' = −side F.
 
 That leaves out what the indentation adds to Q, side σ (k_1 δ + c_1 δ'), most often a millionth of it. It moves the pair
-by side σ z, its `recoil`, from z = 0 at the start of each step on:
+by side σ z, its `correction`, from z = 0 at the start of each step on:
 
     z_x1' = z_v1,   (m_1 + m) z_v1' = q,    q = k_1 (δ − z_x1 + z_xb) + c_1 (δ' − z_v1 + z_vb)
     z_xb' = z_vb,   (m_a + m_b) z_vb' = K_f z_i − c_f z_vb − k_f z_xb − q,   L z_i' = −R z_i − K_f z_vb
@@ -26,16 +26,16 @@ by side σ z, its `recoil`, from z = 0 at the start of each step on:
     δ'' = −F(δ, δ') / m_eff + thrust(t) − (σ/m_1) (k_1 δ + c_1 δ') + (σ/m_1) [k_1 (z_x1 − z_xb) + c_1 (z_v1 − z_vb)]
 
 F has a kink where the contact starts and ends (δ^1.5), which limits every classical method to order 2.5. With w = √δ
-and dt = w ds, s in s/m^0.5 (a Sundman transformation), the equations are smooth through w = 0:
+and dt = w dχ, χ in s/m^0.5 (a Sundman transformation), the equations are smooth through w = 0:
 
-    dw/ds = δ'/2,    dt/ds = w,    dδ'/ds = w δ''
+    dw/dχ = δ'/2,    dt/dχ = w,    dδ'/dχ = w δ''
 
-A step has a length h in s. It solves the collocation equations of `collocation` at five stages (Radau IIA, order 9,
+A step has a length h in χ. It solves the collocation equations of `collocation` at five stages (Radau IIA, order 9,
 L-stable: a sphere that rests on the wall is no harder than one that bounces off). w and t follow linearly from the
 speeds δ' at the stages, which are the only unknowns of Newton's method. The last stage is the end of the step.
 
-**Dense output.** The speeds at the start and at the stages define a polynomial of degree 5 in x = s / h, and through
-dw/ds and dt/ds also w and the time. It is a thousandth or a millionth off, not as good as the step itself: it predicts
+**Dense output.** The speeds at the start and at the stages define a polynomial of degree 5 in x = χ / h, and through
+dw/dχ and dt/dχ also w and the time. It is a thousandth or a millionth off, not as good as the step itself: it predicts
 the next step for Newton's method and about where an event lies, and decides nothing.
 """
 
@@ -63,32 +63,32 @@ _AMPLE = 4.0  # the terms are chosen before the step is: it may end up shorter, 
 
 
 @kernel
-def expand(p, f, s, k):  # type: ignore[no-untyped-def]  # compiled: types are inferred
-    """Fill `k.path` and `k.thrust` with the pair's Taylor coefficients about the state s, drive included.
+def expand(p, f, s, step):  # type: ignore[no-untyped-def]  # compiled: types are inferred
+    """Fill `step.path` and `step.acceleration` with the pair's Taylor coefficients about the state s, drive included.
 
-    As many terms as the step that is foreseen needs, and how long they hold: `k.terms`, `k.reach`.
+    As many terms as the step that is expected needs, and how long they hold: `step.terms`, `step.reach`.
     """
-    path = k.path
+    path = step.path
     fastest = max(p.fastest, f.omega)
-    foreseen = _AMPLE * s.next_step * max(s.w, 0.5 * s.next_step * abs(s.speed))  # ∫ w ds, with w + (δ'/2) s
-    k.terms, k.reach = FEW, _FEW_REACH / fastest
-    if foreseen > k.reach:
-        k.terms, k.reach = TERMS, _REACH / fastest
-    k.fastest_time = 1.0 / fastest
+    expected = _AMPLE * s.next_h * max(s.w, 0.5 * s.next_h * abs(s.speed))  # ∫ w dχ, with w + (δ'/2) χ
+    step.terms, step.reach = FEW, _FEW_REACH / fastest
+    if expected > step.reach:
+        step.terms, step.reach = TERMS, _REACH / fastest
+    step.fastest_time = 1.0 / fastest
     for q in range(STRUCTURE):
         path[q, 0] = s.y[q]
     level = f.amplitude + f.slope * s.t
     sine, cosine = sincos(f.omega * s.t + f.phase)  # then their coefficients, order by order
     drive = level * sine
-    for n in range(k.terms):
+    for n in range(step.terms):
         per = 1.0 / (n + 1)
         sine_next, cosine_next = f.omega * cosine * per, -f.omega * sine * per
         drive_next = level * sine_next + f.slope * sine
         if p.drive == PRESCRIBED:
             path[XB, n], path[VB, n] = drive, (n + 1) * drive_next
         columns = -p.k_1 * (path[X1, n] - path[XB, n]) - p.c_1 * (path[V1, n] - path[VB, n])
-        k.thrust[n] = -s.side * columns * p.per_m_1
-        if n + 1 < k.terms:
+        step.acceleration[n] = -s.side * columns * p.per_m_1
+        if n + 1 < step.terms:
             path[X1, n + 1] = path[V1, n] * per
             path[V1, n + 1] = columns * p.per_m_pair * per
             if p.drive != PRESCRIBED:
@@ -114,115 +114,115 @@ def polynomial(coefficients, x, terms):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def moved(k, since, y):  # type: ignore[no-untyped-def]
-    """Fill y with the pair's state `since` seconds after the start of the step, without its recoil."""
+def moved(step, since, y):  # type: ignore[no-untyped-def]
+    """Fill y with the pair's state `since` seconds after the start of the step, without the base correction."""
     for q in range(STRUCTURE):
-        y[q] = polynomial(k.path[q], since, k.terms)
+        y[q] = polynomial(step.path[q], since, step.terms)
 
 
 @kernel
-def _integrate(k, state, h):  # type: ignore[no-untyped-def]
-    """Fill the recoil of one state at the stages from its slopes d/ds there."""
-    slope, recoil = k.recoil_slope[state], k.recoil[state]
+def _integrate(step, state, h):  # type: ignore[no-untyped-def]
+    """Fill the correction of one state at the stages from its slopes d/dχ there."""
+    slope, correction = step.correction_slope[state], step.correction[state]
     for i in range(STAGES):
         total = 0.0
         for j in range(STAGES):
             total += MATRIX[i, j] * slope[j]
-        recoil[i] = h * total
+        correction[i] = h * total
 
 
 @kernel
-def improve_recoil(p, k, h):  # type: ignore[no-untyped-def]
-    """Improve the recoil z at the stages by one sweep of fixed-point iteration; each sweep adds an order in h."""
-    z, slope = k.recoil, k.recoil_slope
+def improve_correction(p, step, h):  # type: ignore[no-untyped-def]
+    """Improve the correction z at the stages by one sweep of fixed-point iteration; each sweep adds an order in h."""
+    z, slope = step.correction, step.correction_slope
     for j in range(STAGES):
-        push = p.k_1 * (k.w[j] * k.w[j] - z[X1, j] + z[XB, j]) + p.c_1 * (k.speed[j] - z[V1, j] + z[VB, j])
-        slope[V1, j] = k.w[j] * push * p.per_m_pair
+        push = p.k_1 * (step.w[j] * step.w[j] - z[X1, j] + z[XB, j]) + p.c_1 * (step.speed[j] - z[V1, j] + z[VB, j])
+        slope[V1, j] = step.w[j] * push * p.per_m_pair
         if p.drive != PRESCRIBED:
             table = p.force_factor * z[COIL, j] - p.c_f * z[VB, j] - p.k_f * z[XB, j] - push
-            slope[VB, j] = k.w[j] * table * p.per_m_base
-    _integrate(k, V1, h)
+            slope[VB, j] = step.w[j] * table * p.per_m_base
+    _integrate(step, V1, h)
     for j in range(STAGES):
-        slope[X1, j] = k.w[j] * z[V1, j]
-    _integrate(k, X1, h)
+        slope[X1, j] = step.w[j] * z[V1, j]
+    _integrate(step, X1, h)
     if p.drive != PRESCRIBED:
-        _integrate(k, VB, h)
+        _integrate(step, VB, h)
         for j in range(STAGES):
-            slope[XB, j] = k.w[j] * z[VB, j]
-        _integrate(k, XB, h)
+            slope[XB, j] = step.w[j] * z[VB, j]
+        _integrate(step, XB, h)
     if p.drive == VOLTAGE:
         for j in range(STAGES):
             voltage = -p.resistance * z[COIL, j] - p.force_factor * z[VB, j]
-            slope[COIL, j] = k.w[j] * voltage * p.per_inductance
-        _integrate(k, COIL, h)
+            slope[COIL, j] = step.w[j] * voltage * p.per_inductance
+        _integrate(step, COIL, h)
 
 
 @kernel
-def add_recoil(p, side, k, stage, y):  # type: ignore[no-untyped-def]
-    """Add the recoil at a stage to y."""
+def add_correction(p, side, step, stage, y):  # type: ignore[no-untyped-def]
+    """Add the correction at a stage to y."""
     for q in range(STRUCTURE):
-        y[q] += side * p.share * k.recoil[q, stage]
+        y[q] += side * p.share * step.correction[q, stage]
 
 
 _FAR = 1.6  # times its length: further on the polynomial is worse than a straight line
 
 
 @kernel
-def remember(s, k, h):  # type: ignore[no-untyped-def]  # compiled: types are inferred
+def keep_dense_output(s, step, h):  # type: ignore[no-untyped-def]  # compiled: types are inferred
     """Keep the polynomial of the step of length h that was solved from s."""
     for n in range(STAGES + 1):
         total = TO_POLYNOMIAL[n, 0] * s.speed
         for j in range(STAGES):
-            total += TO_POLYNOMIAL[n, j + 1] * k.speed[j]
-        k.known[n] = total
-    k.known_length, k.known_since = h, 0.0
+            total += TO_POLYNOMIAL[n, j + 1] * step.speed[j]
+        step.dense[n] = total
+    step.dense_length, step.dense_since = h, 0.0
 
 
 @kernel
-def forget(k):  # type: ignore[no-untyped-def]
+def drop_dense_output(step):  # type: ignore[no-untyped-def]
     """Let the next step begin without a polynomial: what follows must not depend on what was solved before."""
-    k.known_length = 0.0
+    step.dense_length = 0.0
 
 
 @kernel
-def _speed(k, x):  # type: ignore[no-untyped-def]
+def _speed(step, x):  # type: ignore[no-untyped-def]
     """Return δ' at x."""
-    speed = k.known[STAGES]
+    speed = step.dense[STAGES]
     for n in range(STAGES - 1, -1, -1):
-        speed = speed * x + k.known[n]
+        speed = speed * x + step.dense[n]
     return speed
 
 
 @kernel
-def slope_foreseen(k, x):  # type: ignore[no-untyped-def]
-    """Return dδ'/ds at x of the step that was solved last."""
-    slope = STAGES * k.known[STAGES]
+def dense_slope(step, x):  # type: ignore[no-untyped-def]
+    """Return dδ'/dχ at x of the step that was solved last."""
+    slope = STAGES * step.dense[STAGES]
     for n in range(STAGES - 1, 0, -1):
-        slope = slope * x + n * k.known[n]
-    return slope / k.known_length
+        slope = slope * x + n * step.dense[n]
+    return slope / step.dense_length
 
 
 @kernel
-def guess(s, k, h):  # type: ignore[no-untyped-def]
+def predict_speeds(s, step, h):  # type: ignore[no-untyped-def]
     """Fill the stages of a step of length h from s with the speeds that are expected there."""
-    if k.known_since + h <= _FAR * k.known_length:
-        begin, stretch = k.known_since / k.known_length, h / k.known_length
+    if step.dense_since + h <= _FAR * step.dense_length:
+        begin, stretch = step.dense_since / step.dense_length, h / step.dense_length
         for i in range(STAGES):
-            k.speed[i] = _speed(k, begin + NODES[i] * stretch)
+            step.speed[i] = _speed(step, begin + NODES[i] * stretch)
     else:
         for i in range(STAGES):
-            k.speed[i] = s.speed + NODES[i] * h * k.start_slope
+            step.speed[i] = s.speed + NODES[i] * h * step.start_speed_slope
 
 
 @kernel
-def foreseen(s, k, x):  # type: ignore[no-untyped-def]
+def dense_output(s, step, x):  # type: ignore[no-untyped-def]
     """Return (time since the start [s], w, δ') at x of the step from s, which is the one that was solved last."""
     since, w = 0.0, 0.0
     for n in range(STAGES, -1, -1):
-        w = w * x + k.known[n] / (n + 1)
-        since = since * x + k.known[n] / ((n + 1) * (n + 2))
-    half = 0.5 * k.known_length * x
-    return k.known_length * x * (s.w + half * since), s.w + half * w, _speed(k, x)
+        w = w * x + step.dense[n] / (n + 1)
+        since = since * x + step.dense[n] / ((n + 1) * (n + 2))
+    half = 0.5 * step.dense_length * x
+    return step.dense_length * x * (s.w + half * since), s.w + half * w, _speed(step, x)
 
 
 ERROR_ORDER = 8.0  # in h, of the relieved estimate: between 6, where it is relieved by a constant, and 10
@@ -242,100 +242,100 @@ def turned_at(s):  # type: ignore[no-untyped-def]  # compiled: types are inferre
 
 
 @kernel
-def begin_step(p, force, s, k):  # type: ignore[no-untyped-def]
+def begin_step(p, force, s, step):  # type: ignore[no-untyped-def]
     """Evaluate force and slope at the start of a step, and how exact its speeds must be [m/s].
 
     A step may be wrong by a part of the contact's own speeds: δ', and δ times its natural frequency. Where the sphere
-    rests on the wall these are tiny, and a tenth of the speed that the thrust gives in the time of a radian of the
+    rests on the wall these are tiny, and a tenth of the speed that the relative acceleration gives in a radian of the
     structure's fastest motion is allowed instead. Newton's method never goes by the latter: instruments solve steps
-    again, from another guess, and must find the same.
+    again, from another prediction, and must find the same.
     """
-    k.turned_at = turned_at(s)
-    elastic, lossy, _, by_w, _ = force.one(p.stiffness, p.factor, s.per_v0, k.turned_at, s.w, s.speed)
+    step.turned_at = turned_at(s)
+    elastic, lossy, _, by_w, _ = force.one(p.stiffness, p.factor, s.per_v0, step.turned_at, s.w, s.speed)
     depth = s.w * s.w
-    k.start_force = elastic + lossy
+    step.start_force = elastic + lossy
     by_columns = p.pair_stiffness * depth + p.pair_damping * s.speed
-    k.start_slope = s.w * (k.thrust[0] - by_columns - k.start_force * p.per_m_eff)
+    step.start_speed_slope = s.w * (step.acceleration[0] - by_columns - step.start_force * p.per_m_eff)
     vibration = math.sqrt(0.5 * s.w * depth * abs(by_w) * p.per_m_eff)  # δ times the contact's own frequency
     own = max(abs(s.speed), vibration, _LEAST_PART * p.speed_floor)
-    k.goal = max(_CONVERGED * p.rtol * own, _RESOLUTION * abs(s.speed))
-    k.tolerance = p.rtol * max(own, _AT_REST * abs(k.thrust[0]) * k.fastest_time)
+    step.goal = max(_CONVERGED * p.rtol * own, _RESOLUTION * abs(s.speed))
+    step.tolerance = p.rtol * max(own, _AT_REST * abs(step.acceleration[0]) * step.fastest_time)
 
 
 @kernel
-def _place(s, k, h):  # type: ignore[no-untyped-def]
+def _place(s, step, h):  # type: ignore[no-untyped-def]
     """Fill w and time at the stages from the speeds there."""
     for i in range(STAGES):
         w = 0.0
         for j in range(STAGES):
-            w += MATRIX[i, j] * k.speed[j]
-        k.w[i] = s.w + 0.5 * h * w
+            w += MATRIX[i, j] * step.speed[j]
+        step.w[i] = s.w + 0.5 * h * w
     for i in range(STAGES):
         since = 0.0
         for j in range(STAGES):
-            since += MATRIX[i, j] * k.w[j]
-        k.since[i] = h * since
+            since += MATRIX[i, j] * step.w[j]
+        step.since[i] = h * since
 
 
 @kernel
-def _push(p, k):  # type: ignore[no-untyped-def]
-    """Fill the thrust at the stages, with what the recoil adds to it."""
+def _accelerate(p, step):  # type: ignore[no-untyped-def]
+    """Fill the acceleration at the stages, with what the correction adds to it."""
     for i in range(STAGES):
-        k.thrust_at[i] = k.thrust[k.terms - 1]
-    for n in range(k.terms - 2, -1, -1):
+        step.acceleration_at[i] = step.acceleration[step.terms - 1]
+    for n in range(step.terms - 2, -1, -1):
         for i in range(STAGES):
-            k.thrust_at[i] = k.thrust_at[i] * k.since[i] + k.thrust[n]
-    z, per_m = k.recoil, p.share * p.per_m_1
+            step.acceleration_at[i] = step.acceleration_at[i] * step.since[i] + step.acceleration[n]
+    z, per_m = step.correction, p.share * p.per_m_1
     for i in range(STAGES):
-        k.thrust_at[i] += per_m * (p.k_1 * (z[X1, i] - z[XB, i]) + p.c_1 * (z[V1, i] - z[VB, i]))
+        step.acceleration_at[i] += per_m * (p.k_1 * (z[X1, i] - z[XB, i]) + p.c_1 * (z[V1, i] - z[VB, i]))
 
 
 @kernel
-def _press(p, force, s, k):  # type: ignore[no-untyped-def]
-    """Fill force and slope at the stages, and the slope's derivatives at a given thrust."""
-    force.at_stages(p, s.per_v0, k)
+def _press(p, force, s, step):  # type: ignore[no-untyped-def]
+    """Fill force and slope at the stages, and the slope's derivatives at a given acceleration."""
+    force.at_stages(p, s.per_v0, step)
     for i in range(STAGES):
-        w, speed = k.w[i], k.speed[i]
+        w, speed = step.w[i], step.speed[i]
         by_columns = p.pair_stiffness * w * w + p.pair_damping * speed
-        acceleration = k.thrust_at[i] - by_columns - k.force[i] * p.per_m_eff
-        k.slope[i] = w * acceleration
-        k.slope_by_w[i] = acceleration - w * (k.force_by_w[i] * p.per_m_eff + 2.0 * p.pair_stiffness * w)
-        k.slope_by_speed[i] = -w * (k.force_by_speed[i] * p.per_m_eff + p.pair_damping)
+        acceleration = step.acceleration_at[i] - by_columns - step.force[i] * p.per_m_eff
+        step.speed_slope[i] = w * acceleration
+        step.speed_slope_by_w[i] = acceleration - w * (step.force_by_w[i] * p.per_m_eff + 2.0 * p.pair_stiffness * w)
+        step.speed_slope_by_speed[i] = -w * (step.force_by_speed[i] * p.per_m_eff + p.pair_damping)
 
 
 @kernel
-def _differentiate(k, h):  # type: ignore[no-untyped-def]
-    """Fill `k.matrix` with A⁻¹ − h ∂slope/∂δ' − (h²/2) ∂slope/∂w A.
+def _differentiate(step, h):  # type: ignore[no-untyped-def]
+    """Fill `step.matrix` with A⁻¹ − h ∂slope/∂δ' − (h²/2) ∂slope/∂w A.
 
-    That is A⁻¹ times the derivative of the equations v − v_0 − hA slope(v) = 0, but for the thrust's, which is small.
+    That is A⁻¹ times the derivative of the equations v − v_0 − hA slope(v) = 0, but for the small part of a(t).
     """
-    m = k.matrix
+    m = step.matrix
     for i in range(STAGES):
-        through_w = 0.5 * h * h * k.slope_by_w[i]
+        through_w = 0.5 * h * h * step.speed_slope_by_w[i]
         for j in range(STAGES):
             m[i, j] = INVERSE[i, j] - through_w * MATRIX[i, j]
-        m[i, i] -= h * k.slope_by_speed[i]
+        m[i, i] -= h * step.speed_slope_by_speed[i]
 
 
 @kernel
-def _differentiate_thrust(k, h):  # type: ignore[no-untyped-def]
-    """Add the thrust's part to `k.matrix`, −(h³/2) ∂slope/∂t A²."""
+def _differentiate_acceleration(step, h):  # type: ignore[no-untyped-def]
+    """Add the acceleration's part to `step.matrix`, −(h³/2) ∂slope/∂t A²."""
     for i in range(STAGES):
         rate = 0.0
-        for n in range(k.terms - 1, 0, -1):
-            rate = rate * k.since[i] + n * k.thrust[n]
-        through_time = 0.5 * h * h * h * k.w[i] * rate
+        for n in range(step.terms - 1, 0, -1):
+            rate = rate * step.since[i] + n * step.acceleration[n]
+        through_time = 0.5 * h * h * h * step.w[i] * rate
         for j in range(STAGES):
             square = 0.0
             for q in range(STAGES):
                 square += MATRIX[i, q] * MATRIX[q, j]
-            k.matrix[i, j] -= through_time * square
+            step.matrix[i, j] -= through_time * square
 
 
 @kernel
-def _invert(k):  # type: ignore[no-untyped-def]
-    """Replace `k.matrix` by its inverse (Gauss–Jordan, no pivoting)."""
-    m = k.matrix
+def _invert(step):  # type: ignore[no-untyped-def]
+    """Replace `step.matrix` by its inverse (Gauss–Jordan, no pivoting)."""
+    m = step.matrix
     for i in range(STAGES):
         pivot = 1.0 / m[i, i]
         m[i, i] = 1.0
@@ -350,74 +350,76 @@ def _invert(k):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _improve(s, k, h):  # type: ignore[no-untyped-def]
+def _improve(s, step, h):  # type: ignore[no-untyped-def]
     """Make one Newton step of the stages' speeds; return the largest change [m/s]."""
     for i in range(STAGES):
-        miss = h * k.slope[i]
+        miss = h * step.speed_slope[i]
         for j in range(STAGES):
-            miss += INVERSE[i, j] * (s.speed - k.speed[j])
-        k.miss[i] = miss
+            miss += INVERSE[i, j] * (s.speed - step.speed[j])
+        step.miss[i] = miss
     largest = 0.0
     for i in range(STAGES):
         change = 0.0
         for j in range(STAGES):
-            change += k.matrix[i, j] * k.miss[j]
+            change += step.matrix[i, j] * step.miss[j]
         if not abs(change) < math.inf:  # also where it is NaN, which `max` would pass over
             return math.inf
-        k.speed[i] += change
+        step.speed[i] += change
         largest = max(largest, abs(change))
     return largest
 
 
 @kernel
-def solve(p, force, s, k, h, rounds):  # type: ignore[no-untyped-def]
+def solve(p, force, s, step, h, rounds):  # type: ignore[no-untyped-def]
     """Solve a step of length h; return whether Newton converged. The stages hold the step, the last one its end.
 
-    A sphere that rests on the wall until the thrust lifts it off takes steps through which the thrust decides the
-    indentation: where Newton's method does not come near enough without the thrust's derivative, it goes on with it.
+    A sphere that rests on the wall until a(t) lifts it off takes steps through which that decides the indentation:
+    where Newton's method does not come near enough without the derivative of a(t), it goes on with it.
     """
-    guess(s, k, h)
-    k.recoil[:] = 0.0
+    predict_speeds(s, step, h)
+    step.correction[:] = 0.0
     before, contraction = 0.0, 1.0
     for n in range(rounds):
-        _place(s, k, h)
-        improve_recoil(p, k, h)
-        _push(p, k)
-        _press(p, force, s, k)
+        _place(s, step, h)
+        improve_correction(p, step, h)
+        _accelerate(p, step)
+        _press(p, force, s, step)
         if contraction > _SLOW or n >= FEW_ROUNDS:
-            _differentiate(k, h)
+            _differentiate(step, h)
             if n >= FEW_ROUNDS:
-                _differentiate_thrust(k, h)
-            _invert(k)
-        change = _improve(s, k, h)
+                _differentiate_acceleration(step, h)
+            _invert(step)
+        change = _improve(s, step, h)
         if change == math.inf:
             return False
         contraction = change / before if before > 0.0 else 1.0
         before = change
         left = change * contraction / (1.0 - contraction) if contraction < 0.5 else change
-        if min(change, left) <= k.goal:
-            _place(s, k, h)
-            improve_recoil(p, k, h)
+        if min(change, left) <= step.goal:
+            _place(s, step, h)
+            improve_correction(p, step, h)
             return True
     return False
 
 
 @kernel
-def estimate(k, h):  # type: ignore[no-untyped-def]
+def estimate(step, h):  # type: ignore[no-untyped-def]
     """Return the error of the step solved last, in units of what is allowed.
 
     How far the stages' slopes, extrapolated to the start, miss the slope there is an error of order 6 in h, filtered so
     that fast decay counts only as much as it shows (Hairer & Wanner, section IV.8). The step itself is of order 9 where
     it is not stiff: there the estimate is relieved, by the less the stiffer the contact.
     """
-    defect = k.start_slope
+    defect = step.start_speed_slope
     for j in range(STAGES):
-        defect -= TO_START[j] * k.slope[j]
-    step = REAL_EIGENVALUE * h
-    filtered = step / (1.0 - step * k.slope_by_speed[LAST] - 0.5 * step * step * k.slope_by_w[LAST])
-    stiff = h * abs(k.slope_by_speed[LAST]) + 0.5 * h * h * abs(k.slope_by_w[LAST])
+        defect -= TO_START[j] * step.speed_slope[j]
+    scaled = REAL_EIGENVALUE * h
+    filtered = scaled / (
+        1.0 - scaled * step.speed_slope_by_speed[LAST] - 0.5 * scaled * scaled * step.speed_slope_by_w[LAST]
+    )
+    stiff = h * abs(step.speed_slope_by_speed[LAST]) + 0.5 * h * h * abs(step.speed_slope_by_w[LAST])
     relief = max(1.0, _RELIEF / (1.0 + stiff * stiff))
-    return abs(filtered * defect) / (relief * k.tolerance)
+    return abs(filtered * defect) / (relief * step.tolerance)
 
 
 @kernel

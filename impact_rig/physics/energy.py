@@ -38,18 +38,18 @@ def add_powers(p, f, y, t, weight, ledger):  # type: ignore[no-untyped-def]  # c
 
 
 @kernel
-def account_flight(p, system, f, k, end, ledger):  # type: ignore[no-untyped-def]
-    """Add the work and the losses of the flight that began at `k.begin` and ended at `end`."""
-    duration, done = end - k.begin, 0.0
+def account_flight(p, system, f, flight, end, ledger):  # type: ignore[no-untyped-def]
+    """Add the work and the losses of the flight that began at `flight.begin` and ended at `end`."""
+    duration, done = end - flight.begin, 0.0
     while done < duration:
         fastest = max(f.omega, _PANEL / duration)
-        for m in range(system.modes):
-            if -system.rate[m].real * done < _FORGOTTEN:
-                fastest = max(fastest, size(system.rate[m]))
+        for n in range(system.modes):
+            if -system.rate[n].real * done < _FORGOTTEN:
+                fastest = max(fastest, size(system.rate[n]))
         rest = duration - done
         width = rest / math.ceil(rest * fastest / _PANEL)
         for point in range(POINTS):
-            t = k.begin + done + 0.5 * width * (1.0 + GAUSS_NODES[point])
-            arrive(system, f, k, t)
-            add_powers(p, f, k.y, t, 0.5 * width * GAUSS_WEIGHTS[point], ledger)
+            t = flight.begin + done + 0.5 * width * (1.0 + GAUSS_NODES[point])
+            arrive(system, f, flight, t)
+            add_powers(p, f, flight.y, t, 0.5 * width * GAUSS_WEIGHTS[point], ledger)
         done += width

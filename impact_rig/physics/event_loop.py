@@ -2,14 +2,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """The event loop: fly, touch, leave — segment by segment of the drive.
 
-Each phase of the motion goes on until something happens or the segment ends; what happened decides the next phase:
+Each phase of the motion goes on until an event, or the end of the segment (`TIME`):
 
-    FREE      in flight                      until a wall is touched, or friction stops the sphere
-    CONTACT   touching a wall that yields    until the sphere leaves, or only rings any more
-    ATTACHED  one body with the base         until the base pulls away
+    phase      event           what then happens                                    next phase
+    FREE       TOUCHED         a contact begins (`_touch`)                          CONTACT
+                               off a rigid wall: the speed reverses (`_bounce`)     FREE, or ATTACHED where it rides
+    FREE       STOPPED         friction holds the sphere (`_hold`) or does not      ATTACHED, or FREE (`_part`)
+    CONTACT    LEFT, RELEASED  the sphere flies on from there (`_leave`)            FREE
+    CONTACT    SETTLED         it only rings any more (`_leave`)                    ATTACHED
+    ATTACHED   PARTED          the base pulls away (`_part`)                        FREE
 
-Every segment starts from its own time zero, and the loop always stops at its end, so nothing depends on how a run was
-cut.
+`_change_phase` is this table. Every segment starts from its own time zero, and the loop always stops at its end, so
+nothing depends on how a run was cut.
 """
 
 from __future__ import annotations
@@ -22,52 +26,44 @@ from numpy.typing import NDArray
 
 from impact_rig.arithmetic.records import records
 from impact_rig.kernels import INTEGERS, Fields, entry, kernel
-from impact_rig.physics.contact_phase import (
-    FAILED,
-    LEFT,
-    NOTHING,
-    RELEASED,
-    SETTLED,
-    TIME,
-    TURNED,
-    account_step,
-    conclude,
-    dissipated,
-    first_step,
-    peak_in_step,
-    settles,
-    take_step,
-)
-from impact_rig.physics.contact_step import expand, forget, turned_at
+from impact_rig.physics.contact_phase import account_step, conclude, dissipated, peak_in_step, settles, take_next_step
+from impact_rig.physics.contact_step import drop_dense_output, expand, turned_at
 from impact_rig.physics.energy import account_flight
 from impact_rig.physics.flight import (
     SEGMENT,
-    STOPPED,
     Forcing,
     aim,
     bound_omega,
     carry,
     drive,
+    evaluate,
     fly,
-    look,
     rounding,
     transfer,
 )
 from impact_rig.physics.model import MODEL
-from impact_rig.physics.outcome import leap, look_up
+from impact_rig.physics.outcome import apply_outcome, look_up
 from impact_rig.physics.state import (
     ATTACHED,
     CONTACT,
+    CONTACT_STEP,
+    FAILED,
     FLIGHT,
     FREE,
     HELD,
     IMPACT,
     LEDGER,
+    LEFT,
     LOG,
     LOOSE,
+    NOTHING,
     PRESCRIBED,
-    PRESS,
+    RELEASED,
+    SETTLED,
     STATE,
+    TIME,
+    TOUCHED,
+    TURNED,
     V1,
     VB,
     X1,
@@ -84,13 +80,13 @@ ROOM = 2 * _STEPS
 _EVENTS_PER_SEGMENT = 10_000_000
 
 
-class Desk(NamedTuple):
+class Workspace(NamedTuple):
     """What the event loop works on.
 
     Attributes:
         states: records of STATE: the state, and one to follow a contact on the side.
         flight: one record of FLIGHT.
-        press: one record of PRESS.
+        step: one record of CONTACT_STEP.
         ledger: one record of LEDGER.
         filled: one record of LOG: how many knots and impacts there are.
         knots: records of STATE.
@@ -100,7 +96,7 @@ class Desk(NamedTuple):
 
     states: NDArray[np.void]
     flight: NDArray[np.void]
-    press: NDArray[np.void]
+    step: NDArray[np.void]
     ledger: NDArray[np.void]
     filled: NDArray[np.void]
     knots: NDArray[np.void]
@@ -108,15 +104,15 @@ class Desk(NamedTuple):
     first: NDArray[np.int64]
 
 
-DESK = Fields(Desk, (STATE, FLIGHT, PRESS, LEDGER, LOG, STATE, IMPACT, INTEGERS))
+WORKSPACE = Fields(Workspace, (STATE, FLIGHT, CONTACT_STEP, LEDGER, LOG, STATE, IMPACT, INTEGERS))
 
 
-def new_desk(knots: int, impacts: int) -> Desk:
-    """Return a desk with room for so many knots and impacts."""
-    return Desk(
+def new_workspace(knots: int, impacts: int) -> Workspace:
+    """Return a work with room for so many knots and impacts."""
+    return Workspace(
         records(2, STATE),
         records(1, FLIGHT),
-        records(1, PRESS),
+        records(1, CONTACT_STEP),
         records(1, LEDGER),
         records(1, LOG),
         records(knots, STATE),
@@ -126,10 +122,10 @@ def new_desk(knots: int, impacts: int) -> Desk:
 
 
 @kernel
-def _add_knot(desk):  # type: ignore[no-untyped-def]  # compiled: types are inferred
+def _add_knot(work):  # type: ignore[no-untyped-def]  # compiled: types are inferred
     """Append the state as a knot."""
-    desk.knots[desk.filled[0].knots] = desk.states[0]
-    desk.filled[0].knots += 1
+    work.knots[work.filled[0].knots] = work.states[0]
+    work.filled[0].knots += 1
 
 
 @kernel
@@ -157,7 +153,7 @@ def _least_speed(p, s):  # type: ignore[no-untyped-def]
 def _part(p, s, way, ledger):  # type: ignore[no-untyped-def]
     """Let a sphere at rest on the base begin to slide: with the least speed, and nothing added to the momentum."""
     if s.side != 0.0:
-        s.dent, s.dent_side = max(0.0, s.side * s.d - p.half_gap), s.side
+        s.released, s.released_side = max(0.0, s.side * s.d - p.half_gap), s.side
     rate = way * _least_speed(p, s)
     s.y[V1] -= p.share * rate
     ledger.contact -= 0.5 * p.m_eff * rate * rate
@@ -172,31 +168,31 @@ def _touch(p, s, side, ledger):  # type: ignore[no-untyped-def]
     """
     speed = max(side * s.d_rate, p.touch_speed)
     ledger.contact -= 0.5 * p.m_eff * (speed * speed - s.d_rate * s.d_rate)
-    if s.dent_side != side:
-        s.dent, s.dent_side = 0.0, side
+    if s.released_side != side:
+        s.released, s.released_side = 0.0, side
     s.y[V1] += p.share * s.d_rate  # not `speed`: the least speed must not change the pair's momentum
     s.phase, s.side = CONTACT, side
-    s.d, s.d_rate, s.slide = side * (p.half_gap + s.dent), 0.0, 0.0
+    s.d, s.d_rate, s.slide = side * (p.half_gap + s.released), 0.0, 0.0
     s.w, s.speed, s.deepest = 0.0, speed, 0.0
     s.per_v0 = 1.0 / max(speed, p.speed_floor)
-    s.next_step, s.whole = 0.0, 0
+    s.next_h, s.whole = 0.0, 0
     s.approach = speed
     s.elapsed, s.peak_force, s.impulse, s.lost = 0.0, 0.0, 0.0, 0.0
 
 
 @kernel
-def _note(desk, s, separation, indentation):  # type: ignore[no-untyped-def]
+def _note(work, s, separation, indentation):  # type: ignore[no-untyped-def]
     """Append the contact of s as an impact."""
-    row = desk.impacts[desk.filled[0].impacts]
+    row = work.impacts[work.filled[0].impacts]
     row.segment, row.offset, row.wall = s.begin_segment, s.begin_t, int(s.side)
     row.approach_speed, row.separation_speed = s.approach, separation
     row.peak_force, row.peak_indentation = s.peak_force, indentation
     row.impulse, row.duration, row.energy_lost = s.impulse, s.elapsed, s.lost
-    desk.filled[0].impacts += 1
+    work.filled[0].impacts += 1
 
 
 @kernel
-def _leave(model, s, desk, settled):  # type: ignore[no-untyped-def]
+def _leave(model, s, work, settled):  # type: ignore[no-untyped-def]
     """End a contact: note the impact, give y back to the structure, and fly on from the surface that is left.
 
     What the contact still holds is lost: it relaxes alone, or rings out.
@@ -205,21 +201,21 @@ def _leave(model, s, desk, settled):  # type: ignore[no-untyped-def]
     if depth > 0.0:
         _, _, stored, _, _ = model.force.one(p.stiffness, p.factor, s.per_v0, turned_at(s), s.w, s.speed)
         s.lost += stored
-        desk.ledger[0].contact += stored
-    _note(desk, s, -s.speed, s.deepest * s.deepest)
+        work.ledger[0].contact += stored
+    _note(work, s, -s.speed, s.deepest * s.deepest)
     s.y[X1] -= p.share * side * depth
     s.y[V1] -= p.share * side * s.speed
     d = s.d + side * depth
     if settled:  # at a turning point: the indentation's rate is zero
         _hold(s, d, side)
     else:
-        s.dent += depth
+        s.released += depth
         _fly_on(p, s, d, side * s.speed)
-    s.w, s.speed, s.step, s.whole = 0.0, 0.0, 0.0, 0
+    s.w, s.speed, s.h, s.whole = 0.0, 0.0, 0.0, 0
 
 
 @kernel
-def _bounce(p, s, side, acceleration, noise, desk):  # type: ignore[no-untyped-def]
+def _bounce(p, s, side, acceleration, noise, work):  # type: ignore[no-untyped-def]
     """Reverse the relative speed at once, or let a sphere ride that no longer bounces off a pressing wall.
 
     A bounce lower than the `noise` [m] of the positions would be thrown up again by their rounding, for ever.
@@ -234,9 +230,9 @@ def _bounce(p, s, side, acceleration, noise, desk):  # type: ignore[no-untyped-d
     s.y[V1] += p.share * side * (speed + away)
     s.side, s.approach, s.elapsed, s.peak_force = side, speed, 0.0, 0.0
     s.impulse, s.lost = p.m_eff * speed * (1.0 + e), 0.5 * p.m_eff * speed * speed * (1.0 - e * e)
-    desk.ledger[0].contact += 0.5 * p.m_eff * (s.d_rate * s.d_rate - away * away)
+    work.ledger[0].contact += 0.5 * p.m_eff * (s.d_rate * s.d_rate - away * away)
     if speed > p.touch_speed:
-        _note(desk, s, e * speed, 0.0)
+        _note(work, s, e * speed, 0.0)
     if rides:
         _hold(s, side * p.half_gap, side)
     else:
@@ -244,134 +240,130 @@ def _bounce(p, s, side, acceleration, noise, desk):  # type: ignore[no-untyped-d
 
 
 @kernel
-def _free_phase(model, f, desk, t_end, tick, account):  # type: ignore[no-untyped-def]
-    """Fly, and begin whatever the flight ends in."""
-    p, system = model.parameters[0], model.systems[LOOSE]
-    s, k = desk.states[0], desk.flight[0]
-    _add_knot(desk)
-    k.push = s.slide * p.m * p.friction
+def _flight_phase(model, f, work, t_end, account):  # type: ignore[no-untyped-def]
+    """Fly, free or as one body with the base; return what ends it."""
+    p, s, flight = model.parameters[0], work.states[0], work.flight[0]
+    _add_knot(work)
+    if s.phase == ATTACHED:
+        flight.friction_force = 0.0
+        ended = carry(p, model.systems[HELD], f, flight, s, t_end)
+        if account:
+            account_flight(p, model.systems[HELD], f, flight, s.t, work.ledger[0])
+        return ended
+    flight.friction_force = s.slide * p.m * p.friction
     s.begin_d = s.d
-    touched = fly(p, system, f, k, s, t_end)
+    ended = fly(p, model.systems[LOOSE], f, flight, s, t_end)
     if account:
-        account_flight(p, system, f, k, s.t, desk.ledger[0])
-        desk.ledger[0].friction += abs(k.push) * abs(s.d - s.begin_d)
-    if touched == 0:
-        return
-    look(system, f, k, s.t, 0)
-    acceleration = (p.m_1 * k.bend - k.push) * p.per_m_pair  # of both together, were they held
-    if touched == STOPPED:
-        if abs(acceleration) <= p.friction:
-            s.y[V1] += p.share * s.d_rate
-            _hold(s, s.d, 0.0)
-        else:
-            _part(p, s, -np.sign(acceleration), desk.ledger[0])
-        return
-    s.begin_segment, s.begin_t = tick, f.begin + s.t
-    if p.rigid:
-        _bounce(p, s, float(touched), acceleration, rounding(p, system, k, s.t), desk)
-    else:
-        _touch(p, s, float(touched), desk.ledger[0])
+        account_flight(p, model.systems[LOOSE], f, flight, s.t, work.ledger[0])
+        work.ledger[0].friction += abs(flight.friction_force) * abs(s.d - s.begin_d)
+    return ended
 
 
 @kernel
-def _attached_phase(model, f, desk, t_end, account):  # type: ignore[no-untyped-def]
-    """Move as one body until sphere and base part."""
-    p, system = model.parameters[0], model.systems[HELD]
-    s, k = desk.states[0], desk.flight[0]
-    _add_knot(desk)
-    k.push = 0.0
-    parted = carry(p, system, f, k, s, t_end)
-    if account:
-        account_flight(p, system, f, k, s.t, desk.ledger[0])
-    if parted != 0.0:
-        _part(p, s, parted, desk.ledger[0])
-
-
-@kernel
-def _leap_over(model, f, desk, t_end, account):  # type: ignore[no-untyped-def]
+def _apply_tabulated(model, f, work, t_end, account):  # type: ignore[no-untyped-def]
     """Take a contact that has just begun as a whole, from the table; return whether that was possible."""
     p, table = model.parameters[0], model.table[0]
-    s, k = desk.states[0], desk.press[0]
-    if not look_up(p, table, s, k, t_end - s.t):
+    s, step = work.states[0], work.step[0]
+    expand(p, f, s, step)
+    if not look_up(p, table, s, step, t_end - s.t):
         return False
     s.whole = 1
-    _add_knot(desk)
+    _add_knot(work)
     if account:
-        desk.states[1] = s
-        follow(model, f, desk.states[1], k, desk.ledger[0])
-        expand(p, f, s, k)
-    leap(p, table, s, k)
+        work.states[1] = s
+        follow(model, f, work.states[1], step, work.ledger[0])
+        expand(p, f, s, step)
+    apply_outcome(p, table, s, step)
+    work.ledger[0].contact += s.lost
     return True
 
 
 @kernel
-def follow(model, f, s, k, ledger):  # type: ignore[no-untyped-def]
+def follow(model, f, s, step, ledger):  # type: ignore[no-untyped-def]
     """Account for the contact that begins at s, step by step, without letting it decide anything."""
-    p = model.parameters[0]
-    forget(k)
+    drop_dense_output(step)
     for _ in range(_STEPS):
-        expand(p, f, s, k)
-        k.rest = math.inf
-        if s.next_step == 0.0:
-            s.next_step = first_step(p, s.approach, k.thrust[0])
-        ended = take_step(p, model.force, s, k)
-        account_step(p, f, s, k, ledger)
-        conclude(p, s, k, ended, 0.0)
+        ended = take_next_step(model, f, s, step, math.inf)
+        account_step(model.parameters[0], f, s, step, ledger)
+        conclude(model.parameters[0], s, step, ended, 0.0)
         if ended not in (NOTHING, TURNED):
             return
 
 
 @kernel
-def _contact_phase(model, f, desk, t_end, account):  # type: ignore[no-untyped-def]
-    """Go on with a contact; return LEFT, RELEASED or SETTLED where it ends, or what else stopped it."""
-    p, s, k, ledger = model.parameters[0], desk.states[0], desk.press[0], desk.ledger[0]
-    forget(k)
-    ended = NOTHING
+def _contact_phase(model, f, work, t_end, account):  # type: ignore[no-untyped-def]
+    """Go on with a contact; return what ends it, TIME also after many steps, or FAILED."""
+    p, s, step, ledger = model.parameters[0], work.states[0], work.step[0], work.ledger[0]
+    if s.next_h == 0.0 and _apply_tabulated(model, f, work, t_end, account):
+        return LEFT
+    drop_dense_output(step)
+    ended = TIME
     for _ in range(_STEPS):
         if s.w == 0.0 and s.speed < 0.0:  # the last segment ended where the sphere left
             ended = LEFT
             break
-        expand(p, f, s, k)
-        if s.next_step == 0.0:
-            if _leap_over(model, f, desk, t_end, account):
-                ledger.contact += s.lost
-                return LEFT
-            s.next_step = first_step(p, s.approach, k.thrust[0])
-        k.rest = t_end - s.t
-        ended = take_step(p, model.force, s, k)
+        ended = take_next_step(model, f, s, step, t_end)
         if ended == FAILED:
             return FAILED
-        _add_knot(desk)
-        lost = dissipated(k, s.step)
+        _add_knot(work)
+        lost = dissipated(step, s.h)
         ledger.contact += lost
         s.lost += lost
-        s.peak_force = max(s.peak_force, peak_in_step(p, model.force, s, k))
+        s.peak_force = max(s.peak_force, peak_in_step(p, model.force, s, step))
         if account:
-            account_step(p, f, s, k, ledger)
-        conclude(p, s, k, ended, t_end)
+            account_step(p, f, s, step, ledger)
+        conclude(p, s, step, ended, t_end)
         if ended in (LEFT, TIME, RELEASED):
             break
-        if ended == TURNED and p.remembers and settles(p, model.force, s, k):
+        if ended == TURNED and p.remembers and settles(p, model.force, s, step):
             ended = SETTLED
             break
-    s.step = 0.0
-    _add_knot(desk)
+        ended = TIME
+    s.h = 0.0
+    _add_knot(work)
     return ended
 
 
 @kernel
-def _ready(model, f, desk, t_end, fresh):  # type: ignore[no-untyped-def]
+def _change_phase(model, f, work, tick, ended):  # type: ignore[no-untyped-def]
+    """Do what an event asks for, see the table above."""
+    p, s, flight, ledger = model.parameters[0], work.states[0], work.flight[0], work.ledger[0]
+    if ended == TIME:
+        return
+    if s.phase == CONTACT:
+        _leave(model, s, work, ended == SETTLED)
+    elif s.phase == ATTACHED:
+        _part(p, s, s.slide, ledger)
+    elif ended == TOUCHED and not p.rigid:
+        s.begin_segment, s.begin_t = tick, f.begin + s.t
+        _touch(p, s, s.side, ledger)
+    else:
+        system = model.systems[LOOSE]
+        evaluate(system, f, flight, s.t, 0)
+        pull = (p.m_1 * flight.a - flight.friction_force) * p.per_m_pair  # acceleration of both, were they held
+        if ended == TOUCHED:
+            s.begin_segment, s.begin_t = tick, f.begin + s.t
+            _bounce(p, s, s.side, pull, rounding(p, system, flight, s.t), work)
+        elif abs(pull) <= p.friction:
+            s.y[V1] += p.share * s.d_rate
+            _hold(s, s.d, 0.0)
+        else:
+            _part(p, s, -np.sign(pull), ledger)
+
+
+@kernel
+def _ready(model, f, work, t_end, fresh):  # type: ignore[no-untyped-def]
     """Prepare the closed form of a flight: a new frequency or system, or a new segment."""
-    k = desk.flight[0]
-    which = HELD if desk.states[0].phase == ATTACHED else LOOSE
+    flight = work.flight[0]
+    which = HELD if work.states[0].phase == ATTACHED else LOOSE
     system = model.systems[which]
-    if f.omega != k.omega or which != k.system:
-        transfer(system, f.omega, k)
-        k.omega, k.system = f.omega, which
-        k.reach = bound_omega(system, f.omega)
+    if f.omega != flight.omega or which != flight.system:
+        transfer(system, f.omega, flight)
+        flight.omega, flight.system = f.omega, which
+        flight.reach = bound_omega(system, f.omega)
         fresh = True
     if fresh:
-        aim(system, f, k, t_end)
+        aim(system, f, flight, t_end)
 
 
 @kernel
@@ -385,38 +377,34 @@ def _move_base(p, f, s, ledger):  # type: ignore[no-untyped-def]
     ledger.work += p.k_1 * (s.y[XB] - before) * (0.5 * (s.y[XB] + before) - x_1)
 
 
-@entry(MODEL, SEGMENT, INTEGERS, int, DESK, bool, returns=(int, int))
-def run(model, segments, ticks, index, desk, account):  # type: ignore[no-untyped-def]
+@entry(MODEL, SEGMENT, INTEGERS, int, WORKSPACE, bool, returns=(int, int))
+def run(model, segments, ticks, index, work, account):  # type: ignore[no-untyped-def]
     """Advance the state through `segments[index:]`, each of its tick; return (how it ended, the segment it is in).
 
     Flights are accounted for only if `account`, because it costs as much as flying.
     """
-    s = desk.states[0]
-    desk.flight[0].omega = -1.0
+    s = work.states[0]
+    work.flight[0].omega = -1.0
     while index < segments.shape[0]:
         row = segments[index]
         f = Forcing(row.omega, row.phase, row.amplitude, row.slope, row.begin)
         t_end, fresh = row.duration, True
         if s.t == 0.0:
-            desk.first[index] = desk.filled[0].knots
+            work.first[index] = work.filled[0].knots
             if model.parameters[0].drive == PRESCRIBED:
-                _move_base(model.parameters[0], f, s, desk.ledger[0])
+                _move_base(model.parameters[0], f, s, work.ledger[0])
         for _ in range(_EVENTS_PER_SEGMENT):
-            if desk.filled[0].knots + ROOM > desk.knots.shape[0] or desk.filled[0].impacts + 2 > desk.impacts.shape[0]:
+            if work.filled[0].knots + ROOM > work.knots.shape[0] or work.filled[0].impacts + 2 > work.impacts.shape[0]:
                 return NEED_ROOM, index
             if s.phase == CONTACT:
-                ended = _contact_phase(model, f, desk, t_end, account)
+                ended = _contact_phase(model, f, work, t_end, account)
                 if ended == FAILED:
                     return STUCK, index
-                if ended in (LEFT, RELEASED, SETTLED):
-                    _leave(model, s, desk, ended == SETTLED)
             else:
-                _ready(model, f, desk, t_end, fresh)
+                _ready(model, f, work, t_end, fresh)
                 fresh = False
-                if s.phase == FREE:
-                    _free_phase(model, f, desk, t_end, ticks[index], account)
-                else:
-                    _attached_phase(model, f, desk, t_end, account)
+                ended = _flight_phase(model, f, work, t_end, account)
+            _change_phase(model, f, work, ticks[index], ended)
             if s.t >= t_end:
                 break
         else:

@@ -10,17 +10,19 @@ R(ω) = (jω − M)^-1 the linear system's particular answer to it is
 
 **Motion.** From the state y_0 at t_0, with the modes of `linear`,
 
-    y(t) = Re Σ_k R_k c_k exp(λ_k (t − t_0)) + Im[(P + Q t) exp(jωt)] + static · push,   c_k = L_k · (y_0 − y_p(t_0))
+    y(t) = Re Σ_n R_n c_n exp(λ_n (t − t_0)) + Im[(P + Q t) exp(jωt)] + static · friction_force
+    c_n = L_n · (y_0 − y_p(t_0))
     x_2(t) = x_2(t_0) + v_2 (t − t_0) + braking (t − t_0)² / 2
 
-`push` [N] and `braking` [m/s²] are the guide's friction, constant while the sphere slides one way.
+`friction_force` [N] on the structure and `braking` [m/s²] of the sphere are the guide's friction, constant while the
+sphere slides one way.
 
 **Touch.** It is approached by conservative advancement. With speed v and acceleration a towards a target and
 |jerk| <= j, a point covers within any h at most
 
-    v τ + (a + j h / 3) τ² / 2,   0 <= τ <= h
+    v t + (a + j h / 3) t² / 2,   0 <= t <= h
 
-The first τ at which that is the distance is safe if it comes before h, and h itself is safe otherwise. Repeated
+The first t at which that is the distance is safe if it comes before h, and h itself is safe otherwise. Repeated
 advances close in on the first touch from before it and cannot step over it, however short or grazing the crossing.
 """
 
@@ -33,7 +35,14 @@ import numpy as np
 
 from impact_rig.arithmetic.elementary import exp, modulus, power, sincos
 from impact_rig.kernels import kernel
-from impact_rig.physics.state import ORDERS, V1, X1
+from impact_rig.physics.state import ORDERS, PARTED, STOPPED, TIME, TOUCHED, V1, X1
+
+_THIRD = 1.0 / 3.0
+_ROUNDS = 12
+_CLOSE = 0.8  # how near to the best horizon is good enough
+_TIME_RESOLUTION = 2.0**-51
+_POSITION_RESOLUTION = 2.0**-47
+_SHORTEST = 1e-3  # segments may be shorter than the time scale of rounding errors [s]
 
 SEGMENT = np.dtype([(name, "f8") for name in ("duration", "omega", "phase", "amplitude", "slope", "begin")])
 """Drive segments, in order: seconds, rad/s, rad, and amplitude and its rate in A, m or V by drive. A segment begins a
@@ -75,8 +84,8 @@ def size(z):  # type: ignore[no-untyped-def]
 def bound_omega(system, omega):  # type: ignore[no-untyped-def]
     """Return the fastest rate [1/s] of the drive and the modes."""
     fastest = max(omega, 1e-9)
-    for k in range(system.modes):
-        fastest = max(fastest, size(system.rate[k]))
+    for n in range(system.modes):
+        fastest = max(fastest, size(system.rate[n]))
     return fastest
 
 
@@ -90,69 +99,63 @@ def _half_reciprocal(z):  # type: ignore[no-untyped-def]
 @kernel
 def _resolve(system, omega, vector, out):  # type: ignore[no-untyped-def]
     """Fill out = (jω − M)^-1 vector; each kept mode stands for itself and its conjugate."""
-    n = system.states
-    for i in range(n):
+    for i in range(system.states):
         out[i] = 0.0j
-    for k in range(system.modes):
-        rate = system.rate[k]
+    for n in range(system.modes):
+        rate = system.rate[n]
         plus, minus = 0.0j, 0.0j
-        for i in range(n):
-            left = system.left[k, i]
+        for i in range(system.states):
+            left = system.left[n, i]
             plus += left * vector[i]
             minus += complex(left.real, -left.imag) * vector[i]
         plus *= _half_reciprocal(complex(-rate.real, omega - rate.imag))
         minus *= _half_reciprocal(complex(-rate.real, omega + rate.imag))
-        for i in range(n):
-            right = system.right[k, i]
+        for i in range(system.states):
+            right = system.right[n, i]
             out[i] += right * plus + complex(right.real, -right.imag) * minus
 
 
 @kernel
-def transfer(system, omega, k):  # type: ignore[no-untyped-def]
-    """Fill `k.answer` (H) and `k.drift` (G): what the system does for a steady and for a growing drive."""
+def transfer(system, omega, flight):  # type: ignore[no-untyped-def]
+    """Fill `flight.answer` (H) and `flight.drift` (G): what the system does for a steady and for a growing drive."""
     n = system.states
-    vector = k.steady  # scratch: `particular` fills it anew
+    vector = flight.steady  # scratch: `particular` fills it anew
     for i in range(n):
         vector[i] = complex(system.b_0[i], omega * system.b_1[i])
-    _resolve(system, omega, vector, k.answer)
+    _resolve(system, omega, vector, flight.answer)
     for i in range(n):
-        vector[i] = complex(system.b_1[i] - k.answer[i].real, -k.answer[i].imag)
-    _resolve(system, omega, vector, k.drift)
+        vector[i] = complex(system.b_1[i] - flight.answer[i].real, -flight.answer[i].imag)
+    _resolve(system, omega, vector, flight.drift)
 
 
 @kernel
-def particular(system, f, k):  # type: ignore[no-untyped-def]
-    """Fill `k.steady` (P) and `k.growing` (Q) for this segment's amplitude and phase."""
+def particular(system, f, flight):  # type: ignore[no-untyped-def]
+    """Fill `flight.steady` (P) and `flight.growing` (Q) for this segment's amplitude and phase."""
     turn = turned(f.phase)
     for i in range(system.states):
-        k.growing[i] = f.slope * turn * k.answer[i]
-        k.steady[i] = f.amplitude * turn * k.answer[i] + f.slope * turn * k.drift[i]
-
-
-_THIRD = 1.0 / 3.0
-_ROUNDS = 12
-_CLOSE = 0.8  # how near to the best horizon is good enough
+        flight.growing[i] = f.slope * turn * flight.answer[i]
+        flight.steady[i] = f.amplitude * turn * flight.answer[i] + f.slope * turn * flight.drift[i]
 
 
 @kernel
-def stride(distance, speed, acceleration, jerk, horizon):  # type: ignore[no-untyped-def]  # compiled: types are inferred
+def safe_time(distance, v, a, jerk, horizon):  # type: ignore[no-untyped-def]  # compiled: types are inferred
     """Return a time, at most `horizon` [s], in which a point cannot cover `distance` [m]."""
     h = horizon
     if jerk > 0.0:
         h = min(
             h,
-            3.0 * abs(acceleration) / jerk + math.sqrt(6.0 * abs(speed) / jerk) + power(6.0 * distance / jerk, _THIRD),
+            3.0 * abs(a) / jerk + math.sqrt(6.0 * abs(v) / jerk) + power(6.0 * distance / jerk, _THIRD),
         )
     safe = 0.0
     for _ in range(_ROUNDS):
-        half = 0.5 * (acceleration + jerk * h / 3.0)
-        under = speed * speed + 4.0 * half * distance
+        half = 0.5 * (a + jerk * h / 3.0)
+        under = v * v + 4.0 * half * distance
         reach = math.inf
-        if speed > 0.0:
+        if v > 0.0:
             if under >= 0.0:
-                reach = 2.0 * distance / (speed + math.sqrt(under))
+                reach = 2.0 * distance / (v + math.sqrt(under))
         elif half > 0.0:
-            reach = (math.sqrt(under) - speed) / (2.0 * half)
+            reach = (math.sqrt(under) - v) / (2.0 * half)
         if reach >= h:
             if h >= horizon:
                 return horizon
@@ -166,96 +169,91 @@ def stride(distance, speed, acceleration, jerk, horizon):  # type: ignore[no-unt
     return safe
 
 
-STOPPED = 2
-"""Returned by `fly` when friction brings the sphere to rest on its guide."""
-
-_TIME_RESOLUTION = 2.0**-51
-_POSITION_RESOLUTION = 2.0**-47
-_SHORTEST = 1e-3  # segments may be shorter than the time scale of rounding errors [s]
-
-
 @kernel
-def aim(system, f, k, t_end):  # type: ignore[no-untyped-def]  # compiled: types are inferred
+def aim(system, f, flight, t_end):  # type: ignore[no-untyped-def]  # compiled: types are inferred
     """Prepare a segment's particular solution and its part in the derivatives of x_1, with a bound on each."""
-    particular(system, f, k)
+    particular(system, f, flight)
     jw = complex(0.0, f.omega)
-    steady, growing = k.steady[X1], k.growing[X1]
-    for n in range(ORDERS):
-        k.forced[n], k.forced_growing[n] = steady, growing
-        k.forced_size[n] = size(steady) + size(growing) * t_end
+    steady, growing = flight.steady[X1], flight.growing[X1]
+    for order in range(ORDERS):
+        flight.forced[order], flight.forced_growing[order] = steady, growing
+        flight.forced_size[order] = size(steady) + size(growing) * t_end
         steady, growing = jw * steady + growing, jw * growing
 
 
 @kernel
-def launch(system, f, k, y, t):  # type: ignore[no-untyped-def]
+def decayed(rate, since):  # type: ignore[no-untyped-def]
+    """Return exp(λ (t − t_0)): what has become of a mode's amplitude."""
+    decay = exp(rate.real * since)
+    sine, cosine = sincos(rate.imag * since)
+    return decay, complex(decay * cosine, decay * sine)
+
+
+@kernel
+def launch(system, f, flight, y, t):  # type: ignore[no-untyped-def]
     """Fill the modes' amplitudes of the flight that begins at t with the state y, and their parts in x_1."""
     turn = turned(f.omega * t)
-    k.begin = t
+    flight.begin = t
     for i in range(system.states):
-        forced = (k.steady[i] + k.growing[i] * t) * turn
-        k.y[i] = y[i] - forced.imag - system.static[i] * k.push
-    for m in range(system.modes):
+        forced = (flight.steady[i] + flight.growing[i] * t) * turn
+        flight.y[i] = y[i] - forced.imag - system.static[i] * flight.friction_force
+    for n in range(system.modes):
         amplitude = 0.0j
         for i in range(system.states):
-            amplitude += system.left[m, i] * k.y[i]
-        k.modal[m] = amplitude
-        wave = system.right[m, X1] * amplitude
-        for n in range(ORDERS):
-            k.wave[n, m] = wave
-            k.wave_size[n, m] = size(wave)
-            wave = system.rate[m] * wave
+            amplitude += system.left[n, i] * flight.y[i]
+        flight.modal[n] = amplitude
+        wave = system.right[n, X1] * amplitude
+        for order in range(ORDERS):
+            flight.wave[order, n] = wave
+            flight.wave_size[order, n] = size(wave)
+            wave = system.rate[n] * wave
 
 
 @kernel
-def look(system, f, k, t, order):  # type: ignore[no-untyped-def]
-    """Fill `k.value`, `k.slope`, `k.bend`: the derivatives of x_1 at t from `order` on; `k.bound` bounds the next."""
-    since = t - k.begin
+def evaluate(system, f, flight, t, order):  # type: ignore[no-untyped-def]
+    """Fill `flight.x`, `v` and `a`: the derivatives of x_1 at t from `order` on; `flight.bound` bounds the next one."""
+    since, wave = t - flight.begin, flight.wave
     turn = turned(f.omega * t)
-    forced = (k.forced[order] + k.forced_growing[order] * t) * turn
-    value = forced.imag
-    forced = (k.forced[order + 1] + k.forced_growing[order + 1] * t) * turn
-    slope = forced.imag
-    forced = (k.forced[order + 2] + k.forced_growing[order + 2] * t) * turn
-    bend = forced.imag
-    bound = k.forced_size[order + 3]
+    forced = (flight.forced[order] + flight.forced_growing[order] * t) * turn
+    x = forced.imag
+    forced = (flight.forced[order + 1] + flight.forced_growing[order + 1] * t) * turn
+    v = forced.imag
+    forced = (flight.forced[order + 2] + flight.forced_growing[order + 2] * t) * turn
+    a = forced.imag
+    bound = flight.forced_size[order + 3]
     if order == 0:
-        value += system.static[X1] * k.push
-    for m in range(system.modes):
-        rate = system.rate[m]
-        decay = exp(rate.real * since)
-        sine, cosine = sincos(rate.imag * since)
-        real, imag = decay * cosine, decay * sine
-        value += k.wave[order, m].real * real - k.wave[order, m].imag * imag
-        slope += k.wave[order + 1, m].real * real - k.wave[order + 1, m].imag * imag
-        bend += k.wave[order + 2, m].real * real - k.wave[order + 2, m].imag * imag
-        bound += k.wave_size[order + 3, m] * decay
-    k.value, k.slope, k.bend, k.bound = value, slope, bend, bound
+        x += system.static[X1] * flight.friction_force
+    for n in range(system.modes):
+        decay, z = decayed(system.rate[n], since)
+        x += wave[order, n].real * z.real - wave[order, n].imag * z.imag
+        v += wave[order + 1, n].real * z.real - wave[order + 1, n].imag * z.imag
+        a += wave[order + 2, n].real * z.real - wave[order + 2, n].imag * z.imag
+        bound += flight.wave_size[order + 3, n] * decay
+    flight.x, flight.v, flight.a, flight.bound = x, v, a, bound
 
 
 @kernel
-def rounding(p, system, k, t):  # type: ignore[no-untyped-def]
+def rounding(p, system, flight, t):  # type: ignore[no-untyped-def]
     """Return the rounding error [m] of the distance to a wall: that of the largest terms of x_1, with a margin."""
-    largest = p.half_gap + size(k.steady[X1]) + size(k.growing[X1]) * t
-    for m in range(system.modes):
-        largest += k.wave_size[0, m]
+    largest = p.half_gap + size(flight.steady[X1]) + size(flight.growing[X1]) * t
+    for n in range(system.modes):
+        largest += flight.wave_size[0, n]
     return _POSITION_RESOLUTION * largest
 
 
 @kernel
-def arrive(system, f, k, t):  # type: ignore[no-untyped-def]
-    """Fill `k.y` with the linear system's state at t."""
+def arrive(system, f, flight, t):  # type: ignore[no-untyped-def]
+    """Fill `flight.y` with the linear system's state at t."""
     turn = turned(f.omega * t)
     for i in range(system.states):
-        forced = (k.steady[i] + k.growing[i] * t) * turn
-        k.y[i] = forced.imag + system.static[i] * k.push
-    for m in range(system.modes):
-        rate = system.rate[m]
-        decay = exp(rate.real * (t - k.begin))
-        sine, cosine = sincos(rate.imag * (t - k.begin))
-        wave = k.modal[m] * complex(decay * cosine, decay * sine)
+        forced = (flight.steady[i] + flight.growing[i] * t) * turn
+        flight.y[i] = forced.imag + system.static[i] * flight.friction_force
+    for n in range(system.modes):
+        _, z = decayed(system.rate[n], t - flight.begin)
+        wave = flight.modal[n] * z
         for i in range(system.states):
-            right = system.right[m, i]
-            k.y[i] += right.real * wave.real - right.imag * wave.imag
+            right = system.right[n, i]
+            flight.y[i] += right.real * wave.real - right.imag * wave.imag
 
 
 @kernel
@@ -267,85 +265,88 @@ def negligible(step, t):  # type: ignore[no-untyped-def]
 @kernel
 def wall_distance(p, s, side, d):  # type: ignore[no-untyped-def]
     """Return how far the sphere at d is from a wall [m]; a wall that has let it go stands where that was."""
-    dent = s.dent if s.dent_side == side else 0.0
-    return max(0.0, p.half_gap + dent - side * d)
+    released = s.released if s.released_side == side else 0.0
+    return max(0.0, p.half_gap + released - side * d)
 
 
 @kernel
-def fly(p, system, f, k, s, t_end):  # type: ignore[no-untyped-def]
-    """Advance a flight from s to the first touch or to t_end; return the wall reached, -1 or 1, 0 for none, or STOPPED.
+def fly(p, system, f, flight, s, t_end):  # type: ignore[no-untyped-def]
+    """Advance a flight from s to the first touch or to t_end; return TOUCHED, STOPPED or TIME.
 
-    On a touch the state is the one at the touch, with the distance to that wall exactly zero.
+    On a touch the state is the one at the touch, with the distance to the wall `s.side` exactly zero;
+    STOPPED: friction has brought the sphere to rest on its guide.
     """
     braking = -s.slide * p.friction
-    launch(system, f, k, s.y, s.t)
-    look(system, f, k, s.t, 0)
-    sphere_x, sphere_v = k.value + s.d, k.slope + s.d_rate
-    touched, t = 0, s.t
+    launch(system, f, flight, s.y, s.t)
+    evaluate(system, f, flight, s.t, 0)
+    sphere_x, sphere_v = flight.x + s.d, flight.v + s.d_rate
+    ended, t = TIME, s.t
     while p.sphere_present:
-        since, rest = t - k.begin, t_end - t
-        d = sphere_x + since * (sphere_v + 0.5 * since * braking) - k.value
-        rate, bend, jerk = sphere_v + since * braking - k.slope, braking - k.bend, k.bound
-        right = stride(wall_distance(p, s, 1.0, d), rate, bend, jerk, rest)
-        left = stride(wall_distance(p, s, -1.0, d), -rate, -bend, jerk, rest)
+        since, rest = t - flight.begin, t_end - t
+        d = sphere_x + since * (sphere_v + 0.5 * since * braking) - flight.x
+        rate, bend, jerk = sphere_v + since * braking - flight.v, braking - flight.a, flight.bound
+        right = safe_time(wall_distance(p, s, 1.0, d), rate, bend, jerk, rest)
+        left = safe_time(wall_distance(p, s, -1.0, d), -rate, -bend, jerk, rest)
         step, stop, out = min(left, right), math.inf, math.inf
-        if s.dent > 0.0:
-            out = stride(max(0.0, s.dent_side * d - p.half_gap), -s.dent_side * rate, -s.dent_side * bend, jerk, rest)
+        if s.released > 0.0:
+            out = safe_time(
+                max(0.0, s.released_side * d - p.half_gap), -s.released_side * rate, -s.released_side * bend, jerk, rest
+            )
             if negligible(out, t):
-                s.dent = 0.0  # the sphere is out of it: from here on the surface is whole again
+                s.released = 0.0  # the sphere is out of it: from here on the surface is whole again
                 continue
         if s.slide != 0.0:
-            look(system, f, k, t, 1)
-            stop = stride(max(0.0, s.slide * rate), -s.slide * bend, s.slide * k.bend, k.bound, rest)
+            evaluate(system, f, flight, t, 1)
+            stop = safe_time(max(0.0, s.slide * rate), -s.slide * bend, s.slide * flight.a, flight.bound, rest)
         if min(step, stop, out) >= rest:
             break
         if stop < step and negligible(stop, t):
-            touched = STOPPED
+            ended = STOPPED
             break
         if step <= stop and negligible(step, t):
-            touched = 1 if right < left else -1
+            ended, s.side = TOUCHED, 1.0 if right < left else -1.0
             break
         t += min(step, stop, out)
-        look(system, f, k, t, 0)
-    if touched == 0:
+        evaluate(system, f, flight, t, 0)
+    if ended == TIME:
         t = t_end
-    arrive(system, f, k, t)
+    arrive(system, f, flight, t)
     for i in range(system.states):
-        s.y[i] = k.y[i]
-    since = t - k.begin
+        s.y[i] = flight.y[i]
+    since = t - flight.begin
     s.t = t
-    s.d_rate = 0.0 if touched == STOPPED else sphere_v + since * braking - s.y[V1]
+    s.d_rate = 0.0 if ended == STOPPED else sphere_v + since * braking - s.y[V1]
     s.d = sphere_x + since * (sphere_v + 0.5 * since * braking) - s.y[X1]
-    return touched
+    return ended
 
 
 @kernel
-def carry(p, system, f, k, s, t_end):  # type: ignore[no-untyped-def]
-    """Advance sphere and base as one body until they part or to t_end; return which way the sphere then goes.
+def carry(p, system, f, flight, s, t_end):  # type: ignore[no-untyped-def]
+    """Advance sphere and base as one body until they part or to t_end; return PARTED or TIME.
 
-    `s.side` is the wall that presses the sphere, or 0 when guide friction holds it.
+    `s.side` is the wall that presses the sphere, or 0 when guide friction holds it. It parts the way of `s.slide`.
     """
-    launch(system, f, k, s.y, s.t)
-    t, parted = s.t, 0.0
+    launch(system, f, flight, s.y, s.t)
+    t, ended = s.t, TIME
     while True:
-        look(system, f, k, t, 2)
+        evaluate(system, f, flight, t, 2)
         rest = t_end - t
         # the base may pull away to the right (the sphere lags: -1) or to the left (+1), but not through a wall
         lag, lead = math.inf, math.inf
         if s.side >= 0.0:
-            lag = stride(max(0.0, p.friction - k.value), k.slope, k.bend, k.bound, rest)
+            lag = safe_time(max(0.0, p.friction - flight.x), flight.v, flight.a, flight.bound, rest)
         if s.side <= 0.0:
-            lead = stride(max(0.0, p.friction + k.value), -k.slope, -k.bend, k.bound, rest)
+            lead = safe_time(max(0.0, p.friction + flight.x), -flight.v, -flight.a, flight.bound, rest)
         step = min(lag, lead)
         if step >= rest:
             t = t_end
             break
         if negligible(step, t):
-            parted = -1.0 if lag < lead else 1.0
+            ended, s.slide = PARTED, -1.0 if lag < lead else 1.0
             break
         t += step
-    arrive(system, f, k, t)
+    arrive(system, f, flight, t)
     for i in range(system.states):
-        s.y[i] = k.y[i]
+        s.y[i] = flight.y[i]
     s.t = t
-    return parted
+    return ended

@@ -5,11 +5,12 @@
 In units of δ_0 = v t_0 and t_0 = (m_eff/K)^(1/(n+1)) v^((1−n)/(1+n)) a contact of a law without a scale of its own is
 
     ξ'' = −F(ξ, ξ') + η_0 + η_1 θ + η_2 θ² − α ξ − γ ξ',    ξ = 0, ξ' = 1 at θ = 0
-    η_j = thrust_j t_0^(j+1) / v,   α = t_0² σ k_1 / m_1,   γ = t_0 σ c_1 / m_1
+    η_j = a_j t_0^(j+1) / v,   α = t_0² σ k_1 / m_1,   γ = t_0 σ c_1 / m_1
 
-with the thrust's Taylor coefficients about the touch. η_0 is a few hundredths and the rest parts of a million: each
-quantity is a Chebyshev series in η_0 for the contact itself, its first two derivatives by η_1 and its first ones by
-η_2, α and γ. Contacts beyond the table's range are integrated step by step; those inside end within 1e-10 of that.
+with the Taylor coefficients a_j of the relative acceleration about the touch. η_0 is a few hundredths and the rest
+parts of a million: each quantity is a Chebyshev series in η_0 for the contact itself, its first two derivatives by η_1
+and its first ones by η_2, α and γ. Contacts beyond the table's range are integrated step by step; those inside end
+within 1e-10 of that.
 """
 
 from __future__ import annotations
@@ -25,17 +26,9 @@ from impact_rig.arithmetic.elementary import PI, sincos
 from impact_rig.kernels import REALS, entry, kernel
 from impact_rig.physics.collocation import LAST, MATRIX, STAGES
 from impact_rig.physics.contact.law import FORCE, CompiledForce
-from impact_rig.physics.contact_phase import (
-    LEFT,
-    NOTHING,
-    TURNED,
-    contact_time,
-    dissipated,
-    peak_in_step,
-    take_step,
-)
-from impact_rig.physics.contact_step import forget, moved
-from impact_rig.physics.state import PARAMETERS, PRESS, STATE, V1, VB, X1, XB, record
+from impact_rig.physics.contact_phase import conclude, contact_time, dissipated, peak_in_step, take_step
+from impact_rig.physics.contact_step import drop_dense_output, moved
+from impact_rig.physics.state import CONTACT_STEP, LEFT, NOTHING, PARAMETERS, STATE, TURNED, V1, VB, X1, XB, record
 
 SEPARATION, DURATION, LOST, PEAK, DEPTH, SUM, MOMENT = range(7)
 """Quantities, in units made of m_eff, v and t_0: separation speed, duration, energy lost, peak force, largest
@@ -73,38 +66,38 @@ TABLE = np.dtype(
 )
 
 
-@entry(PARAMETERS, FORCE, float, REALS, STATE, PRESS, REALS, returns=bool)
+@entry(PARAMETERS, FORCE, float, REALS, STATE, CONTACT_STEP, REALS, returns=bool)
 def nudged(parameters, force, eta_0, nudges, states, steps, out):  # type: ignore[no-untyped-def]  # types are inferred
     """Integrate one contact in its own units under η_0 and `nudges` = (η_1, η_2, α, γ).
 
     Fills `out`, shape (QUANTITIES,), and returns whether the sphere left.
     """
-    p, s, k, eta_1, eta_2 = parameters[0], states[0], steps[0], nudges[0], nudges[1]
+    p, s, step, eta_1, eta_2 = parameters[0], states[0], steps[0], nudges[0], nudges[1]
     p.pair_stiffness, p.pair_damping = nudges[2], nudges[3]
     s.w, s.speed, s.deepest, s.per_v0, s.peak_force, s.t = 0.0, 1.0, 0.0, 1.0, 0.0, 0.0
-    s.next_step = 0.1
-    forget(k)
+    s.next_h = 0.1
+    drop_dense_output(step)
     out[:] = 0.0
-    k.thrust[:] = 0.0
-    k.rest = k.reach = 1e300
-    k.terms = 3
+    step.acceleration[:] = 0.0
+    step.rest = step.reach = 1e300
+    step.terms = 3
     for _ in range(_MOST_STEPS):
         t = s.t
-        k.thrust[0] = eta_0 + t * (eta_1 + t * eta_2)
-        k.thrust[1], k.thrust[2] = eta_1 + 2.0 * t * eta_2, eta_2
-        ended = take_step(p, force, s, k)
+        step.acceleration[0] = eta_0 + t * (eta_1 + t * eta_2)
+        step.acceleration[1], step.acceleration[2] = eta_1 + 2.0 * t * eta_2, eta_2
+        ended = take_step(p, force, s, step)
         if ended not in (NOTHING, LEFT, TURNED):
             return False
-        since = k.since[LAST]
+        since = step.since[LAST]
         out[MOMENT] += since * out[SUM]
         for i in range(STAGES):
-            area = s.step * MATRIX[LAST, i] * k.w[i] * k.w[i] * k.w[i]
+            area = s.h * MATRIX[LAST, i] * step.w[i] * step.w[i] * step.w[i]
             out[SUM] += area
-            out[MOMENT] += (since - k.since[i]) * area
-        out[LOST] += dissipated(k, s.step)
-        out[PEAK] = max(out[PEAK], peak_in_step(p, force, s, k))
-        s.w, s.speed, s.t = max(0.0, k.w[LAST]), 0.0 if ended == TURNED else k.speed[LAST], t + since
-        s.deepest = max(s.deepest, s.w)
+            out[MOMENT] += (since - step.since[i]) * area
+        out[LOST] += dissipated(step, s.h)
+        out[PEAK] = max(out[PEAK], peak_in_step(p, force, s, step))
+        conclude(p, s, step, ended, 0.0)
+        step.dense_since = 0.0  # a prediction from where the last step began is what the bits of the tables go by
         if ended == LEFT:
             out[SEPARATION], out[DURATION], out[DEPTH] = -s.speed, s.t, s.deepest * s.deepest
             return True
@@ -121,7 +114,7 @@ class Contacts:
 
     def __init__(self, parameters: Any, force: CompiledForce) -> None:
         self._parameters, self._force = parameters, force
-        self._states, self._steps = record(STATE), record(PRESS)
+        self._states, self._steps = record(STATE), record(CONTACT_STEP)
 
     def under(self, eta_0: float, nudges: NDArray[np.float64]) -> tuple[bool, NDArray[np.float64]]:
         """Return whether the sphere left under η_0 and (η_1, η_2, α, γ), and the outcome, shape (QUANTITIES,)."""
@@ -218,8 +211,8 @@ def _chebyshev(values: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 @kernel
-def look_up(p, table, s, k, rest):  # type: ignore[no-untyped-def]
-    """Fill `table.outcome` for the contact that begins at s, `k` expanded about it.
+def look_up(p, table, s, step, rest):  # type: ignore[no-untyped-def]
+    """Fill `table.outcome` for the contact that begins at s, `step` expanded about it.
 
     Returns whether it is tabulated and over within `rest` seconds.
     """
@@ -227,9 +220,13 @@ def look_up(p, table, s, k, rest):  # type: ignore[no-untyped-def]
     if table.high == 0.0 or speed < p.speed_floor:  # a floored approach speed is a scale of its own
         return False
     t_0 = contact_time(p, speed)
-    eta_0 = k.thrust[0] * t_0 / speed
+    eta_0 = step.acceleration[0] * t_0 / speed
     square = t_0 * t_0 / speed
-    eta_1, eta_2, eta_3 = k.thrust[1] * square, k.thrust[2] * square * t_0, k.thrust[3] * square * t_0 * t_0
+    eta_1, eta_2, eta_3 = (
+        step.acceleration[1] * square,
+        step.acceleration[2] * square * t_0,
+        step.acceleration[3] * square * t_0 * t_0,
+    )
     alpha, gamma = p.pair_stiffness * t_0 * t_0, p.pair_damping * t_0
     if not table.low <= eta_0 <= table.high or max(abs(eta_2), alpha, gamma) > MOST_2:
         return False
@@ -254,11 +251,11 @@ def look_up(p, table, s, k, rest):  # type: ignore[no-untyped-def]
             + alpha * further[BY_STIFFNESS * DECISIVE + q]
             + gamma * further[BY_DAMPING * DECISIVE + q]
         )
-    return table.outcome[DURATION] * t_0 < min(rest, k.reach)
+    return table.outcome[DURATION] * t_0 < min(rest, step.reach)
 
 
 @kernel
-def leap(p, table, s, k):  # type: ignore[no-untyped-def]
+def apply_outcome(p, table, s, step):  # type: ignore[no-untyped-def]
     """Move s from the touch to the end of the contact that `look_up` found."""
     found, speed = table.outcome, s.speed
     t_0 = contact_time(p, speed)
@@ -267,10 +264,10 @@ def leap(p, table, s, k):  # type: ignore[no-untyped-def]
     impulse = p.k_1 * found[SUM] * depth * t_0
     moment = p.k_1 * found[MOMENT] * depth * t_0 * t_0 + p.c_1 * found[SUM] * depth * t_0
     sphere = s.y[V1] + s.side * (1.0 - p.share) * speed
-    moved(k, duration, s.y)
+    moved(step, duration, s.y)
     kick = (
         s.side * p.share
-    )  # the first order of `pair.improve_recoil`: `look_up` has seen to it that the next one is nothing
+    )  # the first order of `pair.improve_correction`: `look_up` has seen to it that the next one is nothing
     s.y[V1] += kick * impulse * p.per_m_pair
     s.y[X1] += kick * moment * p.per_m_pair
     s.y[VB] -= kick * impulse * p.per_m_base

@@ -17,33 +17,46 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_rig.arithmetic.elementary import exp, sincos
+from impact_rig.arithmetic.elementary import sincos
 from impact_rig.kernels import FLAGS, INTEGERS, REALS, TABLE, Fields, entry, kernel
 from impact_rig.physics.collocation import LAST
-from impact_rig.physics.contact_phase import FAILED, LEFT, RELEASED, conclude, first_step, take_step
+from impact_rig.physics.contact_phase import conclude, take_next_step
 from impact_rig.physics.contact_step import (
     ROUNDS,
-    add_recoil,
+    add_correction,
     begin_step,
+    dense_output,
+    drop_dense_output,
     expand,
-    foreseen,
-    forget,
+    keep_dense_output,
     moved,
-    remember,
     solve,
 )
-from impact_rig.physics.flight import SEGMENT, Forcing, bound_omega, drive, launch, particular, transfer, turned
+from impact_rig.physics.flight import (
+    SEGMENT,
+    Forcing,
+    bound_omega,
+    decayed,
+    drive,
+    launch,
+    particular,
+    transfer,
+    turned,
+)
 from impact_rig.physics.model import MODEL
 from impact_rig.physics.state import (
     ATTACHED,
     COIL,
     CONTACT,
+    CONTACT_STEP,
+    FAILED,
     FLIGHT,
     FREE,
     HELD,
+    LEFT,
     LOOSE,
     PRESCRIBED,
-    PRESS,
+    RELEASED,
     STATE,
     V1,
     VB,
@@ -106,32 +119,32 @@ class Query(NamedTuple):
 QUERY = Fields(Query, (INTEGERS, INTEGERS, REALS, TABLE))
 
 
-class Bench(NamedTuple):
+class SamplingWorkspace(NamedTuple):
     """Scratch memory of the sampler.
 
     Attributes:
         flight: one record of FLIGHT.
-        press: one record of PRESS.
+        step: one record of CONTACT_STEP.
         steps: records of STATE: the steps of a contact that was looked up as a whole, and one more.
         polynomials: one for each quantity, shape (QUANTITIES, FLIGHT_TERMS).
         every: all quantities at one instant, shape (QUANTITIES,).
     """
 
     flight: NDArray[np.void]
-    press: NDArray[np.void]
+    step: NDArray[np.void]
     steps: NDArray[np.void]
     polynomials: NDArray[np.float64]
     every: NDArray[np.float64]
 
 
-BENCH = Fields(Bench, (FLIGHT, PRESS, STATE, TABLE, REALS))
+SAMPLING_WORKSPACE = Fields(SamplingWorkspace, (FLIGHT, CONTACT_STEP, STATE, TABLE, REALS))
 
 
-def new_bench() -> Bench:
+def new_sampling_workspace() -> SamplingWorkspace:
     """Return scratch memory."""
     n = len(QUANTITIES)
-    return Bench(
-        record(FLIGHT), record(PRESS), record(STATE, _MOST_STEPS + 1), np.zeros((n, FLIGHT_TERMS)), np.zeros(n)
+    return SamplingWorkspace(
+        record(FLIGHT), record(CONTACT_STEP), record(STATE, _MOST_STEPS + 1), np.zeros((n, FLIGHT_TERMS)), np.zeros(n)
     )
 
 
@@ -141,10 +154,10 @@ def _add_oscillation(poly, value, growth, rate, order):  # type: ignore[no-untyp
     for _ in range(order):
         value, growth = rate * value + growth, rate * growth
     term, before = 1.0 + 0.0j, 0.0j
-    for k in range(FLIGHT_TERMS):
-        poly[k] += (value * term).real + (growth * before).real
+    for i in range(FLIGHT_TERMS):
+        poly[i] += (value * term).real + (growth * before).real
         before = term
-        term = term * rate * (1.0 / (k + 1))
+        term = term * rate * (1.0 / (i + 1))
 
 
 @kernel
@@ -162,10 +175,10 @@ def _row_and_order(p, quantity):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _expand_flight(p, system, f, k, quantity, poly, since):  # type: ignore[no-untyped-def]
+def _expand_flight(p, system, f, flight, quantity, poly, since):  # type: ignore[no-untyped-def]
     """Fill the Taylor polynomial of a quantity of the structure, `since` seconds after the flight's beginning."""
     poly[:] = 0.0
-    t = k.begin + since
+    t = flight.begin + since
     row, order, of_drive = _row_and_order(p, quantity)
     jw = complex(0.0, f.omega)
     turn = turned(f.omega * t) * complex(0.0, -1.0)  # Im z = Re(−j z)
@@ -173,23 +186,20 @@ def _expand_flight(p, system, f, k, quantity, poly, since):  # type: ignore[no-u
         start = turned(f.phase) * turn
         _add_oscillation(poly, (f.amplitude + f.slope * t) * start, f.slope * start, jw, order)
         return
-    _add_oscillation(poly, (k.steady[row] + k.growing[row] * t) * turn, k.growing[row] * turn, jw, order)
-    for m in range(system.modes):
-        rate = system.rate[m]
-        decay = exp(rate.real * since)
-        sine, cosine = sincos(rate.imag * since)
-        value = system.right[m, row] * k.modal[m] * complex(decay * cosine, decay * sine)
-        _add_oscillation(poly, value, 0.0j, rate, order)
+    _add_oscillation(poly, (flight.steady[row] + flight.growing[row] * t) * turn, flight.growing[row] * turn, jw, order)
+    for n in range(system.modes):
+        _, z = decayed(system.rate[n], since)
+        _add_oscillation(poly, system.right[n, row] * flight.modal[n] * z, 0.0j, system.rate[n], order)
     if order == 0:
-        poly[0] += system.static[row] * k.push
+        poly[0] += system.static[row] * flight.friction_force
 
 
 @kernel
 def _evaluate(poly, x):  # type: ignore[no-untyped-def]
     """Return a flight's polynomial at x."""
     total = poly[FLIGHT_TERMS - 1]
-    for k in range(FLIGHT_TERMS - 2, -1, -1):
-        total = total * x + poly[k]
+    for i in range(FLIGHT_TERMS - 2, -1, -1):
+        total = total * x + poly[i]
     return total
 
 
@@ -230,20 +240,16 @@ def _in_flight(p, knot, quantity, poly, x, since):  # type: ignore[no-untyped-de
 
 
 @kernel
-def trace(model, f, k, steps):  # type: ignore[no-untyped-def]
+def trace(model, f, step, steps):  # type: ignore[no-untyped-def]
     """Integrate the contact that begins at the last record of `steps` into the others, its end too; return how many."""
     p, s = model.parameters[0], steps[_MOST_STEPS]
-    k.rest = np.inf
-    forget(k)
+    drop_dense_output(step)
     for n in range(_MOST_STEPS - 1):
-        expand(p, f, s, k)
-        if n == 0:
-            s.next_step = first_step(p, s.approach, k.thrust[0])
-        ended = take_step(p, model.force, s, k)
+        ended = take_next_step(model, f, s, step, np.inf)
         steps[n] = s
-        conclude(p, s, k, ended, np.inf)
+        conclude(p, s, step, ended, np.inf)
         if ended in (LEFT, RELEASED, FAILED):
-            s.step = 0.0
+            s.h = 0.0
             steps[n + 1] = s
             return n + 2
     return _MOST_STEPS - 1
@@ -262,59 +268,59 @@ def before(knots, low, high, t):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _length_to(step, k, end, since):  # type: ignore[no-untyped-def]
+def _length_to(start, step, end, since):  # type: ignore[no-untyped-def]
     """Return the length of the step that takes about `since` seconds, by the polynomial of the whole one.
 
-    `step` is the record where it begins, `end` = (time it takes [s], w, δ').
+    `start` is the record where it begins, `end` = (time it takes [s], w, δ').
     """
     low, high = 0.0, 1.0
     x = min(1.0, since / end[0])
     for _ in range(_ROOT_ROUNDS):
-        t, w, _ = foreseen(step, k, x)
+        t, w, _ = dense_output(start, step, x)
         if t > since:
             high = x
         else:
             low = x
-        move = (since - t) / (w * step.step) if w > 0.0 else np.inf
+        move = (since - t) / (w * start.h) if w > 0.0 else np.inf
         x += move
         if not low < x < high:
             x = 0.5 * (low + high)
         if abs(move) <= _ROOT_FOUND or high - low <= _ROOT_FOUND:
             break
-    return x * step.step
+    return x * start.h
 
 
 @kernel
-def _inside(model, step, k, end, since):  # type: ignore[no-untyped-def]
+def _inside(model, start, step, end, since):  # type: ignore[no-untyped-def]
     """Return (w, δ') `since` seconds after the start of a step: the step is taken again to end there."""
-    if step.step == 0.0 or since <= 0.0:
-        return step.w, step.speed
-    h = step.step if since >= end[0] else _length_to(step, k, end, since)
+    if start.h == 0.0 or since <= 0.0:
+        return start.w, start.speed
+    h = start.h if since >= end[0] else _length_to(start, step, end, since)
     for _ in range(_CORRECTIONS):
-        solve(model.parameters[0], model.force, step, k, h, ROUNDS)
-        if k.w[LAST] > 0.0 and since < end[0]:
-            h = min(step.step, h - (k.since[LAST] - since) / k.w[LAST])
-    solve(model.parameters[0], model.force, step, k, h, ROUNDS)
-    return max(k.w[LAST], 0.0), k.speed[LAST]
+        solve(model.parameters[0], model.force, start, step, h, ROUNDS)
+        if step.w[LAST] > 0.0 and since < end[0]:
+            h = min(start.h, h - (step.since[LAST] - since) / step.w[LAST])
+    solve(model.parameters[0], model.force, start, step, h, ROUNDS)
+    return max(step.w[LAST], 0.0), step.speed[LAST]
 
 
 @kernel
-def _in_contact(model, f, step, k, end, t, out):  # type: ignore[no-untyped-def]
-    """Fill all quantities at t, within the step of a contact that begins at the record `step`; `k` expanded there."""
-    p, side = model.parameters[0], step.side
-    since = min(max(t - step.t, 0.0), end[0])
-    w, speed = _inside(model, step, k, end, since)
-    moved(k, since, k.y)
+def _in_contact(model, f, start, step, end, t, out):  # type: ignore[no-untyped-def]
+    """Fill all quantities at t, within the step of a contact from the record `start` on; `step` is expanded there."""
+    p, side = model.parameters[0], start.side
+    since = min(max(t - start.t, 0.0), end[0])
+    w, speed = _inside(model, start, step, end, since)
+    moved(step, since, step.y)
     if since > 0.0:
-        add_recoil(p, side, k, LAST, k.y)
+        add_correction(p, side, step, LAST, step.y)
     depth = w * w
-    elastic, lossy, _, _, _ = model.force.one(p.stiffness, p.factor, step.per_v0, k.turned_at, w, speed)
+    elastic, lossy, _, _, _ = model.force.one(p.stiffness, p.factor, start.per_v0, step.turned_at, w, speed)
     force = max(0.0, elastic + lossy) if p.clipped else elastic + lossy
     u, _ = drive(f, t)
-    offset = step.d + side * depth
-    x_b, v_b = k.y[XB], k.y[VB]
-    out[X_1] = k.y[X1] - p.share * side * depth
-    out[V_1] = k.y[V1] - p.share * side * speed
+    offset = start.d + side * depth
+    x_b, v_b = step.y[XB], step.y[VB]
+    out[X_1] = step.y[X1] - p.share * side * depth
+    out[V_1] = step.y[V1] - p.share * side * speed
     out[X_2], out[V_2] = out[X_1] + offset, out[V_1] + side * speed
     columns = -p.k_1 * (out[X_1] - x_b) - p.c_1 * (out[V_1] - v_b)
     out[A_1], out[A_2] = (columns + side * force) * p.per_m_1, -side * force / p.m
@@ -325,70 +331,70 @@ def _in_contact(model, f, step, k, end, t, out):  # type: ignore[no-untyped-def]
         _, cosine = sincos(f.omega * t + f.phase)
         out[A_B], out[CURRENT] = 2.0 * f.slope * f.omega * cosine - f.omega * f.omega * u, 0.0
         return
-    out[CURRENT] = k.y[COIL] if p.drive == VOLTAGE else u
+    out[CURRENT] = step.y[COIL] if p.drive == VOLTAGE else u
     table = p.force_factor * out[CURRENT] - p.c_f * v_b - p.k_f * x_b - columns
     out[A_B] = table * p.per_m_base
 
 
 @kernel
-def _solve_again(model, f, step, k):  # type: ignore[no-untyped-def]
-    """Let `k` be expanded about the record `step`; return how its step ends: (time it takes [s], w, δ')."""
+def _solve_again(model, f, start, step):  # type: ignore[no-untyped-def]
+    """Let `step` be expanded about the record `start`; return how its step ends: (time it takes [s], w, δ')."""
     p = model.parameters[0]
-    expand(p, f, step, k)
-    begin_step(p, model.force, step, k)
-    if step.step == 0.0:
-        return 0.0, step.w, step.speed
-    forget(k)
-    solve(p, model.force, step, k, step.step, ROUNDS)
-    remember(step, k, step.step)
-    return k.since[LAST], max(k.w[LAST], 0.0), k.speed[LAST]
+    expand(p, f, start, step)
+    begin_step(p, model.force, start, step)
+    if start.h == 0.0:
+        return 0.0, start.w, start.speed
+    drop_dense_output(step)
+    solve(p, model.force, start, step, start.h, ROUNDS)
+    keep_dense_output(start, step, start.h)
+    return step.since[LAST], max(step.w[LAST], 0.0), step.speed[LAST]
 
 
 @kernel
-def _sample_contact(model, f, knots, row, start, stop, query, bench):  # type: ignore[no-untyped-def]
+def _sample_contact(model, f, knots, row, start, stop, query, work):  # type: ignore[no-untyped-def]
     """Fill the query's instants start … stop − 1, all in the contact whose knot is `knots[row]`."""
-    k, knot = bench.press[0], knots[row]
+    step, knot = work.step[0], knots[row]
     steps, low, high, current = knots, row, row + 1, -1
     if knot.whole:
-        steps = bench.steps
+        steps = work.steps
         steps[_MOST_STEPS] = knot
-        low, high = 0, trace(model, f, k, steps)
+        low, high = 0, trace(model, f, step, steps)
     end = 0.0, 0.0, 0.0
     for i in range(start, stop):
         t = query.offset[i] - f.begin
         row = before(steps, low, high, t)
         if row != current:
-            current, end = row, _solve_again(model, f, steps[row], k)
-        _in_contact(model, f, steps[row], k, end, t, bench.every)
+            current, end = row, _solve_again(model, f, steps[row], step)
+        _in_contact(model, f, steps[row], step, end, t, work.every)
         for q in range(query.wanted.shape[0]):
-            query.out[q, i] = bench.every[query.wanted[q]]
+            query.out[q, i] = work.every[query.wanted[q]]
 
 
 @kernel
-def _sample_flight(model, f, knot, start, stop, query, bench):  # type: ignore[no-untyped-def]
+def _sample_flight(model, f, knot, start, stop, query, work):  # type: ignore[no-untyped-def]
     """Fill the query's instants start … stop − 1, all in the flight that begins at the knot."""
-    p, k = model.parameters[0], bench.flight[0]
+    p, flight = model.parameters[0], work.flight[0]
     which = HELD if knot.phase == ATTACHED else LOOSE
     system = model.systems[which]
-    if f.omega != k.omega or which != k.system:
-        transfer(system, f.omega, k)
-        k.omega, k.system, k.reach = f.omega, which, _REACH / bound_omega(system, f.omega)
-    particular(system, f, k)
-    k.push = 0.0 if knot.phase == ATTACHED else knot.slide * p.m * p.friction
-    launch(system, f, k, knot.y, knot.t)
+    if f.omega != flight.omega or which != flight.system:
+        transfer(system, f.omega, flight)
+        flight.omega, flight.system, flight.reach = f.omega, which, _REACH / bound_omega(system, f.omega)
+    particular(system, f, flight)
+    flight.friction_force = 0.0 if knot.phase == ATTACHED else knot.slide * p.m * p.friction
+    launch(system, f, flight, knot.y, knot.t)
     anchor = -1
     for i in range(start, stop):
         since = query.offset[i] - f.begin - knot.t
-        place = int(since / k.reach)
-        middle = (place + 0.5) * k.reach
+        place = int(since / flight.reach)
+        middle = (place + 0.5) * flight.reach
         if place != anchor:
             anchor = place
             for q in range(query.wanted.shape[0]):
                 quantity = _of_structure(knot, query.wanted[q])
                 if quantity not in (X_2, V_2, A_2, FORCE_LEFT, FORCE_RIGHT):
-                    _expand_flight(p, system, f, k, quantity, bench.polynomials[q], middle)
+                    _expand_flight(p, system, f, flight, quantity, work.polynomials[q], middle)
         for q in range(query.wanted.shape[0]):
-            query.out[q, i] = _in_flight(p, knot, query.wanted[q], bench.polynomials[q], since - middle, since)
+            query.out[q, i] = _in_flight(p, knot, query.wanted[q], work.polynomials[q], since - middle, since)
 
 
 @kernel
@@ -404,14 +410,14 @@ def _segment_at(trajectory, tick, offset):  # type: ignore[no-untyped-def]
     return low
 
 
-@entry(MODEL, TRAJECTORY, QUERY, BENCH, returns=bool)
-def sample(model, trajectory, query, bench):  # type: ignore[no-untyped-def]
+@entry(MODEL, TRAJECTORY, QUERY, SAMPLING_WORKSPACE, returns=bool)
+def sample(model, trajectory, query, work):  # type: ignore[no-untyped-def]
     """Fill `query.out` and return whether there are such ticks.
 
     Runs of instants in one piece of the trajectory are evaluated together.
     """
     n = query.offset.shape[0]
-    bench.flight[0].omega = -1.0
+    work.flight[0].omega = -1.0
     i = 0
     while i < n:
         tick = query.tick[i] - trajectory.base
@@ -432,9 +438,9 @@ def sample(model, trajectory, query, bench):  # type: ignore[no-untyped-def]
                 break
             i += 1
         if trajectory.knots[row].phase == CONTACT:
-            _sample_contact(model, f, trajectory.knots, row, start, i, query, bench)
+            _sample_contact(model, f, trajectory.knots, row, start, i, query, work)
         else:
-            _sample_flight(model, f, trajectory.knots[row], start, i, query, bench)
+            _sample_flight(model, f, trajectory.knots[row], start, i, query, work)
     return True
 
 

@@ -15,11 +15,20 @@ from impact_rig.arithmetic.records import for_kernels, records, with_fields
 from impact_rig.errors import SimulationError
 from impact_rig.physics import contact as contact_laws
 from impact_rig.physics.contact_step import turned_at
-from impact_rig.physics.event_loop import NEED_ROOM, STUCK, Desk, new_desk, run
+from impact_rig.physics.event_loop import NEED_ROOM, STUCK, Workspace, new_workspace, run
 from impact_rig.physics.flight import SEGMENT
 from impact_rig.physics.linear import Setup
 from impact_rig.physics.model import CONTACT_RTOL, Model, build
-from impact_rig.physics.sampling import PARTS, QUANTITIES, Bench, Query, Trajectory, new_bench, refine, sample
+from impact_rig.physics.sampling import (
+    PARTS,
+    QUANTITIES,
+    Query,
+    SamplingWorkspace,
+    Trajectory,
+    new_sampling_workspace,
+    refine,
+    sample,
+)
 from impact_rig.physics.state import (
     ATTACHED,
     COIL,
@@ -51,7 +60,7 @@ class Motion:
     """The trajectory of consecutive ticks, numbered from `first_segment`: drive segments, where a tick has no more.
 
     Times are (tick, offset into the tick): no value depends on how the run was cut into advances. Motions that
-    are asked in turn may share a `bench`, their scratch memory.
+    are asked in turn may share a `work`, their scratch memory.
 
     Attributes:
         first_segment: number of the first tick, counted since the reset.
@@ -69,14 +78,14 @@ class Motion:
         knots: NDArray[np.void],
         first: NDArray[np.int64],
         impacts: NDArray[np.void],
-        bench: Bench | None = None,
+        work: SamplingWorkspace | None = None,
     ) -> None:
         self.first_segment = first_segment
         self.segments, self.ticks = segments, ticks
         self.impacts = impacts
         self._model = model
         self._trajectory = Trajectory(segments, first_segment, ticks, knots, first)
-        self._bench = bench or new_bench()
+        self._sampling = work or new_sampling_workspace()
 
     @property
     def last_segment(self) -> int:
@@ -108,7 +117,7 @@ class Motion:
             raise ValueError(f"segment and offset must have one shape, got {segment.shape} and {offset_s.shape}")
         out = np.empty((len(names), segment.size))
         query = Query(_places(names), segment.reshape(-1), offset_s.reshape(-1), out)
-        if not sample(self._model, self._trajectory, query, self._bench):
+        if not sample(self._model, self._trajectory, query, self._sampling):
             raise ValueError(
                 f"this motion holds segments {self.first_segment} to {self.last_segment}, "
                 f"got {segment.min()} to {segment.max()}"
@@ -182,8 +191,8 @@ class Simulation:
         self._rtol = rtol
         self._account = account
         self._config = config
-        self._desk = new_desk(1 << 15, 1 << 11)  # pages that are not touched take no memory
-        self._bench = new_bench()
+        self._work = new_workspace(1 << 15, 1 << 11)  # pages that are not touched take no memory
+        self._sampling = new_sampling_workspace()
         self.reset(model)
 
     @property
@@ -254,7 +263,7 @@ class Simulation:
 
         None during a contact: how it began decides its force, which these numbers do not tell.
         """
-        s = self._desk.states[0]
+        s = self._work.states[0]
         if s["phase"] == CONTACT:
             return None
         return np.array([*s["y"].tolist(), float(s["d"]), float(s["d_rate"])])
@@ -262,8 +271,8 @@ class Simulation:
     def set_state(self, state: NDArray[np.float64]) -> None:
         """Go on from what `state` gave; a sphere at rest on a wall stays there until that pulls away."""
         *y, d, rate = state.tolist()
-        self._desk.states[0] = np.zeros((), STATE)
-        s = self._desk.states[0]
+        self._work.states[0] = np.zeros((), STATE)
+        s = self._work.states[0]
         s["y"][:], s["d"], s["d_rate"] = y, d, rate
         p = self._model.parameters[0]
         if rate == 0.0 and p["sphere_present"] and (p["friction"] > 0.0 or abs(d) >= p["half_gap"]):
@@ -271,7 +280,7 @@ class Simulation:
         elif p["friction"] > 0.0:
             s["slide"] = np.sign(rate)
         if self._account:
-            self._desk.ledger[0] = np.zeros((), LEDGER)
+            self._work.ledger[0] = np.zeros((), LEDGER)
             self._stored = self.stored_energy()
 
     def advance(self, segments: NDArray[np.void]) -> Motion:
@@ -287,30 +296,30 @@ class Simulation:
         rows = np.append(np.flatnonzero(segments["begin"] == 0.0), len(segments))
         ticks = np.repeat(np.arange(self.segment, self.segment + len(rows) - 1), np.diff(rows))
         segments = for_kernels(segments)
-        desk = self._desk._replace(first=np.zeros(len(segments) + 1, np.int64))
-        filled = desk.filled[0]
+        work = self._work._replace(first=np.zeros(len(segments) + 1, np.int64))
+        filled = work.filled[0]
         filled["knots"] = filled["impacts"] = 0
         index = 0
         while True:
-            ended, index = run(self._model, segments, ticks, index, desk, self._account)
+            ended, index = run(self._model, segments, ticks, index, work, self._account)
             if ended == STUCK:
                 raise SimulationError(
-                    f"no progress in drive segment {ticks[index]} at {desk.states[0]['t']:.9f} s of it, "
-                    f"phase {desk.states[0]['phase']}"
+                    f"no progress in drive segment {ticks[index]} at {work.states[0]['t']:.9f} s of it, "
+                    f"phase {work.states[0]['phase']}"
                 )
             if ended != NEED_ROOM:
                 break
-            if filled["knots"] - desk.first[index] > MOST_KNOTS:
+            if filled["knots"] - work.first[index] > MOST_KNOTS:
                 raise SimulationError(
                     f"more than {MOST_KNOTS} contacts, rides and flights in drive segment {ticks[index]}, "
-                    f"at {desk.states[0]['t']:.9f} s of it: the motion cannot be resolved"
+                    f"at {work.states[0]['t']:.9f} s of it: the motion cannot be resolved"
                 )
-            desk = self._desk = _grown(desk)
+            work = self._work = _grown(work)
         knots, impacts = int(filled["knots"]), int(filled["impacts"])
-        desk.first[-1] = knots
+        work.first[-1] = knots
         motion = Motion(
-            self._model, self.segment, segments, rows, desk.knots[:knots].copy(), desk.first,
-            desk.impacts[:impacts].copy().view(np.ndarray), self._bench,
+            self._model, self.segment, segments, rows, work.knots[:knots].copy(), work.first,
+            work.impacts[:impacts].copy().view(np.ndarray), self._sampling,
         )  # fmt: skip
         self.segment += len(rows) - 1
         return motion
@@ -318,12 +327,12 @@ class Simulation:
     def copy(self) -> Simulation:
         """Return a simulation that goes on from here on its own; scratch memory is shared, so advance them in turn."""
         twin = copy.copy(self)
-        twin._desk = self._desk._replace(states=self._desk.states.copy(), ledger=self._desk.ledger.copy())
+        twin._work = self._work._replace(states=self._work.states.copy(), ledger=self._work.ledger.copy())
         return twin
 
     def energy(self) -> EnergyAccount:
         """Return the energy account since the reset; only the contacts' share is kept unless `account` is on."""
-        ledger = self._desk.ledger[0]
+        ledger = self._work.ledger[0]
         work, columns, shaker, contact, friction = (float(ledger[name]) for name in LEDGER.names or ())
         return EnergyAccount(work, columns, shaker, contact, friction, self.stored_energy() - self._stored)
 
@@ -346,12 +355,12 @@ class Simulation:
     @property
     def _state(self) -> np.record:
         """The state, its fields by name."""
-        record_: np.record = with_fields(self._desk.states)[0]
+        record_: np.record = with_fields(self._work.states)[0]
         return record_
 
     def _begin(self, y: NDArray[np.float64]) -> None:
-        self._desk = self._desk._replace(states=records(2, STATE), ledger=records(1, LEDGER))
-        self._desk.states[0]["y"][:] = y
+        self._work = self._work._replace(states=records(2, STATE), ledger=records(1, LEDGER))
+        self._work.states[0]["y"][:] = y
         self._put_sphere(_PLACES[self._config.sphere.start] * self._model.parameters[0].half_gap, 0.0)
         self._stored = self.stored_energy()
 
@@ -373,10 +382,10 @@ class Simulation:
         return y
 
 
-def _grown(desk: Desk) -> Desk:
-    """Return the desk with more room in its log, what is in it kept."""
-    knots = records(_GROWTH * len(desk.knots), STATE)
-    knots[: len(desk.knots)] = desk.knots
-    impacts = records(_GROWTH * len(desk.impacts), IMPACT)
-    impacts[: len(desk.impacts)] = desk.impacts
-    return desk._replace(knots=knots, impacts=impacts)
+def _grown(work: Workspace) -> Workspace:
+    """Return the work with more room in its log, what is in it kept."""
+    knots = records(_GROWTH * len(work.knots), STATE)
+    knots[: len(work.knots)] = work.knots
+    impacts = records(_GROWTH * len(work.impacts), IMPACT)
+    impacts[: len(work.impacts)] = work.impacts
+    return work._replace(knots=knots, impacts=impacts)

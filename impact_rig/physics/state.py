@@ -21,6 +21,9 @@ from impact_rig.physics.collocation import STAGES
 FREE, CONTACT, ATTACHED = range(3)
 """Phases: in flight; touching a wall that yields; one body with the superior base."""
 
+NOTHING, LEFT, TIME, RELEASED, TURNED, RELOADED, FAILED, SETTLED, TOUCHED, STOPPED, PARTED = range(11)
+"""What ends a step, a phase or a flight; see `contact_phase` and the table of `event_loop`."""
+
 X1, V1, XB, VB, COIL = range(5)
 """Places in a structural state y: superior base [m], [m/s], inferior base [m], [m/s], coil current [A].
 
@@ -29,7 +32,7 @@ A prescribed base has the first two only, a current drive the first four.
 STRUCTURE = 5
 
 ORDERS = 6
-"""Derivatives of x_1 that a flight looks at: 0 … 5."""
+"""Derivatives of x_1 that a flight evaluates: 0 … 5."""
 TERMS = 12
 """Taylor terms of the structure's motion within one step of a contact."""
 
@@ -37,7 +40,7 @@ STATE = np.dtype(
     [
         ("t", "f8"),  # time since the start of the drive segment [s]
         ("phase", "i8"),
-        ("y", "f8", (STRUCTURE,)),  # structure; in a contact less what the indentation moves it by, see `contact`
+        ("y", "f8", (STRUCTURE,)),  # structure; in a contact less what the indentation moves it by, see `contact_step`
         ("d", "f8"),  # flight: sphere relative to the superior base, x_2 − x_1 [m]
         ("d_rate", "f8"),  # its rate [m/s]
         ("slide", "f8"),  # flight: which way the sphere slides on a guide with friction, −1, 0 or 1
@@ -47,10 +50,10 @@ STATE = np.dtype(
         ("deepest", "f8"),  # contact: the largest w so far [m^0.5]
         ("per_v0", "f8"),  # contact: 1 over the approach speed, floored [s/m]
         ("whole", "i8"),  # contact: from here to the next knot it is one table look-up
-        ("step", "f8"),  # contact: length of the step that starts here [s/m^0.5], 0 where none does
-        ("dent", "f8"),  # indentation at which a wall let the sphere go, until it is out of there [m]
-        ("dent_side", "f8"),  # which wall that is
-        ("next_step", "f8"),  # contact: what the step control proposes [s/m^0.5]
+        ("h", "f8"),  # contact: length of the step that starts here [s/m^0.5], 0 where none does
+        ("released", "f8"),  # indentation at which a wall let the sphere go, until it is out of there [m]
+        ("released_side", "f8"),  # which wall that is
+        ("next_h", "f8"),  # contact: what the step control proposes [s/m^0.5]
         ("begin_segment", "i8"),  # contact: where it began …
         ("begin_t", "f8"),  # [s]
         ("approach", "f8"),  # … how fast [m/s], and what it has done so far:
@@ -97,45 +100,49 @@ FLIGHT = np.dtype(
         ("forced_growing", "c16", (ORDERS,)),
         ("forced_size", "f8", (ORDERS,)),  # a bound on each within the segment
         ("begin", "f8"),  # when the flight began [s]
-        ("push", "f8"),  # constant force on the structure [N]: guide friction
+        ("friction_force", "f8"),  # constant force on the structure [N]: guide friction
         ("modal", "c16", (STRUCTURE,)),  # amplitude of each mode at `begin`
         ("wave", "c16", (ORDERS, STRUCTURE)),  # its part in the derivatives of x_1
         ("wave_size", "f8", (ORDERS, STRUCTURE)),
-        ("value", "f8"),  # derivatives of x_1 looked at last: from some order on, three …
-        ("slope", "f8"),
-        ("bend", "f8"),
-        ("bound", "f8"),  # … and a bound on the next one from there on
+        ("x", "f8"),  # what was evaluated last, x_1 or a derivative of it,
+        ("v", "f8"),  # its rate,
+        ("a", "f8"),  # the rate of that,
+        ("bound", "f8"),  # and a bound on the next rate from there on
         ("y", "f8", (STRUCTURE,)),
     ],
     align=True,
 )
 """What is known of the flight under way."""
 
-PRESS = np.dtype(
+CONTACT_STEP = np.dtype(
     [
         ("path", "f8", (STRUCTURE, TERMS)),  # Taylor polynomials of y about the start of the step
-        ("thrust", "f8", (TERMS,)),  # of the acceleration that presses sphere and wall together [m/s²]
+        ("acceleration", "f8", (TERMS,)),  # of the relative acceleration that presses sphere and wall together [m/s²]
         ("w", "f8", (STAGES,)),  # at the stages: sqrt of the indentation [m^0.5],
         ("speed", "f8", (STAGES,)),  # δ' [m/s],
         ("since", "f8", (STAGES,)),  # time since the start of the step [s],
-        ("thrust_at", "f8", (STAGES,)),  # the thrust, recoil included [m/s²],
+        ("acceleration_at", "f8", (STAGES,)),  # the acceleration, correction included [m/s²],
         ("force", "f8", (STAGES,)),  # [N],
         ("lossy", "f8", (STAGES,)),  # the part of it that dissipates [N],
         ("force_by_w", "f8", (STAGES,)),  # its derivatives,
         ("force_by_speed", "f8", (STAGES,)),
-        ("slope", "f8", (STAGES,)),  # dδ'/ds [m^1.5/s²],
-        ("slope_by_w", "f8", (STAGES,)),  # its derivatives
-        ("slope_by_speed", "f8", (STAGES,)),
-        ("recoil", "f8", (STRUCTURE, STAGES)),  # z, what the indentation moves the pair by, per side σ, see `pair`,
-        ("recoil_slope", "f8", (STRUCTURE, STAGES)),  # and dz/ds
+        ("speed_slope", "f8", (STAGES,)),  # dδ'/dχ [m^1.5/s²],
+        ("speed_slope_by_w", "f8", (STAGES,)),  # its derivatives
+        ("speed_slope_by_speed", "f8", (STAGES,)),
+        (
+            "correction",
+            "f8",
+            (STRUCTURE, STAGES),
+        ),  # z, what the indentation moves the pair by, per side σ, see `contact_step`,
+        ("correction_slope", "f8", (STRUCTURE, STAGES)),  # and dz/dχ
         ("matrix", "f8", (STAGES, STAGES)),  # what Newton's method multiplies the miss of the equations with
         ("miss", "f8", (STAGES,)),
-        ("known", "f8", (STAGES + 1,)),  # the polynomial of a step, see `foresight` [m/s],
-        ("known_length", "f8"),  # the length of that step, 0 where none is known,
-        ("known_since", "f8"),  # and how far from its start the next one starts
+        ("dense", "f8", (STAGES + 1,)),  # the polynomial of a step, see `contact_step` [m/s],
+        ("dense_length", "f8"),  # the length of that step, 0 where none is known,
+        ("dense_since", "f8"),  # and how far from its start the next one starts
         ("fastest_time", "f8"),  # time in which the fastest motion of structure or drive goes one radian [s]
         ("turned_at", "f8"),  # the branch of the law that the step is on, see `contact.law` [m^0.5]
-        ("start_slope", "f8"),  # dδ'/ds at the start of the step
+        ("start_speed_slope", "f8"),  # dδ'/dχ at the start of the step
         ("start_force", "f8"),
         ("tolerance", "f8"),  # how wrong the step's speeds may be [m/s],
         ("goal", "f8"),  # and how near Newton's method must come to what the step says

@@ -49,7 +49,7 @@ def malformed(topic: topics.Topic) -> Iterator[bytes]:
     table = good(topic)
     names = [column.name for column in topic.fields]
     for name in names:
-        if topic.fields[names.index(name)].default is None:
+        if topic.fields[names.index(name)].default is None and len(names) > 1:
             yield codec.encode(Table(0, recfunctions.drop_fields(table.rows, name)))
         other = [(one, "i1" if table.rows.dtype[one].kind == "S" else "S32") if one == name else
                  (one, table.rows.dtype[one]) for one in table.rows.dtype.names]  # fmt: skip

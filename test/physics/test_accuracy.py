@@ -18,7 +18,7 @@ from impact_rig.physics.collocation import LAST
 from impact_rig.physics.contact import hunt_crossley
 from impact_rig.physics.contact_step import ROUNDS, begin_step, solve
 from impact_rig.physics.model import CONTACT_RTOL, Model, build
-from impact_rig.physics.state import PRESS, STATE, record
+from impact_rig.physics.state import CONTACT_STEP, STATE, record
 from impact_rig.rig.config import RigConfig
 from impact_rig.rig.trial import generator
 
@@ -92,7 +92,7 @@ def test_the_benchmark_problem_gives_the_reference_amplitude(gap):
 
 def contact_by_equal_steps(model: Model, speed: float, length: float, steps: int) -> np.ndarray:
     """(sqrt(δ), δ') after a given way in the regularised variable, from the touch on."""
-    p, s, k = model.parameters[0], record(STATE)[0], record(PRESS)[0]
+    p, s, k = model.parameters[0], record(STATE)[0], record(CONTACT_STEP)[0]
     p.rtol = 1e-16
     s.side, s.speed, s.per_v0 = 1.0, speed, 1.0 / speed
     k.terms = 1  # a structure at rest

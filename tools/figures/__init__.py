@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from tools.figures import animation, contacts, damping, first_look, graph, paper, rig, transmissibility
+from tools.figures import animation, contacts, damping, first_look, graph, kernels, paper, rig, transmissibility
 
 COMMAND = "make figures"
 ROOT = Path(__file__).parents[2]
@@ -44,6 +44,8 @@ DRAWN: Mapping[str, Callable[[], str]] = {
     "contact_order.svg": contacts.draw_order,
     "first_look.svg": first_look.draw,
     "graph.svg": graph.draw,
+    "kernels_outcome.svg": kernels.draw_table,
+    "kernels_tick.svg": kernels.draw_tick,
     "impact_damping.svg": damping.draw,
     "paper.svg": paper.draw,
     "rig.svg": rig.draw,

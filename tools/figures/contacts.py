@@ -14,7 +14,7 @@ from impact_rig.physics.collocation import LAST
 from impact_rig.physics.contact import LAWS, hunt_crossley
 from impact_rig.physics.contact_step import ROUNDS, begin_step, solve
 from impact_rig.physics.model import Model, build
-from impact_rig.physics.state import PRESS, STATE, record
+from impact_rig.physics.state import CONTACT_STEP, STATE, record
 from impact_rig.rig.config import RigConfig, from_flat
 from tools.figures.style import SERIES, STRUCTURE, direct_label, finished, new_figure, style
 
@@ -84,7 +84,7 @@ def draw_order() -> str:
 
 def _by_collocation(model: Model, steps: int) -> Real:
     """Return √δ and δ' after a given way in the regularised variable, from the touch on, shape (2,)."""
-    p, s, k = model.parameters[0], record(STATE)[0], record(PRESS)[0]
+    p, s, k = model.parameters[0], record(STATE)[0], record(CONTACT_STEP)[0]
     p.rtol = 1e-16
     deepest = (p.m_eff * SPEED_M_S**2 / p.stiffness) ** 0.4
     step = 3.0 * math.sqrt(deepest) / SPEED_M_S / steps  # in all: until the sphere is on its way out again

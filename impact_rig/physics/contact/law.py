@@ -40,7 +40,7 @@ from impact_rig import kernels
 from impact_rig.config.fields import Origin, quantity
 from impact_rig.kernels import Exported, Fields, Function, Pointer, Record
 from impact_rig.physics.collocation import STAGES
-from impact_rig.physics.state import PARAMETERS, PRESS
+from impact_rig.physics.state import CONTACT_STEP, PARAMETERS
 
 ForceFunction = Callable[[float, float, float, float, float, float], tuple[float, float, float, float, float]]
 
@@ -120,7 +120,7 @@ class ContactLaw:
 
 
 ONE = Function(6 * (float,), 5 * (float,))
-AT_STAGES = Function((Record(PARAMETERS), float, Record(PRESS)), None)
+AT_STAGES = Function((Record(PARAMETERS), float, Record(CONTACT_STEP)), None)
 
 
 class CompiledForce(NamedTuple):
@@ -128,7 +128,7 @@ class CompiledForce(NamedTuple):
 
     Attributes:
         one: the law's function itself.
-        at_stages: called with (parameters, per_v0, press), fills the step's force, lossy, force_by_w, force_by_speed.
+        at_stages: called with (parameters, per_v0, step), fills the step's force, lossy, force_by_w, force_by_speed.
     """
 
     one: Any
@@ -141,11 +141,13 @@ FORCE = Fields(CompiledForce, (ONE, AT_STAGES))
 def at_stages_of(one: Any) -> Any:
     """Return the function that asks a force at the stages of a step."""
 
-    def at_stages(p, per_v0, k):  # type: ignore[no-untyped-def]  # compiled: types are declared
+    def at_stages(p, per_v0, step):  # type: ignore[no-untyped-def]  # compiled: types are declared
         for i in range(STAGES):
-            elastic, lossy, _, by_w, by_speed = one(p.stiffness, p.factor, per_v0, k.turned_at, k.w[i], k.speed[i])
-            k.force[i], k.lossy[i] = elastic + lossy, lossy
-            k.force_by_w[i], k.force_by_speed[i] = by_w, by_speed
+            elastic, lossy, _, by_w, by_speed = one(
+                p.stiffness, p.factor, per_v0, step.turned_at, step.w[i], step.speed[i]
+            )
+            step.force[i], step.lossy[i] = elastic + lossy, lossy
+            step.force_by_w[i], step.force_by_speed[i] = by_w, by_speed
 
     return at_stages
 
@@ -204,7 +206,7 @@ def _callback_at_stages(function: ForceFunction) -> Pointer:
         inner(parameters.contents, per_v0, step.contents)
 
     layout: Any = np.ctypeslib.as_ctypes_type
-    parameters, step = ctypes.POINTER(layout(PARAMETERS)), ctypes.POINTER(layout(PRESS))
+    parameters, step = ctypes.POINTER(layout(PARAMETERS)), ctypes.POINTER(layout(CONTACT_STEP))
     return _pointer(ctypes.CFUNCTYPE(None, parameters, ctypes.c_double, step)(at_stages))
 
 
