@@ -142,7 +142,8 @@ def legal(values: dict[str, object]) -> RigConfig:
 
 def run(config: RigConfig, loudness: float, seconds: float) -> Result:
     """Run a rig and judge it."""
-    amplitude = loudness * amplitude_limit(config.drive, config.shaker)[2]
+    limit = amplitude_limit(config.drive, config.shaker)[2]
+    amplitude = loudness * limit
     impacts = 0
     try:
         rig = Rig(from_flat(config, {"drive.amplitude": amplitude}))
@@ -152,7 +153,7 @@ def run(config: RigConfig, loudness: float, seconds: float) -> Result:
     try:
         while rig.frontier_ns < end_ns:
             if not commanded and rig.frontier_ns >= end_ns / 3 and rig.latched is None:
-                rig.accept(current_a=min(2.0 * amplitude, amplitude / loudness))
+                rig.accept(current_a=min(2.0 * amplitude, limit))
                 commanded = True
             for block in rig.advance(rig.frontier_ns + STEP_NS):
                 impacts += 0 if block.impacts is None else len(block.impacts.rows)
