@@ -81,6 +81,8 @@ def _sections(done: Finished, varied: list[Variation], content: Content, folder:
     yield section(
         "Reductions: the paper and this rig", *findings.reductions_table(done, content), keep(compared), part=True
     )
+    measured = keep(dt.damper_by_frequency(curves, done.calibration))
+    yield section("What DT tells of the damper", *findings.damper(done, content), measured)
     yield section("The paper's statements", *findings.statements(done, content))
     yield section("Uncertainty of one transmissibility", *findings.uncertainty(done, content))
     yield section("What was chosen, and what a verdict is worth", *findings.chosen(config, content))

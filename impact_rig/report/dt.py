@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from impact_rig.analysis.calibration import Calibration
+from impact_rig.analysis.reduction import Damper, damper
 from impact_rig.campaign import paper
 from impact_rig.campaign.axes import NO_SPHERE
 from impact_rig.campaign.paper import FREQUENCIES_HZ, FREQUENCY_HZ, REDUCTION_PERCENT, Reductions
@@ -371,6 +373,43 @@ def peaks(curves: Curves) -> Iterator[Drawn]:
     legend_below(axis, 3)
     caption = "Grid of 0.01 Hz. Dotted: where each curve peaks; with the sphere a little lower, as the paper saw."
     yield Drawn("peaks", figure, caption, lines)
+
+
+def dampers(curves: Curves, calibration: Calibration) -> dict[float, dict[float, Damper]]:
+    """Return what DT with and without the sphere tells of it, by gap and frequency, where both were measured."""
+    found: dict[float, dict[float, Damper]] = {}
+    for gap in curves.gaps():
+        for frequency, point in sorted(curves.by_gap[gap].items()):
+            without = curves.at(NO_SPHERE, frequency)
+            if without is not None:
+                found.setdefault(gap, {})[frequency] = damper(without.rows, point.rows, calibration)
+    return found
+
+
+def damper_by_frequency(curves: Curves, calibration: Calibration) -> Iterator[Drawn]:
+    """Draw added mass and loss factor over frequency, with their expanded uncertainties."""
+    found = {gap: own for gap, own in dampers(curves, calibration).items() if len(own) > 1}
+    if not found:
+        return
+    figure, (upper, lower) = new_axes(4.8, (1.0, 1.0))
+    lines: list[Line] = []
+    for gap, own in found.items():
+        frequency = list(own)
+        columns: dict[str, list[float]] = {"frequency_hz": frequency}
+        for axis, name in ((upper, "added_mass"), (lower, "loss_factor")):
+            columns[name] = [100.0 * getattr(one, name) for one in own.values()]
+            columns[f"u_{name}"] = [100.0 * getattr(one, f"u_{name}") for one in own.values()]
+            bars = [COVERAGE * u for u in columns[f"u_{name}"]]
+            axis.errorbar(frequency, columns[name], bars, marker="o", capsize=2.0, color=colour(gap), label=case(gap))
+        lines.append(Line(case(gap), columns))
+    upper.set(ylabel="added mass (%)", title="What the sphere does to the structure")
+    lower.set(ylabel="loss factor (%)", xlabel="frequency (Hz)")
+    legend_below(lower, 3, upper)
+    caption = (
+        "From DT and phase with and without the sphere alone: the force on the structure over its inertia force, in "
+        "phase with its displacement (added mass, a share of m_1) and in quadrature (loss factor)."
+    )
+    yield Drawn("damper", figure, caption, lines)
 
 
 def amplitudes(curves: Curves) -> Iterator[Drawn]:

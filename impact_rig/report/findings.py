@@ -15,6 +15,7 @@ from impact_rig.config import Origin
 from impact_rig.config.tree import Value
 from impact_rig.physics.contact import from_config
 from impact_rig.report.content import COVERAGE, Cell, Content, number, plus_minus
+from impact_rig.report.dt import dampers
 from impact_rig.report.page import paragraph
 from impact_rig.rig.config import RigConfig, fields, to_flat
 from impact_rig.studies.margins import Variation
@@ -53,6 +54,24 @@ def reductions_table(done: Finished, content: Content) -> Iterator[str]:
         f"Largest difference {largest} points, rms {rms}. A fit, not a prediction: see below.",
         "muted",
     )
+
+
+def damper(done: Finished, content: Content) -> Iterator[str]:
+    """Yield what DT tells of the damper, at the frequency where most gaps were measured."""
+    found = dampers(done.curves, done.calibration)
+    counts = [frequency for own in found.values() for frequency in own]
+    if not counts:
+        return
+    at_hz = max(counts, key=lambda frequency: (counts.count(frequency), -abs(frequency - FREQUENCY_HZ)))
+    rows: list[list[str | Cell]] = [
+        [
+            number(gap * 1e3, "g"), plus_minus(100.0 * one.added_mass, 100.0 * one.u_added_mass, ".3f"),
+            plus_minus(100.0 * one.loss_factor, 100.0 * one.u_loss_factor, ".3f"),
+        ]
+        for gap, own in found.items() if (one := own.get(at_hz)) is not None
+    ]  # fmt: skip
+    headings = ["gap (mm)", f"added mass at {at_hz:g} Hz (% of m_1)", "loss factor (%)"]
+    yield content.table("damper", headings, rows, range(3))
 
 
 def statements(done: Finished, content: Content) -> Iterator[str]:

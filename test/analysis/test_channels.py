@@ -1,6 +1,6 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""The analysis takes its channels by name: other channels may be there, in any order, and one may be missing."""
+"""The analysis takes its channels by name: others may be there, in any order, and one may not have been measured."""
 
 from __future__ import annotations
 
@@ -9,7 +9,9 @@ import pytest
 from kits.records import info_rows
 
 from impact_rig.analysis.calibration import Calibration
-from impact_rig.analysis.scans import CHANNELS, LASER, status_of
+from impact_rig.analysis.scans import ACCELEROMETER, BASE, CURRENT, LASER, status_of
+from impact_rig.analysis.tracker import Tracker
+from impact_rig.blocks import Table
 from impact_rig.columns import Column, row_type
 from impact_rig.errors import ConfigError
 
@@ -23,12 +25,20 @@ def test_status_bits_follow_the_names_not_the_places():
     assert status_of(rows).tolist() == [1 << LASER, 0, 0]
 
 
-def test_a_channel_more_or_less_is_no_matter_and_one_twice_is_named():
+def test_a_channel_more_is_no_matter_one_less_was_not_measured_and_none_or_one_twice_is_refused():
     rows = info_rows()
     more = np.concatenate([rows[:1], rows])
     more["name"][0] = b"force"
     assert Calibration.from_info(more).noise.tolist() == Calibration.from_info(rows).noise.tolist()
-    with pytest.raises(ConfigError, match=r"one row for each of .*laser"):
-        Calibration.from_info(np.concatenate([rows, rows[:1]]))
-    without = Calibration.from_info(rows[rows["name"] != b"accelerometer"])
-    assert without.present.tolist() == [name != "accelerometer" for name in CHANNELS]
+    assert Calibration.from_info(rows[rows["name"] != b"laser"]).present.tolist() == [True, False, True, True]
+    for wrong in (rows[:0], more[:1], np.concatenate([rows, rows])):
+        with pytest.raises(ConfigError, match=r"one row for each of .*laser"):
+            Calibration.from_info(wrong)
+
+
+def test_a_scan_without_a_channel_that_the_calibration_has_is_refused_and_names_it():
+    rows = np.zeros(4, row_type([Column(name, "-", "") for name in ("time", "base", "current")]))
+    tracker = Tracker()
+    tracker.configure(Table(0, info_rows()[[ACCELEROMETER, LASER, BASE, CURRENT]]))
+    with pytest.raises(ConfigError, match="lacks the column accelerometer, laser, status"):
+        tracker.feed(Table(0, rows))
