@@ -22,7 +22,7 @@ from packaging.utils import canonicalize_name
 
 ROOT = Path(__file__).parents[1]
 REQUIREMENTS = ROOT / "requirements"
-EXTRAS = {"argcomplete", "distributed", "pytest"}
+EXTRAS = {"argcomplete", "distributed", "pint", "pytest"}
 """What the package imports only for who has the extra, which is in the tests' part."""
 
 

@@ -22,7 +22,9 @@ from impact_rig import codec, topics
 from impact_rig.blocks import WAVEFORM, Table
 from impact_rig.client import Client
 from impact_rig.client.client import ros_parameters
+from impact_rig.client.hardware import over_topics
 from impact_rig.nodes.recorder_node import RecorderNode
+from impact_rig.operate.hardware import Hardware, InProcess
 from impact_rig.recording import Run
 from impact_rig.rig import Rig
 from impact_rig.runs.verification import verify
@@ -182,3 +184,13 @@ def test_of_two_controllers_the_last_counts_and_both_are_named(client):
     client.wait_until(lambda: len(scans) == 20, "the blocks")
     assert scans.tables()[-1].rows["current"].mean() == pytest.approx(0.3, abs=0.02)
     client.wait_until(lambda: "all send samples" in client.status("rig").message, "both named")
+
+
+def test_a_controllers_hardware_reads_over_topics_what_it_reads_in_process(client):
+    host_rig(client, "freewheel", time__peers=[client.name], **STREAM)
+    client.wait_active("rig")
+    over = over_topics(client).respond(WAVE[: RATE_HZ // 2], rest=RATE_HZ // 10)
+    alone = Hardware(InProcess(Rig(paper_rig(**STREAM)))).respond(WAVE[: RATE_HZ // 2], rest=RATE_HZ // 10)
+    assert len(over) == len(alone) > RATE_HZ // 2
+    assert np.array_equal(over["laser"], alone["laser"])
+    assert np.array_equal(over["current"], alone["current"])

@@ -83,6 +83,7 @@ def end(demo: subprocess.Popen[str]) -> None:
     demo.communicate()
 
 
+@pytest.mark.usefixtures("measured_programs")
 def test_the_demo_reproduces_the_paper_and_loses_nothing(tmp_path: Path) -> None:
     demo = start_demo(tmp_path / "demo")
     try:

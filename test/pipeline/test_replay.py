@@ -29,7 +29,7 @@ from impact_rig.nodes.rig_node import RigNode
 from impact_rig.recording import open_run
 from impact_rig.runs import reanalysis
 
-pytestmark = [pytest.mark.ros, pytest.mark.pipeline]
+pytestmark = [pytest.mark.ros, pytest.mark.pipeline, pytest.mark.usefixtures("measured_programs")]
 BLOCKS = 1600
 TICK_NS = 10_000_000
 
