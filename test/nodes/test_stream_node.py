@@ -147,6 +147,7 @@ def test_hostile_samples_are_refused_whole_counted_and_change_nothing(client):
     send(client, 10**12, WAVE[:10], rig.start_ns)
     send(client, 3, WAVE[:10], rig.start_ns + 40_000)
     client.wait_until(lambda: node.refusals.counts["shaker/waveform"] == 6, "six refusals")
+    client.wait_until(lambda: rig.stream.played > 10, "the rig to be beyond ten samples")
     send(client, 0, WAVE[:10], rig.start_ns)
     client.wait_until(lambda: rig.stream_state().rows["late"][0] == 10, "ten late samples")
     assert rig.stream_state().rows["refused"][0] == 6
