@@ -92,7 +92,7 @@ def amplitude_m(gap_m: float) -> float:
     cycles = int((END_S - LATE_S) * FREQUENCY_HZ)
     n = cycles * 2000
     t = END_S - (cycles / FREQUENCY_HZ) * (1.0 - np.arange(n) / n)
-    x = motion.quantity("x_1", np.full(n, motion.first_segment), t)
+    x = motion.quantity("x_1", np.full(n, motion.first_tick), t)
     return float(2.0 * abs(np.mean(x * np.exp(-2j * math.pi * FREQUENCY_HZ * t))))
 
 
@@ -162,7 +162,7 @@ def costs() -> dict[str, float]:
     motion = simulation.advance(second)
     for rate_hz in (1_000, 10_000, 50_000):
         per_tick = rate_hz // 100
-        which = np.repeat(np.arange(motion.first_segment, motion.last_segment + 1), per_tick)
+        which = np.repeat(np.arange(motion.first_tick, motion.last_tick + 1), per_tick)
         offsets = np.tile(np.arange(per_tick) / rate_hz, len(second))
         wall = statistics.median(_clock(lambda: motion.quantities(("x_1", "x_b"), which, offsets)) for _ in range(9))  # noqa: B023  # called at once
         figures[f"sampling_ns_per_sample_{rate_hz // 1000}kSps"] = 1e9 * wall / rate_hz

@@ -184,7 +184,7 @@ def measured(case: Case, seed: int, found: tuple[Motion, ...]) -> tuple[list[Tab
     command["frequency"], command["current"] = case.frequency_hz, case.amplitude
     tracker.on_applied(Table(0, command))
     for number, (gap_m, motion) in enumerate(zip(case.gaps_m, found, strict=True)):
-        chain.acquire(motion, motion.first_segment, len(motion.segments))
+        chain.acquire(motion, motion.first_tick, len(motion.segments))
         tracker.label(gap_m, round(number * case.span_s * NS_PER_S))
     rows = list(tracker.feed(Table(0, chain.read(chain.ready))).measurements)
     return rows, Calibration.from_info(info)
@@ -196,7 +196,7 @@ def true_ratio(case: Case, stamp_ns: int, cycles: int) -> complex:
     last = round(stamp_ns * RATE_HZ / NS_PER_S)
     scans = np.arange(last + 1 - round(cycles * RATE_HZ / case.frequency_hz), last + 1)
     motion = motions(case)[scans[0] // (round(case.span_s * TICKS_PER_S) * PER_TICK)]
-    segment = scans // PER_TICK + motions(case)[0].first_segment
+    segment = scans // PER_TICK + motions(case)[0].first_tick
     x_1, x_b = motion.quantities(("x_1", "x_b"), segment, scans % PER_TICK / RATE_HZ)
     angle = 2.0 * np.pi * case.frequency_hz / RATE_HZ * np.outer(np.arange(1, HARMONICS + 1), scans)
     basis = np.concatenate([np.ones((1, len(scans))), np.cos(angle), np.sin(angle)])
@@ -218,7 +218,7 @@ def long_run_ratio(case: Case) -> complex:
     chunk = round(CHUNK_S * TICKS_PER_S)
     for _ in range(round(LONG_S / CHUNK_S)):
         motion = simulation.advance(drive.segments(chunk))
-        number = np.repeat(np.arange(motion.first_segment, motion.last_segment + 1), PER_CYCLE)
+        number = np.repeat(np.arange(motion.first_tick, motion.last_tick + 1), PER_CYCLE)
         offset = np.tile(np.arange(PER_CYCLE) / PER_CYCLE / TICKS_PER_S, chunk)
         turn = np.exp(-2j * np.pi * case.frequency_hz * (number / TICKS_PER_S + offset))
         total += motion.quantities(("x_1", "x_b"), number, offset) @ turn

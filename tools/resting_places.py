@@ -64,7 +64,7 @@ def driven(config: RigConfig, frequency_hz: float, *spans_s: float) -> list[Moti
 def strikes(motions: list[Motion]) -> tuple[Array, Array]:
     """Return instants [s] and approach speeds [m/s] of the impacts."""
     impacts = np.concatenate([motion.impacts for motion in motions])
-    return impacts["segment"] / TICKS_PER_S + impacts["offset"], impacts["approach_speed"]
+    return impacts["tick"] / TICKS_PER_S + impacts["offset"], impacts["approach_speed"]
 
 
 def ends_of_rest(config: RigConfig, frequency_hz: float, motion: Motion, settings: TrackerSettings) -> list[float]:
@@ -75,7 +75,7 @@ def ends_of_rest(config: RigConfig, frequency_hz: float, motion: Motion, setting
     command["frequency"], command["current"] = frequency_hz, CURRENT_A
     tracker.on_applied(Table(0, command))
     tracker.label(config.barriers.gap_m, 0)
-    chain.acquire(motion, motion.first_segment, len(motion.segments))
+    chain.acquire(motion, motion.first_tick, len(motion.segments))
     return [
         table.stamp_ns / NS_PER_S
         for table in tracker.feed(Table(0, chain.read(chain.ready))).measurements

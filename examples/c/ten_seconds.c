@@ -31,6 +31,6 @@ int main(int count, char **words)
         parameters, 1, systems, 2, table, 1, one, at_stages, segments, SEGMENTS, ticks, SEGMENTS, 0, states, 2, flight, 1, step, 1,
         ledger, 1, filled, 1, knots, KNOTS, impacts, IMPACTS, first, SEGMENTS + 1, 0, result);
     printf("%d %lld %lld %a\n", (int)status, (long long)result[0], (long long)filled->impacts, states[0].y[0]);
-    for (int64_t i = 0; i < filled->impacts; i++) printf("%lld %a %a\n", (long long)impacts[i].segment, impacts[i].offset, impacts[i].impulse);
+    for (int64_t i = 0; i < filled->impacts; i++) printf("%lld %a %a\n", (long long)impacts[i].tick, impacts[i].offset, impacts[i].impulse);
     return status;
 }

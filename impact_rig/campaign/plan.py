@@ -20,13 +20,13 @@ from impact_rig.campaign import axes
 from impact_rig.campaign.axes import NO_SPHERE
 from impact_rig.campaign.job import Job
 from impact_rig.campaign.paper import CURRENT_A
-from impact_rig.config.tree import MAX_FILE_BYTES, Value, flatten
+from impact_rig.campaign.tasks import load_plan
+from impact_rig.config.tree import Value, flatten
 from impact_rig.errors import ConfigError
 from impact_rig.operate.plan import Direction
 from impact_rig.physics.contact import LAWS
 from impact_rig.rig.config import RigConfig, from_flat, load, to_flat
-from impact_rig.system import budget, files
-from impact_rig.system.budget import BudgetError
+from impact_rig.system import budget
 
 RESET = "reset"
 """The direction of a study whose points each begin with a reset rig."""
@@ -169,24 +169,16 @@ def load_campaign(
         ConfigError: the file cannot be read or is wrong; the message names key, value, range and file.
         BudgetError: it asks for too many points.
     """
-    try:
-        text = str(files.read_bytes(path, MAX_FILE_BYTES), "utf-8")
-        document = budget.load_yaml(text, MAX_FILE_BYTES)
-    except OSError as error:
-        raise ConfigError(f"cannot read campaign: {error.strerror} ({path})") from error
-    except ValueError as error:  # PlainYamlError, or it is not UTF-8
-        raise ConfigError(f"not a YAML file: {' '.join(str(error).split())} ({path})") from error
-    try:
+
+    def read(document: object, text: str) -> Campaign:
         top = axes.mapping("a campaign", document)
         base = resolved or from_flat(_base(top, path.parent), overrides or {})
         campaign = _read(top, base, text, path.stem)
         budget.allow("points in a campaign", sum(study.points for study in campaign.studies), budget.POINTS)
         campaign.planned()
-    except ConfigError as error:
-        raise ConfigError(f"{error} ({path})") from error
-    except BudgetError as error:
-        raise BudgetError(f"{error} ({path})") from error
-    return campaign
+        return campaign
+
+    return load_plan(path, "campaign", read)
 
 
 def _base(top: Mapping[str, object], folder: Path) -> RigConfig:

@@ -15,7 +15,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import platform
 import sys
@@ -144,27 +143,6 @@ def prepare(campaign: Campaign, directory: Path, through: str) -> Store:
     except OSError as error:
         raise RecordingError(f"cannot write {directory}: {error.strerror}") from error
     return store
-
-
-def measure(jobs: Sequence[Job], store: Store, runner: Runner) -> Generator[tuple[Job, Outcome], None, None]:
-    """Yield every job with its outcome as soon as it is stored: those stored already first, then the measured ones.
-
-    Raises:
-        RecordingError: a result cannot be stored.
-    """
-    missing = []
-    for job in jobs:
-        outcome = store.get(job)
-        if outcome is None:
-            missing.append(job)
-        else:
-            yield job, outcome
-    if not missing:
-        return
-    with contextlib.closing(runner(missing)) as measured:
-        for job, outcome in measured:
-            store.put(job, outcome)
-            yield job, outcome
 
 
 def finished(campaign: Campaign, directory: Path) -> Finished:

@@ -18,6 +18,7 @@ from impact_rig.campaign.plan import load_campaign
 from impact_rig.campaign.results import FILE_NAME
 from impact_rig.campaign.statements import Verdict
 from impact_rig.campaign.store import Store
+from impact_rig.campaign.tasks import measure
 from impact_rig.cli.terminal import Console, Steps, TextTable, Words, add_json, subcommand, tell_json, tell_program
 from impact_rig.errors import ConfigError
 from impact_rig.studies.margins import Variation, variations
@@ -159,7 +160,7 @@ def _measure(jobs: list[Job], store: Store, runner: run.Runner) -> None:
     )  # fmt: skip
     failed = 0
     bar = Progress(*columns, console=console, disable=not console.is_terminal)
-    with bar as progress, contextlib.closing(run.measure(jobs, store, runner)) as done:
+    with bar as progress, contextlib.closing(measure(jobs, store.get, store.put, runner)) as done:
         task = progress.add_task("runs", total=len(jobs), state="starting")
         for number, (job, outcome) in enumerate(done, 1):
             failed += bool(outcome.failure)

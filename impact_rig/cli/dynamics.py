@@ -13,8 +13,8 @@ import time
 from collections import Counter
 from pathlib import Path
 
-from impact_rig.campaign.units import Row, Store
-from impact_rig.cli import units
+from impact_rig.campaign.tasks import Row, Store
+from impact_rig.cli import tasks
 from impact_rig.cli.terminal import Console, TextTable, subcommand, tell_json, tell_program
 from impact_rig.studies.dynamics import plan as plans
 from impact_rig.studies.dynamics.plan import Plan, Task
@@ -42,13 +42,13 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
     )  # fmt: skip
     parser.add_argument("kind", choices=plans.KINDS, help="of study: a section of the file")
     parser.add_argument("file", nargs="?", type=Path, metavar="FILE", help="e.g. config/dynamics/nominal.yaml")
-    units.add_words(parser, "dynamics")
+    tasks.add_words(parser, "dynamics")
     parser.set_defaults(run=_run)
 
 
 def _run(arguments: argparse.Namespace) -> int:
     kind = arguments.kind
-    file, directory, runner = units.words(
+    file, directory, runner = tasks.words(
         arguments, plans.run, "dynamics", f"dynamics {kind} config/dynamics/nominal.yaml"
     )
     plan = plans.load(file, kind)
@@ -56,7 +56,7 @@ def _run(arguments: argparse.Namespace) -> int:
     store.prepare(plan.text, plan.base)
     console = Console(quiet=arguments.json)
     began = time.monotonic()
-    measured = units.measure(plan.tasks, store, runner, console, lambda _: 1)
+    measured = tasks.measure(plan.tasks, store, runner, console, lambda _: 1)
     wall_s = time.monotonic() - began
     found = [(task, store.get(task) or []) for task in plan.tasks]
     rows = [row for _, each in found for row in each]
@@ -69,7 +69,7 @@ def _run(arguments: argparse.Namespace) -> int:
     if not arguments.no_figures:
         from impact_rig.studies.dynamics.figures import drawn  # noqa: PLC0415  # matplotlib
 
-        drawn(plan, found).save(units.figures_folder(directory))
+        drawn(plan, found).save(tasks.figures_folder(directory))
     _show(console, plan, rows)
     console.print(f"{len(rows)} rows on the mechanics; {kind}.csv, {kind}.json")
     if arguments.json:

@@ -8,7 +8,7 @@ import argparse
 import time
 from pathlib import Path
 
-from impact_rig.cli import units
+from impact_rig.cli import tasks
 from impact_rig.cli.terminal import Console, TextTable, subcommand, tell_json, tell_program
 from impact_rig.maps import optimum, run
 from impact_rig.maps.plan import load_map, measure_line
@@ -26,18 +26,18 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
     parser.add_argument(
         "file", nargs="?", type=Path, metavar="FILE", help="map file, e.g. config/maps/gap_frequency.yaml"
     )
-    units.add_words(parser, "map")
+    tasks.add_words(parser, "map")
     parser.set_defaults(run=_run)
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    file, directory, runner = units.words(arguments, measure_line, "map", "map config/maps/gap_frequency.yaml")
+    file, directory, runner = tasks.words(arguments, measure_line, "map", "map config/maps/gap_frequency.yaml")
     plan = load_map(file, arguments.workers)
     store = run.store(directory)
     store.prepare(plan.text, plan.base)
     console = Console(quiet=arguments.json)
     began = time.monotonic()
-    measured = units.measure(plan.lines(), store, runner, console, lambda line: len(line.values))
+    measured = tasks.measure(plan.lines(), store, runner, console, lambda line: len(line.values))
     wall_s = time.monotonic() - began
     done = run.finished(plan, directory)
     more: dict[str, object] = {"wall_s": wall_s, "measured_points": measured}
@@ -49,7 +49,7 @@ def _run(arguments: argparse.Namespace) -> int:
     if not arguments.no_figures:
         from impact_rig.report.heat_map import heat_maps  # noqa: PLC0415  # matplotlib
 
-        folder = units.figures_folder(directory)
+        folder = tasks.figures_folder(directory)
         for drawn in heat_maps(done):
             drawn.save(folder)
     console.print(f"{plan.points} points on the mechanics, {measured} of them now; {run.CSV_FILE}, {run.JSON_FILE}")

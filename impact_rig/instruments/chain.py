@@ -139,20 +139,20 @@ class Chain:
         for channel, sensor in zip(self._channels, self._sensors, strict=True):
             channel.change(sensor, config.instruments.adc, self._clock, config.instruments.ideal)
 
-    def acquire(self, motion: Motion, first_segment: int, segments: int, tick_s: float = COMMAND_GRID_S) -> None:
+    def acquire(self, motion: Motion, motion_tick: int, count: int, tick_s: float = COMMAND_GRID_S) -> None:
         """Convert every scan that falls into the next ticks.
 
         Args:
             motion: covers the ticks; every tick must come once, in order.
-            first_segment: the motion's number of the first tick.
-            segments: how many ticks.
+            motion_tick: the motion's number of the first tick.
+            count: of ticks.
             tick_s: duration of one tick in the motion's time [s]: 10 ms, scaled by the error of the scan clock.
         """
         rough = motion.breakpoints()
         blows = motion.impacts[motion.impacts["duration"] == 0.0]
-        for first in range(0, segments, _TICKS_AT_ONCE):
-            ticks = min(_TICKS_AT_ONCE, segments - first)
-            stretch = Stretch(motion, first_segment + first, self._tick, ticks, tick_s)
+        for first in range(0, count, _TICKS_AT_ONCE):
+            ticks = min(_TICKS_AT_ONCE, count - first)
+            stretch = Stretch(motion, motion_tick + first, self._tick, ticks, tick_s)
             if self._config.instruments.ideal:
                 self._acquire_directly(stretch)
             else:
@@ -253,9 +253,7 @@ class Chain:
 
     def _acquire(self, stretch: Stretch, rough: Instants, blows: NDArray[np.void]) -> None:
         longest = min(_LONGEST_PIECE_S, 1.0 / (PIECES_PER_PERIOD * self._config.shaker.frequency_max_hz))
-        pieces = cut(
-            rough, stretch.first_segment, stretch.ticks, Limits(stretch.tick_s, longest, _LONGEST_PULSE_PIECE_S)
-        )
+        pieces = cut(rough, stretch.motion_tick, stretch.ticks, Limits(stretch.tick_s, longest, _LONGEST_PULSE_PIECE_S))
         nodes = pieces.nodes()
         values = stretch.motion.quantities(self._quantities, *nodes)
         kicks = [np.zeros(len(pieces.start))] * len(self._channels)
@@ -270,9 +268,9 @@ class Chain:
 
     def _acquire_directly(self, stretch: Stretch) -> None:
         # ideal instruments have no skew: all channels are converted at the same instants
-        ticks, first_segment, tick_s = stretch.ticks, stretch.first_segment, stretch.tick_s
+        ticks, motion_tick, tick_s = stretch.ticks, stretch.motion_tick, stretch.tick_s
         for channel in self._channels:
-            instants = channel.response.instants(ticks, first_segment, tick_s)
+            instants = channel.response.instants(ticks, motion_tick, tick_s)
         for channel, values in zip(self._channels, stretch.motion.quantities(self._quantities, *instants), strict=True):
             channel.convert(channel.read_directly(stretch, instants, values), self._faults)
 
@@ -283,7 +281,7 @@ class Chain:
 def _kicks(blows: NDArray[np.void], stretch: Stretch, pieces: Pieces, mass_kg: float) -> NDArray[np.float64]:
     """Return what instantaneous impacts add to the structure's velocity [m/s] at each piece's start, shape (n,)."""
     kicks = np.zeros(len(pieces.start))
-    tick = blows["segment"] - stretch.first_segment
+    tick = blows["tick"] - stretch.motion_tick
     for k, blow in zip(tick, blows, strict=True):
         if 0 <= k < stretch.ticks:
             low, high = pieces.first[k], pieces.first[k + 1]

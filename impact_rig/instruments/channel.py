@@ -23,7 +23,7 @@ from impact_rig.instruments.sensor import Adc, Sensor
 from impact_rig.kernels import INTEGERS, REALS, entry
 
 Instants = tuple[NDArray[np.int64], NDArray[np.float64]]
-"""(segment, offset into it [s]), shapes (n,)."""
+"""(tick, offset into it [s]), shapes (n,)."""
 
 
 @attrs.frozen(eq=False)
@@ -32,14 +32,14 @@ class Stretch:
 
     Attributes:
         motion: covers them.
-        first_segment: the motion's number of the first.
+        motion_tick: the motion's number of the first.
         first_tick: the chain's number of the first.
         ticks: how many.
         tick_s: duration of one [s].
     """
 
     motion: Motion
-    first_segment: int
+    motion_tick: int
     first_tick: int
     ticks: int
     tick_s: float
@@ -60,7 +60,7 @@ class Sine:
 
     def replace(self, values: NDArray[np.float64], stretch: Stretch, at: Instants) -> None:
         """Overwrite the values, shape (n,), at those instants that lie in the sine's ticks."""
-        tick = at[0] - stretch.first_segment + (stretch.first_tick - self.first_tick)
+        tick = at[0] - stretch.motion_tick + (stretch.first_tick - self.first_tick)
         _sine(tick, at[1], self.ticks, stretch.tick_s, TWO_PI * self.frequency_hz, self.amplitude, values)
 
 
@@ -177,7 +177,7 @@ class Channel:
             kicks: jump of the quantity's integral at the start of each piece, shape (pieces,).
         """
         if self._replace(stretch, nodes, values) and self.sine is not None:
-            tick = pieces.segment - stretch.first_segment + stretch.first_tick
+            tick = pieces.tick - stretch.motion_tick + stretch.first_tick
             kicks = np.where(self.sine.covers(tick), 0.0, kicks)
         return kicks
 

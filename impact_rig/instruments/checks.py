@@ -59,17 +59,17 @@ class _Rest:
     """A rig on which nothing moves."""
 
     impacts = np.zeros(
-        0, dtype=[("segment", "i8"), ("offset", "f8"), ("wall", "i1"), ("impulse", "f8"), ("duration", "f8")]
+        0, dtype=[("tick", "i8"), ("offset", "f8"), ("wall", "i1"), ("impulse", "f8"), ("duration", "f8")]
     )
 
     def quantities(
         self,
         names: tuple[str, ...],
-        segment: NDArray[np.int64],
+        tick: NDArray[np.int64],
         offset_s: NDArray[np.float64],  # noqa: ARG002 - the protocol's
     ) -> NDArray[np.float64]:
         """Return zeros."""
-        return np.zeros((len(names), len(segment)))
+        return np.zeros((len(names), len(tick)))
 
     def breakpoints(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
         """Return none."""

@@ -46,20 +46,20 @@ _X, _TO_MONOMIALS = _chebyshev()
 class Motion(Protocol):
     """What an instrument needs to see of a motion: `impact_rig.physics.Motion` has it, any analytic motion can.
 
-    Quantities of the rig are functions of (segment, offset within it); a segment is one 10 ms tick.
+    Quantities of the rig are functions of (tick, offset within it); a tick takes 10 ms.
     """
 
     @property
     def impacts(self) -> NDArray[np.void]:
-        """Contacts, with fields segment, offset [s], wall (-1 left, +1 right), impulse [N s] and duration [s]."""
+        """Contacts, with fields tick, offset [s], wall (-1 left, +1 right), impulse [N s] and duration [s]."""
 
     def quantities(
-        self, names: tuple[str, ...], segment: NDArray[np.int64], offset_s: NDArray[np.float64]
+        self, names: tuple[str, ...], tick: NDArray[np.int64], offset_s: NDArray[np.float64]
     ) -> NDArray[np.float64]:
         """Return some quantities (SI) at each instant, shape (names, n)."""
 
     def breakpoints(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """Return the instants (segment, offset [s]), in order, between which every quantity is smooth."""
+        """Return the instants (tick, offset [s]), in order, between which every quantity is smooth."""
 
 
 class Limits(NamedTuple):
@@ -81,7 +81,7 @@ class Pieces(NamedTuple):
         start: where each piece starts, shape (n,).
         end: where it ends, shape (n,).
         hard: whether the quantity may be rough at its end, shape (n,).
-        segment: segment of the piece's tick in the motion, shape (n,).
+        tick: the motion's number of the piece's tick, shape (n,).
         tick_s: duration of one tick.
     """
 
@@ -89,15 +89,15 @@ class Pieces(NamedTuple):
     start: NDArray[np.float64]
     end: NDArray[np.float64]
     hard: NDArray[np.bool_]
-    segment: NDArray[np.int64]
+    tick: NDArray[np.int64]
     tick_s: float
 
     def nodes(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """Return the nodes of all pieces as (segment, offset [s]), shape (n · NODES,)."""
+        """Return the nodes of all pieces as (tick, offset [s]), shape (n · NODES,)."""
         count = len(self.start) * NODES
-        segment, offset = np.empty(count, np.int64), np.empty(count)
-        _nodes(self.start, self.end, self.segment, segment, offset)
-        return segment, offset
+        tick, offset = np.empty(count, np.int64), np.empty(count)
+        _nodes(self.start, self.end, self.tick, tick, offset)
+        return tick, offset
 
 
 PIECES = Fields(Pieces, (INTEGERS, REALS, REALS, FLAGS, INTEGERS, float))
@@ -123,40 +123,40 @@ def first_value(coefficients: NDArray[np.float64]) -> float:
     return value
 
 
-def cut(rough: tuple[NDArray[np.int64], NDArray[np.float64]], first_segment: int, ticks: int, limits: Limits) -> Pieces:
+def cut(rough: tuple[NDArray[np.int64], NDArray[np.float64]], motion_tick: int, ticks: int, limits: Limits) -> Pieces:
     """Cut ticks of a motion at its breakpoints.
 
     Args:
-        rough: the motion's breakpoints (segment, offset [s]), in order; those of other ticks do not matter.
-        first_segment: segment of the first tick.
+        rough: the motion's breakpoints (tick, offset [s]), in order; those of other ticks do not matter.
+        motion_tick: the motion's number of the first tick.
         ticks: how many.
         limits: flights are cut into equal parts of at most `longest_s`; neighbours between breakpoints are joined as
             long as they are together no longer than `joined_s`.
     """
-    segment, offset = rough
-    low, high = segment.searchsorted(first_segment), segment.searchsorted(first_segment + ticks)
+    tick, offset = rough
+    low, high = tick.searchsorted(motion_tick), tick.searchsorted(motion_tick + ticks)
     room = ticks * (math.ceil(limits.tick_s / limits.longest_s) + 1) + 2 * int(high - low)
     first = np.empty(ticks + 1, np.int64)
     start, end = np.empty(room), np.empty(room)
     hard, of = np.empty(room, np.bool_), np.empty(room, np.int64)
     pieces = Pieces(first, start, end, hard, of, limits.tick_s)
-    n = _cut(segment[low:high], offset[low:high], first_segment, limits, pieces)
+    n = _cut(tick[low:high], offset[low:high], motion_tick, limits, pieces)
     return Pieces(first, start[:n], end[:n], hard[:n], of[:n], limits.tick_s)
 
 
 @entry(INTEGERS, REALS, int, LIMITS, PIECES, returns=int)
-def _cut(segment, offset, first_segment, limits, pieces):  # type: ignore[no-untyped-def]  # compiled: types are inferred
+def _cut(tick, offset, motion_tick, limits, pieces):  # type: ignore[no-untyped-def]  # compiled: types are inferred
     """Fill `pieces`, which has room; return how many there are."""
     tick_s, longest_s = limits.tick_s, limits.longest_s
-    first, start, end, hard, of = pieces.first, pieces.start, pieces.end, pieces.hard, pieces.segment
+    first, start, end, hard, of = pieces.first, pieces.start, pieces.end, pieces.hard, pieces.tick
     ticks = first.shape[0] - 1
     n, b = 0, 0
     for k in range(ticks):
         first[k] = n
-        while b < segment.shape[0] and segment[b] < first_segment + k:
+        while b < tick.shape[0] and tick[b] < motion_tick + k:
             b += 1
         behind = b
-        while behind < segment.shape[0] and segment[behind] == first_segment + k:
+        while behind < tick.shape[0] and tick[behind] == motion_tick + k:
             behind += 1
         since = 0.0
         while since < tick_s:
@@ -166,7 +166,7 @@ def _cut(segment, offset, first_segment, limits, pieces):  # type: ignore[no-unt
                 start[n] = since + (until - since) * (i / parts)
                 end[n] = until if i == parts - 1 else since + (until - since) * ((i + 1) / parts)
                 hard[n] = i == parts - 1
-                of[n] = first_segment + k
+                of[n] = motion_tick + k
                 n += 1
             since = until
     first[ticks] = n
@@ -191,11 +191,11 @@ def _next_break(offset, b, behind, since, limits):  # type: ignore[no-untyped-de
 
 
 @entry(REALS, REALS, INTEGERS, INTEGERS, REALS)
-def _nodes(start, end, segment, segments, offsets):  # type: ignore[no-untyped-def]
+def _nodes(start, end, tick, ticks, offsets):  # type: ignore[no-untyped-def]
     for i in range(start.shape[0]):
         centre, half = 0.5 * (start[i] + end[i]), 0.5 * (end[i] - start[i])
         for j in range(NODES):
-            segments[i * NODES + j] = segment[i]
+            ticks[i * NODES + j] = tick[i]
             offsets[i * NODES + j] = centre + half * _X[j]
 
 

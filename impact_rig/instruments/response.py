@@ -202,12 +202,12 @@ class Response:
         self.converted += count
         return out[:count]
 
-    def instants(self, ticks: int, first_segment: int, tick_s: float) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """Return the next conversions themselves as (segment, offset [s]): for instruments without dynamics."""
-        segment, offset = np.empty(ticks * self._most, np.int64), np.empty(ticks * self._most)
-        count = instants(self._clock, self._cursor, ticks, tick_s, segment, offset)
+    def instants(self, ticks: int, motion_tick: int, tick_s: float) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """Return the next conversions themselves as (tick, offset [s]): for instruments without dynamics."""
+        at_tick, offset = np.empty(ticks * self._most, np.int64), np.empty(ticks * self._most)
+        count = instants(self._clock, self._cursor, ticks, tick_s, at_tick, offset)
         self.converted += count
-        return segment[:count] + first_segment, offset[:count]
+        return at_tick[:count] + motion_tick, offset[:count]
 
     def _set(self, modes: Modes, clock: ScanClock) -> None:
         self.modes = modes
@@ -413,14 +413,14 @@ def _count(clock, at, steps):  # type: ignore[no-untyped-def]
 
 
 @entry(CLOCK, CURSOR, int, float, INTEGERS, REALS, returns=int)
-def instants(clock, cursor, ticks, tick_s, segment, offset):  # type: ignore[no-untyped-def]
+def instants(clock, cursor, ticks, tick_s, at_tick, offset):  # type: ignore[no-untyped-def]
     """Fill in when the next conversions come: tick and offset into it [s]; return how many."""
     at = cursor[0]
     count = 0
     for tick in range(ticks):
         while at.due < clock.tick:
             if at.substep == 0:
-                segment[count] = tick
+                at_tick[count] = tick
                 offset[count] = max(0.0, tick_s * (at.due / clock.tick))
                 count += 1
             at.substep = at.substep + 1 if at.substep + 1 < clock.substeps else 0

@@ -182,7 +182,6 @@ REQUESTS: Mapping[str, Mapping[str, Check]] = {
     "align": {"value": number(-1e9, 1e9), "by": word("start", "time", "change")},
 }
 """What can be asked: name -> values with their checks; all of them must be there. `rig` may be there as well."""
-UNANSWERED = frozenset({"ack", "view"})
 
 
 def parse(raw: str | bytes) -> Request:

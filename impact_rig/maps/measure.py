@@ -209,13 +209,13 @@ class MapRig:
     def _run(self, frequency_hz: float, amplitude: float, cycles: int) -> _Record:
         """Advance by whole cycles."""
         motion, period = self.advance(frequency_hz, amplitude, cycles), 1.0 / frequency_hz
-        number = np.repeat(np.arange(motion.first_segment, motion.last_segment + 1), PER_CYCLE)
+        number = np.repeat(np.arange(motion.first_tick, motion.last_tick + 1), PER_CYCLE)
         offset = np.tile(_ANGLE / (2.0 * np.pi) * period, cycles)
         x_b, x_1 = motion.quantities(("x_b", "x_1"), number, offset).reshape(2, cycles, PER_CYCLE)
-        end = np.array([motion.last_segment]), np.array([period])
+        end = np.array([motion.last_tick]), np.array([period])
         self._sphere = tuple(motion.quantities(("x_2", "v_2"), *end)[:, 0].tolist())
         hits = motion.impacts
-        place = np.maximum(hits["segment"] - motion.first_segment, 0)  # one that began before is told of now
+        place = np.maximum(hits["tick"] - motion.first_tick, 0)  # one that began before is told of now
         return _Record(
             (x_b * _TURN).sum(axis=1), (x_1 * _TURN).sum(axis=1), place, hits["offset"] / period, hits["approach_speed"]
         )

@@ -21,7 +21,7 @@ import attrs
 from impact_rig.campaign import axes
 from impact_rig.campaign.paper import CURRENT_A, FREQUENCY_HZ
 from impact_rig.campaign.plan import STARTS
-from impact_rig.campaign.units import Row, load_plan
+from impact_rig.campaign.tasks import Row, load_plan
 from impact_rig.config.tree import Value, flatten
 from impact_rig.errors import ConfigError
 from impact_rig.maps.measure import FAILED, MapRig, Reading, Settings

@@ -1,6 +1,6 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""A map's directory: what `campaign.units.Store` keeps in it, and its results.
+"""A map's directory: what `campaign.tasks.Store` keeps in it, and its results.
 
 | file | content |
 |---|---|
@@ -22,7 +22,7 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_rig.campaign.units import Store
+from impact_rig.campaign.tasks import Store
 from impact_rig.maps.measure import Reading
 from impact_rig.maps.plan import DOWN, Line, MapPlan, load_map
 from impact_rig.system import files

@@ -184,7 +184,7 @@ def _touch(p, s, side, ledger):  # type: ignore[no-untyped-def]
 def _note(work, s, separation, indentation):  # type: ignore[no-untyped-def]
     """Append the contact of s as an impact."""
     row = work.impacts[work.filled[0].impacts]
-    row.segment, row.offset, row.wall = s.begin_segment, s.begin_t, int(s.side)
+    row.tick, row.offset, row.wall = s.begin_tick, s.begin_t, int(s.side)
     row.approach_speed, row.separation_speed = s.approach, separation
     row.peak_force, row.peak_indentation = s.peak_force, indentation
     row.impulse, row.duration, row.energy_lost = s.impulse, s.elapsed, s.lost
@@ -335,14 +335,14 @@ def _change_phase(model, f, work, tick, ended):  # type: ignore[no-untyped-def]
     elif s.phase == ATTACHED:
         _part(p, s, s.slide, ledger)
     elif ended == TOUCHED and not p.rigid:
-        s.begin_segment, s.begin_t = tick, f.begin + s.t
+        s.begin_tick, s.begin_t = tick, f.begin + s.t
         _touch(p, s, s.side, ledger)
     else:
         system = model.systems[LOOSE]
         evaluate(system, f, flight, s.t, 0)
         pull = (p.m_1 * flight.a - flight.friction_force) * p.per_m_pair  # acceleration of both, were they held
         if ended == TOUCHED:
-            s.begin_segment, s.begin_t = tick, f.begin + s.t
+            s.begin_tick, s.begin_t = tick, f.begin + s.t
             _bounce(p, s, s.side, pull, rounding(p, system, flight, s.t), work)
         elif abs(pull) <= p.friction:
             s.y[V1] += p.share * s.d_rate

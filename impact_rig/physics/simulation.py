@@ -57,13 +57,13 @@ def _places(names: tuple[str, ...]) -> NDArray[np.int64]:
 
 
 class Motion:
-    """The trajectory of consecutive ticks, numbered from `first_segment`: drive segments, where a tick has no more.
+    """The trajectory of consecutive ticks, numbered from `first_tick`: drive segments, where a tick has no more.
 
     Times are (tick, offset into the tick): no value depends on how the run was cut into advances. Motions that
     are asked in turn may share a `work`, their scratch memory.
 
     Attributes:
-        first_segment: number of the first tick, counted since the reset.
+        first_tick: number of the first tick, counted since the reset.
         segments: the drive, shape (n,), dtype `flight.SEGMENT`.
         ticks: row of each tick's first segment, and the number of segments.
         impacts: contacts that ended in this motion, dtype `IMPACT`; a contact may have begun in an earlier one.
@@ -72,7 +72,7 @@ class Motion:
     def __init__(
         self,
         model: Model,
-        first_segment: int,
+        first_tick: int,
         segments: NDArray[np.void],
         ticks: NDArray[np.int64],
         knots: NDArray[np.void],
@@ -80,68 +80,67 @@ class Motion:
         impacts: NDArray[np.void],
         work: SamplingWorkspace | None = None,
     ) -> None:
-        self.first_segment = first_segment
+        self.first_tick = first_tick
         self.segments, self.ticks = segments, ticks
         self.impacts = impacts
         self._model = model
-        self._trajectory = Trajectory(segments, first_segment, ticks, knots, first)
+        self._trajectory = Trajectory(segments, first_tick, ticks, knots, first)
         self._sampling = work or new_sampling_workspace()
 
     @property
-    def last_segment(self) -> int:
+    def last_tick(self) -> int:
         """Number of the last tick, inclusive."""
-        return self.first_segment + len(self.ticks) - 2
+        return self.first_tick + len(self.ticks) - 2
 
-    def sample(self, segment: NDArray[np.int64], offset_s: NDArray[np.float64]) -> NDArray[np.void]:
+    def sample(self, tick: NDArray[np.int64], offset_s: NDArray[np.float64]) -> NDArray[np.void]:
         """Return all quantities (dtype `SAMPLE`, SI) at the instants, in their shape; fastest when in order."""
-        found = np.moveaxis(self.quantities(QUANTITIES, segment, offset_s), 0, -1)
+        found = np.moveaxis(self.quantities(QUANTITIES, tick, offset_s), 0, -1)
         rows: NDArray[np.void] = np.ascontiguousarray(found).view(SAMPLE)[..., 0]
         return rows
 
-    def quantity(self, name: str, segment: NDArray[np.int64], offset_s: NDArray[np.float64]) -> NDArray[np.float64]:
+    def quantity(self, name: str, tick: NDArray[np.int64], offset_s: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return one quantity of `SAMPLE` at the given instants, in their shape."""
-        column: NDArray[np.float64] = self.quantities((name,), segment, offset_s)[0]
+        column: NDArray[np.float64] = self.quantities((name,), tick, offset_s)[0]
         return column
 
     def quantities(
-        self, names: tuple[str, ...], segment: NDArray[np.int64], offset_s: NDArray[np.float64]
+        self, names: tuple[str, ...], tick: NDArray[np.int64], offset_s: NDArray[np.float64]
     ) -> NDArray[np.float64]:
         """Return some quantities of `SAMPLE` at the given instants, shape (names, *instants): cheaper than one by one.
 
         Raises:
-            ValueError: an instant is in none of the segments, or the shapes differ.
+            ValueError: an instant is in none of the ticks, or the shapes differ.
         """
-        segment = np.ascontiguousarray(segment, np.int64)
+        tick = np.ascontiguousarray(tick, np.int64)
         offset_s = np.ascontiguousarray(offset_s, np.float64)
-        if segment.shape != offset_s.shape:
-            raise ValueError(f"segment and offset must have one shape, got {segment.shape} and {offset_s.shape}")
-        out = np.empty((len(names), segment.size))
-        query = Query(_places(names), segment.reshape(-1), offset_s.reshape(-1), out)
+        if tick.shape != offset_s.shape:
+            raise ValueError(f"tick and offset must have one shape, got {tick.shape} and {offset_s.shape}")
+        out = np.empty((len(names), tick.size))
+        query = Query(_places(names), tick.reshape(-1), offset_s.reshape(-1), out)
         if not sample(self._model, self._trajectory, query, self._sampling):
             raise ValueError(
-                f"this motion holds segments {self.first_segment} to {self.last_segment}, "
-                f"got {segment.min()} to {segment.max()}"
+                f"this motion holds ticks {self.first_tick} to {self.last_tick}, got {tick.min()} to {tick.max()}"
             )
-        return out.reshape(len(names), *segment.shape)
+        return out.reshape(len(names), *tick.shape)
 
     def breakpoints(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """Return (segment, offset) of the instants between which every quantity is smooth, in order.
+        """Return (tick, offset) of the instants between which every quantity is smooth, in order.
 
         These are the segments' starts, the contacts' starts and ends, and the integration steps inside contacts.
         """
-        segment, offset, _ = self._refined()
-        return segment, offset
+        tick, offset, _ = self._refined()
+        return tick, offset
 
     def in_contact(self) -> NDArray[np.bool_]:
         """Return for every breakpoint whether the sphere touches a wall, or is held, from there on."""
         return self._refined()[2]
 
     def _refined(self) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.bool_]]:
-        """Return (segment, offset, whether touching) of the knots and of places inside contacts taken as a whole."""
+        """Return (tick, offset, whether touching) of the knots and of places inside contacts taken as a whole."""
         room = PARTS * len(self._trajectory.knots)
-        segment, offset, touching = np.empty(room, np.int64), np.empty(room), np.empty(room, np.bool_)
-        count = refine(self._trajectory, segment, offset, touching)
-        return segment[:count], offset[:count], touching[:count]
+        tick, offset, touching = np.empty(room, np.int64), np.empty(room), np.empty(room, np.bool_)
+        count = refine(self._trajectory, tick, offset, touching)
+        return tick[:count], offset[:count], touching[:count]
 
 
 MOST_KNOTS = 200_000
@@ -182,7 +181,7 @@ class Simulation:
         account: whether to keep the energy account (flights then cost about twice as much).
 
     Attributes:
-        segment: number of the next drive segment, counted since the reset.
+        tick: number of the next tick, counted since the reset.
     """
 
     def __init__(
@@ -216,7 +215,7 @@ class Simulation:
         self._model = model or build(self._config, self._rtol)
         self.locked = False
         self._begin(np.zeros(STRUCTURE))
-        self.segment = 0
+        self.tick = 0
 
     def configure(self, config: Setup, model: Model | None = None) -> None:
         """Go on with another configuration: the structure keeps its motion, the sphere rests at its start again.
@@ -284,7 +283,7 @@ class Simulation:
             self._stored = self.stored_energy()
 
     def advance(self, segments: NDArray[np.void]) -> Motion:
-        """Simulate the drive segments (dtype `forcing.SEGMENT`), the first of which begins a tick; return their motion.
+        """Simulate the drive segments (dtype `flight.SEGMENT`), the first of which begins a tick; return their motion.
 
         Raises:
             SimulationError: the integration makes no progress, or needs more than `MOST_KNOTS` steps in a segment.
@@ -294,7 +293,7 @@ class Simulation:
             segments = segments.copy()
             segments["amplitude"] = segments["slope"] = 0.0
         rows = np.append(np.flatnonzero(segments["begin"] == 0.0), len(segments))
-        ticks = np.repeat(np.arange(self.segment, self.segment + len(rows) - 1), np.diff(rows))
+        ticks = np.repeat(np.arange(self.tick, self.tick + len(rows) - 1), np.diff(rows))
         segments = for_kernels(segments)
         work = self._work._replace(first=np.zeros(len(segments) + 1, np.int64))
         filled = work.filled[0]
@@ -304,24 +303,24 @@ class Simulation:
             ended, index = run(self._model, segments, ticks, index, work, self._account)
             if ended == STUCK:
                 raise SimulationError(
-                    f"no progress in drive segment {ticks[index]} at {work.states[0]['t']:.9f} s of it, "
+                    f"no progress in tick {ticks[index]} {work.states[0]['t']:.9f} s into a segment of it, "
                     f"phase {work.states[0]['phase']}"
                 )
             if ended != NEED_ROOM:
                 break
             if filled["knots"] - work.first[index] > MOST_KNOTS:
                 raise SimulationError(
-                    f"more than {MOST_KNOTS} contacts, rides and flights in drive segment {ticks[index]}, "
-                    f"at {work.states[0]['t']:.9f} s of it: the motion cannot be resolved"
+                    f"more than {MOST_KNOTS} contacts, rides and flights in tick {ticks[index]}, "
+                    f"{work.states[0]['t']:.9f} s into a segment of it: the motion cannot be resolved"
                 )
             work = self._work = _grown(work)
         knots, impacts = int(filled["knots"]), int(filled["impacts"])
         work.first[-1] = knots
         motion = Motion(
-            self._model, self.segment, segments, rows, work.knots[:knots].copy(), work.first,
+            self._model, self.tick, segments, rows, work.knots[:knots].copy(), work.first,
             work.impacts[:impacts].copy().view(np.ndarray), self._sampling,
         )  # fmt: skip
-        self.segment += len(rows) - 1
+        self.tick += len(rows) - 1
         return motion
 
     def copy(self) -> Simulation:

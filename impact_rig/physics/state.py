@@ -54,7 +54,7 @@ STATE = np.dtype(
         ("released", "f8"),  # indentation at which a wall let the sphere go, until it is out of there [m]
         ("released_side", "f8"),  # which wall that is
         ("next_h", "f8"),  # contact: what the step control proposes [s/m^0.5]
-        ("begin_segment", "i8"),  # contact: where it began …
+        ("begin_tick", "i8"),  # contact: where it began …
         ("begin_t", "f8"),  # [s]
         ("approach", "f8"),  # … how fast [m/s], and what it has done so far:
         ("elapsed", "f8"),  # [s]
@@ -70,7 +70,7 @@ LEDGER = np.dtype([(name, "f8") for name in ("work", "columns", "shaker", "conta
 """Energies since the reset [J]: work of the drive, losses by place."""
 
 IMPACT_COLUMNS = (
-    "segment",
+    "tick",
     "offset",
     "wall",
     "approach_speed",
@@ -81,8 +81,8 @@ IMPACT_COLUMNS = (
     "duration",
     "energy_lost",
 )
-IMPACT = np.dtype([(name, "i8" if name == "segment" else "i1" if name == "wall" else "f8") for name in IMPACT_COLUMNS])
-"""One row per finished contact: `segment` and `offset` [s] of its start; see `blocks.IMPACTS` for the rest."""
+IMPACT = np.dtype([(name, "i8" if name == "tick" else "i1" if name == "wall" else "f8") for name in IMPACT_COLUMNS])
+"""One row per finished contact: `tick` and `offset` [s] of its start; see `blocks.IMPACTS` for the rest."""
 
 LOG = np.dtype([("knots", "i8"), ("impacts", "i8")])
 """How many rows of each are filled."""

@@ -71,9 +71,9 @@ class Interlock:
         """Return the first trip in simulated ticks, or None; remembers the current up to there."""
         if drive.kind == "prescribed":
             return None
-        ticks = motion.last_segment - motion.first_segment + 1
+        ticks = motion.last_tick - motion.first_tick + 1
         after, offset = _instants(ticks, tick_s)
-        seen = motion.quantities(("x_b", "v_b", "current"), motion.first_segment + after, offset)
+        seen = motion.quantities(("x_b", "v_b", "current"), motion.first_tick + after, offset)
         travel, velocity, current = seen.reshape(3, ticks, LOOKS_PER_TICK + 1)
         worst, square = np.empty(ticks), np.empty(ticks)
         largest(travel, velocity, tick_s / LOOKS_PER_TICK, worst)

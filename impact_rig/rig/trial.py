@@ -51,7 +51,7 @@ def tried(config: RigConfig) -> Model:
         trial, drive = Simulation(config, model=model), FunctionGenerator(sine, config.shaker, Random(0))
         drive.set_amplitude(1.0)
         motion = trial.advance(drive.segments(TRIAL_TICKS))
-        last = motion.sample(np.array([motion.last_segment]), np.array([COMMAND_GRID_S]))
+        last = motion.sample(np.array([motion.last_tick]), np.array([COMMAND_GRID_S]))
     except (ArithmeticError, ValueError, SimulationError) as error:
         if isinstance(error, ConfigError):
             raise

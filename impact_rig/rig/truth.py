@@ -62,9 +62,7 @@ class Truth:
 
     def _take_states(self, motion: Motion, tick_s: float) -> None:
         step = self._step
-        first, end = (
-            -(-tick * self._rate_hz // TICKS_PER_S) for tick in (motion.first_segment, motion.last_segment + 1)
-        )
+        first, end = (-(-tick * self._rate_hz // TICKS_PER_S) for tick in (motion.first_tick, motion.last_tick + 1))
         scans = np.arange(-(-first // step) * step, end, step, dtype=np.int64)
         if len(scans) == 0:
             return
@@ -82,7 +80,7 @@ class Truth:
         for name in _IMPACT_COLUMNS:
             rows[name] = found[name]
         stretch = COMMAND_GRID_S / tick_s
-        rows["time"] = found["segment"] * COMMAND_GRID_S + found["offset"] * stretch
+        rows["time"] = found["tick"] * COMMAND_GRID_S + found["offset"] * stretch
         self._impacts.append(rows)
         self._ends.append(rows["time"] + found["duration"] * stretch)
         self._first_end_s = min(self._first_end_s, float(self._ends[-1].min()))

@@ -20,6 +20,7 @@ from kits.campaign import TINY, assert_same
 from impact_rig.campaign import run
 from impact_rig.campaign.plan import load_campaign
 from impact_rig.campaign.store import Store
+from impact_rig.campaign.tasks import measure
 from impact_rig.cli import main
 from impact_rig.errors import RecordingError
 
@@ -44,13 +45,13 @@ def test_a_stopped_campaign_goes_on_without_repeating_anything(tiny, measured, t
         return ((job, measured[job.key][1]) for job in jobs)
 
     jobs, store = run.unique_jobs(tiny.planned()), run.prepare(tiny, tmp_path, "process")
-    first = run.measure(jobs, store, stored)
+    first = measure(jobs, store.get, store.put, stored)
     done = [job.key for job, _ in itertools.islice(first, 2)]
     first.close()  # Ctrl-C
-    rest = [job.key for job, _ in run.measure(jobs, Store(tmp_path), stored)]
+    rest = [job.key for job, _ in measure(jobs, Store(tmp_path).get, Store(tmp_path).put, stored)]
     assert asked[1] == [job.key for job in jobs if job.key not in done]
     assert rest == [job.key for job in jobs]
-    for job, outcome in run.measure(jobs, Store(tmp_path), stored):
+    for job, outcome in measure(jobs, Store(tmp_path).get, Store(tmp_path).put, stored):
         assert_same(outcome, measured[job.key][1])
     assert len(asked) == 2, "a complete campaign asks for nothing"
 

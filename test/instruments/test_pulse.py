@@ -59,7 +59,7 @@ def test_pulses_of_the_simulated_rig_agree_with_its_true_acceleration(rate_hz):
     transfer = sensors(config)[0].transfer
     worst = []
     for impact in motion.impacts[:4]:
-        start = (impact["segment"] - 100) * 0.01 + impact["offset"]
+        start = (impact["tick"] - 100) * 0.01 + impact["offset"]
         time = dense(start - 2e-4, start + 5e-4)
         inside = np.flatnonzero((time_of_scan > start) & (time_of_scan < time[-1]))
         tick = np.floor(time / 0.01).astype(np.int64)

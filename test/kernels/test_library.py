@@ -160,5 +160,5 @@ def test_a_c_program_simulates_the_same_bits(tmp_path: Path) -> None:
     assert len(motion.impacts) == int(count) > 100
     assert [
         (int(segment), float.fromhex(offset), float.fromhex(impulse)) for segment, offset, impulse in impacts
-    ] == motion.impacts[["segment", "offset", "impulse"]].tolist()
+    ] == motion.impacts[["tick", "offset", "impulse"]].tolist()
     assert float.fromhex(x_1) == simulation._state.y[X1]

@@ -17,7 +17,7 @@ from impact_rig.instruments.sensor import Transfer
 from impact_rig.rig.config import RigConfig, from_flat
 
 TICK_S = 0.01
-IMPACT = np.dtype([("segment", "i8"), ("offset", "f8"), ("wall", "i1"), ("impulse", "f8"), ("duration", "f8")])
+IMPACT = np.dtype([("tick", "i8"), ("offset", "f8"), ("wall", "i1"), ("impulse", "f8"), ("duration", "f8")])
 
 EXACT = {
     "instruments.accelerometer.noise_v_rms": 0,

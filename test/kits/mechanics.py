@@ -64,7 +64,7 @@ def at_rest(duration_s: float, count: int = 1) -> NDArray[np.void]:
 
 def of(motion: Motion, name: str, times: NDArray[np.float64], segment: int | None = None) -> NDArray[np.float64]:
     """One quantity at offsets into one segment."""
-    number = motion.first_segment if segment is None else segment
+    number = motion.first_tick if segment is None else segment
     return motion.quantity(name, np.full(len(times), number), np.asarray(times, float))
 
 
@@ -129,7 +129,7 @@ def hit(speed_m_s: float, *, structure_kg: float = 1e9, rtol: float | None = Non
     motion = simulation.advance(at_rest(1.5 * travel_s + 1e-3 / speed_m_s**0.2))
     assert len(motion.impacts) >= 1, "the sphere never came back from the wall"
     row = motion.impacts[0]
-    values = {name: float(row[name]) for name in row.dtype.names if name not in ("segment", "offset", "wall")}
+    values = {name: float(row[name]) for name in row.dtype.names if name not in ("tick", "offset", "wall")}
     return Hit(**values, motion=motion, begin_s=float(row["offset"]))
 
 

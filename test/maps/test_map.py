@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from impact_rig.campaign.paper import CURRENT_A
+from impact_rig.campaign.tasks import measure
 from impact_rig.cli.main import main
 from impact_rig.errors import ConfigError, RecordingError
 from impact_rig.maps import optimum, run
@@ -132,11 +133,11 @@ def test_what_was_interrupted_is_resumed_to_the_same_bits(small, tmp_path):
     kept = run.store(tmp_path / "again")
     kept.prepare(plan.text, plan.base)
     lines = plan.lines()
-    measured = kept.measure(lines, one_by_one)
+    measured = measure(lines, kept.get, kept.put, one_by_one)
     next(measured)
     measured.close()
     assert len(files_of(tmp_path / "again")) == 1
-    again = [line for line, _ in kept.measure(lines, one_by_one)]
+    again = [line for line, _ in measure(lines, kept.get, kept.put, one_by_one)]
     assert len(again) == len(lines) == 6
     assert files_of(tmp_path / "again") == files_of(directory)
 

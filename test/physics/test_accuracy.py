@@ -38,7 +38,7 @@ def transmissibility(config: RigConfig, rtol: float) -> tuple[float, float]:
     ratios = []
     for _ in range(BATCHES):
         motion = simulation.advance(sine(FREQUENCY_HZ, 0.52, cycle_s, BATCH_CYCLES))
-        cycle = np.repeat(np.arange(motion.first_segment, motion.last_segment + 1), PER_CYCLE)
+        cycle = np.repeat(np.arange(motion.first_tick, motion.last_tick + 1), PER_CYCLE)
         place = np.tile(np.arange(PER_CYCLE) / PER_CYCLE, BATCH_CYCLES)
         x_1, x_b = motion.quantities(("x_1", "x_b"), cycle, place * cycle_s) @ np.exp(-2j * math.pi * place)
         ratios.append(abs(x_1 / x_b))
@@ -205,7 +205,7 @@ def test_a_random_base_makes_the_contacts_that_dop853_finds():
     )
     segments = generator(config).segments(15)
     motion = Simulation(config).advance(segments)
-    ours = motion.impacts["segment"] * 0.01 + motion.impacts["offset"]
+    ours = motion.impacts["tick"] * 0.01 + motion.impacts["offset"]
     theirs = np.array(touches_by_dop853(config, segments))
     assert ours[0] == 0.0, "it lies against the wall at the start"
     assert len(theirs) >= 3

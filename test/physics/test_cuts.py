@@ -38,7 +38,7 @@ def run(config: RigConfig, per_call: int, rate_hz: float = 0.0) -> tuple[bytes, 
     simulation, segments, impacts, middles = Simulation(config), drive(), [], []
     for first in range(0, SEGMENTS, per_call):
         motion = simulation.advance(segments[first : first + per_call])
-        number = np.arange(motion.first_segment, motion.last_segment + 1)
+        number = np.arange(motion.first_tick, motion.last_tick + 1)
         if rate_hz:
             per_segment = round(0.01 * rate_hz)
             motion.sample(np.repeat(number, per_segment), np.tile(np.arange(per_segment) / rate_hz, len(number)))
@@ -92,5 +92,5 @@ def test_no_segments_no_motion():
     simulation = Simulation(rig())
     motion = simulation.advance(np.zeros(0, SEGMENT))
     assert len(motion.impacts) == 0
-    assert simulation.segment == 0
+    assert simulation.tick == 0
     assert len(motion.sample(np.zeros(0, int), np.zeros(0))) == 0

@@ -128,7 +128,7 @@ def test_the_force_is_the_law_of_indentation_and_its_rate():
         t = row["offset"] + np.linspace(0.05, 0.95, 50) * row["duration"]
         if t[-1] > TICK_S:
             continue
-        rows = motion.sample(np.full(50, row["segment"]), t)
+        rows = motion.sample(np.full(50, row["tick"]), t)
         depth = rows["x_2"] - rows["x_1"] - config.barriers.gap_m / 2.0
         rate = rows["v_2"] - rows["v_1"]
         wanted = stiffness() * depth**1.5 * (1.0 + factor * rate / row["approach_speed"])
@@ -152,7 +152,7 @@ def test_instants_outside_the_motion_are_refused():
     simulation.advance(sine(9.1, 1.0, TICK_S, 5))
     motion = simulation.advance(sine(9.1, 1.0, TICK_S, 5))
     for wrong in (4, 10):
-        with pytest.raises(ValueError, match=f"holds segments 5 to 9, got {wrong} to {wrong}"):
+        with pytest.raises(ValueError, match=f"holds ticks 5 to 9, got {wrong} to {wrong}"):
             motion.quantity("x_1", np.array([wrong]), np.array([0.0]))
     with pytest.raises(ValueError, match="one shape"):
         motion.quantity("x_1", np.array([5, 6]), np.array([0.0]))
@@ -167,7 +167,7 @@ def test_motions_of_one_simulation_do_not_disturb_each_other():
     offset = np.linspace(0.0, TICK_S, 50, endpoint=False)
 
     def sampled(motion: Motion, k: int) -> np.ndarray:
-        return motion.sample(np.full(50, motion.first_segment + k), offset)
+        return motion.sample(np.full(50, motion.first_tick + k), offset)
 
     alone = [np.concatenate([sampled(motion, k) for k in range(SEGMENTS)]) for motion in (first, second)]
     in_turn = [(sampled(first, k), sampled(second, k)) for k in range(SEGMENTS)]

@@ -62,7 +62,7 @@ def test_instantaneous_impacts_stay_on_the_orbit(case):
     got = motion.quantity("x_1", cycle, tau)
     assert np.abs(got - wanted).max() <= 1e-9 * NO_IMPACT_AMPLITUDE_M
     half = TWO_PI / o.omega / 2.0
-    times = impacts["segment"] * 2.0 * half + impacts["offset"]
+    times = impacts["tick"] * 2.0 * half + impacts["offset"]
     assert np.abs(times[:100] / half - np.arange(1, 101)).max() <= 1e-9
 
 
@@ -71,7 +71,7 @@ def test_the_unstable_orbit_is_left():
     o = orbit(UNSTABLE)
     motion = started(UNSTABLE, o, 600, UNSTABLE.config())
     assert np.abs(motion.impacts["approach_speed"][:4] / o.relative_speed - 1.0).max() <= 1e-9
-    late = motion.impacts[motion.impacts["segment"] >= 300]
+    late = motion.impacts[motion.impacts["tick"] >= 300]
     assert len(late) / 300 == pytest.approx(2.5, abs=0.02), "it should settle at 2.5 impacts per cycle"
 
 

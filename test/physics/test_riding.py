@@ -26,7 +26,7 @@ def run(config: RigConfig, rtol: float = CONTACT_RTOL, cycles: int = CYCLES) -> 
 
 def longest(motion: Motion) -> np.void:
     """The longest contact of the first cycle."""
-    first = motion.impacts[motion.impacts["segment"] == 0]
+    first = motion.impacts[motion.impacts["tick"] == 0]
     return first[first["duration"].argmax()]
 
 
@@ -76,7 +76,7 @@ def test_chatter_neither_stalls_nor_crawls(law, e):
 
 def test_rides_and_impacts_follow_each_other_on_both_walls():
     motion = run(narrow("flores"), cycles=100)
-    begin = motion.impacts["segment"] * CYCLE_S + motion.impacts["offset"]
+    begin = motion.impacts["tick"] * CYCLE_S + motion.impacts["offset"]
     assert (np.diff(begin) >= motion.impacts["duration"][:-1]).all()
     assert motion.impacts["duration"].sum() < 100 * CYCLE_S
     assert {int(wall) for wall in motion.impacts["wall"]} == {-1, 1}

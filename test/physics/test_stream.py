@@ -41,7 +41,7 @@ def driven(config: RigConfig, samples: NDArray[np.float64], ticks: int) -> tuple
         generator.stream.put(given, samples[given:last])
         given = last
         motion = simulation.advance(generator.segments(min(10, ticks - tick)))
-        at = np.arange(motion.first_segment, motion.last_segment + 1)
+        at = np.arange(motion.first_tick, motion.last_tick + 1)
         states.append(motion.quantities(NAMES, at, np.full(len(at), COMMAND_GRID_S)))
         impacts.append(motion.impacts)
     return np.concatenate(states, axis=1), np.concatenate(impacts)
@@ -93,7 +93,7 @@ def test_impacts_under_noise_agree_with_an_independent_integration(seconds):
     config = rig(drive={"waveform": "stream", "stream_rate_hz": rate_hz}, sphere={"start": "centre"})
     samples = noise(seconds * rate_hz + 2, rate_hz, 6.0, 14.0, 0.45)
     _, impacts = driven(config, samples, seconds * TICKS_PER_S)
-    ours = impacts["segment"] * COMMAND_GRID_S + impacts["offset"]
+    ours = impacts["tick"] * COMMAND_GRID_S + impacts["offset"]
     assert len(ours) > 10 * seconds
 
     theirs, _speeds = integrated(config, samples, rate_hz, seconds)

@@ -47,8 +47,8 @@ def test_a_later_start_gives_a_later_run():
     for simulation in (early, late):
         simulation.place(x_1=3e-3, d_rate=0.1)
     a, b = (simulation.advance(sine(9.1, 1.0, 0.01, 100)).impacts for simulation in (early, late))
-    assert (b["segment"] - a["segment"] == 37).all()
-    assert all((a[name] == b[name]).all() for name in a.dtype.names if name != "segment")
+    assert (b["tick"] - a["tick"] == 37).all()
+    assert all((a[name] == b[name]).all() for name in a.dtype.names if name != "tick")
 
 
 def test_lengths_scale_where_contacts_take_no_time():

@@ -133,7 +133,7 @@ def assert_walls_hold(config: RigConfig, samples: np.ndarray, motion: Motion) ->
         assert not outside.any(), "the sphere has gone through a wall"
         return
     cycle_s = motion.segments["duration"][0]
-    begun = motion.impacts["segment"] + motion.impacts["offset"] / cycle_s
+    begun = motion.impacts["tick"] + motion.impacts["offset"] / cycle_s
     ended = begun + motion.impacts["duration"] / cycle_s
     instants = np.arange(len(samples)) / PER_CYCLE
     for i in np.flatnonzero(outside & (force == 0.0)):

@@ -45,7 +45,7 @@ class Steady:
     def impact_times(self) -> Real:
         """Return when contacts began, after `begin_s` [s], shape (k,)."""
         hits = self.motion.impacts
-        return np.asarray(hits["segment"] * TICK_S + hits["offset"] - self.begin_s)
+        return np.asarray(hits["tick"] * TICK_S + hits["offset"] - self.begin_s)
 
 
 def steady(

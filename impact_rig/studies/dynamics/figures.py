@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_rig.campaign.units import Row
+from impact_rig.campaign.tasks import Row
 from impact_rig.drawing.palette import INK, SERIES
 from impact_rig.drawing.style import Drawn, new_axes, style
 from impact_rig.maps.plan import CURRENT, FREQUENCY, GAP, POSITION, SPEED

@@ -18,7 +18,7 @@ import numpy as np
 from impact_rig.campaign import axes
 from impact_rig.campaign.paper import CURRENT_A, FREQUENCY_HZ
 from impact_rig.campaign.plan import STARTS
-from impact_rig.campaign.units import Row, load_plan
+from impact_rig.campaign.tasks import Row, load_plan
 from impact_rig.config.tree import Value
 from impact_rig.errors import ConfigError
 from impact_rig.maps.measure import CHUNK, FAILED, MapRig, Reading, Settings
@@ -318,7 +318,7 @@ def _begun(place: Place, start: Start, settings: Settings) -> MapRig:
 def _points(rig: MapRig, place: Place, cycles: int, turn: float) -> list[list[float]]:
     """Return one point a cycle, see `POINT`."""
     motion = rig.advance(place.frequency_hz, place.amplitude, cycles)
-    number = np.arange(motion.first_segment, motion.last_segment + 1)
+    number = np.arange(motion.first_tick, motion.last_tick + 1)
     offset = np.full(cycles, turn / place.frequency_hz)
     points: list[list[float]] = motion.quantities(("x_1", "v_1", "x_2", "v_2"), number, offset).T.tolist()
     return points

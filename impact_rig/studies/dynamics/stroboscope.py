@@ -168,7 +168,7 @@ class Stroboscope:
         motion = simulation.advance(self._segments(place, self.cycles))
         energy, period = simulation.energy(), 1.0 / frequency
         angle = (np.arange(PER_CYCLE) / PER_CYCLE - self.turn) % 1.0
-        number = np.repeat(np.arange(motion.first_segment, motion.last_segment + 1), PER_CYCLE)
+        number = np.repeat(np.arange(motion.first_tick, motion.last_tick + 1), PER_CYCLE)
         found = motion.quantities(("x_b", "x_1"), number, np.tile(angle * period, self.cycles))
         turning = np.tile(np.exp(-1j * _TURN * np.arange(PER_CYCLE) / PER_CYCLE), self.cycles)
         base, superior = 2j / (PER_CYCLE * self.cycles) * (found * turning).sum(axis=1)
@@ -252,7 +252,7 @@ def _changed(config: RigConfig, name: str, value: float) -> RigConfig:
 def _longest_flight(motion: Motion, cycles: int) -> float:
     """Return the middle of the longest stretch of the drive's cycle without a contact in any cycle, in turns."""
     period = float(motion.segments["duration"][0])
-    number = np.repeat(np.arange(motion.first_segment, motion.last_segment + 1), _FINE)
+    number = np.repeat(np.arange(motion.first_tick, motion.last_tick + 1), _FINE)
     part = np.tile(np.arange(_FINE) / _FINE, cycles)
     force = motion.quantities(("force_left", "force_right"), number, part * period)
     busy = (force != 0.0).any(axis=0).reshape(cycles, _FINE).any(axis=0)

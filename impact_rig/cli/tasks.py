@@ -1,6 +1,6 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""What the commands that measure a study's units share: words of the command line, the way, progress."""
+"""What the commands that measure a study's tasks share: words of the command line, the way, progress."""
 
 from __future__ import annotations
 
@@ -13,13 +13,14 @@ from typing import TypeVar
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeElapsedColumn, TimeRemainingColumn
 
 from impact_rig.campaign.pool import in_parallel
-from impact_rig.campaign.units import Row, Runner, Store, Unit
+from impact_rig.campaign.tasks import Row, Runner, Store, Task
+from impact_rig.campaign.tasks import measure as measure_tasks
 from impact_rig.cli.terminal import Console, Steps, Words, add_json
 from impact_rig.errors import ConfigError, RecordingError
 from impact_rig.system import files
 
 WAYS = ("process", "dask")
-U = TypeVar("U", bound=Unit)
+T = TypeVar("T", bound=Task)
 
 
 def add_words(parser: argparse.ArgumentParser, what: str) -> None:
@@ -35,8 +36,8 @@ def add_words(parser: argparse.ArgumentParser, what: str) -> None:
 
 
 def words(
-    arguments: argparse.Namespace, work: Callable[[U], Sequence[Row]], what: str, example: str
-) -> tuple[Path, Path, Runner[U]]:
+    arguments: argparse.Namespace, work: Callable[[T], Sequence[Row]], what: str, example: str
+) -> tuple[Path, Path, Runner[T]]:
     """Return file, directory and runner; the file may stand behind `--through` and its words, too.
 
     Raises:
@@ -47,7 +48,7 @@ def words(
         raise ConfigError(f"--through must be one of {', '.join(WAYS)}, got {way!r}")
     if arguments.workers is not None and arguments.workers < 1:
         raise ConfigError(f"--workers must be >= 1, got {arguments.workers}")
-    runner: Runner[U] = lambda units: in_parallel(work, units, arguments.workers)  # noqa: E731  # either of two
+    runner: Runner[T] = lambda tasks: in_parallel(work, tasks, arguments.workers)  # noqa: E731  # either of two
     if way == "dask":
         if not rest:
             raise ConfigError("--through dask needs the address of a scheduler, e.g. tcp://127.0.0.1:8786")
@@ -61,25 +62,25 @@ def words(
 
 
 def measure(
-    units: Sequence[U], store: Store[U], runner: Runner[U], console: Console, places: Callable[[U], int]
+    tasks: Sequence[T], store: Store[T], runner: Runner[T], console: Console, places: Callable[[T], int]
 ) -> int:
     """Measure what is missing, with progress by `places`; return how many places that were."""
-    new = sum(places(unit) for unit in units if store.get(unit) is None)
+    new = sum(places(task) for task in tasks if store.get(task) is None)
     columns = (
         Words("{task.description}"), BarColumn(24), MofNCompleteColumn(), TimeElapsedColumn(),
         Words("left"), TimeRemainingColumn(), Words("{task.fields[state]}"),
     )  # fmt: skip
     bar = Progress(*columns, console=console, disable=not console.is_terminal)
-    with bar as progress, contextlib.closing(store.measure(units, runner)) as done:
-        total = sum(map(places, units))
-        task = progress.add_task("points", total=total, state="starting")
+    with bar as progress, contextlib.closing(measure_tasks(tasks, store.get, store.put, runner)) as done:
+        total = sum(map(places, tasks))
+        shown = progress.add_task("points", total=total, state="starting")
         steps, count = Steps("points", total), 0
-        for unit, _ in done:
-            count += places(unit)
-            progress.update(task, completed=count, state=unit.describe())
+        for task, _ in done:
+            count += places(task)
+            progress.update(shown, completed=count, state=task.describe())
             if not console.is_terminal:
-                steps.show(count, unit.describe())
-        progress.update(task, state="done")
+                steps.show(count, task.describe())
+        progress.update(shown, state="done")
     return new
 
 

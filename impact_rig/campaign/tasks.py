@@ -1,12 +1,12 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""Units of work: measured anywhere, in any order, one file each in a directory, and never measured twice.
+"""Tasks: measured anywhere, in any order, one file each in a directory, and never measured twice.
 
 | file | content |
 |---|---|
 | `<what>.yaml` | the file as it was given |
 | `configuration.yaml` | the rig, complete |
-| `<folder>/` | one file per unit: what it is, the code that measured it, its rows |
+| `<folder>/` | one file per task: what it is, the code that measured it, its rows |
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ from impact_rig.system import budget, files
 from impact_rig.system.budget import BudgetError
 
 CONFIGURATION_FILE = "configuration.yaml"
-MAX_UNIT_BYTES = 64 * 2**20
+MAX_TASK_BYTES = 64 * 2**20
 
 Row = Sequence[str | float]
 """What was found at one place: words and numbers; NaN where there is none."""
 
 
-class Unit(Protocol):
+class Task(Protocol):
     """What is measured as a whole: a value, so that it can travel to a worker."""
 
     @property
@@ -48,23 +48,25 @@ class Unit(Protocol):
         """Return stored rows as they were measured.
 
         Raises:
-            ValueError: this unit never has such rows.
+            ValueError: this task never has such rows.
         """
 
 
-U = TypeVar("U", bound=Unit)
-Runner = Callable[[Sequence[U]], Generator[tuple[U, Sequence[Row]], None, None]]
-"""A way of measuring: yields every unit with its rows, in any order."""
+K = TypeVar("K")
+R = TypeVar("R")
+T = TypeVar("T", bound=Task)
+Runner = Callable[[Sequence[T]], Generator[tuple[T, Sequence[Row]], None, None]]
+"""A way of measuring: yields every task with its rows, in any order."""
 
 
 @attrs.frozen
-class Store(Generic[U]):
+class Store(Generic[T]):
     """The directory of a study.
 
     Attributes:
         directory: of the study.
         what: word for the study; names its file.
-        folder: name of the folder that holds the units.
+        folder: name of the folder that holds the tasks.
         rooms: of the package: besides `DECIDING`, whose code decides the numbers.
     """
 
@@ -109,51 +111,31 @@ class Store(Generic[U]):
         """Return what decides the numbers: results of other code are measured anew."""
         return fingerprint((*DECIDING, *self.rooms))
 
-    def measure(self, units: Sequence[U], runner: Runner[U]) -> Generator[tuple[U, Sequence[Row]], None, None]:
-        """Yield every unit with its rows as soon as they are stored: those stored already first.
-
-        Raises:
-            RecordingError: a unit cannot be stored.
-        """
-        missing = []
-        for unit in units:
-            rows = self.get(unit)
-            if rows is None:
-                missing.append(unit)
-            else:
-                yield unit, rows
-        if not missing:
-            return
-        with contextlib.closing(runner(missing)) as measured:
-            for unit, rows in measured:
-                self.put(unit, rows)
-                yield unit, rows
-
-    def get(self, unit: U) -> Sequence[Row] | None:
-        """Return the rows of a unit, or None if it is to be measured: never was, with other code, or damaged."""
+    def get(self, task: T) -> Sequence[Row] | None:
+        """Return the rows of a task, or None if it is to be measured: never was, with other code, or damaged."""
         try:
-            found = json.loads(files.read_bytes(self._path(unit), MAX_UNIT_BYTES))
-            if found["code"] != self.code() or found["key"] != unit.key:
+            found = json.loads(files.read_bytes(self._path(task), MAX_TASK_BYTES))
+            if found["code"] != self.code() or found["key"] != task.key:
                 return None
-            return unit.read([[_number(value) for value in row] for row in found["rows"]])
+            return task.read([[_number(value) for value in row] for row in found["rows"]])
         except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError):
             return None
 
-    def put(self, unit: U, rows: Sequence[Row]) -> None:
-        """Store the rows of a unit.
+    def put(self, task: T, rows: Sequence[Row]) -> None:
+        """Store the rows of a task.
 
         Raises:
             RecordingError: it cannot be written.
         """
         plain = [[value if isinstance(value, str) or math.isfinite(value) else None for value in row] for row in rows]
-        content = {"unit": unit.describe(), "key": unit.key, "code": self.code(), "rows": plain}
+        content = {"task": task.describe(), "key": task.key, "code": self.code(), "rows": plain}
         try:
-            files.write_text(self._path(unit), json.dumps(content) + "\n")
+            files.write_text(self._path(task), json.dumps(content) + "\n")
         except OSError as error:
             raise RecordingError(f"cannot write {self.directory / self.folder}: {error.strerror}") from error
 
-    def _path(self, unit: U) -> Path:
-        return self.directory / self.folder / f"{unit.key}.json"
+    def _path(self, task: T) -> Path:
+        return self.directory / self.folder / f"{task.key}.json"
 
 
 def _number(value: object) -> str | float:
@@ -163,6 +145,38 @@ def _number(value: object) -> str | float:
     if math.isinf(found):
         raise ValueError("not a number that is measured")
     return found
+
+
+def measure(
+    tasks: Sequence[K],
+    get: Callable[[K], R | None],
+    put: Callable[[K, R], None],
+    runner: Callable[[Sequence[K]], Generator[tuple[K, R], None, None]],
+) -> Generator[tuple[K, R], None, None]:
+    """Yield every task with its result as soon as it is stored: those stored already first, then the measured ones.
+
+    Args:
+        tasks: of any kind.
+        get: returns what is stored of a task, None if it is to be measured.
+        put: stores a result.
+        runner: measures tasks, in any order.
+
+    Raises:
+        RecordingError: a result cannot be stored.
+    """
+    missing = []
+    for task in tasks:
+        result = get(task)
+        if result is None:
+            missing.append(task)
+        else:
+            yield task, result
+    if not missing:
+        return
+    with contextlib.closing(runner(missing)) as measured:
+        for task, result in measured:
+            put(task, result)
+            yield task, result
 
 
 P = TypeVar("P")
