@@ -90,17 +90,21 @@ def _as_set_live(run: Run) -> tuple[TrackerSettings, list[GapLabel]]:
     """
     if not run.holds(topics.ANALYSIS_SETTINGS):
         return TrackerSettings(), [label for label in map(parse_label, remarks(run)) if label is not None]
-    told = [(table.stamp_ns, *read_settings(table)) for table in _settings_told(run)]
+    told = [(stamp_ns, *read_settings(table)) for stamp_ns, table in _settings_told(run)]
     return (told[-1][1] if told else TrackerSettings()), [GapLabel(gap_m, stamp_ns) for stamp_ns, _, gap_m in told]
 
 
-def _settings_told(run: Run) -> list[Table]:
-    """Return the tables of settings; what others sent on their topic, and is none, costs nothing but itself.
+def _settings_told(run: Run) -> list[tuple[int, Table]]:
+    """Return the tables of settings and since when they hold; what is none costs nothing but itself.
+
+    An analysis that starts labels whatever it will see, from stamp 0 on. One that was started again while the run went
+    on saw nothing of before: its label holds since it came.
 
     Raises:
         RecordingError: none is one.
     """
-    found, refused = [], []
+    found: list[tuple[int, Table]] = []
+    refused = []
     topic = topics.ANALYSIS_SETTINGS
     if not run.holds(topic):
         return []
@@ -108,7 +112,7 @@ def _settings_told(run: Run) -> list[Table]:
         try:
             table = run.table(message, topic)
             read_settings(table)
-            found.append(table)
+            found.append((table.stamp_ns or (message.log_time if found else 0), table))
         except (ConfigError, RecordingError) as error:
             refused.append(error)
     if refused and not found:
@@ -255,20 +259,25 @@ def compare(run: Run, offline: Iterable[Table], impacts: Iterable[Table] | None 
     data_begin, data_end = _scan(blocks[0][0], rate_hz) - 1, _scan(blocks[-1][0], rate_hz) + blocks[-1][1] - 1
     our_cuts = [data_begin, *(_scan(gap.stamp_ns, rate_hz) - 1 for gap in gaps)]
     live_cuts = _cuts(live)
-    theirs = [row for row in live if row.end <= data_end and _comparable(row, live_cuts, our_cuts, ours)]
-    found = [row for row in ours if _comparable(row, our_cuts, live_cuts, live)]
+    settings = _settings_told(run)
+    # an analysis that was started again knows nothing of before, and nobody measured between the two
+    again = next((stamp_ns for stamp_ns, table in settings[1:] if not table.stamp_ns), None)
+    live_end = data_end if again is None else max((row.end for row in live if row.stamp_ns < again), default=data_begin)
+    theirs = [row for row in live if row.end <= live_end and _comparable(row, live_cuts, our_cuts, ours)]
+    found = [
+        row for row in ours if (again is None or row.end <= live_end) and _comparable(row, our_cuts, live_cuts, live)
+    ]
     left_out = len(live) - len(theirs), len(ours) - len(found)
     if not theirs:
         return Comparison(None, reason="live analysis and recording saw no change from the same data on")
-    settings = _settings_told(run)
-    machines = {machine for table in settings if (machine := machine_of(table)) is not None}
+    machines = {machine for _, table in settings if (machine := machine_of(table)) is not None}
     elsewhere = machines != {fingerprint()} if machines else None
     late = data_end - round((TrackerSettings().hold_s + LAST_WORDS_S) * rate_hz)
     reason, identical = _difference(theirs, found, late, exact=elsewhere is False)
     others = [_plotted(run, live)]
     if impacts is not None:
         ends = [cut for cut in [*our_cuts[1:], *live_cuts[1:]] if cut > data_begin]
-        span = max(data_begin, live_cuts[0]) + round(LAST_WORDS_S * rate_hz), min([late, *ends])
+        span = max(data_begin, live_cuts[0]) + round(LAST_WORDS_S * rate_hz), min([late, live_end, *ends])
         others.append(_impacts(run, impacts, rate_hz, span))
     reason = reason or next((str(one) for one in others if one.difference), "")
     return Comparison(not reason, identical and not reason, len(theirs), elsewhere, reason, left_out, tuple(others))

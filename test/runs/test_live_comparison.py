@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from kits.recorded_rig import TICK, Messages, edited, messages, record
 
+from impact_rig.analysis.settings import TrackerSettings, settings_table
 from impact_rig.analysis.tracker import Tracker
 from impact_rig.blocks import Table
 from impact_rig.cli import main
@@ -318,3 +319,18 @@ def test_a_measurement_of_a_version_before_some_columns_is_compared(whole: Messa
     for column in ("spread", "regime"):
         older = edited(whole, TABLE, lambda rows, column=column: without(rows, column))
         assert compared(tmp_path / column, older).same is False  # the live row does not say it
+
+
+def test_an_analysis_that_was_started_again_is_compared_until_it_ended(whole: Messages, tmp_path: Path) -> None:
+    """It labels what it will see from stamp 0 on, which once labelled the whole run and accused the rows before."""
+    killed_ns, again_ns = 11 * NS_PER_S, 11_500_000_000
+    found: Messages = []
+    for name, table in whole:
+        if name == TABLE and table.stamp_ns > killed_ns:
+            continue
+        if name == "daq/scan" and table.stamp_ns == again_ns:
+            found.append(("analysis/settings", settings_table(TrackerSettings(), 0.01, 0)))
+        found.append((name, table))
+    result = compared(tmp_path, found)
+    assert result.identical, str(result)
+    assert result.compared == live_rows(found)

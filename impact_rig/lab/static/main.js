@@ -38,7 +38,10 @@ const act = (what, values = {}) => {
   });
   return { id, answer };
 };
-const knobs = new KnobPanel(byId("knob-list"), (what, values) => link.ask(what, values));
+const knobs = new KnobPanel(byId("knob-list"), (what, values) => {
+  setText("answer", ""); // a knob says beside itself what came of it
+  return link.ask(what, values);
+});
 const scope = new ScopeView(byId("traces"), byId("cursor"));
 const curve = new CurveView(byId("curve"), (row) => knobs.turn("frequency", row.f), (row) => { curve.remove(row); showCurve(); });
 const spectrum = new SpectrumView(byId("spectrum-plot"));
