@@ -12,7 +12,7 @@ import asyncio
 import functools
 import os
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any  # what goes to JSON
 
@@ -57,7 +57,7 @@ class LiveSource(Source):
         self._client: Client
         self._gateway: Gateway | None = None
         self._pace = Pace()
-        self.snapshot.put("rig", {"word": "starting", "text": "The lab starts.", "name": namespace or ""})
+        self.snapshot.put(rig={"word": "starting", "text": "The lab starts.", "name": namespace or ""})
 
     @property
     def now_s(self) -> float:
@@ -80,7 +80,7 @@ class LiveSource(Source):
             be_gentle()
             asyncio.run(self._serve_rigs())
         except Exception as error:  # without its source the page must say so, not stand still
-            self.snapshot.put("rig", {"word": "dead", "text": f"The lab has failed: {error}", "name": ""})
+            self.snapshot.put(rig={"word": "dead", "text": f"The lab has failed: {error}", "name": ""})
             raise
 
     async def _serve_rigs(self) -> None:
@@ -156,9 +156,8 @@ class LiveSource(Source):
         if len(found) == 1:
             self._namespace = found[0]
             return
-        self.snapshot.put("rigs", found)
         words = "Several rigs are running: choose one." if found else "No rig is running yet: looking for one."
-        self.snapshot.put("rig", {"word": "choose" if found else "starting", "text": words, "name": ""})
+        self.snapshot.put(rigs=found, rig={"word": "choose" if found else "starting", "text": words, "name": ""})
 
     # What the page is told
 
@@ -168,15 +167,17 @@ class LiveSource(Source):
         if gateway is None:
             return
         seen = {node: gateway.seen(node) for node in states.BY_NODE}
+        doubts = [f"{fault} is in force (truth)" for fault in record.faults.in_force(record.start_ns)]
+        doubts += [f"{channel}: {word}" for channel, word in (record.curve.health() or {}).items()]
         parts: dict[str, Callable[[], Any]] = {
             "sources": lambda: {node: one.part() for node, one in seen.items()},
-            "rig": lambda: self._rig(seen),
+            "rig": lambda: self._rig(seen, doubts),
             "applied": lambda: record.drive,
             "knobs": lambda: {name: record.knobs.get(name) for name in KNOBS} if record.knobs else None,
             "configuration": lambda: record.configuration,
             "closed_form": lambda: closed_form(record.knobs),
             "dt": lambda: record.curve.part(record.start_ns),
-            "dt_now": lambda: state.present(seen["rig"], seen["analysis"]),
+            "dt_now": lambda: state.present(seen["rig"], seen["analysis"], doubts),
             "faults": lambda: record.faults.in_force(record.start_ns),
             "health": lambda: record.curve.health() if seen["analysis"].lives else None,
             "journal": lambda: record.journal.part(record.start_ns),
@@ -186,10 +187,8 @@ class LiveSource(Source):
         }
         self.tell(parts, record.knobs)
 
-    def _rig(self, seen: Mapping[str, Seen]) -> dict[str, Any]:
-        rig, record = seen["rig"], self.record
-        doubts = [f"{fault} is in force (truth)" for fault in record.faults.in_force(record.start_ns)]
-        doubts += [f"{channel}: {word}" for channel, word in (record.curve.health() or {}).items()]
+    def _rig(self, seen: Mapping[str, Seen], doubts: Sequence[str]) -> dict[str, Any]:
+        rig = seen["rig"]
         word, words = state.judge(rig, seen["analysis"], doubts)
         rig_s = figure(rig.figures.get("rig_time_s"))
         return {

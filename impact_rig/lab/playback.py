@@ -343,7 +343,7 @@ class PlaybackSource(Source):
                 self.guard("state", self._tell)
             if now - marked >= MARKS_S:
                 marked = now
-                self.guard("marks", lambda: self.snapshot.put("impact_marks", self._runs[0].histogram()))
+                self.guard("marks", lambda: self.snapshot.put(impact_marks=self._runs[0].histogram()))
 
     def _refusals(self) -> dict[str, list[Any]]:
         others = {name: found for run in self._runs[1:] for name, found in run.record.refused.items()}

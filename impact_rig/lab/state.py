@@ -205,20 +205,23 @@ def figure(value: str | None) -> float | None:
         return None
 
 
-def present(rig: Seen, analysis: Seen) -> dict[str, Any]:
+def present(rig: Seen, analysis: Seen, doubts: Sequence[str] = ()) -> dict[str, Any]:
     """Return whether the newest measurement holds now, and how far the next one is.
+
+    It holds where `judge` says `measured` of the same arguments, and while such a rig is paused.
 
     Args:
         rig: what the rig says.
         analysis: what the analysis says; without it nothing holds.
+        doubts: what speaks against a measurement.
     """
     moves = rig.lives and rig.state in (states.Rig.DRIVING, states.Rig.PAUSED)
     known = analysis.state if analysis.lives and moves else ""
     figures = analysis.figures
     return {
-        "state": known, "holds": known == states.Analysis.MEASURING, "reason": plain(analysis.reason) if known else "",
-        "done": figure(figures.get("settling_windows")), "of": figure(figures.get("settling_windows_needed")),
-        "rest": figure(figures.get("settling_remnant")),
+        "state": known, "holds": known == states.Analysis.MEASURING and not doubts,
+        "reason": plain(analysis.reason) if known else "", "done": figure(figures.get("settling_windows")),
+        "of": figure(figures.get("settling_windows_needed")), "rest": figure(figures.get("settling_remnant")),
     }  # fmt: skip
 
 
@@ -231,13 +234,14 @@ class Snapshot:
         self._lock = threading.Lock()
         self.version = 0
 
-    def put(self, name: str, value: Any) -> None:
-        """Set a part; nothing happens where it is the same."""
+    def put(self, **parts: Any) -> None:
+        """Set parts, all at once: no session sees one without the others. The same again is nothing new."""
         with self._lock:
-            if name in self._parts and self._parts[name] == value:
-                return
-            self.version += 1
-            self._parts[name], self._versions[name] = value, self.version
+            new = {name: part for name, part in parts.items() if name not in self._parts or self._parts[name] != part}
+            if new:
+                self.version += 1
+                self._parts.update(new)
+                self._versions.update(dict.fromkeys(new, self.version))
 
     def get(self, name: str) -> Any:
         """Return a part, None where there is none yet."""
@@ -266,10 +270,9 @@ class Source(abc.ABC):
         """How many pages look."""
         self._asked: queue.SimpleQueue[tuple[Request, Answer]] = queue.SimpleQueue()
         self.end = threading.Event()
-        self._theory = Theory(lambda found: self.snapshot.put("prediction", found))
+        self._theory = Theory(lambda found: self.snapshot.put(prediction=found))
         self._thread = threading.Thread(target=self._run, name=f"lab-{mode}", daemon=True)
-        for part, value in (("mode", mode), ("choices", choices()), ("help", glossary())):
-            self.snapshot.put(part, value)
+        self.snapshot.put(mode=mode, choices=choices(), help=glossary())
 
     @property
     def other(self) -> Scope | None:
@@ -312,20 +315,21 @@ class Source(abc.ABC):
         guard(self.failures, what, work)
 
     def tell(self, parts: Mapping[str, Callable[[], Any]], values: Mapping[str, Any]) -> None:
-        """Bring the snapshot up to date, part by part: one that cannot be told does not keep the others back.
+        """Bring the snapshot up to date: a part that cannot be told does not keep the others back.
 
         Args:
             parts: what makes each; `applied`, `dt` and `dt_now` are among them.
             values: the rig's parameters by name, for what theory says of them; empty: they are not known.
         """
+        told: dict[str, Any] = {}
         for name, make in parts.items():
-            self.guard(f"state of {name}", lambda name=name, make=make: self.snapshot.put(name, make()))  # type: ignore[misc]
-        self.snapshot.put("refused", {name: list(found) for name, found in self._refusals().items()})
-        rows, now = self.snapshot.get("dt"), self.snapshot.get("dt_now")
+            self.guard(f"state of {name}", lambda name=name, make=make: told.update({name: make()}))  # type: ignore[misc]
+        told["refused"] = {name: list(found) for name, found in self._refusals().items()}
+        rows, now = told.get("dt"), told.get("dt_now")
         prediction = self.snapshot.get("prediction") or {}
-        told = contradiction(prediction, rows[-1]["ipc"]) if rows and now and now["holds"] else ""
-        self.snapshot.put("other_motion", told)
-        drive = self.snapshot.get("applied")
+        told["other_motion"] = contradiction(prediction, rows[-1]["ipc"]) if rows and now and now["holds"] else ""
+        self.snapshot.put(**told)
+        drive = told.get("applied")
         if values and drive is not None and self.watchers:
             self._theory.want(values, drive["current"])
 

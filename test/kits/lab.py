@@ -21,7 +21,7 @@ class FakeSource:
 
     def __init__(self) -> None:
         self.snapshot = Snapshot()
-        self.snapshot.put("rig", {"word": "at rest", "text": "", "name": ""})
+        self.snapshot.put(rig={"word": "at rest", "text": "", "name": ""})
         self.record = Record()
         self.record.scope = self.scope = Scope(RATE)
         self.record.epoch = 1

@@ -64,7 +64,7 @@ def test_what_dies_is_grey_and_comes_back(graph: tuple[Processes, str], open_pag
     assert page.js("lab.link.ask('note', {value: 'lost'}).answer.then(a => a.text)").startswith("there is no recorder")
     assert not page.js("lab.now.journal.some(line => line[1] === 'note')")
 
-    assert page.js("lab.link.ask('gap', {value: 0}).answer.then(a => a.ok)")
+    assert page.js("lab.link.ask('gap', {value: 0}).answer.then(a => a.text)") == "no sphere"
     page.wait("lab.now.journal.some(line => line.slice(1).join(' ') === 'parameter sphere.present 0')", "the change")
     page.key("0")
     page.wait("lab.now.applied.current === 0", "rest")

@@ -180,7 +180,7 @@ def test_what_is_in_force_comes_before_the_answer(server: Server, source: FakeSo
     """A page that takes the answer for the end of waiting must not meet an old value after it."""
 
     def ask(request: protocol.Request, answer: Any) -> None:
-        source.snapshot.put("applied", {"frequency": request.values["value"]})
+        source.snapshot.put(applied={"frequency": request.values["value"]})
         answer(True, "")
 
     source.ask = ask  # type: ignore[method-assign]

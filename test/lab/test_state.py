@@ -78,6 +78,7 @@ def test_the_word_follows_from_keys_and_the_gravest_comes_first(
     found = judge(rig, analysis, doubts)
     assert found[0] == word
     assert words in found[1]
+    assert present(rig, analysis, doubts)["holds"] is (word in ("measured", "paused")), "the value is grey otherwise"
 
 
 def test_every_state_of_a_rig_and_an_analysis_has_words() -> None:
@@ -85,22 +86,6 @@ def test_every_state_of_a_rig_and_an_analysis_has_words() -> None:
         assert judge(seen("rig", one), MEASURING)[1]
     for other in states.Analysis:
         assert judge(seen("rig", "driving"), seen("analysis", other, "over_range"))[1].endswith(".")
-
-
-@pytest.mark.parametrize(
-    ("rig", "analysis", "holds"),
-    [
-        (seen("rig", "driving"), MEASURING, True),
-        (seen("rig", "paused"), MEASURING, True),
-        (seen("rig", "tripped"), MEASURING, False),
-        (seen("rig", "driving", age_s=9.0), MEASURING, False),
-        (seen("rig", "driving"), seen("analysis", "measuring", age_s=9.0), False),
-        (seen("rig", "driving"), seen("analysis", "unable", "over_range"), False),
-        (seen("rig", "driving"), Seen(), False),
-    ],
-)
-def test_a_value_holds_only_where_living_nodes_say_so(rig: Seen, analysis: Seen, holds: bool) -> None:
-    assert present(rig, analysis)["holds"] is holds
 
 
 def test_channels_are_well_only_where_a_row_says_so() -> None:
@@ -259,13 +244,15 @@ def test_journal_curve_and_closed_form() -> None:
 
 def test_a_snapshot_tells_each_reader_what_is_new() -> None:
     snapshot: Any = Snapshot()
-    snapshot.put("a", 1)
+    snapshot.put(a=1)
     version, found = snapshot.since(0)
     assert found == {"a": 1}
-    snapshot.put("a", 1)
+    snapshot.put(a=1)
     assert snapshot.since(version)[1] == {}
-    snapshot.put("b", 2)
-    assert snapshot.since(version)[1] == {"b": 2}
+    snapshot.put(a=1, b=2, c=3)
+    version, found = snapshot.since(version)
+    assert found == {"b": 2, "c": 3}
+    assert snapshot.since(version - 1)[1] == found, "parts that were put together are told together"
 
 
 @pytest.fixture

@@ -138,9 +138,9 @@ COLOURED = """(want => {
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_the_page_draws_it_dashed_where_it_does_not_last(open_page: Callable[..., Page], scheme: str) -> None:
     source = FakeSource()
-    source.snapshot.put("knobs", {**DEFAULT, "barriers.gap_m": 0.012})
-    source.snapshot.put("closed_form", closed_form(dict(DEFAULT)))
-    source.snapshot.put("prediction", of(12.0))
+    source.snapshot.put(knobs={**DEFAULT, "barriers.gap_m": 0.012})
+    source.snapshot.put(closed_form=closed_form(dict(DEFAULT)))
+    source.snapshot.put(prediction=of(12.0))
     with Server(source, port=0) as server:
         page = open_page(server.address, prefers_color_scheme=scheme)
         page.wait("window.lab && lab.curve.predicted.length === 3", "the lines")
@@ -149,7 +149,7 @@ def test_the_page_draws_it_dashed_where_it_does_not_last(open_page: Callable[...
         assert 0.3 < dashed < 0.95
         assert page.text("#prediction-note").startswith("Predicted for 12 mm, 0.52 A")
         assert page.js("document.getElementById('curve').getAttribute('aria-label')").startswith("DT over frequency")
-        source.snapshot.put("prediction", of(32.0))
+        source.snapshot.put(prediction=of(32.0))
         page.wait("lab.curve.predicted.length === 0", "no line")
         assert page.text("#prediction-note") == "Theory finds no motion with two impacts per cycle at 32 mm, 0.52 A."
         page.js("lab.link.socket.onclose = null")  # no wish to connect again
