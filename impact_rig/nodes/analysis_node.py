@@ -22,7 +22,7 @@ from impact_rig.config.tree import Tree
 from impact_rig.errors import CodecError, ConfigError, ImpactRigError
 from impact_rig.nodes import process
 from impact_rig.nodes.acknowledgements import Acknowledgements
-from impact_rig.nodes.managed import Health, Level, ManagedNode, State
+from impact_rig.nodes.managed import Level, ManagedNode, State
 from impact_rig.nodes.messages import TOPICS
 from impact_rig.nodes.plots import Plots
 from impact_rig.simtime import NS_PER_S
@@ -121,13 +121,23 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
         found = self._tracker.state
         return State(words(found.word), found.reason, found.since_ns)
 
-    def status(self) -> Health:
+    def health(self) -> tuple[Level, str]:
+        """Return whether scans come, all of them."""
+        if self._tracker is None:
+            return Level.WARN, self.state
+        if self._newest_ns is None:
+            return Level.OK, "waiting for daq/scan"
+        if self._tracker.counters.lost_scans:
+            return Level.WARN, "scans were lost"
+        return Level.OK, "measuring"
+
+    def figures(self) -> dict[str, object]:
         """Return the tracker's counters and the latest value."""
         tracker = self._tracker
         if tracker is None:
-            return Health(Level.WARN, self.state, {})
-        counters = tracker.counters
-        values = {"transmissibility": self._latest, "gap_m": self.settings.gap_m, **attrs.asdict(counters)}
+            return {}
+        values: dict[str, object] = {"transmissibility": self._latest, "gap_m": self.settings.gap_m}
+        values |= attrs.asdict(tracker.counters)
         progress = tracker.progress
         if progress is not None:
             values |= {
@@ -135,11 +145,7 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
                 "settling_windows_needed": progress.needed,
                 "settling_remnant": progress.remnant,
             }
-        if self._newest_ns is None:
-            return Health(Level.OK, "waiting for daq/scan", values)
-        if counters.lost_scans:
-            return Health(Level.WARN, "scans were lost", values)
-        return Health(Level.OK, "measuring", values)
+        return values
 
     def _label(self, gap_m: float, stamp_ns: int) -> None:
         """Label the scans from `stamp_ns` on, and tell whoever records them."""

@@ -75,15 +75,6 @@ class State:
     since_ns: int | None = None
 
 
-@attrs.frozen
-class Health:
-    """How one node is, for people: level, one sentence, figures."""
-
-    level: Level
-    message: str
-    values: Mapping[str, object]
-
-
 @attrs.define
 class CpuMeter:
     """Share of one core this process used since the last call [%]."""
@@ -177,9 +168,13 @@ class ManagedNode(LifecycleNode, Generic[S]):
         """Return what the node does, from data alone; asked only while it is active, and often."""
         raise NotImplementedError
 
-    def status(self) -> Health:
-        """Return level, sentence and figures for diagnostics, whatever lifecycle state it is in."""
-        return Health(Level.OK, self.state, {})
+    def health(self) -> tuple[Level, str]:
+        """Return how the node is, in one sentence, whatever lifecycle state it is in; asked ten times a second."""
+        return Level.OK, self.state
+
+    def figures(self) -> Mapping[str, object]:
+        """Return the figures of diagnostics, whatever lifecycle state it is in; asked for each message."""
+        return {}
 
     def autostarts(self) -> bool:
         """Say whether the node configures and activates itself."""
@@ -487,9 +482,7 @@ class ManagedNode(LifecycleNode, Generic[S]):
     def _report_when_due(self) -> None:
         if self.is_told_to_end():
             return
-        level, message = self._judged(self.status())
-        now = time.monotonic()
-        if now - self._reported_at >= DIAGNOSTICS_PERIOD_S or (level, message) != self._reported:
+        if time.monotonic() - self._reported_at >= DIAGNOSTICS_PERIOD_S or self._judged() != self._reported:
             self.report_now()
         else:
             self.report_change()
@@ -509,8 +502,8 @@ class ManagedNode(LifecycleNode, Generic[S]):
 
     def report_now(self) -> None:
         """Publish the present status."""
-        status, state, now_ns = self.status(), self.present(), self.rig_time_ns()
-        level, message = self._judged(status)
+        level, message = self._judged()
+        state, now_ns = self.present(), self.rig_time_ns()
         self._reported, self._reported_at = (level, message), time.monotonic()
         if state.word != self._word:
             self._word, self._since_ns = state.word, now_ns
@@ -522,7 +515,7 @@ class ManagedNode(LifecycleNode, Generic[S]):
             "instance": self._instance,
             "lifecycle": self.state,
             "cpu_percent": self._cpu.percent(),
-            **status.values,
+            **self.figures(),
             **{f"refused.{reason}": count for reason, count in sorted(self.refusals.counts.items())},
             **{f"last_refused.{reason}": text for reason, text in sorted(self.refusals.last.items())},
         }
@@ -538,12 +531,12 @@ class ManagedNode(LifecycleNode, Generic[S]):
         array.header.stamp = messages.time_message(now_ns or 0)
         self._diagnostics.publish(array)
 
-    def _judged(self, status: Health) -> tuple[Level, str]:
-        """Return the node's own status, or the last error while it is fresh."""
+    def _judged(self) -> tuple[Level, str]:
+        """Return how the node says it is, and the last error while it is fresh."""
         at, message = self._last_error
         if time.monotonic() - at < ERROR_MEMORY_S:
-            return worst((status.level, status.message), (Level.ERROR, message))
-        return status.level, status.message
+            return worst(self.health(), (Level.ERROR, message))
+        return self.health()
 
 
 class LateService:

@@ -27,7 +27,7 @@ from impact_rig.config.tree import Tree
 from impact_rig.errors import RecordingError
 from impact_rig.nodes import process
 from impact_rig.nodes.acknowledgements import Acknowledgements
-from impact_rig.nodes.managed import Done, Health, Level, ManagedNode, State
+from impact_rig.nodes.managed import Done, Level, ManagedNode, State
 from impact_rig.nodes.messages import TOPICS
 from impact_rig.recording import (
     CONFIGURATION,
@@ -152,34 +152,37 @@ class RecorderNode(ManagedNode[RecorderSettings]):
             return State(words.RECORDING)
         return State(words.IDLE, "the last recording lacks messages" if lost else "")
 
-    def status(self) -> Health:
-        """Return what is being written, and what was lost."""
-        writer = self._writer
-        lost = self._account.lost()
-        values: dict[str, object] = {f"lost.{self._added[name]}": count for name, count in lost.items()}
-        if writer is not None:
-            values |= {
-                "directory": str(writer.directory),
-                "messages": writer.message_count,
-                "megabytes": writer.bytes_written / 1e6,
-            }
+    def health(self) -> tuple[Level, str]:
+        """Return whether it records, and what of that goes wrong."""
         if self.state != "active":
-            return Health(Level.WARN, self.state, values)
+            return Level.WARN, self.state
         if self._failure:
-            return Health(Level.ERROR, f"{self._failure}; no block is acknowledged until ~/start or ~/stop", values)
+            return Level.ERROR, f"{self._failure}; no block is acknowledged until ~/start or ~/stop"
         mixed = self._mixed()
         if mixed:
-            return Health(Level.WARN, f"this run cannot be verified: {mixed}", values | {"other_publishers": mixed})
-        if lost:
-            return Health(Level.ERROR, "messages were lost before they reached the recorder", values)
-        if writer is not None and self._refused:
-            names = ", ".join(sorted(self._refused))
-            return Health(Level.WARN, f"not recorded, as it is no such table: what came on {names}", values)
+            return Level.WARN, f"this run cannot be verified: {mixed}"
+        if self._account.lost():
+            return Level.ERROR, "messages were lost before they reached the recorder"
+        if self._writer is not None and self._refused:
+            return Level.WARN, f"not recorded, as it is no such table: what came on {', '.join(sorted(self._refused))}"
         if self._waiting:
-            return Health(Level.OK, "waiting for the rig's configuration", values)
+            return Level.OK, "waiting for the rig's configuration"
         if self._awaited:
-            return Health(Level.OK, f"recording, waiting for {', '.join(sorted(self._awaited))}", values)
-        return Health(Level.OK, "recording" if writer is not None else "not recording", values)
+            return Level.OK, f"recording, waiting for {', '.join(sorted(self._awaited))}"
+        return Level.OK, "recording" if self._writer is not None else "not recording"
+
+    def figures(self) -> dict[str, object]:
+        """Return what is being written, and what was lost."""
+        values: dict[str, object] = {f"lost.{self._added[name]}": n for name, n in self._account.lost().items()}
+        if self._writer is not None:
+            values |= {
+                "directory": str(self._writer.directory),
+                "messages": self._writer.message_count,
+                "megabytes": self._writer.bytes_written / 1e6,
+            }
+        if self.active and not self._failure and (mixed := self._mixed()):
+            values["other_publishers"] = mixed
+        return values
 
     def _mixed(self) -> str:
         """Return which topics of this run have been written by several nodes, or nothing."""

@@ -10,7 +10,7 @@ from typing import Any  # rclpy messages
 
 from impact_rig import states
 from impact_rig.nodes import process
-from impact_rig.nodes.managed import Health, ManagedNode, State
+from impact_rig.nodes.managed import Level, ManagedNode, State
 from impact_rig.nodes.rig_state import RigState
 from impact_rig.nodes.session import Session
 from impact_rig.nodes.standard_services import StandardServices
@@ -82,10 +82,14 @@ class RigNode(ManagedNode[RigConfig]):
         """Return what the rig does."""
         return self._state.word()
 
-    def status(self) -> Health:
+    def health(self) -> tuple[Level, str]:
         """Return how the rig is, and tell the log what is new."""
         self._state.look()
         return self._state.health()
+
+    def figures(self) -> dict[str, object]:
+        """Return time, lateness, peers, shaker, energy, over-ranges."""
+        return self._state.figures()
 
 
 def main(ending: Ending) -> None:

@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator
 import attrs
 
 from impact_rig import states, topics
-from impact_rig.nodes.managed import Health, Level, State, worst
+from impact_rig.nodes.managed import Level, State, worst
 from impact_rig.nodes.session import Session
 from impact_rig.physics.stream import State as StreamState
 from impact_rig.rig import Rig
@@ -66,18 +66,22 @@ class RigState:
         without = f"without peer {', '.join(missing)}" if missing else ""
         return State(states.Rig.DRIVING if session.rig.is_driven else states.Rig.AT_REST, without)
 
-    def health(self) -> Health:
-        """Return mode, time, lateness, peers, shaker, over-ranges; or why the rig has not begun."""
-        session, config = self._session, self._node.settings
-        obstacle = session.obstacle()
+    def health(self) -> tuple[Level, str]:
+        """Return what is wrong with the rig, or why it has not begun."""
+        obstacle, rig = self._session.obstacle(), self._session.rig
         if obstacle is not None:
-            level = Level.ERROR if obstacle.word is states.Rig.RIVAL else Level.WARN
-            return Health(level, obstacle.reason, {"mode": config.time.mode})
+            return Level.ERROR if obstacle.word is states.Rig.RIVAL else Level.WARN, obstacle.reason
+        if rig is None:
+            return Level.WARN, self._node.state
+        running = (Level.OK, f"running, {self._node.settings.time.mode}")
+        return worst(running, *((one.level, one.message) for one in self._troubles(rig)))
+
+    def figures(self) -> dict[str, object]:
+        """Return mode, and of a rig that has begun time, lateness, peers, shaker, energy, over-ranges."""
+        session, config = self._session, self._node.settings
         rig = session.rig
         if rig is None:
-            return Health(Level.WARN, self._node.state, {"mode": config.time.mode})
-        running = (Level.OK, f"running, {config.time.mode}")
-        level, message = worst(running, *((one.level, one.message) for one in self._troubles(rig)))
+            return {"mode": config.time.mode}
         pacer, counts = session.pacer, session.counts
         energy = rig.simulation.energy()
         lost_j = energy.columns + energy.shaker + energy.contact + energy.friction
@@ -120,7 +124,7 @@ class RigState:
             }
         values |= {f"behind.{name}": count for name, count in session.window.behind().items()}
         values |= {f"over_range.{one.name}": counts.over_range[one.name] for one in config.instruments.fitted()}
-        return Health(level, message, values)
+        return values
 
     def _clock_step_s(self) -> float:
         return (time.time_ns() - time.monotonic_ns() - self._session.clock_offset_ns) / NS_PER_S

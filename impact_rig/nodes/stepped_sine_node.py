@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any  # rclpy messages
 
 import attrs
@@ -18,7 +18,7 @@ from impact_rig.config.tree import Tree
 from impact_rig.errors import CodecError, ConfigError, ImpactRigError
 from impact_rig.nodes import process
 from impact_rig.nodes.acknowledgements import Acknowledgements
-from impact_rig.nodes.managed import Done, Health, Level, ManagedNode, State
+from impact_rig.nodes.managed import Done, Level, ManagedNode, State
 from impact_rig.nodes.messages import MONITORS
 from impact_rig.operate.operator import Applied, News, Operator
 from impact_rig.operate.phase_lock import LockedSine, LockPlan, Reference
@@ -198,18 +198,24 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
             return State(words.ABORTED, sweep.reason)
         return State(words.RUNNING if self._operator.busy else words.DONE)
 
-    def status(self) -> Health:
+    def health(self) -> tuple[Level, str]:
         """Return how far the sweep is."""
         if self.state != "active":
-            return Health(Level.WARN, self.state, {})
+            return Level.WARN, self.state
         if self._pending:
-            return Health(Level.WARN, self._missing() or "about to begin", {})
+            return Level.WARN, self._missing() or "about to begin"
         if self._operator is None:
-            return Health(Level.OK, "idle", {})
+            return Level.OK, "idle"
         sweep = self._operator.sweep
         if sweep.state is Progress.ABORTED:
-            return Health(Level.ERROR, f"aborted: {sweep.reason}", sweep.figures())
-        return Health(Level.OK, sweep.describe(), sweep.figures())
+            return Level.ERROR, f"aborted: {sweep.reason}"
+        return Level.OK, sweep.describe()
+
+    def figures(self) -> Mapping[str, object]:
+        """Return those of the last sweep."""
+        if self.state != "active" or self._pending or self._operator is None:
+            return {}
+        return self._operator.sweep.figures()
 
     # Start and stop
 

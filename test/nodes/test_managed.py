@@ -27,7 +27,7 @@ from impact_rig.client.client import ros_parameters
 from impact_rig.config.fields import integer, names, quantity, switch
 from impact_rig.config.tree import Tree
 from impact_rig.errors import CommandError, ConfigError
-from impact_rig.nodes.managed import Done, Health, Level, ManagedNode, State
+from impact_rig.nodes.managed import Done, Level, ManagedNode, State
 from impact_rig.nodes.process import EXECUTOR_VARIABLE
 
 pytestmark = pytest.mark.ros
@@ -74,8 +74,11 @@ class Small(ManagedNode[Settings]):
     def doing(self) -> State:
         return State(states.Recorder.IDLE)
 
-    def status(self) -> Health:
-        return Health(Level.OK, "fine", {"ticks": self.ticks})
+    def health(self) -> tuple[Level, str]:
+        return Level.OK, "fine"
+
+    def figures(self) -> dict[str, object]:
+        return {"ticks": self.ticks}
 
     def _tick(self) -> None:
         self.ticks += 1
@@ -121,7 +124,7 @@ def test_a_node_that_is_told_to_end_has_no_more_news(user: Client) -> None:
     user.wait_until(lambda: reports.messages, "a report")
     node.is_told_to_end = lambda: True
     ticks = node.ticks
-    node.status = lambda: Health(Level.ERROR, "somebody has gone", {})  # would be reported within 0.1 s
+    node.health = lambda: (Level.ERROR, "somebody has gone")  # would be reported within 0.1 s
     user.wait_until(lambda: node.ticks > ticks + 100, "a second of its timer")
     assert not any("somebody has gone" in report.status[0].message for report in reports.messages)
 
