@@ -15,7 +15,7 @@ from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch_pytest.actions import ReadyToTest
 
 from impact_rig.client import Client
-from impact_rig.system.resources import share_dir
+from impact_rig.system.files import share_dir
 
 
 @launch_pytest.fixture

@@ -24,7 +24,7 @@ from impact_rig.recording.description import schema_text
 from impact_rig.rig import Rig
 from impact_rig.rig.config import RigConfig, dump, fields, from_flat, load, to_flat
 from impact_rig.rig.journal import read
-from impact_rig.system.resources import config_dir
+from impact_rig.system.files import config_dir
 
 KNOWN = {name: about for name, about, _ in fields()}
 ANY_NUMBER = st.floats() | st.sampled_from((0.0, -0.0, 1e-320, 1e308, -1.0, 1e-9, 0.5, 2.0, 100.0))

@@ -25,8 +25,7 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_rig.blocks import Table
-from impact_rig.columns import TEXT, Column
+from impact_rig.blocks import TEXT, Column, Table
 from impact_rig.errors import CodecError
 from impact_rig.simtime import NS_PER_S
 from impact_rig.topics import Topic

@@ -15,7 +15,7 @@ import attrs
 import numpy as np
 
 from impact_rig import blocks
-from impact_rig.columns import NUMBER, Column, row_type
+from impact_rig.blocks import NUMBER, Column, row_type
 
 DATA_DEPTH = 1000
 """Messages a data topic keeps: 10 s of 10 ms blocks, 1 s of 1 ms blocks."""
@@ -50,11 +50,8 @@ class Topic:
     Attributes:
         name: relative topic name, or absolute where convention says so.
         type_name: ROS interface, `package/msg/Type`.
-        qos: quality of service of publishers and subscribers.
         publisher: node that publishes it, or `client`.
-        doc: what is in it.
         fields: the columns of a table, or the fields of another message that are filled.
-        columns: row type where the message is a table.
         frame_id: frame of its header.
         recorded: whether it belongs into every run; what is made for plotters follows from what is recorded.
         further: type of the columns that may follow `fields` in a table; empty: any, for those of a later version.

@@ -30,7 +30,7 @@ from impact_rig.rig.config import RigConfig, from_flat, load
 from impact_rig.rig.description import ROOT, robot_description
 from impact_rig.system import budget
 from impact_rig.system.endings import PARENT_VARIABLE
-from impact_rig.system.resources import share_dir
+from impact_rig.system.files import share_dir
 
 LONGEST_OVERRIDES = 100_000
 

@@ -24,7 +24,7 @@ from typing import IO, TYPE_CHECKING
 import pytest
 from hypothesis import HealthCheck, settings
 
-from impact_rig.client.domain import remove_litter
+from impact_rig.client.processes import remove_litter
 
 if TYPE_CHECKING:
     from kits.browser import Browser

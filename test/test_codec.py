@@ -13,9 +13,8 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from impact_rig import blocks, topics
-from impact_rig.blocks import Table
+from impact_rig.blocks import TEXT, Table
 from impact_rig.codec import MAX_COLUMNS, checked, decode, encode, header_stamp_ns
-from impact_rig.columns import TEXT
 from impact_rig.errors import CodecError
 from impact_rig.instruments.section import SCAN
 

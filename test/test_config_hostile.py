@@ -24,7 +24,7 @@ from impact_rig.instruments.section import CHANNELS
 from impact_rig.rig import Rig, config
 from impact_rig.rig.config import RigConfig
 from impact_rig.system import budget
-from impact_rig.system.resources import config_dir
+from impact_rig.system.files import config_dir
 
 CASES = int(os.environ.get("IMPACT_RIG_HOSTILE", "120"))
 pytestmark = pytest.mark.timeout(120 + CASES)

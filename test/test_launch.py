@@ -29,7 +29,7 @@ from kits.launched import (
 from impact_rig.errors import ConfigError
 from impact_rig.rig import config
 from impact_rig.system.endings import PARENT_VARIABLE
-from impact_rig.system.resources import share_dir
+from impact_rig.system.files import share_dir
 
 LAUNCH = share_dir() / "launch"
 RIG, TWO = LAUNCH / "rig.launch.py", LAUNCH / "two_rigs.launch.py"

@@ -18,8 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from impact_rig.campaign.pool import run_parallel
-from impact_rig.drawing.palette import SERIES
-from impact_rig.drawing.style import legend_below, new_axes, style
+from impact_rig.drawing import SERIES, legend_below, new_axes, style
 from impact_rig.physics import prediction
 from impact_rig.rig.config import RigConfig
 from impact_rig.studies.prediction import CURRENT_A, Compared, side_by_side

@@ -23,8 +23,7 @@ from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters
 from rclpy.parameter import parameter_dict_from_yaml_file, parameter_value_to_python
 
 from impact_rig.client import Client, Processes, isolated_domain
-from impact_rig.client.client import ros_parameters
-from impact_rig.client.waiting import WaitTimeoutError
+from impact_rig.client.client import WaitTimeoutError, ros_parameters
 from impact_rig.nodes.analysis_node import AnalysisNode
 from impact_rig.nodes.messages import TOPICS, nanoseconds
 from impact_rig.nodes.rig_node import RigNode

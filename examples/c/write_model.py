@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 from impact_rig.arithmetic.random import Random
-from impact_rig.arithmetic.records import records
+from impact_rig.kernels import records
 from impact_rig.physics import FunctionGenerator
 from impact_rig.physics.model import build
 from impact_rig.physics.state import STATE

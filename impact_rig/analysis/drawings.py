@@ -15,8 +15,7 @@ from scipy import signal
 from impact_rig.analysis.calibration import Real
 from impact_rig.analysis.frf import Frf
 from impact_rig.analysis.sine import SineFit
-from impact_rig.drawing.palette import MUTED, PAPER_RED
-from impact_rig.drawing.style import WIDE_INCH, new_axes, styled
+from impact_rig.drawing import MUTED, PAPER_RED, WIDE_INCH, new_axes, styled
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -16,8 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig import topics
-from impact_rig.blocks import Table, joined
-from impact_rig.columns import Column, row_type
+from impact_rig.blocks import Column, Table, joined, row_type
 from impact_rig.errors import ConfigError
 from impact_rig.simtime import NS_PER_S
 
@@ -132,12 +131,7 @@ class ScanBuffer:
 
 
 class Recent:
-    """Keeps as many scans as asked for; forgets all when blocks do not follow on one another.
-
-    Args:
-        rate_hz: scans per second, from daq/info.
-        length: scans that are kept, at least.
-    """
+    """Keeps as many scans as asked for; forgets all when blocks do not follow on one another."""
 
     def __init__(self, rate_hz: float, length: int) -> None:
         self._rate_hz = rate_hz

@@ -19,8 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig.arithmetic.elementary import exp, log
-from impact_rig.arithmetic.records import DISABLED
-from impact_rig.kernels import REALS, WORDS, entry, kernel
+from impact_rig.kernels import MODE, REALS, WORDS, entry, kernel
 
 _LAYERS = 256
 _TAIL = 3.6541528853610088  # where the lowest layer ends and the tail begins
@@ -137,5 +136,5 @@ def fill_uniform(state, out):  # type: ignore[no-untyped-def]
     state[0], state[1], state[2], state[3] = s0, s1, s2, s3
 
 
-if DISABLED:  # the sums of the generator drop what is beyond 64 bits, which plain NumPy takes for a mishap
+if MODE == "plain":  # the sums of the generator drop what is beyond 64 bits, which plain NumPy takes for a mishap
     fill_normal, fill_uniform = (np.errstate(over="ignore")(fill) for fill in (fill_normal, fill_uniform))

@@ -52,12 +52,7 @@ class Console(rich_console.Console):
 
 
 class TextTable(rich_table.Table):
-    """A table that fits 80 columns: units stand below the names they belong to, numbers and units are never cut.
-
-    Args:
-        title: above it.
-        caption: below it.
-    """
+    """A table that fits 80 columns: units stand below the names they belong to, numbers and units are never cut."""
 
     def __init__(self, title: str | None = None, caption: str | None = None) -> None:
         super().__init__(title=title, caption=caption, box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
@@ -83,12 +78,7 @@ class Words(TextColumn):
 
 
 class Steps:
-    """Progress as plain lines, where there is no terminal to draw a bar on.
-
-    Args:
-        what: is counted.
-        total: of it.
-    """
+    """Progress as plain lines, where there is no terminal to draw a bar on."""
 
     def __init__(self, what: str, total: int) -> None:
         self._what, self._total, self._told = what, total, -1

@@ -17,14 +17,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from impact_rig.client.domain import isolated_domain
-from impact_rig.client.processes import NodeProcess, ProcessDiedError, Processes
-from impact_rig.system.resources import lazily
+from impact_rig.client.processes import NodeProcess, ProcessDiedError, Processes, isolated_domain
+from impact_rig.system import lazily
 
 if TYPE_CHECKING:
-    from impact_rig.client.client import Client, ServiceFailedError
+    from impact_rig.client.client import Client, RigGoneError, ServiceFailedError, WaitTimeoutError
     from impact_rig.client.collector import Collector
-    from impact_rig.client.waiting import RigGoneError, WaitTimeoutError
 
 __all__ = [
     "Client",

@@ -15,16 +15,18 @@ from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from pathlib import Path
 
 import attrs
+import numpy as np
+from numpy.typing import NDArray
 
-from impact_rig import topics
+from impact_rig import codec, topics
 from impact_rig.analysis.settings import TrackerSettings
-from impact_rig.blocks import Table
+from impact_rig.blocks import WAVEFORM, Table
 from impact_rig.campaign.job import TRACE_BLOCKS, Job, Outcome, Trace, columns, run_job
 from impact_rig.campaign.run import Runner
 from impact_rig.client.client import Client
-from impact_rig.client.domain import isolated_domain
-from impact_rig.client.processes import ParameterValue, Processes
+from impact_rig.client.processes import ParameterValue, Processes, isolated_domain
 from impact_rig.errors import ImpactRigError
+from impact_rig.operate.hardware import Hardware, Wanted
 from impact_rig.operate.operator import Applied, News
 from impact_rig.operate.phase_lock import Look, PhasorMeter
 from impact_rig.operate.plan import Setpoint
@@ -32,7 +34,7 @@ from impact_rig.operate.stepped_sine import HoldPlan, SteppedSine
 from impact_rig.rig import Kind
 from impact_rig.rig.config import RigConfig, from_flat, to_flat
 from impact_rig.rig.interlock import OVER_TRAVEL, Trip, check_amplitude, check_frequency
-from impact_rig.simtime import NS_PER_S
+from impact_rig.simtime import NS_PER_S, stamp_ns
 from impact_rig.studies.closed_loop import Held, hold, with_short_blocks
 
 FIXED = ("time.", "step.", "daq.rate_hz", "daq.block_scans", "output.autostart")
@@ -64,14 +66,7 @@ def stepped_runner(directory: Path, *, record: bool = False) -> Runner:
 
 @contextlib.contextmanager
 def stepped(directory: Path, rate_hz: int, block_scans: int, *, record: bool = False) -> Iterator[SteppedApparatus]:
-    """Start the nodes, and give what steps them through jobs.
-
-    Args:
-        directory: processes log into its `logs`, runs are recorded in its `runs`.
-        rate_hz: of every job's scans.
-        block_scans: of every job's blocks.
-        record: record every job.
-    """
+    """Start the nodes, and give what steps them through jobs."""
     parameters: dict[str, ParameterValue] = {
         "time.mode": "stepped", "time.peers": ["analysis", "recorder"] if record else ["analysis"],
         "daq.rate_hz": rate_hz, "daq.block_scans": block_scans,
@@ -114,13 +109,7 @@ def freewheel_runner(directory: Path, config: RigConfig, name: Callable[[Job], s
 
 @contextlib.contextmanager
 def _graph(directory: Path, parameters: Mapping[str, ParameterValue], runs: Path | None) -> Iterator[Client]:
-    """Start the nodes, and give a client of theirs once they are active.
-
-    Args:
-        directory: processes log into its `logs`.
-        parameters: of the rig.
-        runs: where a recorder writes; None: there is none.
-    """
+    """Start the nodes, and give a client of theirs once they are active."""
     nodes = ["rig", "analysis"]
     with isolated_domain() as domain_id, Processes(domain_id, directory / "logs") as processes:
         processes.start("rig", parameters)
@@ -482,3 +471,62 @@ def stepped_loop(directory: Path, config: RigConfig) -> Iterator[SteppedLoop]:
         with Client(domain_id, processes=processes, name="operator") as client:
             client.wait_active("rig")
             yield SteppedLoop(client, from_flat(config, {}))
+
+
+class OverTopics:
+    """A wire to a rig behind topics.
+
+    It acknowledges scans in the client's name: in `freewheel` and `stepped` the client is among `time.peers`.
+
+    Args:
+        client: connected to an active rig whose drive is a stream.
+    """
+
+    def __init__(self, client: Client) -> None:
+        self._client = client
+        found = client.get_parameters("rig", ["drive.stream_rate_hz", "daq.rate_hz"])
+        self.rate_hz, self.scan_rate_hz = (int(value) for value in found.values())
+        self._scans = client.collect(topics.SCAN.name, acknowledge=True)
+        self._stream = client.collect(topics.STREAM.name)
+        client.wait_until(self._stream.last, f"{topics.STREAM.name} (drive.waveform: stream)")
+        self._sent_to = 0
+
+    def feed(self, first: int, samples: NDArray[np.float64]) -> None:
+        """Publish a block."""
+        rows = np.zeros(len(samples), WAVEFORM)
+        rows["value"] = samples
+        self._client.publish(
+            topics.WAVEFORM, codec.encode(Table(stamp_ns(first, self.rate_hz, self._start_ns()), rows)), listener="rig"
+        )
+        self._sent_to = first + len(samples)
+
+    def wanted(self) -> Wanted:
+        """Return what the rig said last; what was sent since counts as buffered."""
+        table = self._stream.last()
+        assert table is not None
+        row = table.rows[0]
+        sample = int(row["wanted"])
+        return Wanted(sample, max(int(row["buffered"]), self._sent_to - sample), int(row["capacity"]))
+
+    def turn(self, timeout_s: float) -> tuple[int, NDArray[np.void]] | None:
+        """Spin until a block of scans comes."""
+        try:
+            self._client.wait_until(lambda: len(self._scans), "a block of scans", timeout_s)
+        except ImpactRigError:
+            return None
+        table = self._scans.tables()[0]
+        del self._scans.received[0]
+        if len(self._stream.received) > 1:  # the newest is enough
+            del self._stream.received[:-1]
+        since = table.stamp_ns - self._start_ns()
+        return (2 * since * self.scan_rate_hz + NS_PER_S) // (2 * NS_PER_S), table.rows
+
+    def _start_ns(self) -> int:
+        table = self._stream.received[-1].table
+        assert table is not None
+        return table.stamp_ns - stamp_ns(int(table.rows["wanted"][0]), self.rate_hz)
+
+
+def over_topics(client: Client) -> Hardware:
+    """Return output and acquisition of a rig behind topics."""
+    return Hardware(OverTopics(client))

@@ -9,14 +9,17 @@ with its last words.
 
 from __future__ import annotations
 
+import contextlib
 import functools
+import inspect
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from types import TracebackType
 from typing import Any, TypeVar  # rclpy handles; message classes have no common base
 
 import numpy as np
+import rclpy.utilities
 from diagnostic_msgs.msg import DiagnosticStatus
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
@@ -31,15 +34,102 @@ from std_srvs.srv import SetBool, Trigger
 from impact_rig import codec, topics
 from impact_rig.blocks import Table
 from impact_rig.client.collector import Collector, Received
-from impact_rig.client.hosting import HostedNodes, acknowledge_callbacks
 from impact_rig.client.processes import ParameterValue, Processes
-from impact_rig.client.waiting import LOOK_S, SPIN_S, Activation, Check, Spinner, WaitTimeoutError, patiently
-from impact_rig.errors import ConfigError, ImpactRigError
+from impact_rig.errors import ConfigError, GoneError, ImpactRigError
 from impact_rig.nodes import messages
 from impact_rig.nodes.guard import with_info
-from impact_rig.nodes.messages import Template, by_name
+from impact_rig.nodes.messages import Template, by_name, header_stamp_ns
 from impact_rig.nodes.process import make_executor
 from impact_rig.system.endings import unhurried
+
+SPIN_S = 0.1
+GONE_S = 2.0
+"""A rig that says nothing for so long is gone: it reports once a second, whatever it does."""
+DIAGNOSTICS_PERIOD_S = 1.0
+LOOK_S = 0.05
+"""What has arrived while nobody spun is handed over in this time."""
+
+
+class WaitTimeoutError(ImpactRigError, TimeoutError):
+    """Something awaited did not happen in time."""
+
+
+Check = Callable[[], None]
+"""Raises when there is nothing to wait for any more."""
+
+
+def patiently() -> None:
+    """Wait as long as there is time."""
+
+
+class RigGoneError(GoneError):
+    """The rig that something was given to is gone, by itself or for another one: it was not done, and will not be."""
+
+
+class Activation:
+    """Which rig a client speaks to: the activation it heard of last, and when.
+
+    A command belongs to the rig it was given to. Whoever waits for one to be carried out asks `given` first: what that
+    returns raises as soon as the rig is gone.
+    """
+
+    def __init__(self, clock: Callable[[], float]) -> None:
+        self._clock = clock
+        self._instance = ""
+        self._heard_at = -math.inf
+        self._from_ns = 0
+        self._is_there = self._is_gone = False
+
+    @property
+    def is_overdue(self) -> bool:
+        """Whether a rig that was heard has not been heard for a while."""
+        return self._is_there and self._clock() - self._heard_at > DIAGNOSTICS_PERIOD_S
+
+    def heard(self, instance: str, sent_ns: int) -> None:
+        """Take the instance in a rig's diagnostics, and when they were sent (system time)."""
+        if sent_ns >= self._from_ns:
+            self._instance, self._heard_at = instance, self._clock()
+            self._is_there, self._is_gone = True, False
+
+    def changed(self) -> None:
+        """Take the next rig that is heard for the one that is meant: the user has just seen that it is there."""
+        self._instance, self._from_ns = "", time.time_ns()
+        self._is_there, self._is_gone = True, False
+
+    def given(self, what: str, silence_s: float = GONE_S) -> Check:
+        """Return what raises once the rig that is there now is gone, or has been silent for so long [s]."""
+        instance, since = self._instance, self._clock()
+
+        def check() -> None:
+            nonlocal instance
+            instance = instance or self._instance
+            if instance != self._instance:
+                raise RigGoneError(f"{what}: the rig it was given to is gone, and another one has begun")
+            silent = self._is_there and self._clock() - max(self._heard_at, since) > silence_s
+            self._is_gone |= silent
+            if self._is_gone:
+                raise RigGoneError(f"{what}: the rig it was given to is gone, nothing was heard of it for {GONE_S:g} s")
+
+        return check
+
+
+class Spinner:
+    """Spins an executor and keeps the time."""
+
+    def __init__(self, executor: Any) -> None:
+        self._executor = executor
+        self._working_s = 0.0
+
+    def waited_s(self) -> float:
+        """Return a time [s] that stands still while a hosted node is at work in a callback: compiling takes minutes."""
+        return time.monotonic() - self._working_s
+
+    def spin(self, longest_s: float = SPIN_S) -> None:
+        """Let one callback run, or wait for it at most so long [s]."""
+        began = time.monotonic()
+        self._executor.spin_once(timeout_sec=longest_s)
+        self._working_s += max(0.0, time.monotonic() - began - longest_s)
+
 
 T = TypeVar("T")
 
@@ -134,12 +224,6 @@ class Client:
         check: Check = patiently,
     ) -> T:
         """Spin until `condition()` is true, and return what it gave.
-
-        Args:
-            condition: what is waited for.
-            what: the same, for people.
-            timeout_s: how long.
-            check: called now and then; raises when there is nothing to wait for any more, see `given`.
 
         Raises:
             WaitTimeoutError: it did not become true in time; names `what`.
@@ -403,11 +487,6 @@ class Client:
         """Subscribe to any topic, e.g. an output of the pipeline under test, and keep everything that arrives.
 
         Type and reliability are those of its publisher, which must be there; tables come as with `collect`.
-
-        Args:
-            name: topic name, relative to the namespace.
-            on_message: called after a message is kept.
-            timeout_s: how long to wait for a publisher.
         """
         full_name = self.node.resolve_topic_name(name)
         topic, profile = self.wait_until(lambda: published(self.node, name), f"a publisher of {full_name}", timeout_s)
@@ -503,3 +582,88 @@ def published(node: Node, topic: str) -> tuple[topics.Topic, QoSProfile] | None:
     profile = messages.profile(topics.Qos.DATA)
     profile.reliability = publisher.qos_profile.reliability
     return topics.Topic(topic, publisher.topic_type, topics.Qos.DATA, publisher.node_name, "", ()), profile
+
+
+class HostedNodes:
+    """The nodes that run in one executor beside the node of its owner, with the owner's context and namespace."""
+
+    def __init__(self, owner: Node, executor: Any) -> None:
+        self._owner = owner
+        self._executor = executor
+        self._nodes: list[Any] = []
+
+    def start(self, make_node: Callable[..., Any], **kwargs: Any) -> Any:
+        """Make a node and add it to the executor.
+
+        A class that does not hand keyword arguments on to `Node` gets the context as the default one, and no namespace.
+        """
+        if takes_keywords(make_node):
+            kwargs |= {
+                "context": self._owner.context,
+                "namespace": self._owner.get_namespace(),
+                "use_global_arguments": False,
+            }
+        with _as_default(self._owner.context):
+            node = make_node(**kwargs)
+        self._nodes.append(node)
+        self._executor.add_node(node)
+        return node
+
+    def stop_working(self) -> None:
+        """Let nodes of this package end what they do, while the executor still runs."""
+        for node in self._nodes:
+            if hasattr(node, "close"):
+                node.close()
+
+    def destroy(self) -> None:
+        """Destroy every node, after the executor was shut down."""
+        for node in self._nodes:
+            node.destroy_node()
+
+
+def takes_keywords(make_node: Callable[..., Any]) -> bool:
+    """Return whether a node's class hands keyword arguments on to rclpy's Node."""
+    parameters = inspect.signature(make_node).parameters.values()
+    return any(parameter.kind is parameter.VAR_KEYWORD for parameter in parameters)
+
+
+def acknowledge_callbacks(node: Any, topic: str, acknowledge: Callable[[str, int], None]) -> int:
+    """Acknowledge every message of a topic for a node, once its callback has returned, or raised.
+
+    Args:
+        node: a hosted node.
+        topic: full name of a topic whose messages have a header.
+        acknowledge: called with the node's name and the stamp of the message [ns].
+
+    Returns:
+        How many subscriptions to the topic the node has.
+    """
+    found = [subscription for subscription in node.subscriptions if subscription.topic_name == topic]
+    for subscription in found:
+        subscription.callback = _then(subscription.callback, functools.partial(acknowledge, node.get_name()))
+    return len(found)
+
+
+def _then(callback: Callable[..., Any], acknowledge: Callable[[int], None]) -> Callable[..., Any]:
+    @functools.wraps(callback)
+    def call(*args: Any) -> Any:
+        message = args[0][0] if type(args[0]) is tuple else args[0]
+        try:
+            return callback(*args)
+        finally:
+            stamp_ns = header_stamp_ns(message)
+            assert stamp_ns is not None, "a message without a header cannot be acknowledged"
+            acknowledge(stamp_ns)
+
+    return call
+
+
+@contextlib.contextmanager
+def _as_default(context: Context) -> Iterator[None]:
+    """Make a context the default one, which is what a node gets that is not given any."""
+    utilities: Any = rclpy.utilities
+    before, utilities.g_default_context = utilities.g_default_context, context
+    try:
+        yield
+    finally:
+        utilities.g_default_context = before

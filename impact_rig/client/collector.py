@@ -23,10 +23,8 @@ class Received:
     """One message.
 
     Attributes:
-        data: the message; CDR bytes where the topic carries tables.
         sequence: DDS publication sequence number: contiguous per publisher.
         received_system_ns: system clock at the callback [ns], comparable with stamps in realtime.
-        table: what it says, where it is of a table of ours.
     """
 
     data: Any
@@ -39,10 +37,6 @@ class Collector:
     """Keeps every message of one topic.
 
     A message that is no table of its topic is refused: counted, and not kept.
-
-    Args:
-        topic: row of the topics table; one without columns takes what comes.
-        on_message: called after a message is kept (the client acknowledges here).
     """
 
     def __init__(self, topic: Topic, on_message: Callable[[Received], None] | None = None) -> None:

@@ -14,7 +14,7 @@ from collections.abc import Mapping
 
 import attrs
 
-from impact_rig.columns import Column
+from impact_rig.blocks import Column
 from impact_rig.config.fields import integer, quantity, switch
 from impact_rig.instruments.instrument import Instrument
 from impact_rig.instruments.sensor import Sensor, butterworth, high_pass, resonance

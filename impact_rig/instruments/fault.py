@@ -25,8 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig.arithmetic.random import Random
-from impact_rig.blocks import FAULTS
-from impact_rig.columns import TEXT_BYTES
+from impact_rig.blocks import FAULTS, TEXT_BYTES
 from impact_rig.config.fields import names
 from impact_rig.errors import CommandError, ConfigError
 from impact_rig.instruments.instrument import BOARD_KINDS, FAULT_KINDS

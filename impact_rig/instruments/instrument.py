@@ -9,7 +9,7 @@ from typing import ClassVar
 
 import attrs
 
-from impact_rig.columns import Column
+from impact_rig.blocks import Column
 from impact_rig.instruments.sensor import Sensor
 from impact_rig.topics import Topic
 

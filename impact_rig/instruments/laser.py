@@ -14,7 +14,7 @@ from collections.abc import Mapping
 import attrs
 
 from impact_rig.arithmetic.elementary import TWO_PI
-from impact_rig.columns import Column
+from impact_rig.blocks import Column
 from impact_rig.config.fields import quantity, switch
 from impact_rig.errors import ConfigError
 from impact_rig.instruments.instrument import Instrument

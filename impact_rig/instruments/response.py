@@ -25,11 +25,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig.arithmetic.elementary import exp, sincos
-from impact_rig.arithmetic.records import records
 from impact_rig.instruments.clock import ScanClock
 from impact_rig.instruments.pieces import NODES, PIECES, Pieces
 from impact_rig.instruments.sensor import Modes
-from impact_rig.kernels import INTEGERS, REALS, TABLE, Fields, entry, kernel
+from impact_rig.kernels import INTEGERS, REALS, TABLE, Fields, entry, kernel, records
 
 _PER_FACTORIAL = np.array([1 / math.factorial(k) for k in range(26)])
 

@@ -15,7 +15,7 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_rig.columns import Column, row_type
+from impact_rig.blocks import Column, row_type
 from impact_rig.config.fields import switch
 from impact_rig.config.mechanics import Shaker, Structure
 from impact_rig.config.operation import Daq

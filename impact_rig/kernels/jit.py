@@ -15,11 +15,9 @@ from numba import cfunc, from_dtype, njit
 from numba.core import config
 from numba.core import types as _types
 
-from impact_rig.kernels import PACKAGE, Array, Fields, Function, Record, digest
+from impact_rig.kernels import OPTIONS, PACKAGE, Array, Fields, Function, Record, digest
 
 types: Any = _types  # typed in parts
-OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
-"""What Numba is told of every kernel."""
 
 
 def numba_type(kind: Any) -> Any:

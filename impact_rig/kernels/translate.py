@@ -23,10 +23,10 @@ from numba.core.compiler_lock import global_compiler_lock
 from numba.core.registry import cpu_target
 
 import impact_rig.kernels as declared
-from impact_rig.kernels import Entry, Exported
+from impact_rig.kernels import OPTIONS, Entry, Exported
 from impact_rig.kernels.build import CPU, PARTS
 from impact_rig.kernels.header import header
-from impact_rig.kernels.jit import OPTIONS, numba_type
+from impact_rig.kernels.jit import numba_type
 
 INSIDE: dict[str, Any] = {**OPTIONS, "_nrt": False, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 """What Numba is told of functions that only kernels call; nothing allocates, so nothing is counted."""

@@ -82,12 +82,7 @@ class Refused(ImpactRigError):  # noqa: N818  # a fact about a request, not a mi
 
 
 class Own:
-    """The nodes that the lab itself has started, or is to start.
-
-    Args:
-        processes: of `impact_rig.client`.
-        parameters: of each node, by its name.
-    """
+    """The nodes that the lab itself has started, or is to start."""
 
     def __init__(self, processes: Any, parameters: Mapping[str, Mapping[str, Any]]) -> None:
         self.processes, self.parameters = processes, parameters
@@ -111,14 +106,7 @@ class Own:
 
 @attrs.define(eq=False)
 class _Running:
-    """An action under way.
-
-    Attributes:
-        answer: told when it has ended.
-        instance: of the rig it belongs to; None: to none.
-        task: what does it.
-        why: why it was broken off.
-    """
+    """An action under way."""
 
     answer: Answer
     instance: str | None
@@ -127,13 +115,7 @@ class _Running:
 
 
 class Gateway:
-    """Hears one rig and does what pages ask for, in the event loop that creates it.
-
-    Args:
-        client: of the graph, in the namespace of the rig.
-        record: gets what the rig publishes.
-        own: nodes that can be started; None: those of others are only looked at.
-    """
+    """Hears one rig and does what pages ask for, in the event loop that creates it; without `own` it only looks."""
 
     def __init__(self, client: Client, record: Record, own: Own | None) -> None:
         self.client, self.record, self._own = client, record, own
@@ -172,12 +154,7 @@ class Gateway:
         self.record.take(topic, data)
 
     def look(self, scans: bool, motion: bool) -> None:
-        """Take what has come since the last look.
-
-        Args:
-            scans: whether anything is drawn.
-            motion: the motion as well; else what was known of that is forgotten.
-        """
+        """Take what has come since the last look; without `motion`, what was known of that is forgotten."""
         wanted = {*(SCANS if scans else ()), *(TRUTH if scans and motion else ())}
         for topic in self._looks.keys() - wanted:
             self._view.destroy_subscription(self._looks.pop(topic))

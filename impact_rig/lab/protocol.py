@@ -63,9 +63,6 @@ class Request:
     """One request.
 
     Attributes:
-        id: its number.
-        do: what is asked.
-        values: checked.
         rig: instance of the rig that its page showed; None: the page did not say.
     """
 

@@ -48,12 +48,7 @@ def plain(word: str) -> str:
 
 
 class Rows:
-    """A ring of rows of numbers, of which each reader takes those that are new to it.
-
-    Args:
-        size: rows kept.
-        columns: numbers per row; the first is the time [s].
-    """
+    """A ring of rows of numbers, the first the time [s]; each reader takes those that are new to it."""
 
     def __init__(self, size: int, columns: int) -> None:
         self._rows = np.zeros((size, columns))
@@ -296,13 +291,7 @@ class Record:
         """Held while rings are written or read."""
 
     def take(self, topic: topics.Topic, data: bytes, at_ns: int | None = None) -> None:
-        """Take a message; where that fails, count it.
-
-        Args:
-            topic: its row of the table.
-            data: its CDR bytes.
-            at_ns: when it came, for a remark; None: now.
-        """
+        """Take a message that came at `at_ns` (None: now); where that fails, count it."""
         self.guard(topic.name, lambda: self._take(topic, data, at_ns))
 
     def guard(self, what: str, work: Callable[[], Any]) -> None:

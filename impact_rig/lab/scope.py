@@ -54,12 +54,7 @@ class Trace:
 
 
 class Level:
-    """A ring of pairs, each over some scans; over one scan, it is the ring of the scans themselves.
-
-    Args:
-        fine: scans per pair.
-        size: pairs kept.
-    """
+    """A ring of pairs, each over some scans; over one scan, it is the ring of the scans themselves."""
 
     def __init__(self, fine: int, size: int) -> None:
         self.fine, self.size = fine, size
@@ -83,12 +78,7 @@ class Level:
             self.status[place] = 0
 
     def gather(self, below: Level, end: int) -> None:
-        """Make the pairs that are whole now, of those of the level below.
-
-        Args:
-            below: its pairs divide those of this level.
-            end: number of the scan after the last.
-        """
+        """Make the pairs that are whole now, of those of the level below."""
         ratio, whole = self.fine // below.fine, end // self.fine
         for place in self.places(max(self.end, whole - self.size), whole):
             source = slice(place.start * ratio, place.stop * ratio)
@@ -99,11 +89,7 @@ class Level:
 
 
 class Scope:
-    """A ring of scans of contiguous numbers; scans that never came are NaN.
-
-    Args:
-        rate_hz: scans per second.
-    """
+    """A ring of scans of contiguous numbers; scans that never came are NaN."""
 
     def __init__(self, rate_hz: float) -> None:
         self.rate_hz = rate_hz
@@ -126,12 +112,7 @@ class Scope:
         self.begin = self.end = 0
 
     def add(self, table: Table, start_ns: int) -> None:
-        """Take a block of `daq/scan`.
-
-        Args:
-            table: the block.
-            start_ns: stamp of scan 0.
-        """
+        """Take a block of `daq/scan`."""
         rows = table.rows[-self._size :]
         if any(rows.dtype[name].kind not in "fiu" for name in channels_of(rows)):
             raise CodecError("daq/scan has a channel that is no number")
@@ -241,13 +222,7 @@ def _columns(values: NDArray[Any], step: int) -> NDArray[Any]:
 
 
 def spectrum(values: NDArray[np.float32], rate_hz: float, top_hz: float) -> tuple[float, NDArray[np.float32]]:
-    """Return the resolution [Hz] and the amplitude spectrum (Hann window, peak values) up to a frequency.
-
-    Args:
-        values: scans of one channel, shape (n,); what never came counts as zero.
-        rate_hz: scans per second.
-        top_hz: highest frequency.
-    """
+    """Return the resolution [Hz] and the amplitude spectrum (Hann window, peak values) up to a frequency."""
     count = len(values)
     if count < 16:
         return 1.0, np.zeros(0, np.float32)

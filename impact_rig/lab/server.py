@@ -114,13 +114,7 @@ def kept_token() -> str:
 
 
 class Session:
-    """Serves one WebSocket.
-
-    Args:
-        socket: prepared.
-        source: what is shown.
-        refused: counts what was refused, by reason.
-    """
+    """Serves one WebSocket."""
 
     def __init__(self, socket: web.WebSocketResponse, source: Source, refused: Counter[str]) -> None:
         self._socket = socket
@@ -287,8 +281,6 @@ class Server:
     """Serves a source, in an event loop and a thread of its own.
 
     Args:
-        source: what is shown.
-        host: address to bind.
         port: 0: any that is free.
         token: that the address of the page must carry.
         runs: directory whose runs a page may play; None: none.

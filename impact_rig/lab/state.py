@@ -153,11 +153,7 @@ def judge(rig: Seen, analysis: Seen, doubts: Sequence[str] = ()) -> tuple[str, s
 
 
 class Pace:
-    """Seconds of rig time per second, from readings that come once or twice a second.
-
-    Args:
-        clock: monotonic clock [s].
-    """
+    """Seconds of rig time per second, from readings that come once or twice a second."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock

@@ -46,11 +46,7 @@ def be_gentle() -> None:
 
 
 def closed_form(values: Mapping[str, Any]) -> list[list[float]]:
-    """Return frequency and transmissibility of the rig without the sphere, for the curve's background.
-
-    Args:
-        values: parameters by name; needs natural frequency and damping ratio of the structure.
-    """
+    """Return frequency and transmissibility of the rig without the sphere, for the curve's background."""
     natural, damping = values.get("structure.natural_frequency_hz"), values.get("structure.damping_ratio")
     if not natural or not damping:
         return []

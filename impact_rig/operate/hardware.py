@@ -3,7 +3,7 @@
 """A rig as a controller's hardware: an output that plays blocks of samples, and an acquisition that reads scans.
 
 The two halves that any vibration controller needs, blocking, with time-outs, for blocks of any size. They are the same
-whether the rig is in this process (`InProcess`) or behind topics (`impact_rig.client.hardware`), in real time or not.
+whether the rig is in this process (`InProcess`) or behind topics (`impact_rig.client.apparatus`), in real time or not.
 """
 
 from __future__ import annotations

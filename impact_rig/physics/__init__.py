@@ -8,7 +8,7 @@ which instruments sample.
 
 from typing import TYPE_CHECKING
 
-from impact_rig.system.resources import lazily
+from impact_rig.system import lazily
 
 if TYPE_CHECKING:
     from impact_rig.physics.flight import SEGMENT

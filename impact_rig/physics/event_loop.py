@@ -24,8 +24,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_rig.arithmetic.records import records
-from impact_rig.kernels import INTEGERS, Fields, entry, kernel
+from impact_rig.kernels import INTEGERS, Fields, entry, kernel, records
 from impact_rig.physics.contact_phase import account_step, conclude, dissipated, peak_in_step, settles, take_next_step
 from impact_rig.physics.contact_step import drop_dense_output, expand, turned_at
 from impact_rig.physics.energy import account_flight

@@ -28,10 +28,9 @@ from numpy.typing import NDArray
 from impact_rig.arithmetic.elementary import PI, TWO_PI
 from impact_rig.arithmetic.precise import ONE, TWO, ZERO, Complex, pi, precise, product, square_root, unit
 from impact_rig.arithmetic.random import Random
-from impact_rig.arithmetic.records import records
 from impact_rig.config import Drive, Shaker
 from impact_rig.errors import CommandError
-from impact_rig.kernels import REALS, entry
+from impact_rig.kernels import REALS, entry, records
 from impact_rig.physics.flight import SEGMENT
 from impact_rig.physics.stream import Stream
 from impact_rig.simtime import COMMAND_GRID_S

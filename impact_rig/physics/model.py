@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig.arithmetic.elementary import power
-from impact_rig.arithmetic.records import with_fields
-from impact_rig.kernels import Fields
+from impact_rig.kernels import Fields, with_fields
 from impact_rig.physics import contact as contact_laws
 from impact_rig.physics.contact import ContactPair, Force
 from impact_rig.physics.contact.law import FORCE, CompiledForce, compiled_force

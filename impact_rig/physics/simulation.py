@@ -11,8 +11,8 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_rig.arithmetic.records import for_kernels, records, with_fields
 from impact_rig.errors import SimulationError
+from impact_rig.kernels import for_kernels, records, with_fields
 from impact_rig.physics import contact as contact_laws
 from impact_rig.physics.contact_step import turned_at
 from impact_rig.physics.event_loop import NEED_ROOM, STUCK, Workspace, new_workspace, run

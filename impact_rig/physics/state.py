@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from impact_rig.arithmetic.records import with_fields
+from impact_rig.kernels import with_fields
 from impact_rig.physics.collocation import STAGES
 
 FREE, CONTACT, ATTACHED = range(3)

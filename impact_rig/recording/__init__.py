@@ -2,9 +2,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """MCAP files of a run: written and read. CDR bytes in, CDR bytes out; no ROS needed."""
 
-from impact_rig.recording.description import OfferedQos, TopicDescription, schema_text
+from impact_rig.recording.description import (
+    CONFIGURATION,
+    Attachment,
+    OfferedQos,
+    Provenance,
+    TopicDescription,
+    arithmetic_of,
+    schema_text,
+)
 from impact_rig.recording.losses import Account
-from impact_rig.recording.provenance import CONFIGURATION, Attachment, Provenance, arithmetic_of
 from impact_rig.recording.reader import Message, RecordedTopic, Run, open_run
 from impact_rig.recording.writer import RunWriter
 

@@ -163,8 +163,6 @@ class Gap:
 
     Attributes:
         block: number of the block after the gap, counted from 0.
-        expected_ns: stamp it should have.
-        stamp_ns: stamp it has.
         missing_scans: scans between the two; negative if the stamp went back (a reset, a block twice or out of order);
             0 if the stamp is none a scan can have.
     """
@@ -180,11 +178,7 @@ class Contiguity:
     """What the stamps of a sequence of blocks say.
 
     Attributes:
-        blocks: how many there are.
-        scans: how many scans they hold.
-        gaps: where they do not follow each other, in order.
         lost_blocks: blocks that would fill the gaps, counted in blocks as long as the one before each gap, rounded up.
-        lost_scans: scans that would fill the gaps.
         restarts: how often the stamps went back.
     """
 

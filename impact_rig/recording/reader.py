@@ -30,8 +30,7 @@ from impact_rig import codec, topics
 from impact_rig.blocks import Table
 from impact_rig.errors import CodecError, RecordingError
 from impact_rig.recording import description, records
-from impact_rig.recording.description import TopicDescription, matches, resolve
-from impact_rig.recording.provenance import RECORD_NAME, Attachment, verify
+from impact_rig.recording.description import RECORD_NAME, Attachment, TopicDescription, matches, resolve, verify
 from impact_rig.recording.records import DamageError
 from impact_rig.system import budget, files
 from impact_rig.system.budget import BudgetError, Spending

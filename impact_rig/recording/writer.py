@@ -33,15 +33,19 @@ from impact_rig.recording import description
 from impact_rig.recording.description import (
     ENCODING,
     INFINITE_NS,
+    RECORD_NAME,
     SERIALIZATION,
+    TOPIC_RECORD_NAME,
+    Attachment,
     FileSpan,
+    Provenance,
     TopicDescription,
     matches,
+    protect,
     starts_with_header,
 )
 from impact_rig.recording.losses import RECORD_NAME as LOSSES_RECORD_NAME
 from impact_rig.recording.losses import Account
-from impact_rig.recording.provenance import RECORD_NAME, TOPIC_RECORD_NAME, Attachment, Provenance, protect
 from impact_rig.recording.records import CHUNK, CHUNK_HEAD, MESSAGE, MESSAGE_HEAD, RECORD_HEAD
 from impact_rig.simtime import NS_PER_S
 from impact_rig.system import files

@@ -12,7 +12,7 @@ from impact_rig.campaign.axes import NO_SPHERE
 from impact_rig.campaign.paper import FREQUENCIES_HZ, FREQUENCY_HZ
 from impact_rig.campaign.results import Point
 from impact_rig.campaign.run import Finished
-from impact_rig.drawing.style import Drawn, style
+from impact_rig.drawing import Drawn, style
 from impact_rig.errors import ConfigError, RecordingError
 from impact_rig.report import content as kept
 from impact_rig.report import cover, dt, findings

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import attrs
 
-from impact_rig.drawing.style import Drawn
+from impact_rig.drawing import Drawn
 from impact_rig.report import page
 from impact_rig.system import files
 

@@ -14,8 +14,7 @@ from impact_rig.arithmetic import ARITHMETIC
 from impact_rig.campaign import paper, run
 from impact_rig.campaign.results import FILE_NAME as SUMMARY_FILE
 from impact_rig.campaign.run import Finished
-from impact_rig.drawing.palette import GRID, INK, MEASURED, MUTED, QUIET, TRUTH
-from impact_rig.drawing.style import WIDTH_INCH, Drawn, new_axes
+from impact_rig.drawing import GRID, INK, MEASURED, MUTED, QUIET, TRUTH, WIDTH_INCH, Drawn, new_axes
 from impact_rig.errors import RecordingError
 from impact_rig.physics.contact import from_config
 from impact_rig.physics.linear import constants, hertz_stiffness_n_m32, sphere_mass_kg

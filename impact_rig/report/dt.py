@@ -19,7 +19,7 @@ from impact_rig.campaign.axes import NO_SPHERE
 from impact_rig.campaign.paper import FREQUENCIES_HZ, FREQUENCY_HZ, REDUCTION_PERCENT, Reductions
 from impact_rig.campaign.results import Curves, Point
 from impact_rig.campaign.statements import MissingError, peak_hz
-from impact_rig.drawing.palette import (
+from impact_rig.drawing import (
     CHAOTIC,
     GRID,
     INK,
@@ -31,8 +31,12 @@ from impact_rig.drawing.palette import (
     PREDICTED,
     QUIET,
     SERIES,
+    Drawn,
+    Line,
+    legend_below,
+    new_axes,
+    styled,
 )
-from impact_rig.drawing.style import Drawn, Line, legend_below, new_axes, styled
 from impact_rig.report.content import COVERAGE
 from impact_rig.report.studies import Stretch, predicted
 from impact_rig.rig.config import RigConfig

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_rig.drawing.style import Drawn, new_axes, style
+from impact_rig.drawing import Drawn, new_axes, style
 from impact_rig.errors import ConfigError
 from impact_rig.maps.plan import BOTH, CURRENT, DOWN, FREQUENCY, GAP, POSITION, SPEED, UP, MapPlan
 from impact_rig.maps.run import FinishedMap

@@ -9,8 +9,7 @@ import re
 from collections.abc import Iterable, Sequence
 from urllib.parse import quote
 
-from impact_rig.drawing.palette import variables
-from impact_rig.drawing.style import Drawn
+from impact_rig.drawing import Drawn, variables
 
 escape = html.escape
 _SYMBOL, _LOWERED = re.compile(r"\b([A-Za-z])_(\w)\b"), r"\1<sub>\2</sub>"

@@ -17,8 +17,7 @@ from impact_rig.analysis.calibration import Calibration
 from impact_rig.analysis.reduction import reduction
 from impact_rig.campaign.axes import NO_SPHERE
 from impact_rig.campaign.results import Curves, Point
-from impact_rig.drawing.palette import PREDICTED, SERIES
-from impact_rig.drawing.style import Drawn, Line, legend_below, new_axes
+from impact_rig.drawing import PREDICTED, SERIES, Drawn, Line, legend_below, new_axes
 from impact_rig.errors import ConfigError
 from impact_rig.physics import prediction
 from impact_rig.physics.prediction import transmissibility

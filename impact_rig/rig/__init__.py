@@ -4,7 +4,7 @@
 
 from typing import TYPE_CHECKING
 
-from impact_rig.system.resources import lazily
+from impact_rig.system import lazily
 
 if TYPE_CHECKING:
     from impact_rig.rig.changes import takes_effect

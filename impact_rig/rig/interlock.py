@@ -16,10 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig.arithmetic.elementary import exp
-from impact_rig.arithmetic.records import for_kernels
 from impact_rig.config import Drive, Shaker
 from impact_rig.errors import CommandError
-from impact_rig.kernels import INTEGERS, REALS, TABLE, entry
+from impact_rig.kernels import INTEGERS, REALS, TABLE, entry, for_kernels
 from impact_rig.physics import Motion
 from impact_rig.physics.flight import SEGMENT
 

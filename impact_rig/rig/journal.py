@@ -17,8 +17,7 @@ import attrs
 import numpy as np
 
 from impact_rig import codec, topics
-from impact_rig.blocks import JOURNAL, Table
-from impact_rig.columns import TEXT_BYTES
+from impact_rig.blocks import JOURNAL, TEXT_BYTES, Table
 from impact_rig.errors import CodecError, ConfigError
 from impact_rig.rig.config import RigConfig, to_flat
 from impact_rig.simtime import NS_PER_S, stamp_ns

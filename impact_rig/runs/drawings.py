@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from impact_rig.analysis import drawings
 from impact_rig.analysis.scans import samples_of
 from impact_rig.analysis.tracker import Findings
-from impact_rig.drawing.style import style
+from impact_rig.drawing import style
 from impact_rig.errors import RecordingError
 from impact_rig.recording import Run
 from impact_rig.runs import reanalysis
@@ -55,12 +55,6 @@ def prepare(directory: Path, suffix: str, names: Sequence[str] = NAMES) -> None:
 
 def draw(run: Run, found: Sequence[Findings], directory: Path, suffix: str = "png") -> tuple[Excerpt, list[Path]]:
     """Draw a run and return what was drawn, and the files written to `directory`.
-
-    Args:
-        run: an open run.
-        found: everything that `reanalysis.analyze` found in it.
-        directory: made by `prepare`.
-        suffix: one of `FORMATS`.
 
     Raises:
         RecordingError: too few scans, or a file cannot be written.
@@ -116,11 +110,7 @@ def measured_curves(rows: NDArray[np.void]) -> dict[str, NDArray[np.void]]:
 
 
 def aliasing(info: NDArray[np.void]) -> str:
-    """Return what the rate of scans does to the pulses of the accelerometer; empty where it resolves them.
-
-    Args:
-        info: rows of `daq/info`.
-    """
+    """Return what the rate of scans does to the pulses of the accelerometer; empty where it resolves them."""
     found = info[info["name"] == b"accelerometer"]
     if not len(found):
         return ""

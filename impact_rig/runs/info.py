@@ -17,9 +17,8 @@ from numpy.typing import NDArray
 from impact_rig import codec, topics
 from impact_rig.errors import CodecError
 from impact_rig.recording import description, losses
-from impact_rig.recording.description import matches
+from impact_rig.recording.description import CONFIGURATION, matches
 from impact_rig.recording.losses import Contiguity, check_contiguity, scan_rate_hz
-from impact_rig.recording.provenance import CONFIGURATION
 from impact_rig.recording.reader import Message, Run, open_run
 from impact_rig.recording.records import DamageError
 from impact_rig.recording.writer import CONTINUES_RECORD_NAME
@@ -52,18 +51,13 @@ class RunInfo:
     """A run in figures.
 
     Attributes:
-        files: name and size [bytes] of every file.
-        start_ns, end_ns: earliest and latest log time.
         topics: in the order they were registered.
         rate_hz: scans per second of `daq/scan`; None without it.
         scans: whether its blocks follow each other; None without it.
         provenance: version, seed, wall_start_ns, ...; empty for other recorders' files.
-        attachments: name and size [bytes].
         lost: messages that never reached the recorder, by topic; only topics that lack any.
-        accounted: whether the recorder kept account of them.
         recovered: what a recovery has left out; None: this is the run as it was recorded.
         intact: whether every checksum fits and nothing is known to be missing.
-        verdict: the same as a sentence.
     """
 
     path: Path

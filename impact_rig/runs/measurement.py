@@ -30,8 +30,7 @@ from impact_rig import codec, topics
 from impact_rig.analysis.scans import CHANNELS
 from impact_rig.analysis.settings import GapLabel, parse_label
 from impact_rig.analysis.tracker import Tracker
-from impact_rig.blocks import APPLIED, DAQ_INFO, DAQ_INFO_COLUMNS, MOST_HZ, Table
-from impact_rig.columns import LONGEST_S, Column, row_type
+from impact_rig.blocks import APPLIED, DAQ_INFO, DAQ_INFO_COLUMNS, LONGEST_S, MOST_HZ, Column, Table, row_type
 from impact_rig.errors import ConfigError, RecordingError
 from impact_rig.recording import Attachment, Provenance, Run, RunWriter, TopicDescription, schema_text
 from impact_rig.runs.foreign_files import VALUES, Foreign

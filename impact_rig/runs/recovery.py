@@ -30,10 +30,9 @@ from mcap.records import Statistics
 
 from impact_rig import codec, topics
 from impact_rig.errors import CodecError, RecordingError
-from impact_rig.recording import description, losses, provenance, reader, records
-from impact_rig.recording.description import TopicDescription, matches
+from impact_rig.recording import description, losses, reader, records
+from impact_rig.recording.description import Attachment, Provenance, TopicDescription, matches
 from impact_rig.recording.losses import check_contiguity, scan_rate_hz
-from impact_rig.recording.provenance import Attachment, Provenance
 from impact_rig.recording.reader import run_files
 from impact_rig.recording.records import RECORD_HEAD, DamageError, RawMessage
 from impact_rig.recording.writer import FOLLOWS, TAIL_RECORD_NAME, TAIL_SUFFIX, RunWriter, tail_of
@@ -289,8 +288,6 @@ class RecoverReport:
 
     Attributes:
         damages: what is left out and why, in order (at most 1000 are listed).
-        damage_count: how many there are.
-        account: what reading has cost.
     """
 
     directory: Path
@@ -367,8 +364,6 @@ class Recovered:
     """What a recovery has left out.
 
     Attributes:
-        source: name of the run that was damaged or unfinished.
-        lost_bytes: size of the places that were left out.
         missing_messages: messages the damaged run's index counts and that are not given back; None: it has no index.
         unfinished: whether the damaged run was never finished, so that nobody knows what it should have held.
     """
@@ -667,14 +662,14 @@ class _Salvage:
         name, content = record.name, record.metadata
         if name == description.BAG_RECORD_NAME:
             return  # written anew
-        verified = provenance.verify(content)
+        verified = description.verify(content)
         if verified is None:
             self._report.note(
                 self._damage(found, f"the metadata record {name!r} does not fit its checksum or has none")
             )
-        elif name == provenance.RECORD_NAME:
+        elif name == description.RECORD_NAME:
             self.provenance = Provenance.from_record(verified)
-        elif name == provenance.TOPIC_RECORD_NAME:
+        elif name == description.TOPIC_RECORD_NAME:
             self._take_topic(found, verified)
         elif name == losses.RECORD_NAME:
             self.losses = verified

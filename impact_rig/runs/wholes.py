@@ -222,11 +222,6 @@ class Sines:
 def sines_of(run: Run, excerpt: Excerpt, harmonics: int = 1) -> Sines:
     """Fit sines to an excerpt of a run.
 
-    Args:
-        run: the open run.
-        excerpt: of it; its drive frequency must be known.
-        harmonics: in the fits, the drive included.
-
     Raises:
         RecordingError: no drive frequency is known, or the current holds no sine of about that frequency.
     """

@@ -61,11 +61,7 @@ def with_short_blocks(config: RigConfig) -> RigConfig:
 
 
 class ProcessLoop:
-    """A `LoopApparatus` in this process.
-
-    Args:
-        config: the rig.
-    """
+    """A `LoopApparatus` in this process."""
 
     def __init__(self, config: RigConfig) -> None:
         self._rig = Rig(with_short_blocks(config))

@@ -8,6 +8,10 @@ under a predictable name is neither followed nor kept from being seen.
 
 A lock is held by one process of this machine at a time and ends with it, however that ends. It is on a file in the
 directory for temporary files, which stays and means nothing.
+
+The package's own files: a checkout has `config/` and `launch/` next to the package; pip, colcon and Debian put them in
+`share/impact_rig` of the prefix that holds the package (`<prefix>/lib/python3.x/site-packages/impact_rig`): a checkout
+and an installed version never mix, as no environment variable is asked.
 """
 
 from __future__ import annotations
@@ -23,6 +27,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO
 
+from impact_rig.errors import ImpactRigError
 from impact_rig.system.endings import unhurried
 
 NEW_FILE = os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
@@ -202,3 +207,24 @@ def _open(folder: str, name: str) -> int:
         return os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW)
     except FileNotFoundError:
         return os.open(path, os.O_RDONLY | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o644)
+
+
+_PACKAGE = Path(__file__).resolve().parents[1]
+
+
+def share_dir(package: Path = _PACKAGE) -> Path:
+    """Return the directory that holds `config/`, `launch/` and `package.xml`.
+
+    Raises:
+        ImpactRigError: the package was copied without them.
+    """
+    candidates = [package.parent, *(parent / "share" / package.name for parent in package.parents)]
+    for candidate in candidates:
+        if (candidate / "package.xml").is_file() and (candidate / "config").is_dir():
+            return candidate
+    raise ImpactRigError(f"config/ and package.xml are neither beside {package} nor in share/{package.name} above it")
+
+
+def config_dir() -> Path:
+    """Return the directory of the working configurations."""
+    return share_dir() / "config"

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from impact_rig.system.resources import lazily
+from impact_rig.system import lazily
 
 if TYPE_CHECKING:
     from impact_rig.instruments.fault import Fault

@@ -46,11 +46,6 @@ class Golden:
     ) -> None:
         """Compare what a rig has published with the golden run.
 
-        Args:
-            rig: the rig under test.
-            topics: compared, each in full.
-            tolerances: column -> largest absolute difference; every other column must agree bit for bit.
-
         Raises:
             AssertionError: the first difference, or that there is no golden run yet.
         """

@@ -11,8 +11,7 @@ from kits.records import info_rows
 from impact_rig.analysis.calibration import Calibration
 from impact_rig.analysis.scans import ACCELEROMETER, BASE, CURRENT, LASER, status_of
 from impact_rig.analysis.tracker import Tracker
-from impact_rig.blocks import Table
-from impact_rig.columns import Column, row_type
+from impact_rig.blocks import Column, Table, row_type
 from impact_rig.errors import ConfigError
 
 

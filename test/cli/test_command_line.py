@@ -20,7 +20,7 @@ from kits.recorded_rig import messages, record
 from impact_rig.cli import main, terminal
 from impact_rig.cli.main import COMMANDS, command_line
 from impact_rig.cli.terminal import Console, Steps, TextTable, tell_json
-from impact_rig.system.resources import config_dir
+from impact_rig.system.files import config_dir
 
 PROGRAM = [sys.executable, "-c", "from impact_rig.cli import main; raise SystemExit(main())"]
 NOMINAL = str(config_dir() / "nominal.yaml")

@@ -15,8 +15,7 @@ from pathlib import Path
 import pytest
 
 from impact_rig.client import ProcessDiedError, Processes, isolated_domain
-from impact_rig.client.domain import FIRST_PORT, PORTS_PER_DOMAIN, SHARED_MEMORY, remove_litter
-from impact_rig.client.processes import _yaml
+from impact_rig.client.processes import FIRST_PORT, PORTS_PER_DOMAIN, SHARED_MEMORY, _yaml, remove_litter
 from impact_rig.errors import ImpactRigError
 
 ROOT = Path(__file__).parents[2]

@@ -27,7 +27,7 @@ class Worker:
 
 def test_the_work_of_a_hosted_node_does_not_eat_the_time_to_wait() -> None:
     pytest.importorskip("rclpy", reason="no ROS 2 here")
-    from impact_rig.client.waiting import Spinner
+    from impact_rig.client.client import Spinner
 
     busy = Spinner(Worker(works_s=1.0))
     began = busy.waited_s()
@@ -64,7 +64,7 @@ def test_a_client_works_where_pytest_captures_what_is_printed(tmp_path: Path) ->
 
 def test_what_was_given_to_a_rig_is_over_when_it_is_silent_or_another_one_has_begun() -> None:
     pytest.importorskip("rclpy", reason="no ROS 2 here")
-    from impact_rig.client.waiting import GONE_S, Activation, RigGoneError
+    from impact_rig.client.client import GONE_S, Activation, RigGoneError
 
     now = 0.0
     rig = Activation(lambda: now)
@@ -93,7 +93,7 @@ def test_what_was_given_to_a_rig_is_over_when_it_is_silent_or_another_one_has_be
 
 def test_a_rig_that_the_user_has_seen_start_is_the_one_that_is_meant() -> None:
     pytest.importorskip("rclpy", reason="no ROS 2 here")
-    from impact_rig.client.waiting import Activation, RigGoneError
+    from impact_rig.client.client import Activation, RigGoneError
 
     rig = Activation(lambda: 0.0)
     rig.heard("one", sent_ns=1)

@@ -10,7 +10,7 @@ import attrs
 import numpy as np
 import pytest
 
-from impact_rig.columns import Column
+from impact_rig.blocks import Column
 from impact_rig.instruments import registry
 from impact_rig.instruments.checks import check_known_input
 from impact_rig.instruments.instrument import CHANNEL_KINDS

@@ -27,7 +27,7 @@ from typing import Any
 import aiohttp
 import pytest
 
-from impact_rig.client.waiting import WaitTimeoutError
+from impact_rig.client.client import WaitTimeoutError
 
 PATIENCE_S = float(os.environ.get("IMPACT_RIG_PATIENCE", "60"))
 NAMES = ("chromium", "chromium-browser", "google-chrome", "chrome")

@@ -15,7 +15,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, ClassVar
 
-from impact_rig.system.resources import share_dir
+from impact_rig.system.files import share_dir
 
 
 class Entity:

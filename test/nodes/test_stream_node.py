@@ -21,8 +21,8 @@ from sensor_msgs.msg import PointCloud2
 from impact_rig import codec, topics
 from impact_rig.blocks import WAVEFORM, Table
 from impact_rig.client import Client
+from impact_rig.client.apparatus import over_topics
 from impact_rig.client.client import ros_parameters
-from impact_rig.client.hardware import over_topics
 from impact_rig.nodes.recorder_node import RecorderNode
 from impact_rig.operate.hardware import Hardware, InProcess
 from impact_rig.recording import Run

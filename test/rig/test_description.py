@@ -20,7 +20,7 @@ from impact_rig.instruments.registry import INSTRUMENTS
 from impact_rig.rig import Rig, config
 from impact_rig.rig.config import RigConfig
 from impact_rig.rig.description import JOINTS, ROOT, robot_description
-from impact_rig.system.resources import share_dir
+from impact_rig.system.files import share_dir
 
 LINKS = {"base": "inferior_base", "structure": "superior_base", "sphere": "sphere"}
 RIGS = {

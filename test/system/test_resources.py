@@ -16,7 +16,7 @@ import pytest
 from impact_rig.client import isolated_domain
 from impact_rig.errors import ImpactRigError
 from impact_rig.kernels.build import FOLDER, OUTPUT
-from impact_rig.system.resources import config_dir, share_dir
+from impact_rig.system.files import config_dir, share_dir
 from tools.release import build, differences, page
 
 ROOT = Path(__file__).parents[2]

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The one style of the docs' figures: size, type, colours by meaning, light and dark in one file.
 
-The colours are those of the report (`impact_rig.drawing.palette`). What moves has one colour everywhere: the inferior
+The colours are those of the report (`impact_rig.drawing`). What moves has one colour everywhere: the inferior
 base blue, the superior base green, the sphere orange; red is the paper's.
 """
 
@@ -16,8 +16,7 @@ from collections.abc import Iterator, Sequence
 from html import escape
 from typing import TYPE_CHECKING
 
-from impact_rig.drawing.palette import DARK, GRID, INK, MUTED, PAPER_RED, SERIES, themed, variables
-from impact_rig.drawing.style import STYLE
+from impact_rig.drawing import DARK, GRID, INK, MUTED, PAPER_RED, SERIES, STYLE, themed, variables
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -11,7 +11,7 @@ from typing import Any  # settings of any node
 import numpy as np
 
 from impact_rig import states, topics
-from impact_rig.columns import TEXT, Column
+from impact_rig.blocks import TEXT, Column
 from impact_rig.config import FieldInfo
 from impact_rig.config.tree import Tree, Value
 from impact_rig.instruments import section

@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig.campaign.tasks import Row
-from impact_rig.drawing.palette import INK, SERIES
-from impact_rig.drawing.style import Drawn, new_axes, style
+from impact_rig.drawing import INK, SERIES, Drawn, new_axes, style
 from impact_rig.maps.plan import CURRENT, FREQUENCY, GAP, POSITION, SPEED
 from impact_rig.studies.dynamics import plan as plans
 from impact_rig.studies.dynamics.plan import Plan, Task
