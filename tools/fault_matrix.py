@@ -36,7 +36,7 @@ from impact_rig.analysis.sine import fit_sine
 from impact_rig.analysis.tracker import Tracker
 from impact_rig.blocks import APPLIED, Table
 from impact_rig.client import Client, Collector, Processes, isolated_domain
-from impact_rig.client.collector import Received
+from impact_rig.client.client import Received
 from impact_rig.instruments.chain import Chain
 from impact_rig.instruments.fault import Fault
 from impact_rig.nodes.messages import nanoseconds

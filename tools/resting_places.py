@@ -18,7 +18,7 @@ from rich.console import Console
 
 from impact_rig.analysis.settings import TrackerSettings
 from impact_rig.analysis.tracker import Tracker
-from impact_rig.analysis.words import Regime
+from impact_rig.states import Regime
 from impact_rig.blocks import APPLIED, Table
 from impact_rig.campaign.paper import CURRENT_A
 from impact_rig.instruments.chain import Chain

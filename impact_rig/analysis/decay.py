@@ -33,7 +33,7 @@ from impact_rig.analysis.calibration import Calibration, Complex, Real
 from impact_rig.analysis.impacts import ImpactDetector
 from impact_rig.analysis.scans import LASER, samples_of, status_of
 from impact_rig.analysis.sine import least_squares, noise_density
-from impact_rig.analysis.words import Status
+from impact_rig.states import Status
 
 MIN_CYCLES = 4
 MIN_POINTS = 32

@@ -21,7 +21,7 @@ import numpy as np
 from impact_rig.analysis.calibration import Calibration, Complex, Real
 from impact_rig.analysis.cycles import RANGE_BIT, Cycles
 from impact_rig.analysis.scans import ACCELEROMETER, BASE, CHANNELS, CURRENT, LASER
-from impact_rig.analysis.words import Status
+from impact_rig.states import Status
 
 DISPLACEMENTS = (LASER, BASE, CURRENT)
 CONSTANT_FACTOR = 1e-13

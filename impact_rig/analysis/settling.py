@@ -36,7 +36,7 @@ from impact_rig.analysis.scans import BASE, CHANNELS, LASER
 from impact_rig.analysis.settings import TrackerSettings
 from impact_rig.analysis.spread import variance_of_mean
 from impact_rig.analysis.transmissibility import Measurement, complex_transmissibility, measure
-from impact_rig.analysis.words import MEASURED, Regime, Status
+from impact_rig.states import MEASURED, Regime, Status
 
 SLOWEST_RATIO = 0.97
 """|q| is bounded here: slower transients than 33 window pairs per time constant are beyond what a fit can tell."""

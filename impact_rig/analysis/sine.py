@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig.analysis.calibration import Complex, Real
-from impact_rig.analysis.words import Status
+from impact_rig.states import Status
 
 MIN_CYCLES = 1.5
 """Below this offset, amplitude and phase cannot be told apart in noise."""

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig.analysis.calibration import Complex, Real
-from impact_rig.analysis.words import Regime
+from impact_rig.states import Regime
 
 
 def variance_of_mean(values: Real) -> float:

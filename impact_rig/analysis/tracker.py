@@ -25,11 +25,10 @@ from impact_rig.analysis.scans import CHANNELS, SCAN, ScanBuffer, first_scan_at,
 from impact_rig.analysis.settings import GapLabel, ImpactSettings, TrackerSettings
 from impact_rig.analysis.settling import Judge, Progress, Quiet, window_cycles
 from impact_rig.analysis.transmissibility import Measurement, counts_impacts, measurement_table
-from impact_rig.analysis.words import MEASURED, SETTLED, Status
 from impact_rig.blocks import APPLIED, DAQ_INFO, Table
 from impact_rig.errors import ConfigError
 from impact_rig.simtime import NS_PER_S, stamp_ns
-from impact_rig.states import Analysis
+from impact_rig.states import MEASURED, SETTLED, Analysis, Status
 
 
 @attrs.define

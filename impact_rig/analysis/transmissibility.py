@@ -31,8 +31,8 @@ from impact_rig.analysis.impacts import MIN_RATE_HZ, ImpactDetector, counted
 from impact_rig.analysis.scans import ACCELEROMETER, BASE, CHANNELS, CURRENT, LASER, samples_of, status_of
 from impact_rig.analysis.settings import TrackerSettings
 from impact_rig.analysis.spread import batch_variance, by_class_removed, classify, student_factor, variance_of_mean
-from impact_rig.analysis.words import MEASURED, SETTLED, Method, Regime, Status
 from impact_rig.blocks import TRANSMISSIBILITY, Table
+from impact_rig.states import MEASURED, SETTLED, Method, Regime, Status
 
 NAN = float("nan")
 MIN_CYCLES = 4

@@ -11,13 +11,15 @@ from __future__ import annotations
 
 import enum
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import attrs
 
 from impact_rig.campaign.axes import NO_SPHERE
 from impact_rig.campaign.paper import FREQUENCIES_HZ, FREQUENCY_HZ, REDUCTION_PERCENT
+from impact_rig.campaign.plan import RESET
 from impact_rig.campaign.results import Curves, Point, Statement
+from impact_rig.config.tree import Value
 
 ABOVE_HZ = (9.2, 9.5)
 FAR_HZ = (7.5, 8.0, 10.0, 10.5)
@@ -250,3 +252,32 @@ _STATEMENTS: tuple[tuple[str, Worth, str, str, Callable[[Curves], Judgement]], .
         _frequency_unchanged,
     ),
 )
+
+
+@attrs.frozen(eq=False)
+class Variation:
+    """One rig and what becomes of the statements on it.
+
+    Attributes:
+        changed: the constants that differ from the campaign's reference rig, by dotted name; none: that rig itself.
+        verdicts: on each statement.
+    """
+
+    changed: Mapping[str, Value]
+    verdicts: list[Verdict]
+
+
+def variations(points: Sequence[Point]) -> list[Variation]:
+    """Return the verdicts on every rig on which one can be made, the reference rig first.
+
+    Empty if that is the only one. Points at another current than the reference rig's tell nothing and are left out.
+    """
+    currents = {point.current_a for point in points if point.reference}
+    rigs: dict[tuple[tuple[str, Value], ...], list[Point]] = {}
+    for point in points:
+        if point.direction == RESET and point.current_a in currents:
+            changed = () if point.reference else tuple(sorted(point.axes.items()))
+            rigs.setdefault(changed, []).append(attrs.evolve(point, reference=True))
+    found = [Variation(dict(rig), judge(Curves.of(rigs[rig]))) for rig in sorted(rigs, key=len)]
+    judged = [one for one in found if any(verdict.result for verdict in one.verdicts)]
+    return judged if len(judged) > 1 else []

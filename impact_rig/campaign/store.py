@@ -23,10 +23,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 import impact_rig
-from impact_rig.analysis.words import MEASURED, Method, Regime, Status
 from impact_rig.blocks import TRANSMISSIBILITY
 from impact_rig.campaign.job import TRUE_COLUMNS, Job, Outcome
 from impact_rig.errors import RecordingError
+from impact_rig.states import MEASURED, Method, Regime, Status
 from impact_rig.system import files
 
 FOLDER = "points"

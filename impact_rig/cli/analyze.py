@@ -14,10 +14,10 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_rig.analysis.words import MEASURED
 from impact_rig.cli.terminal import Console, TextTable, add_json, subcommand, tell_json
 from impact_rig.errors import ConfigError
 from impact_rig.recording import Run, open_run
+from impact_rig.states import MEASURED
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -135,9 +135,7 @@ def _print_last(console: Console, rows: NDArray[np.void]) -> None:
 def _print_measurements(console: Console, rows: NDArray[np.void], *, everything: bool) -> None:
     """Print a row a measurement; those without numbers only if everything is wanted, else how many and why."""
     measured = np.isin(rows["status"], [status.value.encode() for status in MEASURED])
-    table = TextTable()
-    for heading in ("f [Hz]", "DT", "u(DT)", "phase [deg]", "gap [mm]", "impacts per cycle"):
-        table.add_column(heading, justify="right")
+    table = TextTable(right=("f [Hz]", "DT", "u(DT)", "phase [deg]", "gap [mm]", "impacts per cycle"))
     table.add_column("regime", no_wrap=True)
     table.add_column("status")
     for row in rows if everything else rows[measured]:
@@ -192,9 +190,10 @@ def _frf(console: Console, run: Run, arguments: argparse.Namespace) -> int:
             ],
         })  # fmt: skip
     shown = excited[np.linspace(0, len(excited) - 1, min(LINES, len(excited))).round().astype(int)]
-    table = TextTable(title=f"Frequency response x_1/x_b, {found.averages:.1f} independent averages")
-    for heading in ("f [Hz]", "|H1|", "± 2u", "|H2|", "|Hv|", "phase [deg]", "coherence"):
-        table.add_column(heading, justify="right")
+    table = TextTable(
+        f"Frequency response x_1/x_b, {found.averages:.1f} independent averages",
+        right=("f [Hz]", "|H1|", "± 2u", "|H2|", "|Hv|", "phase [deg]", "coherence"),
+    )
     for line in sorted({*shown.tolist(), peak}):
         size = abs(found.h1[line])
         table.add_row(
@@ -302,9 +301,7 @@ def _drop(console: Console, run: Run, arguments: argparse.Namespace) -> int:
             "run": str(run.path), "restitution": found.restitution, "u_restitution": found.u_restitution,
             "drops": [{"h0_m": one.h0_m, "h1_m": one.h1_m, "e": e} for one, e in zip(drops, each, strict=True)],
         })  # fmt: skip
-    table = TextTable(title="Drop test")
-    for heading in ("drop", "from [m]", "back to [m]", "e"):
-        table.add_column(heading, justify="right")
+    table = TextTable("Drop test", right=("drop", "from [m]", "back to [m]", "e"))
     for number, (one, e) in enumerate(zip(drops, each, strict=True), 1):
         table.add_row(str(number), f"{one.h0_m:g}", f"{one.h1_m:g}", f"{e:.4f}")
     console.print(table)

@@ -1,6 +1,6 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""`impact-rig campaign`: measure what a campaign file asks for, resume it, judge it."""
+"""`impact-rig campaign` and `report`: measure what a campaign file asks for, resume it, judge it; its page."""
 
 from __future__ import annotations
 
@@ -10,18 +10,16 @@ import json
 import time
 from pathlib import Path
 
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeElapsedColumn, TimeRemainingColumn
-
 from impact_rig.campaign import paper, pool, run
 from impact_rig.campaign.job import Job
 from impact_rig.campaign.plan import load_campaign
 from impact_rig.campaign.results import FILE_NAME
-from impact_rig.campaign.statements import Verdict
+from impact_rig.campaign.statements import Variation, Verdict, variations
 from impact_rig.campaign.store import Store
 from impact_rig.campaign.tasks import measure
-from impact_rig.cli.terminal import Console, Steps, TextTable, Words, add_json, subcommand, tell_json, tell_program
+from impact_rig.cli.tasks import words
+from impact_rig.cli.terminal import Console, Counted, TextTable, add_json, subcommand, tell_json, tell_program
 from impact_rig.errors import ConfigError
-from impact_rig.studies.margins import Variation, variations
 
 WAYS = ("process", "ros", "dask")
 POINTS_LIMIT, RMS_LIMIT = 2.0, 1.0
@@ -62,14 +60,11 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    file, way, address = _words(arguments)
+    file, directory, way, address = words(arguments, "campaign", "campaign config/paper.yaml", WAYS)
     overrides = {"daq.seed": arguments.seed, "daq.rate_hz": arguments.rate}
     campaign = load_campaign(file, {name: value for name, value in overrides.items() if value is not None})
     if arguments.only:
         campaign = campaign.only(tuple(arguments.only))
-    if arguments.workers is not None and arguments.workers < 1:
-        raise ConfigError(f"--workers must be >= 1, got {arguments.workers}")
-    directory = (arguments.output or Path("runs") / f"campaign_{file.stem}").resolve()
     if arguments.record and way != "ros":
         raise ConfigError("--record needs --through ros: what is recorded are messages")
     store = run.prepare(campaign, directory, way)
@@ -94,22 +89,6 @@ def _run(arguments: argparse.Namespace) -> int:
     wanted = [verdict for verdict in verdicts if verdict.result is not None or not arguments.only]
     sound = close and not done.failed() and all(verdict.word == "pass" for verdict in wanted)
     return 1 if arguments.check and not sound else 0
-
-
-def _words(arguments: argparse.Namespace) -> tuple[Path, str, str]:
-    """Return file, way and address; the file may stand behind `--through` and its words, too."""
-    way, *rest = arguments.through
-    if way not in WAYS:
-        raise ConfigError(f"--through must be one of {', '.join(WAYS)}, got {way!r}")
-    address = ""
-    if way == "dask":
-        if not rest:
-            raise ConfigError("--through dask needs the address of a scheduler, e.g. tcp://127.0.0.1:8786")
-        address = rest.pop(0)
-    file = arguments.file or (Path(rest.pop(0)) if rest else None)
-    if file is None or rest:
-        raise ConfigError("one campaign file is needed, e.g. impact-rig campaign config/paper.yaml")
-    return file, way, address
 
 
 def _runner(way: str, address: str, arguments: argparse.Namespace, directory: Path) -> run.Runner:
@@ -152,23 +131,16 @@ def _content(done: run.Finished, directory: Path) -> dict[str, object]:
 
 
 def _measure(jobs: list[Job], store: Store, runner: run.Runner) -> None:
-    console = Console(stderr=True)
-    lines = Steps("runs", len(jobs))
-    columns = (
-        Words("{task.description}"), BarColumn(24), MofNCompleteColumn(), TimeElapsedColumn(),
-        Words("left"), TimeRemainingColumn(), Words("{task.fields[state]}"),
-    )  # fmt: skip
     failed = 0
-    bar = Progress(*columns, console=console, disable=not console.is_terminal)
-    with bar as progress, contextlib.closing(measure(jobs, store.get, store.put, runner)) as done:
-        task = progress.add_task("runs", total=len(jobs), state="starting")
+    with (
+        Counted(Console(stderr=True), "runs", len(jobs)) as shown,
+        contextlib.closing(measure(jobs, store.get, store.put, runner)) as done,
+    ):
         for number, (job, outcome) in enumerate(done, 1):
             failed += bool(outcome.failure)
-            trouble = f", {failed} failed" if failed else ""
-            progress.update(task, advance=1, state=f"{job.describe()}{trouble}")
-            if not console.is_terminal:
-                lines.show(number, f"{job.describe()}{trouble}")
-        progress.update(task, state=f"{failed} failed" if failed else "done")
+            trouble = f"{failed} failed" if failed else ""
+            shown.show(number, f"{job.describe()}, {trouble}" if failed else job.describe())
+            shown.end = trouble or "done"
 
 
 def _print_reductions(console: Console, done: run.Finished) -> bool:
@@ -177,9 +149,10 @@ def _print_reductions(console: Console, done: run.Finished) -> bool:
     if not reductions.dt:
         return False
     ours, spread, errors = reductions.percent(), reductions.percent_uncertainty, reductions.errors()
-    table = TextTable(title=f"Reduction of DT at {paper.FREQUENCY_HZ} Hz against no sphere (fitted, not predicted)")
-    for heading in ("gap [mm]", "DT", "± 2u", "paper [%]", "ours [%]", "± 2u", "difference"):
-        table.add_column(heading, justify="right")
+    table = TextTable(
+        f"Reduction of DT at {paper.FREQUENCY_HZ} Hz against no sphere (fitted, not predicted)",
+        right=("gap [mm]", "DT", "± 2u", "paper [%]", "ours [%]", "± 2u", "difference"),
+    )
     u = reductions.dt_uncertainty
     table.add_row("none", f"{reductions.dt_no_sphere:.2f}", f"{2 * u[0.0]:.2f}", "", "", "", "", end_section=True)
     for gap, value in sorted(ours.items()):
@@ -198,9 +171,10 @@ def _print_reductions(console: Console, done: run.Finished) -> bool:
 def _print_verdicts(console: Console, verdicts: list[Verdict]) -> None:
     if all(verdict.result is None for verdict in verdicts):
         return  # a campaign about something else
-    table = TextTable(title="The paper's statements, and what it is worth that they hold")
-    for heading in ("", "statement", "verdict", "worth", "figures"):
-        table.add_column(heading)
+    table = TextTable(
+        "The paper's statements, and what it is worth that they hold",
+        left=("", "statement", "verdict", "worth", "figures"),
+    )
     colours = {"pass": "green", "FAIL": "red"}
     for number, verdict in enumerate(verdicts, 1):
         table.add_row(
@@ -213,9 +187,10 @@ def _print_verdicts(console: Console, verdicts: list[Verdict]) -> None:
 def _print_margins(console: Console, varied: list[Variation]) -> None:
     if not varied:
         return
-    table = TextTable(title="The figure of each statement on rigs of which one constant differs")
-    for heading in ("rig", *(str(number) for number in range(1, len(varied[0].verdicts) + 1))):
-        table.add_column(heading)
+    table = TextTable(
+        "The figure of each statement on rigs of which one constant differs",
+        left=("rig", *(str(number) for number in range(1, len(varied[0].verdicts) + 1))),
+    )
     for one in varied:
         changed = ", ".join(f"{name.rpartition('.')[2]} {value}" for name, value in one.changed.items())
         cells = ["" if v.result is None else f"{v.result.value:.4g} {v.word}" for v in one.verdicts]
@@ -227,11 +202,37 @@ def _print_failed(console: Console, done: run.Finished) -> None:
     failed = done.failed()
     if not failed:
         return
-    table = TextTable(title=f"{len(failed)} points without a settled measurement")
-    for heading in ("study", "case", "f [Hz]", "", "why"):
-        table.add_column(heading)
+    table = TextTable(
+        f"{len(failed)} points without a settled measurement", left=("study", "case", "f [Hz]", "", "why")
+    )
     for point in failed[:SHOWN]:
         axes = ", ".join(f"{name.rpartition('.')[2]}={value}" for name, value in point.axes.items())
         case = f"{point.label} {axes}".strip()
         table.add_row(point.study, case, f"{point.frequency_hz:g}", point.direction, point.status)
     console.print(table)
+
+
+def add_report(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Register `report`: the page of a campaign."""
+    parser = subcommand(
+        commands, "report", "write a campaign's report: one HTML page, figures as PNG and SVG, numbers as JSON",
+        [
+            ("report runs/campaign_paper", "writes runs/campaign_paper/report.html"),
+            ("report runs/campaign_paper --margins runs/campaign_margins", "with what the verdicts owe to constants"),
+        ],
+    )  # fmt: skip
+    parser.add_argument("directory", type=Path, metavar="DIR", help="directory of a campaign")
+    parser.add_argument("--output", type=Path, metavar="FILE", help="the page (default: DIR/report.html)")
+    parser.add_argument(
+        "--margins", type=Path, metavar="DIR",
+        help="campaign that varies constants (config/campaigns/margins.yaml): what the statements owe to them",
+    )  # fmt: skip
+    parser.set_defaults(run=_report)
+
+
+def _report(arguments: argparse.Namespace) -> int:
+    from impact_rig.report import build_report  # noqa: PLC0415  # loads SciPy, which no other command needs
+
+    path = build_report(arguments.directory, arguments.output, arguments.margins)
+    tell_program(path)
+    return 0

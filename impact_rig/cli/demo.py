@@ -245,9 +245,10 @@ def _new_directory(wanted: Path | None) -> Path:
 
 def _print_table(console: Console, reductions: Reductions, closed_form: float) -> None:
     ours, spread, errors = reductions.percent(), reductions.percent_uncertainty, reductions.errors()
-    table = TextTable(title=f"Reduction of DT at {paper.FREQUENCY_HZ} Hz against no sphere")
-    for heading in ("gap [mm]", "DT", "this run [%]", "± 2u", "paper [%]", "difference"):
-        table.add_column(heading, justify="right")
+    table = TextTable(
+        f"Reduction of DT at {paper.FREQUENCY_HZ} Hz against no sphere",
+        right=("gap [mm]", "DT", "this run [%]", "± 2u", "paper [%]", "difference"),
+    )
     table.add_row(
         "none", f"{reductions.dt_no_sphere:.2f}", "", "", "", f"closed form {closed_form:.2f}", end_section=True
     )

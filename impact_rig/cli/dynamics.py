@@ -48,9 +48,8 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
 
 def _run(arguments: argparse.Namespace) -> int:
     kind = arguments.kind
-    file, directory, runner = tasks.words(
-        arguments, plans.run, "dynamics", f"dynamics {kind} config/dynamics/nominal.yaml"
-    )
+    file, directory, _, address = tasks.words(arguments, "dynamics", f"dynamics {kind} config/dynamics/nominal.yaml")
+    runner = tasks.runner(plans.run, address, arguments.workers)
     plan = plans.load(file, kind)
     store: Store[Task] = Store(directory, "dynamics", FOLDER, ("maps", "studies"))
     store.prepare(plan.text, plan.base)

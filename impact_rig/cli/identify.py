@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from impact_rig.analysis.decay import REASONS, fit_decay, log_decrement
-from impact_rig.analysis.words import Status
 from impact_rig.campaign import run
 from impact_rig.campaign.axes import NO_SPHERE
 from impact_rig.campaign.paper import CURRENT_A, FREQUENCIES_HZ, FREQUENCY_HZ, REDUCTION_PERCENT
@@ -19,6 +18,7 @@ from impact_rig.cli.terminal import Console, TextTable, add_json, subcommand, te
 from impact_rig.errors import ConfigError, ImpactRigError
 from impact_rig.recording import open_run
 from impact_rig.rig.config import RigConfig, dump, load
+from impact_rig.states import Status
 from impact_rig.studies.identification import paper_fit
 from impact_rig.studies.identification.fit import NAMES, START, UNITS, Identified, Information, identify, logarithms
 from impact_rig.studies.identification.measurements import (

@@ -27,6 +27,7 @@ COMMANDS = (
 HOMES = {
     **{name: f"recorded:add_{name}" for name in ("info", "verify", "recover")},
     "import": "measurement:add_import",
+    "report": "campaign:add_report",
 }
 """Module and function that register a command; those of all others are its name and `add_command`."""
 

@@ -31,7 +31,8 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    file, directory, runner = tasks.words(arguments, measure_line, "map", "map config/maps/gap_frequency.yaml")
+    file, directory, _, address = tasks.words(arguments, "map", "map config/maps/gap_frequency.yaml")
+    runner = tasks.runner(measure_line, address, arguments.workers)
     plan = load_map(file, arguments.workers)
     store = run.store(directory)
     store.prepare(plan.text, plan.base)
@@ -67,9 +68,7 @@ def _print_optimum(console: Console, best: optimum.Optimum) -> None:
         f"{reading.regime}, {reading.impacts_per_cycle:g} impacts per cycle); within "
         f"{optimum.REGION_POINTS:g} point from {best.region[0]:.6g} to {best.region[1]:.6g}"
     )
-    table = TextTable(title="What 1 % more of a value changes the reduction there")
-    table.add_column("value")
-    table.add_column("points", justify="right")
+    table = TextTable("What 1 % more of a value changes the reduction there", left=("value",), right=("points",))
     for name, points in best.points_per_percent.items():
         table.add_row(name, f"{round(points, 3) + 0.0:+.3f}")
     console.print(table)

@@ -44,15 +44,7 @@ def _info(arguments: argparse.Namespace) -> int:
         console.print(f"recovered from {found.recovered.source}", highlight=False)
     for key, value in found.provenance.items():
         console.print(f"{key}: {value}")
-    table = TextTable()
-    for heading, side in (
-        ("topic", "left"),
-        ("type", "left"),
-        ("messages", "right"),
-        ("per s", "right"),
-        ("kB", "right"),
-    ):
-        table.add_column(heading, justify=side, overflow="fold")
+    table = TextTable(left=("topic", "type"), right=("messages", "per s", "kB"))
     for topic in found.topics:
         rate = "" if topic.rate_hz is None else f"{topic.rate_hz:.1f}"
         table.add_row(
@@ -167,17 +159,8 @@ def _recover_verdict(report: RecoverReport) -> str:
 
 
 def _print_files(console: Console, report: RecoverReport) -> None:
-    table = TextTable()
-    table.add_column("file", overflow="fold")
-    for heading in (
-        "bytes",
-        "messages\nback",
-        "seconds\nback",
-        "messages\nmissing",
-        "seconds\nmissing",
-        "bytes\nmissing",
-    ):
-        table.add_column(heading, justify="right")
+    numbers = ("messages\nback", "seconds\nback", "messages\nmissing", "seconds\nmissing", "bytes\nmissing")
+    table = TextTable(left=("file",), right=("bytes", *numbers))
     for file in report.files:
         table.add_row(
             file.name,

@@ -10,12 +10,10 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TypeVar
 
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeElapsedColumn, TimeRemainingColumn
-
 from impact_rig.campaign.pool import in_parallel
 from impact_rig.campaign.tasks import Row, Runner, Store, Task
 from impact_rig.campaign.tasks import measure as measure_tasks
-from impact_rig.cli.terminal import Console, Steps, Words, add_json
+from impact_rig.cli.terminal import Console, Counted, add_json
 from impact_rig.errors import ConfigError, RecordingError
 from impact_rig.system import files
 
@@ -36,29 +34,36 @@ def add_words(parser: argparse.ArgumentParser, what: str) -> None:
 
 
 def words(
-    arguments: argparse.Namespace, work: Callable[[T], Sequence[Row]], what: str, example: str
-) -> tuple[Path, Path, Runner[T]]:
-    """Return file, directory and runner; the file may stand behind `--through` and its words, too.
+    arguments: argparse.Namespace, what: str, example: str, ways: Sequence[str] = WAYS
+) -> tuple[Path, Path, str, str]:
+    """Return file, directory, way and address; the file may stand behind `--through` and its words, too.
 
     Raises:
         ConfigError: a word is wrong.
     """
     way, *rest = arguments.through
-    if way not in WAYS:
-        raise ConfigError(f"--through must be one of {', '.join(WAYS)}, got {way!r}")
-    if arguments.workers is not None and arguments.workers < 1:
-        raise ConfigError(f"--workers must be >= 1, got {arguments.workers}")
-    runner: Runner[T] = lambda tasks: in_parallel(work, tasks, arguments.workers)  # noqa: E731  # either of two
+    if way not in ways:
+        raise ConfigError(f"--through must be one of {', '.join(ways)}, got {way!r}")
+    address = ""
     if way == "dask":
         if not rest:
             raise ConfigError("--through dask needs the address of a scheduler, e.g. tcp://127.0.0.1:8786")
-        from impact_rig.campaign.pool import on_cluster  # noqa: PLC0415  # needs dask
-
-        runner = on_cluster(work, rest.pop(0))
+        address = rest.pop(0)
     file = arguments.file or (Path(rest.pop(0)) if rest else None)
     if file is None or rest:
         raise ConfigError(f"one {what} file is needed, e.g. impact-rig {example}")
-    return file, (arguments.output or Path("runs") / f"{what}_{file.stem}").resolve(), runner
+    if arguments.workers is not None and arguments.workers < 1:
+        raise ConfigError(f"--workers must be >= 1, got {arguments.workers}")
+    return file, (arguments.output or Path("runs") / f"{what}_{file.stem}").resolve(), way, address
+
+
+def runner(work: Callable[[T], Sequence[Row]], address: str, workers: int | None) -> Runner[T]:
+    """Return what measures tasks: on the cluster at an address, or on the cores of this machine."""
+    if not address:
+        return lambda tasks: in_parallel(work, tasks, workers)
+    from impact_rig.campaign.pool import on_cluster  # noqa: PLC0415  # needs dask
+
+    return on_cluster(work, address)
 
 
 def measure(
@@ -66,21 +71,14 @@ def measure(
 ) -> int:
     """Measure what is missing, with progress by `places`; return how many places that were."""
     new = sum(places(task) for task in tasks if store.get(task) is None)
-    columns = (
-        Words("{task.description}"), BarColumn(24), MofNCompleteColumn(), TimeElapsedColumn(),
-        Words("left"), TimeRemainingColumn(), Words("{task.fields[state]}"),
-    )  # fmt: skip
-    bar = Progress(*columns, console=console, disable=not console.is_terminal)
-    with bar as progress, contextlib.closing(measure_tasks(tasks, store.get, store.put, runner)) as done:
-        total = sum(map(places, tasks))
-        shown = progress.add_task("points", total=total, state="starting")
-        steps, count = Steps("points", total), 0
+    count = 0
+    with (
+        Counted(console, "points", sum(map(places, tasks))) as shown,
+        contextlib.closing(measure_tasks(tasks, store.get, store.put, runner)) as done,
+    ):
         for task, _ in done:
             count += places(task)
-            progress.update(shown, completed=count, state=task.describe())
-            if not console.is_terminal:
-                steps.show(count, task.describe())
-        progress.update(shown, state="done")
+            shown.show(count, task.describe())
     return new
 
 

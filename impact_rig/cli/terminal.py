@@ -22,12 +22,20 @@ import numpy as np
 from rich import box
 from rich import console as rich_console
 from rich import table as rich_table
-from rich.progress import Task, TextColumn
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    Task,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
 from rich.text import Text
 
 from impact_rig.errors import visible
 
-__all__ = ["Console", "Steps", "TextTable", "Words", "tell_json", "tell_program"]
+__all__ = ["Console", "Counted", "Steps", "TextTable", "Words", "tell_json", "tell_program"]
 
 LONGEST_HEADING = 11
 """Characters of a heading over numbers that stay in one line."""
@@ -52,11 +60,25 @@ class Console(rich_console.Console):
 
 
 class TextTable(rich_table.Table):
-    """A table that fits 80 columns: units stand below the names they belong to, numbers and units are never cut."""
+    """A table that fits 80 columns: units stand below the names they belong to, numbers and units are never cut.
 
-    def __init__(self, title: str | None = None, caption: str | None = None) -> None:
+    Its columns are those with texts, then those with numbers, which are set flush right.
+    """
+
+    def __init__(
+        self,
+        title: str | None = None,
+        caption: str | None = None,
+        *,
+        left: Sequence[str] = (),
+        right: Sequence[str] = (),
+    ) -> None:
         super().__init__(title=title, caption=caption, box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
         self.title_justify = self.caption_justify = "left"
+        for heading in left:
+            self.add_column(heading)
+        for heading in right:
+            self.add_column(heading, justify="right")
 
     def add_column(self, header: Any = "", *arguments: Any, **options: Any) -> None:
         """Add a column; one that is set flush right keeps its width, others are broken where the line is full."""
@@ -90,6 +112,32 @@ class Steps:
             self._told = done
             text = f"{self._what} {done} of {self._total}: {state}"
             print(visible(text), file=sys.stderr, flush=True)  # noqa: T201  # a command line tool talks
+
+
+class Counted(Progress):
+    """Progress of what is counted, `show`n after each: a bar on a terminal, else a plain line now and then."""
+
+    def __init__(self, console: Console, what: str, total: int) -> None:
+        columns = (
+            Words("{task.description}"), BarColumn(24), MofNCompleteColumn(), TimeElapsedColumn(),
+            Words("left"), TimeRemainingColumn(), Words("{task.fields[state]}"),
+        )  # fmt: skip
+        super().__init__(*columns, console=console, disable=not console.is_terminal)
+        self.add_task(what, total=total, state="starting")
+        self._steps = Steps(what, total)
+        self.end = "done"
+        """What is said at the end."""
+
+    def show(self, done: int, state: str) -> None:
+        """Show how many are done."""
+        self.update(self.task_ids[0], completed=done, state=state)
+        if self.disable:
+            self._steps.show(done, state)
+
+    def stop(self) -> None:
+        """Show that all is done."""
+        self.update(self.task_ids[0], state=self.end)
+        super().stop()
 
 
 def add_json(parser: argparse.ArgumentParser) -> None:

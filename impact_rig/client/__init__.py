@@ -21,8 +21,7 @@ from impact_rig.client.processes import NodeProcess, ProcessDiedError, Processes
 from impact_rig.system import lazily
 
 if TYPE_CHECKING:
-    from impact_rig.client.client import Client, RigGoneError, ServiceFailedError, WaitTimeoutError
-    from impact_rig.client.collector import Collector
+    from impact_rig.client.client import Client, Collector, RigGoneError, ServiceFailedError, WaitTimeoutError
 
 __all__ = [
     "Client",

@@ -22,7 +22,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig import codec, topics
-from impact_rig.analysis.words import MEASURED
 from impact_rig.blocks import Table
 from impact_rig.errors import ImpactRigError, RecordingError
 from impact_rig.lab.protocol import Request
@@ -33,6 +32,7 @@ from impact_rig.lab.theory import closed_form
 from impact_rig.recording import Message, Run, open_run
 from impact_rig.runs import recover
 from impact_rig.simtime import NS_PER_S
+from impact_rig.states import MEASURED
 
 DRAWN = (topics.SCAN, topics.JOINT_STATES, topics.IMPACTS_TRUTH, topics.IMPACTS)
 RARE = (

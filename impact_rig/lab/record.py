@@ -18,13 +18,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig import codec, topics
-from impact_rig.analysis.words import MEASURED, Status
 from impact_rig.blocks import Table
 from impact_rig.errors import CodecError, ImpactRigError, RecordingError
 from impact_rig.lab.scope import Scope
 from impact_rig.rig.config import parameters_in
 from impact_rig.rig.journal import SEPARATOR, Change, JournalView, Kind, short_key
 from impact_rig.simtime import NS_PER_S
+from impact_rig.states import MEASURED, Status
 
 BODIES = 3
 MOST_ROWS = 400

@@ -18,7 +18,6 @@ from typing import Any, Self  # Any: what goes to JSON
 import attrs
 
 from impact_rig import states
-from impact_rig.analysis.words import Regime, Status
 from impact_rig.instruments.instrument import BOARD_KINDS, FAULT_KINDS
 from impact_rig.instruments.section import CHANNELS
 from impact_rig.lab.protocol import Request
@@ -27,6 +26,7 @@ from impact_rig.lab.scope import Scope
 from impact_rig.lab.theory import Theory, contradiction
 from impact_rig.physics.contact import LAWS
 from impact_rig.rig.config import fields
+from impact_rig.states import Regime, Status
 
 HURRIED = 1.5
 """Speed from which on pictures come now and then: nobody sees every cycle, and rig and analysis need the machine."""

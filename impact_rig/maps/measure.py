@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 
 from impact_rig.analysis.cycles import PHASE_BINS
 from impact_rig.analysis.spread import Behaviour, classify
-from impact_rig.analysis.words import Regime
 from impact_rig.config.fields import integer, quantity
 from impact_rig.errors import SimulationError
 from impact_rig.physics import SEGMENT, Motion, Simulation
 from impact_rig.physics.prediction import transmissibility
 from impact_rig.rig.config import RigConfig
+from impact_rig.states import Regime
 
 PER_CYCLE = 32
 """Instants per cycle of the fundamental's sum: the 31st harmonic is the first that disturbs it, by less than 1e-5."""

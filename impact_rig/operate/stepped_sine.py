@@ -23,10 +23,10 @@ import numpy as np
 from numpy.lib import recfunctions
 from numpy.typing import NDArray
 
-from impact_rig.analysis.words import Status
 from impact_rig.blocks import HELD, TRANSMISSIBILITY, Table
 from impact_rig.operate.plan import Plan, Setpoint, positive
 from impact_rig.simtime import NS_PER_S
+from impact_rig.states import Status
 
 SAME = 1e-9
 """Relative difference up to which two frequencies or currents are one."""

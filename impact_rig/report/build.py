@@ -12,6 +12,7 @@ from impact_rig.campaign.axes import NO_SPHERE
 from impact_rig.campaign.paper import FREQUENCIES_HZ, FREQUENCY_HZ
 from impact_rig.campaign.results import Point
 from impact_rig.campaign.run import Finished
+from impact_rig.campaign.statements import Variation, variations
 from impact_rig.drawing import Drawn, style
 from impact_rig.errors import ConfigError, RecordingError
 from impact_rig.report import content as kept
@@ -22,7 +23,6 @@ from impact_rig.report.findings import value_cell
 from impact_rig.report.page import contents, folded, link, page, paragraph, section
 from impact_rig.report.studies import reduction_over_gap, study_figures
 from impact_rig.rig.config import fields, to_flat
-from impact_rig.studies.margins import Variation, variations
 from impact_rig.system import files
 
 PAGE_FILE, FIGURES_FOLDER = "report.html", "figures"

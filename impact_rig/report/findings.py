@@ -11,6 +11,7 @@ from impact_rig.campaign.axes import NO_SPHERE
 from impact_rig.campaign.paper import CURRENT_A, FREQUENCY_HZ, REDUCTION_PERCENT
 from impact_rig.campaign.results import Point
 from impact_rig.campaign.run import Finished
+from impact_rig.campaign.statements import Variation
 from impact_rig.config import Origin
 from impact_rig.config.tree import Value
 from impact_rig.physics.contact import from_config
@@ -18,7 +19,6 @@ from impact_rig.report.content import COVERAGE, Cell, Content, number, plus_minu
 from impact_rig.report.dt import dampers
 from impact_rig.report.page import paragraph
 from impact_rig.rig.config import RigConfig, fields, to_flat
-from impact_rig.studies.margins import Variation
 
 BUDGETED_GAP_M = 6e-3
 """The uncertainty of this case is taken apart, where it was measured."""

@@ -564,7 +564,7 @@ def _with_amplitude(
 def _frequency_of(found: AnyMapping[str, NDArray[np.float64]], rate: int) -> float:
     """Return the frequency of the largest line of base, current, laser or acceleration, by a sine fit; 0 if none."""
     from impact_rig.analysis.sine import fit_sine_frequency  # noqa: PLC0415  # only where no frequency is given
-    from impact_rig.analysis.words import Status  # noqa: PLC0415  # as above
+    from impact_rig.states import Status  # noqa: PLC0415  # as above
 
     values = next(found[name] for name in ("base", "current", "laser", "accelerometer") if name in found)
     part = values[-min(len(values), 20 * rate) :]

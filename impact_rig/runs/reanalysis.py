@@ -20,12 +20,12 @@ from numpy.typing import NDArray
 from impact_rig import topics
 from impact_rig.analysis.settings import GapLabel, TrackerSettings, machine_of, parse_label, read_settings
 from impact_rig.analysis.tracker import Findings, Tracker
-from impact_rig.analysis.words import Status
 from impact_rig.blocks import TRANSMISSIBILITY, Table
 from impact_rig.errors import ConfigError, RecordingError
 from impact_rig.recording import Message, Run
 from impact_rig.recording.losses import check_contiguity
 from impact_rig.simtime import NS_PER_S
+from impact_rig.states import Status
 from impact_rig.system.machine import fingerprint
 
 _NEEDED = (topics.INFO, topics.APPLIED, topics.SCAN)

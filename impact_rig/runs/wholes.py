@@ -22,13 +22,13 @@ from impact_rig.analysis.frf import Frf, transmissibility_frf
 from impact_rig.analysis.sine import SineFit, fit_sine, fit_sine_frequency
 from impact_rig.analysis.tracker import Findings
 from impact_rig.analysis.transmissibility import Measurement, measure_record
-from impact_rig.analysis.words import Status
 from impact_rig.blocks import Table
 from impact_rig.errors import RecordingError
 from impact_rig.instruments.section import SCAN, channels_of
 from impact_rig.recording import Run
 from impact_rig.runs.reanalysis import remarks
 from impact_rig.simtime import NS_PER_S
+from impact_rig.states import Status
 
 UNSETTLED_S = 5.0
 """Length of what is drawn of a run in which nothing settled."""

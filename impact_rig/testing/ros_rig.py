@@ -20,8 +20,7 @@ from std_srvs.srv import Trigger
 
 from impact_rig import codec
 from impact_rig.blocks import Table
-from impact_rig.client.client import START_TIMEOUT_S, Client, ros_parameters, subscribers
-from impact_rig.client.collector import Collector, Received
+from impact_rig.client.client import START_TIMEOUT_S, Client, Collector, Received, ros_parameters, subscribers
 from impact_rig.client.processes import ParameterValue, Processes, isolated_domain
 from impact_rig.errors import ConfigError, ImpactRigError, RecordingError
 from impact_rig.instruments.fault import Fault

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from kits.records import F_N, ZETA, add_impacts, info_rows
 
 from impact_rig.analysis.decay import bent, fit_decay, log_decrement, measure_decay, restitution_of_drops
-from impact_rig.analysis.words import Status
 from impact_rig.instruments.section import SCAN
+from impact_rig.states import Status
 
 COVERAGE = (0.93, 0.975)
 METHODS = pytest.mark.parametrize("method", [fit_decay, log_decrement])

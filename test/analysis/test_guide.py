@@ -7,7 +7,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from impact_rig.analysis.words import Status
+from impact_rig.states import Status
 
 PAGE = Path(__file__).parents[2] / "docs" / "analysis.md"
 

@@ -10,7 +10,7 @@ from kits.records import BASE_M, blocks, feed_all, info_rows, linear_transmissib
 from kits.tracker import RATE, record, tracker
 
 from impact_rig.analysis.transmissibility import measure_record
-from impact_rig.analysis.words import Status
+from impact_rig.states import Status
 
 FAULT_AT = 14 * RATE + 77
 LASER_M = BASE_M * abs(linear_transmissibility(9.1))

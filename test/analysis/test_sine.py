@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy import optimize, signal
 
 from impact_rig.analysis.sine import fit_sine, fit_sine_frequency, noise_density
-from impact_rig.analysis.words import Status
+from impact_rig.states import Status
 
 COVERAGE = (0.93, 0.975)
 

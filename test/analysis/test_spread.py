@@ -11,7 +11,7 @@ from scipy import signal
 from impact_rig.analysis.cycles import PHASE_BINS
 from impact_rig.analysis.settling import is_stationary, transient_bias
 from impact_rig.analysis.spread import batch_variance, by_class_removed, classify, student_2u, variance_of_mean
-from impact_rig.analysis.words import Regime
+from impact_rig.states import Regime
 
 QUIET = np.zeros((192, PHASE_BINS), np.uint8)
 

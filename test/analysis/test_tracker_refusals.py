@@ -10,10 +10,10 @@ from kits.records import blocks, feed_all, info_rows, words
 from kits.tracker import RATE, record, tracker
 
 from impact_rig.analysis.tracker import Counters, Tracker
-from impact_rig.analysis.words import MEASURED, SETTLED, Status
 from impact_rig.blocks import Table
 from impact_rig.errors import ConfigError
 from impact_rig.simtime import NS_PER_S
+from impact_rig.states import MEASURED, SETTLED, Status
 
 
 def _silence(rows, rng):

@@ -25,9 +25,9 @@ from impact_rig.analysis.cycles import distinct_phases
 from impact_rig.analysis.scans import BASE, LASER
 from impact_rig.analysis.settings import TrackerSettings
 from impact_rig.analysis.transmissibility import measure_record
-from impact_rig.analysis.words import Method, Regime, Status
 from impact_rig.errors import ConfigError
 from impact_rig.instruments.section import CHANNELS
+from impact_rig.states import Method, Regime, Status
 
 COVERAGE = (0.93, 0.975)
 EXACT_RTOL = 1e-8

@@ -11,11 +11,10 @@ import pytest
 from impact_rig.blocks import TRANSMISSIBILITY
 from impact_rig.campaign.paper import CURRENT_A, FREQUENCIES_HZ, REDUCTION_PERCENT
 from impact_rig.campaign.results import Curves, Point
-from impact_rig.campaign.statements import Worth, judge, peak_hz
+from impact_rig.campaign.statements import Worth, judge, peak_hz, variations
 from impact_rig.config import Origin
 from impact_rig.physics.prediction import base_amplitude, transmissibility
 from impact_rig.rig.config import RigConfig, fields, from_flat
-from impact_rig.studies.margins import variations
 
 FINE_HZ = [round(9.0 + i / 100, 2) for i in range(16)]
 WIDE_M = (0.020, 0.028, 0.032)

@@ -14,7 +14,6 @@ from kits.recorded_rig import messages
 from kits.recording import HandClock
 
 from impact_rig import states, topics
-from impact_rig.analysis.words import Regime, Status
 from impact_rig.blocks import Table
 from impact_rig.codec import encode_joint_state, joint_state
 from impact_rig.errors import CodecError, RecordingError
@@ -38,6 +37,7 @@ from impact_rig.lab.theory import closed_form
 from impact_rig.physics.contact import LAWS
 from impact_rig.rig import Rig
 from impact_rig.rig.config import RigConfig
+from impact_rig.states import Regime, Status
 
 
 def seen(node: str, word: str = "", reason: str = "", age_s: float | None = 0.1, ended: str = "") -> Seen:

@@ -16,7 +16,7 @@ from kits.nodes import host_rig
 
 from impact_rig import codec, topics
 from impact_rig.client import Client, isolated_domain
-from impact_rig.client.collector import Received
+from impact_rig.client.client import Received
 from impact_rig.nodes.managed import CpuMeter, Level, worst
 from impact_rig.physics.contact import from_config
 from impact_rig.rig.config import RigConfig

@@ -19,13 +19,13 @@ from impact_rig.arithmetic import ARITHMETIC
 from impact_rig.campaign import paper, run
 from impact_rig.campaign.job import execute
 from impact_rig.campaign.plan import load_campaign
+from impact_rig.campaign.statements import variations
 from impact_rig.cli import main
 from impact_rig.drawing import DARK, NAMES
 from impact_rig.physics import prediction
 from impact_rig.report.studies import predicted, reduction_over_gap
 from impact_rig.rig import Rig
 from impact_rig.rig.config import RigConfig, from_flat
-from impact_rig.studies.margins import variations
 from impact_rig.system.files import config_dir
 from tools.check_report import VIEWS, shown, troubles
 

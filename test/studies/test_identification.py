@@ -13,7 +13,6 @@ import pytest
 from kits.recorded_rig import record
 
 from impact_rig.analysis.decay import Decay
-from impact_rig.analysis.words import Status
 from impact_rig.campaign import run
 from impact_rig.campaign.job import execute
 from impact_rig.campaign.paper import FREQUENCIES_HZ
@@ -24,6 +23,7 @@ from impact_rig.recording import open_run
 from impact_rig.rig import Rig
 from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.simtime import NS_PER_S
+from impact_rig.states import Status
 from impact_rig.studies.identification.fit import NAMES, SCALE, SCALED, identify, information, logarithms, rig
 from impact_rig.studies.identification.measurements import (
     DISPLACEMENT_M,

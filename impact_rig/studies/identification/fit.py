@@ -22,11 +22,11 @@ from scipy import special
 
 from impact_rig.analysis.calibration import Real
 from impact_rig.analysis.scans import BASE, CURRENT, LASER
-from impact_rig.analysis.words import Regime
 from impact_rig.config.tree import Value
 from impact_rig.errors import ConfigError
 from impact_rig.physics.prediction import base_amplitude, transmissibility
 from impact_rig.rig.config import RigConfig, from_flat
+from impact_rig.states import Regime
 from impact_rig.studies.identification.measurements import NUISANCES, RESTITUTION, Measured, Motion, simulated, slope
 
 # --- The constants that are identified, as logarithms, and the rig that they make.

@@ -21,7 +21,6 @@ from impact_rig.analysis.calibration import U_CUBIC, Calibration, Real
 from impact_rig.analysis.decay import Decay, DecayMethod, fit_decay, measure_decay
 from impact_rig.analysis.reduction import repeatability
 from impact_rig.analysis.scans import BASE, CURRENT, LASER, samples_of
-from impact_rig.analysis.words import Regime
 from impact_rig.blocks import joined
 from impact_rig.campaign.axes import NO_SPHERE
 from impact_rig.campaign.results import Curves, Point
@@ -34,6 +33,7 @@ from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.runs.measurement import is_measured
 from impact_rig.runs.wholes import calibration_rows, last_record
 from impact_rig.simtime import NS_PER_S
+from impact_rig.states import Regime
 
 LEAST_NOISE = 1e-4
 """Relative; repeatability that is not claimed to be better, whatever a few seconds of signal suggest."""
