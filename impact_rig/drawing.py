@@ -33,16 +33,10 @@ MEASURED, PREDICTED, TRUTH = SERIES[0], SERIES[4], SERIES[2]
 """By meaning, where a drawing is of one case: what instruments saw, what theory says, what really happened."""
 
 NAMES: Mapping[str, str] = {
-    INK: "ink",
-    MUTED: "muted",
-    GRID: "grid",
-    PAPER_RED: "paper",
-    **{colour: f"s{number}" for number, colour in enumerate(SERIES)},
-    PERIODIC: "periodic",
-    MODULATED: "modulated",
-    CHAOTIC: "chaotic",
-    QUIET: "quiet",
-}
+    INK: "ink", MUTED: "muted", GRID: "grid", PAPER_RED: "paper",
+    **{colour: f"s{number}" for number, colour in enumerate(SERIES)}, PERIODIC: "periodic", MODULATED: "modulated",
+    CHAOTIC: "chaotic", QUIET: "quiet",
+}  # fmt: skip
 """Light colour to the name of its variable."""
 
 DARK: Mapping[str, str] = {

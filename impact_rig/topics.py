@@ -83,42 +83,27 @@ SCAN = attrs.evolve(
     _table("daq/scan", Qos.DATA, "rig", blocks.SCAN_FRAME, "One block of scans; stamp = first scan."), further=NUMBER
 )
 INFO = _table(
-    "daq/info",
-    Qos.STATE,
-    "rig",
-    blocks.DAQ_INFO_COLUMNS,
+    "daq/info", Qos.STATE, "rig", blocks.DAQ_INFO_COLUMNS,
     "Calibration, one row per channel; stamp = from when it holds.",
-)
+)  # fmt: skip
 APPLIED = _table(
-    "shaker/applied",
-    Qos.STATE,
-    "rig",
-    blocks.APPLIED_COLUMNS,
+    "shaker/applied", Qos.STATE, "rig", blocks.APPLIED_COLUMNS,
     "What the shaker does and since which sample; one row per accepted change, published on acceptance.",
-)
+)  # fmt: skip
 JOURNAL = _table(
-    "rig/journal",
-    Qos.HISTORY,
-    "rig",
-    blocks.JOURNAL_COLUMNS,
+    "rig/journal", Qos.HISTORY, "rig", blocks.JOURNAL_COLUMNS,
     "Every state-changing input with its sample index, from the last `start` or `reset` on (sequence 0).",
-)
+)  # fmt: skip
 CONFIGURATION = Topic(
-    "rig/configuration",
-    "std_msgs/msg/String",
-    Qos.STATE,
-    "rig",
+    "rig/configuration", "std_msgs/msg/String", Qos.STATE, "rig",
     "The configuration in force, complete, as a ROS 2 parameter file.",
     (Column("data", "-", "YAML that `--params-file` and `impact-rig check` take."),),
-)
+)  # fmt: skip
 ROBOT_DESCRIPTION = Topic(
-    "robot_description",
-    "std_msgs/msg/String",
-    Qos.LATCHED,
-    "rig",
+    "robot_description", "std_msgs/msg/String", Qos.LATCHED, "rig",
     "The rig as URDF, for RViz and robot_state_publisher; again when the configuration changes it.",
     (Column("data", "-", "URDF; its joints are those of truth/joint_states, its frames those of the headers."),),
-)
+)  # fmt: skip
 JOINT_STATES = Topic(
     "truth/joint_states",
     "sensor_msgs/msg/JointState",
@@ -134,100 +119,60 @@ JOINT_STATES = Topic(
     frame_id="rig",
 )
 IMPACTS_TRUTH = _table(
-    "truth/impacts",
-    Qos.DATA,
-    "rig",
-    blocks.IMPACTS_COLUMNS,
+    "truth/impacts", Qos.DATA, "rig", blocks.IMPACTS_COLUMNS,
     "The contacts that ended in a block; time = when they began.",
-)
+)  # fmt: skip
 TRUTH_SCAN = _table(
-    "truth/scan",
-    Qos.DATA,
-    "rig",
-    blocks.TRUTH_SCAN_COLUMNS,
+    "truth/scan", Qos.DATA, "rig", blocks.TRUTH_SCAN_COLUMNS,
     "The instants of daq/scan without instruments (output.truth_scan).",
-)
+)  # fmt: skip
 FAULTS = _table("truth/faults", Qos.STATE, "rig", blocks.FAULTS_COLUMNS, "Instrument faults as they start and end.")
 TRANSMISSIBILITY = Topic(
-    "transmissibility",
-    "std_msgs/msg/Float64",
-    Qos.DATA,
-    "analysis",
-    "Last settled transmissibility, for plotters.",
+    "transmissibility", "std_msgs/msg/Float64", Qos.DATA, "analysis", "Last settled transmissibility, for plotters.",
     (Column("data", "-", "As in transmissibility/table."),),
-)
+)  # fmt: skip
 TRANSMISSIBILITY_TABLE = _table(
     "transmissibility/table", Qos.STATE, "analysis", blocks.TRANSMISSIBILITY_COLUMNS, "One row per measurement."
 )
 ANALYSIS_SETTINGS = _table(
-    "analysis/settings",
-    Qos.STATE,
-    "analysis",
-    blocks.SETTINGS_COLUMNS,
+    "analysis/settings", Qos.STATE, "analysis", blocks.SETTINGS_COLUMNS,
     "Settings of the measurement and the operator's gap label, when they change; stamp = from when they hold.",
-)
+)  # fmt: skip
 CURVE = _table(
-    "transmissibility/curve",
-    Qos.STATE,
-    "stepped_sine",
-    blocks.TRANSMISSIBILITY_COLUMNS,
+    "transmissibility/curve", Qos.STATE, "stepped_sine", blocks.TRANSMISSIBILITY_COLUMNS,
     "The stepped sine so far, one row per measurement; stamp = its begin.",
-)
+)  # fmt: skip
 HELD = _table(
-    "transmissibility/held",
-    Qos.STATE,
-    "stepped_sine",
-    blocks.HELD_COLUMNS,
+    "transmissibility/held", Qos.STATE, "stepped_sine", blocks.HELD_COLUMNS,
     "The controlled sine so far, one row per measurement, where an amplitude is held; stamp = its begin.",
-)
+)  # fmt: skip
 LOCKED = _table(
-    "transmissibility/locked",
-    Qos.DATA,
-    "stepped_sine",
-    blocks.PHASE_LOCK_COLUMNS,
+    "transmissibility/locked", Qos.DATA, "stepped_sine", blocks.PHASE_LOCK_COLUMNS,
     "One look of the phase lock, where the phase is held; stamp = its begin.",
-)
+)  # fmt: skip
 IMPACTS = _table(
     "impacts", Qos.DATA, "analysis", blocks.DETECTED_IMPACTS_COLUMNS, "Impacts detected from the accelerometer alone."
 )
 FREQUENCY = Topic(
-    "shaker/frequency",
-    "std_msgs/msg/Float64",
-    Qos.EVENT,
-    "client",
-    "Command: drive frequency.",
+    "shaker/frequency", "std_msgs/msg/Float64", Qos.EVENT, "client", "Command: drive frequency.",
     (Column("data", "Hz", "Within shaker.frequency_min_hz and shaker.frequency_max_hz."),),
-)
+)  # fmt: skip
 CURRENT = Topic(
-    "shaker/current",
-    "std_msgs/msg/Float64",
-    Qos.EVENT,
-    "client",
-    "Command: drive amplitude.",
+    "shaker/current", "std_msgs/msg/Float64", Qos.EVENT, "client", "Command: drive amplitude.",
     (Column("data", "A", "Peak (rms for random), at most shaker.current_limit_a_rms; m or V by drive.kind."),),
-)
+)  # fmt: skip
 WAVEFORM = _table(
-    "shaker/waveform",
-    Qos.DATA,
-    "client",
-    blocks.WAVEFORM_COLUMNS,
+    "shaker/waveform", Qos.DATA, "client", blocks.WAVEFORM_COLUMNS,
     "Command: samples of the drive (drive.waveform: stream); stamp = first sample. No rows end the stream there.",
-)
+)  # fmt: skip
 STREAM = _table(
-    "shaker/stream",
-    Qos.LATCHED,
-    "rig",
-    blocks.STREAM_COLUMNS,
+    "shaker/stream", Qos.LATCHED, "rig", blocks.STREAM_COLUMNS,
     "Which sample of shaker/waveform is wanted next, and what came of those that came, after each block.",
-)
+)  # fmt: skip
 NOTES = Topic(
-    "notes",
-    "std_msgs/msg/String",
-    Qos.EVENT,
-    "client",
-    "Operator's remarks, recorded with the run.",
+    "notes", "std_msgs/msg/String", Qos.EVENT, "client", "Operator's remarks, recorded with the run.",
     (Column("data", "-", "Any text; `gap_m=0.006 at 1000000000` labels the gap from that rig time [ns] on."),),
-)
+)  # fmt: skip
 ACK = Topic(
     "daq/ack",
     "std_msgs/msg/Header",
@@ -272,15 +217,11 @@ PLOT_DRIVE = Topic(
 def spectrum(channel: str, unit: str) -> Topic:
     """Return the topic of a channel's amplitude spectrum."""
     return Topic(
-        f"plot/spectrum/{channel}",
-        "geometry_msgs/msg/PolygonStamped",
-        Qos.DATA,
-        "analysis",
+        f"plot/spectrum/{channel}", "geometry_msgs/msg/PolygonStamped", Qos.DATA, "analysis",
         "For plotters: amplitudes of the last 4 s, flat-top window, bins of 0.25 Hz, once a second; stamp = last scan.",
         (Column("polygon.points", f"Hz, {unit}", "x: frequency, up to 250 Hz; y: amplitude of the line there, peak."),),
-        frame_id=blocks.FRAME_DAQ,
-        recorded=False,
-    )
+        frame_id=blocks.FRAME_DAQ, recorded=False,
+    )  # fmt: skip
 
 
 PLOT_PULSES = Topic(
@@ -333,42 +274,14 @@ DIAGNOSTICS = Topic(
     ),
 )
 CLOCK = Topic(
-    "/clock",
-    "rosgraph_msgs/msg/Clock",
-    Qos.DATA,
-    "rig",
+    "/clock", "rosgraph_msgs/msg/Clock", Qos.DATA, "rig",
     "Rig time, by default whenever not in real time x 1 (time.publish_clock).",
     (Column("clock", "-", "End of the newest block."),),
-)
+)  # fmt: skip
 
 TOPICS = (
-    SCAN,
-    INFO,
-    APPLIED,
-    JOURNAL,
-    CONFIGURATION,
-    ROBOT_DESCRIPTION,
-    JOINT_STATES,
-    IMPACTS_TRUTH,
-    TRUTH_SCAN,
-    FAULTS,
-    TRANSMISSIBILITY,
-    TRANSMISSIBILITY_TABLE,
-    ANALYSIS_SETTINGS,
-    CURVE,
-    HELD,
-    LOCKED,
-    IMPACTS,
-    PLOT_TRANSMISSIBILITY,
-    PLOT_DRIVE,
-    PLOT_PULSES,
-    FREQUENCY,
-    CURRENT,
-    WAVEFORM,
-    STREAM,
-    NOTES,
-    ACK,
-    DIAGNOSTICS,
-    CLOCK,
-)
+    SCAN, INFO, APPLIED, JOURNAL, CONFIGURATION, ROBOT_DESCRIPTION, JOINT_STATES, IMPACTS_TRUTH, TRUTH_SCAN, FAULTS,
+    TRANSMISSIBILITY, TRANSMISSIBILITY_TABLE, ANALYSIS_SETTINGS, CURVE, HELD, LOCKED, IMPACTS, PLOT_TRANSMISSIBILITY,
+    PLOT_DRIVE, PLOT_PULSES, FREQUENCY, CURRENT, WAVEFORM, STREAM, NOTES, ACK, DIAGNOSTICS, CLOCK,
+)  # fmt: skip
 """Every topic that is the same whatever the instruments; with those of their monitors: `impact_rig.nodes.messages`."""

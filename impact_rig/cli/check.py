@@ -74,12 +74,8 @@ def _print_instruments(checks: Sequence[ChannelCheck], console: Console) -> None
         table.add_column(heading, justify="left" if heading in {"channel", ""} else "right", no_wrap=True)
     for check in checks:
         table.add_row(
-            check.channel,
-            f"{100.0 * (abs(check.gain) - 1.0):+.3f} %",
-            f"± {100.0 * check.gain_limit:.2f} %",
-            f"{math.degrees(check.phase_rad):+.3f}°",
-            f"{100.0 * check.residual / check.residual_limit:.0f} %",
-            _POLARITY[check.polarity],
-            Text("ok", "green") if check.ok else Text("not ok", "red"),
-        )
+            check.channel, f"{100.0 * (abs(check.gain) - 1.0):+.3f} %", f"± {100.0 * check.gain_limit:.2f} %",
+            f"{math.degrees(check.phase_rad):+.3f}°", f"{100.0 * check.residual / check.residual_limit:.0f} %",
+            _POLARITY[check.polarity], Text("ok", "green") if check.ok else Text("not ok", "red"),
+        )  # fmt: skip
     console.print(table)

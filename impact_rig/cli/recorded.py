@@ -163,14 +163,10 @@ def _print_files(console: Console, report: RecoverReport) -> None:
     table = TextTable(left=("file",), right=("bytes", *numbers))
     for file in report.files:
         table.add_row(
-            file.name,
-            str(file.size),
-            str(file.messages),
-            f"{file.given_s:.3f}",
+            file.name, str(file.size), str(file.messages), f"{file.given_s:.3f}",
             "unknown" if file.missing_messages is None else str(file.missing_messages),
-            "unknown" if file.missing_s is None else f"{file.missing_s:.3f}",
-            str(file.lost_bytes),
-        )
+            "unknown" if file.missing_s is None else f"{file.missing_s:.3f}", str(file.lost_bytes),
+        )  # fmt: skip
     console.print(table)
 
 

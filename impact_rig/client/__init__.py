@@ -24,22 +24,11 @@ if TYPE_CHECKING:
     from impact_rig.client.client import Client, Collector, RigGoneError, ServiceFailedError, WaitTimeoutError
 
 __all__ = [
-    "Client",
-    "Collector",
-    "NodeProcess",
-    "ProcessDiedError",
-    "Processes",
-    "RigGoneError",
-    "ServiceFailedError",
-    "WaitTimeoutError",
-    "isolated_domain",
-]
+    "Client", "Collector", "NodeProcess", "ProcessDiedError", "Processes", "RigGoneError", "ServiceFailedError",
+    "WaitTimeoutError", "isolated_domain",
+]  # fmt: skip
 
 __getattr__ = lazily(
-    __name__,
-    Client="client",
-    Collector="collector",
-    RigGoneError="waiting",
-    ServiceFailedError="client",
+    __name__, Client="client", Collector="collector", RigGoneError="waiting", ServiceFailedError="client",
     WaitTimeoutError="waiting",
-)
+)  # fmt: skip

@@ -242,22 +242,13 @@ class Curve:
 
 def _measurement(row: NDArray[np.void]) -> dict[str, Any]:
     return {
-        "f": float(row["frequency"]),
-        "dt": float(row["transmissibility"]),
-        "u": float(row["transmissibility_uncertainty"]),
-        "phase": math.degrees(float(row["phase"])),
-        "settled": bool(row["settled"] == 1.0),
-        "gap": float(row["gap"]),
-        "ipc": float(row["impacts_per_cycle"]),
-        "x1": float(row["laser_amplitude"]),
-        "xb": float(row["base_amplitude"]),
-        "i": float(row["current_amplitude"]),
-        "spread": float(row["spread"]),
-        "period": float(row["period"]),
-        "thd": float(row["thd"]),
-        "regime": text(row["regime"]),
-        "status": "" if text(row["status"]) == Status.OK else plain(text(row["status"])),
-    }
+        "f": float(row["frequency"]), "dt": float(row["transmissibility"]),
+        "u": float(row["transmissibility_uncertainty"]), "phase": math.degrees(float(row["phase"])),
+        "settled": bool(row["settled"] == 1.0), "gap": float(row["gap"]), "ipc": float(row["impacts_per_cycle"]),
+        "x1": float(row["laser_amplitude"]), "xb": float(row["base_amplitude"]), "i": float(row["current_amplitude"]),
+        "spread": float(row["spread"]), "period": float(row["period"]), "thd": float(row["thd"]),
+        "regime": text(row["regime"]), "status": "" if text(row["status"]) == Status.OK else plain(text(row["status"])),
+    }  # fmt: skip
 
 
 class Record:

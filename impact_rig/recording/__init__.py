@@ -16,17 +16,6 @@ from impact_rig.recording.reader import Message, RecordedTopic, Run, open_run
 from impact_rig.recording.writer import RunWriter
 
 __all__ = [
-    "CONFIGURATION",
-    "Account",
-    "Attachment",
-    "Message",
-    "OfferedQos",
-    "Provenance",
-    "RecordedTopic",
-    "Run",
-    "RunWriter",
-    "TopicDescription",
-    "arithmetic_of",
-    "open_run",
-    "schema_text",
-]
+    "CONFIGURATION", "Account", "Attachment", "Message", "OfferedQos", "Provenance", "RecordedTopic", "Run",
+    "RunWriter", "TopicDescription", "arithmetic_of", "open_run", "schema_text",
+]  # fmt: skip

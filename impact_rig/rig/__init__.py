@@ -13,13 +13,8 @@ if TYPE_CHECKING:
     from impact_rig.rig.resimulation import resimulate
 
 __getattr__ = lazily(  # `rig.config` does without compiled code
-    __name__,
-    Block="core",
-    takes_effect="changes",
-    Rig="core",
-    Journal="journal",
-    Kind="journal",
+    __name__, Block="core", takes_effect="changes", Rig="core", Journal="journal", Kind="journal",
     resimulate="resimulation",
-)
+)  # fmt: skip
 
 __all__ = ["Block", "Journal", "Kind", "Rig", "resimulate", "takes_effect"]

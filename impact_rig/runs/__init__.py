@@ -8,17 +8,6 @@ from impact_rig.runs.info import RunInfo, TopicInfo, info
 from impact_rig.runs.recovery import Damage, FileReport, Recovered, RecoverReport, recover
 
 __all__ = [
-    "Contiguity",
-    "Damage",
-    "FileReport",
-    "Gap",
-    "RecoverReport",
-    "Recovered",
-    "RunInfo",
-    "TopicInfo",
-    "check_contiguity",
-    "export",
-    "info",
-    "recover",
-    "scan_rate_hz",
-]
+    "Contiguity", "Damage", "FileReport", "Gap", "RecoverReport", "Recovered", "RunInfo", "TopicInfo",
+    "check_contiguity", "export", "info", "recover", "scan_rate_hz",
+]  # fmt: skip
