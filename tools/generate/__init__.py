@@ -3,7 +3,7 @@
 """Write every page and file that is made from the code: `make generate` rewrites them, a test compares them.
 
 In the pages of docs/ the parts between `<!-- generated: NAME -->` and `<!-- end -->` are generated, each by the
-function that `TABLES` names; `config/nominal.yaml`, the URDF and the pictures of house and nodes are generated whole.
+function that `TABLES` names; `config/nominal.yaml`, the URDF and the pictures of layers and nodes are generated whole.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ from pathlib import Path
 
 from impact_rig.rig.config import RigConfig
 from impact_rig.rig.description import robot_description
-from tools.generate import graph, house, interface, laws
+from tools.generate import graph, interface, laws, layers
 from tools.generate.nominal import nominal
 
 COMMAND = "make generate"
 ROOT = Path(__file__).parents[2]
-TABLES: dict[str, Callable[[], str]] = {**house.TABLES, **interface.TABLES, **laws.TABLES}
+TABLES: dict[str, Callable[[], str]] = {**layers.TABLES, **interface.TABLES, **laws.TABLES}
 """Name in a page's markers -> its text."""
 
 _SECTION = re.compile(r"(<!-- generated: (?P<name>[\w ]+) -->\n).*?(<!-- end -->)", re.DOTALL)
@@ -42,7 +42,7 @@ def generated() -> dict[Path, str]:
     return {
         ROOT / "config" / "nominal.yaml": nominal(),
         ROOT / "urdf" / "impact_rig.urdf": description,
-        house.PICTURE: house.picture(),
+        layers.PICTURE: layers.picture(),
         graph.PICTURE: graph.picture(),
         **pages,
     }

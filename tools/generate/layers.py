@@ -1,6 +1,6 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""The picture and the table of the rooms: layers from the import contracts, sentences from the packages themselves."""
+"""The picture and the table of the packages: layers from the import contracts, sentences from the packages themselves."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from pathlib import Path
 from tools.generate.markdown import table
 
 ROOT = Path(__file__).parents[2]
-PICTURE = ROOT / "docs" / "images" / "house.svg"
+PICTURE = ROOT / "docs" / "images" / "layers.svg"
 WITH_ROS = ("testing", "lab", "client", "nodes")
-"""Rooms that may import rclpy, as a contract of its own says."""
+"""Packages that may import rclpy, as a contract of its own says."""
 
 _WIDTH, _MARGIN, _GAP, _PAD, _LINE = 980, 20, 12, 10, 15
 _CHARACTER = 6.3  # of the text in a box, in the widest usual font
 _HEAD = """\
 <svg xmlns="http://www.w3.org/2000/svg" width="{width}" height="{height}" viewBox="0 0 {width} {height}"
  font-family="system-ui, sans-serif" font-size="12" role="img"
- aria-label="The rooms of impact_rig in layers; each imports only from rooms below it">
+ aria-label="The packages of impact_rig in layers; each imports only from packages below it">
 <style>
 .paper {{ fill: #ffffff }} .box {{ fill: #f4f6f8; stroke: #66707c }} .ros {{ fill: #e3f0e6; stroke: #00845f }}
 .name {{ fill: #1b1f24; font-weight: 600; font-size: 14px }} .text {{ fill: #1b1f24 }}
@@ -37,34 +37,34 @@ _HEAD = """\
 
 
 def layers(root: Path = ROOT) -> list[list[str]]:
-    """Return the rooms from the roof to the ground, as the import contract has them."""
+    """Return the packages from the top to the bottom, as the import contract has them."""
     settings = tomllib.loads((root / "pyproject.toml").read_text(encoding="utf-8"))
     contracts = settings["tool"]["importlinter"]["contracts"]
     lines = next(contract["layers"] for contract in contracts if contract["name"] == "Layers")
     return [re.findall(r"\w+", line) for line in lines]
 
 
-def sentence(room: str, root: Path = ROOT) -> str:
+def sentence(package: str, root: Path = ROOT) -> str:
     """Return the first sentence of a package's or module's docstring."""
-    path = root / "impact_rig" / room
+    path = root / "impact_rig" / package
     source = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
     text = ast.get_docstring(ast.parse(source.read_text(encoding="utf-8"))) or ""
     return text.split("\n\n")[0].replace("\n", " ").replace("`", "")
 
 
 def picture() -> str:
-    """Return the house as SVG: a row a layer, green where rclpy may be imported."""
+    """Return the layers as SVG: a row a layer, green where rclpy may be imported."""
     y, boxes = _MARGIN, []
-    for rooms in layers():
-        width = (_WIDTH - 2 * _MARGIN - (len(rooms) - 1) * _GAP) / len(rooms)
-        texts = [_wrapped(sentence(room), width) for room in rooms]
+    for packages in layers():
+        width = (_WIDTH - 2 * _MARGIN - (len(packages) - 1) * _GAP) / len(packages)
+        texts = [_wrapped(sentence(package), width) for package in packages]
         height = 2 * _PAD + 18 + _LINE * max(map(len, texts))
-        for number, (room, lines) in enumerate(zip(rooms, texts, strict=True)):
-            boxes.append(_box(room, lines, (_MARGIN + number * (width + _GAP), y, width, height)))
+        for number, (package, lines) in enumerate(zip(packages, texts, strict=True)):
+            boxes.append(_box(package, lines, (_MARGIN + number * (width + _GAP), y, width, height)))
         y += height + _GAP
     boxes.append(
-        f'<text class="text" x="{_MARGIN}" y="{y + 14}">A room imports only from rooms below it; on the ground '
-        "they may see each other. Green rooms may import rclpy.</text>"
+        f'<text class="text" x="{_MARGIN}" y="{y + 14}">A package imports only from packages below it; in the lowest layer '
+        "they may see each other. Green ones may import rclpy.</text>"
     )
     return _HEAD.format(width=_WIDTH, height=y + 30) + "\n".join(boxes) + "\n</svg>\n"
 
@@ -73,19 +73,19 @@ def _wrapped(text: str, width: float) -> list[str]:
     return textwrap.wrap(text, max(10, int((width - 2 * _PAD) / _CHARACTER)))
 
 
-def _box(room: str, lines: list[str], place: tuple[float, float, float, float]) -> str:
+def _box(package: str, lines: list[str], place: tuple[float, float, float, float]) -> str:
     x, y, width, height = place
-    kind = "ros" if room in WITH_ROS else "box"
+    kind = "ros" if package in WITH_ROS else "box"
     parts = [f'<rect class="{kind}" x="{x:.1f}" y="{y:.1f}" width="{width:.1f}" height="{height:.1f}" rx="6"/>']
-    parts.append(f'<text class="name" x="{x + _PAD:.1f}" y="{y + _PAD + 12:.1f}">{room}</text>')
+    parts.append(f'<text class="name" x="{x + _PAD:.1f}" y="{y + _PAD + 12:.1f}">{package}</text>')
     for number, line in enumerate(lines):
         at = y + _PAD + 30 + number * _LINE
         parts.append(f'<text class="text" x="{x + _PAD:.1f}" y="{at:.1f}">{escape(line)}</text>')
     return "\n".join(parts)
 
 
-def _rooms() -> str:
-    return table(("room", "what is in it"), ((f"`{room}`", sentence(room)) for rooms in layers() for room in rooms))
+def _packages() -> str:
+    return table(("package", "what is in it"), ((f"`{package}`", sentence(package)) for packages in layers() for package in packages))
 
 
-TABLES: dict[str, Callable[[], str]] = {"rooms": _rooms}
+TABLES: dict[str, Callable[[], str]] = {"packages": _packages}
