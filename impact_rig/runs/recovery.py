@@ -22,7 +22,6 @@ import struct
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Set
 from pathlib import Path
-from types import TracebackType
 
 import attrs
 from mcap import records as mcap_records
@@ -88,23 +87,16 @@ class DamagedFile:
     def __init__(self, path: Path) -> None:
         self.path = path
         try:
-            self._fd = open_regular(path)
-            self.size = os.fstat(self._fd).st_size
+            self.fd = open_regular(path)
+            self.size = os.fstat(self.fd).st_size
         except OSError as error:
             raise RecordingError(f"{path} cannot be opened: {error.strerror}") from error
 
     def __enter__(self) -> DamagedFile:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        os.close(self._fd)
-
-    @property
-    def fd(self) -> int:
-        """The open file."""
-        return self._fd
+    def __exit__(self, *_: object) -> None:
+        os.close(self.fd)
 
     def content(self, found: Found) -> memoryview:
         """Return the content of a record."""
@@ -170,7 +162,7 @@ class DamagedFile:
     def _read(self, offset: int, length: int) -> bytes:
         parts = []
         try:
-            while length > 0 and (part := os.pread(self._fd, length, offset)):
+            while length > 0 and (part := os.pread(self.fd, length, offset)):
                 parts.append(part)
                 offset += len(part)
                 length -= len(part)
@@ -381,14 +373,9 @@ class Recovered:
 
     def to_record(self) -> dict[str, str]:
         """Return the content of the metadata record."""
-        missing = "" if self.missing_messages is None else str(self.missing_messages)
-        return {
-            "source": self.source,
-            "damages": str(self.damages),
-            "lost_bytes": str(self.lost_bytes),
-            "missing_messages": missing,
-            "unfinished": str(int(self.unfinished)),
-        }
+        missing = "" if self.missing_messages is None else self.missing_messages
+        content = {**attrs.asdict(self), "missing_messages": missing, "unfinished": int(self.unfinished)}
+        return {name: str(value) for name, value in content.items()}
 
 
 def read_record(record: Mapping[str, str]) -> Recovered | None:
@@ -400,14 +387,9 @@ def read_record(record: Mapping[str, str]) -> Recovered | None:
     if not record:
         return None
     try:
-        missing = record["missing_messages"]
-        return Recovered(
-            record["source"],
-            int(record["damages"]),
-            int(record["lost_bytes"]),
-            int(missing) if missing else None,
-            record["unfinished"] == "1",
-        )
+        missing = int(record["missing_messages"]) if record["missing_messages"] else None
+        counts = int(record["damages"]), int(record["lost_bytes"])
+        return Recovered(record["source"], *counts, missing, record["unfinished"] == "1")
     except (KeyError, ValueError) as error:
         raise DamageError(f"the metadata record {RECORD_NAME!r} cannot be understood: {error}") from error
 
