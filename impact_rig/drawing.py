@@ -163,9 +163,7 @@ class Drawn:
 
     Args:
         name: of the files, and of the identifiers in the page.
-        figure: drawn.
         caption: sentence(s) below it, also read aloud in its place.
-        lines: the numbers it shows.
     """
 
     def __init__(self, name: str, figure: Figure, caption: str, lines: Sequence[Line] = ()) -> None:

@@ -37,7 +37,6 @@ class Record:
     """What the instruments of a simulated rig read, and what follows from it.
 
     Attributes:
-        config: of the rig.
         scans: columns of `daq/scan`, docs/interface.md, SI; `time` [s] since the start; shape (n,).
         state: of the measurement at the end: settling, measuring, ...
         measurements: rows of `transmissibility/table`, the newest last; empty before the first window is full.

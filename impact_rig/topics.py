@@ -52,7 +52,6 @@ class Topic:
         type_name: ROS interface, `package/msg/Type`.
         publisher: node that publishes it, or `client`.
         fields: the columns of a table, or the fields of another message that are filled.
-        frame_id: frame of its header.
         recorded: whether it belongs into every run; what is made for plotters follows from what is recorded.
         further: type of the columns that may follow `fields` in a table; empty: any, for those of a later version.
     """

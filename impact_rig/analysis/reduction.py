@@ -102,7 +102,6 @@ class Damper:
     Attributes:
         added_mass: force in phase with the displacement over ω² m_1 X_1: the mass that it seems to add.
         loss_factor: energy lost per cycle over 2π · ½ m_1 ω² X_1².
-        u_added_mass, u_loss_factor: standard uncertainties.
     """
 
     added_mass: float

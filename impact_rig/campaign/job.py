@@ -56,7 +56,6 @@ class Job:
         changes: configuration values that differ from the default rig, by dotted name.
         analysis: settings of the measurement that differ from `TrackerSettings`.
         gap_m: the operator's label: gap, or `NO_SPHERE`.
-        frequencies_hz: points.
         direction: order in which a job of several points visits them.
         current_a: peak current.
         repetitions: settled measurements per point, one after the other.
@@ -131,8 +130,6 @@ class Outcome:
         rows: accepted rows of `transmissibility/table`, in the order of the visit.
         failure: why the run did not reach its end; empty otherwise.
         skipped_hz: points left out because a sensor was over range.
-        simulated_s: rig time.
-        wall_s: time it took.
         lost_scans: scans that never reached the analysis.
         trace: arrays of the end of the run by name, if asked for.
     """
@@ -221,9 +218,6 @@ def columns(scans: NDArray[np.void], truth: NDArray[np.void], rate_hz: int) -> T
 
 class ProcessApparatus:
     """A `JobApparatus` in this process.
-
-    Args:
-        job: what it is made for.
 
     Raises:
         ConfigError: the job's values together cannot be simulated.

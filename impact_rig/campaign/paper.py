@@ -44,7 +44,6 @@ class Reductions:
 
     Attributes:
         dt_no_sphere: transmissibility without the sphere.
-        dt: transmissibility by gap.
         dt_uncertainty: its standard uncertainty by gap; key `NO_SPHERE`: without the sphere.
         percent_uncertainty: standard uncertainty of `percent` in points, by gap: see `analysis.reduction`.
     """

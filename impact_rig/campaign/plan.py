@@ -70,8 +70,6 @@ class Planned:
     """A job's place in the campaign.
 
     Attributes:
-        study: name of the study.
-        job: what to run.
         axes: the values of the study's axes other than frequency, gap and current, by dotted name.
         reference: whether the job belongs to the campaign's reference rig, on which the statements are judged.
     """
@@ -87,11 +85,8 @@ class Campaign:
     """A whole campaign.
 
     Attributes:
-        title: for people.
         base: the rig that all studies begin with.
         analysis: settings of the measurement that differ from the default.
-        studies: in the order of the file.
-        text: the file.
     """
 
     title: str

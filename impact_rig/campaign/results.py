@@ -37,16 +37,12 @@ class Point:
     """One visit to one frequency; NaN where nothing was measured. Columns as in `blocks.TRANSMISSIBILITY`.
 
     Attributes:
-        study: name of the study.
         axes: values of its axes other than frequency, gap and current.
         reference: on the campaign's reference rig.
         gap_m: gap, or `NO_SPHERE`.
-        current_a: commanded.
-        frequency_hz: commanded.
         direction: reset, up or down.
         rows: settled measurements, or the one that did not settle, shape (n,).
         failure: why there is no settled measurement; empty otherwise.
-        key: of the job.
     """
 
     study: str

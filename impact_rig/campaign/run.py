@@ -58,7 +58,6 @@ class Finished:
 
     Attributes:
         campaign: what was asked for.
-        directory: where it is kept.
         points: every point of every job that was run.
         outcomes: outcome by job key.
     """

@@ -53,7 +53,6 @@ class Verdict:
 
     Attributes:
         name: key in `summary.json`.
-        text: the statement.
         kind: what it is worth that it holds.
         result: the judgement; None if it could not be made.
         detail: the figures behind it, or what is missing.
@@ -260,7 +259,6 @@ class Variation:
 
     Attributes:
         changed: the constants that differ from the campaign's reference rig, by dotted name; none: that rig itself.
-        verdicts: on each statement.
     """
 
     changed: Mapping[str, Value]

@@ -64,7 +64,6 @@ class Store(Generic[T]):
     """The directory of a study.
 
     Attributes:
-        directory: of the study.
         what: word for the study; names its file.
         folder: name of the folder that holds the tasks.
         rooms: of the package: besides `DECIDING`, whose code decides the numbers.

@@ -139,7 +139,6 @@ class RosApparatus(abc.ABC):
     """The nodes `rig`, `analysis` and perhaps `recorder`, active, as a `JobApparatus` for one job after the other.
 
     Args:
-        client: connected to them.
         record: there is a recorder, and every job becomes a run of its own.
     """
 
@@ -393,7 +392,6 @@ class SteppedLoop:
 
     Args:
         client: connected to an active rig in stepped mode, which waits for nobody but this client's steps.
-        config: that the rig has.
     """
 
     def __init__(self, client: Client, config: RigConfig) -> None:

@@ -248,7 +248,6 @@ class Client:
     """One ROS node that plays the user.
 
     Args:
-        domain_id: ROS domain.
         namespace: namespace of the rig's nodes; topics and node names below are relative to it.
         processes: watched during every wait.
         name: node name, and the name in its acknowledgements.

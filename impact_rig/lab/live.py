@@ -44,7 +44,6 @@ class LiveSource(Source):
     """A rig of the graph.
 
     Args:
-        domain_id: ROS domain.
         namespace: of the rig; None: look for one.
         own: to start nodes with; None: those of others are only looked at.
     """

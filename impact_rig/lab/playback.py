@@ -56,8 +56,6 @@ class Instant:
     """What a rig was at an instant, as its recording says.
 
     Attributes:
-        values: its parameters by name.
-        applied: the drive.
         latched: by what the shaker was; empty: it was free.
         plucked: whether the base was locked.
         changed_ns: when the last of all this came into force.

@@ -55,7 +55,6 @@ class Seen:
 
     Attributes:
         state: word of its table in `impact_rig.states`; empty: it said none of them.
-        reason: why, for people.
         instance: which activation of the node said it.
         age_s: since it was heard [s]; None: it never was.
         ended: how its process ended; empty: it runs, or is not ours.
@@ -254,7 +253,6 @@ class Source(abc.ABC):
 
     Args:
         mode: `live` or `playback`.
-        record: what is drawn.
     """
 
     def __init__(self, mode: str, record: Record) -> None:

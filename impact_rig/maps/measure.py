@@ -74,7 +74,6 @@ class Reading(NamedTuple):
         period: cycles after which the response repeats; NaN if it does not.
         spread: relative cycle-to-cycle rms of X_1.
         drift: relative change of DT between the halves of the record: what a longer one might change.
-        cycles: that the record has.
     """
 
     regime: str
@@ -104,12 +103,7 @@ class _Record(NamedTuple):
 
 
 class MapRig:
-    """The mechanics in the hands of a map.
-
-    Args:
-        config: the rig.
-        settings: of the measurement.
-    """
+    """The mechanics in the hands of a map."""
 
     def __init__(self, config: RigConfig, settings: Settings) -> None:
         self._settings = settings

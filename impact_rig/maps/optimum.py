@@ -36,7 +36,6 @@ class Optimum:
     """The best place.
 
     Attributes:
-        over: name of the parameter.
         value: where DT is reduced most.
         reading: what the mechanics do there.
         region: lowest and highest value around it whose reductions are within 1 point of the best.

@@ -52,7 +52,6 @@ class Line:
 
     Attributes:
         changes: configuration values that differ from the default rig, by dotted name.
-        settings: of the measurement.
         held: what stays along the line, by name of axis.
         along: name of the axis that changes.
         values: its values, in the order of the visit.
@@ -132,14 +131,7 @@ def measure_line(line: Line) -> list[Reading]:
 
 @attrs.frozen(kw_only=True)
 class Search:
-    """Where the best value of one parameter is looked for.
-
-    Attributes:
-        over: name of the axis.
-        low: lower bound.
-        high: upper bound.
-        points: of the first look.
-    """
+    """Where the best value of one parameter is looked for."""
 
     over: str
     low: float
@@ -152,17 +144,13 @@ class MapPlan:
     """A whole map.
 
     Attributes:
-        title: for people.
-        base: the rig.
         axes: two or three, by name, in the order of the file: across, up, and one picture each.
         direction: reset, up, down or both.
         starts: values of `sphere.start` that are measured one beside the other, for `reset`; none: that of `base`.
         sweep: the axis along which places are visited one after the other.
         frequency_hz: of the drive, unless it is an axis.
         current_a: amplitude of the drive, unless it is an axis.
-        settings: of the measurement.
         search: for the best value, or None.
-        text: the file.
     """
 
     title: str

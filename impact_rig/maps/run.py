@@ -38,7 +38,6 @@ class FinishedMap:
 
     Attributes:
         plan: what was asked for.
-        directory: where it is kept.
         values: by direction and name of a reading: arrays in the order of the axes, NaN (or "") where not measured.
     """
 

@@ -38,7 +38,6 @@ class Stream:
         publisher: its name where it is certain, else empty.
         first: sequence number of its first message; what was published before is no loss.
         newest: sequence number of its newest message.
-        received: messages that arrived.
         lost: messages between `first` and `newest` that did not.
     """
 

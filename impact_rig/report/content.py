@@ -29,7 +29,6 @@ class Cell:
     """A cell of a table: what is read, and the number or numbers behind it.
 
     Attributes:
-        text: as it is shown.
         value: as it is kept, in the unit that is shown; value and expanded uncertainty where there are two.
     """
 

@@ -220,7 +220,6 @@ class FileReport:
     """What came out of one file, its tail included.
 
     Attributes:
-        size: its bytes.
         messages: messages given back.
         chunks: whole chunks they came from.
         expected: what the file's index counts; None: it has none that can be believed.

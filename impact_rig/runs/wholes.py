@@ -210,7 +210,6 @@ class Sines:
             and the harmonics.
         fits: every channel at that frequency, by name.
         measured: the transmissibility of the whole excerpt at the commanded frequency.
-        excerpt: the scans.
     """
 
     reference: SineFit

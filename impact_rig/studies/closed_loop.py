@@ -31,7 +31,6 @@ class Held:
     Attributes:
         rows: of `blocks.HELD`.
         failure: why it did not reach its end; empty otherwise.
-        simulated_s: rig time.
     """
 
     rows: NDArray[np.void]

@@ -42,7 +42,6 @@ class RosRig(SteppedRig):
     Args:
         directory: for logs and the recording; made if missing.
         parameters: configuration values, `section.key` -> value, as in docs/interface.md.
-        faults: faults of the instruments.
         name: what reports call it.
         hosted: run rig and recorder in the test's process as well: starts in a tenth of the time, still real DDS.
 

@@ -57,7 +57,6 @@ class SteppedRig(abc.ABC):
 
     Args:
         name: what reports call it.
-        config: its configuration.
     """
 
     def __init__(self, name: str, config: RigConfig) -> None:
@@ -245,7 +244,6 @@ class VirtualRig(SteppedRig):
 
     Args:
         parameters: configuration values, `section.key` -> value, as in docs/interface.md.
-        faults: faults of the instruments.
         name: what reports call it.
 
     Raises:

@@ -64,7 +64,6 @@ class HighPass:
 
     Args:
         rate_hz: scans per second; of fewer than five times the corner the upper part of the band is left.
-        channel: column that is filtered.
     """
 
     def __init__(self, rate_hz: float, channel: str) -> None:
