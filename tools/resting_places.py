@@ -18,7 +18,6 @@ from rich.console import Console
 
 from impact_rig.analysis.settings import TrackerSettings
 from impact_rig.analysis.tracker import Tracker
-from impact_rig.states import Regime
 from impact_rig.blocks import APPLIED, Table
 from impact_rig.campaign.paper import CURRENT_A
 from impact_rig.instruments.chain import Chain
@@ -26,6 +25,7 @@ from impact_rig.maps.measure import FAILED, MapRig, Settings
 from impact_rig.physics import FunctionGenerator, Motion, Simulation
 from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.simtime import NS_PER_S
+from impact_rig.states import Regime
 
 Array = NDArray[np.float64]
 GAPS_MM = np.linspace(16.0, 40.0, 17)

@@ -4,7 +4,7 @@
 
 `make figures` writes them to docs/images. Drawings are SVG with the colours of light and dark in one file: an image
 takes those of the page that shows it. `test/test_figures.py` draws them anew and compares, coordinates within 1e-3 of
-the canvas. Drawings that `make generate` makes too, as that of the layers, are exact; pictures of the lab are taken from
+the canvas. Drawings that `make generate` makes too, as of the layers, are exact; pictures of the lab are taken from
 its page, in a browser.
 """
 

@@ -1,6 +1,6 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""The picture and the table of the packages: layers from the import contracts, sentences from the packages themselves."""
+"""The picture and the table of the packages: layers from the import contracts, sentences from the sources."""
 
 from __future__ import annotations
 
@@ -63,8 +63,8 @@ def picture() -> str:
             boxes.append(_box(package, lines, (_MARGIN + number * (width + _GAP), y, width, height)))
         y += height + _GAP
     boxes.append(
-        f'<text class="text" x="{_MARGIN}" y="{y + 14}">A package imports only from packages below it; in the lowest layer '
-        "they may see each other. Green ones may import rclpy.</text>"
+        f'<text class="text" x="{_MARGIN}" y="{y + 14}">A package imports only from packages below it; '
+        "in the lowest layer they may see each other. Green ones may import rclpy.</text>"
     )
     return _HEAD.format(width=_WIDTH, height=y + 30) + "\n".join(boxes) + "\n</svg>\n"
 
@@ -85,7 +85,10 @@ def _box(package: str, lines: list[str], place: tuple[float, float, float, float
 
 
 def _packages() -> str:
-    return table(("package", "what is in it"), ((f"`{package}`", sentence(package)) for packages in layers() for package in packages))
+    return table(
+        ("package", "what is in it"),
+        ((f"`{package}`", sentence(package)) for packages in layers() for package in packages),
+    )
 
 
 TABLES: dict[str, Callable[[], str]] = {"packages": _packages}
