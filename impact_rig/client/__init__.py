@@ -29,6 +29,6 @@ __all__ = [
 ]  # fmt: skip
 
 __getattr__ = lazily(
-    __name__, Client="client", Collector="collector", RigGoneError="waiting", ServiceFailedError="client",
-    WaitTimeoutError="waiting",
+    __name__, Client="client", Collector="client", RigGoneError="client", ServiceFailedError="client",
+    WaitTimeoutError="client",
 )  # fmt: skip
