@@ -1,9 +1,10 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""The one table of states: what each node says about itself on `/diagnostics`, as keys that programs read.
+"""The words that programs read: what nodes say about themselves on `/diagnostics`, and the analysis of a measurement.
 
 The message of a diagnostic status is a sentence for people and may change; nothing reads a state out of it. Every
-status carries the keys of `KEYS`; `state` is one of the words below, the gravest that is true.
+status carries the keys of `KEYS`; `state` is one of the words below, the gravest that is true. Status, regime and
+method of a measurement are those of `transmissibility/table`; `docs/analysis.md` explains each.
 """
 
 from __future__ import annotations

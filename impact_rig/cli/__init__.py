@@ -1,6 +1,6 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""The command `impact-rig`: every subcommand is a file of this package."""
+"""The command `impact-rig`: its subcommands, each with what it prints."""
 
 from impact_rig.cli.main import main
 

@@ -2,7 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A campaign's jobs through the real graph: rig, analysis and recorder as processes, driven through topics.
 
-The running nodes are an operator's apparatus: stepped from look to look, or running as fast as their peers.
+The running nodes are an operator's apparatus: stepped from look to look, or running as fast as their peers. Of a
+controller they are the hardware: `shaker/waveform` out, `shaker/stream` and `daq/scan` in (`OverTopics`).
 """
 
 from __future__ import annotations

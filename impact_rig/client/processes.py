@@ -2,7 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Node processes: started in their own process groups, watched, ended in order, their last words quoted when they die.
 
-Nothing here needs rclpy in this process; the children are the real console entry points.
+Nothing here needs rclpy in this process; the children are the real console entry points. In a domain of one's own
+(`isolated_domain`) nothing else on this machine or network hears or disturbs them.
 """
 
 from __future__ import annotations

@@ -8,6 +8,9 @@ deep, once, after a line of 80 `=` and `MSG: package/Type`.
 Metadata of version 9 has twelve keys under `rosbag2_bagfile_information`; QoS profiles are native YAML with policies as
 words; an empty `custom_data` is null; compression fields are empty because MCAP compresses its own chunks. Source:
 rosbag2 0.26, `rosbag2_storage/yaml.hpp`, `qos.cpp` and `rosbag2_cpp/writers/sequential_writer.cpp`.
+
+Where a run comes from stands in the metadata record `impact_rig`. MCAP protects chunks and attachments with a CRC,
+metadata records not: ours carry their own in the key `crc32`, so that a flipped bit in a seed is found, never believed.
 """
 
 from __future__ import annotations

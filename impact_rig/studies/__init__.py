@@ -1,3 +1,3 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""What many measurements say together: constants identified, margins of the statements."""
+"""What many measurements say together: constants identified, motions predicted and followed."""
