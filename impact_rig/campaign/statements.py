@@ -4,7 +4,7 @@
 
 Every judge returns what it found and whether the statement holds, or says which points it would need. Six constants of
 the rig were chosen so that the five reductions and these statements come out (`report.build` names them), so a
-verdict is one of three things, `Worth`. How much a statement owes to the choice is told by `margins`.
+verdict is one of three things, `Worth`. How much a statement owes to the choice is told by `variations`.
 """
 
 from __future__ import annotations
