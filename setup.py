@@ -61,6 +61,7 @@ setup(
         (f"share/{NAME}/config/campaigns", files("config/campaigns/*.yaml")),
         (f"share/{NAME}/config/maps", files("config/maps/*.yaml")),
         (f"share/{NAME}/config/dynamics", files("config/dynamics/*.yaml")),
+        (f"share/{NAME}/config/excitation", files("config/excitation/*.yaml")),
         (f"share/{NAME}/config/foxglove", files("config/foxglove/*.json")),
         (f"share/{NAME}/config/sros2", files("config/sros2/*.xml")),
         (f"share/{NAME}/config/plotjuggler", files("config/plotjuggler/*.xml")),

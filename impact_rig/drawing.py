@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 import attrs
+from numpy.typing import NDArray
 
 from impact_rig.system import files
 
@@ -155,7 +156,7 @@ class Line:
     """
 
     label: str
-    columns: Mapping[str, Sequence[float]]
+    columns: Mapping[str, Sequence[float] | NDArray[Any]]
 
 
 class Drawn:

@@ -5,10 +5,11 @@
     H1 = S_xy / S_xx        unbiased by noise on the response
     H2 = S_yy / S_yx        unbiased by noise on the excitation
     Hv = [S_yy − κS_xx + √((S_yy − κS_xx)² + 4κ|S_xy|²)] / (2 S_yx)      total least squares, κ = S_noise,y / S_noise,x
-    γ² = |S_xy|² / (S_xx S_yy),   u(|H|)/|H| = u(arg H) = √((1 − γ²) / (2 n_d γ²))
+    γ² = |S_xy|² / (S_xx S_yy),   u(|H|)/|H| = u(arg H) = √((1 − γ²) / (2 (n_d − 2) γ²))
 
 S_xy = E[X* Y] by Welch's method (scipy.signal). Shin & Hammond (2008), Fundamentals of Signal Processing, 9.3;
-Bendat & Piersol (2010), Random Data, 9.3 for the uncertainty.
+Bendat & Piersol (2010), Random Data, 9.3 for the uncertainty; 2 (n_d − 1) degrees of freedom are left to estimate it,
+so its variance is that of Student's t (GUM Supplement 1, 6.4.9). Of two averages or fewer it is not known: infinite.
 
 A segment shorter than the resonance rings makes |H1| too small at its peak. With σ = ζω_n and r(τ) the autocorrelation
 of the window over that at 0, the truth lies above the estimate by the share `resolution_bias` at most, which falls
@@ -134,7 +135,7 @@ def frf(
             h2=s_yy / np.conj(s_xy),
             hv=(difference + root) / (2.0 * np.conj(s_xy)),
             coherence=coherence,
-            u_relative=np.sqrt((1.0 - coherence) / (2.0 * averages * coherence)),
+            u_relative=np.sqrt((1.0 - coherence) / (2.0 * max(averages - 2.0, 0.0) * coherence)),
             averages=averages,
             excitation=s_xx,
             excited=excited,

@@ -1,6 +1,6 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""`impact-rig loop`: closed-loop tests: hold an amplitude, lock on a resonance, follow a backbone."""
+"""`impact-rig loop`: hold an amplitude, lock on a resonance, follow a backbone; with a stream see `excite`."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_rig.campaign.axes import NO_SPHERE
 from impact_rig.campaign.job import Job
 from impact_rig.campaign.paper import CURRENT_A, FREQUENCIES_HZ
+from impact_rig.cli.excite import add_kinds, add_rig, rig_of
 from impact_rig.cli.terminal import Console, TextTable, add_json, subcommand, tell_json
 from impact_rig.errors import ConfigError, RecordingError
 from impact_rig.operate.looking import Ladder, LoopApparatus, Rung, climb, lock_on, mean
 from impact_rig.operate.phase_lock import LockPlan, Reference
 from impact_rig.operate.plan import Direction
 from impact_rig.operate.stepped_sine import Hold, HoldPlan, State
-from impact_rig.rig.config import RigConfig, from_flat, load, to_flat
+from impact_rig.rig.config import RigConfig, to_flat
 from impact_rig.simtime import NS_PER_S
 from impact_rig.studies.closed_loop import Held, ProcessLoop, hold
 from impact_rig.system import files
@@ -39,11 +39,14 @@ SHOWN = 12
 def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Register the subcommand."""
     parser = subcommand(
-        commands, "loop", "closed-loop tests: hold an amplitude, lock a resonance, follow a backbone",
+        commands, "loop", "closed-loop tests: hold an amplitude, lock a resonance, control random, replicate, shock",
         [
             ("loop hold base 6e-5 --frequencies 8.8 9.1 9.4", "the base at 60 µm, at three frequencies"),
             ("loop lock --gap none", "search the resonance without a sphere, and stay there"),
             ("loop backbone --currents 0.1 0.2 0.4", "resonance over amplitude, up and down"),
+            ("loop random --gap none", "a density of the base's acceleration, 5 to 200 Hz"),
+            ("loop replicate road.csv --signal base --unit mm", "the base follows a history"),
+            ("loop shock", "the base makes a half sine of 20 m/s², 11 ms"),
         ],
     )  # fmt: skip
     kinds = parser.add_subparsers(dest="kind", required=True, metavar="KIND")
@@ -68,35 +71,20 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
     for one in (holding, locking):
         one.add_argument("--current", type=float, default=CURRENT_A, metavar="A", help="peak; to begin with, for hold")
     for one in (holding, locking, climbing):
-        one.add_argument("--config", type=Path, metavar="FILE", help="of the rig; default: the paper's")
-        one.add_argument("--gap", default="0.006", metavar="M", help="gap [m], or none: no sphere")
-        one.add_argument("--sphere-start", choices=("left", "centre", "right"), default=None)
+        add_rig(one)
         add_json(one)
         one.add_argument("--output", type=Path, metavar="FILE", help="write everything as CSV; never over a file")
-    parser.set_defaults(run=_run)
+    for one in (holding, locking, climbing):
+        one.set_defaults(run=_run)
+    add_kinds(kinds)
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    config, gap = _rig(arguments)
+    config, gap = rig_of(arguments)
     if arguments.output is not None and os.path.lexists(arguments.output):
         raise RecordingError(f"{arguments.output} exists already and is not overwritten")
     console = Console(quiet=arguments.json)
     return {"hold": _hold, "lock": _lock, "backbone": _backbone}[arguments.kind](arguments, config, gap, console)
-
-
-def _rig(arguments: argparse.Namespace) -> tuple[RigConfig, float]:
-    config = load(arguments.config) if arguments.config else RigConfig()
-    changes: dict[str, object] = {"sphere.present": False}
-    gap = NO_SPHERE
-    if arguments.gap != "none":
-        try:
-            gap = float(arguments.gap)
-        except ValueError:
-            raise ConfigError(f"--gap must be a number of metres or none, got {arguments.gap!r}") from None
-        changes = {"sphere.present": True, "barriers.gap_m": gap}
-    if arguments.sphere_start:
-        changes["sphere.start"] = arguments.sphere_start
-    return from_flat(config, changes), gap
 
 
 def _hold(arguments: argparse.Namespace, config: RigConfig, gap: float, console: Console) -> int:

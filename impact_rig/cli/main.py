@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 EXIT_ERROR = 1
 PROGRAM = "impact-rig"
 COMMANDS = (
-    "lab", "demo", "campaign", "map", "dynamics", "loop", "report", "identify",
+    "lab", "demo", "campaign", "map", "dynamics", "loop", "play", "frf", "report", "identify",
     "info", "analyze", "verify", "replay", "recover", "import", "export", "check",
 )  # fmt: skip
 """Subcommands in the order of the help."""
@@ -28,6 +28,7 @@ HOMES = {
     **{name: f"recorded:add_{name}" for name in ("info", "verify", "recover")},
     "import": "measurement:add_import",
     "report": "campaign:add_report",
+    **{name: f"excite:add_{name}" for name in ("play", "frf")},
 }
 """Module and function that register a command; those of all others are its name and `add_command`."""
 

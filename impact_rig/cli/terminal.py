@@ -35,7 +35,7 @@ from rich.text import Text
 
 from impact_rig.errors import visible
 
-__all__ = ["Console", "Counted", "Steps", "TextTable", "Words", "tell_json", "tell_program"]
+__all__ = ["Console", "Counted", "Steps", "TextTable", "Words", "plain", "tell_json", "tell_program"]
 
 LONGEST_HEADING = 11
 """Characters of a heading over numbers that stay in one line."""
@@ -147,7 +147,7 @@ def add_json(parser: argparse.ArgumentParser) -> None:
 
 def tell_json(content: object) -> None:
     """Print what was found for a program; numbers that do not exist are null."""
-    print(json.dumps(_plain(content), indent=2, ensure_ascii=False))  # noqa: T201  # a command line tool talks
+    print(json.dumps(plain(content), indent=2, ensure_ascii=False))  # noqa: T201  # a command line tool talks
 
 
 def tell_program(path: Path) -> None:
@@ -155,14 +155,14 @@ def tell_program(path: Path) -> None:
     print(visible(str(path)) if sys.stdout.isatty() else path)  # noqa: T201  # a command line tool talks
 
 
-def _plain(value: object) -> object:
+def plain(value: object) -> object:
     """Return what JSON knows: no NaN, no numpy, no bytes."""
     if isinstance(value, dict):
-        return {str(key): _plain(item) for key, item in value.items()}
+        return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, (list, tuple, np.ndarray)):
-        return [_plain(item) for item in value]
+        return [plain(item) for item in value]
     if isinstance(value, np.void):
-        return {name: _plain(value[name]) for name in value.dtype.names or ()}
+        return {name: plain(value[name]) for name in value.dtype.names or ()}
     if isinstance(value, bytes):
         return value.decode(errors="replace")
     if isinstance(value, (bool, int, str)) or value is None:

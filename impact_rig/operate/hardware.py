@@ -8,13 +8,17 @@ whether the rig is in this process (`InProcess`) or behind topics (`impact_rig.c
 
 from __future__ import annotations
 
+import contextlib
 import time
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from impact_rig.rig import Rig
+from impact_rig.errors import CommandError
+from impact_rig.rig import Block, Rig
 from impact_rig.simtime import NS_PER_S, stamp_ns
 
 TIMEOUT_S = 10.0
@@ -35,6 +39,11 @@ class Wire(Protocol):
     """Samples per second of the output."""
     scan_rate_hz: int
     """Scans per second of the acquisition."""
+    lead_s: float
+    """How far ahead of what is wanted next a first sample must be to come in time: 0 where rig time waits for it."""
+
+    def info(self) -> NDArray[np.void]:
+        """Return the calibration: rows of daq/info."""
 
     def feed(self, first: int, samples: NDArray[np.float64]) -> None:
         """Send a block, from sample number `first` on; none at all: the stream ends there."""
@@ -53,9 +62,15 @@ class InProcess:
         rig: its drive is a stream.
     """
 
+    lead_s = 0.0
+
     def __init__(self, rig: Rig) -> None:
         self.rig = rig
         self.rate_hz, self.scan_rate_hz = rig.stream.rate_hz, rig.rate_hz
+
+    def info(self) -> NDArray[np.void]:
+        """Return the calibration in force."""
+        return self.rig.info().rows
 
     def feed(self, first: int, samples: NDArray[np.float64]) -> None:
         """Feed the rig."""
@@ -70,20 +85,28 @@ class InProcess:
         """Advance by one block, if there are samples for it."""
         if self.rig.blocks_with_samples(1) == 0:
             return None
-        block = self.rig.advance(self.rig.block_end_ns(1))[0]
+        block = self.advance()
         return block.first_sample, block.scan.rows
+
+    def advance(self) -> Block:
+        """Advance the rig by one block."""
+        return self.rig.advance(self.rig.block_end_ns(1))[0]
 
 
 class Hardware:
     """Output and acquisition on one wire.
+
+    Args:
+        wire: to the rig.
+        abort: by channel, the largest reading of either sign that is borne.
 
     Attributes:
         output: plays.
         acquisition: reads.
     """
 
-    def __init__(self, wire: Wire) -> None:
-        self.wire = wire
+    def __init__(self, wire: Wire, abort: Mapping[str, float] = MappingProxyType({})) -> None:
+        self.wire, self._abort = wire, abort
         self.output, self.acquisition = Output(self), Acquisition(self)
 
     def turn(self, deadline: float, what: str) -> None:
@@ -91,14 +114,23 @@ class Hardware:
 
         Raises:
             TimeoutError: none did; names what was waited for.
+            CommandError: a reading is beyond what is borne.
         """
         while True:
             found = self.wire.turn(max(0.0, deadline - time.monotonic()))
             if found is not None:
                 self.acquisition.take(*found)
+                self._check(*found)
                 return
             if isinstance(self.wire, InProcess) or time.monotonic() >= deadline:
                 raise TimeoutError(f"waited in vain for {what}: {self.wire.wanted()}")
+
+    def _check(self, first: int, rows: NDArray[np.void]) -> None:
+        for channel, limit in self._abort.items():
+            beyond = np.flatnonzero(np.abs(rows[channel]) > limit)
+            if len(beyond):
+                scan = first + int(beyond[0])
+                raise CommandError(f"aborted: {channel} {rows[channel][beyond[0]]:.6g} beyond {limit:g} at scan {scan}")
 
     def respond(self, samples: ArrayLike, rest: int = 0) -> NDArray[np.void]:
         """Play samples and return the scans from the first of them on, and of `rest` scans more after the last.
@@ -129,11 +161,11 @@ class Output:
         self._hardware, self._wire = hardware, hardware.wire
         self.next_sample: int | None = None
 
-    def start(self, lead_s: float = 0.0) -> int:
-        """Begin with the sample that is wanted next, or `lead_s` later; return its number."""
+    def start(self, lead_s: float | None = None) -> int:
+        """Begin `lead_s` after the sample that is wanted next, or as early as it comes in time; return its number."""
         wanted = self._wire.wanted()
         at = max(wanted.sample + wanted.buffered, self.next_sample or 0)
-        self.next_sample = at + round(lead_s * self._wire.rate_hz)
+        self.next_sample = at + round((self._wire.lead_s if lead_s is None else lead_s) * self._wire.rate_hz)
         return self.next_sample
 
     def ready(self, count: int) -> bool:
@@ -160,8 +192,13 @@ class Output:
         self.next_sample = self._next() + len(values)
 
     def stop(self) -> None:
-        """End the stream after what was written: the drive then ramps to zero, and nobody waits for more."""
-        self._wire.feed(self._next(), np.empty(0))
+        """End the stream after what was written: the drive then ramps to zero, and nobody waits for more.
+
+        Not started, or stopped by the rig itself: nothing happens.
+        """
+        if self.next_sample is not None:
+            with contextlib.suppress(CommandError):
+                self._wire.feed(self.next_sample, np.empty(0))
 
     def _next(self) -> int:
         assert self.next_sample is not None, "start() comes first"
@@ -237,16 +274,16 @@ class Exchange:
 
     def __init__(self, hardware: Hardware, lag: int) -> None:
         self._hardware = hardware
-        self._lag = min(lag, hardware.wire.wanted().capacity // 4)
-        self._ahead = np.zeros(self._lag)
+        self.lag = min(lag, hardware.wire.wanted().capacity // 4)
+        self._ahead = np.zeros(self.lag)
         hardware.acquisition.start(hardware.output.start())
         hardware.output.write(self._ahead)
 
     def exchange(self, samples: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.void]]:
         """Write samples and read as many scans; return the samples that were played meanwhile, and the scans."""
         parts = []
-        for at in range(0, len(samples), self._lag):
-            block = samples[at : at + self._lag]
+        for at in range(0, len(samples), self.lag):
+            block = samples[at : at + self.lag]
             self._hardware.output.write(block)
             parts.append(self._hardware.acquisition.read(len(block)))
         played = np.concatenate([self._ahead, samples])

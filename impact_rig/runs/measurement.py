@@ -165,7 +165,7 @@ def guess(source: Foreign) -> Mapping:
                 break
     for channel, unit in LIKE.items():
         if channel not in chosen:
-            matching = [name for name, one in free.items() if one.unit and _factor(one.unit, unit) is not None]
+            matching = [name for name, one in free.items() if one.unit and unit_factor(one.unit, unit) is not None]
             if len(matching) == 1:
                 take(channel, matching[0])
     named = {key: pattern.search(source.path.stem) for key, pattern in FROM_FILE_NAME.items()}
@@ -295,7 +295,7 @@ _STRANGE_UNIT = re.compile(r"[^\w\s µμ°%/*^·.²³()-]|\d{3}|\d\s*(\*\*|\^)|_
 """What no unit has; a power of a power would keep the parser busy for ever."""
 
 
-def _factor(unit: str, wanted: str) -> float | None:
+def unit_factor(unit: str, wanted: str) -> float | None:
     """Return what a value in a unit is multiplied by to be in another; None: the unit is unknown or of another kind."""
     if unit == wanted:
         return 1.0
@@ -326,9 +326,9 @@ def _to_si(name: str, one: Channel) -> float:
     if one.sensitivity:
         number, _, rest = one.sensitivity.strip().partition(" ")
         above, slash, below = rest.partition("/")
-        upper = _factor(above.strip(), "V")
-        lower = _factor(below.strip().strip("()"), UNITS[name])
-        volts = _factor(unit, "V")
+        upper = unit_factor(above.strip(), "V")
+        lower = unit_factor(below.strip().strip("()"), UNITS[name])
+        volts = unit_factor(unit, "V")
         try:
             value = float(number)
         except ValueError:
@@ -339,7 +339,7 @@ def _to_si(name: str, one: Channel) -> float:
                 f"got {one.sensitivity!r} of {unit!r}"
             )
         return volts * lower / (value * upper)
-    factor = _factor(unit, UNITS[name])
+    factor = unit_factor(unit, UNITS[name])
     if factor is None:
         hint = (
             f"; a voltage needs a sensitivity, such as `sensitivity: 100 mV/{UNITS[name]}`"

@@ -4,20 +4,20 @@
 
     drive_1 = F⁻¹ [X / H],    drive_{n+1} = drive_n + F⁻¹ [(X − Y_n) / H]
 
-H is estimated first, at a low level, by a burst of random drive. Each trial begins and ends at rest, so that a discrete
-Fourier transform over the whole trial has no ends that leak.
+H is measured first, on the lines of a frame that repeats: longer than the structure rings, since 1 / H rings as long
+where the structure holds the base still. A trial begins and ends at rest and is corrected on those same lines.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Iterator
 
 import attrs
 import numpy as np
 from numpy.typing import NDArray
-from scipy import signal
 
 from impact_rig.operate.hardware import Hardware
+from impact_rig.studies.excitation.response import PSEUDO, Excitation, Response
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -26,68 +26,76 @@ Complex = NDArray[np.complex128]
 WORSE = 1.2
 """A trial this much worse than the best ends the learning: lines on which H was estimated badly only grow."""
 
+FRAMES = 3
+"""Of the identification; one more goes ahead."""
+BESIDE = 25
+"""Lines over which the noise of a response function is averaged."""
+NOISES = 4.0
+"""Times its variance by which |H|² is held away from zero."""
+
 
 @attrs.frozen(kw_only=True)
 class ReplicatePlan:
     """How a history is replicated.
 
     Attributes:
-        low_hz: lower edge of the band in which the drive is corrected.
+        low_hz: lower edge of the band in which the drive is corrected; 0: down to rest itself.
         high_hz: its upper edge.
         iterations: at the most, the first trial included.
         enough: relative error at which it is good enough.
         rest_s: at rest before and after the history [s].
         identify_rms: of the drive while the response function is estimated [A].
-        identify_s: how long that takes [s], half of it at rest.
+        identify_s: length of the frame [s]; four are played.
+        response: what follows, of `RESPONSES`.
         seed: of its random numbers.
     """
 
-    low_hz: float = attrs.field(default=2.0, validator=attrs.validators.gt(0.0))
+    low_hz: float = attrs.field(default=2.0, validator=attrs.validators.ge(0.0))
     high_hz: float = attrs.field(default=150.0, validator=attrs.validators.gt(0.0))
     iterations: int = attrs.field(default=6, validator=attrs.validators.ge(1))
     enough: float = attrs.field(default=0.005, validator=attrs.validators.ge(0.0))
-    rest_s: float = attrs.field(default=2.0, validator=attrs.validators.ge(0.0))
-    identify_rms: float = attrs.field(default=1.0, validator=attrs.validators.gt(0.0))
-    identify_s: float = attrs.field(default=16.0, validator=attrs.validators.gt(0.0))
+    rest_s: float = attrs.field(default=2.0, validator=attrs.validators.gt(0.0))
+    identify_rms: float = attrs.field(default=2.0, validator=attrs.validators.gt(0.0))
+    identify_s: float = attrs.field(default=32.0, validator=attrs.validators.gt(0.0))
+    response: Response = attrs.field(default=Response.BASE, converter=Response)
     seed: int = 1
 
 
 @attrs.frozen(eq=False, kw_only=True)
 class Replicated:
-    """A history and what followed it.
+    """A history and what followed it, in the best trial so far.
 
     Attributes:
+        rate_hz: samples per second.
         asked: shape (n,).
-        reached: in the last trial, shape (n,).
-        drive: of that trial, with what comes before and after, shape (m,) [A].
-        rows: its scans, shape (m,).
-        lead: samples before the history.
+        reached: shape (n,).
+        linear: what the drive would have given by H alone, shape (n,): where `reached` departs, the rig is not linear,
+            or its sensors are noisy.
+        drive: of the whole trial, shape (m,) [A].
+        lead: samples of it before the history.
         errors: rms error over rms of what was asked, trial by trial.
     """
 
+    rate_hz: int
     asked: Real
     reached: Real
+    linear: Real
     drive: Real
-    rows: NDArray[np.void]
     lead: int
     errors: tuple[float, ...]
 
+    def relative(self, rest: Real) -> float:
+        """Return the rms of a difference over that of what was asked."""
+        return float(np.sqrt(np.mean(rest**2) / np.mean(self.asked**2)))
 
-def replicate(
-    hardware: Hardware,
-    asked: Real,
-    plan: ReplicatePlan,
-    response: Callable[[NDArray[np.void]], Real],
-    progress: Callable[[int, float], None] = lambda _trial, _error: None,
-) -> Replicated:
-    """Make a response follow a history.
+
+def replicate(hardware: Hardware, asked: Real, plan: ReplicatePlan) -> Iterator[Replicated]:
+    """Make a response follow a history; yields after each trial.
 
     Args:
         hardware: output and acquisition, of one rate.
         asked: the history, in the unit of the response; it begins and ends near zero; shape (n,).
         plan: how.
-        response: takes from scans what is to follow, shape (n,).
-        progress: called after each trial with its number from 1 and its error.
 
     Raises:
         CommandError: the shaker trips, or refuses the drive.
@@ -95,52 +103,64 @@ def replicate(
     """
     rate_hz = hardware.wire.rate_hz
     lead = round(plan.rest_s * rate_hz)
-    length = len(asked) + 2 * lead
+    played = len(asked) + 2 * lead
+    length = played + round(plan.identify_s * rate_hz)
     target = np.zeros(length)
-    target[lead : lead + len(asked)] = asked
-    frequency: Real = np.asarray(np.fft.rfftfreq(length, 1.0 / rate_hz), np.float64)
-    inverse = _inverse(hardware, plan, response, frequency)
+    history = slice(lead, lead + len(asked))
+    target[history] = asked
+    h, inverse = _identify(hardware, plan, length)
     drive = np.fft.irfft(inverse * np.fft.rfft(target), length)
+    fade = np.sin(0.5 * np.pi * np.clip(4.0 * np.arange(played) / max(1, lead) - 2.0, 0.0, 1.0)) ** 2
+    fade *= fade[::-1]  # at rest where a trial begins and ends, also of what an offset would have corrected
     errors: list[float] = []
     best: Replicated | None = None
-    for trial in range(1, plan.iterations + 1):
-        rows = hardware.respond(drive)
-        found = response(rows)
-        found = found - found[: max(1, lead // 2)].mean()
-        miss = target - found
-        errors.append(float(np.sqrt(np.mean(miss[lead : lead + len(asked)] ** 2) / np.mean(asked**2))))
-        progress(trial, errors[-1])
+    for _ in range(plan.iterations):
+        drive[:played] *= fade
+        drive[played:] = 0.0
+        found = plan.response.of(hardware.respond(drive[:played]))
+        found = found - found[lead // 4 : max(1, lead // 2)].mean()
+        miss = np.zeros(length)
+        miss[:played] = fade * (target[:played] - found)
+        errors.append(float(np.sqrt(np.mean(miss[history] ** 2) / np.mean(asked**2))))
         if best is None or errors[-1] <= min(errors):
+            linear = np.fft.irfft(h * np.fft.rfft(drive), length)[history]
             best = Replicated(
-                asked=asked, reached=found[lead : lead + len(asked)], drive=drive, rows=rows, lead=lead, errors=()
-            )
+                rate_hz=rate_hz, asked=asked, reached=found[history], linear=linear, drive=drive[:played].copy(),
+                lead=lead, errors=(),
+            )  # fmt: skip
+        yield attrs.evolve(best, errors=tuple(errors))
         if errors[-1] <= plan.enough or errors[-1] > WORSE * min(errors):
             break
         drive = drive + np.fft.irfft(inverse * np.fft.rfft(miss), length)
-    assert best is not None
-    return attrs.evolve(best, errors=tuple(errors))
 
 
-def _inverse(
-    hardware: Hardware, plan: ReplicatePlan, response: Callable[[NDArray[np.void]], Real], frequency: Real
-) -> Complex:
-    """Return 1 / H at some frequencies, 0 outside of the band, with soft edges."""
+def _identify(hardware: Hardware, plan: ReplicatePlan, length: int) -> tuple[Complex, Complex]:
+    """Return H and, with soft edges of the band, 1 / H on the lines of a frame of so many samples."""
     rate_hz = hardware.wire.rate_hz
-    length = round(plan.identify_s * rate_hz)
-    sections = signal.butter(2, (0.5 * plan.low_hz, 2.0 * plan.high_hz), "bandpass", fs=rate_hz, output="sos")
-    burst = signal.sosfilt(sections, np.random.default_rng(plan.seed).standard_normal(length // 2))
-    drive = np.zeros(length)
-    drive[: len(burst)] = burst * signal.windows.tukey(len(burst), 0.1) * (plan.identify_rms / burst.std())
-    found = response(hardware.respond(drive))
-    x, y = np.fft.rfft(drive), np.fft.rfft(found - found[-rate_hz:].mean())
-    lines = np.fft.rfftfreq(length, 1.0 / rate_hz)
-    # a burst's own spectrum has holes: H is the ratio of averages over neighbouring lines
-    few = signal.windows.hann(5) / signal.windows.hann(5).sum()
-    h = np.convolve(y * np.conj(x), few, "same") / np.convolve(np.abs(x) ** 2, few, "same")
-    at = np.interp(frequency, lines, h.real) + 1j * np.interp(frequency, lines, h.imag)
-    rise = np.clip((frequency - 0.5 * plan.low_hz) / (0.5 * plan.low_hz), 0.0, 1.0)
-    fall = np.clip((1.25 * plan.high_hz - frequency) / (0.25 * plan.high_hz), 0.0, 1.0)
+    low_hz, high_hz = max(0.5 * plan.low_hz, 0.5 * rate_hz / length), min(1.25 * plan.high_hz, 0.49 * rate_hz)
+    excitation = Excitation(
+        kind=PSEUDO,
+        frames=FRAMES,
+        frame_s=length / rate_hz,
+        rms=plan.identify_rms,
+        seed=plan.seed,
+        low_hz=low_hz,
+        high_hz=high_hz,
+    )
+    drive = excitation.samples(rate_hz)
+    found = plan.response.of(hardware.respond(drive, round(plan.rest_s * rate_hz)))[: len(drive)]
+    frequency: Real = np.asarray(np.fft.rfftfreq(length, 1.0 / rate_hz), np.float64)
+    rise = np.clip((frequency - low_hz) / max(0.5 * plan.low_hz, 1e-9), 0.0, 1.0)
+    fall = np.clip((high_hz - frequency) / (0.25 * plan.high_hz), 0.0, 1.0)
     edge = np.sin(0.5 * np.pi * np.minimum(rise, fall)) ** 2
-    inverse = np.zeros(len(frequency), np.complex128)
-    inverse[edge > 0.0] = edge[edge > 0.0] / at[edge > 0.0]
-    return inverse
+    inside = edge > 0.0
+    x, frames = np.fft.rfft(drive[:length]), np.fft.rfft(found[length:].reshape(FRAMES, length))
+    h, inverse = np.zeros((2, len(frequency)), np.complex128)
+    h[inside] = frames.mean(axis=0)[inside] / x[inside]
+    # what does not repeat is noise, about the same on lines side by side: where it hides H, little is corrected
+    noise = np.convolve(frames.var(axis=0, ddof=1) / FRAMES, np.full(BESIDE, 1.0 / BESIDE), "same")
+    if plan.low_hz == 0.0:  # at rest the springs answer, as on the lowest line
+        edge[0], inside[0], x[0], h[0] = 1.0, True, abs(x[1]), abs(h[1])
+    floor = noise[inside] / np.abs(x[inside]) ** 2
+    inverse[inside] = edge[inside] * np.conj(h[inside]) / (np.abs(h[inside]) ** 2 + NOISES * floor)
+    return h, inverse

@@ -9,7 +9,7 @@ line, with |H|² the density of the response over that of the drive as measured 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Iterator
 
 import attrs
 import numpy as np
@@ -18,6 +18,7 @@ from scipy import signal, stats
 
 from impact_rig.errors import CommandError
 from impact_rig.operate.hardware import Exchange, Hardware
+from impact_rig.studies.excitation.response import Response
 
 Real = NDArray[np.float64]
 MOST_STEP_DB = 6.0
@@ -52,7 +53,8 @@ class RandomPlan:
     """How a spectrum is held.
 
     Attributes:
-        spectrum: what is asked for.
+        spectrum: what is asked for, in the response's unit² / Hz.
+        response: what is controlled, of `RESPONSES`.
         frame_s: length of a frame [s]: lines lie 1 / frame_s apart.
         loops: corrections of the drive.
         frames: frames in each of them, half overlapped.
@@ -64,13 +66,14 @@ class RandomPlan:
         seed: of the phases.
     """
 
-    spectrum: Spectrum
+    spectrum: Spectrum = Spectrum(frequency_hz=(5.0, 15.0, 200.0), density=(0.02, 0.25, 0.25))
+    response: Response = attrs.field(default=Response.BASE_ACCELERATION, converter=Response)
     frame_s: float = attrs.field(default=4.0, validator=attrs.validators.gt(0.0))
     loops: int = attrs.field(default=5, validator=attrs.validators.ge(1))
     frames: int = attrs.field(default=8, validator=attrs.validators.ge(2))
     averages: int = attrs.field(default=60, validator=attrs.validators.ge(2))
     gain: float = attrs.field(default=0.8, validator=[attrs.validators.gt(0.0), attrs.validators.le(1.0)])
-    start_rms: float = attrs.field(default=0.1, validator=attrs.validators.gt(0.0))
+    start_rms: float = attrs.field(default=0.5, validator=attrs.validators.gt(0.0))
     crest: float = attrs.field(default=4.0, validator=attrs.validators.gt(1.0))
     abort_db: float = attrs.field(default=20.0, validator=attrs.validators.gt(0.0))
     seed: int = 1
@@ -84,6 +87,7 @@ class Reached:
         frequency_hz: the lines within the band, shape (n,).
         asked: density, shape (n,).
         reached: likewise, by the averages after the last correction.
+        noise: density of the sensor's own, likewise.
         coherence: of response and drive, shape (n,): what is missing is noise and distortion.
         loops: rms error of the lines in each loop [dB].
         drive_rms: of the drive at the end [A].
@@ -94,6 +98,7 @@ class Reached:
     frequency_hz: Real
     asked: Real
     reached: Real
+    noise: Real
     coherence: Real
     loops: tuple[float, ...]
     drive_rms: float
@@ -104,6 +109,15 @@ class Reached:
     def error_db(self) -> Real:
         """Error of each line, shape (n,)."""
         return np.asarray(10.0 * np.log10(self.reached / self.asked))
+
+    @property
+    def distortion(self) -> Real:
+        """Density of what the drive causes and is not proportional to it, shape (n,)."""
+        return np.maximum((1.0 - self.coherence) * self.reached - self.noise, 0.0)
+
+    def share(self, density: Real) -> float:
+        """Return what of the mean square within the band a density is."""
+        return float(np.sum(density) / np.sum(self.reached))
 
     def within(self, bound_db: float) -> float:
         """Return the share of lines whose error is within a bound."""
@@ -130,21 +144,12 @@ class _Drive:
         return out
 
 
-def control(
-    hardware: Hardware,
-    plan: RandomPlan,
-    response: Callable[[NDArray[np.void]], Real],
-    weight: Callable[[Real], Real] = np.ones_like,
-    progress: Callable[[int, float], None] = lambda _loop, _error: None,
-) -> Reached:
-    """Hold a spectrum; the stream ends with the test, or with what ends it.
+def control(hardware: Hardware, plan: RandomPlan) -> Iterator[Reached]:
+    """Hold a spectrum; yields after each loop, at last the averages.
 
     Args:
         hardware: output and acquisition, of one rate.
         plan: what is held, and how.
-        response: takes from scans what is controlled, shape (n,).
-        weight: what its density is multiplied by at some frequencies: ω⁴ for the acceleration of a displacement.
-        progress: called after each loop with its number and the rms error [dB].
 
     Raises:
         CommandError: the shaker trips or refuses, or a line is too strong.
@@ -155,40 +160,35 @@ def control(
     lines: Real = np.asarray(np.fft.rfftfreq(length, 1.0 / rate_hz), np.float64)
     asked = plan.spectrum.at(lines)
     band = asked > 0.0
-    scale = np.where(band, weight(np.maximum(lines, lines[1])), 0.0)
+    scale = np.where(band, plan.response.weight(np.maximum(lines, lines[1])), 0.0)
+    noise = plan.response.noise(hardware.wire.info(), lines[band])
     drive = _Drive(length, np.random.default_rng(plan.seed))
     density = band * plan.start_rms**2 / (np.count_nonzero(band) * rate_hz / length)
-    loop_through = Exchange(hardware, length // 2)
-    errors, clipped, reached, coherence, kurtosis = [], 0, asked, asked, 3.0
-    try:
-        for loop in range(plan.loops + 1):
-            frames = 2 * (plan.averages if loop == plan.loops else plan.frames)
-            samples = drive.samples(np.sqrt(2.0 * density * rate_hz / length), frames + 4)
-            limit = plan.crest * np.sqrt(np.sum(density) * rate_hz / length)
-            clipped += int(np.count_nonzero(np.abs(samples) > limit))
-            samples = np.clip(samples, -limit, limit)
-            played, rows = loop_through.exchange(samples)
-            y, x = response(rows)[4 * (length // 2) :], played[4 * (length // 2) :]  # what was before has died away
-            options = {"fs": rate_hz, "nperseg": length, "noverlap": length // 2}
-            reached, sent = signal.welch(y, **options)[1] * scale, signal.welch(x, **options)[1]
-            coherence = signal.coherence(x, y, **options)[1]
-            kurtosis = float(stats.kurtosis(y, fisher=False))
-            error = 10.0 * np.log10(np.maximum(reached[band], 1e-30) / asked[band])
-            errors.append(float(np.sqrt(np.mean(error**2))))
-            progress(loop, errors[-1])
-            if loop > 1 and error.max() > plan.abort_db:
-                worst = lines[band][np.argmax(error)]
-                raise CommandError(f"the line at {worst:g} Hz is {error.max():.1f} dB above what is asked")
-            if loop < plan.loops:
-                # by what came of what was sent: that these frames were not their mean is not to be corrected
-                wanted = sent[band] * 10.0 ** (-error / 10.0) / density[band]
-                step = np.clip(plan.gain * 10.0 * np.log10(wanted), -MOST_STEP_DB, MOST_STEP_DB)
-                density[band] *= 10.0 ** (step / 10.0)
-                density[band] = np.maximum(density[band], density.max() * 10.0 ** (LEAST_DRIVE_DB / 10.0))
-    finally:
-        hardware.output.stop()
-    drive_rms = float(np.sqrt(np.sum(density) * rate_hz / length))
-    return Reached(
-        frequency_hz=lines[band], asked=asked[band], reached=reached[band], coherence=coherence[band],
-        loops=tuple(errors), drive_rms=drive_rms, kurtosis=kurtosis, clipped=clipped,
-    )  # fmt: skip
+    exchange = Exchange(hardware, length // 2)
+    errors, clipped = [], 0
+    for loop in range(plan.loops + 1):
+        frames = 2 * (plan.averages if loop == plan.loops else plan.frames)
+        samples = drive.samples(np.sqrt(2.0 * density * rate_hz / length), frames + 4)
+        drive_rms = float(np.sqrt(np.sum(density) * rate_hz / length))
+        clipped += int(np.count_nonzero(np.abs(samples) > plan.crest * drive_rms))
+        played, rows = exchange.exchange(np.clip(samples, -plan.crest * drive_rms, plan.crest * drive_rms))
+        settled = slice(4 * (length // 2), None)  # what was before has died away
+        y, x = plan.response.of(rows)[settled], played[settled]
+        options = {"fs": rate_hz, "nperseg": length, "noverlap": length // 2}
+        reached, sent = signal.welch(y, **options)[1] * scale, signal.welch(x, **options)[1]
+        error = 10.0 * np.log10(np.maximum(reached[band], 1e-30) / asked[band])
+        errors.append(float(np.sqrt(np.mean(error**2))))
+        yield Reached(
+            frequency_hz=lines[band], asked=asked[band], reached=reached[band], noise=noise,
+            coherence=signal.coherence(x, y, **options)[1][band], loops=tuple(errors), drive_rms=drive_rms,
+            kurtosis=float(stats.kurtosis(y, fisher=False)), clipped=clipped,
+        )  # fmt: skip
+        if loop > 1 and error.max() > plan.abort_db:
+            worst = lines[band][np.argmax(error)]
+            raise CommandError(f"the line at {worst:g} Hz is {error.max():.1f} dB above what is asked")
+        # by what came of what was sent: that these frames were not their mean is not to be corrected
+        wanted = sent[band] * 10.0 ** (-error / 10.0) / density[band]
+        step = np.clip(plan.gain * 10.0 * np.log10(wanted), -MOST_STEP_DB, MOST_STEP_DB)
+        density[band] *= 10.0 ** (step / 10.0)
+        density[band] = np.maximum(density[band], density.max() * 10.0 ** (LEAST_DRIVE_DB / 10.0))
+    hardware.output.stop()

@@ -9,6 +9,9 @@ coherence lacks is noise and distortion (Pintelon & Schoukens 2012, System Ident
 
 from __future__ import annotations
 
+import enum
+from collections.abc import Iterator
+
 import attrs
 import numpy as np
 from numpy.typing import NDArray
@@ -16,13 +19,46 @@ from scipy import signal
 
 from impact_rig.analysis.calibration import Calibration
 from impact_rig.analysis.frf import Frf, frf
+from impact_rig.analysis.scans import CHANNELS
 from impact_rig.errors import ConfigError
-from impact_rig.operate.hardware import Hardware
+from impact_rig.operate.hardware import Exchange, Hardware
 
 Real = NDArray[np.float64]
 BURST, PSEUDO, CHIRP = KINDS = ("burst_random", "pseudo_random", "chirp")
-CHANNELS = ("accelerometer", "laser", "base", "current")
-"""In the order of `analysis.channels`."""
+
+
+class Response(enum.StrEnum):
+    """What may be controlled: the reading of a channel, or its second derivative."""
+
+    BASE = "base"
+    SUPERIOR = "superior"
+    BASE_ACCELERATION = "base_acceleration"
+    SUPERIOR_ACCELERATION = "superior_acceleration"
+
+    @property
+    def channel(self) -> str:
+        """The channel that reads it."""
+        return {"superior": "laser", "superior_acceleration": "accelerometer"}.get(self, "base")
+
+    @property
+    def unit(self) -> str:
+        """SI unit."""
+        return "m/s²" if self.endswith("acceleration") else "m"
+
+    def of(self, rows: NDArray[np.void]) -> Real:
+        """Return the channel of scans, shape (n,)."""
+        return rows[self.channel].astype(float)
+
+    def weight(self, frequency_hz: Real) -> Real:
+        """Return what the density of the channel is multiplied by to be that of the response."""
+        power = 4 if self is Response.BASE_ACCELERATION else 0
+        return np.asarray((2.0 * np.pi * frequency_hz) ** power)
+
+    def noise(self, info: NDArray[np.void], frequency_hz: Real) -> Real:
+        """Return the density of the sensor's own noise, white over what the scans can show."""
+        calibration, channel = Calibration.from_info(info), CHANNELS.index(self.channel)
+        white = 2.0 * calibration.noise[channel] ** 2 * calibration.noise_crowding()[channel] / calibration.rate_hz
+        return np.asarray(self.weight(frequency_hz) * white)
 
 
 @attrs.frozen(kw_only=True)
@@ -41,7 +77,7 @@ class Excitation:
     """
 
     kind: str = attrs.field(default=BURST, validator=attrs.validators.in_(KINDS))
-    frames: int = attrs.field(default=20, validator=attrs.validators.ge(2))
+    frames: int = attrs.field(default=20, validator=attrs.validators.ge(3))
     frame_s: float = attrs.field(default=8.0, validator=attrs.validators.gt(0.0))
     burst: float = attrs.field(default=0.5, validator=[attrs.validators.gt(0.0), attrs.validators.le(1.0)])
     low_hz: float = attrs.field(default=4.0, validator=attrs.validators.gt(0.0))
@@ -74,32 +110,44 @@ class Excitation:
         return np.tile(frame * (self.rms / frame.std()), self.frames + 1)
 
 
-def measure(
-    hardware: Hardware, info: NDArray[np.void], excitation: Excitation, channel: str, reference: str = "current"
-) -> Frf:
-    """Drive the rig and return channel / reference, lag, skew and gain of the sensors corrected as calibrated.
+def measure(hardware: Hardware, excitation: Excitation, channel: str, reference: str = "current") -> Iterator[Frf]:
+    """Drive the rig and yield channel / reference after each frame from the third on.
+
+    Lag, skew and gain of the sensors are corrected as calibrated.
 
     Args:
         hardware: output and acquisition, of one rate.
-        info: rows of daq/info.
         excitation: the drive.
         channel: of the response.
         reference: of the excitation.
 
     Raises:
         ConfigError: the band does not fit the rate.
+        CommandError: the shaker trips, or refuses the drive.
         TimeoutError: the rig did not go on.
     """
     rate_hz = hardware.wire.scan_rate_hz
-    rows = hardware.respond(excitation.samples(rate_hz))
-    length = round(excitation.frame_s * rate_hz)
-    rows = rows[len(rows) - excitation.frames * length :]
-    found = frf(
-        rows[reference].astype(float), rows[channel].astype(float), rate_hz, length, overlap=0.0, window="boxcar"
-    )
-    calibration = Calibration.from_info(info)
+    samples, length = excitation.samples(rate_hz), round(excitation.frame_s * rate_hz)
+    calibration = Calibration.from_info(hardware.wire.info())
     x, y = CHANNELS.index(reference), CHANNELS.index(channel)
-    lag = calibration.response(x, found.frequency_hz) / calibration.response(y, found.frequency_hz)
     gain = np.hypot(calibration.gain_uncertainty[x], calibration.gain_uncertainty[y])
-    return attrs.evolve(found, h1=found.h1 * lag, h2=found.h2 * lag, hv=found.hv * lag,
-                        u_relative=np.hypot(found.u_relative, gain))  # fmt: skip
+    exchange = Exchange(hardware, length)
+    settling = len(samples) - excitation.frames * length + exchange.lag
+    samples = np.concatenate([samples, np.zeros(exchange.lag)])
+    read = {name: np.empty(0) for name in (reference, channel)}
+    for at in range(0, len(samples), length):
+        rows = exchange.exchange(samples[at : at + length])[1]
+        read = {name: np.concatenate([before, rows[name]]) for name, before in read.items()}
+        frames = (len(read[channel]) - settling) // length
+        if frames < 3:
+            continue
+        part = slice(settling, settling + frames * length)
+        found = frf(read[reference][part], read[channel][part], rate_hz, length, overlap=0.0, window="boxcar")
+        lag = calibration.response(x, found.frequency_hz) / calibration.response(y, found.frequency_hz)
+        if reference == "current":
+            # of straight lines between samples: scans at the samples fold its harmonics onto it
+            lag = lag / np.sinc(found.frequency_hz / rate_hz) ** 2
+        yield attrs.evolve(
+            found, h1=found.h1 * lag, h2=found.h2 * lag, hv=found.hv * lag, u_relative=np.hypot(found.u_relative, gain)
+        )
+    hardware.output.stop()

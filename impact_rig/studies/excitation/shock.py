@@ -14,11 +14,15 @@ acceleration of straight lines between its samples.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 
 import attrs
 import numpy as np
 from numpy.typing import NDArray
 from scipy import signal
+
+from impact_rig.operate.hardware import Hardware
+from impact_rig.studies.excitation.history import Replicated, ReplicatePlan, replicate
 
 Real = NDArray[np.float64]
 
@@ -105,3 +109,84 @@ def half_sine_spectrum(peak: float, duration_s: float, frequency_hz: Real) -> Re
             primary = float(np.abs(ratio / (ratio**2 - 1.0) * (ratio * np.sin(at) - np.sin(ratio * at))).max())
         found[i] = max(primary, residual)
     return peak * found
+
+
+@attrs.frozen(eq=False, kw_only=True)
+class Shocked:
+    """A shock of the inferior base, as its displacement sensor saw it, and what was asked.
+
+    Attributes:
+        followed: the displacement.
+        asked: acceleration [m/s²], shape (n,).
+        reached: likewise, below `CORNER` / duration of the pulse.
+        frequency_hz: natural frequencies of the spectra, shape (k,).
+        srs_asked: shock response spectra [m/s²], Q = 10, shape (k,).
+        srs_reached: likewise.
+        srs_ideal: of the half sine alone, in closed form without damping.
+        peak_error: relative, of the acceleration.
+        velocity_error: relative, of the velocity that the pulse changes.
+        left_m: displacement at the end.
+    """
+
+    followed: Replicated
+    asked: Real
+    reached: Real
+    frequency_hz: Real
+    srs_asked: Real
+    srs_reached: Real
+    srs_ideal: Real
+    peak_error: float
+    velocity_error: float
+    left_m: float
+
+    @property
+    def srs_worst_db(self) -> float:
+        """The largest difference of the spectra."""
+        return float(np.abs(20.0 * np.log10(self.srs_reached / self.srs_asked)).max())
+
+
+CORNER = 3.0
+"""Over the pulse's duration, the frequency up to which a displacement is differentiated: noise grows as its square."""
+
+
+def differentiated(displacement: Real, rate_hz: int, corner_hz: float) -> tuple[Real, Real]:
+    """Return velocity and acceleration of what begins and ends at rest, without phase, up to about `corner_hz`."""
+    padded = np.concatenate([displacement, np.zeros(len(displacement))])
+    frequency: Real = np.asarray(np.fft.rfftfreq(len(padded), 1.0 / rate_hz), np.float64)
+    i_omega = 2j * np.pi * frequency
+    lines = np.fft.rfft(padded) / (1.0 + (frequency / corner_hz) ** 8)
+    velocity, acceleration = (np.fft.irfft(i_omega**n * lines, len(padded))[: len(displacement)] for n in (1, 2))
+    return velocity, acceleration
+
+
+def shock(hardware: Hardware, pulse: Pulse, plan: ReplicatePlan | None = None) -> Iterator[Shocked]:
+    """Let the inferior base make a shock; yields after each trial.
+
+    Args:
+        hardware: output and acquisition, of one rate.
+        pulse: what is asked for.
+        plan: how its displacement is replicated; None: from rest up to `CORNER` / duration of the pulse.
+
+    Raises:
+        CommandError: the shaker trips, or refuses the drive.
+        TimeoutError: the rig did not go on.
+    """
+    rate_hz, corner_hz = hardware.wire.rate_hz, CORNER / pulse.duration_s
+    plan = plan or ReplicatePlan(
+        low_hz=0.0, high_hz=corner_hz, rest_s=1.0, identify_s=16.0, identify_rms=3.0, enough=1e-3
+    )
+    frequency = np.geomspace(5.0, corner_hz, 60)
+    asked = pulse.acceleration(rate_hz)
+    on = slice(round(pulse.compensation_s * rate_hz), round((pulse.compensation_s + pulse.duration_s) * rate_hz))
+    ideal = half_sine_spectrum(pulse.peak, pulse.duration_s, frequency)
+    for followed in replicate(hardware, pulse.displacement(rate_hz), plan):
+        velocity, reached = differentiated(followed.reached, rate_hz, corner_hz)
+        wanted, smooth = differentiated(followed.asked, rate_hz, corner_hz)  # by the same filter
+        yield Shocked(
+            followed=followed, asked=asked, reached=reached, frequency_hz=frequency,
+            srs_asked=shock_response_spectrum(smooth, rate_hz, frequency),
+            srs_reached=shock_response_spectrum(reached, rate_hz, frequency), srs_ideal=ideal,
+            peak_error=float(reached.max() / smooth.max() - 1.0),
+            velocity_error=float(np.ptp(velocity[on]) / np.ptp(wanted[on]) - 1.0),
+            left_m=float(followed.reached[-1]),
+        )  # fmt: skip

@@ -1,0 +1,285 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""What drives a rig through its stream: `impact-rig play`, `impact-rig frf`, and `loop` random, replicate and shock."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from impact_rig.analysis.scans import CHANNELS
+from impact_rig.campaign.axes import NO_SPHERE
+from impact_rig.cli.terminal import Console, add_json, plain, subcommand, tell_json, tell_program
+from impact_rig.errors import CommandError, ConfigError, ImpactRigError
+from impact_rig.operate.hardware import Hardware
+from impact_rig.rig import Rig
+from impact_rig.rig.config import RigConfig, from_flat, load
+from impact_rig.system import files
+from impact_rig.system.endings import unhurried
+
+PROCESS, ROS, RUNNING = WAYS = ("process", "ros", "running")
+RATE_HZ, FAST_HZ = 2_000, 10_000
+"""Of samples and scans where nothing else is asked: what 200 Hz and what a shock needs."""
+Work = Callable[[Hardware], Iterator[object]]
+"""Drives the rig, and yields what it has reached, again and again."""
+
+
+def add_play(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Register `play`."""
+    parser = subcommand(
+        commands, "play", "drive the rig with a signal of a file, or of a run",
+        [
+            ("play road.csv --signal drive --scale 0.5", "half of a column, resampled to the rig's rate"),
+            ("play runs/demo/gap_6mm --seconds 30", "the current that a recorded run measured"),
+        ],
+    )  # fmt: skip
+    parser.add_argument("file", type=Path, metavar="FILE", help="CSV, WAV, npz and others, see import; or a run")
+    _add_signal(parser)
+    parser.add_argument("--seconds", type=float, metavar="S", help="no more than this")
+    parser.add_argument("--clip", type=float, metavar="A", help="clip samples there (default: too large ones end it)")
+    _add_words(parser, "play", FAST_HZ)
+    parser.set_defaults(run=_play)
+
+
+def add_frf(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Register `frf`."""
+    from impact_rig.studies.excitation.response import BURST, KINDS, Excitation  # noqa: PLC0415  # scipy
+
+    default = Excitation()
+    parser = subcommand(
+        commands, "frf", "drive the rig at random or by a chirp and measure its frequency response",
+        [
+            ("frf --gap none", "base over current, by bursts of noise"),
+            ("frf --channel laser --reference base --kind chirp", "structure over base"),
+        ],
+    )  # fmt: skip
+    parser.add_argument("--kind", choices=KINDS, default=BURST)
+    parser.add_argument("--channel", choices=CHANNELS, default="base", help="of the response (default: base)")
+    parser.add_argument("--reference", choices=CHANNELS, default="current", help="(default: current)")
+    for name, metavar, text in (
+        ("frames", "N", "that are averaged"), ("frame_s", "S", "length of a frame"),
+        ("low_hz", "HZ", "edge of the band"), ("high_hz", "HZ", "edge of the band"),
+        ("rms", "A", "of the drive"), ("seed", "N", "of its random numbers"),
+    ):  # fmt: skip
+        value = getattr(default, name)
+        parser.add_argument(
+            f"--{name.replace('_', '-')}", type=type(value), default=value, metavar=metavar,
+            help=f"{text} (default: {value})",
+        )  # fmt: skip
+    _add_words(parser, "frf", RATE_HZ)
+    parser.set_defaults(run=_frf)
+
+
+def add_kinds(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Register the kinds of `loop` that need a stream."""
+    one = kinds.add_parser("random", help="hold a power spectral density")
+    one.add_argument("plan", nargs="?", type=Path, metavar="FILE", help="e.g. config/excitation/random.yaml")
+    _add_words(one, "random", RATE_HZ)
+    one.set_defaults(run=_random)
+    one = kinds.add_parser("replicate", help="make a response follow a history")
+    one.add_argument("file", type=Path, metavar="FILE", help="with the history: CSV, WAV, npz and others; or a run")
+    _add_signal(one)
+    one.add_argument("--plan", type=Path, metavar="FILE", help="e.g. config/excitation/replicate.yaml")
+    _add_words(one, "replicate", RATE_HZ)
+    one.set_defaults(run=_replicate)
+    one = kinds.add_parser("shock", help="let the base make a half sine, compensated")
+    one.add_argument("plan", nargs="?", type=Path, metavar="FILE", help="e.g. config/excitation/shock.yaml")
+    _add_words(one, "shock", FAST_HZ)
+    one.set_defaults(run=_shock)
+
+
+def add_rig(parser: argparse.ArgumentParser) -> None:
+    """Add the words that say which rig."""
+    parser.add_argument("--config", type=Path, metavar="FILE", help="of the rig; default: the paper's")
+    parser.add_argument("--gap", default="0.006", metavar="M", help="gap [m], or none: no sphere")
+    parser.add_argument("--sphere-start", choices=("left", "centre", "right"), default=None)
+
+
+def rig_of(arguments: argparse.Namespace) -> tuple[RigConfig, float]:
+    """Return the rig and its gap.
+
+    Raises:
+        ConfigError: the file or a word is wrong.
+    """
+    config = load(arguments.config) if arguments.config else RigConfig()
+    changes: dict[str, object] = {"sphere.present": False}
+    gap = NO_SPHERE
+    if arguments.gap != "none":
+        try:
+            gap = float(arguments.gap)
+        except ValueError:
+            raise ConfigError(f"--gap must be a number of metres or none, got {arguments.gap!r}") from None
+        changes = {"sphere.present": True, "barriers.gap_m": gap}
+    if arguments.sphere_start:
+        changes["sphere.start"] = arguments.sphere_start
+    return from_flat(config, changes), gap
+
+
+def _add_signal(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--signal", metavar="NAME", help="column of the file, channel of the run")
+    parser.add_argument("--unit", default="", help="of the file's values (default: as it says, else SI)")
+    parser.add_argument("--scale", type=float, default=1.0, metavar="X", help="what values are multiplied by")
+    parser.add_argument("--file-rate", type=float, metavar="HZ", help="of a file that says neither times nor a rate")
+
+
+def _add_words(parser: argparse.ArgumentParser, what: str, rate_hz: int) -> None:
+    add_rig(parser)
+    parser.add_argument(
+        "--through", choices=WAYS, default=PROCESS,
+        help="a rig in this process (default), behind topics, or one that runs already (drive.waveform: stream)",
+    )  # fmt: skip
+    parser.add_argument("--namespace", default="/rig", help="of the rig that runs already (default: /rig)")
+    parser.add_argument(
+        "--rate", type=int, default=rate_hz, metavar="HZ", help=f"of samples and scans (default: {rate_hz})"
+    )
+    parser.add_argument(
+        "--abort", nargs="+", default=[], metavar="CHANNEL=X", help="end it beyond a reading, e.g. laser=0.005"
+    )
+    parser.add_argument("--output", type=Path, metavar="DIR", help=f"of the run; default: runs/{what}_<time>")
+    add_json(parser)
+
+
+def _play(arguments: argparse.Namespace) -> int:
+    from impact_rig.studies.excitation.play import play  # noqa: PLC0415  # scipy
+
+    samples = _history(arguments, "A")
+    if arguments.seconds is not None:
+        samples = samples[: round(arguments.seconds * arguments.rate)]
+    return _drive(arguments, f"Played: {arguments.file.name}", "A", lambda rig: play(rig, samples, arguments.clip))
+
+
+def _frf(arguments: argparse.Namespace) -> int:
+    from impact_rig.studies.excitation.files import read  # noqa: PLC0415  # scipy
+    from impact_rig.studies.excitation.response import Excitation, measure  # noqa: PLC0415
+
+    names = ("kind", "frames", "frame_s", "low_hz", "high_hz", "rms", "seed")
+    excitation = read({name: getattr(arguments, name) for name in names}, Excitation)
+    title = f"Frequency response: {arguments.channel} over {arguments.reference}, {arguments.kind.replace('_', ' ')}"
+    unit = f"{SI[arguments.channel]}/{SI[arguments.reference]}"
+    return _drive(arguments, title, unit, lambda rig: measure(rig, excitation, arguments.channel, arguments.reference))
+
+
+SI = {"accelerometer": "(m/s²)", "laser": "m", "base": "m", "current": "A"}
+
+
+def _random(arguments: argparse.Namespace) -> int:
+    from impact_rig.studies.excitation.files import load as load_plan  # noqa: PLC0415  # scipy
+    from impact_rig.studies.excitation.random import RandomPlan, control  # noqa: PLC0415
+
+    plan = load_plan(arguments.plan, RandomPlan) if arguments.plan else RandomPlan()
+    title = f"Random control: {plan.response.replace('_', ' ')}"
+    return _drive(arguments, title, plan.response.unit, lambda rig: control(rig, plan))
+
+
+def _replicate(arguments: argparse.Namespace) -> int:
+    from impact_rig.studies.excitation.files import load as load_plan  # noqa: PLC0415  # scipy
+    from impact_rig.studies.excitation.history import ReplicatePlan, replicate  # noqa: PLC0415
+
+    plan = load_plan(arguments.plan, ReplicatePlan) if arguments.plan else ReplicatePlan()
+    asked = _history(arguments, plan.response.unit, plan.response.channel)
+    title = f"Replicated: {plan.response.replace('_', ' ')} of {arguments.file.name}"
+    return _drive(arguments, title, plan.response.unit, lambda rig: replicate(rig, asked, plan))
+
+
+def _shock(arguments: argparse.Namespace) -> int:
+    from impact_rig.studies.excitation.files import load as load_plan  # noqa: PLC0415  # scipy
+    from impact_rig.studies.excitation.shock import Pulse, shock  # noqa: PLC0415
+
+    pulse = load_plan(arguments.plan, Pulse) if arguments.plan else Pulse()
+    title = f"Shock: half sine of {pulse.peak:g} m/s², {1e3 * pulse.duration_s:g} ms"
+    return _drive(arguments, title, "m", lambda rig: shock(rig, pulse))
+
+
+def _history(arguments: argparse.Namespace, unit: str, name: str | None = None) -> NDArray[np.float64]:
+    from impact_rig.studies.excitation.files import history  # noqa: PLC0415  # scipy
+
+    return history(
+        arguments.file, arguments.rate, unit, arguments.signal, name, arguments.unit, arguments.scale,
+        arguments.file_rate,
+    )  # fmt: skip
+
+
+def _drive(arguments: argparse.Namespace, title: str, unit: str, work: Work) -> int:
+    """Let a rig be driven, and write its run with what was reached, however it ends."""
+    from impact_rig.report.excitation import document, tell  # noqa: PLC0415  # matplotlib
+
+    rate = {"drive.stream_rate_hz": arguments.rate, "daq.rate_hz": arguments.rate}
+    config = from_flat(rig_of(arguments)[0], {"drive.waveform": "stream", **rate})
+    what = getattr(arguments, "kind", arguments.command) if arguments.command == "loop" else arguments.command
+    directory = (arguments.output or Path("runs") / time.strftime(f"{what}_%Y%m%d_%H%M%S")).resolve()
+    if directory.exists() and any(directory.iterdir()):
+        raise ImpactRigError(f"{directory} is not empty: nothing is overwritten, choose another --output")
+    console, progress = Console(quiet=arguments.json), Console(stderr=True)
+    found, early, interrupted = None, "", None
+    with contextlib.ExitStack() as writing:  # what follows the drive is not cut short by one more signal
+        with _connected(arguments, config, directory) as hardware:
+            try:
+                for found in work(hardware):
+                    progress.print(tell(found, unit).progress)
+            except (CommandError, TimeoutError) as error:
+                early = str(error)
+            except KeyboardInterrupt as error:
+                early, interrupted = "interrupted", error
+            writing.enter_context(unhurried())
+            hardware.output.stop()
+        if found is None:
+            raise interrupted or ImpactRigError(f"{early}; the run so far: {directory}")
+        told = tell(found, unit)
+        figures = {"title": title, "unit": unit, "rate_hz": arguments.rate, "ended_early": early, **told.figures}
+        about = [
+            ("Rig", f"gap {arguments.gap}" if config.sphere.present else "no sphere"), ("Through", arguments.through),
+            ("Rate", f"{arguments.rate} Hz"), ("Recording", f"{directory.name}; impact-rig verify re-simulates it"),
+        ]  # fmt: skip
+        files.write_text(directory / f"{what}.json", json.dumps(plain(figures), indent=2) + "\n")
+        files.write_text(directory / f"{what}.html", document(title, about, told, early))
+        for sentence in [title, *told.sentences, *([f"ended early: {early}"] if early else [])]:
+            console.print(sentence)
+        if arguments.json:
+            tell_json({"directory": str(directory), **figures})
+        else:
+            tell_program(directory)
+        if interrupted:
+            raise interrupted
+    return 1 if early else 0
+
+
+@contextlib.contextmanager
+def _connected(arguments: argparse.Namespace, config: RigConfig, directory: Path) -> Iterator[Hardware]:
+    """Give a rig's hardware, recorded into a directory."""
+    abort = dict(_limit(text) for text in arguments.abort)
+    if arguments.through == PROCESS:
+        from impact_rig import topics  # noqa: PLC0415
+        from impact_rig.runs.in_process import RecordedInProcess, RigRecorder  # noqa: PLC0415
+
+        rig = Rig(config)
+        with RigRecorder(directory, rig, (topics.WAVEFORM,)) as recorder:
+            yield Hardware(RecordedInProcess(rig, recorder), abort)
+        return
+    from impact_rig.client.hardware import recorded  # noqa: PLC0415  # needs rclpy
+
+    namespace = arguments.namespace if arguments.through == RUNNING else None
+    with recorded(directory, config, namespace) as wire:
+        if wire.rate_hz != wire.scan_rate_hz or wire.rate_hz != arguments.rate:
+            raise ConfigError(
+                f"the rig has {wire.rate_hz} samples and {wire.scan_rate_hz} scans a second: both must be --rate "
+                f"{arguments.rate}"
+            )
+        yield Hardware(wire, abort)
+
+
+def _limit(text: str) -> tuple[str, float]:
+    channel, _, value = text.partition("=")
+    try:
+        limit = float(value)
+    except ValueError:
+        limit = -1.0
+    if channel not in CHANNELS or not limit > 0.0:
+        raise ConfigError(f"--abort must be CHANNEL=X with X > 0 and a channel of {', '.join(CHANNELS)}, got {text!r}")
+    return channel, limit

@@ -1,0 +1,118 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""A rig in this process recorded as its node's recorder would: what it publishes, in its order."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable
+from pathlib import Path
+from types import TracebackType
+
+import numpy as np
+
+import impact_rig
+from impact_rig import codec, topics
+from impact_rig.blocks import WAVEFORM, Table
+from impact_rig.operate.hardware import InProcess
+from impact_rig.recording import CONFIGURATION, Attachment, Provenance, RunWriter, TopicDescription, schema_text
+from impact_rig.rig import Block, Rig
+from impact_rig.rig.config import dump
+from impact_rig.simtime import NS_PER_S, stamp_ns
+
+PUBLISHED = (topics.INFO, topics.JOURNAL, topics.APPLIED, topics.SCAN, topics.IMPACTS_TRUTH, topics.FAULTS)
+
+
+class RigRecorder:
+    """Writes what a rig does; a context that ends the run.
+
+    Args:
+        directory: of the run.
+        rig: new.
+        more: topics of others that are written, too.
+    """
+
+    def __init__(self, directory: Path, rig: Rig, more: Iterable[topics.Topic] = ()) -> None:
+        self._rig = rig
+        self._writer = RunWriter(
+            directory,
+            provenance=Provenance(
+                version=impact_rig.__version__, seed=rig.config.daq.seed, wall_start_ns=time.time_ns(),
+                extra={"mode": "in process", "namespace": "/rig"},
+            ),
+            attachments=(Attachment(CONFIGURATION, dump(rig.config).encode(), "application/yaml"),),
+            clock=time.monotonic,
+            rig_start_ns=0,
+        )  # fmt: skip
+        for topic in (*PUBLISHED, topics.JOINT_STATES, *more):
+            schema = schema_text(topic.type_name)
+            self._writer.add_topic(
+                TopicDescription(name=f"/rig/{topic.name}", type_name=topic.type_name, schema=schema)
+            )
+        self._info = b""
+
+    def __enter__(self) -> RigRecorder:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.changes()
+        self._writer.finish()
+
+    def write(self, topic: topics.Topic, *tables: Table) -> None:
+        """Write tables of a topic."""
+        for table in tables:
+            self._writer.write(f"/rig/{topic.name}", codec.encode(table), table.stamp_ns)
+
+    def block(self, block: Block) -> None:
+        """Write a block, after what has led to it."""
+        self.changes()
+        if not block.lost:
+            self.write(topics.SCAN, block.scan)
+        for topic, table in ((topics.IMPACTS_TRUTH, block.impacts), (topics.FAULTS, block.faults)):
+            if table is not None:
+                self.write(topic, table)
+        for scan, row in zip(block.monitor_scans, block.monitor, strict=True):
+            stamp = stamp_ns(block.first_sample + int(scan), self._rig.rate_hz, self._rig.start_ns)
+            positions, velocities = ([float(row[f"{what}_{body}"]) for body in "b12"] for what in "xv")
+            push = float(row["force_left"] - row["force_right"])
+            data = codec.encode_joint_state(stamp, positions, velocities, [0.0, -push, push])
+            self._writer.write(f"/rig/{topics.JOINT_STATES.name}", data, stamp)
+
+    def changes(self) -> list[Table]:
+        """Write what has changed since the last call; return what was applied."""
+        applied = self._rig.take_applied()
+        journal = self._rig.take_journal()
+        self.write(topics.JOURNAL, *journal)
+        self.write(topics.APPLIED, *applied)
+        if journal and codec.encode(self._rig.info()) != self._info:
+            self._info = codec.encode(self._rig.info())
+            self.write(topics.INFO, self._rig.info())
+        return applied
+
+
+class RecordedInProcess(InProcess):
+    """A wire to a rig in this process that is recorded.
+
+    Args:
+        rig: its drive is a stream.
+        recorder: of it, with `shaker/waveform`.
+    """
+
+    def __init__(self, rig: Rig, recorder: RigRecorder) -> None:
+        super().__init__(rig)
+        self._recorder = recorder
+
+    def feed(self, first: int, samples: np.ndarray) -> None:
+        """Feed the rig, and write what it was fed."""
+        rows = np.zeros(len(samples), WAVEFORM)
+        rows["value"] = samples
+        self._recorder.write(topics.WAVEFORM, Table(first * NS_PER_S // self.rate_hz + self.rig.start_ns, rows))
+        super().feed(first, samples)
+
+    def advance(self) -> Block:
+        """Advance the rig by one block, and write it."""
+        block = super().advance()
+        self._recorder.block(block)
+        return block

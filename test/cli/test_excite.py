@@ -1,0 +1,123 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""`play`, `frf` and the loops through a stream write a run that verifies, with what was reached, however they end."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from impact_rig.cli.main import main
+from impact_rig.recording import open_run
+from impact_rig.runs.verification import verify
+
+PROGRAM = [sys.executable, "-c", "from impact_rig.cli import main; raise SystemExit(main())"]
+
+
+def told(directory, name):
+    with open_run(directory) as run:
+        assert verify(run).identical
+    page = (directory / f"{name}.html").read_text()
+    assert "<svg" in page
+    return json.loads((directory / f"{name}.json").read_text()), page
+
+
+def run(*words):
+    return main([str(word) for word in words])
+
+
+def test_a_played_file_is_what_the_current_was(tmp_path, capsys):
+    wave = 0.4 * np.sin(2.0 * np.pi * 9.1 * np.arange(3_000) / 1_000) * np.hanning(3_000)
+    np.savez(tmp_path / "wave.npz", drive=wave, fs=1_000.0)
+    given = ("play", tmp_path / "wave.npz", "--rate", 2_000, "--clip", 0.3, "--json")
+    assert run(*given, "--output", tmp_path / "run") == 0
+    found, page = told(tmp_path / "run", "play")
+    assert json.loads(capsys.readouterr().out)["seconds"] == found["seconds"] == pytest.approx(3.0)
+    assert found["current_error"] < 0.05
+    assert found["peak_asked"] == pytest.approx(0.3)
+    assert found["clipped_samples"] > 100
+    assert "samples clipped" in page
+    # the run's own current, played again, is the current of the run
+    assert run("play", tmp_path / "run", "--rate", 2_000, "--output", tmp_path / "again") == 0
+    assert told(tmp_path / "again", "play")[0]["peak_asked"] == pytest.approx(0.3, abs=0.02)
+    assert run(*given, "--output", tmp_path / "run") == 1
+    assert "nothing is overwritten" in capsys.readouterr().err
+
+
+def test_a_frequency_response_is_told_with_its_coherence(tmp_path):
+    words = ("frf", "--gap", "none", "--kind", "chirp", "--frames", 3, "--frame-s", 4, "--high-hz", 30)
+    assert run(*words, "--output", tmp_path / "run") == 0
+    found, page = told(tmp_path / "run", "frf")
+    assert found["coherence_median"] > 0.99
+    assert found["lines_coherent"] > 0.9 * found["lines"]
+    assert len(found["table"]["real"]) == found["lines"]
+    assert "best linear approximation" in page
+
+
+def test_random_control_by_a_plan_says_what_was_reached_where_it_was_aborted(tmp_path):
+    plan = tmp_path / "plan.yaml"
+    plan.write_text("{frame_s: 1, loops: 2, frames: 4, averages: 4}")
+    assert run("loop", "random", plan, "--gap", "none", "--output", tmp_path / "run") == 0
+    found, page = told(tmp_path / "run", "random")
+    assert len(found["rms_error_db"]) == 3
+    assert found["clipped_samples"] >= 0
+    assert "distortion" in page
+    assert run("loop", "random", plan, "--gap", "none", "--abort", "base=0.0004", "--output", tmp_path / "cut") == 1
+    found, page = told(tmp_path / "cut", "random")
+    assert "aborted: base" in found["ended_early"]
+    assert "Ended early: aborted" in page
+
+
+def test_a_history_and_a_shock_are_told_trial_by_trial(tmp_path):
+    hill = 2e-4 * np.hanning(800) * np.sin(2.0 * np.pi * 12.0 * np.arange(800) / 1_000)
+    np.savez(tmp_path / "hill.npz", base=hill, fs=1_000.0)
+    plan = tmp_path / "plan.yaml"
+    plan.write_text("{identify_s: 8, rest_s: 1, iterations: 2, high_hz: 60}")
+    words = ("loop", "replicate", tmp_path / "hill.npz", "--plan", plan, "--gap", "none", "--rate", 1_000)
+    assert run(*words, "--output", tmp_path / "run") == 0
+    found, page = told(tmp_path / "run", "replicate")
+    assert found["error"] == pytest.approx(min(found["errors"]))
+    assert found["error"] < 0.05
+    assert "measured response function" in page
+
+
+def test_an_interrupt_leaves_a_run_that_verifies_and_a_page(tmp_path):
+    """A real process, told by SIGINT in the midst of its averages."""
+    process = subprocess.Popen(
+        [*PROGRAM, "loop", "random", "--gap", "none", "--output", str(tmp_path / "run")],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env={**os.environ, "COVERAGE_PROCESS_START": ""},
+    )  # fmt: skip
+    assert process.stderr is not None
+    for line in process.stderr:
+        if "loop 2" in line:
+            break
+    time.sleep(0.2)
+    process.send_signal(signal.SIGINT)
+    process.communicate(timeout=120)
+    assert process.returncode == 128 + signal.SIGINT
+    found, page = told(tmp_path / "run", "random")
+    assert found["ended_early"] == "interrupted"
+    assert len(found["rms_error_db"]) >= 2
+    assert "Ended early: interrupted" in page
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (("--abort", "base"), "--abort must be CHANNEL=X"),
+        (("--abort", "mass=1"), "--abort must be CHANNEL=X"),
+        (("--gap", "wide"), "--gap must be a number"),
+        (("--rate", "0"), "drive.stream_rate_hz"),
+    ],
+)
+def test_wrong_words_are_refused_by_name(tmp_path, capsys, words, says):
+    assert run("loop", "shock", *words, "--output", tmp_path / "run") == 1
+    assert says in capsys.readouterr().err
+    assert not (tmp_path / "run").exists()
