@@ -262,7 +262,7 @@ def _connected(arguments: argparse.Namespace, config: RigConfig, directory: Path
         with RigRecorder(directory, rig, (topics.WAVEFORM,)) as recorder:
             yield Hardware(RecordedInProcess(rig, recorder), abort)
         return
-    from impact_rig.client.hardware import recorded  # noqa: PLC0415  # needs rclpy
+    from impact_rig.client.apparatus import recorded  # noqa: PLC0415  # needs rclpy
 
     namespace = arguments.namespace if arguments.through == RUNNING else None
     with recorded(directory, config, namespace) as wire:

@@ -12,6 +12,8 @@ import abc
 import contextlib
 import functools
 import itertools
+import os
+import tempfile
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from pathlib import Path
 
@@ -26,7 +28,7 @@ from impact_rig.campaign.job import TRACE_BLOCKS, Job, Outcome, Trace, columns, 
 from impact_rig.campaign.run import Runner
 from impact_rig.client.client import Client
 from impact_rig.client.processes import ParameterValue, Processes, isolated_domain
-from impact_rig.errors import ImpactRigError
+from impact_rig.errors import CommandError, ConfigError, ImpactRigError
 from impact_rig.operate.hardware import Hardware, Wanted
 from impact_rig.operate.operator import Applied, News
 from impact_rig.operate.phase_lock import Look, PhasorMeter
@@ -46,6 +48,11 @@ MEASUREMENT_TIMEOUT_S = 120.0
 """Wall time in which a running rig must have measured something."""
 Watch = Callable[[Job, SteppedSine | None], None]
 """Told when a job is being prepared (no sweep yet), when its sweep begins, and of every measurement."""
+
+CONTROLLER = "controller"
+"""Of the client's node: in `freewheel` and `stepped` it is among `time.peers`."""
+REALTIME_LEAD_S = 0.2
+_STOPS = tuple(kind.value.encode() for kind in (Kind.TRIP, Kind.STOP))
 
 
 def stepped_runner(directory: Path, *, record: bool = False) -> Runner:
@@ -483,15 +490,30 @@ class OverTopics:
 
     def __init__(self, client: Client) -> None:
         self._client = client
-        found = client.get_parameters("rig", ["drive.stream_rate_hz", "daq.rate_hz"])
-        self.rate_hz, self.scan_rate_hz = (int(value) for value in found.values())
+        found = client.get_parameters("rig", ["drive.stream_rate_hz", "daq.rate_hz", "time.mode"])
+        self.rate_hz, self.scan_rate_hz = int(found["drive.stream_rate_hz"]), int(found["daq.rate_hz"])
+        self.lead_s = REALTIME_LEAD_S if found["time.mode"] == "realtime" else 0.0
+        self._info = client.collect(topics.INFO.name)
+        self._journal = client.collect(topics.JOURNAL.name)
         self._scans = client.collect(topics.SCAN.name, acknowledge=True)
         self._stream = client.collect(topics.STREAM.name)
         client.wait_until(self._stream.last, f"{topics.STREAM.name} (drive.waveform: stream)")
-        self._sent_to = 0
+        client.wait_until(self._info.last, topics.INFO.name)
+        self._sent_to, self._before = 0, len(self._journal)
+
+    def info(self) -> NDArray[np.void]:
+        """Return the calibration as last published."""
+        table = self._info.last()
+        assert table is not None
+        return table.rows
 
     def feed(self, first: int, samples: NDArray[np.float64]) -> None:
-        """Publish a block."""
+        """Publish a block.
+
+        Raises:
+            CommandError: the rig has stopped.
+        """
+        self._refuse_if_stopped()
         rows = np.zeros(len(samples), WAVEFORM)
         rows["value"] = samples
         self._client.publish(
@@ -508,10 +530,15 @@ class OverTopics:
         return Wanted(sample, max(int(row["buffered"]), self._sent_to - sample), int(row["capacity"]))
 
     def turn(self, timeout_s: float) -> tuple[int, NDArray[np.void]] | None:
-        """Spin until a block of scans comes."""
+        """Spin until a block of scans comes.
+
+        Raises:
+            CommandError: the rig has stopped.
+        """
         try:
             self._client.wait_until(lambda: len(self._scans), "a block of scans", timeout_s)
         except ImpactRigError:
+            self._refuse_if_stopped()
             return None
         table = self._scans.tables()[0]
         del self._scans.received[0]
@@ -519,6 +546,11 @@ class OverTopics:
             del self._stream.received[:-1]
         since = table.stamp_ns - self._start_ns()
         return (2 * since * self.scan_rate_hz + NS_PER_S) // (2 * NS_PER_S), table.rows
+
+    def _refuse_if_stopped(self) -> None:
+        for table in self._journal.tables(self._before):
+            for row in table.rows[np.isin(table.rows["kind"], _STOPS)]:
+                raise CommandError(f"the rig stopped: {row['kind'].decode()} {row['key'].decode()}".rstrip())
 
     def _start_ns(self) -> int:
         table = self._stream.received[-1].table
@@ -529,3 +561,38 @@ class OverTopics:
 def over_topics(client: Client) -> Hardware:
     """Return output and acquisition of a rig behind topics."""
     return Hardware(OverTopics(client))
+
+
+@contextlib.contextmanager
+def recorded(directory: Path, config: RigConfig, namespace: str | None = None) -> Iterator[OverTopics]:
+    """Give a wire to a rig behind topics while a recorder records it.
+
+    Args:
+        directory: of the run.
+        config: of the rig that is started, as fast as recorder and client follow.
+        namespace: of a rig that runs already, in this environment's domain, and is driven instead; None: there is none.
+    """
+    with contextlib.ExitStack() as stack:
+        running = namespace is not None
+        domain_id = int(os.environ.get("ROS_DOMAIN_ID", "0")) if running else stack.enter_context(isolated_domain())
+        logs = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="impact_rig_stream_")))
+        processes = stack.enter_context(Processes(domain_id, logs, namespace or ""))
+        recorder = "stream_recorder" if running else "recorder"
+        values = {"directory": str(directory.parent), "name": directory.name}
+        if not running:
+            default = to_flat(RigConfig())
+            changed = {name: value for name, value in to_flat(config).items() if value != default[name]}
+            processes.start("rig", changed | {"time.mode": "freewheel", "time.peers": [CONTROLLER, recorder]})
+        client = stack.enter_context(Client(domain_id, namespace or "", processes=processes, name=CONTROLLER))
+        if running:
+            client.wait_active("rig")
+            if client.get_parameters("rig", ["drive.waveform"])["drive.waveform"] != "stream":
+                raise ConfigError("the rig that runs must have drive.waveform: stream")
+        processes.start("recorder", values, name=recorder)
+        client.wait_active("rig", recorder)
+        client.wait_until(lambda: client.status(recorder).message == "recording", "the recorder")
+        try:
+            yield OverTopics(client)
+        finally:
+            with contextlib.suppress(ImpactRigError):
+                client.trigger(f"{recorder}/stop")

@@ -13,8 +13,19 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from impact_rig.analysis.frf import Frf
-from impact_rig.drawing.palette import GRID, INK, MEASURED, MUTED, PREDICTED, SERIES
-from impact_rig.drawing.style import Drawn, Line, legend_below, new_axes, style
+from impact_rig.drawing import (
+    GRID,
+    INK,
+    MEASURED,
+    MUTED,
+    PREDICTED,
+    SERIES,
+    Drawn,
+    Line,
+    legend_below,
+    new_axes,
+    style,
+)  # fmt: skip
 from impact_rig.report import page
 from impact_rig.studies.excitation.history import Replicated
 from impact_rig.studies.excitation.play import Played
