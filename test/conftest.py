@@ -54,13 +54,14 @@ os.environ.setdefault("MPLBACKEND", "agg")
 _COMMON = {"deadline": None, "suppress_health_check": [HealthCheck.too_slow]}
 settings.register_profile("repeatable", derandomize=True, database=None, **_COMMON)
 settings.register_profile("random", print_blob=True, **_COMMON)
+settings.register_profile("check", derandomize=True, database=None, max_examples=20, **_COMMON)
 settings.load_profile("repeatable")
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--thorough", action="store_true", help="run the tests marked slow as well")
     parser.addoption("--shuffle", type=int, metavar="SEED", help="run the tests in an order drawn with this seed")
-    parser.addoption("--check", action="store_true", help="leave out what needs a process, a browser or ROS")
+    parser.addoption("--check", action="store_true", help="leave out what needs a process, a browser, ROS, or patience")
     parser.addoption(
         "--changed", nargs="?", const="HEAD", metavar="COMMIT", help="run what a change since a commit (HEAD) can reach"
     )
@@ -69,9 +70,18 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 def pytest_configure(config: pytest.Config) -> None:
     if REQUIRE_ROS and _why_no_ros():
         raise pytest.UsageError(f"IMPACT_RIG_REQUIRE_ROS=1, but {_why_no_ros()}")
-    if config.getoption("--check"):  # a start that is skipped leaves open what was opened for it
+    if config.getoption("--check"):
+        settings.load_profile("check")
+        # a start that is skipped leaves open what was opened for it
         config.addinivalue_line("filterwarnings", "ignore::ResourceWarning")
         config.addinivalue_line("filterwarnings", "ignore::pytest.PytestUnraisableExceptionWarning")
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Do not even import in a check what needs ROS to be imported."""
+    if not config.getoption("--check") or collection_path.suffix != ".py":
+        return None
+    return '\npytest.importorskip("rclpy"' in collection_path.read_text(encoding="utf-8") or None
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
@@ -80,8 +90,11 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         random.Random(seed).shuffle(items)
     if not config.getoption("-m"):
         left_out = {"benchmark"} if config.getoption("--thorough") else {"benchmark", "slow"}
-        left_out |= {"ros", "pipeline"} if config.getoption("--check") else set()
-        _leave_out(config, items, lambda item: bool(left_out & {marker.name for marker in item.iter_markers()}))
+        left_out |= {"ros", "pipeline", "repeats", "_chromium"} if config.getoption("--check") else set()
+        _leave_out(
+            config, items,
+            lambda item: bool(left_out & {*(marker.name for marker in item.iter_markers()), *item.fixturenames}),
+        )  # fmt: skip
     if since := config.getoption("--changed"):
         from kits.reach import ROOT, Reach, changed
 

@@ -41,6 +41,7 @@ from pathlib import Path
 
 import attrs
 from markdown_it import MarkdownIt
+from markdown_it.token import Token
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
@@ -124,7 +125,8 @@ class Page:
     def parse(cls, name: str, text: str) -> Page:
         """Read Markdown."""
         blocks, words, links, anchors, line, heading = [], [], [], set(), 0, False
-        for token in MarkdownIt("commonmark").enable("table").parse(text):
+        tokens = MarkdownIt("commonmark").enable("table").parse(text)
+        for token in tokens:
             line = token.map[0] + 1 if token.map else line
             if token.type in {"fence", "code_block"}:
                 language, _, info = token.info.partition(" ")
@@ -138,12 +140,11 @@ class Page:
                     elif child.type in {"link_open", "image"}:
                         links.append((line, str(child.attrs.get("href") or child.attrs.get("src"))))
             heading = token.type == "heading_open"
-        return cls(name, tuple(blocks), tuple(words), tuple(links), frozenset(anchors), tuple(_sections(text)))
+        return cls(name, tuple(blocks), tuple(words), tuple(links), frozenset(anchors), tuple(_sections(tokens)))
 
 
-def _sections(text: str) -> Iterator[Section]:
+def _sections(tokens: list[Token]) -> Iterator[Section]:
     """Yield the sections of a page, what stands before the second heading as the first of them."""
-    tokens = MarkdownIt("commonmark").enable("table").parse(text)
     headings = [i for i, token in enumerate(tokens) if token.type == "heading_open"]
     for begin, end in itertools.pairwise([0, *headings[1:], len(tokens)]):
         own = tokens[begin:end]

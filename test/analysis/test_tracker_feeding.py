@@ -17,12 +17,14 @@ from impact_rig.simtime import NS_PER_S
 
 
 @pytest.mark.parametrize("size", [1, 7, 100, 1999, 40_000])
+@pytest.mark.repeats
 def test_no_bit_depends_on_the_block_length(size):
     assert fingerprint(*run_scenario(size)[:2]) == fingerprint(*run_scenario(20)[:2])
 
 
 @settings(max_examples=5)
 @given(seed=st.integers(0, 2**32 - 1))
+@pytest.mark.repeats
 def test_no_bit_depends_on_any_cut(seed):
     def sizes():
         rng = np.random.default_rng(seed)

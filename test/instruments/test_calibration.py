@@ -64,6 +64,7 @@ def test_errors_fill_their_tolerances():
     np.testing.assert_allclose(np.var(drawn, axis=0), [1 / 3, 1 / 3, 1 / 6, 1 / 6], rtol=0.04)
 
 
+@pytest.mark.repeats
 def test_certificate_covers_gain_and_zero_of_many_rigs():
     """Small sines about zero, on many rigs: mean and spread of gain and zero are those of the certificate."""
     frequency = 10.0

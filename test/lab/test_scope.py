@@ -68,6 +68,7 @@ BLOCKS = st.lists(st.tuples(st.integers(0, 30_000), st.integers(1_000, 40_000)),
 
 
 @given(BLOCKS, st.floats(0.05, LONGEST_S), st.integers(16, 2000), st.integers(0, 99), st.booleans())
+@pytest.mark.repeats
 def test_every_column_shows_what_came_and_nothing_older(
     blocks: list[tuple[int, int]], span: float, columns: int, seed: int, watched: bool
 ) -> None:

@@ -46,6 +46,7 @@ def pieces(motion: Motion, shortest_s: float) -> tuple[np.ndarray, np.ndarray, n
 @pytest.mark.parametrize(
     ("position", "speed", "acceleration"), [("x_b", "v_b", "a_b"), ("x_1", "v_1", "a_1"), ("x_2", "v_2", "a_2")]
 )
+@pytest.mark.repeats
 def test_speeds_and_accelerations_are_derivatives(case, position, speed, acceleration):
     """Integrate accelerations to speeds and speeds to positions over every smooth piece."""
     _, motion = case

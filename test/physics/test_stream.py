@@ -54,6 +54,7 @@ def system(config: RigConfig) -> tuple[NDArray[np.float64], NDArray[np.float64]]
 
 
 @pytest.mark.parametrize(("rate_hz", "hold"), [(10_000, "first_order"), (10_000, "zero_order"), (1_250, "first_order")])
+@pytest.mark.repeats
 def test_the_linear_rig_follows_the_exact_solution_for_a_minute(rate_hz, hold):
     """Between samples the current is a straight line (or stays), of which a matrix exponential is the whole answer.
 

@@ -62,6 +62,7 @@ def reference() -> list[Block]:
     ],
     ids=["1", "7", "5000", "shuffled", "twice", "replaced"],
 )
+@pytest.mark.repeats
 def test_how_samples_come_does_not_matter(reference, sent, step):
     found = played(sent, step)
     assert same(samples(found), samples(reference))

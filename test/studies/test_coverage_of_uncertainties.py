@@ -30,6 +30,7 @@ def judged(case):
 
 
 @pytest.mark.parametrize("bits", [12, 16])
+@pytest.mark.repeats
 def test_reductions_are_off_by_what_they_state(bits):
     """Scattered at 16 bits: a sum of (error/u)² is a chi-square. Bounded by the steps at 12: hardly one beyond 2u."""
     case = next(case for case in TOOL["reduction_cases"]() if case.label == (f"{bits}",))
@@ -45,6 +46,7 @@ def test_reductions_are_off_by_what_they_state(bits):
     ("base_um", "bits", "noise", "measured"),
     [("50", "12", "on", True), ("5", "16", "on", True), ("5", "16", "off", True), ("2", "12", "on", False)],
 )
+@pytest.mark.repeats
 def test_small_signals_are_covered_or_refused(base_um, bits, noise, measured):
     """At 6 Hz x_1 is 1.8 times the base: 9 µm and less on a laser of 8 µm steps, 4 µm on a converter of 10."""
     case = next(case for case in TOOL["small_cases"]((6.0,)) if case.label[1:] == (base_um, bits, noise))
