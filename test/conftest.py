@@ -90,7 +90,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         random.Random(seed).shuffle(items)
     if not config.getoption("-m"):
         left_out = {"benchmark"} if config.getoption("--thorough") else {"benchmark", "slow"}
-        left_out |= {"ros", "pipeline", "repeats", "_chromium"} if config.getoption("--check") else set()
+        left_out |= {"ros", "pipeline", "repeats", "heavy", "_chromium"} if config.getoption("--check") else set()
         _leave_out(
             config, items,
             lambda item: bool(left_out & {*(marker.name for marker in item.iter_markers()), *item.fixturenames}),

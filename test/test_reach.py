@@ -11,6 +11,8 @@ import pytest
 from kits import reach
 from kits.reach import Reach
 
+pytestmark = pytest.mark.heavy
+
 
 @pytest.fixture(scope="module")
 def checkout() -> Reach:

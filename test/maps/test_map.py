@@ -26,6 +26,8 @@ from impact_rig.report.heat_map import QUIET, TWO, classes, heat_maps
 from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.system.budget import BudgetError
 
+pytestmark = pytest.mark.heavy
+
 SMALL = """\
 title: small
 axes:

@@ -29,6 +29,8 @@ from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.system.files import config_dir
 from tools.check_report import VIEWS, shown, troubles
 
+pytestmark = pytest.mark.heavy
+
 VOID = {"meta", "link", "br", "use"}
 
 

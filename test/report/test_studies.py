@@ -12,6 +12,8 @@ from impact_rig.campaign.job import execute
 from impact_rig.campaign.plan import load_campaign
 from impact_rig.report import studies
 
+pytestmark = pytest.mark.heavy
+
 RESTITUTIONS = (0.3, 0.5, 0.7)
 STUDIES = f"""\
 analysis: {{settle_tolerance: 0.01}}

@@ -22,6 +22,8 @@ from impact_rig.runs.reanalysis import Comparison
 from impact_rig.simtime import NS_PER_S
 from impact_rig.system import machine
 
+pytestmark = pytest.mark.heavy
+
 TABLE = "transmissibility/table"
 AGAIN = (200, 400, 600, 800)
 """Blocks with a change that a recorder or an analysis that came late has seen, too."""

@@ -21,6 +21,8 @@ from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.runs import reanalysis, recover
 from impact_rig.runs.verification import Verification, verify
 
+pytestmark = pytest.mark.heavy
+
 
 @pytest.fixture(scope="module")
 def whole() -> Messages:

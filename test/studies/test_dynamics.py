@@ -26,6 +26,8 @@ from impact_rig.studies.dynamics import exponent, orbits, plan
 from impact_rig.studies.dynamics.stroboscope import Place, Stroboscope
 from impact_rig.studies.prediction import job
 
+pytestmark = pytest.mark.heavy
+
 PLACE = Place(RigConfig(), 9.1, 0.52)
 
 

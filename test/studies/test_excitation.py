@@ -22,6 +22,8 @@ from impact_rig.studies.excitation.random import RandomPlan, control
 from impact_rig.studies.excitation.response import BURST, CHIRP, PSEUDO, Excitation, Response, measure
 from impact_rig.studies.excitation.shock import Pulse, half_sine_spectrum, shock, shock_response_spectrum
 
+pytestmark = pytest.mark.heavy
+
 X_B = 2
 RATE_HZ = 2_000
 

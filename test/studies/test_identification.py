@@ -43,6 +43,8 @@ from impact_rig.studies.identification.measurements import (
 )
 from impact_rig.studies.identification.paper_fit import fit_paper
 
+pytestmark = pytest.mark.heavy
+
 TRUTH = rig(RigConfig(), logarithms(RigConfig()) + np.array([0.002, 0.25, 0.15, -0.1, 0.1, 0.08, 0.2]))
 """Not the shipped rig: m_1 = 0.151 kg, ζ = 0.0058, ..."""
 NOISE = 3e-4
