@@ -99,7 +99,7 @@ SECOND_CHANCE := --reruns 1 --only-rerun WaitTimeoutError --only-rerun TimeoutEx
 
 # Files go to the workers in the order of test/conftest.py, the longest first; left to itself, xdist begins with the file
 # of most tests and ends with those of a single long one. Of what a test takes half is waiting for other processes: two
-# cores serve four workers. What starts no process only computes.
+# cores serve three workers. What starts no process only computes.
 BY_FILE := --dist loadfile --no-loadscope-reorder --max-worker-restart 0
 
 # How many seconds it took since `begin` is a figure of `make bench ONLY=start`.
@@ -115,7 +115,7 @@ test: $(TEST) kernels ## run all tests on real ROS 2; ARGS=--changed or '-k code
 	@$(if $(MEASURED),$(COVERAGE) erase)
 	@begin=$$(date +%s); IMPACT_RIG_REQUIRE_ROS=1 \
 	    $(if $(MEASURED),$(COVERAGE) run,$(VENV)/bin/python) -m pytest $(PYTEST_PLUGINS_USED) \
-	    -n 4 $(BY_FILE) $(SECOND_CHANCE) $(if $(SHUFFLE),--shuffle=$(SHUFFLE)) $(ARGS); status=$$?; \
+	    -n 3 $(BY_FILE) $(SECOND_CHANCE) $(if $(SHUFFLE),--shuffle=$(SHUFFLE)) $(ARGS); status=$$?; \
 	    $(if $(MEASURED),$(COVERAGE) combine --quiet && $(COVERAGE) report && \
 	    $(COVERAGE) report --include="$(KERNELS)" --fail-under=90 && [ $$status = 0 ] && $(call note,suite_s) &&) exit $$status
 
