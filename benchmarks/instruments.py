@@ -17,8 +17,7 @@ import numpy as np
 
 from benchmarks.scipy_chain import SciPyChain
 from impact_rig.arithmetic.random import Random
-from impact_rig.instruments import Chain, chain, conversion, response
-from impact_rig.instruments.fault import FaultBoard
+from impact_rig.instruments import Chain, chain
 from impact_rig.physics import FunctionGenerator, Motion, Simulation
 from impact_rig.rig.config import RigConfig, from_flat
 
@@ -26,14 +25,12 @@ RATE_HZ = 50_000
 BLOCK_SCANS = 500
 SETTLE_S = 3
 STAGES = (
-    ("sample the motion", Motion, "quantities"),
+    ("sample the motion", Motion, "polynomials"),
     ("cut it into pieces", chain, "cut"),
-    ("sensor dynamics", response.Response, "run"),
-    ("noise", Random, "normal"),
-    ("output stage", conversion, "to_volts"),
-    ("converter", conversion, "to_units"),
-    ("faults", FaultBoard, "on_cable"),
-    ("rows of scans", Chain, "read"),
+    ("dynamics, output stages", chain, "respond"),
+    ("converter", chain, "digitise"),
+    ("rows of scans", chain, "take_rows"),
+    ("blocks", Chain, "read"),
 )
 
 

@@ -47,7 +47,13 @@ _ROUND = 6755399441055744.0  # 1.5 · 2^52: what is added to it and taken off ag
 
 
 @kernel
-def sincos(x):  # type: ignore[no-untyped-def]  # compiled: types are inferred
+def nearest(x):  # type: ignore[no-untyped-def]  # compiled: types are inferred
+    """Return the whole number nearest to x, the even one of two, |x| < 2^51."""
+    return (x + _ROUND) - _ROUND
+
+
+@kernel
+def sincos(x):  # type: ignore[no-untyped-def]
     """Return (sin x, cos x), x in radians.
 
     Up to |x| = 1.6e6 within 1 ulp; beyond, the reduction adds about the spacing of numbers at x itself.

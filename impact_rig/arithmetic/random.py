@@ -41,7 +41,8 @@ def _ziggurat() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 
 _ENDS, _DENSITY = _ziggurat()
 _ELEVEN, _TWELVE, _SEVENTEEN = (np.uint64(n) for n in (11, 12, 17))
-_23, _41, _45, _19, _BYTE, _SIGN = (np.uint64(n) for n in (23, 41, 45, 19, 0xFF, 0x100))
+_23, _41, _45, _19, _BYTE, _EIGHT, _ONE = (np.uint64(n) for n in (23, 41, 45, 19, 0xFF, 8, 1))
+_SIGNS = np.array([1.0, -1.0])
 _UNIT_52, _UNIT_53 = 1.0 / 4503599627370496.0, 1.0 / 9007199254740992.0
 
 
@@ -104,25 +105,37 @@ def _beyond(s0, s1, s2, s3):  # type: ignore[no-untyped-def]
             return _TAIL + excess, s0, s1, s2, s3
 
 
+@kernel
+def _rejected(bits, x, s0, s1, s2, s3):  # type: ignore[no-untyped-def]
+    """Go on with bits whose number x lies beyond the next layer; return both as accepted, and the state that follows."""
+    while True:
+        layer = np.int64(bits & _BYTE)
+        if layer == 0:
+            x, s0, s1, s2, s3 = _beyond(s0, s1, s2, s3)
+            break
+        chance, s0, s1, s2, s3 = _next(s0, s1, s2, s3)
+        low, high = _DENSITY[layer], _DENSITY[layer + 1]
+        if low + np.float64(chance >> _TWELVE) * _UNIT_52 * (high - low) < exp(-0.5 * x * x):
+            break
+        bits, s0, s1, s2, s3 = _next(s0, s1, s2, s3)
+        layer = np.int64(bits & _BYTE)
+        x = np.float64(np.int64(bits >> _TWELVE)) * _UNIT_52 * _ENDS[layer]
+        if x < _ENDS[layer + 1]:
+            break
+    return bits, x, s0, s1, s2, s3
+
+
 @entry(WORDS, REALS)
 def fill_normal(state, out):  # type: ignore[no-untyped-def]
     """Fill an array with the next standard normal numbers."""
     s0, s1, s2, s3 = state[0], state[1], state[2], state[3]
     for i in range(out.shape[0]):
-        while True:
-            bits, s0, s1, s2, s3 = _next(s0, s1, s2, s3)
-            layer = np.int64(bits & _BYTE)
-            x = np.float64(bits >> _TWELVE) * _UNIT_52 * _ENDS[layer]
-            if x < _ENDS[layer + 1]:  # 99 % end here
-                break
-            if layer == 0:
-                x, s0, s1, s2, s3 = _beyond(s0, s1, s2, s3)
-                break
-            chance, s0, s1, s2, s3 = _next(s0, s1, s2, s3)
-            low, high = _DENSITY[layer], _DENSITY[layer + 1]
-            if low + np.float64(chance >> _TWELVE) * _UNIT_52 * (high - low) < exp(-0.5 * x * x):
-                break
-        out[i] = -x if bits & _SIGN else x
+        bits, s0, s1, s2, s3 = _next(s0, s1, s2, s3)
+        layer = np.int64(bits & _BYTE)
+        x = np.float64(np.int64(bits >> _TWELVE)) * _UNIT_52 * _ENDS[layer]  # of signed integers the CPU knows how
+        if not x < _ENDS[layer + 1]:  # 99 % end here
+            bits, x, s0, s1, s2, s3 = _rejected(bits, x, s0, s1, s2, s3)
+        out[i] = x * _SIGNS[np.int64((bits >> _EIGHT) & _ONE)]  # a branch on a random bit costs as much as all the rest
     state[0], state[1], state[2], state[3] = s0, s1, s2, s3
 
 

@@ -9,19 +9,25 @@ ticks per call nor the block length changes one bit.
 
 from __future__ import annotations
 
+import itertools
+from collections import deque
+
 import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig.arithmetic.random import Random
+from impact_rig.arithmetic.records import records
 from impact_rig.blocks import joined
 from impact_rig.errors import CommandError, ConfigError
 from impact_rig.instruments import calibration
-from impact_rig.instruments.channel import Channel, Instants, Sine, Stretch
+from impact_rig.instruments.channel import Clock, Sine, digitise, instants, new_buffers, respond, still_on
 from impact_rig.instruments.clock import scan_clock
+from impact_rig.instruments.conversion import CHANNEL, set_converter, set_output, take_rows
 from impact_rig.instruments.fault import Fault, FaultBoard
-from impact_rig.instruments.pieces import PIECES_PER_PERIOD, Limits, Motion, Pieces, cut, polynomials
+from impact_rig.instruments.pieces import PIECES_PER_PERIOD, Limits, Motion, Pieces, cut
+from impact_rig.instruments.response import MODE, records_of
 from impact_rig.instruments.section import Setup, row_type_of
-from impact_rig.instruments.sensor import Sensor
+from impact_rig.instruments.sensor import Modes, Sensor
 from impact_rig.simtime import COMMAND_GRID_NS, COMMAND_GRID_S, NS_PER_S
 
 SEED_STREAM = 1
@@ -34,6 +40,7 @@ _TICKS_AT_ONCE = 25
 _JUMPS = "a_1"
 """The one quantity whose integral an instantaneous impact makes jump."""
 _ERRORS, _NOISE, _CONVERTER_NOISE, _BOARD = range(4)
+_LEFT_OVER = 4  # readings that wait for the other channels: at most one, and one more after a change of the skews
 
 
 def sensors(config: Setup) -> list[Sensor]:
@@ -63,11 +70,7 @@ class Chain:
     @property
     def ready(self) -> int:
         """How many whole scans can be read."""
-        return len(self._rows) - self._taken + self._gatherable
-
-    @property
-    def _gatherable(self) -> int:
-        return min(channel.waiting for channel in self._channels)
+        return self._ready
 
     @property
     def next_scan(self) -> int:
@@ -77,36 +80,38 @@ class Chain:
     @property
     def first_open_scan(self) -> int:
         """Index of the first scan of which no channel has been converted: where a fault can still start."""
-        return max(channel.response.converted for channel in self._channels)
+        return int(self._channels["converted"].max())
 
     def reset(self) -> None:
         """Start over at scan 0 with the seeds as new: the same motion gives the same bits again."""
         config = self._config
         self._clock = scan_clock(config)
-        adc, ideal = config.instruments.adc, config.instruments.ideal
         self._sensors = sensors(config)
-        board = calibration.draw_board(Random(self._seed(_BOARD, 0)))
+        self._board = calibration.draw_board(Random(self._seed(_BOARD, 0)))
         places = [instrument.place for instrument in config.instruments.fitted()]
-        self._channels = [
-            Channel(
-                sensor,
-                adc,
-                self._clock,
-                index,
-                calibration.draw(Random(self._seed(_ERRORS, place))),
-                board,
-                Random(self._seed(_NOISE, place)),
-                Random(self._seed(_CONVERTER_NOISE, place)),
-                ideal,
-            )
-            for index, (place, sensor) in enumerate(zip(places, self._sensors, strict=True))
-        ]
+        self._errors = [calibration.draw(Random(self._seed(_ERRORS, place))) for place in places]
+        self._channels = records(len(places), CHANNEL)
+        for index, place in enumerate(places):
+            self._channels["noise"][index] = Random(self._seed(_NOISE, place)).state
+            self._channels["converter_noise"][index] = Random(self._seed(_CONVERTER_NOISE, place)).state
+        self._channels["due"] = self._clock.skews
+        self._sines: dict[int, Sine] = {}
         self._names = tuple(sensor.name for sensor in self._sensors)
         self._quantities = tuple(sensor.quantity for sensor in self._sensors)
+        self._most = self._clock.scans_per_tick() + 1
+        self._buffers = new_buffers(len(places), _TICKS_AT_ONCE * self._most + _LEFT_OVER)
+        self._chains: list[Modes] = []
+        self._modes: NDArray[np.void] = records(0, MODE)
+        self._equip()
         rate = config.daq.rate_hz
         self._faults = FaultBoard(config.instruments.faults.faults(rate), rate)
-        self._rows = np.zeros(0, dtype=row_type_of(config.instruments))
-        self._taken = 0
+        self._row_type = row_type_of(config.instruments)
+        columns = self._row_type.fields
+        assert columns is not None
+        layout = [self._row_type.itemsize, *(columns[name][1] for name in ("status", *self._names))]
+        self._layout = np.array(layout, np.int64)
+        self._rows: deque[NDArray[np.void]] = deque()
+        self._ready = 0
         self._times = np.zeros(0)  # of the last read: blocks are all of one length
         self._next_scan = 0
         self._tick = 0
@@ -133,11 +138,12 @@ class Chain:
         if config.instruments == self._config.instruments:
             self._config = config
             return
+        skews, ideal = self._clock.skews, self._config.instruments.ideal
         self._clock = scan_clock(config)
+        self._channels["due"] += np.subtract(self._clock.skews, skews)
         self._config = config
         self._sensors = sensors(config)
-        for channel, sensor in zip(self._channels, self._sensors, strict=True):
-            channel.change(sensor, config.instruments.adc, self._clock, config.instruments.ideal)
+        self._equip(keep=config.instruments.ideal == ideal)
 
     def acquire(self, motion: Motion, motion_tick: int, count: int, tick_s: float = COMMAND_GRID_S) -> None:
         """Convert every scan that falls into the next ticks.
@@ -148,15 +154,17 @@ class Chain:
             count: of ticks.
             tick_s: duration of one tick in the motion's time [s]: 10 ms, scaled by the error of the scan clock.
         """
-        rough = motion.breakpoints()
-        blows = motion.impacts[motion.impacts["duration"] == 0.0]
+        clock = Clock(self._clock.period, self._clock.tick)
+        rough = None if self._config.instruments.ideal else motion.breakpoints()
+        blows = motion.impacts[motion.impacts["duration"] == 0.0] if len(motion.impacts) else motion.impacts
         for first in range(0, count, _TICKS_AT_ONCE):
             ticks = min(_TICKS_AT_ONCE, count - first)
-            stretch = Stretch(motion, motion_tick + first, self._tick, ticks, tick_s)
-            if self._config.instruments.ideal:
-                self._acquire_directly(stretch)
+            if rough is None:
+                self._acquire_directly(motion, motion_tick + first, ticks, tick_s, clock)
             else:
-                self._acquire(stretch, rough, blows)
+                pieces = cut(rough, motion_tick + first, ticks, Limits(tick_s, self._longest_s, _LONGEST_PULSE_PIECE_S))
+                self._acquire(motion, pieces, blows, motion_tick + first, clock)
+            self._note_rows()
             self._tick += ticks
 
     def read(self, count: int) -> NDArray[np.void]:
@@ -165,29 +173,33 @@ class Chain:
         Raises:
             ValueError: fewer are ready.
         """
-        if not 0 <= count <= self.ready:
-            raise ValueError(f"count must be 0 to {self.ready}, the scans that are ready, got {count}")
+        if not 0 <= count <= self._ready:
+            raise ValueError(f"count must be 0 to {self._ready}, the scans that are ready, got {count}")
         if len(self._times) != count:
             self._times = np.arange(count) / self._config.daq.rate_hz
-        if self._taken + count > len(self._rows):
-            self._gather()
-        rows = self._rows[self._taken : self._taken + count]
+        parts: list[NDArray[np.void]] = []
+        missing = count
+        while missing or not parts:
+            rows = self._rows.popleft() if self._rows else np.zeros(0, self._row_type)
+            parts.append(rows[:missing])
+            if len(rows) > missing:
+                self._rows.appendleft(rows[missing:])
+            missing -= len(parts[-1])
+        rows = parts[0] if len(parts) == 1 else joined(parts)
         rows["time"] = self._times
-        self._taken += count
-        if self._taken == len(self._rows):  # nothing of them is kept that nobody needs
-            self._rows, self._taken = np.zeros(0, self._rows.dtype), 0
+        self._ready -= count
         self._next_scan += count
         return rows
 
-    def _gather(self) -> None:
-        """Make rows of all that every channel has: once for all blocks that will be cut from them."""
-        count, left = self._gatherable, self._rows[self._taken :]
-        rows = np.zeros(count, dtype=self._rows.dtype)
-        for index, channel in enumerate(self._channels):
-            rows[channel.sensor.name], clipped = channel.take(count)
-            if clipped.any():
-                rows["status"] |= clipped.astype(np.uint8) << np.uint8(index)
-        self._rows, self._taken = joined([left, rows]) if len(left) else rows, 0
+    def _note_rows(self) -> None:
+        """Make rows of all that every channel has finished."""
+        room = int(self._channels["begun"].min())
+        rows = np.empty(room, self._row_type)
+        values, clipped = self._buffers.values.view(np.uint64), self._buffers.clipped
+        take_rows(self._channels, values, clipped, rows.view(np.uint8), self._layout)
+        if room:
+            self._rows.append(rows)
+            self._ready += room
 
     def info(self) -> NDArray[np.void]:
         """Return the calibration certificate, `blocks.DAQ_INFO` rows."""
@@ -213,7 +225,7 @@ class Chain:
             raise CommandError(f"frequency_hz must be > 0 and <= {highest:g} Hz, got {frequency_hz!r} Hz")
         if not np.isfinite(amplitude) or ticks < 0:
             raise CommandError(f"amplitude must be finite and ticks >= 0, got {amplitude!r} and {ticks!r}")
-        self._channels[self._names.index(channel)].sine = Sine(self._tick, ticks, frequency_hz, amplitude)
+        self._sines[self._names.index(channel)] = Sine(self._tick, ticks, frequency_hz, amplitude)
 
     def inject(self, fault: Fault) -> int:
         """Put a fault on the rig and return its number.
@@ -251,39 +263,90 @@ class Chain:
         """Return how fast clock_drift faults make the scan clock at a tick [ppm]: part of that tick's `tick_s`."""
         return self._faults.clock_ppm(-(-tick * COMMAND_GRID_NS * self._clock.rate_hz // NS_PER_S))
 
-    def _acquire(self, stretch: Stretch, rough: Instants, blows: NDArray[np.void]) -> None:
-        longest = min(_LONGEST_PIECE_S, 1.0 / (PIECES_PER_PERIOD * self._config.shaker.frequency_max_hz))
-        pieces = cut(rough, stretch.motion_tick, stretch.ticks, Limits(stretch.tick_s, longest, _LONGEST_PULSE_PIECE_S))
-        nodes = pieces.nodes()
-        values = stretch.motion.quantities(self._quantities, *nodes)
-        kicks = [np.zeros(len(pieces.start))] * len(self._channels)
-        if len(blows) and _JUMPS in self._quantities:
-            jumps = _kicks(blows, stretch, pieces, self._config.structure.mass_kg)
-            kicks = [jumps if sensed == _JUMPS else none for sensed, none in zip(self._quantities, kicks, strict=True)]
-        for index, channel in enumerate(self._channels):
-            kicks[index] = channel.see(stretch, pieces, nodes, values[index], kicks[index])
-        coefficients = polynomials(values, len(pieces.start))
-        for index, channel in enumerate(self._channels):
-            channel.convert(channel.respond(pieces, coefficients[index], kicks[index]), self._faults)
+    def _equip(self, *, keep: bool = False) -> None:
+        """Give the channels what their sensors are; if `keep`, modes of unchanged dynamics go on as they are."""
+        config, channels, modes = self._config, self._channels, []
+        chains = [sensor.transfer.modes() for sensor in self._sensors]
+        for j, (sensor, chain) in enumerate(zip(self._sensors, chains, strict=True)):
+            row = channels[j : j + 1]
+            set_output(row, sensor, self._errors[j], 1.0 / self._clock.rate_hz)
+            set_converter(row, sensor, config.instruments.adc, self._board)
+            goes_on = keep and chain.same_as(self._chains[j])
+            first, count = int(row["first_mode"][0]), int(row["modes"][0])
+            modes.append(self._modes[first : first + count].copy() if goes_on else records_of(chain.poles, chain.residues))
+            row["settled"], row["awake"] = sensor.settled, goes_on and row["awake"][0]
+        *firsts, total = itertools.accumulate(map(len, modes), initial=0)
+        channels["modes"], channels["first_mode"] = list(map(len, modes)), firsts
+        self._chains, self._modes = chains, records(total, MODE)
+        self._modes[:] = np.concatenate(modes)
+        self._longest_s = min(_LONGEST_PIECE_S, 1.0 / (PIECES_PER_PERIOD * config.shaker.frequency_max_hz))
 
-    def _acquire_directly(self, stretch: Stretch) -> None:
-        # ideal instruments have no skew: all channels are converted at the same instants
-        ticks, motion_tick, tick_s = stretch.ticks, stretch.motion_tick, stretch.tick_s
-        for channel in self._channels:
-            instants = channel.response.instants(ticks, motion_tick, tick_s)
-        for channel, values in zip(self._channels, stretch.motion.quantities(self._quantities, *instants), strict=True):
-            channel.convert(channel.read_directly(stretch, instants, values), self._faults)
+    def _acquire(
+        self, motion: Motion, pieces: Pieces, blows: NDArray[np.void], motion_tick: int, clock: Clock
+    ) -> None:
+        coefficients = motion.polynomials(self._quantities, pieces.tick, pieces.start, pieces.end)
+        kicks = np.zeros((len(self._names), len(pieces.start) if len(blows) else 0))
+        if len(blows):
+            kicks[[quantity == _JUMPS for quantity in self._quantities]] = _kicks(
+                blows, motion_tick, pieces, self._config.structure.mass_kg
+            )
+        if self._sines:
+            self._sines = still_on(self._sines.items(), self._tick)
+            for j, sine in self._sines.items():
+                on = sine.replace(coefficients[j], pieces.tick - motion_tick + self._tick, pieces)
+                kicks[j, on[: kicks.shape[1]]] = 0.0
+        respond(self._modes, self._channels, clock, pieces, coefficients, kicks, self._buffers)
+        faulty = [(j, *self._newest(j)) for j, name in enumerate(self._names) if self._faults.on(name)]
+        for j, values, clipped, first, _ in faulty:
+            sensor = self._sensors[j]
+            self._faults.on_cable(sensor.name, values, clipped, first, sensor.volt_per_unit, sensor.offset_v)
+        digitise(self._channels, self._buffers)
+        for one in faulty:
+            self._repeat(*one)
+
+    def _acquire_directly(self, motion: Motion, motion_tick: int, ticks: int, tick_s: float, clock: Clock) -> None:
+        """Read the motion itself: ideal instruments have no skew, all channels are converted at the same instants."""
+        tick, offset = np.empty(ticks * self._most, np.int64), np.empty(ticks * self._most)
+        count = instants(self._channels, clock, ticks, tick_s, tick, offset)
+        tick, offset = tick[:count], offset[:count]
+        self._sines = still_on(self._sines.items(), self._tick)
+        for j, seen in enumerate(motion.quantities(self._quantities, tick + motion_tick, offset)):
+            one = j, *self._newest(j)
+            _, values, clipped, first, _ = one
+            values[:], clipped[:] = seen, False
+            if j in self._sines:
+                on = self._sines[j].covers(tick + self._tick)
+                values[on] = self._sines[j].values((tick + self._tick)[on], offset[on], tick_s)[0]
+            self._faults.on_cable(self._names[j], values, clipped, first, 1.0, 0.0)
+            self._repeat(*one)
+        self._channels["begun"] = self._channels["filled"]
+
+    def _newest(self, channel: int) -> tuple[NDArray[np.float64], NDArray[np.bool_], int, float | None]:
+        """Return what is on its way through a channel: values, flags, number of the first scan, reading before it."""
+        row = self._channels[channel]
+        part = slice(int(row["begun"]), int(row["filled"]))
+        first = int(row["converted"]) - (part.stop - part.start)
+        last = float(row["last"]) if first else None
+        return self._buffers.values[channel, part], self._buffers.clipped[channel, part], first, last
+
+    def _repeat(
+        self, channel: int, readings: NDArray[np.float64], clipped: NDArray[np.bool_], first: int, last: float | None
+    ) -> None:
+        """Let a stuck converter repeat itself."""
+        self._faults.behind_converter(self._names[channel], readings, clipped, first, last)
+        if len(readings):
+            self._channels["last"][channel] = readings[-1]
 
     def _seed(self, purpose: int, index: int) -> np.random.SeedSequence:
         return np.random.SeedSequence(self._config.daq.seed, spawn_key=(SEED_STREAM, purpose, index))
 
 
-def _kicks(blows: NDArray[np.void], stretch: Stretch, pieces: Pieces, mass_kg: float) -> NDArray[np.float64]:
+def _kicks(blows: NDArray[np.void], motion_tick: int, pieces: Pieces, mass_kg: float) -> NDArray[np.float64]:
     """Return what instantaneous impacts add to the structure's velocity [m/s] at each piece's start, shape (n,)."""
     kicks = np.zeros(len(pieces.start))
-    tick = blows["tick"] - stretch.motion_tick
+    tick = blows["tick"] - motion_tick
     for k, blow in zip(tick, blows, strict=True):
-        if 0 <= k < stretch.ticks:
+        if 0 <= k < len(pieces.first) - 1:
             low, high = pieces.first[k], pieces.first[k + 1]
             # blows within 16 µs of each other share a piece: all come at its start
             piece = low + np.searchsorted(pieces.start[low:high], blow["offset"] + 1e-9, side="right") - 1

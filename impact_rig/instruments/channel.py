@@ -1,48 +1,157 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""One channel: a sensor's dynamics, its output stage, its cable's faults, the converter, and readings not yet taken."""
+"""All channels over some ticks: dynamics and output stages up to the cables, converter behind them."""
 
 from __future__ import annotations
 
-from collections import deque
+from collections.abc import Iterable
+from typing import NamedTuple
 
 import attrs
 import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig.arithmetic.elementary import TWO_PI, sincos
-from impact_rig.arithmetic.random import Random
-from impact_rig.instruments import conversion
-from impact_rig.instruments.calibration import BoardErrors, Errors
-from impact_rig.instruments.clock import ScanClock
-from impact_rig.instruments.conversion import Converter, OutputStage
-from impact_rig.instruments.fault import FaultBoard
-from impact_rig.instruments.pieces import Motion, Pieces, first_value
-from impact_rig.instruments.response import Response
-from impact_rig.instruments.sensor import Adc, Sensor
-from impact_rig.kernels import INTEGERS, REALS, entry
-
-Instants = tuple[NDArray[np.int64], NDArray[np.float64]]
-"""(tick, offset into it [s]), shapes (n,)."""
+from impact_rig.arithmetic.interpolation import polynomials
+from impact_rig.instruments.conversion import CHANNEL, STRETCH, TWO_D_FLAGS, to_units, to_volts
+from impact_rig.instruments.pieces import PIECES, Pieces
+from impact_rig.instruments.response import MODE, SERIES, first_value, settle, through_piece, weigh
+from impact_rig.kernels import INTEGERS, REALS, TABLE, VOLUME, Fields, entry, kernel
 
 
-@attrs.frozen(eq=False)
-class Stretch:
-    """Consecutive ticks of a motion, as `Chain.acquire` got them.
+class Clock(NamedTuple):
+    """The scan clock, for compiled code [clock units]."""
+
+    period: int
+    tick: int
+
+
+CLOCK = Fields(Clock, (int, int))
+
+
+class Buffers(NamedTuple):
+    """What the channels' readings pass through.
 
     Attributes:
-        motion: covers them.
-        motion_tick: the motion's number of the first.
-        first_tick: the chain's number of the first.
-        ticks: how many.
-        tick_s: duration of one [s].
+        values: output [unit], then volts, then readings [unit], shape (channels, room).
+        clipped: whether each was at an end of a range, likewise.
+        white: scratch for random numbers, shape (STRETCH,).
+        series: scratch of `response`, shape (3, SERIES).
+        since: scratch, shape (2,).
     """
 
-    motion: Motion
-    motion_tick: int
-    first_tick: int
-    ticks: int
-    tick_s: float
+    values: NDArray[np.float64]
+    clipped: NDArray[np.bool_]
+    white: NDArray[np.float64]
+    series: NDArray[np.float64]
+    since: NDArray[np.float64]
+
+
+BUFFERS = Fields(Buffers, (TABLE, TWO_D_FLAGS, REALS, TABLE, REALS))
+
+
+def new_buffers(channels: int, room: int) -> Buffers:
+    """Return buffers for so many readings of each channel."""
+    values, clipped = np.zeros((channels, room)), np.zeros((channels, room), np.bool_)
+    return Buffers(values, clipped, np.zeros(STRETCH), np.zeros((3, SERIES)), np.zeros(2))
+
+
+@kernel
+def _conversions(clock, due, tick_s, end):  # type: ignore[no-untyped-def]  # compiled: types are inferred
+    """Return how many conversions there are from `due` on that come by the time `end` of this tick."""
+    if due >= clock.tick or tick_s * (due / clock.tick) > end:
+        return 0
+    period_s = tick_s * (clock.period / clock.tick)
+    count = max(1, int((end - tick_s * (due / clock.tick)) / period_s))  # one more or less, by rounding
+    last = due + (count - 1) * clock.period
+    while count > 1 and (last >= clock.tick or tick_s * (last / clock.tick) > end):
+        count, last = count - 1, last - clock.period
+    while last + clock.period < clock.tick and tick_s * ((last + clock.period) / clock.tick) <= end:
+        count, last = count + 1, last + clock.period
+    return count
+
+
+@kernel
+def _respond(channel, modes, clock, pieces, coefficients, kicks, values, buffers):  # type: ignore[no-untyped-def]
+    """Run one channel's dynamics over the pieces; its newest conversions go into `values`."""
+    tick_s, since = pieces.tick_s, buffers.since
+    since[1] = tick_s * (clock.period / clock.tick)
+    weigh(modes, since[1])
+    if channel.awake == 0:
+        channel.awake = 1
+        if channel.settled != 0:
+            settle(modes, first_value(coefficients[0]))
+    for tick in range(pieces.first.shape[0] - 1):
+        for i in range(pieces.first[tick], pieces.first[tick + 1]):
+            if kicks.shape[0] > 0:
+                for k in range(modes.shape[0]):
+                    modes[k].z_re += kicks[i]
+            start = pieces.start[i]
+            count = _conversions(clock, channel.due, tick_s, pieces.end[i])
+            since[0] = max(0.0, tick_s * (channel.due / clock.tick) - start)
+            out = values[channel.filled : channel.filled + count]
+            through_piece(modes, coefficients[i], pieces.end[i] - start, since, buffers.series, out)
+            channel.due += count * clock.period
+            channel.filled += count
+        channel.due -= clock.tick
+    channel.converted += channel.filled - channel.begun
+
+
+@entry(MODE, CHANNEL, CLOCK, PIECES, VOLUME, TABLE, BUFFERS)
+def respond(modes, channels, clock, pieces, coefficients, kicks, buffers):  # type: ignore[no-untyped-def]
+    """Run all channels up to the volts of their cables.
+
+    Args:
+        modes: MODE records of all channels, one channel after another.
+        channels: CHANNEL records.
+        clock: the scan clock.
+        pieces: some ticks of the motion, cut.
+        coefficients: polynomial of each channel's input on each piece, shape (channels, pieces, NODES).
+        kicks: jump of the input's integral at the start of each piece, shape (channels, pieces), or (channels, 0).
+        buffers: with room for the conversions.
+    """
+    for j in range(channels.shape[0]):
+        c = channels[j]
+        own = modes[c.first_mode : c.first_mode + c.modes]
+        _respond(c, own, clock, pieces, coefficients[j], kicks[j], buffers.values[j], buffers)
+        for low in range(c.begun, c.filled, STRETCH):
+            high = min(low + STRETCH, c.filled)
+            to_volts(c, buffers.values[j, low:high], buffers.clipped[j, low:high], buffers.white[: high - low])
+
+
+@entry(CHANNEL, BUFFERS)
+def digitise(channels, buffers):  # type: ignore[no-untyped-def]
+    """Turn the newest volts of all channels into readings."""
+    for j in range(channels.shape[0]):
+        c = channels[j]
+        for low in range(c.begun, c.filled, STRETCH):
+            high = min(low + STRETCH, c.filled)
+            to_units(c, buffers.values[j, low:high], buffers.clipped[j, low:high], buffers.white[: high - low])
+        if c.filled > c.begun:
+            c.last = buffers.values[j, c.filled - 1]
+        c.begun = c.filled
+
+
+@entry(CHANNEL, CLOCK, int, float, INTEGERS, REALS, returns=int)
+def instants(channels, clock, ticks, tick_s, at_tick, offset):  # type: ignore[no-untyped-def]
+    """Fill in when the next conversions of all channels come, which are without skew: tick, and offset into it [s].
+
+    Returns how many there are; they count as converted.
+    """
+    count, due = 0, channels[0].due
+    for tick in range(ticks):
+        while due < clock.tick:
+            at_tick[count] = tick
+            offset[count] = max(0.0, tick_s * (due / clock.tick))
+            count += 1
+            due += clock.period
+        due -= clock.tick
+    for j in range(channels.shape[0]):
+        c = channels[j]
+        c.due = due
+        c.converted += count
+        c.filled += count
+    return count
 
 
 @attrs.frozen
@@ -58,181 +167,28 @@ class Sine:
         """Whether the sine is on during each of some ticks."""
         return (tick >= self.first_tick) & (tick < self.first_tick + self.ticks)
 
-    def replace(self, values: NDArray[np.float64], stretch: Stretch, at: Instants) -> None:
-        """Overwrite the values, shape (n,), at those instants that lie in the sine's ticks."""
-        tick = at[0] - stretch.motion_tick + (stretch.first_tick - self.first_tick)
-        _sine(tick, at[1], self.ticks, stretch.tick_s, TWO_PI * self.frequency_hz, self.amplitude, values)
+    def values(self, tick: NDArray[np.int64], offset_s: NDArray[np.float64], tick_s: float) -> NDArray[np.float64]:
+        """Return it at instants of its ticks, which last `tick_s`; shape (1, n)."""
+        out = np.empty((1, len(tick)))
+        _sine(tick - self.first_tick, offset_s, tick_s, TWO_PI * self.frequency_hz, self.amplitude, out[0])
+        return out
+
+    def replace(self, coefficients: NDArray[np.float64], tick: NDArray[np.int64], pieces: Pieces) -> NDArray[np.bool_]:
+        """Overwrite the polynomials of the pieces in its ticks, shape (pieces, NODES); return which these are."""
+        on = self.covers(tick)
+        coefficients[on] = polynomials(
+            lambda at, offset: self.values(at, offset, pieces.tick_s), tick[on], pieces.start[on], pieces.end[on]
+        )[0]
+        return on
 
 
-@entry(INTEGERS, REALS, int, float, float, float, REALS)
-def _sine(tick, offset, ticks, tick_s, omega, amplitude, values):  # type: ignore[no-untyped-def]  # compiled: inferred
+@entry(INTEGERS, REALS, float, float, float, REALS)
+def _sine(tick, offset, tick_s, omega, amplitude, values):  # type: ignore[no-untyped-def]
     for i in range(values.shape[0]):
-        if 0 <= tick[i] < ticks:
-            sine, _ = sincos(omega * (tick[i] * tick_s + offset[i]))
-            values[i] = amplitude * sine
+        sine, _ = sincos(omega * (tick[i] * tick_s + offset[i]))
+        values[i] = amplitude * sine
 
 
-class Queue:
-    """Readings that have not been taken: arrays as they came, copied at most once however they are cut."""
-
-    def __init__(self) -> None:
-        self.waiting = 0
-        self._parts: deque[tuple[NDArray[np.float64], NDArray[np.bool_]]] = deque()
-
-    def put(self, readings: NDArray[np.float64], clipped: NDArray[np.bool_]) -> None:
-        """Append readings and whether each was clipped, both shape (n,)."""
-        if len(readings):
-            self._parts.append((readings, clipped))
-            self.waiting += len(readings)
-
-    def take(self, count: int) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-        """Remove and return the oldest `count`, no more than are waiting."""
-        self.waiting -= count
-        if self._parts and len(self._parts[0][0]) >= count:
-            return self._split(count)
-        taken = []
-        while count:
-            taken.append(self._split(min(count, len(self._parts[0][0]))))
-            count -= len(taken[-1][0])
-        return (
-            np.concatenate([np.empty(0), *(readings for readings, _ in taken)]),
-            np.concatenate([np.empty(0, dtype=np.bool_), *(clipped for _, clipped in taken)]),
-        )
-
-    def _split(self, count: int) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-        readings, clipped = self._parts.popleft()
-        if count < len(readings):
-            self._parts.appendleft((readings[count:], clipped[count:]))
-        return readings[:count], clipped[:count]
-
-
-class Channel:
-    """A sensor on its converter channel, ideal or not; carries everything that goes on from tick to tick.
-
-    Args:
-        sensor: what it senses and how.
-        adc: the converter.
-        clock: the scan clock.
-        index: place in the scan.
-        errors: the sensor's own.
-        board: the converter's own.
-        noise: of the sensor.
-        converter_noise: of the converter, on this channel.
-        ideal: read the motion itself.
-    """
-
-    def __init__(
-        self,
-        sensor: Sensor,
-        adc: Adc,
-        clock: ScanClock,
-        index: int,
-        errors: Errors,
-        board: BoardErrors,
-        noise: Random,
-        converter_noise: Random,
-        ideal: bool,
-    ) -> None:
-        self.sensor = sensor
-        self.ideal = ideal
-        self.response = Response(sensor.transfer.modes(), clock, index)
-        self.sine: Sine | None = None
-        self._errors, self._board = errors, board
-        self._noise, self._converter_noise = noise, converter_noise
-        self._period_s = 1.0 / clock.rate_hz
-        self._coloured = np.zeros(1)
-        self._last: float | None = None
-        self._awake = False
-        self._queue = Queue()
-        self._stage, self._converter = self._stages(adc)
-
-    @property
-    def waiting(self) -> int:
-        """How many readings have not been taken."""
-        return self._queue.waiting
-
-    def take(self, count: int) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-        """Remove and return the oldest readings [unit] and whether each was clipped."""
-        return self._queue.take(count)
-
-    def change(self, sensor: Sensor, adc: Adc, clock: ScanClock, ideal: bool) -> None:
-        """Become another sensor from the next tick on; noise streams go on, dynamics too where they are the same."""
-        modes = sensor.transfer.modes()
-        unchanged = modes.same_as(self.response.modes) and self.ideal == ideal
-        self.sensor, self.ideal = sensor, ideal
-        self._stage, self._converter = self._stages(adc)
-        self.response.adopt(modes, clock, keep_state=unchanged)
-        self._awake = self._awake and unchanged
-
-    def see(
-        self, stretch: Stretch, pieces: Pieces, nodes: Instants, values: NDArray[np.float64], kicks: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
-        """Put the calibration sine, if one is on, in place of what the sensor would see; return the kicks that remain.
-
-        Args:
-            stretch: the ticks.
-            pieces: the same, cut.
-            nodes: where the quantity was sampled, `pieces.nodes()`.
-            values: what it is there, shape (pieces · NODES,); changed in place.
-            kicks: jump of the quantity's integral at the start of each piece, shape (pieces,).
-        """
-        if self._replace(stretch, nodes, values) and self.sine is not None:
-            tick = pieces.tick - stretch.motion_tick + stretch.first_tick
-            kicks = np.where(self.sine.covers(tick), 0.0, kicks)
-        return kicks
-
-    def respond(
-        self, pieces: Pieces, coefficients: NDArray[np.float64], kicks: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
-        """Return what the sensor's dynamics put out at the conversions in the next ticks [unit], shape (n,).
-
-        Args:
-            pieces: the ticks, cut.
-            coefficients: polynomial of the quantity on each piece, shape (pieces, NODES).
-            kicks: jump of its integral at the start of each piece, shape (pieces,).
-        """
-        if not self._awake:
-            self._awake = True
-            if self.sensor.settled:
-                self.response.settle(first_value(coefficients))
-        return self.response.run(pieces, coefficients, kicks)
-
-    def read_directly(self, stretch: Stretch, instants: Instants, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the quantity itself, as an ideal instrument does, or the calibration sine in its place."""
-        self._replace(stretch, instants, values)
-        return values
-
-    def convert(self, clean: NDArray[np.float64], faults: FaultBoard) -> None:
-        """Turn what the dynamics put out into readings, through output stage, cable and converter.
-
-        Args:
-            clean: output at the newest conversions [unit], shape (n,).
-            faults: what acts on cable and converter.
-        """
-        sensor, first_scan = self.sensor, self.response.converted - len(clean)
-        if self.ideal:
-            readings, clipped = clean, np.zeros(len(clean), dtype=np.bool_)
-            faults.on_cable(sensor.name, readings, clipped, first_scan, 1.0, 0.0)
-        else:
-            volts, clipped = conversion.to_volts(self._stage, clean, self._noise, self._coloured)
-            faults.on_cable(sensor.name, volts, clipped, first_scan, sensor.volt_per_unit, sensor.offset_v)
-            readings = conversion.to_units(self._converter, volts, self._converter_noise, clipped)
-        faults.behind_converter(sensor.name, readings, clipped, first_scan, self._last)
-        if len(readings):
-            self._last = float(readings[-1])
-        self._queue.put(readings, clipped)
-
-    def _replace(self, stretch: Stretch, at: Instants, values: NDArray[np.float64]) -> bool:
-        """Put the calibration sine in place of the values where it is on; return whether there is one."""
-        if self.sine is not None and stretch.first_tick >= self.sine.first_tick + self.sine.ticks:
-            self.sine = None
-        if self.sine is None:
-            return False
-        self.sine.replace(values, stretch, at)
-        return True
-
-    def _stages(self, adc: Adc) -> tuple[OutputStage, Converter]:
-        return (
-            conversion.output_stage(self.sensor, self._errors, self._period_s),
-            conversion.converter(self.sensor, adc, self._board),
-        )
+def still_on(sines: Iterable[tuple[int, Sine]], tick: int) -> dict[int, Sine]:
+    """Return the sines that are not over at a tick, by channel."""
+    return {channel: sine for channel, sine in sines if tick < sine.first_tick + sine.ticks}

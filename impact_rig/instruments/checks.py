@@ -15,6 +15,7 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
+from impact_rig.arithmetic.interpolation import NODES
 from impact_rig.instruments.chain import Chain, sensors
 from impact_rig.instruments.fault import Fault
 from impact_rig.instruments.instrument import BOARD_KINDS
@@ -70,6 +71,16 @@ class _Rest:
     ) -> NDArray[np.float64]:
         """Return zeros."""
         return np.zeros((len(names), len(tick)))
+
+    def polynomials(
+        self,
+        names: tuple[str, ...],
+        tick: NDArray[np.int64],
+        start_s: NDArray[np.float64],  # noqa: ARG002
+        end_s: NDArray[np.float64],  # noqa: ARG002
+    ) -> NDArray[np.float64]:
+        """Return zeros."""
+        return np.zeros((len(names), len(tick), NODES))
 
     def breakpoints(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
         """Return none."""

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The scan clock: when each channel is converted, in exact integers.
 
-Instants are counted in units of 1 ns / (rate · substeps · channels), in which a scan period, a skew and a 10 ms tick
+Instants are counted in units of 1 ns / (rate · channels), in which a scan period, a skew and a 10 ms tick
 are all whole numbers: no scan ever drifts, and no result depends on where a block or a call begins.
 """
 
@@ -14,25 +14,19 @@ from impact_rig.errors import ConfigError
 from impact_rig.instruments.section import Setup
 from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S
 
-LONGEST_STEP_HZ = 10_000
-"""Below this rate a scan period is run in several steps, none longer than 100 µs."""
-
-
 @attrs.frozen
 class ScanClock:
     """Conversion times of a multiplexed converter.
 
     Attributes:
         rate_hz: scans per second.
-        substeps: steps in which one scan period is run.
-        step: one step, in clock units.
+        period: from one scan to the next, in clock units.
         tick: one tick of 10 ms, in clock units.
         skews: conversion of each channel after the scan clock, in clock units.
     """
 
     rate_hz: int
-    substeps: int
-    step: int
+    period: int
     tick: int
     skews: tuple[int, ...]
 
@@ -40,13 +34,9 @@ class ScanClock:
         """Return how long after the scan clock `channel` is converted [s]."""
         return self.skews[channel] / self.tick * COMMAND_GRID_NS / NS_PER_S
 
-    def step_fraction(self) -> float:
-        """Return the length of one step as a part of a tick."""
-        return self.step / self.tick
-
     def scans_per_tick(self) -> int:
         """Return the largest number of scans in one tick."""
-        return -(-self.tick // (self.step * self.substeps))
+        return -(-self.tick // self.period)
 
 
 def scan_clock(config: Setup) -> ScanClock:
@@ -61,14 +51,12 @@ def scan_clock(config: Setup) -> ScanClock:
             f"daq.rate_hz must be <= {int(adc.aggregate_limit_hz) // channels} Hz: {channels} channels share"
             f" instruments.adc.aggregate_limit_hz = {adc.aggregate_limit_hz:g} Hz, got {rate} Hz"
         )
-    substeps = -(-LONGEST_STEP_HZ // rate)
-    unit = rate * substeps * channels  # clock units per nanosecond
-    interval = min(adc.conversion_ns * unit, NS_PER_S * substeps)  # the smaller of the board's and period / channels
+    unit = rate * channels  # clock units per nanosecond
+    interval = min(adc.conversion_ns * unit, NS_PER_S)  # the smaller of the board's and period / channels
     apart = adc.multiplexed and not config.instruments.ideal
     return ScanClock(
         rate_hz=rate,
-        substeps=substeps,
-        step=NS_PER_S * channels,
+        period=NS_PER_S * channels,
         tick=COMMAND_GRID_NS * unit,
         skews=tuple(channel * interval * apart for channel in range(channels)),
     )

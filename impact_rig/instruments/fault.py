@@ -254,6 +254,10 @@ class FaultBoard:
             active.end = min(active.end, max(scan, active.fault.start_sample))
         self._faults = [active for active in self._faults if active.end > active.fault.start_sample]
 
+    def on(self, channel: str) -> bool:
+        """Whether there are faults of a channel."""
+        return any(active.fault.channel == channel for active in self._faults)
+
     def on_cable(
         self, channel: str, volts: NDArray[np.float64], clipped: NDArray[np.bool_], first: int, gain: float, zero: float
     ) -> None:

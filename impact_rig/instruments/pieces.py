@@ -2,12 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """A motion cut into smooth pieces, each a polynomial: what the sensors' exact response is computed from.
 
-Between breakpoints every quantity is smooth, so eight samples at Chebyshev points x_j = cos((2j + 1) π/16) give it to
-2 (ω h / 4)^8 / 8!: below 1e-5 at half a period, 1e-15 at the rig's 9 Hz. A contact of 40 µs becomes three pieces, a
-flight of 10 ms four: some five thousand instants per second instead of one per scan and channel, and none of them
-depends on the scan rate.
-
-    u(x) = Σ_k c_k x^k, c = V⁻¹ u(x_j), V_jk = x_j^k;   column j of V⁻¹ holds Lagrange's Π_{i≠j} (x − x_i) / (x_j − x_i)
+Between breakpoints every quantity is smooth, so eight coefficients hold it (see `arithmetic.interpolation`). A contact
+of 40 µs becomes three pieces, a flight of 10 ms four: some five hundred pieces per second, which do not depend on the
+scan rate.
 """
 
 from __future__ import annotations
@@ -18,29 +15,10 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_rig.arithmetic.precise import ONE, ZERO, pi, precise, unit
-from impact_rig.kernels import FLAGS, INTEGERS, REALS, TABLE, Fields, entry, kernel
+from impact_rig.kernels import INTEGERS, REALS, Fields, entry, kernel
 
-NODES = 8
 PIECES_PER_PERIOD = 2.0
 """Of the fastest drive."""
-
-
-@precise
-def _chebyshev() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the nodes, ascending, shape (NODES,), and V⁻¹, shape (NODES, NODES), of many digits and rounded once."""
-    x = [unit(pi() * (2 * j + 1) / (2 * NODES)).real for j in reversed(range(NODES))]
-    inverse = np.empty((NODES, NODES))
-    for j, node in enumerate(x):
-        factors, scale = [ONE], ONE  # coefficients of Π (x − x_i), constant first
-        for other in x[:j] + x[j + 1 :]:
-            factors = [above - other * here for above, here in zip([ZERO, *factors], [*factors, ZERO], strict=True)]
-            scale *= node - other
-        inverse[:, j] = [float(factor / scale) for factor in factors]
-    return np.array([float(node) for node in x]), inverse
-
-
-_X, _TO_MONOMIALS = _chebyshev()
 
 
 class Motion(Protocol):
@@ -57,6 +35,14 @@ class Motion(Protocol):
         self, names: tuple[str, ...], tick: NDArray[np.int64], offset_s: NDArray[np.float64]
     ) -> NDArray[np.float64]:
         """Return some quantities (SI) at each instant, shape (names, n)."""
+
+    def polynomials(
+        self, names: tuple[str, ...], tick: NDArray[np.int64], start_s: NDArray[np.float64], end_s: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return some quantities on pieces between breakpoints, shape (names, n, NODES).
+
+        See `arithmetic.interpolation.polynomials`, which makes them of `quantities`.
+        """
 
     def breakpoints(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
         """Return the instants (tick, offset [s]), in order, between which every quantity is smooth."""
@@ -80,7 +66,6 @@ class Pieces(NamedTuple):
         first: index of the first piece of each tick, and the number of pieces; shape (ticks + 1,).
         start: where each piece starts, shape (n,).
         end: where it ends, shape (n,).
-        hard: whether the quantity may be rough at its end, shape (n,).
         tick: the motion's number of the piece's tick, shape (n,).
         tick_s: duration of one tick.
     """
@@ -88,39 +73,11 @@ class Pieces(NamedTuple):
     first: NDArray[np.int64]
     start: NDArray[np.float64]
     end: NDArray[np.float64]
-    hard: NDArray[np.bool_]
     tick: NDArray[np.int64]
     tick_s: float
 
-    def nodes(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """Return the nodes of all pieces as (tick, offset [s]), shape (n · NODES,)."""
-        count = len(self.start) * NODES
-        tick, offset = np.empty(count, np.int64), np.empty(count)
-        _nodes(self.start, self.end, self.tick, tick, offset)
-        return tick, offset
 
-
-PIECES = Fields(Pieces, (INTEGERS, REALS, REALS, FLAGS, INTEGERS, float))
-
-
-def polynomials(values: NDArray[np.float64], pieces: int) -> NDArray[np.float64]:
-    """Return the coefficients of each polynomial in x = −1 … 1, constant first, shape (quantities, pieces, NODES).
-
-    Args:
-        values: some quantities at the nodes of all pieces, shape (quantities, pieces · NODES).
-        pieces: how many.
-    """
-    coefficients = np.empty((len(values), pieces, NODES))
-    _to_monomials(values.reshape(-1, NODES), coefficients.reshape(-1, NODES))
-    return coefficients
-
-
-def first_value(coefficients: NDArray[np.float64]) -> float:
-    """Return the value at the very start, x = −1 of the first piece."""
-    value = 0.0
-    for c in coefficients[0, ::-1]:
-        value = float(c) - value
-    return value
+PIECES = Fields(Pieces, (INTEGERS, REALS, REALS, INTEGERS, float))
 
 
 def cut(rough: tuple[NDArray[np.int64], NDArray[np.float64]], motion_tick: int, ticks: int, limits: Limits) -> Pieces:
@@ -138,17 +95,17 @@ def cut(rough: tuple[NDArray[np.int64], NDArray[np.float64]], motion_tick: int, 
     room = ticks * (math.ceil(limits.tick_s / limits.longest_s) + 1) + 2 * int(high - low)
     first = np.empty(ticks + 1, np.int64)
     start, end = np.empty(room), np.empty(room)
-    hard, of = np.empty(room, np.bool_), np.empty(room, np.int64)
-    pieces = Pieces(first, start, end, hard, of, limits.tick_s)
+    of = np.empty(room, np.int64)
+    pieces = Pieces(first, start, end, of, limits.tick_s)
     n = _cut(tick[low:high], offset[low:high], motion_tick, limits, pieces)
-    return Pieces(first, start[:n], end[:n], hard[:n], of[:n], limits.tick_s)
+    return Pieces(first, start[:n], end[:n], of[:n], limits.tick_s)
 
 
 @entry(INTEGERS, REALS, int, LIMITS, PIECES, returns=int)
 def _cut(tick, offset, motion_tick, limits, pieces):  # type: ignore[no-untyped-def]  # compiled: types are inferred
     """Fill `pieces`, which has room; return how many there are."""
     tick_s, longest_s = limits.tick_s, limits.longest_s
-    first, start, end, hard, of = pieces.first, pieces.start, pieces.end, pieces.hard, pieces.tick
+    first, start, end, of = pieces.first, pieces.start, pieces.end, pieces.tick
     ticks = first.shape[0] - 1
     n, b = 0, 0
     for k in range(ticks):
@@ -165,7 +122,6 @@ def _cut(tick, offset, motion_tick, limits, pieces):  # type: ignore[no-untyped-
             for i in range(parts):
                 start[n] = since + (until - since) * (i / parts)
                 end[n] = until if i == parts - 1 else since + (until - since) * ((i + 1) / parts)
-                hard[n] = i == parts - 1
                 of[n] = motion_tick + k
                 n += 1
             since = until
@@ -188,22 +144,3 @@ def _next_break(offset, b, behind, since, limits):  # type: ignore[no-untyped-de
     if ahead > b and tick_s - since <= joined_s:
         until = tick_s
     return ahead, until
-
-
-@entry(REALS, REALS, INTEGERS, INTEGERS, REALS)
-def _nodes(start, end, tick, ticks, offsets):  # type: ignore[no-untyped-def]
-    for i in range(start.shape[0]):
-        centre, half = 0.5 * (start[i] + end[i]), 0.5 * (end[i] - start[i])
-        for j in range(NODES):
-            ticks[i * NODES + j] = tick[i]
-            offsets[i * NODES + j] = centre + half * _X[j]
-
-
-@entry(TABLE, TABLE)
-def _to_monomials(values, coefficients):  # type: ignore[no-untyped-def]
-    for i in range(values.shape[0]):
-        for j in range(NODES):
-            total = 0.0
-            for k in range(NODES):
-                total += _TO_MONOMIALS[j, k] * values[i, k]
-            coefficients[i, j] = total

@@ -1,24 +1,29 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""Evaluate a trajectory at any instants, after the fact: instruments read the motion and never touch it.
+"""Evaluate a trajectory after the fact, at any instants or as polynomials: instruments read it and never touch it.
 
 In flight the closed form is expanded into short Taylor polynomials anchored at fixed places of the flight, so a
 sample costs a dozen multiplications and does not depend on which other samples are asked for. Inside a contact the
-step is solved again and interpolated; a contact that was looked up as a whole is integrated here first. With F the
+step is solved again up to the instant; a contact that was looked up as a whole is integrated here first. With F the
 contact force and Q that of the columns,
 
     x_1 = x_1* − side σ δ,    x_2 = x_1 + side (g/2 + δ),    a_1 = (Q + side F) / m_1,    a_2 = −side F / m
+
+The sensors take a motion piece by piece, each as one polynomial (`fit`): in flight the Taylor polynomial about its
+middle, shortened; in a contact the one through eight instants of the steps' dense output.
 """
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig.arithmetic.elementary import sincos
-from impact_rig.kernels import FLAGS, INTEGERS, REALS, TABLE, Fields, entry, kernel
+from impact_rig.arithmetic.interpolation import NODES, TERMS, X, shorten, through_nodes
+from impact_rig.kernels import FLAGS, INTEGERS, REALS, TABLE, VOLUME, Fields, entry, kernel
 from impact_rig.physics.collocation import LAST
 from impact_rig.physics.contact_phase import conclude, take_next_step
 from impact_rig.physics.contact_step import (
@@ -71,11 +76,13 @@ QUANTITIES = (
     "x_b", "x_1", "x_2", "v_b", "v_1", "v_2", "a_b", "a_1", "a_2", "current", "force_left", "force_right"
 )  # fmt: skip
 
-FLIGHT_TERMS = 14
-_REACH = 0.5  # radians of the fastest motion per polynomial: the first neglected term is 0.25^14 / 14! = 4e-20
+_REACH = 0.5  # radians of the fastest motion per polynomial: the first neglected term is 0.25^TERMS / TERMS! = 4e-20
 _MOST_STEPS = 500
 _ROOT_ROUNDS = 60  # Newton needs three to six
 _ROOT_FOUND = 1e-9  # of the step
+_SAME = 1e-12  # instants nearer to each other are one [s]
+_LONGEST = 4.0 / _REACH  # times the reach: 2 radians either side, where the first neglected term is 2^14 / 14! = 2e-7
+_PULSE_STEPS = 12  # of a whole contact at least: between their nodes its pieces have longer ones nowhere
 _CORRECTIONS = 2  # of its length: interpolation leaves parts in 1e4, each correction the square
 
 
@@ -119,6 +126,27 @@ class Query(NamedTuple):
 QUERY = Fields(Query, (INTEGERS, INTEGERS, REALS, TABLE))
 
 
+class Spans(NamedTuple):
+    """Quantities wanted as polynomials on pieces.
+
+    Attributes:
+        wanted: places in QUANTITIES, shape (q,).
+        tick: shape (n,).
+        start: time since the tick's start [s], shape (n,).
+        end: likewise.
+        out: coefficients in x = −1 … 1, constant first, shape (q, n, NODES).
+    """
+
+    wanted: NDArray[np.int64]
+    tick: NDArray[np.int64]
+    start: NDArray[np.float64]
+    end: NDArray[np.float64]
+    out: NDArray[np.float64]
+
+
+SPANS = Fields(Spans, (INTEGERS, INTEGERS, REALS, REALS, VOLUME))
+
+
 class SamplingWorkspace(NamedTuple):
     """Scratch memory of the sampler.
 
@@ -126,8 +154,14 @@ class SamplingWorkspace(NamedTuple):
         flight: one record of FLIGHT.
         step: one record of CONTACT_STEP.
         steps: records of STATE: the steps of a contact that was looked up as a whole, and one more.
-        polynomials: one for each quantity, shape (QUANTITIES, FLIGHT_TERMS).
+        polynomials: one for each quantity, shape (QUANTITIES, TERMS).
         every: all quantities at one instant, shape (QUANTITIES,).
+        powers: (λ h)^k / k! of a mode, real and imaginary part, shape (2, TERMS).
+        pulse: of a contact looked up as a whole: time since the touch [s], δ [m], δ' [m/s]; shape (3,).
+        pulsing: the knot of that contact, shape (1,).
+        tick: of a piece's nodes, shape (NODES,).
+        offset: likewise.
+        values: of all quantities at a piece's nodes, shape (QUANTITIES, NODES).
     """
 
     flight: NDArray[np.void]
@@ -135,16 +169,35 @@ class SamplingWorkspace(NamedTuple):
     steps: NDArray[np.void]
     polynomials: NDArray[np.float64]
     every: NDArray[np.float64]
+    powers: NDArray[np.float64]
+    pulse: NDArray[np.float64]
+    pulsing: NDArray[np.int64]
+    tick: NDArray[np.int64]
+    offset: NDArray[np.float64]
+    values: NDArray[np.float64]
 
 
-SAMPLING_WORKSPACE = Fields(SamplingWorkspace, (FLIGHT, CONTACT_STEP, STATE, TABLE, REALS))
+SAMPLING_WORKSPACE = Fields(
+    SamplingWorkspace,
+    (FLIGHT, CONTACT_STEP, STATE, TABLE, REALS, TABLE, REALS, INTEGERS, INTEGERS, REALS, TABLE),
+)
 
 
 def new_sampling_workspace() -> SamplingWorkspace:
     """Return scratch memory."""
     n = len(QUANTITIES)
     return SamplingWorkspace(
-        record(FLIGHT), record(CONTACT_STEP), record(STATE, _MOST_STEPS + 1), np.zeros((n, FLIGHT_TERMS)), np.zeros(n)
+        record(FLIGHT),
+        record(CONTACT_STEP),
+        record(STATE, _MOST_STEPS + 1),
+        np.zeros((n, TERMS)),
+        np.zeros(n),
+        np.zeros((2, TERMS)),
+        np.zeros(3),
+        np.zeros(1, np.int64),
+        np.zeros(NODES, np.int64),
+        np.zeros(NODES),
+        np.zeros((n, NODES)),
     )
 
 
@@ -154,7 +207,7 @@ def _add_oscillation(poly, value, growth, rate, order):  # type: ignore[no-untyp
     for _ in range(order):
         value, growth = rate * value + growth, rate * growth
     term, before = 1.0 + 0.0j, 0.0j
-    for i in range(FLIGHT_TERMS):
+    for i in range(TERMS):
         poly[i] += (value * term).real + (growth * before).real
         before = term
         term = term * rate * (1.0 / (i + 1))
@@ -197,8 +250,8 @@ def _expand_flight(p, system, f, flight, quantity, poly, since):  # type: ignore
 @kernel
 def _evaluate(poly, x):  # type: ignore[no-untyped-def]
     """Return a flight's polynomial at x."""
-    total = poly[FLIGHT_TERMS - 1]
-    for i in range(FLIGHT_TERMS - 2, -1, -1):
+    total = poly[TERMS - 1]
+    for i in range(TERMS - 2, -1, -1):
         total = total * x + poly[i]
     return total
 
@@ -305,13 +358,17 @@ def _inside(model, start, step, end, since):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _in_contact(model, f, start, step, end, t, out):  # type: ignore[no-untyped-def]
-    """Fill all quantities at t, within the step of a contact from the record `start` on; `step` is expanded there."""
+def _in_contact(model, f, start, step, at, exact, out):  # type: ignore[no-untyped-def]
+    """Fill all quantities at a point of a contact's step, which begins at the record `start`; `step` is expanded there.
+
+    The point is `at` = (time since the start of the step [s], w, δ'). If `exact`, the step has been solved to end
+    there, and what the indentation moves the pair by is known; else that millionth is left out.
+    """
     p, side = model.parameters[0], start.side
-    since = min(max(t - start.t, 0.0), end[0])
-    w, speed = _inside(model, start, step, end, since)
+    since, w, speed = at
+    t = start.t + since
     moved(step, since, step.y)
-    if since > 0.0:
+    if exact and since > 0.0:
         add_correction(p, side, step, LAST, step.y)
     depth = w * w
     elastic, lossy, _, _, _ = model.force.one(p.stiffness, p.factor, start.per_v0, step.turned_at, w, speed)
@@ -365,15 +422,17 @@ def _sample_contact(model, f, knots, row, start, stop, query, work):  # type: ig
         row = before(steps, low, high, t)
         if row != current:
             current, end = row, _solve_again(model, f, steps[row], step)
-        _in_contact(model, f, steps[row], step, end, t, work.every)
+        since = min(max(t - steps[row].t, 0.0), end[0])
+        w, speed = _inside(model, steps[row], step, end, since)
+        _in_contact(model, f, steps[row], step, (since, w, speed), True, work.every)
         for q in range(query.wanted.shape[0]):
             query.out[q, i] = work.every[query.wanted[q]]
 
 
 @kernel
-def _sample_flight(model, f, knot, start, stop, query, work):  # type: ignore[no-untyped-def]
-    """Fill the query's instants start … stop − 1, all in the flight that begins at the knot."""
-    p, flight = model.parameters[0], work.flight[0]
+def _take_off(model, f, knot, flight):  # type: ignore[no-untyped-def]
+    """Prepare the closed form of the flight that begins at the knot; return the system that flies."""
+    p = model.parameters[0]
     which = HELD if knot.phase == ATTACHED else LOOSE
     system = model.systems[which]
     if f.omega != flight.omega or which != flight.system:
@@ -382,6 +441,14 @@ def _sample_flight(model, f, knot, start, stop, query, work):  # type: ignore[no
     particular(system, f, flight)
     flight.friction_force = 0.0 if knot.phase == ATTACHED else knot.slide * p.m * p.friction
     launch(system, f, flight, knot.y, knot.t)
+    return system
+
+
+@kernel
+def _sample_flight(model, f, knot, start, stop, query, work):  # type: ignore[no-untyped-def]
+    """Fill the query's instants start … stop − 1, all in the flight that begins at the knot."""
+    p, flight = model.parameters[0], work.flight[0]
+    system = _take_off(model, f, knot, flight)
     anchor = -1
     for i in range(start, stop):
         since = query.offset[i] - f.begin - knot.t
@@ -410,22 +477,33 @@ def _segment_at(trajectory, tick, offset):  # type: ignore[no-untyped-def]
     return low
 
 
+@kernel
+def _forcing(trajectory, segment):  # type: ignore[no-untyped-def]
+    """Return a segment of the drive."""
+    row = trajectory.segments[segment]
+    return Forcing(row.omega, row.phase, row.amplitude, row.slope, row.begin)
+
+
 @entry(MODEL, TRAJECTORY, QUERY, SAMPLING_WORKSPACE, returns=bool)
 def sample(model, trajectory, query, work):  # type: ignore[no-untyped-def]
     """Fill `query.out` and return whether there are such ticks.
 
     Runs of instants in one piece of the trajectory are evaluated together.
     """
-    n = query.offset.shape[0]
     work.flight[0].omega = -1.0
+    return _sample(model, trajectory, query, work)
+
+
+@kernel
+def _sample(model, trajectory, query, work):  # type: ignore[no-untyped-def]
+    n = query.offset.shape[0]
     i = 0
     while i < n:
         tick = query.tick[i] - trajectory.base
         if not 0 <= tick < trajectory.ticks.shape[0] - 1:
             return False
         segment = _segment_at(trajectory, tick, query.offset[i])
-        drive_row = trajectory.segments[segment]
-        f = Forcing(drive_row.omega, drive_row.phase, drive_row.amplitude, drive_row.slope, drive_row.begin)
+        f = _forcing(trajectory, segment)
         until = trajectory.segments[segment + 1].begin if segment + 1 < trajectory.ticks[tick + 1] else np.inf
         low, high = trajectory.first[segment], trajectory.first[segment + 1]
         row = before(trajectory.knots, low, high, query.offset[i] - f.begin)
@@ -441,6 +519,195 @@ def sample(model, trajectory, query, work):  # type: ignore[no-untyped-def]
             _sample_contact(model, f, trajectory.knots, row, start, i, query, work)
         else:
             _sample_flight(model, f, trajectory.knots[row], start, i, query, work)
+    return True
+
+
+@kernel
+def _add_series(poly, work, value, growth, half):  # type: ignore[no-untyped-def]
+    """Add the Taylor coefficients of Re[(value + growth τ) exp(λ τ)] in x = τ / half, with the powers in `work`."""
+    re, im = work.powers[0], work.powers[1]
+    a, b, c, d = value.real, value.imag, half * growth.real, half * growth.imag
+    poly[0] += a * re[0] - b * im[0]
+    for k in range(1, TERMS):
+        poly[k] += (a * re[k] - b * im[k]) + (c * re[k - 1] - d * im[k - 1])
+
+
+@kernel
+def _fill_powers(work, rate, half):  # type: ignore[no-untyped-def]
+    """Fill in (λ h)^k / k!."""
+    step, term = rate * half, 1.0 + 0.0j
+    for k in range(TERMS):
+        work.powers[0, k], work.powers[1, k] = term.real, term.imag
+        term = term * step * (1.0 / (k + 1))
+
+
+@kernel
+def _derived(value, growth, rate, order):  # type: ignore[no-untyped-def]
+    """Return value and growth of the derivative of (value + growth τ) exp(λ τ) of this order."""
+    for _ in range(order):
+        value, growth = rate * value + growth, rate * growth
+    return value, growth
+
+
+@kernel
+def _fit_flight(p, system, f, flight, spans, i, work):  # type: ignore[no-untyped-def]
+    """Fill in the polynomials of a piece in the flight that has been prepared, all quantities of the structure."""
+    half = 0.5 * (spans.end[i] - spans.start[i])
+    t = 0.5 * (spans.start[i] + spans.end[i]) - f.begin
+    since, wanted, poly = t - flight.begin, spans.wanted, work.polynomials
+    turn = turned(f.omega * t) * complex(0.0, -1.0)  # Im z = Re(−j z)
+    jw = complex(0.0, f.omega)
+    _fill_powers(work, jw, half)
+    for q in range(wanted.shape[0]):
+        row, order, of_drive = _row_and_order(p, wanted[q])
+        poly[q, :] = 0.0
+        if of_drive:
+            start = turned(f.phase) * turn
+            value, growth = _derived((f.amplitude + f.slope * t) * start, f.slope * start, jw, order)
+        else:
+            growing = flight.growing[row] * turn
+            value, growth = _derived(flight.steady[row] * turn + growing * t, growing, jw, order)
+            if order == 0:
+                poly[q, 0] = system.static[row] * flight.friction_force
+        _add_series(poly[q], work, value, growth, half)
+    for n in range(system.modes):
+        rate = system.rate[n]
+        _, z = decayed(rate, since)
+        wave = flight.modal[n] * z
+        _fill_powers(work, rate, half)
+        for q in range(wanted.shape[0]):
+            row, order, of_drive = _row_and_order(p, wanted[q])
+            if not of_drive:
+                value, growth = _derived(system.right[n, row] * wave, 0.0j, rate, order)
+                _add_series(poly[q], work, value, growth, half)
+    for q in range(wanted.shape[0]):
+        shorten(poly[q], spans.out[q, i])
+
+
+@kernel
+def _fit_contact(model, f, knots, row, spans, i, work):  # type: ignore[no-untyped-def]
+    """Fill in the polynomials of a piece within one step of a contact, from the step's dense output."""
+    step, start = work.step[0], knots[row]
+    centre, half = 0.5 * (spans.start[i] + spans.end[i]) - f.begin, 0.5 * (spans.end[i] - spans.start[i])
+    end = _solve_again(model, f, start, step)
+    for j in range(NODES):
+        since, w, speed = 0.0, start.w, start.speed
+        if start.h > 0.0:
+            since = min(max(centre + half * X[j] - start.t, 0.0), end[0])
+            _, w, speed = dense_output(start, step, _length_to(start, step, end, since) / start.h)
+        _in_contact(model, f, start, step, (since, max(w, 0.0), speed), False, work.every)
+        for q in range(spans.wanted.shape[0]):
+            work.values[q, j] = work.every[spans.wanted[q]]
+    for q in range(spans.wanted.shape[0]):
+        through_nodes(work.values[q], spans.out[q, i])
+
+
+@kernel
+def _accelerated(model, step, per_v0, since, depth, speed):  # type: ignore[no-untyped-def]
+    """Return δ'' in a contact looked up as a whole, whose `step` is expanded about the touch."""
+    p = model.parameters[0]
+    elastic, lossy, _, _, _ = model.force.one(
+        p.stiffness, p.factor, per_v0, 0.0, math.sqrt(max(0.0, depth)), speed
+    )
+    force = max(0.0, elastic + lossy) if p.clipped else elastic + lossy
+    pressing = step.acceleration[0] + since * (step.acceleration[1] + since * step.acceleration[2])
+    return pressing - (p.pair_stiffness * depth + p.pair_damping * speed) - force * p.per_m_eff
+
+
+@kernel
+def _press_on(model, step, per_v0, pulse, until, longest):  # type: ignore[no-untyped-def]
+    """Integrate `pulse` = (time since the touch, δ, δ') up to `until`, by Runge and Kutta's fourth order."""
+    parts = math.ceil((until - pulse[0]) / longest)
+    for part in range(parts):
+        t, d, v = pulse[0], pulse[1], pulse[2]
+        h = (until - t) / (parts - part)
+        a = _accelerated(model, step, per_v0, t, d, v)
+        v_2 = v + 0.5 * h * a
+        a_2 = _accelerated(model, step, per_v0, t + 0.5 * h, d + 0.5 * h * v, v_2)
+        v_3 = v + 0.5 * h * a_2
+        a_3 = _accelerated(model, step, per_v0, t + 0.5 * h, d + 0.5 * h * v_2, v_3)
+        v_4 = v + h * a_3
+        a_4 = _accelerated(model, step, per_v0, t + h, d + h * v_3, v_4)
+        pulse[0] = t + h
+        pulse[1] = d + h * (v + 2.0 * (v_2 + v_3) + v_4) * (1.0 / 6.0)
+        pulse[2] = v + h * (a + 2.0 * (a_2 + a_3) + a_4) * (1.0 / 6.0)
+    pulse[0] = until
+
+
+@kernel
+def _fit_pulse(model, f, knots, row, spans, i, work):  # type: ignore[no-untyped-def]
+    """Fill in the polynomials of a piece of a contact that was looked up as a whole: it is integrated to the nodes.
+
+    The nodes crowd where the force has its kinks; a hundredth of a per mille of it is what the sensors need.
+    """
+    p, step, pulse, knot = model.parameters[0], work.step[0], work.pulse, knots[row]
+    centre, half = 0.5 * (spans.start[i] + spans.end[i]) - f.begin - knot.t, 0.5 * (spans.end[i] - spans.start[i])
+    if work.pulsing[0] != row or centre + half * X[0] < pulse[0]:
+        expand(p, f, knot, step)
+        step.turned_at = 0.0
+        work.pulsing[0], pulse[0], pulse[1], pulse[2] = row, 0.0, 0.0, knot.speed
+    longest = (knots[row + 1].t - knot.t) / _PULSE_STEPS
+    for j in range(NODES):
+        _press_on(model, step, knot.per_v0, pulse, centre + half * X[j], longest)
+        at = pulse[0], math.sqrt(max(0.0, pulse[1])), pulse[2]
+        _in_contact(model, f, knot, step, at, False, work.every)
+        for q in range(spans.wanted.shape[0]):
+            work.values[q, j] = work.every[spans.wanted[q]]
+    for q in range(spans.wanted.shape[0]):
+        through_nodes(work.values[q], spans.out[q, i])
+
+
+@kernel
+def _fit_samples(model, trajectory, spans, i, work):  # type: ignore[no-untyped-def]
+    """Fill in the polynomials of a piece that is neither one flight nor within one contact, through samples of it."""
+    centre, half = 0.5 * (spans.start[i] + spans.end[i]), 0.5 * (spans.end[i] - spans.start[i])
+    for j in range(NODES):
+        work.tick[j], work.offset[j] = spans.tick[i], centre + half * X[j]
+    _sample(model, trajectory, Query(spans.wanted, work.tick, work.offset, work.values), work)
+    for q in range(spans.wanted.shape[0]):
+        through_nodes(work.values[q], spans.out[q, i])
+
+
+@entry(MODEL, TRAJECTORY, SPANS, SAMPLING_WORKSPACE, returns=bool)
+def fit(model, trajectory, spans, work):  # type: ignore[no-untyped-def]
+    """Fill `spans.out` and return whether there are such ticks."""
+    p, flight, knots = model.parameters[0], work.flight[0], trajectory.knots
+    flight.omega, work.pulsing[0] = -1.0, -1
+    of_structure = True
+    for q in range(spans.wanted.shape[0]):
+        if spans.wanted[q] in (X_2, V_2, A_2, FORCE_LEFT, FORCE_RIGHT):
+            of_structure = False
+    if p.drive == PRESCRIBED:
+        for q in range(spans.wanted.shape[0]):
+            of_structure = of_structure and spans.wanted[q] != CURRENT
+    aloft = -1  # the knot of the flight that is prepared
+    for i in range(spans.start.shape[0]):
+        tick = spans.tick[i] - trajectory.base
+        if not 0 <= tick < trajectory.ticks.shape[0] - 1:
+            return False
+        middle = 0.5 * (spans.start[i] + spans.end[i])
+        segment = _segment_at(trajectory, tick, middle)
+        f = _forcing(trajectory, segment)
+        low, high = trajectory.first[segment], trajectory.first[segment + 1]
+        row = before(knots, low, high, middle - f.begin)
+        last = spans.end[i] - f.begin <= (knots[row + 1].t if row + 1 < high else trajectory.segments[segment].duration) + _SAME
+        inside = spans.start[i] - f.begin >= knots[row].t - _SAME and last
+        if inside and knots[row].phase == CONTACT and not (knots[row].whole and p.remembers):
+            if knots[row].whole:
+                _fit_pulse(model, f, knots, row, spans, i, work)
+            else:
+                _fit_contact(model, f, knots, row, spans, i, work)
+                work.pulsing[0] = -1
+            continue
+        if inside and of_structure:
+            if row != aloft:
+                _take_off(model, f, knots[row], flight)
+                aloft = row
+            if spans.end[i] - spans.start[i] <= _LONGEST * flight.reach:
+                _fit_flight(p, model.systems[flight.system], f, flight, spans, i, work)
+                continue
+        _fit_samples(model, trajectory, spans, i, work)
+        aloft, work.pulsing[0] = -1, -1
     return True
 
 

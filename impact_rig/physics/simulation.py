@@ -11,6 +11,7 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
+from impact_rig.arithmetic.interpolation import NODES
 from impact_rig.errors import SimulationError
 from impact_rig.kernels import for_kernels, records, with_fields
 from impact_rig.physics import contact as contact_laws
@@ -24,7 +25,9 @@ from impact_rig.physics.sampling import (
     QUANTITIES,
     Query,
     SamplingWorkspace,
+    Spans,
     Trajectory,
+    fit,
     new_sampling_workspace,
     refine,
     sample,
@@ -118,10 +121,37 @@ class Motion:
         out = np.empty((len(names), tick.size))
         query = Query(_places(names), tick.reshape(-1), offset_s.reshape(-1), out)
         if not sample(self._model, self._trajectory, query, self._sampling):
-            raise ValueError(
-                f"this motion holds ticks {self.first_tick} to {self.last_tick}, got {tick.min()} to {tick.max()}"
-            )
+            raise self._elsewhere(tick)
         return out.reshape(len(names), *tick.shape)
+
+    def polynomials(
+        self, names: tuple[str, ...], tick: NDArray[np.int64], start_s: NDArray[np.float64], end_s: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return some quantities of `SAMPLE` on pieces between breakpoints, each as a polynomial in x = −1 … 1.
+
+        Its error is what eight terms leave out: in a contact up to a thousandth of the pulse, in flight see `fit`.
+
+        Args:
+            names: of the quantities.
+            tick: of each piece, shape (n,).
+            start_s: of each piece, since its tick's start.
+            end_s: likewise.
+
+        Returns:
+            The coefficients, constant first, shape (names, n, NODES).
+
+        Raises:
+            ValueError: a piece is in none of the ticks.
+        """
+        out = np.empty((len(names), len(tick), NODES))
+        if not fit(self._model, self._trajectory, Spans(_places(names), tick, start_s, end_s, out), self._sampling):
+            raise self._elsewhere(tick)
+        return out
+
+    def _elsewhere(self, tick: NDArray[np.int64]) -> ValueError:
+        return ValueError(
+            f"this motion holds ticks {self.first_tick} to {self.last_tick}, got {tick.min()} to {tick.max()}"
+        )
 
     def breakpoints(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
         """Return (tick, offset) of the instants between which every quantity is smooth, in order.

@@ -1,15 +1,17 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""Partial fractions against the transfer functions they stand for, and the step weights against quadrature."""
+"""Partial fractions against the transfer functions they stand for, and a mode's answer against quadrature."""
 
 import numpy as np
 import pytest
 from kits.instruments import configured
 from scipy import integrate, signal
 
+from impact_rig.arithmetic.interpolation import NODES
+from impact_rig.arithmetic.records import with_fields
 from impact_rig.instruments import sensor as transfer
 from impact_rig.instruments.chain import sensors
-from impact_rig.instruments.response import weigh
+from impact_rig.instruments.response import SERIES, records_of, through_piece, weigh
 
 FREQUENCIES = np.geomspace(0.1, 60e3, 50)
 
@@ -62,25 +64,29 @@ def test_delay_is_the_slope_of_the_phase():
         assert low.delay_s() == pytest.approx(float(slope), rel=1e-6)
 
 
-def pairs(numbers):
-    return [complex(real, imag) for real, imag in zip(numbers[::2], numbers[1::2], strict=True)]
-
-
 @pytest.mark.parametrize("scale", [1e-4, 0.05, 0.3, 0.499, 0.501, 1.9, 2.1, 15.0, 80.0])
 @pytest.mark.parametrize("direction", [-1.0, -0.02 + 1j, -0.7 + 0.7j])
-def test_step_weights_are_their_integrals(scale, direction):
-    h = 1e-4
-    pole = complex(scale * direction / h)
-    decay, *weights = pairs(weigh(pole.real, pole.imag, h))
-    assert decay == pytest.approx(np.exp(pole * h), rel=1e-12)
-    for j in range(4):
+def test_a_mode_answers_a_polynomial_as_its_integral_says(scale, direction):
+    """z(t) = e^{pt} z_0 + ∫ e^{p (t − s)} u(s) ds at five conversions and at the end, for any p h."""
+    length = 1e-4
+    pole = np.array([scale * direction / length], complex)
+    residue, start = np.array([0.7 - 0.4j]), 1e-5 - 2e-5j
+    modes = with_fields(records_of(pole, residue))
+    modes["z_re"], modes["z_im"] = start.real, start.imag
+    u = np.random.default_rng(1).normal(size=NODES) / 4.0 ** np.arange(NODES)
+    first, period, out = 0.13 * length, 0.2 * length, np.zeros(5)
+    weigh(modes, period)
+    through_piece(modes, u, length, np.array([first, period]), np.zeros((3, SERIES)), out)
 
-        def integrand(tau, part, j=j):
-            value = np.exp(pole * h * (1 - tau)) * (tau - 0.5) ** j
+    def exact(t):
+        def integrand(s, part):
+            value = np.exp(pole[0] * (t - s)) * np.polyval(u[::-1], 2 * s / length - 1)
             return value.real if part == 0 else value.imag
 
-        expected = h * sum(
-            unit * integrate.quad(integrand, 0, 1, args=(part,), epsabs=1e-14, epsrel=1e-12, limit=200)[0]
-            for part, unit in ((0, 1), (1, 1j))
-        )
-        assert weights[j] == pytest.approx(expected, rel=1e-9, abs=1e-12 * h)
+        driven = [integrate.quad(integrand, 0, t, (part,), epsabs=1e-18, epsrel=1e-12, limit=200)[0] for part in (0, 1)]
+        return start * np.exp(pole[0] * t) + complex(*driven)
+
+    expected = [(residue[0] * exact(first + m * period)).real for m in range(5)]
+    np.testing.assert_allclose(out, expected, atol=1e-11 * np.max(np.abs(expected)) + 1e-16)
+    end = complex(modes["z_re"][0], modes["z_im"][0])
+    assert end == pytest.approx(exact(length), rel=1e-10, abs=1e-11 * length)

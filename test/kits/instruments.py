@@ -12,6 +12,7 @@ from collections.abc import Callable
 import numpy as np
 from scipy import signal
 
+from impact_rig.arithmetic.interpolation import polynomials
 from impact_rig.instruments import Chain
 from impact_rig.instruments.sensor import Transfer
 from impact_rig.rig.config import RigConfig, from_flat
@@ -73,6 +74,11 @@ class AnalyticMotion:
     def quantities(self, names: tuple[str, ...], segment: np.ndarray, offset_s: np.ndarray) -> np.ndarray:
         t = segment * self._tick_s + offset_s
         return np.stack([self._formulas.get(name, np.zeros_like)(t) for name in names])
+
+    def polynomials(
+        self, names: tuple[str, ...], segment: np.ndarray, start_s: np.ndarray, end_s: np.ndarray
+    ) -> np.ndarray:
+        return polynomials(lambda at, offset: self.quantities(names, at, offset), segment, start_s, end_s)
 
 
 def sine(frequency_hz: float, amplitude: float, phase: float = 0.0) -> Callable[[np.ndarray], np.ndarray]:
