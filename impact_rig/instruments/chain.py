@@ -273,7 +273,9 @@ class Chain:
             set_converter(row, sensor, config.instruments.adc, self._board)
             goes_on = keep and chain.same_as(self._chains[j])
             first, count = int(row["first_mode"][0]), int(row["modes"][0])
-            modes.append(self._modes[first : first + count].copy() if goes_on else records_of(chain.poles, chain.residues))
+            modes.append(
+                self._modes[first : first + count].copy() if goes_on else records_of(chain.poles, chain.residues)
+            )
             row["settled"], row["awake"] = sensor.settled, goes_on and row["awake"][0]
         *firsts, total = itertools.accumulate(map(len, modes), initial=0)
         channels["modes"], channels["first_mode"] = list(map(len, modes)), firsts
@@ -281,9 +283,7 @@ class Chain:
         self._modes[:] = np.concatenate(modes)
         self._longest_s = min(_LONGEST_PIECE_S, 1.0 / (PIECES_PER_PERIOD * config.shaker.frequency_max_hz))
 
-    def _acquire(
-        self, motion: Motion, pieces: Pieces, blows: NDArray[np.void], motion_tick: int, clock: Clock
-    ) -> None:
+    def _acquire(self, motion: Motion, pieces: Pieces, blows: NDArray[np.void], motion_tick: int, clock: Clock) -> None:
         coefficients = motion.polynomials(self._quantities, pieces.tick, pieces.start, pieces.end)
         kicks = np.zeros((len(self._names), len(pieces.start) if len(blows) else 0))
         if len(blows):

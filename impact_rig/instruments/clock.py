@@ -14,6 +14,7 @@ from impact_rig.errors import ConfigError
 from impact_rig.instruments.section import Setup
 from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S
 
+
 @attrs.frozen
 class ScanClock:
     """Conversion times of a multiplexed converter.

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from impact_rig.arithmetic.elementary import exp, sincos
 from impact_rig.arithmetic.interpolation import NODES
-from impact_rig.kernels import INTEGERS, REALS, Array, entry, kernel
+from impact_rig.kernels import kernel
 
 MODE = np.dtype(
     [

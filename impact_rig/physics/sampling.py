@@ -606,9 +606,7 @@ def _fit_contact(model, f, knots, row, spans, i, work):  # type: ignore[no-untyp
 def _accelerated(model, step, per_v0, since, depth, speed):  # type: ignore[no-untyped-def]
     """Return δ'' in a contact looked up as a whole, whose `step` is expanded about the touch."""
     p = model.parameters[0]
-    elastic, lossy, _, _, _ = model.force.one(
-        p.stiffness, p.factor, per_v0, 0.0, math.sqrt(max(0.0, depth)), speed
-    )
+    elastic, lossy, _, _, _ = model.force.one(p.stiffness, p.factor, per_v0, 0.0, math.sqrt(max(0.0, depth)), speed)
     force = max(0.0, elastic + lossy) if p.clipped else elastic + lossy
     pressing = step.acceleration[0] + since * (step.acceleration[1] + since * step.acceleration[2])
     return pressing - (p.pair_stiffness * depth + p.pair_damping * speed) - force * p.per_m_eff
@@ -690,7 +688,10 @@ def fit(model, trajectory, spans, work):  # type: ignore[no-untyped-def]
         f = _forcing(trajectory, segment)
         low, high = trajectory.first[segment], trajectory.first[segment + 1]
         row = before(knots, low, high, middle - f.begin)
-        last = spans.end[i] - f.begin <= (knots[row + 1].t if row + 1 < high else trajectory.segments[segment].duration) + _SAME
+        last = (
+            spans.end[i] - f.begin
+            <= (knots[row + 1].t if row + 1 < high else trajectory.segments[segment].duration) + _SAME
+        )
         inside = spans.start[i] - f.begin >= knots[row].t - _SAME and last
         if inside and knots[row].phase == CONTACT and not (knots[row].whole and p.remembers):
             if knots[row].whole:
