@@ -107,7 +107,7 @@ def _beyond(s0, s1, s2, s3):  # type: ignore[no-untyped-def]
 
 @kernel
 def _rejected(bits, x, s0, s1, s2, s3):  # type: ignore[no-untyped-def]
-    """Go on with bits whose number x lies beyond the next layer; return both as accepted, and the state that follows."""
+    """Go on with bits whose number x lies beyond the next layer; return both as accepted, and the state behind them."""
     while True:
         layer = np.int64(bits & _BYTE)
         if layer == 0:

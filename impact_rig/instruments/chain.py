@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig.arithmetic.random import Random
-from impact_rig.arithmetic.records import records
 from impact_rig.blocks import joined
 from impact_rig.errors import CommandError, ConfigError
 from impact_rig.instruments import calibration
@@ -28,6 +27,7 @@ from impact_rig.instruments.pieces import PIECES_PER_PERIOD, Limits, Motion, Pie
 from impact_rig.instruments.response import MODE, records_of
 from impact_rig.instruments.section import Setup, row_type_of
 from impact_rig.instruments.sensor import Modes, Sensor
+from impact_rig.kernels import records
 from impact_rig.simtime import COMMAND_GRID_NS, COMMAND_GRID_S, NS_PER_S
 
 SEED_STREAM = 1

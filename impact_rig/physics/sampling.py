@@ -82,7 +82,7 @@ _ROOT_ROUNDS = 60  # Newton needs three to six
 _ROOT_FOUND = 1e-9  # of the step
 _SAME = 1e-12  # instants nearer to each other are one [s]
 _LONGEST = 4.0 / _REACH  # times the reach: 2 radians either side, where the first neglected term is 2^14 / 14! = 2e-7
-_PULSE_STEPS = 12  # of a whole contact at least: between their nodes its pieces have longer ones nowhere
+_PULSE_STEPS = 12  # of a whole contact, at least; the nodes make more of them
 _CORRECTIONS = 2  # of its length: interpolation leaves parts in 1e4, each correction the square
 
 
@@ -636,7 +636,7 @@ def _press_on(model, step, per_v0, pulse, until, longest):  # type: ignore[no-un
 def _fit_pulse(model, f, knots, row, spans, i, work):  # type: ignore[no-untyped-def]
     """Fill in the polynomials of a piece of a contact that was looked up as a whole: it is integrated to the nodes.
 
-    The nodes crowd where the force has its kinks; a hundredth of a per mille of it is what the sensors need.
+    These crowd at the ends of the contact, where the force has its kinks. The force is within 3e-4 of its peak.
     """
     p, step, pulse, knot = model.parameters[0], work.step[0], work.pulse, knots[row]
     centre, half = 0.5 * (spans.start[i] + spans.end[i]) - f.begin - knot.t, 0.5 * (spans.end[i] - spans.start[i])

@@ -10,10 +10,10 @@ import pytest
 from kits.instruments import AnalyticMotion, configured, fitted, measured, sine
 
 from impact_rig.arithmetic.random import Random
-from impact_rig.arithmetic.records import with_fields
 from impact_rig.instruments import Chain, calibration, conversion
 from impact_rig.instruments.calibration import Errors
 from impact_rig.instruments.chain import sensors
+from impact_rig.kernels import with_fields
 
 SEEDS = 400
 

@@ -8,10 +8,10 @@ from kits.instruments import configured
 from scipy import integrate, signal
 
 from impact_rig.arithmetic.interpolation import NODES
-from impact_rig.arithmetic.records import with_fields
 from impact_rig.instruments import sensor as transfer
 from impact_rig.instruments.chain import sensors
 from impact_rig.instruments.response import SERIES, records_of, through_piece, weigh
+from impact_rig.kernels import with_fields
 
 FREQUENCIES = np.geomspace(0.1, 60e3, 50)
 
