@@ -13,7 +13,19 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-PARTS = ("start", "physics", "instruments", "stream", "analysis", "recording", "campaign", "map", "live", "testing", "lab")
+PARTS = (
+    "start",
+    "physics",
+    "instruments",
+    "stream",
+    "analysis",
+    "recording",
+    "campaign",
+    "map",
+    "live",
+    "testing",
+    "lab",
+)
 RESULTS = Path("build") / "bench.json"
 
 
