@@ -227,12 +227,16 @@ def add_report(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         "--margins", type=Path, metavar="DIR",
         help="campaign that varies constants (config/campaigns/margins.yaml): what the statements owe to them",
     )  # fmt: skip
+    parser.add_argument(
+        "--branches", type=Path, metavar="DIR", nargs="+", default=(),
+        help="of `impact-rig dynamics continue`: its stable and unstable motions, drawn beside what was measured",
+    )  # fmt: skip
     parser.set_defaults(run=_report)
 
 
 def _report(arguments: argparse.Namespace) -> int:
     from impact_rig.report import build_report  # noqa: PLC0415  # loads SciPy, which no other command needs
 
-    path = build_report(arguments.directory, arguments.output, arguments.margins)
+    path = build_report(arguments.directory, arguments.output, arguments.margins, arguments.branches)
     tell_program(path)
     return 0

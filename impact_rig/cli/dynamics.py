@@ -13,14 +13,13 @@ import time
 from collections import Counter
 from pathlib import Path
 
-from impact_rig.campaign.tasks import Row, Store
+from impact_rig.campaign.tasks import Row
 from impact_rig.cli import tasks
 from impact_rig.cli.terminal import Console, TextTable, subcommand, tell_json, tell_program
 from impact_rig.studies.dynamics import plan as plans
-from impact_rig.studies.dynamics.plan import Plan, Task
+from impact_rig.studies.dynamics.plan import Plan
 from impact_rig.system import files
 
-FOLDER = "tasks"
 SHOWN = {
     plans.ORBIT: ("event", "period", "dt", "impacts_per_cycle", "loss_factor", "multiplier_real", "multiplier_imag"),
     plans.CONTINUE: ("value", "event", "dt", "impacts_per_cycle", "loss_factor", "multiplier_real", "multiplier_imag"),
@@ -51,7 +50,7 @@ def _run(arguments: argparse.Namespace) -> int:
     file, directory, _, address = tasks.words(arguments, "dynamics", f"dynamics {kind} config/dynamics/nominal.yaml")
     runner = tasks.runner(plans.run, address, arguments.workers)
     plan = plans.load(file, kind)
-    store: Store[Task] = Store(directory, "dynamics", FOLDER, ("maps", "studies"))
+    store = plans.store(directory)
     store.prepare(plan.text, plan.base)
     console = Console(quiet=arguments.json)
     began = time.monotonic()

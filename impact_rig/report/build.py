@@ -21,8 +21,9 @@ from impact_rig.report.content import Cell, Content, number
 from impact_rig.report.dt import phase_plane, time_trace
 from impact_rig.report.findings import value_cell
 from impact_rig.report.page import contents, folded, link, page, paragraph, section
-from impact_rig.report.studies import reduction_over_gap, study_figures
+from impact_rig.report.studies import continued, reduction_over_gap, study_figures
 from impact_rig.rig.config import fields, to_flat
+from impact_rig.studies.dynamics import plan as dynamics
 from impact_rig.system import files
 
 PAGE_FILE, FIGURES_FOLDER = "report.html", "figures"
@@ -30,16 +31,19 @@ PEAK_HZ = 0.1
 """Studies that stay this near to 9.1 Hz are shown as the peaks of the curves."""
 
 
-def build_report(directory: Path, target: Path | None = None, margins: Path | None = None) -> Path:
+def build_report(
+    directory: Path, target: Path | None = None, margins: Path | None = None, branches: Sequence[Path] = ()
+) -> Path:
     """Write the report of the campaign in a directory, its numbers and its figures; return the page.
 
     Args:
         directory: of the campaign.
         target: the page; `report.html` in the directory if None. `report.json` is written beside it.
         margins: directory of a campaign that varies constants, for the table of what the statements owe to them.
+        branches: directories of `impact-rig dynamics continue`, whose motions are drawn beside what was measured.
 
     Raises:
-        ConfigError: a directory holds no campaign, or that of the margins no variation.
+        ConfigError: a directory holds no campaign, that of the margins no variation, one of the branches another rig.
         RecordingError: nothing was measured yet, or the page cannot be written.
     """
     done = run.open_finished(directory)
@@ -52,7 +56,11 @@ def build_report(directory: Path, target: Path | None = None, margins: Path | No
     content = Content()
     with style():
         opening = list(cover.opening(done, content))
-        sections = list(filter(None, _sections(done, varied, content, target.parent)))
+        beside = [
+            continued(f"continued_{i}", *dynamics.stored(one, dynamics.CONTINUE), done.points, done.campaign.base)
+            for i, one in enumerate(branches)
+        ]
+        sections = list(filter(None, _sections(done, varied, beside, content, target.parent)))
     try:
         folder = directory / FIGURES_FOLDER
         files.make_folder(folder)
@@ -65,7 +73,9 @@ def build_report(directory: Path, target: Path | None = None, margins: Path | No
     return target
 
 
-def _sections(done: Finished, varied: list[Variation], content: Content, folder: Path) -> Iterator[str]:
+def _sections(
+    done: Finished, varied: list[Variation], beside: list[Drawn], content: Content, folder: Path
+) -> Iterator[str]:
     """Yield the sections of the page that goes into `folder`."""
     curves, config, keep = done.curves, done.campaign.base, content.figures
     reductions = done.reductions()
@@ -89,6 +99,7 @@ def _sections(done: Finished, varied: list[Variation], content: Content, folder:
     yield section("What the statements owe to the choice", *findings.margins(varied, content))
     yield section("Each gap beside the curve without sphere", keep(dt.figure_8(curves)))
     yield section("Peak, amplitudes, regimes", keep(details))
+    yield section("Stable and unstable motions of the model", keep(beside))
     yield section("Motion", keep(_motions(done)))
     yield section("Further studies", keep(_studies(done)))
     yield section("Points without a settled measurement", _failed(done.failed(), content))

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import attrs
@@ -73,7 +73,7 @@ class Content:
         texts = [[cell.text if isinstance(cell, Cell) else cell for cell in row] for row in kept]
         return page.table(headings, texts, numeric)
 
-    def figures(self, found: Iterator[Drawn], *, large: bool = False) -> str:
+    def figures(self, found: Iterable[Drawn], *, large: bool = False) -> str:
         """Return figures for the page; they are kept to be saved beside it."""
         new = list(found)
         self.drawn += new

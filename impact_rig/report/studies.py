@@ -17,12 +17,15 @@ from impact_rig.analysis.calibration import Calibration
 from impact_rig.analysis.reduction import reduction
 from impact_rig.campaign.axes import NO_SPHERE
 from impact_rig.campaign.results import Curves, Point
-from impact_rig.drawing import PREDICTED, SERIES, Drawn, Line, legend_below, new_axes
+from impact_rig.drawing import INK, PREDICTED, SERIES, Drawn, Line, legend_below, new_axes
 from impact_rig.errors import ConfigError
 from impact_rig.physics import prediction
 from impact_rig.physics.prediction import transmissibility
 from impact_rig.report.content import COVERAGE
-from impact_rig.rig.config import RigConfig, from_flat
+from impact_rig.rig.config import RigConfig, from_flat, to_flat
+from impact_rig.studies.dynamics import figures
+from impact_rig.studies.dynamics.figures import Found
+from impact_rig.studies.dynamics.plan import Plan
 
 AXIS_NAMES = {
     "frequency_hz": ("frequency", "Hz", 1.0),
@@ -31,6 +34,8 @@ AXIS_NAMES = {
     "contact.restitution": ("nominal restitution", "", 1.0),
     "sphere.density_kg_m3": ("density of the sphere", "kg/m³", 1.0),
 }
+OF_INSTRUMENTS = ("daq.", "instruments.", "time.", "step.", "output.", "pluck.")
+"""Beginnings of values that the mechanics do not know."""
 MOST_LINES = 2 * len(SERIES)
 """The second half is dashed."""
 
@@ -121,6 +126,58 @@ def _reduction(point: Point, curves: Curves, calibration: Calibration) -> tuple[
     assert without is not None
     found = reduction(without.rows, point.rows, calibration)
     return found.percent, found.u_points
+
+
+def continued(name: str, plan: Plan, found: Found, points: Sequence[Point], config: RigConfig) -> Drawn:
+    """Draw DT along the continued motions of the model, and what was measured at their places.
+
+    Args:
+        name: of the figure.
+        plan: continues motions over gap, frequency or current.
+        found: rows of its tasks.
+        points: of the campaign.
+        config: its reference rig.
+
+    Raises:
+        ConfigError: the motions are of another rig, or over something that a campaign names otherwise.
+    """
+    others = {"barriers.gap_m", "sphere.start", "sphere.present"}
+    ours, theirs = to_flat(config), to_flat(plan.base)
+    for key in ours:
+        if ours[key] != theirs[key] and key not in others and not key.startswith(OF_INSTRUMENTS):
+            raise ConfigError(f"the branches are of another rig: {key} {theirs[key]}, in the campaign {ours[key]}")
+    task = plan.tasks[0]
+    held = {
+        "frequency_hz": task.frequency_hz, "current_a": task.current_a, "gap_m": plan.base.barriers.gap_m,
+    }  # fmt: skip
+    if plan.over not in held:
+        raise ConfigError(f"branches over {plan.over}: a report shows those over {', '.join(held)}")
+    del held[plan.over]
+    at = [
+        p for p in points
+        if p.reference and p.settled and p.gap_m != NO_SPHERE and all(getattr(p, n) == v for n, v in held.items())
+    ]  # fmt: skip
+    figure, (axis,) = new_axes(3.5)
+    label, factor = figures.across_of(plan)
+    numbers: list[Line] = []
+    for i, (one, rows) in enumerate(found):
+        both = figures.draw_branch(axis, plan, rows, "dt", SERIES[i % len(SERIES)], one.name)
+        for word, (x, y) in zip(("stable", "unstable"), both, strict=True):
+            numbers.append(Line(f"{one.name}, {word}", {plan.over: [v / factor for v in x], "transmissibility": y}))
+    x, y, bars = [getattr(p, plan.over) for p in at], [p.dt for p in at], [COVERAGE * p.u_dt for p in at]
+    axis.errorbar(
+        [factor * value for value in x], y, bars, color=INK, marker="o", markersize=3.0, linestyle="none",
+        label="measured, ± 2u",
+    )  # fmt: skip
+    numbers.append(Line("measured", {plan.over: x, "transmissibility": y, "expanded_uncertainty": bars}))
+    axis.set(xlabel=label, ylabel="transmissibility", title=f"Continued: {plan.title}")
+    legend_below(axis, 2)
+    where = ", ".join(f"{key} {value:g}" for key, value in held.items())
+    caption = (
+        f"Motions of the model, without instruments, stable drawn through, unstable dotted ({where}). "
+        f"Beside them {len(at)} measured points; between the motions that are drawn there may be others."
+    )
+    return Drawn(name, figure, caption, numbers)
 
 
 # --- What theory says without simulation: closed form without the sphere, two impacts per cycle with it

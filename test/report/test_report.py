@@ -159,6 +159,32 @@ def test_the_page_tells_what_each_verdict_is_worth_and_owes_to_the_choice(report
     assert "holds no campaign that varies constants" in capsys.readouterr().err
 
 
+BRANCHES = """
+title: Over the gap
+continue: {over: gap_m, from: 0.002, to: 0.036, at: [0.010], points: 40}
+"""
+
+
+def test_continued_motions_are_drawn_beside_what_was_measured(reported, tmp_path, capsys):
+    (tmp_path / "branches.yaml").write_text(BRANCHES)
+    out, page = str(tmp_path / "out"), tmp_path / "page.html"
+    assert main(["dynamics", "continue", str(tmp_path / "branches.yaml"), "--workers", "1", "--output", out]) == 0
+    assert main(["report", str(reported), "--output", str(page), "--branches", out]) == 0
+    kept = json.loads((tmp_path / "report.json").read_text())["figures"]["continued_0"]
+    stable, unstable, measured = kept["cases"]
+    assert max(unstable["gap_m"]) < 9.7e-3  # the flip at 9.69 mm
+    assert max(stable["gap_m"]) > 10.3e-3
+    assert sorted(measured["gap_m"]) == [0.002, 0.004, 0.006, 0.008, 0.010]
+    ours = stable["transmissibility"][stable["gap_m"].index(0.010)]
+    at = measured["gap_m"].index(0.010)
+    assert ours == pytest.approx(measured["transmissibility"][at], abs=2.0 * measured["expanded_uncertainty"][at])
+    assert "Stable and unstable motions of the model" in Page(page.read_text()).text
+    (tmp_path / "branches.yaml").write_text(f"set: {{sphere.diameter_m: 0.006}}\n{BRANCHES.replace('40', '2')}")
+    assert main(["dynamics", "continue", str(tmp_path / "branches.yaml"), "--workers", "1", "--output", out]) == 0
+    assert main(["report", str(reported), "--output", str(page), "--branches", out]) == 1
+    assert "the branches are of another rig: sphere.diameter_m" in capsys.readouterr().err
+
+
 NUMBER = re.compile(r"(?<![\w.])[-+−]?\d+(?:\.\d+)?(?:e[-+]?\d+)?(?![\w.]*[A-Za-z_])")
 
 

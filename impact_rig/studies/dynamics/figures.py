@@ -47,7 +47,8 @@ def column(plan: Plan, rows: Sequence[Row], name: str) -> NDArray[np.float64]:
     return np.array([row[place] for row in rows], float)
 
 
-def _across(plan: Plan) -> tuple[str, float]:
+def across_of(plan: Plan) -> tuple[str, float]:
+    """Return what stands at the axis of a parameter, and the factor of its numbers."""
     return _LABELS.get(plan.over, (plan.over, 1.0))
 
 
@@ -59,7 +60,7 @@ def _section(panes: Sequence[Axes], plan: Plan, found: Found) -> None:
 
 
 def _bifurcation(panes: Sequence[Axes], plan: Plan, found: Found) -> None:
-    label, factor = _across(plan)
+    label, factor = across_of(plan)
     known: dict[str, int] = {}
     for task, rows in found:
         values, way = task.what["values"], "from rest"
@@ -120,20 +121,28 @@ def _orbit(panes: Sequence[Axes], plan: Plan, found: Found) -> None:
     panes[0].set_aspect("equal", adjustable="datalim")
 
 
+def draw_branch(
+    pane: Axes, plan: Plan, rows: Sequence[Row], quantity: str, colour: str, label: str | None
+) -> list[tuple[list[float], list[float]]]:
+    """Draw a branch over its parameter, dotted where it is not stable; return its stable and its unstable points."""
+    path = [row for row in rows if row[plans.COLUMNS[plan.kind].index("event")] in ("orbit", "start")]
+    if not path:
+        return [([], []), ([], [])]
+    across, stable = across_of(plan)[1] * column(plan, path, "value"), column(plan, path, "stable") > 0.0
+    height = column(plan, path, quantity)
+    for which, line, name in ((stable, "-", label), (~stable, ":", None)):
+        near = which | np.append(which[1:], False) if line == ":" else which
+        pane.plot(across, np.where(near, height, np.nan), line, color=colour, label=name)
+    return [(across[which].tolist(), height[which].tolist()) for which in (stable, ~stable)]
+
+
 def _continue(panes: Sequence[Axes], plan: Plan, found: Found) -> None:
-    label, factor = _across(plan)
+    label, factor = across_of(plan)
     events = plans.COLUMNS[plan.kind].index("event")
     marked: set[str] = set()
     for i, (task, rows) in enumerate(found):
-        path = [row for row in rows if row[events] in ("orbit", "start")]
-        if not path:
-            continue
-        across, stable = factor * column(plan, path, "value"), column(plan, path, "stable") > 0.0
         for pane, quantity in zip(panes, ("dt", "loss_factor"), strict=True):
-            height = column(plan, path, quantity)
-            for which, line, name in ((stable, "-", task.name), (~stable, ":", None)):
-                near = which | np.append(which[1:], False) if line == ":" else which
-                pane.plot(across, np.where(near, height, np.nan), line, color=SERIES[i], label=name)
+            draw_branch(pane, plan, rows, quantity, SERIES[i], task.name)
             for row in rows:
                 event = str(row[events])
                 if event in MARKS:
@@ -148,7 +157,7 @@ def _continue(panes: Sequence[Axes], plan: Plan, found: Found) -> None:
 
 
 def _exponent(panes: Sequence[Axes], plan: Plan, found: Found) -> None:
-    label, factor = _across(plan)
+    label, factor = across_of(plan)
     starts = list(dict.fromkeys(plans.named(task.what["start"]) for task, _ in found))
     for i, start in enumerate(starts):
         rows = [row for task, each in found for row in each if plans.named(task.what["start"]) == start]

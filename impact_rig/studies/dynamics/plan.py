@@ -18,7 +18,7 @@ import numpy as np
 from impact_rig.campaign import axes
 from impact_rig.campaign.paper import CURRENT_A, FREQUENCY_HZ
 from impact_rig.campaign.plan import STARTS
-from impact_rig.campaign.tasks import Row, load_plan
+from impact_rig.campaign.tasks import Row, Store, load_plan
 from impact_rig.config.tree import Value
 from impact_rig.errors import ConfigError
 from impact_rig.maps.measure import CHUNK, FAILED, MapRig, Reading, Settings
@@ -150,6 +150,25 @@ class Plan:
     text: str
     over: str
     tasks: tuple[Task, ...]
+
+
+def store(directory: Path) -> Store[Task]:
+    """Return what keeps a study's tasks in a directory."""
+    return Store(directory, "dynamics", "tasks", ("maps", "studies"))
+
+
+def stored(directory: Path, kind: str) -> tuple[Plan, list[tuple[Task, Sequence[Row]]]]:
+    """Return the study of one kind in a directory, and what is stored of each task.
+
+    Raises:
+        ConfigError: it is no directory of a study of dynamics, or of none of that kind, or nothing is stored of it.
+    """
+    kept = store(directory)
+    plan = load(kept.file, kind, kept.configuration())
+    found = [(task, kept.get(task) or []) for task in plan.tasks]
+    if not any(rows for _, rows in found):
+        raise ConfigError(f"{directory} holds nothing yet: impact-rig dynamics {kind} {kept.file} --output {directory}")
+    return plan, found
 
 
 def run(task: Task) -> list[Row]:
