@@ -148,7 +148,7 @@ def test_the_rig_as_a_bouncing_ball_doubles_its_period_where_luck_and_mehta_say(
 
 
 def test_the_rig_as_a_bouncing_ball_doubles_its_period_again_where_a_published_diagram_does():
-    """N. B. Tufillaro, T. Abbott & J. Reilly (1992), An Experimental Approach to Nonlinear Dynamics and Chaos, Fig. 1.16:
+    """Tufillaro, Abbott & Reilly (1992), An Experimental Approach to Nonlinear Dynamics and Chaos, Fig. 1.16:
 
     two bounces in two periods up to an amplitude of 0.0115 cm. Its ball returns half of its speed, its table moves with
     60 Hz: inferred from the authors' other figures, as the text beside the diagram names neither. The exact map from
