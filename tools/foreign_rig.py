@@ -3,6 +3,7 @@
 """Do import, identify and compare find the constants of somebody else's rig? Rigs drawn at random, told only as CSV.
 
     python tools/foreign_rig.py --seeds 100 build/foreign
+    python tools/foreign_rig.py --draw build/foreign      # the picture of docs/own_measurement.md
 
 Each rig has other masses, damping, stiffness and gaps than the default one, its table is measured with a gain wrong by
 3 % (standard deviation, which its calibration states), 1 kS/s, and no accelerometer. Its stepped sine without sphere,
@@ -95,11 +96,10 @@ def told(*words: object) -> dict[str, object]:
     return dict(json.loads(output.getvalue()))
 
 
-def one(seed: int, folder: Path, *, compares: bool = True) -> dict[str, object]:
-    """Measure the rig of a seed as its owner would; return truth and what the commands found."""
+def measure(seed: int, place: Path) -> None:
+    """Measure the rig of a seed as its owner would, and import what was measured."""
     rig, gain, gaps, _ = drawn(seed)
     f_n = rig["structure.natural_frequency_hz"]
-    place = folder / f"{seed:04d}"
     shutil.rmtree(place, ignore_errors=True)
     (place / "csv").mkdir(parents=True)
     (place / "mapping.yaml").write_text(MAPPING, encoding="utf-8")
@@ -126,23 +126,57 @@ def one(seed: int, folder: Path, *, compares: bool = True) -> dict[str, object]:
         *common,
     )
     told("import", place / "decay.csv", "--output", place / "decay", *common)
+    shutil.rmtree(place / "csv")
+    (place / "decay.csv").unlink()
+
+
+def judged(seed: int, place: Path, *, compares: bool = True) -> dict[str, object]:
+    """Return the truth of a rig that was measured, and what the commands find."""
+    rig, gain, _, _ = drawn(seed)
     found = told("identify", place / "sweep", "--decay", place / "decay", "--json")
     truth = dict(zip(NAMES, (
-        f_n, rig["structure.damping_ratio"], rig["structure.mass_kg"], rig["shaker.force_factor_n_a"],
-        rig["shaker.suspension_stiffness_n_m"], rig["shaker.base_mass_kg"] + RigConfig().shaker.armature_mass_kg,
-        rig["shaker.damping_n_s_m"],
+        rig["structure.natural_frequency_hz"], rig["structure.damping_ratio"], rig["structure.mass_kg"],
+        rig["shaker.force_factor_n_a"], rig["shaker.suspension_stiffness_n_m"],
+        rig["shaker.base_mass_kg"] + RigConfig().shaker.armature_mass_kg, rig["shaker.damping_n_s_m"],
     ), strict=True))  # fmt: skip
     constants = {
         name: [truth[name], value["value"], value["standard_uncertainty"]]
         for name, value in dict(found["constants"]).items()  # type: ignore[call-overload]  # JSON
     }
-    run = next((place / "sweep" / "runs").glob("no_sphere*"))
+    run = place / "sweep" / "runs" / f"no_sphere_{rig['structure.natural_frequency_hz']:.3f}Hz"
     compared = told("compare", run, "--config", place / "known.yaml", "--json") if compares else {}
     for entry in compared.get("constants", {}).items():  # type: ignore[attr-defined]  # JSON
         name, value = entry
         constants[f"compare {name}"] = [truth[name], value["value"], value["standard_uncertainty"]]
-    shutil.rmtree(place)
     return {"seed": seed, "gain": gain, "consistent": found["consistent"], "constants": constants}
+
+
+def draw(place: Path) -> None:
+    """Import one run of five frequencies, and draw it beside a model whose structure is 0.2 % off."""
+    shutil.rmtree(place, ignore_errors=True)
+    place.mkdir(parents=True)
+    own = {"daq.rate_hz": RATE_HZ, "daq.block_scans": RATE_HZ, "sphere.present": False}
+    config = from_flat(RigConfig(), own)
+    one, parts, frequencies = Rig(config), [], []
+    for frequency in (8.5, 8.9, 9.1, 9.3, 9.7):
+        one.accept(frequency, 0.52)
+        blocks = one.advance(one.frontier_ns + round(SECONDS * NS_PER_S))
+        parts += [block.scan.rows for block in blocks]
+        frequencies += [frequency] * sum(len(block.scan.rows) for block in blocks)
+    write_csv(place / "no_sphere.csv", joined(parts), 1.0)
+    lines = (place / "no_sphere.csv").read_text(encoding="utf-8").splitlines()
+    told_hz = ["frequency [Hz]", *map(str, frequencies)]
+    (place / "no_sphere.csv").write_text("\n".join(f"{line};{hz}" for line, hz in zip(lines, told_hz, strict=True)))
+    (place / "mapping.yaml").write_text(MAPPING, encoding="utf-8")
+    write_certificate(place / "certificate.csv", config)
+    model = {"structure.natural_frequency_hz": 1.002 * config.structure.natural_frequency_hz}
+    (place / "model.yaml").write_text(dump(from_flat(config, model)), encoding="utf-8")
+    told(
+        "import", place / "no_sphere.csv", "--output", place / "mine", "--mapping", place / "mapping.yaml",
+        "--calibration", place / "certificate.csv", "--json",
+    )  # fmt: skip
+    impact_rig(["compare", str(place / "mine"), "--config", str(place / "model.yaml"), "--figure", str(place)])
+    shutil.copy(place / "comparison.png", Path(__file__).parents[1] / "docs" / "images" / "comparison.png")
 
 
 def main() -> int:
@@ -151,14 +185,22 @@ def main() -> int:
     parser.add_argument("folder", type=Path)
     parser.add_argument("--seeds", type=int, default=100)
     parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--measure", action="store_true", help="and import only; what is judged later")
     parser.add_argument("--no-compare", action="store_true")
+    parser.add_argument("--draw", action="store_true", help="instead: draw docs/images/comparison.png")
     arguments = parser.parse_args()
+    if arguments.draw:
+        draw(arguments.folder / "drawn")
+        return 0
     arguments.folder.mkdir(parents=True, exist_ok=True)
     kept = arguments.folder / "found.jsonl"
     done = [json.loads(line) for line in kept.read_text(encoding="utf-8").splitlines()] if kept.exists() else []
     for seed in range(arguments.first, arguments.first + arguments.seeds):
-        if seed not in {one["seed"] for one in done}:
-            done.append(one(seed, arguments.folder, compares=not arguments.no_compare))
+        place = arguments.folder / f"{seed:04d}"
+        if not (place / "decay").exists():
+            measure(seed, place)
+        if seed not in {one["seed"] for one in done} and not arguments.measure:
+            done.append(judged(seed, place, compares=not arguments.no_compare))
             with kept.open("a", encoding="utf-8") as file:
                 file.write(json.dumps(done[-1], ensure_ascii=False) + "\n")
     sound = sum(bool(each["consistent"]) for each in done)

@@ -87,8 +87,10 @@ def _run(arguments: argparse.Namespace) -> int:
     base = done.campaign.base
     start = logarithms(base) if done.imported else START
     found = identify(measured, base, start, lambda what: console.print(f"{what} ..."))
-    _print(console, found)
-    content = _content(found)
+    print_identified(console, found)
+    if not found.consistent:
+        console.print(f"no {CONFIGURATION_FILE} is written", style="red")
+    content = identified_content(found)
     _write(arguments.directory, found, content)
     if arguments.json:
         tell_json(content)
@@ -135,7 +137,8 @@ def _measured(done: run.Finished, arguments: argparse.Namespace, console: Consol
     )  # fmt: skip
 
 
-def _print(console: Console, found: Identified) -> None:
+def print_identified(console: Console, found: Identified) -> None:
+    """Print constants, what is not used, and whether data and model go together."""
     table = TextTable(title="Constants of the rig")
     for heading, side in (("constant", "left"), ("value", "right"), ("± 2u", "right"), ("unit", "left"), ("", "left")):
         table.add_column(heading, justify=side)
@@ -159,7 +162,7 @@ def _print(console: Console, found: Identified) -> None:
         console.print(
             f"WARNING: data and model do not go together ({why}): the uncertainties above do not hold. Something taken "
             "as known is wrong (contact law, e and its uncertainty, sphere, gaps), or a sensor is outside its "
-            f"certificate; no {CONFIGURATION_FILE} is written",
+            "certificate",
             style="red",
         )
     _print_combinations(console, found.information)
@@ -210,7 +213,7 @@ def _paper_content(fit: paper_fit.PaperFit) -> dict[str, object]:
     }
 
 
-def _content(found: Identified) -> dict[str, object]:
+def identified_content(found: Identified) -> dict[str, object]:
     """Return the constants for programs."""
     information = found.information
     return {

@@ -11,7 +11,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
 import attrs
 import numpy as np
@@ -31,13 +31,22 @@ from impact_rig.system.machine import fingerprint
 _NEEDED = (topics.INFO, topics.APPLIED, topics.SCAN)
 
 
-def analyze(run: Run, settings: TrackerSettings | None = None) -> Iterator[Findings]:
+def analyze(
+    run: Run,
+    settings: TrackerSettings | None = None,
+    instead: Callable[[topics.Topic, Table], Table] = lambda _, table: table,
+) -> Iterator[Findings]:
     """Yield what the analysis finds in a run, message by message as the recorder received them.
+
+    Args:
+        run: an open run.
+        settings: of the measurement; None: those of the live analysis.
+        instead: returns what the analysis sees in the place of a table of calibration or scans.
 
     Raises:
         RecordingError: a topic that the analysis needs was not recorded, or a message is damaged or of another kind.
     """
-    live, labels = _as_set_live(run)
+    live, labels = as_set_live(run)
     tracker = Tracker(settings or live)
     for label in labels:
         tracker.label(label.gap_m, label.stamp_ns)
@@ -46,11 +55,11 @@ def analyze(run: Run, settings: TrackerSettings | None = None) -> Iterator[Findi
         for message in _in_force_first(run, found):
             topic = found[message.topic]
             if topic is topics.INFO:
-                tracker.configure(run.table(message, topic))
+                tracker.configure(instead(topic, run.table(message, topic)))
             elif topic is topics.APPLIED:
                 tracker.on_applied(run.table(message, topic))
             else:
-                yield tracker.feed(run.table(message, topic))
+                yield tracker.feed(instead(topic, run.table(message, topic)))
     except ConfigError as error:
         raise RecordingError(f"{run.path}: {error}") from error
     yield tracker.flush()
@@ -83,7 +92,7 @@ def _in_force_first(run: Run, names: Mapping[str, topics.Topic]) -> Iterator[Mes
             yield message
 
 
-def _as_set_live(run: Run) -> tuple[TrackerSettings, list[GapLabel]]:
+def as_set_live(run: Run) -> tuple[TrackerSettings, list[GapLabel]]:
     """Return the settings and labels of the live analysis; the operator's remarks and defaults where there was none.
 
     They are read first: a label names the scan it acts on, and may have been recorded after it.
@@ -133,6 +142,15 @@ def measurements(findings: Iterator[Findings]) -> list[Table]:
 def rows(tables: list[Table]) -> NDArray[np.void]:
     """Return the rows of measurement tables, shape (n,)."""
     return np.concatenate([table.rows for table in tables]) if tables else np.empty(0, TRANSMISSIBILITY)
+
+
+def newest_settled(tables: list[Table]) -> NDArray[np.void]:
+    """Return the last settled measurement at each gap, unknown ones first, and frequency; ascending, shape (n,)."""
+    found = rows(tables)
+    settled: NDArray[np.void] = found[found["settled"] == 1.0]
+    keys = zip(np.nan_to_num(settled["gap"], nan=-1.0).tolist(), settled["frequency"].tolist(), strict=True)
+    last = {key: place for place, key in enumerate(keys)}
+    return settled[[last[key] for key in sorted(last)]]
 
 
 def text_of(cdr: bytes | memoryview) -> str:

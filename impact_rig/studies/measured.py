@@ -25,7 +25,7 @@ from impact_rig.campaign.run import (
     write_results,
 )
 from impact_rig.errors import ConfigError, RecordingError
-from impact_rig.recording import Run, open_run
+from impact_rig.recording import open_run
 from impact_rig.rig.config import RigConfig, load
 from impact_rig.runs import reanalysis
 from impact_rig.runs.wholes import calibration_rows
@@ -53,7 +53,8 @@ def make_campaign(runs: Sequence[Path], directory: Path, config: Path | None = N
     currents, seconds = [], 0.0
     for path in runs:
         with open_run(path) as run:
-            rows, own = _newest(run), calibration_rows(run).copy()
+            rows = reanalysis.newest_settled(reanalysis.measurements(reanalysis.analyze(run)))
+            own = calibration_rows(run).copy()
             seconds += (run.end_ns - run.start_ns) / 1e9
         own["since_start"] = 0.0
         if info is not None and own.tobytes() != info.tobytes():
@@ -92,13 +93,6 @@ def make_campaign(runs: Sequence[Path], directory: Path, config: Path | None = N
     done = finished(campaign, directory)
     write_results(done, seconds)
     return done
-
-
-def _newest(run: Run) -> list[NDArray[np.void]]:
-    """Return the last settled measurement of each gap and frequency in a run."""
-    rows = reanalysis.rows(reanalysis.measurements(reanalysis.analyze(run)))
-    settled = rows[rows["settled"] == 1.0]
-    return [settled[place] for place in sorted({(r["gap"], r["frequency"]): i for i, r in enumerate(settled)}.values())]
 
 
 def _known(frequency_hz: float, found: dict[tuple[float, float], NDArray[np.void]]) -> float:

@@ -17,13 +17,14 @@ from impact_rig.campaign import run
 from impact_rig.campaign.job import execute
 from impact_rig.campaign.paper import FREQUENCIES_HZ
 from impact_rig.campaign.plan import load_campaign
+from impact_rig.campaign.results import Curves
 from impact_rig.cli import main
 from impact_rig.physics.prediction import base_amplitude, transmissibility
 from impact_rig.recording import open_run
 from impact_rig.rig import Rig
 from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.simtime import NS_PER_S
-from impact_rig.states import Status
+from impact_rig.states import Regime, Status
 from impact_rig.studies.identification.fit import NAMES, SCALE, SCALED, identify, information, logarithms, rig
 from impact_rig.studies.identification.measurements import (
     DISPLACEMENT_M,
@@ -228,6 +229,20 @@ def test_a_measured_rig_is_identified_within_its_uncertainties(directory):
     assert found.u("m_1") < 0.01 * found.value("m_1")
     assert abs(found.restitution - 0.35) < LIMIT * found.u_restitution
     assert found.chi_square < 2.0 * found.freedom
+
+
+def test_a_regime_without_counted_impacts_contradicts_nothing(directory):
+    """A light sphere strikes irregularly while the amplitude stands still: only an accelerometer tells."""
+    done = run.open_finished(directory)
+    gains = Gains.of(Rig(done.campaign.base).info().rows)
+    points = [attrs.evolve(point, rows=point.rows.copy()) for point in done.points]
+    counted = reduced_of(Curves.of(points), 9.1, GAPS, gains)
+    for point in points:
+        point.rows["impacts_per_cycle"] = np.nan
+    blind = reduced_of(Curves.of(points), 9.1, GAPS, gains)
+    assert Regime.PERIODIC.value in counted.regimes.values()
+    assert set(blind.regimes.values()) == {Regime.UNKNOWN.value}
+    assert blind.ratio == counted.ratio
 
 
 def test_the_command_writes_what_it_found_and_what_it_could_not(directory, capsys):

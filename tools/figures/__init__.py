@@ -29,6 +29,7 @@ BY_TOOLS: Mapping[str, tuple[str, ...]] = {
         "gallery_study_restitution.png", "gallery_study_mass.png", "gallery_study_amplitude.png",
         "gallery_study_hysteresis.png",
     ),
+    "tools/foreign_rig.py --draw build/foreign": ("comparison.png",),
     "tools/map_picture.py": ("map_gap_frequency.png", "map_coexistence.png"),
     "tools/map_picture.py dynamics": (
         "dynamics_section.png", "dynamics_bifurcation.png", "dynamics_continue.png", "dynamics_exponent.png",

@@ -189,6 +189,8 @@ SMALL = 0.05
 """A step this small, in standard uncertainties, ends them."""
 RANK = 1e-6
 """Share of the largest singular value below which a direction is not determined; derivatives are good to that."""
+UNBOUND = 1.0
+"""Relative standard uncertainty beyond which a constant is hardly moved: a few data would send it out of all range."""
 LARGEST_STEP = 0.5
 COARSE = 0.02
 """Step for the common factor, which need not be exact."""
@@ -316,10 +318,11 @@ def _spread(jacobian: Real, column: int) -> float:
 
 
 def _step(residual: Real, jacobian: Real, bent: Real) -> tuple[Real, Real]:
-    """Return the Gauss-Newton step; along what the data do not determine, none."""
-    whole = np.concatenate([jacobian, bent], axis=1)
+    """Return the Gauss-Newton step; along what the data do not determine, none, or a damped one."""
+    damped = np.eye(len(NAMES), len(NAMES) + bent.shape[1]) / UNBOUND
+    whole = np.concatenate([np.concatenate([jacobian, bent], axis=1), damped])
     size = np.maximum(np.linalg.norm(whole, axis=0), 1e-30)  # so that f_n, known best, hides nothing
-    change = -np.linalg.lstsq(whole / size, residual, rcond=RANK)[0] / size
+    change = -np.linalg.lstsq(whole / size, np.append(residual, np.zeros(len(damped))), rcond=RANK)[0] / size
     change *= min(1.0, LARGEST_STEP / max(float(np.abs(change).max()), 1e-30))
     return change[: len(NAMES)], change[len(NAMES) :]
 

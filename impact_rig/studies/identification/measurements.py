@@ -80,7 +80,8 @@ class Reduced:
         u: relative standard uncertainty by the noise of DT with the sphere, shape (n,).
         u_without: that of DT without.
         effects: d ln ratio / d nuisance, shape (n, 7); that of e is left to the simulation.
-        regimes: what the motion with the sphere was measured to be, by gap.
+        regimes: what the motion with the sphere was measured to be, by gap; unknown where nobody counted the impacts: a
+            light sphere strikes irregularly while the amplitude stands still.
     """
 
     frequency_hz: float
@@ -171,12 +172,16 @@ def reduced_of(curves: Curves, frequency_hz: float, gaps_m: Sequence[float], gai
         u=np.array([_noise(point, gains) for point in points]),
         u_without=_noise(without, gains),
         effects=effects,
-        regimes={point.gap_m: point.regime for point in points},
+        regimes={point.gap_m: point.regime if _counted(point) else Regime.UNKNOWN.value for point in points},
     )
 
 
 def _may_impact(point: Point) -> bool:
-    return point.impacts or math.isnan(point.impacts_per_cycle)
+    return point.impacts or not _counted(point)
+
+
+def _counted(point: Point) -> bool:
+    return not math.isnan(point.impacts_per_cycle)
 
 
 def _noise(point: Point, gains: Gains) -> float:
