@@ -1,29 +1,17 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""Everything the rig node publishes, and in which order; blocks also as standard messages for plotters.
-
-Scans at 10 kS/s shown at 50 Hz would fold every pulse into nonsense, so readings go through a low-pass first: a
-windowed sinc (Kaiser, beta 5; Oppenheim and Schafer, Discrete-Time Signal Processing, section 7.5) as long as eight
-monitor periods, centred at the scan whose stamp the message has: no phase is lost, and the message comes four periods
-later. With f_m the monitor rate the gain is within 0.5 % of 1 up to 0.2 f_m and below 0.4 % from 0.6 f_m on, so that
-nothing folds to below 0.4 f_m. The truth is never filtered.
-"""
+"""Everything the rig node publishes, and in which order; blocks also as standard messages for plotters."""
 
 from __future__ import annotations
 
-import functools
-from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any  # rclpy publishers
 
-import attrs
 import numpy as np
-from numpy.typing import NDArray
 from rclpy.duration import Duration
 from std_msgs.msg import String
 
 from impact_rig import codec, topics
-from impact_rig.blocks import joined
 from impact_rig.instruments.instrument import Instrument
 from impact_rig.nodes import messages
 from impact_rig.nodes.managed import ManagedNode
@@ -31,6 +19,7 @@ from impact_rig.nodes.messages import MONITORS, TOPICS, Template, put
 from impact_rig.rig import Block, Rig
 from impact_rig.rig.config import RigConfig, dump
 from impact_rig.rig.description import JOINTS, robot_description
+from impact_rig.rig.monitors import AntiAlias
 from impact_rig.rig.truth import monitor_step
 from impact_rig.simtime import stamp_ns
 
@@ -39,87 +28,10 @@ LEAST_DEPTH = 100
 """Blocks kept for a slow subscriber: twice what comes in a second, but at least this."""
 DELIVERY = Duration(seconds=0.2)
 """Longest wait for the delivery of a change; only a subscriber that died without a word takes so long."""
-Array = NDArray[np.float64]
-
-HALF_PERIODS = 4
-"""Half the filter's length, in monitor periods: how much later than its stamp a message comes."""
-CUTOFF = 0.4
-"""Middle of the transition, over the monitor rate."""
-BETA = 5.0
-
 _PLACES = [f"{name}.{joint}" for name in ("position", "velocity") for joint in range(3)] + ["effort.1", "effort.2"]
 
 Reading = Callable[[int, float, int], bytes]
 """Makes an instrument's message of (stamp [ns], reading, status bits)."""
-
-
-@functools.lru_cache(maxsize=4)
-def taps(step: int) -> Array:
-    """Return the filter for a monitor of every `step`-th scan, shape (8 step + 1,), of sum 1."""
-    if step == 1:
-        return np.ones(1)
-    offsets = np.arange(-HALF_PERIODS * step, HALF_PERIODS * step + 1)
-    weights = np.sinc(2.0 * CUTOFF * offsets / step) * np.kaiser(len(offsets), BETA)
-    found: Array = weights / weights.sum()
-    return found
-
-
-@attrs.frozen
-class Smoothed:
-    """A monitor instant: its scan since the start, the filtered channels, and the channels that were over range."""
-
-    sample: int
-    values: dict[str, float]
-    status: int
-
-
-class AntiAlias:
-    """Filters a stream of scans at the monitor instants.
-
-    Args:
-        channels: columns that are wanted.
-        step: scans per monitor period.
-    """
-
-    def __init__(self, channels: Iterable[str], step: int) -> None:
-        self._channels = tuple(channels)
-        self._step = step
-        self._taps = taps(step)
-        self._half = len(self._taps) // 2
-        self._kept: NDArray[np.void] = np.zeros(0, np.void)
-        self._end = -1  # number of the scan after the last
-        self._due: deque[int] = deque()
-
-    def feed(self, first: int, rows: NDArray[np.void], instants: Iterable[int]) -> Iterator[Smoothed]:
-        """Yield the instants that a block completes; after a gap, as after a reset, a new stream begins.
-
-        At the beginning of a stream the filter is cut where there are no scans, and weighs what there is.
-
-        Args:
-            first: number of the block's first scan.
-            rows: of daq/scan.
-            instants: monitor instants in the block, numbered like the scans.
-        """
-        goes_on = first == self._end
-        if not goes_on:
-            self._due.clear()
-        self._kept = joined([self._kept, rows]) if goes_on else rows
-        self._end = first + len(rows)
-        self._due.extend(instants)
-        begin = self._end - len(self._kept)
-        while self._due and self._due[0] + self._half < self._end:
-            yield self._smoothed(self._due.popleft(), begin)
-        oldest = (self._due[0] if self._due else self._end) - self._half - self._step
-        self._kept = self._kept[max(0, oldest - begin) :]
-
-    def _smoothed(self, sample: int, begin: int) -> Smoothed:
-        centre = sample - begin
-        left = max(0, centre - self._half)
-        weights = self._taps[left - centre + self._half :]
-        part = self._kept[left : centre + self._half + 1]
-        sums = (np.stack([part[name] for name in self._channels]) * weights).sum(axis=1) / weights.sum()
-        near = self._kept["status"][max(0, centre - self._step + 1) : centre + self._step]
-        return Smoothed(sample, dict(zip(self._channels, sums.tolist(), strict=True)), int(np.bitwise_or.reduce(near)))
 
 
 class Monitors:
@@ -133,15 +45,16 @@ class Monitors:
 
     def __init__(self, config: RigConfig, noise: dict[str, float], before: Monitors | None = None) -> None:
         self._rate_hz = config.daq.rate_hz
-        self._step = monitor_step(config.daq.rate_hz, config.output.monitor_rate_hz)
         self._readings: dict[str, tuple[topics.Topic, Reading]] = {}
         for bit, instrument in enumerate(config.instruments.fitted()):
             if instrument.name in MONITORS:
                 topic = MONITORS[instrument.name]
                 self._readings[instrument.name] = topic, _reading(config, instrument, 1 << bit, noise[instrument.name])
         self._joint_states = _joint_states(config)
-        same = before is not None and (before._step, [*before._readings]) == (self._step, [*self._readings])
-        self._filter: AntiAlias | None = before._filter if before is not None and same else None
+        self._filter = AntiAlias(self._readings, monitor_step(config.daq.rate_hz, config.output.monitor_rate_hz))
+        if before is not None:
+            same = (before._filter.step, before._filter.channels) == (self._filter.step, self._filter.channels)
+            self._filter = before._filter if same else self._filter
 
     def messages(self, block: Block, wanted: Callable[[topics.Topic], bool]) -> Iterator[tuple[topics.Topic, bytes]]:
         """Yield the wanted monitor messages that a block completes, each topic in time order.
@@ -154,12 +67,7 @@ class Monitors:
             for sample, truth in zip(instants, block.monitor, strict=True):
                 yield topics.JOINT_STATES, self._joint_states(stamp_ns(sample, self._rate_hz, start_ns), truth)
         readings = {name: reading for name, reading in self._readings.items() if wanted(reading[0])}
-        if not readings:
-            self._filter = None
-            return
-        if self._filter is None:
-            self._filter = AntiAlias(self._readings, self._step)
-        for smoothed in self._filter.feed(block.first_sample, block.scan.rows, instants):
+        for smoothed in self._filter.feed(block.first_sample, block.scan.rows, instants, wanted=bool(readings)):
             stamp = stamp_ns(smoothed.sample, self._rate_hz, start_ns)
             for name, (topic, render) in readings.items():
                 yield topic, render(stamp, smoothed.values[name], smoothed.status)

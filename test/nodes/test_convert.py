@@ -15,9 +15,10 @@ from rclpy.serialization import deserialize_message
 
 from impact_rig.nodes import messages
 from impact_rig.nodes.messages import by_name, nanoseconds
-from impact_rig.nodes.publishers import HALF_PERIODS, AntiAlias, Monitors, taps
+from impact_rig.nodes.publishers import Monitors
 from impact_rig.rig import Block, Rig
 from impact_rig.rig.config import RigConfig, from_flat
+from impact_rig.rig.monitors import HALF_PERIODS, AntiAlias, taps
 
 pytestmark = pytest.mark.ros
 START_NS = 1_700_000_000_000_000_001
