@@ -44,6 +44,10 @@ _HEADER = struct.Struct("<4siI")
 _U4 = struct.Struct("<I")
 _SIZES = struct.Struct("<II")
 _NOT_DENSE = b"\x00"
+_PRIMITIVES = {
+    "bool": "?", "byte": "B", "char": "B", "float32": "f", "float64": "d",
+    "int8": "b", "int16": "h", "int32": "i", "int64": "q", "uint8": "B", "uint16": "H", "uint32": "I", "uint64": "Q",
+}  # fmt: skip
 _MAX_TRAILING = 3  # some writers pad the payload to a multiple of four
 
 _MOST_HEADS = 64
@@ -318,6 +322,31 @@ def encode_joint_state(stamp_ns: int, *values: Sequence[float]) -> bytes:
         if numbers:
             stream += bytes((_ORIGIN - len(stream)) % 8) + struct.pack(f"<{len(numbers)}d", *numbers)
     return bytes(stream)
+
+
+def plain(data: Buffer, members: Sequence[tuple[str, str, int]]) -> dict[str, Any]:
+    """Return the members of a serialised message by path: a number, a text, or a tuple of numbers.
+
+    Args:
+        data: the message.
+        members: path, primitive type and count of each: numbers in any fixed count, texts alone.
+
+    Raises:
+        CodecError: a member is of another kind, or not in the message.
+    """
+    header_stamp_ns(data)  # refuses another byte order
+    cursor, found = _Cursor(memoryview(data).cast("B"), _ORIGIN), dict[str, Any]()
+    for path, kind, count in members:
+        if kind == "string" and count == 1:
+            found[path] = cursor.text(path)
+            continue
+        if kind not in _PRIMITIVES or count < 0:
+            raise CodecError(f"{path} is of type {kind}, in no fixed number")
+        form = struct.Struct(f"<{count}{_PRIMITIVES[kind]}")
+        cursor.position += (_ORIGIN - cursor.position) % struct.calcsize(_PRIMITIVES[kind])
+        values = form.unpack_from(cursor.view, cursor.take(form.size, path))
+        found[path] = values if count > 1 else values[0]
+    return found
 
 
 def text(data: Buffer) -> str:

@@ -192,6 +192,8 @@ _SEPARATOR = "=" * 80
 _NAME = re.compile(r"([A-Za-z]\w*)/(?:msg/)?([A-Za-z]\w*)")
 _FIELD = re.compile(r"^[ \t]*([A-Za-z][\w/]*)(?:<=\d+)?(?:\[[^\]\n]*\])?[ \t]+[A-Za-z]\w*", re.MULTILINE)
 _PRIMITIVE = re.compile(r"bool|byte|char|float(32|64)|u?int(8|16|32|64)|w?string")
+_MEMBER = re.compile(r"^[ \t]*([A-Za-z][\w/]*)(?:<=\d+)?(\[[^\]\n]*\])?[ \t]+([a-z]\w*)[ \t]*(?![ \t=])", re.MULTILINE)
+_MAX_DEPTH = 8
 _MAX_TYPES = 200  # no message of common_interfaces comes near; a circular or hostile definition does not run away
 
 
@@ -237,6 +239,36 @@ def starts_with_header(type_name: str, schema: str) -> bool:
         return True
     first = next(_fields(schema), "")
     return first in {"std_msgs/Header", "std_msgs/msg/Header", "Header"}
+
+
+def members(schema: str) -> list[tuple[str, str, int]]:
+    """Return path, primitive type and count of each member of a message, in order; -1: a sequence of any length.
+
+    Args:
+        schema: as `schema_text` makes it.
+
+    Raises:
+        RecordingError: a type is not defined in the text, or there are too many members.
+    """
+    root, *others = (part.strip() for part in schema.split(_SEPARATOR))
+    texts = {
+        _short_name(head.removeprefix("MSG:").strip()): text for head, _, text in (o.partition("\n") for o in others)
+    }
+    found: list[tuple[str, str, int]] = []
+
+    def walk(text: str, path: str, depth: int) -> None:
+        for name, length, member in _MEMBER.findall(text):
+            count = 1 if not length else int(length[1:-1]) if length[1:-1].isdigit() else -1
+            if _PRIMITIVE.fullmatch(name):
+                found.append((path + member, name, count))
+            else:
+                inner = next((t for key, t in texts.items() if key == name or key.endswith(f"/{name}")), None)
+                if inner is None or count != 1 or depth > _MAX_DEPTH or len(found) > _MAX_TYPES:
+                    raise RecordingError(f"the member {path + member} of type {name} cannot be read")
+                walk(inner, f"{path}{member}.", depth + 1)
+
+    walk(root, "", 0)
+    return found
 
 
 def _short_name(type_name: str) -> str:

@@ -61,7 +61,8 @@ class AntiAlias:
     def __init__(self, channels: Iterable[str], step: int) -> None:
         self.channels, self.step = tuple(channels), step
         self._taps = taps(step)
-        self._half = len(self._taps) // 2
+        self.half = len(self._taps) // 2
+        """Scans on either side of an instant that the filter weighs."""
         self._kept: deque[NDArray[np.void]] = deque()
         self._begin = self._end = -1  # numbers of the first scan that is kept, and of the one after the last
         self._due: deque[int] = deque()
@@ -86,19 +87,19 @@ class AntiAlias:
         self._kept.append(rows)
         self._end = first + len(rows)
         self._due.extend(instants)
-        while self._due and self._due[0] + self._half < self._end:
+        while self._due and self._due[0] + self.half < self._end:
             sample = self._due.popleft()
             if wanted:
                 yield self._smoothed(sample)
-        oldest = (self._due[0] if self._due else self._end) - self._half - self.step
+        oldest = (self._due[0] if self._due else self._end) - self.half - self.step
         while self._begin + len(self._kept[0]) <= oldest:
             self._begin += len(self._kept.popleft())
 
     def _smoothed(self, sample: int) -> Smoothed:
         kept, centre = joined(self._kept), sample - self._begin
-        left = max(0, centre - self._half)
-        weights = self._taps[left - centre + self._half :]
-        part = kept[left : centre + self._half + 1]
+        left = max(0, centre - self.half)
+        weights = self._taps[left - centre + self.half :]
+        part = kept[left : centre + self.half + 1]
         columns = np.empty((len(self.channels), len(part)))
         for column, name in zip(columns, self.channels, strict=True):
             np.multiply(part[name], weights, out=column)

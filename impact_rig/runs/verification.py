@@ -3,15 +3,18 @@
 """Prove a run: published = logged = re-simulated, or name the first difference.
 
 Compared is what the rig publishes about itself: scans, the truth beside them, what was applied, the journal,
-calibration and configuration. Scans must be there from the first recorded one on; what else is missing counts where
-messages of its topic come before and after, since a recorder subscribes to one topic after the other.
+calibration and configuration, and the readings in its monitors. Scans must be there from the first recorded one on;
+what else is missing counts where messages of its topic come before and after, since a recorder subscribes to one topic
+after the other.
 """
 
 from __future__ import annotations
 
 import contextlib
 import itertools
-from collections.abc import Callable, Iterable, Iterator, Sequence
+import math
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any  # what a message holds
 
 import attrs
@@ -22,13 +25,18 @@ from impact_rig import codec, topics
 from impact_rig.arithmetic import ARITHMETIC
 from impact_rig.blocks import Table
 from impact_rig.errors import CodecError, CommandError, ConfigError, RecordingError, SimulationError
+from impact_rig.instruments.instrument import Instrument
+from impact_rig.instruments.registry import INSTRUMENTS
 from impact_rig.recording import CONFIGURATION, Message, Run, arithmetic_of
+from impact_rig.recording.description import matches, members
 from impact_rig.rig import Block, Kind
 from impact_rig.rig.changes import PLANNED
 from impact_rig.rig.config import RigConfig, from_flat, parse, to_flat
 from impact_rig.rig.description import robot_description
 from impact_rig.rig.journal import Entry, read, sampled
+from impact_rig.rig.monitors import HALF_PERIODS, AntiAlias, Smoothed
 from impact_rig.rig.resimulation import Resimulation, Sent
+from impact_rig.rig.truth import monitor_step
 from impact_rig.runs.measurement import is_measured
 from impact_rig.runs.reanalysis import Compared, text_of
 from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S, stamp_ns
@@ -47,7 +55,9 @@ _NOT_COMPARED = {
     "every node": "what nodes say about themselves",
 }
 """Why a topic is not compared, by its name or publisher."""
-_MONITOR = "made for plotters from daq/scan, or not of a rig"
+_FOREIGN = "not of a rig"
+_SUMS = 1e-12
+"""Monitors are sums in whatever order NumPy takes: compared to this share of the reading and of its unit."""
 
 
 @attrs.frozen
@@ -386,6 +396,8 @@ class _Beside:
         self._joints = _Recorded(
             run, topics.JOINT_STATES, lambda message: codec.joint_state(message.data), _joints_differ
         )
+        self._monitor_rates_hz = _monitor_rates_hz(run)
+        self._monitors = [_Monitor(run, name) for name, kind in INSTRUMENTS.items() if kind.monitor is not None]
         self._journal = Compared(topics.JOURNAL.name, left_out=f"{foreign} messages are no journal's" * bool(foreign))
         self._configurations: list[dict[str, object]] = []
         self._descriptions: set[str] = set()
@@ -402,6 +414,8 @@ class _Beside:
         self._entries: list[Entry] = entries
         self._made: list[Entry] = []
         self._calibrations = 0
+        self._filters: list[AntiAlias] = []
+        self._smoothed: dict[int, list[tuple[int, Smoothed]]] = {}
         for one in self._ordered():
             one.begin(entries[0].stamp_ns, self._end_ns)
         return self._again
@@ -418,15 +432,44 @@ class _Beside:
             self._truth.compare(block.truth if block.truth is not None and block.truth.stamp_ns == stamp else None)
         for stamp in self._joints.before(block.end_ns, block.scan.stamp_ns):
             scan = -(-(stamp - start_ns) * rate // NS_PER_S)
-            states = block.monitor[block.monitor_scans == scan - block.first_sample]
+            at, rows = scan - block.first_sample, block.truth.rows if block.truth is not None else None
+            states = block.monitor[block.monitor_scans == at] if rows is None else rows[at : at + 1]
             exact = stamp_ns(scan, rate, start_ns) == stamp and len(states)
             self._joints.compare(states[0] if exact else None)
+        self._compare_monitors(block)
+
+    def _compare_monitors(self, block: Block) -> None:
+        """Compare what monitors are made of; their rate is no part of a journal, so each that was ever set counts."""
+        rig = self._again.rig
+        if not self._filters:
+            there = [one.channel for one in self._monitors if one.channel in (block.scan.rows.dtype.names or ())]
+            steps = {monitor_step(rig.rate_hz, hz) for hz in self._monitor_rates_hz}
+            self._filters = [AntiAlias(there, step) for step in sorted(steps)]
+            for monitor in self._monitors:
+                monitor.following.clear()
+        first, end = block.first_sample, block.first_sample + len(block.scan.rows)
+        for one in self._filters:
+            for smoothed in one.feed(first, block.scan.rows, range(-(-first // one.step) * one.step, end, one.step)):
+                self._smoothed.setdefault(smoothed.sample, []).append((one.step, smoothed))
+        self._hear_monitors(end - self._filters[-1].half)
+
+    def _hear_monitors(self, end: float = math.inf) -> None:
+        """Compare what monitors say of scans before `end`."""
+        rig = self._again.rig
+        fitted = [one for config in self._again.configurations for one in config.instruments.fitted()]
+        for sample in sorted(sample for sample in self._smoothed if sample < end):
+            made = self._smoothed.pop(sample)
+            for monitor in self._monitors:
+                if monitor.channel in self._filters[0].channels:
+                    stamp = stamp_ns(sample, rig.rate_hz, rig.start_ns)
+                    monitor.hear(stamp, made, fitted, self._again.calibrations)
 
     def end(self, reset_ns: int | None, *, last: bool) -> None:
         """The blocks of a journal end: by a reset at an instant (None: otherwise), the last ones with the recording."""
         if reset_ns is not None:
             self._again.finish(reset_ns)
             self._end_ns = reset_ns
+        self._hear_monitors()
         self._drain()
         for recorded in self._ordered():
             recorded.end(self._end_ns, anew=not last and reset_ns is None, last=last)
@@ -450,7 +493,7 @@ class _Beside:
             relative = next((one for one in [*by_name, *known] if name == one or name.endswith(f"/{one}")), "")
             if relative not in known:
                 publisher = by_name[relative].publisher if relative else ""
-                why = _NOT_COMPARED.get(relative, _NOT_COMPARED.get(publisher, _MONITOR))
+                why = _NOT_COMPARED.get(relative, _NOT_COMPARED.get(publisher, _FOREIGN))
                 yield Compared(relative or name, left_out=why)
 
     def close(self) -> None:
@@ -459,7 +502,8 @@ class _Beside:
             recorded.close()
 
     def _ordered(self) -> Sequence[_Recorded]:
-        return self._applied, self._info, self._truth, self._impacts, self._faults, self._joints
+        beside = self._applied, self._info, self._truth, self._impacts, self._faults, self._joints
+        return *beside, *(one.recorded for one in self._monitors)
 
     def _drain(self) -> None:
         """Compare what inputs have caused since the last block."""
@@ -541,6 +585,96 @@ class _Beside:
         texts = [text_of(message.data) for message in self._run.messages([name])]
         wrong = [text for text in texts if text not in self._descriptions]
         return Compared(name, len(texts), "it is not that of the configuration" if wrong else "", what="texts")
+
+
+class _Monitor:
+    """The monitor of one channel: its recorded messages beside the filtered scans of the re-simulation.
+
+    Who publishes monitors makes them only where somebody listens, and an earlier version began its filter then: the
+    first messages after a pause are not compared.
+
+    Args:
+        run: the run.
+        channel: whose.
+    """
+
+    def __init__(self, run: Run, channel: str) -> None:
+        topic = INSTRUMENTS[channel].monitor
+        assert topic is not None
+        self.channel = channel
+        schema = next((one.topic.schema for name, one in run.topics.items() if matches(name, topic.name)), "")
+        layout = members(schema) if schema else []
+
+        def read(message: Message) -> tuple[int, dict[str, Any]]:
+            return codec.header_stamp_ns(message.data), codec.plain(message.data, layout)
+
+        self.recorded = _Recorded(run, topic, read, self._differ)
+        self.following: Counter[int] = Counter()
+        """Messages that have followed on one another, by scans per monitor period."""
+
+    def hear(
+        self,
+        stamp_ns: int,
+        made: list[tuple[int, Smoothed]],
+        fitted: list[Instrument],
+        calibrations: list[Table],
+    ) -> None:
+        """Compare the message of a monitor instant, if there is one.
+
+        Args:
+            stamp_ns: of the instant.
+            made: what the message may be made of, by scans per monitor period.
+            fitted: the instruments of every configuration until now.
+            calibrations: `daq/info` of every calibration until now.
+        """
+        comes = False
+        for _ in self.recorded.before(stamp_ns + 1, stamp_ns):
+            comes = True
+            is_sure = any(self.following[step] >= HALF_PERIODS for step, _ in made)
+            self.recorded.compare((made, fitted, calibrations) if is_sure else ())
+        for step, _ in made:
+            self.following[step] = self.following[step] + 1 if comes else 0
+
+    def _differ(self, found: dict[str, Any], made: tuple[Any, ...]) -> str:
+        """Return in what a message differs from all that configurations and calibrations until now allow."""
+        if not made:
+            return ""
+        smoothed, fitted, infos = made
+        difference = ""
+        instruments = [instrument for instrument in fitted if instrument.name == self.channel]
+        for (_, one), instrument, info in itertools.product(smoothed, instruments, infos):
+            (row,) = np.flatnonzero(info.rows["name"] == self.channel.encode())
+            clipped, noise = bool(one.status & (1 << int(row))), float(info.rows["noise"][row])
+            difference = _fields_differ(found, instrument.message(one.values[self.channel], clipped, noise))
+            if not difference:
+                return ""
+        return difference
+
+
+def _monitor_rates_hz(run: Run) -> set[float]:
+    """Return the rates of the monitors in the configurations that were recorded."""
+    name = topics.CONFIGURATION.name
+    texts = [text_of(message.data).encode() for message in run.messages([name])] if run.holds(name) else []
+    rates_hz = {RigConfig().output.monitor_rate_hz} if not texts else set()
+    for found in [*texts, run.attachments().get(CONFIGURATION)]:
+        with contextlib.suppress(ConfigError):  # told where configurations are compared
+            rates_hz |= {parse(found).output.monitor_rate_hz} if found is not None else set()
+    return rates_hz or {RigConfig().output.monitor_rate_hz}
+
+
+def _fields_differ(found: dict[str, Any], wanted: Mapping[str, object]) -> str:
+    """Return which field of a monitor message is another one than its scans give."""
+    for path, value in wanted.items():
+        ours, theirs = (np.array(one, np.float64).reshape(-1) for one in (value, found.get(path, math.nan)))
+        if ours.shape == theirs.shape:
+            with np.errstate(over="ignore", invalid="ignore"):  # a reading out of range is infinite
+                is_single = theirs.astype(np.float32) == theirs
+                bound = _SUMS + np.where(is_single, 2.0**-23, _SUMS) * np.abs(ours)
+                same = (ours == theirs) | (np.abs(ours - theirs) <= bound)
+            if same.all():
+                continue
+        return f"{path}: logged {found.get(path)!r}, re-simulated {value!r}"
+    return ""
 
 
 def _stamped(table: Table) -> tuple[int, Table]:

@@ -5,9 +5,13 @@
 from __future__ import annotations
 
 import math
+import struct
+from pathlib import Path
 
+import attrs
 import numpy as np
 import pytest
+from kits.recorded_rig import KINDS, record
 
 pytest.importorskip("rclpy", reason="no ROS 2 here")
 
@@ -16,9 +20,11 @@ from rclpy.serialization import deserialize_message
 from impact_rig.nodes import messages
 from impact_rig.nodes.messages import by_name, nanoseconds
 from impact_rig.nodes.publishers import Monitors
+from impact_rig.recording import open_run
 from impact_rig.rig import Block, Rig
 from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.rig.monitors import HALF_PERIODS, AntiAlias, taps
+from impact_rig.runs.verification import verify
 
 pytestmark = pytest.mark.ros
 START_NS = 1_700_000_000_000_000_001
@@ -140,3 +146,54 @@ def test_joint_states_carry_the_contact_force_as_effort() -> None:
         assert list(message.position) == [row["x_b"], row["x_1"], row["x_2"]]
         assert list(message.velocity) == [row["v_b"], row["v_1"], row["v_2"]]
         assert message.effort[2] == row["force_left"] - row["force_right"] == -message.effort[1]
+
+
+@attrs.frozen(eq=False)
+class Raw:
+    """A message as bytes, where a table would be."""
+
+    data: bytes
+    stamp_ns: int = 0
+
+    def encoded(self) -> bytes:
+        return self.data
+
+
+@pytest.mark.parametrize("since", [0, 63], ids=["from the beginning", "since somebody listens"])
+@pytest.mark.parametrize(
+    ("name", "form", "at", "what"),
+    [
+        ("", "", 0, ""),
+        ("accelerometer", "<d", -96, "linear_acceleration.x"),
+        ("laser", "<f", -8, "range"),
+        ("base_displacement", "<d", -24, "vector.x"),
+    ],
+    ids=["untouched", "accelerometer", "laser", "base"],
+)
+def test_verify_finds_a_reading_that_its_scans_do_not_give(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, since: int, name: str, form: str, at: int, what: str
+) -> None:
+    config = from_flat(RigConfig(), {"drive.amplitude": 0.52, "barriers.gap_m": 0.006})
+    rig, found, seen = Rig(config), [], 0
+    info = rig.info().rows
+    monitors = Monitors(config, dict(zip(info["name"].astype(str), info["noise"].tolist(), strict=True)))
+    for topic in messages.MONITORS.values():
+        monkeypatch.setitem(KINDS, topic.name, topic.type_name)
+    for block in rig.advance(2 * 10**9):
+        found += [("rig/journal", table) for table in rig.take_journal()] + [("daq/scan", block.scan)]
+        for topic, data in monitors.messages(block, lambda _, number=block.number: number >= since):
+            if topic.name in KINDS and topic is not messages.by_name("truth/joint_states"):
+                seen, changed = seen + (topic.name == name), bytearray(data)
+                if seen == 30 and topic.name == name:
+                    (value,) = struct.unpack_from(form, data, len(data) + at)
+                    struct.pack_into(form, changed, len(data) + at, value * (1 + 1e-6))
+                found.append((topic.name, Raw(bytes(changed))))
+    with open_run(record(tmp_path / "run", found)) as run:
+        verdict = verify(run)
+    compared = {one.topic: one.count for one in verdict.topics}
+    assert verdict.identical is (not name), verdict
+    assert what in verdict.reason
+    if not name:
+        assert {compared[topic.name] for topic in messages.MONITORS.values()} == {
+            96 - (since + 1) // 2 + 4 * (since > 0)
+        }
