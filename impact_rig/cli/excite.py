@@ -238,7 +238,10 @@ def _drive(arguments: argparse.Namespace, title: str, unit: str, work: Work) -> 
             ("Rate", f"{arguments.rate} Hz"), ("Recording", f"{directory.name}; impact-rig verify re-simulates it"),
         ]  # fmt: skip
         files.write_text(directory / f"{what}.json", json.dumps(plain(figures), indent=2) + "\n")
-        files.write_text(directory / f"{what}.html", document(title, about, told, early))
+        page = directory / f"{what}.html"
+        # an ending that takes too long is cut short: the words first
+        files.write_text(page, document(title, about, told, early, drawn=False))
+        files.write_text(page, document(title, about, told, early))
         for sentence in [title, *told.sentences, *([f"ended early: {early}"] if early else [])]:
             console.print(sentence)
         if arguments.json:

@@ -64,12 +64,12 @@ def tell(found: object, unit: str = "") -> Told:
     return _TELLERS[type(found)](found, unit)
 
 
-def document(title: str, about: Sequence[tuple[str, str]], told: Told, early: str) -> str:
-    """Return the page."""
+def document(title: str, about: Sequence[tuple[str, str]], told: Told, early: str, *, drawn: bool = True) -> str:
+    """Return the page, with its drawings or without."""
     parts = [f"<h1>{page.escape(title)}</h1>", page.cover(about)]
     parts += [page.paragraph(f"Ended early: {early}")] if early else []
     parts += [page.paragraph(sentence) for sentence in told.sentences]
-    return page.page(title, [*parts, page.figures(told.draw(), large=True)])
+    return page.page(title, [*parts, page.figures(told.draw() if drawn else (), large=True)])
 
 
 def _panes(axes: Sequence[Axes], *labels: str, x: str) -> None:

@@ -21,11 +21,11 @@ from impact_rig.runs.verification import verify
 PROGRAM = [sys.executable, "-c", "from impact_rig.cli import main; raise SystemExit(main())"]
 
 
-def told(directory, name):
+def told(directory, name, drawn=True):
     with open_run(directory) as run:
         assert verify(run).identical
     page = (directory / f"{name}.html").read_text()
-    assert "<svg" in page
+    assert "<svg" in page or not drawn
     return json.loads((directory / f"{name}.json").read_text()), page
 
 
@@ -102,7 +102,7 @@ def test_an_interrupt_leaves_a_run_that_verifies_and_a_page(tmp_path):
     process.send_signal(signal.SIGINT)
     process.communicate(timeout=120)
     assert process.returncode == 128 + signal.SIGINT
-    found, page = told(tmp_path / "run", "random")
+    found, page = told(tmp_path / "run", "random", drawn=False)  # a slow machine is cut short before it has drawn
     assert found["ended_early"] == "interrupted"
     assert len(found["rms_error_db"]) >= 2
     assert "Ended early: interrupted" in page
