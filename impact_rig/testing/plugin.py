@@ -114,11 +114,13 @@ def _starting(request: pytest.FixtureRequest, make: Callable[..., R]) -> Iterato
     rigs = request.node.stash.setdefault(_RIGS, [])
 
     def start(*args: Any, **kwargs: Any) -> R:
+        rigs[:] = [rig for rig in rigs if not rig.closed]
         kwargs.setdefault("name", f"rig{len(rigs) + 1}" if rigs else "rig")
         rig = make(*args, **kwargs)
         rigs.append(rig)
         return rig
 
+    start.__name__ = str(request.fixturename)
     yield start
     while rigs:
         rigs.pop().close()

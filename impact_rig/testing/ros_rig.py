@@ -16,6 +16,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any  # rclpy nodes and messages
 
+import attrs
 from std_srvs.srv import Trigger
 
 from impact_rig import codec
@@ -27,6 +28,7 @@ from impact_rig.instruments.fault import Fault
 from impact_rig.nodes.messages import header_stamp_ns
 from impact_rig.nodes.recorder_node import RecorderNode
 from impact_rig.nodes.rig_node import RigNode
+from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.testing.virtual_rig import SCANS, TOPICS, SteppedRig, configured
 
 NODE_TIMEOUT_S = 30.0
@@ -171,6 +173,19 @@ class RosRig(SteppedRig):
         """
         return self._collectors[topic].tables()
 
+    def configure(self, changes: Mapping[str, Any]) -> RigConfig:
+        """Change parameters of the rig's node; see `SteppedRig`."""
+        self.client.set_parameters("rig", changes)
+        self.config = from_flat(self.config, changes)
+        return self.config
+
+    def inject(self, fault: Fault) -> int:
+        """Start a fault by a further line of `instruments.faults.planned`; see `SteppedRig`."""
+        since = attrs.evolve(fault, start_sample=fault.start_sample - self.frontier_sample)
+        planned = [*self.config.instruments.faults.planned, since.line(self.rate_hz)]
+        self.configure({"instruments.faults.planned": planned})
+        return len(planned)
+
     def save(self, directory: Path) -> Path:
         """Finish the recording and copy it, the logs beside it; the rig cannot go on after that.
 
@@ -190,6 +205,7 @@ class RosRig(SteppedRig):
 
     def close(self) -> None:
         """End client and processes, and remove the recording."""
+        super().close()
         self._stack.close()
         shutil.rmtree(self._directory, ignore_errors=True)
 

@@ -10,6 +10,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
+from typing import Any  # what a parameter is
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,6 +65,7 @@ class SteppedRig(abc.ABC):
         self.config = config
         self.sample = 0
         """First scan of the next block: where the rig stands."""
+        self.closed = False
         self._kept_from = 0
 
     # What a subclass fills in
@@ -85,8 +87,24 @@ class SteppedRig(abc.ABC):
         """
 
     @abc.abstractmethod
+    def configure(self, changes: Mapping[str, Any]) -> RigConfig:
+        """Change configuration values at the next instant; return the configuration.
+
+        Raises:
+            ConfigError: refused; nothing is changed.
+        """
+
+    @abc.abstractmethod
+    def inject(self, fault: Fault) -> int:
+        """Start a fault at its exact sample, which must not have been measured yet, and return its number.
+
+        Raises:
+            CommandError: unknown kind or channel, or too late.
+        """
+
     def close(self) -> None:
         """End the rig."""
+        self.closed = True
 
     @abc.abstractmethod
     def _command(self, frequency_hz: float | None, current_a: float | None) -> int:
@@ -103,6 +121,11 @@ class SteppedRig(abc.ABC):
     def block_scans(self) -> int:
         """Scans per block."""
         return self.config.daq.block_scans
+
+    @property
+    def frontier_sample(self) -> int:
+        """First scan that is not measured yet, on which an input acts at the earliest."""
+        return max(self.sample, first_scan_on_grid(self.sample, self.rate_hz))
 
     @property
     def time_s(self) -> float:
@@ -283,12 +306,8 @@ class VirtualRig(SteppedRig):
         """Return what was published on a table topic, see `TOPICS`, oldest first."""
         return list(self._kept[topic])
 
-    def configure(self, changes: Mapping[str, object]) -> RigConfig:
-        """Change configuration values at the next instant; return the configuration.
-
-        Raises:
-            ConfigError: refused; nothing is changed.
-        """
+    def configure(self, changes: Mapping[str, Any]) -> RigConfig:
+        """Change configuration values; see `SteppedRig`."""
         before = codec.encode(self.core.info())
         self.config = self.core.configure(changes)
         self._changes()
@@ -298,11 +317,7 @@ class VirtualRig(SteppedRig):
         return self.config
 
     def inject(self, fault: Fault) -> int:
-        """Start a fault at its exact sample, which must not have been measured yet, and return its number.
-
-        Raises:
-            CommandError: unknown kind or channel, or too late.
-        """
+        """Start a fault; see `SteppedRig`."""
         number = self.core.inject(fault)
         self._injected.append(fault)
         self._changes()
@@ -340,6 +355,7 @@ class VirtualRig(SteppedRig):
 
     def close(self) -> None:
         """Forget everything."""
+        super().close()
         self._listeners.clear()
 
     def _command(self, frequency_hz: float | None, current_a: float | None) -> int:

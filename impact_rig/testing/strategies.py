@@ -1,0 +1,199 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""Tests that look for failures by themselves: what an operator, a board and a line do to a rig, drawn by Hypothesis.
+
+A scenario is a list of actions, which are data: they are drawn, shrunk, printed, and played again. `search` plays many
+on new rigs, each under the test's own `check`, and gives back the shortest that fails, with three lines that repeat it.
+Comes with the extra `impact_rig[strategies]`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Mapping, Sequence
+from typing import Protocol
+
+import attrs
+from hypothesis import Phase, given, settings
+from hypothesis import strategies as st
+
+from impact_rig.errors import CommandError, ConfigError
+from impact_rig.instruments.fault import Fault
+from impact_rig.instruments.instrument import BOARD_KINDS
+from impact_rig.instruments.registry import INSTRUMENTS
+from impact_rig.testing.virtual_rig import SteppedRig
+
+__all__ = ["Change", "Command", "Inject", "Pause", "Silence", "repeat", "scenarios", "search"]
+
+AFTERWARDS = 3
+"""Blocks after the last action, so that a pipeline sees its end."""
+MOST_BLOCKS = 20
+
+
+class Action(Protocol):
+    """Something that happens to a rig."""
+
+    def do(self, rig: SteppedRig) -> None:
+        """Let it happen now.
+
+        Raises:
+            CommandError, ConfigError: the rig refuses, which is no failure of the pipeline.
+        """
+
+
+@attrs.frozen
+class Command:
+    """The operator commands frequency [Hz] and current [A]; None: as it is."""
+
+    frequency_hz: float | None = None
+    current_a: float | None = None
+
+    def do(self, rig: SteppedRig) -> None:
+        """Command."""
+        rig.command(self.frequency_hz, self.current_a)
+
+
+@attrs.frozen
+class Change:
+    """Somebody changes a parameter."""
+
+    key: str
+    value: float | bool
+
+    def do(self, rig: SteppedRig) -> None:
+        """Change it."""
+        rig.configure({self.key: self.value})
+
+
+@attrs.frozen
+class Inject:
+    """A fault of the instruments begins with the next scan and lasts so many blocks."""
+
+    kind: str
+    channel: str = ""
+    blocks: int = 1
+    value: float = 0.0
+
+    def do(self, rig: SteppedRig) -> None:
+        """Inject it."""
+        begin, length = rig.frontier_sample, self.blocks * rig.block_scans
+        rig.inject(Fault(kind=self.kind, channel=self.channel, start_sample=begin, samples=length, value=self.value))
+
+
+@attrs.frozen
+class Pause:
+    """So many blocks pass in which nobody does anything."""
+
+    blocks: int = 1
+
+    def do(self, rig: SteppedRig) -> None:
+        """Let them pass."""
+        rig.step(self.blocks)
+
+
+@attrs.frozen
+class Silence:
+    """The controller is silent for so many blocks, of a rig that ramps down after half of that without a command."""
+
+    blocks: int = 2
+
+    def do(self, rig: SteppedRig) -> None:
+        """Be silent."""
+        before = rig.config.output.command_timeout_s
+        seconds = self.blocks * rig.block_scans / rig.rate_hz
+        rig.configure({"output.command_timeout_s": 0.5 * seconds})
+        rig.step(self.blocks)
+        rig.configure({"output.command_timeout_s": before})
+
+
+def scenarios(
+    changes: Mapping[str, st.SearchStrategy[float | bool]] | None = None, most_actions: int = 8
+) -> st.SearchStrategy[list[Action]]:
+    """Return a strategy for scenarios.
+
+    Args:
+        changes: parameters that may be changed, and their values; None: the gap.
+        most_actions: in one.
+    """
+    blocks = st.integers(1, MOST_BLOCKS)
+    values = changes if changes is not None else {"barriers.gap_m": st.sampled_from([0.002, 0.004, 0.006, 0.010])}
+    of_channels = [(kind, name) for name, one in INSTRUMENTS.items() for kind in one.faults]
+    sizes = st.sampled_from([1e-4, 1e-3, 1e-2])
+    action: st.SearchStrategy[Action] = st.one_of(
+        st.builds(Pause, blocks),
+        st.builds(
+            Command, st.none() | st.sampled_from([8.5, 9.1, 10.0]), st.none() | st.sampled_from([0.0, 0.25, 0.52])
+        ),
+        st.builds(Inject, st.sampled_from(sorted(BOARD_KINDS)), st.just(""), blocks, sizes),
+        st.sampled_from(of_channels).flatmap(
+            lambda one: st.builds(Inject, st.just(one[0]), st.just(one[1]), blocks, sizes)
+        ),
+        st.builds(Silence, st.integers(2, MOST_BLOCKS)),
+        *(st.builds(Change, st.just(key), value) for key, value in values.items()),
+    )
+    return st.lists(action, max_size=most_actions)
+
+
+Check = Callable[[SteppedRig], Callable[[], object] | None]
+"""Joins a pipeline to a rig, and returns what is asserted in the end; it may raise AssertionError on the way, too."""
+
+
+def repeat(rig: SteppedRig, check: Check, actions: Sequence[Action]) -> None:
+    """Play a scenario, a block after each action, under a check."""
+    finish = check(rig)
+    for action in actions:
+        with contextlib.suppress(CommandError, ConfigError):
+            action.do(rig)
+        rig.step()
+    rig.step(AFTERWARDS)
+    if finish is not None:
+        finish()
+
+
+def search(
+    make_rig: Callable[..., SteppedRig],
+    check: Check,
+    parameters: Mapping[str, object] | None = None,
+    among: st.SearchStrategy[list[Action]] | None = None,
+    examples: int = 100,
+) -> None:
+    """Play scenarios until one fails; raise its error, with the shortest scenario that does and how to repeat it.
+
+    Called from a test with its fixture `virtual_rig` or `ros_rig`: the rig of the shortest scenario is the one whose
+    recording the failed test leaves.
+
+    Args:
+        make_rig: the fixture.
+        check: of the pipeline.
+        parameters: of every rig.
+        among: scenarios; None: `scenarios()`.
+        examples: played at most, before something fails.
+    """
+    last: list[SteppedRig] = []
+    played: list[list[Action]] = []
+
+    @settings(
+        max_examples=examples, deadline=None, database=None, derandomize=True, report_multiple_bugs=False,
+        phases=(Phase.explicit, Phase.generate, Phase.shrink), print_blob=False,
+    )  # fmt: skip
+    @given(among if among is not None else scenarios())
+    def played_and_checked(actions: list[Action]) -> None:
+        while last:
+            last.pop().close()
+        played[:] = [actions]
+        last.append(make_rig(dict(parameters or {})))
+        repeat(last[0], check, actions)
+
+    try:
+        played_and_checked()
+    except BaseException as error:
+        made, name = getattr(make_rig, "__name__", "make_rig"), getattr(check, "__name__", "check")
+        error.add_note(
+            "the shortest scenario that fails; these lines repeat it:\n"
+            "    from impact_rig.testing.strategies import *\n"
+            f"    rig = {made}({dict(parameters or {})!r})\n"
+            f"    repeat(rig, {name}, {played[0] if played else []!r})"
+        )
+        raise
+    while last:
+        last.pop().close()
