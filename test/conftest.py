@@ -23,6 +23,7 @@ from typing import IO, TYPE_CHECKING
 
 import pytest
 from hypothesis import HealthCheck, settings
+from hypothesis.internal.conjecture import providers
 
 from impact_rig.client.processes import remove_litter
 
@@ -56,6 +57,9 @@ settings.register_profile("repeatable", derandomize=True, database=None, **_COMM
 settings.register_profile("random", print_blob=True, **_COMMON)
 settings.register_profile("check", derandomize=True, database=None, max_examples=20, **_COMMON)
 settings.load_profile("repeatable")
+# Nor do they depend on what else is imported: Hypothesis draws numbers that it finds in the sources of all modules
+# loaded so far, which another order of tests, or a worker of its own, makes others.
+providers._get_local_constants = lambda: providers._local_constants
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

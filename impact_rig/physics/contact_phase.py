@@ -56,6 +56,8 @@ _FIRST_STEP = 0.2
 _HOP = 3.0
 _GUESSES, _NEAR = 12, 1e-6  # of the event's scale: as good as a step's polynomial is
 _PEAK_FOUND = 1e-5  # of a step: the force is flat there
+_PEAK_MARGIN = 0.95  # of an earlier peak: between two stages none rises by more than that
+_PART, _RADIANS = 0.4, 8.0  # see `_limited`
 
 
 @kernel
@@ -83,7 +85,7 @@ def _beyond(p, force, s, step, event, at):  # type: ignore[no-untyped-def]  # co
         elastic, lossy, _, _, _ = force.one(p.stiffness, p.factor, s.per_v0, step.turned_at, w, speed)
         return -(elastic + lossy) / max(step.start_force, s.peak_force, _SMALLEST)
     if event == TURNED:
-        return -speed / s.speed if step.turned_at == 0.0 and s.speed > 0.0 else -1.0
+        return -speed / s.speed if p.remembers and step.turned_at == 0.0 and s.speed > 0.0 else -1.0
     return (w - s.deepest) / s.deepest if p.remembers and s.w < s.deepest else -1.0
 
 
@@ -166,11 +168,33 @@ def _first_event(p, force, s, step):  # type: ignore[no-untyped-def]
             if not _land(p, force, s, step, event) or estimate(step, s.h) > 1.0:
                 return FAILED
             ended = event
+    if ended == LEFT and step.speed[LAST] > 0.0:  # nothing leaves inwards: a false solution as well
+        return FAILED
     for i in range(STAGES):
         slight = 0.0 if ended == LEFT and i >= LAST - 1 else _COLLAPSED * s.w
         if not step.w[i] > slight and not (ended == LEFT and i == LAST):
             return FAILED
     return ended if step.since[LAST] > 0.0 else FAILED
+
+
+@kernel
+def _limited(s, step):  # type: ignore[no-untyped-def]
+    """Return the proposed length of a step, or less where it is longer than its polynomials hold, or would go too far.
+
+    While the sphere rests on the wall, δ falls as the two thirds' power of the time to the lift-off (to the zero of the
+    acceleration, seen from here): polynomials follow that over a part of this time, and what a longer step leaves off
+    the slow motion rings through all later ones. Shorter than some radians of the contact itself it rings anyway.
+    """
+    if not s.w > 0.0:
+        return s.next_h
+    longest = step.reach
+    a, slope, bend = step.acceleration[0], step.acceleration[1], step.acceleration[2]
+    root = slope * slope - 4.0 * a * bend
+    if a > 0.0 and root > 0.0:
+        fall = math.sqrt(root) - slope
+        if fall > 0.0:
+            longest = min(longest, max(_PART * 2.0 * a / fall, _RADIANS * step.radian))
+    return min(s.next_h, longest / s.w)
 
 
 @kernel
@@ -180,7 +204,7 @@ def take_step(p, force, s, step):  # type: ignore[no-untyped-def]
     `step` must have been expanded about s, and hold the `rest` of the segment.
     """
     begin_step(p, force, s, step)
-    s.h = s.next_h
+    s.h = _limited(s, step)
     for _ in range(_REJECTIONS):
         if not solve(p, force, s, step, s.h, FEW_ROUNDS):
             s.h *= 0.25
@@ -221,28 +245,53 @@ def dissipated(step, h):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def peak_in_step(p, force, s, step):  # type: ignore[no-untyped-def]
-    """Return the largest force of the step [N]: at an end, or where dF/dχ = 0 inside, found between the ends."""
-    w, speed, slope = step.w[LAST], step.speed[LAST], step.speed_slope[LAST]
-    _, rising = _force_slope(p, force, s, step, (s.w, s.speed, step.start_speed_slope))
-    last, falling = _force_slope(p, force, s, step, (w, speed, slope))
-    peak = max(step.start_force, last)
-    if not rising > 0.0 > falling:
-        return peak
+def _turns(p, force, s, step, of_force):  # type: ignore[no-untyped-def]
+    """Return the place (a part of the step) where the force, or the indentation, stops growing, by the polynomial."""
     low, high = 0.0, 1.0
     while high - low > _PEAK_FOUND:
         middle = 0.5 * (low + high)
-        _, inside, speed = dense_output(s, step, middle)
-        _, rising = _force_slope(p, force, s, step, (inside, speed, dense_slope(step, middle)))
-        if rising > 0.0:
+        _, w, growing = dense_output(s, step, middle)
+        if of_force:
+            _, growing = _force_slope(p, force, s, step, (w, growing, dense_slope(step, middle)))
+        if growing > 0.0:
             low = middle
         else:
             high = middle
-    if solve(p, force, s, step, low * s.h, ROUNDS):  # a step that ends at the peak; then the step itself again
-        found, _ = _force_slope(p, force, s, step, (step.w[LAST], step.speed[LAST], step.speed_slope[LAST]))
-        peak = max(peak, found)
-    solve(p, force, s, step, s.h, ROUNDS)
-    return peak
+    return low
+
+
+@kernel
+def note_peaks(p, force, s, step):  # type: ignore[no-untyped-def]
+    """Raise `s.peak_force` [N] and `s.deepest` to the largest of the step, also where they lie inside of it.
+
+    Inside, a step is solved that ends where the polynomial says; what is left to the peak is of second order. Where all
+    stages are well below an earlier peak, so is the step.
+    """
+    w, speed, slope = step.w[LAST], step.speed[LAST], step.speed_slope[LAST]
+    _, rising = _force_slope(p, force, s, step, (s.w, s.speed, step.start_speed_slope))
+    last, falling = _force_slope(p, force, s, step, (w, speed, slope))
+    force_before, deepest_before = _PEAK_MARGIN * s.peak_force, _PEAK_MARGIN * s.deepest
+    s.peak_force = max(s.peak_force, step.start_force, last)
+    largest, deepest = 0.0, 0.0
+    for i in range(STAGES):
+        largest, deepest = max(largest, step.force[i]), max(deepest, step.w[i])
+    of_force = rising > 0.0 > falling and largest >= force_before
+    of_depth = not p.remembers and s.speed > 0.0 > speed and deepest >= deepest_before
+    if of_force:
+        h = s.h * _turns(p, force, s, step, True)
+        if solve(p, force, s, step, h, ROUNDS):
+            found, _ = _force_slope(p, force, s, step, (step.w[LAST], step.speed[LAST], step.speed_slope[LAST]))
+            s.peak_force = max(s.peak_force, found)
+    if of_depth:
+        h = s.h * _turns(p, force, s, step, False)
+        if solve(p, force, s, step, h, ROUNDS):
+            w, speed, slope = step.w[LAST], step.speed[LAST], step.speed_slope[LAST]
+            depth = w * w
+            if slope < 0.0:
+                depth -= 0.5 * w * speed * speed / slope  # δ'' = slope / w
+            s.deepest = max(s.deepest, math.sqrt(depth))
+    if of_force or of_depth:  # what is in step must be the step whose length is in s
+        solve(p, force, s, step, s.h, ROUNDS)
 
 
 @kernel

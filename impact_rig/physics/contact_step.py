@@ -257,6 +257,7 @@ def begin_step(p, force, s, step):  # type: ignore[no-untyped-def]
     by_columns = p.pair_stiffness * depth + p.pair_damping * s.speed
     step.start_speed_slope = s.w * (step.acceleration[0] - by_columns - step.start_force * p.per_m_eff)
     vibration = math.sqrt(0.5 * s.w * depth * abs(by_w) * p.per_m_eff)  # δ times the contact's own frequency
+    step.radian = depth / vibration if vibration > 0.0 else 0.0
     own = max(abs(s.speed), vibration, _LEAST_PART * p.speed_floor)
     step.goal = max(_CONVERGED * p.rtol * own, _RESOLUTION * abs(s.speed))
     step.tolerance = p.rtol * max(own, _AT_REST * abs(step.acceleration[0]) * step.fastest_time)
@@ -384,7 +385,7 @@ def solve(p, force, s, step, h, rounds):  # type: ignore[no-untyped-def]
         improve_correction(p, step, h)
         _accelerate(p, step)
         _press(p, force, s, step)
-        if contraction > _SLOW or n >= FEW_ROUNDS:
+        if (n != 1 and contraction > _SLOW) or n >= FEW_ROUNDS:  # after one round nobody knows how fast it converges
             _differentiate(step, h)
             if n >= FEW_ROUNDS:
                 _differentiate_acceleration(step, h)

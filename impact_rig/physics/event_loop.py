@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig.kernels import INTEGERS, Fields, entry, kernel, records
-from impact_rig.physics.contact_phase import account_step, conclude, dissipated, peak_in_step, settles, take_next_step
+from impact_rig.physics.contact_phase import account_step, conclude, dissipated, note_peaks, settles, take_next_step
 from impact_rig.physics.contact_step import drop_dense_output, expand, turned_at
 from impact_rig.physics.energy import account_flight
 from impact_rig.physics.flight import (
@@ -308,7 +308,7 @@ def _contact_phase(model, f, work, t_end, account):  # type: ignore[no-untyped-d
         lost = dissipated(step, s.h)
         ledger.contact += lost
         s.lost += lost
-        s.peak_force = max(s.peak_force, peak_in_step(p, model.force, s, step))
+        note_peaks(p, model.force, s, step)
         if account:
             account_step(p, f, s, step, ledger)
         conclude(p, s, step, ended, t_end)

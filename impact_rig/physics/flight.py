@@ -140,6 +140,9 @@ def particular(system, f, flight):  # type: ignore[no-untyped-def]
 @kernel
 def safe_time(distance, v, a, jerk, horizon):  # type: ignore[no-untyped-def]  # compiled: types are inferred
     """Return a time, at most `horizon` [s], in which a point cannot cover `distance` [m]."""
+    half = 0.5 * (a + jerk * horizon / 3.0)
+    if v * horizon + half * horizon * horizon <= distance and (v <= 0.0 or v + 2.0 * half * horizon >= 0.0):
+        return horizon  # most often: it ends nearer, and was never further out than there or where it began
     h = horizon
     if jerk > 0.0:
         h = min(
@@ -285,9 +288,12 @@ def fly(p, system, f, flight, s, t_end):  # type: ignore[no-untyped-def]
         since, rest = t - flight.begin, t_end - t
         d = sphere_x + since * (sphere_v + 0.5 * since * braking) - flight.x
         rate, bend, jerk = sphere_v + since * braking - flight.v, braking - flight.a, flight.bound
-        right = safe_time(wall_distance(p, s, 1.0, d), rate, bend, jerk, rest)
-        left = safe_time(wall_distance(p, s, -1.0, d), -rate, -bend, jerk, rest)
-        step, stop, out = min(left, right), math.inf, math.inf
+        ahead = 1.0 if rate >= 0.0 else -1.0  # the wall that the sphere moves to; the other one is seldom nearer
+        step = safe_time(wall_distance(p, s, ahead, d), ahead * rate, ahead * bend, jerk, rest)
+        behind = safe_time(wall_distance(p, s, -ahead, d), -ahead * rate, -ahead * bend, jerk, step)
+        if behind < step:
+            step, ahead = behind, -ahead
+        stop, out = math.inf, math.inf
         if s.released > 0.0:
             out = safe_time(
                 max(0.0, s.released_side * d - p.half_gap), -s.released_side * rate, -s.released_side * bend, jerk, rest
@@ -304,7 +310,7 @@ def fly(p, system, f, flight, s, t_end):  # type: ignore[no-untyped-def]
             ended = STOPPED
             break
         if step <= stop and negligible(step, t):
-            ended, s.side = TOUCHED, 1.0 if right < left else -1.0
+            ended, s.side = TOUCHED, ahead
             break
         t += min(step, stop, out)
         evaluate(system, f, flight, t, 0)

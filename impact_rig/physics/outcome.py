@@ -26,7 +26,7 @@ from impact_rig.arithmetic.elementary import PI, sincos
 from impact_rig.kernels import REALS, entry, kernel
 from impact_rig.physics.collocation import LAST, MATRIX, STAGES
 from impact_rig.physics.contact.law import FORCE, CompiledForce
-from impact_rig.physics.contact_phase import conclude, contact_time, dissipated, peak_in_step, take_step
+from impact_rig.physics.contact_phase import conclude, contact_time, note_peaks, take_step
 from impact_rig.physics.contact_step import drop_dense_output, moved
 from impact_rig.physics.state import CONTACT_STEP, LEFT, NOTHING, PARAMETERS, STATE, TURNED, V1, VB, X1, XB, record
 
@@ -78,6 +78,7 @@ def nudged(parameters, force, eta_0, nudges, states, steps, out):  # type: ignor
     s.next_h = 0.1
     drop_dense_output(step)
     out[:] = 0.0
+    damped, lossy = 0.0, 0.0
     step.acceleration[:] = 0.0
     step.rest = step.reach = 1e300
     step.terms = 3
@@ -94,12 +95,18 @@ def nudged(parameters, force, eta_0, nudges, states, steps, out):  # type: ignor
             area = s.h * MATRIX[LAST, i] * step.w[i] * step.w[i] * step.w[i]
             out[SUM] += area
             out[MOMENT] += (since - step.since[i]) * area
-        out[LOST] += dissipated(step, s.h)
-        out[PEAK] = max(out[PEAK], peak_in_step(p, force, s, step))
+            lossy = max(lossy, abs(step.lossy[i]))
+            damped += s.h * MATRIX[LAST, i] * step.w[i] * step.speed[i] * step.speed[i]
+        note_peaks(p, force, s, step)
         conclude(p, s, step, ended, 0.0)
         step.dense_since = 0.0  # a prediction from where the last step began is what the bits of the tables go by
         if ended == LEFT:
             out[SEPARATION], out[DURATION], out[DEPTH] = -s.speed, s.t, s.deepest * s.deepest
+            out[PEAK] = s.peak_force
+            if lossy == 0.0:
+                return True
+            lever = s.t * out[SUM] - out[MOMENT]  # ∫ θ ξ dθ; what a pull does, it does along ξ, which ends at 0
+            out[LOST] = 0.5 * (1.0 - s.speed * s.speed) - eta_1 * out[SUM] - 2.0 * eta_2 * lever - nudges[3] * damped
             return True
     return False
 

@@ -176,6 +176,7 @@ class Motion:
 MOST_KNOTS = 200_000
 """Contacts, rides and flights in one drive segment (10 ms); a chattering sphere makes some ten of them."""
 
+_KNOTS, _IMPACTS = 1 << 15, 1 << 11  # room for so many: pages that are not touched take no memory
 _GROWTH = 4  # of the log, when a call needs more room
 _PLACES = {"left": -1.0, "centre": 0.0, "right": 1.0}
 
@@ -220,7 +221,7 @@ class Simulation:
         self._rtol = rtol
         self._account = account
         self._config = config
-        self._work = new_workspace(1 << 15, 1 << 11)  # pages that are not touched take no memory
+        self._work = new_workspace(_KNOTS, _IMPACTS)
         self._sampling = new_sampling_workspace()
         self.reset(model)
 
@@ -346,8 +347,13 @@ class Simulation:
             work = self._work = _grown(work)
         knots, impacts = int(filled["knots"]), int(filled["impacts"])
         work.first[-1] = knots
+        kept = work.knots[:knots]
+        if len(work.knots) > _KNOTS:  # one that grew is given away: to copy it takes as long as a tenth of the motion
+            self._work = work._replace(knots=records(_KNOTS, STATE))
+        else:
+            kept = kept.copy()
         motion = Motion(
-            self._model, self.tick, segments, rows, work.knots[:knots].copy(), work.first,
+            self._model, self.tick, segments, rows, kept, work.first,
             work.impacts[:impacts].copy().view(np.ndarray), self._sampling,
         )  # fmt: skip
         self.tick += len(rows) - 1

@@ -141,6 +141,7 @@ CONTACT_STEP = np.dtype(
         ("dense_length", "f8"),  # the length of that step, 0 where none is known,
         ("dense_since", "f8"),  # and how far from its start the next one starts
         ("fastest_time", "f8"),  # time in which the fastest motion of structure or drive goes one radian [s]
+        ("radian", "f8"),  # time in which the contact itself goes one radian [s]
         ("turned_at", "f8"),  # the branch of the law that the step is on, see `contact.law` [m^0.5]
         ("start_speed_slope", "f8"),  # dδ'/dχ at the start of the step
         ("start_force", "f8"),
