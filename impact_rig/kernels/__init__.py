@@ -20,6 +20,7 @@ import hashlib
 import importlib.util
 import json
 import os
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
@@ -143,7 +144,7 @@ def digest(path: Path) -> str:
 
 
 def library() -> ModuleType | None:
-    """Return the shared library if it is there and was built from the sources as they are."""
+    """Return the shared library if it is there and was built from the sources as they are; say so if it was not."""
     if importlib.util.find_spec(f"{__name__}._library") is None:
         return None
     from impact_rig.kernels import _library as found  # type: ignore[attr-defined]  # noqa: PLC0415  # where it is built
@@ -151,7 +152,12 @@ def library() -> ModuleType | None:
     sources: dict[str, str] = json.loads(found.sources())
     paths = ((PACKAGE / name, known) for name, known in sources.items())
     whole: ModuleType = found
-    return whole if all(path.exists() and digest(path) == known for path, known in paths) else None
+    changed = next((path for path, known in paths if not path.exists() or digest(path) != known), None)
+    if changed is None:
+        return whole
+    # without a word, who has edited a line would take minutes of compiling for a program that hangs
+    sys.stderr.write(f"impact_rig: {changed} is not what the kernels were built from: `make kernels` builds them\n")
+    return None
 
 
 def _decide() -> tuple[str, ModuleType | None]:

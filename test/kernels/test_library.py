@@ -90,11 +90,15 @@ def test_a_law_from_elsewhere_runs_compiled_by_numba_or_as_plain_python() -> Non
 
 
 @needs_library
-def test_a_library_of_other_sources_is_not_loaded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_library_of_other_sources_is_not_loaded_and_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     built = kernels.library()
     assert built is not None
+    assert not capsys.readouterr().err
     monkeypatch.setattr(kernels, "PACKAGE", tmp_path)
     assert kernels.library() is None
+    assert "is not what the kernels were built from: `make kernels`" in capsys.readouterr().err
 
 
 @needs_library
