@@ -168,7 +168,7 @@ class Chain:
             self._tick += ticks
 
     def read(self, count: int) -> NDArray[np.void]:
-        """Return the next `count` scans as `scan.row_type_of` the instruments; `time` counts from the first of them.
+        """Return the next `count` scans as `section.row_type_of` the instruments; `time` counts from the first of them.
 
         Raises:
             ValueError: fewer are ready.

@@ -67,7 +67,8 @@ def _names() -> Iterator[tuple[np.dtype[Any], str, dict[str, str]]]:
     for module in [found for name, found in sys.modules.items() if name.startswith("impact_rig.")]:
         for name, value in vars(module).items():
             if isinstance(value, np.dtype) and value.names:
-                yield value, name.strip("_").lower(), dict(_FIELD.findall(inspect.getsource(module)))
+                declared = inspect.getsource(module).partition(f"\n{name} = np.dtype(")[2].partition("\n)")[0]
+                yield value, name.strip("_").lower(), dict(_FIELD.findall(declared))
 
 
 def _struct(dtype: np.dtype[Any], name: str) -> str:

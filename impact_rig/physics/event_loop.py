@@ -2,18 +2,20 @@
 # SPDX-License-Identifier: Apache-2.0
 """The event loop: fly, touch, leave — segment by segment of the drive.
 
-Each phase of the motion goes on until an event, or the end of the segment (`TIME`):
+Each phase of the motion goes on until an event, or the end of the segment (`TIME`, with which a contact of very many
+steps also pauses, to be entered again):
 
     phase      event           what then happens                                    next phase
     FREE       TOUCHED         a contact begins (`_touch`)                          CONTACT
                                off a rigid wall: the speed reverses (`_bounce`)     FREE, or ATTACHED where it rides
     FREE       STOPPED         friction holds the sphere (`_hold`) or does not      ATTACHED, or FREE (`_part`)
     CONTACT    LEFT, RELEASED  the sphere flies on from there (`_leave`)            FREE
-    CONTACT    SETTLED         it only rings any more (`_leave`)                    ATTACHED
-    ATTACHED   PARTED          the base pulls away (`_part`)                        FREE
+    CONTACT    SETTLED         it only rings, slowly (`contact_phase.settles`)      ATTACHED
+    ATTACHED   PARTED          the structure pulls away (`_part`)                   FREE
 
-`_change_phase` is this table. Every segment starts from its own time zero, and the loop always stops at its end, so
-nothing depends on how a run was cut.
+A run begins FREE, or ATTACHED where the guide has friction. A contact that is looked up as a whole ends LEFT; TURNED
+and RELOADED end a step of a contact, not the contact. `_change_phase` is this table. Every segment starts from its own
+time zero, and the loop always stops at its end, so nothing depends on how a run was cut.
 """
 
 from __future__ import annotations
@@ -107,7 +109,7 @@ WORKSPACE = Fields(Workspace, (STATE, FLIGHT, CONTACT_STEP, LEDGER, LOG, STATE, 
 
 
 def new_workspace(knots: int, impacts: int) -> Workspace:
-    """Return a work with room for so many knots and impacts."""
+    """Return a workspace with room for so many knots and impacts."""
     return Workspace(
         records(2, STATE),
         records(1, FLIGHT),
@@ -137,7 +139,7 @@ def _fly_on(p, s, d, rate):  # type: ignore[no-untyped-def]
 
 @kernel
 def _hold(s, d, side):  # type: ignore[no-untyped-def]
-    """Let the sphere move with the base, pressed by a wall or held by friction (side 0)."""
+    """Let the sphere move with the structure, pressed by a wall or held by friction (side 0)."""
     s.phase, s.side, s.slide = ATTACHED, side, 0.0
     s.d, s.d_rate = d, 0.0
 
@@ -150,7 +152,7 @@ def _least_speed(p, s):  # type: ignore[no-untyped-def]
 
 @kernel
 def _part(p, s, way, ledger):  # type: ignore[no-untyped-def]
-    """Let a sphere at rest on the base begin to slide: with the least speed, and nothing added to the momentum."""
+    """Let a sphere at rest on the structure begin to slide: with the least speed, and nothing added to the momentum."""
     if s.side != 0.0:
         s.released, s.released_side = max(0.0, s.side * s.d - p.half_gap), s.side
     rate = way * _least_speed(p, s)
@@ -240,7 +242,7 @@ def _bounce(p, s, side, acceleration, noise, work):  # type: ignore[no-untyped-d
 
 @kernel
 def _flight_phase(model, f, work, t_end, account):  # type: ignore[no-untyped-def]
-    """Fly, free or as one body with the base; return what ends it."""
+    """Fly, free or as one body with the structure; return what ends it."""
     p, s, flight = model.parameters[0], work.states[0], work.flight[0]
     _add_knot(work)
     if s.phase == ATTACHED:
@@ -291,7 +293,7 @@ def follow(model, f, s, step, ledger):  # type: ignore[no-untyped-def]
 
 @kernel
 def _contact_phase(model, f, work, t_end, account):  # type: ignore[no-untyped-def]
-    """Go on with a contact; return what ends it, TIME also after many steps, or FAILED."""
+    """Go on with a contact; return what ends it, TIME also when its steps are used up: call again, or FAILED."""
     p, s, step, ledger = model.parameters[0], work.states[0], work.step[0], work.ledger[0]
     if s.next_h == 0.0 and _apply_tabulated(model, f, work, t_end, account):
         return LEFT

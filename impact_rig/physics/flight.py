@@ -337,7 +337,7 @@ def carry(p, system, f, flight, s, t_end):  # type: ignore[no-untyped-def]
     while True:
         evaluate(system, f, flight, t, 2)
         rest = t_end - t
-        # the base may pull away to the right (the sphere lags: -1) or to the left (+1), but not through a wall
+        # the structure may pull away to the right (the sphere lags: -1) or to the left (+1), but not through a wall
         lag, lead = math.inf, math.inf
         if s.side >= 0.0:
             lag = safe_time(max(0.0, p.friction - flight.x), flight.v, flight.a, flight.bound, rest)

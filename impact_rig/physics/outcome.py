@@ -274,7 +274,7 @@ def apply_outcome(p, table, s, step):  # type: ignore[no-untyped-def]
     moved(step, duration, s.y)
     kick = (
         s.side * p.share
-    )  # the first order of `pair.improve_correction`: `look_up` has seen to it that the next one is nothing
+    )  # the first order of `contact_step.improve_correction`: `look_up` has seen to it that the next one is nothing
     s.y[V1] += kick * impulse * p.per_m_pair
     s.y[X1] += kick * moment * p.per_m_pair
     s.y[VB] -= kick * impulse * p.per_m_base

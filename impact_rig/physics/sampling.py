@@ -259,7 +259,7 @@ def _evaluate(poly, x):  # type: ignore[no-untyped-def]
 @kernel
 def _of_structure(knot, quantity):  # type: ignore[no-untyped-def]
     """Return the quantity of the structure that this one follows from in flight."""
-    if knot.phase == ATTACHED:  # one body: the sphere moves as the base, and a wall may push it
+    if knot.phase == ATTACHED:  # one body: the sphere moves as the structure, and a wall may push it
         if quantity in (X_2, V_2, A_2):
             return quantity - 1
         if quantity >= FORCE_LEFT:

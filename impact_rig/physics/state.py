@@ -40,7 +40,7 @@ STATE = np.dtype(
     [
         ("t", "f8"),  # time since the start of the drive segment [s]
         ("phase", "i8"),
-        ("y", "f8", (STRUCTURE,)),  # structure; in a contact less what the indentation moves it by, see `contact_step`
+        ("y", "f8", (STRUCTURE,)),  # structure; in a contact of the pair: x_1*, v_1*, see `contact_step`
         ("d", "f8"),  # flight: sphere relative to the superior base, x_2 − x_1 [m]
         ("d_rate", "f8"),  # its rate [m/s]
         ("slide", "f8"),  # flight: which way the sphere slides on a guide with friction, −1, 0 or 1
@@ -129,11 +129,7 @@ CONTACT_STEP = np.dtype(
         ("speed_slope", "f8", (STAGES,)),  # dδ'/dχ [m^1.5/s²],
         ("speed_slope_by_w", "f8", (STAGES,)),  # its derivatives
         ("speed_slope_by_speed", "f8", (STAGES,)),
-        (
-            "correction",
-            "f8",
-            (STRUCTURE, STAGES),
-        ),  # z, what the indentation moves the pair by, per side σ, see `contact_step`,
+        ("correction", "f8", (STRUCTURE, STAGES)),  # z, what the indentation moves the pair by, over side · σ,
         ("correction_slope", "f8", (STRUCTURE, STAGES)),  # and dz/dχ
         ("matrix", "f8", (STAGES, STAGES)),  # what Newton's method multiplies the miss of the equations with
         ("miss", "f8", (STAGES,)),

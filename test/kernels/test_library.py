@@ -8,6 +8,7 @@ That its bits are those of Numba's own compiler and of plain Python is in test_d
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -166,3 +167,14 @@ def test_a_c_program_simulates_the_same_bits(tmp_path: Path) -> None:
         (int(segment), float.fromhex(offset), float.fromhex(impulse)) for segment, offset, impulse in impacts
     ] == motion.impacts[["tick", "offset", "impulse"]].tolist()
     assert float.fromhex(x_1) == simulation._state.y[X1]
+
+
+@needs_library
+def test_the_header_says_of_each_record_what_its_own_fields_mean() -> None:
+    """A field once carried what a field of the same name in another record of the module means."""
+    text = (Path(kernels.__file__).parent / "impact_rig.h").read_text(encoding="utf-8")
+    flight = text.partition("} ir_flight;")[0].rpartition("typedef struct")[2]
+    assert "double reach; /* time in which a Taylor polynomial holds [s] */" in flight
+    assert "double y[5];\n" in flight
+    step = text.partition("} ir_contact_step;")[0].rpartition("typedef struct")[2]
+    assert re.search(r"double correction\[5\]\[5\]; /\* z, what the indentation moves the pair by", step)
