@@ -24,7 +24,7 @@ pytestmark = pytest.mark.heavy
 
 ROOT = Path(__file__).parents[1]
 REQUIREMENTS = ROOT / "requirements"
-EXTRAS = {"argcomplete", "distributed", "pint", "pytest"}
+EXTRAS = {"argcomplete", "distributed", "hypothesis", "pint", "pytest"}
 """What the package imports only for who has the extra, which is in the tests' part."""
 
 

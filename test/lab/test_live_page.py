@@ -374,7 +374,8 @@ def test_faults_and_remarks(lab: Lab, page: Page) -> None:
     page.key("r")
     page.wait("lab.now.sources?.analysis.state === 'measuring'", "the analysis, which cannot see it")
     word(page, "driving")
-    assert "gain error laser (0.003) is in force (truth)" in page.text("#sentence")
+    said = "document.getElementById('sentence').textContent.includes('gain error laser (0.003) is in force (truth)')"
+    page.wait(said, "the reason")
     page.click("#fault-clear")
     answered(page, "cleared")
     page.wait("document.getElementById('faults').textContent === 'none'", "its end")

@@ -103,10 +103,10 @@ def test_a_second_rig_waits_until_the_first_is_gone(client: Client, mode: str) -
     second.trigger_configure()
     second.trigger_activate()
     held_back = "waiting to be alone: another /rig publishes daq/scan"  # the graph names it, a lock is quicker
-    client.wait_until(lambda: held_back in second.status().message, "the second to hold back")
-    assert second.status().level == 2
+    client.wait_until(lambda: held_back in second.health()[1], "the second to hold back")
+    assert second.health()[0] == 2
     assert starts(journal) == 1, "not a word of the second in the journal"
-    client.wait_until(lambda: "another /rig publishes daq/scan" in first.status().message, "the first to say so")
+    client.wait_until(lambda: "another /rig publishes daq/scan" in first.health()[1], "the first to say so")
     first.trigger_deactivate()
     first.trigger_cleanup()
     client.wait_until(lambda: starts(journal) == 2, "the second to begin")
