@@ -16,6 +16,7 @@ import importlib.util
 import logging
 import os
 import secrets
+import socket
 import threading
 import time
 from collections import Counter, deque
@@ -56,6 +57,8 @@ HEADERS_S = 10.0
 """A connection that has asked for nothing whole after this long is closed."""
 MOST_CONNECTIONS = 64
 """Far fewer than a process may have descriptors; whoever comes after them is turned away."""
+NO_DESCRIPTOR_S = 0.1
+"""Until the next connection is taken after one could not be."""
 MOST_RUNS = 200
 MOST_AT_ONCE = 2
 TYPES = {".html": "text/html", ".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml"}
@@ -253,14 +256,6 @@ class Session:
         return scope.window(view["span"], int(view["columns"]), trigger=view["trigger"])
 
 
-class _TurnedAway(asyncio.Protocol):
-    """Closes its connection at once."""
-
-    def connection_made(self, transport: Any) -> None:
-        """Close it."""
-        transport.abort()
-
-
 class _Counting(logging.Handler):
     """Counts what aiohttp would print: requests that are no HTTP, connections that end in the middle.
 
@@ -301,7 +296,7 @@ class Server:
         """What was refused so far, by reason: token, origin, host, binary, malformed, too many pages, …"""
         self._logger = logging.Logger("impact_rig.lab.server")
         self._logger.addHandler(_Counting(self.refused))
-        self._connections: list[tuple[Any, float]] = []
+        self._transports: list[asyncio.Transport] = []
         self._unserved: set[Any] = set()
         self._folders = {"": STATIC, "uplot": plotter_files()}
         self._sockets: dict[web.WebSocketResponse, Source] = {}
@@ -360,40 +355,47 @@ class Server:
         )
         await runner.setup()
         try:
-            listener = await loop.create_server(lambda: self._connect(runner), self._host, self._wanted_port)
-            self.port = listener.sockets[0].getsockname()[1]
+            family = (await loop.getaddrinfo(self._host, self._wanted_port, type=socket.SOCK_STREAM))[0][0]
+            listener = socket.create_server((self._host, self._wanted_port), family=family)
+            listener.setblocking(False)
+            self.port = listener.getsockname()[1]
         except OSError as error:
             self._failure = error
             await runner.cleanup()
             return
         finally:
             self._ready.set()
+        accepting = asyncio.create_task(self._accept(listener, runner))
         await self._end.wait()
+        accepting.cancel()
         listener.close()
-        for socket in list(self._sockets):
-            await socket.close(code=1001, message=b"the lab has ended")
-        transports = [one.transport for one, _ in self._connections if one.transport is not None]
+        for page in list(self._sockets):
+            await page.close(code=1001, message=b"the lab has ended")
         await runner.cleanup()
-        for transport in transports:  # one that still has to send would outlive the loop
+        for transport in self._transports:  # one that still has to send would outlive the loop
             transport.abort()
         await asyncio.sleep(0)
 
-    def _connect(self, runner: web.AppRunner) -> asyncio.Protocol:
-        """Return who talks to a new connection: nobody where there are too many."""
+    async def _accept(self, listener: socket.socket, runner: web.AppRunner) -> None:
+        """Connect whoever comes, and nobody where there are too many."""
         assert runner.server is not None
-        assert self._loop is not None
-        now = self._loop.time()  # one that was accepted this moment has no transport yet
-        self._connections = [
-            (one, since) for one, since in self._connections if one.transport is not None or now - since < 1.0
-        ]
-        if len(self._connections) >= MOST_CONNECTIONS:
-            self._count("too many connections")
-            return _TurnedAway()
-        handler = runner.server()
-        self._connections.append((handler, now))
-        self._unserved.add(handler)
-        self._loop.call_later(HEADERS_S, self._close_unless_served, handler)
-        return handler
+        loop = asyncio.get_running_loop()
+        while True:
+            try:
+                connection, _ = await loop.sock_accept(listener)
+            except OSError:  # no descriptors left, for one
+                self._count("connections")
+                await asyncio.sleep(NO_DESCRIPTOR_S)
+                continue
+            self._transports = [one for one in self._transports if one.get_extra_info("socket").fileno() >= 0]
+            if len(self._transports) >= MOST_CONNECTIONS:
+                self._count("too many connections")
+                connection.close()
+                continue
+            transport, handler = await loop.connect_accepted_socket(runner.server, connection)
+            self._transports.append(transport)
+            self._unserved.add(handler)
+            loop.call_later(HEADERS_S, self._close_unless_served, handler)
 
     def _close_unless_served(self, handler: Any) -> None:
         if handler in self._unserved and handler.transport is not None:
@@ -475,20 +477,20 @@ class Server:
             source = await asyncio.to_thread(self._player, names) if names else self._source
         except ImpactRigError as error:
             return self._refuse("run", str(error), 404)
-        socket = web.WebSocketResponse(max_msg_size=protocol.LONGEST_REQUEST, heartbeat=20.0, compress=False)
-        await socket.prepare(request)
-        self._sockets[socket] = source
+        page = web.WebSocketResponse(max_msg_size=protocol.LONGEST_REQUEST, heartbeat=20.0, compress=False)
+        await page.prepare(request)
+        self._sockets[page] = source
         self._watched(source)
         try:
-            await Session(socket, source, self.refused).run()
+            await Session(page, source, self.refused).run()
         finally:
-            del self._sockets[socket]
+            del self._sockets[page]
             self._watched(source)
             if isinstance(source, PlaybackSource) and source is not self._source:
                 await asyncio.to_thread(source.close)
-        if socket.close_code == 1009:
+        if page.close_code == 1009:
             self._count("oversized")
-        return socket
+        return page
 
     def _watched(self, source: Source) -> None:
         source.watchers = sum(one is source for one in self._sockets.values())

@@ -19,7 +19,13 @@ def run(work: Coroutine[Any, Any, T]) -> T:
 
     def do() -> None:
         try:
-            found.append(asyncio.run(work))
+            with asyncio.Runner() as runner:
+                try:
+                    found.append(runner.run(work))
+                finally:
+                    # one that still has something to send to a peer that reads no more would outlive the loop
+                    for transport in list(runner.get_loop()._transports.values()):  # type: ignore[attr-defined]
+                        transport.abort()
         except BaseException as error:  # handed on below
             errors.append(error)
 
