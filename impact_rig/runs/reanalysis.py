@@ -8,9 +8,9 @@ from the first change on that both saw; before it, one of them has seen more, an
 
 from __future__ import annotations
 
+import heapq
 import itertools
 import math
-from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
 import attrs
@@ -36,7 +36,7 @@ def analyze(
     settings: TrackerSettings | None = None,
     instead: Callable[[topics.Topic, Table], Table] = lambda _, table: table,
 ) -> Iterator[Findings]:
-    """Yield what the analysis finds in a run, message by message as the recorder received them.
+    """Yield what the analysis finds in a run, message by message.
 
     Args:
         run: an open run.
@@ -66,30 +66,24 @@ def analyze(
 
 
 def _in_force_first(run: Run, names: Mapping[str, topics.Topic]) -> Iterator[Message]:
-    """Yield the messages as they were received, but in front of the first scan what had been published before it.
+    """Yield scans as they were received, and what else the rig published between the scans it published it between.
 
-    A recorder that comes while the rig runs is handed calibration and drive, which are latched, some blocks late. The
-    live analysis knew them. Without a calibration nothing can be measured, so the first one comes first in any case.
+    Each topic comes to a recorder on a way of its own: on a busy machine a change may arrive many scans late, and what
+    is latched comes late to a recorder that comes while the rig runs. Without a calibration nothing can be measured, so
+    the first one comes first in any case.
     """
-    scans = [name for name, topic in names.items() if topic is topics.SCAN]
-    first = next(run.messages(scans, recorded_order=True), None)
+    scan = next(name for name, topic in names.items() if topic is topics.SCAN)
+    first = next(run.messages([scan], recorded_order=True), None)
     if first is None:
         raise RecordingError(f"{run.path} holds no block of {topics.SCAN.name}")
-    latched = list(run.messages([name for name in names if name not in scans], recorded_order=True))
-    calibrations = [message for message in latched if names[message.topic] is topics.INFO]
-    if not calibrations:
+    others = sorted(run.messages(set(names) - {scan}, recorded_order=True), key=lambda one: one.publish_time)
+    calibration = next((message for message in others if names[message.topic] is topics.INFO), None)
+    if calibration is None:
         raise RecordingError(f"{run.path} holds no {topics.INFO.name}: what its scans mean is not known")
-    before = [message for message in latched if message.publish_time < first.publish_time]
-    if not any(names[message.topic] is topics.INFO for message in before):
-        before.insert(0, calibrations[0])
-    yield from before
-    known = Counter((message.topic, message.sequence, message.publish_time) for message in before)
-    for message in run.messages(names, recorded_order=True):
-        key = message.topic, message.sequence, message.publish_time
-        if known[key]:
-            known[key] -= 1
-        else:
-            yield message
+    if calibration.publish_time >= first.publish_time:
+        others.remove(calibration)
+        yield calibration
+    yield from heapq.merge(others, run.messages([scan], recorded_order=True), key=lambda one: one.publish_time)
 
 
 def as_set_live(run: Run) -> tuple[TrackerSettings, list[GapLabel]]:
@@ -287,7 +281,11 @@ def compare(run: Run, offline: Iterable[Table], impacts: Iterable[Table] | None 
     ]
     left_out = len(live) - len(theirs), len(ours) - len(found)
     if not theirs:
-        return Comparison(None, reason="live analysis and recording saw no change from the same data on")
+        return Comparison(
+            None,
+            reason="live analysis and recording saw no change from the same data on: "
+            f"live from scan {live_cuts[0]}, recorded from {data_begin}, here from {ours[0].begin if ours else 'none'}",
+        )
     machines = {machine for _, table in settings if (machine := machine_of(table)) is not None}
     elsewhere = machines != {fingerprint()} if machines else None
     late = data_end - round((TrackerSettings().hold_s + LAST_WORDS_S) * rate_hz)
