@@ -106,15 +106,20 @@ def parse_label(remark: str) -> GapLabel | None:
 
 
 MACHINE = "machine"
+STARTED = "started"
 GAP = "gap_m"
 RETIRED = ("bootstrap_resamples", "seed")
 """Settings that earlier versions had: of resampling, which is no longer done."""
 
 
-def settings_table(settings: TrackerSettings, gap_m: float, stamp_ns: int) -> Table:
-    """Return `analysis/settings`: settings and the operator's label from an instant on, and which machine analyses."""
+def settings_table(settings: TrackerSettings, gap_m: float, stamp_ns: int, started_s: float = 0.0) -> Table:
+    """Return `analysis/settings`: settings and the operator's label from an instant on, and which analysis says so.
+
+    Its machine and when it was started [s, Unix] tell one analysis from another in the same run.
+    """
     values = {attribute.name: getattr(settings, attribute.name) for attribute in attrs.fields(TrackerSettings)}
-    return Table(stamp_ns, np.array([*values.items(), (GAP, gap_m), (MACHINE, fingerprint())], dtype=SETTINGS))
+    rows = [*values.items(), (GAP, gap_m), (MACHINE, fingerprint()), (STARTED, started_s)]
+    return Table(stamp_ns, np.array(rows, dtype=SETTINGS))
 
 
 def read_settings(table: Table) -> tuple[TrackerSettings, float]:
@@ -125,7 +130,7 @@ def read_settings(table: Table) -> tuple[TrackerSettings, float]:
     """
     values = dict(zip(table.rows["key"].astype(str).tolist(), table.rows["value"].tolist(), strict=True))
     gap_m = float(values.pop(GAP, np.nan))
-    for key in (MACHINE, *RETIRED):
+    for key in (MACHINE, STARTED, *RETIRED):
         values.pop(key, None)
     defaults = TrackerSettings()
     unknown = sorted(set(values) - {attribute.name for attribute in attrs.fields(TrackerSettings)})
@@ -136,8 +141,18 @@ def read_settings(table: Table) -> tuple[TrackerSettings, float]:
 
 def machine_of(table: Table) -> int | None:
     """Return the fingerprint in `analysis/settings` of the machine that analyses, see `machine`; None without."""
-    found = table.rows["value"][table.rows["key"] == MACHINE.encode()]
-    return int(found[0]) if len(found) and np.isfinite(found[0]) else None
+    found = _value(table, MACHINE)
+    return None if found is None else int(found)
+
+
+def started_of(table: Table) -> float | None:
+    """Return when the analysis that `analysis/settings` is of was started [s, Unix]; None: it does not say."""
+    return _value(table, STARTED)
+
+
+def _value(table: Table, key: str) -> float | None:
+    found = table.rows["value"][table.rows["key"] == key.encode()]
+    return float(found[0]) if len(found) and np.isfinite(found[0]) else None
 
 
 def _as_set(default: float, value: float) -> Any:  # int or float, as the setting is; the validator decides

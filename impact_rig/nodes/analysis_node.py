@@ -66,7 +66,7 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
         self._plots = Plots({})
         self._acknowledgements = Acknowledgements(self)
         self._newest_ns: int | None = None
-        self._heard_at = 0.0
+        self._heard_at = self._started_s = 0.0
         self._latest = math.nan
 
     def configure(self) -> None:
@@ -80,6 +80,7 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
         self._blockwise = [analysis() for analysis in ANALYSES]
         self._plots = Plots(self.outputs)
         self._newest_ns = None
+        self._started_s = time.time()
         self._label(_gap(self.settings), 0)
         # calibration and present command first: both are transient-local, so they arrive though published long ago
         self.hear(
@@ -151,7 +152,7 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
         """Label the scans from `stamp_ns` on, and tell whoever records them."""
         assert self._tracker is not None
         self._tracker.label(gap_m, stamp_ns)
-        table = settings_table(self.settings, gap_m, stamp_ns)
+        table = settings_table(self.settings, gap_m, stamp_ns, self._started_s)
         self.send(topics.ANALYSIS_SETTINGS, codec.encode(table))
 
     # Messages

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig import topics
-from impact_rig.analysis.settings import GapLabel, TrackerSettings, machine_of, parse_label, read_settings
+from impact_rig.analysis.settings import GapLabel, TrackerSettings, machine_of, parse_label, read_settings, started_of
 from impact_rig.analysis.tracker import Findings, Tracker
 from impact_rig.blocks import TRANSMISSIBILITY, Table
 from impact_rig.errors import ConfigError, RecordingError
@@ -93,31 +93,44 @@ def as_set_live(run: Run) -> tuple[TrackerSettings, list[GapLabel]]:
     """
     if not run.holds(topics.ANALYSIS_SETTINGS):
         return TrackerSettings(), [label for label in map(parse_label, remarks(run)) if label is not None]
-    told = [(stamp_ns, *read_settings(table)) for stamp_ns, table in _settings_told(run)]
-    return (told[-1][1] if told else TrackerSettings()), [GapLabel(gap_m, stamp_ns) for stamp_ns, _, gap_m in told]
+    told = [(one.since_ns, *read_settings(one.table)) for one in _settings_told(run)]
+    return (told[-1][1] if told else TrackerSettings()), [GapLabel(gap_m, since_ns) for since_ns, _, gap_m in told]
 
 
-def _settings_told(run: Run) -> list[tuple[int, Table]]:
-    """Return the tables of settings and since when they hold; what is none costs nothing but itself.
+@attrs.frozen(eq=False)
+class _Told:
+    """Settings of a live analysis, since when they hold, and whether an analysis that was started again told them."""
 
-    An analysis that starts labels whatever it will see, from stamp 0 on. One that was started again while the run went
-    on saw nothing of before: its label holds since it came.
+    since_ns: int
+    table: Table
+    again: bool
+
+
+def _settings_told(run: Run) -> list[_Told]:
+    """Return the settings in the order in which they were told; what is no such table costs nothing but itself.
+
+    An analysis labels whatever it will see, from stamp 0 on. One that was started again while the run went on saw
+    nothing of before: what it says holds since it came.
 
     Raises:
         RecordingError: none is one.
     """
-    found: list[tuple[int, Table]] = []
-    refused = []
     topic = topics.ANALYSIS_SETTINGS
     if not run.holds(topic):
         return []
+    found: list[_Told] = []
+    refused = []
+    came_ns = 0
     for message in run.messages([run.resolve(topic.name)], recorded_order=True):
         try:
             table = run.table(message, topic)
             read_settings(table)
-            found.append((table.stamp_ns or (message.log_time if found else 0), table))
         except (ConfigError, RecordingError) as error:
             refused.append(error)
+            continue
+        again = bool(found) and started_of(table) != started_of(found[-1].table)
+        came_ns = message.log_time if again else came_ns
+        found.append(_Told(max(table.stamp_ns, came_ns), table, again))
     if refused and not found:
         raise RecordingError(f"{run.path}: {refused[0]}") from refused[0]
     return found
@@ -273,7 +286,7 @@ def compare(run: Run, offline: Iterable[Table], impacts: Iterable[Table] | None 
     live_cuts = _cuts(live)
     settings = _settings_told(run)
     # an analysis that was started again knows nothing of before, and nobody measured between the two
-    again = next((stamp_ns for stamp_ns, table in settings[1:] if not table.stamp_ns), None)
+    again = next((one.since_ns for one in settings if one.again), None)
     live_end = data_end if again is None else max((row.end for row in live if row.stamp_ns < again), default=data_begin)
     theirs = [row for row in live if row.end <= live_end and _comparable(row, live_cuts, our_cuts, ours)]
     found = [
@@ -286,7 +299,7 @@ def compare(run: Run, offline: Iterable[Table], impacts: Iterable[Table] | None 
             reason="live analysis and recording saw no change from the same data on: "
             f"live from scan {live_cuts[0]}, recorded from {data_begin}, here from {ours[0].begin if ours else 'none'}",
         )
-    machines = {machine for _, table in settings if (machine := machine_of(table)) is not None}
+    machines = {machine for one in settings if (machine := machine_of(one.table)) is not None}
     elsewhere = machines != {fingerprint()} if machines else None
     late = data_end - round((TrackerSettings().hold_s + LAST_WORDS_S) * rate_hz)
     reason, identical = _difference(theirs, found, late, exact=elsewhere is False)

@@ -331,8 +331,16 @@ def test_an_analysis_that_was_started_again_is_compared_until_it_ended(whole: Me
         if name == TABLE and table.stamp_ns > killed_ns:
             continue
         if name == "daq/scan" and table.stamp_ns == again_ns:
-            found.append(("analysis/settings", settings_table(TrackerSettings(), 0.01, 0)))
+            found.append(("analysis/settings", settings_table(TrackerSettings(), 0.01, 0, started_s=again_ns * 1e-9)))
         found.append((name, table))
     result = compared(tmp_path, found)
     assert result.identical, str(result)
     assert result.compared == live_rows(found)
+
+
+def test_a_label_that_is_told_before_the_first_scan_is_of_the_same_analysis(whole: Messages, tmp_path: Path) -> None:
+    """The demo's first job labels an analysis that has seen nothing yet: its stamp is 0, as that of a start."""
+    place = next(place for place, (name, _) in enumerate(whole) if name == "analysis/settings")
+    result = compared(tmp_path, [*whole[: place + 1], whole[place], *whole[place + 1 :]])
+    assert result.identical, str(result)
+    assert result.left_out == (0, 0)
