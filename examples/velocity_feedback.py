@@ -25,6 +25,8 @@ class VelocityFeedback(Node):
         self.create_subscription(PointCloud2, "daq/scan", self.on_scan, 100)
 
     def on_scan(self, message):
+        if self.output.get_subscription_count() < self.count_subscribers("shaker/waveform"):
+            return  # the recorder, perhaps: it would miss the first samples
         rows, start_ns = columns(message), stamp_ns(message) + AHEAD_NS
         velocity = np.polyfit(rows["time"], rows["laser"], 1)[0]
         t = (start_ns % 10**12) * 1e-9 + rows["time"]  # samples and scans have one rate here

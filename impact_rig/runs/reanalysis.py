@@ -110,7 +110,8 @@ def _settings_told(run: Run) -> list[_Told]:
     """Return the settings in the order in which they were told; what is no such table costs nothing but itself.
 
     An analysis labels whatever it will see, from stamp 0 on. One that was started again while the run went on saw
-    nothing of before: what it says holds since it came.
+    nothing of before: what it says holds since it came. What one had said that ended before the run is latched, and
+    says nothing of it.
 
     Raises:
         RecordingError: none is one.
@@ -118,6 +119,8 @@ def _settings_told(run: Run) -> list[_Told]:
     topic = topics.ANALYSIS_SETTINGS
     if not run.holds(topic):
         return []
+    scans = [topics.SCAN.name] if run.holds(topics.SCAN) else []
+    begun_ns = next((message.publish_time for message in run.messages(scans, recorded_order=True)), 0)
     found: list[_Told] = []
     refused = []
     came_ns = 0
@@ -128,8 +131,12 @@ def _settings_told(run: Run) -> list[_Told]:
         except (ConfigError, RecordingError) as error:
             refused.append(error)
             continue
-        again = bool(found) and started_of(table) != started_of(found[-1].table)
-        came_ns = message.log_time if again else came_ns
+        another = bool(found) and started_of(table) != started_of(found[-1].table)
+        again = another and message.publish_time > begun_ns
+        if again:
+            came_ns = message.log_time
+        elif another:
+            found.clear()
         found.append(_Told(max(table.stamp_ns, came_ns), table, again))
     if refused and not found:
         raise RecordingError(f"{run.path}: {refused[0]}") from refused[0]

@@ -171,7 +171,10 @@ def record(directory: Path, found: Iterable[tuple[str, Any]], provenance: Proven
         for name in sorted({name for name, _ in found}):
             kind = KINDS.get(name, POINT_CLOUD)
             writer.add_topic(TopicDescription(name=f"/rig/{name}", type_name=kind, schema=schema_text(kind)))
+        newest_ns = 0
         for name, one in found:
             data = codec.encode(one) if isinstance(one, Table) else one.encoded()
-            writer.write(f"/rig/{name}", data, one.stamp_ns)
+            newest_ns = max(newest_ns, one.stamp_ns)
+            # a label's stamp says since when it holds, not when it was published
+            writer.write(f"/rig/{name}", data, newest_ns if name == "analysis/settings" else one.stamp_ns)
     return writer.directory

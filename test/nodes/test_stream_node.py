@@ -74,6 +74,29 @@ def test_over_topics_come_the_bits_of_the_rig_in_process(client, in_process, mod
         assert rows[name][:RATE_HZ].tobytes() == in_process[name].tobytes(), name
 
 
+def test_in_real_time_come_the_bits_of_the_rig_in_process(client):
+    node = host_rig(client, "realtime", **STREAM)
+    client.wait_active("rig")
+    scans = client.collect("daq/scan")
+    client.wait_until(lambda: len(scans), "scans")
+    rig = node._session.rig
+    wave, first = WAVE[: RATE_HZ // 2], rig.stream.played + 5_000
+    for begin in range(0, len(wave), 700):
+        send(client, first + begin, wave[begin : begin + 700], rig.start_ns)
+    send(client, first + len(wave), wave[:0], rig.start_ns)
+    last_ns = rig.start_ns + (first + len(wave)) * NS_PER_S // RATE_HZ
+    client.wait_until(lambda: scans.tables()[-1].stamp_ns > last_ns, "the scans of all samples")
+    alone = Rig(paper_rig(**STREAM))
+    alone.feed(first, wave)
+    alone.feed(first + len(wave), ())
+    expected = {block.scan.stamp_ns: block.scan.rows for block in alone.advance(last_ns - rig.start_ns + NS_PER_S)}
+    found = scans.tables()
+    assert rig.stream_state().rows["late"][0] == 0
+    assert found[0].stamp_ns < rig.start_ns + first * NS_PER_S // RATE_HZ
+    for table in found:
+        assert table.rows.tobytes() == expected[table.stamp_ns - rig.start_ns].tobytes()
+
+
 @pytest.mark.parametrize(
     ("harm", "says"),
     [

@@ -1,0 +1,141 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""Controllers that go wrong, as processes beside a rig in real time: each ends as docs/drive.md says, and is recorded.
+
+They come one after the other to one rig; at its end the recording has all of it, and verifies.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("rclpy", reason="no ROS 2 here")
+
+from impact_rig.client import Client, Processes, isolated_domain
+from impact_rig.recording import open_run
+from impact_rig.runs import info
+from impact_rig.runs.verification import verify
+
+pytestmark = [pytest.mark.ros, pytest.mark.pipeline]
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+STOPPED_S = 3.0
+CONTROLLER = """
+import sys
+
+import numpy as np
+import rclpy
+from pointcloud import stamp_ns
+from velocity_feedback import VelocityFeedback
+
+
+class Paced(VelocityFeedback):
+    heard = next_ns = 0
+
+    def on_scan(self, message):
+        if self.output.get_subscription_count() < 2:  # rig and recorder
+            return
+        if sys.argv[1] == "feedback":
+            return super().on_scan(message)
+        self.heard += 1
+        self.next_ns = self.next_ns or stamp_ns(message) + 40_000_000
+        if sys.argv[1] == "slow":
+            if self.heard % 10 == 1:
+                self.play(stamp_ns(message) + 40_000_000, np.full(100, 0.1))
+            return
+        for _ in range(10):
+            self.play(self.next_ns, np.full(100, 0.1))
+            self.next_ns += 10_000_000
+
+
+rclpy.init()
+rclpy.spin(Paced())
+"""
+
+
+class Bench:
+    """A rig driven by its stream and a recorder, as processes, and what the rig has told so far."""
+
+    def __init__(self, client: Client, processes: Processes, directory: Path) -> None:
+        self.client, self.processes, self.directory = client, processes, directory
+        self._streams = client.collect("shaker/stream")
+        self._journal = client.collect("rig/journal")
+
+    def state(self, name: str) -> float:
+        """Newest value of a column of shaker/stream."""
+        tables = self._streams.tables()[-1:]
+        return float(tables[0].rows[name][0]) if tables else 0.0
+
+    def told(self, key: str) -> int:
+        """How often the journal has told of the stream's `begin` or `end`."""
+        rows = self._journal.rows()
+        return int(((rows["kind"] == b"stream") & (rows["key"] == key.encode())).sum())
+
+    def wait(self, condition, what: str) -> None:
+        self.client.wait_until(condition, what, 60.0)
+
+    @contextlib.contextmanager
+    def controller(self, name: str) -> Iterator[None]:
+        """Start one, wait until its samples are in force, and in the end kill it and wait until they no longer are."""
+        begun, ended = self.told("begin"), self.told("end")
+        environment = {"PYTHONPATH": str(EXAMPLES)}
+        self.processes.start(name, command=[sys.executable, "-c", CONTROLLER, name], environment=environment)
+        self.wait(lambda: self.told("begin") > begun, f"samples of {name}")
+        yield
+        self.processes.running[name].signal(signal.SIGKILL)
+        self.processes.stop(name)
+        self.wait(lambda: self.told("end") > ended and self.state("buffered") == 0, f"the end of {name}")
+        self.wait(lambda: "no samples" in self.client.status("rig").message, "the warning")
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
+    directory = tmp_path_factory.mktemp("controllers")
+    with isolated_domain() as domain_id, Processes(domain_id, directory / "logs") as processes:
+        processes.start("rig", {"drive.waveform": "stream"})
+        processes.start("recorder", {"directory": str(directory), "name": "run"})
+        with Client(domain_id) as client:  # which is not told of the processes: controllers are killed
+            client.wait_active("rig", "recorder")
+            client.wait_until(lambda: client.status("recorder").message == "recording", "the recorder")
+            yield Bench(client, processes, directory)
+
+
+def test_one_that_is_stopped_and_goes_on_is_late_and_then_in_force_again(bench: Bench) -> None:
+    with bench.controller("feedback"):
+        late, begun, process = bench.state("late"), bench.told("begin"), bench.processes.running["feedback"]
+        process.signal(signal.SIGSTOP)
+        bench.wait(lambda: "no samples" in bench.client.status("rig").message, "the warning")
+        missing = bench.state("missing")
+        bench.wait(lambda: bench.state("missing") > missing + STOPPED_S * 10_000, "three seconds of silence")
+        process.signal(signal.SIGCONT)
+        bench.wait(lambda: bench.told("begin") > begun, "samples again")
+        assert bench.state("late") > late, "it answers what it missed, which is past"
+
+
+def test_one_ten_times_too_fast_is_refused_what_no_buffer_holds(bench: Bench) -> None:
+    refused = bench.state("refused")
+    with bench.controller("fast"):
+        bench.wait(lambda: bench.state("refused") > refused + 10, "refusals")
+        assert bench.state("buffered") <= 2.0 * 10_000
+
+
+def test_one_ten_times_too_slow_is_in_force_now_and_then(bench: Bench) -> None:
+    begun, ended = bench.told("begin"), bench.told("end")
+    with bench.controller("slow"):
+        bench.wait(lambda: bench.told("begin") >= begun + 5, "five blocks")
+        assert bench.told("end") >= ended + 4
+
+
+def test_nothing_of_it_is_lost_and_the_recording_verifies(bench: Bench) -> None:
+    assert bench.client.state("rig") == "active"
+    bench.client.trigger("recorder/stop")
+    path = bench.directory / "run"
+    assert info(path).scans.lost_blocks == 0
+    with open_run(path) as run:
+        assert str(verify(run)).startswith("identical")
