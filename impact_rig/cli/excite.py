@@ -212,6 +212,10 @@ def _drive(arguments: argparse.Namespace, title: str, unit: str, work: Work) -> 
 
     rate = {"drive.stream_rate_hz": arguments.rate, "daq.rate_hz": arguments.rate}
     config = from_flat(rig_of(arguments)[0], {"drive.waveform": "stream", **rate})
+    if config.drive.kind != "current":
+        raise ConfigError(
+            f"{arguments.config}: drive.kind must be current, as samples are amperes here, got {config.drive.kind}"
+        )
     what = getattr(arguments, "kind", arguments.command) if arguments.command == "loop" else arguments.command
     directory = (arguments.output or Path("runs") / time.strftime(f"{what}_%Y%m%d_%H%M%S")).resolve()
     if directory.exists() and any(directory.iterdir()):
@@ -233,8 +237,9 @@ def _drive(arguments: argparse.Namespace, title: str, unit: str, work: Work) -> 
             raise interrupted or ImpactRigError(f"{early}; the run so far: {directory}")
         told = tell(found, unit)
         figures = {"title": title, "unit": unit, "rate_hz": arguments.rate, "ended_early": early, **told.figures}
+        rig = f"gap {arguments.gap}" if config.sphere.present else "no sphere"
         about = [
-            ("Rig", f"gap {arguments.gap}" if config.sphere.present else "no sphere"), ("Through", arguments.through),
+            ("Rig", arguments.namespace if arguments.through == RUNNING else rig), ("Through", arguments.through),
             ("Rate", f"{arguments.rate} Hz"), ("Recording", f"{directory.name}; impact-rig verify re-simulates it"),
         ]  # fmt: skip
         files.write_text(directory / f"{what}.json", json.dumps(plain(figures), indent=2) + "\n")

@@ -8,11 +8,15 @@ They come one after the other to one rig; at its end the recording has all of it
 from __future__ import annotations
 
 import contextlib
+import json
+import os
 import signal
+import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 pytest.importorskip("rclpy", reason="no ROS 2 here")
@@ -62,8 +66,8 @@ rclpy.spin(Paced())
 class Bench:
     """A rig driven by its stream and a recorder, as processes, and what the rig has told so far."""
 
-    def __init__(self, client: Client, processes: Processes, directory: Path) -> None:
-        self.client, self.processes, self.directory = client, processes, directory
+    def __init__(self, client: Client, processes: Processes, directory: Path, domain_id: int) -> None:
+        self.client, self.processes, self.directory, self.domain_id = client, processes, directory, domain_id
         self._streams = client.collect("shaker/stream")
         self._journal = client.collect("rig/journal")
 
@@ -103,7 +107,22 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
         with Client(domain_id) as client:  # which is not told of the processes: controllers are killed
             client.wait_active("rig", "recorder")
             client.wait_until(lambda: client.status("recorder").message == "recording", "the recorder")
-            yield Bench(client, processes, directory)
+            yield Bench(client, processes, directory, domain_id)
+
+
+def test_a_file_is_played_to_a_rig_that_runs_already(bench: Bench, tmp_path: Path) -> None:
+    np.savez(tmp_path / "wave.npz", drive=0.3 * np.sin(2.0 * np.pi * 9.1 * np.arange(5_000) / 10_000), fs=10_000.0)
+    program = [sys.executable, "-c", "from impact_rig.cli import main; raise SystemExit(main())", "play", "--json"]
+    words = [str(tmp_path / "wave.npz"), "--through", "running", "--namespace", "/", "--output", str(tmp_path / "run")]
+    environment = {**os.environ, "ROS_DOMAIN_ID": str(bench.domain_id)}
+    done = subprocess.run([*program, *words], env=environment, capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)
+    assert found["peak_asked"] == pytest.approx(0.3)
+    assert found["current_error"] < 0.05
+    with open_run(tmp_path / "run") as run:
+        assert run.holds("shaker/waveform")
+    bench.wait(lambda: bench.told("end") == bench.told("begin") == 1, "the end of the stream")
 
 
 def test_one_that_is_stopped_and_goes_on_is_late_and_then_in_force_again(bench: Bench) -> None:
