@@ -1,23 +1,39 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""How fast a rig runs that is driven by a stream of samples, in process; in one thread, its processor time."""
+"""How fast a rig runs that is driven by a stream of samples, and how soon it plays a controller's answer to a scan.
+
+Speed: in process, in one thread, its processor time. Answer: a rig in real time with blocks of 1 ms, and a controller
+in Python, as two processes. It answers a block of scans with samples from the end of that block on; the rig drops and
+counts those that are past when they come, and this is the time from a scan's last sample to its answer in force.
+"""
 
 from __future__ import annotations
 
+import tempfile
 import time
+from pathlib import Path
 
 import numpy as np
 
+from impact_rig import codec, topics
+from impact_rig.blocks import WAVEFORM, Table
+from impact_rig.client import Client, Collector, Processes, isolated_domain
 from impact_rig.rig import Rig
 from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.simtime import NS_PER_S
 
 RATE_HZ = 10_000
 SETTLE_S = 2
+ANSWERS, LONGEST_S = 500, 0.2
 
 
-def run(seconds: int = 10) -> dict[str, float]:
-    """Measure: a sine with noise at 10 kS/s, scans at 10 kS/s, 6 mm gap; the median second counts."""
+def run() -> dict[str, float]:
+    """Measure both."""
+    return {**speed(), **round_trip()}
+
+
+def speed(seconds: int = 10) -> dict[str, float]:
+    """Run a rig in process: a sine with noise at 10 kS/s, scans at 10 kS/s, 6 mm gap; the median second counts."""
     config = from_flat(
         RigConfig(),
         {
@@ -40,6 +56,40 @@ def run(seconds: int = 10) -> dict[str, float]:
         impacts += sum(len(block.impacts.rows) for block in blocks if block.impacts is not None)
     assert impacts > seconds, f"only {impacts} impacts: the sphere did not take part"
     return {"stream_x_realtime_10kSps": 1.0 / float(np.median(spent[SETTLE_S:]))}
+
+
+def round_trip() -> dict[str, float]:
+    """Answer blocks of scans over topics, one after the other; half and 99 of 100 are in force so soon."""
+    answer, spent = np.zeros(round(LONGEST_S * RATE_HZ), WAVEFORM), []
+    with (
+        isolated_domain() as domain_id,
+        tempfile.TemporaryDirectory() as logs,
+        Processes(domain_id, Path(logs)) as processes,
+        Client(domain_id, processes=processes) as client,
+    ):
+        processes.start("rig", {"drive.waveform": "stream", "daq.rate_hz": RATE_HZ, "daq.block_scans": RATE_HZ // 1000})
+        client.wait_active("rig")
+        scans, stream = client.collect(topics.SCAN.name), client.collect(topics.STREAM.name)
+        client.wait_until(lambda: len(stream) > 0, "shaker/stream")
+        late = 0.0
+        for _ in range(ANSWERS):
+            scans.clear()
+            stream.clear()
+            client.wait_until(lambda: len(scans) > 0, "scans")
+            scan = scans.tables()[-1]
+            end_ns = scan.stamp_ns + len(scan.rows) * NS_PER_S // RATE_HZ
+            client.publish(topics.WAVEFORM, codec.encode(Table(end_ns, answer)), listener="rig")
+            before = late
+            late = client.wait_until(lambda: _late(stream, before), "the answer to be counted")  # noqa: B023  # at once
+            spent.append(1e3 * (late - before) / RATE_HZ)
+    half, most = np.percentile(spent, (50, 99))
+    return {"stream_round_trip_p50_ms": float(half), "stream_round_trip_p99_ms": float(most)}
+
+
+def _late(stream: Collector, before: float) -> float | None:
+    """Return how many samples were late so far, once it is more."""
+    late = max((float(table.rows["late"][0]) for table in stream.tables()), default=0.0)
+    return late if late > before else None
 
 
 if __name__ == "__main__":
