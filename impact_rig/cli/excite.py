@@ -263,11 +263,10 @@ def _connected(arguments: argparse.Namespace, config: RigConfig, directory: Path
     """Give a rig's hardware, recorded into a directory."""
     abort = dict(_limit(text) for text in arguments.abort)
     if arguments.through == PROCESS:
-        from impact_rig import topics  # noqa: PLC0415
-        from impact_rig.runs.in_process import RecordedInProcess, RigRecorder  # noqa: PLC0415
+        from impact_rig.runs.in_process import DRIVEN, RecordedInProcess, RigRecorder  # noqa: PLC0415
 
         rig = Rig(config)
-        with RigRecorder(directory, rig, (topics.WAVEFORM,)) as recorder:
+        with RigRecorder(directory, rig, DRIVEN) as recorder:
             yield Hardware(RecordedInProcess(rig, recorder), abort)
         return
     from impact_rig.client.apparatus import recorded  # noqa: PLC0415  # needs rclpy

@@ -67,8 +67,9 @@ KEPT = (
     topics.NOTES,
 )  # fmt: skip
 """What is rare and must not be lost."""
-SCANS, TRUTH = (topics.SCAN, topics.IMPACTS), (topics.JOINT_STATES, topics.IMPACTS_TRUTH)
-"""What is drawn."""
+SCANS = (topics.STREAM, topics.WAVEFORM, topics.SCAN, topics.IMPACTS)
+TRUTH = (topics.JOINT_STATES, topics.IMPACTS_TRUTH)
+"""What is drawn; what a scan was told is taken before it."""
 MOST_PER_LOOK = 300
 """Messages taken of one topic at once: a picture must come out between."""
 PICTURES = QoSProfile(
@@ -161,7 +162,7 @@ class Gateway:
             if scans and topic is topics.JOINT_STATES:
                 with self.record.lock:
                     self.record.forget_motion()
-        for topic in wanted - self._looks.keys():
+        for topic in [topic for topic in (*SCANS, *TRUTH) if topic in wanted and topic not in self._looks]:
             kind = messages.class_of(topic)
             self._looks[topic] = self._view.create_subscription(kind, topic.name, _ignore, PICTURES, raw=True)
         for topic, subscription in self._looks.items():

@@ -183,6 +183,7 @@ class LiveSource(Source):
             "recorder": lambda: self._recorder(seen["recorder"]),
             "lost": lambda: _lost(seen),
             "sweep": lambda: self._sweep(seen["stepped_sine"]),
+            "stream": lambda: record.stream_part() if seen["rig"].lives else None,
         }
         self.tell(parts, record.knobs)
 

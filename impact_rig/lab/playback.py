@@ -34,7 +34,7 @@ from impact_rig.runs import recover
 from impact_rig.simtime import NS_PER_S
 from impact_rig.states import MEASURED
 
-DRAWN = (topics.SCAN, topics.JOINT_STATES, topics.IMPACTS_TRUTH, topics.IMPACTS)
+DRAWN = (topics.STREAM, topics.WAVEFORM, topics.SCAN, topics.JOINT_STATES, topics.IMPACTS_TRUTH, topics.IMPACTS)
 RARE = (
     topics.JOURNAL, topics.APPLIED, topics.TRANSMISSIBILITY_TABLE, topics.FAULTS, topics.IMPACTS_TRUTH, topics.NOTES,
     topics.SCAN,
@@ -86,10 +86,11 @@ class RunPlayer:
         self._stack = contextlib.ExitStack()
         with contextlib.ExitStack() as stack:
             self._run = stack.enter_context(self._open(path, stack))
-            self._topics = {}
-            for topic in {*DRAWN, *RARE, topics.INFO}:
+            self._topics: dict[str, topics.Topic] = {}
+            # the longest names first: what is left of `truth/impacts` is no `impacts`
+            for topic in sorted({*DRAWN, *RARE, topics.INFO}, key=lambda topic: -len(topic.name)):
                 with contextlib.suppress(RecordingError):
-                    self._topics[self._run.resolve(topic.name)] = topic
+                    self._topics.setdefault(self._run.resolve(topic.name), topic)
             info = next(self._messages([topics.INFO]), None)
             if info is None:
                 raise RecordingError(f"{path} has no calibration (daq/info)")
@@ -455,6 +456,7 @@ class PlaybackSource(Source):
             "health": lambda: record.curve.health(at_ns),
             "journal": lambda: record.journal.part(run.start_ns),
             "recorder": lambda: {"name": run.path.name},
+            "stream": record.stream_part,
             "lost": lambda: {"blocks missing in the recording": lost} if lost else {},
             "playback": lambda: {
                 "begin": self._begin_s, "end": self._end_s, "now": round(self.now_s, 3), "playing": self._playing,
@@ -471,6 +473,8 @@ class PlaybackSource(Source):
             found = f"the shaker was latched by {then.latched}"
         elif then.plucked:
             found = "the base was locked after a pluck"
+        elif self.record.stream is not None and self.record.stream["playing"]:
+            found = "driven by a stream of samples"
         elif then.applied["current"]:
             found = f"driven at {then.applied['frequency']:g} Hz, {then.applied['current']:g} A"
         else:

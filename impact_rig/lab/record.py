@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 import threading
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any  # what goes to JSON
 
 import numpy as np
@@ -34,6 +34,7 @@ ACCELEROMETER = {Status.ACCELEROMETER_OVER_RANGE.value: "accelerometer"}
 """Statuses that name their channel themselves."""
 HIGHEST_RATE_HZ = 1e7
 LONGEST_RUN_S = 1e9
+STREAM = ("buffered", "capacity", "playing", "late", "refused", "missing", "rate")
 UNITS = {"frequency": "Hz", "current": "A", "over_travel": "m", "over_current": "A"}
 
 
@@ -130,6 +131,11 @@ class Journal:
             elif change.kind is not Kind.INITIAL:
                 words = "" if change.text else _value(change.kind, change.key, change.value)
                 self._add(change.stamp_ns, change.kind.value, change.key, change.text or words)
+
+    @property
+    def configuration(self) -> Mapping[str, Any]:
+        """Return the parameters that are in force, by name."""
+        return self._view.configuration
 
     def remark(self, words: str, stamp_ns: int) -> None:
         """Take an operator's remark."""
@@ -278,6 +284,8 @@ class Record:
         """How many there were."""
         self.refused: dict[str, list[Any]] = {}
         """Messages that made no sense, by topic: how many, and the last reason."""
+        self.stream: dict[str, float] | None = None
+        """The newest of `shaker/stream`; None: the rig is driven by no stream."""
         self.lock = threading.Lock()
         """Held while rings are written or read."""
 
@@ -305,6 +313,12 @@ class Record:
             if self.scope is not None and len(table.rows):
                 self.scope.add(table, self.start_ns)
                 self.newest_ns = max(self.newest_ns, table.stamp_ns)
+        elif topic is topics.STREAM:
+            self.stream = {name: float(table.rows[name][0]) for name in STREAM}
+        elif topic is topics.WAVEFORM:
+            is_current = self.journal.configuration.get("drive.kind") == "current"
+            if self.scope is not None and self.stream is not None and is_current:
+                self.scope.command(table, self.stream["rate"], self.start_ns)
         elif topic in (topics.IMPACTS, topics.IMPACTS_TRUTH):
             self.motion.add_rows(table, self.start_ns)
         elif topic is topics.INFO:
@@ -326,13 +340,20 @@ class Record:
         rate_hz, begin_ns = scan_rate(info), start_ns(info)
         if self.scope is None or (begin_ns, rate_hz) != (self.start_ns, self.scope.rate_hz):
             with self.lock:
-                self.start_ns, self.scope = begin_ns, Scope(rate_hz)
+                self.start_ns, self.scope, self.stream = begin_ns, Scope(rate_hz), None
                 self.forget_motion()
 
     def forget_motion(self) -> None:
         """Begin the pictures of the motion anew."""
         self.motion = Motion()
         self.epoch += 1
+
+    def stream_part(self) -> dict[str, float] | None:
+        """Return how full the stream's buffer is [s], and what went wrong; None: the rig is driven by none."""
+        if self.stream is None:
+            return None
+        found = {name: self.stream[name] / self.stream["rate"] for name in ("buffered", "capacity", "missing", "late")}
+        return {**{name: round(value, 3) for name, value in found.items()}, "refused": self.stream["refused"]}
 
     @property
     def drive(self) -> dict[str, float] | None:

@@ -39,8 +39,9 @@ class Trace:
     Attributes:
         begin_s: time of the first column's begin [s].
         column_s: length of a column [s].
-        low: minima per channel and column, NaN where there is no scan, shape (4, n).
-        high: maxima, shape (4, n).
+        low: minima per channel and column, NaN where there is no scan, shape (4, n); of a rig that is driven by a
+            stream also of the current it was told, shape (5, n).
+        high: maxima, of the same shape.
         status: bits of all scans of a column, shape (n,).
         trigger_s: the instant the window is aligned to; NaN where there is none.
     """
@@ -63,6 +64,12 @@ class Level:
         self.status = np.zeros(size, np.uint8)
         self.end = 0
         """Number of the pair after the last whole one."""
+
+    def widen(self) -> None:
+        """Make room for one more row."""
+        same = self.high is self.low
+        self.low = np.vstack([self.low, np.full((1, self.size), np.nan, np.float32)])
+        self.high = self.low if same else np.vstack([self.high, np.full((1, self.size), np.nan, np.float32)])
 
     def places(self, begin: int, end: int) -> list[slice]:
         """Return where pairs are in the ring: one stretch, or two around its end."""
@@ -99,6 +106,7 @@ class Scope:
         self._size = blocks * coarse
         self._levels = [Level(fine, self._size // fine) for fine in sorted({1, finer, coarse})]
         self._scans = self._levels[0]
+        self._commanded: NDArray[np.float32] | None = None  # for scans that are to come; None: nothing ever was
         self.begin = self.end = 0
         """Numbers of the first scan held, and of the one after the last."""
 
@@ -130,6 +138,19 @@ class Scope:
         self.end = first + len(rows)
         self.begin = max(self.begin, self.end - self._size)
 
+    def command(self, table: Table, rate_hz: float, start_ns: int) -> None:
+        """Take a block of `shaker/waveform`, of samples at a rate: they are drawn with the scans they act on."""
+        if self._commanded is None:
+            self._commanded = np.full(self._size, np.nan, np.float32)
+            for level in self._levels:
+                level.widen()
+        values, step = table.rows["value"], self.rate_hz / rate_hz
+        first = (table.stamp_ns - start_ns) * self.rate_hz / NS_PER_S
+        begin = max(math.ceil(first), self.end)
+        numbers = np.arange(begin, min(math.ceil(first + len(values) * step), begin + self._size))
+        if len(numbers):
+            self._commanded[numbers % self._size] = np.interp(numbers, first + step * np.arange(len(values)), values)
+
     def _write(self, first: int, rows: NDArray[np.void]) -> None:
         done = 0
         for place in self._scans.places(first, first + len(rows)):
@@ -140,6 +161,9 @@ class Scope:
                 self._scans.low[number, place] = part[name] if name in there else np.nan
                 if name in there:  # bits are in the order of the channels that are there
                     self._scans.status[place] |= (part["status"] >> there.index(name) & 1) << number
+            if self._commanded is not None:
+                self._scans.low[len(CHANNELS), place] = self._commanded[place]
+                self._commanded[place] = np.nan
             done += len(part)
 
     def window(self, span_s: float, columns: int, *, trigger: bool = False, end_s: float | None = None) -> Trace | None:
@@ -188,14 +212,14 @@ class Scope:
         return np.concatenate(parts, axis=1) if parts else self._scans.low[:, :0]
 
     def stretch(self, span_s: float, end_s: float | None = None) -> NDArray[np.float32]:
-        """Return the newest scans, or those before an instant, shape (4, n)."""
+        """Return the newest scans, or those before an instant, of the shape of a `Trace`'s minima."""
         end = self.end if end_s is None else min(round(end_s * self.rate_hz), self.end)
         return self._read(end - round(span_s * self.rate_hz), end)
 
     def _trace(self, level: Level, begin: int, count: int, step: int, crossing: float) -> Trace:
         """Make columns of `step` pairs of a level each; a coarse one begins up to a pair earlier than asked."""
         columns = count // step
-        low, high = np.full((2, len(CHANNELS), columns * step), np.nan, np.float32)
+        low, high = np.full((2, len(level.low), columns * step), np.nan, np.float32)
         status = np.zeros(columns * step, np.uint8)
         first = max(begin, -(-self.begin // level.fine))
         at = first - begin

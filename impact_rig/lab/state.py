@@ -351,6 +351,7 @@ GLOSSARY = {
     "unknown": "The rig does not say its state, or there are too few cycles to tell the regime.",
     "lost blocks": "Blocks of scans that a fault withheld, that the analysis missed, or that the recorder missed.",
     "recording": "The run that is being recorded, and its size so far.",
+    "stream": "Of a rig that is driven by samples: how many seconds of them it holds, and what did not come in time.",
     "channels": "What the analysis says of the channels it measures with.",
     "faults in force": "Instrument faults that act now, as the rig tells the truth of it; no analysis sees them.",
     "status": "What else is to be known of the value.",

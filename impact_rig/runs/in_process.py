@@ -22,6 +22,9 @@ from impact_rig.simtime import NS_PER_S, stamp_ns
 
 PUBLISHED = (topics.INFO, topics.JOURNAL, topics.APPLIED, topics.SCAN, topics.IMPACTS_TRUTH, topics.FAULTS)
 
+DRIVEN = (topics.WAVEFORM, topics.STREAM)
+"""Of a rig that is driven by a stream."""
+
 
 class RigRecorder:
     """Writes what a rig does; a context that ends the run.
@@ -97,7 +100,7 @@ class RecordedInProcess(InProcess):
 
     Args:
         rig: its drive is a stream.
-        recorder: of it, with `shaker/waveform`.
+        recorder: of it, with `DRIVEN`.
     """
 
     def __init__(self, rig: Rig, recorder: RigRecorder) -> None:
@@ -115,4 +118,5 @@ class RecordedInProcess(InProcess):
         """Advance the rig by one block, and write it."""
         block = super().advance()
         self._recorder.block(block)
+        self._recorder.write(topics.STREAM, self.rig.stream_state())
         return block

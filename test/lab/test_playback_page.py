@@ -15,6 +15,7 @@ import pytest
 from kits.browser import PATIENCE_S, Page, wait_until
 from kits.recorded_rig import Messages, edited, messages, record
 
+from impact_rig.cli.main import main
 from impact_rig.errors import RecordingError
 from impact_rig.lab.playback import PlaybackSource
 from impact_rig.lab.protocol import Request
@@ -258,3 +259,20 @@ def test_the_page_comes_back_after_the_server_and_keeps_what_it_had(
         pictures = page.js("lab.drawn.pictures")
         page.wait(f"lab.link.connected && lab.drawn.pictures > {pictures}", "traces after the restart")
         wait_until(lambda: page.text("#word") == "playback", "the word")
+
+
+def test_the_scope_of_a_rig_driven_by_samples_shows_the_current_it_was_told(
+    shown: Callable[..., Server], open_page: Callable[..., Page], tmp_path: Path
+) -> None:
+    np.savez(tmp_path / "wave.npz", drive=0.4 * np.sin(2.0 * np.pi * 9.1 * np.arange(3_000) / 1_000), fs=1_000.0)
+    command = ("play", tmp_path / "wave.npz", "--rate", 2_000, "--output", tmp_path / "run")
+    assert main([str(word) for word in command]) == 0
+    page = open_page(shown(tmp_path / "run").address)
+    page.wait("lab.now?.playback && lab.drawn.pictures > 2", "the first traces")
+    seek(page, 2.0)
+    page.wait("lab.scope.trace.low.length === 5 && lab.scope.trace.low[4].some(v => v > 0.35)", "the current commanded")
+    apart = "Math.max(...lab.scope.trace.low[4].map((v, i) => Math.abs(v - lab.scope.trace.low[3][i]) || 0))"
+    assert page.js(apart) < 0.1
+    page.wait("/^[0-9.]+ of 2\\.0 s$/.test(document.getElementById('stream').textContent)", "the buffer in the bar")
+    assert page.js("!document.getElementById('stream-box').hidden")
+    assert "driven by a stream of samples" in page.text("#sentence")

@@ -145,6 +145,14 @@ const SHOW = {
     setText("health", !health ? "–" : bad.length ? bad.join(", ") : "well");
     byId("health").classList.toggle("bad", bad.length > 0);
   },
+  stream: (stream) => {
+    byId("stream-box").hidden = !stream;
+    if (!stream) return;
+    const troubles = [["missing", " s missing"], ["late", " s late"], ["refused", " blocks refused"]].filter(([name]) => stream[name]);
+    const words = troubles.map(([name, what]) => `, ${fixed(stream[name], name === "refused" ? 0 : 2)}${what}`);
+    setText("stream", `${fixed(stream.buffered, 2)} of ${fixed(stream.capacity, 1)} s${words.join("")}`);
+    byId("stream").classList.toggle("bad", troubles.length > 0);
+  },
   refused: (refused) => {
     const names = Object.keys(refused);
     byId("refused-box").hidden = !names.length;

@@ -5,6 +5,7 @@ import { colour, stacked } from "./paper.js";
 
 /* global uPlot */
 const CHANNELS = [["accelerometer", "m/s²"], ["laser", "m"], ["base", "m"], ["current", "A"]];
+const CURRENT = 3, COMMANDED = 4; // the row after the channels, of a rig that is driven by a stream of samples
 
 export class ScopeView {
   /** @param {HTMLElement} place @param {HTMLElement} readout */
@@ -44,12 +45,13 @@ export class ScopeView {
         series: [
           {}, { stroke: colour("trace"), width: 1, points: { show: false }, label: name },
           { stroke: colour("trace-b"), width: 1, points: { show: false }, label: `${name} B` },
+          ...(number === CURRENT ? [{ stroke: colour("drive"), width: 1, points: { show: false }, label: "commanded" }] : []),
         ],
         hooks: {
           draw: [(plot) => this.marks(plot, number)],
           setCursor: [(plot) => { if (number === 0) this.read(plot); }],
         },
-      }, [[0, 1], [null, null], [null, null]], box);
+      }, [[0, 1], ...Array(number === CURRENT ? 3 : 2).fill([null, null])], box);
       made.over.addEventListener("click", () => this.hold(made.cursor.idx));
       made.over.addEventListener("dblclick", () => this.hold(null));
       return made;
@@ -90,7 +92,12 @@ export class ScopeView {
       const [x, y] = line(trace.low[number], trace.high[number], trace.column);
       let b = new Array(x.length).fill(null);
       if (other) b = fitted(line(other.low[number], other.high[number], other.column), x);
-      this.plots[number].setData([x, y, b]);
+      const rows = [x, y, b];
+      if (number === CURRENT) {
+        const told = trace.low[COMMANDED];
+        rows.push(told ? line(told, trace.high[COMMANDED], trace.column)[1] : new Array(x.length).fill(null));
+      }
+      this.plots[number].setData(rows);
     }
   }
 
@@ -120,6 +127,12 @@ export class ScopeView {
     if (over) g.fillText("over range", left + 6 * ratio, top + height - 8 * ratio);
     g.fillStyle = colour("soft");
     g.fillText(CHANNELS[number][0], left + 6 * ratio, top + 12 * ratio);
+    if (number === CURRENT && this.trace.low[COMMANDED]) {
+      const at = left + 12 * ratio + g.measureText(CHANNELS[number][0]).width;
+      g.fillStyle = colour("drive");
+      g.fillText("commanded", at, top + 12 * ratio);
+      g.fillStyle = colour("soft");
+    }
     if (this.mark !== null) g.fillRect(left + (this.mark + 0.5) / this.trace.low[0].length * width, top, ratio, height);
     if (number === 0) {
       g.fillStyle = colour("sphere");
@@ -135,7 +148,8 @@ export class ScopeView {
     const i = plot.cursor.idx;
     if (i === null || i === undefined || !this.trace) { this.readout.textContent = ""; return; }
     const column = i >> 1, mark = this.mark;
-    const parts = CHANNELS.map(([name, unit], number) => {
+    const shown = this.trace.low[COMMANDED] ? [...CHANNELS, ["commanded", "A"]] : CHANNELS;
+    const parts = shown.map(([name, unit], number) => {
       const value = this.value(number, column) - (mark === null ? 0 : this.value(number, mark));
       return `${name} ${engineering(value, unit)}`;
     });
