@@ -30,6 +30,7 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
         [
             ("lab", "starts a rig and opens its page"),
             ("lab --sample", "plays back a short run; needs no ROS 2"),
+            ("lab --branches runs/dynamics_over_frequency", "draws continued motions beside what is measured"),
             ("lab runs/demo/gap_2mm runs/demo/gap_10mm", "two recorded runs side by side"),
         ],
     )  # fmt: skip
@@ -48,6 +49,10 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
     parser.add_argument(
         "--mode", choices=("realtime", "freewheel"), default="realtime", help="how rig time passes (default: realtime)"
     )
+    parser.add_argument(
+        "--branches", type=Path, metavar="DIR", nargs="+", default=(),
+        help="motions that `dynamics continue` has found over the frequency: drawn where they exist",
+    )  # fmt: skip
     parser.add_argument("--no-record", action="store_true", help="record only when told to on the page")
     parser.add_argument(
         "--record-directory", type=Path, default=Path("runs"), help="where run directories are made (default: runs)"
@@ -64,15 +69,18 @@ def run(arguments: argparse.Namespace) -> int:
         raise ImpactRigError("a run is played back, or a rig is attached to, not both")
     try:
         from impact_rig.lab.server import Server, check_port, kept_token  # noqa: PLC0415  # an extra
+        from impact_rig.lab.theory import continued  # noqa: PLC0415
     except ImportError as error:
         raise ImpactRigError(f"the lab needs its extra: pip install 'impact_rig[lab]' ({error})") from error
     check_port(arguments.port)
+    branches = [continued(directory) for directory in arguments.branches]
     console = Console()
     runs = arguments.runs[0].resolve().parent if arguments.runs else arguments.record_directory
     with contextlib.ExitStack() as stack:
         started: list[Any] = []
         stack.callback(_say_where, started)  # last of all: the recorder has finished then
         source = _source(arguments, stack)
+        source.theory.beside = branches
         started.append(source)
         server = stack.enter_context(Server(source, arguments.host, arguments.port, kept_token(), runs))
         stack.enter_context(source)

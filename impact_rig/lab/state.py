@@ -264,7 +264,7 @@ class Source(abc.ABC):
         """How many pages look."""
         self._asked: queue.SimpleQueue[tuple[Request, Answer]] = queue.SimpleQueue()
         self.end = threading.Event()
-        self._theory = Theory(lambda found: self.snapshot.put(prediction=found))
+        self.theory = Theory(lambda found: self.snapshot.put(prediction=found))
         self._thread = threading.Thread(target=self._run, name=f"lab-{mode}", daemon=True)
         self.snapshot.put(mode=mode, choices=choices(), help=glossary())
 
@@ -302,7 +302,7 @@ class Source(abc.ABC):
         self.end.set()
         if self._thread.is_alive():  # else what kept it from starting is the error to be seen
             self._thread.join()
-        self._theory.close()
+        self.theory.close()
 
     def guard(self, what: str, work: Callable[[], Any]) -> None:
         """Do a part of a turn; where it fails that is counted, and the rest goes on: STOP is sent from here."""
@@ -325,7 +325,7 @@ class Source(abc.ABC):
         self.snapshot.put(**told)
         drive = told.get("applied")
         if values and drive is not None and self.watchers:
-            self._theory.want(values, drive["current"])
+            self.theory.want(values, drive["current"])
 
     def _refusals(self) -> dict[str, list[Any]]:
         return {**self.record.refused, **self.failures}

@@ -8,19 +8,18 @@ gap, current, sphere, law or anything else it depends on has changed; what was o
 
 from __future__ import annotations
 
+import math
 import os
 import threading
-from collections.abc import Callable, Iterator, Mapping
-from typing import TYPE_CHECKING, Any  # values of parameters, and what goes to JSON
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple  # values of parameters, and what goes to JSON
 
 import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig.errors import ConfigError
-from impact_rig.rig.config import RigConfig, fields, from_flat
-
-if TYPE_CHECKING:
-    from impact_rig.physics.prediction import Branch
+from impact_rig.rig.config import RigConfig, fields, from_flat, to_flat
 
 GENTLE = 10
 """Priority (nice) of the lab's threads: on a busy machine pictures are late, not blocks."""
@@ -86,7 +85,7 @@ def predicted(values: Mapping[str, Any], amplitude: float) -> dict[str, Any]:
         branches = prediction.curves(rig, FREQUENCIES_HZ, gap_m, current_a=held[0], base_m=held[1])
     except ConfigError as error:  # friction, no loss, ...: theory does not hold there
         return {"lines": [], "words": str(error)}
-    lines = [line for one in branches for line in _parts(one)]
+    lines = [line for one in branches for line in _parts(one.frequency_hz, one.dt, one.stable)]
     factor, unit = HELD[kind]
     what = f"{gap_m * 1e3:g} mm, {amplitude * factor:g} {unit}"
     if not lines:
@@ -112,14 +111,59 @@ def contradiction(prediction: Mapping[str, Any], impacts_per_cycle: float) -> st
     )
 
 
-def _parts(branch: Branch) -> Iterator[list[Any]]:
+class Continued(NamedTuple):
+    """Motions of the model over the frequency.
+
+    Attributes:
+        values: configuration values of `DECIDING` at which they exist, wherever the sphere begins.
+        amplitude: of the drive, peak.
+        lines: as from `predicted`.
+        title: of the study.
+    """
+
+    values: Mapping[str, Any]
+    amplitude: float
+    lines: list[list[Any]]
+    title: str
+
+    def exists(self, values: Mapping[str, Any], amplitude: float) -> bool:
+        """Return whether the motions are of a rig with these values."""
+        return math.isclose(amplitude, self.amplitude, rel_tol=1e-6) and all(
+            values.get(name, value) == value for name, value in self.values.items()
+        )
+
+
+def continued(directory: Path) -> Continued:
+    """Return what `impact-rig dynamics continue` has found.
+
+    Raises:
+        ConfigError: it has not, or not over the frequency.
+    """
+    from impact_rig.maps.plan import FREQUENCY  # noqa: PLC0415  # as above
+    from impact_rig.studies.dynamics import figures, plan  # noqa: PLC0415
+
+    study, found = plan.stored(directory, plan.CONTINUE)
+    if study.over != FREQUENCY:
+        raise ConfigError(f"{directory}: branches over {study.over}: the page draws those over {FREQUENCY}")
+    rig = to_flat(study.base)
+    return Continued(
+        values={name: rig[name] for name in DECIDING if name != "sphere.start"},
+        amplitude=study.tasks[0].current_a,
+        lines=[line for _, rows in found for line in _parts(*figures.along(study, rows, "dt"))],
+        title=study.title,
+    )
+
+
+def _parts(
+    frequency_hz: NDArray[np.float64], dt: NDArray[np.float64], stable: NDArray[np.bool_]
+) -> Iterator[list[Any]]:
     """Yield the stretches of a branch that last or do not; neighbours share a point, so that the line is whole."""
-    points = [[round(float(f), 4), round(float(dt), 4)] for f, dt in zip(branch.frequency_hz, branch.dt, strict=True)]
-    turns = (np.flatnonzero(np.diff(branch.stable)) + 1).tolist()
+    points = [[round(float(f), 4), round(float(value), 4)] for f, value in zip(frequency_hz, dt, strict=True)]
+    turns = (np.flatnonzero(np.diff(stable)) + 1).tolist()
     for first, end in zip([0, *turns], [*turns, len(points)], strict=True):
         line = points[first : end + 1]
         if len(line) > 1:
-            yield [bool(branch.stable[first]), line]
+            yield [bool(stable[first]), line]
 
 
 class Theory:
@@ -130,6 +174,8 @@ class Theory:
     """
 
     def __init__(self, told: Callable[[dict[str, Any]], None]) -> None:
+        self.beside: Sequence[Continued] = ()
+        """Drawn too, where they exist."""
         self._told = told
         self._lock = threading.Lock()
         self._wish: tuple[dict[str, Any], float] | None = None
@@ -169,6 +215,10 @@ class Theory:
                 found = predicted(*wish)
             except Exception as error:  # values of anybody: the next wish is another one
                 found = {"lines": [], "words": f"No prediction: {error}"}
+            for one in self.beside:
+                if one.exists(*wish):
+                    words = f"{found['words']} Also motions of the model: {one.title}."
+                    found = {**found, "lines": [*found["lines"], *one.lines], "words": words}
             with self._lock:
                 overtaken = self._wish is not None
             if not overtaken:

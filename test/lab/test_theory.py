@@ -4,8 +4,10 @@
 
 from __future__ import annotations
 
+import queue
 import threading
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,11 +15,14 @@ import pytest
 from kits.browser import PATIENCE_S, Page
 from kits.lab import FakeSource
 
+from impact_rig.cli.main import main
+from impact_rig.errors import ConfigError
 from impact_rig.lab import theory
 from impact_rig.lab.server import Server
-from impact_rig.lab.theory import DECIDING, Theory, closed_form, contradiction, predicted
+from impact_rig.lab.theory import DECIDING, Theory, closed_form, continued, contradiction, predicted
+from impact_rig.maps.measure import MapRig, Settings
 from impact_rig.physics import prediction
-from impact_rig.rig.config import RigConfig, to_flat
+from impact_rig.rig.config import RigConfig, from_flat, to_flat
 
 DEFAULT = to_flat(RigConfig())
 CURRENT_A = 0.52
@@ -133,6 +138,37 @@ COLOURED = """(want => {
   });
 })"""
 """The share of each predicted line that is drawn in its colour."""
+
+
+def test_continued_motions_are_drawn_where_they_exist(tmp_path: Path) -> None:
+    """Four impacts per cycle at 6 mm: an island between two folds, of which one is passed here."""
+    study, out = tmp_path / "study.yaml", tmp_path / "out"
+    study.write_text(
+        "title: island\nset: {barriers.gap_m: 0.006}\n"
+        "continue: {over: frequency_hz, from: 8.5, to: 9.7, at: 9.1, points: 30}\n"
+    )
+    words = ["dynamics", "continue", str(study), "--workers", "1", "--no-figures", "--output", str(out)]
+    assert main(words) == 0
+    island = continued(out)
+    for gap_m, amplitude, here in ((0.006, CURRENT_A, True), (0.007, CURRENT_A, False), (0.006, 0.5, False)):
+        told: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
+        one = Theory(told.put)
+        one.beside = [island]
+        one.want({**DEFAULT, "barriers.gap_m": gap_m, "sphere.start": "right"}, amplitude)
+        found = told.get(timeout=PATIENCE_S)
+        one.close()
+        plain = of(gap_m * 1e3, amplitude)["lines"]
+        assert found["lines"] == [*plain, *(island.lines if here else [])]
+        assert found["words"].endswith("Also motions of the model: island.") == here
+    assert [lasts for lasts, _ in island.lines] == [True, False]
+    rig = MapRig(from_flat(RigConfig(), {"barriers.gap_m": 0.006}), Settings())
+    rig.reset()
+    assert np.interp(9.1, *np.array(island.lines[0][1]).T) == pytest.approx(rig.measure(9.1, CURRENT_A).dt, rel=1e-4)
+    over = "over: frequency_hz, from: 8.5, to: 9.7, at: 9.1, points: 30"
+    study.write_text(study.read_text().replace(over, "from: 0.005, to: 0.007, at: 0.006, points: 2"))
+    assert main(words) == 0
+    with pytest.raises(ConfigError, match="branches over gap_m: the page draws those over frequency_hz"):
+        continued(out)
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])

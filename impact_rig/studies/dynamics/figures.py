@@ -52,6 +52,15 @@ def across_of(plan: Plan) -> tuple[str, float]:
     return _LABELS.get(plan.over, (plan.over, 1.0))
 
 
+def along(
+    plan: Plan, rows: Sequence[Row], quantity: str
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
+    """Return the parameter [SI] along a branch, a quantity there, and whether the motion is stable; each shape (n,)."""
+    path = [row for row in rows if row[plans.COLUMNS[plan.kind].index("event")] in ("orbit", "start")]
+    across, height, stable = (column(plan, path, name) for name in ("value", quantity, "stable"))
+    return across, height, stable > 0.0
+
+
 def _section(panes: Sequence[Axes], plan: Plan, found: Found) -> None:
     for i, (task, rows) in enumerate(found):
         x, v = column(plan, rows, "x_2_m"), column(plan, rows, "v_2_m_s")
@@ -125,11 +134,8 @@ def draw_branch(
     pane: Axes, plan: Plan, rows: Sequence[Row], quantity: str, colour: str, label: str | None
 ) -> list[tuple[list[float], list[float]]]:
     """Draw a branch over its parameter, dotted where it is not stable; return its stable and its unstable points."""
-    path = [row for row in rows if row[plans.COLUMNS[plan.kind].index("event")] in ("orbit", "start")]
-    if not path:
-        return [([], []), ([], [])]
-    across, stable = across_of(plan)[1] * column(plan, path, "value"), column(plan, path, "stable") > 0.0
-    height = column(plan, path, quantity)
+    across, height, stable = along(plan, rows, quantity)
+    across = across_of(plan)[1] * across
     for which, line, name in ((stable, "-", label), (~stable, ":", None)):
         near = which | np.append(which[1:], False) if line == ":" else which
         pane.plot(across, np.where(near, height, np.nan), line, color=colour, label=name)
