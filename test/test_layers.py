@@ -65,7 +65,8 @@ def test_importing_the_package_itself_is_cheap():
 
 
 def test_there_is_one_version():
-    """package.xml is what setup.py and ROS read; the package says the same, and the changelog knows it."""
+    """package.xml is what setup.py and ROS read; package and citation say the same, and the changelog knows it."""
     in_package_xml = ET.parse(ROOT / "package.xml").findtext("version")
     assert in_package_xml == impact_rig.__version__
+    assert f"\nversion: {in_package_xml}\n" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
     assert f"\n{in_package_xml} (" in (ROOT / "CHANGELOG.rst").read_text(encoding="utf-8")

@@ -54,6 +54,7 @@ RUN_BY = {
     ("docs/drive.md", "python title"): "test/testing/test_examples.py",
     ("docs/extending.md", "python title"): "test/test_extending.py",
     ("docs/first_node.md", "python title"): "test/testing/test_examples.py",
+    ("docs/interface.md", "xml"): "test/nodes/test_convert.py",
     ("docs/recording.md", "python"): "test/recording/test_guide.py",
     ("docs/recording.md", "python notebook"): "test/recording/test_guide.py",
     ("docs/testing.md", "python title"): "test/testing/test_guide.py",

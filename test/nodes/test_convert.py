@@ -5,8 +5,10 @@
 from __future__ import annotations
 
 import math
+import re
 import struct
 from pathlib import Path
+from xml.etree import ElementTree as ET
 
 import attrs
 import numpy as np
@@ -15,6 +17,7 @@ from kits.recorded_rig import KINDS, record
 
 pytest.importorskip("rclpy", reason="no ROS 2 here")
 
+from rclpy.qos import QoSCompatibility, qos_check_compatible, qos_profile_sensor_data
 from rclpy.serialization import deserialize_message
 
 from impact_rig.nodes import messages
@@ -23,6 +26,7 @@ from impact_rig.nodes.publishers import Monitors
 from impact_rig.recording import open_run
 from impact_rig.rig import Block, Rig
 from impact_rig.rig.config import RigConfig, from_flat
+from impact_rig.rig.description import robot_description
 from impact_rig.rig.monitors import HALF_PERIODS, AntiAlias, taps
 from impact_rig.runs.verification import verify
 
@@ -146,6 +150,26 @@ def test_joint_states_carry_the_contact_force_as_effort() -> None:
         assert list(message.position) == [row["x_b"], row["x_1"], row["x_2"]]
         assert list(message.velocity) == [row["v_b"], row["v_1"], row["v_2"]]
         assert message.effort[2] == row["force_left"] - row["force_right"] == -message.effort[1]
+
+
+def test_joint_states_serve_a_topic_based_hardware_interface_as_the_page_says(default) -> None:
+    page = (Path(__file__).parents[2] / "docs" / "interface.md").read_text(encoding="utf-8")
+    (snippet,) = re.findall(r"```xml\n(.*?)```", page, flags=re.DOTALL)
+    robot = ET.fromstring(snippet)
+    xacro = "{http://www.ros.org/wiki/xacro}"
+    message = default[1]["truth/joint_states"][0]
+    assert [one.get("joint") for one in robot.iter(f"{xacro}state")] == list(message.name)
+    for interface in robot.iter("state_interface"):
+        assert len(getattr(message, interface.get("name"))) == len(message.name)
+    topic = by_name("truth/joint_states")
+    assert robot.findtext("ros2_control/hardware/param[@name='joint_states_topic']") == f"/rig/{topic.name}"
+    assert topic.type_name == "sensor_msgs/msg/JointState"
+    units = {column.name: column.unit for column in topic.fields}
+    assert (units["position"], units["velocity"], units["effort"]) == ("m", "m/s", "N")
+    joints = {one.get("name"): one for one in ET.fromstring(robot_description(RigConfig())).iter("joint")}
+    assert all(joints[name].get("type") == "prismatic" for name in message.name)
+    compatible, reason = qos_check_compatible(messages.profile(topic.qos), qos_profile_sensor_data)
+    assert compatible != QoSCompatibility.ERROR, reason  # a warning: liveliness is left to the system
 
 
 @attrs.frozen(eq=False)

@@ -3,7 +3,8 @@
 """Write every page and file that is made from the code: `make generate` rewrites them, a test compares them.
 
 In the pages of docs/ the parts between `<!-- generated: NAME -->` and `<!-- end -->` are generated, each by the
-function that `TABLES` names; `config/nominal.yaml`, the URDF and the pictures of layers and nodes are generated whole.
+function that `TABLES` names; `config/nominal.yaml`, `interface.json`, the URDF and the pictures of layers and nodes are
+generated whole.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import re
 from collections.abc import Callable
 from pathlib import Path
 
+from impact_rig.cli.interface import DOCUMENT
 from impact_rig.rig.config import RigConfig
 from impact_rig.rig.description import robot_description
 from tools.generate import graph, interface, laws, layers
@@ -41,6 +43,7 @@ def generated() -> dict[Path, str]:
     description = robot_description(RigConfig())
     return {
         ROOT / "config" / "nominal.yaml": nominal(),
+        DOCUMENT: interface.document(),
         ROOT / "urdf" / "impact_rig.urdf": description,
         layers.PICTURE: layers.picture(),
         graph.PICTURE: graph.picture(),

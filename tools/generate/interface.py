@@ -1,10 +1,12 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""The tables of `docs/interface.md`: topics, columns, services, parameters, figures, states."""
+"""The interface: as the tables of `docs/interface.md`, and as the document that `impact-rig interface` gives."""
 
 from __future__ import annotations
 
 import itertools
+import json
+import math
 from collections.abc import Callable
 from typing import Any  # settings of any node
 
@@ -12,6 +14,7 @@ import numpy as np
 
 from impact_rig import states, topics
 from impact_rig.blocks import TEXT, Column
+from impact_rig.cli.interface import CLIENTS
 from impact_rig.config import FieldInfo
 from impact_rig.config.tree import Tree, Value
 from impact_rig.instruments import section
@@ -153,6 +156,65 @@ def _figures() -> str:
 def _words() -> str:
     rows = ((node, f"`{word.value}`", f"{word.doc}.") for node, words in states.BY_NODE.items() for word in words)
     return table(("node", "state", "meaning"), rows)
+
+
+def document() -> str:
+    """Return topics, services and parameters as JSON, a row a line, without what a row has none of."""
+    content = {
+        "topics": {topic.name: _topic(topic) for topic in TOPICS},
+        "services": {f"{s.node}{s.name[1:]}": {"type": s.type_name, "doc": s.doc} for s in services.SERVICES},
+        "parameters": {
+            node: {name: _parameter(about, default) for name, about, default in tree.fields()}
+            for node, tree in SCHEMAS.items()
+        },
+    }
+    return _text(content) + "\n"
+
+
+def _topic(topic: topics.Topic) -> dict[str, object]:
+    taken = topic.publisher in CLIENTS
+    columns = section.COLUMNS if topic is topics.SCAN else topic.fields
+    return {
+        "type": topic.type_name, "publisher": topic.publisher, "reliability": "reliable", "depth": topic.qos.depth,
+        "durability": "transient local" if topic.qos.transient_local else "volatile", "frame": topic.frame_id,
+        "doc": topic.doc,
+        "columns": {
+            column.name: _said(
+                type="" if topic.columns is None else _kind(column.kind), unit=column.unit, whole=column.whole,
+                least=column.least, most=column.most, required=taken and column.default is None, doc=column.doc,
+            )
+            for column in columns
+        },
+    }  # fmt: skip
+
+
+def _parameter(about: FieldInfo, default: Value) -> dict[str, object]:
+    types = {bool: "bool", int: "integer", float: "double", str: "string"}
+    one = types[type(default[0]) if isinstance(default, tuple) and default else str]
+    said = _said(
+        type=f"{one}_array" if isinstance(default, tuple) else types[type(default)], unit=about.unit,
+        least=about.low, least_open=about.low_open, most=about.high, most_open=about.high_open,
+        choices=list(about.choices), pattern=about.pattern, start_only=about.read_only, doc=about.doc,
+    )  # fmt: skip
+    return {"default": list(default) if isinstance(default, tuple) else default, **said}
+
+
+def _said(**row: object) -> dict[str, object]:
+    """Leave out what does not hold: no text, no bound, false."""
+    nothing = ("", "-", None, [], math.inf, -math.inf)
+    return {key: value for key, value in row.items() if value is not False and value not in nothing}
+
+
+def _text(tree: dict[str, Any], depth: int = 0) -> str:
+    """Return a tree as JSON, a row without further rows in one line."""
+    if not any(isinstance(value, dict) for value in tree.values()):
+        return json.dumps(tree, ensure_ascii=False)
+    inner = (
+        f"{' ' * (depth + 1)}{json.dumps(key)}: "
+        + (_text(value, depth + 1) if isinstance(value, dict) else json.dumps(value, ensure_ascii=False))
+        for key, value in tree.items()
+    )
+    return "{\n" + ",\n".join(inner) + f"\n{' ' * depth}}}"
 
 
 TABLES: dict[str, Callable[[], str]] = {

@@ -1,0 +1,172 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""`impact-rig interface`: the interface as a document for other tools, and what of another one breaks its clients."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any  # what JSON holds
+
+from impact_rig.cli.terminal import Console, TextTable, add_json, subcommand, tell_json
+from impact_rig.errors import ConfigError
+from impact_rig.system import files
+
+DOCUMENT = Path(__file__).parents[1] / "interface.json"
+"""That of this version; `make generate` writes it from the tables of topics, services and parameters."""
+MAX_BYTES = 5_000_000
+CLIENTS = ("client", "peers")
+"""Publishers of what the rig takes."""
+
+Row = dict[str, Any]
+
+
+def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Register the subcommand."""
+    parser = subcommand(
+        commands, "interface", "topics, services and parameters as a document, or what breaks clients of another one",
+        [
+            ("interface --json > interface.json", "types, qualities of service, columns, ranges, defaults"),
+            ("interface --against older.json", "what breaks a client of that version, and what is merely new"),
+        ],
+        "Exit code 1 if something breaks a client: docs/interface.md says what does.",
+    )  # fmt: skip
+    add_json(parser)
+    parser.add_argument("--against", type=Path, metavar="FILE", help="document of another version, an earlier one")
+    parser.set_defaults(run=_run)
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    present = read(DOCUMENT)
+    if not arguments.against:
+        if arguments.json:
+            tell_json(present)
+        else:
+            _show(present)
+        return 0
+    try:
+        breaks, other = differences(read(arguments.against), present)
+    except (AttributeError, KeyError, TypeError) as error:
+        raise ConfigError(f"this is no document of an interface ({arguments.against})") from error
+    if arguments.json:
+        tell_json({"breaks": breaks, "other": other})
+    else:
+        console = Console()
+        for text in breaks:
+            console.print(f"breaks clients: {text}", style="red")
+        for text in other:
+            console.print(text)
+        console.print(f"{len(breaks)} differences break a client, {len(other)} do not")
+    return 1 if breaks else 0
+
+
+def _show(document: Mapping[str, Any]) -> None:
+    table = TextTable(left=("topic or service", "type", "from"))
+    for name, topic in document["topics"].items():
+        table.add_row(name, topic["type"].split("/")[-1], topic["publisher"])
+    for name, service in document["services"].items():
+        table.add_row(name, service["type"].split("/")[-1], "service")
+    counts = ", ".join(f"{len(rows)} of {node}" for node, rows in document["parameters"].items())
+    Console().print(table, f"parameters: {counts}; all of it with --json", sep="\n")
+
+
+def read(path: Path) -> dict[str, Any]:
+    """Return the document of an interface.
+
+    Raises:
+        ConfigError: it cannot be read, or is no JSON; the message names the file.
+    """
+    try:
+        return dict(json.loads(files.read_bytes(path, MAX_BYTES)))
+    except OSError as error:
+        raise ConfigError(f"cannot read the interface: {error.strerror or error} ({path})") from error
+    except (ValueError, TypeError, RecursionError) as error:
+        raise ConfigError(f"this is no document of an interface ({path})") from error
+
+
+def differences(old: Mapping[str, Any], new: Mapping[str, Any]) -> tuple[list[str], list[str]]:
+    """Return what of `new` breaks a client of `old`, and the other differences, each as a text.
+
+    Raises:
+        AttributeError, KeyError, TypeError: one of them is no document of an interface.
+    """
+    before, after = dict(_rows(old)), dict(_rows(new))
+    gone = [name for name in before if name not in after and _whole(name) not in set(before) - set(after)]
+    breaks = [f"{name} is not there any more" for name in gone]
+    other: list[str] = []
+    for name, row in after.items():
+        if name not in before:
+            if _whole(name) not in set(after) - set(before):
+                needed = row["taken"] and row.get("required")
+                (breaks if needed else other).append(f"{name} is new" + " and must be given" * bool(needed))
+            continue
+        for key in dict.fromkeys((*before[name], *row)):
+            was, now = before[name].get(key), row.get(key)
+            if was != now and key not in ("doc", "taken"):
+                bad = _BREAKS.get(key, _always)(was, now, row)
+                (breaks if bad else other).append(f"{name}: {key} was {_shown(was)}, is {_shown(now)}")
+    return breaks, other
+
+
+def _rows(document: Mapping[str, Any]) -> Iterator[tuple[str, Row]]:
+    """Yield what a client may rely on, by name; `taken` is what comes from clients."""
+    for name, topic in document["topics"].items():
+        taken = topic["publisher"] in CLIENTS
+        yield f"topic {name}", {**{key: value for key, value in topic.items() if key != "columns"}, "taken": taken}
+        for column, about in topic["columns"].items():
+            yield f"topic {name}, column {column}", {**about, "taken": taken}
+    for name, service in document["services"].items():
+        yield f"service {name}", {**service, "taken": True}
+    for node, parameters in document["parameters"].items():
+        for name, about in parameters.items():
+            yield f"parameter {name} of {node}", {**about, "taken": True}
+
+
+def _whole(name: str) -> str | None:
+    """Return the topic that a column belongs to: where that is gone or new, its columns are not told one by one."""
+    topic, column, _ = name.partition(", column ")
+    return topic if column else None
+
+
+def _shown(value: object) -> str:
+    return "not said" if value is None else json.dumps(value, ensure_ascii=False)
+
+
+def _always(_was: object, _now: object, _row: Row) -> bool:
+    return True
+
+
+def _offers(less: str, more: str) -> Callable[[Any, Any, Row], bool]:
+    """A quality of service breaks whoever asks for more than is offered (OMG DDS 1.4, 2.2.3: request and offer)."""
+    return lambda _was, now, row: bool(now == (more if row["taken"] else less))
+
+
+def _reaches(sign: float) -> Callable[[Any, Any, Row], bool]:
+    """A bound breaks who sends, if less is taken than before."""
+
+    def narrower(was: float | None, now: float | None, row: Row) -> bool:
+        end = sign * math.inf
+        return row["taken"] and sign * (end if now is None else now) < sign * (end if was is None else was)
+
+    return narrower
+
+
+_BREAKS: dict[str, Callable[[Any, Any, Row], bool]] = {
+    "publisher": lambda was, now, _: (was in CLIENTS) != (now in CLIENTS),
+    "reliability": _offers("best effort", "reliable"),
+    "durability": _offers("volatile", "transient local"),
+    # who joins late gets fewer; how many wait for one who is slow, nobody can rely on
+    "depth": lambda was, now, row: row.get("durability") == "transient local" and not row["taken"] and now < was,
+    "required": lambda _was, now, _: bool(now),
+    "least": _reaches(-1.0),
+    "most": _reaches(1.0),
+    "least_open": lambda _was, now, row: bool(row["taken"] and now),
+    "most_open": lambda _was, now, row: bool(row["taken"] and now),
+    "whole": lambda _was, now, row: bool(row["taken"] and now),
+    "choices": lambda was, now, _: now is not None and not set(was or ()) <= set(now),
+    "start_only": lambda _was, now, _: bool(now),
+}
+"""Key of a row -> whether a change breaks a client (was, is, the row); any change of another key does."""
