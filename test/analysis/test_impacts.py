@@ -9,8 +9,8 @@ import pytest
 from kits.records import RMS, add_impacts, info_rows
 
 from impact_rig.analysis.calibration import Calibration
-from impact_rig.analysis.cycles import Accumulator
-from impact_rig.analysis.impacts import ImpactDetector, counted
+from impact_rig.analysis.cycles import PHASE_BINS, Accumulator, Cycles
+from impact_rig.analysis.impacts import IMPACT, ImpactDetector, counted
 from impact_rig.analysis.settings import ImpactSettings
 
 FAST = 50_000
@@ -145,3 +145,13 @@ def test_impacts_are_counted_in_their_cycles():
     filled = counted(cycles, detector(10_000).feed(acceleration), 0, accumulator.period)
     assert filled.impacts.tolist() == [1, 2, 1]
     assert filled.strikes.sum(axis=1).tolist() == [1, 2, 1]
+
+
+def test_an_impact_on_the_first_scan_of_a_cycle_is_one_of_that_cycle():
+    first = np.array([100, 200, 300])
+    empty = np.zeros((3, 4))
+    cycles = Cycles(first, np.full(3, 100), np.zeros((3, 4, 1), complex), empty, empty, empty, np.zeros(3, int), empty,
+                    np.full(3, np.nan), np.zeros((3, PHASE_BINS), np.uint8))  # fmt: skip
+    impacts = np.zeros(4, IMPACT)
+    impacts["scan"] = [99.9, 200.0, 299.9, 400.0]
+    assert counted(cycles, impacts, 100, 100.0).impacts.tolist() == [0.0, 2.0, 0.0]

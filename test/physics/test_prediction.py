@@ -54,6 +54,15 @@ def half_period_map(e: float, theta: float) -> np.ndarray:
     return np.array([[e, -math.pi * (1.0 + e) / 2.0], [e * 2.0 * q / (math.pi * (1.0 + e)), e - q]])
 
 
+def test_at_a_given_current_a_branch_is_stable_on_one_side_of_its_largest_gap(nominal):
+    """Two motions merge there: the slow flow's determinant is zero where the gap is stationary, its trace is not."""
+    motions = prediction.branch(nominal, 8.6, current_a=CURRENT_A)
+    largest = int(np.argmax(motions.gap_m))
+    assert 0 < largest < len(motions.theta) - 1
+    assert not motions.stable[:largest].any()
+    assert motions.stable[largest + 1 : largest + 50].all()
+
+
 @pytest.mark.parametrize("e", [0.1, FLORES, 0.8])
 def test_the_bounds_of_stability_are_those_of_the_map(e):
     manifold = Manifold(e)
