@@ -240,7 +240,7 @@ def test_a_law_refuses_an_impossible_restitution(law, wrong):
 def test_the_speed_at_which_a_barrier_yields():
     """Hertz, p = (2/π) E* √(δ/R) with K = 4/3 E* √R and δ of an elastic impact, as in docs/limits.md; p ~ v^(2/5)."""
     text = (Path(__file__).parents[2] / "docs" / "limits.md").read_text(encoding="utf-8")
-    stated = r"put ([\d.]+) GPa .*?\(yield stress\s+([\d.]+) GPa\).*?reached at ([\d.]+) m/s"
+    stated = r"put ([\d.]+) GPa .*?yield stress\s+([\d.]+) GPa\).*?reached at ([\d.]+) m/s"
     pressure_gpa, yield_gpa, speed = map(float, re.search(stated, text, re.DOTALL).groups())
     radius, k, mass = RigConfig().sphere.diameter_m / 2.0, stiffness(), sphere_kg()
     indentation = (5.0 * mass / (4.0 * k)) ** 0.4
