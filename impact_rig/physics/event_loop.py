@@ -34,7 +34,6 @@ from impact_rig.physics.flight import (
     SEGMENT,
     Forcing,
     aim,
-    bound_omega,
     carry,
     drive,
     evaluate,
@@ -361,7 +360,6 @@ def _ready(model, f, work, t_end, fresh):  # type: ignore[no-untyped-def]
     if f.omega != flight.omega or which != flight.system:
         transfer(system, f.omega, flight)
         flight.omega, flight.system = f.omega, which
-        flight.reach = bound_omega(system, f.omega)
         fresh = True
     if fresh:
         aim(system, f, flight, t_end)

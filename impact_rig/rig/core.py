@@ -245,7 +245,7 @@ class Rig:
             return None
         happened, stream.events = stream.events, []
         for event, sample, text in happened:
-            self._note(Kind.STREAM, event.value, float(sample), text.encode())
+            self._journal_row(Kind.STREAM, event.value, float(sample), text.encode())
             if event is Event.END and text == UNDERRUN and self._drive.on_underrun == "trip" and self._latched is None:
                 trip = Trip(0, UNDERRUN, float(sample), 0.0)
         return trip
@@ -404,17 +404,17 @@ class Rig:
             raise CommandError(f"a pluck must be finite, got {displacement_m:g} m")
         self._simulation.pluck(displacement_m)
         self._generator.set_amplitude(0.0)
-        self._note(Kind.PLUCK, value=displacement_m)
+        self._journal_row(Kind.PLUCK, value=displacement_m)
         self._publish_applied()
 
     def stop(self) -> None:
         """Ramp the shaker to zero and latch it until `clear_trip`: the emergency stop."""
-        self._note(Kind.STOP)
+        self._journal_row(Kind.STOP)
         self._latch(EMERGENCY)
 
     def clear_trip(self) -> None:
         """Release the latch; the amplitude stays zero until the next command."""
-        self._note(Kind.CLEAR_TRIP)
+        self._journal_row(Kind.CLEAR_TRIP)
         self._latched = None
         self._interlock.reset()
 
@@ -432,7 +432,7 @@ class Rig:
     def clear_fault(self, number: int | None = None) -> None:
         """End one instrument fault, or all of them, at the first scan not yet measured."""
         self._chain.clear(number)
-        self._note(Kind.CLEAR_FAULT, value=-1.0 if number is None else float(number))
+        self._journal_row(Kind.CLEAR_FAULT, value=-1.0 if number is None else float(number))
 
     def take_applied(self) -> list[Table]:
         """Return the new rows of shaker/applied and forget them."""
@@ -464,7 +464,7 @@ class Rig:
         self._interlock = Interlock()
         self._planned_faults = PlanInForce(config.instruments.faults.planned, self.rate_hz)
         self._truth = Truth(self.rate_hz, config.output.monitor_rate_hz, config.output.truth_scan)
-        self._note(kind, text=impact_rig.__version__.encode())
+        self._journal_row(kind, text=impact_rig.__version__.encode())
         self._journal.add_values(0, Kind.INITIAL, not_default(config).items())
         self._publish_applied()
 
@@ -484,7 +484,7 @@ class Rig:
         return self._interlock.watch(motion, tick_s, self._drive, self.config.shaker)
 
     def _trip(self, trip: Trip) -> None:
-        self._note(Kind.TRIP, trip.reason, trip.measured)
+        self._journal_row(Kind.TRIP, trip.reason, trip.measured)
         self._latch(trip.message())
 
     def _latch(self, reason: str) -> None:
@@ -510,11 +510,11 @@ class Rig:
 
     def _time_out(self) -> None:
         self._timed_out = True
-        self._note(Kind.TIMEOUT)
+        self._journal_row(Kind.TIMEOUT)
         self._generator.set_amplitude(0.0)
         self._publish_applied()
 
-    def _note(self, kind: Kind, key: str = "", value: float = 0.0, text: bytes = b"") -> None:
+    def _journal_row(self, kind: Kind, key: str = "", value: float = 0.0, text: bytes = b"") -> None:
         self._journal.add(self.frontier_sample, kind, key, value, text)
 
     def _publish_applied(self) -> Table:
