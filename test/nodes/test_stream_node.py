@@ -75,19 +75,19 @@ def test_over_topics_come_the_bits_of_the_rig_in_process(client, in_process, mod
 
 
 def test_in_real_time_come_the_bits_of_the_rig_in_process(client):
-    node = host_rig(client, "realtime", **STREAM)
+    node = host_rig(client, "realtime", **STREAM, drive__stream_buffer_s=20.0)
     client.wait_active("rig")
     scans = client.collect("daq/scan")
     client.wait_until(lambda: len(scans), "scans")
     client.wait_until(client.publisher(topics.WAVEFORM).get_subscription_count, "the rig to listen")
     rig = node._session.rig
-    wave, first = WAVE[: RATE_HZ // 2], rig.stream.played + 14_000  # in time on a busy machine, and within the buffer
+    wave, first = WAVE[: RATE_HZ // 2], rig.stream.played + 14_000  # in time on a busy machine
     for begin in range(0, len(wave), 700):
         send(client, first + begin, wave[begin : begin + 700], rig.start_ns)
     send(client, first + len(wave), wave[:0], rig.start_ns)
     last_ns = rig.start_ns + (first + len(wave)) * NS_PER_S // RATE_HZ
     client.wait_until(lambda: scans.tables()[-1].stamp_ns > last_ns, "the scans of all samples")
-    alone = Rig(paper_rig(**STREAM))
+    alone = Rig(paper_rig(**STREAM, drive__stream_buffer_s=20.0))
     alone.feed(first, wave)
     alone.feed(first + len(wave), ())
     expected = {block.scan.stamp_ns: block.scan.rows for block in alone.advance(last_ns - rig.start_ns + NS_PER_S)}
