@@ -202,7 +202,7 @@ def test_the_exponents_of_a_bouncing_ball():
 
 @pytest.mark.slow
 def test_the_exponent_of_a_chaotic_bouncing_ball_is_that_of_its_impact_map():
-    e, gamma = 0.85, 1.6
+    e, gamma = 0.9, 1.6  # no flight becomes so short that chatter begins
     ball = Bouncer(e, gamma)
     found = exponent.largest(ball, ball(np.array([5.0, 1.0]), 100), returns=150, windows=12)
     assert found.value == pytest.approx(impact_map_exponent(e, gamma, 1500), abs=4.0 * found.uncertainty)
