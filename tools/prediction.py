@@ -16,15 +16,23 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
-from impact_rig.campaign.pool import run_parallel
-from impact_rig.drawing import SERIES, legend_below, new_axes, style
+from impact_rig.campaign.pool import in_parallel, run_parallel
+from impact_rig.drawing import INK, SERIES, legend_below, new_axes, style
+from impact_rig.maps.measure import Settings
+from impact_rig.maps.plan import GAP
 from impact_rig.physics import prediction
 from impact_rig.rig.config import RigConfig
+from impact_rig.studies.dynamics import figures
+from impact_rig.studies.dynamics.plan import CONTINUE, Plan, Task, run
 from impact_rig.studies.prediction import CURRENT_A, Compared, side_by_side
 
 FREQUENCIES_HZ = (8.8, 9.1, 9.4)
 GAPS_MM = (6, 8, 10, 11, 12, *range(14, 41, 2), 27, 29, 31)
+FROM_MM, TO_MM = 5.0, 41.0
+CONTINUED_MM = (6, 8, 10, 11)
+"""Where motions with other numbers of impacts are continued from."""
 WITHIN, WITHIN_DEGREES = 0.01, 2.0
 PICTURE = Path(__file__).parents[1] / "docs" / "images" / "prediction.png"
 
@@ -70,9 +78,13 @@ def _tell(one: Compared) -> bool:
 
 
 def draw(found: Sequence[Compared]) -> None:
-    """Draw DT and phase over the gap: lines are predicted (dashed: unstable), points measured."""
+    """Draw DT and phase over the gap: lines are predicted or continued (dotted: unstable), points measured."""
     with style():
         figure, (upper, lower) = new_axes(5.2, (1.4, 1.0))
+        for gap, dt, degrees, stable in continued():
+            for line, which in (("-", stable), (":", ~stable)):
+                for axis, height in ((upper, dt), (lower, degrees)):
+                    axis.plot(gap, np.where(which, height, np.nan), line, color=INK, linewidth=0.8)
         for frequency, colour in zip(FREQUENCIES_HZ, SERIES, strict=False):
             branch = prediction.branch(RigConfig(), frequency, current_a=CURRENT_A)
             gap, degrees = branch.gap_m * 1e3, np.degrees(branch.phase_rad)
@@ -86,13 +98,33 @@ def draw(found: Sequence[Compared]) -> None:
                 x = [one.gap_m * 1e3 for one in at]
                 for axis, y in ((upper, [a.dt for a in at]), (lower, [math.degrees(a.phase_rad) for a in at])):
                     axis.plot(x, y, marker, color=colour, fillstyle="none", markersize=4)
-        upper.set(ylabel="DT", ylim=(0, None), xlim=(5, 41))
+        upper.set(ylabel="DT", ylim=(0, None), xlim=(FROM_MM, TO_MM))
         lower.set(xlabel="gap (mm)", ylabel="phase (°)")
         upper.set_title("Two symmetric impacts per cycle", loc="left")
         for marker, label in MARKS:
             upper.plot([], [], marker, color="0.3", fillstyle="none", label=label)
+        upper.plot([], [], "-", color=INK, linewidth=0.8, label="continued from the model")
         legend_below(lower, 3, upper)
         figure.savefig(PICTURE, dpi=130, facecolor="white")
+
+
+def continued() -> list[tuple[NDArray[np.generic], ...]]:
+    """Return gap [mm], DT, phase [°], and whether stable, along motions that strike otherwise than twice a cycle."""
+    what = {"over": GAP, "low": FROM_MM * 1e-3, "high": TO_MM * 1e-3, "start": "left", "points": 200}
+    tasks = [
+        Task(
+            kind=CONTINUE, name="", changes={}, settings=Settings(), frequency_hz=frequency, current_a=CURRENT_A,
+            what={**what, "value": gap * 1e-3},
+        )
+        for frequency in FREQUENCIES_HZ
+        for gap in CONTINUED_MM
+    ]  # fmt: skip
+    plan = Plan(kind=CONTINUE, title="", base=RigConfig(), text="", over=GAP, tasks=tuple(tasks))
+    found = []
+    for _, rows in in_parallel(run, tasks):
+        (gap, dt, stable), (_, phase, _) = (figures.along(plan, rows, name) for name in ("dt", "phase_rad"))
+        found.append((gap * 1e3, dt, np.degrees(phase), stable))
+    return found
 
 
 MARKS = ((":", "predicted, unstable"), ("o", "measured, symmetric"), ("x", "measured, other"))

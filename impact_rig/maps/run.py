@@ -28,8 +28,6 @@ from impact_rig.maps.plan import DOWN, Line, MapPlan, load_map
 from impact_rig.system import files
 
 CSV_FILE, JSON_FILE = "map.csv", "map.json"
-_NUMBERS = Reading._fields[1:]
-"""Readings but the word for the regime, which is the first."""
 
 
 @attrs.frozen(eq=False, kw_only=True)
@@ -38,7 +36,8 @@ class FinishedMap:
 
     Attributes:
         plan: what was asked for.
-        values: by direction and name of a reading: arrays in the order of the axes, NaN (or "") where not measured.
+        values: by direction and name of a reading, or of what was added beside: arrays in the order of the axes, NaN
+            (or "") where not measured.
     """
 
     plan: MapPlan
@@ -100,7 +99,7 @@ def write_results(done: FinishedMap, more: dict[str, object]) -> None:
 
 def table(done: FinishedMap) -> tuple[list[str], list[list[object]]]:
     """Return the names of the columns and a row a measured place; NaN where a reading is none."""
-    return [*done.plan.axes, "direction", *Reading._fields], list(_rows(done))
+    return [*done.plan.axes, "direction", *next(iter(done.values.values()))], list(_rows(done))
 
 
 def _rows(done: FinishedMap) -> Iterable[list[object]]:
@@ -109,8 +108,5 @@ def _rows(done: FinishedMap) -> Iterable[list[object]]:
         for place in np.ndindex(*map(len, axes)):
             if not values["regime"][place]:
                 continue
-            numbers = [float(values[name][place]) for name in _NUMBERS]
-            yield [
-                *(axis[i] for axis, i in zip(axes, place, strict=True)), layer,
-                str(values["regime"][place]), *numbers,
-            ]  # fmt: skip
+            cells = [array[place].item() for array in values.values()]
+            yield [*(axis[i] for axis, i in zip(axes, place, strict=True)), layer, *cells]

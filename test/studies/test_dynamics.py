@@ -440,6 +440,32 @@ def test_what_was_interrupted_is_resumed_to_the_same_bytes(kind, tmp_path, capsy
         assert len(list(csv.DictReader(file))) == told["rows"]
 
 
+def test_the_exponent_stands_beside_the_regime_in_a_map_that_asks(tmp_path, capsys):
+    text = "axes: {gap_m: [0.020, 0.031], sphere_position_m: [-0.0099, -0.005]}\n"
+    (tmp_path / "map.yaml").write_text(text)
+    words = ["map", str(tmp_path / "map.yaml"), "--workers", "1", "--no-figures", "--output", str(tmp_path / "out")]
+
+    def rows() -> list[dict[str, str]]:
+        with (tmp_path / "out" / "map.csv").open() as file:
+            return list(csv.DictReader(file))
+
+    assert main([*words, "--exponent", "--json"]) == 0
+    asked = rows()
+    assert json.loads(capsys.readouterr().out)["exponents"] == 1
+    (modulated,) = [row for row in asked if row["exponent_per_s"]]
+    assert {row["regime"] for row in asked if row is not modulated} == {"periodic"}
+    where = f"{{barriers.gap_m: {modulated['gap_m']}}}\nexponent: {{starts: [[{modulated['sphere_position_m']}, 0.0]]}}"
+    (alone,) = study(tmp_path, "exponent", f"set: {where}")
+    for name in ("regime", "exponent_per_s", "uncertainty_per_s"):
+        assert modulated[name] == str(alone[name])
+    assert main(words) == 0
+    names = ("exponent_per_s", "uncertainty_per_s")
+    assert rows() == [{name: cell for name, cell in row.items() if name not in names} for row in asked]
+    (tmp_path / "map.yaml").write_text("axes: {gap_m: [0.020, 0.031], current_a: [0.5, 0.52]}\ndirection: up\n")
+    assert main([*words[:-1], str(tmp_path / "up"), "--exponent"]) == 1
+    assert "direction must be reset" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("kind", "text", "message"),
     [

@@ -32,6 +32,7 @@ from impact_rig.maps.plan import (
     RESET,
     SPEED,
     UP,
+    Line,
     base,
     refuse_owned,
     settings_of,
@@ -67,6 +68,7 @@ COLUMNS: Mapping[str, tuple[str, ...]] = {
 NAMES = (FREQUENCY, CURRENT, GAP)
 CHUNK_VALUES = 20
 """Places that begin from rest in one task."""
+_CYCLES, _WINDOWS = 100, 20  # of an exponent
 _PARTS = 20.0  # of the range of a parameter that count as one dimensionless step: a motion may change within one
 _LOOKED = 7  # starts along either axis from which a basin's attractors are looked for
 _NEAR = 1e-3  # of an orbit's size: a motion as near, and coming nearer, is counted as on its way there
@@ -185,6 +187,18 @@ def load(path: Path, kind: str, resolved: RigConfig | None = None) -> Plan:
     return load_plan(path, "dynamics file", lambda document, text: _read(document, text, path, kind, resolved))
 
 
+def exponent_at(line: Line, value: float) -> Task:
+    """Return what measures the largest exponent at a place of a map where every place begins from rest."""
+    changes, frequency, current, sphere = line.place(value)
+    changes = {**line.changes, **changes}
+    start = sphere or from_flat(RigConfig(), changes).sphere.start
+    what = {"over": FREQUENCY, "value": frequency, "start": start, "cycles": _CYCLES, "windows": _WINDOWS}
+    return Task(
+        kind=EXPONENT, name=f"{line.along} {value:g}, {line.describe()}", changes=changes, settings=line.settings,
+        frequency_hz=frequency, current_a=current, what=what,
+    )  # fmt: skip
+
+
 def _read(document: object, text: str, path: Path, kind: str, resolved: RigConfig | None) -> Plan:
     top = axes.mapping("a dynamics file", document)
     axes.check_keys("", top, ("title", "config", "set", FREQUENCY, CURRENT, "measure", *KINDS))
@@ -272,8 +286,8 @@ def _exponent_parts(given: Mapping[str, object], place: Place, _settings: Settin
     axes.check_keys(EXPONENT, given, ("over", "values", "starts", "cycles", "windows"))
     over, values = _over(EXPONENT, {"over": FREQUENCY, "values": place.frequency_hz, **given}, place)
     held = {
-        "over": over, "cycles": axes.whole("exponent.cycles", given.get("cycles", 100), 10, 100_000),
-        "windows": axes.whole("exponent.windows", given.get("windows", 20), 4, 1000),
+        "over": over, "cycles": axes.whole("exponent.cycles", given.get("cycles", _CYCLES), 10, 100_000),
+        "windows": axes.whole("exponent.windows", given.get("windows", _WINDOWS), 4, 1000),
     }  # fmt: skip
     return over, [
         (f"{over} {value:g}, {named(start)}", {**held, "value": value, "start": start})
