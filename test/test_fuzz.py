@@ -14,7 +14,7 @@ import pytest
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))  # the targets are no part of the package
 
-from fuzz import decoders, sockets, target, validators  # noqa: E402
+from fuzz import decoders, importers, sockets, target, validators  # noqa: E402
 from impact_rig import blocks  # noqa: E402
 from impact_rig.analysis.settings import read_settings  # noqa: E402
 from impact_rig.analysis.tracker import Tracker  # noqa: E402
@@ -25,7 +25,7 @@ from impact_rig.recording import TopicDescription, open_run  # noqa: E402
 from impact_rig.rig import resimulate  # noqa: E402
 from impact_rig.rig.config import load  # noqa: E402
 
-TARGETS = (*decoders.TARGETS, *validators.TARGETS, *sockets.TARGETS)
+TARGETS = (*decoders.TARGETS, *validators.TARGETS, *importers.TARGETS, *sockets.TARGETS)
 SLICE = 60
 
 
