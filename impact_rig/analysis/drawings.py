@@ -89,7 +89,7 @@ def time_traces(rows: NDArray[np.void], impact_times: Real | None = None, remark
 
 
 @styled
-def phase_plane(displacement: Real, rate_hz: float, smooth_s: float = 0.0) -> Figure:
+def phase_plane(displacement: Real, rate_hz: float, smooth_s: float = 0.0, name: str = "$x_1$") -> Figure:
     """Draw velocity over displacement; the velocity is the derivative of a cubic fitted to the samples around.
 
     `smooth_s`, the span of the fit, is at least 11 samples and at most all: what is faster is lost, with the noise.
@@ -99,7 +99,7 @@ def phase_plane(displacement: Real, rate_hz: float, smooth_s: float = 0.0) -> Fi
     velocity = signal.savgol_filter(displacement, samples, 3, deriv=1, delta=1.0 / rate_hz)
     figure, (axis,) = _axes(1)
     axis.plot(1e3 * displacement, velocity, linewidth=0.6)
-    axis.set_xlabel("$x_1$ (mm)")
+    axis.set_xlabel(f"{name} (mm)")
     axis.set_ylabel("velocity (m/s)")
     return figure
 

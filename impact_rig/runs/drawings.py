@@ -31,6 +31,11 @@ NAMES = ("time_traces", "phase_plane", "spectrum", "curves")
 TRACED_CYCLES = 8
 SMOOTHED_CYCLE = 40.0
 """The velocity of the phase plane is smoothed over this part of a cycle."""
+MOTIONS = (
+    ("laser", 1e3, "mm", "$x_1$"), ("base", 1e3, "mm", "$x_b$"),
+    ("accelerometer", 1.0, "m/s²", "the acceleration"), ("current", 1.0, "A", "the current"),
+)  # fmt: skip
+"""Channel, factor, unit and name: the first that a run has is that of its phase plane and spectrum."""
 HARMONICS = 10.5
 UNDRIVEN_HZ = 100.0
 """The spectrum ends after so many harmonics of the drive, or here where none is known."""
@@ -62,23 +67,18 @@ def draw(run: Run, found: Sequence[Findings], directory: Path, suffix: str = "pn
     excerpt = last_excerpt(run, found)
     traced = excerpt.newest(TRACED_CYCLES)
     remark = aliasing(calibration_rows(run))
-    x_1 = samples_of(excerpt.rows, "laser")
+    channel, factor, unit, name = next(one for one in MOTIONS if one[0] in (excerpt.rows.dtype.names or ()))
+    samples = samples_of(excerpt.rows, channel)
+    upto_hz = min(HARMONICS * excerpt.drive_hz or UNDRIVEN_HZ, excerpt.rate_hz / 2.0)
+    spectrum = drawings.spectrum(factor * samples, excerpt.rate_hz, unit, excerpt.drive_hz, upto_hz)
     drawn = {
-        "time_traces": drawings.time_traces(traced.rows, traced.impact_times, remark),
-        "phase_plane": drawings.phase_plane(
-            x_1, excerpt.rate_hz, 1.0 / (SMOOTHED_CYCLE * excerpt.drive_hz or math.inf)
-        ),
-        "spectrum": drawings.spectrum(
-            1e3 * x_1, excerpt.rate_hz, "mm", excerpt.drive_hz,
-            min(HARMONICS * excerpt.drive_hz or UNDRIVEN_HZ, excerpt.rate_hz / 2.0),
-        ),
-    }  # fmt: skip
-    for figure, what in (
-        ("time_traces", str(traced)),
-        ("phase_plane", f"phase plane, {excerpt}"),
-        ("spectrum", f"spectrum of $x_1$, {excerpt}"),
-    ):
-        titled(drawn[figure], run, what)
+        "time_traces": titled(drawings.time_traces(traced.rows, traced.impact_times, remark), run, str(traced)),
+        "spectrum": titled(spectrum, run, f"spectrum of {name}, {excerpt}"),
+    }
+    if unit == "mm":
+        smooth_s = 1.0 / (SMOOTHED_CYCLE * excerpt.drive_hz or math.inf)
+        plane = drawings.phase_plane(samples, excerpt.rate_hz, smooth_s, name)
+        drawn["phase_plane"] = titled(plane, run, f"phase plane, {excerpt}")
     curves = measured_curves(reanalysis.rows(reanalysis.measurements(iter(found))))
     if curves:
         drawn["curves"] = titled(drawings.transmissibility_curves(curves), run, "settled measurements, ±2u")

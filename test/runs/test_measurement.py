@@ -20,6 +20,8 @@ from impact_rig.errors import ImpactRigError
 from impact_rig.recording import open_run
 from impact_rig.runs import export, foreign_files, reanalysis, verification
 from impact_rig.runs.measurement import Channel, Mapping, guess, measurement, refined, write
+from impact_rig.runs.wholes import calibration_rows
+from impact_rig.studies.identification.measurements import recorded_decay
 from impact_rig.testing import VirtualRig
 
 RATE_HZ, SECONDS, GAP_M = 2000, 12, 0.006
@@ -100,9 +102,28 @@ def test_what_is_exported_and_imported_is_measured_alike_bit_for_bit(recorded: P
     assert rows.tobytes() == expected.tobytes()
     assert impacts == struck
     with open_run(target) as run:
+        with open_run(recorded) as original:  # what identify takes besides the measurements
+            assert calibration_rows(run).tobytes() == calibration_rows(original).tobytes()
         kept = reanalysis.rows(list(run.tables(topics.TRANSMISSIBILITY_TABLE)))
         assert kept.tobytes() == rows.tobytes(), "what the import kept is what the analysis finds"
         assert str(verification.verify(run)).endswith("a measurement: there is nothing to re-simulate")
+
+
+def test_a_free_decay_is_identified_alike(tmp_path: Path) -> None:
+    """An imported one has no journal: it begins where the structure is farthest out, not where it was plucked."""
+    rig = VirtualRig({"daq.rate_hz": RATE_HZ, "daq.block_scans": 200, "sphere.present": False})
+    rig.run(seconds=0.2)
+    rig.core.pluck(0.004)
+    rig.run(seconds=10.0)
+    original = rig.save(tmp_path / "plucked")
+    with open_run(original) as run:
+        expected = recorded_decay(run)
+        source = foreign_files.read(export(run, topics.SCAN.name, tmp_path / "scans.npz"))
+        sheet = foreign_files.read(export(run, topics.INFO.name, tmp_path / "sheet.csv"))
+    with open_run(write(measurement(source, guess(source), sheet=sheet), tmp_path / "run")) as run:
+        found = recorded_decay(run)
+    for name in ("natural_frequency_hz", "damping_ratio"):
+        assert abs(getattr(found, name) - getattr(expected, name)) < getattr(expected, f"u_{name}")
 
 
 def test_a_wav_file_gives_the_transmissibility_within_its_resolution(recorded: Path, tmp_path: Path) -> None:
@@ -232,6 +253,15 @@ def test_a_file_that_crashes_its_library_is_an_error(tmp_path: Path, monkeypatch
     (tmp_path / "own.mat").write_bytes(b"MATLAB 5.0")
     with pytest.raises(ImpactRigError, match="the library that reads it crashed"):
         foreign_files.read(tmp_path / "own.mat")
+
+
+def test_a_run_is_drawn_by_the_channels_that_it_has(tmp_path: Path) -> None:
+    """A measurement with an accelerometer alone: matplotlib would warn, here an error, of a spectrum of nothing."""
+    np.savez(tmp_path / "own.npz", a=np.sin(0.3 * np.arange(4000)), rate=1000.0)
+    words = ["--channel", "accelerometer=a", "m/s^2", "--frequency", "9", "--output", str(tmp_path / "run")]
+    assert main(["import", str(tmp_path / "own.npz"), *words]) == 0
+    assert main(["analyze", str(tmp_path / "run"), "--figures", str(tmp_path / "figures")]) == 0
+    assert {one.stem for one in (tmp_path / "figures").iterdir()} == {"time_traces", "spectrum"}
 
 
 def test_a_rate_that_the_file_states_counts_more_than_its_rounded_times(tmp_path: Path) -> None:
