@@ -32,6 +32,7 @@ in phase with the sine, so the phase has none of it, unless overtones carry the 
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable
 
@@ -148,6 +149,11 @@ class Calibration:
                 raise ConfigError(f"daq/info: {name} must be infinite or at most {LARGEST:g}, got {values.tolist()}")
         figures = [_finite(known[name]) for name in COLUMNS]
         return cls(round(rate), *figures, present=present)
+
+    @functools.cached_property
+    def absent(self) -> tuple[str, ...]:
+        """The channels that are not measured."""
+        return tuple(name for name, there in zip(CHANNELS, self.present.tolist(), strict=True) if not there)
 
     def response(self, channel: int, frequency_hz: Real | float) -> Complex:
         """Return L(ω)·e^{iω·skew} of a channel: measured over true phasor, shape of `frequency_hz`."""

@@ -13,6 +13,7 @@ the cycles nor their bits depend on how the stream was cut into blocks.
 
 from __future__ import annotations
 
+import functools
 import math
 from typing import Any
 
@@ -175,25 +176,30 @@ def normal_matrix(phase: Real, samples: NDArray[np.int64], step: float, harmonic
     `phase` is φ of each run's first sample and `step` φ per sample [rad], 2 H step < 2π; `samples` are those of each
     run. Shapes (n,), (n,) and, returned, (n, 2H+1, 2H+1).
     """
-    order = np.arange(1, 2 * harmonics + 1)
+    order, difference, total, sign, at_cos, at_sin = _places(harmonics)
     count = samples[:, None]
     middle = phase[:, None] + (count - 1) * step / 2.0
     ratio = np.sin(count * order * step / 2.0) / np.sin(order * step / 2.0)
     moments = np.concatenate([count.astype(np.complex128), ratio * np.exp(1j * order * middle)], axis=1)
     cosine, sine = moments.real, moments.imag
-    a, b = np.meshgrid(np.arange(harmonics + 1), np.arange(harmonics + 1), indexing="ij")
-    difference, total, sign = np.abs(a - b), a + b, np.sign(b - a)
     cos_cos = 0.5 * (cosine[:, difference] + cosine[:, total])
     sin_sin = 0.5 * (cosine[:, difference] - cosine[:, total])
     cos_sin = 0.5 * (sine[:, total] + sign * sine[:, difference])
     matrix = np.empty((len(samples), 2 * harmonics + 1, 2 * harmonics + 1))
-    at_cos = np.concatenate([[0], np.arange(1, 2 * harmonics, 2)])
-    at_sin = np.arange(2, 2 * harmonics + 1, 2)
     matrix[:, at_cos[:, None], at_cos] = cos_cos
     matrix[:, at_sin[:, None], at_sin] = sin_sin[:, 1:, 1:]
     matrix[:, at_cos[:, None], at_sin] = cos_sin[:, :, 1:]
     matrix[:, at_sin[:, None], at_cos] = np.swapaxes(cos_sin[:, :, 1:], 1, 2)
     return matrix
+
+
+@functools.lru_cache(maxsize=16)
+def _places(harmonics: int) -> tuple[NDArray[np.int64], ...]:
+    """Return the orders of the moments; of two harmonics the difference, sum and sign; the rows of both kinds."""
+    a, b = np.meshgrid(np.arange(harmonics + 1), np.arange(harmonics + 1), indexing="ij")
+    at_cos = np.concatenate([[0], np.arange(1, 2 * harmonics, 2)])
+    at_sin = np.arange(2, 2 * harmonics + 1, 2)
+    return np.arange(1, 2 * harmonics + 1), np.abs(a - b), a + b, np.sign(b - a), at_cos, at_sin
 
 
 @entry(

@@ -99,6 +99,13 @@ def _constant(cycles: Cycles, channel: int) -> bool:
     return bool((cycles.variance[:, channel] <= CONSTANT_FACTOR * cycles.mean[:, channel] ** 2).any())
 
 
+def _median(values: Real) -> float:
+    """Return what `numpy.median` does, which takes ten times longer for the cycles of a window."""
+    ordered = np.sort(values)  # NaN last
+    middle = 0.5 * (ordered[(len(ordered) - 1) // 2] + ordered[len(ordered) // 2])
+    return float(ordered[-1] if np.isnan(ordered[-1]) else middle)
+
+
 def _rough(cycles: Cycles, calibration: Calibration, frequency_hz: float, channel: int) -> Status | None:
     """Return what the largest change from scan to scan of a channel gives away, or None."""
     harmonics = np.arange(1.0, cycles.phasors.shape[2] + 1.0)
@@ -107,9 +114,9 @@ def _rough(cycles: Cycles, calibration: Calibration, frequency_hz: float, channe
     steps = 2.0 * float(calibration.output_step[channel] + calibration.converter_step[channel])
     known = float(calibration.noise[channel])
     freedom = cycles.samples - 2 * cycles.phasors.shape[2] - 1
-    rms = math.sqrt(float(np.median(cycles.residual[:, channel] / np.maximum(freedom, 1))))
+    rms = math.sqrt(_median(cycles.residual[:, channel] / np.maximum(freedom, 1)))
     limit = smooth + steps
-    if known > 0.0 and float(np.median(cycles.jump[:, channel])) > limit + NOISE_FACTOR * PEAK_FACTOR * known / 2.0:
+    if known > 0.0 and _median(cycles.jump[:, channel]) > limit + NOISE_FACTOR * PEAK_FACTOR * known / 2.0:
         return Status.NOISY
     largest = float(cycles.jump[:, channel].max())
     if largest <= limit + PEAK_FACTOR * max(known, rms):

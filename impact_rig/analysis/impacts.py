@@ -209,10 +209,10 @@ def impact_tables(found: NDArray[np.void], rate_hz: int, start_ns: int) -> list[
     seconds = found["scan"] / rate_hz
     cells = np.floor(seconds / COMMAND_GRID_S).astype(np.int64)
     tables = []
-    for cell in np.unique(cells):
+    for cell in sorted(set(cells.tolist())):  # mostly one, for which numpy's `unique` takes long
         chosen = cells == cell
         rows = np.zeros(int(np.count_nonzero(chosen)), dtype=DETECTED_IMPACTS)
         rows["time"] = seconds[chosen] - cell * COMMAND_GRID_S
         rows["peak"], rows["sign"] = found["peak"][chosen], found["sign"][chosen]
-        tables.append(Table(start_ns + int(cell) * COMMAND_GRID_NS, rows))
+        tables.append(Table(start_ns + cell * COMMAND_GRID_NS, rows))
     return tables

@@ -9,6 +9,7 @@ are counted, without `current` it has no amplitude.
 
 from __future__ import annotations
 
+import functools
 from collections import deque
 from collections.abc import Collection
 
@@ -27,19 +28,26 @@ _TIME, _STATUS = topics.SCAN.fields
 SCAN = row_type((_TIME, *(Column(name, "SI", "") for name in CHANNELS), _STATUS))
 """A row of `daq/scan` with every one of them."""
 _FRAME = (_TIME.name, _STATUS.name)
+_IN_ORDER = tuple((bit, bit) for bit in range(len(CHANNELS)))
 
 
 def status_of(rows: NDArray[np.void]) -> NDArray[np.uint8]:
     """Return the status of scans with bit j for channel j of `CHANNELS`, shape (n,), whatever their place in a scan."""
     status: NDArray[np.uint8] = rows["status"]
-    found = tuple(name for name in rows.dtype.names or () if name not in _FRAME)
-    if found[: len(CHANNELS)] == CHANNELS:
+    places = _places(rows.dtype)
+    if places == _IN_ORDER:
         return status
     ours = np.zeros(len(rows), np.uint8)
-    for bit, name in enumerate(CHANNELS):
-        if name in found:
-            ours |= (status >> found.index(name) & 1) << bit
+    for bit, place in places:
+        ours |= (status >> place & 1) << bit
     return ours
+
+
+@functools.lru_cache(maxsize=64)  # few types of rows exist
+def _places(dtype: np.dtype[np.void]) -> tuple[tuple[int, int], ...]:
+    """Return the number of each channel that scans have, and which of their channels it is."""
+    found = [name for name in dtype.names or () if name not in _FRAME]
+    return tuple((bit, found.index(name)) for bit, name in enumerate(CHANNELS) if name in found)
 
 
 def samples_of(rows: NDArray[np.void], name: str) -> NDArray[np.float64]:

@@ -21,11 +21,11 @@ from impact_rig import topics
 from impact_rig.analysis.calibration import STEPS, Calibration
 from impact_rig.analysis.cycles import Accumulator, Cycles, usable_harmonics
 from impact_rig.analysis.impacts import NO_IMPACTS, ImpactDetector, counted, impact_tables
-from impact_rig.analysis.scans import CHANNELS, SCAN, ScanBuffer, first_scan_at, need_columns, scan_index
+from impact_rig.analysis.scans import SCAN, ScanBuffer, first_scan_at, need_columns, scan_index
 from impact_rig.analysis.settings import GapLabel, ImpactSettings, TrackerSettings
 from impact_rig.analysis.settling import Judge, Progress, Quiet, window_cycles
 from impact_rig.analysis.transmissibility import Measurement, counts_impacts, measurement_table
-from impact_rig.blocks import APPLIED, DAQ_INFO, Table
+from impact_rig.blocks import APPLIED, DAQ_INFO, Table, joined
 from impact_rig.errors import ConfigError
 from impact_rig.simtime import NS_PER_S, stamp_ns
 from impact_rig.states import MEASURED, SETTLED, Analysis, Status
@@ -166,7 +166,7 @@ class Tracker:
         Raises:
             ConfigError: the table is no such table.
         """
-        absent = () if self._calibration is None else np.array(CHANNELS)[~self._calibration.present].tolist()
+        absent = () if self._calibration is None else self._calibration.absent
         need_columns(scan, SCAN, topics.SCAN.name, later=absent)
         rows = scan.rows
         if self._calibration is None:
@@ -178,9 +178,9 @@ class Tracker:
             self._begin_again(self._resets.pop(0))
         rate = self._calibration.rate_hz
         index = scan_index(scan.stamp_ns, rate, self._start_ns)
-        numbers = np.round(rows["time"] * rate)
-        if numbers[-1] - numbers[0] != len(rows) - 1:  # NaN as well
-            return self._feed_broken(scan, numbers)
+        times = rows["time"]
+        if np.rint(times[-1] * rate) - np.rint(times[0] * rate) != len(rows) - 1:  # NaN as well
+            return self._feed_broken(scan, np.rint(times * rate))
         impacts: list[Table] = []
         if index != self._buffer.end or not self._started:
             if self._started and index == self._last_block:
@@ -397,7 +397,7 @@ class Tracker:
         assert self._calibration is not None
         if not counts_impacts(self._calibration):
             return window
-        impacts = np.concatenate([NO_IMPACTS, *self._impacts_ahead])
+        impacts = joined([NO_IMPACTS, *self._impacts_ahead])
         later = int(np.searchsorted(impacts["scan"], window.first[-1] + window.samples[-1]))
         self._impacts_ahead = [impacts[later:]] if later < len(impacts) else []
         if later:
