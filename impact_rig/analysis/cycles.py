@@ -22,11 +22,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig.analysis.calibration import Complex, Real
-from impact_rig.kernels import BYTES, INTEGERS, REALS, TABLE, VOLUME, entry
+from impact_rig.kernels import BYTES, INTEGERS, REALS, TABLE, VOLUME, entry, kernel
 
 RANGE_BIT = 256
 """Bit in a cycle's flags for channel 0 outside its range or not finite; channel j uses RANGE_BIT << j."""
 MIN_SAMPLES_PER_CYCLE = 8
+STRETCH = 64
+"""Scans that are added up together: what they need stays in the fastest cache."""
 PHASE_BINS = 64
 """Parts of a drive cycle by which the phases of impacts are kept: 0.1 rad each."""
 
@@ -108,8 +110,8 @@ class Accumulator:
         self._rotor = np.array([1.0, 0.0, math.cos(step), math.sin(step)])
         self._place = np.array([0, 0, math.ceil(self.period), 0], dtype=np.int64)
         size = 2 * harmonics + 2
-        self._sums = np.zeros((4, size))
-        self._basis = np.ones(size - 1)
+        self._sums = np.zeros((size, 4))
+        self._scratch = np.empty((STRETCH, 4)), np.empty((STRETCH, 2 * harmonics))
         self._last, self._jump = np.full(4, np.nan), np.zeros(4)
         self._out_jump = np.zeros((capacity, 4))
         self._out = np.zeros((capacity, 4, size))
@@ -127,7 +129,7 @@ class Accumulator:
         while begin < end:
             done, begin = _accumulate(
                 samples, status, begin, end, self._low, self._high, self.period, self._place, self._rotor, self._sums,
-                self._basis, self._last, self._jump, self._out, self._out_flags, self._out_jump,
+                *self._scratch, self._last, self._jump, self._out, self._out_flags, self._out_jump,
             )  # fmt: skip
             if done:
                 self._done.append(tuple(out[:done].copy() for out in (self._out, self._out_flags, self._out_jump)))
@@ -202,53 +204,86 @@ def _places(harmonics: int) -> tuple[NDArray[np.int64], ...]:
     return np.arange(1, 2 * harmonics + 1), np.abs(a - b), a + b, np.sign(b - a), at_cos, at_sin
 
 
+@kernel
+def _add(plain, square, values):  # type: ignore[no-untyped-def]
+    """Add values, shape (n, 4), and their squares to two sums, shape (4,)."""
+    a_0, a_1, a_2, a_3 = plain[0], plain[1], plain[2], plain[3]
+    b_0, b_1, b_2, b_3 = square[0], square[1], square[2], square[3]
+    for m in range(values.shape[0]):
+        y_0, y_1, y_2, y_3 = values[m, 0], values[m, 1], values[m, 2], values[m, 3]
+        a_0, a_1, a_2, a_3 = a_0 + y_0, a_1 + y_1, a_2 + y_2, a_3 + y_3
+        b_0, b_1, b_2, b_3 = b_0 + y_0 * y_0, b_1 + y_1 * y_1, b_2 + y_2 * y_2, b_3 + y_3 * y_3
+    plain[0], plain[1], plain[2], plain[3] = a_0, a_1, a_2, a_3
+    square[0], square[1], square[2], square[3] = b_0, b_1, b_2, b_3
+
+
+@kernel
+def _add_waves(cosine, sine, values, waves, at):  # type: ignore[no-untyped-def]
+    """Add values, shape (n, 4), times columns `at` and `at` + 1 of `waves` to two sums, shape (4,)."""
+    a_0, a_1, a_2, a_3 = cosine[0], cosine[1], cosine[2], cosine[3]
+    b_0, b_1, b_2, b_3 = sine[0], sine[1], sine[2], sine[3]
+    for m in range(values.shape[0]):
+        x, z = waves[m, at], waves[m, at + 1]
+        y_0, y_1, y_2, y_3 = values[m, 0], values[m, 1], values[m, 2], values[m, 3]
+        a_0, a_1, a_2, a_3 = a_0 + y_0 * x, a_1 + y_1 * x, a_2 + y_2 * x, a_3 + y_3 * x
+        b_0, b_1, b_2, b_3 = b_0 + y_0 * z, b_1 + y_1 * z, b_2 + y_2 * z, b_3 + y_3 * z
+    cosine[0], cosine[1], cosine[2], cosine[3] = a_0, a_1, a_2, a_3
+    sine[0], sine[1], sine[2], sine[3] = b_0, b_1, b_2, b_3
+
+
 @entry(
-    TABLE, BYTES, int, int, REALS, REALS, float, INTEGERS, REALS, TABLE, REALS, REALS, REALS, VOLUME, INTEGERS, TABLE,
-    returns=(int, int),
+    TABLE, BYTES, int, int, REALS, REALS, float, INTEGERS, REALS, TABLE, TABLE, TABLE, REALS, REALS, VOLUME, INTEGERS,
+    TABLE, returns=(int, int),
 )  # fmt: skip
 def _accumulate(
     samples: Real, status: NDArray[np.uint8], begin: int, end: int, low: Real, high: Real, period: float,
-    place: NDArray[np.int64], rotor: Real, sums: Real, basis: Real, last: Real, jump: Real, out: Real,
+    place: NDArray[np.int64], rotor: Real, sums: Real, values: Real, waves: Real, last: Real, jump: Real, out: Real,
     out_flags: NDArray[np.int64], out_jump: Real,
 ) -> tuple[int, int]:  # fmt: skip
     """Add scans to the running sums; stop early when `out` is full. Return (cycles completed, next scan).
 
     place = [sample since the origin, cycle, first sample of the next cycle, flags],
-    rotor = [cos φ, sin φ, cos ∆, sin ∆], ∆ = φ per scan.
+    rotor = [cos φ, sin φ, cos ∆, sin ∆], ∆ = φ per scan, sums[q, j] = Σ basis_q y_j, at last Σ y_j².
     The rotation is renewed from the sample number at each cycle, so its rounding never grows beyond one cycle.
+    Each sum runs scan by scan; four channels and two sums side by side keep a processor busy.
     """
-    channels, size = sums.shape
-    harmonics = (size - 2) // 2
+    harmonics = waves.shape[1] // 2
     k, cycle, stop, flags = place
     c, s, step_c, step_s = rotor
     done = 0
     i = begin
     while i < end and done < len(out):
-        basis[1], basis[2] = c, s
-        ch, sh = c, s
-        for h in range(1, harmonics):
-            ch, sh = ch * c - sh * s, sh * c + ch * s
-            basis[2 * h + 1], basis[2 * h + 2] = ch, sh
-        flags |= status[i]
-        for j in range(channels):
-            value = samples[j, i]
-            if not low[j] < value < high[j]:  # NaN compares false
-                flags |= RANGE_BIT << j
-            change = abs(value - last[j])
-            if change > jump[j]:  # noqa: PLR1730  # false of the NaN before the first scan, whatever max says
-                jump[j] = change
-            last[j] = value
-            for q in range(size - 1):
-                sums[j, q] += value * basis[q]
-            sums[j, size - 1] += value * value
-        c, s = c * step_c - s * step_s, s * step_c + c * step_s
-        i += 1
-        k += 1
+        count = min(end - i, stop - k, STRETCH)
+        for m in range(count):
+            flags |= status[i + m]
+            waves[m, 0], waves[m, 1] = c, s
+            ch, sh = c, s
+            for h in range(1, harmonics):
+                ch, sh = ch * c - sh * s, sh * c + ch * s
+                waves[m, 2 * h], waves[m, 2 * h + 1] = ch, sh
+            c, s = c * step_c - s * step_s, s * step_c + c * step_s
+        for j in range(4):
+            before, largest = last[j], jump[j]
+            for m in range(count):
+                value = samples[j, i + m]
+                values[m, j] = value
+                if not low[j] < value < high[j]:  # NaN compares false
+                    flags |= RANGE_BIT << j
+                change = abs(value - before)
+                if change > largest:  # noqa: PLR1730  # false of the NaN before the first scan, whatever max says
+                    largest = change
+                before = value
+            last[j], jump[j] = before, largest
+        _add(sums[0], sums[2 * harmonics + 1], values[:count])
+        for h in range(harmonics):
+            _add_waves(sums[2 * h + 1], sums[2 * h + 2], values[:count], waves, 2 * h)
+        i += count
+        k += count
         if k >= stop:
-            for j in range(channels):  # as an array, Numba would compile the words of an error for seconds
-                for q in range(size):
-                    out[done, j, q] = sums[j, q]
-                    sums[j, q] = 0.0
+            for j in range(4):  # as an array, Numba would compile the words of an error for seconds
+                for q in range(sums.shape[0]):
+                    out[done, j, q] = sums[q, j]
+                    sums[q, j] = 0.0
                 out_jump[done, j] = jump[j]
                 jump[j] = 0.0
             out_flags[done] = flags
