@@ -4,8 +4,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import math
+from collections.abc import Iterator
 
 import numpy as np
 import pytest
@@ -47,6 +49,14 @@ def send(client: Client, first: int, values: NDArray[np.float64], start_ns: int 
     client.publish(topics.WAVEFORM, block(first, values, start_ns), listener="rig")
 
 
+@contextlib.contextmanager
+def paused(client: Client) -> Iterator[None]:
+    """A rig in real time that waits: what is sent meanwhile is in time, however busy the machine is."""
+    client.pause()
+    yield
+    client.pause(False)
+
+
 @pytest.fixture(scope="module")
 def in_process() -> NDArray[np.void]:
     rig = Rig(paper_rig(**STREAM))
@@ -75,19 +85,21 @@ def test_over_topics_come_the_bits_of_the_rig_in_process(client, in_process, mod
 
 
 def test_in_real_time_come_the_bits_of_the_rig_in_process(client):
-    node = host_rig(client, "realtime", **STREAM, drive__stream_buffer_s=20.0)
+    node = host_rig(client, "realtime", **STREAM)
     client.wait_active("rig")
     scans = client.collect("daq/scan")
     client.wait_until(lambda: len(scans), "scans")
-    client.wait_until(client.publisher(topics.WAVEFORM).get_subscription_count, "the rig to listen")
     rig = node._session.rig
-    wave, first = WAVE[: RATE_HZ // 2], rig.stream.played + 14_000  # in time on a busy machine
-    for begin in range(0, len(wave), 700):
-        send(client, first + begin, wave[begin : begin + 700], rig.start_ns)
-    send(client, first + len(wave), wave[:0], rig.start_ns)
+    wave = WAVE[: RATE_HZ // 2]
+    with paused(client):
+        first = rig.stream.played
+        for begin in range(0, len(wave), 700):
+            send(client, first + begin, wave[begin : begin + 700], rig.start_ns)
+        send(client, first + len(wave), wave[:0], rig.start_ns)
+        client.wait_until(lambda: rig.stream.buffered() == len(wave), "the samples")
     last_ns = rig.start_ns + (first + len(wave)) * NS_PER_S // RATE_HZ
     client.wait_until(lambda: scans.tables()[-1].stamp_ns > last_ns, "the scans of all samples")
-    alone = Rig(paper_rig(**STREAM, drive__stream_buffer_s=20.0))
+    alone = Rig(paper_rig(**STREAM))
     alone.feed(first, wave)
     alone.feed(first + len(wave), ())
     expected = {block.scan.stamp_ns: block.scan.rows for block in alone.advance(last_ns - rig.start_ns + NS_PER_S)}
@@ -146,16 +158,20 @@ def test_in_real_time_a_controller_that_dies_leaves_a_ramp_a_row_and_a_warning(c
     wanted = client.collect("shaker/stream")
     client.wait_until(lambda: len(wanted), "shaker/stream")
     rig = node._session.rig
-    first = rig.stream.played + 2_000
-    send(client, first, np.full(1_000, 0.2), rig.start_ns)
+
+    def alive():
+        with paused(client):
+            send(client, rig.stream.played, np.full(1_000, 0.2), rig.start_ns)
+            client.wait_until(lambda: rig.stream.buffered() == 1_000, "the samples")
 
     def kinds():
         return [bytes(row["key"]) for table in journal.tables() for row in table.rows if row["kind"] == b"stream"]
 
+    alive()
     client.wait_until(lambda: b"end" in kinds(), "the end of the stream")
     assert kinds()[:3] == [b"begin", b"crc32", b"end"]
     client.wait_until(lambda: "no samples" in client.status("rig").message, "the warning")
-    send(client, rig.stream.played + 2_000, np.full(1_000, 0.2), rig.start_ns)
+    alive()
     client.wait_until(lambda: kinds().count(b"begin") == 2, "that it goes on")
     assert node.refusals.total() == 0
 

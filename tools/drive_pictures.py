@@ -1,0 +1,47 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""Drive rigs through their stream as docs/drive.md says, and keep the drawings: `python tools/drive_pictures.py`.
+
+Some ten minutes of rig time, a minute of one core.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+from impact_rig.operate.hardware import Hardware, InProcess
+from impact_rig.report.excitation import tell
+from impact_rig.rig import Rig
+from impact_rig.rig.config import RigConfig, from_flat
+from impact_rig.studies.excitation.files import load
+from impact_rig.studies.excitation.random import RandomPlan, control
+from impact_rig.studies.excitation.response import Excitation, measure
+from impact_rig.studies.excitation.shock import Pulse, shock
+
+ROOT = Path(__file__).parents[1]
+PLANS = ROOT / "config" / "excitation"
+
+
+def results() -> Iterator[tuple[object, str]]:
+    """Yield what each test reached, and the unit of its response."""
+    plan = load(PLANS / "random_superior.yaml", RandomPlan)
+    *_, found = control(hardware(2_000, **{"barriers.gap_m": 0.006}), plan)
+    yield found, plan.response.unit
+    linear = {"sphere.present": False}
+    *_, followed = shock(hardware(10_000, **linear), load(PLANS / "shock.yaml", Pulse))
+    yield followed, "m"
+    *_, response = measure(hardware(2_000, **linear), Excitation(), "base")
+    yield response, "m/A"
+
+
+def hardware(rate_hz: int, **changes: object) -> Hardware:
+    """Return a rig in this process, sampled and driven at a rate."""
+    rates = {"drive.waveform": "stream", "drive.stream_rate_hz": rate_hz, "daq.rate_hz": rate_hz}
+    return Hardware(InProcess(Rig(from_flat(RigConfig(), {**rates, **changes}))))
+
+
+if __name__ == "__main__":
+    for reached, unit in results():
+        drawn = tell(reached, unit).draw()[0]
+        (ROOT / "docs" / "images" / f"drive_{drawn.name}.png").write_bytes(drawn.png)
