@@ -223,7 +223,7 @@ def refined(mapping: Mapping, text: str) -> Mapping:
         changes["gap"] = 1e-3 * _number("gap_mm", given["gap_mm"])
     if "notes" in given:
         notes = given["notes"]
-        changes["notes"] = tuple(str(one) for one in notes) if isinstance(notes, list) else (str(notes),)
+        changes["notes"] = tuple(map(_text, notes)) if isinstance(notes, list) else (_text(notes),)
     return attrs.evolve(mapping, **changes)  # type: ignore[arg-type]  # checked above
 
 
@@ -256,7 +256,7 @@ def _channel(name: str, given: AnyMapping[str, object], known: Channel | None) -
     values: dict[str, object] = {}
     for key in ("column", "unit", "sensitivity"):
         if key in given:
-            values[key] = str(given[key])
+            values[key] = _text(given[key])
     for key in ("scale", "sign", "offset"):
         if key in given:
             values[key] = _number(f"channels.{name}.{key}", given[key])
@@ -272,7 +272,7 @@ def _mapping(key: str, value: object) -> dict[str, object]:
     if value is None:
         return {}
     if not isinstance(value, dict):
-        raise ConfigError(f"{key} must be a mapping, got {str(value)[:60]!r}")
+        raise ConfigError(f"{key} must be a mapping, got {_text(value)[:60]!r}")
     return {str(name): one for name, one in value.items()}
 
 
@@ -284,9 +284,20 @@ def _refuse_unknown(where: str, given: AnyMapping[str, object], known: Sequence[
 
 
 def _number(key: str, value: object) -> float:
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-        raise ConfigError(f"{key} must be a finite number, got {str(value)[:60]!r}")
-    return float(value)
+    try:
+        number = float(value) if isinstance(value, (int, float)) and not isinstance(value, bool) else math.nan
+    except OverflowError:
+        number = math.inf
+    if not math.isfinite(number):
+        raise ConfigError(f"{key} must be a finite number, got {_text(value)[:60]!r}")
+    return number
+
+
+def _text(value: object) -> str:
+    try:
+        return str(value)
+    except ValueError:  # Python does not write out the longest integers
+        return "a number beyond all measure"
 
 
 # --- units
