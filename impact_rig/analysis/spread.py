@@ -80,7 +80,7 @@ def _scatter_of_batches(values: Complex, batches: int) -> Real:
 def by_class_removed(values: Complex, period: int) -> Complex:
     """Return values less the mean of all values at the same place of the period: what a periodic orbit leaves over."""
     place: NDArray[np.int64] = np.arange(len(values)) % period
-    means = np.array([values[place == p].mean() for p in range(period)])
+    means = np.array([values[p::period].mean() for p in range(period)])
     return np.asarray(values - means[place], dtype=np.complex128)
 
 

@@ -110,8 +110,7 @@ class MapRig:
         self._config = config
         self.simulation = Simulation(config)
         self._amplitude = 0.0
-        self._sphere = 0.0, 0.0
-        """Place and velocity of the sphere at the end of the newest cycle [m, m/s]."""
+        self._newest: Motion | None = None
 
     def change(self, config: RigConfig) -> None:
         """Go on with another configuration: the structure keeps its motion, the sphere begins at its start again."""
@@ -168,24 +167,25 @@ class MapRig:
 
     def _settled(self, frequency_hz: float, amplitude: float) -> _Record:
         """Wait, and return the last two chunks."""
-        before = self._run(frequency_hz, amplitude, CHUNK)
+        now = self._run(frequency_hz, amplitude, CHUNK)
         quiet = 0
         for _ in range(self._settings.settle_cycles // CHUNK):
-            now = self._run(frequency_hz, amplitude, CHUNK)
-            both, before = _joined(before, now), now
-            quiet = quiet + 1 if _change(both) <= self._settings.settle_tolerance else 0
-            if quiet >= 2 and not self._drifts(both):
-                break
-        return both
+            before, now = now, self._run(frequency_hz, amplitude, CHUNK)
+            quiet = quiet + 1 if _change(before, now) <= self._settings.settle_tolerance else 0
+            if quiet >= 2 and not self._drifts(both := _joined(before, now)):
+                return both
+        return _joined(before, now)
 
     def _drifts(self, record: _Record) -> bool:
         """Return whether a record without impacts ends with the sphere on its way to one.
 
         Between impacts the sphere keeps its velocity, and the wall moves to and fro by |X_1|.
         """
-        if len(record.speed) or not self._config.sphere.present:
+        motion = self._newest
+        if len(record.speed) or not self._config.sphere.present or motion is None:
             return False
-        place, velocity = self._sphere
+        end = np.array([motion.last_tick]), motion.segments["duration"][-1:]
+        place, velocity = motion.quantities(("x_2", "v_2"), *end)[:, 0].tolist()
         reach = self._config.barriers.gap_m / 2.0 - float(np.abs(record.superior[-CHUNK:]).max())
         return bool(abs(place + velocity * NEAR_S) > reach > 0.0) and abs(velocity) > 0.0
 
@@ -206,9 +206,7 @@ class MapRig:
         number = np.repeat(np.arange(motion.first_tick, motion.last_tick + 1), PER_CYCLE)
         offset = np.tile(_ANGLE / (2.0 * np.pi) * period, cycles)
         x_b, x_1 = motion.quantities(("x_b", "x_1"), number, offset).reshape(2, cycles, PER_CYCLE)
-        end = np.array([motion.last_tick]), np.array([period])
-        self._sphere = tuple(motion.quantities(("x_2", "v_2"), *end)[:, 0].tolist())
-        hits = motion.impacts
+        self._newest, hits = motion, motion.impacts
         place = np.maximum(hits["tick"] - motion.first_tick, 0)  # one that began before is told of now
         return _Record(
             (x_b * _TURN).sum(axis=1), (x_1 * _TURN).sum(axis=1), place, hits["offset"] / period, hits["approach_speed"]
@@ -220,12 +218,11 @@ def _joined(one: _Record, other: _Record) -> _Record:
     return _Record(*(np.concatenate(parts) for parts in zip(one, later, strict=True)))
 
 
-def _change(record: _Record) -> float:
-    """Return the relative change from the first to the second half, of whichever base changes more."""
-    half = len(record.base) // 2
+def _change(before: _Record, now: _Record) -> float:
+    """Return the relative change of the means, of whichever base changes more."""
     changes = [
-        abs(x[half:].mean() - x[:half].mean()) / max(abs(x[half:].mean()), 1e-300)
-        for x in (record.base, record.superior)
+        abs(new.mean() - old.mean()) / max(abs(new.mean()), 1e-300)
+        for old, new in zip((before.base, before.superior), (now.base, now.superior), strict=True)
     ]
     return float(max(changes))
 

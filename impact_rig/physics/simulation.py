@@ -223,7 +223,8 @@ class Simulation:
         self._config = config
         self._work = new_workspace(_KNOTS, _IMPACTS)
         self._sampling = new_sampling_workspace()
-        self.reset(model)
+        self._model, self.locked = model or build(config, rtol), False
+        self.reset()
 
     @property
     def config(self) -> Setup:
@@ -241,10 +242,10 @@ class Simulation:
         """The restitution that the configured contact law really returns."""
         return contact_laws.from_config(self._config.contact).realised_restitution()
 
-    def reset(self, model: Model | None = None) -> None:
-        """Put everything to rest at zero, the sphere at its start, and free a locked base; `model` is that at hand."""
-        self._model = model or build(self._config, self._rtol)
-        self.locked = False
+    def reset(self) -> None:
+        """Put everything to rest at zero, the sphere at its start, and free a locked base."""
+        if self.locked:
+            self._model, self.locked = build(self._config, self._rtol), False
         self._begin(np.zeros(STRUCTURE))
         self.tick = 0
 
