@@ -47,12 +47,12 @@ def account_flight(p, system, f, flight, end, ledger):  # type: ignore[no-untype
     """Add the work and the losses of the flight that began at `flight.begin` and ended at `end`."""
     duration, done = end - flight.begin, 0.0
     while done < duration:
-        fastest = max(f.omega, _PANEL / duration)
+        fastest = f.omega
         for n in range(system.modes):
             if -system.rate[n].real * done < _FORGOTTEN:
                 fastest = max(fastest, size(system.rate[n]))
         rest = duration - done
-        width = rest / math.ceil(rest * fastest / _PANEL)
+        width = rest / max(1, math.ceil(rest * fastest / _PANEL))
         nodes, weights = GAUSS_NODES, GAUSS_WEIGHTS
         if width * fastest < _SHORT:
             nodes, weights = _SHORT_NODES, _SHORT_WEIGHTS

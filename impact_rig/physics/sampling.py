@@ -523,22 +523,24 @@ def _sample(model, trajectory, query, work):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _add_series(poly, work, value, growth, half):  # type: ignore[no-untyped-def]
-    """Add the Taylor coefficients of Re[(value + growth τ) exp(λ τ)] in x = τ / half, with the powers in `work`."""
+def _add_series(poly, work, terms, value, growth, half):  # type: ignore[no-untyped-def]
+    """Add the Taylor coefficients of Re[(value + growth τ) exp(λ τ)] in x = τ / half, by as many powers in `work`."""
     re, im = work.powers[0], work.powers[1]
     a, b, c, d = value.real, value.imag, half * growth.real, half * growth.imag
     poly[0] += a * re[0] - b * im[0]
-    for k in range(1, TERMS):
+    for k in range(1, terms):
         poly[k] += (a * re[k] - b * im[k]) + (c * re[k - 1] - d * im[k - 1])
 
 
 @kernel
 def _fill_powers(work, rate, half):  # type: ignore[no-untyped-def]
-    """Fill in (λ h)^k / k!."""
+    """Fill in (λ h)^k / k!; return how many terms of a series they make: of a straight line, for λ = 0, two."""
     step, term = rate * half, 1.0 + 0.0j
-    for k in range(TERMS):
+    terms = 2 if rate == 0.0 else TERMS
+    for k in range(terms):
         work.powers[0, k], work.powers[1, k] = term.real, term.imag
         term = term * step * (1.0 / (k + 1))
+    return terms
 
 
 @kernel
@@ -557,7 +559,7 @@ def _fit_flight(p, system, f, flight, spans, i, work):  # type: ignore[no-untype
     since, wanted, poly = t - flight.begin, spans.wanted, work.polynomials
     turn = turned(f.omega * t) * complex(0.0, -1.0)  # Im z = Re(−j z)
     jw = complex(0.0, f.omega)
-    _fill_powers(work, jw, half)
+    terms = _fill_powers(work, jw, half)
     for q in range(wanted.shape[0]):
         row, order, of_drive = _row_and_order(p, wanted[q])
         poly[q, :] = 0.0
@@ -569,17 +571,17 @@ def _fit_flight(p, system, f, flight, spans, i, work):  # type: ignore[no-untype
             value, growth = _derived(flight.steady[row] * turn + growing * t, growing, jw, order)
             if order == 0:
                 poly[q, 0] = system.static[row] * flight.friction_force
-        _add_series(poly[q], work, value, growth, half)
+        _add_series(poly[q], work, terms, value, growth, half)
     for n in range(system.modes):
         rate = system.rate[n]
         _, z = decayed(rate, since)
         wave = flight.modal[n] * z
-        _fill_powers(work, rate, half)
+        terms = _fill_powers(work, rate, half)
         for q in range(wanted.shape[0]):
             row, order, of_drive = _row_and_order(p, wanted[q])
             if not of_drive:
                 value, growth = _derived(system.right[n, row] * wave, 0.0j, rate, order)
-                _add_series(poly[q], work, value, growth, half)
+                _add_series(poly[q], work, terms, value, growth, half)
     for q in range(wanted.shape[0]):
         shorten(poly[q], spans.out[q, i])
 
