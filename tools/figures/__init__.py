@@ -23,6 +23,7 @@ BY_TOOLS: Mapping[str, tuple[str, ...]] = {
         "lab.gif", "lab.png", "lab_1920_dark.png", "lab_400.png", "lab_playback.png", "lab_rest.png", "lab_tripped.png",
     ),
     "tools/closed_loop.py backbone --draw": ("backbone.png",),
+    "tools/drive_pictures.py": ("drive_random.png", "drive_shock.png", "drive_frf.png"),
     "tools/gallery_pictures.py": (
         "gallery_fig7_all_gaps.png", "gallery_amplitudes.png", "gallery_study_gap.png", "gallery_regimes.png",
         "gallery_trace_gap_10mm.png", "gallery_phase_gap_10mm.png", "gallery_study_laws.png",
