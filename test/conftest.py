@@ -91,7 +91,13 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     seed = config.getoption("--shuffle")
     if seed is not None:
+        before = {item: number for number, item in enumerate(items)}
         random.Random(seed).shuffle(items)
+        for module in {getattr(item, "module", None) for item in items}:
+            if getattr(module, "IN_ORDER", False):  # each of its tests goes on with what the one before has left
+                places = [number for number, item in enumerate(items) if getattr(item, "module", None) is module]
+                for place, item in zip(places, sorted((items[n] for n in places), key=before.__getitem__), strict=True):
+                    items[place] = item
     if not config.getoption("-m"):
         left_out = {"benchmark"} if config.getoption("--thorough") else {"benchmark", "slow"}
         left_out |= {"ros", "pipeline", "repeats", "heavy", "_chromium"} if config.getoption("--check") else set()

@@ -27,6 +27,8 @@ REQUIREMENTS = ROOT / "requirements"
 EXTRAS = {"argcomplete", "distributed", "hypothesis", "pint", "pytest"}
 """What the package imports only for who has the extra, which is in the tests' part."""
 
+IN_ORDER = True
+
 
 def script(name: str) -> ModuleType:
     """Import a script that is in no package."""

@@ -6,6 +6,8 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -24,7 +26,8 @@ from impact_rig.blocks import Table
 from impact_rig.client import Client, Collector, Processes, isolated_domain
 from impact_rig.lab.gateway import Own
 from impact_rig.lab.live import LiveSource
-from impact_rig.lab.server import Server
+from impact_rig.lab.server import MOST_UNDRAWN, Server
+from impact_rig.lab.server import PATIENCE_S as AWAY_S
 from impact_rig.nodes import messages
 from impact_rig.nodes.messages import by_name
 from impact_rig.rig.config import load
@@ -132,10 +135,13 @@ def test_from_r_to_a_settled_transmissibility(lab: Lab, page: Page) -> None:
     word(page, "measured")
     page.wait("/^\\d+\\.\\d+$/.test(document.getElementById('dt-number').textContent)", "a number")
     assert page.text("#dt-u").startswith("± ")
-    settled = lab.until(
-        lambda: [r for r in lab.topics["transmissibility/table"].rows() if r["settled"] == 1], "a settled row"
-    )
-    assert any(float(page.text("#dt-number")) == pytest.approx(float(r["transmissibility"]), abs=0.5) for r in settled)
+    rows = lab.topics["transmissibility/table"].rows
+
+    def is_a_settled_row() -> bool:  # the page may be a row ahead of us
+        shown = float(page.text("#dt-number"))
+        return any(r["settled"] == 1 and abs(shown - float(r["transmissibility"])) < 0.5 for r in rows())
+
+    lab.until(is_a_settled_row, "the settled row that the page shows")
     page.wait("lab.now.prediction?.words.startsWith('Predicted for 6 mm, 0.52 A')", "what theory says")
     ipc = page.js("lab.now.dt.at(-1).ipc")
     if abs(ipc - 2.0) > 0.05:
@@ -506,9 +512,10 @@ def test_a_page_that_does_not_draw_gets_no_pictures(lab: Lab, page: Page) -> Non
     page.js("lab.link.acknowledge = () => undefined")
     page.js("new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
     count = page.js("lab.drawn.pictures")
-    begin = lab.source.now_s
+    begin, since = lab.source.now_s, time.monotonic()
     wait_until(lambda: lab.source.now_s > begin + 4.0, "a second of the rig at four times its speed")
-    assert page.js("lab.drawn.pictures") <= count + 2
+    now_and_then = math.ceil((time.monotonic() - since) / AWAY_S)  # whether the page has come back
+    assert page.js("lab.drawn.pictures") <= count + MOST_UNDRAWN + now_and_then
 
 
 def test_motion_that_nobody_can_follow_is_not_drawn(lab: Lab, page: Page) -> None:

@@ -28,6 +28,7 @@ from impact_rig.runs.verification import verify
 
 pytestmark = [pytest.mark.ros, pytest.mark.pipeline]
 
+IN_ORDER = True
 EXAMPLES = Path(__file__).parents[2] / "examples"
 STOPPED_S = 3.0
 CONTROLLER = """

@@ -87,6 +87,7 @@ def test_a_killed_process_is_named_with_its_last_words_and_its_file_is_recovered
     start_all(processes, client, tmp_path, time__mode="freewheel")
     acknowledged = client.listen("daq/ack")
     client.wait_until(lambda: float(client.figures("recorder").get("messages", 0)) > 3000, "a recording")
+    client.wait_until(lambda: any(ack.frame_id == "recorder" for ack in acknowledged.messages), "its acknowledgement")
     processes.running["recorder"].signal(signal.SIGKILL)
     with pytest.raises(
         ProcessDiedError, match=r"the recorder process was ended by SIGKILL; its last lines:\n(.*\n)*.*recording"
