@@ -14,8 +14,10 @@ import importlib.util
 import itertools
 import json
 import os
+import re
 import shutil
 import signal
+import socket
 import subprocess
 import tempfile
 import threading
@@ -36,6 +38,17 @@ REQUIRED = os.environ.get("IMPACT_RIG_REQUIRE_BROWSER") == "1"
 KEYS = {
     "Escape": 27, "Enter": 13, "Tab": 9, " ": 32, "ArrowUp": 38, "ArrowDown": 40, "ArrowLeft": 37, "ArrowRight": 39,
 }  # fmt: skip
+
+
+PORT = re.compile(r"//127\.0\.0\.1:(\d+)/")
+
+
+def _answers(port: str) -> bool:
+    try:
+        socket.create_connection(("127.0.0.1", int(port)), PATIENCE_S).close()
+    except ConnectionError:
+        return False
+    return True
 
 
 def chromium() -> str:
@@ -163,6 +176,14 @@ class Page:
         self.expected: str | None = None
         self.fetched: list[str] = []
         self._browser, self._session, self._context = browser, session, context
+
+    def faults(self) -> list[str]:
+        """Its errors, but for connections to a server that has ended since: Chromium fetches a page's icon when it likes."""
+        return [
+            error
+            for error in self.errors
+            if "net::ERR_CONNECTION_" not in error or any(map(_answers, PORT.findall(error)))
+        ]
 
     def on_event(self, method: str, params: dict[str, Any]) -> None:
         """Note what the page does."""

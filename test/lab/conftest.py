@@ -26,7 +26,7 @@ def open_page(browser: Browser) -> Iterator[Callable[..., Page]]:
         return page
 
     yield open_one
-    errors = [error for page in pages for error in page.errors]
+    errors = [error for page in pages for error in page.faults()]
     for page in pages:
         page.close()
     assert errors == []

@@ -34,7 +34,7 @@ def test_pages_of_the_website(site, browser, name, width, scheme):
     assert serious_faults(page) == []
     assert page.js("document.documentElement.scrollWidth") <= width, "the page is wider than its window"
     assert [asked for asked in page.fetched if not asked.startswith((site.as_uri(), "data:", "blob:"))] == []
-    assert page.errors == []
+    assert page.faults() == []
 
 
 def test_the_search_finds_pages_on_the_disk(site, browser):
@@ -45,7 +45,7 @@ def test_the_search_finds_pages_on_the_disk(site, browser):
     page.key("d")  # the search looks at its field when a key is let go
     page.wait("document.querySelectorAll('.md-search-result__item').length > 0", "results")
     assert "prediction.html" in page.js("document.querySelector('.md-search-result__link').href")
-    assert page.errors == []
+    assert page.faults() == []
 
 
 @pytest.fixture(scope="module")
