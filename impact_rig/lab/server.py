@@ -296,6 +296,7 @@ class Server:
         """What was refused so far, by reason: token, origin, host, binary, malformed, too many pages, …"""
         self._logger = logging.Logger("impact_rig.lab.server")
         self._logger.addHandler(_Counting(self.refused))
+        self._joining: set[asyncio.Task[None]] = set()
         self._transports: list[asyncio.Transport] = []
         self._unserved: set[Any] = set()
         self._folders = {"": STATIC, "uplot": plotter_files()}
@@ -365,10 +366,12 @@ class Server:
             return
         finally:
             self._ready.set()
-        accepting = asyncio.create_task(self._accept(listener, runner))
+        assert runner.server is not None
+        self._listen(listener, runner.server)
         await self._end.wait()
-        accepting.cancel()
+        loop.remove_reader(listener)
         listener.close()
+        await asyncio.gather(*self._joining)
         for page in list(self._sockets):
             await page.close(code=1001, message=b"the lab has ended")
         await runner.cleanup()
@@ -376,26 +379,41 @@ class Server:
             transport.abort()
         await asyncio.sleep(0)
 
-    async def _accept(self, listener: socket.socket, runner: web.AppRunner) -> None:
-        """Connect whoever comes, and nobody where there are too many."""
-        assert runner.server is not None
-        loop = asyncio.get_running_loop()
-        while True:
-            try:
-                connection, _ = await loop.sock_accept(listener)
-            except OSError:  # no descriptors left, for one
-                self._count("connections")
-                await asyncio.sleep(NO_DESCRIPTOR_S)
-                continue
-            self._transports = [one for one in self._transports if one.get_extra_info("socket").fileno() >= 0]
-            if len(self._transports) >= MOST_CONNECTIONS:
-                self._count("too many connections")
-                connection.close()
-                continue
-            transport, handler = await loop.connect_accepted_socket(runner.server, connection)
-            self._transports.append(transport)
-            self._unserved.add(handler)
-            loop.call_later(HEADERS_S, self._close_unless_served, handler)
+    def _listen(self, listener: socket.socket, server: web.Server) -> None:
+        assert self._loop is not None
+        if listener.fileno() >= 0:
+            self._loop.add_reader(listener, self._accept, listener, server)
+
+    def _accept(self, listener: socket.socket, server: web.Server) -> None:
+        """Connect whoever comes, and nobody where there are too many.
+
+        Not by `sock_accept`: cancelled at the wrong moment, it loses the connection that it has just accepted.
+        """
+        assert self._loop is not None
+        try:
+            connection, _ = listener.accept()
+        except BlockingIOError:  # who knocked has gone
+            return
+        except OSError:  # no descriptors left, for one
+            self._count("connections")
+            self._loop.remove_reader(listener)
+            self._loop.call_later(NO_DESCRIPTOR_S, self._listen, listener, server)
+            return
+        self._transports = [one for one in self._transports if one.get_extra_info("socket").fileno() >= 0]
+        if len(self._transports) + len(self._joining) >= MOST_CONNECTIONS:
+            self._count("too many connections")
+            connection.close()
+            return
+        joining = self._loop.create_task(self._connect(connection, server))
+        self._joining.add(joining)
+        joining.add_done_callback(self._joining.discard)
+
+    async def _connect(self, connection: socket.socket, server: web.Server) -> None:
+        assert self._loop is not None
+        transport, handler = await self._loop.connect_accepted_socket(server, connection)
+        self._transports.append(transport)
+        self._unserved.add(handler)
+        self._loop.call_later(HEADERS_S, self._close_unless_served, handler)
 
     def _close_unless_served(self, handler: Any) -> None:
         if handler in self._unserved and handler.transport is not None:

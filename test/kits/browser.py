@@ -178,12 +178,8 @@ class Page:
         self._browser, self._session, self._context = browser, session, context
 
     def faults(self) -> list[str]:
-        """Its errors, but for connections to a server that has ended since: Chromium fetches a page's icon when it likes."""
-        return [
-            error
-            for error in self.errors
-            if "net::ERR_CONNECTION_" not in error or any(map(_answers, PORT.findall(error)))
-        ]
+        """Its errors, without those of a server that has ended since: Chromium fetches a page's icon when it likes."""
+        return [error for error in self.errors if "net::ERR_" not in error or any(map(_answers, PORT.findall(error)))]
 
     def on_event(self, method: str, params: dict[str, Any]) -> None:
         """Note what the page does."""
