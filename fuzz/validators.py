@@ -169,7 +169,7 @@ TARGETS = (
         "configuration_file",
         mutated_lines(NOMINAL) | mutated_lines(dump(RigConfig())) | st.binary(max_size=100) | st.text(max_size=100),
         configuration_file,
-        ("config/tree.py", "config/fields.py", "rig/config.py", "config/mechanics.py"),
+        ("config/tree.py", "config/fields.py", "rig/config.py", "config/sections.py"),
     ),
     Target("parameters", CHANGES, parameters, ("config/tree.py", "config/fields.py")),
     Target("settings", _settings(), settings, ("analysis/settings.py",)),

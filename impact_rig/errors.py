@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+import traceback
+
 
 def visible(text: str, *, lines: bool = False) -> str:
     r"""Return a text from outside for people: what would command a terminal as escapes, ESC as `\x1b`.
@@ -41,3 +43,15 @@ class GoneError(ImpactRigError, RuntimeError):
 
 class SimulationError(ImpactRigError, RuntimeError):
     """The simulation cannot go on (a fault of the model or its tolerances, never of a user's command)."""
+
+
+def describe(error: BaseException) -> str:
+    """Return one line for people: type, message and where it was raised."""
+    frames = traceback.extract_tb(error.__traceback__)
+    where = f" ({frames[-1].filename.rsplit('/', 1)[-1]}:{frames[-1].lineno})" if frames else ""
+    return f"{type(error).__name__}: {error}{where}"
+
+
+def in_words(error: BaseException) -> str:
+    """Return why something was refused: our own errors say it in their words, what is unexpected is described."""
+    return str(error) if isinstance(error, ImpactRigError) else describe(error)

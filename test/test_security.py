@@ -66,7 +66,9 @@ def test_what_is_started_for_the_user_is_seen_by_this_machine_only(
     assert Processes(1, tmp_path).environment({})["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "LOCALHOST"
     assert '"discovery",\n                default_value="LOCALHOST"' in (ROOT / "launch" / "rig.launch.py").read_text()
     assert "export ROS_AUTOMATIC_DISCOVERY_RANGE := LOCALHOST" in (ROOT / "Makefile").read_text()
-    assert 'setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")' in (ROOT / "impact_rig/cli/replay.py").read_text()
+    assert (
+        'setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")' in (ROOT / "impact_rig/cli/recorded.py").read_text()
+    )
     starters = {
         str(path.relative_to(ROOT))
         for path in (ROOT / "impact_rig").rglob("*.py")

@@ -33,7 +33,7 @@ from impact_rig.physics.prediction import Manifold, transmissibility
 from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.simtime import NS_PER_S
 from impact_rig.studies.closed_loop import ProcessLoop, hold
-from impact_rig.studies.prediction import job
+from tools.prediction import job
 
 GAPS_MM, FREQUENCIES_HZ = (2, 4, 6, 8, 10), (8.8, 9.0, 9.1, 9.2, 9.4)
 BASE_M = 60e-6

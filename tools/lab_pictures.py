@@ -24,7 +24,7 @@ from impact_rig.lab.gateway import Own  # noqa: E402
 from impact_rig.lab.live import LiveSource  # noqa: E402
 from impact_rig.lab.playback import PlaybackSource  # noqa: E402
 from impact_rig.lab.server import Server  # noqa: E402
-from impact_rig.runs.sample import make  # noqa: E402
+from impact_rig.runs.in_process import make  # noqa: E402
 
 IMAGES = ROOT / "docs" / "images"
 FRAMES, FRAME_MS = 24, 60

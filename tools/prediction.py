@@ -12,21 +12,25 @@ from __future__ import annotations
 import argparse
 import math
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
+import attrs
 import numpy as np
 from numpy.typing import NDArray
 
+from impact_rig.campaign.job import Job, Outcome
+from impact_rig.campaign.paper import CURRENT_A
 from impact_rig.campaign.pool import in_parallel, run_parallel
+from impact_rig.campaign.run import Runner
 from impact_rig.drawing import INK, SERIES, legend_below, new_axes, style
 from impact_rig.maps.measure import Settings
 from impact_rig.maps.plan import GAP
+from impact_rig.operate.stepped_sine import Direction
 from impact_rig.physics import prediction
 from impact_rig.rig.config import RigConfig
 from impact_rig.studies.dynamics import figures
 from impact_rig.studies.dynamics.plan import CONTINUE, Plan, Task, run
-from impact_rig.studies.prediction import CURRENT_A, Compared, side_by_side
 
 FREQUENCIES_HZ = (8.8, 9.1, 9.4)
 GAPS_MM = (6, 8, 10, 11, 12, *range(14, 41, 2), 27, 29, 31)
@@ -35,6 +39,83 @@ CONTINUED_MM = (6, 8, 10, 11)
 """Where motions with other numbers of impacts are continued from."""
 WITHIN, WITHIN_DEGREES = 0.01, 2.0
 PICTURE = Path(__file__).parents[1] / "docs" / "images" / "prediction.png"
+
+
+@attrs.frozen(kw_only=True)
+class Compared:
+    """One place, measured and predicted; NaN where there is no measurement, or no such motion.
+
+    Attributes:
+        frequency_hz: of the drive.
+        gap_m: gap.
+        dt: measured.
+        phase_rad: measured, superior base to base.
+        impacts_per_cycle: measured.
+        regime: the word for the response; empty where nothing was measured.
+        period: cycles after which it repeats.
+        predicted_dt: of the stable motion with two symmetric impacts per cycle.
+        predicted_phase_rad: its phase.
+    """
+
+    frequency_hz: float
+    gap_m: float
+    dt: float
+    phase_rad: float
+    impacts_per_cycle: float
+    regime: str
+    period: float
+    predicted_dt: float
+    predicted_phase_rad: float
+
+    @property
+    def two_per_cycle(self) -> bool:
+        """Whether the measurement repeats every cycle with two impacts; the two half cycles may differ."""
+        return self.regime == "periodic" and self.period == 1.0 and abs(self.impacts_per_cycle - 2.0) < 0.05
+
+    @property
+    def predicted(self) -> bool:
+        """Whether a stable symmetric motion is predicted."""
+        return not math.isnan(self.predicted_dt)
+
+
+def job(frequency_hz: float, gap_m: float, current_a: float = CURRENT_A) -> Job:
+    """Return the measurement of one place of the default rig."""
+    return Job(
+        changes={"barriers.gap_m": gap_m},
+        analysis={},
+        gap_m=gap_m,
+        frequencies_hz=(frequency_hz,),
+        direction=Direction.UP,
+        current_a=current_a,
+        repetitions=1,
+        traces=False,
+    )
+
+
+def compared(one: Job, outcome: Outcome) -> Compared:
+    """Return a job's measurement beside its prediction."""
+    frequency, rows = one.frequencies_hz[0], outcome.rows
+    predicted = prediction.at(one.config(), frequency, one.gap_m, current_a=one.current_a)
+    stable = np.flatnonzero(predicted.stable)
+    measured = len(rows) > 0
+    return Compared(
+        frequency_hz=frequency,
+        gap_m=one.gap_m,
+        dt=float(rows["transmissibility"][0]) if measured else math.nan,
+        phase_rad=float(rows["phase"][0]) if measured else math.nan,
+        impacts_per_cycle=float(rows["impacts_per_cycle"][0]) if measured else math.nan,
+        regime=rows["regime"][0].decode() if measured else "",
+        period=float(rows["period"][0]) if measured else math.nan,
+        predicted_dt=float(predicted.dt[stable[0]]) if len(stable) else math.nan,
+        predicted_phase_rad=float(predicted.phase_rad[stable[0]]) if len(stable) else math.nan,
+    )
+
+
+def side_by_side(places: Iterable[tuple[float, float]], runner: Runner) -> Sequence[Compared]:
+    """Return measurement and prediction at (frequency [Hz], gap [m]), in that order."""
+    jobs = [job(frequency, gap) for frequency, gap in places]
+    found = {one.key: compared(one, outcome) for one, outcome in runner(jobs)}
+    return [found[one.key] for one in jobs]
 
 
 def main() -> int:

@@ -31,8 +31,7 @@ from impact_rig.config.tree import Value
 from impact_rig.errors import GoneError, ImpactRigError
 from impact_rig.instruments.section import channels_of
 from impact_rig.operate.operator import Applied, News, Note, PatientApparatus, operate, silent
-from impact_rig.operate.plan import Direction, Plan, Setpoint
-from impact_rig.operate.stepped_sine import State, SteppedSine
+from impact_rig.operate.stepped_sine import Direction, Plan, Setpoint, State, SteppedSine
 from impact_rig.rig import Block, Rig
 from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.rig.journal import not_default

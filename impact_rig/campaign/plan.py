@@ -23,7 +23,7 @@ from impact_rig.campaign.paper import CURRENT_A
 from impact_rig.campaign.tasks import load_plan
 from impact_rig.config.tree import Value, flatten
 from impact_rig.errors import ConfigError
-from impact_rig.operate.plan import Direction
+from impact_rig.operate.stepped_sine import Direction
 from impact_rig.physics.contact import LAWS
 from impact_rig.rig.config import RigConfig, from_flat, load, to_flat
 from impact_rig.system import budget

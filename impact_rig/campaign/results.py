@@ -22,7 +22,7 @@ from impact_rig.campaign.job import Outcome
 from impact_rig.campaign.paper import REDUCTION_PERCENT, Reductions
 from impact_rig.campaign.plan import RESET, Planned
 from impact_rig.config.tree import Value
-from impact_rig.operate.plan import Direction
+from impact_rig.operate.stepped_sine import Direction
 from impact_rig.system import files
 
 NAN = math.nan

@@ -44,7 +44,7 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
 
 def _run(arguments: argparse.Namespace) -> int:
     from impact_rig.rig.config import load  # noqa: PLC0415  # heavy: after the signals are taken
-    from impact_rig.studies.comparison import compare  # noqa: PLC0415  # as above
+    from impact_rig.studies.comparison import compare, drawn  # noqa: PLC0415  # as above
 
     console = Console(quiet=arguments.json)
     known = load(arguments.config) if arguments.config else None
@@ -53,7 +53,6 @@ def _run(arguments: argparse.Namespace) -> int:
             run, known, arguments.drive, fits=not arguments.no_fit, on_step=lambda what: console.print(f"{what} ...")
         )
     if arguments.figure:
-        from impact_rig.studies.comparison_figure import drawn  # noqa: PLC0415  # matplotlib
         from impact_rig.system import files  # noqa: PLC0415  # as above
 
         files.make_folder(arguments.figure)

@@ -24,8 +24,7 @@ from impact_rig.campaign.paper import Reductions
 from impact_rig.campaign.results import FILE_NAME, Statement, write_summary
 from impact_rig.cli.terminal import Console, Steps, TextTable, Words, add_json, subcommand, tell_json, tell_program
 from impact_rig.errors import ImpactRigError
-from impact_rig.operate.plan import Direction
-from impact_rig.operate.stepped_sine import SteppedSine
+from impact_rig.operate.stepped_sine import Direction, SteppedSine
 from impact_rig.recording import open_run
 from impact_rig.report.dt import draw_reductions
 from impact_rig.rig.config import RigConfig, from_flat

@@ -147,7 +147,7 @@ def _add_words(parser: argparse.ArgumentParser, what: str, rate_hz: int) -> None
 
 
 def _play(arguments: argparse.Namespace) -> int:
-    from impact_rig.studies.excitation.play import play  # noqa: PLC0415  # scipy
+    from impact_rig.studies.excitation.history import play  # noqa: PLC0415  # scipy
 
     samples = _history(arguments, "A")
     if arguments.seconds is not None:

@@ -25,8 +25,7 @@ from impact_rig.cli.terminal import Console, TextTable, add_json, subcommand, te
 from impact_rig.errors import ConfigError, RecordingError
 from impact_rig.operate.looking import Ladder, LoopApparatus, Rung, climb, lock_on, mean
 from impact_rig.operate.phase_lock import LockPlan, Reference
-from impact_rig.operate.plan import Direction
-from impact_rig.operate.stepped_sine import Hold, HoldPlan, State
+from impact_rig.operate.stepped_sine import Direction, Hold, HoldPlan, State
 from impact_rig.rig.config import RigConfig, to_flat
 from impact_rig.simtime import NS_PER_S
 from impact_rig.studies.closed_loop import Held, ProcessLoop, hold

@@ -25,7 +25,7 @@ COMMANDS = (
 )  # fmt: skip
 """Subcommands in the order of the help."""
 HOMES = {
-    **{name: f"recorded:add_{name}" for name in ("info", "verify", "recover")},
+    **{name: f"recorded:add_{name}" for name in ("info", "verify", "recover", "replay")},
     "import": "measurement:add_import",
     "report": "campaign:add_report",
     **{name: f"excite:add_{name}" for name in ("play", "frf")},

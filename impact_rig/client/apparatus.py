@@ -32,8 +32,7 @@ from impact_rig.errors import CommandError, ConfigError, ImpactRigError
 from impact_rig.operate.hardware import Hardware, Wanted
 from impact_rig.operate.operator import Applied, News
 from impact_rig.operate.phase_lock import Look, PhasorMeter
-from impact_rig.operate.plan import Setpoint
-from impact_rig.operate.stepped_sine import HoldPlan, SteppedSine
+from impact_rig.operate.stepped_sine import HoldPlan, Setpoint, SteppedSine
 from impact_rig.rig import Kind
 from impact_rig.rig.config import RigConfig, from_flat, to_flat
 from impact_rig.rig.interlock import OVER_TRAVEL, Trip, check_amplitude, check_frequency

@@ -37,7 +37,7 @@ from impact_rig.blocks import Table
 from impact_rig.client.processes import ParameterValue, Processes
 from impact_rig.errors import CodecError, ConfigError, GoneError, ImpactRigError
 from impact_rig.nodes import messages
-from impact_rig.nodes.guard import with_info
+from impact_rig.nodes.managed import with_info
 from impact_rig.nodes.messages import Template, by_name, header_stamp_ns
 from impact_rig.nodes.process import make_executor
 from impact_rig.system.endings import unhurried

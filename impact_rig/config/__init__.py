@@ -6,8 +6,7 @@
 """
 
 from impact_rig.config.fields import FieldInfo, Origin
-from impact_rig.config.mechanics import Barriers, Drive, Shaker, Sphere, Structure
-from impact_rig.config.operation import Daq, Output, Pluck, Step, Time
+from impact_rig.config.sections import Barriers, Daq, Drive, Output, Pluck, Shaker, Sphere, Step, Structure, Time
 from impact_rig.config.tree import Tree
 
 __all__ = [

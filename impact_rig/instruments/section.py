@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 
 from impact_rig.blocks import Column, row_type
 from impact_rig.config.fields import switch
-from impact_rig.config.mechanics import Shaker, Structure
-from impact_rig.config.operation import Daq
+from impact_rig.config.sections import Daq, Shaker, Structure
 from impact_rig.errors import ConfigError
 from impact_rig.instruments.fault import FaultPlan
 from impact_rig.instruments.instrument import Instrument

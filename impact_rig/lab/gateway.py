@@ -28,13 +28,12 @@ from std_srvs.srv import SetBool, Trigger
 
 from impact_rig import states, topics
 from impact_rig.client.client import Client, ros_parameters
-from impact_rig.errors import ImpactRigError
+from impact_rig.errors import ImpactRigError, in_words
 from impact_rig.instruments.instrument import FAULT_KINDS
 from impact_rig.lab.protocol import Request
 from impact_rig.lab.record import Record
 from impact_rig.lab.state import PLANNED, Answer, Seen, figure
 from impact_rig.nodes import messages
-from impact_rig.nodes.guard import in_words
 from impact_rig.rig.config import RigConfig, fields, from_flat, parameters_in, to_flat
 from impact_rig.runs import recover
 

@@ -20,8 +20,7 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 from std_msgs.msg import Header
 
 from impact_rig import topics
-from impact_rig.nodes.guard import guarded
-from impact_rig.nodes.managed import ManagedNode
+from impact_rig.nodes.managed import ManagedNode, guarded
 from impact_rig.nodes.messages import Template
 from impact_rig.nodes.pacing import Clock
 from impact_rig.simtime import NS_PER_S

@@ -5,15 +5,19 @@
 It configures and activates itself (`autostart`), survives invalid transition requests and callback exceptions (both end
 a plain Jazzy Python node), takes parameters through one validator, and reports at 1 Hz and on change. A subclass fills
 in what happens on configure, activate, deactivate and clean up. Its services may answer later.
+
+Every callback is guarded: an exception becomes an error in the log and in diagnostics, and the node goes on.
 """
 
 from __future__ import annotations
 
 import contextlib
 import enum
+import functools
 import secrets
 import sys
 import time
+from collections import Counter
 from collections.abc import Callable, Mapping
 from typing import Any, ClassVar, Generic, TypeVar  # rclpy is untyped
 
@@ -31,10 +35,92 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from impact_rig import codec, states, topics
 from impact_rig.blocks import Table
 from impact_rig.config.tree import Tree
-from impact_rig.errors import CodecError, ImpactRigError, visible
+from impact_rig.errors import CodecError, ImpactRigError, describe, in_words, visible
 from impact_rig.nodes import messages
-from impact_rig.nodes.guard import Refusals, describe, guarded, guarded_answer, in_words
 from impact_rig.nodes.parameters import Parameters, Proposal, set_one_by_one
+
+Report = Callable[[str, str], None]
+"""What to do with a failure: (where, message)."""
+
+
+@attrs.define
+class Refusals:
+    """Inputs that were refused: how often, by reason, and the last message of each reason."""
+
+    counts: Counter[str] = attrs.field(factory=Counter)
+    last: dict[str, str] = attrs.field(factory=dict)
+
+    def add(self, reason: str, message: str) -> None:
+        """Count one refusal."""
+        self.counts[reason] += 1
+        self.last[reason] = message
+
+    def total(self) -> int:
+        """Return the number of all refusals."""
+        return sum(self.counts.values())
+
+
+def guarded(callback: Callable[..., Any], report: Report) -> Callable[..., Any]:
+    """Return `callback` with its exceptions reported instead of raised, and its arguments as `with_info` has them."""
+
+    @functools.wraps(callback)
+    def safe(*args: Any) -> Any:
+        try:
+            return callback(*_each(args))
+        except Exception as error:  # the whole point: nothing a callback raises may end the process
+            report(_name(callback), describe(error))
+            return None
+
+    return safe
+
+
+def with_info(callback: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a subscription callback that gets (message, info) from every executor.
+
+    Jazzy's events executor passes both as one tuple, the others as two arguments. rclpy looks at the signature to
+    decide whether info is wanted: `wraps` keeps it.
+    """
+
+    @functools.wraps(callback)
+    def call(*args: Any) -> Any:
+        return callback(*_each(args))
+
+    return call
+
+
+def _each(args: tuple[Any, ...]) -> tuple[Any, ...]:
+    """Return the arguments one by one, also where an executor passed them as one tuple."""
+    return args[0] if len(args) == 1 and type(args[0]) is tuple else args
+
+
+def guarded_answer(callback: Callable[[Any, Any], Any], refuse: Callable[[str], None]) -> Callable[[Any, Any], Any]:
+    """Return a callback of any service, rclpy's own included, that answers a request it cannot digest with a refusal.
+
+    A parameter of a type that does not exist, for one, raises in rclpy's parameter services.
+    """
+
+    @functools.wraps(callback)
+    def safe(request: Any, response: Any) -> Any:
+        try:
+            return callback(request, response)
+        except Exception as error:  # see `guarded`
+            message = describe(error)
+            refuse(message)
+            no = SetParametersResult(successful=False, reason=message)
+            if hasattr(response, "results"):
+                response.results += [no] * (len(request.parameters) - len(response.results))
+            elif hasattr(response, "result") and isinstance(response.result, SetParametersResult):
+                response.result = no
+            return response
+
+    return safe
+
+
+def _name(callback: Callable[..., Any]) -> str:
+    while isinstance(callback, functools.partial):
+        callback = callback.func
+    return getattr(callback, "__name__", type(callback).__name__).lstrip("_")
+
 
 S = TypeVar("S", bound=attrs.AttrsInstance)
 

@@ -22,8 +22,7 @@ from rclpy.parameter import Parameter
 
 from impact_rig.config import FieldInfo
 from impact_rig.config.tree import Tree, Value
-from impact_rig.errors import ConfigError
-from impact_rig.nodes.guard import describe
+from impact_rig.errors import ConfigError, describe
 
 S = TypeVar("S", bound=attrs.AttrsInstance)
 Attempt = Callable[[list[Parameter]], SetParametersResult]

@@ -24,7 +24,7 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
-from impact_rig.nodes.guard import describe
+from impact_rig.errors import describe
 from impact_rig.nodes.managed import ManagedNode
 from impact_rig.system.endings import SIGNALS, Ending, held
 

@@ -13,8 +13,7 @@ from collections.abc import Callable
 from typing import Any  # messages of a package that may be absent
 
 from impact_rig import __version__
-from impact_rig.errors import CommandError
-from impact_rig.nodes.guard import describe
+from impact_rig.errors import CommandError, describe
 from impact_rig.nodes.managed import Done, LateService
 from impact_rig.nodes.session import Session
 

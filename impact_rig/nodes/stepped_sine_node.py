@@ -22,8 +22,7 @@ from impact_rig.nodes.managed import Done, Level, ManagedNode, State
 from impact_rig.nodes.messages import MONITORS
 from impact_rig.operate.operator import Applied, News, Operator
 from impact_rig.operate.phase_lock import LockedSine, LockPlan, Reference
-from impact_rig.operate.plan import Direction, Plan, Setpoint
-from impact_rig.operate.stepped_sine import ControlledSine, Hold, HoldPlan, SteppedSine
+from impact_rig.operate.stepped_sine import ControlledSine, Direction, Hold, HoldPlan, Plan, Setpoint, SteppedSine
 from impact_rig.operate.stepped_sine import State as Progress
 from impact_rig.system.endings import Ending
 

@@ -2,6 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The operator: sets the drive, waits until it is applied and settled, measures, notes. No rig of its own, no ROS.
 
-`plan` is what is wanted, `stepped_sine` decides what comes next, `operator` is the loop that does it with whatever
+`stepped_sine` is what is wanted and decides what comes next, `operator` is the loop that does it with whatever
 apparatus it is given: a rig in this process, one behind topics that is stepped or runs freely, or a node's callbacks.
 """

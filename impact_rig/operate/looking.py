@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 
 from impact_rig.analysis.spread import student_factor, variance_of_mean
 from impact_rig.operate.phase_lock import LockPlan, Look, PhaseLock
-from impact_rig.operate.plan import Setpoint
-from impact_rig.operate.stepped_sine import State
+from impact_rig.operate.stepped_sine import Setpoint, State
 from impact_rig.simtime import NS_PER_S
 
 FEWEST = 6

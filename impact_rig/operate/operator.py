@@ -16,8 +16,7 @@ import attrs
 import numpy as np
 
 from impact_rig.blocks import Table
-from impact_rig.operate.plan import Setpoint
-from impact_rig.operate.stepped_sine import State, SteppedSine
+from impact_rig.operate.stepped_sine import Setpoint, State, SteppedSine
 from impact_rig.simtime import NS_PER_S
 
 Note = Callable[[SteppedSine], None]

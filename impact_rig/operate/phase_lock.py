@@ -30,8 +30,7 @@ from impact_rig.analysis.calibration import Calibration
 from impact_rig.analysis.scans import BASE, CHANNELS, CURRENT, LASER
 from impact_rig.blocks import PHASE_LOCK, Table
 from impact_rig.errors import ConfigError
-from impact_rig.operate.plan import Setpoint, positive
-from impact_rig.operate.stepped_sine import SAME, State
+from impact_rig.operate.stepped_sine import SAME, Setpoint, State, positive
 from impact_rig.simtime import NS_PER_S
 
 MIN_CYCLES = 2

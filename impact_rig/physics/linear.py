@@ -33,7 +33,7 @@ from impact_rig.arithmetic.precise import (
     resolvent,
     roots,
 )
-from impact_rig.config.mechanics import Barriers, Drive, Shaker, Sphere, Structure
+from impact_rig.config.sections import Barriers, Drive, Shaker, Sphere, Structure
 from impact_rig.errors import ConfigError
 from impact_rig.physics.contact import Contact
 from impact_rig.physics.state import COIL, V1, VB, X1, XB

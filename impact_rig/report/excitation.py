@@ -27,8 +27,7 @@ from impact_rig.drawing import (
     style,
 )  # fmt: skip
 from impact_rig.report import page
-from impact_rig.studies.excitation.history import Replicated
-from impact_rig.studies.excitation.play import Played
+from impact_rig.studies.excitation.history import Played, Replicated
 from impact_rig.studies.excitation.random import Reached
 from impact_rig.studies.excitation.shock import Shocked
 

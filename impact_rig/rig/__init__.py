@@ -7,13 +7,12 @@ from typing import TYPE_CHECKING
 from impact_rig.system import lazily
 
 if TYPE_CHECKING:
-    from impact_rig.rig.changes import takes_effect
     from impact_rig.rig.core import Block, Rig
-    from impact_rig.rig.journal import Journal, Kind
+    from impact_rig.rig.journal import Journal, Kind, takes_effect
     from impact_rig.rig.resimulation import resimulate
 
 __getattr__ = lazily(  # `rig.config` does without compiled code
-    __name__, Block="core", takes_effect="changes", Rig="core", Journal="journal", Kind="journal",
+    __name__, Block="core", takes_effect="journal", Rig="core", Journal="journal", Kind="journal",
     resimulate="resimulation",
 )  # fmt: skip
 

@@ -11,8 +11,7 @@ import attrs
 
 from impact_rig.blocks import TRUTH_SCAN
 from impact_rig.codec import MAX_MESSAGE_BYTES
-from impact_rig.config.mechanics import Barriers, Drive, Shaker, Sphere, Structure
-from impact_rig.config.operation import Daq, Output, Pluck, Step, Time
+from impact_rig.config.sections import Barriers, Daq, Drive, Output, Pluck, Shaker, Sphere, Step, Structure, Time
 from impact_rig.config.tree import Tree, parameters_in
 from impact_rig.errors import ConfigError
 from impact_rig.instruments.section import Instruments, row_type_of

@@ -1,9 +1,10 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""A rig in this process recorded as its node's recorder would: what it publishes, in its order."""
+"""A rig in this process recorded as its node's recorder would: what it publishes, in its order; and a sample."""
 
 from __future__ import annotations
 
+import shutil
 import time
 from collections.abc import Iterable
 from pathlib import Path
@@ -13,11 +14,21 @@ import numpy as np
 
 import impact_rig
 from impact_rig import codec, topics
+from impact_rig.analysis.settings import TrackerSettings, settings_table
+from impact_rig.analysis.tracker import Tracker
 from impact_rig.blocks import WAVEFORM, Table
 from impact_rig.operate.hardware import InProcess
-from impact_rig.recording import CONFIGURATION, Attachment, Provenance, RunWriter, TopicDescription, schema_text
+from impact_rig.recording import (
+    CONFIGURATION,
+    Attachment,
+    Provenance,
+    RunWriter,
+    TopicDescription,
+    open_run,
+    schema_text,
+)
 from impact_rig.rig import Block, Rig
-from impact_rig.rig.config import dump
+from impact_rig.rig.config import RigConfig, dump
 from impact_rig.simtime import NS_PER_S, stamp_ns
 
 PUBLISHED = (topics.INFO, topics.JOURNAL, topics.APPLIED, topics.SCAN, topics.IMPACTS_TRUTH, topics.FAULTS)
@@ -120,3 +131,42 @@ class RecordedInProcess(InProcess):
         self._recorder.block(block)
         self._recorder.write(topics.STREAM, self.rig.stream_state())
         return block
+
+
+SAMPLE_S = 20
+ANALYSED = (topics.IMPACTS, topics.TRANSMISSIBILITY_TABLE, topics.ANALYSIS_SETTINGS)
+SAMPLE_TOPICS = tuple(topic.name for topic in (*PUBLISHED, *ANALYSED))
+GAP_M = 6e-3
+
+
+def make(directory: Path) -> Path:
+    """Return the directory of a short run to look at when there is no other, made if there is none."""
+    if directory.is_dir():
+        try:
+            with open_run(directory) as run:
+                whole = {f"/rig/{name}" for name in SAMPLE_TOPICS} <= set(run.topics)
+        except OSError:
+            whole = False
+        if whole:
+            return directory
+        shutil.rmtree(directory)  # cut short, or of an earlier version
+    rig, settings = Rig(RigConfig()), TrackerSettings()
+    tracker = Tracker(settings)
+    tracker.configure(rig.info())
+    tracker.label(GAP_M, 0)
+    half = directory.with_name(f"{directory.name}.part")
+    shutil.rmtree(half, ignore_errors=True)
+    with RigRecorder(half, rig, ANALYSED) as recorder:
+        recorder.write(topics.ANALYSIS_SETTINGS, settings_table(settings, GAP_M, 0))
+        while rig.frontier_ns < SAMPLE_S * NS_PER_S:
+            if rig.next_block_ns == NS_PER_S:
+                rig.accept(frequency_hz=9.1, current_a=0.52)
+            for table in recorder.changes():
+                tracker.on_applied(table)
+            block = rig.advance(rig.block_end_ns(1))[0]
+            recorder.block(block)
+            found = tracker.feed(block.scan)
+            recorder.write(topics.IMPACTS, *found.impacts)
+            recorder.write(topics.TRANSMISSIBILITY_TABLE, *found.measurements)
+    half.rename(directory)
+    return directory

@@ -30,10 +30,9 @@ from impact_rig.instruments.registry import INSTRUMENTS
 from impact_rig.recording import CONFIGURATION, Message, Run, arithmetic_of
 from impact_rig.recording.description import matches, members
 from impact_rig.rig import Block, Kind
-from impact_rig.rig.changes import PLANNED
 from impact_rig.rig.config import RigConfig, from_flat, parse, to_flat
 from impact_rig.rig.description import robot_description
-from impact_rig.rig.journal import Entry, read, sampled
+from impact_rig.rig.journal import PLANNED, Entry, read, sampled
 from impact_rig.rig.monitors import HALF_PERIODS, AntiAlias, Smoothed
 from impact_rig.rig.resimulation import Resimulation, Sent
 from impact_rig.rig.truth import monitor_step

@@ -14,8 +14,7 @@ from impact_rig.blocks import joined
 from impact_rig.campaign.job import Job, ProcessApparatus
 from impact_rig.operate.operator import PatientApparatus, operate
 from impact_rig.operate.phase_lock import Look, PhasorMeter
-from impact_rig.operate.plan import Setpoint
-from impact_rig.operate.stepped_sine import ControlledSine, HoldPlan
+from impact_rig.operate.stepped_sine import ControlledSine, HoldPlan, Setpoint
 from impact_rig.rig import Rig
 from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.simtime import NS_PER_S

@@ -8,7 +8,7 @@ import pytest
 
 from impact_rig.campaign.plan import load_campaign
 from impact_rig.errors import ConfigError
-from impact_rig.operate.plan import Direction
+from impact_rig.operate.stepped_sine import Direction
 from impact_rig.system.files import config_dir
 
 

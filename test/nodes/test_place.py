@@ -11,7 +11,7 @@ pytest.importorskip("rclpy", reason="no ROS 2 here")
 from rclpy.node import Node
 
 from impact_rig.client import Client
-from impact_rig.nodes.start import NamespaceLock, ends_here
+from impact_rig.nodes.session import NamespaceLock, ends_here
 
 pytestmark = pytest.mark.ros
 FAST = "rmw_fastrtps_cpp"

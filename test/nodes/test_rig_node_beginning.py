@@ -18,7 +18,7 @@ from impact_rig.nodes import messages
 from impact_rig.nodes.analysis_node import AnalysisNode
 from impact_rig.nodes.recorder_node import RecorderNode
 from impact_rig.nodes.rig_node import RigNode
-from impact_rig.nodes.start import NamespaceLock
+from impact_rig.nodes.session import NamespaceLock
 from impact_rig.recording import open_run
 from impact_rig.runs import info
 

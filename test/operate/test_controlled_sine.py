@@ -14,13 +14,12 @@ from impact_rig.campaign.axes import NO_SPHERE
 from impact_rig.campaign.job import execute
 from impact_rig.errors import ConfigError
 from impact_rig.operate.operator import Applied, News, operate
-from impact_rig.operate.plan import Plan
-from impact_rig.operate.stepped_sine import ControlledSine, Hold, HoldPlan, State
+from impact_rig.operate.stepped_sine import ControlledSine, Hold, HoldPlan, Plan, State
 from impact_rig.physics.prediction import transmissibility
 from impact_rig.rig.config import RigConfig
 from impact_rig.simtime import NS_PER_S
-from impact_rig.studies import prediction as by_test
 from impact_rig.studies.closed_loop import hold
+from tools import prediction as by_test
 
 PLAN = Plan(frequencies_hz=(8.0, 9.0), current_a=0.3, direction="up_down")
 HELD = HoldPlan(hold=Hold.BASE, target=1e-4)

@@ -11,8 +11,7 @@ import pytest
 
 from impact_rig.operate.operator import Applied, News, Operator
 from impact_rig.operate.phase_lock import LockedSine, LockPlan
-from impact_rig.operate.plan import Setpoint
-from impact_rig.operate.stepped_sine import State
+from impact_rig.operate.stepped_sine import Setpoint, State
 from impact_rig.rig import Rig
 from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.simtime import NS_PER_S

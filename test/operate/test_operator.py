@@ -10,8 +10,7 @@ import pytest
 from impact_rig.blocks import APPLIED, TRANSMISSIBILITY, Table
 from impact_rig.errors import CommandError
 from impact_rig.operate.operator import Applied, News, Operator, operate
-from impact_rig.operate.plan import Plan, Setpoint
-from impact_rig.operate.stepped_sine import State, SteppedSine
+from impact_rig.operate.stepped_sine import Plan, Setpoint, State, SteppedSine
 from impact_rig.simtime import NS_PER_S
 
 PLAN = Plan(frequencies_hz=(9.0, 8.0), current_a=0.5, measurements_per_point=2)

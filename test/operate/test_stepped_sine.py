@@ -12,8 +12,7 @@ from impact_rig.analysis.settings import TrackerSettings
 from impact_rig.analysis.tracker import Tracker
 from impact_rig.blocks import TRANSMISSIBILITY, Table
 from impact_rig.errors import ConfigError
-from impact_rig.operate.plan import Direction, Plan, Setpoint
-from impact_rig.operate.stepped_sine import State, SteppedSine
+from impact_rig.operate.stepped_sine import Direction, Plan, Setpoint, State, SteppedSine
 from impact_rig.simtime import NS_PER_S
 
 S = NS_PER_S

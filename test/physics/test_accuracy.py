@@ -20,7 +20,7 @@ from impact_rig.physics.contact_step import ROUNDS, begin_step, solve
 from impact_rig.physics.model import CONTACT_RTOL, Model, build
 from impact_rig.physics.state import CONTACT_STEP, STATE, record
 from impact_rig.rig.config import RigConfig
-from impact_rig.rig.trial import generator
+from impact_rig.rig.core import generator
 
 FREQUENCY_HZ = 9.1
 GAPS_M = (2e-3, 4e-3, 6e-3, 8e-3, 10e-3)

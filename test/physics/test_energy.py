@@ -11,7 +11,7 @@ from kits.mechanics import benchmark_rig, limit_case, rig, sine
 from impact_rig.physics import EnergyAccount, Simulation
 from impact_rig.physics.contact import LAWS
 from impact_rig.rig.config import RigConfig, from_flat
-from impact_rig.rig.trial import generator
+from impact_rig.rig.core import generator
 from impact_rig.simtime import COMMAND_GRID_S
 
 GAPS_M = (2e-3, 4e-3, 6e-3, 8e-3, 10e-3)

@@ -14,7 +14,7 @@ from scipy.integrate import solve_ivp
 from impact_rig.physics import Simulation
 from impact_rig.physics.linear import constants
 from impact_rig.rig.config import RigConfig
-from impact_rig.rig.trial import tried
+from impact_rig.rig.core import tried
 
 FREQUENCIES_HZ = (0.5, 5.0, 7.5, 9.0, 9.1, 9.105, 9.2, 10.5, 50.0, 200.0)
 SETTLED_S = 150.0  # 38 time constants of the structure on a prescribed base

@@ -18,7 +18,7 @@ from hypothesis import event, given, settings
 from hypothesis import strategies as st
 from kits.mechanics import limit_case, rig, sine
 
-from impact_rig.config.mechanics import FASTEST_HZ, SLOWEST_HZ
+from impact_rig.config.sections import FASTEST_HZ, SLOWEST_HZ
 from impact_rig.errors import ConfigError
 from impact_rig.physics import EnergyAccount, Motion, Simulation
 from impact_rig.physics.contact import LAWS

@@ -24,7 +24,7 @@ from impact_rig.physics.prediction import Rig
 from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.studies.dynamics import exponent, orbits, plan
 from impact_rig.studies.dynamics.stroboscope import Place, Stroboscope
-from impact_rig.studies.prediction import job
+from tools.prediction import job
 
 pytestmark = pytest.mark.heavy
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from impact_rig.campaign.job import execute
-from impact_rig.studies.prediction import Compared, compared, job
+from tools.prediction import Compared, compared, job
 
 WITHIN, WITHIN_DEGREES = 0.01, 2.0
 

@@ -17,7 +17,7 @@ from kits.browser import serious_faults
 
 from impact_rig.lab.playback import PlaybackSource
 from impact_rig.lab.server import Server
-from impact_rig.runs.sample import make
+from impact_rig.runs.in_process import make
 
 WIDE, NARROW = 1280, 400
 

@@ -1,6 +1,6 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""Time histories: a response is made to follow one, by the inverse response function and iterative learning.
+"""Time histories: played as they are, or a response is made to follow one by iterative learning.
 
     drive_1 = F⁻¹ [X / H],    drive_{n+1} = drive_n + F⁻¹ [(X − Y_n) / H]
 
@@ -15,14 +15,13 @@ from collections.abc import Iterator
 import attrs
 import numpy as np
 from numpy.typing import NDArray
+from scipy import stats
 
-from impact_rig.operate.hardware import Hardware
+from impact_rig.operate.hardware import Exchange, Hardware
 from impact_rig.studies.excitation.response import PSEUDO, Excitation, Response
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
-
-
 WORSE = 1.2
 """A trial this much worse than the best ends the learning: lines on which H was estimated badly only grow."""
 
@@ -164,3 +163,64 @@ def _identify(hardware: Hardware, plan: ReplicatePlan, length: int) -> tuple[Com
     floor = noise[inside] / np.abs(x[inside]) ** 2
     inverse[inside] = edge[inside] * np.conj(h[inside]) / (np.abs(h[inside]) ** 2 + NOISES * floor)
     return h, inverse
+
+
+STEP_S = 1.0
+
+
+@attrs.frozen(eq=False, kw_only=True)
+class Played:
+    """What was played so far.
+
+    Attributes:
+        rate_hz: samples per second, and scans.
+        asked: shape (n,), A, m or V by `drive.kind`.
+        rows: of `daq/scan`, shape (n,): a scan a sample.
+        whole: samples of the history.
+        clipped: samples of it that were clipped.
+    """
+
+    rate_hz: int
+    asked: Real
+    rows: NDArray[np.void]
+    whole: int
+    clipped: int
+
+    @property
+    def error(self) -> float:
+        """Rms of the current less what was asked, its mean left out, over the rms of what was asked."""
+        apart = self.rows["current"] - self.asked
+        return float(apart.std() / max(self.asked.std(), 1e-300))
+
+    def kurtosis(self, name: str) -> float:
+        """Return that of a channel: 1.5 of a sine, 3 of Gaussian noise."""
+        return float(stats.kurtosis(self.rows[name].astype(float), fisher=False))
+
+
+def play(hardware: Hardware, samples: Real, limit: float | None = None) -> Iterator[Played]:
+    """Play samples; yields what was played so far once a second of it, and at its end.
+
+    Args:
+        hardware: output and acquisition, of one rate.
+        samples: A, m or V by `drive.kind`, shape (n,).
+        limit: samples are clipped there, either side; None: the rig refuses what is beyond the shaker.
+
+    Raises:
+        CommandError: the shaker trips, or refuses a sample.
+        TimeoutError: the rig did not go on.
+    """
+    rate_hz = hardware.wire.rate_hz
+    asked = samples if limit is None else np.clip(samples, -limit, limit)
+    clipped = int(np.count_nonzero(asked != samples))
+    step = max(1, round(STEP_S * rate_hz))
+    exchange = Exchange(hardware, step)
+    coming, rows = np.concatenate([asked, np.zeros(exchange.lag)]), np.empty(0, np.void)
+    for at in range(0, len(coming), step):
+        part = exchange.exchange(coming[at : at + step])[1]
+        rows = rows if len(rows) else np.empty(len(coming), part.dtype)
+        rows[at : at + step] = part
+        done = min(at + step, len(coming)) - exchange.lag
+        if done > 0:
+            scans = rows[exchange.lag : exchange.lag + done]
+            yield Played(rate_hz=rate_hz, asked=asked[:done], rows=scans, whole=len(asked), clipped=clipped)
+    hardware.output.stop()
