@@ -16,16 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 TEXT = "S32"
-TEXT_BYTES = 32
-"""Text in a table: UTF-8 in 32 bytes."""
-NUMBER = "f8"
-"""Also of indices: exact to 2**53, and `sensor_msgs/PointField` has no 64-bit integers."""
+TEXT_BYTES = 32  # text in a table: UTF-8 in 32 bytes
+NUMBER = "f8"  # also of indices: exact to 2**53, and `sensor_msgs/PointField` has no 64-bit integers
 
 
-LONGEST_S = 2.0**32
-"""No two stamps are further apart [s]."""
-LARGEST_INDEX = 2.0**53
-"""To which whole numbers are exact in a table."""
+LONGEST_S = 2.0**32  # no two stamps are further apart [s]
+LARGEST_INDEX = 2.0**53  # to which whole numbers are exact in a table
 
 
 @attrs.frozen
@@ -83,8 +79,7 @@ def row_type(columns: Iterable[Column]) -> np.dtype[np.void]:
 
 
 FRAME_DAQ = "daq"
-MOST_HZ = 1e6
-"""The board's aggregate rate; bounds the memory that a hostile table can ask for."""
+MOST_HZ = 1e6  # the board's aggregate rate; bounds the memory that a hostile table can ask for
 
 SCAN_FRAME = (
     time("Scan clock, since the stamp; a channel is converted its `skew` later (daq/info)."),

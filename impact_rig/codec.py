@@ -34,8 +34,7 @@ Buffer = bytes | bytearray | memoryview
 
 MAX_MESSAGE_BYTES = 480_000
 """Messages above ~500 kB miss the default shared-memory segment of Fast DDS: whoever fills tables keeps below this."""
-MAX_COLUMNS = 256
-"""More columns than any table of this package; bounds what a hostile message can make `decode` build."""
+MAX_COLUMNS = 256  # more columns than any table of this package; bounds what a hostile message can make `decode` build
 
 _ENCAPSULATION = b"\x00\x01\x00\x00"
 _ORIGIN = len(_ENCAPSULATION)  # CDR alignment counts from here
@@ -50,8 +49,7 @@ _PRIMITIVES = {
 }  # fmt: skip
 _MAX_TRAILING = 3  # some writers pad the payload to a multiple of four
 
-_MOST_HEADS = 64
-"""Kinds of messages that `decode` remembers; more than any graph of this package has."""
+_MOST_HEADS = 64  # kinds of messages that `decode` remembers; more than any graph of this package has
 
 # sensor_msgs/PointField
 _FORMAT_OF_DATATYPE = {1: "i1", 2: "u1", 3: "<i2", 4: "<u2", 5: "<i4", 6: "<u4", 7: "<f4", 8: "<f8"}
@@ -149,21 +147,13 @@ def checked(table: Table, topic: Topic, needs: tuple[str, ...] = ()) -> Table:
 
 @attrs.frozen(eq=False)
 class _Plan:
-    """What has to be done with tables of one type that claim to be of one topic.
+    """What has to be done with tables of one type that claim to be of one topic."""
 
-    Attributes:
-        fits: whether the rows can stay as they are.
-        dtype: what they become otherwise.
-        absent: columns that get their default.
-        numbers: columns whose values are bounded.
-        texts: columns whose values must be text.
-    """
-
-    fits: bool
-    dtype: np.dtype[np.void]
-    absent: tuple[Column, ...]
-    numbers: tuple[Column, ...]
-    texts: tuple[Column, ...]
+    fits: bool  # whether the rows can stay as they are
+    dtype: np.dtype[np.void]  # what they become otherwise
+    absent: tuple[Column, ...]  # columns that get their default
+    numbers: tuple[Column, ...]  # columns whose values are bounded
+    texts: tuple[Column, ...]  # columns whose values must be text
 
 
 @functools.lru_cache(maxsize=256)  # few types of rows exist
@@ -246,8 +236,7 @@ class _Head:
     dtype: np.dtype[np.void]
 
 
-_heads: dict[int, _Head] = {}
-"""The newest head, by the length of its message."""
+_heads: dict[int, _Head] = {}  # the newest head, by the length of its message
 
 
 def _head(view: memoryview) -> _Head:

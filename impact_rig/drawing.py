@@ -63,12 +63,9 @@ P = ParamSpec("P")
 R = TypeVar("R")
 WIDTH_INCH = 4.4
 """About as wide as a phone: shown there at its own size, its 9 pt stay legible; wide pages show several abreast."""
-WIDE_INCH = 7.2
-"""A drawing that has a page, or a file, to itself."""
-DIGITS = 9
-"""Of numbers in the CSV of a drawing: more than any screen shows."""
-LABELS_INCH = 0.48
-"""Height of the numbers and the name beneath an axis."""
+WIDE_INCH = 7.2  # a drawing that has a page, or a file, to itself
+DIGITS = 9  # of numbers in the CSV of a drawing: more than any screen shows
+LABELS_INCH = 0.48  # height of the numbers and the name beneath an axis
 STYLE: dict[str, object] = {
     "font.size": 9.0,
     "axes.titlesize": 9.5,
@@ -148,15 +145,10 @@ def legend_below(axis: Axes, columns: int, *others: Axes) -> None:
 
 @attrs.frozen(eq=False)
 class Line:
-    """What a drawing shows of one case, for who wants its numbers.
+    """What a drawing shows of one case, for who wants its numbers."""
 
-    Attributes:
-        label: of the case, as in the legend.
-        columns: name with unit -> values, all of one length.
-    """
-
-    label: str
-    columns: Mapping[str, Sequence[float] | NDArray[Any]]
+    label: str  # of the case, as in the legend
+    columns: Mapping[str, Sequence[float] | NDArray[Any]]  # name with unit -> values, all of one length
 
 
 class Drawn:

@@ -54,10 +54,7 @@ class Analysis(Word):
     INACTIVE = "inactive", "unconfigured, inactive or finalised: the reason begins with the lifecycle state"
     NO_SCANS = "no_scans", "none came yet, or none for two seconds"
     LOST_SCANS = "lost_scans", "since the last row scans were lost"
-    UNABLE = (
-        "unable",
-        "scans come but DT cannot be measured now: the reason is a status of `transmissibility/table`",
-    )
+    UNABLE = ("unable", "scans come but DT cannot be measured now: the reason is a status of `transmissibility/table`")
     AT_REST = "at_rest", "no drive"
     SETTLING = "settling", "the response to the present drive is awaited"
     MEASURING = "measuring", "the newest row of `transmissibility/table` holds for the present drive"
@@ -68,10 +65,7 @@ class Recorder(Word):
 
     INACTIVE = "inactive", "unconfigured, inactive or finalised: the reason begins with the lifecycle state"
     FAILED = "failed", "disk full, directory gone, ...: nothing is recorded"
-    RIVAL = (
-        "rival",
-        "another node has written a topic of this run that is one node's: it cannot be verified",
-    )
+    RIVAL = ("rival", "another node has written a topic of this run that is one node's: it cannot be verified")
     LOSING = "losing", "messages of this run were lost before they reached it, or were no tables of their topic"
     WAITING = "waiting", "a recording is asked for, something it needs has not come"
     RECORDING = "recording", "all that came is written"

@@ -17,8 +17,7 @@ import numpy as np
 from impact_rig import blocks
 from impact_rig.blocks import NUMBER, Column, row_type
 
-DATA_DEPTH = 1000
-"""Messages a data topic keeps: 10 s of 10 ms blocks, 1 s of 1 ms blocks."""
+DATA_DEPTH = 1000  # messages a data topic keeps: 10 s of 10 ms blocks, 1 s of 1 ms blocks
 HISTORY_DEPTH = 5000
 """Rows a late subscriber of the journal still gets; one with a gap in `sequence` is known to be incomplete."""
 
@@ -68,8 +67,7 @@ class Topic:
     further: str = ""
 
 
-TABLE = "sensor_msgs/msg/PointCloud2"
-"""The type of every table."""
+TABLE = "sensor_msgs/msg/PointCloud2"  # the type of every table
 
 
 def _table(
@@ -178,10 +176,7 @@ ACK = Topic(
     Qos.DATA,
     "peers",
     "A peer (frame_id) has processed daq/scan up to the block with this stamp: one block, or several.",
-    (
-        Column("stamp", "-", "That of the block."),
-        Column("frame_id", "-", "Node name of the peer."),
-    ),
+    (Column("stamp", "-", "That of the block."), Column("frame_id", "-", "Node name of the peer.")),
     recorded=False,
 )
 PLOT_TRANSMISSIBILITY = Topic(

@@ -55,8 +55,7 @@ LAG_MODELS: dict[int, Callable[[Real], NDArray[np.complexfloating]]] = {
 }
 """`lag_order` to L of ω·lag; the two poles are a pure delay to second order."""
 
-J_1_MOST, J_1_TAIL = 0.5819, 0.684
-"""Largest J_1(x), and largest x J_1²(x)."""
+J_1_MOST, J_1_TAIL = 0.5819, 0.684  # largest J_1(x), and largest x J_1²(x)
 J_1_NODES = 64
 ACROSS = np.linspace(-1.0, 1.0, 9)
 
@@ -70,22 +69,18 @@ def bessel_j_1(x: Real) -> Real:
     return np.asarray(np.cos(angle - x[..., None] * np.sin(angle)).mean(axis=-1))
 
 
-U_CUBIC = 1.0 / math.sqrt(6.0)
-"""Standard uncertainty of the share c that the cubic has in a sensor's curve."""
+U_CUBIC = 1.0 / math.sqrt(6.0)  # standard uncertainty of the share c that the cubic has in a sensor's curve
 
-TWO_POLE_NOISE = 1.11
-"""Noise bandwidth of a Butterworth two-pole filter over its corner."""
+TWO_POLE_NOISE = 1.11  # noise bandwidth of a Butterworth two-pole filter over its corner
 
 STEPS = ("output_step", "output_noise", "converter_step", "converter_noise")
-TERMS = 12
-"""Of the sum over the harmonics of a step: they fall with their cube where no noise blurs it."""
+TERMS = 12  # of the sum over the harmonics of a step: they fall with their cube where no noise blurs it
 
 COLUMNS = (
     "range_low", "range_high", "resolution", "noise", "sensitivity_uncertainty", "lag", "skew", "lag_order",
     "bandwidth", "linearity", *STEPS,
 )  # fmt: skip
-LARGEST = 1e100
-"""Of any figure: its square is a number."""
+LARGEST = 1e100  # of any figure: its square is a number
 
 
 @attrs.frozen(eq=False)

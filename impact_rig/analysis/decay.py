@@ -37,12 +37,9 @@ from impact_rig.states import Status
 
 MIN_CYCLES = 4
 MIN_POINTS = 32
-MIN_SAMPLES_FOR_HARMONICS = 20
-"""Scans per cycle from which second and third harmonic are fitted too."""
-LINE_FACTOR = 20.0
-"""A spectral line this far above the expected largest one of noise is a vibration."""
-SIGNAL_FACTOR = 10.0
-"""A cycle's amplitude in standard uncertainties from which its logarithm is used."""
+MIN_SAMPLES_FOR_HARMONICS = 20  # scans per cycle from which second and third harmonic are fitted too
+LINE_FACTOR = 20.0  # a spectral line this far above the expected largest one of noise is a vibration
+SIGNAL_FACTOR = 10.0  # a cycle's amplitude in standard uncertainties from which its logarithm is used
 DIFFERENT = 6.0
 """Standard uncertainties by which the rates of the two halves differ in a decay that is no single exponential."""
 ITERATIONS = 50

@@ -21,11 +21,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-COVERAGE = 2.0
-"""Error bars are this many standard uncertainties long, either way."""
+COVERAGE = 2.0  # error bars are this many standard uncertainties long, either way
 HEIGHT_INCH = 4.5
-MARK_ABOVE = 1.04
-"""Height of the marks of impacts over an axis, 1 being its upper edge: there they hide no pulse."""
+MARK_ABOVE = 1.04  # height of the marks of impacts over an axis, 1 being its upper edge: there they hide no pulse
 SMOOTHED_SAMPLES = 11
 
 

@@ -31,22 +31,15 @@ from impact_rig.analysis.calibration import Calibration, Complex, Real
 from impact_rig.analysis.scans import BASE, LASER
 
 OVERLAP = 0.5
-RESOLVED = 0.02
-"""`resolution_bias` that is aimed at: segments of 100 s for 9.1 Hz and a damping ratio of 0.0045."""
-SEGMENTS = 2.5
-"""A record holds at least so many segments by choice: four of them, with half an overlap."""
-EXCITED = 1e-3
-"""Share of the strongest line's power from which a line counts as excited."""
-ABOVE_NOISE = 10.0
-"""Times the sensor's own density that an excited line has at least."""
+RESOLVED = 0.02  # `resolution_bias` that is aimed at: segments of 100 s for 9.1 Hz and a damping ratio of 0.0045
+SEGMENTS = 2.5  # a record holds at least so many segments by choice: four of them, with half an overlap
+EXCITED = 1e-3  # share of the strongest line's power from which a line counts as excited
+ABOVE_NOISE = 10.0  # times the sensor's own density that an excited line has at least
 REPEATS = 0.01
 """Relative rms change from segment to segment up to which an excitation is periodic in the segment: nothing leaks."""
-FITS = 0.05
-"""Relative residual up to which a record is that of one resonance."""
-AROUND = 0.1
-"""Relative half width of the band in which a resonance is refined."""
-SHAPE = 8192
-"""Points of a window of which only the shape matters."""
+FITS = 0.05  # relative residual up to which a record is that of one resonance
+AROUND = 0.1  # relative half width of the band in which a resonance is refined
+SHAPE = 8192  # points of a window of which only the shape matters
 
 
 @attrs.frozen

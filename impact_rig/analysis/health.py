@@ -24,32 +24,24 @@ from impact_rig.analysis.scans import ACCELEROMETER, BASE, CHANNELS, CURRENT, LA
 from impact_rig.states import Status
 
 DISPLACEMENTS = (LASER, BASE, CURRENT)
-CONSTANT_FACTOR = 1e-13
-"""Variance over squared mean that rounding of the sums alone can leave of a constant."""
-SIGNAL_FACTOR = 5.0
-"""An amplitude below this many standard uncertainties is silence."""
+CONSTANT_FACTOR = 1e-13  # variance over squared mean that rounding of the sums alone can leave of a constant
+SIGNAL_FACTOR = 5.0  # an amplitude below this many standard uncertainties is silence
 SMOOTH_FACTOR = 2.0
 """The largest change from scan to scan of the fitted sine and its overtones, times this, is vibration."""
-PEAK_FACTOR = 9.0
-"""Noise changes by less from scan to scan than this many times its rms: 6.4 σ√2, once in 10^10."""
-NOISE_FACTOR = 10.0
-"""Noise of this many times the calibration's is another channel's than the calibration is of."""
+PEAK_FACTOR = 9.0  # noise changes by less from scan to scan than this many times its rms: 6.4 σ√2, once in 10^10
+NOISE_FACTOR = 10.0  # noise of this many times the calibration's is another channel's than the calibration is of
 REFERENCE_FACTOR = 20.0
 """A channel's amplitude per cycle, in standard uncertainties, from which its phase can serve as reference."""
 SWAP_MATCH, SWAP_MISMATCH = 1.25, 1.5
 """Acceleration over ω² must match the base within the first factor and miss the laser by the second to call a swap."""
 LEAD_LIMIT_RAD = math.radians(0.5)
-CERTAIN = 0.1
-"""Relative uncertainty of DT up to which wiring is judged from it: 1.25 and 1.5 are then told apart."""
+CERTAIN = 0.1  # relative uncertainty of DT up to which wiring is judged from it: 1.25 and 1.5 are then told apart
 ACCELERATION_LIMIT = 0.04
 """Relative departure of the acceleration from ω² times the laser's amplitude that is always allowed: mounting and
 transverse sensitivity stand in no calibration."""
-ACCELEROMETER_HIGH_PASS_HZ = 1.0
-"""Corner that a charge amplifier may have and `daq/info` does not tell."""
-ALONE = 0.003
-"""Relative change of an amplitude that counts, beyond its noise."""
-NOISES = 5.0
-"""Standard uncertainties of a change that may be chance."""
+ACCELEROMETER_HIGH_PASS_HZ = 1.0  # corner that a charge amplifier may have and `daq/info` does not tell
+ALONE = 0.003  # relative change of an amplitude that counts, beyond its noise
+NOISES = 5.0  # standard uncertainties of a change that may be chance
 FOLLOWS = 50.0
 """The base may change by this many times the relative change of current and superior base: at resonance it is what two
 almost equal forces leave."""

@@ -97,15 +97,10 @@ def _steps(rows: NDArray[np.void]) -> float:
 
 @attrs.frozen
 class Damper:
-    """What a damper does to the structure at one frequency, as a share of the structure's mass m_1.
+    """What a damper does to the structure at one frequency, as a share of the structure's mass m_1."""
 
-    Attributes:
-        added_mass: force in phase with the displacement over ω² m_1 X_1: the mass that it seems to add.
-        loss_factor: energy lost per cycle over 2π · ½ m_1 ω² X_1².
-    """
-
-    added_mass: float
-    loss_factor: float
+    added_mass: float  # force in phase with the displacement over ω² m_1 X_1: the mass that it seems to add
+    loss_factor: float  # energy lost per cycle over 2π · ½ m_1 ω² X_1²
     u_added_mass: float
     u_loss_factor: float
 

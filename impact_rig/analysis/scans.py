@@ -21,8 +21,7 @@ from impact_rig.blocks import Column, Table, joined, row_type
 from impact_rig.errors import ConfigError
 from impact_rig.simtime import NS_PER_S
 
-CHANNELS = ("accelerometer", "laser", "base", "current")
-"""By name; arrays over channels have this order."""
+CHANNELS = ("accelerometer", "laser", "base", "current")  # by name; arrays over channels have this order
 ACCELEROMETER, LASER, BASE, CURRENT = range(len(CHANNELS))
 _TIME, _STATUS = topics.SCAN.fields
 SCAN = row_type((_TIME, *(Column(name, "SI", "") for name in CHANNELS), _STATUS))
@@ -145,8 +144,7 @@ class Recent:
         self._rate_hz = rate_hz
         self._length = length
         self._blocks: deque[Table] = deque()
-        self.count = 0
-        """Scans that are kept."""
+        self.count = 0  # scans that are kept
 
     def follows(self, scan: Table) -> bool:
         """Whether a block goes on where the one before ended; false of the first."""

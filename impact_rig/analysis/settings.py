@@ -75,8 +75,7 @@ class ImpactSettings:
 
 
 _PATTERN = re.compile(r"\s*gap_m\s*=\s*(?P<gap>nan|[0-9.eE+-]+)\s+at\s+(?P<stamp>[0-9]{1,19})\s*")
-_END_NS = 2**31 * 1_000_000_000
-"""A ROS stamp carries no later instant."""
+_END_NS = 2**31 * 1_000_000_000  # a ROS stamp carries no later instant
 
 
 @attrs.frozen
@@ -108,8 +107,7 @@ def parse_label(remark: str) -> GapLabel | None:
 MACHINE = "machine"
 STARTED = "started"
 GAP = "gap_m"
-RETIRED = ("bootstrap_resamples", "seed")
-"""Settings that earlier versions had: of resampling, which is no longer done."""
+RETIRED = ("bootstrap_resamples", "seed")  # settings that earlier versions had: of resampling, which is no longer done
 
 
 def settings_table(settings: TrackerSettings, gap_m: float, stamp_ns: int, started_s: float = 0.0) -> Table:

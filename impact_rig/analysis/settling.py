@@ -40,10 +40,8 @@ from impact_rig.states import MEASURED, Regime, Status
 
 SLOWEST_RATIO = 0.97
 """|q| is bounded here: slower transients than 33 window pairs per time constant are beyond what a fit can tell."""
-TREND_LIMIT = 3.0
-"""Difference of the halves, in standard deviations, that still counts as no trend."""
-POWER_LIMIT = 4.0
-"""Ratio of the fluctuation power of the halves that still counts as stationary."""
+TREND_LIMIT = 3.0  # difference of the halves, in standard deviations, that still counts as no trend
+POWER_LIMIT = 4.0  # ratio of the fluctuation power of the halves that still counts as stationary
 
 
 def transient_bias(windows: Complex, measured: int) -> complex:
@@ -107,10 +105,8 @@ def is_stationary(windows: Complex) -> bool:
 CYCLE_MULTIPLE = 6
 """Windows hold a multiple of 6 cycles: orbits of period 2, 3 and 6 close in each, those of period 4 and 8 in pairs."""
 NOISE_FACTOR = 2.0
-SPARSE = 0.5
-"""Impacts per cycle below which a motion whose impacts do not repeat is looked at for long."""
-REMNANT = 0.02
-"""Share of the limit on the bias that a transient may leave in the first measurement after a change."""
+SPARSE = 0.5  # impacts per cycle below which a motion whose impacts do not repeat is looked at for long
+REMNANT = 0.02  # share of the limit on the bias that a transient may leave in the first measurement after a change
 
 
 def window_cycles(frequency_hz: float, settings: TrackerSettings) -> int:

@@ -19,16 +19,12 @@ from numpy.typing import NDArray
 from impact_rig.analysis.calibration import Complex, Real
 from impact_rig.states import Status
 
-MIN_CYCLES = 1.5
-"""Below this offset, amplitude and phase cannot be told apart in noise."""
+MIN_CYCLES = 1.5  # below this offset, amplitude and phase cannot be told apart in noise
 MIN_POINTS = 8
-NEAR_BINS = 16
-"""Spectral lines of the residual on either side of a harmonic that give its noise density."""
-SKIP_BINS = 2
-"""Lines next to the harmonic that the fit itself has emptied."""
+NEAR_BINS = 16  # spectral lines of the residual on either side of a harmonic that give its noise density
+SKIP_BINS = 2  # lines next to the harmonic that the fit itself has emptied
 ITERATIONS = 30
-CONVERGED_RAD = 1e-10
-"""Phase by which the last frequency step would turn the end of the record."""
+CONVERGED_RAD = 1e-10  # phase by which the last frequency step would turn the end of the record
 
 
 @attrs.frozen(eq=False)

@@ -87,10 +87,8 @@ def by_class_removed(values: Complex, period: int) -> Complex:
 LONGEST_PERIOD = 8
 NOISE_FACTOR = 2.0
 """Variance ratio up to which a class scatter counts as noise: 48 cycles exceed it by chance once in a million."""
-SUPPORT = 0.6
-"""Share of the cycles of a class that strike at a phase which belongs to the orbit."""
-REGULAR_SHARE = 0.85
-"""Share of the impacts at such phases from which the impacts repeat."""
+SUPPORT = 0.6  # share of the cycles of a class that strike at a phase which belongs to the orbit
+REGULAR_SHARE = 0.85  # share of the impacts at such phases from which the impacts repeat
 LINES = 3
 """A response is modulated when this many spectral lines, each as wide as the window's main lobe, hold LINE_SHARE."""
 LINE_SHARE = 0.8

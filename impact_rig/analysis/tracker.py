@@ -63,10 +63,8 @@ class Findings:
     impacts: tuple[Table, ...] = ()
 
 
-LONGEST_S = 2.0**32
-"""Two stamps cannot be further apart."""
-MIN_HOLD_SCANS = 16
-"""Impacts are known this many scans after they happened; cycles are closed no earlier."""
+LONGEST_S = 2.0**32  # two stamps cannot be further apart
+MIN_HOLD_SCANS = 16  # impacts are known this many scans after they happened; cycles are closed no earlier
 
 
 class _Command(NamedTuple):

@@ -25,8 +25,7 @@ CONTEXT = Context(
 )
 _SETTLED = Decimal("1e-30")
 """A root is final when its last correction was smaller than this, relative to it: the next is of order its square."""
-_BLUR = Decimal("1e-40")
-"""An imaginary part below this part of the root is none."""
+_BLUR = Decimal("1e-40")  # an imaginary part below this part of the root is none
 _MOST_CORRECTIONS = 120
 
 ZERO, ONE, TWO = Decimal(0), Decimal(1), Decimal(2)

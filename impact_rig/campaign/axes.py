@@ -13,10 +13,8 @@ from impact_rig.errors import ConfigError
 NO_SPHERE = 0.0
 """The gap that stands for a run without the sphere, as in the analysis's labels; `none` in a campaign file."""
 MAX_VALUES = 10_000
-HUGE = 10**30
-"""No integer of a configuration is as large; one of 400 digits is no floating-point number."""
-SHOWN = 200
-"""Characters of a wrong value that an error quotes."""
+HUGE = 10**30  # no integer of a configuration is as large; one of 400 digits is no floating-point number
+SHOWN = 200  # characters of a wrong value that an error quotes
 _DIGITS = 12  # of the values of a range, so that 9.00, 9.01, ... are what they look like
 
 

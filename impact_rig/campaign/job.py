@@ -41,34 +41,22 @@ LOOKS_PER_S = 4
 """The operator looks at the measurements this often, in rig time, and commands then: part of a job's definition,
 because in a sweep it decides when the next frequency begins."""
 MAX_BLOCK_SCANS = 4000  # so that a block of truth fits a message
-DWELL_FACTOR = 2.5
-"""A point may take this many times the analysis's own bound before it is given up."""
-TRACE_BLOCKS = 2
-"""Blocks that are kept as a trace after the last measurement."""
+DWELL_FACTOR = 2.5  # a point may take this many times the analysis's own bound before it is given up
+TRACE_BLOCKS = 2  # blocks that are kept as a trace after the last measurement
 
 
 @attrs.frozen(kw_only=True)
 class Job:
-    """One run.
+    """One run."""
 
-    Attributes:
-        changes: configuration values that differ from the default rig, by dotted name.
-        analysis: settings of the measurement that differ from `TrackerSettings`.
-        gap_m: the operator's label: gap, or `NO_SPHERE`.
-        direction: order in which a job of several points visits them.
-        current_a: peak current.
-        repetitions: settled measurements per point, one after the other.
-        traces: keep scans and truth after the last measurement as well.
-    """
-
-    changes: Mapping[str, Value]
-    analysis: Mapping[str, Value]
-    gap_m: float
+    changes: Mapping[str, Value]  # configuration values that differ from the default rig, by dotted name
+    analysis: Mapping[str, Value]  # settings of the measurement that differ from `TrackerSettings`
+    gap_m: float  # the operator's label: gap, or `NO_SPHERE`
     frequencies_hz: tuple[float, ...]
-    direction: Direction
-    current_a: float
-    repetitions: int
-    traces: bool
+    direction: Direction  # order in which a job of several points visits them
+    current_a: float  # peak current
+    repetitions: int  # settled measurements per point, one after the other
+    traces: bool  # keep scans and truth after the last measurement as well
 
     def config(self) -> RigConfig:
         """Return the rig's configuration; one block from one look to the next.
@@ -123,23 +111,17 @@ class Job:
 
 @attrs.frozen(eq=False, kw_only=True)
 class Outcome:
-    """What a job gave.
-
-    Attributes:
-        rows: accepted rows of `transmissibility/table`, in the order of the visit.
-        failure: why the run did not reach its end; empty otherwise.
-        skipped_hz: points left out because a sensor was over range.
-        lost_scans: scans that never reached the analysis.
-        trace: arrays of the end of the run by name, if asked for.
-    """
+    """What a job gave."""
 
     rows: NDArray[np.void] = attrs.field(factory=lambda: np.zeros(0, TRANSMISSIBILITY))
-    failure: str = ""
-    skipped_hz: tuple[float, ...] = ()
+    """Accepted rows of `transmissibility/table`, in the order of the visit."""
+    failure: str = ""  # why the run did not reach its end; empty otherwise
+    skipped_hz: tuple[float, ...] = ()  # points left out because a sensor was over range
     simulated_s: float = 0.0
     wall_s: float = 0.0
-    lost_scans: int = 0
+    lost_scans: int = 0  # scans that never reached the analysis
     trace: Mapping[str, NDArray[np.generic]] = attrs.field(factory=dict)
+    """Arrays of the end of the run by name, if asked for."""
 
 
 # --- How a job becomes an outcome. Whatever it is measured with, the rig in this process or one behind topics, answers

@@ -22,14 +22,11 @@ from impact_rig.campaign.axes import NO_SPHERE
 TITLE = "Modeling of an impact damper submitted to forced vibration from a nonlinear contact force model"
 AUTHORS = "Marcos Vieira de Albuquerque, Robson Pederiva"
 AFFILIATION = "University of Campinas, School of Mechanical Engineering, Brazil"
-DOI = ""
-"""None was found."""
+DOI = ""  # none was found
 
-FREQUENCY_HZ = 9.1
-"""Where the paper compares the gaps: the natural frequency it prints."""
+FREQUENCY_HZ = 9.1  # where the paper compares the gaps: the natural frequency it prints
 
-FREQUENCIES_HZ = (7.5, 8.0, 8.5, 8.9, 9.0, 9.1, 9.2, 9.5, 10.0, 10.5)
-"""The paper's excitation frequencies."""
+FREQUENCIES_HZ = (7.5, 8.0, 8.5, 8.9, 9.0, 9.1, 9.2, 9.5, 10.0, 10.5)  # the paper's excitation frequencies
 
 CURRENT_A = 0.520
 """Constant coil current, peak; identified: the superior base then moves about 5.85 mm at 9.1 Hz without the sphere."""
@@ -40,18 +37,13 @@ REDUCTION_PERCENT: Mapping[float, float] = {2e-3: 29.4, 4e-3: 38.5, 6e-3: 43.0, 
 
 @attrs.frozen
 class Reductions:
-    """Reductions of the transmissibility by gap [m], against the run without the sphere.
+    """Reductions of the transmissibility by gap [m], against the run without the sphere."""
 
-    Attributes:
-        dt_no_sphere: transmissibility without the sphere.
-        dt_uncertainty: its standard uncertainty by gap; key `NO_SPHERE`: without the sphere.
-        percent_uncertainty: standard uncertainty of `percent` in points, by gap: see `analysis.reduction`.
-    """
-
-    dt_no_sphere: float
+    dt_no_sphere: float  # transmissibility without the sphere
     dt: Mapping[float, float]
-    dt_uncertainty: Mapping[float, float]
+    dt_uncertainty: Mapping[float, float]  # its standard uncertainty by gap; key `NO_SPHERE`: without the sphere
     percent_uncertainty: Mapping[float, float]
+    """Standard uncertainty of `percent` in points, by gap: see `analysis.reduction`."""
 
     @classmethod
     def of(cls, rows: Mapping[float, NDArray[np.void]], calibration: Calibration) -> Reductions:

@@ -28,8 +28,7 @@ from impact_rig.physics.contact import LAWS
 from impact_rig.rig.config import RigConfig, from_flat, load, to_flat
 from impact_rig.system import budget
 
-RESET = "reset"
-"""The direction of a study whose points each begin with a reset rig."""
+RESET = "reset"  # the direction of a study whose points each begin with a reset rig
 DIRECTIONS = (RESET, *(direction.value for direction in Direction))
 STARTS = ("left", "centre", "right")
 OWNED = ("daq.block_scans", "time.", "step.", "pluck.", "output.autostart", "output.truth_scan")
@@ -67,31 +66,21 @@ class Study:
 
 @attrs.frozen(eq=False, kw_only=True)
 class Planned:
-    """A job's place in the campaign.
-
-    Attributes:
-        axes: the values of the study's axes other than frequency, gap and current, by dotted name.
-        reference: whether the job belongs to the campaign's reference rig, on which the statements are judged.
-    """
+    """A job's place in the campaign."""
 
     study: str
     job: Job
-    axes: Mapping[str, Value]
-    reference: bool
+    axes: Mapping[str, Value]  # the values of the study's axes other than frequency, gap and current, by dotted name
+    reference: bool  # whether the job belongs to the campaign's reference rig, on which the statements are judged
 
 
 @attrs.frozen(eq=False, kw_only=True)
 class Campaign:
-    """A whole campaign.
-
-    Attributes:
-        base: the rig that all studies begin with.
-        analysis: settings of the measurement that differ from the default.
-    """
+    """A whole campaign."""
 
     title: str
-    base: RigConfig
-    analysis: Mapping[str, Value]
+    base: RigConfig  # the rig that all studies begin with
+    analysis: Mapping[str, Value]  # settings of the measurement that differ from the default
     studies: tuple[Study, ...]
     text: str
 

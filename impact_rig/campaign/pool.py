@@ -24,8 +24,7 @@ if TYPE_CHECKING:
 J = TypeVar("J")
 R = TypeVar("R")
 
-AHEAD = 2
-"""Jobs handed out per worker: enough to keep it busy, few enough to stop soon after Ctrl-C."""
+AHEAD = 2  # jobs handed out per worker: enough to keep it busy, few enough to stop soon after Ctrl-C
 
 
 class WorkerDiedError(GoneError):

@@ -34,26 +34,17 @@ IMPACTING = 0.1
 
 @attrs.frozen(eq=False, kw_only=True)
 class Point:
-    """One visit to one frequency; NaN where nothing was measured. Columns as in `blocks.TRANSMISSIBILITY`.
-
-    Attributes:
-        axes: values of its axes other than frequency, gap and current.
-        reference: on the campaign's reference rig.
-        gap_m: gap, or `NO_SPHERE`.
-        direction: reset, up or down.
-        rows: settled measurements, or the one that did not settle, shape (n,).
-        failure: why there is no settled measurement; empty otherwise.
-    """
+    """One visit to one frequency; NaN where nothing was measured. Columns as in `blocks.TRANSMISSIBILITY`."""
 
     study: str
-    axes: Mapping[str, Value]
-    reference: bool
-    gap_m: float
+    axes: Mapping[str, Value]  # values of its axes other than frequency, gap and current
+    reference: bool  # on the campaign's reference rig
+    gap_m: float  # gap, or `NO_SPHERE`
     current_a: float
     frequency_hz: float
-    direction: str
-    rows: NDArray[np.void]
-    failure: str
+    direction: str  # reset, up or down
+    rows: NDArray[np.void]  # settled measurements, or the one that did not settle, shape (n,)
+    failure: str  # why there is no settled measurement; empty otherwise
     key: str
 
     def _mean(self, column: str) -> float:

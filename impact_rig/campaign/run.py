@@ -54,18 +54,12 @@ Runner = Callable[[Sequence[Job]], Generator[tuple[Job, Outcome], None, None]]
 
 @attrs.frozen(eq=False, kw_only=True)
 class Finished:
-    """A campaign with what was measured of it.
+    """A campaign with what was measured of it."""
 
-    Attributes:
-        campaign: what was asked for.
-        points: every point of every job that was run.
-        outcomes: outcome by job key.
-    """
-
-    campaign: Campaign
+    campaign: Campaign  # what was asked for
     directory: Path
-    points: list[Point]
-    outcomes: dict[str, Outcome]
+    points: list[Point]  # every point of every job that was run
+    outcomes: dict[str, Outcome]  # outcome by job key
 
     @property
     def curves(self) -> Curves:

@@ -23,24 +23,19 @@ from impact_rig.config.tree import Value
 
 ABOVE_HZ = (9.2, 9.5)
 FAR_HZ = (7.5, 8.0, 10.0, 10.5)
-FAR_LIMIT_PERCENT = 6.0
-"""Ours, too: what counts as `tend to coincide`."""
+FAR_LIMIT_PERCENT = 6.0  # ours, too: what counts as `tend to coincide`
 SHIFT_LIMIT_PERCENT = 1.0
 """Ours: what counts as `virtually` unchanged. (The paper's 0.44 % lie between its simulation and its experiment.)"""
-PEAK_STEP_HZ = 0.0101
-"""Grid on which a peak's place is told; a hair more than 0.01 Hz for the rounding of frequencies."""
+PEAK_STEP_HZ = 0.0101  # grid on which a peak's place is told; a hair more than 0.01 Hz for the rounding of frequencies
 GAPS_M = tuple(REDUCTION_PERCENT)
 
 
 class Worth(enum.StrEnum):
     """What it is worth that a statement holds."""
 
-    FIT = "fit"
-    """It holds for the constants that were chosen; others of them would break it (`margins`)."""
-    FOLLOWS = "follows from the fit"
-    """It says again what was fitted: the natural frequency, or the five reductions."""
-    PREDICTION = "prediction"
-    """No variation of what was chosen breaks it."""
+    FIT = "fit"  # it holds for the constants that were chosen; others of them would break it (`margins`)
+    FOLLOWS = "follows from the fit"  # it says again what was fitted: the natural frequency, or the five reductions
+    PREDICTION = "prediction"  # no variation of what was chosen breaks it
 
 
 class MissingError(LookupError):
@@ -49,22 +44,14 @@ class MissingError(LookupError):
 
 @attrs.frozen
 class Verdict:
-    """One statement and what the data say.
+    """One statement and what the data say."""
 
-    Attributes:
-        name: key in `summary.json`.
-        kind: what it is worth that it holds.
-        result: the judgement; None if it could not be made.
-        detail: the figures behind it, or what is missing.
-        unit: of value and limit of the judgement.
-    """
-
-    name: str
+    name: str  # key in `summary.json`
     text: str
-    kind: Worth
-    result: Statement | None
-    detail: str
-    unit: str
+    kind: Worth  # what it is worth that it holds
+    result: Statement | None  # the judgement; None if it could not be made
+    detail: str  # the figures behind it, or what is missing
+    unit: str  # of value and limit of the judgement
 
     @property
     def margin(self) -> float | None:

@@ -32,10 +32,8 @@ from impact_rig.system import files
 FOLDER = "points"
 MAX_RESULT_BYTES, MAX_TRACE_BYTES = 10 * 2**20, 64 * 2**20
 """A file in a directory that somebody else made is not believed to be small."""
-MOST = 1e12
-"""No figure of a measurement is larger."""
-SHOWN = 60
-"""Characters of a wrong value that an error quotes."""
+MOST = 1e12  # no figure of a measurement is larger
+SHOWN = 60  # characters of a wrong value that an error quotes
 _POSITIVE = frozenset({"frequency", "transmissibility", "base_amplitude", "laser_amplitude"})
 """Columns that are > 0 wherever something was measured."""
 _WORDS: dict[str, type[enum.StrEnum]] = {"regime": Regime, "method": Method, "status": Status}

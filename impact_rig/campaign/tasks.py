@@ -30,8 +30,7 @@ from impact_rig.system.budget import BudgetError
 CONFIGURATION_FILE = "configuration.yaml"
 MAX_TASK_BYTES = 64 * 2**20
 
-Row = Sequence[str | float]
-"""What was found at one place: words and numbers; NaN where there is none."""
+Row = Sequence[str | float]  # what was found at one place: words and numbers; NaN where there is none
 
 
 class Task(Protocol):
@@ -61,18 +60,12 @@ Runner = Callable[[Sequence[T]], Generator[tuple[T, Sequence[Row]], None, None]]
 
 @attrs.frozen
 class Store(Generic[T]):
-    """The directory of a study.
-
-    Attributes:
-        what: word for the study; names its file.
-        folder: name of the folder that holds the tasks.
-        rooms: of the package: besides `DECIDING`, whose code decides the numbers.
-    """
+    """The directory of a study."""
 
     directory: Path
-    what: str
-    folder: str
-    rooms: tuple[str, ...]
+    what: str  # word for the study; names its file
+    folder: str  # name of the folder that holds the tasks
+    rooms: tuple[str, ...]  # of the package: besides `DECIDING`, whose code decides the numbers
 
     @property
     def file(self) -> Path:

@@ -26,8 +26,7 @@ if TYPE_CHECKING:
 
 FIGURE_FORMATS = ("png", "svg")  # of runs.drawings, which is too heavy for a parser
 WINDOWS = ("hann", "boxcar", "flattop", "blackmanharris")
-LINES = 15
-"""Lines of a frequency response that are printed."""
+LINES = 15  # lines of a frequency response that are printed
 DRAWN_CYCLES = 4
 
 

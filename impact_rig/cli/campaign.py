@@ -24,8 +24,7 @@ from impact_rig.errors import ConfigError
 WAYS = ("process", "ros", "dask")
 POINTS_LIMIT, RMS_LIMIT = 2.0, 1.0
 """Distance from the paper's reductions, in points, that the shipped configuration must keep; each one, and rms."""
-SHOWN = 20
-"""Failing points that are printed; all of them are in the CSV."""
+SHOWN = 20  # failing points that are printed; all of them are in the CSV
 
 
 def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:

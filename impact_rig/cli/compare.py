@@ -17,8 +17,7 @@ from impact_rig.recording import open_run
 if TYPE_CHECKING:
     from impact_rig.studies.comparison import Comparison
 
-FAR_OFF = 2.0
-"""Standard uncertainties from which a difference is marked."""
+FAR_OFF = 2.0  # standard uncertainties from which a difference is marked
 
 
 def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:

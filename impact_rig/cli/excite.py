@@ -25,10 +25,8 @@ from impact_rig.system import files
 from impact_rig.system.endings import unhurried
 
 PROCESS, ROS, RUNNING = WAYS = ("process", "ros", "running")
-RATE_HZ, FAST_HZ = 2_000, 10_000
-"""Of samples and scans where nothing else is asked: what 200 Hz and what a shock needs."""
-Work = Callable[[Hardware], Iterator[object]]
-"""Drives the rig, and yields what it has reached, again and again."""
+RATE_HZ, FAST_HZ = 2_000, 10_000  # of samples and scans where nothing else is asked: what 200 Hz and what a shock needs
+Work = Callable[[Hardware], Iterator[object]]  # drives the rig, and yields what it has reached, again and again
 
 
 def add_play(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:

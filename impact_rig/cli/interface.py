@@ -18,8 +18,7 @@ from impact_rig.system import files
 DOCUMENT = Path(__file__).parents[1] / "interface.json"
 """That of this version; `make generate` writes it from the tables of topics, services and parameters."""
 MAX_BYTES = 5_000_000
-CLIENTS = ("client", "peers")
-"""Publishers of what the rig takes."""
+CLIENTS = ("client", "peers")  # publishers of what the rig takes
 
 Row = dict[str, Any]
 

@@ -31,8 +31,7 @@ from impact_rig.simtime import NS_PER_S
 from impact_rig.studies.closed_loop import Held, ProcessLoop, hold
 from impact_rig.system import files
 
-SHOWN = 12
-"""Looks of a lock that are printed; all of them are in the CSV."""
+SHOWN = 12  # looks of a lock that are printed; all of them are in the CSV
 
 
 def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:

@@ -108,10 +108,8 @@ def _verify(arguments: argparse.Namespace) -> int:
     return 0 if found.identical else 1
 
 
-INCOMPLETE = 3
-"""Exit code when the new run lacks something of the old one."""
-LISTED = 20
-"""Places that are shown one by one."""
+INCOMPLETE = 3  # exit code when the new run lacks something of the old one
+LISTED = 20  # places that are shown one by one
 
 
 def add_recover(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -142,9 +140,7 @@ def _recover(arguments: argparse.Namespace) -> int:
     console.print(f"{report.directory}: {_recover_verdict(report)}", style=style)
     _print_files(console, report)
     for damage in report.damages[:LISTED]:
-        console.print(
-            f"{damage.file}, byte {damage.offset}, {damage.length} bytes: {damage.reason}",
-        )
+        console.print(f"{damage.file}, byte {damage.offset}, {damage.length} bytes: {damage.reason}")
     if report.damage_count > LISTED:
         console.print(f"and {report.damage_count - LISTED} more places")
     return 0 if report.complete else INCOMPLETE

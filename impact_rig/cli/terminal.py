@@ -37,10 +37,8 @@ from impact_rig.errors import visible
 
 __all__ = ["Console", "Counted", "Steps", "TextTable", "Words", "plain", "tell_json", "tell_program"]
 
-LONGEST_HEADING = 11
-"""Characters of a heading over numbers that stay in one line."""
-LINES = 50
-"""Of a progress that nobody watches, about."""
+LONGEST_HEADING = 11  # characters of a heading over numbers that stay in one line
+LINES = 50  # of a progress that nobody watches, about
 
 
 class Console(rich_console.Console):
@@ -125,8 +123,7 @@ class Counted(Progress):
         super().__init__(*columns, console=console, disable=not console.is_terminal)
         self.add_task(what, total=total, state="starting")
         self._steps = Steps(what, total)
-        self.end = "done"
-        """What is said at the end."""
+        self.end = "done"  # what is said at the end
 
     def show(self, done: int, state: str) -> None:
         """Show how many are done."""
@@ -172,8 +169,7 @@ def plain(value: object) -> object:
     return int(value) if isinstance(value, np.integer) else bool(value) if isinstance(value, np.bool_) else str(value)
 
 
-WIDTH = 78
-"""Of help pages: they are made for a terminal of 80 columns."""
+WIDTH = 78  # of help pages: they are made for a terminal of 80 columns
 
 
 def subcommand(

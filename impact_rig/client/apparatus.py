@@ -130,10 +130,7 @@ def _graph(directory: Path, parameters: Mapping[str, ParameterValue], runs: Path
 
 
 def _run_all(
-    jobs: Sequence[Job],
-    apparatus: RosApparatus,
-    name: Callable[[Job], str],
-    watch: Watch = lambda _job, _sweep: None,
+    jobs: Sequence[Job], apparatus: RosApparatus, name: Callable[[Job], str], watch: Watch = lambda _job, _sweep: None
 ) -> Generator[tuple[Job, Outcome], None, None]:
     for job in jobs:
         watch(job, None)

@@ -380,10 +380,7 @@ class Client:
     # Commands
 
     def command(
-        self,
-        frequency_hz: float | None = None,
-        current_a: float | None = None,
-        timeout_s: float = DEFAULT_TIMEOUT_S,
+        self, frequency_hz: float | None = None, current_a: float | None = None, timeout_s: float = DEFAULT_TIMEOUT_S
     ) -> np.void:
         """Command frequency and current (peak) and wait for the rig's rows in shaker/applied; return the last one.
 
@@ -559,10 +556,7 @@ class Client:
         return collector
 
     def listen(
-        self,
-        name: str,
-        on_message: Callable[[Received], None] | None = None,
-        timeout_s: float = DEFAULT_TIMEOUT_S,
+        self, name: str, on_message: Callable[[Received], None] | None = None, timeout_s: float = DEFAULT_TIMEOUT_S
     ) -> Collector:
         """Subscribe to any topic, e.g. an output of the pipeline under test, and keep everything that arrives.
 

@@ -22,8 +22,7 @@ import yaml
 from impact_rig.errors import ConfigError
 
 METADATA_KEY = "impact_rig"
-LONGEST_BITS = 64
-"""Of an integer."""
+LONGEST_BITS = 64  # of an integer
 LEAST, MOST = 1e-15, 1e15
 """Magnitude of every quantity that is not 0: what is beyond is a slip, and products of it overflow."""
 _EXPONENT_FORM = re.compile(r"[-+]?[0-9]{1,20}(\.[0-9]{0,20})?[eE][-+]?[0-9]{1,3}")

@@ -15,8 +15,7 @@ import attrs
 from impact_rig.config.fields import Origin, choice, integer, names, quantity, switch, text
 from impact_rig.errors import ConfigError
 
-FASTEST_HZ = 1e4
-"""Far beyond any motion of this rig; at a hundred megahertz a tick would take minutes to simulate."""
+FASTEST_HZ = 1e4  # far beyond any motion of this rig; at a hundred megahertz a tick would take minutes to simulate
 SLOWEST_HZ = 0.1
 """Slower than anything a shaker does. Columns of the highest natural frequency, 10⁴ times as fast, stretch 10⁻⁸ of the
 base's motion then: of that, the difference of two positions, half of the digits are left."""

@@ -21,10 +21,8 @@ from impact_rig.instruments.sensor import Sensor, butterworth, high_pass, resona
 from impact_rig.topics import Qos, Topic
 
 STANDARD_GRAVITY = 9.80665
-UNKNOWN_VARIANCE = 1e9
-"""Variance of an axis that is not measured, (m/s²)²."""
-NOT_MEASURED = -1.0
-"""REP-145: first element of the covariance of a quantity the device does not measure at all."""
+UNKNOWN_VARIANCE = 1e9  # variance of an axis that is not measured, (m/s²)²
+NOT_MEASURED = -1.0  # REP-145: first element of the covariance of a quantity the device does not measure at all
 
 
 @attrs.frozen(kw_only=True)

@@ -29,31 +29,18 @@ _COVERAGE = 2.5
 
 @attrs.frozen
 class ChannelCheck:
-    """What a known sine looked like on one channel.
+    """What a known sine looked like on one channel."""
 
-    Attributes:
-        channel: which.
-        expected: peak of the reading, by the certificate [unit].
-        measured: peak of the reading [unit].
-        gain: measured over expected, its sign that of the reading.
-        gain_limit: how far |gain| may be from 1.
-        phase_rad: of the reading behind what was expected.
-        residual: rms of what is not sine [unit].
-        residual_limit: how much that may be [unit].
-        polarity: 1 right, −1 the wrong way round, 0 no signal.
-        ok: everything within its limit.
-    """
-
-    channel: str
-    expected: float
-    measured: float
-    gain: float
-    gain_limit: float
-    phase_rad: float
-    residual: float
-    residual_limit: float
-    polarity: int
-    ok: bool
+    channel: str  # which
+    expected: float  # peak of the reading, by the certificate [unit]
+    measured: float  # peak of the reading [unit]
+    gain: float  # measured over expected, its sign that of the reading
+    gain_limit: float  # how far |gain| may be from 1
+    phase_rad: float  # of the reading behind what was expected
+    residual: float  # rms of what is not sine [unit]
+    residual_limit: float  # how much that may be [unit]
+    polarity: int  # 1 right, −1 the wrong way round, 0 no signal
+    ok: bool  # everything within its limit
 
 
 class _Rest:

@@ -17,19 +17,12 @@ from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S
 
 @attrs.frozen
 class ScanClock:
-    """Conversion times of a multiplexed converter.
+    """Conversion times of a multiplexed converter."""
 
-    Attributes:
-        rate_hz: scans per second.
-        period: from one scan to the next, in clock units.
-        tick: one tick of 10 ms, in clock units.
-        skews: conversion of each channel after the scan clock, in clock units.
-    """
-
-    rate_hz: int
-    period: int
-    tick: int
-    skews: tuple[int, ...]
+    rate_hz: int  # scans per second
+    period: int  # from one scan to the next, in clock units
+    tick: int  # one tick of 10 ms, in clock units
+    skews: tuple[int, ...]  # conversion of each channel after the scan clock, in clock units
 
     def skew_s(self, channel: int) -> float:
         """Return how long after the scan clock `channel` is converted [s]."""

@@ -32,8 +32,7 @@ from impact_rig.instruments.instrument import BOARD_KINDS, FAULT_KINDS
 from impact_rig.instruments.registry import INSTRUMENTS
 
 DEFAULT_SPIKE_RATE_HZ = 10.0
-MOST = 2**53
-"""Of the whole numbers: beyond, the journal's columns are not exact."""
+MOST = 2**53  # of the whole numbers: beyond, the journal's columns are not exact
 _PACKED = struct.Struct("<QQd")
 _NUMBERS = ("start_s", "duration_s", "value", "seed", "rate_hz")
 
@@ -42,26 +41,17 @@ _NUMBERS = ("start_s", "duration_s", "value", "seed", "rate_hz")
 class Fault:
     """One fault; times in scans since the reset.
 
-    Attributes:
-        kind: one of `FAULT_KINDS`.
-        channel: the channel it is on, empty for faults of the whole board.
-        start_sample: first scan it acts on.
-        samples: how many scans it lasts, 0 = until it is cleared.
-        value: its size, in the unit of the channel or as the kind says.
-        seed: of its own random numbers.
-        rate_hz: mean rate of a spike train.
-
     Raises:
         CommandError: no such kind or channel, or a number out of range.
     """
 
-    kind: str
-    channel: str = ""
-    start_sample: int = 0
-    samples: int = 0
-    value: float = 0.0
-    seed: int = 0
-    rate_hz: float = DEFAULT_SPIKE_RATE_HZ
+    kind: str  # one of `FAULT_KINDS`
+    channel: str = ""  # the channel it is on, empty for faults of the whole board
+    start_sample: int = 0  # first scan it acts on
+    samples: int = 0  # how many scans it lasts, 0 = until it is cleared
+    value: float = 0.0  # its size, in the unit of the channel or as the kind says
+    seed: int = 0  # of its own random numbers
+    rate_hz: float = DEFAULT_SPIKE_RATE_HZ  # mean rate of a spike train
 
     def __attrs_post_init__(self) -> None:
         _check_kind(self.kind, self.channel)
@@ -131,13 +121,7 @@ class Fault:
         except (ValueError, struct.error) as error:
             raise CommandError(f"not a fault of a journal: key {key!r}, text {text!r}") from error
         return cls(
-            kind=kind,
-            channel=channel,
-            start_sample=start_sample,
-            samples=samples,
-            value=value,
-            seed=seed,
-            rate_hz=rate,
+            kind=kind, channel=channel, start_sample=start_sample, samples=samples, value=value, seed=seed, rate_hz=rate
         )
 
     def __str__(self) -> str:

@@ -24,8 +24,7 @@ FAULT_KINDS = {
     "lost_block": "blocks are numbered but not published",
     "clock_drift": "the scan clock is off by `value` ppm, on top of daq.clock_error_ppm",
 }
-BOARD_KINDS = frozenset({"lost_block", "clock_drift"})
-"""Faults of the whole board: their channel is empty."""
+BOARD_KINDS = frozenset({"lost_block", "clock_drift"})  # faults of the whole board: their channel is empty
 CHANNEL_KINDS = frozenset(FAULT_KINDS) - BOARD_KINDS
 
 
@@ -34,24 +33,15 @@ class Instrument:
     """An instrument on one channel of the board; its fields, made by `impact_rig.config.fields`, are its section.
 
     An instrument with a field `present` is scanned only while that is on; it must be read-only.
-
-    Attributes:
-        name: of the channel: its column of daq/scan and its section `instruments.<name>`.
-        place: in the scan, counted from 0, among all instruments; it seeds its noise, too.
-        senses: the motion's quantity.
-        unit: of the quantity.
-        doc: what its column holds.
-        faults: kinds that its channel can have.
-        monitor: the topic of its message at monitor rate, or None.
     """
 
-    name: ClassVar[str]
-    place: ClassVar[int]
-    senses: ClassVar[str]
-    unit: ClassVar[str]
-    doc: ClassVar[str]
-    faults: ClassVar[frozenset[str]] = CHANNEL_KINDS
-    monitor: ClassVar[Topic | None] = None
+    name: ClassVar[str]  # of the channel: its column of daq/scan and its section `instruments.<name>`
+    place: ClassVar[int]  # in the scan, counted from 0, among all instruments; it seeds its noise, too
+    senses: ClassVar[str]  # the motion's quantity
+    unit: ClassVar[str]  # of the quantity
+    doc: ClassVar[str]  # what its column holds
+    faults: ClassVar[frozenset[str]] = CHANNEL_KINDS  # kinds that its channel can have
+    monitor: ClassVar[Topic | None] = None  # the topic of its message at monitor rate, or None
 
     @property
     def adc_range_v(self) -> float:

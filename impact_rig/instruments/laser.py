@@ -22,8 +22,7 @@ from impact_rig.instruments.sensor import Sensor, lag
 from impact_rig.topics import Qos, Topic
 
 CONE_RAD = 1e-3
-INFRARED = 1
-"""`Range.INFRARED`."""
+INFRARED = 1  # `Range.INFRARED`
 
 
 @attrs.frozen(kw_only=True)

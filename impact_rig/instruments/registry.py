@@ -25,5 +25,4 @@ def _found() -> dict[str, type[Instrument]]:
     return {instrument.name: instrument for instrument in ordered}
 
 
-INSTRUMENTS: dict[str, type[Instrument]] = _found()
-"""Every instrument by the name of its channel, in scan order."""
+INSTRUMENTS: dict[str, type[Instrument]] = _found()  # every instrument by the name of its channel, in scan order

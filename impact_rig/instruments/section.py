@@ -78,10 +78,8 @@ def row_type_of(instruments: Instruments) -> np.dtype[np.void]:
     return row_type(columns(instruments.fitted()))
 
 
-COLUMNS = columns(INSTRUMENTS.values())
-"""With every instrument there is."""
-SCAN = row_type_of(Instruments())
-"""The rows of the default configuration."""
+COLUMNS = columns(INSTRUMENTS.values())  # with every instrument there is
+SCAN = row_type_of(Instruments())  # the rows of the default configuration
 CHANNELS = tuple(instrument.name for instrument in Instruments().fitted())
 """Its channels; channel j is converted j conversion intervals after the scan clock."""
 

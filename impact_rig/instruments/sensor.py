@@ -27,8 +27,7 @@ from numpy.typing import NDArray
 from impact_rig.arithmetic.precise import ONE, TWO, ZERO, Complex, modulus, pi, precise, product, unit
 from impact_rig.config.fields import choice, integer, quantity, switch
 
-ADC_RANGES_V = (10.0, 5.0, 2.0, 1.0, 0.5, 0.2, 0.1)
-"""Input ranges of the board [± V]."""
+ADC_RANGES_V = (10.0, 5.0, 2.0, 1.0, 0.5, 0.2, 0.1)  # input ranges of the board [± V]
 
 
 @attrs.frozen(kw_only=True)
@@ -59,15 +58,10 @@ _DISTINCT = Decimal("1e-5")
 
 @attrs.frozen(eq=False)
 class Modes:
-    """Partial fractions of a strictly proper H: y = Σ Re(residue z), z' = pole z + u.
+    """Partial fractions of a strictly proper H: y = Σ Re(residue z), z' = pole z + u."""
 
-    Attributes:
-        poles: complex, shape (k,) [rad/s]; one of each conjugate pair, imaginary part >= 0.
-        residues: complex, shape (k,); doubled where a pair is represented.
-    """
-
-    poles: NDArray[np.complex128]
-    residues: NDArray[np.complex128]
+    poles: NDArray[np.complex128]  # complex, shape (k,) [rad/s]; one of each conjugate pair, imaginary part >= 0
+    residues: NDArray[np.complex128]  # complex, shape (k,); doubled where a pair is represented
 
     def same_as(self, other: Modes) -> bool:
         """Whether both describe the same chain, bit for bit."""
@@ -76,17 +70,11 @@ class Modes:
 
 @attrs.frozen
 class Transfer:
-    """H(s) = gain Π(s − zero) / Π(s − pole); a product of two is the cascade.
+    """H(s) = gain Π(s − zero) / Π(s − pole); a product of two is the cascade."""
 
-    Attributes:
-        zeros: of many digits [rad/s].
-        poles: of many digits, both of a conjugate pair [rad/s].
-        gain: leading coefficient.
-    """
-
-    zeros: tuple[Complex, ...]
-    poles: tuple[Complex, ...]
-    gain: Decimal
+    zeros: tuple[Complex, ...]  # of many digits [rad/s]
+    poles: tuple[Complex, ...]  # of many digits, both of a conjugate pair [rad/s]
+    gain: Decimal  # leading coefficient
 
     @precise
     def __mul__(self, other: Transfer) -> Transfer:
@@ -176,49 +164,27 @@ def resonance(frequency_hz: float, quality: float) -> Transfer:
 
 @attrs.frozen(eq=False, kw_only=True)
 class Sensor:
-    """One sensor with its conditioning, up to the volts at the converter's input.
+    """One sensor with its conditioning, up to the volts at the converter's input."""
 
-    Attributes:
-        name: channel.
-        quantity: the motion's quantity it senses.
-        unit: its unit.
-        low_pass: everything that limits its band from above, unit gain at zero frequency.
-        high_pass: what limits it from below, or None.
-        lag_order: 1 when it is a first-order lag in the rig's band, 0 when it is a delay.
-        bandwidth_hz: −3 dB corner of the sensor, and of its noise.
-        volt_per_unit: nominal sensitivity, with its sign [V/unit].
-        offset_v: nominal output at zero [V].
-        low: smallest value it can put out [unit].
-        high: largest [unit].
-        gain_tolerance: limit of the relative error of the sensitivity.
-        offset_tolerance: limit of the zero error [unit].
-        linearity: limit of the departure from a straight line [unit].
-        noise: rms within the bandwidth [unit].
-        resolution: step of its own output, 0 for none [unit].
-        adc_range_v: input range of the converter, either side [V].
-        inverted: wired the wrong way round.
-        settled: whether it has watched the motion's first value for ever when the rig starts, or zero.
-    """
-
-    name: str
-    quantity: str
-    unit: str
-    low_pass: Transfer
-    high_pass: Transfer | None = None
-    lag_order: int
-    bandwidth_hz: float
-    volt_per_unit: float
-    offset_v: float = 0.0
-    low: float
-    high: float
-    gain_tolerance: float
-    offset_tolerance: float
-    linearity: float = 0.0
-    noise: float
-    resolution: float = 0.0
-    adc_range_v: float
-    inverted: bool
-    settled: bool = True
+    name: str  # channel
+    quantity: str  # the motion's quantity it senses
+    unit: str  # its unit
+    low_pass: Transfer  # everything that limits its band from above, unit gain at zero frequency
+    high_pass: Transfer | None = None  # what limits it from below, or None
+    lag_order: int  # 1 when it is a first-order lag in the rig's band, 0 when it is a delay
+    bandwidth_hz: float  # −3 dB corner of the sensor, and of its noise
+    volt_per_unit: float  # nominal sensitivity, with its sign [V/unit]
+    offset_v: float = 0.0  # nominal output at zero [V]
+    low: float  # smallest value it can put out [unit]
+    high: float  # largest [unit]
+    gain_tolerance: float  # limit of the relative error of the sensitivity
+    offset_tolerance: float  # limit of the zero error [unit]
+    linearity: float = 0.0  # limit of the departure from a straight line [unit]
+    noise: float  # rms within the bandwidth [unit]
+    resolution: float = 0.0  # step of its own output, 0 for none [unit]
+    adc_range_v: float  # input range of the converter, either side [V]
+    inverted: bool  # wired the wrong way round
+    settled: bool = True  # whether it has watched the motion's first value for ever when the rig starts, or zero
 
     @property
     def transfer(self) -> Transfer:

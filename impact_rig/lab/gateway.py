@@ -37,15 +37,11 @@ from impact_rig.nodes import messages
 from impact_rig.rig.config import RigConfig, fields, from_flat, parameters_in, to_flat
 from impact_rig.runs import recover
 
-ANSWER_S = 30.0
-"""A busy machine answers late: the knob stays pending until then."""
-ECHO_S = 5.0
-"""How long a parameter that was taken may need to be told as in force."""
-EXPIRES_S = 2.0
-"""A rig that has been silent for so long is sent nothing, and what waits for it is refused."""
+ANSWER_S = 30.0  # a busy machine answers late: the knob stays pending until then
+ECHO_S = 5.0  # how long a parameter that was taken may need to be told as in force
+EXPIRES_S = 2.0  # a rig that has been silent for so long is sent nothing, and what waits for it is refused
 START_S = 60.0
-AGAIN_S, ATTEMPTS = 0.5, 20
-"""How often a node that has just been started is asked to begin."""
+AGAIN_S, ATTEMPTS = 0.5, 20  # how often a node that has just been started is asked to begin
 MOST_FAULTS = 16
 SWEEPER = "stepped_sine"
 FREE = frozenset({"stop", "sweep_stop", "note", "record", "restart", "recover"})
@@ -67,10 +63,8 @@ KEPT = (
 )  # fmt: skip
 """What is rare and must not be lost."""
 SCANS = (topics.STREAM, topics.WAVEFORM, topics.SCAN, topics.IMPACTS)
-TRUTH = (topics.JOINT_STATES, topics.IMPACTS_TRUTH)
-"""What is drawn; what a scan was told is taken before it."""
-MOST_PER_LOOK = 300
-"""Messages taken of one topic at once: a picture must come out between."""
+TRUTH = (topics.JOINT_STATES, topics.IMPACTS_TRUTH)  # what is drawn; what a scan was told is taken before it
+MOST_PER_LOOK = 300  # messages taken of one topic at once: a picture must come out between
 PICTURES = QoSProfile(
     history=HistoryPolicy.KEEP_LAST, depth=256, reliability=ReliabilityPolicy.BEST_EFFORT,
     durability=DurabilityPolicy.VOLATILE,

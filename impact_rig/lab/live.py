@@ -29,12 +29,9 @@ if TYPE_CHECKING:
     from impact_rig.client.client import Client
     from impact_rig.lab.gateway import Gateway, Own
 
-LOOK_S = 0.02
-"""Between two looks at the data while a page is open."""
-GLANCE_S = 0.5
-"""The same while rig time runs ahead of ours."""
-TURN_S = 0.05
-"""The longest turn of the loop while a page is open: what it asks for waits no longer."""
+LOOK_S = 0.02  # between two looks at the data while a page is open
+GLANCE_S = 0.5  # the same while rig time runs ahead of ours
+TURN_S = 0.05  # the longest turn of the loop while a page is open: what it asks for waits no longer
 IDLE_S = 0.2
 STATE_S = 0.1
 SLOW_S = 0.5
@@ -50,8 +47,7 @@ class LiveSource(Source):
 
     def __init__(self, domain_id: int, namespace: str | None, own: Own | None = None) -> None:
         super().__init__("live", Record())
-        self.directory: Path | None = None
-        """Where the recorder has written last."""
+        self.directory: Path | None = None  # where the recorder has written last
         self._domain_id, self._namespace, self._own = domain_id, namespace, own
         self._client: Client
         self._gateway: Gateway | None = None

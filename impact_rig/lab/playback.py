@@ -40,32 +40,24 @@ RARE = (
     topics.SCAN,
 )  # fmt: skip
 """What the marks are made of."""
-MOST_FILLED = 250_000
-"""Scans read before the instant that is jumped to."""
+MOST_FILLED = 250_000  # scans read before the instant that is jumped to
 BINS = 400
 TICK_S = 0.025
 TELL_S = 0.1
 MARKS_S = 1.0
-PEEK_S = 0.05
-"""An impact that is jumped to stands this much before the end of the picture."""
+PEEK_S = 0.05  # an impact that is jumped to stands this much before the end of the picture
 AT_REST = {"frequency": 0.0, "current": 0.0}
 
 
 @attrs.frozen
 class Instant:
-    """What a rig was at an instant, as its recording says.
-
-    Attributes:
-        latched: by what the shaker was; empty: it was free.
-        plucked: whether the base was locked.
-        changed_ns: when the last of all this came into force.
-    """
+    """What a rig was at an instant, as its recording says."""
 
     values: Mapping[str, Any]
     applied: Mapping[str, float]
-    latched: str
-    plucked: bool
-    changed_ns: int
+    latched: str  # by what the shaker was; empty: it was free
+    plucked: bool  # whether the base was locked
+    changed_ns: int  # when the last of all this came into force
 
 
 class RunPlayer:
@@ -81,8 +73,7 @@ class RunPlayer:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.recovered = False
-        self.offset_s = 0.0
-        """What is to be added to the time of the page for that of this run."""
+        self.offset_s = 0.0  # what is to be added to the time of the page for that of this run
         self._stack = contextlib.ExitStack()
         with contextlib.ExitStack() as stack:
             self._run = stack.enter_context(self._open(path, stack))
@@ -107,8 +98,7 @@ class RunPlayer:
             self._stack = stack.pop_all()
         self.record = Record(most=None)
         self.record.scope, self.record.start_ns = Scope(self.rate_hz), self.start_ns
-        self.read_s = 0.0
-        """How far the marks are read [s since scan 0]."""
+        self.read_s = 0.0  # how far the marks are read [s since scan 0]
         self.whole = False
         self._impacts: list[float] = []
         self._lost: list[tuple[int, int]] = []

@@ -33,8 +33,7 @@ from impact_rig.errors import ImpactRigError
 from impact_rig.instruments.section import CHANNELS
 from impact_rig.lab.scope import LONGEST_S, Trace
 
-LONGEST_REQUEST = 65536
-"""Bytes; longer ones are refused, and the connection is closed."""
+LONGEST_REQUEST = 65536  # bytes; longer ones are refused, and the connection is closed
 LONGEST_TEXT = 500
 MOST_COLUMNS = 4000
 MOST_FREQUENCIES = 200
@@ -60,16 +59,12 @@ class Kind(enum.IntEnum):
 
 @attrs.frozen
 class Request:
-    """One request.
-
-    Attributes:
-        rig: instance of the rig that its page showed; None: the page did not say.
-    """
+    """One request."""
 
     id: int
     do: str
     values: Mapping[str, Any]
-    rig: str | None = None
+    rig: str | None = None  # instance of the rig that its page showed; None: the page did not say
 
 
 Check = Callable[[str, object], Any]

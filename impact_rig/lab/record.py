@@ -30,8 +30,7 @@ BODIES = 3
 MOST_ROWS = 400
 MOST_ENTRIES = 300
 MOST_APPLIED = 100
-ACCELEROMETER = {Status.ACCELEROMETER_OVER_RANGE.value: "accelerometer"}
-"""Statuses that name their channel themselves."""
+ACCELEROMETER = {Status.ACCELEROMETER_OVER_RANGE.value: "accelerometer"}  # statuses that name their channel themselves
 HIGHEST_RATE_HZ = 1e7
 LONGEST_RUN_S = 1e9
 STREAM = ("buffered", "capacity", "playing", "late", "refused", "missing", "rate")
@@ -53,8 +52,7 @@ class Rows:
 
     def __init__(self, size: int, columns: int) -> None:
         self._rows = np.zeros((size, columns))
-        self.count = 0
-        """Rows ever added."""
+        self.count = 0  # rows ever added
 
     def add(self, row: tuple[float, ...]) -> None:
         """Append one row."""
@@ -271,23 +269,17 @@ class Record:
         self.journal = Journal(most)
         self.faults = Faults()
         self.curve = Curve()
-        self.epoch = 0
-        """Counts resets and jumps: what was drawn before belongs to another record."""
+        self.epoch = 0  # counts resets and jumps: what was drawn before belongs to another record
         self.start_ns = self.newest_ns = 0
-        self.configuration = ""
-        """What is in force, as a ROS 2 parameter file."""
-        self.knobs: dict[str, Any] = {}
-        """The same by name."""
+        self.configuration = ""  # what is in force, as a ROS 2 parameter file
+        self.knobs: dict[str, Any] = {}  # the same by name
         self.applied: deque[tuple[int, dict[str, float]]] = deque(maxlen=most)
         """The newest changes of the drive, and when they came into force."""
-        self.changes = 0
-        """How many there were."""
-        self.refused: dict[str, list[Any]] = {}
-        """Messages that made no sense, by topic: how many, and the last reason."""
+        self.changes = 0  # how many there were
+        self.refused: dict[str, list[Any]] = {}  # messages that made no sense, by topic: how many, and the last reason
         self.stream: dict[str, float] | None = None
         """The newest of `shaker/stream`; None: the rig is driven by no stream."""
-        self.lock = threading.Lock()
-        """Held while rings are written or read."""
+        self.lock = threading.Lock()  # held while rings are written or read
 
     def take(self, topic: topics.Topic, data: bytes, at_ns: int | None = None) -> None:
         """Take a message that came at `at_ns` (None: now); where that fails, count it."""

@@ -21,10 +21,8 @@ from impact_rig.errors import CodecError
 from impact_rig.instruments.section import CHANNELS, channels_of
 from impact_rig.simtime import NS_PER_S
 
-LONGEST_S = 10.0
-"""The longest window that can be drawn."""
-HELD_S = 12.0
-"""Scans kept: the longest window, and some to find a trigger in."""
+LONGEST_S = 10.0  # the longest window that can be drawn
+HELD_S = 12.0  # scans kept: the longest window, and some to find a trigger in
 COARSE_S = 0.002
 FINER = 10
 """Beside the scans, pairs over this long are kept, and over a tenth of it, so that no window looks at every scan."""
@@ -34,24 +32,16 @@ CURRENT = CHANNELS.index("current")
 
 @attrs.frozen(eq=False)
 class Trace:
-    """One window of the scope.
+    """One window of the scope."""
 
-    Attributes:
-        begin_s: time of the first column's begin [s].
-        column_s: length of a column [s].
-        low: minima per channel and column, NaN where there is no scan, shape (4, n); of a rig that is driven by a
-            stream also of the current it was told, shape (5, n).
-        high: maxima, of the same shape.
-        status: bits of all scans of a column, shape (n,).
-        trigger_s: the instant the window is aligned to; NaN where there is none.
-    """
-
-    begin_s: float
-    column_s: float
+    begin_s: float  # time of the first column's begin [s]
+    column_s: float  # length of a column [s]
     low: NDArray[np.float32]
-    high: NDArray[np.float32]
-    status: NDArray[np.uint8]
-    trigger_s: float
+    """Minima per channel and column, NaN where there is no scan, shape (4, n); of a rig that is driven by a stream also
+    of the current it was told, shape (5, n)."""
+    high: NDArray[np.float32]  # maxima, of the same shape
+    status: NDArray[np.uint8]  # bits of all scans of a column, shape (n,)
+    trigger_s: float  # the instant the window is aligned to; NaN where there is none
 
 
 class Level:
@@ -62,8 +52,7 @@ class Level:
         self.low = np.full((len(CHANNELS), size), np.nan, np.float32)
         self.high = self.low if fine == 1 else self.low.copy()
         self.status = np.zeros(size, np.uint8)
-        self.end = 0
-        """Number of the pair after the last whole one."""
+        self.end = 0  # number of the pair after the last whole one
 
     def widen(self) -> None:
         """Make room for one more row."""
@@ -107,8 +96,7 @@ class Scope:
         self._levels = [Level(fine, self._size // fine) for fine in sorted({1, finer, coarse})]
         self._scans = self._levels[0]
         self._commanded: NDArray[np.float32] | None = None  # for scans that are to come; None: nothing ever was
-        self.begin = self.end = 0
-        """Numbers of the first scan held, and of the one after the last."""
+        self.begin = self.end = 0  # numbers of the first scan held, and of the one after the last
 
     @property
     def end_s(self) -> float:

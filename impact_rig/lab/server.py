@@ -41,24 +41,16 @@ LOOPBACK = "127.0.0.1"
 PORT = 8765
 HIGHEST_PORT = 65535
 MOST_PAGES = 16
-FASTEST_HZ = 60.0
-"""Pictures per second, at most."""
-MOST_UNDRAWN = 2
-"""Pictures on their way to a page: one is drawn while the next travels."""
-SPECTRUM_S = 0.25
-"""Between two spectra."""
+FASTEST_HZ = 60.0  # pictures per second, at most
+MOST_UNDRAWN = 2  # pictures on their way to a page: one is drawn while the next travels
+SPECTRUM_S = 0.25  # between two spectra
 SPECTRUM_SPAN_S = 2.0
 STATE_S = 0.1
-PATIENCE_S = 2.0
-"""A page that has not drawn the last picture after this long is away, and gets one now and then."""
-MOST_BAD = 20
-"""Requests without sense after which a connection is closed."""
-HEADERS_S = 10.0
-"""A connection that has asked for nothing whole after this long is closed."""
-MOST_CONNECTIONS = 64
-"""Far fewer than a process may have descriptors; whoever comes after them is turned away."""
-NO_DESCRIPTOR_S = 0.1
-"""Until the next connection is taken after one could not be."""
+PATIENCE_S = 2.0  # a page that has not drawn the last picture after this long is away, and gets one now and then
+MOST_BAD = 20  # requests without sense after which a connection is closed
+HEADERS_S = 10.0  # a connection that has asked for nothing whole after this long is closed
+MOST_CONNECTIONS = 64  # far fewer than a process may have descriptors; whoever comes after them is turned away
+NO_DESCRIPTOR_S = 0.1  # until the next connection is taken after one could not be
 MOST_RUNS = 200
 MOST_AT_ONCE = 2
 TYPES = {".html": "text/html", ".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml"}

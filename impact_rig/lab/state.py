@@ -32,10 +32,8 @@ HURRIED = 1.5
 """Speed from which on pictures come now and then: nobody sees every cycle, and rig and analysis need the machine."""
 FOLLOWED = 4.5
 """Speed up to which the motion is drawn: beyond it nobody can follow, and publishing it costs the rig a tenth."""
-STALE_S = 3.0
-"""Rig time that has not moved for so long stands still."""
-GAP_S = 10.0
-"""Two readings further apart say nothing about the speed between them."""
+STALE_S = 3.0  # rig time that has not moved for so long stands still
+GAP_S = 10.0  # two readings further apart say nothing about the speed between them
 PLANNED = "instruments.faults.planned"
 KNOBS = (
     "barriers.gap_m", "sphere.present", "sphere.start", "contact.law", "contact.restitution", "pluck.displacement_m",
@@ -45,28 +43,19 @@ KNOBS = (
 """Parameters of the rig that the page shows."""
 Answer = Callable[[bool, str], None]
 """Tells the page whether what it asked for was done, and in which words; may be called from any thread, once."""
-DEAD_S = 4.0
-"""A node that has said nothing for so long is not there."""
+DEAD_S = 4.0  # a node that has said nothing for so long is not there
 
 
 @attrs.frozen
 class Seen:
-    """What a node has said of itself last, and how long ago.
+    """What a node has said of itself last, and how long ago."""
 
-    Attributes:
-        state: word of its table in `impact_rig.states`; empty: it said none of them.
-        instance: which activation of the node said it.
-        age_s: since it was heard [s]; None: it never was.
-        ended: how its process ended; empty: it runs, or is not ours.
-        figures: all keys it publishes.
-    """
-
-    state: str = ""
+    state: str = ""  # word of its table in `impact_rig.states`; empty: it said none of them
     reason: str = ""
-    instance: str = ""
-    age_s: float | None = None
-    ended: str = ""
-    figures: Mapping[str, str] = attrs.field(factory=dict)
+    instance: str = ""  # which activation of the node said it
+    age_s: float | None = None  # since it was heard [s]; None: it never was
+    ended: str = ""  # how its process ended; empty: it runs, or is not ours
+    figures: Mapping[str, str] = attrs.field(factory=dict)  # all keys it publishes
 
     @classmethod
     def of(cls, node: str, figures: Mapping[str, str], age_s: float | None, ended: str = "") -> Seen:
@@ -156,8 +145,7 @@ class Pace:
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
-        self.speed = 0.0
-        """At the last two different readings."""
+        self.speed = 0.0  # at the last two different readings
         self._read_at = self._rig_s = 0.0
 
     @property
@@ -258,10 +246,8 @@ class Source(abc.ABC):
     def __init__(self, mode: str, record: Record) -> None:
         self.record = record
         self.snapshot = Snapshot()
-        self.failures: dict[str, list[Any]] = {}
-        """Parts of the work that failed: how often, and the last reason."""
-        self.watchers = 0
-        """How many pages look."""
+        self.failures: dict[str, list[Any]] = {}  # parts of the work that failed: how often, and the last reason
+        self.watchers = 0  # how many pages look
         self._asked: queue.SimpleQueue[tuple[Request, Answer]] = queue.SimpleQueue()
         self.end = threading.Event()
         self.theory = Theory(lambda found: self.snapshot.put(prediction=found))

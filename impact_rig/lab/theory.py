@@ -21,8 +21,7 @@ from numpy.typing import NDArray
 from impact_rig.errors import ConfigError
 from impact_rig.rig.config import RigConfig, fields, from_flat, to_flat
 
-GENTLE = 10
-"""Priority (nice) of the lab's threads: on a busy machine pictures are late, not blocks."""
+GENTLE = 10  # priority (nice) of the lab's threads: on a busy machine pictures are late, not blocks
 KIND, WAVEFORM = "drive.kind", "drive.waveform"
 _SECTIONS = ("structure.", "shaker.", "sphere.", "barriers.", "contact.")
 DECIDING = (*(name for name, _, _ in fields() if name.startswith(_SECTIONS)), KIND, WAVEFORM)
@@ -112,19 +111,12 @@ def contradiction(prediction: Mapping[str, Any], impacts_per_cycle: float) -> st
 
 
 class Continued(NamedTuple):
-    """Motions of the model over the frequency.
+    """Motions of the model over the frequency."""
 
-    Attributes:
-        values: configuration values of `DECIDING` at which they exist, wherever the sphere begins.
-        amplitude: of the drive, peak.
-        lines: as from `predicted`.
-        title: of the study.
-    """
-
-    values: Mapping[str, Any]
-    amplitude: float
-    lines: list[list[Any]]
-    title: str
+    values: Mapping[str, Any]  # configuration values of `DECIDING` at which they exist, wherever the sphere begins
+    amplitude: float  # of the drive, peak
+    lines: list[list[Any]]  # as from `predicted`
+    title: str  # of the study
 
     def exists(self, values: Mapping[str, Any], amplitude: float) -> bool:
         """Return whether the motions are of a rig with these values."""
@@ -174,8 +166,7 @@ class Theory:
     """
 
     def __init__(self, told: Callable[[dict[str, Any]], None]) -> None:
-        self.beside: Sequence[Continued] = ()
-        """Drawn too, where they exist."""
+        self.beside: Sequence[Continued] = ()  # drawn too, where they exist
         self._told = told
         self._lock = threading.Lock()
         self._wish: tuple[dict[str, Any], float] | None = None

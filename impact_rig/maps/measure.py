@@ -26,14 +26,11 @@ from impact_rig.states import Regime
 
 PER_CYCLE = 32
 """Instants per cycle of the fundamental's sum: the 31st harmonic is the first that disturbs it, by less than 1e-5."""
-CHUNK = 24
-"""Cycles looked at together: responses of period 1, 2, 3, 4, 6 and 8 have one mean in each."""
+CHUNK = 24  # cycles looked at together: responses of period 1, 2, 3, 4, 6 and 8 have one mean in each
 WEAK = 0.02
 """Impacts slower than this share of the fastest one are bounces that settle: not counted, no part of the regime."""
-NEAR_S = 60.0
-"""A sphere that flies towards a wall and will strike it within this time has not come to rest."""
-FAILED = "failed"
-"""The regime of a place whose motion could not be resolved."""
+NEAR_S = 60.0  # a sphere that flies towards a wall and will strike it within this time has not come to rest
+FAILED = "failed"  # the regime of a place whose motion could not be resolved
 _ANGLE = 2.0 * np.pi * np.arange(PER_CYCLE) / PER_CYCLE
 _TURN = 2j / PER_CYCLE * np.exp(-1j * _ANGLE)
 
@@ -61,31 +58,19 @@ class Settings:
 
 
 class Reading(NamedTuple):
-    """What was found at one place.
-
-    Attributes:
-        regime: periodic, modulated, chaotic, intermittent (impacts came, stay away, and will come again), or `FAILED`.
-        dt: |X_1| / |X_b| of the fundamentals.
-        reduction_percent: 100 (1 − DT / DT without the sphere, in closed form).
-        phase_rad: of X_1 / X_b.
-        base_m: |X_b|.
-        superior_m: |X_1|.
-        impacts_per_cycle: of the impacts that are not weak.
-        period: cycles after which the response repeats; NaN if it does not.
-        spread: relative cycle-to-cycle rms of X_1.
-        drift: relative change of DT between the halves of the record: what a longer one might change.
-    """
+    """What was found at one place."""
 
     regime: str
-    dt: float
-    reduction_percent: float
-    phase_rad: float
-    base_m: float
-    superior_m: float
-    impacts_per_cycle: float
-    period: float
-    spread: float
-    drift: float
+    """Periodic, modulated, chaotic, intermittent (impacts came, stay away, and will come again), or `FAILED`."""
+    dt: float  # |X_1| / |X_b| of the fundamentals
+    reduction_percent: float  # 100 (1 − DT / DT without the sphere, in closed form)
+    phase_rad: float  # of X_1 / X_b
+    base_m: float  # |X_b|
+    superior_m: float  # |X_1|
+    impacts_per_cycle: float  # of the impacts that are not weak
+    period: float  # cycles after which the response repeats; NaN if it does not
+    spread: float  # relative cycle-to-cycle rms of X_1
+    drift: float  # relative change of DT between the halves of the record: what a longer one might change
     cycles: float
 
 

@@ -18,8 +18,7 @@ from impact_rig.maps.measure import Reading
 from impact_rig.maps.plan import CURRENT, FREQUENCY, GAP, RESET, Line, MapPlan, Search, measure_line
 from impact_rig.rig.config import to_flat
 
-REGION_POINTS = 1.0
-"""Reductions within so many points of the best one belong to its region."""
+REGION_POINTS = 1.0  # reductions within so many points of the best one belong to its region
 _ROUNDS, _LOOKS, _HALVINGS = 4, 9, 10
 _SHARE = 0.005  # of a value, either way, for its sensitivity
 SENSITIVE = (
@@ -33,20 +32,13 @@ SENSITIVE = (
 
 @attrs.frozen(kw_only=True)
 class Optimum:
-    """The best place.
-
-    Attributes:
-        value: where DT is reduced most.
-        reading: what the mechanics do there.
-        region: lowest and highest value around it whose reductions are within 1 point of the best.
-        points_per_percent: what 1 % more of a value changes the reduction there [points], by name.
-    """
+    """The best place."""
 
     over: str
-    value: float
-    reading: Reading
-    region: tuple[float, float]
-    points_per_percent: dict[str, float]
+    value: float  # where DT is reduced most
+    reading: Reading  # what the mechanics do there
+    region: tuple[float, float]  # lowest and highest value around it whose reductions are within 1 point of the best
+    points_per_percent: dict[str, float]  # what 1 % more of a value changes the reduction there [points], by name
 
     def plain(self) -> dict[str, object]:
         """Return it for JSON."""

@@ -34,41 +34,29 @@ POSITION, SPEED = "sphere_position_m", "sphere_speed_m_s"
 """Where the sphere begins, from the middle between the walls, and how fast: positive to the right."""
 NAMED = (FREQUENCY, CURRENT, GAP, POSITION, SPEED)
 """Axes with a name of their own; all others are configuration values by dotted name."""
-FASTEST_M_S = 100.0
-"""Of a sphere at its beginning."""
+FASTEST_M_S = 100.0  # of a sphere at its beginning
 RESET, UP, DOWN, BOTH = "reset", "up", "down", "both"
 DIRECTIONS = (RESET, UP, DOWN, BOTH)
 OWNED = ("daq.", "instruments.", "time.", "step.", "pluck.", "output.", "drive.waveform", "drive.frequency_hz")
 """Configuration that means nothing to a map, or that it decides itself."""
-POINT_S = 0.05
-"""What a point costs on one core, about: narrow gaps and chaos cost twice as much, wide gaps a fifth."""
-LIMIT_S = 3600.0
-"""Estimated time above which a map is refused."""
+POINT_S = 0.05  # what a point costs on one core, about: narrow gaps and chaos cost twice as much, wide gaps a fifth
+LIMIT_S = 3600.0  # estimated time above which a map is refused
 
 
 @attrs.frozen(kw_only=True)
 class Line:
-    """Places measured one after the other, the unit that is measured, stored and never repeated.
+    """Places measured one after the other, the unit that is measured, stored and never repeated."""
 
-    Attributes:
-        changes: configuration values that differ from the default rig, by dotted name.
-        held: what stays along the line, by name of axis.
-        along: name of the axis that changes.
-        values: its values, in the order of the visit.
-        direction: up or down: with what the place before left; else every place begins at rest, and this is `reset`
-            or where the sphere starts.
-        frequency_hz: of the drive, unless it is an axis.
-        current_a: amplitude of the drive (A, m or V by `drive.kind`), unless it is an axis.
-    """
-
-    changes: Mapping[str, Value]
+    changes: Mapping[str, Value]  # configuration values that differ from the default rig, by dotted name
     settings: Settings
-    held: Mapping[str, float]
-    along: str
-    values: tuple[float, ...]
+    held: Mapping[str, float]  # what stays along the line, by name of axis
+    along: str  # name of the axis that changes
+    values: tuple[float, ...]  # its values, in the order of the visit
     direction: str
-    frequency_hz: float
-    current_a: float
+    """Up or down: with what the place before left; else every place begins at rest, and this is `reset` or where the
+    sphere starts."""
+    frequency_hz: float  # of the drive, unless it is an axis
+    current_a: float  # amplitude of the drive (A, m or V by `drive.kind`), unless it is an axis
 
     def describe(self) -> str:
         """Return a short name for people."""
@@ -141,28 +129,20 @@ class Search:
 
 @attrs.frozen(eq=False, kw_only=True)
 class MapPlan:
-    """A whole map.
-
-    Attributes:
-        axes: two or three, by name, in the order of the file: across, up, and one picture each.
-        direction: reset, up, down or both.
-        starts: values of `sphere.start` that are measured one beside the other, for `reset`; none: that of `base`.
-        sweep: the axis along which places are visited one after the other.
-        frequency_hz: of the drive, unless it is an axis.
-        current_a: amplitude of the drive, unless it is an axis.
-        search: for the best value, or None.
-    """
+    """A whole map."""
 
     title: str
     base: RigConfig
     axes: Mapping[str, tuple[float, ...]]
-    direction: str
+    """Two or three, by name, in the order of the file: across, up, and one picture each."""
+    direction: str  # reset, up, down or both
     starts: tuple[str, ...]
-    sweep: str
-    frequency_hz: float
-    current_a: float
+    """Values of `sphere.start` that are measured one beside the other, for `reset`; none: that of `base`."""
+    sweep: str  # the axis along which places are visited one after the other
+    frequency_hz: float  # of the drive, unless it is an axis
+    current_a: float  # amplitude of the drive, unless it is an axis
     settings: Settings
-    search: Search | None
+    search: Search | None  # for the best value, or None
     text: str
 
     @property

@@ -32,17 +32,13 @@ CSV_FILE, JSON_FILE = "map.csv", "map.json"
 
 @attrs.frozen(eq=False, kw_only=True)
 class FinishedMap:
-    """A map with what is measured of it.
+    """A map with what is measured of it."""
 
-    Attributes:
-        plan: what was asked for.
-        values: by direction and name of a reading, or of what was added beside: arrays in the order of the axes, NaN
-            (or "") where not measured.
-    """
-
-    plan: MapPlan
+    plan: MapPlan  # what was asked for
     directory: Path
     values: dict[str, dict[str, NDArray[np.generic]]]
+    """By direction and name of a reading, or of what was added beside: arrays in the order of the axes, NaN (or "")
+    where not measured."""
 
 
 def store(directory: Path) -> Store[Line]:

@@ -25,20 +25,15 @@ from impact_rig.nodes.messages import Template
 from impact_rig.nodes.pacing import Clock
 from impact_rig.simtime import NS_PER_S
 
-KEPT = 4096
-"""Blocks whose stamps are remembered, at least."""
-POLL_S = 0.02
-"""Least time between two looks for peers that freewheel waits for."""
-LOOK_S = 0.5
-"""Least time between two looks for everybody."""
+KEPT = 4096  # blocks whose stamps are remembered, at least
+POLL_S = 0.02  # least time between two looks for peers that freewheel waits for
+LOOK_S = 0.5  # least time between two looks for everybody
 REALTIME_S = 0.05
 """Time between acknowledgements of a rig in real time, which waits for nobody and only wants to know who is late."""
 PRESENT_NS = NS_PER_S
 """Stamps this near to the system's time are those of a rig in real time; in the other modes they begin at 0."""
-ALONE_S = 0.004
-"""A block that comes this long after the last acknowledgement is acknowledged at once."""
-MOST = 16
-"""Blocks acknowledged together, at most: as many as a rig runs ahead by default."""
+ALONE_S = 0.004  # a block that comes this long after the last acknowledgement is acknowledged at once
+MOST = 16  # blocks acknowledged together, at most: as many as a rig runs ahead by default
 
 
 @attrs.define

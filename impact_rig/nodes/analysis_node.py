@@ -29,8 +29,7 @@ from impact_rig.simtime import NS_PER_S
 from impact_rig.system.endings import Ending
 
 PUBLISHED = [topic for topic in TOPICS if topic.publisher == "analysis"]
-SILENCE_S = 2.0
-"""Wall time without a block after which there are no scans; a paused rig sends none either."""
+SILENCE_S = 2.0  # wall time without a block after which there are no scans; a paused rig sends none either
 UNKNOWN_GAP = -1.0
 
 

@@ -39,8 +39,7 @@ from impact_rig.errors import CodecError, ImpactRigError, describe, in_words, vi
 from impact_rig.nodes import messages
 from impact_rig.nodes.parameters import Parameters, Proposal, set_one_by_one
 
-Report = Callable[[str, str], None]
-"""What to do with a failure: (where, message)."""
+Report = Callable[[str, str], None]  # what to do with a failure: (where, message)
 
 
 @attrs.define
@@ -132,10 +131,8 @@ CHANGE_PERIOD_S = 0.1
 """How soon a change of level or message is reported, and one of state that nobody asked for; also how often the first
 may be."""
 INSTANCE_BYTES = 8
-ERROR_MEMORY_S = 5.0
-"""An exception of a callback is shown in diagnostics this long."""
-WARN_PERIOD_S = 1.0
-"""Least time between two warnings of one reason."""
+ERROR_MEMORY_S = 5.0  # an exception of a callback is shown in diagnostics this long
+WARN_PERIOD_S = 1.0  # least time between two warnings of one reason
 
 
 class Level(enum.IntEnum):
@@ -148,17 +145,11 @@ class Level(enum.IntEnum):
 
 @attrs.frozen
 class State:
-    """What a node does, in one word of `impact_rig.states`.
+    """What a node does, in one word of `impact_rig.states`."""
 
-    Attributes:
-        word: the gravest that is true.
-        reason: why, for people; empty where the word says it all.
-        since_ns: rig time at which it began; None: when the node came to say so.
-    """
-
-    word: enum.StrEnum
-    reason: str = ""
-    since_ns: int | None = None
+    word: enum.StrEnum  # the gravest that is true
+    reason: str = ""  # why, for people; empty where the word says it all
+    since_ns: int | None = None  # rig time at which it began; None: when the node came to say so
 
 
 @attrs.define
@@ -193,24 +184,20 @@ class ManagedNode(LifecycleNode, Generic[S]):
         kwargs: passed to rclpy's Node (context, namespace, parameter_overrides, ...).
     """
 
-    COMPONENT: ClassVar[str] = "state"
-    """What of the node its diagnostics are about."""
+    COMPONENT: ClassVar[str] = "state"  # what of the node its diagnostics are about
     STATES: ClassVar[type[states.Rig | states.Analysis | states.Recorder | states.SteppedSine]]
     """The words for what the node does."""
-    MAKES_TIME: ClassVar[bool] = False
-    """Whether its clock is what others follow, so that it can follow nobody's."""
+    MAKES_TIME: ClassVar[bool] = False  # whether its clock is what others follow, so that it can follow nobody's
 
     def __init__(self, name: str, tree: Tree[S], **kwargs: Any) -> None:
         super().__init__(name, **kwargs)
         self.is_told_to_end: Callable[[], bool] = lambda: False
         """Whether the process is about to end: that others end as well is no news then."""
-        self.quitting = False
-        """Whether a client asked for the end of the process."""
+        self.quitting = False  # whether a client asked for the end of the process
         self.steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.refusals = Refusals()
         self.parameters = Parameters(self, tree, kwargs.get("cli_args") or sys.argv, self.MAKES_TIME)
-        self.outputs: dict[str, Publisher] = {}
-        """Publishers by topic, made by `offer`; they end with the configuration."""
+        self.outputs: dict[str, Publisher] = {}  # publishers by topic, made by `offer`; they end with the configuration
         self.activation = contextlib.ExitStack()
         """What ends with the activation, after `deactivate`: see `hear`, `tick`."""
         self.add_on_set_parameters_callback(self._on_set_parameters)

@@ -151,5 +151,4 @@ def _find(message: Any, path: str) -> tuple[struct.Struct, int]:
     return struct.Struct(kind), offsets[kind]
 
 
-CLOCK = Template(Clock())
-"""`/clock`: nothing but a stamp."""
+CLOCK = Template(Clock())  # `/clock`: nothing but a stamp

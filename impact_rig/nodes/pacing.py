@@ -18,16 +18,13 @@ import numpy as np
 from impact_rig.nodes.managed import ManagedNode
 from impact_rig.simtime import NS_PER_S
 
-Clock = Callable[[], int]
-"""A monotonic clock [ns], e.g. `time.monotonic_ns`."""
+Clock = Callable[[], int]  # a monotonic clock [ns], e.g. `time.monotonic_ns`
 
 MAX_LAG_NS = NS_PER_S
 """Rig time: further behind than this, catching up would overrun every subscriber's queue; realtime is re-based."""
-LATENESS_WINDOW = 3000
-"""Blocks the lateness statistics look back: 30 s of 10 ms blocks."""
+LATENESS_WINDOW = 3000  # blocks the lateness statistics look back: 30 s of 10 ms blocks
 LATE_CALLS = 100
-LATE_SHARE = 0.1
-"""A call counts as late from this share of the period on."""
+LATE_SHARE = 0.1  # a call counts as late from this share of the period on
 _AT_ONCE_S = 1e-6
 
 
@@ -57,10 +54,8 @@ class Pacer:
         self._origin_rig_ns = 0
         self._lateness = np.zeros(LATENESS_WINDOW)
         self._published = 0
-        self.slips = 0
-        """How often the pacer was re-based because it had fallen behind."""
-        self.slipped_ns = 0
-        """Clock time given up by re-basing [ns]."""
+        self.slips = 0  # how often the pacer was re-based because it had fallen behind
+        self.slipped_ns = 0  # clock time given up by re-basing [ns]
 
     @property
     def factor(self) -> float:

@@ -25,8 +25,7 @@ from impact_rig.config.tree import Tree, Value
 from impact_rig.errors import ConfigError, describe
 
 S = TypeVar("S", bound=attrs.AttrsInstance)
-Attempt = Callable[[list[Parameter]], SetParametersResult]
-"""Sets some parameters together, or says why not."""
+Attempt = Callable[[list[Parameter]], SetParametersResult]  # sets some parameters together, or says why not
 
 _LARGEST = 1.7976931348623157e308
 _LARGEST_INTEGER = 2**63 - 1
@@ -37,25 +36,18 @@ _FOREIGN = (
 )  # overrides that belong to rclpy, not us
 
 
-CONFIG_FILE = "config_file"
-"""Parameter: a configuration file to start from; other parameters go on top of it."""
+CONFIG_FILE = "config_file"  # parameter: a configuration file to start from; other parameters go on top of it
 SIM_TIME = "use_sim_time"
 NO_SIM_TIME = "must be false here: this node makes the time that others follow"
 
 
 @attrs.frozen
 class Proposal(Generic[S]):
-    """A set of parameters that the validator has accepted.
+    """A set of parameters that the validator has accepted."""
 
-    Attributes:
-        stored: the parameters as they will be stored.
-        settings: all of them as one value.
-        changes: the values that are new, by name.
-    """
-
-    stored: list[Parameter]
-    settings: S
-    changes: dict[str, Value]
+    stored: list[Parameter]  # the parameters as they will be stored
+    settings: S  # all of them as one value
+    changes: dict[str, Value]  # the values that are new, by name
 
 
 class Parameters(Generic[S]):

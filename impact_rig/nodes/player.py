@@ -37,17 +37,14 @@ from impact_rig.system.endings import unhurried
 MADE_HERE = (topics.CLOCK.name, topics.ACK.name)
 """Never replayed: the player makes the clock, and today's peers acknowledge."""
 SPIN_S = 0.05
-LAST_NS = (2**31 - 1) * NS_PER_S
-"""builtin_interfaces/Time counts seconds in 32 bits."""
+LAST_NS = (2**31 - 1) * NS_PER_S  # builtin_interfaces/Time counts seconds in 32 bits
 LONGEST_PAUSE_NS = 3600 * NS_PER_S
 """Between two messages; the player would stand still, or fill it with ticks of /clock."""
-WINDOW = 16
-"""Blocks ahead of the slowest peer."""
+WINDOW = 16  # blocks ahead of the slowest peer
 PEER_TIMEOUT_S = 10.0
 DELIVERY = Duration(seconds=1.0)
 LAST_WORDS_S = 0.3
-Spin = Callable[[float], None]
-"""Lets callbacks run, for at most so many seconds."""
+Spin = Callable[[float], None]  # lets callbacks run, for at most so many seconds
 
 
 @contextlib.contextmanager

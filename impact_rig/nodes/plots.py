@@ -18,8 +18,7 @@ from impact_rig.nodes.messages import ENVELOPES, SPECTRA, Template
 from impact_rig.topics import Topic
 
 VECTOR = ("vector.x", "vector.y", "vector.z")
-LOOK_S = 0.1
-"""Time of the rig between two looks who listens to what."""
+LOOK_S = 0.1  # time of the rig between two looks who listens to what
 
 
 class Plots:
@@ -139,8 +138,7 @@ class Plots:
 
 ACCELEROMETER = "accelerometer"
 _VECTORS = (topics.PLOT_TRANSMISSIBILITY, topics.PLOT_DRIVE, topics.PLOT_PULSES)
-_FASTEST_HZ = 1e6
-"""More no board scans; bounds the memory that a hostile daq/info can ask for."""
+_FASTEST_HZ = 1e6  # more no board scans; bounds the memory that a hostile daq/info can ask for
 
 
 def _vector(topic: Topic) -> Template:

@@ -29,8 +29,7 @@ from impact_rig.nodes.managed import ManagedNode
 from impact_rig.system.endings import SIGNALS, Ending, held
 
 SPIN_S = 0.2
-EXIT_USAGE = 2
-"""Exit code when arguments, parameter files or names are no good."""
+EXIT_USAGE = 2  # exit code when arguments, parameter files or names are no good
 EXECUTOR_VARIABLE = "IMPACT_RIG_EXECUTOR"
 """Environment: `default` takes rclpy's default executor instead of the events executor."""
 

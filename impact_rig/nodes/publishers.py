@@ -24,14 +24,12 @@ from impact_rig.rig.truth import monitor_step
 from impact_rig.simtime import stamp_ns
 
 PUBLISHED = [topic for topic in TOPICS if topic.publisher == "rig"]
-LEAST_DEPTH = 100
-"""Blocks kept for a slow subscriber: twice what comes in a second, but at least this."""
+LEAST_DEPTH = 100  # blocks kept for a slow subscriber: twice what comes in a second, but at least this
 DELIVERY = Duration(seconds=0.2)
 """Longest wait for the delivery of a change; only a subscriber that died without a word takes so long."""
 _PLACES = [f"{name}.{joint}" for name in ("position", "velocity") for joint in range(3)] + ["effort.1", "effort.2"]
 
-Reading = Callable[[int, float, int], bytes]
-"""Makes an instrument's message of (stamp [ns], reading, status bits)."""
+Reading = Callable[[int, float, int], bytes]  # makes an instrument's message of (stamp [ns], reading, status bits)
 
 
 class Monitors:

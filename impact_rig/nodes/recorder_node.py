@@ -51,8 +51,7 @@ RESULTS = frozenset({topics.TRANSMISSIBILITY_TABLE.name, topics.CURVE.name, topi
 ONE_WRITER = {topic.name for topic in TOPICS if topic.columns is not None} | {topics.CONFIGURATION.name}
 """Topics that one node alone may write: of two a run could not be simulated or analysed again."""
 BULKY = (topics.SCAN, topics.TRUTH_SCAN)
-QUIET_S = 0.1
-"""A configuration this old is the one in force: who comes late is handed every earlier one first."""
+QUIET_S = 0.1  # a configuration this old is the one in force: who comes late is handed every earlier one first
 CALIBRATION = "calibration.yaml"
 
 

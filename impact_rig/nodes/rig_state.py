@@ -23,11 +23,9 @@ from impact_rig.simtime import NS_PER_S
 
 SLOW_S = 1.0
 """A reader this much wall time behind is reported; with 100 blocks per second its queue holds ten times that."""
-CLOCK_STEP_S = 0.1
-"""A step of the system clock by this much is reported; slewing moves both clocks alike."""
+CLOCK_STEP_S = 0.1  # a step of the system clock by this much is reported; slewing moves both clocks alike
 _WITHOUT = {"ramp": "ramped to zero", "hold": "the last one is held", "trip": "ramped to zero"}
-MOST = 5
-"""Faults that are told of at one look; of more only the number."""
+MOST = 5  # faults that are told of at one look; of more only the number
 
 
 @attrs.frozen

@@ -39,8 +39,7 @@ from impact_rig.system import files
 
 OBEDIENT = ("rmw_fastrtps_cpp", "rmw_fastrtps_dynamic_cpp", "rmw_cyclonedds_cpp")
 """Middleware that keeps to `ROS_AUTOMATIC_DISCOVERY_RANGE`."""
-LOOK_S = 0.5
-"""Least time between two looks at the publishers of a rig's topics."""
+LOOK_S = 0.5  # least time between two looks at the publishers of a rig's topics
 
 
 def ends_here(environment: Mapping[str, str], middleware: str) -> bool:
@@ -116,22 +115,17 @@ class DuplicatePublishers:
         return others | {f"another {own}"} if publishers.count(own) > 1 else others
 
 
-WORK_S = 0.02
-"""Wall time one call of the work timer may fill before commands and services are looked at."""
-LARGEST_BATCH_S = 0.2
-"""Rig time simulated at once, for the same reason."""
+WORK_S = 0.02  # wall time one call of the work timer may fill before commands and services are looked at
+LARGEST_BATCH_S = 0.2  # rig time simulated at once, for the same reason
 SMALLEST_BATCH_NS = 50_000_000
 """Rig time caught up at once in realtime: a rig that is slower than real time must still answer."""
 SHORTEST_PERIOD_S, LONGEST_PERIOD_S = 0.001, 0.05
-AHEAD_PERIOD_S = 0.005
-"""Period of the work timer where acknowledgements drive the work."""
+AHEAD_PERIOD_S = 0.005  # period of the work timer where acknowledgements drive the work
 SLICE_S = 0.02
 """How long after a call of the timer acknowledgements may drive the work: an executor that hands over the messages of
 one subscription for as long as there are any would never come to services and timers."""
-AWAY_S = 1.0
-"""A gap this long between two calls of the work timer: this process was suspended, not the peers."""
-IDLE_S = 1.0
-"""Who steps in turns asks more often than this: a rig between two steps of a series is not paused."""
+AWAY_S = 1.0  # a gap this long between two calls of the work timer: this process was suspended, not the peers
+IDLE_S = 1.0  # who steps in turns asks more often than this: a rig between two steps of a series is not paused
 RATE_WINDOW_S = 2.0
 
 
@@ -144,8 +138,7 @@ class Counts:
         self.impacts = 0
         self.other_acks = 0
         self.over_range: Counter[str] = Counter()
-        self.faults: dict[int, str] = {}
-        """The instrument faults that act now."""
+        self.faults: dict[int, str] = {}  # the instrument faults that act now
         self._rates: deque[tuple[float, int]] = deque([(time.monotonic(), 0)])
 
     def take(self, block: Block) -> None:
@@ -179,26 +172,20 @@ class Counts:
 class Session:
     """The rig of a node; it exists from when nobody else is in its place until the node is deactivated."""
 
-    publishers: Publishers
-    """What it publishes; from when the node is configured."""
-    readers: Readers
-    """Who reads its scans, and, below, who else publishes; from when the node is active."""
+    publishers: Publishers  # what it publishes; from when the node is configured
+    readers: Readers  # who reads its scans, and, below, who else publishes; from when the node is active
     duplicates: DuplicatePublishers
 
     def __init__(self, node: ManagedNode[RigConfig]) -> None:
         self.node = node
         self.lock = NamespaceLock(node)
-        self.rig: Rig | None = None
-        """The device; None before it has begun."""
+        self.rig: Rig | None = None  # the device; None before it has begun
         self.pacer = Pacer(time.monotonic_ns)
         self.window = AckWindow((), 1, NS_PER_S, time.monotonic_ns)
         self.counts = Counts()
-        self.absent = ""
-        """Peers that did not come in time, with commas between."""
-        self.realised_restitution = math.nan
-        """What the contact law really returns: with the paper's law 0.309 for 0.35."""
-        self.paused = False
-        """Whether rig time stands still, but for steps that are asked for meanwhile."""
+        self.absent = ""  # peers that did not come in time, with commas between
+        self.realised_restitution = math.nan  # what the contact law really returns: with the paper's law 0.309 for 0.35
+        self.paused = False  # whether rig time stands still, but for steps that are asked for meanwhile
         self.clock_offset_ns = 0
         self._is_still = False  # altogether: since the pause no step has been asked for
         self._starved_at: float | None = None  # since when a rig ahead of time waits for samples of a stream

@@ -27,8 +27,7 @@ OFFERS = {
 }
 """Service type: its name below the node, and the features that it gives the rig."""
 NOTE = f"impact_rig {__version__}; a step is step.blocks blocks; a reset begins again at scan 0, and stamps go on"
-Tell = Callable[[int, str], None]
-"""Answers with a result code and an error text."""
+Tell = Callable[[int, str], None]  # answers with a result code and an error text
 
 
 class StandardServices:

@@ -26,12 +26,10 @@ from impact_rig.operate.stepped_sine import ControlledSine, Direction, Hold, Hol
 from impact_rig.operate.stepped_sine import State as Progress
 from impact_rig.system.endings import Ending
 
-WATCH_S = 0.1
-"""How often the node looks for the rig, while a sweep waits to begin."""
+WATCH_S = 0.1  # how often the node looks for the rig, while a sweep waits to begin
 STOPPING = {b"trip": "tripped", b"stop": "was stopped", b"timeout": "missed commands", b"reset": "was reset"}
 """Kinds of journal entries that end a sweep, and what the rig did then."""
-COMMAND, PHASE = "command", "phase"
-"""What stays constant besides the amplitudes of `Hold`."""
+COMMAND, PHASE = "command", "phase"  # what stays constant besides the amplitudes of `Hold`
 
 Walk = SteppedSine | LockedSine
 

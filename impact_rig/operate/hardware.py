@@ -35,10 +35,8 @@ class Wanted(NamedTuple):
 class Wire(Protocol):
     """What joins both halves to a rig."""
 
-    rate_hz: int
-    """Samples per second of the output."""
-    scan_rate_hz: int
-    """Scans per second of the acquisition."""
+    rate_hz: int  # samples per second of the output
+    scan_rate_hz: int  # scans per second of the acquisition
     lead_s: float
     """How far ahead of what is wanted next a first sample must be to come in time: 0 where rig time waits for it."""
 

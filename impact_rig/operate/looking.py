@@ -20,10 +20,8 @@ from impact_rig.operate.phase_lock import LockPlan, Look, PhaseLock
 from impact_rig.operate.stepped_sine import Setpoint, State
 from impact_rig.simtime import NS_PER_S
 
-FEWEST = 6
-"""Looks from which their scatter says something."""
-NEVER_S = 1e9
-"""Rig time that no test takes."""
+FEWEST = 6  # looks from which their scatter says something
+NEVER_S = 1e9  # rig time that no test takes
 
 
 class LoopApparatus(Protocol):
@@ -56,19 +54,13 @@ def lock_on(plan: LockPlan, apparatus: LoopApparatus) -> PhaseLock:
 
 
 class Mean(NamedTuple):
-    """A locked stretch: means with standard uncertainties.
+    """A locked stretch: means with standard uncertainties."""
 
-    Attributes:
-        frequency_hz: of the resonance.
-        u_frequency_hz: by the scatter of the looks, correlation included, and by the mean phase's distance from −90°.
-        dt: |X_1| / |X_b|.
-        u_dt: by the scatter of the looks and by the sensitivities, which are common to all that a rig measures.
-    """
-
-    frequency_hz: float
+    frequency_hz: float  # of the resonance
     u_frequency_hz: float
-    dt: float
-    u_dt: float
+    """By the scatter of the looks, correlation included, and by the mean phase's distance from −90°."""
+    dt: float  # |X_1| / |X_b|
+    u_dt: float  # by the scatter of the looks and by the sensitivities, which are common to all that a rig measures
 
 
 def mean(rows: NDArray[np.void], u_gain: float) -> Mean:
@@ -90,52 +82,32 @@ def mean(rows: NDArray[np.void], u_gain: float) -> Mean:
 
 @attrs.frozen(kw_only=True)
 class Ladder:
-    """A backbone: the locked loop over currents, visited up, then down.
+    """A backbone: the locked loop over currents, visited up, then down."""
 
-    Attributes:
-        currents_a: ascending.
-        lock: of the loop; its current and dwell are not used, and its bound of lost locks is that of each rung.
-        wait_s: rig time on each rung, locked or given up, before it is measured; bounds what a transient leaves.
-        mean_s: rig time over which a rung is averaged.
-        jump: relative change of DT from one rung to the next that is told as a jump, not joined by a line.
-    """
-
-    currents_a: tuple[float, ...]
-    lock: LockPlan
+    currents_a: tuple[float, ...]  # ascending
+    lock: LockPlan  # of the loop; its current and dwell are not used, and its bound of lost locks is that of each rung
     wait_s: float = 8.0
-    mean_s: float = 6.0
-    jump: float = 0.25
+    """Rig time on each rung, locked or given up, before it is measured; bounds what a transient leaves."""
+    mean_s: float = 6.0  # rig time over which a rung is averaged
+    jump: float = 0.25  # relative change of DT from one rung to the next that is told as a jump, not joined by a line
 
 
 @attrs.frozen(kw_only=True)
 class Rung:
-    """One amplitude of a backbone.
+    """One amplitude of a backbone."""
 
-    Attributes:
-        direction: up or down.
-        current_a: commanded.
-        frequency_hz: mean; u_frequency_hz: its standard uncertainty, see `Mean`.
-        dt: ratio of the mean amplitudes; u_dt likewise.
-        spread: relative standard deviation of DT from look to look.
-        superior_m: mean amplitude.
-        base_m: mean amplitude.
-        phase_deg: mean.
-        locked: whether the phase was held in every look; where not, the numbers are means of a motion that wanders.
-        jumped: the response is another one than on the rung before: DT jumped, or the lock came or went.
-    """
-
-    direction: str
-    current_a: float
-    frequency_hz: float
+    direction: str  # up or down
+    current_a: float  # commanded
+    frequency_hz: float  # mean; u_frequency_hz: its standard uncertainty, see `Mean`
     u_frequency_hz: float
-    dt: float
+    dt: float  # ratio of the mean amplitudes; u_dt likewise
     u_dt: float
-    spread: float
-    superior_m: float
-    base_m: float
-    phase_deg: float
-    locked: bool
-    jumped: bool
+    spread: float  # relative standard deviation of DT from look to look
+    superior_m: float  # mean amplitude
+    base_m: float  # mean amplitude
+    phase_deg: float  # mean
+    locked: bool  # whether the phase was held in every look; where not, the numbers are means of a motion that wanders
+    jumped: bool  # the response is another one than on the rung before: DT jumped, or the lock came or went
 
 
 def climb(ladder: Ladder, apparatus: LoopApparatus) -> tuple[list[Rung], str]:

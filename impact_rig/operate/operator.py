@@ -19,21 +19,15 @@ from impact_rig.blocks import Table
 from impact_rig.operate.stepped_sine import Setpoint, State, SteppedSine
 from impact_rig.simtime import NS_PER_S
 
-Note = Callable[[SteppedSine], None]
-"""Told of the sweep at its begin and whenever its curve has grown."""
+Note = Callable[[SteppedSine], None]  # told of the sweep at its begin and whenever its curve has grown
 
 
 @attrs.frozen
 class Applied:
-    """A change of the drive that the rig has accepted.
+    """A change of the drive that the rig has accepted."""
 
-    Attributes:
-        setpoint: frequency and current from then on.
-        at_ns: rig time.
-    """
-
-    setpoint: Setpoint
-    at_ns: int
+    setpoint: Setpoint  # frequency and current from then on
+    at_ns: int  # rig time
 
     @classmethod
     def of(cls, table: Table, at_ns: int | None = None) -> list[Applied]:
@@ -49,21 +43,13 @@ class Applied:
 
 @attrs.frozen(eq=False, kw_only=True)
 class News:
-    """What an operator hears at once; taken up in the order of the attributes.
+    """What an operator hears at once; taken up in the order of the attributes."""
 
-    Attributes:
-        now_ns: rig time.
-        applied: accepted changes of the drive.
-        rows: measurements, rows of `transmissibility/table`.
-        scans: blocks of `daq/scan`, where somebody looks at them.
-        stopped: why the rig goes on no more, or None.
-    """
-
-    now_ns: int
-    applied: Sequence[Applied] = ()
-    rows: Iterable[np.void] = ()
-    scans: Iterable[Table] = ()
-    stopped: str | None = None
+    now_ns: int  # rig time
+    applied: Sequence[Applied] = ()  # accepted changes of the drive
+    rows: Iterable[np.void] = ()  # measurements, rows of `transmissibility/table`
+    scans: Iterable[Table] = ()  # blocks of `daq/scan`, where somebody looks at them
+    stopped: str | None = None  # why the rig goes on no more, or None
 
 
 class Walk(Protocol):

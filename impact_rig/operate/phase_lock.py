@@ -37,23 +37,14 @@ MIN_CYCLES = 2
 
 
 class Look(NamedTuple):
-    """One stretch of scans.
+    """One stretch of scans."""
 
-    Attributes:
-        end_ns: rig time of its end.
-        frequency_hz: of the drive.
-        base: complex amplitude [m]; only ratios of the three mean anything.
-        superior: complex amplitude [m].
-        current: complex amplitude [A].
-        u_gain: relative standard uncertainty of DT by the sensitivities, at these amplitudes.
-    """
-
-    end_ns: int
-    frequency_hz: float
-    base: complex
-    superior: complex
-    current: complex
-    u_gain: float = 0.0
+    end_ns: int  # rig time of its end
+    frequency_hz: float  # of the drive
+    base: complex  # complex amplitude [m]; only ratios of the three mean anything
+    superior: complex  # complex amplitude [m]
+    current: complex  # complex amplitude [A]
+    u_gain: float = 0.0  # relative standard uncertainty of DT by the sensitivities, at these amplitudes
 
     @property
     def dt(self) -> float:
@@ -101,12 +92,9 @@ class PhasorMeter:
         return Look(end_ns, frequency_hz, base, superior, current, math.hypot(*u))
 
 
-STEEPEST = 4.0
-"""tan φ' that is believed: beyond, the phase says only on which side the resonance is."""
-MEAN_S = 1.0
-"""The phase that counts is a mean over so long."""
-SMALLER, LARGER = 0.6, 1.25
-"""Factors of the slope when the detuning overshoots, and when it stays."""
+STEEPEST = 4.0  # tan φ' that is believed: beyond, the phase says only on which side the resonance is
+MEAN_S = 1.0  # the phase that counts is a mean over so long
+SMALLER, LARGER = 0.6, 1.25  # factors of the slope when the detuning overshoots, and when it stays
 SLUGGISH = 4
 """Looks with a detuning of one sign, none of them within the bound, after which the slope counts as too small."""
 DIGITS = 6  # of a commanded frequency [Hz]
@@ -128,40 +116,25 @@ def _amount(default: float) -> float:
 class LockPlan:
     """A search, and what follows it.
 
-    Attributes:
-        start_hz: where the search begins.
-        current_a: peak current.
-        low_hz: the frequency goes no lower.
-        high_hz: nor higher.
-        reference: of the phase; against the base, −90° is where the structure on a fixed base would resonate.
-        step_hz: of the coarse search.
-        seek_s: each of them is held so long.
-        look_s: when tracking, the frequency is held so long between two corrections.
-        time_constant_s: in which a detuning is corrected; longer than the structure's answer takes.
-        within_deg: bound of the mean phase of a second that counts as locked.
-        seek_limit_s: rig time until the first lock after which it is given up.
-        lose_limit_s: rig time without lock after which it is given up.
-        dwell_s: rig time to stay, counted from the first lock.
-        superior_limit_m: a superior base beyond it aborts.
-
     Raises:
         ConfigError: a value that cannot work; the message names it.
     """
 
-    start_hz: float = attrs.field(validator=positive)
-    current_a: float = attrs.field(validator=positive)
-    low_hz: float = _amount(5.0)
-    high_hz: float = _amount(20.0)
+    start_hz: float = attrs.field(validator=positive)  # where the search begins
+    current_a: float = attrs.field(validator=positive)  # peak current
+    low_hz: float = _amount(5.0)  # the frequency goes no lower
+    high_hz: float = _amount(20.0)  # nor higher
     reference: Reference = attrs.field(default=Reference.BASE, converter=Reference)
-    step_hz: float = _amount(0.2)
-    seek_s: float = _amount(1.5)
-    look_s: float = _amount(0.5)
-    time_constant_s: float = _amount(3.0)
-    within_deg: float = _amount(2.0)
-    seek_limit_s: float = _amount(60.0)
-    lose_limit_s: float = _amount(20.0)
-    dwell_s: float = _amount(30.0)
-    superior_limit_m: float = _amount(0.05)
+    """Of the phase; against the base, −90° is where the structure on a fixed base would resonate."""
+    step_hz: float = _amount(0.2)  # of the coarse search
+    seek_s: float = _amount(1.5)  # each of them is held so long
+    look_s: float = _amount(0.5)  # when tracking, the frequency is held so long between two corrections
+    time_constant_s: float = _amount(3.0)  # in which a detuning is corrected; longer than the structure's answer takes
+    within_deg: float = _amount(2.0)  # bound of the mean phase of a second that counts as locked
+    seek_limit_s: float = _amount(60.0)  # rig time until the first lock after which it is given up
+    lose_limit_s: float = _amount(20.0)  # rig time without lock after which it is given up
+    dwell_s: float = _amount(30.0)  # rig time to stay, counted from the first lock
+    superior_limit_m: float = _amount(0.05)  # a superior base beyond it aborts
 
     def __attrs_post_init__(self) -> None:
         if not self.low_hz < self.start_hz < self.high_hz:
@@ -368,8 +341,7 @@ class LockedSine:
         self._heard_ns = 0
         self._scans: list[NDArray[np.void]] = []
         self._end_ns = 0
-        self.measured = 0
-        """Looks so far."""
+        self.measured = 0  # looks so far
 
     @property
     def state(self) -> State:

@@ -103,8 +103,7 @@ class Plan:
         return {Direction.UP: up, Direction.DOWN: down, Direction.UP_DOWN: up + down}[self.direction]
 
 
-SAME = 1e-9
-"""Relative difference up to which two frequencies or currents are one."""
+SAME = 1e-9  # relative difference up to which two frequencies or currents are one
 
 PASSING = frozenset({Status.COMMAND_CHANGED, Status.LABEL_CHANGED, Status.CALIBRATION_CHANGED, Status.NO_FREQUENCY})
 """Words that only say that a change came through."""
@@ -289,34 +288,25 @@ class Hold(enum.StrEnum):
 
 COLUMN = {Hold.CURRENT: "current_amplitude", Hold.BASE: "base_amplitude", Hold.SUPERIOR: "laser_amplitude"}
 """Where a row of `transmissibility/table` has it."""
-LARGEST_STEP = 3.0
-"""Factor by which the current changes at once, at most."""
-SLOPES = (0.3, 3.0)
-"""Bounds of d ln amplitude / d ln current that a correction believes."""
+LARGEST_STEP = 3.0  # factor by which the current changes at once, at most
+SLOPES = (0.3, 3.0)  # bounds of d ln amplitude / d ln current that a correction believes
 
 
 @attrs.frozen(kw_only=True)
 class HoldPlan:
     """What is held, and how far a point may go for it.
 
-    Attributes:
-        hold: base, superior or current.
-        target: its amplitude, peak [m or A].
-        tolerance: relative error up to which it counts as held.
-        corrections: of the current per point; then the point is kept as it is, with its error.
-        current_limit_a: a correction beyond it aborts the sweep.
-        superior_limit_m: a measured superior base beyond it aborts the sweep.
-
     Raises:
         ConfigError: a value that cannot work; the message names it.
     """
 
-    hold: Hold = attrs.field(converter=Hold)
-    target: float = attrs.field(validator=positive)
-    tolerance: float = attrs.field(default=2e-3, validator=positive)
-    corrections: int = 8
-    current_limit_a: float = attrs.field(default=15.0, validator=positive)
+    hold: Hold = attrs.field(converter=Hold)  # base, superior or current
+    target: float = attrs.field(validator=positive)  # its amplitude, peak [m or A]
+    tolerance: float = attrs.field(default=2e-3, validator=positive)  # relative error up to which it counts as held
+    corrections: int = 8  # of the current per point; then the point is kept as it is, with its error
+    current_limit_a: float = attrs.field(default=15.0, validator=positive)  # a correction beyond it aborts the sweep
     superior_limit_m: float = attrs.field(default=0.05, validator=positive)
+    """A measured superior base beyond it aborts the sweep."""
 
 
 class ControlledSine(SteppedSine):

@@ -32,8 +32,7 @@ from impact_rig.errors import RecordingError
 from impact_rig.simtime import NS_PER_S
 from impact_rig.system import budget, files
 
-INFINITE_NS = 2**63 - 1
-"""A duration without end, as ROS writes it (RMW_DURATION_INFINITE: 9223372036 s 854775807 ns)."""
+INFINITE_NS = 2**63 - 1  # a duration without end, as ROS writes it (RMW_DURATION_INFINITE: 9223372036 s 854775807 ns)
 
 SERIALIZATION = "cdr"
 
@@ -77,25 +76,17 @@ class OfferedQos:
 
 @attrs.frozen(kw_only=True)
 class TopicDescription:
-    """A recorded topic.
+    """A recorded topic."""
 
-    Attributes:
-        name: fully qualified.
-        type_name: `package/msg/Type`.
-        schema: `.msg` text with dependencies, see `schema_text`.
-        type_hash: RIHS01 hash of the type description; empty if unknown.
-        offered_qos: one entry per publisher; may be empty.
-        offered_qos_text: the YAML list as it stands in a file; filled by readers, derived from `offered_qos` otherwise.
-    """
-
-    name: str
-    type_name: str
-    schema: str
-    type_hash: str = ""
-    offered_qos: tuple[OfferedQos, ...] = ()
+    name: str  # fully qualified
+    type_name: str  # `package/msg/Type`
+    schema: str  # `.msg` text with dependencies, see `schema_text`
+    type_hash: str = ""  # RIHS01 hash of the type description; empty if unknown
+    offered_qos: tuple[OfferedQos, ...] = ()  # one entry per publisher; may be empty
     offered_qos_text: str = attrs.field(
         default=attrs.Factory(lambda self: dump_yaml([qos.to_yaml() for qos in self.offered_qos]), takes_self=True)
     )
+    """The YAML list as it stands in a file; filled by readers, derived from `offered_qos` otherwise."""
 
     def offered_qos_yaml(self) -> list[QosYaml]:
         """Return the offered profiles as `metadata.yaml` holds them; a text that is no plain list counts as none."""
@@ -404,35 +395,26 @@ def write_metadata(directory: Path, info: Information) -> Path:
     return path
 
 
-RECORD_NAME = "impact_rig"
-"""Metadata record with the package version, the seed and the wall-clock start."""
+RECORD_NAME = "impact_rig"  # metadata record with the package version, the seed and the wall-clock start
 TOPIC_RECORD_NAME = "impact_rig/topic"
 """Metadata record repeating a channel and its schema outside the chunks: a lost chunk does not cost the others."""
-CONFIGURATION = "config.yaml"
-"""Attachment with the resolved configuration."""
+CONFIGURATION = "config.yaml"  # attachment with the resolved configuration
 
 ARITHMETIC_KEY = "arithmetic"
-UNWRITTEN_ARITHMETIC = "1"
-"""Of recordings from before it was written down."""
+UNWRITTEN_ARITHMETIC = "1"  # of recordings from before it was written down
 
 _CRC_KEY = "crc32"
 
 
 @attrs.frozen(kw_only=True)
 class Provenance:
-    """What a run must say about itself.
-
-    Attributes:
-        seed: of noise, calibration errors and random drive.
-        wall_start_ns: system time when the recording began [ns since the epoch].
-        arithmetic: version of the arithmetic that made the samples.
-    """
+    """What a run must say about itself."""
 
     version: str
-    seed: int
-    wall_start_ns: int
+    seed: int  # of noise, calibration errors and random drive
+    wall_start_ns: int  # system time when the recording began [ns since the epoch]
     extra: Mapping[str, str] = attrs.field(factory=dict)
-    arithmetic: int = ARITHMETIC
+    arithmetic: int = ARITHMETIC  # version of the arithmetic that made the samples
 
     def to_record(self) -> dict[str, str]:
         """Return the content of the metadata record."""

@@ -21,10 +21,8 @@ from impact_rig.blocks import Table
 from impact_rig.recording.records import DamageError
 from impact_rig.simtime import NS_PER_S
 
-RECORD_NAME = "impact_rig/losses"
-"""Metadata record with what was received and lost, written when a file is finished."""
-MAX_STREAMS = 64
-"""Streams kept per topic: of publishers that come and go for days only the last ones can still speak."""
+RECORD_NAME = "impact_rig/losses"  # metadata record with what was received and lost, written when a file is finished
+MAX_STREAMS = 64  # streams kept per topic: of publishers that come and go for days only the last ones can still speak
 
 Publishers = Callable[[str], Mapping[str, str]]
 """Returns who publishes a topic now: an identifier that is never used twice -> a name for people."""
@@ -32,20 +30,13 @@ Publishers = Callable[[str], Mapping[str, str]]
 
 @attrs.define
 class Stream:
-    """The messages of one publisher on one topic.
+    """The messages of one publisher on one topic."""
 
-    Attributes:
-        publisher: its name where it is certain, else empty.
-        first: sequence number of its first message; what was published before is no loss.
-        newest: sequence number of its newest message.
-        lost: messages between `first` and `newest` that did not.
-    """
-
-    publisher: str
-    first: int
-    newest: int
+    publisher: str  # its name where it is certain, else empty
+    first: int  # sequence number of its first message; what was published before is no loss
+    newest: int  # sequence number of its newest message
     received: int = 1
-    lost: int = 0
+    lost: int = 0  # messages between `first` and `newest` that did not
 
     def take(self, sequence: int) -> None:
         """Count a message, and those that should have come before it."""
@@ -158,35 +149,27 @@ def _forget_first(topic: _Topic) -> None:
 
 @attrs.frozen
 class Gap:
-    """A place where blocks do not follow each other.
+    """A place where blocks do not follow each other."""
 
-    Attributes:
-        block: number of the block after the gap, counted from 0.
-        missing_scans: scans between the two; negative if the stamp went back (a reset, a block twice or out of order);
-            0 if the stamp is none a scan can have.
-    """
-
-    block: int
+    block: int  # number of the block after the gap, counted from 0
     expected_ns: int
     stamp_ns: int
     missing_scans: int
+    """Scans between the two; negative if the stamp went back (a reset, a block twice or out of order); 0 if the stamp
+    is none a scan can have."""
 
 
 @attrs.frozen
 class Contiguity:
-    """What the stamps of a sequence of blocks say.
-
-    Attributes:
-        lost_blocks: blocks that would fill the gaps, counted in blocks as long as the one before each gap, rounded up.
-        restarts: how often the stamps went back.
-    """
+    """What the stamps of a sequence of blocks say."""
 
     blocks: int
     scans: int
     gaps: tuple[Gap, ...]
     lost_blocks: int
+    """Blocks that would fill the gaps, counted in blocks as long as the one before each gap, rounded up."""
     lost_scans: int
-    restarts: int
+    restarts: int  # how often the stamps went back
 
     @property
     def whole(self) -> bool:

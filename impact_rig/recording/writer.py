@@ -55,8 +55,7 @@ CONTINUES_RECORD_NAME = "impact_rig/continues"
 """Metadata record of a file of a split run that another one follows: its name."""
 CHUNK_BYTES = 512 * 1024
 """Uncompressed size at which a chunk is closed: 4 MiB stall the writer for 25 ms, a few hundred KiB for 1-3 ms."""
-CHUNK_OPEN_S = 0.5
-"""Wall time after which an open chunk is closed, however little it holds."""
+CHUNK_OPEN_S = 0.5  # wall time after which an open chunk is closed, however little it holds
 
 
 @attrs.define
@@ -485,8 +484,7 @@ def make_room(directory: Path) -> None:
             raise RecordingError(f"{directory} holds a recording already ({name}); nothing is overwritten")
 
 
-SEQUENCE_MASK = 0xFFFFFFFF
-"""MCAP keeps the low 32 bits of a sequence number."""
+SEQUENCE_MASK = 0xFFFFFFFF  # MCAP keeps the low 32 bits of a sequence number
 PROFILE = "ros2"
 LIBRARY = "impact_rig"
 COMPRESSIONS: Mapping[str, CompressionType] = {
@@ -692,11 +690,9 @@ def _write_all(fd: int, data: memoryview) -> None:
         done += os.write(fd, data[done:])
 
 
-TAIL_SUFFIX = ".tail"
-"""What follows the name of the recording."""
+TAIL_SUFFIX = ".tail"  # what follows the name of the recording
 TAIL_RECORD_NAME = "impact_rig_tail"
-FOLLOWS = "follows"
-"""Key of that record: size of the recording when its open chunk began [bytes]."""
+FOLLOWS = "follows"  # key of that record: size of the recording when its open chunk began [bytes]
 
 _SIZES = struct.Struct("<IQ")
 

@@ -27,8 +27,7 @@ from impact_rig.studies.dynamics import plan as dynamics
 from impact_rig.system import files
 
 PAGE_FILE, FIGURES_FOLDER = "report.html", "figures"
-PEAK_HZ = 0.1
-"""Studies that stay this near to 9.1 Hz are shown as the peaks of the curves."""
+PEAK_HZ = 0.1  # studies that stay this near to 9.1 Hz are shown as the peaks of the curves
 
 
 def build_report(

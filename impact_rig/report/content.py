@@ -20,8 +20,7 @@ from impact_rig.report import page
 from impact_rig.system import files
 
 FILE_NAME = "report.json"
-COVERAGE = 2.0
-"""Standard uncertainties that an error bar, or a number behind ±, is long."""
+COVERAGE = 2.0  # standard uncertainties that an error bar, or a number behind ±, is long
 
 
 @attrs.frozen

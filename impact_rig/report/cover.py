@@ -24,8 +24,7 @@ from impact_rig.report.page import cover, escape, heading, paragraph, tiles
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-DIGITS = 12
-"""Of a digest."""
+DIGITS = 12  # of a digest
 
 
 def opening(done: Finished, content: Content) -> Iterator[str]:
@@ -94,10 +93,7 @@ def _key_figures(done: Finished, content: Content) -> list[tuple[str, str]]:
         items += [
             (f"{largest} points", "largest difference from the paper's reductions"),
             (f"{content.fact('rms_error_points', reductions.rms_error(), '.2f')} points", "rms difference"),
-            (
-                content.fact("dt_no_sphere", reductions.dt_no_sphere, ".1f"),
-                f"DT without sphere at {frequency} Hz",
-            ),
+            (content.fact("dt_no_sphere", reductions.dt_no_sphere, ".1f"), f"DT without sphere at {frequency} Hz"),
         ]
     return items
 
@@ -185,10 +181,8 @@ def _short(value: float) -> str:
 
 # --- The set-up, drawn: shaker, bases, columns, barriers and sphere, their symbols, and where the instruments look
 
-WIDTH, HEIGHT = 100.0, 76.0
-"""Of the drawing, in its own units: hundredths of its width."""
-SYMBOL = 9.5
-"""Type size of symbols."""
+WIDTH, HEIGHT = 100.0, 76.0  # of the drawing, in its own units: hundredths of its width
+SYMBOL = 9.5  # type size of symbols
 
 
 def set_up() -> Drawn:

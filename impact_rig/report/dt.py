@@ -45,11 +45,9 @@ from impact_rig.system import files
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-NEAR_HZ = (8.85, 9.35)
-"""Where the cases differ."""
+NEAR_HZ = (8.85, 9.35)  # where the cases differ
 HEIGHT_INCH = 6.6
-FINE = 400
-"""Frequencies at which a prediction is drawn."""
+FINE = 400  # frequencies at which a prediction is drawn
 
 
 def without_sphere(curves: Curves, config: RigConfig) -> Iterator[Drawn]:
@@ -494,10 +492,8 @@ def _finish(axis: Axes, title: str, *, legend: bool = True) -> None:
 
 # --- Time traces and phase planes of single runs, from their last blocks
 
-CYCLES = 3
-"""Drive cycles in a time trace."""
-DRAWN_HZ = 2000.0
-"""Displacements are drawn at this rate; pulses of the accelerometer keep every scan."""
+CYCLES = 3  # drive cycles in a time trace
+DRAWN_HZ = 2000.0  # displacements are drawn at this rate; pulses of the accelerometer keep every scan
 
 
 Trace = Mapping[str, NDArray[np.generic]]

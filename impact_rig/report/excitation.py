@@ -35,27 +35,18 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 Real = NDArray[np.float64]
-MOST_POINTS = 4000
-"""Of a line that is drawn."""
-SHOWN_S = 1.0
-"""Of a played history, around its largest sample."""
+MOST_POINTS = 4000  # of a line that is drawn
+SHOWN_S = 1.0  # of a played history, around its largest sample
 
 
 @attrs.frozen(eq=False)
 class Told:
-    """What is said of a result.
+    """What is said of a result."""
 
-    Attributes:
-        progress: how far it is, in one line.
-        figures: for programs.
-        sentences: for people.
-        draw: makes the drawings.
-    """
-
-    progress: str
-    figures: Mapping[str, object]
-    sentences: Sequence[str]
-    draw: Callable[[], list[Drawn]]
+    progress: str  # how far it is, in one line
+    figures: Mapping[str, object]  # for programs
+    sentences: Sequence[str]  # for people
+    draw: Callable[[], list[Drawn]]  # makes the drawings
 
 
 def tell(found: object, unit: str = "") -> Told:

@@ -20,8 +20,7 @@ from impact_rig.report.dt import dampers
 from impact_rig.report.page import paragraph
 from impact_rig.rig.config import RigConfig, fields, to_flat
 
-BUDGETED_GAP_M = 6e-3
-"""The uncertainty of this case is taken apart, where it was measured."""
+BUDGETED_GAP_M = 6e-3  # the uncertainty of this case is taken apart, where it was measured
 
 
 def value_cell(value: Value) -> str | Cell:
@@ -50,10 +49,7 @@ def reductions_table(done: Finished, content: Content) -> Iterator[str]:
     yield content.table("reductions", headings, rows, range(5))
     largest = content.fact("max_abs_error_points", reductions.max_abs_error(), ".2f")
     rms = content.fact("rms_error_points", reductions.rms_error(), ".2f")
-    yield paragraph(
-        f"Largest difference {largest} points, rms {rms}. A fit, not a prediction: see below.",
-        "muted",
-    )
+    yield paragraph(f"Largest difference {largest} points, rms {rms}. A fit, not a prediction: see below.", "muted")
 
 
 def damper(done: Finished, content: Content) -> Iterator[str]:

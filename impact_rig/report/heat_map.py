@@ -30,8 +30,7 @@ LABELS = {
     FREQUENCY: ("frequency (Hz)", 1.0), CURRENT: ("current (A)", 1.0), GAP: ("gap (mm)", 1e3),
     POSITION: ("sphere at the beginning, from the middle (mm)", 1e3), SPEED: ("its speed (m/s)", 1.0),
 }  # fmt: skip
-APART = 0.01
-"""Relative difference of DT from which up and down count as two answers."""
+APART = 0.01  # relative difference of DT from which up and down count as two answers
 
 
 def label_of(name: str) -> tuple[str, float]:

@@ -36,8 +36,7 @@ AXIS_NAMES = {
 }
 OF_INSTRUMENTS = ("daq.", "instruments.", "time.", "step.", "output.", "pluck.")
 """Beginnings of values that the mechanics do not know."""
-MOST_LINES = 2 * len(SERIES)
-"""The second half is dashed."""
+MOST_LINES = 2 * len(SERIES)  # the second half is dashed
 
 
 def study_figures(
@@ -185,17 +184,11 @@ def continued(name: str, plan: Plan, found: Found, points: Sequence[Point], conf
 
 @attrs.frozen(eq=False)
 class Stretch:
-    """A line without a break; every attribute has the shape (n,).
+    """A line without a break; every attribute has the shape (n,)."""
 
-    Attributes:
-        frequency_hz: ascending.
-        dt: transmissibility.
-        phase_rad: of the superior base to the inferior one.
-    """
-
-    frequency_hz: NDArray[np.float64]
-    dt: NDArray[np.float64]
-    phase_rad: NDArray[np.float64]
+    frequency_hz: NDArray[np.float64]  # ascending
+    dt: NDArray[np.float64]  # transmissibility
+    phase_rad: NDArray[np.float64]  # of the superior base to the inferior one
 
 
 def predicted(

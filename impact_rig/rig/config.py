@@ -17,8 +17,7 @@ from impact_rig.errors import ConfigError
 from impact_rig.instruments.section import Instruments, row_type_of
 from impact_rig.physics.contact import Contact
 
-_OVERHEAD_BYTES = 1000
-"""More than what a table's message holds besides its rows: header and columns."""
+_OVERHEAD_BYTES = 1000  # more than what a table's message holds besides its rows: header and columns
 
 
 @attrs.frozen(kw_only=True)

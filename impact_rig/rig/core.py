@@ -50,8 +50,7 @@ SLOWEST_RATE, FASTEST_RATE = 0.5, 1e5
 """Of the modes of structure and shaker, whose coil is one [1/s]. A slower one creeps in a tick of 10 ms by less than
 the rounding of the position it creeps to, a faster one (a coil of L < 10 µs · R) makes the steps of a contact, which
 resolve it, so short that a sphere at rest on a wall cannot be followed in real time."""
-DRIVE_SEED = 0
-"""`spawn_key` of the drive's random numbers under `daq.seed`; the instruments use their own."""
+DRIVE_SEED = 0  # `spawn_key` of the drive's random numbers under `daq.seed`; the instruments use their own
 
 
 def generator(config: RigConfig) -> FunctionGenerator:
@@ -110,35 +109,22 @@ def _check_together(config: RigConfig, model: Model) -> None:
 
 @attrs.frozen(eq=False)
 class Block:
-    """Consecutive scans and what is true about them.
+    """Consecutive scans and what is true about them."""
 
-    Attributes:
-        number: blocks since the start or reset.
-        first_sample: index of the first scan since the start or reset.
-        end_ns: stamp of the first scan after the block: when it is complete.
-        scan: `daq/scan`.
-        impacts: `truth/impacts`: the contacts that ended in this block; None if there were none.
-        monitor: true state at the monitor instants, rows of `blocks.TRUTH_SCAN`, time since the stamp of `scan`.
-        monitor_scans: rows of `scan` at the monitor instants.
-        truth: `truth/scan`, if asked for.
-        faults: `truth/faults`: faults that start or end in this block; None if there are none.
-        lost: a lost_block fault is active: the block is numbered but must not be published.
-    """
-
-    number: int
-    first_sample: int
-    end_ns: int
-    scan: Table
-    impacts: Table | None
+    number: int  # blocks since the start or reset
+    first_sample: int  # index of the first scan since the start or reset
+    end_ns: int  # stamp of the first scan after the block: when it is complete
+    scan: Table  # `daq/scan`
+    impacts: Table | None  # `truth/impacts`: the contacts that ended in this block; None if there were none
     monitor: NDArray[np.void]
-    monitor_scans: NDArray[np.int64]
-    truth: Table | None
-    faults: Table | None
-    lost: bool
+    """True state at the monitor instants, rows of `blocks.TRUTH_SCAN`, time since the stamp of `scan`."""
+    monitor_scans: NDArray[np.int64]  # rows of `scan` at the monitor instants
+    truth: Table | None  # `truth/scan`, if asked for
+    faults: Table | None  # `truth/faults`: faults that start or end in this block; None if there are none
+    lost: bool  # a lost_block fault is active: the block is numbered but must not be published
 
 
-BATCH_TICKS = 50
-"""Ticks simulated in one call: enough to make the overhead of a call small, few enough to bound memory."""
+BATCH_TICKS = 50  # ticks simulated in one call: enough to make the overhead of a call small, few enough to bound memory
 EMERGENCY = "emergency stop"
 
 
@@ -153,8 +139,7 @@ class Rig:
         ConfigError: the configuration's initial drive is beyond the shaker, or the instruments cannot run at this rate.
     """
 
-    start_ns: int
-    """Stamp of scan 0; moves on to the present at a reset."""
+    start_ns: int  # stamp of scan 0; moves on to the present at a reset
     _generator: FunctionGenerator
     _simulation: Simulation
     _interlock: Interlock
@@ -166,8 +151,7 @@ class Rig:
         self.config = config
         self.rate_hz = config.daq.rate_hz
         self._journal = Journal(self.rate_hz, start_ns)
-        self.take_journal = self._journal.take
-        """Returns the new rows of the journal and forgets them."""
+        self.take_journal = self._journal.take  # returns the new rows of the journal and forgets them
         self._applied: list[Table] = []
         self._latched: str | None = None
         self._begin(Kind.START, start_ns)

@@ -14,8 +14,7 @@ from xml.etree import ElementTree as ET
 from impact_rig.physics.linear import sphere_mass_kg
 from impact_rig.rig.config import RigConfig
 
-JOINTS = ("base", "structure", "sphere")
-"""The joints, in the order of `truth/joint_states`."""
+JOINTS = ("base", "structure", "sphere")  # the joints, in the order of `truth/joint_states`
 ROOT = "rig"
 """The fixed frame: x along the rig, positive to the right, its origin where bases and sphere rest in the middle."""
 BASE, STRUCTURE, SPHERE = "inferior_base", "superior_base", "sphere"
@@ -31,10 +30,8 @@ SENSOR: Size = (0.03, 0.02, 0.02)
 SHAKER: Size = (0.06, 0.12, 0.10)
 Z_TABLE = 0.08
 Z_TOP = Z_TABLE + 0.5 * TABLE[2] + COLUMN[2] + 0.5 * TOP[2]
-X_COLUMN = 0.055
-"""Of the two columns, either side of the middle [m]."""
-FREE_M = 1.0
-"""Travel of the joints that nothing limits [m]."""
+X_COLUMN = 0.055  # of the two columns, either side of the middle [m]
+FREE_M = 1.0  # travel of the joints that nothing limits [m]
 MATERIALS = {
     "steel": "0.72 0.74 0.78 1",
     "aluminium": "0.86 0.88 0.90 1",

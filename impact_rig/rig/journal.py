@@ -31,8 +31,7 @@ Value = bool | int | float | str | tuple[str, ...]
 SEPARATOR = "\n"  # between the items of a list
 NOT_SAMPLED = ("time.", "step.", "pluck.", "output.")
 """Sections that change when and what is published, but not one sample: they are not in the journal."""
-SAMPLED = frozenset({"output.command_timeout_s"})
-"""Exceptions from `NOT_SAMPLED`."""
+SAMPLED = frozenset({"output.command_timeout_s"})  # exceptions from `NOT_SAMPLED`
 
 
 class Kind(enum.Enum):
@@ -76,8 +75,7 @@ class Kind(enum.Enum):
     )
 
 
-RESULTS = (Kind.TRIP, Kind.TIMEOUT, Kind.STREAM)
-"""Rows a re-simulation produces by itself."""
+RESULTS = (Kind.TRIP, Kind.TIMEOUT, Kind.STREAM)  # rows a re-simulation produces by itself
 
 
 @attrs.frozen
@@ -162,27 +160,16 @@ class Journal:
 
 @attrs.frozen(eq=False)
 class Change:
-    """One input, whatever number of rows it has.
+    """One input, whatever number of rows it has."""
 
-    Attributes:
-        stamp_ns: of the first scan it acts on.
-        sample: index of that scan.
-        sequence: number of its first row.
-        kind: what it is; never `more`.
-        key: what it is about.
-        value: new value of a command, displacement of a pluck [m], number of a fault to clear, what tripped.
-        text: of a fault; version at `start` and `reset`.
-        configuration: values by full name; of `parameter` and `initial`, empty otherwise.
-    """
-
-    stamp_ns: int
-    sample: int
-    sequence: int
-    kind: Kind
-    key: str
-    value: float
-    text: str
-    configuration: Mapping[str, Value]
+    stamp_ns: int  # of the first scan it acts on
+    sample: int  # index of that scan
+    sequence: int  # number of its first row
+    kind: Kind  # what it is; never `more`
+    key: str  # what it is about
+    value: float  # new value of a command, displacement of a pluck [m], number of a fault to clear, what tripped
+    text: str  # of a fault; version at `start` and `reset`
+    configuration: Mapping[str, Value]  # values by full name; of `parameter` and `initial`, empty otherwise
 
 
 def changes(entries: Sequence[Entry]) -> Iterator[Change]:
@@ -351,8 +338,7 @@ def _full_name(key: str) -> tuple[str, Value]:
 MECHANICS = ("structure.", "shaker.", "sphere.", "barriers.", "contact.")
 INSTRUMENTS = ("instruments.", "daq.")
 PLANNED = "instruments.faults.planned"
-AT_RESET = ("drive.", "daq.seed")
-"""What is drawn or commanded at the beginning only."""
+AT_RESET = ("drive.", "daq.seed")  # what is drawn or commanded at the beginning only
 
 
 def takes_effect(name: str) -> str:

@@ -21,10 +21,8 @@ from numpy.typing import NDArray
 
 from impact_rig.blocks import joined
 
-HALF_PERIODS = 4
-"""Half the filter's length, in monitor periods: how much later than its stamp a message comes."""
-CUTOFF = 0.4
-"""Middle of the transition, over the monitor rate."""
+HALF_PERIODS = 4  # half the filter's length, in monitor periods: how much later than its stamp a message comes
+CUTOFF = 0.4  # middle of the transition, over the monitor rate
 BETA = 5.0
 
 
@@ -61,8 +59,7 @@ class AntiAlias:
     def __init__(self, channels: Iterable[str], step: int) -> None:
         self.channels, self.step = tuple(channels), step
         self._taps = taps(step)
-        self.half = len(self._taps) // 2
-        """Scans on either side of an instant that the filter weighs."""
+        self.half = len(self._taps) // 2  # scans on either side of an instant that the filter weighs
         self._kept: deque[NDArray[np.void]] = deque()
         self._begin = self._end = -1  # numbers of the first scan that is kept, and of the one after the last
         self._due: deque[int] = deque()

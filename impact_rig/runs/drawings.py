@@ -29,16 +29,14 @@ if TYPE_CHECKING:
 FORMATS = ("png", "svg")
 NAMES = ("time_traces", "phase_plane", "spectrum", "curves")
 TRACED_CYCLES = 8
-SMOOTHED_CYCLE = 40.0
-"""The velocity of the phase plane is smoothed over this part of a cycle."""
+SMOOTHED_CYCLE = 40.0  # the velocity of the phase plane is smoothed over this part of a cycle
 MOTIONS = (
     ("laser", 1e3, "mm", "$x_1$"), ("base", 1e3, "mm", "$x_b$"),
     ("accelerometer", 1.0, "m/s²", "the acceleration"), ("current", 1.0, "A", "the current"),
 )  # fmt: skip
 """Channel, factor, unit and name: the first that a run has is that of its phase plane and spectrum."""
 HARMONICS = 10.5
-UNDRIVEN_HZ = 100.0
-"""The spectrum ends after so many harmonics of the drive, or here where none is known."""
+UNDRIVEN_HZ = 100.0  # the spectrum ends after so many harmonics of the drive, or here where none is known
 
 
 def prepare(directory: Path, suffix: str, names: Sequence[str] = NAMES) -> None:

@@ -223,8 +223,7 @@ def _dataset(name: str, kind: int, x: NDArray[np.float64], y: NDArray[np.generic
 
 
 _EVEN = 1e-6
-_TIME_RESPONSE, _RESPONSE_FUNCTION = 1, 4
-"""Function types of dataset 58."""
+_TIME_RESPONSE, _RESPONSE_FUNCTION = 1, 4  # function types of dataset 58
 
 _WRITERS: Mapping[str, Callable[[BinaryIO, Iterator[Columns]], None]] = {
     ".csv": _write_csv,

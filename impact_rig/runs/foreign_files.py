@@ -35,16 +35,11 @@ from impact_rig.system import budget, files
 
 Real = NDArray[np.float64]
 
-FILE_BYTES = 512 * budget.MIB
-"""Of one file."""
-VALUES = 120_000_000
-"""Of all signals of a file together: what 20 minutes of five channels at 20 kS/s have."""
-READING_BYTES = 4096 * budget.MIB
-"""What a library may take beyond what the process has, while it reads a file."""
-HEADER_LINES = 100
-"""Of a CSV file, before the first row of numbers."""
-STAMP = "stamp_ns"
-"""The column of our own exports that is an exact integer; `time` counts from it."""
+FILE_BYTES = 512 * budget.MIB  # of one file
+VALUES = 120_000_000  # of all signals of a file together: what 20 minutes of five channels at 20 kS/s have
+READING_BYTES = 4096 * budget.MIB  # what a library may take beyond what the process has, while it reads a file
+HEADER_LINES = 100  # of a CSV file, before the first row of numbers
+STAMP = "stamp_ns"  # the column of our own exports that is an exact integer; `time` counts from it
 TIMES = re.compile(r"(time|t|zeit|abscissa|time_domain)(\s*[\[(].*[\])])?", re.IGNORECASE)
 RATES = re.compile(r"(time_)?(fs|f_s|rate|sample_?rate|sampling_?rate|rate_hz|samplerate|frequency_s)", re.IGNORECASE)
 PERIODS = re.compile(r"(dt|d_t|delta_?t|period|step)(_s)?", re.IGNORECASE)
@@ -53,38 +48,25 @@ UNIT_IN_NAME = re.compile(r"^(.*?)\s*[\[(]([^\[\]()]*(?:\([^()]*\))?[^\[\]()]*)[
 
 @attrs.frozen(eq=False)
 class Signal:
-    """A column of numbers.
+    """A column of numbers."""
 
-    Attributes:
-        values: shape (n,).
-        unit: as the file has it; empty: it says none.
-        rate_hz: of its samples; None: the file does not say.
-    """
-
-    values: Real
-    unit: str = ""
-    rate_hz: float | None = None
+    values: Real  # shape (n,)
+    unit: str = ""  # as the file has it; empty: it says none
+    rate_hz: float | None = None  # of its samples; None: the file does not say
 
 
 @attrs.frozen(eq=False)
 class Foreign:
-    """What a file holds.
+    """What a file holds."""
 
-    Attributes:
-        path: the file.
-        kind: of its format, for people.
-        signals: by name, in the order of the file; lengths may differ.
-        time_s: since the first sample, shape (n,), not necessarily uniform; None: the file has no times.
-        start_ns: stamp of the first sample; None: the file has none.
-        texts: columns of words, such as the names in an exported `daq/info`.
-    """
-
-    path: Path
-    kind: str
-    signals: Mapping[str, Signal]
+    path: Path  # the file
+    kind: str  # of its format, for people
+    signals: Mapping[str, Signal]  # by name, in the order of the file; lengths may differ
     time_s: Real | None = None
-    start_ns: int | None = None
+    """Since the first sample, shape (n,), not necessarily uniform; None: the file has no times."""
+    start_ns: int | None = None  # stamp of the first sample; None: the file has none
     texts: Mapping[str, list[str]] = attrs.field(factory=dict)
+    """Columns of words, such as the names in an exported `daq/info`."""
 
 
 def read(path: Path) -> Foreign:

@@ -33,8 +33,7 @@ from impact_rig.simtime import NS_PER_S, stamp_ns
 
 PUBLISHED = (topics.INFO, topics.JOURNAL, topics.APPLIED, topics.SCAN, topics.IMPACTS_TRUTH, topics.FAULTS)
 
-DRIVEN = (topics.WAVEFORM, topics.STREAM)
-"""Of a rig that is driven by a stream."""
+DRIVEN = (topics.WAVEFORM, topics.STREAM)  # of a rig that is driven by a stream
 
 
 class RigRecorder:

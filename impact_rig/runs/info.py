@@ -32,48 +32,37 @@ class TopicInfo:
     """A topic in figures.
 
     Attributes:
-        rate_hz: messages per second of rig time between its first and last; None with fewer than two instants.
         first_ns, last_ns: earliest and latest log time; 0 without messages.
-        bytes: CDR bytes of all its messages.
     """
 
     name: str
     type_name: str
     count: int
     rate_hz: float | None
+    """Messages per second of rig time between its first and last; None with fewer than two instants."""
     first_ns: int
     last_ns: int
-    bytes: int
+    bytes: int  # CDR bytes of all its messages
 
 
 @attrs.frozen
 class RunInfo:
-    """A run in figures.
-
-    Attributes:
-        topics: in the order they were registered.
-        rate_hz: scans per second of `daq/scan`; None without it.
-        scans: whether its blocks follow each other; None without it.
-        provenance: version, seed, wall_start_ns, ...; empty for other recorders' files.
-        lost: messages that never reached the recorder, by topic; only topics that lack any.
-        recovered: what a recovery has left out; None: this is the run as it was recorded.
-        intact: whether every checksum fits and nothing is known to be missing.
-    """
+    """A run in figures."""
 
     path: Path
     files: tuple[tuple[str, int], ...]
     start_ns: int
     end_ns: int
-    topics: tuple[TopicInfo, ...]
-    rate_hz: int | None
-    scans: Contiguity | None
-    provenance: Mapping[str, str]
+    topics: tuple[TopicInfo, ...]  # in the order they were registered
+    rate_hz: int | None  # scans per second of `daq/scan`; None without it
+    scans: Contiguity | None  # whether its blocks follow each other; None without it
+    provenance: Mapping[str, str]  # version, seed, wall_start_ns, ...; empty for other recorders' files
     attachments: Mapping[str, int]
     configuration: str | None
-    lost: Mapping[str, int]
+    lost: Mapping[str, int]  # messages that never reached the recorder, by topic; only topics that lack any
     accounted: bool
-    recovered: Recovered | None
-    intact: bool
+    recovered: Recovered | None  # what a recovery has left out; None: this is the run as it was recorded
+    intact: bool  # whether every checksum fits and nothing is known to be missing
     verdict: str
 
     @property

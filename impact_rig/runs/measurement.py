@@ -37,10 +37,8 @@ from impact_rig.runs.foreign_files import VALUES, Foreign
 from impact_rig.simtime import NS_PER_S, stamp_ns
 from impact_rig.system import budget
 
-MEASURED = "measured"
-"""The `mode` that the provenance of an imported run names, beside what was read."""
-MAPPING_FILE = "mapping.yaml"
-"""Attachment with the mapping in use."""
+MEASURED = "measured"  # the `mode` that the provenance of an imported run names, beside what was read
+MAPPING_FILE = "mapping.yaml"  # attachment with the mapping in use
 UNITS = {"accelerometer": "m/s^2", "laser": "m", "base": "m", "current": "A"}
 HINTS = {
     "accelerometer": ("accelerometer", "acceleration", "accel", "acc", "a_1", "a1"),
@@ -49,15 +47,11 @@ HINTS = {
     "current": ("current", "coil", "strom", "i", "drive", "amp"),
 }
 """Words in the headings of other programs, lower case, by channel."""
-LIKE = {"accelerometer": "m/s^2", "current": "A"}
-"""Channels that their unit alone gives away."""
+LIKE = {"accelerometer": "m/s^2", "current": "A"}  # channels that their unit alone gives away
 BLOCK_S, BLOCK_SCANS = 0.1, 4000
-EVEN = 0.02
-"""Of a period: departure from a uniform grid of times that is called jitter of the clock's last digit."""
-WHOLE = 1e-4
-"""Relative departure of a rate from a whole number of Hz that times printed with few digits have."""
-ROUNDED = 0.5
-"""Of a period: by how much times may depart from the rate that the same file states."""
+EVEN = 0.02  # of a period: departure from a uniform grid of times that is called jitter of the clock's last digit
+WHOLE = 1e-4  # relative departure of a rate from a whole number of Hz that times printed with few digits have
+ROUNDED = 0.5  # of a period: by how much times may depart from the rate that the same file states
 LONGEST_UNIT = 40
 FROM_FILE_NAME = {
     "frequency_hz": re.compile(r"(?<![\d.])(\d+(?:[.p]\d+)?)\s*_?hz", re.IGNORECASE),
@@ -69,75 +63,46 @@ MAPPING_CHARACTERS = 100_000
 
 @attrs.frozen(kw_only=True)
 class Channel:
-    """How a signal becomes a channel.
+    """How a signal becomes a channel."""
 
-    Attributes:
-        column: name of the signal in the file.
-        unit: of its values; empty: SI.
-        scale: what a value is multiplied by, before its unit.
-        sensitivity: such as `100 mV/g`, where the unit is that of a voltage; empty: none.
-        sign: -1 for a sensor mounted the other way round.
-        offset: added after all that [SI unit].
-        calibration: columns of `daq/info` by name: range, noise, resolution, lag, skew, uncertainties.
-    """
-
-    column: str
-    unit: str = ""
-    scale: float = 1.0
-    sensitivity: str = ""
-    sign: float = 1.0
-    offset: float = 0.0
+    column: str  # name of the signal in the file
+    unit: str = ""  # of its values; empty: SI
+    scale: float = 1.0  # what a value is multiplied by, before its unit
+    sensitivity: str = ""  # such as `100 mV/g`, where the unit is that of a voltage; empty: none
+    sign: float = 1.0  # -1 for a sensor mounted the other way round
+    offset: float = 0.0  # added after all that [SI unit]
     calibration: AnyMapping[str, float] = attrs.field(factory=dict)
+    """Columns of `daq/info` by name: range, noise, resolution, lag, skew, uncertainties."""
 
 
 @attrs.frozen(kw_only=True)
 class Mapping:
-    """What the signals of a file are.
+    """What the signals of a file are."""
 
-    Attributes:
-        channels: by name.
-        rate_hz: where the file has neither times nor a rate.
-        resample_hz: rate to bring scans to that are not uniform in time; None: they are refused.
-        frequency: of the drive [Hz], or name of the signal that holds it; None: measured from the base.
-        amplitude: commanded [A], of the base [m] where its motion is prescribed; NaN: as measured.
-        gap: label [m], 0 without sphere, or name of the signal that holds it [m]; None: unknown.
-        notes: remarks for the run.
-    """
-
-    channels: AnyMapping[str, Channel]
-    rate_hz: float | None = None
-    resample_hz: int | None = None
+    channels: AnyMapping[str, Channel]  # by name
+    rate_hz: float | None = None  # where the file has neither times nor a rate
+    resample_hz: int | None = None  # rate to bring scans to that are not uniform in time; None: they are refused
     frequency: float | str | None = None
-    amplitude: float = math.nan
+    """Of the drive [Hz], or name of the signal that holds it; None: measured from the base."""
+    amplitude: float = math.nan  # commanded [A], of the base [m] where its motion is prescribed; NaN: as measured
     gap: float | str | None = None
-    notes: tuple[str, ...] = ()
+    """Label [m], 0 without sphere, or name of the signal that holds it [m]; None: unknown."""
+    notes: tuple[str, ...] = ()  # remarks for the run
 
 
 @attrs.frozen(eq=False)
 class Measurement:
-    """A file as a run holds it.
+    """A file as a run holds it."""
 
-    Attributes:
-        source: what was read.
-        mapping: in use.
-        rate_hz: scans per second.
-        start_ns: stamp of the first scan.
-        index: number of each scan, counted from the first; a gap is a loss. Shape (n,).
-        rows: scans, `time` unused, shape (n,).
-        info: rows of `daq/info`.
-        drive: instants [ns], frequencies [Hz] and amplitudes [A] commanded.
-        labels: remarks.
-    """
-
-    source: Foreign
-    mapping: Mapping
-    rate_hz: int
-    start_ns: int
-    index: NDArray[np.int64]
-    rows: NDArray[np.void]
-    info: NDArray[np.void]
-    drive: tuple[tuple[int, float, float], ...]
-    labels: tuple[str, ...]
+    source: Foreign  # what was read
+    mapping: Mapping  # in use
+    rate_hz: int  # scans per second
+    start_ns: int  # stamp of the first scan
+    index: NDArray[np.int64]  # number of each scan, counted from the first; a gap is a loss. Shape (n,)
+    rows: NDArray[np.void]  # scans, `time` unused, shape (n,)
+    info: NDArray[np.void]  # rows of `daq/info`
+    drive: tuple[tuple[int, float, float], ...]  # instants [ns], frequencies [Hz] and amplitudes [A] commanded
+    labels: tuple[str, ...]  # remarks
 
 
 # --- the mapping

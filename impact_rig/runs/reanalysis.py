@@ -173,12 +173,10 @@ def text_of(cdr: bytes | memoryview) -> str:
     return bytes(cdr[8 : 8 + max(0, length - 1)]).decode(errors="replace")
 
 
-TOLERANCE = 1e-9
-"""Relative, between machines that differ in the last bits."""
+TOLERANCE = 1e-9  # relative, between machines that differ in the last bits
 ABSOLUTE = frozenset({"phase", "phase_uncertainty", "frequency_deviation", "thd", "spread"})
 """Columns that can be near zero beside what they were computed from: compared to 1e-9 of their unit."""
-EDGE = 2
-"""Measurements by which two topics of one analysis may differ at the begin and the end of a recording."""
+EDGE = 2  # measurements by which two topics of one analysis may differ at the begin and the end of a recording
 LAST_WORDS_S = 1.0
 """A recorder that stops first may miss what the analysis said of this last stretch, and of what it holds back."""
 
@@ -187,20 +185,13 @@ _TABLE = topics.TRANSMISSIBILITY_TABLE
 
 @attrs.frozen
 class Compared:
-    """What comparing one topic found.
-
-    Attributes:
-        count: rows or messages that were compared and agree.
-        difference: the first one; empty: none.
-        left_out: what could not be compared, and why; empty: nothing.
-        what: what was counted.
-    """
+    """What comparing one topic found."""
 
     topic: str
-    count: int = 0
-    difference: str = ""
-    left_out: str = ""
-    what: str = "rows"
+    count: int = 0  # rows or messages that were compared and agree
+    difference: str = ""  # the first one; empty: none
+    left_out: str = ""  # what could not be compared, and why; empty: nothing
+    what: str = "rows"  # what was counted
 
     def __str__(self) -> str:
         if self.difference:
@@ -212,25 +203,16 @@ class Compared:
 
 @attrs.frozen
 class Comparison:
-    """What comparing found.
+    """What comparing found."""
 
-    Attributes:
-        same: whether all that could be compared agrees; None: nothing could be.
-        identical: whether it agrees bit for bit.
-        compared: rows compared.
-        elsewhere: whether the live analysis ran on another machine or with other libraries; None: not recorded.
-        reason: the first difference, or why nothing could be compared; empty where all agrees.
-        left_out: live and offline rows that could not be compared.
-        others: what came of comparing the other topics of the analysis.
-    """
-
-    same: bool | None
-    identical: bool = False
-    compared: int = 0
+    same: bool | None  # whether all that could be compared agrees; None: nothing could be
+    identical: bool = False  # whether it agrees bit for bit
+    compared: int = 0  # rows compared
     elsewhere: bool | None = None
-    reason: str = ""
-    left_out: tuple[int, int] = (0, 0)
-    others: tuple[Compared, ...] = ()
+    """Whether the live analysis ran on another machine or with other libraries; None: not recorded."""
+    reason: str = ""  # the first difference, or why nothing could be compared; empty where all agrees
+    left_out: tuple[int, int] = (0, 0)  # live and offline rows that could not be compared
+    others: tuple[Compared, ...] = ()  # what came of comparing the other topics of the analysis
 
     def __str__(self) -> str:
         if self.same is None:

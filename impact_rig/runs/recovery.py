@@ -217,21 +217,14 @@ _MAX_LISTED = 1000
 
 @attrs.define
 class FileReport:
-    """What came out of one file, its tail included.
-
-    Attributes:
-        messages: messages given back.
-        chunks: whole chunks they came from.
-        expected: what the file's index counts; None: it has none that can be believed.
-        lost_bytes: bytes that are left out.
-    """
+    """What came out of one file, its tail included."""
 
     name: str
     size: int
-    messages: int = 0
-    chunks: int = 0
-    expected: Statistics | None = None
-    lost_bytes: int = 0
+    messages: int = 0  # messages given back
+    chunks: int = 0  # whole chunks they came from
+    expected: Statistics | None = None  # what the file's index counts; None: it has none that can be believed
+    lost_bytes: int = 0  # bytes that are left out
     _blocks: list[tuple[int, int]] = attrs.field(factory=list)
     _rate_hz: int | None = None
     _first_ns: int | None = None
@@ -275,15 +268,11 @@ class FileReport:
 
 @attrs.define
 class RecoverReport:
-    """What `recover` found.
-
-    Attributes:
-        damages: what is left out and why, in order (at most 1000 are listed).
-    """
+    """What `recover` found."""
 
     directory: Path
     files: list[FileReport] = attrs.field(factory=list)
-    damages: list[Damage] = attrs.field(factory=list)
+    damages: list[Damage] = attrs.field(factory=list)  # what is left out and why, in order (at most 1000 are listed)
     damage_count: int = 0
     account: Spending = attrs.field(factory=lambda: Spending(0), repr=False)
 
@@ -346,24 +335,19 @@ class RecoverReport:
                 return
 
 
-RECORD_NAME = "impact_rig/recovered"
-"""Metadata record of a run that `recover` has written."""
+RECORD_NAME = "impact_rig/recovered"  # metadata record of a run that `recover` has written
 
 
 @attrs.frozen
 class Recovered:
-    """What a recovery has left out.
-
-    Attributes:
-        missing_messages: messages the damaged run's index counts and that are not given back; None: it has no index.
-        unfinished: whether the damaged run was never finished, so that nobody knows what it should have held.
-    """
+    """What a recovery has left out."""
 
     source: str
     damages: int
     lost_bytes: int
     missing_messages: int | None
-    unfinished: bool
+    """Messages the damaged run's index counts and that are not given back; None: it has no index."""
+    unfinished: bool  # whether the damaged run was never finished, so that nobody knows what it should have held
 
     @property
     def incomplete(self) -> bool:

@@ -41,8 +41,7 @@ from impact_rig.runs.reanalysis import Compared, text_of
 from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S, stamp_ns
 
 _BEGINS = (Kind.START.value.encode(), Kind.RESET.value.encode())
-_NO_JOURNAL = (ConfigError, CommandError, SimulationError)
-"""What a journal raises that is incomplete, or no rig's."""
+_NO_JOURNAL = (ConfigError, CommandError, SimulationError)  # what a journal raises that is incomplete, or no rig's
 _LAST_WORDS_NS = NS_PER_S
 """Topics overtake each other: what was published in this last stretch may not have reached the recorder."""
 _NOT_COMPARED = {
@@ -55,25 +54,18 @@ _NOT_COMPARED = {
 }
 """Why a topic is not compared, by its name or publisher."""
 _FOREIGN = "not of a rig"
-_SUMS = 1e-12
-"""Monitors are sums in whatever order NumPy takes: compared to this share of the reading and of its unit."""
+_SUMS = 1e-12  # monitors are sums in whatever order NumPy takes: compared to this share of the reading and of its unit
 
 
 @attrs.frozen
 class Verification:
-    """What `verify` found.
+    """What `verify` found."""
 
-    Attributes:
-        identical: True, False, or None where the run cannot be verified.
-        scans: scans that were compared.
-        reason: the first difference, or why the run cannot be verified; empty when identical.
-        topics: what was compared and what could not be, topic by topic.
-    """
-
-    identical: bool | None
-    scans: int
-    reason: str = ""
+    identical: bool | None  # True, False, or None where the run cannot be verified
+    scans: int  # scans that were compared
+    reason: str = ""  # the first difference, or why the run cannot be verified; empty when identical
     topics: tuple[Compared, ...] = attrs.field(default=(), eq=False)
+    """What was compared and what could not be, topic by topic."""
 
     def __str__(self) -> str:
         if self.identical is None:
@@ -612,11 +604,7 @@ class _Monitor:
         """Messages that have followed on one another, by scans per monitor period."""
 
     def hear(
-        self,
-        stamp_ns: int,
-        made: list[tuple[int, Smoothed]],
-        fitted: list[Instrument],
-        calibrations: list[Table],
+        self, stamp_ns: int, made: list[tuple[int, Smoothed]], fitted: list[Instrument], calibrations: list[Table]
     ) -> None:
         """Compare the message of a monitor instant, if there is one.
 

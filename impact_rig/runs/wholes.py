@@ -30,32 +30,21 @@ from impact_rig.runs.reanalysis import remarks
 from impact_rig.simtime import NS_PER_S
 from impact_rig.states import Status
 
-UNSETTLED_S = 5.0
-"""Length of what is drawn of a run in which nothing settled."""
-HELD_S = 0.5
-"""A measurement is reported at most this long after its last scan."""
+UNSETTLED_S = 5.0  # length of what is drawn of a run in which nothing settled
+HELD_S = 0.5  # a measurement is reported at most this long after its last scan
 FEWEST_SCANS = 100
-MOST_SCANS = 20_000_000
-"""Of a record that is measured as one; 740 MB of scans."""
+MOST_SCANS = 20_000_000  # of a record that is measured as one; 740 MB of scans
 
 
 @attrs.frozen(eq=False)
 class Excerpt:
-    """Contiguous scans that are drawn.
+    """Contiguous scans that are drawn."""
 
-    Attributes:
-        rows: scans (`daq/scan`), `time` [s since the first scan of the run], shape (n,).
-        rate_hz: scans per second.
-        drive_hz: drive frequency, 0 if unknown.
-        impact_times: of the impacts detected in it [s as the rows' time], shape (k,).
-        settled: whether it is a settled measurement; the end of the run otherwise.
-    """
-
-    rows: NDArray[np.void]
-    rate_hz: float
-    drive_hz: float
-    impact_times: NDArray[np.float64]
-    settled: bool
+    rows: NDArray[np.void]  # scans (`daq/scan`), `time` [s since the first scan of the run], shape (n,)
+    rate_hz: float  # scans per second
+    drive_hz: float  # drive frequency, 0 if unknown
+    impact_times: NDArray[np.float64]  # of the impacts detected in it [s as the rows' time], shape (k,)
+    settled: bool  # whether it is a settled measurement; the end of the run otherwise
 
     def newest(self, cycles: int) -> Excerpt:
         """Return the last cycles of the drive; everything where there is none."""
@@ -166,8 +155,7 @@ def _joined(tables: Sequence[Table], origin_ns: int) -> NDArray[np.void]:
     return np.concatenate(parts)
 
 
-COHERENT = 0.9
-"""Coherence that some excited line has at least."""
+COHERENT = 0.9  # coherence that some excited line has at least
 
 
 def response_of(
@@ -203,18 +191,13 @@ def response_of(
 
 @attrs.frozen(eq=False)
 class Sines:
-    """An excerpt as sines of one frequency.
-
-    Attributes:
-        reference: the current, or the base where no current was measured, with its frequency refined: four parameters
-            and the harmonics.
-        fits: every channel at that frequency, by name.
-        measured: the transmissibility of the whole excerpt at the commanded frequency.
-    """
+    """An excerpt as sines of one frequency."""
 
     reference: SineFit
-    fits: dict[str, SineFit]
-    measured: Measurement
+    """The current, or the base where no current was measured, with its frequency refined: four parameters and the
+    harmonics."""
+    fits: dict[str, SineFit]  # every channel at that frequency, by name
+    measured: Measurement  # the transmissibility of the whole excerpt at the commanded frequency
     excerpt: Excerpt
 
 

@@ -19,21 +19,15 @@ from impact_rig.rig import Rig
 from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.simtime import NS_PER_S
 
-BLOCKS_PER_S = 20
-"""Blocks of the rig in a loop: rig time passes in steps of 50 ms."""
+BLOCKS_PER_S = 20  # blocks of the rig in a loop: rig time passes in steps of 50 ms
 
 
 @attrs.frozen(eq=False)
 class Held:
-    """A controlled sine that ended.
+    """A controlled sine that ended."""
 
-    Attributes:
-        rows: of `blocks.HELD`.
-        failure: why it did not reach its end; empty otherwise.
-    """
-
-    rows: NDArray[np.void]
-    failure: str
+    rows: NDArray[np.void]  # of `blocks.HELD`
+    failure: str  # why it did not reach its end; empty otherwise
     simulated_s: float
 
 

@@ -49,40 +49,28 @@ DRIVES = {"current": ("current", CURRENT), "base": ("prescribed", BASE)}
 STREAM_HZ = 10_000
 BAND_HZ, BAND_SHARE = 300.0, 0.4
 """Upper edge of what is taken of a measured drive: so much, or this share of its rate. Beyond it is noise."""
-FADE = 0.8
-"""Of the band, where its edge begins to fall."""
-MIRRORED_S = 0.5
-"""Of a record, at both ends, so that undoing a lag has no edge to stumble on."""
-FORGOTTEN = 7.0
-"""Time constants of the structure that pass before the first scan: e⁻⁷ is 0.1 %."""
+FADE = 0.8  # of the band, where its edge begins to fall
+MIRRORED_S = 0.5  # of a record, at both ends, so that undoing a lag has no edge to stumble on
+FORGOTTEN = 7.0  # time constants of the structure that pass before the first scan: e⁻⁷ is 0.1 %
 LONGEST_LEAD_S, RISE_S = 120.0, 1.0
 FIRST_CYCLES, ALIKE = 4, 0.02
 """Of the drive; relative change of the structure's motion from them to the next ones that is none."""
-SHORTEST = 4
-"""Scans of a stretch through which a cubic can be laid; the model rests in a shorter one."""
+SHORTEST = 4  # scans of a stretch through which a cubic can be laid; the model rests in a shorter one
 TICKS_AT_ONCE = 50
 PER_TICK = STREAM_HZ * COMMAND_GRID_NS // NS_PER_S
-SCANS = 20_000_000
-"""Of a run that is compared."""
+SCANS = 20_000_000  # of a run that is compared
 
 
 @attrs.frozen
 class Place:
-    """One gap and frequency, measured and modelled.
+    """One gap and frequency, measured and modelled."""
 
-    Attributes:
-        gap_m: label, NaN if unknown.
-        frequency_hz: of the drive.
-        measured: row of `transmissibility/table`.
-        model: that of the model; None if it did not settle.
-        more: that of the model driven by one standard uncertainty of its sensor's gain more; None without sphere.
-    """
-
-    gap_m: float
-    frequency_hz: float
-    measured: np.void
-    model: np.void | None
+    gap_m: float  # label, NaN if unknown
+    frequency_hz: float  # of the drive
+    measured: np.void  # row of `transmissibility/table`
+    model: np.void | None  # that of the model; None if it did not settle
     more: np.void | None
+    """That of the model driven by one standard uncertainty of its sensor's gain more; None without sphere."""
 
     def off(self, column: str) -> float:
         """Return measured less model of `transmissibility` or `phase`, in standard uncertainties; NaN without model."""
@@ -101,23 +89,15 @@ def _less(one: np.void, other: np.void, column: str) -> float:
 
 @attrs.frozen(eq=False)
 class Comparison:
-    """What was found.
+    """What was found."""
 
-    Attributes:
-        driven_by: `current` or `base`.
-        config: of the model.
-        places: ascending by gap and frequency.
-        excerpt: the last settled measurement; of its scans laser, base and current are true ones, lags undone.
-        model: its scans, shape of the excerpt's.
-        constants: that fit these measurements best; None if there is nothing to fit: no DT without sphere.
-    """
-
-    driven_by: str
-    config: RigConfig
-    places: tuple[Place, ...]
-    excerpt: Excerpt
-    model: NDArray[np.void]
+    driven_by: str  # `current` or `base`
+    config: RigConfig  # of the model
+    places: tuple[Place, ...]  # ascending by gap and frequency
+    excerpt: Excerpt  # the last settled measurement; of its scans laser, base and current are true ones, lags undone
+    model: NDArray[np.void]  # its scans, shape of the excerpt's
     constants: Identified | None
+    """That fit these measurements best; None if there is nothing to fit: no DT without sphere."""
 
     @property
     def residual(self) -> Real:
@@ -230,8 +210,7 @@ class _Scans:
                 part = self.true[CHANNELS[channel]][stretch.first : stretch.last]
                 part[:] = undone(part, calibration, channel)
         self.model = np.zeros(len(measured), SCAN)
-        self.begin = 0
-        """Of the scans that the analysis sees next."""
+        self.begin = 0  # of the scans that the analysis sees next
 
     def _stretches(self, run: Run) -> Iterator[_Stretch]:
         labels = sorted(reanalysis.as_set_live(run)[1], key=lambda label: label.stamp_ns)

@@ -32,8 +32,7 @@ from impact_rig.runs.wholes import calibration_rows
 from impact_rig.system import files
 
 STUDY = "measured"
-SAME_HZ = 0.002
-"""Frequencies of two files that differ by less are one: each was measured, or typed with other digits."""
+SAME_HZ = 0.002  # frequencies of two files that differ by less are one: each was measured, or typed with other digits
 
 
 def make_campaign(runs: Sequence[Path], directory: Path, config: Path | None = None) -> Finished:

@@ -21,29 +21,21 @@ from yaml.composer import Composer
 
 from impact_rig.errors import ImpactRigError
 
-VARIABLE = "IMPACT_RIG_BUDGET"
-"""Environment: every limit times this number, at least 1."""
+VARIABLE = "IMPACT_RIG_BUDGET"  # environment: every limit times this number, at least 1
 
 MIB = 2**20
-CHUNK_BYTES = 32 * MIB
-"""Of a chunk when decompressed, and of every other record of a recording."""
-HELD_BYTES = 64 * MIB
-"""Of decompressed chunks that are in memory at once, because their messages are not in order."""
-MESSAGE_BYTES = 500
-"""What a message in memory costs besides its content."""
-INDEX_BYTES = 16 * MIB
-"""Of the index of one file."""
+CHUNK_BYTES = 32 * MIB  # of a chunk when decompressed, and of every other record of a recording
+HELD_BYTES = 64 * MIB  # of decompressed chunks that are in memory at once, because their messages are not in order
+MESSAGE_BYTES = 500  # what a message in memory costs besides its content
+INDEX_BYTES = 16 * MIB  # of the index of one file
 DECOMPRESSED_BYTES, DECOMPRESSED_PER_BYTE = 64 * MIB, 250
 """Of all chunks together: so many, and so many per byte of the files."""
 RECORDS, RECORDS_PER_BYTE = 100_000, 1
 """Records in all chunks together, messages above all: so many, and so many per byte of the files."""
 TOPICS = 5000
-QOS_CHARACTERS = 4 * MIB
-"""Of the texts of all topics that say which quality of service was offered."""
-METADATA_BYTES = 512 * 1024
-"""Of `metadata.yaml`; one that lists a thousand files has half of that."""
-POINTS = 20_000
-"""Measurements that a campaign asks for, repetitions included."""
+QOS_CHARACTERS = 4 * MIB  # of the texts of all topics that say which quality of service was offered
+METADATA_BYTES = 512 * 1024  # of `metadata.yaml`; one that lists a thousand files has half of that
+POINTS = 20_000  # measurements that a campaign asks for, repetitions included
 
 
 class BudgetError(ImpactRigError):
@@ -79,13 +71,9 @@ def factor() -> float:
 
 @attrs.define
 class Spending:
-    """What one pass through the chunks of a recording has cost so far.
+    """What one pass through the chunks of a recording has cost so far."""
 
-    Attributes:
-        size: of its files [bytes].
-    """
-
-    size: int
+    size: int  # of its files [bytes]
     _decompressed: int = attrs.field(default=0, init=False)
     _records: int = attrs.field(default=0, init=False)
 
@@ -112,8 +100,7 @@ class Spending:
 
 
 _Fastest: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # libyaml's scanner is fast; PyYAML may be built without
-MAX_DEPTH = 100
-"""libyaml's loader takes the stack for each level, and all of it ends the process."""
+MAX_DEPTH = 100  # libyaml's loader takes the stack for each level, and all of it ends the process
 
 
 class PlainYamlError(ValueError):

@@ -21,12 +21,9 @@ from collections.abc import Callable, Iterator
 from types import FrameType
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
-AGAIN_S = 1.0
-"""When `Told` is raised again, if the program has not ended."""
-LAST_S = 5.0
-"""How long the interpreter may take for its own end."""
-PATIENCE_S = 15.0
-"""How long an ending may take before it is cut short."""
+AGAIN_S = 1.0  # when `Told` is raised again, if the program has not ended
+LAST_S = 5.0  # how long the interpreter may take for its own end
+PATIENCE_S = 15.0  # how long an ending may take before it is cut short
 PARENT_VARIABLE = "IMPACT_RIG_EXIT_WITH"
 """Environment: id of the process with which this one ends, however that one ended."""
 _WORDS = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated"}
@@ -46,10 +43,8 @@ class Ending:
 
     def __init__(self, name: str, code: Callable[[int], int] = lambda number: 128 + number) -> None:
         self.name = name
-        self.told = 0
-        """Number of the first signal; 0: none yet."""
-        self.reason = ""
-        """Why, where the signal alone does not say it."""
+        self.told = 0  # number of the first signal; 0: none yet
+        self.reason = ""  # why, where the signal alone does not say it
         self._code = code
         self._told_at = 0.0
         self._cut_short = False

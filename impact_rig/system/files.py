@@ -140,8 +140,7 @@ def _put(partial: Path, path: Path) -> None:
         partial.replace(path)
 
 
-PLACES = "impact_rig_places"
-"""Folder of the locks on places in the graph."""
+PLACES = "impact_rig_places"  # folder of the locks on places in the graph
 
 
 def place(domain_id: int, namespace: str) -> str:

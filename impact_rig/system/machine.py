@@ -18,14 +18,9 @@ import numpy as np
 
 from impact_rig import kernels
 
-_DECIDING = (
-    "OPENBLAS_CORETYPE",
-    "GLIBC_TUNABLES",
-    "NPY_DISABLE_CPU_FEATURES",
-)
+_DECIDING = ("OPENBLAS_CORETYPE", "GLIBC_TUNABLES", "NPY_DISABLE_CPU_FEATURES")
 """Environment variables by which the same machine computes as another one."""
-_FINGERPRINT_BYTES = 6
-"""Of a hash: exact as a 64-bit float, the only number that travels in a table."""
+_FINGERPRINT_BYTES = 6  # of a hash: exact as a 64-bit float, the only number that travels in a table
 
 
 @functools.cache

@@ -38,12 +38,9 @@ class Blockwise:
         raise NotImplementedError
 
 
-INTERVALS_HZ = 50.0
-"""Intervals per second: what plotters draw without falling behind."""
-PULSES = "pulses"
-"""Column of what `HighPass` lets through."""
-PULSES_HZ = 500.0
-"""Its corner: 50 times the vibration, a tenth of what a contact of 50 µs fills."""
+INTERVALS_HZ = 50.0  # intervals per second: what plotters draw without falling behind
+PULSES = "pulses"  # column of what `HighPass` lets through
+PULSES_HZ = 500.0  # its corner: 50 times the vibration, a tenth of what a contact of 50 µs fills
 
 
 @attrs.frozen
@@ -118,10 +115,8 @@ class Intervals:
         self._pending.add(attrs.evolve(scan, stamp_ns=stamp, rows=rest))
 
 
-WINDOW_S = 4.0
-"""Length of the window: bins are 0.25 Hz apart, and lines closer than 2.5 Hz are not told apart."""
-EVERY_S = 1.0
-"""Rig time from one spectrum to the next."""
+WINDOW_S = 4.0  # length of the window: bins are 0.25 Hz apart, and lines closer than 2.5 Hz are not told apart
+EVERY_S = 1.0  # rig time from one spectrum to the next
 HIGHEST_HZ = 250.0
 """Highest frequency shown: the drive's 27th harmonic at 9.1 Hz; faster scans do not make the message longer."""
 
@@ -156,5 +151,4 @@ def _found() -> tuple[type[Blockwise], ...]:
     return tuple(found)
 
 
-ANALYSES = _found()
-"""Every such analysis, in alphabetical order of modules."""
+ANALYSES = _found()  # every such analysis, in alphabetical order of modules

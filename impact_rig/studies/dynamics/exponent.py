@@ -19,23 +19,16 @@ import numpy as np
 
 from impact_rig.studies.dynamics.orbits import Real
 
-APART = 1e-7
-"""Distance of the two states at the beginning of a return, in dimensionless coordinates."""
+APART = 1e-7  # distance of the two states at the beginning of a return, in dimensionless coordinates
 _OUT_OF_SIGHT = 64  # returns in a row after which a motion is never seen whole
 
 
 class Exponent(NamedTuple):
-    """The largest exponent per return.
+    """The largest exponent per return."""
 
-    Attributes:
-        value: mean over the windows; NaN where the states are never seen.
-        uncertainty: standard uncertainty, from the windows' scatter.
-        windows: of each window.
-    """
-
-    value: float
-    uncertainty: float
-    windows: tuple[float, ...]
+    value: float  # mean over the windows; NaN where the states are never seen
+    uncertainty: float  # standard uncertainty, from the windows' scatter
+    windows: tuple[float, ...]  # of each window
 
 
 def largest(f: Callable[[Real, int], Real], z: Real, returns: int, windows: int = 20) -> Exponent:

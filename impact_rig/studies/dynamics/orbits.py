@@ -31,44 +31,30 @@ from scipy.optimize import brentq
 Real = NDArray[np.float64]
 Map = Callable[[Real, float], Real]
 
-STEP = 1e-6
-"""Of the differences: cut off like its square, rounding and the contacts' tolerance like its reciprocal."""
-TOLERANCE = 1e-10
-"""Largest component of f(z, p) − z of an orbit."""
+STEP = 1e-6  # of the differences: cut off like its square, rounding and the contacts' tolerance like its reciprocal
+TOLERANCE = 1e-10  # largest component of f(z, p) − z of an orbit
 ROUNDS = 14
 _SHORTEST = 2.0**-6  # of a Newton step that makes the residual worse
-ROUNDED = 1e-8
-"""The same where rounding and the contacts' tolerance leave no less: a motion with many impacts."""
+ROUNDED = 1e-8  # the same where rounding and the contacts' tolerance leave no less: a motion with many impacts
 _GROWTH = 1.4  # of the step along a branch that has gone well
 _TURN = 0.97  # cosine between successive tangents, below which a step was too long
 _LOCATED = 1e-9  # share of a step to which a bifurcation is found
-NEUTRAL = 1e-4
-"""How near 1 a multiplier counts as 1, where it decides nothing but a word."""
-PASSING = 1e-3
-"""How near a bifurcation's multiplier is to the place that it passes; else it has jumped over it."""
+NEUTRAL = 1e-4  # how near 1 a multiplier counts as 1, where it decides nothing but a word
+PASSING = 1e-3  # how near a bifurcation's multiplier is to the place that it passes; else it has jumped over it
 LASTING, FOLD, SYMMETRY, FLIP, TORUS, GRAZING = "stable", "fold", "symmetry", "flip", "torus", "grazing"
 PASSED = {SYMMETRY: 1.0, FLIP: -1.0}
 
 
 @attrs.frozen(eq=False)
 class Orbit:
-    """A fixed point.
+    """A fixed point."""
 
-    Attributes:
-        z: coordinates, shape (n,).
-        p: parameter.
-        residual: largest component of f(z, p) − z.
-        multipliers: eigenvalues of df/dz, the largest first, shape (n,).
-        tangent: unit vector (z, p) along the branch, shape (n + 1,).
-        note: what was asked of it along a branch.
-    """
-
-    z: Real
-    p: float
-    residual: float
-    multipliers: NDArray[np.complex128]
-    tangent: Real
-    note: object = None
+    z: Real  # coordinates, shape (n,)
+    p: float  # parameter
+    residual: float  # largest component of f(z, p) − z
+    multipliers: NDArray[np.complex128]  # eigenvalues of df/dz, the largest first, shape (n,)
+    tangent: Real  # unit vector (z, p) along the branch, shape (n + 1,)
+    note: object = None  # what was asked of it along a branch
 
     @property
     def stable(self) -> bool:
@@ -86,33 +72,22 @@ class Orbit:
 
 @attrs.frozen(eq=False)
 class Change:
-    """Where a branch changes.
+    """Where a branch changes."""
 
-    Attributes:
-        kind: fold, symmetry, flip, torus or grazing.
-        orbit: there.
-        note: of it.
-    """
-
-    kind: str
-    orbit: Orbit
-    note: object = None
+    kind: str  # fold, symmetry, flip, torus or grazing
+    orbit: Orbit  # there
+    note: object = None  # of it
 
 
 @attrs.frozen(eq=False)
 class Arc:
-    """A branch one way from an orbit.
+    """A branch one way from an orbit."""
 
-    Attributes:
-        orbits: in order, the first one not counted.
-        changes: where stability or direction changes, in order.
-        end: why it ends: `edge` of the range, `lost` (no step is short enough: an impact comes or goes, or the motion
-            is out of sight at the section), `closed`, or `length`.
-    """
-
-    orbits: tuple[Orbit, ...]
-    changes: tuple[Change, ...]
+    orbits: tuple[Orbit, ...]  # in order, the first one not counted
+    changes: tuple[Change, ...]  # where stability or direction changes, in order
     end: str
+    """Why it ends: `edge` of the range, `lost` (no step is short enough: an impact comes or goes, or the motion is out
+    of sight at the section), `closed`, or `length`."""
 
 
 def jacobian(f: Map, z: Real, p: float) -> Real:

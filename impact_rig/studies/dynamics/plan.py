@@ -39,14 +39,7 @@ from impact_rig.maps.plan import (
 )
 from impact_rig.rig.config import RigConfig, from_flat, to_flat
 from impact_rig.studies.dynamics import exponent, orbits
-from impact_rig.studies.dynamics.stroboscope import (
-    Energy,
-    Place,
-    Properties,
-    Stroboscope,
-    at,
-    size,
-)
+from impact_rig.studies.dynamics.stroboscope import Energy, Place, Properties, Stroboscope, at, size
 
 SECTION, BIFURCATION, BASIN, ORBIT, CONTINUE, EXPONENT = KINDS = (
     "section", "bifurcation", "basin", "orbit", "continue", "exponent",
@@ -66,8 +59,7 @@ COLUMNS: Mapping[str, tuple[str, ...]] = {
 }
 """What the tables of a study hold; `event` is orbit, or what changes there, or why the branch ends there."""
 NAMES = (FREQUENCY, CURRENT, GAP)
-CHUNK_VALUES = 20
-"""Places that begin from rest in one task."""
+CHUNK_VALUES = 20  # places that begin from rest in one task
 _CYCLES, _WINDOWS = 100, 20  # of an exponent
 _PARTS = 20.0  # of the range of a parameter that count as one dimensionless step: a motion may change within one
 _LOOKED = 7  # starts along either axis from which a basin's attractors are looked for
@@ -88,25 +80,15 @@ class Note(NamedTuple):
 
 @attrs.frozen(kw_only=True)
 class Task:
-    """A part of a study that is run, stored and never repeated; it holds every value that decides its numbers.
+    """A part of a study that is run, stored and never repeated; it holds every value that decides its numbers."""
 
-    Attributes:
-        kind: of the study.
-        name: for people.
-        changes: configuration values that differ from the default rig, by dotted name.
-        settings: how motions settle.
-        frequency_hz: of the drive.
-        current_a: amplitude of the drive (A, m or V by `drive.kind`).
-        what: everything else, by name.
-    """
-
-    kind: str
-    name: str
-    changes: Mapping[str, Value]
-    settings: Settings
-    frequency_hz: float
-    current_a: float
-    what: Mapping[str, object]
+    kind: str  # of the study
+    name: str  # for people
+    changes: Mapping[str, Value]  # configuration values that differ from the default rig, by dotted name
+    settings: Settings  # how motions settle
+    frequency_hz: float  # of the drive
+    current_a: float  # amplitude of the drive (A, m or V by `drive.kind`)
+    what: Mapping[str, object]  # everything else, by name
 
     def describe(self) -> str:
         """Return a short name for people."""
@@ -135,23 +117,14 @@ class Task:
 
 @attrs.frozen(eq=False, kw_only=True)
 class Plan:
-    """One study of a file.
+    """One study of a file."""
 
-    Attributes:
-        kind: of the study.
-        title: for people.
-        base: the rig.
-        text: the file.
-        over: name of the parameter, empty where there is none.
-        tasks: in order.
-    """
-
-    kind: str
-    title: str
-    base: RigConfig
-    text: str
-    over: str
-    tasks: tuple[Task, ...]
+    kind: str  # of the study
+    title: str  # for people
+    base: RigConfig  # the rig
+    text: str  # the file
+    over: str  # name of the parameter, empty where there is none
+    tasks: tuple[Task, ...]  # in order
 
 
 def store(directory: Path) -> Store[Task]:

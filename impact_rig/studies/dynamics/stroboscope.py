@@ -28,10 +28,8 @@ from impact_rig.studies.dynamics.orbits import Real
 
 COORDINATES = {"prescribed": (0, 1, 5, 6), "current": (0, 1, 2, 3, 5, 6), "voltage": (0, 1, 2, 3, 4, 5, 6)}
 """Places of the coordinates in `Simulation.state`, by kind of drive."""
-SPHERE = (5, 6)
-"""Those of the sphere."""
-CLOSE = 0.02
-"""Turns of the drive between an impact and the section below which another section is chosen."""
+SPHERE = (5, 6)  # those of the sphere
+CLOSE = 0.02  # turns of the drive between an impact and the section below which another section is chosen
 _TURN = 2.0 * math.pi
 _FINE = 64  # parts of a cycle at which a place for the section is looked for
 
@@ -45,51 +43,29 @@ class Place(NamedTuple):
 
 
 class Energy(NamedTuple):
-    """Energies per cycle of the drive [J].
+    """Energies per cycle of the drive [J]."""
 
-    Attributes:
-        work: what the shaker, or a prescribed base, gives.
-        columns: lost in the columns.
-        shaker: lost in the shaker.
-        contact: lost in the contacts.
-        friction: lost on the guide.
-        imbalance: work − losses − what is stored.
-    """
-
-    work: float
-    columns: float
-    shaker: float
-    contact: float
-    friction: float
-    imbalance: float
+    work: float  # what the shaker, or a prescribed base, gives
+    columns: float  # lost in the columns
+    shaker: float  # lost in the shaker
+    contact: float  # lost in the contacts
+    friction: float  # lost on the guide
+    imbalance: float  # work − losses − what is stored
 
 
 class Properties(NamedTuple):
-    """What an orbit does.
+    """What an orbit does."""
 
-    Attributes:
-        dt: |X_1| / |X_b| of the fundamentals.
-        phase_rad: of X_1 / X_b.
-        base_m: |X_b|.
-        superior_m: |X_1|.
-        impacts_per_cycle: of all impacts.
-        slowest_m_s: approach speed of the slowest impact; NaN without one.
-        loss_factor: of the damper from energy: its loss per cycle over π m_1 ω² |X_1|².
-        dt_loss_factor: the same from DT alone: −Im N / (m_1 ω²), N the sphere's force per x_1.
-        added_mass: of the damper from DT alone, over m_1: Re N / (m_1 ω²).
-        energy: per cycle.
-    """
-
-    dt: float
-    phase_rad: float
-    base_m: float
-    superior_m: float
-    impacts_per_cycle: float
-    slowest_m_s: float
-    loss_factor: float
-    dt_loss_factor: float
-    added_mass: float
-    energy: Energy
+    dt: float  # |X_1| / |X_b| of the fundamentals
+    phase_rad: float  # of X_1 / X_b
+    base_m: float  # |X_b|
+    superior_m: float  # |X_1|
+    impacts_per_cycle: float  # of all impacts
+    slowest_m_s: float  # approach speed of the slowest impact; NaN without one
+    loss_factor: float  # of the damper from energy: its loss per cycle over π m_1 ω² |X_1|²
+    dt_loss_factor: float  # the same from DT alone: −Im N / (m_1 ω²), N the sphere's force per x_1
+    added_mass: float  # of the damper from DT alone, over m_1: Re N / (m_1 ω²)
+    energy: Energy  # per cycle
 
 
 class Stroboscope:

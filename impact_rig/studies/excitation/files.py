@@ -26,8 +26,7 @@ from impact_rig.studies.excitation.response import Response
 from impact_rig.system import budget
 
 P = TypeVar("P", bound=attrs.AttrsInstance)
-MOST_RATIO = 1000
-"""Of two rates in smallest numbers: what is resampled between them."""
+MOST_RATIO = 1000  # of two rates in smallest numbers: what is resampled between them
 
 
 def load(path: Path, kind: type[P]) -> P:

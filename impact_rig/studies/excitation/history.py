@@ -22,15 +22,11 @@ from impact_rig.studies.excitation.response import PSEUDO, Excitation, Response
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
-WORSE = 1.2
-"""A trial this much worse than the best ends the learning: lines on which H was estimated badly only grow."""
+WORSE = 1.2  # a trial this much worse than the best ends the learning: lines on which H was estimated badly only grow
 
-FRAMES = 3
-"""Of the identification; one more goes ahead."""
-BESIDE = 25
-"""Lines over which the noise of a response function is averaged."""
-NOISES = 4.0
-"""Times its variance by which |H|² is held away from zero."""
+FRAMES = 3  # of the identification; one more goes ahead
+BESIDE = 25  # lines over which the noise of a response function is averaged
+NOISES = 4.0  # times its variance by which |H|² is held away from zero
 
 
 @attrs.frozen(kw_only=True)
@@ -62,26 +58,17 @@ class ReplicatePlan:
 
 @attrs.frozen(eq=False, kw_only=True)
 class Replicated:
-    """A history and what followed it, in the best trial so far.
+    """A history and what followed it, in the best trial so far."""
 
-    Attributes:
-        rate_hz: samples per second.
-        asked: shape (n,).
-        reached: shape (n,).
-        linear: what the drive would have given by H alone, shape (n,): where `reached` departs, the rig is not linear,
-            or its sensors are noisy.
-        drive: of the whole trial, shape (m,) [A].
-        lead: samples of it before the history.
-        errors: rms error over rms of what was asked, trial by trial.
-    """
-
-    rate_hz: int
-    asked: Real
-    reached: Real
+    rate_hz: int  # samples per second
+    asked: Real  # shape (n,)
+    reached: Real  # shape (n,)
     linear: Real
-    drive: Real
-    lead: int
-    errors: tuple[float, ...]
+    """What the drive would have given by H alone, shape (n,): where `reached` departs, the rig is not linear, or its
+    sensors are noisy."""
+    drive: Real  # of the whole trial, shape (m,) [A]
+    lead: int  # samples of it before the history
+    errors: tuple[float, ...]  # rms error over rms of what was asked, trial by trial
 
     def relative(self, rest: Real) -> float:
         """Return the rms of a difference over that of what was asked."""
@@ -170,21 +157,13 @@ STEP_S = 1.0
 
 @attrs.frozen(eq=False, kw_only=True)
 class Played:
-    """What was played so far.
+    """What was played so far."""
 
-    Attributes:
-        rate_hz: samples per second, and scans.
-        asked: shape (n,), A, m or V by `drive.kind`.
-        rows: of `daq/scan`, shape (n,): a scan a sample.
-        whole: samples of the history.
-        clipped: samples of it that were clipped.
-    """
-
-    rate_hz: int
-    asked: Real
-    rows: NDArray[np.void]
-    whole: int
-    clipped: int
+    rate_hz: int  # samples per second, and scans
+    asked: Real  # shape (n,), A, m or V by `drive.kind`
+    rows: NDArray[np.void]  # of `daq/scan`, shape (n,): a scan a sample
+    whole: int  # samples of the history
+    clipped: int  # samples of it that were clipped
 
     @property
     def error(self) -> float:

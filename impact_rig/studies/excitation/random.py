@@ -21,23 +21,16 @@ from impact_rig.operate.hardware import Exchange, Hardware
 from impact_rig.studies.excitation.response import Response
 
 Real = NDArray[np.float64]
-MOST_STEP_DB = 6.0
-"""By which a line of the drive changes in one loop, at most."""
-LEAST_DRIVE_DB = -60.0
-"""Of a line below the strongest, at the least: a line that answers to nothing is not driven away."""
+MOST_STEP_DB = 6.0  # by which a line of the drive changes in one loop, at most
+LEAST_DRIVE_DB = -60.0  # of a line below the strongest, at the least: a line that answers to nothing is not driven away
 
 
 @attrs.frozen(kw_only=True)
 class Spectrum:
-    """A power spectral density by its corners, straight lines between them on logarithmic axes.
+    """A power spectral density by its corners, straight lines between them on logarithmic axes."""
 
-    Attributes:
-        frequency_hz: of the corners, ascending.
-        density: there, unit² / Hz.
-    """
-
-    frequency_hz: tuple[float, ...]
-    density: tuple[float, ...]
+    frequency_hz: tuple[float, ...]  # of the corners, ascending
+    density: tuple[float, ...]  # there, unit² / Hz
 
     def at(self, frequency_hz: Real) -> Real:
         """Return the density at some frequencies, 0 outside of the corners."""
@@ -81,29 +74,17 @@ class RandomPlan:
 
 @attrs.frozen(eq=False, kw_only=True)
 class Reached:
-    """What was asked and what came.
+    """What was asked and what came."""
 
-    Attributes:
-        frequency_hz: the lines within the band, shape (n,).
-        asked: density, shape (n,).
-        reached: likewise, by the averages after the last correction.
-        noise: density of the sensor's own, likewise.
-        coherence: of response and drive, shape (n,): what is missing is noise and distortion.
-        loops: rms error of the lines in each loop [dB].
-        drive_rms: of the drive at the end [A].
-        kurtosis: of the response, 3 for a Gaussian one.
-        clipped: samples of the drive that were clipped.
-    """
-
-    frequency_hz: Real
-    asked: Real
-    reached: Real
-    noise: Real
-    coherence: Real
-    loops: tuple[float, ...]
-    drive_rms: float
-    kurtosis: float
-    clipped: int
+    frequency_hz: Real  # the lines within the band, shape (n,)
+    asked: Real  # density, shape (n,)
+    reached: Real  # likewise, by the averages after the last correction
+    noise: Real  # density of the sensor's own, likewise
+    coherence: Real  # of response and drive, shape (n,): what is missing is noise and distortion
+    loops: tuple[float, ...]  # rms error of the lines in each loop [dB]
+    drive_rms: float  # of the drive at the end [A]
+    kurtosis: float  # of the response, 3 for a Gaussian one
+    clipped: int  # samples of the drive that were clipped
 
     @property
     def error_db(self) -> Real:

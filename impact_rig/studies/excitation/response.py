@@ -63,27 +63,18 @@ class Response(enum.StrEnum):
 
 @attrs.frozen(kw_only=True)
 class Excitation:
-    """What drives the rig for a frequency response.
+    """What drives the rig for a frequency response."""
 
-    Attributes:
-        kind: one of `KINDS`.
-        frames: that are measured; of a repeated one, one more goes ahead.
-        frame_s: length of a frame [s].
-        burst: share of a frame that a burst fills.
-        low_hz: lower edge of the band.
-        high_hz: upper edge.
-        rms: of the drive while it is on [A].
-        seed: of its random numbers.
-    """
-
-    kind: str = attrs.field(default=BURST, validator=attrs.validators.in_(KINDS))
+    kind: str = attrs.field(default=BURST, validator=attrs.validators.in_(KINDS))  # one of `KINDS`
     frames: int = attrs.field(default=20, validator=attrs.validators.ge(3))
-    frame_s: float = attrs.field(default=8.0, validator=attrs.validators.gt(0.0))
+    """That are measured; of a repeated one, one more goes ahead."""
+    frame_s: float = attrs.field(default=8.0, validator=attrs.validators.gt(0.0))  # length of a frame [s]
     burst: float = attrs.field(default=0.5, validator=[attrs.validators.gt(0.0), attrs.validators.le(1.0)])
-    low_hz: float = attrs.field(default=4.0, validator=attrs.validators.gt(0.0))
-    high_hz: float = attrs.field(default=60.0, validator=attrs.validators.gt(0.0))
-    rms: float = attrs.field(default=0.2, validator=attrs.validators.gt(0.0))
-    seed: int = 1
+    """Share of a frame that a burst fills."""
+    low_hz: float = attrs.field(default=4.0, validator=attrs.validators.gt(0.0))  # lower edge of the band
+    high_hz: float = attrs.field(default=60.0, validator=attrs.validators.gt(0.0))  # upper edge
+    rms: float = attrs.field(default=0.2, validator=attrs.validators.gt(0.0))  # of the drive while it is on [A]
+    seed: int = 1  # of its random numbers
 
     def samples(self, rate_hz: int) -> Real:
         """Return all frames one after the other, shape (n,)."""

@@ -29,17 +29,12 @@ Real = NDArray[np.float64]
 
 @attrs.frozen(kw_only=True)
 class Pulse:
-    """A half sine with its compensation.
+    """A half sine with its compensation."""
 
-    Attributes:
-        peak: of the acceleration [m/s²].
-        duration_s: of the half sine.
-        compensation_s: of each of the two pulses beside it.
-    """
-
-    peak: float = attrs.field(default=20.0, validator=attrs.validators.gt(0.0))
-    duration_s: float = attrs.field(default=11e-3, validator=attrs.validators.gt(0.0))
+    peak: float = attrs.field(default=20.0, validator=attrs.validators.gt(0.0))  # of the acceleration [m/s²]
+    duration_s: float = attrs.field(default=11e-3, validator=attrs.validators.gt(0.0))  # of the half sine
     compensation_s: float = attrs.field(default=0.15, validator=attrs.validators.gt(0.0))
+    """Of each of the two pulses beside it."""
 
     def acceleration(self, rate_hz: int) -> Real:
         """Return the acceleration [m/s²], shape (n,); its sum and the sum of its running sum are zero."""
@@ -113,31 +108,18 @@ def half_sine_spectrum(peak: float, duration_s: float, frequency_hz: Real) -> Re
 
 @attrs.frozen(eq=False, kw_only=True)
 class Shocked:
-    """A shock of the inferior base, as its displacement sensor saw it, and what was asked.
+    """A shock of the inferior base, as its displacement sensor saw it, and what was asked."""
 
-    Attributes:
-        followed: the displacement.
-        asked: acceleration [m/s²], shape (n,).
-        reached: likewise, below `CORNER` / duration of the pulse.
-        frequency_hz: natural frequencies of the spectra, shape (k,).
-        srs_asked: shock response spectra [m/s²], Q = 10, shape (k,).
-        srs_reached: likewise.
-        srs_ideal: of the half sine alone, in closed form without damping.
-        peak_error: relative, of the acceleration.
-        velocity_error: relative, of the velocity that the pulse changes.
-        left_m: displacement at the end.
-    """
-
-    followed: Replicated
-    asked: Real
-    reached: Real
-    frequency_hz: Real
-    srs_asked: Real
-    srs_reached: Real
-    srs_ideal: Real
-    peak_error: float
-    velocity_error: float
-    left_m: float
+    followed: Replicated  # the displacement
+    asked: Real  # acceleration [m/s²], shape (n,)
+    reached: Real  # likewise, below `CORNER` / duration of the pulse
+    frequency_hz: Real  # natural frequencies of the spectra, shape (k,)
+    srs_asked: Real  # shock response spectra [m/s²], Q = 10, shape (k,)
+    srs_reached: Real  # likewise
+    srs_ideal: Real  # of the half sine alone, in closed form without damping
+    peak_error: float  # relative, of the acceleration
+    velocity_error: float  # relative, of the velocity that the pulse changes
+    left_m: float  # displacement at the end
 
     @property
     def srs_worst_db(self) -> float:

@@ -36,8 +36,7 @@ NAMES = ("f_n", "ζ", "m_1", "K_f", "k_f", "M", "c_f")
 UNITS = ("Hz", "-", "kg", "N/A", "N/m", "kg", "N s/m")
 SCALED = ("m_1", "K_f", "k_f", "M", "c_f")
 """Forces and masses: multiplied by one factor they give the same motion, unless something of known mass takes part."""
-SCALE = np.array([float(name in SCALED) for name in NAMES])
-"""The direction of that factor."""
+SCALE = np.array([float(name in SCALED) for name in NAMES])  # the direction of that factor
 
 
 START = np.log([9.0, 0.005, 0.2, 6.0, 8000.0, 2.5, 60.0])
@@ -81,29 +80,20 @@ def rig(base: RigConfig, log_constants: Real) -> RigConfig:
 # say) are eliminated first: what they can imitate is no information.
 
 
-DETERMINED = 0.2
-"""Relative standard uncertainty up to which a parameter, or a combination, counts as determined."""
-LEAST_SHARE = 0.05
-"""Powers below this share of the largest are left out of a combination's name."""
-SMALLEST = 1e-9
-"""Singular values below this share of the largest are rounding."""
+DETERMINED = 0.2  # relative standard uncertainty up to which a parameter, or a combination, counts as determined
+LEAST_SHARE = 0.05  # powers below this share of the largest are left out of a combination's name
+SMALLEST = 1e-9  # singular values below this share of the largest are rounding
 UNTOUCHED = 1e-3
 """A parameter with less than this power in a combination that is not known at all does not take part in it."""
 
 
 @attrs.frozen(eq=False)
 class Combination:
-    """A product of powers of parameters.
+    """A product of powers of parameters."""
 
-    Attributes:
-        powers: by parameter, shape (n,); the largest is 1.
-        u_relative: its relative standard uncertainty; infinite if the data say nothing.
-        text: for people.
-    """
-
-    powers: Real
-    u_relative: float
-    text: str
+    powers: Real  # by parameter, shape (n,); the largest is 1
+    u_relative: float  # its relative standard uncertainty; infinite if the data say nothing
+    text: str  # for people
 
     @property
     def determined(self) -> bool:
@@ -113,17 +103,11 @@ class Combination:
 
 @attrs.frozen(eq=False)
 class Information:
-    """What the data say about logarithmic parameters.
+    """What the data say about logarithmic parameters."""
 
-    Attributes:
-        names: of the parameters, n of them.
-        combinations: independent ones, best determined first.
-        u_relative: relative standard uncertainty of each parameter, infinite if it takes part in what is not known.
-    """
-
-    names: tuple[str, ...]
-    combinations: tuple[Combination, ...]
-    u_relative: Real
+    names: tuple[str, ...]  # of the parameters, n of them
+    combinations: tuple[Combination, ...]  # independent ones, best determined first
+    u_relative: Real  # relative standard uncertainty of each parameter, infinite if it takes part in what is not known
 
     def determined(self, name: str) -> bool:
         """Return whether the data determine a parameter by itself."""
@@ -175,54 +159,38 @@ def _combination(names: Sequence[str], direction: Real, u: float) -> Combination
 
 # --- The fit
 
-STEP = 1e-6
-"""Of logarithms, for derivatives of closed forms."""
+STEP = 1e-6  # of logarithms, for derivatives of closed forms
 U_SIMULATED = 1e-4
 """Relative standard uncertainty of a ratio beside its noise: transients that the analysis calls settled."""
-SIGNIFICANCE = 0.01
-"""A fit as bad as this or worse by chance alone is an alarm."""
+SIGNIFICANCE = 0.01  # a fit as bad as this or worse by chance alone is an alarm
 ITERATIONS = 30
 CONVERGED = 1e-9
-ROUNDS = 8
-"""Of adjusting the constants to the reductions, at most; each simulates all derivatives anew."""
-SMALL = 0.05
-"""A step this small, in standard uncertainties, ends them."""
+ROUNDS = 8  # of adjusting the constants to the reductions, at most; each simulates all derivatives anew
+SMALL = 0.05  # a step this small, in standard uncertainties, ends them
 RANK = 1e-6
 """Share of the largest singular value below which a direction is not determined; derivatives are good to that."""
 UNBOUND = 1.0
 """Relative standard uncertainty beyond which a constant is hardly moved: a few data would send it out of all range."""
 LARGEST_STEP = 0.5
-COARSE = 0.02
-"""Step for the common factor, which need not be exact."""
+COARSE = 0.02  # step for the common factor, which need not be exact
 CROSSED = "the orbit changes, or does not quite repeat: no step of a constant gives one slope on both sides"
-LEAST_RESTITUTION, MOST_RESTITUTION = 0.02, 0.98
-"""Of a fitted e."""
+LEAST_RESTITUTION, MOST_RESTITUTION = 0.02, 0.98  # of a fitted e
 
 
 @attrs.frozen(eq=False)
 class Identified:
-    """The result.
+    """The result."""
 
-    Attributes:
-        log_constants: in the order of `constants.NAMES`; what the data do not determine stays near its start.
-        information: what the data say.
-        chi_square: sum of squared residuals, prior of the nuisances included.
-        freedom: residuals less determined parameters.
-        config: the known rig, with the identified constants.
-        restitution: nominal e found, NaN without reductions; u_restitution likewise.
-        left_out: gaps [m] whose reductions were not used, with the reason.
-        contradicted: those of them that were measured to be periodic where the fitted rig is not.
-    """
-
-    log_constants: Real
-    information: Information
-    chi_square: float
-    freedom: int
-    config: RigConfig
-    restitution: float = math.nan
+    log_constants: Real  # in the order of `constants.NAMES`; what the data do not determine stays near its start
+    information: Information  # what the data say
+    chi_square: float  # sum of squared residuals, prior of the nuisances included
+    freedom: int  # residuals less determined parameters
+    config: RigConfig  # the known rig, with the identified constants
+    restitution: float = math.nan  # nominal e found, NaN without reductions; u_restitution likewise
     u_restitution: float = math.nan
     left_out: Mapping[float, str] = attrs.field(factory=dict)
-    contradicted: tuple[float, ...] = ()
+    """Gaps [m] whose reductions were not used, with the reason."""
+    contradicted: tuple[float, ...] = ()  # those of them that were measured to be periodic where the fitted rig is not
 
     @property
     def chance(self) -> float:

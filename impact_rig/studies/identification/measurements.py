@@ -35,8 +35,7 @@ from impact_rig.runs.wholes import calibration_rows, last_record
 from impact_rig.simtime import NS_PER_S
 from impact_rig.states import Regime
 
-LEAST_NOISE = 1e-4
-"""Relative; repeatability that is not claimed to be better, whatever a few seconds of signal suggest."""
+LEAST_NOISE = 1e-4  # relative; repeatability that is not claimed to be better, whatever a few seconds of signal suggest
 CALIBRATION = ("gain laser", "gain base", "gain current", "curve laser", "curve base")
 NUISANCES = (*CALIBRATION, "DT without sphere", "e")
 """Errors that several data share. "DT without sphere" is the noise of the point that all reductions are taken against,
@@ -51,23 +50,17 @@ class SineData:
     """The stepped sine without sphere; arrays of shape (n,), u_: standard uncertainty by noise alone, relative or rad.
 
     Attributes:
-        frequency_hz: of the points.
-        dt: transmissibility.
-        phase_rad: of x_1 to x_b.
-        base_per_a: amplitude of the base over that of the current [m/A].
         laser_m, base_m: amplitudes.
-        u_amplitude: relative, of dt and of base_per_a.
-        u_phase: [rad].
     """
 
-    frequency_hz: Real
-    dt: Real
-    phase_rad: Real
-    base_per_a: Real
+    frequency_hz: Real  # of the points
+    dt: Real  # transmissibility
+    phase_rad: Real  # of x_1 to x_b
+    base_per_a: Real  # amplitude of the base over that of the current [m/A]
     laser_m: Real
     base_m: Real
-    u_amplitude: Real
-    u_phase: Real
+    u_amplitude: Real  # relative, of dt and of base_per_a
+    u_phase: Real  # [rad]
 
 
 @attrs.frozen(eq=False)
@@ -76,34 +69,25 @@ class Reduced:
 
     Attributes:
         frequency_hz, current_a: of the drive.
-        ratio: by gap [m].
-        u: relative standard uncertainty by the noise of DT with the sphere, shape (n,).
-        u_without: that of DT without.
-        effects: d ln ratio / d nuisance, shape (n, 7); that of e is left to the simulation.
-        regimes: what the motion with the sphere was measured to be, by gap; unknown where nobody counted the impacts: a
-            light sphere strikes irregularly while the amplitude stands still.
     """
 
     frequency_hz: float
     current_a: float
-    ratio: Mapping[float, float]
-    u: Real
-    u_without: float
-    effects: Real
+    ratio: Mapping[float, float]  # by gap [m]
+    u: Real  # relative standard uncertainty by the noise of DT with the sphere, shape (n,)
+    u_without: float  # that of DT without
+    effects: Real  # d ln ratio / d nuisance, shape (n, 7); that of e is left to the simulation
     regimes: Mapping[float, str]
+    """What the motion with the sphere was measured to be, by gap; unknown where nobody counted the impacts: a light
+    sphere strikes irregularly while the amplitude stands still."""
 
 
 @attrs.frozen(eq=False)
 class Gains:
-    """Errors of calibration: standard uncertainties and what they do.
+    """Errors of calibration: standard uncertainties and what they do."""
 
-    Attributes:
-        u: of `CALIBRATION`, shape (5,).
-        calibration: the certificate.
-    """
-
-    u: Real
-    calibration: Calibration
+    u: Real  # of `CALIBRATION`, shape (5,)
+    calibration: Calibration  # the certificate
 
     @classmethod
     def of(cls, info: NDArray[np.void]) -> Gains:
@@ -203,10 +187,8 @@ class Measured:
 # --- The free decay with the base locked: measured on a rig in this process, or taken from a recorded run
 
 DISPLACEMENT_M = 5e-3
-RECORD_S = 20.0
-"""Five time constants of the structure."""
-SETTLE_S = 0.05
-"""Left out at the beginning: the laser's lag dies away."""
+RECORD_S = 20.0  # five time constants of the structure
+SETTLE_S = 0.05  # left out at the beginning: the laser's lag dies away
 
 
 def measured_decay(config: RigConfig, method: DecayMethod = fit_decay) -> Decay:
@@ -257,26 +239,17 @@ def recorded_decay(run: Run, method: DecayMethod = fit_decay) -> Decay:
 # give one slope.
 
 SETTLED = Settings(settle_tolerance=1e-6, settle_cycles=1200, cycles=400)
-STEPS = (1e-3, 3e-4, 1e-4)
-"""For differences; the next one where the one before crosses a change of orbit."""
-SAME_SLOPE, LEAST_SLOPE = 0.1, 0.05
-"""The slopes of both sides differ by at most this share of them, plus this."""
+STEPS = (1e-3, 3e-4, 1e-4)  # for differences; the next one where the one before crosses a change of orbit
+SAME_SLOPE, LEAST_SLOPE = 0.1, 0.05  # the slopes of both sides differ by at most this share of them, plus this
 
 
 class Motion(NamedTuple):
-    """What the rig settles to with its sphere.
+    """What the rig settles to with its sphere."""
 
-    Attributes:
-        log_ratio: ln(DT with sphere / DT without).
-        regime: periodic, modulated or chaotic.
-        period: cycles after which it repeats; NaN if it does not.
-        impacts: that many in a period.
-    """
-
-    log_ratio: float
-    regime: str
-    period: float
-    impacts: float
+    log_ratio: float  # ln(DT with sphere / DT without)
+    regime: str  # periodic, modulated or chaotic
+    period: float  # cycles after which it repeats; NaN if it does not
+    impacts: float  # that many in a period
 
     def orbit(self) -> tuple[float, int] | None:
         """Return period and impacts of an orbit, None of a motion that does not repeat."""

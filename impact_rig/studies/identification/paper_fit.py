@@ -23,41 +23,26 @@ from impact_rig.studies.identification.measurements import simulated
 U_POINTS = 1.0
 """Assumed standard uncertainty of a published reduction: the paper prints three of five to whole percent, states no
 uncertainty, and set the gaps by hand."""
-U_FREQUENCY_HZ = 0.05 / 3**0.5
-"""9.1 Hz is printed to one digit."""
+U_FREQUENCY_HZ = 0.05 / 3**0.5  # 9.1 Hz is printed to one digit
 ALL = (*NAMES, "I")
-START = {"f_n": 9.1, "ζ": 0.005, "I": 0.5}
-"""Where the fit begins: away from the shipped values."""
-STEPS = np.array([2e-4, *[0.02] * 6, 0.02])
-"""For derivatives by `NAMES` and I: the natural frequency matters most."""
-LARGEST = {"f_n": 5e-4, "ζ": 0.1, "I": 0.1}
-"""Of a step: the rig is far from linear."""
+START = {"f_n": 9.1, "ζ": 0.005, "I": 0.5}  # where the fit begins: away from the shipped values
+STEPS = np.array([2e-4, *[0.02] * 6, 0.02])  # for derivatives by `NAMES` and I: the natural frequency matters most
+LARGEST = {"f_n": 5e-4, "ζ": 0.1, "I": 0.1}  # of a step: the rig is far from linear
 ITERATIONS = 12
-CONVERGED = 0.1
-"""A step this small, in standard uncertainties, ends the fit."""
+CONVERGED = 0.1  # a step this small, in standard uncertainties, ends the fit
 
 
 @attrs.frozen(eq=False)
 class PaperFit:
-    """The result.
+    """The result."""
 
-    Attributes:
-        fitted: by name: f_n [Hz], ζ, perhaps I [A].
-        u: their standard uncertainties, everything else given.
-        converged: whether the fit came to rest.
-        points: reductions of the fit, percent, by gap.
-        rms_points: distance of the fit from the paper.
-        default_rms_points: that of the shipped configuration.
-        information: of the paper about all constants and the current.
-    """
-
-    fitted: Mapping[str, float]
-    u: Mapping[str, float]
-    converged: bool
-    points: dict[float, float]
-    rms_points: float
-    default_rms_points: float
-    information: Information
+    fitted: Mapping[str, float]  # by name: f_n [Hz], ζ, perhaps I [A]
+    u: Mapping[str, float]  # their standard uncertainties, everything else given
+    converged: bool  # whether the fit came to rest
+    points: dict[float, float]  # reductions of the fit, percent, by gap
+    rms_points: float  # distance of the fit from the paper
+    default_rms_points: float  # that of the shipped configuration
+    information: Information  # of the paper about all constants and the current
 
 
 def fit_paper(
