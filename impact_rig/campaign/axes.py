@@ -5,10 +5,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+from typing import TypeVar
 
-from impact_rig.config.tree import Value
+import attrs
+
+from impact_rig.config.tree import Value, flatten
 from impact_rig.errors import ConfigError
+from impact_rig.rig.config import RigConfig, from_flat, load
+
+S = TypeVar("S", bound=attrs.AttrsInstance)
 
 NO_SPHERE = 0.0
 """The gap that stands for a run without the sphere, as in the analysis's labels; `none` in a campaign file."""
@@ -141,6 +148,35 @@ def scalars(key: str, value: object) -> tuple[Value, ...]:
             raise wrong(f"{key}[{i}]", "a number, a text, true or false", item)
         found.append(item)
     return tuple(found)
+
+
+def rig(top: Mapping[str, object], folder: Path, refuse: Callable[[str, str], None]) -> RigConfig:
+    """Return the rig that a file in `folder` asks for by `config` and `set`, nested or dotted.
+
+    Raises:
+        ConfigError: a value is wrong, or `refuse`, given key and name of each value, refuses one.
+    """
+    file = top.get("config")
+    if file is not None and not isinstance(file, str):
+        raise wrong("config", "the name of a file", file)
+    changes = flatten(mapping("set", top.get("set")))
+    for name in changes:
+        refuse(f"set.{name}", name)
+    return from_flat(load(folder / file) if file else RigConfig(), changes)
+
+
+def settings(key: str, given: object, kind: type[S]) -> S:
+    """Return the settings of a kind that a part of a file gives; its validators check.
+
+    Raises:
+        ConfigError: a key or value is wrong.
+    """
+    wanted = mapping(key, given)
+    check_keys(key, wanted, [attribute.name for attribute in attrs.fields(kind)])
+    try:
+        return kind(**wanted)
+    except ConfigError as error:
+        raise ConfigError(f"{key}.{error}") from error
 
 
 def _range(key: str, given: Mapping[str, object]) -> Iterable[float]:

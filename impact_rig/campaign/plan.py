@@ -25,7 +25,7 @@ from impact_rig.config.tree import Value, flatten
 from impact_rig.errors import ConfigError
 from impact_rig.operate.stepped_sine import Direction
 from impact_rig.physics.contact import LAWS
-from impact_rig.rig.config import RigConfig, from_flat, load, to_flat
+from impact_rig.rig.config import RigConfig, from_flat, to_flat
 from impact_rig.system import budget
 
 RESET = "reset"  # the direction of a study whose points each begin with a reset rig
@@ -156,7 +156,7 @@ def load_campaign(
 
     def read(document: object, text: str) -> Campaign:
         top = axes.mapping("a campaign", document)
-        base = resolved or from_flat(_base(top, path.parent), overrides or {})
+        base = resolved or from_flat(axes.rig(top, path.parent, _refuse_owned), overrides or {})
         campaign = _read(top, base, text, path.stem)
         budget.allow("points in a campaign", sum(study.points for study in campaign.studies), budget.POINTS)
         campaign.planned()
@@ -165,23 +165,16 @@ def load_campaign(
     return load_plan(path, "campaign", read)
 
 
-def _base(top: Mapping[str, object], folder: Path) -> RigConfig:
-    """Return the rig that a campaign begins with."""
-    file = top.get("config")
-    if file is not None and not isinstance(file, str):
-        raise axes.wrong("config", "the name of a file", file)
-    return from_flat(load(folder / file) if file else RigConfig(), _changes("set", top.get("set")))
-
-
 def _read(top: Mapping[str, object], base: RigConfig, text: str, name: str) -> Campaign:
     axes.check_keys("", top, ("title", "config", "set", "analysis", "studies"))
     studies = axes.mapping("studies", top.get("studies"))
     if not studies:
         raise axes.wrong("studies", "a mapping of one or more studies", top.get("studies"))
+    settings = axes.settings("analysis", top.get("analysis"), TrackerSettings)
     return Campaign(
         title=str(top.get("title", name)),
         base=base,
-        analysis=_analysis(top.get("analysis")),
+        analysis={name: getattr(settings, name) for name in axes.mapping("analysis", top.get("analysis"))},
         studies=tuple(_study(name, content, base) for name, content in studies.items()),
         text=text,
     )
@@ -238,28 +231,9 @@ def _vary(where: str, given: Mapping[str, object]) -> dict[str, tuple[Value, ...
     return vary
 
 
-def _changes(key: str, given: object) -> dict[str, object]:
-    """Return configuration values in a file, nested or dotted, as dotted names."""
-    flat = flatten(axes.mapping(key, given))
-    for name in flat:
-        _refuse_owned(f"{key}.{name}", name)
-    return flat
-
-
 def _refuse_owned(key: str, name: str) -> None:
     if name.startswith(OWNED):
         raise ConfigError(f"{key} is decided by the campaign itself")
-
-
-def _analysis(given: object) -> dict[str, Value]:
-    """Return settings of the measurement, checked."""
-    wanted = axes.mapping("analysis", given)
-    axes.check_keys("analysis", wanted, [attribute.name for attribute in attrs.fields(TrackerSettings)])
-    try:
-        settings = TrackerSettings(**wanted)  # type: ignore[arg-type]  # its validators check
-    except ConfigError as error:
-        raise ConfigError(f"analysis.{error}") from error
-    return {name: getattr(settings, name) for name in wanted}
 
 
 def _gap_values(gap_m: float) -> dict[str, Value]:

@@ -29,6 +29,7 @@ HOMES = {
     "import": "measurement:add_import",
     "report": "campaign:add_report",
     **{name: f"excite:add_{name}" for name in ("play", "frf")},
+    **{name: f"mechanics:add_{name}" for name in ("map", "dynamics")},
 }
 """Module and function that register a command; those of all others are its name and `add_command`."""
 

@@ -22,10 +22,10 @@ from impact_rig.campaign import axes
 from impact_rig.campaign.paper import CURRENT_A, FREQUENCY_HZ
 from impact_rig.campaign.plan import STARTS
 from impact_rig.campaign.tasks import Row, load_plan
-from impact_rig.config.tree import Value, flatten
+from impact_rig.config.tree import Value
 from impact_rig.errors import ConfigError
 from impact_rig.maps.measure import FAILED, MapRig, Reading, Settings
-from impact_rig.rig.config import RigConfig, from_flat, load, to_flat
+from impact_rig.rig.config import RigConfig, from_flat, to_flat
 from impact_rig.system import budget
 from impact_rig.system.budget import BudgetError
 
@@ -234,28 +234,17 @@ def _read(top: Mapping[str, object], path: Path, text: str, resolved: RigConfig 
         raise ConfigError(f"starts and an axis {POSITION} or {SPEED} exclude each other")
     return MapPlan(
         title=str(top.get("title", path.stem)),
-        base=resolved or base(top, path.parent),
+        base=resolved or axes.rig(top, path.parent, refuse_owned),
         axes=given,
         direction=direction,
         starts=tuple(axes.word("starts", start, STARTS) for start in starts),
         sweep=sweep,
         frequency_hz=axes.number(FREQUENCY, top.get(FREQUENCY, FREQUENCY_HZ), 0.0, 1e4),
         current_a=axes.number(CURRENT, top.get(CURRENT, CURRENT_A), 0.0),
-        settings=settings_of(top.get("measure")),
+        settings=axes.settings("measure", top.get("measure"), Settings),
         search=_search(top.get("optimum")),
         text=text,
     )
-
-
-def base(top: Mapping[str, object], folder: Path) -> RigConfig:
-    """Return the rig that a file asks for by `config` and `set`."""
-    file = top.get("config")
-    if file is not None and not isinstance(file, str):
-        raise axes.wrong("config", "the name of a file", file)
-    changes = flatten(axes.mapping("set", top.get("set")))
-    for name in changes:
-        refuse_owned(f"set.{name}", name)
-    return from_flat(load(folder / file) if file else RigConfig(), changes)
 
 
 def _axes(given: Mapping[str, object]) -> dict[str, tuple[float, ...]]:
@@ -272,16 +261,6 @@ def _axes(given: Mapping[str, object]) -> dict[str, tuple[float, ...]]:
         if len(found[name]) < 2:
             raise axes.wrong(f"axes.{name}", "two values or more", value)
     return found
-
-
-def settings_of(given: object) -> Settings:
-    """Return how a place is measured."""
-    wanted = axes.mapping("measure", given)
-    axes.check_keys("measure", wanted, [attribute.name for attribute in attrs.fields(Settings)])
-    try:
-        return Settings(**wanted)  # type: ignore[arg-type]  # its validators check
-    except ConfigError as error:
-        raise ConfigError(f"measure.{error}") from error
 
 
 def _search(given: object) -> Search | None:
