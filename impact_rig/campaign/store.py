@@ -122,12 +122,7 @@ class Store:
             raise RecordingError(f"cannot write {self._folder}: {error.strerror}") from error
 
     def _read(self, job: Job) -> tuple[Mapping[str, object], Outcome]:
-        """Return the content of a job's file, and the outcome in it.
-
-        Raises:
-            FileNotFoundError: there is none.
-            DamagedPointError: something in it is wrong.
-        """
+        """Return the content of a job's file, and the outcome in it."""
         path = self._path(job, "json")
         try:
             found = json.loads(files.read_bytes(path, MAX_RESULT_BYTES))
@@ -259,11 +254,7 @@ def shortened(value: object) -> str:
 
 
 def _column(member: bytes) -> NDArray[np.generic]:
-    """Return the numbers of one array of an NPZ file, whose header is not believed before its length is checked.
-
-    Raises:
-        ValueError: it is no one-dimensional array of real numbers, or not as long as its header says.
-    """
+    """Return the numbers of one array of an NPZ file, whose header is not believed before its length is checked."""
     file = io.BytesIO(member)
     version = np.lib.format.read_magic(file)
     header: Callable[..., tuple[tuple[int, ...], bool, np.dtype[np.generic]]] | None = {

@@ -127,11 +127,7 @@ def _source(arguments: argparse.Namespace, stack: contextlib.ExitStack) -> Any:
 
 
 def _take_place(domain: int, namespace: str, stack: contextlib.ExitStack) -> None:
-    """Take a namespace for the rig of this lab.
-
-    Raises:
-        ImpactRigError: another lab or rig of this machine has it; names it.
-    """
+    """Take a namespace for the rig of this lab."""
     name = files.place(domain, namespace)
     advice = f"look at it with --attach {namespace}, or give this one another --namespace"
     try:

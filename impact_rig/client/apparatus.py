@@ -140,11 +140,7 @@ def _run_all(
 
 
 class RosApparatus(abc.ABC):
-    """The nodes `rig`, `analysis` and perhaps `recorder`, active, as a `JobApparatus` for one job after the other.
-
-    Args:
-        record: there is a recorder, and every job becomes a run of its own.
-    """
+    """The nodes `rig`, `analysis` and perhaps `recorder`, active, as a `JobApparatus` for one job after the other."""
 
     def __init__(self, client: Client, *, record: bool) -> None:
         self._client = client

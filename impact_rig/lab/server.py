@@ -249,11 +249,7 @@ class Session:
 
 
 class _Counting(logging.Handler):
-    """Counts what aiohttp would print: requests that are no HTTP, connections that end in the middle.
-
-    Args:
-        counts: where, under the name of the logger's message.
-    """
+    """Counts what aiohttp would print: requests that are no HTTP, connections that end in the middle."""
 
     def __init__(self, counts: Counter[str]) -> None:
         super().__init__()
@@ -532,11 +528,7 @@ class Server:
         ]
 
     def _player(self, names: Sequence[str]) -> Source:
-        """Return a player of runs for a page of its own.
-
-        Raises:
-            ImpactRigError: there is no such run, or it cannot be played.
-        """
+        """Return a player of runs for a page of its own."""
         known = {path.name: path for path in self.runs()}
         unknown = [name for name in names if name not in known]
         if unknown or len(names) > MOST_AT_ONCE:

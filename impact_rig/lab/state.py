@@ -109,11 +109,6 @@ def judge(rig: Seen, analysis: Seen, doubts: Sequence[str] = ()) -> tuple[str, s
 
     The word is `measured`, the only one that says that a measurement holds, where the analysis says so and nothing
     speaks against it.
-
-    Args:
-        rig: what the rig says.
-        analysis: what the analysis says.
-        doubts: what speaks against a measurement: faults in force, channels that are not well.
     """
     if rig.ended:
         return "dead", f"The rig is gone: {rig.ended}."
@@ -192,11 +187,6 @@ def present(rig: Seen, analysis: Seen, doubts: Sequence[str] = ()) -> dict[str, 
     """Return whether the newest measurement holds now, and how far the next one is.
 
     It holds where `judge` says `measured` of the same arguments, and while such a rig is paused.
-
-    Args:
-        rig: what the rig says.
-        analysis: what the analysis says; without it nothing holds.
-        doubts: what speaks against a measurement.
     """
     moves = rig.lives and rig.state in (states.Rig.DRIVING, states.Rig.PAUSED)
     known = analysis.state if analysis.lives and moves else ""

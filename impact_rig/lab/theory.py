@@ -95,12 +95,7 @@ def predicted(values: Mapping[str, Any], amplitude: float) -> dict[str, Any]:
 
 
 def contradiction(prediction: Mapping[str, Any], impacts_per_cycle: float) -> str:
-    """Return in which the measured motion is not the predicted one; empty: it may be.
-
-    Args:
-        prediction: as from `predicted`.
-        impacts_per_cycle: measured; NaN: not measured.
-    """
+    """Return in which the measured motion is not the predicted one; empty: it may be."""
     wanted = prediction.get("impacts")
     if wanted is None or not abs(impacts_per_cycle - wanted) > OTHER_MOTION:
         return ""

@@ -53,7 +53,6 @@ class AckWindow:
         peers: names the acknowledgements carry.
         window: blocks that may be out and not acknowledged.
         timeout_ns: clock time after which a peer that owes an acknowledgement counts as silent.
-        clock: monotonic clock [ns].
     """
 
     def __init__(self, peers: Iterable[str], window: int, timeout_ns: int, clock: Clock) -> None:
@@ -166,10 +165,6 @@ class Readers:
     A block sent before a peer is connected would be lost to it. The graph knows a subscription before the publisher is
     matched with it; the publisher counts its matches, so all that can match must have (one that asks for other
     qualities of service cannot).
-
-    Args:
-        node: whose view of the graph is taken.
-        publisher: of the blocks.
     """
 
     def __init__(self, node: Node, publisher: Any) -> None:

@@ -179,8 +179,6 @@ class ManagedNode(LifecycleNode, Generic[S]):
     """A lifecycle node with guards, validated parameters and diagnostics.
 
     Args:
-        name: node name.
-        tree: the node's parameters.
         kwargs: passed to rclpy's Node (context, namespace, parameter_overrides, ...).
     """
 
@@ -621,9 +619,6 @@ class LateService:
     `send_response` keeps the header until there is an answer.
 
     Args:
-        node: owner.
-        service_type: of the service.
-        name: service name.
         on_request: called with each request and with what sends its response. It must not raise.
     """
 

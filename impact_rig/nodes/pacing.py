@@ -41,7 +41,6 @@ class Pacer:
     """Maps a monotonic clock to the rig time that is due, `factor` times real time.
 
     Args:
-        clock: monotonic clock [ns].
         factor: seconds of rig time per second of clock.
         max_lag_ns: rig time behind which the pacer re-bases instead of catching up.
     """
@@ -104,10 +103,6 @@ class WorkTimer:
     A timer of rclpy first fires one period after it was made, so that a block would wait up to a period after its end.
     Here a one-shot timer goes ahead of it. Where period and block differ by fractions of a nanosecond the phase
     wanders: the timer is put in step again when calls have come late for a while.
-
-    Args:
-        node: owner.
-        callback: called periodically.
     """
 
     def __init__(self, node: ManagedNode[Any], callback: Callable[[], None]) -> None:

@@ -74,7 +74,6 @@ class Player:
         factor: rig seconds per second; None: as fast as the peers acknowledge.
         peers: names in daq/ack that must not lose a block.
         chosen: topics to replay, with or without namespace; empty: all.
-        paused: begin paused.
 
     Raises:
         RecordingError: a chosen topic is not in the run, it has no daq/scan, or what ROS does not have: the name of

@@ -114,7 +114,6 @@ class Publishers:
     """The rig's publishers.
 
     Args:
-        node: owner.
         config: decides how deep the queues are, and whether `/clock` is published.
     """
 

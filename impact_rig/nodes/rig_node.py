@@ -30,7 +30,6 @@ class RigNode(ManagedNode[RigConfig]):
 
     Args:
         discovery_s: how old the node must be before it looks who else is there; a new process finds others by and by.
-        kwargs: passed to rclpy's Node.
     """
 
     COMPONENT = "simulation"

@@ -76,7 +76,6 @@ class DuplicatePublishers:
     """Other publishers of topics that one node alone may publish, as the graph tells it.
 
     Args:
-        node: whose topics they are.
         names: returns the topics it publishes now, each from one publisher.
     """
 

@@ -31,11 +31,7 @@ Tell = Callable[[int, str], None]  # answers with a result code and an error tex
 
 
 class StandardServices:
-    """Makes the services, if the package is there, and keeps them.
-
-    Args:
-        session: of the rig: what these services do in other words.
-    """
+    """Makes the services, if the package is there, and keeps them."""
 
     def __init__(self, session: Session) -> None:
         self._session, self._node = session, session.node

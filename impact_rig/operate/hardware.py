@@ -95,7 +95,6 @@ class Hardware:
     """Output and acquisition on one wire.
 
     Args:
-        wire: to the rig.
         abort: by channel, the largest reading of either sign that is borne.
 
     Attributes:

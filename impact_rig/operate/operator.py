@@ -118,7 +118,6 @@ class Operator(Generic[W]):
 
     Args:
         sweep: decides what comes next, and keeps what was measured.
-        apparatus: what it is done with.
         note: told when it begins and of every measurement.
     """
 

@@ -59,11 +59,7 @@ class Look(NamedTuple):
 
 
 class PhasorMeter:
-    """Fits the newest scans.
-
-    Args:
-        info: rows of `daq/info`.
-    """
+    """Fits the newest scans."""
 
     def __init__(self, info: NDArray[np.void]) -> None:
         self._calibration = Calibration.from_info(info)
@@ -328,7 +324,6 @@ class LockedSine:
     """Seeks a resonance, tracks it, dwells there.
 
     Args:
-        plan: of the lock.
         info: rows of `daq/info`.
         accept_limit_s: rig time within which a command must be accepted, and the next scans must come.
     """

@@ -170,11 +170,7 @@ class SteppedSine:
         return self._plan.current_a
 
     def start(self, now_ns: int) -> Setpoint:
-        """Begin, or begin again from the first point.
-
-        Args:
-            now_ns: rig time.
-        """
+        """Begin, or begin again from the first point."""
         self._reset()
         self._start_ns = now_ns
         self.state = State.RUNNING
@@ -314,7 +310,6 @@ class ControlledSine(SteppedSine):
 
     Args:
         plan: the points; its current is what the first one begins with.
-        hold: what is held there.
     """
 
     def __init__(self, plan: Plan, hold: HoldPlan) -> None:

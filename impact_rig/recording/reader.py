@@ -230,11 +230,7 @@ class Run:
         return [source for source in self.sources if source.statistics.message_count]
 
     def _refuse_excess(self) -> None:
-        """Refuse what the index alone shows to be beyond the budget.
-
-        Raises:
-            BudgetError: it is.
-        """
+        """Refuse what the index alone shows to be beyond the budget."""
         account = self._account()
         try:
             for source in self.sources:
@@ -296,11 +292,7 @@ class Run:
                 del pending[:cut]
 
     def _refuse_hoard(self, pending: list[_Item], recorded: Sequence[_Place], coming: Iterable[_Place]) -> None:
-        """Refuse to hold many chunks because each has a message that is much later than the others.
-
-        Raises:
-            BudgetError: they are too large together.
-        """
+        """Refuse to hold many chunks because each has a message that is much later than the others."""
         held = [*(recorded[number] for number in {item[1] for item in pending}), *coming]
         size = sum(place.index.uncompressed_size for place in held) + budget.MESSAGE_BYTES * len(pending)
         try:
@@ -309,12 +301,7 @@ class Run:
             raise BudgetError(f"{self.path}: {error}") from error
 
     def _count(self, content: memoryview, account: Spending) -> None:
-        """Count the records of a chunk before any of them becomes an object.
-
-        Raises:
-            DamageError: they are no records.
-            BudgetError: there are too many.
-        """
+        """Count the records of a chunk before any of them becomes an object."""
         most = round(budget.HELD_BYTES // budget.MESSAGE_BYTES * budget.factor())
         try:
             account.records(records.count(content, most))
@@ -374,11 +361,7 @@ def _wanted(source: McapSource, index: ChunkIndex, names: frozenset[str] | None)
 
 
 def _items(place: _Place, content: memoryview, names: frozenset[str] | None, chunk_number: int) -> list[_Item]:
-    """Return the wanted messages of a chunk, each with its sort key.
-
-    Raises:
-        DamageError: a message belongs to a channel the file's index does not know.
-    """
+    """Return the wanted messages of a chunk, each with its sort key."""
     topics = place.source.topics
     wanted = None if names is None else frozenset(i for i, topic in topics.items() if topic.name in names)
     items = []

@@ -111,10 +111,6 @@ def split(view: memoryview, offset: int, *, end: int | None = None) -> tuple[int
 def decompress(chunk: mcap_records.Chunk, *, need_crc: bool = False) -> memoryview:
     """Return the records of `chunk`, checked against its size and checksum; memory stays within its claimed size.
 
-    Args:
-        chunk: as it stands in the file.
-        need_crc: whether a chunk without checksum (0) is refused.
-
     Raises:
         DamageError: size or checksum differ, or the data cannot be decompressed.
     """

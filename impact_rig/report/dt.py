@@ -500,13 +500,7 @@ Trace = Mapping[str, NDArray[np.generic]]
 
 
 def time_trace(trace: Trace, gap_m: float, frequency_hz: float) -> Drawn:
-    """Draw the motion over time.
-
-    Args:
-        trace: columns of `campaign.job.columns`.
-        gap_m: of the run.
-        frequency_hz: of the drive.
-    """
+    """Draw the motion over time."""
     time = np.asarray(trace["time"], float)
     shown = time <= CYCLES / frequency_hz
     coarse = np.flatnonzero(shown)[:: max(1, round(1.0 / (time[1] - time[0]) / DRAWN_HZ))]

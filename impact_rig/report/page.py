@@ -31,13 +31,7 @@ def anchor(title: str) -> str:
 
 
 def section(title: str, *parts: str, part: bool = False) -> str:
-    """Return a section; nothing if it has no content.
-
-    Args:
-        title: of it.
-        parts: what is in it.
-        part: whether it begins a page of its own in print.
-    """
+    """Return a section; nothing if it has no content."""
     body = "\n".join(one for one in parts if one)
     if not body:
         return ""
@@ -69,12 +63,7 @@ def cover(entries: Iterable[tuple[str, str]]) -> str:
 
 
 def figures(drawn: Sequence[Drawn], *, large: bool = False) -> str:
-    """Return figures side by side as far as the page is wide; each can be enlarged, and gives its numbers as CSV.
-
-    Args:
-        drawn: in their order.
-        large: two abreast at most.
-    """
+    """Return figures side by side as far as the page is wide; each can be enlarged, and gives its numbers as CSV."""
     kind = "figures large" if large else "figures"
     return f'<div class="{kind}">{"".join(map(_figure, drawn))}</div>' if drawn else ""
 

@@ -130,13 +130,6 @@ def _reduction(point: Point, curves: Curves, calibration: Calibration) -> tuple[
 def continued(name: str, plan: Plan, found: Found, points: Sequence[Point], config: RigConfig) -> Drawn:
     """Draw DT along the continued motions of the model, and what was measured at their places.
 
-    Args:
-        name: of the figure.
-        plan: continues motions over gap, frequency or current.
-        found: rows of its tasks.
-        points: of the campaign.
-        config: its reference rig.
-
     Raises:
         ConfigError: the motions are of another rig, or over something that a campaign names otherwise.
     """

@@ -131,10 +131,6 @@ EMERGENCY = "emergency stop"
 class Rig:
     """The virtual test rig.
 
-    Args:
-        config: the whole configuration.
-        start_ns: stamp of scan 0 [ns].
-
     Raises:
         ConfigError: the configuration's initial drive is beyond the shaker, or the instruments cannot run at this rate.
     """

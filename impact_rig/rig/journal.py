@@ -113,12 +113,7 @@ class Entry:
 
 
 class Journal:
-    """Numbers the rows and hands them over as tables.
-
-    Args:
-        rate_hz: scan rate.
-        start_ns: stamp of scan 0.
-    """
+    """Numbers the rows and hands them over as tables."""
 
     def __init__(self, rate_hz: int, start_ns: int) -> None:
         self._rate_hz = rate_hz
@@ -264,11 +259,7 @@ def read(tables: Iterable[Table]) -> list[Entry]:
 
 
 def _entries(table: Table) -> Iterator[Entry]:
-    """Yield the rows of a table.
-
-    Raises:
-        ConfigError: a row is damaged or of unknown kind.
-    """
+    """Yield the rows of a table."""
     try:
         rows = codec.checked(table, topics.JOURNAL).rows
     except CodecError as error:

@@ -52,7 +52,6 @@ class AntiAlias:
     Blocks are kept as they came, and joined only for an instant that is wanted.
 
     Args:
-        channels: columns that are wanted.
         step: scans per monitor period.
     """
 

@@ -61,8 +61,6 @@ class RecordedSamples(Buffer):
     """All samples of a recording at once, in the place of a stream's buffer: there is what the journal says was.
 
     Args:
-        rig: the rig, new.
-        entries: its journal.
         waveform: what came, in order; of what came late only that is taken of which nothing came before.
     """
 
@@ -136,11 +134,6 @@ class RecordedSamples(Buffer):
 
 class Resimulation:
     """The rig that wrote a journal, run again: see `resimulate`.
-
-    Args:
-        journal: the tables of rig/journal, in order; the last `start` or `reset` in them begins.
-        base: what the initial rows do not decide; default none.
-        waveform: what came on shaker/waveform, in order.
 
     Attributes:
         rig: the rig, ahead of the blocks that were taken.

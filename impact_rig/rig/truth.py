@@ -33,7 +33,6 @@ class Truth:
     """Collects the truth of simulated ticks and gives it out by scans.
 
     Args:
-        rate_hz: scan rate.
         monitor_hz: wanted rate of the monitor; every k-th scan is taken, k the nearest from above.
         every_scan: keep the truth of every scan, not of the monitor instants only.
     """

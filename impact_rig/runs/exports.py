@@ -53,12 +53,7 @@ def export(run: Run, topic: str, target: Path) -> Path:
 
 
 def write_columns(batches: Callable[[], Iterator[Columns]], target: Path) -> Path:
-    """Write columns to `target` and return it, see `export`.
-
-    Args:
-        batches: gives the columns, many rows at a time, all of one set of names.
-        target: the file; its suffix says the format.
-    """
+    """Write columns to `target` and return it, see `export`."""
     write = _WRITERS.get(target.suffix)
     if write is None:
         raise RecordingError(f"{target} must end in one of {', '.join(_WRITERS)}")

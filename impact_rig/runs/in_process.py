@@ -40,8 +40,6 @@ class RigRecorder:
     """Writes what a rig does; a context that ends the run.
 
     Args:
-        directory: of the run.
-        rig: new.
         more: topics of others that are written, too.
     """
 
@@ -106,12 +104,7 @@ class RigRecorder:
 
 
 class RecordedInProcess(InProcess):
-    """A wire to a rig in this process that is recorded.
-
-    Args:
-        rig: its drive is a stream.
-        recorder: of it, with `DRIVEN`.
-    """
+    """A wire to a rig in this process that is recorded."""
 
     def __init__(self, rig: Rig, recorder: RigRecorder) -> None:
         super().__init__(rig)

@@ -293,11 +293,7 @@ def unit_factor(unit: str, wanted: str) -> float | None:
 
 
 def _to_si(name: str, one: Channel) -> float:
-    """Return what a value of a channel's signal is multiplied by.
-
-    Raises:
-        ConfigError: its unit is unknown, or is no unit of that channel.
-    """
+    """Return what a value of a channel's signal is multiplied by."""
     unit = one.unit or UNITS[name]
     if one.sensitivity:
         number, _, rest = one.sensitivity.strip().partition(" ")

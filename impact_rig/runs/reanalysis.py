@@ -112,9 +112,6 @@ def _settings_told(run: Run) -> list[_Told]:
     An analysis labels whatever it will see, from stamp 0 on. One that was started again while the run went on saw
     nothing of before: what it says holds since it came. What one had said that ended before the run is latched, and
     says nothing of it.
-
-    Raises:
-        RecordingError: none is one.
     """
     topic = topics.ANALYSIS_SETTINGS
     if not run.holds(topic):

@@ -605,11 +605,7 @@ class _Salvage:
             )
 
     def _know(self, channel_id: int, topic: TopicDescription) -> None:
-        """Remember the topic of a channel.
-
-        Raises:
-            BudgetError: there are more topics than any reader takes.
-        """
+        """Remember the topic of a channel."""
         if channel_id not in self._topics:
             budget.allow("topics", len(self._topics) + 1, budget.TOPICS)
         self._topics[channel_id] = topic

@@ -172,14 +172,7 @@ def _assigned(scans: Iterable[Table], journals: list[list[Table]], first: int) -
 def _verify(
     journal: list[Table], scans: Iterator[Table], beside: _Beside, following: Table | None
 ) -> tuple[Verification, Block | None]:
-    """Compare the blocks of one journal; return also the block that would come next.
-
-    Args:
-        journal: its tables.
-        scans: the blocks recorded.
-        beside: compares the other topics.
-        following: the first table of the next journal.
-    """
+    """Compare the blocks of one journal; return also the block that would come next."""
     compared = 0
     try:
         again = beside.begin(journal)
@@ -253,8 +246,6 @@ class _Recorded:
     """The recorded messages of one topic, walked beside what the re-simulation gives, both in order.
 
     Args:
-        run: the run.
-        topic: that is compared.
         read: returns stamp and content of a message.
         differ: returns the first difference of two contents, recorded and re-simulated, or nothing.
     """
@@ -369,7 +360,6 @@ class _Beside:
     """Compares what the rig published beside its scans.
 
     Args:
-        run: the run.
         foreign: messages on `rig/journal` that were left out.
         waveforms: each journal, and what came on `shaker/waveform` meanwhile.
     """
@@ -583,10 +573,6 @@ class _Monitor:
 
     Who publishes monitors makes them only where somebody listens, and an earlier version began its filter then: the
     first messages after a pause are not compared.
-
-    Args:
-        run: the run.
-        channel: whose.
     """
 
     def __init__(self, run: Run, channel: str) -> None:

@@ -102,10 +102,6 @@ class RosRig(SteppedRig):
     def host(self, make_node: Callable[..., Any], **kwargs: Any) -> Any:
         """Run a node under test in this process and return it: in lockstep without a word about it in its code.
 
-        Args:
-            make_node: its class, or a function that makes it.
-            kwargs: given to `make_node`.
-
         Raises:
             ConfigError: it does not subscribe to daq/scan.
         """

@@ -128,10 +128,6 @@ class _Drive:
 def control(hardware: Hardware, plan: RandomPlan) -> Iterator[Reached]:
     """Hold a spectrum; yields after each loop, at last the averages.
 
-    Args:
-        hardware: output and acquisition, of one rate.
-        plan: what is held, and how.
-
     Raises:
         CommandError: the shaker trips or refuses, or a line is too strong.
         TimeoutError: the rig did not go on.
