@@ -9,7 +9,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 
 import numpy as np
 import pytest
@@ -89,16 +88,16 @@ def test_a_history_and_a_shock_are_told_trial_by_trial(tmp_path):
 
 
 def test_an_interrupt_leaves_a_run_that_verifies_and_a_page(tmp_path):
-    """A real process, told by SIGINT in the midst of its averages."""
+    """A real process, told by SIGINT in the midst of loops that it does not come to the end of meanwhile."""
+    (tmp_path / "long.yaml").write_text("{loops: 500}")
     process = subprocess.Popen(
-        [*PROGRAM, "loop", "random", "--gap", "none", "--output", str(tmp_path / "run")],
+        [*PROGRAM, "loop", "random", str(tmp_path / "long.yaml"), "--gap", "none", "--output", str(tmp_path / "run")],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env={**os.environ, "COVERAGE_PROCESS_START": ""},
     )  # fmt: skip
     assert process.stderr is not None
     for line in process.stderr:
         if "loop 2" in line:
             break
-    time.sleep(0.2)
     process.send_signal(signal.SIGINT)
     process.communicate(timeout=120)
     assert process.returncode == 128 + signal.SIGINT
