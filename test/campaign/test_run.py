@@ -16,6 +16,7 @@ import attrs
 import numpy as np
 import pytest
 from kits.campaign import TINY, assert_same
+from kits.measured import measured as watched
 
 from impact_rig.campaign import run
 from impact_rig.campaign.plan import load_campaign
@@ -150,32 +151,33 @@ def test_another_directory_is_never_taken_for_a_campaign(tiny, tmp_path):
         run.prepare(tiny, tmp_path, "process")
 
 
-def start(file, directory, workers, *more):
-    """Start the command in a process of its own: the worker processes and what watches them end with it."""
+def start(file, directory, *more, environment=None):
+    """Start the command with two workers in a process of its own: they and what watches them end with it."""
     command = [sys.executable, "-c", "import sys; from impact_rig.cli import main; sys.exit(main())", "campaign"]
-    arguments = [str(file), "--output", str(directory), "--workers", str(workers), *more]
-    return subprocess.Popen([*command, *arguments], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    arguments = [str(file), "--output", str(directory), "--workers", "2", *more]
+    return subprocess.Popen(
+        [*command, *arguments], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=environment
+    )
 
 
-@pytest.mark.usefixtures("measured_programs")
 def test_an_interrupted_parallel_campaign_resumes_with_the_same_bits(tmp_path, measured):
     file, directory = tmp_path / "tiny.yaml", tmp_path / "out"
     kept_studies = [line for line in TINY.splitlines(keepends=True) if not line.startswith(("  sweep:", "  again:"))]
     more = "  more: {frequencies_hz: {from: 8, to: 10, step: 0.1}, gaps_m: none}\n"  # so that it is surely not done yet
     file.write_text("".join(kept_studies) + more)
-    process = start(file, directory, 2)
+    process = start(file, directory)
     deadline = time.monotonic() + 100
     while not list(directory.glob("points/*.json")) and process.poll() is None and time.monotonic() < deadline:
         time.sleep(0.01)
     os.kill(process.pid, signal.SIGINT)
-    output, _ = process.communicate(timeout=30)
+    output, _ = process.communicate(timeout=100)
     assert process.returncode == 130, output
     assert "Traceback" not in output
     kept = {path: path.stat().st_mtime_ns for path in directory.glob("points/*.json")}
     campaign, store = load_campaign(file), Store(directory)
     jobs = run.unique_jobs(campaign.planned())
     assert 1 <= len(kept) < len(jobs)
-    process = start(file, directory, 1, "--check")
+    process = start(file, directory, "--check", environment=watched())  # no signal comes in its tracer's way
     output, _ = process.communicate(timeout=100)
     assert process.returncode == 1, "two points failed, and that was to be checked"
     assert output.splitlines()[-1] == str(directory), "the last line is the directory, for programs"
