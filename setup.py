@@ -50,7 +50,9 @@ setup(
     maintainer=MAINTAINER.text,
     maintainer_email=MAINTAINER.get("email"),
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
-    package_data={NAME: ["py.typed", "interface.json", "kernels/library.c", "lab/static/*"]},
+    package_data={
+        NAME: ["py.typed", "interface.json", "kernels/library.c", "lab/static/*", "lab/words.json", "report/style.css"]
+    },
     ext_modules=[Extension(f"{NAME}.kernels._library", [], py_limited_api=True, optional=True)],
     cmdclass={"build_ext": BuildKernels},
     options={"bdist_wheel": {"py_limited_api": "cp311"}},  # one file for every Python

@@ -9,10 +9,12 @@ not shown as present. Times are seconds since scan 0; what came before it is neg
 from __future__ import annotations
 
 import abc
+import json
 import queue
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import Any, Self  # Any: what goes to JSON
 
 import attrs
@@ -317,42 +319,5 @@ def glossary() -> dict[str, str]:
             told = f"Of the {plain(node)}: {word.doc}."
             words[plain(word)] = f"{words[plain(word)]} {told}" if plain(word) in words else told
     measured = {plain(word): word.doc for table in (Status, Regime) for word in table}
-    return {**laws, **faults, **words, **measured, **GLOSSARY}
-
-
-GLOSSARY = {
-    # the bar
-    "rig time": "Time of the rig's scan clock since scan 0.",
-    "speed": "Seconds of rig time per second.",
-    "unknown": "The rig does not say its state, or there are too few cycles to tell the regime.",
-    "lost blocks": "Blocks of scans that a fault withheld, that the analysis missed, or that the recorder missed.",
-    "recording": "The run that is being recorded, and its size so far.",
-    "stream": "Of a rig that is driven by samples: how many seconds of them it holds, and what did not come in time.",
-    "channels": "What the analysis says of the channels it measures with.",
-    "faults in force": "Instrument faults that act now, as the rig tells the truth of it; no analysis sees them.",
-    "status": "What else is to be known of the value.",
-    "refused messages": "Messages on the rig's topics that made no sense; each costs itself alone.",
-    # states of the page
-    "offline": "The lab's server does not answer: what is shown is old.",
-    "dead": "The rig's process has ended, or nothing was heard of the rig for 4 s.",
-    "starting": "The rig was not heard of yet.",
-    "choose": "Several rigs are running.",
-    "playback": "A recorded run is played.",
-    "paused playback": "A recorded run stands still.",
-    "measured": "The analysis says that its newest value holds for the present drive, and nothing speaks against it.",
-    # the measurement
-    "at": "Drive frequency of the value.",
-    "last, at": "Drive frequency of the last value, which does not hold now.",
-    "phase": "Phase of the superior base's motion relative to the inferior base's.",
-    "regime": "What the response of the structure does from cycle to cycle.",
-    "no impacts at this gap": "The sphere lies or moves between the walls without striking them.",
-    "impacts per cycle": "Impacts detected by the accelerometer per cycle of the drive.",
-    "|X₁|": "Amplitude of the superior base, from the laser.",
-    "|X_b|": "Amplitude of the inferior base, from its displacement sensor.",
-    "law": "The contact law: how sphere and wall exchange momentum and lose energy.",
-    "restitution": "Speed after an impact over speed before, as the law is told; what it returns may differ.",
-    "gap": "Free play of the sphere between the walls.",
-    "frequency": "Frequency of the drive.",
-    "current": "Amplitude of the coil's current, peak.",
-    "sphere at": "Where the sphere lies after a reset or a change of the gap.",
-}
+    own = json.loads((Path(__file__).parent / "words.json").read_text(encoding="utf-8"))
+    return {**laws, **faults, **words, **measured, **own}
