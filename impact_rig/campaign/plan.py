@@ -25,7 +25,7 @@ from impact_rig.config.tree import Value, flatten
 from impact_rig.errors import ConfigError
 from impact_rig.operate.stepped_sine import Direction
 from impact_rig.physics.contact import LAWS
-from impact_rig.rig.config import RigConfig, from_flat, to_flat
+from impact_rig.rig.config import RigConfig, differences, from_flat
 from impact_rig.system import budget
 
 RESET = "reset"  # the direction of a study whose points each begin with a reset rig
@@ -113,7 +113,6 @@ class Campaign:
         return attrs.evolve(self, studies=tuple(study for study in self.studies if study.name in names))
 
     def _expand(self, study: Study) -> Iterator[Planned]:
-        default = to_flat(RigConfig())
         combinations = itertools.product(itertools.product(*study.vary.values()), study.currents_a, study.gaps_m)
         for values, current, gap in combinations:
             varied = dict(zip(study.vary, values, strict=True))
@@ -121,7 +120,7 @@ class Campaign:
                 config = from_flat(self.base, {**varied, **_gap_values(gap)})
             except ConfigError as error:
                 raise ConfigError(f"study {study.name}: {error}") from error
-            changes = {name: value for name, value in to_flat(config).items() if value != default[name]}
+            changes = differences(config)
             points = [study.frequencies_hz]
             if study.direction == RESET:
                 points = [(frequency,) for frequency in study.frequencies_hz]

@@ -11,10 +11,11 @@ import signal
 from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from typing import TYPE_CHECKING, Protocol, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 from impact_rig.campaign.job import Job, Outcome, execute
 from impact_rig.campaign.store import fingerprint
+from impact_rig.campaign.tasks import Portable
 from impact_rig.errors import ConfigError, GoneError, ImpactRigError
 from impact_rig.system.endings import SIGNALS, end_with, held, unhurried
 
@@ -94,19 +95,6 @@ def _begin_worker(parent: int) -> None:
 # Results travel back, nothing is written there.
 
 CONNECT_S = 10.0
-
-
-class Portable(Protocol):
-    """What can be sent to a cluster."""
-
-    @property
-    def key(self) -> str:
-        """Identify it by all values that decide its result."""
-
-    def describe(self) -> str:
-        """Return a short name for people."""
-
-
 P = TypeVar("P", bound=Portable)
 
 

@@ -33,7 +33,7 @@ MAX_TASK_BYTES = 64 * 2**20
 Row = Sequence[str | float]  # what was found at one place: words and numbers; NaN where there is none
 
 
-class Task(Protocol):
+class Portable(Protocol):
     """What is measured as a whole: a value, so that it can travel to a worker."""
 
     @property
@@ -42,6 +42,10 @@ class Task(Protocol):
 
     def describe(self) -> str:
         """Return a short name for people."""
+
+
+class Task(Portable, Protocol):
+    """What is kept as rows."""
 
     def read(self, rows: Sequence[Row]) -> Sequence[Row]:
         """Return stored rows as they were measured.

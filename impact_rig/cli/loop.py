@@ -26,7 +26,7 @@ from impact_rig.errors import ConfigError, RecordingError
 from impact_rig.operate.looking import Ladder, LoopApparatus, Rung, climb, lock_on, mean
 from impact_rig.operate.phase_lock import LockPlan, Reference
 from impact_rig.operate.stepped_sine import Direction, Hold, HoldPlan, State
-from impact_rig.rig.config import RigConfig, to_flat
+from impact_rig.rig.config import RigConfig, differences
 from impact_rig.simtime import NS_PER_S
 from impact_rig.studies.closed_loop import Held, ProcessLoop, hold
 from impact_rig.system import files
@@ -86,9 +86,8 @@ def _run(arguments: argparse.Namespace) -> int:
 
 
 def _hold(arguments: argparse.Namespace, config: RigConfig, gap: float, console: Console) -> int:
-    default = to_flat(RigConfig())
     job = Job(
-        changes={name: value for name, value in to_flat(config).items() if value != default[name]},
+        changes=differences(config),
         analysis={},
         gap_m=gap,
         frequencies_hz=tuple(arguments.frequencies),

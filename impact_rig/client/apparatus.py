@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from impact_rig import codec, topics
 from impact_rig.analysis.settings import TrackerSettings
 from impact_rig.blocks import WAVEFORM, Table
-from impact_rig.campaign.job import TRACE_BLOCKS, Job, Outcome, Trace, columns, run_job
+from impact_rig.campaign.job import TRACE_BLOCKS, Job, JobApparatus, Outcome, Trace, columns, run_job
 from impact_rig.campaign.run import Runner
 from impact_rig.client.client import Client
 from impact_rig.client.processes import ParameterValue, Processes, isolated_domain
@@ -34,7 +34,7 @@ from impact_rig.operate.operator import Applied, News
 from impact_rig.operate.phase_lock import Look, PhasorMeter
 from impact_rig.operate.stepped_sine import HoldPlan, Setpoint, SteppedSine
 from impact_rig.rig import Kind
-from impact_rig.rig.config import RigConfig, from_flat, to_flat
+from impact_rig.rig.config import RigConfig, differences, from_flat, to_flat
 from impact_rig.rig.interlock import OVER_TRAVEL, Trip, check_amplitude, check_frequency
 from impact_rig.simtime import NS_PER_S, stamp_ns
 from impact_rig.studies.closed_loop import Held, hold, with_short_blocks
@@ -139,7 +139,7 @@ def _run_all(
         yield job, outcome
 
 
-class RosApparatus(abc.ABC):
+class RosApparatus(JobApparatus):
     """The nodes `rig`, `analysis` and perhaps `recorder`, active, as a `JobApparatus` for one job after the other."""
 
     def __init__(self, client: Client, *, record: bool) -> None:
@@ -158,18 +158,6 @@ class RosApparatus(abc.ABC):
         Raises:
             ImpactRigError: a node refused.
         """
-
-    @abc.abstractmethod
-    def now_ns(self) -> int:
-        """Return the rig time since the reset."""
-
-    @abc.abstractmethod
-    def wait(self) -> News:
-        """Let rig time pass until there may be something to do, and return what happened."""
-
-    @abc.abstractmethod
-    def rest(self) -> None:
-        """End the sweep."""
 
     def set(self, setpoint: Setpoint) -> None:
         """Command frequency, then current, and wait until each is applied.
@@ -331,13 +319,10 @@ class FreewheelApparatus(RosApparatus):
 
     def prepare(self, job: Job, run_name: str) -> FreewheelApparatus:
         """Begin anew with a job's configuration; of the analysis only its label changes."""
-        client, wanted = self._client, to_flat(job.config())
+        client = self._client
         client.pause()
-        present = to_flat(self._config)
-        changes = {
-            name: value for name, value in wanted.items() if value != present[name] and not name.startswith(FIXED)
-        }
-        client.set_parameters("rig", changes)
+        changes = differences(job.config(), self._config)
+        client.set_parameters("rig", {name: value for name, value in changes.items() if not name.startswith(FIXED)})
         client.trigger("rig/reset")
         client.set_parameters("analysis", {"gap_m": job.gap_m})
         self._start_recording(run_name)
@@ -461,9 +446,11 @@ def stepped_hold(directory: Path, job: Job, plan: HoldPlan) -> Held:
 @contextlib.contextmanager
 def stepped_loop(directory: Path, config: RigConfig) -> Iterator[SteppedLoop]:
     """Start a rig node of this configuration in a domain of its own; it logs into `directory`."""
-    config, default = with_short_blocks(config), to_flat(RigConfig())
-    values = {name: value for name, value in to_flat(config).items() if value != default[name]}
-    values |= {"time.mode": "stepped", "time.peers": ["operator"], "daq.block_scans": config.daq.block_scans}  # type: ignore[dict-item]  # lists are values of parameters
+    config = with_short_blocks(config)
+    values: dict[str, ParameterValue] = {
+        **differences(config), "time.mode": "stepped", "time.peers": ["operator"],
+        "daq.block_scans": config.daq.block_scans,
+    }  # fmt: skip
     with isolated_domain() as domain_id, Processes(domain_id, directory) as processes:
         processes.start("rig", values)
         with Client(domain_id, processes=processes, name="operator") as client:
@@ -572,9 +559,8 @@ def recorded(directory: Path, config: RigConfig, namespace: str | None = None) -
         recorder = "stream_recorder" if running else "recorder"
         values = {"directory": str(directory.parent), "name": directory.name}
         if not running:
-            default = to_flat(RigConfig())
-            changed = {name: value for name, value in to_flat(config).items() if value != default[name]}
-            processes.start("rig", changed | {"time.mode": "freewheel", "time.peers": [CONTROLLER, recorder]})
+            freely = {"time.mode": "freewheel", "time.peers": [CONTROLLER, recorder]}
+            processes.start("rig", {**differences(config), **freely})
         client = stack.enter_context(Client(domain_id, namespace or "", processes=processes, name=CONTROLLER))
         if running:
             client.wait_active("rig")

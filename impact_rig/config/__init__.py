@@ -10,17 +10,6 @@ from impact_rig.config.sections import Barriers, Daq, Drive, Output, Pluck, Shak
 from impact_rig.config.tree import Tree
 
 __all__ = [
-    "Barriers",
-    "Daq",
-    "Drive",
-    "FieldInfo",
-    "Origin",
-    "Output",
-    "Pluck",
-    "Shaker",
-    "Sphere",
-    "Step",
-    "Structure",
-    "Time",
-    "Tree",
-]
+    "Barriers", "Daq", "Drive", "FieldInfo", "Origin", "Output", "Pluck", "Shaker", "Sphere", "Step", "Structure",
+    "Time", "Tree",
+]  # fmt: skip

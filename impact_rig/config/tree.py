@@ -95,11 +95,19 @@ class Tree(Generic[Root]):
         """Return every value by its dotted name: what a run's attachment and the node's parameters hold."""
         return {name: _lookup(config, name) for name in self._known}
 
+    def differences(self, config: Root, before: Root | None = None) -> dict[str, Value]:
+        """Return the values of `config` that `before` (None: the default) has otherwise, by dotted name."""
+        old = self._defaults if before is None else self.to_flat(before)
+        return {name: value for name, value in self.to_flat(config).items() if value != old[name]}
+
+    @functools.cached_property
+    def _defaults(self) -> dict[str, Value]:
+        return self.to_flat(self.root())
+
     def fields(self) -> Iterator[tuple[str, FieldInfo, Value]]:
         """Yield (dotted name, what it means, default) of every configuration value, in order."""
-        default = self.root()
         for name, about in self._known.items():
-            yield name, about, _lookup(default, name)
+            yield name, about, self._defaults[name]
 
     def dump(self, config: Root) -> str:
         """Return `config` as a ROS 2 parameter file, complete: `load` of it gives `config` again."""

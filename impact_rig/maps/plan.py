@@ -25,7 +25,7 @@ from impact_rig.campaign.tasks import Row, load_plan
 from impact_rig.config.tree import Value
 from impact_rig.errors import ConfigError
 from impact_rig.maps.measure import FAILED, MapRig, Reading, Settings
-from impact_rig.rig.config import RigConfig, from_flat, to_flat
+from impact_rig.rig.config import RigConfig, differences, from_flat
 from impact_rig.system import budget
 from impact_rig.system.budget import BudgetError
 
@@ -157,8 +157,7 @@ class MapPlan:
 
     def changes(self) -> dict[str, Value]:
         """Return the rig's values that differ from the default."""
-        default = to_flat(RigConfig())
-        return {name: value for name, value in to_flat(self.base).items() if value != default[name]}
+        return differences(self.base)
 
     def lines(self) -> list[Line]:
         """Return all lines in order."""

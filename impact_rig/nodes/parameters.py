@@ -104,12 +104,12 @@ class Parameters(Generic[S]):
             if not parameter.name.startswith(_FOREIGN):
                 changes[parameter.name] = _from_ros(parameter.value)
         settings = self._tree.from_flat(self.settings, changes)
-        values, before = self._tree.to_flat(settings), self._tree.to_flat(self.settings)
+        values = self._tree.to_flat(settings)
         stored = [
             Parameter(p.name, value=_to_ros(values[p.name])) if p.name in changes and values[p.name] != () else p
             for p in wanted
         ]
-        return Proposal(stored, settings, {name: value for name, value in values.items() if value != before[name]})
+        return Proposal(stored, settings, self._tree.differences(settings, self.settings))
 
     def _unchanged(self, parameter: Parameter) -> bool:
         """Whether a parameter that is fixed, or a text, is given as it is; ConfigError if a fixed one is not."""

@@ -69,7 +69,7 @@ class RigConfig:
 
 TREE = Tree(RigConfig)
 load, parse, dump = TREE.load, TREE.parse, TREE.dump
-from_flat, to_flat = TREE.from_flat, TREE.to_flat
+from_flat, to_flat, differences = TREE.from_flat, TREE.to_flat, TREE.differences
 fields = TREE.fields
 
-__all__ = ["TREE", "RigConfig", "dump", "fields", "from_flat", "load", "parameters_in", "to_flat"]
+__all__ = ["TREE", "RigConfig", "differences", "dump", "fields", "from_flat", "load", "parameters_in", "to_flat"]

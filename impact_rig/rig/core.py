@@ -27,7 +27,7 @@ from impact_rig.instruments.fault import Fault
 from impact_rig.physics import FunctionGenerator, Motion, Simulation
 from impact_rig.physics.model import Model, build
 from impact_rig.physics.stream import Event, State, Stream
-from impact_rig.rig.config import RigConfig, from_flat
+from impact_rig.rig.config import RigConfig, differences, from_flat
 from impact_rig.rig.interlock import UNDERRUN, Interlock, Trip, check_amplitude, check_frequency, check_stream
 from impact_rig.rig.journal import (
     INSTRUMENTS,
@@ -37,7 +37,6 @@ from impact_rig.rig.journal import (
     Kind,
     PlanInForce,
     Value,
-    changed_values,
     not_default,
     sampled,
     until_reset,
@@ -406,7 +405,10 @@ class Rig:
             ConfigError: unknown key, bad value, bad combination, or a value fixed at start; nothing is changed.
         """
         config = from_flat(self.config, changes)
-        self.adopt(config, changed_values(self.config, config))
+        changed = differences(config, self.config)
+        if not changed.keys().isdisjoint(("daq.rate_hz", "daq.block_scans")):
+            raise ConfigError("daq.rate_hz and daq.block_scans are fixed at start")
+        self.adopt(config, changed)
         return config
 
     def adopt(self, config: RigConfig, changed: Mapping[str, Value]) -> None:

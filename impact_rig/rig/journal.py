@@ -23,7 +23,7 @@ from impact_rig.blocks import JOURNAL, TEXT_BYTES, Table
 from impact_rig.errors import CodecError, ConfigError
 from impact_rig.instruments.fault import Fault
 from impact_rig.instruments.section import Setup
-from impact_rig.rig.config import RigConfig, to_flat
+from impact_rig.rig.config import RigConfig, differences, to_flat
 from impact_rig.simtime import NS_PER_S, stamp_ns
 
 Value = bool | int | float | str | tuple[str, ...]
@@ -308,7 +308,7 @@ def sampled(values: Mapping[str, Value]) -> dict[str, Value]:
 
 def not_default(configuration: RigConfig) -> dict[str, Value]:
     """Return the values of `configuration` that decide samples and differ from the default rig."""
-    return {name: value for name, value in sampled(to_flat(configuration)).items() if value != _DEFAULTS[name]}
+    return sampled(differences(configuration))
 
 
 def short_key(name: str) -> str:
@@ -343,18 +343,6 @@ def takes_effect(name: str) -> str:
     if name.startswith(("sphere.", "barriers.", "contact.")):
         return "next command instant; the sphere rests at `sphere.start` again"
     return "next command instant"
-
-
-def changed_values(before: RigConfig, after: RigConfig) -> dict[str, Value]:
-    """Return the values of `after` that `before` has otherwise, by name.
-
-    Raises:
-        ConfigError: one is fixed at start.
-    """
-    if (after.daq.rate_hz, after.daq.block_scans) != (before.daq.rate_hz, before.daq.block_scans):
-        raise ConfigError("daq.rate_hz and daq.block_scans are fixed at start")
-    old = to_flat(before)
-    return {name: value for name, value in to_flat(after).items() if value != old[name]}
 
 
 def until_reset(present: Setup, config: RigConfig) -> RigConfig:

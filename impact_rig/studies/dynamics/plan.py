@@ -23,7 +23,7 @@ from impact_rig.config.tree import Value
 from impact_rig.errors import ConfigError
 from impact_rig.maps.measure import CHUNK, FAILED, MapRig, Reading, Settings
 from impact_rig.maps.plan import BOTH, CURRENT, DOWN, FREQUENCY, GAP, POSITION, RESET, SPEED, UP, Line, refuse_owned
-from impact_rig.rig.config import RigConfig, from_flat, to_flat
+from impact_rig.rig.config import RigConfig, differences, from_flat, to_flat
 from impact_rig.studies.dynamics import exponent, orbits
 from impact_rig.studies.dynamics.stroboscope import Energy, Place, Properties, Stroboscope, at, size
 
@@ -164,8 +164,7 @@ def _read(document: object, text: str, path: Path, kind: str, resolved: RigConfi
     if kind not in top:
         raise ConfigError(f"there is no {kind} in the file")
     rig = resolved or axes.rig(top, path.parent, refuse_owned)
-    default = to_flat(RigConfig())
-    changes = {name: value for name, value in to_flat(rig).items() if value != default[name]}
+    changes = differences(rig)
     settings = axes.settings("measure", top.get("measure"), Settings)
     frequency_hz = axes.number(FREQUENCY, top.get(FREQUENCY, FREQUENCY_HZ), 0.0, 1e4)
     current_a = axes.number(CURRENT, top.get(CURRENT, CURRENT_A), 0.0)
