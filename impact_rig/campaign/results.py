@@ -4,8 +4,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -205,16 +203,8 @@ def table(points: Sequence[Point]) -> tuple[list[str], list[list[object]]]:
 
 
 def write_csv(path: Path, points: Sequence[Point]) -> Path:
-    """Write all points as CSV, see `table`; return `path`.
-
-    Numbers are written so that they read back as the same doubles; nothing stands where nothing was measured.
-    """
-    text = io.StringIO(newline="")
-    writer = csv.writer(text)
-    names, rows = table(points)
-    writer.writerow(names)
-    writer.writerows([["" if isinstance(cell, float) and math.isnan(cell) else cell for cell in row] for row in rows])
-    files.write_text(path, text.getvalue())
+    """Write all points as CSV, see `table`; return `path`."""
+    files.write_csv(path, *table(points))
     return path
 
 
@@ -264,16 +254,9 @@ def write_summary(
         **(more or {}),
     }
     path = directory / FILE_NAME
-    files.write_text(path, json.dumps(_finite(content), indent=2) + "\n")
+    files.write_text(path, json.dumps(files.plain(content), indent=2) + "\n")
     return path
 
 
 def _by_millimetre(values: object) -> dict[str, float]:
     return {f"{gap * 1e3:g}": value for gap, value in dict(values).items()}  # type: ignore[call-overload]  # any mapping
-
-
-def _finite(value: object) -> object:
-    """JSON has no NaN."""
-    if isinstance(value, dict):
-        return {key: _finite(item) for key, item in value.items()}
-    return None if isinstance(value, float) and not math.isfinite(value) else value

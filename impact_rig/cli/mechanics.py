@@ -5,8 +5,6 @@
 from __future__ import annotations
 
 import argparse
-import csv
-import io
 import json
 import math
 import time
@@ -154,7 +152,7 @@ def _dynamics(arguments: argparse.Namespace) -> int:
     wall_s = time.monotonic() - began
     found = [(task, store.get(task) or []) for task in plan.tasks]
     rows = [row for _, each in found for row in each]
-    _write_table(plan, rows, directory)
+    files.write_csv(directory / f"{kind}.csv", plans.COLUMNS[kind], rows)
     told = {
         "title": plan.title, "kind": kind, "measured_on": "mechanics", "tasks": len(plan.tasks), "rows": len(rows),
         "measured_tasks": measured, "wall_s": wall_s, **_summary(plan, rows),
@@ -171,14 +169,6 @@ def _dynamics(arguments: argparse.Namespace) -> int:
     else:
         tell_program(directory)
     return 0
-
-
-def _write_table(plan: Plan, rows: list[Row], directory: Path) -> None:
-    text = io.StringIO(newline="")
-    writer = csv.writer(text)
-    writer.writerow(plans.COLUMNS[plan.kind])
-    writer.writerows([["" if isinstance(cell, float) and math.isnan(cell) else cell for cell in row] for row in rows])
-    files.write_text(directory / f"{plan.kind}.csv", text.getvalue())
 
 
 def _named(plan: Plan, rows: list[Row], names: tuple[str, ...]) -> list[dict[str, object]]:

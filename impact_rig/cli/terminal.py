@@ -11,14 +11,12 @@ from __future__ import annotations
 
 import argparse
 import json
-import math
 import sys
 import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any  # what rich's methods take
 
-import numpy as np
 from rich import box
 from rich import console as rich_console
 from rich import table as rich_table
@@ -34,8 +32,9 @@ from rich.progress import (
 from rich.text import Text
 
 from impact_rig.errors import visible
+from impact_rig.system.files import plain
 
-__all__ = ["Console", "Counted", "Steps", "TextTable", "Words", "plain", "tell_json", "tell_program"]
+__all__ = ["Console", "Counted", "Steps", "TextTable", "Words", "tell_json", "tell_program"]
 
 LONGEST_HEADING = 11  # characters of a heading over numbers that stay in one line
 LINES = 50  # of a progress that nobody watches, about
@@ -150,23 +149,6 @@ def tell_json(content: object) -> None:
 def tell_program(path: Path) -> None:
     """Print a path as the last line: as it is for a program that reads it, visible for people."""
     print(visible(str(path)) if sys.stdout.isatty() else path)  # noqa: T201  # a command line tool talks
-
-
-def plain(value: object) -> object:
-    """Return what JSON knows: no NaN, no numpy, no bytes."""
-    if isinstance(value, dict):
-        return {str(key): plain(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple, np.ndarray)):
-        return [plain(item) for item in value]
-    if isinstance(value, np.void):
-        return {name: plain(value[name]) for name in value.dtype.names or ()}
-    if isinstance(value, bytes):
-        return value.decode(errors="replace")
-    if isinstance(value, (bool, int, str)) or value is None:
-        return value
-    if isinstance(value, (float, np.floating)):
-        return float(value) if math.isfinite(value) else None
-    return int(value) if isinstance(value, np.integer) else bool(value) if isinstance(value, np.bool_) else str(value)
 
 
 WIDTH = 78  # of help pages: they are made for a terminal of 80 columns

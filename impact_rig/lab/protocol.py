@@ -32,6 +32,7 @@ from numpy.typing import NDArray
 from impact_rig.errors import ImpactRigError
 from impact_rig.instruments.section import CHANNELS
 from impact_rig.lab.scope import LONGEST_S, Trace
+from impact_rig.system.files import plain
 
 LONGEST_REQUEST = 65536  # bytes; longer ones are refused, and the connection is closed
 LONGEST_TEXT = 500
@@ -213,20 +214,9 @@ _ROWS = struct.Struct("<II")
 _SPECTRUM = struct.Struct("<dII")
 
 
-def _clean(value: Any) -> Any:
-    """Return a value without what JSON has no word for: NaN and infinity become null."""
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if isinstance(value, Mapping):
-        return {str(key): _clean(one) for key, one in value.items()}
-    if isinstance(value, list | tuple):
-        return [_clean(one) for one in value]
-    return value
-
-
 def json_frame(kind: Kind, number: int, content: Mapping[str, Any]) -> bytes:
     """Return a frame STATE or REPLY."""
-    return _HEAD.pack(kind, number & 0xFFFFFFFF) + json.dumps(_clean(content), separators=(",", ":")).encode()
+    return _HEAD.pack(kind, number & 0xFFFFFFFF) + json.dumps(plain(content), separators=(",", ":")).encode()
 
 
 def trace_frame(kind: Kind, number: int, trace: Trace, now_s: float) -> bytes:

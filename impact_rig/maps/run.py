@@ -10,8 +10,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import math
 from collections import Counter
@@ -79,12 +77,7 @@ def open_map(directory: Path) -> FinishedMap:
 
 def write_results(done: FinishedMap, more: dict[str, object]) -> None:
     """Write `map.csv` and `map.json`."""
-    text = io.StringIO(newline="")
-    writer = csv.writer(text)
-    names, rows = table(done)
-    writer.writerow(names)
-    writer.writerows([["" if isinstance(cell, float) and math.isnan(cell) else cell for cell in row] for row in rows])
-    files.write_text(done.directory / CSV_FILE, text.getvalue())
+    files.write_csv(done.directory / CSV_FILE, *table(done))
     regimes = {
         layer: dict(sorted(Counter(str(word) for word in values["regime"].ravel() if word).items()))
         for layer, values in done.values.items()

@@ -88,16 +88,4 @@ class Content:
             for one in self.drawn
         }
         content = {"title": title, "facts": self._facts, "tables": self._tables, "figures": figures}
-        files.write_text(path, json.dumps(_plain(content), indent=1, ensure_ascii=False) + "\n")
-
-
-def _plain(value: object) -> object:
-    """Return what JSON knows; it has no NaN and no numpy."""
-    if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
-    if isinstance(value, (str, bool, int)) or value is None:
-        return value
-    plain = float(value)  # type: ignore[arg-type]  # what is left are numbers
-    return plain if math.isfinite(plain) else None
+        files.write_text(path, json.dumps(files.plain(content), indent=1, ensure_ascii=False) + "\n")

@@ -17,15 +17,20 @@ and an installed version never mix, as no environment variable is asked.
 from __future__ import annotations
 
 import contextlib
+import csv
 import errno
 import fcntl
+import io
+import math
 import os
 import secrets
 import stat
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import BinaryIO
+
+import numpy as np
 
 from impact_rig.errors import ImpactRigError
 from impact_rig.system.endings import unhurried
@@ -101,6 +106,36 @@ def write_text(path: Path, text: str) -> None:
     """
     with written_whole(path) as file:
         file.write(text.encode())
+
+
+def write_csv(path: Path, names: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
+    """Write a table as CSV; numbers read back as the same doubles, and nothing stands where one is NaN.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    text = io.StringIO(newline="")
+    writer = csv.writer(text)
+    writer.writerow(names)
+    writer.writerows([["" if isinstance(cell, float) and math.isnan(cell) else cell for cell in row] for row in rows])
+    write_text(path, text.getvalue())
+
+
+def plain(value: object) -> object:
+    """Return what JSON knows: no NaN, no infinity, no numpy, no bytes."""
+    if isinstance(value, (bool, int, str)) or value is None:
+        return value
+    if isinstance(value, (float, np.floating)):
+        return float(value) if math.isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple, np.ndarray)):
+        return [plain(item) for item in value]
+    if isinstance(value, np.void):
+        return {name: plain(value[name]) for name in value.dtype.names or ()}
+    if isinstance(value, bytes):
+        return value.decode(errors="replace")
+    return int(value) if isinstance(value, np.integer) else bool(value) if isinstance(value, np.bool_) else str(value)
 
 
 def make_folder(path: Path) -> None:
