@@ -27,8 +27,7 @@ from impact_rig.simtime import NS_PER_S
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-LONGEST_S = 3600.0
-"""All scans are kept in memory: 2 GB at 10 kS/s."""
+LONGEST_S = 3600.0  # all scans are kept in memory: 2 GB at 10 kS/s
 DRAWN_S = 0.5
 
 

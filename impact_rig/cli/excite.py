@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from impact_rig.analysis.scans import CHANNELS
 from impact_rig.campaign.axes import NO_SPHERE
-from impact_rig.cli.terminal import Console, add_json, plain, subcommand, tell_json, tell_program
+from impact_rig.cli.terminal import Console, add_json, subcommand, tell_json, tell_program
 from impact_rig.errors import CommandError, ConfigError, ImpactRigError
 from impact_rig.operate.hardware import Hardware
 from impact_rig.rig import Rig
@@ -240,7 +240,7 @@ def _drive(arguments: argparse.Namespace, title: str, unit: str, work: Work) -> 
             ("Rig", arguments.namespace if arguments.through == RUNNING else rig), ("Through", arguments.through),
             ("Rate", f"{arguments.rate} Hz"), ("Recording", f"{directory.name}; impact-rig verify re-simulates it"),
         ]  # fmt: skip
-        files.write_text(directory / f"{what}.json", json.dumps(plain(figures), indent=2) + "\n")
+        files.write_text(directory / f"{what}.json", json.dumps(files.plain(figures), indent=2) + "\n")
         page = directory / f"{what}.html"
         # an ending that takes too long is cut short: the words first
         files.write_text(page, document(title, about, told, early, drawn=False))

@@ -41,15 +41,12 @@ from impact_rig.studies.closed_loop import Held, hold, with_short_blocks
 
 FIXED = ("time.", "step.", "daq.rate_hz", "daq.block_scans", "output.autostart")
 """Parameters that are read-only, or that say how the rig is driven here."""
-GRACE_S = 0.005
-"""Wall time for what was published before a step's answer and waits to be taken."""
-MEASUREMENT_TIMEOUT_S = 120.0
-"""Wall time in which a running rig must have measured something."""
+GRACE_S = 0.005  # wall time for what was published before a step's answer and waits to be taken
+MEASUREMENT_TIMEOUT_S = 120.0  # wall time in which a running rig must have measured something
 Watch = Callable[[Job, SteppedSine | None], None]
 """Told when a job is being prepared (no sweep yet), when its sweep begins, and of every measurement."""
 
-CONTROLLER = "controller"
-"""Of the client's node: in `freewheel` and `stepped` it is among `time.peers`."""
+CONTROLLER = "controller"  # of the client's node: in `freewheel` and `stepped` it is among `time.peers`
 REALTIME_LEAD_S = 0.2
 _STOPS = tuple(kind.value.encode() for kind in (Kind.TRIP, Kind.STOP))
 

@@ -68,10 +68,8 @@ class Collector:
     def __init__(self, topic: Topic, on_message: Callable[[Received], None] | None = None) -> None:
         self.topic = topic
         self.received: list[Received] = []
-        self.refused = 0
-        """Messages that were no tables of the topic."""
-        self.last_refused = ""
-        """Why the last of them was none."""
+        self.refused = 0  # messages that were no tables of the topic
+        self.last_refused = ""  # why the last of them was none
         self._on_message = [on_message] if on_message is not None else []
 
     def __len__(self) -> int:
@@ -126,19 +124,16 @@ class Collector:
 
 
 SPIN_S = 0.1
-GONE_S = 2.0
-"""A rig that says nothing for so long is gone: it reports once a second, whatever it does."""
+GONE_S = 2.0  # a rig that says nothing for so long is gone: it reports once a second, whatever it does
 DIAGNOSTICS_PERIOD_S = 1.0
-LOOK_S = 0.05
-"""What has arrived while nobody spun is handed over in this time."""
+LOOK_S = 0.05  # what has arrived while nobody spun is handed over in this time
 
 
 class WaitTimeoutError(ImpactRigError, TimeoutError):
     """Something awaited did not happen in time."""
 
 
-Check = Callable[[], None]
-"""Raises when there is nothing to wait for any more."""
+Check = Callable[[], None]  # raises when there is nothing to wait for any more
 
 
 def patiently() -> None:
@@ -216,16 +211,11 @@ class Spinner:
 
 T = TypeVar("T")
 
-DEFAULT_TIMEOUT_S = 10.0
-"""Discovery takes 0.2 to 2 s; compiled code may load in the first seconds of a node."""
-START_TIMEOUT_S = 240.0
-"""A node's first start on a machine compiles the physics."""
-LIFECYCLE = (ChangeState, GetState)
-"""Services by which rigs are begun and ended; a transition may take minutes."""
-RIG = "simulation"
-"""Component in the diagnostics of a rig."""
-AGAIN_S = 2.0
-"""When a question that may be asked twice is asked again."""
+DEFAULT_TIMEOUT_S = 10.0  # discovery takes 0.2 to 2 s; compiled code may load in the first seconds of a node
+START_TIMEOUT_S = 240.0  # a node's first start on a machine compiles the physics
+LIFECYCLE = (ChangeState, GetState)  # services by which rigs are begun and ended; a transition may take minutes
+RIG = "simulation"  # component in the diagnostics of a rig
+AGAIN_S = 2.0  # when a question that may be asked twice is asked again
 
 
 TRANSITIONS = {

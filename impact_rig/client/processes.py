@@ -209,8 +209,7 @@ def _yaml(value: ParameterValue) -> str:
 FOLDER = "impact_rig_domains"
 FIRST_DOMAIN, LAST_DOMAIN = 1, 49
 """0 is everybody's default, and above 101 the ports of a domain fall into Linux's ephemeral range."""
-FIRST_PORT, PORTS_PER_DOMAIN = 7400, 250
-"""Of RTPS (DDSI-RTPS 2.2, 9.6.1.1)."""
+FIRST_PORT, PORTS_PER_DOMAIN = 7400, 250  # of RTPS (DDSI-RTPS 2.2, 9.6.1.1)
 SHARED_MEMORY = Path("/dev/shm")  # noqa: S108  # where Fast DDS keeps it on Linux
 DISCOVERY_VARIABLE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 

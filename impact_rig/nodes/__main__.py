@@ -7,6 +7,7 @@ Light on purpose: signals and the end of the parent are taken care of before any
 
 from __future__ import annotations
 
+import functools
 import importlib
 import itertools
 import os
@@ -76,28 +77,13 @@ def show_help(node: str, arguments: Sequence[str]) -> bool:
     return True
 
 
-def rig() -> None:
-    """Run the rig."""
-    _run("rig")
-
-
-def analysis() -> None:
-    """Run the analysis."""
-    _run("analysis")
-
-
-def recorder() -> None:
-    """Run the recorder."""
-    _run("recorder")
-
-
-def stepped_sine() -> None:
-    """Run the stepped sine."""
-    _run("stepped_sine")
-
-
 def _run(node: str) -> None:
     begin(node, lambda ending: importlib.import_module(f"impact_rig.nodes.{node}_node").main(ending))
+
+
+rig, analysis, recorder, stepped_sine = (
+    functools.partial(_run, node) for node in ("rig", "analysis", "recorder", "stepped_sine")
+)
 
 
 def begin(node: str, main: Callable[[Ending], None]) -> None:

@@ -185,25 +185,13 @@ def draw_reductions(reductions: Reductions, path: Path) -> Path:
         [i - 0.2 for i in places], [REDUCTION_PERCENT.get(g, 0.0) for g in gaps], 0.38, color=PAPER_RED, label="paper"
     )
     right.bar(
-        [i + 0.2 for i in places],
-        [ours[g] for g in gaps],
-        0.38,
-        yerr=[2.0 * spread[g] for g in gaps],
-        color=MEASURED,
-        ecolor=INK,
-        capsize=3,
-        label="this run (± 2u)",
-    )
+        [i + 0.2 for i in places], [ours[g] for g in gaps], 0.38, yerr=[2.0 * spread[g] for g in gaps],
+        color=MEASURED, ecolor=INK, capsize=3, label="this run (± 2u)",
+    )  # fmt: skip
     for i, gap in enumerate(gaps):
-        right.text(
-            i - 0.2,
-            REDUCTION_PERCENT.get(gap, 0.0),
-            f"{REDUCTION_PERCENT.get(gap, 0.0):.1f}",
-            ha="center",
-            va="bottom",
-            fontsize=8,
-        )
-        right.text(i + 0.2, ours[gap] + 2.0 * spread[gap], f"{ours[gap]:.1f}", ha="center", va="bottom", fontsize=8)
+        published = REDUCTION_PERCENT.get(gap, 0.0)
+        for x, y, value in ((i - 0.2, published, published), (i + 0.2, ours[gap] + 2.0 * spread[gap], ours[gap])):
+            right.text(x, y, f"{value:.1f}", ha="center", va="bottom", fontsize=8)
     right.set_xticks(list(places), names)
     right.set(xlabel="gap (mm)", ylabel="reduction of DT (%)", title="Reduction by the sphere")
     right.legend(frameon=False, loc="upper left")

@@ -31,8 +31,7 @@ from impact_rig.nodes.rig_node import RigNode
 from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.testing.virtual_rig import SCANS, TOPICS, SteppedRig, configured
 
-NODE_TIMEOUT_S = 30.0
-"""How long a node under test may take to subscribe."""
+NODE_TIMEOUT_S = 30.0  # how long a node under test may take to subscribe
 ACK_WINDOW = 8
 """Blocks out and not acknowledged: less than the 10 messages most nodes keep, so that a slow one loses none."""
 RUN = "run"

@@ -25,8 +25,7 @@ from impact_rig.testing.virtual_rig import SteppedRig
 
 __all__ = ["Change", "Command", "Inject", "Pause", "Silence", "repeat", "scenarios", "search"]
 
-AFTERWARDS = 3
-"""Blocks after the last action, so that a pipeline sees its end."""
+AFTERWARDS = 3  # blocks after the last action, so that a pipeline sees its end
 MOST_BLOCKS = 20
 
 

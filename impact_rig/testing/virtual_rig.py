@@ -40,8 +40,7 @@ _GRID_PER_S = NS_PER_S // COMMAND_GRID_NS
 _DEFAULTS = to_flat(RigConfig())
 _UNSAID = ("time.", "instruments.faults")  # the same in every test; told in words
 BATCH_BLOCKS = 50
-KEPT_BYTES = 256_000_000
-"""Scans beyond this are forgotten, oldest first: 10 minutes at 10 kS/s."""
+KEPT_BYTES = 256_000_000  # scans beyond this are forgotten, oldest first: 10 minutes at 10 kS/s
 
 ESSENTIAL = (topics.INFO.name, topics.APPLIED.name, topics.JOURNAL.name)
 """Never forgotten: what they say holds until the next of them."""
@@ -63,8 +62,7 @@ class SteppedRig(abc.ABC):
     def __init__(self, name: str, config: RigConfig) -> None:
         self.name = name
         self.config = config
-        self.sample = 0
-        """First scan of the next block: where the rig stands."""
+        self.sample = 0  # first scan of the next block: where the rig stands
         self.closed = False
         self._kept_from = 0
 
@@ -277,8 +275,7 @@ class VirtualRig(SteppedRig):
         self, parameters: Mapping[str, object] | None = None, faults: Iterable[Fault] = (), name: str = "rig"
     ) -> None:
         super().__init__(name, configured(parameters or {}, faults))
-        self.core = Rig(self.config)
-        """The rig itself, for what is not offered here (pluck, stop, clear_trip, ...)."""
+        self.core = Rig(self.config)  # the rig itself, for what is not offered here (pluck, stop, clear_trip, ...)
         self._injected: list[Fault] = []
         self._listeners: list[Listener] = []
         self._kept: dict[str, deque[Table]] = {topic: deque() for topic in TOPICS}
