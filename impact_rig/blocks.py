@@ -26,29 +26,19 @@ LARGEST_INDEX = 2.0**53  # to which whole numbers are exact in a table
 
 @attrs.frozen
 class Column:
-    """One column of a table, and what may stand in it: `codec.checked` refuses everything else.
+    """One column of a table, and what may stand in it: `codec.checked` refuses everything else."""
 
-    Attributes:
-        name: how it is addressed.
-        unit: SI unit, `-` for none, or words where it depends on the row.
-        doc: what it says, including the values that are not measurements.
-        kind: numpy type code.
-        default: what a table of an earlier version, which lacks the column, is read as; None: it must be there.
-        least: least value; a column with a bound holds no NaN.
-        most: largest value.
-        whole: whether values are whole numbers.
-        is_part: whether a text may be part of a longer one, so that it need not be UTF-8 by itself.
-    """
-
-    name: str
-    unit: str
-    doc: str
-    kind: str = NUMBER
+    name: str  # how it is addressed
+    unit: str  # SI unit, `-` for none, or words where it depends on the row
+    doc: str  # what it says, including the values that are not measurements
+    kind: str = NUMBER  # numpy type code
     default: float | str | None = attrs.field(default=None, kw_only=True)
-    least: float = attrs.field(default=-math.inf, kw_only=True)
-    most: float = attrs.field(default=math.inf, kw_only=True)
-    whole: bool = attrs.field(default=False, kw_only=True)
+    """What a table of an earlier version, which lacks the column, is read as; None: it must be there."""
+    least: float = attrs.field(default=-math.inf, kw_only=True)  # least value; a column with a bound holds no NaN
+    most: float = attrs.field(default=math.inf, kw_only=True)  # largest value
+    whole: bool = attrs.field(default=False, kw_only=True)  # whether values are whole numbers
     is_part: bool = attrs.field(default=False, kw_only=True)
+    """Whether a text may be part of a longer one, so that it need not be UTF-8 by itself."""
 
     @property
     def is_bounded(self) -> bool:

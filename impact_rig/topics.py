@@ -44,27 +44,19 @@ class Qos(enum.Enum):
 
 @attrs.frozen(eq=False)
 class Topic:
-    """One row of the table.
+    """One row of the table."""
 
-    Attributes:
-        name: relative topic name, or absolute where convention says so.
-        type_name: ROS interface, `package/msg/Type`.
-        publisher: node that publishes it, or `client`.
-        fields: the columns of a table, or the fields of another message that are filled.
-        recorded: whether it belongs into every run; what is made for plotters follows from what is recorded.
-        further: type of the columns that may follow `fields` in a table; empty: any, for those of a later version.
-    """
-
-    name: str
-    type_name: str
+    name: str  # relative topic name, or absolute where convention says so
+    type_name: str  # ROS interface, `package/msg/Type`
     qos: Qos
-    publisher: str
+    publisher: str  # node that publishes it, or `client`
     doc: str
-    fields: tuple[Column, ...]
+    fields: tuple[Column, ...]  # the columns of a table, or the fields of another message that are filled
     columns: np.dtype[np.void] | None = None
     frame_id: str = ""
-    recorded: bool = True
+    recorded: bool = True  # whether it belongs into every run; what is made for plotters follows from what is recorded
     further: str = ""
+    """Type of the columns that may follow `fields` in a table; empty: any, for those of a later version."""
 
 
 TABLE = "sensor_msgs/msg/PointCloud2"  # the type of every table
@@ -179,33 +171,38 @@ ACK = Topic(
     (Column("stamp", "-", "That of the block."), Column("frame_id", "-", "Node name of the peer.")),
     recorded=False,
 )
-PLOT_TRANSMISSIBILITY = Topic(
-    "plot/transmissibility",
-    "geometry_msgs/msg/Vector3Stamped",
-    Qos.LATCHED,
-    "analysis",
-    "For plotters: last settled transmissibility; stamp = last scan measured.",
-    (
-        Column("vector.x", "-", "Transmissibility."),
-        Column("vector.y", "-", "Its standard uncertainty."),
-        Column("vector.z", "rad", "Phase of x_1 relative to x_b."),
-    ),
-    frame_id=blocks.FRAME_DAQ,
-    recorded=False,
+
+
+def _plotted(name: str, qos: Qos, doc: str, *fields: Column) -> Topic:
+    return Topic(
+        f"plot/{name}", "geometry_msgs/msg/Vector3Stamped", qos, "analysis", f"For plotters: {doc}", fields,
+        frame_id=blocks.FRAME_DAQ, recorded=False,
+    )  # fmt: skip
+
+
+def _extremes(name: str, unit: str, doc: str) -> Topic:
+    least, most = Column("vector.x", unit, "Least value."), Column("vector.y", unit, "Largest value.")
+    return _plotted(f"envelope/{name}", Qos.DATA, doc, least, most, Column("vector.z", unit, "Root mean square."))
+
+
+PLOT_TRANSMISSIBILITY = _plotted(
+    "transmissibility", Qos.LATCHED, "last settled transmissibility; stamp = last scan measured.",
+    Column("vector.x", "-", "Transmissibility."), Column("vector.y", "-", "Its standard uncertainty."),
+    Column("vector.z", "rad", "Phase of x_1 relative to x_b."),
+)  # fmt: skip
+PLOT_DRIVE = _plotted(
+    "drive", Qos.LATCHED, "what shaker/applied said last, at each change and once a second.",
+    Column("vector.x", "Hz", "Drive frequency."),
+    Column("vector.y", "A", "Amplitude commanded (m or V by `drive.kind`)."),
+)  # fmt: skip
+PLOT_PULSES = _extremes(
+    "pulses", "m/s^2", "the accelerometer above 500 Hz, every scan of an interval of 20 ms in three numbers."
 )
-PLOT_DRIVE = Topic(
-    "plot/drive",
-    "geometry_msgs/msg/Vector3Stamped",
-    Qos.LATCHED,
-    "analysis",
-    "For plotters: what shaker/applied said last, at each change and once a second.",
-    (
-        Column("vector.x", "Hz", "Drive frequency."),
-        Column("vector.y", "A", "Amplitude commanded (m or V by `drive.kind`)."),
-    ),
-    frame_id=blocks.FRAME_DAQ,
-    recorded=False,
-)
+
+
+def envelope(channel: str, unit: str) -> Topic:
+    """Return the topic of a channel's envelope."""
+    return _extremes(channel, unit, "every scan of an interval of 20 ms in three numbers; stamp = its first scan.")
 
 
 def spectrum(channel: str, unit: str) -> Topic:
@@ -216,40 +213,6 @@ def spectrum(channel: str, unit: str) -> Topic:
         (Column("polygon.points", f"Hz, {unit}", "x: frequency, up to 250 Hz; y: amplitude of the line there, peak."),),
         frame_id=blocks.FRAME_DAQ, recorded=False,
     )  # fmt: skip
-
-
-PLOT_PULSES = Topic(
-    "plot/envelope/pulses",
-    "geometry_msgs/msg/Vector3Stamped",
-    Qos.DATA,
-    "analysis",
-    "For plotters: the accelerometer above 500 Hz, every scan of an interval of 20 ms in three numbers.",
-    (
-        Column("vector.x", "m/s^2", "Least value."),
-        Column("vector.y", "m/s^2", "Largest value."),
-        Column("vector.z", "m/s^2", "Root mean square."),
-    ),
-    frame_id=blocks.FRAME_DAQ,
-    recorded=False,
-)
-
-
-def envelope(channel: str, unit: str) -> Topic:
-    """Return the topic of a channel's envelope."""
-    return Topic(
-        f"plot/envelope/{channel}",
-        "geometry_msgs/msg/Vector3Stamped",
-        Qos.DATA,
-        "analysis",
-        "For plotters: every scan of an interval of 20 ms in three numbers; stamp = its first scan.",
-        (
-            Column("vector.x", unit, "Least value."),
-            Column("vector.y", unit, "Largest value."),
-            Column("vector.z", unit, "Root mean square."),
-        ),
-        frame_id=blocks.FRAME_DAQ,
-        recorded=False,
-    )
 
 
 DIAGNOSTICS = Topic(

@@ -109,7 +109,7 @@ class Store:
             "simulated_s": outcome.simulated_s,
             "wall_s": outcome.wall_s,
             "lost_scans": outcome.lost_scans,
-            "rows": [_plain(row) for row in outcome.rows],
+            "rows": [files.plain(row) for row in outcome.rows],
             "trace": hashlib.sha256(packed.getvalue()).hexdigest() if outcome.trace else "",
         }
         content["digest"] = _digest(content)
@@ -274,18 +274,6 @@ def _digest(content: Mapping[str, object]) -> str:
     """Return the digest of a stored result, of everything but itself."""
     kept = {name: value for name, value in content.items() if name != "digest"}
     return hashlib.sha256(json.dumps(kept, sort_keys=True).encode()).hexdigest()
-
-
-def _plain(row: np.void) -> dict[str, object]:
-    """Return a row as JSON knows it; null stands for NaN."""
-    plain: dict[str, object] = {}
-    for name in TRANSMISSIBILITY.names or ():
-        if name in _TEXTS:
-            plain[name] = row[name].decode()
-        else:
-            number = float(row[name])
-            plain[name] = number if math.isfinite(number) else None
-    return plain
 
 
 def _row(plain: Mapping[str, object]) -> tuple[object, ...]:
