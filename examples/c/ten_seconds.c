@@ -6,11 +6,11 @@
 #include "impact_rig.h"
 #include <stdio.h>
 
-enum { SEGMENTS = 1000, KNOTS = 1 << 17, IMPACTS = 1 << 12 };
+enum { SEGMENTS = 1000, STATES = 1 << 17, IMPACTS = 1 << 12 };
 static ir_parameters parameters[1];
 static ir_system systems[2];
 static ir_table table[1];
-static ir_state states[2], knots[KNOTS];
+static ir_state states[2], history[STATES];
 static ir_segment segments[SEGMENTS];
 static ir_flight flight[1];
 static ir_contact_step step[1];
@@ -29,7 +29,7 @@ int main(int count, char **words)
     for (int64_t i = 0; i < SEGMENTS; i++) ticks[i] = i; /* one segment a tick: a stream of samples has more */
     int32_t status = ir_physics_event_loop_run(
         parameters, 1, systems, 2, table, 1, one, at_stages, segments, SEGMENTS, ticks, SEGMENTS, 0, states, 2, flight, 1, step, 1,
-        ledger, 1, filled, 1, knots, KNOTS, impacts, IMPACTS, first, SEGMENTS + 1, 0, result);
+        ledger, 1, filled, 1, history, STATES, impacts, IMPACTS, first, SEGMENTS + 1, 0, result);
     printf("%d %lld %lld %a\n", (int)status, (long long)result[0], (long long)filled->impacts, states[0].y[0]);
     for (int64_t i = 0; i < filled->impacts; i++) printf("%lld %a %a\n", (long long)impacts[i].tick, impacts[i].offset, impacts[i].impulse);
     return status;

@@ -119,6 +119,6 @@ def power(x, y):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def modulus(real, imag):  # type: ignore[no-untyped-def]
-    """Return |real + i imag|, without care for what overflows when squared."""
-    return math.sqrt(real * real + imag * imag)
+def modulus(z):  # type: ignore[no-untyped-def]
+    """Return |z| of a complex number, without care for what overflows when squared."""
+    return math.sqrt(z.real * z.real + z.imag * z.imag)

@@ -18,13 +18,13 @@ from impact_rig.arithmetic.precise import ONE, ZERO, dot, pi, precise, unit
 from impact_rig.kernels import INTEGERS, REALS, TABLE, entry, kernel
 
 NODES = 8
-TERMS = 14
+PIECE_TERMS = 14
 """Terms of a power series that `shorten` takes."""
 
 
 @precise
 def _chebyshev() -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return the nodes, ascending, V⁻¹, and V⁻¹ x_j^k for k = NODES … TERMS − 1, of many digits and rounded once."""
+    """Return the nodes, ascending, V⁻¹, and V⁻¹ x_j^k, k = NODES … PIECE_TERMS − 1, of many digits and rounded once."""
     x = [unit(pi() * (2 * j + 1) / (2 * NODES)).real for j in reversed(range(NODES))]
     columns = []
     for j, node in enumerate(x):
@@ -34,14 +34,14 @@ def _chebyshev() -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.f
             scale *= node - other
         columns.append([factor / scale for factor in factors])
     inverse, powers, shortened = list(zip(*columns, strict=True)), [ONE for _ in x], []
-    for k in range(TERMS):
+    for k in range(PIECE_TERMS):
         if k >= NODES:
             shortened.append([float(dot(row, powers)) for row in inverse])
         powers = [power * node for power, node in zip(powers, x, strict=True)]
     return np.array([float(node) for node in x]), np.array(inverse, float), np.array(shortened)
 
 
-X, TO_MONOMIALS, _SHORTENED = _chebyshev()
+NODE_AT, TO_MONOMIALS, _SHORTENED = _chebyshev()
 
 
 @kernel
@@ -56,10 +56,10 @@ def through_nodes(values, coefficients):  # type: ignore[no-untyped-def]  # comp
 
 @kernel
 def shorten(series, coefficients):  # type: ignore[no-untyped-def]
-    """Fill in the polynomial that meets a power series of TERMS terms at the nodes."""
+    """Fill in the polynomial that meets a power series of PIECE_TERMS terms at the nodes."""
     for j in range(NODES):
         total = series[j]
-        for k in range(NODES + j % 2, TERMS, 2):  # the others are even where this one is odd
+        for k in range(NODES + j % 2, PIECE_TERMS, 2):  # the others are even where this one is odd
             total += _SHORTENED[k - NODES, j] * series[k]
         coefficients[j] = total
 
@@ -92,7 +92,7 @@ def _nodes(start, end, tick, ticks, offsets):  # type: ignore[no-untyped-def]
         centre, half = 0.5 * (start[i] + end[i]), 0.5 * (end[i] - start[i])
         for j in range(NODES):
             ticks[i * NODES + j] = tick[i]
-            offsets[i * NODES + j] = centre + half * X[j]
+            offsets[i * NODES + j] = centre + half * NODE_AT[j]
 
 
 @entry(TABLE, TABLE)

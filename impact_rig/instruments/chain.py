@@ -24,7 +24,7 @@ from impact_rig.instruments.clock import scan_clock
 from impact_rig.instruments.conversion import CHANNEL, set_converter, set_output, take_rows
 from impact_rig.instruments.fault import Fault, FaultBoard
 from impact_rig.instruments.pieces import PIECES_PER_PERIOD, Limits, Motion, Pieces, cut
-from impact_rig.instruments.response import MODE, records_of
+from impact_rig.instruments.response import SENSOR_MODE, records_of
 from impact_rig.instruments.section import Setup, row_type_of
 from impact_rig.instruments.sensor import Modes, Sensor
 from impact_rig.kernels import records
@@ -101,7 +101,7 @@ class Chain:
         self._most = self._clock.scans_per_tick() + 1
         self._buffers = new_buffers(len(places), _TICKS_AT_ONCE * self._most + _LEFT_OVER)
         self._chains: list[Modes] = []
-        self._modes: NDArray[np.void] = records(0, MODE)
+        self._modes: NDArray[np.void] = records(0, SENSOR_MODE)
         self._equip()
         rate = config.daq.rate_hz
         self._faults = FaultBoard(config.instruments.faults.faults(rate), rate)
@@ -279,7 +279,7 @@ class Chain:
             row["settled"], row["awake"] = sensor.settled, goes_on and row["awake"][0]
         *firsts, total = itertools.accumulate(map(len, modes), initial=0)
         channels["modes"], channels["first_mode"] = list(map(len, modes)), firsts
-        self._chains, self._modes = chains, records(total, MODE)
+        self._chains, self._modes = chains, records(total, SENSOR_MODE)
         self._modes[:] = np.concatenate(modes)
         self._longest_s = min(_LONGEST_PIECE_S, 1.0 / (PIECES_PER_PERIOD * config.shaker.frequency_max_hz))
 

@@ -15,7 +15,7 @@ from impact_rig.arithmetic.elementary import TWO_PI, sincos
 from impact_rig.arithmetic.interpolation import polynomials
 from impact_rig.instruments.conversion import CHANNEL, STRETCH, TWO_D_FLAGS, to_units, to_volts
 from impact_rig.instruments.pieces import PIECES, Pieces
-from impact_rig.instruments.response import MODE, SERIES, first_value, settle, through_piece, weigh
+from impact_rig.instruments.response import SENSOR_MODE, SERIES, first_value, set_period, settle, through_piece
 from impact_rig.kernels import INTEGERS, REALS, TABLE, VOLUME, Fields, entry, kernel
 
 
@@ -76,7 +76,7 @@ def _respond(channel, modes, clock, pieces, coefficients, kicks, values, buffers
     """Run one channel's dynamics over the pieces; its newest conversions go into `values`."""
     tick_s, since = pieces.tick_s, buffers.since
     since[1] = tick_s * (clock.period / clock.tick)
-    weigh(modes, since[1])
+    set_period(modes, since[1])
     if channel.awake == 0:
         channel.awake = 1
         if channel.settled != 0:
@@ -85,7 +85,7 @@ def _respond(channel, modes, clock, pieces, coefficients, kicks, values, buffers
         for i in range(pieces.first[tick], pieces.first[tick + 1]):
             if kicks.shape[0] > 0:
                 for k in range(modes.shape[0]):
-                    modes[k].z_re += kicks[i]
+                    modes[k].psi_re += kicks[i]
             start = pieces.start[i]
             count = _conversions(clock, channel.due, tick_s, pieces.end[i])
             since[0] = max(0.0, tick_s * (channel.due / clock.tick) - start)
@@ -97,12 +97,12 @@ def _respond(channel, modes, clock, pieces, coefficients, kicks, values, buffers
     channel.converted += channel.filled - channel.begun
 
 
-@entry(MODE, CHANNEL, CLOCK, PIECES, VOLUME, TABLE, BUFFERS)
+@entry(SENSOR_MODE, CHANNEL, CLOCK, PIECES, VOLUME, TABLE, BUFFERS)
 def respond(modes, channels, clock, pieces, coefficients, kicks, buffers):  # type: ignore[no-untyped-def]
     """Run all channels up to the volts of their cables.
 
     Args:
-        modes: MODE records of all channels, one channel after another.
+        modes: SENSOR_MODE records of all channels, one channel after another.
         channels: CHANNEL records.
         clock: the scan clock.
         pieces: some ticks of the motion, cut.
@@ -111,25 +111,25 @@ def respond(modes, channels, clock, pieces, coefficients, kicks, buffers):  # ty
         buffers: with room for the conversions.
     """
     for j in range(channels.shape[0]):
-        c = channels[j]
-        own = modes[c.first_mode : c.first_mode + c.modes]
-        _respond(c, own, clock, pieces, coefficients[j], kicks[j], buffers.values[j], buffers)
-        for low in range(c.begun, c.filled, STRETCH):
-            high = min(low + STRETCH, c.filled)
-            to_volts(c, buffers.values[j, low:high], buffers.clipped[j, low:high], buffers.white[: high - low])
+        channel = channels[j]
+        own = modes[channel.first_mode : channel.first_mode + channel.modes]
+        _respond(channel, own, clock, pieces, coefficients[j], kicks[j], buffers.values[j], buffers)
+        for low in range(channel.begun, channel.filled, STRETCH):
+            high = min(low + STRETCH, channel.filled)
+            to_volts(channel, buffers.values[j, low:high], buffers.clipped[j, low:high], buffers.white[: high - low])
 
 
 @entry(CHANNEL, BUFFERS)
 def digitise(channels, buffers):  # type: ignore[no-untyped-def]
     """Turn the newest volts of all channels into readings."""
     for j in range(channels.shape[0]):
-        c = channels[j]
-        for low in range(c.begun, c.filled, STRETCH):
-            high = min(low + STRETCH, c.filled)
-            to_units(c, buffers.values[j, low:high], buffers.clipped[j, low:high], buffers.white[: high - low])
-        if c.filled > c.begun:
-            c.last = buffers.values[j, c.filled - 1]
-        c.begun = c.filled
+        channel = channels[j]
+        for low in range(channel.begun, channel.filled, STRETCH):
+            high = min(low + STRETCH, channel.filled)
+            to_units(channel, buffers.values[j, low:high], buffers.clipped[j, low:high], buffers.white[: high - low])
+        if channel.filled > channel.begun:
+            channel.last = buffers.values[j, channel.filled - 1]
+        channel.begun = channel.filled
 
 
 @entry(CHANNEL, CLOCK, int, float, INTEGERS, REALS, returns=int)
@@ -147,10 +147,10 @@ def instants(channels, clock, ticks, tick_s, at_tick, offset):  # type: ignore[n
             due += clock.period
         due -= clock.tick
     for j in range(channels.shape[0]):
-        c = channels[j]
-        c.due = due
-        c.converted += count
-        c.filled += count
+        channel = channels[j]
+        channel.due = due
+        channel.converted += count
+        channel.filled += count
     return count
 
 

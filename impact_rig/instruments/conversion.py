@@ -3,12 +3,15 @@
 """From a sensor's clean output to readings: linearity, noise, end of range, volts; codes, SI units; rows of scans.
 
 A sensor's noise is as wide as the sensor: white noise behind a first-order low-pass at its bandwidth, sampled exactly.
-From one conversion to the next n ← a n + σ √(1 − a²) w with a = e^{−2π f_c h} and white w: its rms σ is the
-specification's at every scan rate, its spectrum a Lorentzian. With u = −1 … 1 over the range,
+From one conversion to the next it becomes memory · itself + rms √(1 − memory²) · white, memory = e^{−2π bandwidth
+period}: its rms is the specification's at every scan rate, its spectrum a Lorentzian. With x = −1 … 1 over the range
+and Legendre's polynomials,
 
-    value = clean + L (c_2 P_2(u) + c_3 P_3(u)) + n, rounded to the output's own step, held within its range
+    value = clean + linearity_2 (3 x² − 1)/2 + linearity_3 (5 x³ − 3 x)/2 + noise,
+            rounded to the output's own resolution, held within its range
     volts = gain value + offset
-    code  = round((g (volts + σ_c w) + o) / lsb), held within the converter's codes;   reading = code scale + zero
+    code  = round((adc_gain (volts + adc_noise white) + adc_offset) / lsb), held within the converter's codes
+    reading = code scale + zero
 
 Everything is done in short stretches that stay in the first cache, one simple loop after another: the compiler then
 does two scans at a time.
@@ -32,11 +35,11 @@ CHANNEL = np.dtype(
     [
         ("middle", "f8"),  # of the sensor's range [unit]
         ("per_half_range", "f8"),
-        ("bend_2", "f8"),  # L c_2 [unit]
-        ("bend_3", "f8"),
-        ("memory", "f8"),  # a of the noise
-        ("fresh", "f8"),  # σ √(1 − a²) [unit]
-        ("resolution", "f8"),  # step of its own output [unit], 0 for none
+        ("linearity_2", "f8"),  # error of linearity, of second order [unit]
+        ("linearity_3", "f8"),  # of third order [unit]
+        ("memory", "f8"),  # what is left of the noise after one scan period [-]
+        ("fresh", "f8"),  # rms of what is new in it [unit]
+        ("resolution", "f8"),  # of its own output [unit], 0 for none
         ("low", "f8"),  # ends of its range
         ("high", "f8"),
         ("gain", "f8"),  # volt per unit, as it really is
@@ -77,7 +80,7 @@ def set_output(channel: NDArray[np.void], sensor: Sensor, errors: Errors, scan_p
     gain = sign * sensor.volt_per_unit * (1.0 + errors.gain * sensor.gain_tolerance)
     memory = exp(-TWO_PI * sensor.bandwidth_hz * scan_period_s)
     channel["middle"], channel["per_half_range"] = sensor.middle, 1.0 / sensor.half_range
-    channel["bend_2"], channel["bend_3"] = sensor.linearity * errors.c_2, sensor.linearity * errors.c_3
+    channel["linearity_2"], channel["linearity_3"] = sensor.linearity * errors.c_2, sensor.linearity * errors.c_3
     channel["memory"], channel["fresh"] = memory, sensor.noise * math.sqrt(1.0 - memory * memory)
     channel["resolution"], channel["low"], channel["high"] = sensor.resolution, sensor.low, sensor.high
     channel["gain"] = gain
@@ -96,7 +99,7 @@ def set_converter(channel: NDArray[np.void], sensor: Sensor, adc: Adc, errors: B
 
 
 @kernel
-def held(value, low, high):  # type: ignore[no-untyped-def]  # compiled: types are inferred
+def clamped(value, low, high):  # type: ignore[no-untyped-def]  # compiled: types are inferred
     """Return the value within low … high."""
     value = low if value < low else value
     return high if value > high else value
@@ -108,30 +111,31 @@ def to_volts(channel, values, clipped, white):  # type: ignore[no-untyped-def]
 
     Notes in `clipped` whether the sensor was at an end of its range; `white` is scratch.
     """
-    c, n = channel, values.shape[0]
-    fill_normal(c.noise, white)
-    coloured, memory, fresh = c.coloured, c.memory, c.fresh
-    for i in range(n):
+    count = values.shape[0]
+    fill_normal(channel.noise, white)
+    coloured, memory, fresh = channel.coloured, channel.memory, channel.fresh
+    for i in range(count):
         coloured = memory * coloured + fresh * white[i]
         white[i] = coloured
-    c.coloured = coloured
-    if c.bend_2 != 0.0 or c.bend_3 != 0.0:
-        middle, per_half, bend_2, bend_3 = c.middle, c.per_half_range, c.bend_2, c.bend_3
-        for i in range(n):
-            u = held((values[i] - middle) * per_half, -1.0, 1.0)
-            values[i] += bend_2 * (1.5 * u * u - 0.5) + bend_3 * (2.5 * u * u - 1.5) * u
-    low, high, gain, offset, step = c.low, c.high, c.gain, c.offset, c.resolution
-    if step > 0.0:
-        per_step = 1.0 / step
-        for i in range(n):
-            values[i] = step * nearest((values[i] + white[i]) * per_step)
+    channel.coloured = coloured
+    if channel.linearity_2 != 0.0 or channel.linearity_3 != 0.0:
+        middle, per_half_range = channel.middle, channel.per_half_range
+        second, third = channel.linearity_2, channel.linearity_3
+        for i in range(count):
+            x = clamped((values[i] - middle) * per_half_range, -1.0, 1.0)
+            values[i] += second * (1.5 * x * x - 0.5) + third * (2.5 * x * x - 1.5) * x
+    low, high, gain, offset, resolution = channel.low, channel.high, channel.gain, channel.offset, channel.resolution
+    if resolution > 0.0:
+        per_resolution = 1.0 / resolution
+        for i in range(count):
+            values[i] = resolution * nearest((values[i] + white[i]) * per_resolution)
     else:
-        for i in range(n):
+        for i in range(count):
             values[i] += white[i]
-    for i in range(n):
+    for i in range(count):
         clipped[i] = (values[i] <= low) | (values[i] >= high)
-    for i in range(n):
-        values[i] = gain * held(values[i], low, high) + offset
+    for i in range(count):
+        values[i] = gain * clamped(values[i], low, high) + offset
 
 
 @kernel
@@ -140,17 +144,17 @@ def to_units(channel, values, clipped, white):  # type: ignore[no-untyped-def]
 
     Adds to `clipped` where the converter was at an end of its range.
     """
-    c, n = channel, values.shape[0]
-    fill_normal(c.converter_noise, white)
-    noise, gain, offset, per_lsb, scale, zero = c.adc_noise, c.adc_gain, c.adc_offset, 1.0 / c.lsb, c.scale, c.zero
-    lowest, highest = c.lowest, c.highest
-    for i in range(n):
+    count = values.shape[0]
+    fill_normal(channel.converter_noise, white)
+    noise, gain, offset, per_lsb = channel.adc_noise, channel.adc_gain, channel.adc_offset, 1.0 / channel.lsb
+    lowest, highest, scale, zero = channel.lowest, channel.highest, channel.scale, channel.zero
+    for i in range(count):
         code = (gain * (values[i] + noise * white[i]) + offset) * per_lsb
-        values[i] = nearest(held(code, lowest - 1.0, highest + 1.0))
-    for i in range(n):
+        values[i] = nearest(clamped(code, lowest - 1.0, highest + 1.0))
+    for i in range(count):
         clipped[i] |= (values[i] <= lowest) | (values[i] >= highest)
-    for i in range(n):
-        values[i] = scale * held(values[i], lowest, highest) + zero
+    for i in range(count):
+        values[i] = scale * clamped(values[i], lowest, highest) + zero
 
 
 @entry(CHANNEL, TWO_D_WORDS, TWO_D_FLAGS, BYTES, INTEGERS, returns=int)

@@ -2,13 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """The exact response of a sensor's modes to a motion, read off at the instants of conversion.
 
-Each mode follows z' = p z + u, the output is Σ Re(r z). On a piece of half length H the input is a polynomial,
-u = Σ u_k x^k with x = −1 … 1, and the mode is the sum of a particular answer to it and of what it rings with:
+The value of a mode follows ψ' = λ ψ + S, with S what the sensor sees and λ the mode's pole; the output is the sum of
+Re(residue ψ) over the modes. On a piece of half length `half` the input is a polynomial, S = Σ S_k x^k, x = −1 … 1, and
+the mode is the sum of a particular answer to it and of what it rings with:
 
-    z = Σ g_k x^k + (z(−1) − Σ g_k (−1)^k) exp(p H (x + 1)),    with q = p H one of
+    ψ = Σ ψ_k x^k + (ψ(−1) − Σ ψ_k (−1)^k) exp(λ half (x + 1))
 
-    |q| >= 1    g_k = ((k + 1) g_{k+1} − H u_k) / q,    g_8 = 0        downwards: a polynomial of the same degree
-    |q| < 1     g_{k+1} = (q g_k + H u_k) / (k + 1),    g_0 = 0        upwards: a power series, SERIES terms of it
+    |λ half| >= 1    ψ_k = ((k + 1) ψ_{k+1} − half S_k) / (λ half),    ψ_8 = 0    downwards: of the same degree as S
+    |λ half| < 1     ψ_{k+1} = (λ half ψ_k + half S_k) / (k + 1),      ψ_0 = 0    upwards: a power series, SERIES terms
 
 The polynomials of all modes of a channel are added up once a piece; a conversion then costs one polynomial, and a
 multiplication for each mode that still rings. Nothing depends on how conversions and pieces lie to each other, and no
@@ -26,15 +27,15 @@ from impact_rig.arithmetic.elementary import exp, sincos
 from impact_rig.arithmetic.interpolation import NODES
 from impact_rig.kernels import kernel
 
-MODE = np.dtype(
+SENSOR_MODE = np.dtype(
     [
-        ("pole_re", "f8"),  # [rad/s]
+        ("pole_re", "f8"),  # λ [rad/s]
         ("pole_im", "f8"),
-        ("residue_re", "f8"),
+        ("residue_re", "f8"),  # what of it the channel puts out [1/s]
         ("residue_im", "f8"),
-        ("z_re", "f8"),  # value at the start of the piece [unit s]
-        ("z_im", "f8"),
-        ("decay_re", "f8"),  # exp(p h), h from one conversion to the next
+        ("psi_re", "f8"),  # value at the start of the piece [unit s]
+        ("psi_im", "f8"),
+        ("decay_re", "f8"),  # exp(λ period) of the scans
         ("decay_im", "f8"),
         ("rings", "i8"),  # conversions after which nothing is left of it
         ("free_re", "f8"),  # what it rings with at a piece's first conversion, times the residue
@@ -51,129 +52,130 @@ _SILENT = 45.0  # exp(−45) = 3e-20
 
 
 @kernel
-def turned(re, im, seconds):  # type: ignore[no-untyped-def]  # compiled: types are inferred
+def decayed(re, im, seconds):  # type: ignore[no-untyped-def]  # compiled: types are inferred
     """Return exp((re + j im) seconds)."""
-    size = exp(re * seconds)
+    envelope = exp(re * seconds)
     if im == 0.0:
-        return size, 0.0
+        return envelope, 0.0
     sine, cosine = sincos(im * seconds)
-    return size * cosine, size * sine
+    return envelope * cosine, envelope * sine
 
 
 @kernel
-def weigh(modes, period_s):  # type: ignore[no-untyped-def]
+def set_period(modes, period_s):  # type: ignore[no-untyped-def]
     """Note what one scan period does to each mode."""
     for k in range(modes.shape[0]):
         mode = modes[k]
-        mode.decay_re, mode.decay_im = turned(mode.pole_re, mode.pole_im, period_s)
+        mode.decay_re, mode.decay_im = decayed(mode.pole_re, mode.pole_im, period_s)
         mode.rings = math.ceil(min(1e9, _SILENT / (-mode.pole_re * period_s)))
 
 
 @kernel
 def settle(modes, level):  # type: ignore[no-untyped-def]
-    """Go on as if the input had been at `level` for ever: z = −level / pole."""
+    """Go on as if the input had been at `level` for ever: ψ = −level / λ."""
     for k in range(modes.shape[0]):
         mode = modes[k]
         per_square = 1.0 / (mode.pole_re * mode.pole_re + mode.pole_im * mode.pole_im)
-        mode.z_re, mode.z_im = -level * mode.pole_re * per_square, level * mode.pole_im * per_square
+        mode.psi_re, mode.psi_im = -level * mode.pole_re * per_square, level * mode.pole_im * per_square
 
 
 @kernel
-def first_value(u):  # type: ignore[no-untyped-def]
-    """Return the polynomial at x = −1."""
+def first_value(seen):  # type: ignore[no-untyped-def]
+    """Return the polynomial S at x = −1."""
     value = 0.0
     for k in range(NODES - 1, -1, -1):
-        value = u[k] - value
+        value = seen[k] - value
     return value
 
 
 @kernel
-def _particular(mode, u, half, g):  # type: ignore[no-untyped-def]
-    """Fill g, shape (2, SERIES), with the particular answer to u; return its values at x = −1 and 1, re and im."""
-    q_re, q_im = mode.pole_re * half, mode.pole_im * half
+def _particular(mode, seen, half, psi):  # type: ignore[no-untyped-def]
+    """Fill psi, shape (2, SERIES), with the particular answer to S; return its values at x = −1 and 1, re and im."""
+    rate_re, rate_im = mode.pole_re * half, mode.pole_im * half
     re, im = 0.0, 0.0
     even_re, even_im, odd_re, odd_im = 0.0, 0.0, 0.0, 0.0
-    if abs(q_re) + abs(q_im) >= 1.0:
-        per_square = 1.0 / (q_re * q_re + q_im * q_im)
-        per_re, per_im = q_re * per_square, -q_im * per_square
+    if abs(rate_re) + abs(rate_im) >= 1.0:
+        per_square = 1.0 / (rate_re * rate_re + rate_im * rate_im)
+        per_re, per_im = rate_re * per_square, -rate_im * per_square
         for k in range(NODES - 1, -1, -1):
-            a, b = (k + 1) * re - half * u[k], (k + 1) * im
-            re, im = a * per_re - b * per_im, a * per_im + b * per_re
-            g[0, k], g[1, k] = re, im
+            over_re, over_im = (k + 1) * re - half * seen[k], (k + 1) * im
+            re, im = over_re * per_re - over_im * per_im, over_re * per_im + over_im * per_re
+            psi[0, k], psi[1, k] = re, im
             if k % 2 == 0:
                 even_re, even_im = even_re + re, even_im + im
             else:
                 odd_re, odd_im = odd_re + re, odd_im + im
         for k in range(NODES, SERIES):
-            g[0, k], g[1, k] = 0.0, 0.0
+            psi[0, k], psi[1, k] = 0.0, 0.0
     else:
         for k in range(SERIES):
-            g[0, k], g[1, k] = re, im
+            psi[0, k], psi[1, k] = re, im
             if k % 2 == 0:
                 even_re, even_im = even_re + re, even_im + im
             else:
                 odd_re, odd_im = odd_re + re, odd_im + im
-            push = half * u[k] if k < NODES else 0.0
+            scaled = half * seen[k] if k < NODES else 0.0
             per = 1.0 / (k + 1)
-            re, im = ((q_re * re - q_im * im) + push) * per, (q_re * im + q_im * re) * per
+            re, im = ((rate_re * re - rate_im * im) + scaled) * per, (rate_re * im + rate_im * re) * per
     return even_re - odd_re, even_im - odd_im, even_re + odd_re, even_im + odd_im
 
 
 @kernel
-def through_piece(modes, u, length, since, work, out):  # type: ignore[no-untyped-def]
+def through_piece(modes, seen, length, since, work, out):  # type: ignore[no-untyped-def]
     """Carry the modes through a piece; fill `out` with what they put out at the conversions in it.
 
     Args:
         modes: of one channel.
-        u: polynomial of the input, shape (NODES,).
+        seen: polynomial S of the input, shape (NODES,).
         length: of the piece [s].
         since: time of its first conversion after its start, and from one conversion to the next [s].
         work: scratch, shape (3, SERIES).
         out: one place for each conversion.
     """
     half, count = 0.5 * length, out.shape[0]
-    g, y = work[:2], work[2]
-    y[:] = 0.0
+    psi, total = work[:2], work[2]
+    total[:] = 0.0
     for n in range(modes.shape[0]):
         mode = modes[n]
-        first_re, first_im, last_re, last_im = _particular(mode, u, half, g)
-        free_re, free_im = mode.z_re - first_re, mode.z_im - first_im
+        first_re, first_im, last_re, last_im = _particular(mode, seen, half, psi)
+        free_re, free_im = mode.psi_re - first_re, mode.psi_im - first_im
         if count:
-            r_re, r_im = mode.residue_re, mode.residue_im
+            residue_re, residue_im = mode.residue_re, mode.residue_im
             for k in range(SERIES):
-                y[k] += r_re * g[0, k] - r_im * g[1, k]
-            e_re, e_im = turned(mode.pole_re, mode.pole_im, since[0])
-            a, b = e_re * free_re - e_im * free_im, e_re * free_im + e_im * free_re
-            mode.free_re, mode.free_im = r_re * a - r_im * b, r_re * b + r_im * a
-        e_re, e_im = turned(mode.pole_re, mode.pole_im, length)
-        mode.z_re = (e_re * free_re - e_im * free_im) + last_re
-        mode.z_im = (e_re * free_im + e_im * free_re) + last_im
+                total[k] += residue_re * psi[0, k] - residue_im * psi[1, k]
+            decay_re, decay_im = decayed(mode.pole_re, mode.pole_im, since[0])
+            re, im = decay_re * free_re - decay_im * free_im, decay_re * free_im + decay_im * free_re
+            mode.free_re, mode.free_im = residue_re * re - residue_im * im, residue_re * im + residue_im * re
+        decay_re, decay_im = decayed(mode.pole_re, mode.pole_im, length)
+        mode.psi_re = (decay_re * free_re - decay_im * free_im) + last_re
+        mode.psi_im = (decay_re * free_im + decay_im * free_re) + last_im
     if count:
-        largest = _add_polynomial(y, (since[0] - half) / half, since[1] / half, out)
+        largest = _add_polynomial(total, (since[0] - half) / half, since[1] / half, out)
         for n in range(modes.shape[0]):
             _add_ringing(modes[n], largest, out)
 
 
 @kernel
-def _add_polynomial(y, x, step, out):  # type: ignore[no-untyped-def]
-    """Fill in the polynomial at x, x + step, …; return the size of its coefficients."""
+def _add_polynomial(total, first, spacing, out):  # type: ignore[no-untyped-def]
+    """Fill in the polynomial at x = first, first + spacing, …; return the size of its coefficients."""
     largest, beyond = 0.0, 0.0
     for k in range(SERIES):
-        largest = max(largest, abs(y[k]))
+        largest = max(largest, abs(total[k]))
         if k >= _SHORT:
-            beyond = max(beyond, abs(y[k]))
-    y_0, y_1, y_2, y_3, y_4, y_5, y_6, y_7, y_8, y_9 = y[0], y[1], y[2], y[3], y[4], y[5], y[6], y[7], y[8], y[9]
-    for m in range(out.shape[0]):
-        a = x + m * step
-        upper = y_5 + a * (y_6 + a * (y_7 + a * (y_8 + a * y_9)))
-        out[m] = y_0 + a * (y_1 + a * (y_2 + a * (y_3 + a * (y_4 + a * upper))))
+            beyond = max(beyond, abs(total[k]))
+    c_0, c_1, c_2, c_3, c_4 = total[0], total[1], total[2], total[3], total[4]  # read once, not for each conversion
+    c_5, c_6, c_7, c_8, c_9 = total[5], total[6], total[7], total[8], total[9]
+    for i in range(out.shape[0]):
+        x = first + i * spacing
+        upper = c_5 + x * (c_6 + x * (c_7 + x * (c_8 + x * c_9)))
+        out[i] = c_0 + x * (c_1 + x * (c_2 + x * (c_3 + x * (c_4 + x * upper))))
     if beyond > _LOST * largest:
-        for m in range(out.shape[0]):
-            a = x + m * step
-            total = y[SERIES - 1]
+        for i in range(out.shape[0]):
+            x = first + i * spacing
+            value = total[SERIES - 1]
             for k in range(SERIES - 2, -1, -1):
-                total = total * a + y[k]
-            out[m] = total
+                value = value * x + total[k]
+            out[i] = value
     return largest
 
 
@@ -185,18 +187,18 @@ def _add_ringing(mode, largest, out):  # type: ignore[no-untyped-def]
         return
     count = min(out.shape[0], mode.rings)
     if mode.pole_im == 0.0:
-        for m in range(count):
-            out[m] += re
+        for i in range(count):
+            out[i] += re
             re = decay_re * re
     else:
-        for m in range(count):
-            out[m] += re
+        for i in range(count):
+            out[i] += re
             re, im = decay_re * re - decay_im * im, decay_re * im + decay_im * re
 
 
 def records_of(poles: NDArray[np.complex128], residues: NDArray[np.complex128]) -> NDArray[np.void]:
-    """Return MODE records, at zero."""
-    rows = np.zeros(len(poles), MODE)
+    """Return SENSOR_MODE records, at zero."""
+    rows = np.zeros(len(poles), SENSOR_MODE)
     rows["pole_re"], rows["pole_im"] = poles.real, poles.imag
     rows["residue_re"], rows["residue_im"] = residues.real, residues.imag
     return rows

@@ -181,7 +181,7 @@ class MapRig:
         segments["duration"], segments["omega"] = period, 2.0 * np.pi * frequency_hz
         segments["amplitude"] = amplitude
         segments[0]["amplitude"] = self._amplitude  # a ramp of one cycle to what is new
-        segments[0]["slope"] = (amplitude - self._amplitude) / period
+        segments[0]["growth"] = (amplitude - self._amplitude) / period
         self._amplitude = amplitude
         return self.simulation.advance(segments)
 

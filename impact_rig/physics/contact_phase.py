@@ -7,7 +7,8 @@
     dw/dχ = δ'/2,    dt/dχ = w,    dδ'/dχ = w δ'',    F the law's force, elastic and lossy part together
 
 The state y holds the centre of mass of structure and sphere, x_1* = x_1 + side σ δ. In the functions p are the
-parameters, force the law, f the drive, s the state, step the step with its stages.
+parameters, law the contact law's force, f the drive, s the state, step the step with its stages, and a slope is a
+derivative by χ. An event's `excess` is how far a point is beyond it, in units of its own.
 
 A step ends where its error allows, and earlier at the first of these events:
 
@@ -34,11 +35,11 @@ from impact_rig.physics.contact_step import (
     begin_step,
     dense_output,
     dense_slope,
-    estimate,
+    estimate_error,
     expand,
     keep_dense_output,
-    moved,
-    rescaled,
+    next_length,
+    pair_at,
     solve,
     turned_at,
 )
@@ -48,8 +49,8 @@ from impact_rig.physics.state import FAILED, LEFT, NOTHING, RELEASED, RELOADED, 
 _IN_ORDER = (LEFT, TIME, RELEASED, TURNED, RELOADED)  # past LEFT the others mean nothing: it comes first
 
 _REJECTIONS = 60
-_LANDINGS = 12  # Newton needs two to four
-_LANDED = 1e-10  # of the quantity's own scale: as near as Newton's method solves a step
+_ATTEMPTS = 12  # Newton needs two to four
+_REACHED = 1e-10  # of the quantity's own scale: as near as Newton's method solves a step
 _COLLAPSED = 1e-4  # of w: smaller within one step, it is taken shorter, see `_first_event`
 _SMALLEST = 1e-300
 _FIRST_STEP = 0.2
@@ -61,15 +62,15 @@ _PART, _RADIANS = 0.4, 8.0  # see `_limited`
 
 
 @kernel
-def _force_slope(p, force, s, step, point):  # type: ignore[no-untyped-def]
+def _force_slope(p, law, s, step, point):  # type: ignore[no-untyped-def]
     """Return the force at a point (w, δ', dδ'/dχ) of the step, and its derivative along the motion, dF/dχ."""
     w, speed, slope = point
-    elastic, lossy, _, by_w, by_speed = force.one(p.stiffness, p.factor, s.per_v0, step.turned_at, w, speed)
+    elastic, lossy, _, by_w, by_speed = law.one(p.stiffness, p.factor, s.per_v0, step.turned_at, w, speed)
     return elastic + lossy, 0.5 * by_w * speed + by_speed * slope
 
 
 @kernel
-def _beyond(p, force, s, step, event, at):  # type: ignore[no-untyped-def]  # compiled: types are inferred
+def _excess(p, law, s, step, event, at):  # type: ignore[no-untyped-def]  # compiled: types are inferred
     """Return how far a point of the step is beyond an event, in units of the event's scale; at most 0 before it.
 
     The point is `at` = (time since the start of the step, w, δ').
@@ -82,7 +83,7 @@ def _beyond(p, force, s, step, event, at):  # type: ignore[no-untyped-def]  # co
     if event == RELEASED:
         if not p.clipped:
             return -1.0
-        elastic, lossy, _, _, _ = force.one(p.stiffness, p.factor, s.per_v0, step.turned_at, w, speed)
+        elastic, lossy, _, _, _ = law.one(p.stiffness, p.factor, s.per_v0, step.turned_at, w, speed)
         return -(elastic + lossy) / max(step.start_force, s.peak_force, _SMALLEST)
     if event == TURNED:
         return -speed / s.speed if p.remembers and step.turned_at == 0.0 and s.speed > 0.0 else -1.0
@@ -90,15 +91,15 @@ def _beyond(p, force, s, step, event, at):  # type: ignore[no-untyped-def]  # co
 
 
 @kernel
-def _slope_beyond(p, force, s, step, event):  # type: ignore[no-untyped-def]
-    """Return the derivative of `_beyond` at the end of the step with respect to its length."""
+def _excess_slope(p, law, s, step, event):  # type: ignore[no-untyped-def]
+    """Return the derivative of `_excess` at the end of the step with respect to its length in χ."""
     w, speed = step.w[LAST], step.speed[LAST]
     if event == LEFT:
         return -0.5 * speed / max(s.w, s.deepest, _SMALLEST)
     if event == TIME:
         return w / step.rest
     if event == RELEASED:
-        _, slope = _force_slope(p, force, s, step, (w, speed, step.speed_slope[LAST]))
+        _, slope = _force_slope(p, law, s, step, (w, speed, step.speed_slope[LAST]))
         return -slope / max(step.start_force, s.peak_force, _SMALLEST)
     if event == TURNED:
         return -step.speed_slope[LAST] / s.speed
@@ -106,56 +107,56 @@ def _slope_beyond(p, force, s, step, event):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _about(p, force, s, step, event):  # type: ignore[no-untyped-def]
-    """Return about how long a step is up to an event that it went beyond, by the Illinois method on its polynomial."""
-    low, high, x, last = 0.0, 1.0, 1.0, 0
-    before = _beyond(p, force, s, step, event, dense_output(s, step, low))
-    behind = _beyond(p, force, s, step, event, dense_output(s, step, high))
-    before = before if before < 0.0 else -behind  # the step may have started at the same event
+def _length_by_dense_output(p, law, s, step, event):  # type: ignore[no-untyped-def]
+    """Return the length of a step up to an event that it went beyond, by the Illinois method on its dense output."""
+    low, high, x, moved_last = 0.0, 1.0, 1.0, 0
+    excess_low = _excess(p, law, s, step, event, dense_output(s, step, low))
+    excess_high = _excess(p, law, s, step, event, dense_output(s, step, high))
+    excess_low = excess_low if excess_low < 0.0 else -excess_high  # the step may have started at the same event
     for _ in range(_GUESSES):
-        x = (low * behind - high * before) / (behind - before)
-        beyond = _beyond(p, force, s, step, event, dense_output(s, step, x))
-        if abs(beyond) <= _NEAR:
+        x = (low * excess_high - high * excess_low) / (excess_high - excess_low)
+        excess = _excess(p, law, s, step, event, dense_output(s, step, x))
+        if abs(excess) <= _NEAR:
             break
-        if beyond > 0.0:
-            high, behind = x, beyond
-            before *= 0.5 if last == 1 else 1.0
-            last = 1
+        if excess > 0.0:
+            high, excess_high = x, excess
+            excess_low *= 0.5 if moved_last == 1 else 1.0
+            moved_last = 1
         else:
-            low, before = x, beyond
-            behind *= 0.5 if last == -1 else 1.0
-            last = -1
+            low, excess_low = x, excess
+            excess_high *= 0.5 if moved_last == -1 else 1.0
+            moved_last = -1
     return x * s.h
 
 
 @kernel
-def _land(p, force, s, step, event):  # type: ignore[no-untyped-def]
+def _end_at(p, law, s, step, event):  # type: ignore[no-untyped-def]
     """Take the step again until it ends at the event, its length in `s.h`; return whether that succeeded."""
     low, high = 0.0, s.h
-    s.h = _about(p, force, s, step, event)
-    for _ in range(_LANDINGS):
-        if not solve(p, force, s, step, s.h, ROUNDS):
+    s.h = _length_by_dense_output(p, law, s, step, event)
+    for _ in range(_ATTEMPTS):
+        if not solve(p, law, s, step, s.h, ROUNDS):
             return False
-        beyond = _beyond(p, force, s, step, event, (step.since[LAST], step.w[LAST], step.speed[LAST]))
-        if abs(beyond) <= _LANDED:
+        excess = _excess(p, law, s, step, event, (step.since[LAST], step.w[LAST], step.speed[LAST]))
+        if abs(excess) <= _REACHED:
             break
-        if beyond > 0.0:
+        if excess > 0.0:
             high = s.h
         else:
             low = s.h
-        slope = _slope_beyond(p, force, s, step, event)
-        s.h = s.h - beyond / slope if slope > 0.0 else low
+        slope = _excess_slope(p, law, s, step, event)
+        s.h = s.h - excess / slope if slope > 0.0 else low
         if not low < s.h < high:
             s.h = 0.5 * (low + high)
     else:  # as near as numbers resolve: what is in step must be the step whose length is in s
-        if not solve(p, force, s, step, s.h, ROUNDS):
+        if not solve(p, law, s, step, s.h, ROUNDS):
             return False
     keep_dense_output(s, step, s.h)
     return True
 
 
 @kernel
-def _first_event(p, force, s, step):  # type: ignore[no-untyped-def]
+def _first_event(p, law, s, step):  # type: ignore[no-untyped-def]
     """End the step solved last at the first event that it went beyond; return that, NOTHING or FAILED.
 
     What ends there must be as exact as any step, and touch the wall all the way: near the end of a contact and where
@@ -164,8 +165,8 @@ def _first_event(p, force, s, step):  # type: ignore[no-untyped-def]
     """
     ended = NOTHING
     for event in _IN_ORDER:
-        if _beyond(p, force, s, step, event, (step.since[LAST], step.w[LAST], step.speed[LAST])) > _LANDED:
-            if not _land(p, force, s, step, event) or estimate(step, s.h) > 1.0:
+        if _excess(p, law, s, step, event, (step.since[LAST], step.w[LAST], step.speed[LAST])) > _REACHED:
+            if not _end_at(p, law, s, step, event) or estimate_error(step, s.h) > 1.0:
                 return FAILED
             ended = event
     if ended == LEFT and step.speed[LAST] > 0.0:  # nothing leaves inwards: a false solution as well
@@ -181,46 +182,46 @@ def _first_event(p, force, s, step):  # type: ignore[no-untyped-def]
 def _limited(s, step):  # type: ignore[no-untyped-def]
     """Return the proposed length of a step, or less where it is longer than its polynomials hold, or would go too far.
 
-    While the sphere rests on the wall, δ falls as the two thirds' power of the time to the lift-off (to the zero of the
-    acceleration, seen from here): polynomials follow that over a part of this time, and what a longer step leaves off
+    While the sphere rests on the wall, δ falls as the two thirds' power of the time to the lift-off (to the zero of
+    a_r, seen from here): polynomials follow that over a part of this time, and what a longer step leaves off
     the slow motion rings through all later ones. Shorter than some radians of the contact itself it rings anyway.
     """
     if not s.w > 0.0:
         return s.next_h
-    longest = step.reach
-    a, slope, bend = step.acceleration[0], step.acceleration[1], step.acceleration[2]
-    root = slope * slope - 4.0 * a * bend
-    if a > 0.0 and root > 0.0:
-        fall = math.sqrt(root) - slope
+    longest = step.validity
+    level, linear, square = step.acceleration[0], step.acceleration[1], step.acceleration[2]
+    discriminant = linear * linear - 4.0 * level * square
+    if level > 0.0 and discriminant > 0.0:
+        fall = math.sqrt(discriminant) - linear
         if fall > 0.0:
-            longest = min(longest, max(_PART * 2.0 * a / fall, _RADIANS * step.radian))
+            longest = min(longest, max(_PART * 2.0 * level / fall, _RADIANS * step.radian))
     return min(s.next_h, longest / s.w)
 
 
 @kernel
-def take_step(p, force, s, step):  # type: ignore[no-untyped-def]
+def take_step(p, law, s, step):  # type: ignore[no-untyped-def]
     """Solve the next step, its length in `s.h`, and propose one in `s.next_h`; return the event it ends at.
 
     `step` must have been expanded about s, and hold the `rest` of the segment.
     """
-    begin_step(p, force, s, step)
+    begin_step(p, law, s, step)
     s.h = _limited(s, step)
     for _ in range(_REJECTIONS):
-        if not solve(p, force, s, step, s.h, FEW_ROUNDS):
+        if not solve(p, law, s, step, s.h, FEW_ROUNDS):
             s.h *= 0.25
-        elif step.since[LAST] > step.reach:
-            s.h *= 0.9 * step.reach / step.since[LAST]
+        elif step.since[LAST] > step.validity:
+            s.h *= 0.9 * step.validity / step.since[LAST]
         else:
             keep_dense_output(s, step, s.h)
-            error = estimate(step, s.h)
+            error = estimate_error(step, s.h)
             if error <= 1.0:
-                s.next_h = rescaled(s.h, error)
-                ended = _first_event(p, force, s, step)
+                s.next_h = next_length(s.h, error)
+                ended = _first_event(p, law, s, step)
                 if ended != FAILED:
                     return ended
                 s.h *= 0.5  # nearer to the event the step up to it is an easier one
             else:
-                s.h = rescaled(s.h, error)
+                s.h = next_length(s.h, error)
     return FAILED
 
 
@@ -232,7 +233,7 @@ def take_next_step(model, f, s, step, t_end):  # type: ignore[no-untyped-def]
     if s.next_h == 0.0:
         s.next_h = first_step(p, s.approach, step.acceleration[0])
     step.rest = t_end - s.t
-    return take_step(p, model.force, s, step)
+    return take_step(p, model.law, s, step)
 
 
 @kernel
@@ -245,14 +246,14 @@ def dissipated(step, h):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _turns(p, force, s, step, of_force):  # type: ignore[no-untyped-def]
+def _peak_at(p, law, s, step, of_force):  # type: ignore[no-untyped-def]
     """Return the place (a part of the step) where the force, or the indentation, stops growing, by the polynomial."""
     low, high = 0.0, 1.0
     while high - low > _PEAK_FOUND:
         middle = 0.5 * (low + high)
         _, w, growing = dense_output(s, step, middle)
         if of_force:
-            _, growing = _force_slope(p, force, s, step, (w, growing, dense_slope(step, middle)))
+            _, growing = _force_slope(p, law, s, step, (w, growing, dense_slope(step, middle)))
         if growing > 0.0:
             low = middle
         else:
@@ -261,15 +262,15 @@ def _turns(p, force, s, step, of_force):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def note_peaks(p, force, s, step):  # type: ignore[no-untyped-def]
+def find_peaks(p, law, s, step):  # type: ignore[no-untyped-def]
     """Raise `s.peak_force` [N] and `s.deepest` to the largest of the step, also where they lie inside of it.
 
     Inside, a step is solved that ends where the polynomial says; what is left to the peak is of second order. Where all
     stages are well below an earlier peak, so is the step.
     """
     w, speed, slope = step.w[LAST], step.speed[LAST], step.speed_slope[LAST]
-    _, rising = _force_slope(p, force, s, step, (s.w, s.speed, step.start_speed_slope))
-    last, falling = _force_slope(p, force, s, step, (w, speed, slope))
+    _, rising = _force_slope(p, law, s, step, (s.w, s.speed, step.start_speed_slope))
+    last, falling = _force_slope(p, law, s, step, (w, speed, slope))
     force_before, deepest_before = _PEAK_MARGIN * s.peak_force, _PEAK_MARGIN * s.deepest
     s.peak_force = max(s.peak_force, step.start_force, last)
     largest, deepest = 0.0, 0.0
@@ -278,20 +279,20 @@ def note_peaks(p, force, s, step):  # type: ignore[no-untyped-def]
     of_force = rising > 0.0 > falling and largest >= force_before
     of_depth = not p.remembers and s.speed > 0.0 > speed and deepest >= deepest_before
     if of_force:
-        h = s.h * _turns(p, force, s, step, True)
-        if solve(p, force, s, step, h, ROUNDS):
-            found, _ = _force_slope(p, force, s, step, (step.w[LAST], step.speed[LAST], step.speed_slope[LAST]))
+        h = s.h * _peak_at(p, law, s, step, True)
+        if solve(p, law, s, step, h, ROUNDS):
+            found, _ = _force_slope(p, law, s, step, (step.w[LAST], step.speed[LAST], step.speed_slope[LAST]))
             s.peak_force = max(s.peak_force, found)
     if of_depth:
-        h = s.h * _turns(p, force, s, step, False)
-        if solve(p, force, s, step, h, ROUNDS):
+        h = s.h * _peak_at(p, law, s, step, False)
+        if solve(p, law, s, step, h, ROUNDS):
             w, speed, slope = step.w[LAST], step.speed[LAST], step.speed_slope[LAST]
             depth = w * w
             if slope < 0.0:
                 depth -= 0.5 * w * speed * speed / slope  # δ'' = slope / w
             s.deepest = max(s.deepest, math.sqrt(depth))
     if of_force or of_depth:  # what is in step must be the step whose length is in s
-        solve(p, force, s, step, s.h, ROUNDS)
+        solve(p, law, s, step, s.h, ROUNDS)
 
 
 @kernel
@@ -304,11 +305,11 @@ def account_step(p, f, s, step, ledger):  # type: ignore[no-untyped-def]
     half = 0.5 * step.since[LAST]
     for point in range(POINTS):
         since = half * (1.0 + GAUSS_NODES[point])
-        moved(step, since, step.y)
+        pair_at(step, since, step.y)
         add_powers(p, f, step.y, s.t + since, half * GAUSS_WEIGHTS[point], ledger)
     for i in range(STAGES):
         weight = s.h * MATRIX[LAST, i] * step.w[i]
-        moved(step, step.since[i], step.y)
+        pair_at(step, step.since[i], step.y)
         add_powers(p, f, step.y, s.t + step.since[i], -weight, ledger)
         add_correction(p, s.side, step, i, step.y)
         step.y[X1] -= p.share * s.side * step.w[i] * step.w[i]
@@ -321,7 +322,7 @@ def conclude(p, s, step, ended, t_end):  # type: ignore[no-untyped-def]
     """Move the state to the end of the step, with the impulse on the sphere and the deepest point."""
     since, w, speed = step.since[LAST], max(step.w[LAST], 0.0), step.speed[LAST]
     sphere = s.y[V1] + s.side * (1.0 - p.share) * s.speed
-    moved(step, since, s.y)
+    pair_at(step, since, s.y)
     add_correction(p, s.side, step, LAST, s.y)
     s.impulse -= s.side * p.m * (s.y[V1] + s.side * (1.0 - p.share) * speed - sphere)
     s.elapsed += since
@@ -335,26 +336,26 @@ def conclude(p, s, step, ended, t_end):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def settles(p, force, s, step):  # type: ignore[no-untyped-def]
+def settles(p, law, s, step):  # type: ignore[no-untyped-def]
     """Whether a law without damping only rings about its rest any more, slower than the floored approach speed.
 
     At a turning point the ringing has the speed amplitude |δ''| / ω, ω the contact's own frequency. Up to three times
     the acceleration that presses, a hop is as short as a period of the ringing: it counts as ringing, not as flight.
     """
-    elastic, lossy, _, by_w, _ = force.one(p.stiffness, p.factor, s.per_v0, turned_at(s), s.w, s.speed)
-    acceleration = step.acceleration[0]
-    ringing = abs(acceleration - (elastic + lossy) * p.per_m_eff)
-    return ringing <= _HOP * acceleration and ringing <= p.speed_floor * math.sqrt(0.5 * by_w * p.per_m_eff / s.w)
+    elastic, lossy, _, by_w, _ = law.one(p.stiffness, p.factor, s.per_v0, turned_at(s), s.w, s.speed)
+    relative = step.acceleration[0]
+    ringing = abs(relative - (elastic + lossy) * p.per_m_eff)
+    return ringing <= _HOP * relative and ringing <= p.speed_floor * math.sqrt(0.5 * by_w * p.per_m_eff / s.w)
 
 
 @kernel
 def contact_time(p, speed):  # type: ignore[no-untyped-def]
-    """Return t_0 = (m_eff / K)^(1/(n+1)) v^((1−n)/(1+n)) [s], the time scale of a contact with F ~ K δ^n."""
+    """Return t_0 = (m_eff/K)^(1/(1+b)) v0^((1−b)/(1+b)) [s], the time scale of a contact with F ~ K δ^b."""
     return p.time_scale * power(speed, p.time_power)
 
 
 @kernel
 def first_step(p, speed, acceleration):  # type: ignore[no-untyped-def]
-    """Return a first step [s/m^0.5]: a part of ∫ dt/√(v t) up to the time scale of the law, or of the acceleration."""
+    """Return a first step [s/m^0.5]: a part of ∫ dt/√(v0 t) up to the time scale of the law, or of a_r."""
     scale = min(contact_time(p, speed), speed / max(abs(acceleration), _SMALLEST))
     return _FIRST_STEP * math.sqrt(scale / speed)

@@ -8,22 +8,22 @@ by δ, x_2 − x_1 = side (g/2 + δ). In a contact the structural state y holds 
 position that x_1 has at δ = 0:
 
     x_1* = x_1 + side σ δ,   v_1* = v_1 + side σ δ',   σ = m / (m_1 + m)
-    (m_1 + m) x_1*'' = Q,    Q = −k_1 (x_1* − x_b) − c_1 (v_1* − v_b)
-    (m_a + m_b) x_b'' = K_f i − c_f x_b' − k_f x_b − Q,    voltage drive: L i' = U − R i − K_f x_b'
+    (m_1 + m) x_1*'' = F_c,    F_c = −k_1 (x_1* − x_b) − c_1 (v_1* − v_b)
+    (m_a + m_b) x_b'' = K_f i − c_f x_b' − k_f x_b − F_c,    voltage drive: L i' = U − R i − K_f x_b'
 
 The contact force is inner to the pair and does not appear; a prescribed base moves as it is told. These equations give
-y as Taylor polynomials in time (`expand`), and the relative acceleration a = −side Q / m_1 [m/s²] with which the
-columns press sphere and wall together: m_1 x_1'' = Q + side F, m x_2'' = −side F.
+y as Taylor polynomials in time (`expand`), and the relative acceleration a_r = −side F_c / m_1 [m/s²] with which the
+columns press sphere and wall together: m_1 x_1'' = F_c + side F, m x_2'' = −side F.
 
-That leaves out what the indentation adds to Q, side σ (k_1 δ + c_1 δ'), most often a millionth of it. It moves the pair
-by side σ z, its `correction`, from z = 0 at the start of each step on:
+That leaves out what the indentation adds to F_c, side σ (k_1 δ + c_1 δ'), most often a millionth of it. It moves the
+pair by side σ z, its `correction`, from z = 0 at the start of each step on. With F_z the columns' force of that motion,
 
-    z_x1' = z_v1,   (m_1 + m) z_v1' = q,    q = k_1 (δ − z_x1 + z_xb) + c_1 (δ' − z_v1 + z_vb)
-    z_xb' = z_vb,   (m_a + m_b) z_vb' = K_f z_i − c_f z_vb − k_f z_xb − q,   L z_i' = −R z_i − K_f z_vb
+    z_x1' = z_v1,   (m_1 + m) z_v1' = F_z,    F_z = k_1 (δ − z_x1 + z_xb) + c_1 (δ' − z_v1 + z_vb)
+    z_xb' = z_vb,   (m_a + m_b) z_vb' = K_f z_i − c_f z_vb − k_f z_xb − F_z,   L z_i' = −R z_i − K_f z_vb
 
 **Indentation.** With m_eff = m m_1 / (m + m_1),
 
-    δ'' = −F(δ, δ') / m_eff + thrust(t) − (σ/m_1) (k_1 δ + c_1 δ') + (σ/m_1) [k_1 (z_x1 − z_xb) + c_1 (z_v1 − z_vb)]
+    δ'' = −F(δ, δ') / m_eff + a_r(t) − (σ/m_1) (k_1 δ + c_1 δ') + (σ/m_1) [k_1 (z_x1 − z_xb) + c_1 (z_v1 − z_vb)]
 
 F has a kink where the contact starts and ends (δ^1.5), which limits every classical method to order 2.5. With w = √δ
 and dt = w dχ, χ in s/m^0.5 (a Sundman transformation), the equations are smooth through w = 0:
@@ -37,6 +37,9 @@ speeds δ' at the stages, which are the only unknowns of Newton's method. The la
 **Dense output.** The speeds at the start and at the stages define a polynomial of degree 5 in x = χ / h, and through
 dw/dχ and dt/dχ also w and the time. It is a thousandth or a millionth off, not as good as the step itself: it predicts
 the next step for Newton's method and about where an event lies, and decides nothing.
+
+In the functions p are the parameters, law the contact law's functions, f the drive, s the state, step the step with its
+stages, and a slope is a derivative by χ.
 """
 
 from __future__ import annotations
@@ -49,16 +52,16 @@ from impact_rig.physics.collocation import (
     INVERSE,
     LAST,
     MATRIX,
-    NODES,
     REAL_EIGENVALUE,
+    STAGE_AT,
     STAGES,
     TO_POLYNOMIAL,
     TO_START,
 )
-from impact_rig.physics.state import COIL, PRESCRIBED, STRUCTURE, TERMS, V1, VB, VOLTAGE, X1, XB
+from impact_rig.physics.state import COIL, PRESCRIBED, STEP_TERMS, STRUCTURE, V1, VB, VOLTAGE, X1, XB
 
 FEW = 8
-_FEW_REACH, _REACH = 0.03, 0.25  # radians of the fastest motion in one step: what FEW and TERMS leave out is 1e-16
+_FEW_VALID_RADIANS, _VALID_RADIANS = 0.03, 0.25  # of the fastest motion in one step: FEW and STEP_TERMS leave out 1e-16
 _AMPLE = 4.0  # the terms are chosen before the step is: it may end up shorter, or a bit longer than its start tells
 
 
@@ -66,24 +69,24 @@ _AMPLE = 4.0  # the terms are chosen before the step is: it may end up shorter, 
 def expand(p, f, s, step):  # type: ignore[no-untyped-def]  # compiled: types are inferred
     """Fill `step.path` and `step.acceleration` with the pair's Taylor coefficients about the state s, drive included.
 
-    As many terms as the step that is expected needs, and how long they hold: `step.terms`, `step.reach`.
+    As many terms as the step that is expected needs, and how long they hold: `step.terms`, `step.validity`.
     """
     path = step.path
     fastest = max(p.fastest, f.omega)
     expected = _AMPLE * s.next_h * max(s.w, 0.5 * s.next_h * abs(s.speed))  # ∫ w dχ, with w + (δ'/2) χ
-    step.terms, step.reach = FEW, _FEW_REACH / fastest
-    if expected > step.reach:
-        step.terms, step.reach = TERMS, _REACH / fastest
+    step.terms, step.validity = FEW, _FEW_VALID_RADIANS / fastest
+    if expected > step.validity:
+        step.terms, step.validity = STEP_TERMS, _VALID_RADIANS / fastest
     step.fastest_time = 1.0 / fastest
     for q in range(STRUCTURE):
         path[q, 0] = s.y[q]
-    level = f.amplitude + f.slope * s.t
+    level = f.amplitude + f.growth * s.t
     sine, cosine = sincos(f.omega * s.t + f.phase)  # then their coefficients, order by order
     drive = level * sine
     for n in range(step.terms):
         per = 1.0 / (n + 1)
         sine_next, cosine_next = f.omega * cosine * per, -f.omega * sine * per
-        drive_next = level * sine_next + f.slope * sine
+        drive_next = level * sine_next + f.growth * sine
         if p.drive == PRESCRIBED:
             path[XB, n], path[VB, n] = drive, (n + 1) * drive_next
         columns = -p.k_1 * (path[X1, n] - path[XB, n]) - p.c_1 * (path[V1, n] - path[VB, n])
@@ -98,23 +101,23 @@ def expand(p, f, s, step):  # type: ignore[no-untyped-def]  # compiled: types ar
                     path[COIL, n + 1] = (drive - p.resistance * current - p.force_factor * path[VB, n]) * (
                         p.per_inductance * per
                     )
-                table = p.force_factor * current - p.c_f * path[VB, n] - p.k_f * path[XB, n] - columns
+                on_base = p.force_factor * current - p.c_f * path[VB, n] - p.k_f * path[XB, n] - columns
                 path[XB, n + 1] = path[VB, n] * per
-                path[VB, n + 1] = table * p.per_m_base * per
+                path[VB, n + 1] = on_base * p.per_m_base * per
         sine, cosine, drive = sine_next, cosine_next, drive_next
 
 
 @kernel
-def polynomial(coefficients, x, terms):  # type: ignore[no-untyped-def]
-    """Return the Taylor polynomial at x, from its first terms."""
+def polynomial(coefficients, since, terms):  # type: ignore[no-untyped-def]
+    """Return the Taylor polynomial `since` seconds after the start of the step, from its first terms."""
     total = coefficients[terms - 1]
     for n in range(terms - 2, -1, -1):
-        total = total * x + coefficients[n]
+        total = total * since + coefficients[n]
     return total
 
 
 @kernel
-def moved(step, since, y):  # type: ignore[no-untyped-def]
+def pair_at(step, since, y):  # type: ignore[no-untyped-def]
     """Fill y with the pair's state `since` seconds after the start of the step, without the base correction."""
     for q in range(STRUCTURE):
         y[q] = polynomial(step.path[q], since, step.terms)
@@ -136,11 +139,11 @@ def improve_correction(p, step, h):  # type: ignore[no-untyped-def]
     """Improve the correction z at the stages by one sweep of fixed-point iteration; each sweep adds an order in h."""
     z, slope = step.correction, step.correction_slope
     for j in range(STAGES):
-        push = p.k_1 * (step.w[j] * step.w[j] - z[X1, j] + z[XB, j]) + p.c_1 * (step.speed[j] - z[V1, j] + z[VB, j])
-        slope[V1, j] = step.w[j] * push * p.per_m_pair
+        columns = p.k_1 * (step.w[j] * step.w[j] - z[X1, j] + z[XB, j]) + p.c_1 * (step.speed[j] - z[V1, j] + z[VB, j])
+        slope[V1, j] = step.w[j] * columns * p.per_m_pair
         if p.drive != PRESCRIBED:
-            table = p.force_factor * z[COIL, j] - p.c_f * z[VB, j] - p.k_f * z[XB, j] - push
-            slope[VB, j] = step.w[j] * table * p.per_m_base
+            on_base = p.force_factor * z[COIL, j] - p.c_f * z[VB, j] - p.k_f * z[XB, j] - columns
+            slope[VB, j] = step.w[j] * on_base * p.per_m_base
     _integrate(step, V1, h)
     for j in range(STAGES):
         slope[X1, j] = step.w[j] * z[V1, j]
@@ -208,10 +211,10 @@ def predict_speeds(s, step, h):  # type: ignore[no-untyped-def]
     if step.dense_since + h <= _FAR * step.dense_length:
         begin, stretch = step.dense_since / step.dense_length, h / step.dense_length
         for i in range(STAGES):
-            step.speed[i] = _speed(step, begin + NODES[i] * stretch)
+            step.speed[i] = _speed(step, begin + STAGE_AT[i] * stretch)
     else:
         for i in range(STAGES):
-            step.speed[i] = s.speed + NODES[i] * h * step.start_speed_slope
+            step.speed[i] = s.speed + STAGE_AT[i] * h * step.start_speed_slope
 
 
 @kernel
@@ -225,7 +228,7 @@ def dense_output(s, step, x):  # type: ignore[no-untyped-def]
     return step.dense_length * x * (s.w + half * since), s.w + half * w, _speed(step, x)
 
 
-ERROR_ORDER = 8.0  # in h, of the relieved estimate: between 6, where it is relieved by a constant, and 10
+ERROR_ORDER = 8.0  # in h, of the relieved estimate_error: between 6, where it is relieved by a constant, and 10
 _RELIEF = 1e4  # found by trial: the largest with which contacts still keep their tolerance
 FEW_ROUNDS, ROUNDS = 12, 24  # most steps need three to six; one that needs many is better taken shorter
 _SLOW = 0.1  # a round that shrinks the change by no more than this factor makes the next one renew the matrix
@@ -242,16 +245,16 @@ def turned_at(s):  # type: ignore[no-untyped-def]  # compiled: types are inferre
 
 
 @kernel
-def begin_step(p, force, s, step):  # type: ignore[no-untyped-def]
+def begin_step(p, law, s, step):  # type: ignore[no-untyped-def]
     """Evaluate force and slope at the start of a step, and how exact its speeds must be [m/s].
 
     A step may be wrong by a part of the contact's own speeds: δ', and δ times its natural frequency. Where the sphere
-    rests on the wall these are tiny, and a tenth of the speed that the relative acceleration gives in a radian of the
+    rests on the wall these are tiny, and a tenth of the speed that a_r gives in a radian of the
     structure's fastest motion is allowed instead. Newton's method never goes by the latter: instruments solve steps
     again, from another prediction, and must find the same.
     """
     step.turned_at = turned_at(s)
-    elastic, lossy, _, by_w, _ = force.one(p.stiffness, p.factor, s.per_v0, step.turned_at, s.w, s.speed)
+    elastic, lossy, _, by_w, _ = law.one(p.stiffness, p.factor, s.per_v0, step.turned_at, s.w, s.speed)
     depth = s.w * s.w
     step.start_force = elastic + lossy
     by_columns = p.pair_stiffness * depth + p.pair_damping * s.speed
@@ -264,7 +267,7 @@ def begin_step(p, force, s, step):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _place(s, step, h):  # type: ignore[no-untyped-def]
+def _integrate_speeds(s, step, h):  # type: ignore[no-untyped-def]
     """Fill w and time at the stages from the speeds there."""
     for i in range(STAGES):
         w = 0.0
@@ -279,8 +282,8 @@ def _place(s, step, h):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _accelerate(p, step):  # type: ignore[no-untyped-def]
-    """Fill the acceleration at the stages, with what the correction adds to it."""
+def _evaluate_acceleration(p, step):  # type: ignore[no-untyped-def]
+    """Fill the relative acceleration at the stages, with what the correction adds to it."""
     for i in range(STAGES):
         step.acceleration_at[i] = step.acceleration[step.terms - 1]
     for n in range(step.terms - 2, -1, -1):
@@ -292,9 +295,9 @@ def _accelerate(p, step):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _press(p, force, s, step):  # type: ignore[no-untyped-def]
-    """Fill force and slope at the stages, and the slope's derivatives at a given acceleration."""
-    force.at_stages(p, s.per_v0, step)
+def _evaluate_slopes(p, law, s, step):  # type: ignore[no-untyped-def]
+    """Fill force and slope at the stages, and the slope's derivatives at a given relative acceleration."""
+    law.at_stages(p, s.per_v0, step)
     for i in range(STAGES):
         w, speed = step.w[i], step.speed[i]
         by_columns = p.pair_stiffness * w * w + p.pair_damping * speed
@@ -305,64 +308,65 @@ def _press(p, force, s, step):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _differentiate(step, h):  # type: ignore[no-untyped-def]
-    """Fill `step.matrix` with A⁻¹ − h ∂slope/∂δ' − (h²/2) ∂slope/∂w A.
+def _set_newton(step, h):  # type: ignore[no-untyped-def]
+    """Fill `step.newton` with MATRIX⁻¹ − h ∂slope/∂δ' − (h²/2) ∂slope/∂w MATRIX.
 
-    That is A⁻¹ times the derivative of the equations v − v_0 − hA slope(v) = 0, but for the small part of a(t).
+    That is MATRIX⁻¹ times the derivative, by the speeds δ' at the stages, of the equations of the step,
+    δ' − δ'(start) − h MATRIX slope(δ') = 0, but for the small part of a_r(t).
     """
-    m = step.matrix
+    newton = step.newton
     for i in range(STAGES):
         through_w = 0.5 * h * h * step.speed_slope_by_w[i]
         for j in range(STAGES):
-            m[i, j] = INVERSE[i, j] - through_w * MATRIX[i, j]
-        m[i, i] -= h * step.speed_slope_by_speed[i]
+            newton[i, j] = INVERSE[i, j] - through_w * MATRIX[i, j]
+        newton[i, i] -= h * step.speed_slope_by_speed[i]
 
 
 @kernel
-def _differentiate_acceleration(step, h):  # type: ignore[no-untyped-def]
-    """Add the acceleration's part to `step.matrix`, −(h³/2) ∂slope/∂t A²."""
+def _add_acceleration_to_newton(step, h):  # type: ignore[no-untyped-def]
+    """Add the acceleration's part to `step.newton`, −(h³/2) ∂slope/∂t MATRIX²."""
     for i in range(STAGES):
-        rate = 0.0
+        jerk = 0.0
         for n in range(step.terms - 1, 0, -1):
-            rate = rate * step.since[i] + n * step.acceleration[n]
-        through_time = 0.5 * h * h * h * step.w[i] * rate
+            jerk = jerk * step.since[i] + n * step.acceleration[n]
+        through_time = 0.5 * h * h * h * step.w[i] * jerk
         for j in range(STAGES):
             square = 0.0
             for q in range(STAGES):
                 square += MATRIX[i, q] * MATRIX[q, j]
-            step.matrix[i, j] -= through_time * square
+            step.newton[i, j] -= through_time * square
 
 
 @kernel
-def _invert(step):  # type: ignore[no-untyped-def]
-    """Replace `step.matrix` by its inverse (Gauss–Jordan, no pivoting)."""
-    m = step.matrix
+def _invert_newton(step):  # type: ignore[no-untyped-def]
+    """Replace `step.newton` by its inverse (Gauss–Jordan, no pivoting)."""
+    newton = step.newton
     for i in range(STAGES):
-        pivot = 1.0 / m[i, i]
-        m[i, i] = 1.0
+        pivot = 1.0 / newton[i, i]
+        newton[i, i] = 1.0
         for j in range(STAGES):
-            m[i, j] *= pivot
+            newton[i, j] *= pivot
         for row in range(STAGES):
             if row != i:
-                factor = m[row, i]
-                m[row, i] = 0.0
+                factor = newton[row, i]
+                newton[row, i] = 0.0
                 for j in range(STAGES):
-                    m[row, j] -= factor * m[i, j]
+                    newton[row, j] -= factor * newton[i, j]
 
 
 @kernel
-def _improve(s, step, h):  # type: ignore[no-untyped-def]
+def _newton_step(s, step, h):  # type: ignore[no-untyped-def]
     """Make one Newton step of the stages' speeds; return the largest change [m/s]."""
     for i in range(STAGES):
-        miss = h * step.speed_slope[i]
+        residual = h * step.speed_slope[i]
         for j in range(STAGES):
-            miss += INVERSE[i, j] * (s.speed - step.speed[j])
-        step.miss[i] = miss
+            residual += INVERSE[i, j] * (s.speed - step.speed[j])
+        step.residual[i] = residual
     largest = 0.0
     for i in range(STAGES):
         change = 0.0
         for j in range(STAGES):
-            change += step.matrix[i, j] * step.miss[j]
+            change += step.newton[i, j] * step.residual[j]
         if not abs(change) < math.inf:  # also where it is NaN, which `max` would pass over
             return math.inf
         step.speed[i] += change
@@ -371,40 +375,40 @@ def _improve(s, step, h):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def solve(p, force, s, step, h, rounds):  # type: ignore[no-untyped-def]
+def solve(p, law, s, step, h, rounds):  # type: ignore[no-untyped-def]
     """Solve a step of length h; return whether Newton converged. The stages hold the step, the last one its end.
 
-    A sphere that rests on the wall until a(t) lifts it off takes steps through which that decides the indentation:
-    where Newton's method does not come near enough without the derivative of a(t), it goes on with it.
+    A sphere that rests on the wall until a_r(t) lifts it off takes steps in which a_r decides the indentation:
+    where Newton's method does not come near enough without the derivative of a_r(t), it goes on with it.
     """
     predict_speeds(s, step, h)
     step.correction[:] = 0.0
     before, contraction = 0.0, 1.0
     for n in range(rounds):
-        _place(s, step, h)
+        _integrate_speeds(s, step, h)
         improve_correction(p, step, h)
-        _accelerate(p, step)
-        _press(p, force, s, step)
+        _evaluate_acceleration(p, step)
+        _evaluate_slopes(p, law, s, step)
         if (n != 1 and contraction > _SLOW) or n >= FEW_ROUNDS:  # after one round nobody knows how fast it converges
-            _differentiate(step, h)
+            _set_newton(step, h)
             if n >= FEW_ROUNDS:
-                _differentiate_acceleration(step, h)
-            _invert(step)
-        change = _improve(s, step, h)
+                _add_acceleration_to_newton(step, h)
+            _invert_newton(step)
+        change = _newton_step(s, step, h)
         if change == math.inf:
             return False
         contraction = change / before if before > 0.0 else 1.0
         before = change
-        left = change * contraction / (1.0 - contraction) if contraction < 0.5 else change
-        if min(change, left) <= step.goal:
-            _place(s, step, h)
+        remaining = change * contraction / (1.0 - contraction) if contraction < 0.5 else change
+        if min(change, remaining) <= step.goal:
+            _integrate_speeds(s, step, h)
             improve_correction(p, step, h)
             return True
     return False
 
 
 @kernel
-def estimate(step, h):  # type: ignore[no-untyped-def]
+def estimate_error(step, h):  # type: ignore[no-untyped-def]
     """Return the error of the step solved last, in units of what is allowed.
 
     How far the stages' slopes, extrapolated to the start, miss the slope there is an error of order 6 in h, filtered so
@@ -424,6 +428,6 @@ def estimate(step, h):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def rescaled(h, error):  # type: ignore[no-untyped-def]
+def next_length(h, error):  # type: ignore[no-untyped-def]
     """Return the step length that this error asks for."""
     return h * min(4.0, max(0.1, 0.8 * power(max(error, 1e-9), -1.0 / ERROR_ORDER)))

@@ -12,9 +12,10 @@ import math
 
 import numpy as np
 
+from impact_rig.arithmetic.elementary import modulus
 from impact_rig.kernels import kernel
 from impact_rig.physics.collocation import GAUSS_NODES, GAUSS_WEIGHTS
-from impact_rig.physics.flight import arrive, drive, size
+from impact_rig.physics.flight import drive, structure_at
 from impact_rig.physics.state import COIL, PRESCRIBED, V1, VB, VOLTAGE, X1, XB
 
 _PANEL = 1.0  # radians (or e-foldings) of the fastest motion per quadrature panel: 8 Gauss points leave 1e-14
@@ -27,12 +28,12 @@ _FORGOTTEN = 50.0  # e-foldings after which a mode no longer needs panels of its
 @kernel
 def add_powers(p, f, y, t, weight, ledger):  # type: ignore[no-untyped-def]  # compiled: types are inferred
     """Add weight [s] times the powers at t; of a prescribed base y need not hold the motion."""
-    u, du = drive(f, t)
-    x_b, v_b = (u, du) if p.drive == PRESCRIBED else (y[XB], y[VB])
-    stretch = y[V1] - v_b
-    ledger.columns += weight * p.c_1 * stretch * stretch
+    u, u_rate = drive(f, t)
+    x_b, v_b = (u, u_rate) if p.drive == PRESCRIBED else (y[XB], y[VB])
+    v_rel = y[V1] - v_b
+    ledger.columns += weight * p.c_1 * v_rel * v_rel
     if p.drive == PRESCRIBED:
-        ledger.work += weight * (p.k_1 * (x_b - y[X1]) - p.c_1 * stretch) * v_b
+        ledger.work += weight * (p.k_1 * (x_b - y[X1]) - p.c_1 * v_rel) * v_b
         return
     ledger.shaker += weight * p.c_f * v_b * v_b
     if p.drive == VOLTAGE:
@@ -50,7 +51,7 @@ def account_flight(p, system, f, flight, end, ledger):  # type: ignore[no-untype
         fastest = f.omega
         for n in range(system.modes):
             if -system.rate[n].real * done < _FORGOTTEN:
-                fastest = max(fastest, size(system.rate[n]))
+                fastest = max(fastest, modulus(system.rate[n]))
         rest = duration - done
         width = rest / max(1, math.ceil(rest * fastest / _PANEL))
         nodes, weights = GAUSS_NODES, GAUSS_WEIGHTS
@@ -58,6 +59,6 @@ def account_flight(p, system, f, flight, end, ledger):  # type: ignore[no-untype
             nodes, weights = _SHORT_NODES, _SHORT_WEIGHTS
         for point in range(len(nodes)):
             t = flight.begin + done + 0.5 * width * (1.0 + nodes[point])
-            arrive(system, f, flight, t)
+            structure_at(system, f, flight, t)
             add_powers(p, f, flight.y, t, 0.5 * width * weights[point], ledger)
         done += width

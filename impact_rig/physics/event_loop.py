@@ -13,8 +13,8 @@ steps also pauses, to be entered again):
     CONTACT    SETTLED         it only rings, slowly (`contact_phase.settles`)      ATTACHED
     ATTACHED   PARTED          the structure pulls away (`_part`)                   FREE
 
-A run begins FREE, or ATTACHED where the guide has friction. A contact that is looked up as a whole ends LEFT; TURNED
-and RELOADED end a step of a contact, not the contact. `_change_phase` is this table. Every segment starts from its own
+A run begins FREE, or ATTACHED where the guide has friction. A contact whose outcome is tabulated ends LEFT; TURNED and
+RELOADED end a step of a contact, not the contact. `_change_phase` is this table. Every segment starts from its own
 time zero, and the loop always stops at its end, so nothing depends on how a run was cut.
 """
 
@@ -27,19 +27,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig.kernels import INTEGERS, Fields, entry, kernel, records
-from impact_rig.physics.contact_phase import account_step, conclude, dissipated, note_peaks, settles, take_next_step
+from impact_rig.physics.contact_phase import account_step, conclude, dissipated, find_peaks, settles, take_next_step
 from impact_rig.physics.contact_step import drop_dense_output, expand, turned_at
 from impact_rig.physics.energy import account_flight
 from impact_rig.physics.flight import (
     SEGMENT,
     Forcing,
-    aim,
-    carry,
     drive,
     evaluate,
     fly,
+    frequency_response,
+    prepare_segment,
+    ride,
     rounding,
-    transfer,
 )
 from impact_rig.physics.model import MODEL
 from impact_rig.physics.outcome import apply_outcome, look_up
@@ -76,7 +76,7 @@ DONE, NEED_ROOM, STUCK = range(3)
 _SPEED_RESOLUTION = 2.0**-48
 _STEPS = 500  # of a contact in one call of its phase
 ROOM = 2 * _STEPS
-"""Knots that must be free before a phase is entered."""
+"""Rows of the history that must be free before a phase is entered."""
 _EVENTS_PER_SEGMENT = 10_000_000
 
 
@@ -88,10 +88,10 @@ class Workspace(NamedTuple):
         flight: one record of FLIGHT.
         step: one record of CONTACT_STEP.
         ledger: one record of LEDGER.
-        filled: one record of LOG: how many knots and impacts there are.
-        knots: records of STATE.
+        filled: one record of LOG: how many rows of history and impacts there are.
+        history: records of STATE: the state at each event and each step of a contact.
         impacts: records of IMPACT.
-        first: row of each segment's first knot.
+        first: row of each segment's first state.
     """
 
     states: NDArray[np.void]
@@ -99,7 +99,7 @@ class Workspace(NamedTuple):
     step: NDArray[np.void]
     ledger: NDArray[np.void]
     filled: NDArray[np.void]
-    knots: NDArray[np.void]
+    history: NDArray[np.void]
     impacts: NDArray[np.void]
     first: NDArray[np.int64]
 
@@ -107,33 +107,33 @@ class Workspace(NamedTuple):
 WORKSPACE = Fields(Workspace, (STATE, FLIGHT, CONTACT_STEP, LEDGER, LOG, STATE, IMPACT, INTEGERS))
 
 
-def new_workspace(knots: int, impacts: int) -> Workspace:
-    """Return a workspace with room for so many knots and impacts."""
+def new_workspace(states: int, impacts: int) -> Workspace:
+    """Return a workspace with room for a history of so many states and for so many impacts."""
     return Workspace(
         records(2, STATE),
         records(1, FLIGHT),
         records(1, CONTACT_STEP),
         records(1, LEDGER),
         records(1, LOG),
-        records(knots, STATE),
+        records(states, STATE),
         records(impacts, IMPACT),
         np.zeros(1, np.int64),
     )
 
 
 @kernel
-def _add_knot(work):  # type: ignore[no-untyped-def]  # compiled: types are inferred
-    """Append the state as a knot."""
-    work.knots[work.filled[0].knots] = work.states[0]
-    work.filled[0].knots += 1
+def _keep_state(work):  # type: ignore[no-untyped-def]  # compiled: types are inferred
+    """Append the state to the history."""
+    work.history[work.filled[0].states] = work.states[0]
+    work.filled[0].states += 1
 
 
 @kernel
-def _fly_on(p, s, d, rate):  # type: ignore[no-untyped-def]
-    """Set a flight that starts at d with the relative speed d'; guide friction works against it from the start."""
+def _fly_on(p, s, d, d_rate):  # type: ignore[no-untyped-def]
+    """Set a flight that starts at d with the rate d_rate; guide friction works against it from the start."""
     s.phase, s.side = FREE, 0.0
-    s.d, s.d_rate, s.begin_d = d, rate, d
-    s.slide = np.sign(rate) if p.friction > 0.0 else 0.0
+    s.d, s.d_rate, s.begin_d = d, d_rate, d
+    s.slide = np.sign(d_rate) if p.friction > 0.0 else 0.0
 
 
 @kernel
@@ -154,10 +154,10 @@ def _part(p, s, way, ledger):  # type: ignore[no-untyped-def]
     """Let a sphere at rest on the structure begin to slide: with the least speed, and nothing added to the momentum."""
     if s.side != 0.0:
         s.released, s.released_side = max(0.0, s.side * s.d - p.half_gap), s.side
-    rate = way * _least_speed(p, s)
-    s.y[V1] -= p.share * rate
-    ledger.contact -= 0.5 * p.m_eff * rate * rate
-    _fly_on(p, s, s.d, rate)
+    d_rate = way * _least_speed(p, s)
+    s.y[V1] -= p.share * d_rate
+    ledger.contact -= 0.5 * p.m_eff * d_rate * d_rate
+    _fly_on(p, s, s.d, d_rate)
 
 
 @kernel
@@ -175,13 +175,13 @@ def _touch(p, s, side, ledger):  # type: ignore[no-untyped-def]
     s.d, s.d_rate, s.slide = side * (p.half_gap + s.released), 0.0, 0.0
     s.w, s.speed, s.deepest = 0.0, speed, 0.0
     s.per_v0 = 1.0 / max(speed, p.speed_floor)
-    s.next_h, s.whole = 0.0, 0
+    s.next_h, s.tabulated = 0.0, 0
     s.approach = speed
     s.elapsed, s.peak_force, s.impulse, s.lost = 0.0, 0.0, 0.0, 0.0
 
 
 @kernel
-def _note(work, s, separation, indentation):  # type: ignore[no-untyped-def]
+def _keep_impact(work, s, separation, indentation):  # type: ignore[no-untyped-def]
     """Append the contact of s as an impact."""
     row = work.impacts[work.filled[0].impacts]
     row.tick, row.offset, row.wall = s.begin_tick, s.begin_t, int(s.side)
@@ -193,16 +193,16 @@ def _note(work, s, separation, indentation):  # type: ignore[no-untyped-def]
 
 @kernel
 def _leave(model, s, work, settled):  # type: ignore[no-untyped-def]
-    """End a contact: note the impact, give y back to the structure, and fly on from the surface that is left.
+    """End a contact: keep the impact, give y back to the structure, and fly on from the surface that is left.
 
     What the contact still holds is lost: it relaxes alone, or rings out.
     """
     p, depth, side = model.parameters[0], s.w * s.w, s.side
     if depth > 0.0:
-        _, _, stored, _, _ = model.force.one(p.stiffness, p.factor, s.per_v0, turned_at(s), s.w, s.speed)
+        _, _, stored, _, _ = model.law.one(p.stiffness, p.factor, s.per_v0, turned_at(s), s.w, s.speed)
         s.lost += stored
         work.ledger[0].contact += stored
-    _note(work, s, -s.speed, s.deepest * s.deepest)
+    _keep_impact(work, s, -s.speed, s.deepest * s.deepest)
     s.y[X1] -= p.share * side * depth
     s.y[V1] -= p.share * side * s.speed
     d = s.d + side * depth
@@ -211,19 +211,20 @@ def _leave(model, s, work, settled):  # type: ignore[no-untyped-def]
     else:
         s.released += depth
         _fly_on(p, s, d, side * s.speed)
-    s.w, s.speed, s.h, s.whole = 0.0, 0.0, 0.0, 0
+    s.w, s.speed, s.h, s.tabulated = 0.0, 0.0, 0.0, 0
 
 
 @kernel
-def _bounce(p, s, side, acceleration, noise, work):  # type: ignore[no-untyped-def]
+def _bounce(p, s, side, held, rounding_m, work):  # type: ignore[no-untyped-def]
     """Reverse the relative speed at once, or let a sphere ride that no longer bounces off a pressing wall.
 
-    A bounce lower than the `noise` [m] of the positions would be thrown up again by their rounding, for ever.
+    It rides where the wall presses it: `held` is the acceleration of both as one body [m/s²]. A bounce lower than the
+    rounding error of the positions would be thrown up again by it, for ever.
     """
     speed = max(0.0, side * s.d_rate)
     e = p.restitution
-    least = max(p.touch_speed, math.sqrt(2.0 * abs(acceleration) * noise))
-    rides = e * speed <= least and side * acceleration <= 0.0
+    least = max(p.touch_speed, math.sqrt(2.0 * abs(held) * rounding_m))
+    rides = e * speed <= least and side * held <= 0.0
     if rides:
         e = 0.0
     away = 0.0 if rides else max(e * speed, _least_speed(p, s))
@@ -232,7 +233,7 @@ def _bounce(p, s, side, acceleration, noise, work):  # type: ignore[no-untyped-d
     s.impulse, s.lost = p.m_eff * speed * (1.0 + e), 0.5 * p.m_eff * speed * speed * (1.0 - e * e)
     work.ledger[0].contact += 0.5 * p.m_eff * (s.d_rate * s.d_rate - away * away)
     if speed > p.touch_speed:
-        _note(work, s, e * speed, 0.0)
+        _keep_impact(work, s, e * speed, 0.0)
     if rides:
         _hold(s, side * p.half_gap, side)
     else:
@@ -243,10 +244,10 @@ def _bounce(p, s, side, acceleration, noise, work):  # type: ignore[no-untyped-d
 def _flight_phase(model, f, work, t_end, account):  # type: ignore[no-untyped-def]
     """Fly, free or as one body with the structure; return what ends it."""
     p, s, flight = model.parameters[0], work.states[0], work.flight[0]
-    _add_knot(work)
+    _keep_state(work)
     if s.phase == ATTACHED:
         flight.friction_force = 0.0
-        ended = carry(p, model.systems[HELD], f, flight, s, t_end)
+        ended = ride(p, model.systems[HELD], f, flight, s, t_end)
         if account:
             account_flight(p, model.systems[HELD], f, flight, s.t, work.ledger[0])
         return ended
@@ -261,14 +262,14 @@ def _flight_phase(model, f, work, t_end, account):  # type: ignore[no-untyped-de
 
 @kernel
 def _apply_tabulated(model, f, work, t_end, account):  # type: ignore[no-untyped-def]
-    """Take a contact that has just begun as a whole, from the table; return whether that was possible."""
+    """Take a contact that has just begun to its end, from the table; return whether that was possible."""
     p, table = model.parameters[0], model.table[0]
     s, step = work.states[0], work.step[0]
     expand(p, f, s, step)
     if not look_up(p, table, s, step, t_end - s.t):
         return False
-    s.whole = 1
-    _add_knot(work)
+    s.tabulated = 1
+    _keep_state(work)
     if account:
         work.states[1] = s
         follow(model, f, work.states[1], step, work.ledger[0])
@@ -305,22 +306,22 @@ def _contact_phase(model, f, work, t_end, account):  # type: ignore[no-untyped-d
         ended = take_next_step(model, f, s, step, t_end)
         if ended == FAILED:
             return FAILED
-        _add_knot(work)
+        _keep_state(work)
         lost = dissipated(step, s.h)
         ledger.contact += lost
         s.lost += lost
-        note_peaks(p, model.force, s, step)
+        find_peaks(p, model.law, s, step)
         if account:
             account_step(p, f, s, step, ledger)
         conclude(p, s, step, ended, t_end)
         if ended in (LEFT, TIME, RELEASED):
             break
-        if ended == TURNED and p.remembers and settles(p, model.force, s, step):
+        if ended == TURNED and p.remembers and settles(p, model.law, s, step):
             ended = SETTLED
             break
         ended = TIME
     s.h = 0.0
-    _add_knot(work)
+    _keep_state(work)
     return ended
 
 
@@ -340,29 +341,29 @@ def _change_phase(model, f, work, tick, ended):  # type: ignore[no-untyped-def]
     else:
         system = model.systems[LOOSE]
         evaluate(system, f, flight, s.t, 0)
-        pull = (p.m_1 * flight.a - flight.friction_force) * p.per_m_pair  # acceleration of both, were they held
+        held = (p.m_1 * flight.x_1[2] - flight.friction_force) * p.per_m_pair  # acceleration of both as one body
         if ended == TOUCHED:
             s.begin_tick, s.begin_t = tick, f.begin + s.t
-            _bounce(p, s, s.side, pull, rounding(p, system, flight, s.t), work)
-        elif abs(pull) <= p.friction:
+            _bounce(p, s, s.side, held, rounding(p, system, flight, s.t), work)
+        elif abs(held) <= p.friction:
             s.y[V1] += p.share * s.d_rate
             _hold(s, s.d, 0.0)
         else:
-            _part(p, s, -np.sign(pull), ledger)
+            _part(p, s, -np.sign(held), ledger)
 
 
 @kernel
-def _ready(model, f, work, t_end, fresh):  # type: ignore[no-untyped-def]
-    """Prepare the closed form of a flight: a new frequency or system, or a new segment."""
+def _prepare_flight(model, f, work, t_end, fresh):  # type: ignore[no-untyped-def]
+    """Prepare the closed form of a flight where the frequency, the system or the segment is new."""
     flight = work.flight[0]
     which = HELD if work.states[0].phase == ATTACHED else LOOSE
     system = model.systems[which]
     if f.omega != flight.omega or which != flight.system:
-        transfer(system, f.omega, flight)
+        frequency_response(system, f.omega, flight)
         flight.omega, flight.system = f.omega, which
         fresh = True
     if fresh:
-        aim(system, f, flight, t_end)
+        prepare_segment(system, f, flight, t_end)
 
 
 @kernel
@@ -386,21 +387,22 @@ def run(model, segments, ticks, index, work, account):  # type: ignore[no-untype
     work.flight[0].omega = -1.0
     while index < segments.shape[0]:
         row = segments[index]
-        f = Forcing(row.omega, row.phase, row.amplitude, row.slope, row.begin)
+        f = Forcing(row.omega, row.phase, row.amplitude, row.growth, row.begin)
         t_end, fresh = row.duration, True
         if s.t == 0.0:
-            work.first[index] = work.filled[0].knots
+            work.first[index] = work.filled[0].states
             if model.parameters[0].drive == PRESCRIBED:
                 _move_base(model.parameters[0], f, s, work.ledger[0])
         for _ in range(_EVENTS_PER_SEGMENT):
-            if work.filled[0].knots + ROOM > work.knots.shape[0] or work.filled[0].impacts + 2 > work.impacts.shape[0]:
+            filled = work.filled[0]
+            if filled.states + ROOM > work.history.shape[0] or filled.impacts + 2 > work.impacts.shape[0]:
                 return NEED_ROOM, index
             if s.phase == CONTACT:
                 ended = _contact_phase(model, f, work, t_end, account)
                 if ended == FAILED:
                     return STUCK, index
             else:
-                _ready(model, f, work, t_end, fresh)
+                _prepare_flight(model, f, work, t_end, fresh)
                 fresh = False
                 ended = _flight_phase(model, f, work, t_end, account)
             _change_phase(model, f, work, ticks[index], ended)

@@ -2,28 +2,29 @@
 # SPDX-License-Identifier: Apache-2.0
 """Flight: the sphere is loose, the structure is linear, and both are known in closed form until a wall is reached.
 
-**Drive.** Inside one segment u(t) = (A + B t) sin(ω t + φ). With y' = M y + b_0 u + b_1 u' and the resolvent
-R(ω) = (jω − M)^-1 the linear system's particular answer to it is
+**Drive.** Inside one segment u(t) = (A + B t) sin(ω t + φ). The answer of the linear system y' = M y + b_0 u + b_1 u'
+to it is
 
-    y_p(t) = Im[(P + Q t) exp(jωt)],   H = R (b_0 + jω b_1),   G = R (b_1 − H)
+    y_p(t) = Im[(P + Q t) exp(jωt)],   H = (jω − M)⁻¹ (b_0 + jω b_1),   G = (jω − M)⁻¹ (b_1 − H)
     Q = B e^{jφ} H,                    P = A e^{jφ} H + B e^{jφ} G
 
-**Motion.** From the state y_0 at t_0, with the modes of `linear`,
+**Motion.** From the state at t_b, where the flight begins, with the modes of `linear`,
 
-    y(t) = Re Σ_n R_n c_n exp(λ_n (t − t_0)) + Im[(P + Q t) exp(jωt)] + static · friction_force
-    c_n = L_n · (y_0 − y_p(t_0))
-    x_2(t) = x_2(t_0) + v_2 (t − t_0) + braking (t − t_0)² / 2
+    y(t) = y_p(t) + Re Σ_n Φ_n C_n exp(λ_n (t − t_b)) + static · friction_force
+    C_n = Γ_n · (y(t_b) − y_p(t_b) − static · friction_force)
+    x_2(t) = x_2(t_b) + v_2 (t − t_b) + braking (t − t_b)² / 2
 
 `friction_force` [N] on the structure and `braking` [m/s²] of the sphere are the guide's friction, constant while the
 sphere slides one way.
 
-**Touch.** It is approached by conservative advancement. With speed v and acceleration a towards a target and
-|jerk| <= j, a point covers within any h at most
+**Touch.** It is approached by conservative advancement. With a speed and an acceleration towards a target and
+|jerk| <= J, a point covers within a horizon at most
 
-    v t + (a + j h / 3) t² / 2,   0 <= t <= h
+    speed t + (acceleration + J horizon / 3) t² / 2,   0 <= t <= horizon
 
-The first t at which that is the distance is safe if it comes before h, and h itself is safe otherwise. Repeated
-advances close in on the first touch from before it and cannot step over it, however short or grazing the crossing.
+The first t at which that is the distance is safe if it comes before the horizon, and the horizon itself is safe
+otherwise. Repeated advances close in on the first touch from before it and cannot step over it, however short or
+grazing the crossing.
 """
 
 from __future__ import annotations
@@ -39,14 +40,14 @@ from impact_rig.physics.state import ORDERS, PARTED, STOPPED, TIME, TOUCHED, V1,
 
 _THIRD = 1.0 / 3.0
 _ROUNDS = 12
-_CLOSE = 0.8  # how near to the best horizon is good enough
+_CLOSE = 0.8  # of the horizon: a crossing that comes later makes a shorter horizon not worth trying
 _TIME_RESOLUTION = 2.0**-51
 _POSITION_RESOLUTION = 2.0**-47
 _SHORTEST = 1e-3  # segments may be shorter than the time scale of rounding errors [s]
 
-SEGMENT = np.dtype([(name, "f8") for name in ("duration", "omega", "phase", "amplitude", "slope", "begin")])
-"""Drive segments, in order: seconds, rad/s, rad, and amplitude and its rate in A, m or V by drive. A segment begins a
-tick of its own, or goes on `begin` > 0 seconds after the start of the tick of the one before."""
+SEGMENT = np.dtype([(name, "f8") for name in ("duration", "omega", "phase", "amplitude", "growth", "begin")])
+"""Drive segments, in order: seconds, rad/s, rad, and amplitude and its growth per second, A, m or V by drive. A segment
+begins a tick of its own, or goes on `begin` > 0 seconds after the start of the tick of the one before."""
 
 
 class Forcing(NamedTuple):
@@ -55,20 +56,20 @@ class Forcing(NamedTuple):
     omega: float
     phase: float
     amplitude: float
-    slope: float
+    growth: float
     begin: float
 
 
 @kernel
 def drive(f, t):  # type: ignore[no-untyped-def]  # compiled: types are inferred
     """Return u and u' at t."""
-    level = f.amplitude + f.slope * t
+    level = f.amplitude + f.growth * t
     sine, cosine = sincos(f.omega * t + f.phase)
-    return level * sine, f.slope * sine + level * f.omega * cosine
+    return level * sine, f.growth * sine + level * f.omega * cosine
 
 
 @kernel
-def turned(angle):  # type: ignore[no-untyped-def]
+def phasor(angle):  # type: ignore[no-untyped-def]
     """Return exp(j angle)."""
     if angle == 0.0:  # at all times, where the drive is a straight line
         return 1.0 + 0.0j
@@ -77,25 +78,19 @@ def turned(angle):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def size(z):  # type: ignore[no-untyped-def]
-    """Return |z|."""
-    return modulus(z.real, z.imag)
-
-
-@kernel
 def bound_omega(system, omega):  # type: ignore[no-untyped-def]
     """Return the fastest rate [1/s] of the drive and the modes."""
     fastest = max(omega, 1e-9)
     for n in range(system.modes):
-        fastest = max(fastest, size(system.rate[n]))
+        fastest = max(fastest, modulus(system.rate[n]))
     return fastest
 
 
 @kernel
-def _half_reciprocal(z):  # type: ignore[no-untyped-def]
-    """Return 1 / (2 z)."""
-    scale = 0.5 / (z.real * z.real + z.imag * z.imag)
-    return complex(z.real * scale, -z.imag * scale)
+def _half_reciprocal(number):  # type: ignore[no-untyped-def]
+    """Return 1 / (2 number)."""
+    scale = 0.5 / (number.real * number.real + number.imag * number.imag)
+    return complex(number.real * scale, -number.imag * scale)
 
 
 @kernel
@@ -118,8 +113,8 @@ def _resolve(system, omega, vector, out):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def transfer(system, omega, flight):  # type: ignore[no-untyped-def]
-    """Fill `flight.answer` (H) and `flight.drift` (G): what the system does for a steady and for a growing drive."""
+def frequency_response(system, omega, flight):  # type: ignore[no-untyped-def]
+    """Fill `flight.answer` (H) and `flight.growth_answer` (G): the answers to a steady and to a growing drive."""
     n = system.states
     vector = flight.steady  # scratch: `particular` fills it anew
     for i in range(n):
@@ -127,80 +122,80 @@ def transfer(system, omega, flight):  # type: ignore[no-untyped-def]
     _resolve(system, omega, vector, flight.answer)
     for i in range(n):
         vector[i] = complex(system.b_1[i] - flight.answer[i].real, -flight.answer[i].imag)
-    _resolve(system, omega, vector, flight.drift)
+    _resolve(system, omega, vector, flight.growth_answer)
 
 
 @kernel
 def particular(system, f, flight):  # type: ignore[no-untyped-def]
     """Fill `flight.steady` (P) and `flight.growing` (Q) for this segment's amplitude and phase."""
-    turn = turned(f.phase)
+    rotor = phasor(f.phase)
     for i in range(system.states):
-        flight.growing[i] = f.slope * turn * flight.answer[i]
-        flight.steady[i] = f.amplitude * turn * flight.answer[i] + f.slope * turn * flight.drift[i]
+        flight.growing[i] = f.growth * rotor * flight.answer[i]
+        flight.steady[i] = f.amplitude * rotor * flight.answer[i] + f.growth * rotor * flight.growth_answer[i]
 
 
 @kernel
-def safe_time(distance, v, a, jerk, horizon):  # type: ignore[no-untyped-def]  # compiled: types are inferred
-    """Return a time, at most `horizon` [s], in which a point cannot cover `distance` [m]."""
-    half = 0.5 * (a + jerk * horizon / 3.0)
-    if v * horizon + half * horizon * horizon <= distance and (v <= 0.0 or v + 2.0 * half * horizon >= 0.0):
-        return horizon  # most often: it ends nearer, and was never further out than there or where it began
-    h = horizon
+def safe_time(distance, speed, acceleration, jerk, longest):  # type: ignore[no-untyped-def]  # compiled: types are inferred
+    """Return a time, at most `longest` [s], in which a point cannot cover `distance` [m]."""
+    half = 0.5 * (acceleration + jerk * longest / 3.0)
+    if speed * longest + half * longest * longest <= distance and (speed <= 0.0 or speed + 2.0 * half * longest >= 0.0):
+        return longest  # most often: it ends nearer, and was never further out than there or where it began
+    horizon = longest
     if jerk > 0.0:
-        h = min(
-            h,
-            3.0 * abs(a) / jerk + math.sqrt(6.0 * abs(v) / jerk) + power(6.0 * distance / jerk, _THIRD),
+        horizon = min(
+            horizon,
+            3.0 * abs(acceleration) / jerk + math.sqrt(6.0 * abs(speed) / jerk) + power(6.0 * distance / jerk, _THIRD),
         )
     safe = 0.0
     for _ in range(_ROUNDS):
-        half = 0.5 * (a + jerk * h / 3.0)
-        under = v * v + 4.0 * half * distance
-        reach = math.inf
-        if v > 0.0:
-            if under >= 0.0:
-                reach = 2.0 * distance / (v + math.sqrt(under))
+        half = 0.5 * (acceleration + jerk * horizon / 3.0)
+        discriminant = speed * speed + 4.0 * half * distance
+        crossing = math.inf
+        if speed > 0.0:
+            if discriminant >= 0.0:
+                crossing = 2.0 * distance / (speed + math.sqrt(discriminant))
         elif half > 0.0:
-            reach = (math.sqrt(under) - v) / (2.0 * half)
-        if reach >= h:
-            if h >= horizon:
-                return horizon
-            safe = h
-            h = min(2.0 * h, reach, horizon)
+            crossing = (math.sqrt(discriminant) - speed) / (2.0 * half)
+        if crossing >= horizon:
+            if horizon >= longest:
+                return longest
+            safe = horizon
+            horizon = min(2.0 * horizon, crossing, longest)
         else:
-            safe = max(safe, reach)
-            if reach > _CLOSE * h or reach <= 0.0:
+            safe = max(safe, crossing)
+            if crossing > _CLOSE * horizon or crossing <= 0.0:
                 break
-            h = math.sqrt(h * reach)
+            horizon = math.sqrt(horizon * crossing)
     return safe
 
 
 @kernel
-def aim(system, f, flight, t_end):  # type: ignore[no-untyped-def]  # compiled: types are inferred
+def prepare_segment(system, f, flight, t_end):  # type: ignore[no-untyped-def]  # compiled: types are inferred
     """Prepare a segment's particular solution and its part in the derivatives of x_1, with a bound on each."""
     particular(system, f, flight)
     jw = complex(0.0, f.omega)
     steady, growing = flight.steady[X1], flight.growing[X1]
     for order in range(ORDERS):
         flight.forced[order], flight.forced_growing[order] = steady, growing
-        flight.forced_size[order] = size(steady) + size(growing) * t_end
+        flight.forced_size[order] = modulus(steady) + modulus(growing) * t_end
         steady, growing = jw * steady + growing, jw * growing
 
 
 @kernel
 def decayed(rate, since):  # type: ignore[no-untyped-def]
-    """Return exp(λ (t − t_0)): what has become of a mode's amplitude."""
-    decay = exp(rate.real * since)
+    """Return the envelope and the value of exp(λ (t − t_b)): what has become of a mode's amplitude."""
+    envelope = exp(rate.real * since)
     sine, cosine = sincos(rate.imag * since)
-    return decay, complex(decay * cosine, decay * sine)
+    return envelope, complex(envelope * cosine, envelope * sine)
 
 
 @kernel
-def launch(system, f, flight, y, t):  # type: ignore[no-untyped-def]
+def begin_flight(system, f, flight, y, t):  # type: ignore[no-untyped-def]
     """Fill the modes' amplitudes of the flight that begins at t with the state y, and their parts in x_1."""
-    turn = turned(f.omega * t)
+    rotor = phasor(f.omega * t)
     flight.begin = t
     for i in range(system.states):
-        forced = (flight.steady[i] + flight.growing[i] * t) * turn
+        forced = (flight.steady[i] + flight.growing[i] * t) * rotor
         flight.y[i] = y[i] - forced.imag - system.static[i] * flight.friction_force
     for n in range(system.modes):
         amplitude = 0.0j
@@ -210,61 +205,62 @@ def launch(system, f, flight, y, t):  # type: ignore[no-untyped-def]
         wave = system.right[n, X1] * amplitude
         for order in range(ORDERS):
             flight.wave[order, n] = wave
-            flight.wave_size[order, n] = size(wave)
+            flight.wave_size[order, n] = modulus(wave)
             wave = system.rate[n] * wave
 
 
 @kernel
 def evaluate(system, f, flight, t, order):  # type: ignore[no-untyped-def]
-    """Fill `flight.x`, `v` and `a`: the derivatives of x_1 at t from `order` on; `flight.bound` bounds the next one."""
+    """Fill `flight.x_1[order:order + 3]`, derivatives of x_1 at t; `flight.bound` bounds the next one from there on."""
     since, wave = t - flight.begin, flight.wave
-    turn = turned(f.omega * t)
-    forced = (flight.forced[order] + flight.forced_growing[order] * t) * turn
-    x = forced.imag
-    forced = (flight.forced[order + 1] + flight.forced_growing[order + 1] * t) * turn
-    v = forced.imag
-    forced = (flight.forced[order + 2] + flight.forced_growing[order + 2] * t) * turn
-    a = forced.imag
+    rotor = phasor(f.omega * t)
+    forced = (flight.forced[order] + flight.forced_growing[order] * t) * rotor
+    value = forced.imag
+    forced = (flight.forced[order + 1] + flight.forced_growing[order + 1] * t) * rotor
+    first = forced.imag
+    forced = (flight.forced[order + 2] + flight.forced_growing[order + 2] * t) * rotor
+    second = forced.imag
     bound = flight.forced_size[order + 3]
     if order == 0:
-        x += system.static[X1] * flight.friction_force
+        value += system.static[X1] * flight.friction_force
     for n in range(system.modes):
-        decay, z = decayed(system.rate[n], since)
-        x += wave[order, n].real * z.real - wave[order, n].imag * z.imag
-        v += wave[order + 1, n].real * z.real - wave[order + 1, n].imag * z.imag
-        a += wave[order + 2, n].real * z.real - wave[order + 2, n].imag * z.imag
-        bound += flight.wave_size[order + 3, n] * decay
-    flight.x, flight.v, flight.a, flight.bound = x, v, a, bound
+        envelope, decay = decayed(system.rate[n], since)
+        value += wave[order, n].real * decay.real - wave[order, n].imag * decay.imag
+        first += wave[order + 1, n].real * decay.real - wave[order + 1, n].imag * decay.imag
+        second += wave[order + 2, n].real * decay.real - wave[order + 2, n].imag * decay.imag
+        bound += flight.wave_size[order + 3, n] * envelope
+    x_1 = flight.x_1
+    x_1[order], x_1[order + 1], x_1[order + 2], flight.bound = value, first, second, bound
 
 
 @kernel
 def rounding(p, system, flight, t):  # type: ignore[no-untyped-def]
     """Return the rounding error [m] of the distance to a wall: that of the largest terms of x_1, with a margin."""
-    largest = p.half_gap + size(flight.steady[X1]) + size(flight.growing[X1]) * t
+    largest = p.half_gap + modulus(flight.steady[X1]) + modulus(flight.growing[X1]) * t
     for n in range(system.modes):
         largest += flight.wave_size[0, n]
     return _POSITION_RESOLUTION * largest
 
 
 @kernel
-def arrive(system, f, flight, t):  # type: ignore[no-untyped-def]
+def structure_at(system, f, flight, t):  # type: ignore[no-untyped-def]
     """Fill `flight.y` with the linear system's state at t."""
-    turn = turned(f.omega * t)
+    rotor = phasor(f.omega * t)
     for i in range(system.states):
-        forced = (flight.steady[i] + flight.growing[i] * t) * turn
+        forced = (flight.steady[i] + flight.growing[i] * t) * rotor
         flight.y[i] = forced.imag + system.static[i] * flight.friction_force
     for n in range(system.modes):
-        _, z = decayed(system.rate[n], t - flight.begin)
-        wave = flight.modal[n] * z
+        _, decay = decayed(system.rate[n], t - flight.begin)
+        modal = flight.modal[n] * decay
         for i in range(system.states):
             right = system.right[n, i]
-            flight.y[i] += right.real * wave.real - right.imag * wave.imag
+            flight.y[i] += right.real * modal.real - right.imag * modal.imag
 
 
 @kernel
-def negligible(step, t):  # type: ignore[no-untyped-def]
-    """Whether a stride is lost in the rounding of the time."""
-    return step <= _TIME_RESOLUTION * max(t, _SHORTEST)
+def negligible(advance, t):  # type: ignore[no-untyped-def]
+    """Whether an advance [s] is lost in the rounding of the time."""
+    return advance <= _TIME_RESOLUTION * max(t, _SHORTEST)
 
 
 @kernel
@@ -281,79 +277,78 @@ def fly(p, system, f, flight, s, t_end):  # type: ignore[no-untyped-def]
     On a touch the state is the one at the touch, with the distance to the wall `s.side` exactly zero;
     STOPPED: friction has brought the sphere to rest on its guide.
     """
-    braking = -s.slide * p.friction
-    launch(system, f, flight, s.y, s.t)
+    braking, x_1 = -s.slide * p.friction, flight.x_1
+    begin_flight(system, f, flight, s.y, s.t)
     evaluate(system, f, flight, s.t, 0)
-    sphere_x, sphere_v = flight.x + s.d, flight.v + s.d_rate
+    x_2, v_2 = x_1[0] + s.d, x_1[1] + s.d_rate  # where the flight begins
     ended, t = TIME, s.t
     while p.sphere_present:
         since, rest = t - flight.begin, t_end - t
-        d = sphere_x + since * (sphere_v + 0.5 * since * braking) - flight.x
-        rate, bend, jerk = sphere_v + since * braking - flight.v, braking - flight.a, flight.bound
-        ahead = 1.0 if rate >= 0.0 else -1.0  # the wall that the sphere moves to; the other one is seldom nearer
-        step = safe_time(wall_distance(p, s, ahead, d), ahead * rate, ahead * bend, jerk, rest)
-        behind = safe_time(wall_distance(p, s, -ahead, d), -ahead * rate, -ahead * bend, jerk, step)
-        if behind < step:
-            step, ahead = behind, -ahead
-        stop, out = math.inf, math.inf
+        d = x_2 + since * (v_2 + 0.5 * since * braking) - x_1[0]
+        d_rate, d_rate_2, jerk = v_2 + since * braking - x_1[1], braking - x_1[2], flight.bound
+        side = 1.0 if d_rate >= 0.0 else -1.0  # the wall that the sphere moves to; the other one is seldom nearer
+        to_wall = safe_time(wall_distance(p, s, side, d), side * d_rate, side * d_rate_2, jerk, rest)
+        to_other = safe_time(wall_distance(p, s, -side, d), -side * d_rate, -side * d_rate_2, jerk, to_wall)
+        if to_other < to_wall:
+            to_wall, side = to_other, -side
+        to_stop, to_surface = math.inf, math.inf
         if s.released > 0.0:
-            out = safe_time(
-                max(0.0, s.released_side * d - p.half_gap), -s.released_side * rate, -s.released_side * bend, jerk, rest
-            )
-            if negligible(out, t):
+            inside, out = max(0.0, s.released_side * d - p.half_gap), -s.released_side
+            to_surface = safe_time(inside, out * d_rate, out * d_rate_2, jerk, rest)
+            if negligible(to_surface, t):
                 s.released = 0.0  # the sphere is out of it: from here on the surface is whole again
                 continue
         if s.slide != 0.0:
             evaluate(system, f, flight, t, 1)
-            stop = safe_time(max(0.0, s.slide * rate), -s.slide * bend, s.slide * flight.a, flight.bound, rest)
-        if min(step, stop, out) >= rest:
+            to_stop = safe_time(max(0.0, s.slide * d_rate), -s.slide * d_rate_2, s.slide * x_1[3], flight.bound, rest)
+        if min(to_wall, to_stop, to_surface) >= rest:
             break
-        if stop < step and negligible(stop, t):
+        if to_stop < to_wall and negligible(to_stop, t):
             ended = STOPPED
             break
-        if step <= stop and negligible(step, t):
-            ended, s.side = TOUCHED, ahead
+        if to_wall <= to_stop and negligible(to_wall, t):
+            ended, s.side = TOUCHED, side
             break
-        t += min(step, stop, out)
+        t += min(to_wall, to_stop, to_surface)
         evaluate(system, f, flight, t, 0)
     if ended == TIME:
         t = t_end
-    arrive(system, f, flight, t)
+    structure_at(system, f, flight, t)
     for i in range(system.states):
         s.y[i] = flight.y[i]
     since = t - flight.begin
     s.t = t
-    s.d_rate = 0.0 if ended == STOPPED else sphere_v + since * braking - s.y[V1]
-    s.d = sphere_x + since * (sphere_v + 0.5 * since * braking) - s.y[X1]
+    s.d_rate = 0.0 if ended == STOPPED else v_2 + since * braking - s.y[V1]
+    s.d = x_2 + since * (v_2 + 0.5 * since * braking) - s.y[X1]
     return ended
 
 
 @kernel
-def carry(p, system, f, flight, s, t_end):  # type: ignore[no-untyped-def]
+def ride(p, system, f, flight, s, t_end):  # type: ignore[no-untyped-def]
     """Advance sphere and base as one body until they part or to t_end; return PARTED or TIME.
 
     `s.side` is the wall that presses the sphere, or 0 when guide friction holds it. It parts the way of `s.slide`.
     """
-    launch(system, f, flight, s.y, s.t)
-    t, ended = s.t, TIME
+    begin_flight(system, f, flight, s.y, s.t)
+    t, ended, x_1 = s.t, TIME, flight.x_1
     while True:
         evaluate(system, f, flight, t, 2)
         rest = t_end - t
         # the structure may pull away to the right (the sphere lags: -1) or to the left (+1), but not through a wall
-        lag, lead = math.inf, math.inf
+        to_lag, to_lead = math.inf, math.inf
         if s.side >= 0.0:
-            lag = safe_time(max(0.0, p.friction - flight.x), flight.v, flight.a, flight.bound, rest)
+            to_lag = safe_time(max(0.0, p.friction - x_1[2]), x_1[3], x_1[4], flight.bound, rest)
         if s.side <= 0.0:
-            lead = safe_time(max(0.0, p.friction + flight.x), -flight.v, -flight.a, flight.bound, rest)
-        step = min(lag, lead)
-        if step >= rest:
+            to_lead = safe_time(max(0.0, p.friction + x_1[2]), -x_1[3], -x_1[4], flight.bound, rest)
+        advance = min(to_lag, to_lead)
+        if advance >= rest:
             t = t_end
             break
-        if negligible(step, t):
-            ended, s.slide = PARTED, -1.0 if lag < lead else 1.0
+        if negligible(advance, t):
+            ended, s.slide = PARTED, -1.0 if to_lag < to_lead else 1.0
             break
-        t += step
-    arrive(system, f, flight, t)
+        t += advance
+    structure_at(system, f, flight, t)
     for i in range(system.states):
         s.y[i] = flight.y[i]
     s.t = t

@@ -265,7 +265,7 @@ class FunctionGenerator:
         if self._noise is not None:
             level = level * self._noise.numbers(self.tick, len(rows) + 1)
         rows["amplitude"] = level[:-1]
-        rows["slope"] = np.diff(level) / self._tick_s
+        rows["growth"] = np.diff(level) / self._tick_s
 
     def _fill_chirp(self, rows: NDArray[np.void]) -> None:
         drive = self._drive

@@ -4,7 +4,7 @@
 
     y' = M y + b_0 u + b_1 u',   y = (x_1, v_1[, x_b, v_b[, i]]),   u = coil current, base displacement or coil voltage
 
-In modal form y(t) = Re Σ_k R_k c_k exp(λ_k t) + y_p(t), with c_k = L_k · (y − y_p) and the drive's particular
+In modal form y(t) = Re Σ_n Φ_n C_n exp(λ_n t) + y_p(t), with C_n = Γ_n · (y − y_p) at t = 0 and the drive's particular
 solution y_p. Two such systems exist: with the sphere loose (mass m_1) and with the sphere attached to the superior
 base (m_1 + m).
 """
@@ -157,16 +157,16 @@ def state_matrix(c: Constants, kind: str, mass: float) -> NDArray[np.float64]:
 
 
 def input_vectors(c: Constants, kind: str, mass: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return b0 and b1, shape (n,): how u and its rate enter."""
+    """Return b_0 and b_1, shape (n,): how u and its rate enter."""
     n = {"prescribed": 2, "current": 4, "voltage": 5}[kind]
-    b0, b1 = np.zeros(n), np.zeros(n)
+    b_0, b_1 = np.zeros(n), np.zeros(n)
     if kind == "prescribed":
-        b0[V1], b1[V1] = c.k_1 / mass, c.c_1 / mass
+        b_0[V1], b_1[V1] = c.k_1 / mass, c.c_1 / mass
     elif kind == "current":
-        b0[VB] = c.force_factor / c.m_base
+        b_0[VB] = c.force_factor / c.m_base
     else:
-        b0[COIL] = 1.0 / c.inductance
-    return b0, b1
+        b_0[COIL] = 1.0 / c.inductance
+    return b_0, b_1
 
 
 def modes(matrix: NDArray[np.float64]) -> Modes:
@@ -190,25 +190,25 @@ def modes(matrix: NDArray[np.float64]) -> Modes:
     raise ConfigError("structure and shaker have no separable modes: masses, stiffnesses or dampings are too far apart")
 
 
-def static_answer(matrix: NDArray[np.float64], push: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the state −M⁻¹ push in which y' = M y + push rests, shape (n,), computed with many digits.
+def static_answer(matrix: NDArray[np.float64], load: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the state −M⁻¹ load in which y' = M y + load rests, shape (n,), computed with many digits.
 
     Raises:
         ConfigError: there is none.
     """
-    answer = _rest(matrix, push)
+    answer = _rest(matrix, load)
     if answer is None or not np.all(np.isfinite(answer)):
         raise ConfigError("structure and shaker have no position of rest: stiffnesses are out of all bounds")
     return answer
 
 
 @precise
-def _rest(matrix: NDArray[np.float64], push: NDArray[np.float64]) -> NDArray[np.float64] | None:
+def _rest(matrix: NDArray[np.float64], load: NDArray[np.float64]) -> NDArray[np.float64] | None:
     polynomial, adjugate = resolvent(_exactly(matrix))
     if not polynomial[0]:
         return None
-    pushes = [Decimal(float(value)) for value in push]
-    return np.array([float(dot(row, pushes) / polynomial[0]) for row in adjugate[0]])
+    loads = [Decimal(float(value)) for value in load]
+    return np.array([float(dot(row, loads) / polynomial[0]) for row in adjugate[0]])
 
 
 @precise

@@ -43,13 +43,13 @@ class Model(NamedTuple):
         parameters: one record of PARAMETERS.
         systems: records of SYSTEM, LOOSE and HELD.
         table: one record of `outcome.TABLE`.
-        force: the contact law's compiled force.
+        law: the contact law's compiled force.
     """
 
     parameters: NDArray[np.void]
     systems: NDArray[np.void]
     table: NDArray[np.void]
-    force: CompiledForce
+    law: CompiledForce
 
 
 MODEL = Fields(Model, (PARAMETERS, SYSTEM, TABLE, FORCE))
@@ -78,7 +78,7 @@ def build(config: Setup, rtol: float = CONTACT_RTOL, kind: str | None = None) ->
     p.pair_stiffness, p.pair_damping = p.share * c.k_1 / c.m_1, p.share * c.c_1 / c.m_1
     p.half_gap = config.barriers.gap_m / 2.0
     p.friction = config.sphere.guide_friction * STANDARD_GRAVITY
-    _set_law(p, force, m_eff)
+    _set_force(p, force, m_eff)
     p.speed_floor = config.contact.speed_floor_m_s
     p.touch_speed = 1e-6 * p.speed_floor
     p.fastest = max(bound_omega(system, 0.0) for system in systems)
@@ -88,7 +88,7 @@ def build(config: Setup, rtol: float = CONTACT_RTOL, kind: str | None = None) ->
     return Model(rows, systems, with_fields(table), compiled_force(force.function))
 
 
-def _set_law(p: Any, force: Force, m_eff: float) -> None:
+def _set_force(p: Any, force: Force, m_eff: float) -> None:
     """Set what the contact law decides."""
     p.stiffness, p.factor, p.restitution = force.stiffness, force.factor, force.restitution
     p.rigid, p.clipped, p.remembers = force.rigid, force.clipped, force.remembers
@@ -107,7 +107,7 @@ def unit_parameters(force: Force) -> Any:
     """Return one record of PARAMETERS for a law in its own units: masses, stiffness and approach speed are 1."""
     rows = record(PARAMETERS)
     p = rows[0]
-    _set_law(p, force, 1.0)
+    _set_force(p, force, 1.0)
     p.m = p.m_1 = p.m_eff = p.per_m_eff = p.speed_floor = 1.0
     return rows
 
@@ -121,11 +121,11 @@ def _systems(c: Constants, kind: str, sphere_kg: float) -> Any:
         b_0, b_1 = input_vectors(c, kind, mass)
         found, n = modes(matrix), len(b_0)
         kept = len(found.rate)
-        push = np.zeros(n)
-        push[V1] = 1.0 / mass
+        unit_force = np.zeros(n)
+        unit_force[V1] = 1.0 / mass
         system.states, system.modes = n, kept
         system.rate[:kept] = found.rate
         system.right[:kept, :n], system.left[:kept, :n] = found.right, found.left
         system.b_0[:n], system.b_1[:n] = b_0, b_1
-        system.static[:n] = static_answer(matrix, push)
+        system.static[:n] = static_answer(matrix, unit_force)
     return systems

@@ -2,15 +2,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a fast contact does, looked up: its outcome depends on so little that it is tabulated once per law.
 
-In units of δ_0 = v t_0 and t_0 = (m_eff/K)^(1/(n+1)) v^((1−n)/(1+n)) a contact of a law without a scale of its own is
+With approach speed v0, in units of δ_0 = v0 t_0 and t_0 = (m_eff/K)^(1/(1+b)) v0^((1−b)/(1+b)), a contact of a law
+F ~ K δ^b without a scale of its own is, Δ = δ/δ_0 and θ = t/t_0,
 
-    ξ'' = −F(ξ, ξ') + η_0 + η_1 θ + η_2 θ² − α ξ − γ ξ',    ξ = 0, ξ' = 1 at θ = 0
-    η_j = a_j t_0^(j+1) / v,   α = t_0² σ k_1 / m_1,   γ = t_0 σ c_1 / m_1
+    Δ'' = −F(Δ, Δ') + η_0 + η_1 θ + η_2 θ² − α Δ − γ Δ',    Δ = 0, Δ' = 1 at θ = 0
+    η_k = (k-th Taylor coefficient of a_r about the touch) t_0^(k+1) / v0,   α = t_0² σ k_1 / m_1,   γ = t_0 σ c_1 / m_1
 
-with the Taylor coefficients a_j of the relative acceleration about the touch. η_0 is a few hundredths and the rest
-parts of a million: each quantity is a Chebyshev series in η_0 for the contact itself, its first two derivatives by η_1
-and its first ones by η_2, α and γ. Contacts beyond the table's range are integrated step by step; those inside end
-within 1e-10 of that.
+with a_r the relative acceleration that presses sphere and wall together. η_0 is a few hundredths and the rest parts of
+a million, called perturbations here: each quantity of the outcome is a Chebyshev series in η_0 for the contact itself,
+its first two derivatives by η_1 and its first ones by η_2, α and γ. Contacts beyond the table's range are integrated
+step by step; those inside end within 1e-10 of that.
 """
 
 from __future__ import annotations
@@ -26,20 +27,20 @@ from impact_rig.arithmetic.elementary import PI, sincos
 from impact_rig.kernels import REALS, entry, kernel
 from impact_rig.physics.collocation import LAST, MATRIX, STAGES
 from impact_rig.physics.contact.law import FORCE, CompiledForce
-from impact_rig.physics.contact_phase import conclude, contact_time, note_peaks, take_step
-from impact_rig.physics.contact_step import drop_dense_output, moved
+from impact_rig.physics.contact_phase import conclude, contact_time, find_peaks, take_step
+from impact_rig.physics.contact_step import drop_dense_output, pair_at
 from impact_rig.physics.state import CONTACT_STEP, LEFT, NOTHING, PARAMETERS, STATE, TURNED, V1, VB, X1, XB, record
 
 SEPARATION, DURATION, LOST, PEAK, DEPTH, SUM, MOMENT = range(7)
-"""Quantities, in units made of m_eff, v and t_0: separation speed, duration, energy lost, peak force, largest
-indentation, ∫ ξ dθ and ∫ (θ_end − θ) ξ dθ."""
-QUANTITIES = 7
+"""Outcomes, in units made of m_eff, v0 and t_0: separation speed, duration, energy lost, peak force, largest
+indentation, ∫ Δ dθ and ∫ (θ_end − θ) Δ dθ."""
+OUTCOMES = 7
 TWICE, BY_2, BY_STIFFNESS, BY_DAMPING = range(4)
-DECISIVE = 3  # the first quantities, which have further derivatives: by η_1 twice, by η_2, α and γ
-COLUMNS = 2 * QUANTITIES + 4 * DECISIVE
-"""Of the series: all quantities, their derivatives by η_1, and the further ones of the decisive three."""
-DEGREE = 20
-_DEGREE_1, _DEGREE_2 = 14, 7  # of the derivatives, whose factors are below MOST_1 and MOST_2
+DECISIVE = 3  # the first outcomes, which have further derivatives: by η_1 twice, by η_2, α and γ
+COLUMNS = 2 * OUTCOMES + 4 * DECISIVE
+"""Of the series: all outcomes, their derivatives by η_1, and the further ones of the decisive three."""
+COEFFICIENTS = 20
+_COEFFICIENTS_1, _COEFFICIENTS_2 = 14, 7  # of the derivatives, whose factors are below MOST_1 and MOST_2
 
 WIDEST = 0.1  # of |η_0|
 MOST_1, MOST_2, MOST_3 = 3e-4, 2e-7, 1e-10
@@ -51,42 +52,43 @@ _WEAKEST = 0.3  # of the energy with which the sphere leaves: there the outcome 
 _TAIL = 1e-11  # of the largest coefficient
 RTOL = 1e-12
 """Of the contacts that the table is made of."""
-_NUDGE = 1e-4
+_PERTURBATION = 1e-4
 _MOST_STEPS = 400
 
 TABLE = np.dtype(
     [
-        ("low", "f8"),  # range of η_0
-        ("high", "f8"),  # 0 where nothing is tabulated
-        ("series", "f8", (DEGREE, COLUMNS)),
-        ("value", "f8", (COLUMNS,)),  # at the η_0 looked up last
-        ("outcome", "f8", (QUANTITIES,)),
+        ("low", "f8"),  # lower end of the range of η_0 [-]
+        ("high", "f8"),  # its upper end, 0 where nothing is tabulated [-]
+        ("series", "f8", (COEFFICIENTS, COLUMNS)),  # Chebyshev coefficients of each column, by degree [-]
+        ("value", "f8", (COLUMNS,)),  # of each column at the η_0 looked up last [-]
+        ("outcome", "f8", (OUTCOMES,)),  # what was looked up last, in the contact's own units [-]
     ],
     align=True,
 )
 
 
 @entry(PARAMETERS, FORCE, float, REALS, STATE, CONTACT_STEP, REALS, returns=bool)
-def nudged(parameters, force, eta_0, nudges, states, steps, out):  # type: ignore[no-untyped-def]  # types are inferred
-    """Integrate one contact in its own units under η_0 and `nudges` = (η_1, η_2, α, γ).
+def perturbed_contact(parameters, law, eta_0, perturbations, states, steps, out):  # type: ignore[no-untyped-def]
+    """Integrate one contact in its own units under η_0 and `perturbations` = (η_1, η_2, α, γ).
 
-    Fills `out`, shape (QUANTITIES,), and returns whether the sphere left.
+    Fills `out`, shape (OUTCOMES,), and returns whether the sphere left.
     """
-    p, s, step, eta_1, eta_2 = parameters[0], states[0], steps[0], nudges[0], nudges[1]
-    p.pair_stiffness, p.pair_damping = nudges[2], nudges[3]
+    p, s, step = parameters[0], states[0], steps[0]
+    eta_1, eta_2, gamma = perturbations[0], perturbations[1], perturbations[3]
+    p.pair_stiffness, p.pair_damping = perturbations[2], gamma
     s.w, s.speed, s.deepest, s.per_v0, s.peak_force, s.t = 0.0, 1.0, 0.0, 1.0, 0.0, 0.0
     s.next_h = 0.1
     drop_dense_output(step)
     out[:] = 0.0
     damped, lossy = 0.0, 0.0
     step.acceleration[:] = 0.0
-    step.rest = step.reach = 1e300
+    step.rest = step.validity = 1e300
     step.terms = 3
     for _ in range(_MOST_STEPS):
         t = s.t
         step.acceleration[0] = eta_0 + t * (eta_1 + t * eta_2)
         step.acceleration[1], step.acceleration[2] = eta_1 + 2.0 * t * eta_2, eta_2
-        ended = take_step(p, force, s, step)
+        ended = take_step(p, law, s, step)
         if ended not in (NOTHING, LEFT, TURNED):
             return False
         since = step.since[LAST]
@@ -97,7 +99,7 @@ def nudged(parameters, force, eta_0, nudges, states, steps, out):  # type: ignor
             out[MOMENT] += (since - step.since[i]) * area
             lossy = max(lossy, abs(step.lossy[i]))
             damped += s.h * MATRIX[LAST, i] * step.w[i] * step.speed[i] * step.speed[i]
-        note_peaks(p, force, s, step)
+        find_peaks(p, law, s, step)
         conclude(p, s, step, ended, 0.0)
         step.dense_since = 0.0  # a prediction from where the last step began is what the bits of the tables go by
         if ended == LEFT:
@@ -105,8 +107,8 @@ def nudged(parameters, force, eta_0, nudges, states, steps, out):  # type: ignor
             out[PEAK] = s.peak_force
             if lossy == 0.0:
                 return True
-            lever = s.t * out[SUM] - out[MOMENT]  # ∫ θ ξ dθ; what a pull does, it does along ξ, which ends at 0
-            out[LOST] = 0.5 * (1.0 - s.speed * s.speed) - eta_1 * out[SUM] - 2.0 * eta_2 * lever - nudges[3] * damped
+            lever = s.t * out[SUM] - out[MOMENT]  # ∫ θ Δ dθ; what a_r does, it does along Δ, which ends at 0
+            out[LOST] = 0.5 * (1.0 - s.speed * s.speed) - eta_1 * out[SUM] - 2.0 * eta_2 * lever - gamma * damped
             return True
     return False
 
@@ -116,29 +118,30 @@ class Contacts:
 
     Args:
         parameters: one record of PARAMETERS: the law's numbers, stiffness and masses 1; changed on the way.
-        force: the law's compiled force.
+        law: the contact law's compiled force.
     """
 
-    def __init__(self, parameters: Any, force: CompiledForce) -> None:
-        self._parameters, self._force = parameters, force
+    def __init__(self, parameters: Any, law: CompiledForce) -> None:
+        self._parameters, self._law = parameters, law
         self._states, self._steps = record(STATE), record(CONTACT_STEP)
 
-    def under(self, eta_0: float, nudges: NDArray[np.float64]) -> tuple[bool, NDArray[np.float64]]:
-        """Return whether the sphere left under η_0 and (η_1, η_2, α, γ), and the outcome, shape (QUANTITIES,)."""
-        out = np.empty(QUANTITIES)
-        return nudged(self._parameters, self._force, eta_0, nudges, self._states, self._steps, out), out
+    def under(self, eta_0: float, perturbations: NDArray[np.float64]) -> tuple[bool, NDArray[np.float64]]:
+        """Return whether the sphere left under η_0 and (η_1, η_2, α, γ), and the outcome, shape (OUTCOMES,)."""
+        out = np.empty(OUTCOMES)
+        left = perturbed_contact(self._parameters, self._law, eta_0, perturbations, self._states, self._steps, out)
+        return left, out
 
     def derivatives(self, eta_0: float, which: int) -> tuple[bool, NDArray[np.float64], NDArray[np.float64]]:
         """Return whether every contact ended, and two derivatives by one of (η_1, η_2, α, γ), from differences."""
-        nudges = np.zeros(4)
-        left, plain = self.under(eta_0, nudges)
-        nudge = MOST_1 if which == 0 else _NUDGE
-        nudges[which] = nudge
-        left_up, up = self.under(eta_0, nudges)
-        nudges[which] = -nudge
-        left_down, down = self.under(eta_0, nudges)
-        twice = 0.5 * (up + down - 2.0 * plain) / (nudge * nudge)
-        return left and left_up and left_down, (up - down) / (2.0 * nudge), twice
+        perturbations = np.zeros(4)
+        left, plain = self.under(eta_0, perturbations)
+        perturbation = MOST_1 if which == 0 else _PERTURBATION
+        perturbations[which] = perturbation
+        left_up, up = self.under(eta_0, perturbations)
+        perturbations[which] = -perturbation
+        left_down, down = self.under(eta_0, perturbations)
+        twice = 0.5 * (up + down - 2.0 * plain) / (perturbation * perturbation)
+        return left and left_up and left_down, (up - down) / (2.0 * perturbation), twice
 
     def rebound(self, eta_0: float) -> float:
         """Return the energy with which the sphere leaves under η_0, 0 where it does not leave by itself."""
@@ -147,14 +150,14 @@ class Contacts:
         return float(out[SEPARATION] * out[SEPARATION]) if left else 0.0
 
 
-def tabulate(parameters: Any, force: CompiledForce) -> Any:
+def tabulate(parameters: Any, law: CompiledForce) -> Any:
     """Return the table of a law, TABLE shape (1,), its range as wide as the series hold.
 
     Args:
         parameters: one record of the law's numbers in its own units, stiffness and masses 1; changed on the way.
-        force: the law's compiled force.
+        law: the contact law's compiled force.
     """
-    table, contacts = record(TABLE), Contacts(parameters, force)
+    table, contacts = record(TABLE), Contacts(parameters, law)
     parameters[0].rtol = RTOL
     least = _WEAKEST * contacts.rebound(0.0)
     low, high = -WIDEST, WIDEST
@@ -171,11 +174,11 @@ def tabulate(parameters: Any, force: CompiledForce) -> Any:
 
 
 def _series(contacts: Contacts, limits: tuple[float, float]) -> NDArray[np.float64] | None:
-    """Return the series over a range of η_0, shape (DEGREE, COLUMNS); None where they do not hold.
+    """Return the series over a range of η_0, shape (COEFFICIENTS, COLUMNS); None where they do not hold.
 
     The less a column counts, the fewer contacts it is made of.
     """
-    series = np.zeros((DEGREE, COLUMNS))
+    series = np.zeros((COEFFICIENTS, COLUMNS))
 
     def fill(degree: int, columns: slice, outcome: Callable[[float], tuple[bool, NDArray[np.float64]]]) -> bool:
         found = [outcome(eta_0) for eta_0 in _nodes(limits, degree)]
@@ -189,15 +192,15 @@ def _series(contacts: Contacts, limits: tuple[float, float]) -> NDArray[np.float
 
         return outcome
 
-    plain = fill(DEGREE, slice(QUANTITIES), lambda eta_0: contacts.under(eta_0, np.zeros(4)))
+    plain = fill(COEFFICIENTS, slice(OUTCOMES), lambda eta_0: contacts.under(eta_0, np.zeros(4)))
     decisive = np.abs(series[:, :DECISIVE])
     if not plain or (decisive[-2:] > _TAIL * decisive.max(axis=0)).any():
         return None
-    start = 2 * QUANTITIES
-    complete = fill(_DEGREE_1, slice(QUANTITIES, start + DECISIVE), by(0, QUANTITIES))
+    start = 2 * OUTCOMES
+    complete = fill(_COEFFICIENTS_1, slice(OUTCOMES, start + DECISIVE), by(0, OUTCOMES))
     for which in (BY_2, BY_STIFFNESS, BY_DAMPING):
         columns = slice(start + which * DECISIVE, start + (which + 1) * DECISIVE)
-        complete &= fill(_DEGREE_2, columns, by(which, DECISIVE))
+        complete &= fill(_COEFFICIENTS_2, columns, by(which, DECISIVE))
     return series if complete else None
 
 
@@ -228,12 +231,9 @@ def look_up(p, table, s, step, rest):  # type: ignore[no-untyped-def]
         return False
     t_0 = contact_time(p, speed)
     eta_0 = step.acceleration[0] * t_0 / speed
-    square = t_0 * t_0 / speed
-    eta_1, eta_2, eta_3 = (
-        step.acceleration[1] * square,
-        step.acceleration[2] * square * t_0,
-        step.acceleration[3] * square * t_0 * t_0,
-    )
+    scale = t_0 * t_0 / speed
+    eta_1, eta_2 = step.acceleration[1] * scale, step.acceleration[2] * scale * t_0
+    eta_3 = step.acceleration[3] * scale * t_0 * t_0
     alpha, gamma = p.pair_stiffness * t_0 * t_0, p.pair_damping * t_0
     if not table.low <= eta_0 <= table.high or max(abs(eta_2), alpha, gamma) > MOST_2:
         return False
@@ -241,16 +241,16 @@ def look_up(p, table, s, step, rest):  # type: ignore[no-untyped-def]
         return False
     x = (2.0 * eta_0 - table.high - table.low) / (table.high - table.low)
     value, series = table.value, table.series
-    before, now = 1.0, x
+    previous, chebyshev = 1.0, x  # T_0, T_1 and so on
     for j in range(COLUMNS):
         value[j] = series[0, j] + series[1, j] * x
-    for n in range(2, DEGREE):
-        before, now = now, 2.0 * x * now - before
+    for n in range(2, COEFFICIENTS):
+        previous, chebyshev = chebyshev, 2.0 * x * chebyshev - previous
         for j in range(COLUMNS):
-            value[j] += series[n, j] * now
-    for q in range(QUANTITIES):
-        table.outcome[q] = value[q] + eta_1 * value[QUANTITIES + q]
-    further = value[2 * QUANTITIES :]
+            value[j] += series[n, j] * chebyshev
+    for q in range(OUTCOMES):
+        table.outcome[q] = value[q] + eta_1 * value[OUTCOMES + q]
+    further = value[2 * OUTCOMES :]
     for q in range(DECISIVE):
         table.outcome[q] += (
             eta_1 * eta_1 * further[TWICE * DECISIVE + q]
@@ -258,7 +258,7 @@ def look_up(p, table, s, step, rest):  # type: ignore[no-untyped-def]
             + alpha * further[BY_STIFFNESS * DECISIVE + q]
             + gamma * further[BY_DAMPING * DECISIVE + q]
         )
-    return table.outcome[DURATION] * t_0 < min(rest, step.reach)
+    return table.outcome[DURATION] * t_0 < min(rest, step.validity)
 
 
 @kernel
@@ -266,23 +266,22 @@ def apply_outcome(p, table, s, step):  # type: ignore[no-untyped-def]
     """Move s from the touch to the end of the contact that `look_up` found."""
     found, speed = table.outcome, s.speed
     t_0 = contact_time(p, speed)
-    depth = speed * t_0
-    duration, away = found[DURATION] * t_0, found[SEPARATION] * speed
+    depth = speed * t_0  # δ_0
+    duration, separation = found[DURATION] * t_0, found[SEPARATION] * speed
     impulse = p.k_1 * found[SUM] * depth * t_0
     moment = p.k_1 * found[MOMENT] * depth * t_0 * t_0 + p.c_1 * found[SUM] * depth * t_0
     sphere = s.y[V1] + s.side * (1.0 - p.share) * speed
-    moved(step, duration, s.y)
-    kick = (
-        s.side * p.share
-    )  # the first order of `contact_step.improve_correction`: `look_up` has seen to it that the next one is nothing
-    s.y[V1] += kick * impulse * p.per_m_pair
-    s.y[X1] += kick * moment * p.per_m_pair
-    s.y[VB] -= kick * impulse * p.per_m_base
-    s.y[XB] -= kick * moment * p.per_m_base
-    s.impulse = -s.side * p.m * (s.y[V1] - s.side * (1.0 - p.share) * away - sphere)
+    pair_at(step, duration, s.y)
+    # the correction z to first order: `look_up` has seen to it that the next one is nothing
+    share = s.side * p.share
+    s.y[V1] += share * impulse * p.per_m_pair
+    s.y[X1] += share * moment * p.per_m_pair
+    s.y[VB] -= share * impulse * p.per_m_base
+    s.y[XB] -= share * moment * p.per_m_base
+    s.impulse = -s.side * p.m * (s.y[V1] - s.side * (1.0 - p.share) * separation - sphere)
     s.elapsed = duration
     s.peak_force = found[PEAK] * p.m_eff * speed / t_0
     s.lost = found[LOST] * p.m_eff * speed * speed
     s.deepest = math.sqrt(found[DEPTH] * depth)
-    s.w, s.speed = 0.0, -away
+    s.w, s.speed = 0.0, -separation
     s.t += duration

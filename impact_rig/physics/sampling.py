@@ -4,10 +4,13 @@
 
 In flight the closed form is expanded into short Taylor polynomials anchored at fixed places of the flight, so a
 sample costs a dozen multiplications and does not depend on which other samples are asked for. Inside a contact the
-step is solved again up to the instant; a contact that was looked up as a whole is integrated here first. With F the
-contact force and Q that of the columns,
+step is solved again up to the instant; a contact whose outcome was tabulated is integrated here first. With F the
+contact force and F_c that of the columns,
 
-    x_1 = x_1* − side σ δ,    x_2 = x_1 + side (g/2 + δ),    a_1 = (Q + side F) / m_1,    a_2 = −side F / m
+    x_1 = x_1* − side σ δ,    x_2 = x_1 + side (g/2 + δ),    a_1 = (F_c + side F) / m_1,    a_2 = −side F / m
+
+In the functions s is the state at the event or step that the motion goes on from, t the time since the start of the
+segment, `since` that since the flight, step or contact began, and τ that from the place a polynomial is anchored at.
 
 The sensors take a motion piece by piece, each as one polynomial (`fit`): in flight the Taylor polynomial about its
 middle, shortened; in a contact the one through eight instants of the steps' dense output.
@@ -22,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig.arithmetic.elementary import sincos
-from impact_rig.arithmetic.interpolation import NODES, TERMS, X, shorten, through_nodes
+from impact_rig.arithmetic.interpolation import NODE_AT, NODES, PIECE_TERMS, shorten, through_nodes
 from impact_rig.kernels import FLAGS, INTEGERS, REALS, TABLE, VOLUME, Fields, entry, kernel
 from impact_rig.physics.collocation import LAST
 from impact_rig.physics.contact_phase import conclude, take_next_step
@@ -34,19 +37,19 @@ from impact_rig.physics.contact_step import (
     drop_dense_output,
     expand,
     keep_dense_output,
-    moved,
+    pair_at,
     solve,
 )
 from impact_rig.physics.flight import (
     SEGMENT,
     Forcing,
+    begin_flight,
     bound_omega,
     decayed,
     drive,
-    launch,
+    frequency_response,
     particular,
-    transfer,
-    turned,
+    phasor,
 )
 from impact_rig.physics.model import MODEL
 from impact_rig.physics.state import (
@@ -71,36 +74,36 @@ from impact_rig.physics.state import (
     record,
 )
 
-X_B, X_1, X_2, V_B, V_1, V_2, A_B, A_1, A_2, CURRENT, FORCE_LEFT, FORCE_RIGHT = range(12)
+X_B, X_1, X_2, V_B, V_1, V_2, A_B, A_1, A_2, COIL_CURRENT, FORCE_LEFT, FORCE_RIGHT = range(12)
 QUANTITIES = (
     "x_b", "x_1", "x_2", "v_b", "v_1", "v_2", "a_b", "a_1", "a_2", "current", "force_left", "force_right"
 )  # fmt: skip
 
-_REACH = 0.5  # radians of the fastest motion per polynomial: the first neglected term is 0.25^TERMS / TERMS! = 4e-20
+_VALID_RADIANS = 0.5  # of the fastest motion per polynomial: the first neglected term is 0.25^14 / 14! = 4e-20
 _MOST_STEPS = 500
 _ROOT_ROUNDS = 60  # Newton needs three to six
 _ROOT_FOUND = 1e-9  # of the step
 _SAME = 1e-12  # instants nearer to each other are one [s]
-_LONGEST = 4.0 / _REACH  # times the reach: 2 radians either side, where the first neglected term is 2^14 / 14! = 2e-7
-_PULSE_STEPS = 12  # of a whole contact, at least; the nodes make more of them
+_LONGEST = 4.0 / _VALID_RADIANS  # times that: 2 radians either side, the first neglected term is 2^14 / 14! = 2e-7
+_PULSE_STEPS = 12  # of a tabulated contact, at least; the nodes make more of them
 _CORRECTIONS = 2  # of its length: interpolation leaves parts in 1e4, each correction the square
 
 
 class Trajectory(NamedTuple):
-    """Knots of consecutive drive segments.
+    """The history of consecutive drive segments.
 
     Attributes:
         segments: the drive.
         base: number of the first tick.
         ticks: row of each tick's first segment, and the number of segments.
-        knots: records of STATE.
-        first: row of each segment's first knot, and the number of knots.
+        history: records of STATE.
+        first: row of each segment's first state, and the number of states.
     """
 
     segments: NDArray[np.void]
     base: int
     ticks: NDArray[np.int64]
-    knots: NDArray[np.void]
+    history: NDArray[np.void]
     first: NDArray[np.int64]
 
 
@@ -153,12 +156,12 @@ class SamplingWorkspace(NamedTuple):
     Attributes:
         flight: one record of FLIGHT.
         step: one record of CONTACT_STEP.
-        steps: records of STATE: the steps of a contact that was looked up as a whole, and one more.
-        polynomials: one for each quantity, shape (QUANTITIES, TERMS).
+        steps: records of STATE: the steps of a tabulated contact, and one more.
+        polynomials: one for each quantity, shape (QUANTITIES, PIECE_TERMS).
         every: all quantities at one instant, shape (QUANTITIES,).
-        powers: (λ h)^k / k! of a mode, real and imaginary part, shape (2, TERMS).
-        pulse: of a contact looked up as a whole: time since the touch [s], δ [m], δ' [m/s]; shape (3,).
-        pulsing: the knot of that contact, shape (1,).
+        powers: (λ half)^k / k! of a mode, real and imaginary part, shape (2, PIECE_TERMS).
+        pulse: of a tabulated contact: time since the touch [s], δ [m], δ' [m/s]; shape (3,).
+        pulsing: row of the state where that contact begins, shape (1,).
         tick: of a piece's nodes, shape (NODES,).
         offset: likewise.
         values: of all quantities at a piece's nodes, shape (QUANTITIES, NODES).
@@ -190,9 +193,9 @@ def new_sampling_workspace() -> SamplingWorkspace:
         record(FLIGHT),
         record(CONTACT_STEP),
         record(STATE, _MOST_STEPS + 1),
-        np.zeros((n, TERMS)),
+        np.zeros((n, PIECE_TERMS)),
         np.zeros(n),
-        np.zeros((2, TERMS)),
+        np.zeros((2, PIECE_TERMS)),
         np.zeros(3),
         np.zeros(1, np.int64),
         np.zeros(NODES, np.int64),
@@ -206,10 +209,10 @@ def _add_oscillation(poly, value, growth, rate, order):  # type: ignore[no-untyp
     """Add the Taylor coefficients of Re[(value + growth τ) exp(rate τ)], differentiated `order` times."""
     for _ in range(order):
         value, growth = rate * value + growth, rate * growth
-    term, before = 1.0 + 0.0j, 0.0j
-    for i in range(TERMS):
-        poly[i] += (value * term).real + (growth * before).real
-        before = term
+    term, last_before = 1.0 + 0.0j, 0.0j
+    for i in range(PIECE_TERMS):
+        poly[i] += (value * term).real + (growth * last_before).real
+        last_before = term
         term = term * rate * (1.0 / (i + 1))
 
 
@@ -219,7 +222,7 @@ def _row_and_order(p, quantity):  # type: ignore[no-untyped-def]
     prescribed = p.drive == PRESCRIBED
     if quantity in (X_1, V_1, A_1):
         return X1 if quantity == X_1 else V1, 1 if quantity == A_1 else 0, False
-    if quantity == CURRENT:
+    if quantity == COIL_CURRENT:
         return COIL, 0, p.drive != VOLTAGE
     order = 2 if quantity == A_B else 1 if quantity == V_B else 0
     if prescribed:
@@ -234,32 +237,33 @@ def _expand_flight(p, system, f, flight, quantity, poly, since):  # type: ignore
     t = flight.begin + since
     row, order, of_drive = _row_and_order(p, quantity)
     jw = complex(0.0, f.omega)
-    turn = turned(f.omega * t) * complex(0.0, -1.0)  # Im z = Re(−j z)
+    rotor = phasor(f.omega * t) * complex(0.0, -1.0)  # Im(…) = Re(−j …)
     if of_drive:
-        start = turned(f.phase) * turn
-        _add_oscillation(poly, (f.amplitude + f.slope * t) * start, f.slope * start, jw, order)
+        unit = phasor(f.phase) * rotor
+        _add_oscillation(poly, (f.amplitude + f.growth * t) * unit, f.growth * unit, jw, order)
         return
-    _add_oscillation(poly, (flight.steady[row] + flight.growing[row] * t) * turn, flight.growing[row] * turn, jw, order)
+    steady, growing = flight.steady[row], flight.growing[row]
+    _add_oscillation(poly, (steady + growing * t) * rotor, growing * rotor, jw, order)
     for n in range(system.modes):
-        _, z = decayed(system.rate[n], since)
-        _add_oscillation(poly, system.right[n, row] * flight.modal[n] * z, 0.0j, system.rate[n], order)
+        _, decay = decayed(system.rate[n], since)
+        _add_oscillation(poly, system.right[n, row] * flight.modal[n] * decay, 0.0j, system.rate[n], order)
     if order == 0:
         poly[0] += system.static[row] * flight.friction_force
 
 
 @kernel
-def _evaluate(poly, x):  # type: ignore[no-untyped-def]
-    """Return a flight's polynomial at x."""
-    total = poly[TERMS - 1]
-    for i in range(TERMS - 2, -1, -1):
-        total = total * x + poly[i]
+def _evaluate(poly, tau):  # type: ignore[no-untyped-def]
+    """Return a flight's polynomial at τ."""
+    total = poly[PIECE_TERMS - 1]
+    for i in range(PIECE_TERMS - 2, -1, -1):
+        total = total * tau + poly[i]
     return total
 
 
 @kernel
-def _of_structure(knot, quantity):  # type: ignore[no-untyped-def]
+def _of_structure(s, quantity):  # type: ignore[no-untyped-def]
     """Return the quantity of the structure that this one follows from in flight."""
-    if knot.phase == ATTACHED:  # one body: the sphere moves as the structure, and a wall may push it
+    if s.phase == ATTACHED:  # one body: the sphere moves as the structure, and a wall may push it
         if quantity in (X_2, V_2, A_2):
             return quantity - 1
         if quantity >= FORCE_LEFT:
@@ -268,32 +272,32 @@ def _of_structure(knot, quantity):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _in_flight(p, knot, quantity, poly, x, since):  # type: ignore[no-untyped-def]
-    """Return a quantity in flight, x from the polynomial's anchor and `since` from the knot."""
-    if knot.phase == ATTACHED:
-        if quantity == CURRENT and p.drive == PRESCRIBED:
+def _in_flight(p, s, quantity, poly, tau, since):  # type: ignore[no-untyped-def]
+    """Return a quantity in the flight from s, by its polynomial, or where it has none by the sphere's parabola."""
+    if s.phase == ATTACHED:
+        if quantity == COIL_CURRENT and p.drive == PRESCRIBED:
             return 0.0
-        value = _evaluate(poly, x)
+        value = _evaluate(poly, tau)
         if quantity == X_2:
-            return value + knot.d
+            return value + s.d
         if quantity >= FORCE_LEFT:
             side = 1.0 if quantity == FORCE_RIGHT else -1.0
-            return max(0.0, -side * p.m * value) if knot.side == side else 0.0
+            return max(0.0, -side * p.m * value) if s.side == side else 0.0
         return value
-    braking = -knot.slide * p.friction
+    braking = -s.slide * p.friction
     if quantity == X_2:
-        return knot.y[X1] + knot.d + since * (knot.y[V1] + knot.d_rate + 0.5 * since * braking)
+        return s.y[X1] + s.d + since * (s.y[V1] + s.d_rate + 0.5 * since * braking)
     if quantity == V_2:
-        return knot.y[V1] + knot.d_rate + since * braking
+        return s.y[V1] + s.d_rate + since * braking
     if quantity == A_2:
         return braking
-    if quantity >= FORCE_LEFT or (quantity == CURRENT and p.drive == PRESCRIBED):
+    if quantity >= FORCE_LEFT or (quantity == COIL_CURRENT and p.drive == PRESCRIBED):
         return 0.0
-    return _evaluate(poly, x)
+    return _evaluate(poly, tau)
 
 
 @kernel
-def trace(model, f, step, steps):  # type: ignore[no-untyped-def]
+def integrate_tabulated(model, f, step, steps):  # type: ignore[no-untyped-def]
     """Integrate the contact that begins at the last record of `steps` into the others, its end too; return how many."""
     p, s = model.parameters[0], steps[_MOST_STEPS]
     drop_dense_output(step)
@@ -309,11 +313,11 @@ def trace(model, f, step, steps):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def before(knots, low, high, t):  # type: ignore[no-untyped-def]
+def last_before(history, low, high, t):  # type: ignore[no-untyped-def]
     """Return the last row in [low, high) that is not after t, or low."""
     while high - low > 1:
         middle = (low + high) // 2
-        if knots[middle].t <= t:
+        if history[middle].t <= t:
             low = middle
         else:
             high = middle
@@ -321,60 +325,60 @@ def before(knots, low, high, t):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _length_to(start, step, end, since):  # type: ignore[no-untyped-def]
+def _length_to(s, step, end, since):  # type: ignore[no-untyped-def]
     """Return the length of the step that takes about `since` seconds, by the polynomial of the whole one.
 
-    `start` is the record where it begins, `end` = (time it takes [s], w, δ').
+    `s` is the state where it begins, `end` = (time it takes [s], w, δ').
     """
     low, high = 0.0, 1.0
     x = min(1.0, since / end[0])
     for _ in range(_ROOT_ROUNDS):
-        t, w, _ = dense_output(start, step, x)
-        if t > since:
+        at, w, _ = dense_output(s, step, x)
+        if at > since:
             high = x
         else:
             low = x
-        move = (since - t) / (w * start.h) if w > 0.0 else np.inf
+        move = (since - at) / (w * s.h) if w > 0.0 else np.inf
         x += move
         if not low < x < high:
             x = 0.5 * (low + high)
         if abs(move) <= _ROOT_FOUND or high - low <= _ROOT_FOUND:
             break
-    return x * start.h
+    return x * s.h
 
 
 @kernel
-def _inside(model, start, step, end, since):  # type: ignore[no-untyped-def]
+def _inside(model, s, step, end, since):  # type: ignore[no-untyped-def]
     """Return (w, δ') `since` seconds after the start of a step: the step is taken again to end there."""
-    if start.h == 0.0 or since <= 0.0:
-        return start.w, start.speed
-    h = start.h if since >= end[0] else _length_to(start, step, end, since)
+    if s.h == 0.0 or since <= 0.0:
+        return s.w, s.speed
+    h = s.h if since >= end[0] else _length_to(s, step, end, since)
     for _ in range(_CORRECTIONS):
-        solve(model.parameters[0], model.force, start, step, h, ROUNDS)
+        solve(model.parameters[0], model.law, s, step, h, ROUNDS)
         if step.w[LAST] > 0.0 and since < end[0]:
-            h = min(start.h, h - (step.since[LAST] - since) / step.w[LAST])
-    solve(model.parameters[0], model.force, start, step, h, ROUNDS)
+            h = min(s.h, h - (step.since[LAST] - since) / step.w[LAST])
+    solve(model.parameters[0], model.law, s, step, h, ROUNDS)
     return max(step.w[LAST], 0.0), step.speed[LAST]
 
 
 @kernel
-def _in_contact(model, f, start, step, at, exact, out):  # type: ignore[no-untyped-def]
-    """Fill all quantities at a point of a contact's step, which begins at the record `start`; `step` is expanded there.
+def _in_contact(model, f, s, step, at, exact, out):  # type: ignore[no-untyped-def]
+    """Fill all quantities at a point of a contact's step, which begins at s; `step` is expanded there.
 
     The point is `at` = (time since the start of the step [s], w, δ'). If `exact`, the step has been solved to end
     there, and what the indentation moves the pair by is known; else that millionth is left out.
     """
-    p, side = model.parameters[0], start.side
+    p, side = model.parameters[0], s.side
     since, w, speed = at
-    t = start.t + since
-    moved(step, since, step.y)
+    t = s.t + since
+    pair_at(step, since, step.y)
     if exact and since > 0.0:
         add_correction(p, side, step, LAST, step.y)
     depth = w * w
-    elastic, lossy, _, _, _ = model.force.one(p.stiffness, p.factor, start.per_v0, step.turned_at, w, speed)
+    elastic, lossy, _, _, _ = model.law.one(p.stiffness, p.factor, s.per_v0, step.turned_at, w, speed)
     force = max(0.0, elastic + lossy) if p.clipped else elastic + lossy
     u, _ = drive(f, t)
-    offset = start.d + side * depth
+    offset = s.d + side * depth
     x_b, v_b = step.y[XB], step.y[VB]
     out[X_1] = step.y[X1] - p.share * side * depth
     out[V_1] = step.y[V1] - p.share * side * speed
@@ -386,40 +390,40 @@ def _in_contact(model, f, start, step, at, exact, out):  # type: ignore[no-untyp
     out[FORCE_RIGHT] = force if side > 0.0 else 0.0
     if p.drive == PRESCRIBED:
         _, cosine = sincos(f.omega * t + f.phase)
-        out[A_B], out[CURRENT] = 2.0 * f.slope * f.omega * cosine - f.omega * f.omega * u, 0.0
+        out[A_B], out[COIL_CURRENT] = 2.0 * f.growth * f.omega * cosine - f.omega * f.omega * u, 0.0
         return
-    out[CURRENT] = step.y[COIL] if p.drive == VOLTAGE else u
-    table = p.force_factor * out[CURRENT] - p.c_f * v_b - p.k_f * x_b - columns
-    out[A_B] = table * p.per_m_base
+    out[COIL_CURRENT] = step.y[COIL] if p.drive == VOLTAGE else u
+    on_base = p.force_factor * out[COIL_CURRENT] - p.c_f * v_b - p.k_f * x_b - columns
+    out[A_B] = on_base * p.per_m_base
 
 
 @kernel
-def _solve_again(model, f, start, step):  # type: ignore[no-untyped-def]
-    """Let `step` be expanded about the record `start`; return how its step ends: (time it takes [s], w, δ')."""
+def _solve_again(model, f, s, step):  # type: ignore[no-untyped-def]
+    """Let `step` be expanded about s; return how its step ends: (time it takes [s], w, δ')."""
     p = model.parameters[0]
-    expand(p, f, start, step)
-    begin_step(p, model.force, start, step)
-    if start.h == 0.0:
-        return 0.0, start.w, start.speed
+    expand(p, f, s, step)
+    begin_step(p, model.law, s, step)
+    if s.h == 0.0:
+        return 0.0, s.w, s.speed
     drop_dense_output(step)
-    solve(p, model.force, start, step, start.h, ROUNDS)
-    keep_dense_output(start, step, start.h)
+    solve(p, model.law, s, step, s.h, ROUNDS)
+    keep_dense_output(s, step, s.h)
     return step.since[LAST], max(step.w[LAST], 0.0), step.speed[LAST]
 
 
 @kernel
-def _sample_contact(model, f, knots, row, start, stop, query, work):  # type: ignore[no-untyped-def]
-    """Fill the query's instants start … stop − 1, all in the contact whose knot is `knots[row]`."""
-    step, knot = work.step[0], knots[row]
-    steps, low, high, current = knots, row, row + 1, -1
-    if knot.whole:
+def _sample_contact(model, f, history, row, start, stop, query, work):  # type: ignore[no-untyped-def]
+    """Fill the query's instants start … stop − 1, all in the contact whose state is `history[row]`."""
+    step, s = work.step[0], history[row]
+    steps, low, high, current = history, row, row + 1, -1
+    if s.tabulated:
         steps = work.steps
-        steps[_MOST_STEPS] = knot
-        low, high = 0, trace(model, f, step, steps)
+        steps[_MOST_STEPS] = s
+        low, high = 0, integrate_tabulated(model, f, step, steps)
     end = 0.0, 0.0, 0.0
     for i in range(start, stop):
         t = query.offset[i] - f.begin
-        row = before(steps, low, high, t)
+        row = last_before(steps, low, high, t)
         if row != current:
             current, end = row, _solve_again(model, f, steps[row], step)
         since = min(max(t - steps[row].t, 0.0), end[0])
@@ -430,38 +434,38 @@ def _sample_contact(model, f, knots, row, start, stop, query, work):  # type: ig
 
 
 @kernel
-def _take_off(model, f, knot, flight):  # type: ignore[no-untyped-def]
-    """Prepare the closed form of the flight that begins at the knot; return the system that flies."""
+def _prepare_flight(model, f, s, flight):  # type: ignore[no-untyped-def]
+    """Prepare the closed form of the flight that begins at s; return the system that flies."""
     p = model.parameters[0]
-    which = HELD if knot.phase == ATTACHED else LOOSE
+    which = HELD if s.phase == ATTACHED else LOOSE
     system = model.systems[which]
     if f.omega != flight.omega or which != flight.system:
-        transfer(system, f.omega, flight)
-        flight.omega, flight.system, flight.reach = f.omega, which, _REACH / bound_omega(system, f.omega)
+        frequency_response(system, f.omega, flight)
+        flight.omega, flight.system, flight.validity = f.omega, which, _VALID_RADIANS / bound_omega(system, f.omega)
     particular(system, f, flight)
-    flight.friction_force = 0.0 if knot.phase == ATTACHED else knot.slide * p.m * p.friction
-    launch(system, f, flight, knot.y, knot.t)
+    flight.friction_force = 0.0 if s.phase == ATTACHED else s.slide * p.m * p.friction
+    begin_flight(system, f, flight, s.y, s.t)
     return system
 
 
 @kernel
-def _sample_flight(model, f, knot, start, stop, query, work):  # type: ignore[no-untyped-def]
-    """Fill the query's instants start … stop − 1, all in the flight that begins at the knot."""
+def _sample_flight(model, f, s, start, stop, query, work):  # type: ignore[no-untyped-def]
+    """Fill the query's instants start … stop − 1, all in the flight that begins at s."""
     p, flight = model.parameters[0], work.flight[0]
-    system = _take_off(model, f, knot, flight)
+    system = _prepare_flight(model, f, s, flight)
     anchor = -1
     for i in range(start, stop):
-        since = query.offset[i] - f.begin - knot.t
-        place = int(since / flight.reach)
-        middle = (place + 0.5) * flight.reach
+        since = query.offset[i] - f.begin - s.t
+        place = int(since / flight.validity)
+        middle = (place + 0.5) * flight.validity
         if place != anchor:
             anchor = place
             for q in range(query.wanted.shape[0]):
-                quantity = _of_structure(knot, query.wanted[q])
+                quantity = _of_structure(s, query.wanted[q])
                 if quantity not in (X_2, V_2, A_2, FORCE_LEFT, FORCE_RIGHT):
                     _expand_flight(p, system, f, flight, quantity, work.polynomials[q], middle)
         for q in range(query.wanted.shape[0]):
-            query.out[q, i] = _in_flight(p, knot, query.wanted[q], work.polynomials[q], since - middle, since)
+            query.out[q, i] = _in_flight(p, s, query.wanted[q], work.polynomials[q], since - middle, since)
 
 
 @kernel
@@ -481,7 +485,7 @@ def _segment_at(trajectory, tick, offset):  # type: ignore[no-untyped-def]
 def _forcing(trajectory, segment):  # type: ignore[no-untyped-def]
     """Return a segment of the drive."""
     row = trajectory.segments[segment]
-    return Forcing(row.omega, row.phase, row.amplitude, row.slope, row.begin)
+    return Forcing(row.omega, row.phase, row.amplitude, row.growth, row.begin)
 
 
 @entry(MODEL, TRAJECTORY, QUERY, SAMPLING_WORKSPACE, returns=bool)
@@ -506,19 +510,19 @@ def _sample(model, trajectory, query, work):  # type: ignore[no-untyped-def]
         f = _forcing(trajectory, segment)
         until = trajectory.segments[segment + 1].begin if segment + 1 < trajectory.ticks[tick + 1] else np.inf
         low, high = trajectory.first[segment], trajectory.first[segment + 1]
-        row = before(trajectory.knots, low, high, query.offset[i] - f.begin)
-        begin = trajectory.knots[row].t
-        end = trajectory.knots[row + 1].t if row + 1 < high else np.inf
+        row = last_before(trajectory.history, low, high, query.offset[i] - f.begin)
+        begin = trajectory.history[row].t
+        end = trajectory.history[row + 1].t if row + 1 < high else np.inf
         start = i
         i += 1
         while i < n and query.tick[i] - trajectory.base == tick:
             if not (begin <= query.offset[i] - f.begin < end and query.offset[i] < until):
                 break
             i += 1
-        if trajectory.knots[row].phase == CONTACT:
-            _sample_contact(model, f, trajectory.knots, row, start, i, query, work)
+        if trajectory.history[row].phase == CONTACT:
+            _sample_contact(model, f, trajectory.history, row, start, i, query, work)
         else:
-            _sample_flight(model, f, trajectory.knots[row], start, i, query, work)
+            _sample_flight(model, f, trajectory.history[row], start, i, query, work)
     return True
 
 
@@ -526,20 +530,20 @@ def _sample(model, trajectory, query, work):  # type: ignore[no-untyped-def]
 def _add_series(poly, work, terms, value, growth, half):  # type: ignore[no-untyped-def]
     """Add the Taylor coefficients of Re[(value + growth τ) exp(λ τ)] in x = τ / half, by as many powers in `work`."""
     re, im = work.powers[0], work.powers[1]
-    a, b, c, d = value.real, value.imag, half * growth.real, half * growth.imag
-    poly[0] += a * re[0] - b * im[0]
+    value_re, value_im, growth_re, growth_im = value.real, value.imag, half * growth.real, half * growth.imag
+    poly[0] += value_re * re[0] - value_im * im[0]
     for k in range(1, terms):
-        poly[k] += (a * re[k] - b * im[k]) + (c * re[k - 1] - d * im[k - 1])
+        poly[k] += (value_re * re[k] - value_im * im[k]) + (growth_re * re[k - 1] - growth_im * im[k - 1])
 
 
 @kernel
 def _fill_powers(work, rate, half):  # type: ignore[no-untyped-def]
-    """Fill in (λ h)^k / k!; return how many terms of a series they make: of a straight line, for λ = 0, two."""
-    step, term = rate * half, 1.0 + 0.0j
-    terms = 2 if rate == 0.0 else TERMS
+    """Fill in (λ half)^k / k!; return how many terms of a series they make: of a straight line, for λ = 0, two."""
+    scaled, term = rate * half, 1.0 + 0.0j
+    terms = 2 if rate == 0.0 else PIECE_TERMS
     for k in range(terms):
         work.powers[0, k], work.powers[1, k] = term.real, term.imag
-        term = term * step * (1.0 / (k + 1))
+        term = term * scaled * (1.0 / (k + 1))
     return terms
 
 
@@ -557,47 +561,47 @@ def _fit_flight(p, system, f, flight, spans, i, work):  # type: ignore[no-untype
     half = 0.5 * (spans.end[i] - spans.start[i])
     t = 0.5 * (spans.start[i] + spans.end[i]) - f.begin
     since, wanted, poly = t - flight.begin, spans.wanted, work.polynomials
-    turn = turned(f.omega * t) * complex(0.0, -1.0)  # Im z = Re(−j z)
+    rotor = phasor(f.omega * t) * complex(0.0, -1.0)  # Im(…) = Re(−j …)
     jw = complex(0.0, f.omega)
     terms = _fill_powers(work, jw, half)
     for q in range(wanted.shape[0]):
         row, order, of_drive = _row_and_order(p, wanted[q])
         poly[q, :] = 0.0
         if of_drive:
-            start = turned(f.phase) * turn
-            value, growth = _derived((f.amplitude + f.slope * t) * start, f.slope * start, jw, order)
+            unit = phasor(f.phase) * rotor
+            value, growth = _derived((f.amplitude + f.growth * t) * unit, f.growth * unit, jw, order)
         else:
-            growing = flight.growing[row] * turn
-            value, growth = _derived(flight.steady[row] * turn + growing * t, growing, jw, order)
+            growing = flight.growing[row] * rotor
+            value, growth = _derived(flight.steady[row] * rotor + growing * t, growing, jw, order)
             if order == 0:
                 poly[q, 0] = system.static[row] * flight.friction_force
         _add_series(poly[q], work, terms, value, growth, half)
     for n in range(system.modes):
         rate = system.rate[n]
-        _, z = decayed(rate, since)
-        wave = flight.modal[n] * z
+        _, decay = decayed(rate, since)
+        modal = flight.modal[n] * decay
         terms = _fill_powers(work, rate, half)
         for q in range(wanted.shape[0]):
             row, order, of_drive = _row_and_order(p, wanted[q])
             if not of_drive:
-                value, growth = _derived(system.right[n, row] * wave, 0.0j, rate, order)
+                value, growth = _derived(system.right[n, row] * modal, 0.0j, rate, order)
                 _add_series(poly[q], work, terms, value, growth, half)
     for q in range(wanted.shape[0]):
         shorten(poly[q], spans.out[q, i])
 
 
 @kernel
-def _fit_contact(model, f, knots, row, spans, i, work):  # type: ignore[no-untyped-def]
+def _fit_contact(model, f, history, row, spans, i, work):  # type: ignore[no-untyped-def]
     """Fill in the polynomials of a piece within one step of a contact, from the step's dense output."""
-    step, start = work.step[0], knots[row]
+    step, s = work.step[0], history[row]
     centre, half = 0.5 * (spans.start[i] + spans.end[i]) - f.begin, 0.5 * (spans.end[i] - spans.start[i])
-    end = _solve_again(model, f, start, step)
+    end = _solve_again(model, f, s, step)
     for j in range(NODES):
-        since, w, speed = 0.0, start.w, start.speed
-        if start.h > 0.0:
-            since = min(max(centre + half * X[j] - start.t, 0.0), end[0])
-            _, w, speed = dense_output(start, step, _length_to(start, step, end, since) / start.h)
-        _in_contact(model, f, start, step, (since, max(w, 0.0), speed), False, work.every)
+        since, w, speed = 0.0, s.w, s.speed
+        if s.h > 0.0:
+            since = min(max(centre + half * NODE_AT[j] - s.t, 0.0), end[0])
+            _, w, speed = dense_output(s, step, _length_to(s, step, end, since) / s.h)
+        _in_contact(model, f, s, step, (since, max(w, 0.0), speed), False, work.every)
         for q in range(spans.wanted.shape[0]):
             work.values[q, j] = work.every[spans.wanted[q]]
     for q in range(spans.wanted.shape[0]):
@@ -605,52 +609,52 @@ def _fit_contact(model, f, knots, row, spans, i, work):  # type: ignore[no-untyp
 
 
 @kernel
-def _accelerated(model, step, per_v0, since, depth, speed):  # type: ignore[no-untyped-def]
-    """Return δ'' in a contact looked up as a whole, whose `step` is expanded about the touch."""
+def _acceleration(model, step, per_v0, since, depth, speed):  # type: ignore[no-untyped-def]
+    """Return δ'' in a tabulated contact, whose `step` is expanded about the touch."""
     p = model.parameters[0]
-    elastic, lossy, _, _, _ = model.force.one(p.stiffness, p.factor, per_v0, 0.0, math.sqrt(max(0.0, depth)), speed)
+    elastic, lossy, _, _, _ = model.law.one(p.stiffness, p.factor, per_v0, 0.0, math.sqrt(max(0.0, depth)), speed)
     force = max(0.0, elastic + lossy) if p.clipped else elastic + lossy
-    pressing = step.acceleration[0] + since * (step.acceleration[1] + since * step.acceleration[2])
-    return pressing - (p.pair_stiffness * depth + p.pair_damping * speed) - force * p.per_m_eff
+    relative = step.acceleration[0] + since * (step.acceleration[1] + since * step.acceleration[2])
+    return relative - (p.pair_stiffness * depth + p.pair_damping * speed) - force * p.per_m_eff
 
 
 @kernel
-def _press_on(model, step, per_v0, pulse, until, longest):  # type: ignore[no-untyped-def]
+def _integrate_pulse(model, step, per_v0, pulse, until, longest):  # type: ignore[no-untyped-def]
     """Integrate `pulse` = (time since the touch, δ, δ') up to `until`, by Runge and Kutta's fourth order."""
     parts = math.ceil((until - pulse[0]) / longest)
     for part in range(parts):
-        t, d, v = pulse[0], pulse[1], pulse[2]
-        h = (until - t) / (parts - part)
-        a = _accelerated(model, step, per_v0, t, d, v)
-        v_2 = v + 0.5 * h * a
-        a_2 = _accelerated(model, step, per_v0, t + 0.5 * h, d + 0.5 * h * v, v_2)
-        v_3 = v + 0.5 * h * a_2
-        a_3 = _accelerated(model, step, per_v0, t + 0.5 * h, d + 0.5 * h * v_2, v_3)
-        v_4 = v + h * a_3
-        a_4 = _accelerated(model, step, per_v0, t + h, d + h * v_3, v_4)
-        pulse[0] = t + h
-        pulse[1] = d + h * (v + 2.0 * (v_2 + v_3) + v_4) * (1.0 / 6.0)
-        pulse[2] = v + h * (a + 2.0 * (a_2 + a_3) + a_4) * (1.0 / 6.0)
+        since, depth, speed = pulse[0], pulse[1], pulse[2]
+        span = (until - since) / (parts - part)
+        change = _acceleration(model, step, per_v0, since, depth, speed)
+        speed_2 = speed + 0.5 * span * change
+        change_2 = _acceleration(model, step, per_v0, since + 0.5 * span, depth + 0.5 * span * speed, speed_2)
+        speed_3 = speed + 0.5 * span * change_2
+        change_3 = _acceleration(model, step, per_v0, since + 0.5 * span, depth + 0.5 * span * speed_2, speed_3)
+        speed_4 = speed + span * change_3
+        change_4 = _acceleration(model, step, per_v0, since + span, depth + span * speed_3, speed_4)
+        pulse[0] = since + span
+        pulse[1] = depth + span * (speed + 2.0 * (speed_2 + speed_3) + speed_4) * (1.0 / 6.0)
+        pulse[2] = speed + span * (change + 2.0 * (change_2 + change_3) + change_4) * (1.0 / 6.0)
     pulse[0] = until
 
 
 @kernel
-def _fit_pulse(model, f, knots, row, spans, i, work):  # type: ignore[no-untyped-def]
-    """Fill in the polynomials of a piece of a contact that was looked up as a whole: it is integrated to the nodes.
+def _fit_pulse(model, f, history, row, spans, i, work):  # type: ignore[no-untyped-def]
+    """Fill in the polynomials of a piece of a tabulated contact: it is integrated to the nodes.
 
     These crowd at the ends of the contact, where the force has its kinks. The force is within 3e-4 of its peak.
     """
-    p, step, pulse, knot = model.parameters[0], work.step[0], work.pulse, knots[row]
-    centre, half = 0.5 * (spans.start[i] + spans.end[i]) - f.begin - knot.t, 0.5 * (spans.end[i] - spans.start[i])
-    if work.pulsing[0] != row or centre + half * X[0] < pulse[0]:
-        expand(p, f, knot, step)
+    p, step, pulse, s = model.parameters[0], work.step[0], work.pulse, history[row]
+    centre, half = 0.5 * (spans.start[i] + spans.end[i]) - f.begin - s.t, 0.5 * (spans.end[i] - spans.start[i])
+    if work.pulsing[0] != row or centre + half * NODE_AT[0] < pulse[0]:
+        expand(p, f, s, step)
         step.turned_at = 0.0
-        work.pulsing[0], pulse[0], pulse[1], pulse[2] = row, 0.0, 0.0, knot.speed
-    longest = (knots[row + 1].t - knot.t) / _PULSE_STEPS
+        work.pulsing[0], pulse[0], pulse[1], pulse[2] = row, 0.0, 0.0, s.speed
+    longest = (history[row + 1].t - s.t) / _PULSE_STEPS
     for j in range(NODES):
-        _press_on(model, step, knot.per_v0, pulse, centre + half * X[j], longest)
+        _integrate_pulse(model, step, s.per_v0, pulse, centre + half * NODE_AT[j], longest)
         at = pulse[0], math.sqrt(max(0.0, pulse[1])), pulse[2]
-        _in_contact(model, f, knot, step, at, False, work.every)
+        _in_contact(model, f, s, step, at, False, work.every)
         for q in range(spans.wanted.shape[0]):
             work.values[q, j] = work.every[spans.wanted[q]]
     for q in range(spans.wanted.shape[0]):
@@ -662,7 +666,7 @@ def _fit_samples(model, trajectory, spans, i, work):  # type: ignore[no-untyped-
     """Fill in the polynomials of a piece that is neither one flight nor within one contact, through samples of it."""
     centre, half = 0.5 * (spans.start[i] + spans.end[i]), 0.5 * (spans.end[i] - spans.start[i])
     for j in range(NODES):
-        work.tick[j], work.offset[j] = spans.tick[i], centre + half * X[j]
+        work.tick[j], work.offset[j] = spans.tick[i], centre + half * NODE_AT[j]
     _sample(model, trajectory, Query(spans.wanted, work.tick, work.offset, work.values), work)
     for q in range(spans.wanted.shape[0]):
         through_nodes(work.values[q], spans.out[q, i])
@@ -671,7 +675,7 @@ def _fit_samples(model, trajectory, spans, i, work):  # type: ignore[no-untyped-
 @entry(MODEL, TRAJECTORY, SPANS, SAMPLING_WORKSPACE, returns=bool)
 def fit(model, trajectory, spans, work):  # type: ignore[no-untyped-def]
     """Fill `spans.out` and return whether there are such ticks."""
-    p, flight, knots = model.parameters[0], work.flight[0], trajectory.knots
+    p, flight, history = model.parameters[0], work.flight[0], trajectory.history
     flight.omega, work.pulsing[0] = -1.0, -1
     of_structure = True
     for q in range(spans.wanted.shape[0]):
@@ -679,8 +683,8 @@ def fit(model, trajectory, spans, work):  # type: ignore[no-untyped-def]
             of_structure = False
     if p.drive == PRESCRIBED:
         for q in range(spans.wanted.shape[0]):
-            of_structure = of_structure and spans.wanted[q] != CURRENT
-    aloft = -1  # the knot of the flight that is prepared
+            of_structure = of_structure and spans.wanted[q] != COIL_CURRENT
+    prepared = -1  # row of the state that the flight at hand begins at
     for i in range(spans.start.shape[0]):
         tick = spans.tick[i] - trajectory.base
         if not 0 <= tick < trajectory.ticks.shape[0] - 1:
@@ -689,55 +693,55 @@ def fit(model, trajectory, spans, work):  # type: ignore[no-untyped-def]
         segment = _segment_at(trajectory, tick, middle)
         f = _forcing(trajectory, segment)
         low, high = trajectory.first[segment], trajectory.first[segment + 1]
-        row = before(knots, low, high, middle - f.begin)
+        row = last_before(history, low, high, middle - f.begin)
         last = (
             spans.end[i] - f.begin
-            <= (knots[row + 1].t if row + 1 < high else trajectory.segments[segment].duration) + _SAME
+            <= (history[row + 1].t if row + 1 < high else trajectory.segments[segment].duration) + _SAME
         )
-        inside = spans.start[i] - f.begin >= knots[row].t - _SAME and last
-        if inside and knots[row].phase == CONTACT and not (knots[row].whole and p.remembers):
-            if knots[row].whole:
-                _fit_pulse(model, f, knots, row, spans, i, work)
+        inside = spans.start[i] - f.begin >= history[row].t - _SAME and last
+        if inside and history[row].phase == CONTACT and not (history[row].tabulated and p.remembers):
+            if history[row].tabulated:
+                _fit_pulse(model, f, history, row, spans, i, work)
             else:
-                _fit_contact(model, f, knots, row, spans, i, work)
+                _fit_contact(model, f, history, row, spans, i, work)
                 work.pulsing[0] = -1
             continue
         if inside and of_structure:
-            if row != aloft:
-                _take_off(model, f, knots[row], flight)
-                aloft = row
-            if spans.end[i] - spans.start[i] <= _LONGEST * flight.reach:
+            if row != prepared:
+                _prepare_flight(model, f, history[row], flight)
+                prepared = row
+            if spans.end[i] - spans.start[i] <= _LONGEST * flight.validity:
                 _fit_flight(p, model.systems[flight.system], f, flight, spans, i, work)
                 continue
         _fit_samples(model, trajectory, spans, i, work)
-        aloft, work.pulsing[0] = -1, -1
+        prepared, work.pulsing[0] = -1, -1
     return True
 
 
 PARTS = 3
-"""Pieces in which a contact that was looked up as a whole is smooth enough for the instruments' polynomials."""
+"""Pieces in which a tabulated contact is smooth enough for the instruments' polynomials."""
 
 
 @entry(TRAJECTORY, INTEGERS, REALS, FLAGS, returns=int)
 def refine(trajectory, tick, offset, touching):  # type: ignore[no-untyped-def]  # compiled: types are inferred
     """Fill in tick, offset [s] and whether sphere and wall touch from each instant on; return how many there are.
 
-    The arrays have room for PARTS instants a knot.
+    The arrays have room for PARTS instants a state.
     """
-    knots, first, count = trajectory.knots, trajectory.first, 0
+    history, first, count = trajectory.history, trajectory.first, 0
     i = -1
     for at in range(first.shape[0] - 1):
         begin = trajectory.segments[at].begin
         if at == trajectory.ticks[i + 1]:
             i += 1
         for row in range(first[at], first[at + 1]):
-            knot = knots[row]
-            tick[count], offset[count], touching[count] = trajectory.base + i, begin + knot.t, knot.phase != FREE
+            s = history[row]
+            tick[count], offset[count], touching[count] = trajectory.base + i, begin + s.t, s.phase != FREE
             count += 1
-            if knot.phase == CONTACT and knot.whole != 0:
-                length = knots[row + 1].t - knot.t
+            if s.phase == CONTACT and s.tabulated != 0:
+                length = history[row + 1].t - s.t
                 for part in range(1, PARTS):
                     tick[count], touching[count] = trajectory.base + i, True
-                    offset[count] = begin + (knot.t + length * (part / PARTS))
+                    offset[count] = begin + (s.t + length * (part / PARTS))
                     count += 1
     return count

@@ -78,7 +78,7 @@ class Motion:
         first_tick: int,
         segments: NDArray[np.void],
         ticks: NDArray[np.int64],
-        knots: NDArray[np.void],
+        history: NDArray[np.void],
         first: NDArray[np.int64],
         impacts: NDArray[np.void],
         work: SamplingWorkspace | None = None,
@@ -87,7 +87,7 @@ class Motion:
         self.segments, self.ticks = segments, ticks
         self.impacts = impacts
         self._model = model
-        self._trajectory = Trajectory(segments, first_tick, ticks, knots, first)
+        self._trajectory = Trajectory(segments, first_tick, ticks, history, first)
         self._sampling = work or new_sampling_workspace()
 
     @property
@@ -166,17 +166,17 @@ class Motion:
         return self._refined()[2]
 
     def _refined(self) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.bool_]]:
-        """Return (tick, offset, whether touching) of the knots and of places inside contacts taken as a whole."""
-        room = PARTS * len(self._trajectory.knots)
+        """Return (tick, offset, whether touching) of the states kept and of places inside tabulated contacts."""
+        room = PARTS * len(self._trajectory.history)
         tick, offset, touching = np.empty(room, np.int64), np.empty(room), np.empty(room, np.bool_)
         count = refine(self._trajectory, tick, offset, touching)
         return tick[:count], offset[:count], touching[:count]
 
 
-MOST_KNOTS = 200_000
+MOST_STATES = 200_000
 """Contacts, rides and flights in one drive segment (10 ms); a chattering sphere makes some ten of them."""
 
-_KNOTS, _IMPACTS = 1 << 15, 1 << 11  # room for so many: pages that are not touched take no memory
+_STATES, _IMPACTS = 1 << 15, 1 << 11  # room for so many: pages that are not touched take no memory
 _GROWTH = 4  # of the log, when a call needs more room
 _PLACES = {"left": -1.0, "centre": 0.0, "right": 1.0}
 
@@ -221,7 +221,7 @@ class Simulation:
         self._rtol = rtol
         self._account = account
         self._config = config
-        self._work = new_workspace(_KNOTS, _IMPACTS)
+        self._work = new_workspace(_STATES, _IMPACTS)
         self._sampling = new_sampling_workspace()
         self._model, self.locked = model or build(config, rtol), False
         self.reset()
@@ -318,18 +318,18 @@ class Simulation:
         """Simulate the drive segments (dtype `flight.SEGMENT`), the first of which begins a tick; return their motion.
 
         Raises:
-            SimulationError: the integration makes no progress, or needs more than `MOST_KNOTS` steps in a segment.
+            SimulationError: the integration makes no progress, or needs more than `MOST_STATES` steps in a segment.
         """
         segments = np.ascontiguousarray(segments, SEGMENT)
         if self.locked:
             segments = segments.copy()
-            segments["amplitude"] = segments["slope"] = 0.0
+            segments["amplitude"] = segments["growth"] = 0.0
         rows = np.append(np.flatnonzero(segments["begin"] == 0.0), len(segments))
         ticks = np.repeat(np.arange(self.tick, self.tick + len(rows) - 1), np.diff(rows))
         segments = for_kernels(segments)
         work = self._work._replace(first=np.zeros(len(segments) + 1, np.int64))
         filled = work.filled[0]
-        filled["knots"] = filled["impacts"] = 0
+        filled["states"] = filled["impacts"] = 0
         index = 0
         while True:
             ended, index = run(self._model, segments, ticks, index, work, self._account)
@@ -340,17 +340,17 @@ class Simulation:
                 )
             if ended != NEED_ROOM:
                 break
-            if filled["knots"] - work.first[index] > MOST_KNOTS:
+            if filled["states"] - work.first[index] > MOST_STATES:
                 raise SimulationError(
-                    f"more than {MOST_KNOTS} contacts, rides and flights in tick {ticks[index]}, "
+                    f"more than {MOST_STATES} contacts, rides and flights in tick {ticks[index]}, "
                     f"{work.states[0]['t']:.9f} s into a segment of it: the motion cannot be resolved"
                 )
             work = self._work = _grown(work)
-        knots, impacts = int(filled["knots"]), int(filled["impacts"])
-        work.first[-1] = knots
-        kept = work.knots[:knots]
-        if len(work.knots) > _KNOTS:  # one that grew is given away: to copy it takes as long as a tenth of the motion
-            self._work = work._replace(knots=records(_KNOTS, STATE))
+        states, impacts = int(filled["states"]), int(filled["impacts"])
+        work.first[-1] = states
+        kept = work.history[:states]
+        if len(work.history) > _STATES:  # one that grew is given away: to copy it takes a tenth of the motion's time
+            self._work = work._replace(history=records(_STATES, STATE))
         else:
             kept = kept.copy()
         motion = Motion(
@@ -385,7 +385,7 @@ class Simulation:
             speed = y[V1] + (s.side * s.speed if pressed else s.d_rate)
             total += 0.5 * p.m * speed * speed
             if pressed:
-                total += self._model.force.one(p.stiffness, p.factor, s.per_v0, turned_at(s), s.w, s.speed)[2]
+                total += self._model.law.one(p.stiffness, p.factor, s.per_v0, turned_at(s), s.w, s.speed)[2]
         return float(total)
 
     @property
@@ -420,8 +420,8 @@ class Simulation:
 
 def _grown(work: Workspace) -> Workspace:
     """Return the work with more room in its log, what is in it kept."""
-    knots = records(_GROWTH * len(work.knots), STATE)
-    knots[: len(work.knots)] = work.knots
+    history = records(_GROWTH * len(work.history), STATE)
+    history[: len(work.history)] = work.history
     impacts = records(_GROWTH * len(work.impacts), IMPACT)
     impacts[: len(work.impacts)] = work.impacts
-    return work._replace(knots=knots, impacts=impacts)
+    return work._replace(history=history, impacts=impacts)

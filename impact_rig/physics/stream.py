@@ -215,7 +215,7 @@ class Stream:
             part = (edges - times[at]) / (times[at + 1] - times[at])
             step = values[at + 1] - values[at]
             rows["amplitude"] += step * part
-            rows["slope"] = step / ((times[at + 1] - times[at]) / COMMAND_GRID_NS * tick_s)
+            rows["growth"] = step / ((times[at + 1] - times[at]) / COMMAND_GRID_NS * tick_s)
         if (tick + count) % SUM_TICKS == 0:
             self._sum_up()
         return rows

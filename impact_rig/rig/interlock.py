@@ -118,7 +118,7 @@ def mean_square_of_lines(segments, ticks, tick_s, found):  # type: ignore[no-unt
         total = 0.0
         for i in range(ticks[tick], ticks[tick + 1]):
             row = segments[i]
-            low, high = row.amplitude, row.amplitude + row.slope * row.duration
+            low, high = row.amplitude, row.amplitude + row.growth * row.duration
             total += row.duration * (low * low + low * high + high * high) * (1.0 / 3.0)
         found[tick] = total / tick_s
 

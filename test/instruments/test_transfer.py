@@ -10,7 +10,7 @@ from scipy import integrate, signal
 from impact_rig.arithmetic.interpolation import NODES
 from impact_rig.instruments import sensor as transfer
 from impact_rig.instruments.chain import sensors
-from impact_rig.instruments.response import SERIES, records_of, through_piece, weigh
+from impact_rig.instruments.response import SERIES, records_of, set_period, through_piece
 from impact_rig.kernels import with_fields
 
 FREQUENCIES = np.geomspace(0.1, 60e3, 50)
@@ -72,10 +72,10 @@ def test_a_mode_answers_a_polynomial_as_its_integral_says(scale, direction):
     pole = np.array([scale * direction / length], complex)
     residue, start = np.array([0.7 - 0.4j]), 1e-5 - 2e-5j
     modes = with_fields(records_of(pole, residue))
-    modes["z_re"], modes["z_im"] = start.real, start.imag
+    modes["psi_re"], modes["psi_im"] = start.real, start.imag
     u = np.random.default_rng(1).normal(size=NODES) / 4.0 ** np.arange(NODES)
     first, period, out = 0.13 * length, 0.2 * length, np.zeros(5)
-    weigh(modes, period)
+    set_period(modes, period)
     through_piece(modes, u, length, np.array([first, period]), np.zeros((3, SERIES)), out)
 
     def exact(t):
@@ -88,5 +88,5 @@ def test_a_mode_answers_a_polynomial_as_its_integral_says(scale, direction):
 
     expected = [(residue[0] * exact(first + m * period)).real for m in range(5)]
     np.testing.assert_allclose(out, expected, atol=1e-11 * np.max(np.abs(expected)) + 1e-16)
-    end = complex(modes["z_re"][0], modes["z_im"][0])
+    end = complex(modes["psi_re"][0], modes["psi_im"][0])
     assert end == pytest.approx(exact(length), rel=1e-10, abs=1e-11 * length)

@@ -174,7 +174,8 @@ def test_the_header_says_of_each_record_what_its_own_fields_mean() -> None:
     """A field once carried what a field of the same name in another record of the module means."""
     text = (Path(kernels.__file__).parent / "impact_rig.h").read_text(encoding="utf-8")
     flight = text.partition("} ir_flight;")[0].rpartition("typedef struct")[2]
-    assert "double reach; /* time in which a Taylor polynomial holds [s] */" in flight
-    assert "double y[5];\n" in flight
+    assert "double validity; /* time for which a Taylor polynomial holds [s] */" in flight
+    assert "double y[5]; /* the structure's state where it was evaluated last */" in flight
     step = text.partition("} ir_contact_step;")[0].rpartition("typedef struct")[2]
+    assert "double y[5]; /* the pair's state where it was evaluated last */" in step
     assert re.search(r"double correction\[5\]\[5\]; /\* z, what the indentation moves the pair by", step)

@@ -97,8 +97,8 @@ def contact_by_equal_steps(model: Model, speed: float, length: float, steps: int
     s.side, s.speed, s.per_v0 = 1.0, speed, 1.0 / speed
     k.terms = 1  # a structure at rest
     for _ in range(steps):
-        begin_step(p, model.force, s, k)
-        solve(p, model.force, s, k, length / steps, ROUNDS)
+        begin_step(p, model.law, s, k)
+        solve(p, model.law, s, k, length / steps, ROUNDS)
         s.w, s.speed = k.w[LAST], k.speed[LAST]
         s.deepest = max(s.deepest, s.w)
     return np.array([s.w, s.speed])
@@ -186,7 +186,7 @@ def touches_by_dop853(config: RigConfig, segments: np.ndarray) -> list[float]:
         while t < end:
             events = [event(side, -1.0)] if side else [event(-1.0, 1.0), event(1.0, 1.0)]
             found = solve_ivp(
-                motion, (t, end), y, "DOP853", events=events, args=(side, row["amplitude"], row["slope"]),
+                motion, (t, end), y, "DOP853", events=events, args=(side, row["amplitude"], row["growth"]),
                 rtol=1e-10, atol=1e-14, max_step=1e-3,
             )  # fmt: skip
             t, y = float(found.t[-1]), found.y[:, -1]

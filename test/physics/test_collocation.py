@@ -44,7 +44,7 @@ def tables() -> dict[str, mp.matrix]:
         start[0, 0] = 1
         eigenvalues, _ = mp.eig(matrix)
         return {
-            "NODES": mp.matrix(nodes),
+            "STAGE_AT": mp.matrix(nodes),
             "MATRIX": matrix,
             "INVERSE": matrix**-1,
             "TO_START": start * powers**-1,
@@ -53,7 +53,7 @@ def tables() -> dict[str, mp.matrix]:
         }
 
 
-@pytest.mark.parametrize("name", ["NODES", "MATRIX", "INVERSE", "TO_START", "TO_POLYNOMIAL"])
+@pytest.mark.parametrize("name", ["STAGE_AT", "MATRIX", "INVERSE", "TO_START", "TO_POLYNOMIAL"])
 def test_a_table_is_the_exact_one_rounded(tables, name):
     exact = tables[name]
     rounded = np.array([[float(mp.re(exact[i, j])) for j in range(exact.cols)] for i in range(exact.rows)])

@@ -18,7 +18,7 @@ def drive() -> np.ndarray:
     """Seven seconds of 10 ms ticks: ramp up, a change of frequency in mid-run, a change of level."""
     rows = sine(9.1, 0.6, 0.01, SEGMENTS)
     rows["omega"][300:] = TWO_PI * 9.3
-    rows["amplitude"][:10], rows["slope"][:10] = 0.06 * np.arange(10), 6.0
+    rows["amplitude"][:10], rows["growth"][:10] = 0.06 * np.arange(10), 6.0
     rows["amplitude"][500:] = 0.4
     return rows
 

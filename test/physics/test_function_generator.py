@@ -32,7 +32,7 @@ def generator(seed: int = 1, ramp_s: float = 0.0, **drive: object) -> FunctionGe
 def ends(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The drive at the start and at the end of each segment."""
     t = np.stack([np.zeros(len(rows)), rows["duration"]])
-    values = (rows["amplitude"] + rows["slope"] * t) * np.sin(rows["omega"] * t + rows["phase"])
+    values = (rows["amplitude"] + rows["growth"] * t) * np.sin(rows["omega"] * t + rows["phase"])
     return values[0], values[1]
 
 
@@ -78,7 +78,7 @@ def test_a_ramp_is_linear_and_ends_at_its_target():
     rows = made.segments(30)
     assert rows["amplitude"][:21] == pytest.approx(0.5 + np.arange(21) / 20)
     assert (rows["amplitude"][20:] == 1.5).all()
-    assert not rows["slope"][20:].any()
+    assert not rows["growth"][20:].any()
 
 
 def test_a_chirp_sweeps_from_one_frequency_to_the_other_and_begins_again():

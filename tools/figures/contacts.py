@@ -91,8 +91,8 @@ def _by_collocation(model: Model, steps: int) -> Real:
     s.side, s.speed, s.per_v0 = 1.0, SPEED_M_S, 1.0 / SPEED_M_S
     k.terms = 1  # a structure at rest
     for _ in range(steps):
-        begin_step(p, model.force, s, k)
-        solve(p, model.force, s, k, step, ROUNDS)
+        begin_step(p, model.law, s, k)
+        solve(p, model.law, s, k, step, ROUNDS)
         s.w, s.speed = k.w[LAST], k.speed[LAST]
         s.deepest = max(s.deepest, s.w)
     return np.array([s.w, s.speed])

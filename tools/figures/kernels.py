@@ -11,12 +11,13 @@ from tools.figures.style import BASE, INK, MUTED, SPHERE, STRUCTURE, arrow, box,
 
 _TICK = (  # what leads there, module, colour, kernels, what they do
     ("", "event_loop", BASE, ("run", "_change_phase"), "segment by segment: fly, touch, leave"),
-    ("until something happens", "flight", STRUCTURE, ("aim", "launch", "fly", "evaluate", "safe_time", "arrive"),
-     "closed form, until a wall"),
+    ("until something happens", "flight", STRUCTURE,
+     ("prepare_segment", "begin_flight", "fly", "evaluate", "safe_time", "structure_at"), "closed form, until a wall"),
     ("a touch", "outcome", SPHERE, ("look_up", "apply_outcome"), "a fast contact, from the table"),
     ("beyond the table", "contact_phase", SPHERE, ("take_next_step", "take_step", "conclude"),
      "any other, in steps ended at events"),
-    ("each step", "contact_step", SPHERE, ("expand", "solve", "estimate"), "one step: collocation, Newton, error"),
+    ("each step", "contact_step", SPHERE, ("expand", "solve", "estimate_error"),
+     "one step: collocation, Newton, error"),
     ("states at events", "sampling", STRUCTURE, ("sample",), "afterwards: what instruments ask for, at any instant"),
 )  # fmt: skip
 _ROW, _TOP = 64, 76
@@ -59,7 +60,7 @@ def draw_tick() -> str:
 
 def draw_table() -> str:
     """Return the columns of the tabulated outcome: each holds a Chebyshev series in η_0."""
-    all_, few = outcome.QUANTITIES, outcome.DECISIVE
+    all_, few = outcome.OUTCOMES, outcome.DECISIVE
     groups = (
         ("outcome", all_, BASE, "at η_1 = η_2 = α = γ = 0"), ("∂/∂η_1", all_, STRUCTURE, "first derivative"),
         ("½ ∂²/∂η_1²", few, SPHERE, "of the first three"), ("∂/∂η_2", few, SPHERE, ""), ("∂/∂α", few, SPHERE, ""),
@@ -67,7 +68,7 @@ def draw_table() -> str:
     )  # fmt: skip
     assert sum(count for _, count, _, _ in groups) == outcome.COLUMNS
     parts = [
-        text(20, 26, f"Layout of the tabulated outcome: {outcome.DEGREE} rows, {outcome.COLUMNS} columns", bold=True),
+        text(20, 26, f"Tabulated outcome: {outcome.COEFFICIENTS} rows, {outcome.COLUMNS} columns", bold=True),
         text(20, 46, "row n holds the coefficients of T_n(x), Chebyshev, x = −1 … 1 over the range of η_0",
              colour=MUTED, px=12),
     ]  # fmt: skip
@@ -88,7 +89,7 @@ def draw_table() -> str:
             "in each group: separation speed, duration, energy lost; then, in the first two,",
             px=12,
         ),
-        text(20, _TABLE_TOP + 146, "peak force, largest indentation, ∫ξ dθ, ∫(duration − θ) ξ dθ", px=12),
+        text(20, _TABLE_TOP + 146, "peak force, largest indentation, ∫Δ dθ, ∫(duration − θ) Δ dθ", px=12),
     ]
     return sheet(
         _TABLE_TOP + 164,

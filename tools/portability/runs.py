@@ -162,7 +162,7 @@ def _contacts() -> NDArray[np.void]:
     parameters[0].rtol = outcome.RTOL
     contacts = outcome.Contacts(parameters, compiled_force(force.function))
     found = [contacts.derivatives(eta_0, which)[1:] for eta_0, which in ((0.02, 0), (-0.01, 1))]
-    kind = [(f"{order}_{quantity}", "f8") for order in ("first", "second") for quantity in range(outcome.QUANTITIES)]
+    kind = [(f"{order}_{quantity}", "f8") for order in ("first", "second") for quantity in range(outcome.OUTCOMES)]
     return np.array([tuple(np.concatenate(pair)) for pair in found], kind)
 
 
