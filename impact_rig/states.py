@@ -93,11 +93,12 @@ BY_NODE: dict[str, type[Rig | Analysis | Recorder | SteppedSine]] = {
 
 
 class Status(Word):
-    """What a row of `transmissibility/table` is. Only the first four carry numbers; the others have NaN instead."""
+    """What a row of `transmissibility/table` is. Only the first five carry numbers; the others have NaN instead."""
 
     OK = "ok", "A measurement."
     ACCELEROMETER_OVER_RANGE = "accelerometer_over_range", "The displacements are sound, the impacts may not be."
     ACCELEROMETER_UNSOUND = "accelerometer_unsound", "Dead, or contradicts the laser: the displacements are sound."
+    CURRENT_UNSOUND = "current_unsound", "Dead, disturbed, or changed alone: the displacements are sound."
     NOT_SETTLED = "not_settled", "The longest wait is over and the response still changes: DT may drift."
     LOST_BLOCKS = "lost_blocks", "Blocks of scans were missing while it was measured."
     OVER_RANGE = "over_range", "A displacement or the current was at or beyond the range of its channel."
@@ -124,7 +125,8 @@ class Status(Word):
     NO_FIT = "no_fit", "A fit did not converge, or to something unphysical."
 
 
-MEASURED = frozenset({Status.OK, Status.ACCELEROMETER_OVER_RANGE, Status.ACCELEROMETER_UNSOUND, Status.NOT_SETTLED})
+SETTLED = (Status.OK, Status.ACCELEROMETER_OVER_RANGE, Status.ACCELEROMETER_UNSOUND, Status.CURRENT_UNSOUND)
+MEASURED = frozenset({*SETTLED, Status.NOT_SETTLED})
 """The statuses whose rows carry numbers."""
 
 
@@ -144,6 +146,3 @@ class Method(enum.StrEnum):
     GUM = "gum"  # noise and calibration, combined
     BATCH_MEANS = "batch_means"  # of a response that is not periodic, combined with the calibration
     NONE = "none"
-
-
-SETTLED = (Status.OK, Status.ACCELEROMETER_OVER_RANGE, Status.ACCELEROMETER_UNSOUND)

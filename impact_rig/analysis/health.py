@@ -209,11 +209,33 @@ def contradiction(found: Amplitudes, before: Amplitudes | None = None) -> Verdic
     return Verdict(Status.IMPLAUSIBLE, CHANNELS[LASER])
 
 
+def current_unsound(
+    cycles: Cycles, calibration: Calibration, found: Amplitudes, before: Amplitudes | None = None
+) -> bool:
+    """Return whether the coil current is not to be believed: stuck, disturbed, or changed alone; DT is sound without.
+
+    Stuck is what varies less than its own noise. A current that is there from the start is not held against the
+    command: of a prescribed base or a voltage there need be none.
+    """
+    stuck = calibration.noise[CURRENT] > calibration.converter_step[CURRENT] and _constant(cycles, CURRENT)
+    if stuck or _rough(cycles, calibration, found.frequency_hz, CURRENT):
+        return True
+    if before is None or before.relative[CURRENT] > 1.0 / REFERENCE_FACTOR:
+        return False
+    change, chance = _changes(before, found)
+    moved = np.maximum(np.abs(change) - chance, 0.0)
+    return bool(moved[CURRENT] > ALONE + FOLLOWS * (moved[LASER] + moved[BASE]))
+
+
+def _changes(before: Amplitudes, now: Amplitudes) -> tuple[Real, Real]:
+    """Return the logarithms of the ratios of the amplitudes to those of an earlier row, and how much may be chance."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.log(now.size / before.size), NOISES * np.hypot(before.relative, now.relative)
+
+
 def changed_alone(before: Amplitudes, now: Amplitudes) -> Verdict | None:
     """Return which channel has changed by itself since an earlier row of the same setting, or None."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        change = np.log(now.size / before.size)
-    noise = NOISES * np.hypot(before.relative, now.relative)
+    change, noise = _changes(before, now)
     size = np.nan_to_num(np.abs(change), posinf=math.inf)
     least = np.maximum(ALONE, noise)
     apart = abs(change[LASER] - change[ACCELEROMETER])

@@ -141,6 +141,7 @@ class Judge:
         self._windows: deque[Cycles] = deque(maxlen=settings.long_windows)
         self._ratios: deque[complex] = deque(maxlen=settings.long_windows)
         self._since_row = 0
+        self._span = 0  # windows from the newest row to the next of a response that stays as it is
         self._reported = False
         self._waited_windows = 0
         self._window_s = window_cycles(frequency_hz, settings) / frequency_hz
@@ -172,9 +173,15 @@ class Judge:
             return None
         found = self._steady() or self._stationary() or self._overdue()
         if found:
+            self._span = max(short, found.cycles // len(window))
             found = self._compared(found)
             self._since_row, self._waited_windows, self._reported = 0, 0, True
         return found
+
+    @property
+    def late(self) -> bool:
+        """Whether the row after the newest should have come: the response is no longer what that row says."""
+        return self._reported and self._since_row > self._span
 
     @property
     def pending(self) -> bool:
@@ -185,6 +192,8 @@ class Judge:
     def progress(self) -> Progress:
         """How far the first measurement of this setting is."""
         needed = max(self._settings.windows, self._due or 0)
+        if self.late:
+            return Progress(self._since_row, self._since_row + 1, self._remnant)
         if self._reported:
             return Progress(needed, needed, self._remnant)
         if self._due is None and self._whole >= needed:
@@ -200,7 +209,8 @@ class Judge:
             return Measurement(
                 status=alone.status, channel=alone.channel, frequency_hz=self._frequency_hz, cycles=found.cycles
             )
-        self._reference = found.amplitudes
+        if found.status is not Status.CURRENT_UNSOUND:  # else the current would seem to change when it comes back
+            self._reference = found.amplitudes
         return found
 
     def _lost_signal(self, window: Cycles) -> Verdict | None:

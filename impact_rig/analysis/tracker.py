@@ -367,6 +367,8 @@ class Tracker:
             found = self._judge.add(window, self._quiet(last))
             if found:
                 self._emit(found, last)
+            elif self._judge.late and self._state.word == Analysis.MEASURING:
+                self._enter(Analysis.SETTLING, "", last)
 
     def _quiet(self, scan: int) -> Quiet:
         """Return for how long there has been no impact at a scan, and for how long one may stay away.

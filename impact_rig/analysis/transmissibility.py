@@ -136,6 +136,8 @@ def measure(
     if still:
         return refuse(still)
     ratio = mean1 / mean_b
+    sizes = health.amplitudes(true, noise, cycles, calibration, frequency_hz)
+    contradicted = health.contradiction(sizes, before) if calibration.present[ACCELEROMETER] else None
     influence = (x1 - ratio * xb) / mean_b * np.exp(-1j * np.angle(ratio))  # Re: of DT, Im / DT: of the phase
     crowded_noise = float(max(noise[LASER], calibration.noise[LASER] ** 2) * calibration.noise_crowding()[LASER])
     response = classify(
@@ -145,7 +147,7 @@ def measure(
         / float(cycles.samples.mean())
         / abs(mean1 * complex(calibration.response(LASER, frequency_hz))) ** 2,
         settings.periodic_tolerance,
-        cycles.strikes,
+        np.zeros_like(cycles.strikes) if contradicted else cycles.strikes,
     )
     white = 2.0 * (noise[LASER] + abs(ratio) ** 2 * noise[BASE]) / cycles.samples.sum() / abs(mean1) ** 2
     if response.regime is Regime.PERIODIC:
@@ -169,16 +171,16 @@ def measure(
         small = 2.0 * steps > u_amplitude**2
         return refuse(Verdict(Status.BELOW_RESOLUTION if small else Status.TOO_UNCERTAIN, most.channel), most.what)
     phase = float(np.angle(ratio))
-    sizes = health.amplitudes(true, noise, cycles, calibration, frequency_hz)
-    wrong = health.misplaced(sizes, u_amplitude, phase, u_phase)
-    if not wrong and calibration.present[ACCELEROMETER]:
-        wrong = health.contradiction(sizes, before)
+    wrong = health.misplaced(sizes, u_amplitude, phase, u_phase) or contradicted
     if wrong and wrong.status not in MEASURED:
         return refuse(wrong)
+    no_current = calibration.present[CURRENT] and health.current_unsound(cycles, calibration, sizes, before)
+    unsound = wrong.status if wrong else Status.CURRENT_UNSOUND if no_current else Status.OK
     overtones = true[LASER][:, 1:].mean(axis=0)
     clipped = flags & ((1 | RANGE_BIT) << ACCELEROMETER)
+    has_current = not no_current and sizes.size[CURRENT] > health.SIGNAL_FACTOR * sizes.u[CURRENT]
     return Measurement(
-        status=Status.ACCELEROMETER_OVER_RANGE if clipped else wrong.status if wrong else Status.OK,
+        status=Status.ACCELEROMETER_OVER_RANGE if clipped else unsound,
         frequency_hz=frequency_hz,
         frequency_deviation_hz=deviation_hz,
         transmissibility=abs(ratio),
@@ -187,7 +189,7 @@ def measure(
         u_phase_rad=u_phase,
         laser_m=abs(mean1),
         base_m=abs(mean_b),
-        current_a=abs(complex(true[CURRENT][:, 0].mean())) if calibration.present[CURRENT] else NAN,
+        current_a=float(sizes.size[CURRENT]) if calibration.present[CURRENT] and has_current else NAN,
         thd=float(np.sqrt(np.sum(np.abs(overtones) ** 2))) / abs(mean1),
         impacts_per_cycle=NAN if wrong else float(cycles.impacts.mean()),
         cycles=len(cycles),

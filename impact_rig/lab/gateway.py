@@ -32,14 +32,17 @@ from impact_rig.errors import ImpactRigError, in_words
 from impact_rig.instruments.instrument import FAULT_KINDS
 from impact_rig.lab.protocol import Request
 from impact_rig.lab.record import Record
-from impact_rig.lab.state import PLANNED, Answer, Seen, figure
+from impact_rig.lab.state import DEAD_S, Answer, Seen, figure
 from impact_rig.nodes import messages
 from impact_rig.rig.config import RigConfig, fields, from_flat, parameters_in, to_flat
+from impact_rig.rig.journal import PLANNED
 from impact_rig.runs import recover
 
 ANSWER_S = 30.0  # a busy machine answers late: the knob stays pending until then
 ECHO_S = 5.0  # how long a parameter that was taken may need to be told as in force
-EXPIRES_S = 2.0  # a rig that has been silent for so long is sent nothing, and what waits for it is refused
+EXPIRES_S = 2.0
+"""A rig of others that is silent for so long is sent nothing, and what waits for it is refused; our own, from when the
+page calls it dead: whether its process has ended is known, and on a busy machine it may be late."""
 START_S = 60.0
 AGAIN_S, ATTEMPTS = 0.5, 20  # how often a node that has just been started is asked to begin
 MOST_FAULTS = 16
@@ -237,7 +240,7 @@ class Gateway:
         if instance is None:
             return ""
         rig = self.seen("rig")
-        silent_s = math.inf if self._own is not None and "rig" in self._own.processes.running else EXPIRES_S
+        silent_s = DEAD_S if self._own is not None and "rig" in self._own.processes.running else EXPIRES_S
         if rig.ended:
             return f"the rig is gone, {rig.ended}"
         if rig.age_s is None:

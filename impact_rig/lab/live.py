@@ -162,8 +162,8 @@ class LiveSource(Source):
         if gateway is None:
             return
         seen = {node: gateway.seen(node) for node in states.BY_NODE}
-        doubts = [f"{fault} is in force (truth)" for fault in record.faults.in_force(record.start_ns)]
-        doubts += [f"{channel}: {word}" for channel, word in (record.curve.health() or {}).items()]
+        doubts: list[str] = []
+        self.guard("doubts", lambda: doubts.extend(record.doubts()))
         parts: dict[str, Callable[[], Any]] = {
             "sources": lambda: {node: one.part() for node, one in seen.items()},
             "rig": lambda: self._rig(seen, doubts),
@@ -189,7 +189,8 @@ class LiveSource(Source):
         rig_s = figure(rig.figures.get("rig_time_s"))
         return {
             "word": word, "text": words, "name": self._client.node.get_namespace(), "instance": rig.instance,
-            "age": round(rig.age_s or 0.0), "time": rig_s, "speed": round(self._pace.read(rig_s or 0.0), 2),
+            "age": round(rig.age_s or 0.0), "time": rig_s,
+            "speed": round(self._pace.read(rig_s or 0.0, rig.instance), 2),
             "mode": rig.figures.get("mode", ""), "own": self._own is not None,
             "realised": figure(rig.figures.get("realised_restitution")), "over": _over_range(rig.figures),
             "motion": self._pace.is_followed,

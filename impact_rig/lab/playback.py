@@ -25,7 +25,7 @@ from impact_rig import codec, topics
 from impact_rig.blocks import Table
 from impact_rig.errors import ImpactRigError, RecordingError
 from impact_rig.lab.protocol import Request
-from impact_rig.lab.record import Record, plain, scan_rate, start_ns
+from impact_rig.lab.record import Record, came_before, plain, scan_rate, start_ns
 from impact_rig.lab.scope import LONGEST_S, Scope
 from impact_rig.lab.state import KNOBS, Answer, Source
 from impact_rig.lab.theory import closed_form
@@ -225,7 +225,8 @@ class RunPlayer:
     def at(self, page_s: float) -> Instant:
         """Return what the rig was at an instant of the page."""
         at_ns = self.instant_ns(page_s)
-        view, changed_ns = self.record.journal.at(at_ns)
+        view, change = self.record.journal.at(at_ns)
+        changed_ns = 0 if change is None else change.stamp_ns
         drives = [one for one in list(self.record.applied) if one[0] <= at_ns] or [(self.start_ns, AT_REST)]
         latched = "" if view.latched is None else plain(view.latched.key) or "emergency stop"
         values = {
@@ -236,17 +237,19 @@ class RunPlayer:
     def present(self, page_s: float, then: Instant) -> dict[str, Any]:
         """Return whether the newest measurement before an instant held then; as `state.present`.
 
-        It did where the shaker drove and nothing had changed since, nor had a later one failed.
+        It did where the shaker drove, nothing had changed since it began, and nothing spoke against it.
         """
         at_ns = self.instant_ns(page_s)
-        rows = [status for stamp, status, _ in list(self.record.curve.statuses) if then.changed_ns < stamp <= at_ns]
+        judged = [row for row in list(self.record.curve.judged) if row.end_ns <= at_ns]
+        rows = [row.status for row in judged if came_before(then.changed_ns, row)]
         drives = then.applied["current"] > 0.0 and not then.latched and not then.plucked
         state = "at_rest" if not drives else "settling" if not rows else "measuring"
         reason = ""
         if state == "measuring" and (rows[-1] not in MEASURED or rows[-1] == "not_settled"):
             state, reason = "unable", plain(rows[-1])
         return {
-            "state": state, "holds": state == "measuring", "reason": reason, "done": None, "of": None, "rest": None
+            "state": state, "holds": state == "measuring" and not self.record.doubts(at_ns), "reason": reason,
+            "done": None, "of": None, "rest": None,
         }  # fmt: skip
 
     def rows(self, page_s: float) -> list[dict[str, Any]]:
@@ -432,7 +435,7 @@ class PlaybackSource(Source):
         word = "playback" if self._playing else "paused playback"
         self.tell({
             "rig": lambda: {
-                "word": word, "text": self._words(then), "name": run.path.name, "age": 0,
+                "word": word, "text": " ".join(map(self._words, self._runs)), "name": run.path.name, "age": 0,
                 "time": round(self.now_s, 2), "speed": self._speed if self._playing else 0.0, "mode": "playback",
                 "own": False, "over": {},
             },
@@ -455,18 +458,20 @@ class PlaybackSource(Source):
             },
         }, then.values)  # fmt: skip
 
-    def _words(self, then: Instant) -> str:
-        names = " and ".join(run.path.name for run in self._runs)
-        if any(run.recovered for run in self._runs):
-            names += " (cut short: what is whole is shown)"
-        if then.latched:
+    def _words(self, run: RunPlayer) -> str:
+        """Return what a run does now."""
+        then = run.at(self.now_s)
+        name = f"{run.path.name} (cut short: what is whole is shown)" if run.recovered else run.path.name
+        if not run.begin_s <= self.now_s + run.offset_s <= run.end_s:
+            found = "nothing was recorded now"
+        elif then.latched:
             found = f"the shaker was latched by {then.latched}"
         elif then.plucked:
             found = "the base was locked after a pluck"
-        elif self.record.stream is not None and self.record.stream["playing"]:
+        elif run.record.stream is not None and run.record.stream["playing"]:
             found = "driven by a stream of samples"
         elif then.applied["current"]:
             found = f"driven at {then.applied['frequency']:g} Hz, {then.applied['current']:g} A"
         else:
             found = "at rest"
-        return f"{names}: {found}."
+        return f"{name}: {found}."

@@ -14,6 +14,7 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Any  # what goes to JSON
 
+import attrs
 import numpy as np
 from numpy.typing import NDArray
 
@@ -22,15 +23,21 @@ from impact_rig.blocks import Table
 from impact_rig.errors import CodecError, ImpactRigError, RecordingError
 from impact_rig.lab.scope import Scope
 from impact_rig.rig.config import parameters_in
-from impact_rig.rig.journal import SEPARATOR, Change, JournalView, Kind, short_key
-from impact_rig.simtime import NS_PER_S
+from impact_rig.rig.journal import PLANNED, SEPARATOR, Change, JournalView, Kind, short_key
+from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S
 from impact_rig.states import MEASURED, Status
 
 BODIES = 3
 MOST_ROWS = 400
 MOST_ENTRIES = 300
 MOST_APPLIED = 100
-ACCELEROMETER = {Status.ACCELEROMETER_OVER_RANGE.value: "accelerometer"}  # statuses that name their channel themselves
+ABOUT = {
+    Status.ACCELEROMETER_OVER_RANGE.value: "accelerometer", Status.ACCELEROMETER_UNSOUND.value: "accelerometer",
+    Status.CURRENT_UNSOUND.value: "current",
+}  # fmt: skip
+"""Statuses of sound rows that name a channel themselves: the column `channel` tells what contributes most to u."""
+NO_CHANGE = (Kind.FAULT, Kind.CLEAR_FAULT, Kind.STREAM)  # a measurement holds on; `truth/faults` tells of faults
+LAST_NS = 2**63
 HIGHEST_RATE_HZ = 1e7
 LONGEST_RUN_S = 1e9
 STREAM = ("buffered", "capacity", "playing", "late", "refused", "missing", "rate")
@@ -156,15 +163,15 @@ class Journal:
             self._part = start_ns, [[round((stamp - start_ns) / NS_PER_S, 3), *words] for stamp, *words in found]
         return self._part[1]
 
-    def at(self, instant_ns: int) -> tuple[JournalView, int]:
-        """Return what the rig was at an instant, and when it had last been changed [ns]; 0: never."""
-        view, changed_ns = JournalView(), 0
+    def at(self, instant_ns: int) -> tuple[JournalView, Change | None]:
+        """Return what the rig was at an instant, and what had changed it last."""
+        view, newest = JournalView(), None
         for change in list(self._changes):
             if change.stamp_ns <= instant_ns:
                 view.follow(change)
-                if change.kind not in (Kind.FAULT, Kind.CLEAR_FAULT):
-                    changed_ns = change.stamp_ns
-        return view, changed_ns
+                if change.kind not in NO_CHANGE and set(change.configuration) != {PLANNED}:
+                    newest = change
+        return view, newest
 
 
 def _value(kind: Kind, key: str, value: float) -> str:
@@ -206,13 +213,23 @@ class Faults:
         return list(active.values())
 
 
+@attrs.frozen
+class Judged:
+    """What a row of `transmissibility/table` is: first and last scan [ns], status, and the channel that it is about."""
+
+    begin_ns: int
+    end_ns: int
+    status: str
+    channel: str
+
+
 class Curve:
     """The measurements of the transmissibility."""
 
     def __init__(self) -> None:
         self._rows: deque[tuple[int, dict[str, Any]]] = deque(maxlen=MOST_ROWS)
-        self.statuses: deque[tuple[int, str, str]] = deque(maxlen=MOST_ROWS)
-        """Stamp, status and the channel it is about of every row, those without numbers too."""
+        self.judged: deque[Judged] = deque(maxlen=MOST_ROWS)
+        """Every row, those without numbers too."""
         self._part: tuple[int, list[dict[str, Any]]] | None = None
 
     def add(self, table: Table) -> None:
@@ -220,21 +237,29 @@ class Curve:
         for row in table.rows:
             status = text(row["status"])
             channel = text(row["channel"]) if "channel" in row.dtype.names else ""
-            self.statuses.append((table.stamp_ns, status, ACCELEROMETER.get(status, channel)))
+            sound = status in (Status.OK, Status.NOT_SETTLED)
+            cycles, frequency_hz = float(row["cycles"]), float(row["frequency"])
+            length_s = cycles / frequency_hz if frequency_hz > 0.0 else 0.0
+            begin_ns = table.stamp_ns - round(min(length_s, LONGEST_RUN_S) * NS_PER_S)
+            self.judged.append(Judged(begin_ns, table.stamp_ns, status, "" if sound else ABOUT.get(status, channel)))
             if status in MEASURED:
                 self._rows.append((table.stamp_ns, _measurement(row)))
                 self._part = None
 
+    def newest(self, at_ns: int | None = None) -> Judged | None:
+        """Return the newest row, or that of an instant."""
+        rows = [row for row in list(self.judged) if at_ns is None or row.end_ns <= at_ns]
+        return rows[-1] if rows else None
+
     def health(self, at_ns: int | None = None) -> dict[str, str] | None:
         """Return what the newest row, or that of an instant, says against a channel, in words.
 
-        None: there is no row, so nothing is known; empty: it says nothing against any.
+        None: there is no row, or it judges no channel, so nothing is known; empty: it says nothing against any.
         """
-        rows = [row for row in self.statuses if at_ns is None or row[0] <= at_ns]
-        if not rows:
+        row = self.newest(at_ns)
+        if row is None or not (row.channel or row.status in MEASURED):
             return None
-        _, status, channel = rows[-1]
-        return {channel: plain(status)} if channel and status not in (Status.OK, Status.NOT_SETTLED) else {}
+        return {row.channel: plain(row.status)} if row.channel else {}
 
     def part(self, start_ns: int) -> list[dict[str, Any]]:
         """Return the rows, oldest first; the same list while nothing is new."""
@@ -280,6 +305,15 @@ class Record:
         self.stream: dict[str, float] | None = None
         """The newest of `shaker/stream`; None: the rig is driven by no stream."""
         self.lock = threading.Lock()  # held while rings are written or read
+
+    def doubts(self, at_ns: int | None = None) -> list[str]:
+        """Return what speaks against the newest measurement, now or at an instant, in words."""
+        found = [f"{fault} is in force (truth)" for fault in self.faults.in_force(self.start_ns, at_ns)]
+        found += [f"{channel}: {word}" for channel, word in (self.curve.health(at_ns) or {}).items()]
+        row, change = self.curve.newest(at_ns), self.journal.at(LAST_NS if at_ns is None else at_ns)[1]
+        if row is not None and change is not None and not came_before(change.stamp_ns, row):
+            found.append(f"{plain(change.key or change.kind.value)} was changed after it began")
+        return found
 
     def take(self, topic: topics.Topic, data: bytes, at_ns: int | None = None) -> None:
         """Take a message that came at `at_ns` (None: now); where that fails, count it."""
@@ -361,6 +395,11 @@ def guard(refused: dict[str, list[Any]], what: str, work: Callable[[], Any]) -> 
         count = refused.setdefault(what, [0, ""])
         count[0] += 1
         count[1] = str(error) if isinstance(error, ImpactRigError) else f"{type(error).__name__}: {error}"
+
+
+def came_before(changed_ns: int, row: Judged) -> bool:
+    """Return whether what changed at an instant was in force when a row began, to the grid of commands."""
+    return changed_ns < row.end_ns and changed_ns <= row.begin_ns + COMMAND_GRID_NS
 
 
 def start_ns(info: Table) -> int:

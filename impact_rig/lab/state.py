@@ -28,6 +28,7 @@ from impact_rig.lab.scope import Scope
 from impact_rig.lab.theory import Theory, contradiction
 from impact_rig.physics.contact import LAWS
 from impact_rig.rig.config import fields
+from impact_rig.rig.journal import PLANNED
 from impact_rig.states import Regime, Status
 
 HURRIED = 1.5
@@ -36,7 +37,6 @@ FOLLOWED = 4.5
 """Speed up to which the motion is drawn: beyond it nobody can follow, and publishing it costs the rig a tenth."""
 STALE_S = 3.0  # rig time that has not moved for so long stands still
 GAP_S = 10.0  # two readings further apart say nothing about the speed between them
-PLANNED = "instruments.faults.planned"
 KNOBS = (
     "barriers.gap_m", "sphere.present", "sphere.start", "contact.law", "contact.restitution", "pluck.displacement_m",
     "shaker.frequency_min_hz", "shaker.frequency_max_hz", "shaker.current_limit_a_rms", "shaker.travel_limit_m",
@@ -89,7 +89,7 @@ class Seen:
 
 SENTENCES = {
     states.Rig.INACTIVE: "Not running: {reason}.",
-    states.Rig.RIVAL: "Two rigs in one namespace drive each other's shaker: {reason}.",
+    states.Rig.RIVAL: "Two rigs in one namespace: {reason}.",
     states.Rig.NO_PEER: "Rig time stands still: {reason}.",
     states.Rig.SILENT_PEER: "Rig time stands still: {reason}.",
     states.Rig.TRIPPED: "The shaker is latched by {reason}; its current is zero.",
@@ -144,6 +144,7 @@ class Pace:
         self._clock = clock
         self.speed = 0.0  # at the last two different readings
         self._read_at = self._rig_s = 0.0
+        self._instance = ""
 
     @property
     def is_hurried(self) -> bool:
@@ -155,9 +156,14 @@ class Pace:
         """Whether somebody could follow the motion."""
         return self.speed <= FOLLOWED
 
-    def read(self, rig_s: float) -> float:
-        """Take a reading of rig time [s]; return the speed, 0 where it stands still."""
+    def read(self, rig_s: float, instance: str = "") -> float:
+        """Take a reading of the time of a rig [s]; return the speed, 0 where it stands still.
+
+        Of two activations, or two rigs in one namespace, the times have nothing to do with each other.
+        """
         now = self._clock()
+        if instance != self._instance:
+            self._instance, self._read_at, self._rig_s, self.speed = instance, now, rig_s, 0.0
         if rig_s == self._rig_s:
             return 0.0 if now - self._read_at > STALE_S else self.speed
         if rig_s > self._rig_s and self._read_at and now - self._read_at < GAP_S:

@@ -129,7 +129,7 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
             return Level.OK, "waiting for daq/scan"
         if self._tracker.counters.lost_scans:
             return Level.WARN, "scans were lost"
-        return Level.OK, "measuring"
+        return Level.OK, self._tracker.state.word.replace("_", " ")
 
     def figures(self) -> dict[str, object]:
         """Return the tracker's counters and the latest value."""

@@ -76,6 +76,12 @@ def noise(channel, rms):
         pytest.param(spikes("laser", 2e-3), "spikes", "laser", id="laser spikes"),
         pytest.param(noise("base", 1e-4), "noisy", "base", id="base noise"),
         pytest.param(noise("laser", 5e-4), "noisy", "laser", id="laser noise"),
+        pytest.param(silent("current"), "current_unsound", None, id="current silent"),
+        pytest.param(stuck("current"), "current_unsound", None, id="current stuck"),
+        pytest.param(gain("current", 1.05), "current_unsound", None, id="current gain"),
+        pytest.param(level("current", 0.5), "current_unsound", None, id="current level"),
+        pytest.param(spikes("current", 0.5), "current_unsound", None, id="current spikes"),
+        pytest.param(noise("current", 0.5), "current_unsound", None, id="current noise"),
     ],
 )
 def test_a_fault_in_a_running_measurement_is_named_and_no_wrong_row_looks_good(spoil, status, channel):
@@ -92,6 +98,18 @@ def test_a_fault_in_a_running_measurement_is_named_and_no_wrong_row_looks_good(s
             assert abs(row["phase"] - np.angle(truth)) < 3 * row["phase_uncertainty"] + 1e-4
     if status == "accelerometer_unsound":
         assert np.isnan(named[-1]["impacts_per_cycle"])
+    if status == "current_unsound":
+        assert all(np.isnan(row["current_amplitude"]) for row in named)
+
+
+def test_a_current_that_is_not_there_is_no_number_and_one_that_comes_back_is_believed_again():
+    """A closed loop that holds the current would else drive it to its limit."""
+    rows = record(seconds=30.0)
+    rows["current"][: 10 * RATE] = 1e-3 * np.random.default_rng(5).standard_normal(10 * RATE)
+    dead, *later = [table.rows[0] for table in feed_all(tracker(), blocks(rows, RATE, 20))[0]]
+    assert (dead["status"], np.isnan(dead["current_amplitude"])) == (b"ok", True)
+    assert later[-1]["status"] == b"ok"
+    assert np.isfinite(later[-1]["current_amplitude"])
 
 
 def test_a_gain_that_comes_back_is_believed_again():

@@ -127,7 +127,8 @@ def test_two_runs_are_aligned_by_start_time_or_change_and_have_a_legend(
     page.wait("lab.now.playback.aligned === 'change'", "the change")
     page.choose("#align-change", page.js("[...document.querySelectorAll('#align-change option')].at(-1).value"))
     page.wait("document.getElementById('answer').textContent.startsWith('both runs at stop')", "its words")
-    assert "first and late" in page.js("lab.now.rig.text")
+    driven = "driven at 9.1 Hz, 0.52 A."
+    assert page.js("lab.now.rig.text") == f"first: {driven} late: {driven}"
 
 
 def test_a_run_that_begins_in_mid_session_begins_with_its_first_scan(recorded: Messages, tmp_path: Path) -> None:

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -74,11 +75,21 @@ def test_what_dies_is_grey_and_comes_back(graph: tuple[Processes, str], open_pag
     page.wait("document.getElementById('dt-why').textContent === 'not measured: over range'", "why not")
     assert page.js("document.getElementById('settling').hidden")
 
+    page.js("document.activeElement.blur()")
+    processes.running["rig"].signal(signal.SIGSTOP)
+    word(page, "dead")
+    page.key("0")
+    page.wait("document.querySelector('.knob.refused .words')?.textContent.includes('nothing was heard')", "a refusal")
+    assert page.js("document.querySelectorAll('.pending').length") == 0
+    stood = page.js("lab.now.rig.time")
+    processes.running["rig"].signal(signal.SIGCONT)
+    page.wait(f"lab.now.rig.word === 'driving' && lab.now.rig.time > {stood}", "the rig to go on")
+    assert page.js("lab.now.applied.current") == 1.2, "nothing of what was asked of the silent rig"
+
     processes.running["rig"].signal(9)
     word(page, "dead")
     assert page.js("document.body.classList.contains('stale')")
     assert "code -9" in page.text("#notice-text")
-    page.js("document.activeElement.blur()")
     page.key("r")
     page.wait("document.querySelector('.knob.refused .words')?.textContent.includes('rig is gone')", "a refusal")
     assert page.js("document.querySelectorAll('.pending').length") == 0

@@ -19,7 +19,7 @@ from impact_rig.codec import encode_joint_state, joint_state
 from impact_rig.errors import CodecError, RecordingError
 from impact_rig.instruments.instrument import FAULT_KINDS
 from impact_rig.lab.protocol import Kind, RequestError, json_frame, parse
-from impact_rig.lab.record import Curve, Faults, Journal, Motion, plain, scan_rate
+from impact_rig.lab.record import Curve, Faults, Journal, Motion, Record, plain, scan_rate
 from impact_rig.lab.server import STATIC
 from impact_rig.lab.state import (
     FOLLOWED,
@@ -97,13 +97,52 @@ def test_channels_are_well_only_where_a_row_says_so() -> None:
         (1, b"ok", b"laser", {}),
         (2, b"spikes", b"base", {"base": "spikes"}),
         (3, b"accelerometer_over_range", b"laser", {"accelerometer": "accelerometer over range"}),
-        (4, b"command_changed", b"", {}),
+        (4, b"accelerometer_unsound", b"base", {"accelerometer": "accelerometer unsound"}),
+        (5, b"current_unsound", b"laser", {"current": "current unsound"}),
+        (6, b"silence", b"", None),
     ):
         rows = np.zeros(1, kind)
         rows["status"], rows["channel"] = status, channel
         curve.add(Table(second * 10**9, rows))
         assert curve.health() == found
     assert curve.health(2 * 10**9) == {"base": "spikes"}
+
+
+def test_a_measurement_holds_until_the_rig_is_changed_and_again_from_a_row_that_began_after_that() -> None:
+    """A fault is told as such, not as a change; a row of scans from before and after says nothing of the rig now."""
+    record, row = Record(), np.zeros(1, topics.TRANSMISSIBILITY_TABLE.columns)
+    row["status"], row["frequency"], row["cycles"] = b"ok", 10.0, 40.0
+
+    def told(second: int, kind: str, key: str) -> None:
+        entry = np.zeros(1, topics.JOURNAL.columns)
+        entry["kind"], entry["key"], entry["sequence"] = kind, key, second
+        record.journal.add(Table(second * 10**9, entry))
+
+    for second, what, doubts in (
+        (2, ("command", "frequency"), []), (6, None, []), (7, ("fault", "dropout/laser"), []),
+        (8, ("parameter", "contact.restitution"), ["contact.restitution was changed after it began"]),
+        (10, None, ["contact.restitution was changed after it began"]), (12, None, []),
+        (13, ("reset", ""), ["reset was changed after it began"]),
+    ):  # fmt: skip
+        if what is None:
+            record.curve.add(Table(second * 10**9, row))
+        else:
+            told(second, *what)
+        assert record.doubts() == doubts, second
+    assert record.doubts(9 * 10**9) == ["contact.restitution was changed after it began"]
+    assert record.doubts(7 * 10**9) == []
+
+
+def test_the_speed_is_that_of_one_rig() -> None:
+    """Two rigs in one namespace, or one started again, tell times that have nothing to do with each other."""
+    now = [0.0]
+    pace = Pace(lambda: now[0])
+    for at_s, rig_s, instance, speed in (
+        (1.0, 70.0, "a", 0.0), (2.0, 71.0, "a", 1.0), (2.1, 0.0, "b", 0.0), (3.0, 72.0, "a", 0.0),
+        (4.0, 73.0, "a", 1.0),
+    ):  # fmt: skip
+        now[0] = at_s
+        assert pace.read(rig_s, instance) == speed
 
 
 def test_every_word_that_is_shown_has_help() -> None:

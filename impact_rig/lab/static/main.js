@@ -219,8 +219,10 @@ function showNotice(said) {
     if (rig.own) buttons.push(["Start again", () => act("restart")]);
     if (gone.includes("recorder")) buttons.push(["Recover the recording", () => act("recover")]);
   }
+  const failed = link.connected && now.mode === "live" && now.sources?.recorder?.lives && now.recorder?.state === "failed";
+  if (failed) said = { ...said, text: `${said.text} Nothing is recorded: ${now.recorder.reason}.` };
   const bad = GRAVE.includes(said.word);
-  const shown = buttons.length > 0 || bad;
+  const shown = buttons.length > 0 || bad || failed;
   byId("notice").hidden = !shown;
   byId("notice").classList.toggle("bad", bad);
   if (!shown) return false;
