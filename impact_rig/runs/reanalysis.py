@@ -230,6 +230,14 @@ class Comparison:
         return f"equal to the live results to {TOLERANCE:g}, not bit for bit: {self.compared} rows, made {where}"
 
 
+@attrs.frozen
+class _Blind:
+    """Scans that one side has not seen: those after `begin`, up to `end`."""
+
+    begin: float
+    end: float
+
+
 @attrs.frozen(eq=False)
 class _Row:
     """A measurement: the stretch it belongs to begins after scan `begin` and it ends with scan `end`."""
@@ -268,22 +276,24 @@ def compare(run: Run, offline: Iterable[Table], impacts: Iterable[Table] | None 
     ours = _rows(offline, rate_hz)
     gaps = check_contiguity(blocks, rate_hz).gaps
     data_begin, data_end = _scan(blocks[0][0], rate_hz) - 1, _scan(blocks[-1][0], rate_hz) + blocks[-1][1] - 1
-    our_cuts = [data_begin, *(_scan(gap.stamp_ns, rate_hz) - 1 for gap in gaps)]
-    live_cuts = _cuts(live)
+    our_blind = [_Blind(-math.inf, data_begin)]
+    our_blind += [_Blind(*(_scan(at, rate_hz) - 1 for at in (gap.expected_ns, gap.stamp_ns))) for gap in gaps]
+    live_blind = _blind(live)
     settings = _settings_told(run)
     # an analysis that was started again knows nothing of before, and nobody measured between the two
     again = next((one.since_ns for one in settings if one.again), None)
     live_end = data_end if again is None else max((row.end for row in live if row.stamp_ns < again), default=data_begin)
-    theirs = [row for row in live if row.end <= live_end and _comparable(row, live_cuts, our_cuts, ours)]
+    theirs = [row for row in live if row.end <= live_end and _comparable(row, live_blind, our_blind, ours)]
     found = [
-        row for row in ours if (again is None or row.end <= live_end) and _comparable(row, our_cuts, live_cuts, live)
+        row for row in ours if (again is None or row.end <= live_end) and _comparable(row, our_blind, live_blind, live)
     ]
     left_out = len(live) - len(theirs), len(ours) - len(found)
     if not theirs:
         return Comparison(
             None,
             reason="live analysis and recording saw no change from the same data on: "
-            f"live from scan {live_cuts[0]}, recorded from {data_begin}, here from {ours[0].begin if ours else 'none'}",
+            f"live from scan {live_blind[0].end:.0f}, recorded from {data_begin}, "
+            f"here from {ours[0].begin if ours else 'none'}",
         )
     machines = {machine for one in settings if (machine := machine_of(one.table)) is not None}
     elsewhere = machines != {fingerprint()} if machines else None
@@ -291,8 +301,8 @@ def compare(run: Run, offline: Iterable[Table], impacts: Iterable[Table] | None 
     reason, identical = _difference(theirs, found, late, exact=elsewhere is False)
     others = [_plotted(run, live)]
     if impacts is not None:
-        ends = [cut for cut in [*our_cuts[1:], *live_cuts[1:]] if cut > data_begin]
-        span = max(data_begin, live_cuts[0]) + round(LAST_WORDS_S * rate_hz), min([late, live_end, *ends])
+        ends = [int(one.begin) for one in (*our_blind[1:], *live_blind[1:]) if one.begin > data_begin]
+        span = max(data_begin, int(live_blind[0].end)) + round(LAST_WORDS_S * rate_hz), min([late, live_end, *ends])
         others.append(_impacts(run, impacts, rate_hz, span))
     reason = reason or next((str(one) for one in others if one.difference), "")
     return Comparison(not reason, identical and not reason, len(theirs), elsewhere, reason, left_out, tuple(others))
@@ -395,17 +405,18 @@ def _scan(stamp_ns: int, rate_hz: int) -> int:
     return (stamp_ns * rate_hz + NS_PER_S // 2) // NS_PER_S
 
 
-def _cuts(live: Sequence[_Row]) -> list[int]:
-    """Return where the data of the live analysis begin, and go on after lost blocks."""
-    after_loss = (row.begin for before, row in itertools.pairwise(live) if before.lost_blocks)
-    return [min(row.begin for row in live), *after_loss]
+def _blind(live: Sequence[_Row]) -> list[_Blind]:
+    """Return the scans that the live analysis has not seen: those before its first, and lost ones."""
+    lost = (_Blind(before.end, row.begin) for before, row in itertools.pairwise(live) if before.lost_blocks)
+    return [_Blind(-math.inf, min(row.begin for row in live)), *lost]
 
 
-def _comparable(row: _Row, own_cuts: Sequence[int], other_cuts: Sequence[int], others: Sequence[_Row]) -> bool:
+def _comparable(row: _Row, own: Sequence[_Blind], other: Sequence[_Blind], others: Sequence[_Row]) -> bool:
     """Return whether the other side saw all that a measurement was made from, and began it at the same change."""
-    if row.lost_blocks or row.end <= other_cuts[0] or any(row.begin < cut <= row.end for cut in other_cuts):
+    if row.lost_blocks or any(row.begin < blind.end and row.end > blind.begin for blind in other):
         return False
-    return row.begin not in own_cuts or row.begin in other_cuts or any(row.begin == other.begin for other in others)
+    begins = {blind.end for blind in other} | {one.begin for one in others}
+    return row.begin not in {blind.end for blind in own} or row.begin in begins
 
 
 def _difference(live: Sequence[_Row], ours: Sequence[_Row], late: int, *, exact: bool) -> tuple[str, bool]:

@@ -34,6 +34,12 @@ def whole() -> Messages:
     return messages()
 
 
+@pytest.fixture(scope="module")
+def long() -> Messages:
+    """With rows at 10.6 and 15.9 s, and one at 24.5 s, after a change at 16 s."""
+    return messages(26, (1600,))
+
+
 def compared(directory: Path, found: Messages) -> Comparison:
     with open_run(record(directory / "run", found)) as run:
         findings = list(reanalysis.analyze(run))
@@ -149,11 +155,36 @@ def test_a_row_that_is_missing_or_made_up_is_a_difference(tmp_path: Path) -> Non
     assert compared(tmp_path / "more", [*data[: place + 1], (name, extra), *data[place + 1 :]]).same is False
 
 
-def test_a_recording_that_lacks_blocks_is_compared_where_it_has_them(tmp_path: Path) -> None:
-    data = messages(again=AGAIN)
-    gap = [m for m in data if not (m[0] == "daq/scan" and 200 * TICK <= m[1].stamp_ns < 205 * TICK)]
+@pytest.mark.parametrize(("begin", "end"), [(200, 205), (900, 1200)], ids=["few", "a whole row"])
+def test_a_recording_that_lacks_blocks_is_compared_where_it_has_them(
+    long: Messages, tmp_path: Path, begin: int, end: int
+) -> None:
+    gap = [m for m in long if not (m[0] == "daq/scan" and begin * TICK <= m[1].stamp_ns < end * TICK)]
     found = compared(tmp_path, gap)
     assert found.same, found.reason
+    assert found.compared > 0
+
+
+@pytest.mark.parametrize(("begin", "end"), [(200, 205), (900, 1200)], ids=["few", "a whole row"])
+def test_an_analysis_that_was_stopped_for_a_while_is_compared_where_it_had_scans(
+    long: Messages, tmp_path: Path, begin: int, end: int
+) -> None:
+    """What was measured here from scans that live had lost is no row that live had missed."""
+    tracker, result = Tracker(), []
+    tracker.label(0.0, 0)
+    for name, table in long:
+        if name == TABLE:
+            continue
+        result.append((name, table))
+        if name == "daq/info":
+            tracker.configure(table)
+        elif name == "shaker/applied":
+            tracker.on_applied(table)
+        elif name == "daq/scan" and not begin * TICK <= table.stamp_ns < end * TICK:
+            result += [(TABLE, row) for row in tracker.feed(table).measurements]
+    found = compared(tmp_path, result)
+    assert found.same, found.reason
+    assert found.identical
     assert found.compared > 0
 
 
