@@ -124,8 +124,9 @@ def _print_last(console: Console, rows: NDArray[np.void]) -> None:
         console.print("no settled measurement in this run")
         return
     row = settled[-1]
+    spec = _places(row["transmissibility_uncertainty"])
     console.print(
-        f"DT {row['transmissibility']:.3f} ± {2 * row['transmissibility_uncertainty']:.3f} (2u), phase "
+        f"DT {row['transmissibility']:{spec}} ± {2 * row['transmissibility_uncertainty']:{spec}} (2u), phase "
         f"{math.degrees(row['phase']):.2f}°, at {row['frequency']:g} Hz: the last of {len(settled)} settled "
         "measurements"
     )
@@ -137,10 +138,13 @@ def _print_measurements(console: Console, rows: NDArray[np.void], *, everything:
     table = TextTable(right=("f [Hz]", "DT", "u(DT)", "phase [deg]", "gap [mm]", "impacts per cycle"))
     table.add_column("regime", no_wrap=True)
     table.add_column("status")
-    for row in rows if everything else rows[measured]:
+    shown = rows if everything else rows[measured]
+    uncertainties = shown["transmissibility_uncertainty"]
+    spec = _places(min(uncertainties[uncertainties > 0.0], default=math.nan))
+    for row in shown:
         table.add_row(
-            _number(row["frequency"], ".3f"), _number(row["transmissibility"], ".3f"),
-            _number(row["transmissibility_uncertainty"], ".3f"), _number(math.degrees(row["phase"]), ".2f"),
+            _number(row["frequency"], ".3f"), _number(row["transmissibility"], spec),
+            _number(row["transmissibility_uncertainty"], spec), _number(math.degrees(row["phase"]), ".2f"),
             _number(row["gap"] * 1e3, "g") or "unknown", _number(row["impacts_per_cycle"], ".2f"),
             row["regime"].decode(), row["status"].decode(),
         )  # fmt: skip
@@ -150,6 +154,11 @@ def _print_measurements(console: Console, rows: NDArray[np.void], *, everything:
         words, counts = np.unique(rows["status"][~measured], return_counts=True)
         why = ", ".join(f"{count} {word.decode()}" for word, count in zip(words, counts, strict=True))
         console.print(f"left out, as nothing was measured: {why} (docs/analysis.md explains; --all shows them)")
+
+
+def _places(u: float) -> str:
+    """Return the format that shows two digits of an uncertainty: three places, more where it would be shown as none."""
+    return f".{min(max(3, 1 - math.floor(math.log10(u))), 12)}f" if 0.0 < u < math.inf else ".3f"
 
 
 def _number(value: float, spec: str) -> str:
@@ -277,8 +286,9 @@ def _sine(console: Console, run: Run, arguments: argparse.Namespace) -> int:
     console.print(table)
     console.print(f"{found.excerpt}; phases are those of the samples to the current's, lag and skew in them")
     phase, u_phase = math.degrees(measured.phase_rad), math.degrees(measured.u_phase_rad)
+    spec = _places(measured.u_transmissibility)
     console.print(
-        f"DT {measured.transmissibility:.3f} ± {2 * measured.u_transmissibility:.3f}, phase {phase:.2f}° ± "
+        f"DT {measured.transmissibility:{spec}} ± {2 * measured.u_transmissibility:{spec}}, phase {phase:.2f}° ± "
         f"{2 * u_phase:.2f}°, lag and skew corrected ({measured.status.value})"
     )
     rows = found.excerpt.rows[: round(DRAWN_CYCLES / reference.frequency_hz * found.excerpt.rate_hz)]

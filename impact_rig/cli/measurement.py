@@ -165,6 +165,9 @@ def _print(console: Console, found: Measurement) -> None:
         si = row["unit"].decode()
         table.add_row(name, unit or si, channel, f"{values.min():.4g}", f"{values.max():.4g}", si)
     console.print(table)
+    untold = [name for name, channel in used.items() if not found.mapping.channels[channel].unit]
+    if untold:
+        console.print(f"no unit is told for {', '.join(untold)}: SI was taken; --channel laser=NAME mm says another")
     lost = int(found.index[-1] - found.index[0]) + 1 - len(found.index)
     gap = f", {lost} missing between them" if lost else ""
     console.print(f"{len(found.rows)} scans at {found.rate_hz} Hz, {len(found.rows) / found.rate_hz:.6g} s{gap}")

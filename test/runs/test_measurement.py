@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import wave
 from collections.abc import Callable
@@ -284,10 +285,27 @@ def test_the_command_shows_before_it_writes_and_makes_a_campaign(
     words = ["import", str(file), "--output", str(tmp_path / "out")]
     assert main([*words, "--dry-run"]) == 0
     assert not (tmp_path / "out").exists()
-    assert "nothing was written" in capsys.readouterr().out
+    said = " ".join(capsys.readouterr().out.split())
+    assert "nothing was written" in said
+    assert "no unit is told for accelerometer, laser, base, current: SI was taken" in said
     assert main([*words, "--campaign"]) == 0
     points = (tmp_path / "out" / "points.csv").read_text(encoding="utf-8").splitlines()
     assert len(points) == 2
     assert points[1].startswith("measured,0.006,9.1,")
     assert main(["report", str(tmp_path / "out")]) == 0
     assert main([*words]) == 1, "nothing is overwritten"
+
+
+def test_an_uncertainty_below_a_thousandth_is_not_shown_as_none(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A DT far above resonance, or of a base in a wrong unit: 0.064 ± 0.000 would say that it is exact."""
+    times, rng = np.arange(40000) / 2000, np.random.default_rng(1)
+    laser, base = (a * np.sin(2 * np.pi * 9.1 * times) + 1e-3 * rng.standard_normal(len(times)) for a in (1.0, 15.0))
+    np.savez(tmp_path / "own.npz", time=times, laser=laser, base=base)
+    assert main(["import", str(tmp_path / "own.npz"), "--output", str(tmp_path / "run"), "--frequency", "9.1"]) == 0
+    capsys.readouterr()
+    assert main(["analyze", str(tmp_path / "run")]) == 0
+    value, u = re.findall(r"DT ([0-9.]+) ± ([0-9.]+) \(2u\)", capsys.readouterr().out)[0]
+    assert float(u) > 0.0
+    assert abs(float(value) - 1 / 15) <= 1.5 * float(u)  # what is shown is 2u
