@@ -185,6 +185,27 @@ def test_the_state_says_what_the_measurement_does_and_since_when():
     assert seen[-1].since_ns == 28 * NS_PER_S
 
 
+def test_a_value_is_called_measured_no_longer_when_the_next_row_is_overdue():
+    """The sphere's wall has become softer, say: nobody told the analysis, but what it hears is what it said no more."""
+    made, rows = tracker(), record(seconds=20.0)
+    growth = 1.0 + 0.1 * np.maximum(np.arange(len(rows)) / RATE - 12.0, 0.0)
+    for channel in ("laser", "accelerometer"):
+        rows[channel] *= growth
+    seen = []
+    for table in blocks(rows, RATE, 20):
+        made.feed(table)
+        if not seen or seen[-1] != made.state:
+            seen.append(made.state)
+    assert [state.word for state in seen] == [
+        Analysis.AT_REST,
+        Analysis.SETTLING,
+        Analysis.MEASURING,
+        Analysis.SETTLING,
+    ]
+    assert 15.8 < seen[-1].since_ns / NS_PER_S < 16.6, "a window after the third row was due"
+    assert made.progress.windows < made.progress.needed
+
+
 def struck(rows, times_s, rate_hz=RATE):
     add_impacts(rows["accelerometer"], rate_hz, times_s, np.full(len(times_s), 0.4), np.resize([1, -1], len(times_s)))
     return rows

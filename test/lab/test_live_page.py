@@ -402,6 +402,13 @@ def test_a_recording_is_begun_and_ended(lab: Lab, page: Page) -> None:
     runs = list(lab.directory.glob("run_*/metadata.yaml"))
     assert len(runs) == 1
 
+    (lab.directory / "taken").touch()
+    lab.client.set_parameters("recorder", {"directory": str(lab.directory / "taken")})
+    page.click("#record")
+    page.wait("document.getElementById('recording').textContent === 'failed'", "the failure")
+    page.wait("/Nothing is recorded: .*taken/.test(document.getElementById('notice-text').textContent)", "the reason")
+    lab.client.set_parameters("recorder", {"directory": str(lab.directory)})
+
 
 def test_scope_spectrum_slow_motion_and_themes(page: Page) -> None:
     for span in ("0.05", "10"):
