@@ -174,6 +174,13 @@ def test_without_impacts_only_ratios_of_masses_and_forces_are_known():
     assert ratio == pytest.approx(TRUTH.structure.mass_kg / TRUTH.shaker.force_factor_n_a, rel=0.02)
 
 
+def test_a_point_whose_current_is_unsound_tells_transmissibility_and_phase():
+    measured = synthetic(np.random.default_rng(2))
+    measured.sine.base_per_a[1] = np.nan
+    ratio = [identify(measured, RigConfig()).value(name) for name in ("m_1", "K_f")]
+    assert ratio[0] / ratio[1] == pytest.approx(TRUTH.structure.mass_kg / TRUTH.shaker.force_factor_n_a, rel=0.02)
+
+
 def test_a_decay_alone_tells_frequency_and_damping_and_says_so():
     measured = attrs.evolve(synthetic(np.random.default_rng(3)), sine=None)
     found = identify(measured, RigConfig())

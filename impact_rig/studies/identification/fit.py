@@ -389,9 +389,10 @@ def _linear(measured: Measured, known: RigConfig, theta: Real, nuisance: Real) -
         u = np.stack([sine.u_amplitude, sine.u_amplitude, sine.u_phase])
         effects = np.stack([laser - base, base - current, np.zeros_like(base)])
         for row in range(3):
-            residuals.append((model[row] + effects[row] @ nuisance - data[row]) / u[row])
-            slopes.append(derivative[row] / u[row][:, None])
-            bends.append(effects[row] / u[row][:, None])
+            told = np.isfinite(data[row])  # a point whose current is unsound tells DT and phase
+            residuals.append(((model[row] + effects[row] @ nuisance - data[row]) / u[row])[told])
+            slopes.append((derivative[row] / u[row][:, None])[told])
+            bends.append((effects[row] / u[row][:, None])[told])
     prior = _prior(measured)
     uncertain = prior > 0.0  # what is known exactly bends nothing
     width = np.where(uncertain, prior, 1.0)
