@@ -37,6 +37,7 @@ from impact_rig.system.files import plain
 __all__ = ["Console", "Counted", "Steps", "TextTable", "Words", "tell_json", "tell_program"]
 
 LONGEST_HEADING = 11  # characters of a heading over numbers that stay in one line
+LARGEST_WIDTH = 10_000  # of a table, in characters
 LINES = 50  # of a progress that nobody watches, about
 
 
@@ -50,6 +51,11 @@ class Console(rich_console.Console):
 
     def __init__(self, *, quiet: bool = False, stderr: bool = False) -> None:
         super().__init__(markup=False, emoji=False, highlight=False, quiet=quiet, stderr=stderr)
+
+    def print(self, *objects: Any, **options: Any) -> None:
+        """Print; of a table that is wider than the terminal no number loses its last digits: the terminal breaks it."""
+        whole = {"crop": False} if any(isinstance(one, TextTable) for one in objects) else {}
+        super().print(*objects, **{**whole, **options})
 
     def render_str(self, text: str, **options: Any) -> Text:
         """Return a text as it is drawn, also in tables."""
@@ -86,6 +92,13 @@ class TextTable(rich_table.Table):
         widest = max((len(word) for line in lines for word in line.split()), default=0)
         keep = {"overflow": "fold", "no_wrap": flush, "min_width": widest}
         super().add_column(Text("\n".join(lines)), *arguments, **{**keep, **options})
+
+    def __rich_console__(
+        self, console: rich_console.Console, options: rich_console.ConsoleOptions
+    ) -> rich_console.RenderResult:
+        """Draw it, as wide as its numbers are where the terminal is narrower."""
+        least = self.__rich_measure__(console, options.update_width(LARGEST_WIDTH)).minimum
+        return super().__rich_console__(console, options.update_width(max(options.max_width, least)))
 
 
 class Words(TextColumn):

@@ -13,7 +13,7 @@ from rich.progress import Progress
 from rich.table import Table
 
 from impact_rig.cli import main
-from impact_rig.cli.terminal import Console, Words
+from impact_rig.cli.terminal import Console, TextTable, Words
 from impact_rig.errors import visible
 
 CLI = Path(__file__).parents[2] / "impact_rig" / "cli"
@@ -43,6 +43,18 @@ def test_text_in_tables_and_headings_is_printed_whole() -> None:
     table = Table(TRICKS, title=TRICKS, caption=TRICKS)
     table.add_row(TRICKS)
     assert drawn(table).count(SHOWN) == 4
+
+
+@pytest.mark.parametrize("width", [80, 38, 12])
+def test_no_number_in_a_table_loses_its_last_digits(width: int) -> None:
+    """9.105 Hz cut to 9.10 would be another frequency."""
+    console = Console()
+    console.file, console.width = io.StringIO(), width
+    table = TextTable(left=("what",), right=("f [Hz]", "DT", "u(DT)", "phase [deg]", "gap [mm]"))
+    table.add_row("a long name", "9.105", "63.567", "0.160", "-119.73", "6.25")
+    console.print(table)
+    shown = console.file.getvalue()
+    assert all(number in shown for number in ("9.105", "63.567", "0.160", "-119.73", "6.25")), shown
 
 
 def test_text_in_a_progress_display_is_printed_whole() -> None:
