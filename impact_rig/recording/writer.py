@@ -687,7 +687,8 @@ def _create(path: Path) -> int:
 def _write_all(fd: int, data: memoryview) -> None:
     done = 0
     while done < len(data):
-        done += os.write(fd, data[done:])
+        with data[done:] as rest:  # a traceback that held it would keep the buffer from being freed
+            done += os.write(fd, rest)
 
 
 TAIL_SUFFIX = ".tail"  # what follows the name of the recording
