@@ -428,13 +428,13 @@ class Client:
         if not response.success:
             raise ServiceFailedError(f"rig/pause: {response.message}")
 
-    def trigger(self, name: str, timeout_s: float = DEFAULT_TIMEOUT_S) -> str:
-        """Call a Trigger service, e.g. `rig/reset`, `recorder/start`; return its message.
+    def trigger(self, name: str, timeout_s: float = DEFAULT_TIMEOUT_S, *, may_be_silent: bool = False) -> str:
+        """Call a Trigger service, e.g. `rig/reset`, `recorder/start`; return its message. See `call`.
 
         Raises:
             ServiceFailedError: it answered `success = False`.
         """
-        response = self.call(Trigger, name, Trigger.Request(), timeout_s)
+        response = self.call(Trigger, name, Trigger.Request(), timeout_s, may_be_silent=may_be_silent)
         if not response.success:
             raise ServiceFailedError(f"{name}: {response.message}")
         return str(response.message)
@@ -446,6 +446,8 @@ class Client:
         request: Any,
         timeout_s: float = DEFAULT_TIMEOUT_S,
         again_s: float = math.inf,
+        *,
+        may_be_silent: bool = False,
     ) -> Any:
         """Call any service and return its response.
 
@@ -456,6 +458,7 @@ class Client:
             timeout_s: how long to wait for the service, and then for its answer.
             again_s: ask again after this long, where it does no harm: on a busy machine DDS loses the answer to a
                 client that the server has not discovered within 100 ms.
+            may_be_silent: a rig that says nothing for a while is not taken to be gone.
 
         Raises:
             WaitTimeoutError: there is no such service, or no answer, in time.
@@ -464,7 +467,8 @@ class Client:
         node = name.rpartition("/")[0]
         check = patiently
         if node in self._rigs and service_type not in LIFECYCLE:
-            check = self.given(name, node, may_be_silent=service_type is SetParametersAtomically)
+            may_be_silent |= service_type is SetParametersAtomically  # which may compile a law
+            check = self.given(name, node, may_be_silent=may_be_silent)
         client = self.prepare(service_type, name)
         self.wait_until(client.service_is_ready, f"service {name}", timeout_s, check)
         left = timeout_s

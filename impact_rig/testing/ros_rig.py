@@ -158,7 +158,8 @@ class RosRig(SteppedRig):
         if blocks != self._step_blocks:
             self.client.set_parameters("rig", {"step.blocks": blocks})
             self._step_blocks = blocks
-        self.client.trigger("rig/step", START_TIMEOUT_S)
+        # silent for seconds it may be where the machine is busy; whether it lives is known of its process
+        self.client.trigger("rig/step", START_TIMEOUT_S, may_be_silent=True)
         self.sample += blocks * self.block_scans
 
     def tables(self, topic: str = SCANS) -> list[Table]:

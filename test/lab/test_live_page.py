@@ -166,7 +166,7 @@ def curve(page: Page, directory: Path) -> None:
         ("scope-picture", "scope.png"),
     ):
         page.js(f"document.getElementById('{button}').click()")
-        wait_until((directory / name).exists, name)
+        wait_until(lambda path=directory / name: path.exists() and path.stat().st_size, name)
     lines = (directory / "transmissibility.csv").read_text().splitlines()
     assert lines[0].startswith("time_s,frequency_hz,transmissibility,standard_uncertainty")
     assert {line.count(",") for line in lines} == {12}
