@@ -5,17 +5,24 @@
 from __future__ import annotations
 
 import doctest
+import importlib
 import re
 import runpy
 import subprocess
+import sys
+from collections import Counter
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 pytest.importorskip("markdown_it", reason="comes with rich, except with Ubuntu's")
 
+from impact_rig import kernels
 from impact_rig.campaign.paper import FREQUENCY_HZ, REDUCTION_PERCENT
 from impact_rig.campaign.plan import load_campaign
+from impact_rig.kernels.build import PARTS
 from impact_rig.maps.plan import load_map
 from impact_rig.physics.prediction import transmissibility
 from impact_rig.rig.config import RigConfig, dump, load
@@ -29,8 +36,15 @@ BLOCKS = [block for page in TOOL["pages"]().values() for block in page.blocks]
 OURS = [block for block in BLOCKS if block.owner == "test/test_docs.py"]
 
 
-NO_SYMBOLS = {"d", "Σ"}
-"""The differential, and the sum."""
+NO_SYMBOLS = {"d", "Σ", "a"}
+"""The differential, the sum, and the article."""
+INDEXED = r"._([\dikjnq]|first|last)"
+SOURCES_LETTERS = {
+    "impact_rig.arithmetic.elementary",
+    "impact_rig.arithmetic.random",
+    "impact_rig.analysis.calibration",
+}
+"""Modules whose letters are those of their sources, as the glossary says."""
 
 
 def by_place(block):
@@ -52,15 +66,59 @@ def symbol_rows(page: str) -> list[list[str]]:
     return [line.strip("| ").split(" | ") for line in text.partition("\n\n")[0].splitlines()]
 
 
-def test_every_symbol_of_the_kernels_is_in_the_glossary():
-    """Every letter in the equations of docs/kernels.md, subscript included, has a unit, or a dash, and a meaning."""
-    page = (ROOT / "docs" / "kernels.md").read_text(encoding="utf-8").partition("| kernel | equation |")[2]
-    equations = re.sub("`[^`]*`|'s ", " ", page.partition("\n\n")[0])
-    used = set(re.findall(r"(?<!\w)[A-Za-zα-ωΑ-Ω](?:_\w+)?(?!\w)", equations)) - NO_SYMBOLS
-    assert len(used) > 20, "the page has no equations"
+def symbols_in(text: str) -> set[str]:
+    """The letters of equations, each with its subscript; one below Σ, or a number, is an index."""
+    found = re.findall(r"(?<![\w∂])[A-Za-zα-ωΑ-Ω](?:_\w+)?(?![\w-])", re.sub(r"`[^`]*`|'s ", " ", text))
+    return {re.sub(r"²|³", "", symbol) for symbol in found if symbol[0] not in NO_SYMBOLS}
+
+
+def known_symbols() -> list[str]:
+    """Every symbol of both tables, as often as it stands there."""
     rows = symbol_rows("glossary.md") + symbol_rows("physics.md")
-    assert used <= {symbol for row in rows for symbol in re.findall(r"[^\W\d](?:_\w+)?", row[0])}
     assert all(len(row) == 3 and all(row) for row in rows)
+    return [symbol for row in rows for symbol in row[0].split(", ")]
+
+
+def kernels_that_read_aloud() -> list[Callable[..., Any]]:
+    """All compiled functions but those that keep the letters of their sources."""
+    for part in PARTS.values():
+        for module in part:
+            importlib.import_module(f"impact_rig.{module}")
+    own = [one for one in kernels.kernels if one.__module__ not in SOURCES_LETTERS]
+    assert len(own) > 90, "the kernels were not found"
+    return own
+
+
+def test_a_symbol_of_the_kernels_means_one_thing():
+    assert [symbol for symbol, count in Counter(known_symbols()).items() if count > 1] == []
+
+
+def test_every_symbol_of_the_kernels_is_in_the_glossary():
+    """Every letter of the equations has a unit, or a dash, and a meaning: docs/kernels.md, heads of the modules."""
+    page = (ROOT / "docs" / "kernels.md").read_text(encoding="utf-8").partition("| kernel | equation |")[2]
+    equations = [page.partition("\n\n")[0]]
+    for module in {one.__module__ for one in kernels_that_read_aloud()}:
+        head = sys.modules[module].__doc__ or ""
+        equations.append("\n".join(line for line in head.splitlines() if line.startswith("    ")))
+    used = set().union(*map(symbols_in, equations))
+    assert len(used) > 50, "there are no equations"
+    known = set(known_symbols()) | {symbol.strip("`") for symbol in known_symbols()}
+    counted = {symbol[:2] for symbol in known if re.fullmatch(r"._[\dkn]", symbol)} | {
+        "φ_"
+    }  # C_n stands for C_1 as well
+    assert {one for one in used - known if not (one[:2] in counted and re.fullmatch(INDEXED, one))} == set()
+
+
+def test_every_letter_in_the_code_of_kernels_is_in_the_glossary():
+    known = {re.sub(r"`|'", "", symbol) for symbol in known_symbols()}
+    letters = {
+        (one.__module__, one.__name__, name)
+        for one in kernels_that_read_aloud()
+        for name in one.__code__.co_varnames
+        if re.fullmatch(r"[A-Za-z](_[a-z0-9]{1,2})?", name)
+    }
+    assert len(letters) > 200
+    assert {one for one in letters if one[2] not in known and not re.fullmatch(r"o_\d", one[2])} == set()
 
 
 def test_a_test_that_runs_a_page_reads_it():

@@ -2,10 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Drive cycles: a constant-memory reduction of the scans, from which every measurement is made.
 
-Each whole cycle of the drive is reduced to sums; the least-squares fit of IEEE Std 1057 (offset and H harmonics of the
-known frequency) needs nothing else. Its normal matrix follows from the sample instants in closed form:
+Each whole cycle of the drive is reduced to sums; the least-squares fit of IEEE Std 1057 (offset and harmonics of the
+known frequency) needs nothing else. With Ω the phase from one sample to the next, the fit is
 
-    y_k = C + Re Σ_h Y_h e^{ihφ_k},   φ_k = 2π k f / rate,   Σ_k e^{ijφ_k} = e^{ij(φ_0+φ_{n−1})/2} sin(nj∆/2)/sin(j∆/2)
+    value_k = offset + Re Σ_n Y_n e^{jnφ_k},    φ_k = Ω k,    Ω = 2π frequency / rate
+
+and its normal matrix follows from the sample instants in closed form:
+
+    Σ_k e^{jnφ_k} = e^{jn(φ_first + φ_last)/2} sin(samples n Ω/2) / sin(n Ω/2)
 
 Cycle m holds the samples k with m·rate/f <= k < (m+1)·rate/f, k counted from the last change of the drive, so neither
 the cycles nor their bits depend on how the stream was cut into blocks.
@@ -22,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig.analysis.calibration import Complex, Real
-from impact_rig.kernels import BYTES, INTEGERS, REALS, TABLE, VOLUME, entry, kernel
+from impact_rig.kernels import BYTES, INTEGERS, REALS, REALS_2D, REALS_3D, entry, kernel
 
 RANGE_BIT = 256
 """Bit in a cycle's flags for channel 0 outside its range or not finite; channel j uses RANGE_BIT << j."""
@@ -35,11 +39,11 @@ PHASE_BINS = 64
 
 @attrs.frozen(eq=False)
 class Cycles:
-    """n consecutive whole cycles of the drive, 4 channels in the order of `scans.CHANNELS`, H harmonics."""
+    """n consecutive whole cycles of the drive, 4 channels in the order of `scans.CHANNELS`, so many harmonics."""
 
     first: NDArray[np.int64]  # index of each cycle's first scan, counted like `Accumulator.origin`, shape (n,)
     samples: NDArray[np.int64]  # scans per cycle, shape (n,)
-    phasors: Complex  # Y_h in the channel's unit, drive phase zero at the origin, shape (n, 4, H)
+    phasors: Complex  # Y_n in the channel's unit, drive phase zero at the origin, shape (n, 4, harmonics)
     mean: Real  # mean per cycle, shape (n, 4)
     variance: Real  # variance about the mean per cycle, shape (n, 4)
     residual: Real  # residual sum of squares of the fit, shape (n, 4)
@@ -96,7 +100,7 @@ def usable_harmonics(rate_hz: int, frequency_hz: float, wanted: int) -> int:
 class Accumulator:
     """Reduces scans to cycles of `period` scans, fractions included; the state is a few dozen numbers.
 
-    H harmonics (`usable_harmonics`) are fitted; cycle 0 starts at scan `origin`; values at or below `low` and at or
+    `harmonics` (see `usable_harmonics`) are fitted; cycle 0 starts at scan `origin`; values at or below `low` and at or
     above `high`, shape (4,), are flagged.
     """
 
@@ -207,33 +211,35 @@ def _places(harmonics: int) -> tuple[NDArray[np.int64], ...]:
 @kernel
 def _add(plain, square, values):  # type: ignore[no-untyped-def]
     """Add values, shape (n, 4), and their squares to two sums, shape (4,)."""
-    a_0, a_1, a_2, a_3 = plain[0], plain[1], plain[2], plain[3]
-    b_0, b_1, b_2, b_3 = square[0], square[1], square[2], square[3]
-    for m in range(values.shape[0]):
-        y_0, y_1, y_2, y_3 = values[m, 0], values[m, 1], values[m, 2], values[m, 3]
-        a_0, a_1, a_2, a_3 = a_0 + y_0, a_1 + y_1, a_2 + y_2, a_3 + y_3
-        b_0, b_1, b_2, b_3 = b_0 + y_0 * y_0, b_1 + y_1 * y_1, b_2 + y_2 * y_2, b_3 + y_3 * y_3
-    plain[0], plain[1], plain[2], plain[3] = a_0, a_1, a_2, a_3
-    square[0], square[1], square[2], square[3] = b_0, b_1, b_2, b_3
+    plain_0, plain_1, plain_2, plain_3 = plain[0], plain[1], plain[2], plain[3]
+    square_0, square_1, square_2, square_3 = square[0], square[1], square[2], square[3]
+    for i in range(values.shape[0]):
+        plain_0, square_0 = plain_0 + values[i, 0], square_0 + values[i, 0] * values[i, 0]
+        plain_1, square_1 = plain_1 + values[i, 1], square_1 + values[i, 1] * values[i, 1]
+        plain_2, square_2 = plain_2 + values[i, 2], square_2 + values[i, 2] * values[i, 2]
+        plain_3, square_3 = plain_3 + values[i, 3], square_3 + values[i, 3] * values[i, 3]
+    plain[0], plain[1], plain[2], plain[3] = plain_0, plain_1, plain_2, plain_3
+    square[0], square[1], square[2], square[3] = square_0, square_1, square_2, square_3
 
 
 @kernel
 def _add_waves(cosine, sine, values, waves, at):  # type: ignore[no-untyped-def]
     """Add values, shape (n, 4), times columns `at` and `at` + 1 of `waves` to two sums, shape (4,)."""
-    a_0, a_1, a_2, a_3 = cosine[0], cosine[1], cosine[2], cosine[3]
-    b_0, b_1, b_2, b_3 = sine[0], sine[1], sine[2], sine[3]
-    for m in range(values.shape[0]):
-        x, z = waves[m, at], waves[m, at + 1]
-        y_0, y_1, y_2, y_3 = values[m, 0], values[m, 1], values[m, 2], values[m, 3]
-        a_0, a_1, a_2, a_3 = a_0 + y_0 * x, a_1 + y_1 * x, a_2 + y_2 * x, a_3 + y_3 * x
-        b_0, b_1, b_2, b_3 = b_0 + y_0 * z, b_1 + y_1 * z, b_2 + y_2 * z, b_3 + y_3 * z
-    cosine[0], cosine[1], cosine[2], cosine[3] = a_0, a_1, a_2, a_3
-    sine[0], sine[1], sine[2], sine[3] = b_0, b_1, b_2, b_3
+    cosine_0, cosine_1, cosine_2, cosine_3 = cosine[0], cosine[1], cosine[2], cosine[3]
+    sine_0, sine_1, sine_2, sine_3 = sine[0], sine[1], sine[2], sine[3]
+    for i in range(values.shape[0]):
+        first, second = waves[i, at], waves[i, at + 1]
+        cosine_0, sine_0 = cosine_0 + values[i, 0] * first, sine_0 + values[i, 0] * second
+        cosine_1, sine_1 = cosine_1 + values[i, 1] * first, sine_1 + values[i, 1] * second
+        cosine_2, sine_2 = cosine_2 + values[i, 2] * first, sine_2 + values[i, 2] * second
+        cosine_3, sine_3 = cosine_3 + values[i, 3] * first, sine_3 + values[i, 3] * second
+    cosine[0], cosine[1], cosine[2], cosine[3] = cosine_0, cosine_1, cosine_2, cosine_3
+    sine[0], sine[1], sine[2], sine[3] = sine_0, sine_1, sine_2, sine_3
 
 
 @entry(
-    TABLE, BYTES, int, int, REALS, REALS, float, INTEGERS, REALS, TABLE, TABLE, TABLE, REALS, REALS, VOLUME, INTEGERS,
-    TABLE, returns=(int, int),
+    REALS_2D, BYTES, int, int, REALS, REALS, float, INTEGERS, REALS, REALS_2D, REALS_2D, REALS_2D, REALS, REALS,
+    REALS_3D, INTEGERS, REALS_2D, returns=(int, int),
 )  # fmt: skip
 def _accumulate(
     samples: Real, status: NDArray[np.uint8], begin: int, end: int, low: Real, high: Real, period: float,
@@ -243,30 +249,31 @@ def _accumulate(
     """Add scans to the running sums; stop early when `out` is full. Return (cycles completed, next scan).
 
     place = [sample since the origin, cycle, first sample of the next cycle, flags],
-    rotor = [cos φ, sin φ, cos ∆, sin ∆], ∆ = φ per scan, sums[q, j] = Σ basis_q y_j, at last Σ y_j².
+    rotor = [cos φ, sin φ, cos Ω, sin Ω], sums[q, j] = Σ basis_q value_j, at last Σ value_j².
     The rotation is renewed from the sample number at each cycle, so its rounding never grows beyond one cycle.
     Each sum runs scan by scan; four channels and two sums side by side keep a processor busy.
     """
     harmonics = waves.shape[1] // 2
     k, cycle, stop, flags = place
-    c, s, step_c, step_s = rotor
+    cosine, sine, scan_cosine, scan_sine = rotor
     done = 0
     i = begin
     while i < end and done < len(out):
         count = min(end - i, stop - k, STRETCH)
-        for m in range(count):
-            flags |= status[i + m]
-            waves[m, 0], waves[m, 1] = c, s
-            ch, sh = c, s
-            for h in range(1, harmonics):
-                ch, sh = ch * c - sh * s, sh * c + ch * s
-                waves[m, 2 * h], waves[m, 2 * h + 1] = ch, sh
-            c, s = c * step_c - s * step_s, s * step_c + c * step_s
+        for q in range(count):
+            flags |= status[i + q]
+            waves[q, 0], waves[q, 1] = cosine, sine
+            wave_cosine, wave_sine = cosine, sine
+            for n in range(1, harmonics):
+                product = wave_cosine * cosine - wave_sine * sine
+                wave_cosine, wave_sine = product, wave_sine * cosine + wave_cosine * sine
+                waves[q, 2 * n], waves[q, 2 * n + 1] = wave_cosine, wave_sine
+            cosine, sine = cosine * scan_cosine - sine * scan_sine, sine * scan_cosine + cosine * scan_sine
         for j in range(4):
             before, largest = last[j], jump[j]
-            for m in range(count):
-                value = samples[j, i + m]
-                values[m, j] = value
+            for q in range(count):
+                value = samples[j, i + q]
+                values[q, j] = value
                 if not low[j] < value < high[j]:  # NaN compares false
                     flags |= RANGE_BIT << j
                 change = abs(value - before)
@@ -275,8 +282,8 @@ def _accumulate(
                 before = value
             last[j], jump[j] = before, largest
         _add(sums[0], sums[2 * harmonics + 1], values[:count])
-        for h in range(harmonics):
-            _add_waves(sums[2 * h + 1], sums[2 * h + 2], values[:count], waves, 2 * h)
+        for n in range(harmonics):
+            _add_waves(sums[2 * n + 1], sums[2 * n + 2], values[:count], waves, 2 * n)
         i += count
         k += count
         if k >= stop:
@@ -292,7 +299,7 @@ def _accumulate(
             flags = 0
             stop = math.ceil((cycle + 1) * period)
             angle = 2.0 * math.pi * (k - cycle * period) / period
-            c, s = math.cos(angle), math.sin(angle)
+            cosine, sine = math.cos(angle), math.sin(angle)
     place[0], place[1], place[2], place[3] = k, cycle, stop, flags
-    rotor[0], rotor[1] = c, s
+    rotor[0], rotor[1] = cosine, sine
     return done, i

@@ -5,10 +5,10 @@
 The vibration (up to 20 m/s² near 9 Hz) is removed by a second-order Butterworth high-pass; what is left of a contact of
 40 to 80 µs is a pulse, then the sensor's ringing (25 kHz behind a 10 kHz low-pass). An impact is a crossing of
 
-    threshold(t) = max(threshold_m_s2, noise_factor · rms,  ring_factor · peak · e^{−(t − t_last)/ring_time})
+    threshold = max(threshold_m_s2, noise_factor · rms,  ring_factor · peak · e^{−since/ring_time})
 
-with the rms of the quiet signal tracked, and peak and t_last those of the impact before. Its time is where the pulse
-passes ONSET of its peak, less the sensor's lag: within 10 µs of the first touch at 50 kS/s.
+with the rms of the quiet signal tracked, the peak that of the impact before, and the time since then. Its time is
+where the pulse passes ONSET of its peak, less the sensor's lag: within 10 µs of the first touch at 50 kS/s.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from impact_rig.analysis.cycles import PHASE_BINS, Cycles
 from impact_rig.analysis.scans import ACCELEROMETER
 from impact_rig.analysis.settings import ImpactSettings
 from impact_rig.blocks import DETECTED_IMPACTS, Table
-from impact_rig.kernels import INTEGERS, REALS, TABLE, entry
+from impact_rig.kernels import INTEGERS, REALS, REALS_2D, entry
 from impact_rig.simtime import COMMAND_GRID_NS, COMMAND_GRID_S
 
 ONSET = 0.45
@@ -132,47 +132,47 @@ class ImpactDetector:
         return impacts
 
 
-@entry(REALS, int, REALS, REALS, INTEGERS, REALS, INTEGERS, REALS, TABLE, returns=(int, int))
+@entry(REALS, int, REALS, REALS, INTEGERS, REALS, INTEGERS, REALS, REALS_2D, returns=(int, int))
 def _detect(
     acceleration: Real, begin: int, coefficients: Real, limits: Real, times: NDArray[np.int64], state: Real,
     place: NDArray[np.int64], history: Real, out: Real,
 ) -> tuple[int, int]:  # fmt: skip
     """Filter and watch samples from `begin`; stop early when `out` is full. Return (impacts found, next sample).
 
-    state = [z1, z2, variance, ring envelope, peak, sign, swing],
+    state = [memory_1, memory_2, variance, ring envelope, peak, sign, swing],
     place = [scan, blank, hunting, fresh, scan of the peak, scans since the last impact].
     While `hunting` counts down, the largest value of the crossing's sign is the peak, the largest of either sign the
     swing that the ringing is measured by.
     """
-    b0, b1, b2, a1, a2 = coefficients
+    in_0, in_1, in_2, out_1, out_2 = coefficients
     floor, noise_factor, ring_factor, decay, forget = limits
     look_ahead, blank_time, quiet_time = times
-    z1, z2, variance, ring, peak, sign, swing = state
+    memory_1, memory_2, variance, ring, peak, sign, swing = state
     scan, blank, hunting, fresh, peak_at, since = place
     count = 0
     i = begin
     while i < len(acceleration) and count < len(out):
-        x = acceleration[i]
+        value = acceleration[i]
         i += 1
-        if not math.isfinite(x):
+        if not math.isfinite(value):
             fresh, hunting = 1, 0
             scan += 1
             continue
         if fresh:  # the filter starts in the steady state of the first value
             fresh, blank = 0, blank_time
-            z1, z2 = -b0 * x, b2 * x
-        y = b0 * x + z1
-        z1 = b1 * x - a1 * y + z2
-        z2 = b2 * x - a2 * y
-        history[scan & HISTORY_MASK] = y
+            memory_1, memory_2 = -in_0 * value, in_2 * value
+        passed = in_0 * value + memory_1
+        memory_1 = in_1 * value - out_1 * passed + memory_2
+        memory_2 = in_2 * value - out_2 * passed
+        history[scan & HISTORY_MASK] = passed
         ring = ring * decay if ring > floor else 0.0  # never into the slow denormal numbers
         since += 1
         if hunting > 0:
-            if sign * y > peak:
-                peak, peak_at = sign * y, scan
-            elif -sign * y > FORERUNNER * peak:
-                sign, peak, peak_at = -sign, -sign * y, scan
-            swing = max(swing, abs(y))
+            if sign * passed > peak:
+                peak, peak_at = sign * passed, scan
+            elif -sign * passed > FORERUNNER * peak:
+                sign, peak, peak_at = -sign, -sign * passed, scan
+            swing = max(swing, abs(passed))
             hunting -= 1
             if hunting == 0:
                 level = ONSET * peak
@@ -188,17 +188,17 @@ def _detect(
         elif blank > 0:
             blank -= 1
             if 2 * blank < blank_time:  # the filter has settled: learn what is there
-                variance += 4.0 / blank_time * (y * y - variance)
-        elif abs(y) > floor and abs(y) > ring and y * y > noise_factor * noise_factor * variance:
+                variance += 4.0 / blank_time * (passed * passed - variance)
+        elif abs(passed) > floor and abs(passed) > ring and passed * passed > noise_factor * noise_factor * variance:
             hunting = look_ahead
-            sign = 1.0 if y > 0.0 else -1.0
-            peak, peak_at = sign * y, scan
+            sign = 1.0 if passed > 0.0 else -1.0
+            peak, peak_at = sign * passed, scan
             swing = peak
         else:
             clip = (RMS_CLIP if since > quiet_time else RMS_CLIP_RINGING) * variance
-            variance += forget * (min(y * y, clip) - variance)
+            variance += forget * (min(passed * passed, clip) - variance)
         scan += 1
-    state[0], state[1], state[2], state[3] = z1, z2, variance, ring
+    state[0], state[1], state[2], state[3] = memory_1, memory_2, variance, ring
     state[4], state[5], state[6] = peak, sign, swing
     place[0], place[1], place[2], place[3], place[4], place[5] = scan, blank, hunting, fresh, peak_at, since
     return count, i

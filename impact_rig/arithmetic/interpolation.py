@@ -1,10 +1,11 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""Polynomials of degree seven through eight Chebyshev points x_j = cos((2j + 1) π/16) of a piece, x = −1 … 1 on it.
+"""Polynomials of degree seven on a piece, x = −1 … 1, through eight Chebyshev points node_q = cos((2q + 1) π/16).
 
-    u(x) = Σ_k c_k x^k, c = V⁻¹ u(x_j), V_jk = x_j^k;   column j of V⁻¹ holds Lagrange's Π_{i≠j} (x − x_i) / (x_j − x_i)
+    S(x) = Σ_k S_k x^k,   S_k = Σ_q TO_MONOMIALS[k, q] S(node_q)
 
-A smooth u is met to 2 (ω h / 4)^8 / 8! on a piece of length h: below 1e-5 at half a period, 1e-15 at a hundredth.
+Column q of TO_MONOMIALS holds Lagrange's Π_{i≠q} (x − node_i) / (node_q − node_i). A smooth S of angular frequency ω is
+met to 2 (ω half / 2)^8 / 8! on a piece: below 1e-5 at half a period, 1e-15 at a hundredth.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig.arithmetic.precise import ONE, ZERO, dot, pi, precise, unit
-from impact_rig.kernels import INTEGERS, REALS, TABLE, entry, kernel
+from impact_rig.kernels import INTEGERS, REALS, REALS_2D, entry, kernel
 
 NODES = 8
 PIECE_TERMS = 14
@@ -24,7 +25,7 @@ PIECE_TERMS = 14
 
 @precise
 def _chebyshev() -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return the nodes, ascending, V⁻¹, and V⁻¹ x_j^k, k = NODES … PIECE_TERMS − 1, of many digits and rounded once."""
+    """Return the nodes, ascending, TO_MONOMIALS, and what it makes of node^k, k = NODES … PIECE_TERMS − 1."""
     x = [unit(pi() * (2 * j + 1) / (2 * NODES)).real for j in reversed(range(NODES))]
     columns = []
     for j, node in enumerate(x):
@@ -95,7 +96,7 @@ def _nodes(start, end, tick, ticks, offsets):  # type: ignore[no-untyped-def]
             offsets[i * NODES + j] = centre + half * NODE_AT[j]
 
 
-@entry(TABLE, TABLE)
+@entry(REALS_2D, REALS_2D)
 def _to_monomials(values, coefficients):  # type: ignore[no-untyped-def]
     for i in range(values.shape[0]):
         through_nodes(values[i], coefficients[i])

@@ -16,7 +16,7 @@ from impact_rig.arithmetic.interpolation import polynomials
 from impact_rig.instruments.conversion import CHANNEL, STRETCH, TWO_D_FLAGS, to_units, to_volts
 from impact_rig.instruments.pieces import PIECES, Pieces
 from impact_rig.instruments.response import SENSOR_MODE, SERIES, first_value, set_period, settle, through_piece
-from impact_rig.kernels import INTEGERS, REALS, TABLE, VOLUME, Fields, entry, kernel
+from impact_rig.kernels import INTEGERS, REALS, REALS_2D, REALS_3D, Fields, entry, kernel
 
 
 class Clock(NamedTuple):
@@ -47,7 +47,7 @@ class Buffers(NamedTuple):
     since: NDArray[np.float64]
 
 
-BUFFERS = Fields(Buffers, (TABLE, TWO_D_FLAGS, REALS, TABLE, REALS))
+BUFFERS = Fields(Buffers, (REALS_2D, TWO_D_FLAGS, REALS, REALS_2D, REALS))
 
 
 def new_buffers(channels: int, room: int) -> Buffers:
@@ -97,7 +97,7 @@ def _respond(channel, modes, clock, pieces, coefficients, kicks, values, buffers
     channel.converted += channel.filled - channel.begun
 
 
-@entry(SENSOR_MODE, CHANNEL, CLOCK, PIECES, VOLUME, TABLE, BUFFERS)
+@entry(SENSOR_MODE, CHANNEL, CLOCK, PIECES, REALS_3D, REALS_2D, BUFFERS)
 def respond(modes, channels, clock, pieces, coefficients, kicks, buffers):  # type: ignore[no-untyped-def]
     """Run all channels up to the volts of their cables.
 

@@ -163,12 +163,12 @@ def _add_polynomial(total, first, spacing, out):  # type: ignore[no-untyped-def]
         largest = max(largest, abs(total[k]))
         if k >= _SHORT:
             beyond = max(beyond, abs(total[k]))
-    c_0, c_1, c_2, c_3, c_4 = total[0], total[1], total[2], total[3], total[4]  # read once, not for each conversion
-    c_5, c_6, c_7, c_8, c_9 = total[5], total[6], total[7], total[8], total[9]
+    o_0, o_1, o_2, o_3, o_4 = total[0], total[1], total[2], total[3], total[4]  # read once, not for each conversion
+    o_5, o_6, o_7, o_8, o_9 = total[5], total[6], total[7], total[8], total[9]
     for i in range(out.shape[0]):
         x = first + i * spacing
-        upper = c_5 + x * (c_6 + x * (c_7 + x * (c_8 + x * c_9)))
-        out[i] = c_0 + x * (c_1 + x * (c_2 + x * (c_3 + x * (c_4 + x * upper))))
+        upper = o_5 + x * (o_6 + x * (o_7 + x * (o_8 + x * o_9)))
+        out[i] = o_0 + x * (o_1 + x * (o_2 + x * (o_3 + x * (o_4 + x * upper))))
     if beyond > _LOST * largest:
         for i in range(out.shape[0]):
             x = first + i * spacing

@@ -127,7 +127,7 @@ class Exported(NamedTuple):
     around: Callable[[Callable[..., Any]], Callable[..., Any]] | None = None
 
 
-REALS, TABLE, VOLUME = (Array(np.dtype("f8"), dimensions) for dimensions in (1, 2, 3))
+REALS, REALS_2D, REALS_3D = (Array(np.dtype("f8"), dimensions) for dimensions in (1, 2, 3))
 INTEGERS, WORDS, BYTES, FLAGS = (Array(np.dtype(kind)) for kind in ("i8", "u8", "u1", "?"))
 
 entries: dict[str, Entry] = {}

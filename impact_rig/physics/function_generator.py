@@ -130,7 +130,7 @@ class BandNoise:
 
 @entry(_SECTION, _MEMORY, REALS)
 def run(sections, memory, samples):  # type: ignore[no-untyped-def]  # compiled: types are inferred
-    """Filter samples in place, in transposed direct form II: y = x + m_1, m_1' = m_2 − a_1 y, m_2' = −x − a_2 y."""
+    """Filter samples in place, in transposed direct form II, records of both coefficients and of what they remember."""
     for i in range(samples.shape[0]):
         value = samples[i]
         for k in range(sections.shape[0]):

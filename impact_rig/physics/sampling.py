@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from impact_rig.arithmetic.elementary import sincos
 from impact_rig.arithmetic.interpolation import NODE_AT, NODES, PIECE_TERMS, shorten, through_nodes
-from impact_rig.kernels import FLAGS, INTEGERS, REALS, TABLE, VOLUME, Fields, entry, kernel
+from impact_rig.kernels import FLAGS, INTEGERS, REALS, REALS_2D, REALS_3D, Fields, entry, kernel
 from impact_rig.physics.collocation import LAST
 from impact_rig.physics.contact_phase import conclude, take_next_step
 from impact_rig.physics.contact_step import (
@@ -126,7 +126,7 @@ class Query(NamedTuple):
     out: NDArray[np.float64]
 
 
-QUERY = Fields(Query, (INTEGERS, INTEGERS, REALS, TABLE))
+QUERY = Fields(Query, (INTEGERS, INTEGERS, REALS, REALS_2D))
 
 
 class Spans(NamedTuple):
@@ -147,7 +147,7 @@ class Spans(NamedTuple):
     out: NDArray[np.float64]
 
 
-SPANS = Fields(Spans, (INTEGERS, INTEGERS, REALS, REALS, VOLUME))
+SPANS = Fields(Spans, (INTEGERS, INTEGERS, REALS, REALS, REALS_3D))
 
 
 class SamplingWorkspace(NamedTuple):
@@ -182,7 +182,7 @@ class SamplingWorkspace(NamedTuple):
 
 SAMPLING_WORKSPACE = Fields(
     SamplingWorkspace,
-    (FLIGHT, CONTACT_STEP, STATE, TABLE, REALS, TABLE, REALS, INTEGERS, INTEGERS, REALS, TABLE),
+    (FLIGHT, CONTACT_STEP, STATE, REALS_2D, REALS, REALS_2D, REALS, INTEGERS, INTEGERS, REALS, REALS_2D),
 )
 
 

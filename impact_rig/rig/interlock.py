@@ -18,13 +18,13 @@ from numpy.typing import NDArray
 from impact_rig.arithmetic.elementary import exp
 from impact_rig.config import Drive, Shaker
 from impact_rig.errors import CommandError
-from impact_rig.kernels import INTEGERS, REALS, TABLE, entry, for_kernels
+from impact_rig.kernels import INTEGERS, REALS, REALS_2D, entry, for_kernels
 from impact_rig.physics import Motion
 from impact_rig.physics.flight import SEGMENT
 
 LOOKS_PER_TICK = 10
 """1 ms apart, with the extremes between them from position and velocity: at the 30 Hz below which this shaker can reach
-its stops, these are found to 3e-6 (h⁴ ω⁴ / 384)."""
+its stops, these are found to 3e-6 (spacing⁴ ω⁴ / 384)."""
 CURRENT_TIME_S = 1.0
 """Averaging time of the rms current."""
 OVER_CURRENT_MARGIN = 1.05
@@ -98,7 +98,7 @@ def _instants(ticks: int, tick_s: float) -> tuple[NDArray[np.int64], NDArray[np.
     return tick, np.tile(np.arange(LOOKS_PER_TICK + 1) * (tick_s / LOOKS_PER_TICK), ticks)
 
 
-@entry(TABLE, REALS)
+@entry(REALS_2D, REALS)
 def mean_square(values, found):  # type: ignore[no-untyped-def]  # compiled: types are inferred
     """Fill `found` with the mean of the squares in each row of values but the first, which ends the tick before.
 
@@ -123,25 +123,26 @@ def mean_square_of_lines(segments, ticks, tick_s, found):  # type: ignore[no-unt
         found[tick] = total / tick_s
 
 
-@entry(TABLE, TABLE, float, REALS)
-def largest(position, velocity, step_s, found):  # type: ignore[no-untyped-def]
+@entry(REALS_2D, REALS_2D, float, REALS)
+def largest(position, velocity, spacing_s, found):  # type: ignore[no-untyped-def]
     """Fill `found` with the largest |position| of each row, between the samples as well, shape (rows,).
 
-    position [m] and its rate, velocity [m/s], have shape (rows, n), samples `step_s` [s] apart: so short that the
+    position [m] and its rate, velocity [m/s], have shape (rows, n), samples `spacing_s` [s] apart: so short that the
     velocity changes its sign at most once in it. Between two samples the position is the cubic through both ends,
-    y0 + q (d0 + q (a + q b)) with the slope d0 + q (2 a + 3 b q), q = 0 … 1.
+    low + x (low_rate + x (square + cube x)), x = 0 … 1.
     """
     for row in range(position.shape[0]):
         found[row] = abs(position[row, 0])
         for i in range(position.shape[1] - 1):
-            y0, y1 = position[row, i], position[row, i + 1]
-            d0, d1 = step_s * velocity[row, i], step_s * velocity[row, i + 1]
-            found[row] = max(found[row], abs(y1))
-            if d0 * d1 < 0.0:  # it turns in between
-                a, b = 3.0 * (y1 - y0) - 2.0 * d0 - d1, d0 + d1 - 2.0 * (y1 - y0)
-                bottom = a + math.copysign(math.sqrt(a * a - 3.0 * b * d0), d1)
-                q = min(1.0, max(0.0, -d0 / bottom)) if bottom != 0.0 else 0.0
-                found[row] = max(found[row], abs(y0 + q * (d0 + q * (a + q * b))))
+            low, high = position[row, i], position[row, i + 1]
+            low_rate, high_rate = spacing_s * velocity[row, i], spacing_s * velocity[row, i + 1]
+            found[row] = max(found[row], abs(high))
+            if low_rate * high_rate < 0.0:  # it turns in between
+                square = 3.0 * (high - low) - 2.0 * low_rate - high_rate
+                cube = low_rate + high_rate - 2.0 * (high - low)
+                bottom = square + math.copysign(math.sqrt(square * square - 3.0 * cube * low_rate), high_rate)
+                x = min(1.0, max(0.0, -low_rate / bottom)) if bottom != 0.0 else 0.0
+                found[row] = max(found[row], abs(low + x * (low_rate + x * (square + x * cube))))
 
 
 def check_frequency(frequency_hz: float, shaker: Shaker) -> None:
