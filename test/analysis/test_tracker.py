@@ -206,6 +206,20 @@ def test_a_value_is_called_measured_no_longer_when_the_next_row_is_overdue():
     assert made.progress.windows < made.progress.needed
 
 
+def test_a_window_more_is_promised_as_long_as_the_transient_lasts():
+    made, rows = tracker(), record(seconds=12.0)
+    for channel in ("laser", "accelerometer"):
+        rows[channel] *= 1.0 + 0.1 * np.arange(len(rows)) / RATE
+    seen = set()
+    for table in blocks(rows, RATE, 20):
+        if made.feed(table).measurements:  # given up
+            break
+        if (progress := made.progress) is not None:
+            seen.add(progress.windows)
+            assert progress.windows < progress.needed
+    assert max(seen) > TrackerSettings().windows
+
+
 def struck(rows, times_s, rate_hz=RATE):
     add_impacts(rows["accelerometer"], rate_hz, times_s, np.full(len(times_s), 0.4), np.resize([1, -1], len(times_s)))
     return rows

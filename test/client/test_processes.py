@@ -47,11 +47,9 @@ def test_ports_of_killed_processes_are_removed_and_those_in_use_are_not(tmp_path
             remove_litter(domain_id)
             assert ports() == used
             assert client.state("analysis") == "active"
-        used = ports()
-        assert used
         processes.running["analysis"].signal(signal.SIGKILL)
         processes.running["analysis"].wait(5)
-        assert ports() == used
+        assert ports(), "nothing is left to be removed"  # beside what the client may still be taking away
         remove_litter(domain_id)
         assert not ports()
 

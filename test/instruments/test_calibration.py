@@ -42,9 +42,11 @@ def curve(sensor, errors, values):
     return (volts - channel["offset"]) / channel["gain"] - values
 
 
-@pytest.mark.parametrize("index", [1, 2])
-def test_linearity_stays_within_its_limit_and_holds_no_gain(index):
+@pytest.mark.parametrize(("index", "shift"), [(1, 0.0), (2, 0.0), (1, 0.4)])
+def test_linearity_stays_within_its_limit_and_holds_no_gain(index, shift):
     sensor = sensors(configured(laser__resolution_m=0))[index]
+    shift *= sensor.half_range  # a range need not lie about zero
+    sensor = attrs.evolve(sensor, low=sensor.low + shift, high=sensor.high + shift)
     values = np.linspace(0.995 * sensor.low, 0.995 * sensor.high, 201)  # short of where it clips
     rng = Random(5)
     largest = 0.0
