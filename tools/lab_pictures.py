@@ -24,7 +24,7 @@ from impact_rig.lab.gateway import Own  # noqa: E402
 from impact_rig.lab.live import LiveSource  # noqa: E402
 from impact_rig.lab.playback import PlaybackSource  # noqa: E402
 from impact_rig.lab.server import Server  # noqa: E402
-from impact_rig.runs.in_process import make  # noqa: E402
+from impact_rig.runs.in_process import make_sample  # noqa: E402
 
 IMAGES = ROOT / "docs" / "images"
 FRAMES, FRAME_MS = 24, 60
@@ -86,7 +86,7 @@ def live(browser: Browser, directory: Path) -> None:
 
 def playback(browser: Browser, directory: Path) -> None:
     """The sample, held at an impact."""
-    source = PlaybackSource([make(directory / "sample")])
+    source = PlaybackSource([make_sample(directory / "sample")])
     with Server(source, port=0) as server, source:
         page = browser.page(1280, 800, prefers_color_scheme="light")
         page.goto(server.address)

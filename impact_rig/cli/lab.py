@@ -160,6 +160,6 @@ def node_parameters(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
 
 
 def _sample() -> Path:
-    from impact_rig.runs.in_process import make  # noqa: PLC0415
+    from impact_rig.runs.in_process import make_sample  # noqa: PLC0415
 
-    return make(SAMPLE)
+    return make_sample(SAMPLE)

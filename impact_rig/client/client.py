@@ -212,7 +212,7 @@ class Spinner:
 T = TypeVar("T")
 
 DEFAULT_TIMEOUT_S = 10.0  # discovery takes 0.2 to 2 s; compiled code may load in the first seconds of a node
-START_TIMEOUT_S = 240.0  # a node's first start on a machine compiles the physics
+START_TIMEOUT_S = 240.0  # without the library of kernels a node's first start compiles the physics
 LIFECYCLE = (ChangeState, GetState)  # services by which rigs are begun and ended; a transition may take minutes
 RIG = "simulation"  # component in the diagnostics of a rig
 AGAIN_S = 2.0  # when a question that may be asked twice is asked again

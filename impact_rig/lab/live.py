@@ -162,8 +162,9 @@ class LiveSource(Source):
         if gateway is None:
             return
         seen = {node: gateway.seen(node) for node in states.BY_NODE}
-        doubts: list[str] = []
-        self.guard("doubts", lambda: doubts.extend(record.doubts()))
+        doubts = self.guard("doubts", record.doubts)
+        if doubts is None:
+            doubts = ["what speaks against it cannot be told"]
         parts: dict[str, Callable[[], Any]] = {
             "sources": lambda: {node: one.part() for node, one in seen.items()},
             "rig": lambda: self._rig(seen, doubts),

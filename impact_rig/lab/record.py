@@ -12,7 +12,7 @@ import math
 import threading
 from collections import deque
 from collections.abc import Callable, Mapping
-from typing import Any  # what goes to JSON
+from typing import Any, TypeVar  # Any: what goes to JSON
 
 import attrs
 import numpy as np
@@ -31,6 +31,7 @@ BODIES = 3
 MOST_ROWS = 400
 MOST_ENTRIES = 300
 MOST_APPLIED = 100
+T = TypeVar("T")
 ABOUT = {
     Status.ACCELEROMETER_OVER_RANGE.value: "accelerometer", Status.ACCELEROMETER_UNSOUND.value: "accelerometer",
     Status.CURRENT_UNSOUND.value: "current",
@@ -387,14 +388,15 @@ class Record:
         return self.applied[-1][1] if self.applied else None
 
 
-def guard(refused: dict[str, list[Any]], what: str, work: Callable[[], Any]) -> None:
-    """Do something with what others have published; where it fails, count that: whatever it is, the rest goes on."""
+def guard(refused: dict[str, list[Any]], what: str, work: Callable[[], T]) -> T | None:
+    """Return what is made of what others have published, or None where that fails: it is counted, the rest goes on."""
     try:
-        work()
+        return work()
     except Exception as error:
         count = refused.setdefault(what, [0, ""])
         count[0] += 1
         count[1] = str(error) if isinstance(error, ImpactRigError) else f"{type(error).__name__}: {error}"
+        return None
 
 
 def came_before(changed_ns: int, row: Judged) -> bool:

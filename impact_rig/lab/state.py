@@ -15,7 +15,7 @@ import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Self  # Any: what goes to JSON
+from typing import Any, Self, TypeVar  # Any: what goes to JSON
 
 import attrs
 
@@ -35,6 +35,7 @@ HURRIED = 1.5
 """Speed from which on pictures come now and then: nobody sees every cycle, and rig and analysis need the machine."""
 FOLLOWED = 4.5
 """Speed up to which the motion is drawn: beyond it nobody can follow, and publishing it costs the rig a tenth."""
+T = TypeVar("T")
 STALE_S = 3.0  # rig time that has not moved for so long stands still
 GAP_S = 10.0  # two readings further apart say nothing about the speed between them
 KNOBS = (
@@ -110,7 +111,7 @@ def judge(rig: Seen, analysis: Seen, doubts: Sequence[str] = ()) -> tuple[str, s
     """Return the state of the whole in one word and one sentence.
 
     The word is `measured`, the only one that says that a measurement holds, where the analysis says so and nothing
-    speaks against it.
+    speaks against it: `doubts` are faults in force, channels that are not well, changes since it began.
     """
     if rig.ended:
         return "dead", f"The rig is gone: {rig.ended}."
@@ -288,9 +289,9 @@ class Source(abc.ABC):
             self._thread.join()
         self.theory.close()
 
-    def guard(self, what: str, work: Callable[[], Any]) -> None:
+    def guard(self, what: str, work: Callable[[], T]) -> T | None:
         """Do a part of a turn; where it fails that is counted, and the rest goes on: STOP is sent from here."""
-        guard(self.failures, what, work)
+        return guard(self.failures, what, work)
 
     def tell(self, parts: Mapping[str, Callable[[], Any]], values: Mapping[str, Any]) -> None:
         """Bring the snapshot up to date: a part that cannot be told does not keep the others back.

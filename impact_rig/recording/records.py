@@ -111,6 +111,8 @@ def split(view: memoryview, offset: int, *, end: int | None = None) -> tuple[int
 def decompress(chunk: mcap_records.Chunk, *, need_crc: bool = False) -> memoryview:
     """Return the records of `chunk`, checked against its size and checksum; memory stays within its claimed size.
 
+    One without a checksum (0) is taken, unless `need_crc`.
+
     Raises:
         DamageError: size or checksum differ, or the data cannot be decompressed.
     """

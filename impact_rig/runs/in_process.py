@@ -131,7 +131,7 @@ SAMPLE_TOPICS = tuple(topic.name for topic in (*PUBLISHED, *ANALYSED))
 GAP_M = 6e-3
 
 
-def make(directory: Path) -> Path:
+def make_sample(directory: Path) -> Path:
     """Return the directory of a short run to look at when there is no other, made if there is none."""
     if directory.is_dir():
         try:

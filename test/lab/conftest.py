@@ -34,6 +34,6 @@ def open_page(browser: Browser) -> Iterator[Callable[..., Page]]:
 
 @pytest.fixture(scope="session")
 def sample(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    from impact_rig.runs.in_process import make
+    from impact_rig.runs.in_process import make_sample
 
-    return make(tmp_path_factory.mktemp("lab") / "sample")
+    return make_sample(tmp_path_factory.mktemp("lab") / "sample")

@@ -22,7 +22,7 @@ from kits.browser import PATIENCE_S, Page, wait_until
 from impact_rig import topics
 from impact_rig.cli import main
 from impact_rig.recording import open_run
-from impact_rig.runs.in_process import make
+from impact_rig.runs.in_process import make_sample
 
 PROGRAM = [sys.executable, "-c", "from impact_rig.cli import main; raise SystemExit(main())"]
 
@@ -60,7 +60,7 @@ def test_a_run_is_there_at_once(sample: Path, open_page: Callable[..., Page], tm
 
 def test_the_sample_says_what_the_analysis_was_set_to(sample: Path, capsys: pytest.CaptureFixture[str]) -> None:
     written = {path.name: path.stat().st_mtime_ns for path in sample.iterdir()}
-    assert make(sample) == sample
+    assert make_sample(sample) == sample
     assert {path.name: path.stat().st_mtime_ns for path in sample.iterdir()} == written
     assert main(["analyze", str(sample)]) == 0
     words = capsys.readouterr().out
@@ -72,9 +72,9 @@ def test_a_sample_of_an_earlier_version_is_made_anew(tmp_path: Path, monkeypatch
     with monkeypatch.context() as before:
         before.setattr("impact_rig.runs.in_process.SAMPLE_S", 0)
         before.setattr("impact_rig.runs.in_process.SAMPLE_TOPICS", (topics.INFO.name, topics.ANALYSIS_SETTINGS.name))
-        make(tmp_path / "sample")
+        make_sample(tmp_path / "sample")
     monkeypatch.setattr("impact_rig.runs.in_process.SAMPLE_S", 1)
-    with open_run(make(tmp_path / "sample")) as run:
+    with open_run(make_sample(tmp_path / "sample")) as run:
         assert f"/rig/{topics.SCAN.name}" in run.topics
 
 

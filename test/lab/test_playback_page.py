@@ -15,11 +15,14 @@ import pytest
 from kits.browser import PATIENCE_S, Page, wait_until
 from kits.recorded_rig import Messages, edited, messages, record
 
+from impact_rig import topics
+from impact_rig.blocks import Table
 from impact_rig.cli.main import main
 from impact_rig.errors import RecordingError
 from impact_rig.lab.playback import PlaybackSource
 from impact_rig.lab.protocol import Request
 from impact_rig.lab.server import Server
+from impact_rig.simtime import NS_PER_S
 
 
 @pytest.fixture
@@ -155,6 +158,24 @@ def test_a_recorded_value_holds_only_until_something_changes(recorded: Messages,
         assert "latched by emergency stop" in source.snapshot.get("rig")["text"]
         asked(source, "seek", value=11.79)
         assert source.snapshot.get("faults") == []
+
+
+def test_a_recorded_value_does_not_hold_over_a_fault(recorded: Messages, tmp_path: Path) -> None:
+    measured_ns = next(table.stamp_ns for name, table in recorded if name == "transmissibility/table")
+    row = np.zeros(1, topics.FAULTS.columns)
+    row["id"], row["active"], row["kind"], row["channel"] = 1, 1, b"dropout", b"laser"
+    fault = Table(measured_ns + NS_PER_S // 10, row)
+    place = next(
+        n for n, (name, table) in enumerate(recorded) if name == "daq/scan" and table.stamp_ns > fault.stamp_ns
+    )
+    run = record(tmp_path / "run", [*recorded[:place], ("truth/faults", fault), *recorded[place:]])
+    with PlaybackSource([run]) as source:
+        wait_until(lambda: (source.snapshot.get("playback") or {}).get("read") == 1.0, "the marks")
+        asked(source, "play", value=False)
+        for later_s, holds in ((0.05, True), (0.15, False)):
+            asked(source, "seek", value=measured_ns / NS_PER_S + later_s)
+            assert source.snapshot.get("dt_now")["state"] == "measuring"
+            assert source.snapshot.get("dt_now")["holds"] is holds, source.snapshot.get("faults")
 
 
 def test_blocks_that_are_missing_are_counted(recorded: Messages, tmp_path: Path) -> None:

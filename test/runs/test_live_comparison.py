@@ -51,8 +51,8 @@ def live_rows(found: Messages) -> int:
     return sum(name == TABLE for name, _ in found)
 
 
-def measured_live(found: Messages, from_ns: int) -> Messages:
-    """The same run with a live analysis that joined at an instant: it knows what is latched, and sees what follows."""
+def measured_live(found: Messages, hears: Callable[[int], bool]) -> Messages:
+    """The same run with a live analysis that knows what is latched, and hears the blocks of some instants."""
     tracker, result = Tracker(), []
     tracker.label(0.0, 0)
     for name, table in found:
@@ -63,7 +63,7 @@ def measured_live(found: Messages, from_ns: int) -> Messages:
             tracker.configure(table)
         elif name == "shaker/applied":
             tracker.on_applied(table)
-        elif name == "daq/scan" and table.stamp_ns >= from_ns:
+        elif name == "daq/scan" and hears(table.stamp_ns):
             result += [(TABLE, row) for row in tracker.feed(table).measurements]
     return result
 
@@ -130,7 +130,7 @@ def test_a_recorder_that_came_late_is_compared_from_the_first_shared_change(
 
 @pytest.mark.parametrize("joined", [30, 160, 333], ids=lambda blocks: f"{blocks} blocks")
 def test_an_analysis_that_joined_late_is_compared_from_the_first_shared_change(tmp_path: Path, joined: int) -> None:
-    found = compared(tmp_path, measured_live(messages(again=AGAIN), joined * TICK))
+    found = compared(tmp_path, measured_live(messages(again=AGAIN), lambda stamp_ns: stamp_ns >= joined * TICK))
     assert found.same, found.reason
     assert found.identical
     assert found.compared > 0
@@ -170,19 +170,7 @@ def test_an_analysis_that_was_stopped_for_a_while_is_compared_where_it_had_scans
     long: Messages, tmp_path: Path, begin: int, end: int
 ) -> None:
     """What was measured here from scans that live had lost is no row that live had missed."""
-    tracker, result = Tracker(), []
-    tracker.label(0.0, 0)
-    for name, table in long:
-        if name == TABLE:
-            continue
-        result.append((name, table))
-        if name == "daq/info":
-            tracker.configure(table)
-        elif name == "shaker/applied":
-            tracker.on_applied(table)
-        elif name == "daq/scan" and not begin * TICK <= table.stamp_ns < end * TICK:
-            result += [(TABLE, row) for row in tracker.feed(table).measurements]
-    found = compared(tmp_path, result)
+    found = compared(tmp_path, measured_live(long, lambda stamp_ns: not begin * TICK <= stamp_ns < end * TICK))
     assert found.same, found.reason
     assert found.identical
     assert found.compared > 0

@@ -17,7 +17,7 @@ from kits.browser import serious_faults
 
 from impact_rig.lab.playback import PlaybackSource
 from impact_rig.lab.server import Server
-from impact_rig.runs.in_process import make
+from impact_rig.runs.in_process import make_sample
 
 WIDE, NARROW = 1280, 400
 
@@ -51,7 +51,7 @@ def test_the_search_finds_pages_on_the_disk(site, browser):
 @pytest.fixture(scope="module")
 def lab(tmp_path_factory) -> Iterator[str]:
     """The lab's page, playing back a run."""
-    source = PlaybackSource([make(tmp_path_factory.mktemp("lab") / "sample")])
+    source = PlaybackSource([make_sample(tmp_path_factory.mktemp("lab") / "sample")])
     with Server(source, port=0) as server, source:
         yield server.address
 

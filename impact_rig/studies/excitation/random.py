@@ -126,7 +126,7 @@ class _Drive:
 
 
 def control(hardware: Hardware, plan: RandomPlan) -> Iterator[Reached]:
-    """Hold a spectrum; yields after each loop, at last the averages.
+    """Hold a spectrum by hardware of one rate; yields after each loop, at last the averages.
 
     Raises:
         CommandError: the shaker trips or refuses, or a line is too strong.
