@@ -6,21 +6,11 @@ from __future__ import annotations
 
 import importlib
 
-from impact_rig.physics import outcome
-from tools.figures.style import BASE, INK, MUTED, SPHERE, STRUCTURE, arrow, box, sheet, text
+from impact_rig.physics import outcome, state
+from tools.figures.style import BASE, INK, MUTED, SPHERE, STRUCTURE, arrow, box, line, sheet, text
 
-_TICK = (  # what leads there, module, colour, kernels, what they do
-    ("", "event_loop", BASE, ("run", "_change_phase"), "segment by segment: fly, touch, leave"),
-    ("until something happens", "flight", STRUCTURE,
-     ("prepare_segment", "begin_flight", "fly", "evaluate", "safe_time", "structure_at"), "closed form, until a wall"),
-    ("a touch", "outcome", SPHERE, ("look_up", "apply_outcome"), "a fast contact, from the table"),
-    ("beyond the table", "contact_phase", SPHERE, ("take_next_step", "take_step", "conclude"),
-     "any other, in steps ended at events"),
-    ("each step", "contact_step", SPHERE, ("expand", "solve", "estimate_error"),
-     "one step: collocation, Newton, error"),
-    ("states at events", "sampling", STRUCTURE, ("sample",), "afterwards: what instruments ask for, at any instant"),
-)  # fmt: skip
-_ROW, _TOP = 64, 76
+_FRAME, _TOP, _BOTTOM = 62, 112, 372  # of the event loop, and of the phases in it [px]
+_LEFT, _RIGHT, _WIDE = 30, 394, 200  # columns of the phases, and the width of those on the left
 _TABLE_TOP, _CELL = 92, 21
 
 
@@ -33,27 +23,92 @@ def known(module: str, name: str) -> str:
     return str(getattr(importlib.import_module(f"impact_rig.physics.{module}"), name) and name)
 
 
+def of(module: str, *names: str) -> str:
+    """Return kernels of a module in one line."""
+    return " · ".join(known(module, name) for name in names)
+
+
+def event(names: str, *then: str, when: str = "") -> str:
+    """Return some events, and the kernels of the event loop that follow them."""
+    assert all(hasattr(state, name) for name in names.split(", ")), names
+    return f"{names}{when}: {of('event_loop', *then)}"
+
+
+def phase(name: str, what: str, x: float, y: float, width: float, height: float, colour: str) -> str:
+    """Return the box of a phase."""
+    assert hasattr(state, name), name
+    return "\n".join([
+        box(x, y, width, height, fill="var(--card)", stroke=colour, rx=8),
+        text(x + 12, y + 20, name, colour=colour, bold=True, symbols=False),
+        text(x + width - 12, y + 20, what, anchor="end", colour=MUTED, px=12, symbols=False),
+    ])  # fmt: skip
+
+
+def small(x: float, y: float, words: str, *, colour: str = INK, anchor: str = "start") -> str:
+    """Return words in small type."""
+    return text(x, y, words, colour=colour, anchor=anchor, px=11, symbols=False)
+
+
 def draw_tick() -> str:
-    """Return the path of one tick of 10 ms through the mechanics."""
+    """Return the phases of the motion and what ends each: the path of one tick of 10 ms through the mechanics."""
+    edge, middle, inner = _LEFT + _WIDE, (_LEFT + _WIDE + _RIGHT) / 2, _RIGHT + 10
+    contact = (
+        ("outcome", of("outcome", "look_up", "apply_outcome"), "a fast one: from the table"),
+        ("contact_phase", of("contact_phase", "take_next_step", "conclude"), "any other: step by step"),
+        ("contact_step", of("contact_step", "expand", "solve", "estimate_error"), "each step"),
+    )
     parts = [
         text(20, 26, "One tick of 10 ms through the kernels", bold=True),
-        text(20, 46, "drive segment and state go in, states at events and impacts come out", colour=MUTED, px=12),
+        text(20, 46, "drive and state go in; states at events, and impacts, come out", colour=MUTED, px=12),
+        box(14, _FRAME, 612, 340, stroke=BASE, rx=8),
+        text(26, _FRAME + 19, "event_loop", colour=BASE, bold=True, symbols=False),
+        text(614, _FRAME + 19, of("event_loop", "run", "_change_phase"), anchor="end", px=12, symbols=False),
+        phase("FREE", "flight", _LEFT, _TOP, _WIDE, 92, STRUCTURE),
+        small(_LEFT + 12, _TOP + 42, of("flight", "prepare_segment", "begin_flight")),
+        small(_LEFT + 12, _TOP + 60, of("flight", "fly", "evaluate", "safe_time")),
+        small(_LEFT + 12, _TOP + 78, of("flight", "structure_at")),
+        phase("ATTACHED", "one body", _LEFT, 302, _WIDE, _BOTTOM - 302, STRUCTURE),
+        small(_LEFT + 12, 344, of("flight", "prepare_segment", "begin_flight")),
+        small(_LEFT + 12, 362, of("flight", "ride", "evaluate", "safe_time")),
+        phase("CONTACT", "the wall yields", _RIGHT, _TOP, 222, _BOTTOM - _TOP, SPHERE),
+        arrow(edge, 142, _RIGHT - 1, 142),
+        small(middle, 136, event("TOUCHED", "_touch"), anchor="middle"),
+        arrow(_RIGHT, 186, edge + 1, 186),
+        small(middle, 180, event("LEFT, RELEASED", "_leave"), anchor="middle"),
+        arrow(_RIGHT, 340, edge + 1, 340),
+        small(middle, 334, event("SETTLED", "_leave", "_hold"), anchor="middle"),
+        line(((70, _TOP), (70, 98), (110, 98))),
+        arrow(110, 98, 110, _TOP - 1),
+        small(118, 102, event("TOUCHED", "_bounce", when=", rigid wall")),
+        small(330, 102, event("STOPPED", "_part", when=", slides back")),
+        arrow(190, _TOP + 92, 190, 301),
+        small(198, 240, event("STOPPED", "_hold", when=", held")),
+        small(198, 260, event("TOUCHED", "_bounce", when=", rigid, pressed")),
+        arrow(50, 302, 50, _TOP + 93),
+        small(58, 262, event("PARTED", "_part")),
+        small(320, 392, "TIME, the end of a segment of the drive: the same phase goes on in the next", anchor="middle"),
+        arrow(50, _FRAME + 340, 50, 435),
+        small(60, 424, "history: the state at each event, and at each step of a contact", colour=MUTED),
+        box(14, 436, 612, 48, fill="var(--card)", stroke=STRUCTURE, rx=8),
+        text(26, 455, "sampling", colour=STRUCTURE, bold=True, symbols=False),
+        text(614, 455, "afterwards, for interlock, truth and instruments", anchor="end", colour=MUTED, px=12),
+        text(26, 474, of("sampling", "sample"), px=12, symbols=False),
+        text(78, 474, "at instants", colour=MUTED, px=12),
+        text(340, 474, of("sampling", "refine", "fit"), px=12, symbols=False),
+        text(614, 474, "polynomials between breakpoints", anchor="end", colour=MUTED, px=12),
     ]  # fmt: skip
-    for row, (why, module, colour, names, what) in enumerate(_TICK):
-        y = _TOP + row * _ROW
+    for row, (module, names, what) in enumerate(contact):
+        y = _TOP + 32 + row * 76
         parts += [
-            box(20, y, 600, _ROW - 20, fill="var(--card)", stroke=colour, rx=8),
-            text(32, y + 18, module, colour=colour, bold=True, symbols=False),
-            text(608, y + 18, what, anchor="end", colour=MUTED, px=12, symbols=False),
-            text(32, y + 36, " · ".join(known(module, name) for name in names), px=12, symbols=False),
+            box(inner, y, 202, 62, stroke=SPHERE, rx=6),
+            text(inner + 10, y + 18, module, colour=SPHERE, bold=True, px=12, symbols=False),
+            small(inner + 10, y + 36, names),
+            small(inner + 10, y + 53, what, colour=MUTED),
         ]
-        if row:
-            parts.append(arrow(60, y - 20, 60, y - 1, colour=INK))
-            parts.append(text(70, y - 6, why, colour=MUTED, px=11))
     return sheet(
-        _TOP + len(_TICK) * _ROW + 6,
-        "Path of one tick: the event loop flies in closed form to the next touch, takes a contact from the table or "
-        "step by step, and leaves states at events, from which the sampler computes what instruments ask for.",
+        494,
+        "Path of one tick: the phases FREE, CONTACT and ATTACHED, the events that end each, the phase that follows, "
+        "and the kernels of each; the history of states goes to the sampler, which computes what instruments ask for.",
         "\n".join(parts),
     )
 
@@ -89,7 +144,7 @@ def draw_table() -> str:
             "in each group: separation speed, duration, energy lost; then, in the first two,",
             px=12,
         ),
-        text(20, _TABLE_TOP + 146, "peak force, largest indentation, ∫Δ dθ, ∫(duration − θ) Δ dθ", px=12),
+        text(20, _TABLE_TOP + 146, "peak force, largest indentation, ∫Δ dθ, ∫(θ_end − θ) Δ dθ", px=12),
     ]
     return sheet(
         _TABLE_TOP + 164,
