@@ -2,7 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Accelerometer on the superior base: a lightly damped resonance, a charge amplifier with its high-pass and low-pass.
 
-    V/a = S A ω_n² / (s² + s ω_n/Q + ω_n²) · s / (s + ω_h) · Butterworth_n(ω_l)        S in C per m/s², A in V/C
+    charge · amplifier · ω_n² / (s² + s ω_n/quality + ω_n²) · s / (s + ω_h) · Butterworth_n(ω_l)  [V per m/s²]
+
+with the charge in C per m/s² and the amplifier in V/C.
 
 A contact of 40 µs shakes the 25 kHz resonance as much as it moves the structure: its pulse is longer, lower and rings.
 The amplifier clips behind its filters.

@@ -1,6 +1,6 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""Displacement sensor on the inferior base: a two-pole filter, V = V_max x_b / R."""
+"""Displacement sensor on the inferior base: a two-pole filter, its output proportional to x_b."""
 
 from __future__ import annotations
 

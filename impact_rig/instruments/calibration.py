@@ -6,10 +6,10 @@ SI = (volt − offset) / sensitivity with the *nominal* sensitivity and offset: 
 ones are drawn once per seed, evenly within the tolerances, and stay. Standard uncertainties follow the GUM: a limit a
 of a rectangular distribution counts a/√3 (GUM 4.3.7).
 
-Linearity is L (c_2 P_2(u) + c_3 P_3(u)) with Legendre polynomials, u = −1 … 1 over the range and (c_2, c_3) drawn
+Linearity is L (c_2 P_2(x) + c_3 P_3(x)) with Legendre polynomials, x = −1 … 1 over the range and (c_2, c_3) drawn
 evenly from |c_2| + |c_3| <= 1: never more than L, and nothing of it is gain or offset over the full range. Over a
-*small* part of the range it is: the slope at the middle is −1.5 c_3 L/R, the offset −0.5 c_2 L, with var c_2 = var c_3
-= 1/6; both are in the certificate.
+*small* part of the range it is: about the middle the slope is −1.5 c_3 L over half of the range, the offset −0.5 c_2 L,
+with var c_2 = var c_3 = 1/6; both are in the certificate.
 """
 
 from __future__ import annotations

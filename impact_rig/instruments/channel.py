@@ -20,7 +20,7 @@ from impact_rig.kernels import INTEGERS, REALS, REALS_2D, REALS_3D, Fields, entr
 
 
 class Clock(NamedTuple):
-    """The scan clock, for compiled code [clock units]."""
+    """The scan clock, for compiled code: lengths of a scan period and of a tick [clock units]."""
 
     period: int
     tick: int
@@ -37,7 +37,7 @@ class Buffers(NamedTuple):
         clipped: whether each was at an end of a range, likewise.
         white: scratch for random numbers, shape (STRETCH,).
         series: scratch of `response`, shape (3, SERIES).
-        since: scratch, shape (2,).
+        since: scratch, shape (2,): see `response.through_piece`.
     """
 
     values: NDArray[np.float64]
@@ -107,7 +107,7 @@ def respond(modes, channels, clock, pieces, coefficients, kicks, buffers):  # ty
         clock: the scan clock.
         pieces: some ticks of the motion, cut.
         coefficients: polynomial of each channel's input on each piece, shape (channels, pieces, NODES).
-        kicks: jump of the input's integral at the start of each piece, shape (channels, pieces), or (channels, 0).
+        kicks: jump of the input's integral [unit s] at the start of each piece, shape (channels, pieces or 0).
         buffers: with room for the conversions.
     """
     for j in range(channels.shape[0]):

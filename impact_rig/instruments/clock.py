@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The scan clock: when each channel is converted, in exact integers.
 
-Instants are counted in units of 1 ns / (rate · channels), in which a scan period, a skew and a 10 ms tick
-are all whole numbers: no scan ever drifts, and no result depends on where a block or a call begins.
+Instants are counted in clock units, 1 ns divided by the number `rate_hz` · channels, in which a scan period, a skew and
+a 10 ms tick are all whole numbers: no scan ever drifts, and no result depends on where a block or a call begins.
 """
 
 from __future__ import annotations

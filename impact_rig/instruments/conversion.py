@@ -33,37 +33,37 @@ from impact_rig.kernels import BYTES, INTEGERS, Array, entry, kernel
 
 CHANNEL = np.dtype(
     [
-        ("middle", "f8"),  # of the sensor's range [unit]
-        ("per_half_range", "f8"),
-        ("linearity_2", "f8"),  # error of linearity, of second order [unit]
-        ("linearity_3", "f8"),  # of third order [unit]
-        ("memory", "f8"),  # what is left of the noise after one scan period [-]
-        ("fresh", "f8"),  # rms of what is new in it [unit]
-        ("resolution", "f8"),  # of its own output [unit], 0 for none
-        ("low", "f8"),  # ends of its range
-        ("high", "f8"),
-        ("gain", "f8"),  # volt per unit, as it really is
-        ("offset", "f8"),  # V, as it really is
-        ("adc_noise", "f8"),  # [V]
-        ("adc_gain", "f8"),
-        ("adc_offset", "f8"),  # [V]
-        ("lsb", "f8"),  # [V]
-        ("lowest", "f8"),  # codes
-        ("highest", "f8"),
-        ("scale", "f8"),  # unit per code, nominal
-        ("zero", "f8"),  # unit at code 0, nominal
-        ("coloured", "f8"),  # the noise's last value [unit]
-        ("noise", "u8", (4,)),  # state of the random numbers, see `Random`
-        ("converter_noise", "u8", (4,)),
-        ("settled", "i8"),  # whether it has watched the motion's first value for ever when it wakes
-        ("awake", "i8"),
-        ("first_mode", "i8"),  # its modes, see `response`
-        ("modes", "i8"),
-        ("due", "i8"),  # the next conversion in this tick [clock units]
+        ("middle", "f8"),  # middle of the sensor's range [unit]
+        ("per_half_range", "f8"),  # 1 over half of that range [1/unit]
+        ("linearity_2", "f8"),  # error of linearity of second order, at an end of the range [unit]
+        ("linearity_3", "f8"),  # error of linearity of third order there [unit]
+        ("memory", "f8"),  # part of the sensor's noise that is left after one scan period [-]
+        ("fresh", "f8"),  # rms of what is new in the noise after it [unit]
+        ("resolution", "f8"),  # step of the sensor's own output [unit], 0 for none
+        ("low", "f8"),  # lower end of the sensor's range [unit]
+        ("high", "f8"),  # upper end of it [unit]
+        ("gain", "f8"),  # sensitivity as it really is [V/unit]
+        ("offset", "f8"),  # output at zero as it really is [V]
+        ("adc_noise", "f8"),  # rms of the converter's noise [V]
+        ("adc_gain", "f8"),  # gain of the converter as it really is, about 1 [-]
+        ("adc_offset", "f8"),  # offset of the converter as it really is [V]
+        ("lsb", "f8"),  # step of the converter [V]
+        ("lowest", "f8"),  # smallest code [-]
+        ("highest", "f8"),  # largest code [-]
+        ("scale", "f8"),  # nominal unit per code [unit]
+        ("zero", "f8"),  # nominal reading at code 0 [unit]
+        ("coloured", "f8"),  # last value of the sensor's noise [unit]
+        ("noise", "u8", (4,)),  # state of the random numbers of the sensor's noise, see `Random`
+        ("converter_noise", "u8", (4,)),  # state of those of the converter's noise
+        ("settled", "i8"),  # 1: begins as if the motion's first value had stood for ever; 0: begins at zero
+        ("awake", "i8"),  # 1 once it has begun
+        ("first_mode", "i8"),  # row of its first mode, see `response`
+        ("modes", "i8"),  # how many modes it has
+        ("due", "i8"),  # when in this tick its next conversion is [clock units]
         ("converted", "i8"),  # scans since the reset
         ("last", "f8"),  # its last reading [unit]
-        ("begun", "i8"),  # readings of its buffer that are finished …
-        ("filled", "i8"),  # … and those there are, the newest on their way through the stages
+        ("begun", "i8"),  # how many values of its buffer are finished readings
+        ("filled", "i8"),  # how many values its buffer has, the newest on their way through the stages
     ],
     align=True,
 )
@@ -109,7 +109,7 @@ def clamped(value, low, high):  # type: ignore[no-untyped-def]  # compiled: type
 def to_volts(channel, values, clipped, white):  # type: ignore[no-untyped-def]
     """Turn what the dynamics put out [unit] into volts at the cable, at most STRETCH of them, in place.
 
-    Notes in `clipped` whether the sensor was at an end of its range; `white` is scratch.
+    Notes in `clipped` whether the sensor was at an end of its range; `white` is scratch, at last the noise [unit].
     """
     count = values.shape[0]
     fill_normal(channel.noise, white)

@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Laser displacement sensor on the superior base: a first-order lag, a digital output stage, an end of range.
 
-It measures the distance d = d_0 − x_1, 0 V at the near end: V = V_max (d − d_0 + R) / 2R, so that its sensitivity to
-x_1 is negative. Out of range it holds the end it left by, and says so.
+It measures a distance, `distance_m` − x_1, 0 V at the near end: `output_v` (1 − x_1/`half_range_m`) / 2, so that its
+sensitivity to x_1 is negative. Out of range it holds the end it left by, and says so.
 """
 
 from __future__ import annotations

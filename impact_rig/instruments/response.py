@@ -8,12 +8,12 @@ the mode is the sum of a particular answer to it and of what it rings with:
 
     ψ = Σ ψ_k x^k + (ψ(−1) − Σ ψ_k (−1)^k) exp(λ half (x + 1))
 
-    |λ half| >= 1    ψ_k = ((k + 1) ψ_{k+1} − half S_k) / (λ half),    ψ_8 = 0    downwards: of the same degree as S
-    |λ half| < 1     ψ_{k+1} = (λ half ψ_k + half S_k) / (k + 1),      ψ_0 = 0    upwards: a power series, SERIES terms
+    size >= 1    ψ_k = ((k + 1) ψ_{k+1} − half S_k) / (λ half),    ψ_8 = 0    downwards: of the same degree as S
+    size < 1     ψ_{k+1} = (λ half ψ_k + half S_k) / (k + 1),      ψ_0 = 0    upwards: a power series, SERIES terms
 
-The polynomials of all modes of a channel are added up once a piece; a conversion then costs one polynomial, and a
-multiplication for each mode that still rings. Nothing depends on how conversions and pieces lie to each other, and no
-pulse falls between two scans.
+with size = |Re λ half| + |Im λ half|. The polynomials of all modes of a channel are added up once a piece; a conversion
+then costs one polynomial, and a multiplication for each mode that still rings. Nothing depends on how conversions and
+pieces lie to each other, and no pulse falls between two scans.
 """
 
 from __future__ import annotations
@@ -29,17 +29,17 @@ from impact_rig.kernels import kernel
 
 SENSOR_MODE = np.dtype(
     [
-        ("pole_re", "f8"),  # λ [rad/s]
-        ("pole_im", "f8"),
-        ("residue_re", "f8"),  # what of it the channel puts out [1/s]
-        ("residue_im", "f8"),
-        ("psi_re", "f8"),  # value at the start of the piece [unit s]
-        ("psi_im", "f8"),
-        ("decay_re", "f8"),  # exp(λ period) of the scans
-        ("decay_im", "f8"),
-        ("rings", "i8"),  # conversions after which nothing is left of it
-        ("free_re", "f8"),  # what it rings with at a piece's first conversion, times the residue
-        ("free_im", "f8"),
+        ("pole_re", "f8"),  # real part of λ [1/s]
+        ("pole_im", "f8"),  # imaginary part of λ [rad/s]
+        ("residue_re", "f8"),  # real part of the residue: what of ψ the channel puts out [1/s]
+        ("residue_im", "f8"),  # imaginary part of it [1/s]
+        ("psi_re", "f8"),  # real part of ψ at the start of the piece [unit s]
+        ("psi_im", "f8"),  # imaginary part of it [unit s]
+        ("decay_re", "f8"),  # real part of exp(λ scan period) [-]
+        ("decay_im", "f8"),  # imaginary part of it [-]
+        ("rings", "i8"),  # how many conversions later nothing is left of it
+        ("free_re", "f8"),  # real part of the residue times what it rings with at a piece's first conversion [unit]
+        ("free_im", "f8"),  # imaginary part of it [unit]
     ]
 )
 """A mode of a channel."""
@@ -128,7 +128,7 @@ def through_piece(modes, seen, length, since, work, out):  # type: ignore[no-unt
         modes: of one channel.
         seen: polynomial S of the input, shape (NODES,).
         length: of the piece [s].
-        since: time of its first conversion after its start, and from one conversion to the next [s].
+        since: time from its start to its first conversion, and from one conversion to the next [s].
         work: scratch, shape (3, SERIES).
         out: one place for each conversion.
     """

@@ -2,16 +2,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """What every sensor is made of: a transfer function, a calibration with its tolerances, a range, noise.
 
-**Transfer functions** are poles, zeros and gain, and the partial fractions in which they are simulated.
-A chain H(s) is run as Σ r_k / (s − p_k): every mode is one complex number that follows z' = p z + u, exactly, however
-its input is cut into steps. So there is no discretised filter and no sampling rate in here: a 25 kHz resonance is the
-same at 1 kS/s and at 250 kS/s.
+**Transfer functions** are poles, zeros and gain, and the partial fractions in which they are simulated. A chain H(s) is
+run as Σ r_k / (s − λ_k): every mode is one complex number that follows ψ' = λ_k ψ + S, S what the sensor sees, exactly,
+however its input is cut into steps (`response`). So there is no discretised filter and no sampling rate in here: a 25
+kHz resonance is the same at 1 kS/s and at 250 kS/s.
 
 Poles, zeros and residues have 70 digits and are rounded once, at the end: every machine gets the same ones.
 
-    r_k = g Π_j (p_k − q_j) / Π_{j≠k} (p_k − p_j) at distinct poles
-    Butterworth: p_k = ω e^{jπ(2k + n + 1)/2n}, k = 0 … n − 1, g = ω^n
-    resonance: p = −ω/2Q ± j ω √(1 − 1/4Q²), g = ω²
+    r_k = gain Π_j (λ_k − zero_j) / Π_{j≠k} (λ_k − λ_j) at distinct poles
+    Butterworth: λ_k = ω e^{jπ(2k + n + 1)/2n}, k = 0 … n − 1, gain = ω^n
+    resonance: λ = −ω/(2 quality) ± j ω √(1 − 1/(4 quality²)), gain = ω²
 """
 
 from __future__ import annotations
@@ -58,10 +58,10 @@ _DISTINCT = Decimal("1e-5")
 
 @attrs.frozen(eq=False)
 class Modes:
-    """Partial fractions of a strictly proper H: y = Σ Re(residue z), z' = pole z + u."""
+    """Partial fractions of a strictly proper H: the output is Σ Re(residue ψ), ψ' = pole ψ + input."""
 
     poles: NDArray[np.complex128]  # complex, shape (k,) [rad/s]; one of each conjugate pair, imaginary part >= 0
-    residues: NDArray[np.complex128]  # complex, shape (k,); doubled where a pair is represented
+    residues: NDArray[np.complex128]  # complex, shape (k,) [1/s]; doubled where a pair is represented
 
     def same_as(self, other: Modes) -> bool:
         """Whether both describe the same chain, bit for bit."""
@@ -154,7 +154,7 @@ def butterworth(order: int, corner_hz: float) -> Transfer:
 @functools.lru_cache
 @precise
 def resonance(frequency_hz: float, quality: float) -> Transfer:
-    """Return ω² / (s² + s ω/Q + ω²), Q > 1/2: a sensor below its mounted resonance."""
+    """Return ω² / (s² + s ω/quality + ω²), quality > 1/2: a sensor below its mounted resonance."""
     omega = TWO * pi() * Decimal(frequency_hz)
     damping = omega / (TWO * Decimal(quality))
     damped = (omega * omega - damping * damping).sqrt()
@@ -212,7 +212,11 @@ class Sensor:
         return max(low, self.low), min(high, self.high)
 
     def behind(self, adc: Adc) -> Sensor:
-        """Return the sensor with the board's anti-alias filter behind it, if there is one."""
+        """Return the sensor with the board's anti-alias filter in its dynamics, if there is one.
+
+        Linearity, steps and end of range follow the dynamics, and so the filter. The noise keeps its density and its
+        one pole, at the lower of both corners.
+        """
         if adc.anti_alias == "none":
             return self
         filtered = self.low_pass * butterworth(adc.anti_alias_order, adc.anti_alias_hz)

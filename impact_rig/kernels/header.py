@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The C header of the library: every record as a struct, every entry as a function, made from their declarations.
 
-What a field means, and its unit, is the comment beside it in the Python source.
+What a field means, and its unit, is the comment beside it in the Python source, on the same line.
 """
 
 from __future__ import annotations

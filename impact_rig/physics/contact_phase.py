@@ -1,6 +1,6 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""A contact from touch to release: steps of the indentation, each ended exactly where something happens.
+"""A contact from touch to separation: steps of the indentation, each ended exactly where something happens.
 
 δ is the indentation, w = √δ, and a step has a length in χ, with dt = w dχ (see `contact_step`, which solves the step):
 
@@ -14,9 +14,9 @@ A step ends where its error allows, and earlier at the first of these events:
 
     LEFT      w = 0            the sphere is off the wall
     TIME      t = t_end        the drive segment is over
-    RELEASED  F = 0, δ > 0     the law would pull: it lets go, and the surface stays behind until the sphere is out
-    TURNED    δ' = 0           the largest indentation, where a law with a memory changes branch
-    RELOADED  w = deepest      it presses further than before
+    RELEASED  F = 0, δ > 0     a law that lets go would pull: the surface stays behind until the sphere is out of there
+    TURNED    δ' = 0           a law with a memory changes branch, at the largest indentation
+    RELOADED  w = deepest      it presses further than before, and changes branch again
 
 A step that overshoots an event is taken again, its length found by Newton's method, until it ends there.
 """
@@ -53,8 +53,8 @@ _ATTEMPTS = 12  # Newton needs two to four
 _REACHED = 1e-10  # of the quantity's own scale: as near as Newton's method solves a step
 _COLLAPSED = 1e-4  # of w: smaller within one step, it is taken shorter, see `_first_event`
 _SMALLEST = 1e-300
-_FIRST_STEP = 0.2
-_HOP = 3.0
+_FIRST_STEP = 0.2  # of ∫ dt/√(v0 t), see `first_step`
+_HOP = 3.0  # of the pressing acceleration, see `settles`
 _GUESSES, _NEAR = 12, 1e-6  # of the event's scale: as good as a step's polynomial is
 _PEAK_FOUND = 1e-5  # of a step: the force is flat there
 _PEAK_MARGIN = 0.95  # of an earlier peak: between two stages none rises by more than that
@@ -73,7 +73,8 @@ def _force_slope(p, law, s, step, point):  # type: ignore[no-untyped-def]
 def _excess(p, law, s, step, event, at):  # type: ignore[no-untyped-def]  # compiled: types are inferred
     """Return how far a point of the step is beyond an event, in units of the event's scale; at most 0 before it.
 
-    The point is `at` = (time since the start of the step, w, δ').
+    The point is `at` = (time since the start of the step, w, δ'). Where `step.rest` is infinite TIME never comes: its
+    excess is NaN, which is not beyond anything.
     """
     since, w, speed = at
     if event == LEFT:

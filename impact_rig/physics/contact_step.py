@@ -3,20 +3,21 @@
 """One step of a contact: sphere and superior base press each other, and move on together.
 
 x_1 and x_2 are superior base (mass m_1, with the walls) and sphere (mass m), x_b the inferior base that the columns
-k_1, c_1 stand on (mass m_a + m_b, on k_f, c_f), i the current of its coil. While the sphere indents the wall on `side`
-by δ, x_2 − x_1 = side (g/2 + δ). In a contact the structural state y holds the centre of mass of both, measured as the
-position that x_1 has at δ = 0:
+k_1, c_1 stand on (mass m_a + m_b, on k_f, c_f), i the current of its coil. The sphere indents the wall on `side` by δ,
+beyond the dent (0 but where a contact has just let go at δ > 0): x_2 − x_1 = side (g/2 + dent + δ). In a contact the
+structural state y holds the centre of mass of both, measured as the position that x_1 has at δ = 0:
 
     x_1* = x_1 + side σ δ,   v_1* = v_1 + side σ δ',   σ = m / (m_1 + m)
-    (m_1 + m) x_1*'' = F_c,    F_c = −k_1 (x_1* − x_b) − c_1 (v_1* − v_b)
-    (m_a + m_b) x_b'' = K_f i − c_f x_b' − k_f x_b − F_c,    voltage drive: L i' = U − R i − K_f x_b'
+    (m_1 + m) x_1*'' = F_c*,    F_c* = −k_1 (x_1* − x_b) − c_1 (v_1* − v_b)
+    (m_a + m_b) x_b'' = K_f i − c_f x_b' − k_f x_b − F_c*,    voltage drive: L i' = U − R i − K_f x_b'
 
-The contact force is inner to the pair and does not appear; a prescribed base moves as it is told. These equations give
-y as Taylor polynomials in time (`expand`), and the relative acceleration a_r = −side F_c / m_1 [m/s²] with which the
+F_c* is the columns' force as it would be at δ = 0; F_c = −k_1 (x_1 − x_b) − c_1 (v_1 − v_b) is the real one. The
+contact force is inner to the pair and does not appear; a prescribed base moves as it is told. These equations give y as
+Taylor polynomials in time (`expand`), and the relative acceleration a_r = −side F_c* / m_1 [m/s²] with which the
 columns press sphere and wall together: m_1 x_1'' = F_c + side F, m x_2'' = −side F.
 
-That leaves out what the indentation adds to F_c, side σ (k_1 δ + c_1 δ'), most often a millionth of it. It moves the
-pair by side σ z, its `correction`, from z = 0 at the start of each step on. With F_z the columns' force of that motion,
+That leaves out F_c − F_c* = side σ (k_1 δ + c_1 δ'), most often a millionth of it, and what follows from it: it moves
+the pair by side σ z, its `correction`, from z = 0 at the start of each step on. With F_z the columns' force on that,
 
     z_x1' = z_v1,   (m_1 + m) z_v1' = F_z,    F_z = k_1 (δ − z_x1 + z_xb) + c_1 (δ' − z_v1 + z_vb)
     z_xb' = z_vb,   (m_a + m_b) z_vb' = K_f z_i − c_f z_vb − k_f z_xb − F_z,   L z_i' = −R z_i − K_f z_vb
@@ -118,7 +119,7 @@ def polynomial(coefficients, since, terms):  # type: ignore[no-untyped-def]
 
 @kernel
 def pair_at(step, since, y):  # type: ignore[no-untyped-def]
-    """Fill y with the pair's state `since` seconds after the start of the step, without the base correction."""
+    """Fill y with the pair's state `since` seconds after the start of the step, without the correction z."""
     for q in range(STRUCTURE):
         y[q] = polynomial(step.path[q], since, step.terms)
 
@@ -378,8 +379,9 @@ def _newton_step(s, step, h):  # type: ignore[no-untyped-def]
 def solve(p, law, s, step, h, rounds):  # type: ignore[no-untyped-def]
     """Solve a step of length h; return whether Newton converged. The stages hold the step, the last one its end.
 
-    A sphere that rests on the wall until a_r(t) lifts it off takes steps in which a_r decides the indentation:
-    where Newton's method does not come near enough without the derivative of a_r(t), it goes on with it.
+    A sphere that rests on the wall until a_r(t) lifts it off takes steps in which a_r decides the indentation: where
+    Newton's method does not come near enough without the derivative of a_r(t), it goes on with it. That takes more than
+    FEW_ROUNDS: a step whose length is free is taken shorter instead, one up to an instant has ROUNDS.
     """
     predict_speeds(s, step, h)
     step.correction[:] = 0.0

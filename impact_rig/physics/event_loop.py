@@ -10,12 +10,14 @@ steps also pauses, to be entered again):
                                off a rigid wall: the speed reverses (`_bounce`)     FREE, or ATTACHED where it rides
     FREE       STOPPED         friction holds the sphere (`_hold`) or does not      ATTACHED, or FREE (`_part`)
     CONTACT    LEFT, RELEASED  the sphere flies on from there (`_leave`)            FREE
-    CONTACT    SETTLED         it only rings, slowly (`contact_phase.settles`)      ATTACHED
+    CONTACT    SETTLED         a law with a memory only rings, slowly (`settles`)   ATTACHED
     ATTACHED   PARTED          the structure pulls away (`_part`)                   FREE
 
-A run begins FREE, or ATTACHED where the guide has friction. A contact whose outcome is tabulated ends LEFT; TURNED and
-RELOADED end a step of a contact, not the contact. `_change_phase` is this table. Every segment starts from its own
-time zero, and the loop always stops at its end, so nothing depends on how a run was cut.
+A sphere that rests on a wall under any other law that yields stays in CONTACT until it is lifted off: LEFT. A rig
+begins FREE, or ATTACHED where its sphere is at rest and the guide has friction, or `set_state` puts it at rest on a
+wall; a call of `run` goes on in any phase. A contact whose outcome is tabulated ends LEFT; TURNED and RELOADED end a
+step of a contact, not the contact. `_change_phase` is this table. Every segment starts from its own time zero, and the
+loop always stops at its end, so nothing depends on the number of calls that a motion takes.
 """
 
 from __future__ import annotations
@@ -91,7 +93,7 @@ class Workspace(NamedTuple):
         filled: one record of LOG: how many rows of history and impacts there are.
         history: records of STATE: the state at each event and each step of a contact.
         impacts: records of IMPACT.
-        first: row of each segment's first state.
+        first: row of the history that holds each segment's first state.
     """
 
     states: NDArray[np.void]
@@ -182,7 +184,7 @@ def _touch(p, s, side, ledger):  # type: ignore[no-untyped-def]
 
 @kernel
 def _keep_impact(work, s, separation, indentation):  # type: ignore[no-untyped-def]
-    """Append the contact of s as an impact."""
+    """Append the contact of s as an impact; separation speed [m/s], largest indentation [m]."""
     row = work.impacts[work.filled[0].impacts]
     row.tick, row.offset, row.wall = s.begin_tick, s.begin_t, int(s.side)
     row.approach_speed, row.separation_speed = s.approach, separation
@@ -195,7 +197,7 @@ def _keep_impact(work, s, separation, indentation):  # type: ignore[no-untyped-d
 def _leave(model, s, work, settled):  # type: ignore[no-untyped-def]
     """End a contact: keep the impact, give y back to the structure, and fly on from the surface that is left.
 
-    What the contact still holds is lost: it relaxes alone, or rings out.
+    What the contact still stores is lost: it relaxes alone or, `settled`, rings out while the sphere goes on ATTACHED.
     """
     p, depth, side = model.parameters[0], s.w * s.w, s.side
     if depth > 0.0:
@@ -293,7 +295,7 @@ def follow(model, f, s, step, ledger):  # type: ignore[no-untyped-def]
 
 @kernel
 def _contact_phase(model, f, work, t_end, account):  # type: ignore[no-untyped-def]
-    """Go on with a contact; return what ends it, TIME also when its steps are used up: call again, or FAILED."""
+    """Go on with a contact; return what ends it, or FAILED. TIME before t_end: its steps are used up, call again."""
     p, s, step, ledger = model.parameters[0], work.states[0], work.step[0], work.ledger[0]
     if s.next_h == 0.0 and _apply_tabulated(model, f, work, t_end, account):
         return LEFT
@@ -354,7 +356,7 @@ def _change_phase(model, f, work, tick, ended):  # type: ignore[no-untyped-def]
 
 @kernel
 def _prepare_flight(model, f, work, t_end, fresh):  # type: ignore[no-untyped-def]
-    """Prepare the closed form of a flight where the frequency, the system or the segment is new."""
+    """Prepare the closed form of a flight where the frequency, the system or (`fresh`) the segment is new."""
     flight = work.flight[0]
     which = HELD if work.states[0].phase == ATTACHED else LOOSE
     system = model.systems[which]
@@ -379,7 +381,7 @@ def _move_base(p, f, s, ledger):  # type: ignore[no-untyped-def]
 
 @entry(MODEL, SEGMENT, INTEGERS, int, WORKSPACE, bool, returns=(int, int))
 def run(model, segments, ticks, index, work, account):  # type: ignore[no-untyped-def]
-    """Advance the state through `segments[index:]`, each of its tick; return (how it ended, the segment it is in).
+    """Advance the state through `segments[index:]`, in ticks of these numbers; return (how it ended, segment it is in).
 
     Flights are accounted for only if `account`, because it costs as much as flying.
     """

@@ -18,13 +18,14 @@ to it is
 sphere slides one way.
 
 **Touch.** It is approached by conservative advancement. With a speed and an acceleration towards a target and
-|jerk| <= J, a point covers within a horizon at most
+|jerk| <= J, a point covers within a time called horizon at most
 
     speed t + (acceleration + J horizon / 3) t² / 2,   0 <= t <= horizon
 
 The first t at which that is the distance is safe if it comes before the horizon, and the horizon itself is safe
 otherwise. Repeated advances close in on the first touch from before it and cannot step over it, however short or
-grazing the crossing.
+grazing the crossing. The same holds for a speed in place of the distance (the stop of a sliding sphere), and for an
+acceleration (its parting from the structure): speed, acceleration and J are then one and two derivatives higher.
 """
 
 from __future__ import annotations
@@ -41,13 +42,21 @@ from impact_rig.physics.state import ORDERS, PARTED, STOPPED, TIME, TOUCHED, V1,
 _THIRD = 1.0 / 3.0
 _ROUNDS = 12
 _CLOSE = 0.8  # of the horizon: a crossing that comes later makes a shorter horizon not worth trying
-_TIME_RESOLUTION = 2.0**-51
-_POSITION_RESOLUTION = 2.0**-47
-_SHORTEST = 1e-3  # segments may be shorter than the time scale of rounding errors [s]
+_TIME_RESOLUTION = 2.0**-51  # of t: an advance as short is lost in rounding
+_POSITION_RESOLUTION = 2.0**-47  # of the largest terms of x_1, with a margin
+_SHORTEST = 1e-3  # least t that _TIME_RESOLUTION is of [s]: a segment may be shorter than what rounding depends on
 
-SEGMENT = np.dtype([(name, "f8") for name in ("duration", "omega", "phase", "amplitude", "growth", "begin")])
-"""Drive segments, in order: seconds, rad/s, rad, and amplitude and its growth per second, A, m or V by drive. A segment
-begins a tick of its own, or goes on `begin` > 0 seconds after the start of the tick of the one before."""
+SEGMENT = np.dtype(
+    [
+        ("duration", "f8"),  # of the segment [s]
+        ("omega", "f8"),  # ω of the drive [rad/s]
+        ("phase", "f8"),  # φ of the drive at the segment's start [rad]
+        ("amplitude", "f8"),  # A of the drive at the segment's start [A, m or V, by drive]
+        ("growth", "f8"),  # B, by which the amplitude grows [A/s, m/s or V/s]
+        ("begin", "f8"),  # when the segment begins, since the start of its tick [s]
+    ]
+)
+"""Drive segments, in order. One begins a tick of its own, or goes on in the tick of the one before, `begin` > 0."""
 
 
 class Forcing(NamedTuple):
@@ -136,7 +145,7 @@ def particular(system, f, flight):  # type: ignore[no-untyped-def]
 
 @kernel
 def safe_time(distance, speed, acceleration, jerk, longest):  # type: ignore[no-untyped-def]  # compiled: types are inferred
-    """Return a time, at most `longest` [s], in which a point cannot cover `distance` [m]."""
+    """Return a time, at most `longest` [s], in which a point cannot cover `distance`: see the head of this file."""
     half = 0.5 * (acceleration + jerk * longest / 3.0)
     if speed * longest + half * longest * longest <= distance and (speed <= 0.0 or speed + 2.0 * half * longest >= 0.0):
         return longest  # most often: it ends nearer, and was never further out than there or where it began
@@ -183,7 +192,7 @@ def prepare_segment(system, f, flight, t_end):  # type: ignore[no-untyped-def]  
 
 @kernel
 def decayed(rate, since):  # type: ignore[no-untyped-def]
-    """Return the envelope and the value of exp(λ (t − t_b)): what has become of a mode's amplitude."""
+    """Return the modulus and the value of exp(λ since): what has become of a mode's amplitude."""
     envelope = exp(rate.real * since)
     sine, cosine = sincos(rate.imag * since)
     return envelope, complex(envelope * cosine, envelope * sine)
@@ -274,8 +283,8 @@ def wall_distance(p, s, side, d):  # type: ignore[no-untyped-def]
 def fly(p, system, f, flight, s, t_end):  # type: ignore[no-untyped-def]
     """Advance a flight from s to the first touch or to t_end; return TOUCHED, STOPPED or TIME.
 
-    On a touch the state is the one at the touch, with the distance to the wall `s.side` exactly zero;
-    STOPPED: friction has brought the sphere to rest on its guide.
+    TOUCHED: the state is the one at the touch, the distance to the wall `s.side` zero within rounding (`_touch` and
+    `_bounce` set it exactly). STOPPED: friction has brought the sphere to rest on its guide.
     """
     braking, x_1 = -s.slide * p.friction, flight.x_1
     begin_flight(system, f, flight, s.y, s.t)
@@ -325,9 +334,10 @@ def fly(p, system, f, flight, s, t_end):  # type: ignore[no-untyped-def]
 
 @kernel
 def ride(p, system, f, flight, s, t_end):  # type: ignore[no-untyped-def]
-    """Advance sphere and base as one body until they part or to t_end; return PARTED or TIME.
+    """Advance sphere and superior base as one body until they part or to t_end; return PARTED or TIME.
 
-    `s.side` is the wall that presses the sphere, or 0 when guide friction holds it. It parts the way of `s.slide`.
+    `s.side` is the wall that presses the sphere, or 0 when guide friction holds it. They part where |x_1''| comes to
+    μ g_0, at a wall only where it pulls away; the sphere then goes the way of `s.slide`.
     """
     begin_flight(system, f, flight, s.y, s.t)
     t, ended, x_1 = s.t, TIME, flight.x_1

@@ -36,8 +36,18 @@ from impact_rig.physics.stream import Stream
 from impact_rig.simtime import COMMAND_GRID_S
 
 SECTIONS = 4
-_SECTION = np.dtype([("a_1", "f8"), ("a_2", "f8")])
-_MEMORY = np.dtype([("first", "f8"), ("second", "f8")])
+_SECTION = np.dtype(
+    [
+        ("a_1", "f8"),  # coefficient of z⁻¹ below the line [-]
+        ("a_2", "f8"),  # coefficient of z⁻² there [-]
+    ]
+)
+_MEMORY = np.dtype(
+    [
+        ("first", "f8"),  # what the next number adds to itself [-]
+        ("second", "f8"),  # what the one after it adds [-]
+    ]
+)
 
 
 class BandPass(NamedTuple):

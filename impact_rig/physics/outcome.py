@@ -3,15 +3,19 @@
 """What a fast contact does, looked up: its outcome depends on so little that it is tabulated once per law.
 
 With approach speed v0, in units of δ_0 = v0 t_0 and t_0 = (m_eff/K)^(1/(1+b)) v0^((1−b)/(1+b)), a contact of a law
-F ~ K δ^b without a scale of its own is, Δ = δ/δ_0 and θ = t/t_0,
+F ~ K δ^b without a scale of its own is, Δ = δ/δ_0 and θ = t/t_0, Δ' = dΔ/dθ and F in units of m_eff δ_0/t_0²,
 
     Δ'' = −F(Δ, Δ') + η_0 + η_1 θ + η_2 θ² − α Δ − γ Δ',    Δ = 0, Δ' = 1 at θ = 0
     η_k = (k-th Taylor coefficient of a_r about the touch) t_0^(k+1) / v0,   α = t_0² σ k_1 / m_1,   γ = t_0 σ c_1 / m_1
 
 with a_r the relative acceleration that presses sphere and wall together. η_0 is a few hundredths and the rest parts of
-a million, called perturbations here: each quantity of the outcome is a Chebyshev series in η_0 for the contact itself,
-its first two derivatives by η_1 and its first ones by η_2, α and γ. Contacts beyond the table's range are integrated
-step by step; those inside end within 1e-10 of that.
+a million, called perturbations here. `perturbed_contact` integrates that equation, and `look_up` takes from the table
+
+    outcome = plain + η_1 ∂/∂η_1 plain   [+ (½ η_1² ∂²/∂η_1² + η_2 ∂/∂η_2 + α ∂/∂α + γ ∂/∂γ) plain]
+
+with plain and its derivatives at η_1 = η_2 = α = γ = 0, each a Chebyshev series in η_0; what is in brackets is added to
+the first three quantities, the DECISIVE ones. Contacts beyond the table's range are integrated step by step; those
+inside end within 1e-10 of that.
 """
 
 from __future__ import annotations
@@ -36,7 +40,8 @@ SEPARATION, DURATION, LOST, PEAK, DEPTH, SUM, MOMENT = range(7)
 indentation, ∫ Δ dθ and ∫ (θ_end − θ) Δ dθ."""
 OUTCOMES = 7
 TWICE, BY_2, BY_STIFFNESS, BY_DAMPING = range(4)
-DECISIVE = 3  # the first outcomes, which have further derivatives: by η_1 twice, by η_2, α and γ
+"""Further derivatives, of the first outcomes only: ½ ∂²/∂η_1², ∂/∂η_2, ∂/∂α, ∂/∂γ."""
+DECISIVE = 3  # so many outcomes have these
 COLUMNS = 2 * OUTCOMES + 4 * DECISIVE
 """Of the series: all outcomes, their derivatives by η_1, and the further ones of the decisive three."""
 COEFFICIENTS = 20
@@ -132,7 +137,7 @@ class Contacts:
         return left, out
 
     def derivatives(self, eta_0: float, which: int) -> tuple[bool, NDArray[np.float64], NDArray[np.float64]]:
-        """Return whether every contact ended, and two derivatives by one of (η_1, η_2, α, γ), from differences."""
+        """Return whether every contact ended, and f' and ½ f'' by one of (η_1, η_2, α, γ), from differences."""
         perturbations = np.zeros(4)
         left, plain = self.under(eta_0, perturbations)
         perturbation = MOST_1 if which == 0 else _PERTURBATION
@@ -144,7 +149,7 @@ class Contacts:
         return left and left_up and left_down, (up - down) / (2.0 * perturbation), twice
 
     def rebound(self, eta_0: float) -> float:
-        """Return the energy with which the sphere leaves under η_0, 0 where it does not leave by itself."""
+        """Return twice the energy with which the sphere leaves under η_0, 0 where it does not leave by itself."""
         p = self._parameters[0]
         left, out = self.under(eta_0, np.array([0.0, 0.0, p.pair_stiffness, p.pair_damping]))
         return float(out[SEPARATION] * out[SEPARATION]) if left else 0.0
@@ -266,22 +271,22 @@ def apply_outcome(p, table, s, step):  # type: ignore[no-untyped-def]
     """Move s from the touch to the end of the contact that `look_up` found."""
     found, speed = table.outcome, s.speed
     t_0 = contact_time(p, speed)
-    depth = speed * t_0  # δ_0
+    delta_0 = speed * t_0
     duration, separation = found[DURATION] * t_0, found[SEPARATION] * speed
-    impulse = p.k_1 * found[SUM] * depth * t_0
-    moment = p.k_1 * found[MOMENT] * depth * t_0 * t_0 + p.c_1 * found[SUM] * depth * t_0
+    impulse = p.k_1 * found[SUM] * delta_0 * t_0  # ∫ F_z dt [N s]
+    moment = p.k_1 * found[MOMENT] * delta_0 * t_0 * t_0 + p.c_1 * found[SUM] * delta_0 * t_0  # ∫∫ F_z dt dt [N s²]
     sphere = s.y[V1] + s.side * (1.0 - p.share) * speed
     pair_at(step, duration, s.y)
     # the correction z to first order: `look_up` has seen to it that the next one is nothing
-    share = s.side * p.share
-    s.y[V1] += share * impulse * p.per_m_pair
-    s.y[X1] += share * moment * p.per_m_pair
-    s.y[VB] -= share * impulse * p.per_m_base
-    s.y[XB] -= share * moment * p.per_m_base
+    of_z = s.side * p.share
+    s.y[V1] += of_z * impulse * p.per_m_pair
+    s.y[X1] += of_z * moment * p.per_m_pair
+    s.y[VB] -= of_z * impulse * p.per_m_base
+    s.y[XB] -= of_z * moment * p.per_m_base
     s.impulse = -s.side * p.m * (s.y[V1] - s.side * (1.0 - p.share) * separation - sphere)
     s.elapsed = duration
     s.peak_force = found[PEAK] * p.m_eff * speed / t_0
     s.lost = found[LOST] * p.m_eff * speed * speed
-    s.deepest = math.sqrt(found[DEPTH] * depth)
+    s.deepest = math.sqrt(found[DEPTH] * delta_0)
     s.w, s.speed = 0.0, -separation
     s.t += duration

@@ -7,13 +7,14 @@ sample costs a dozen multiplications and does not depend on which other samples 
 step is solved again up to the instant; a contact whose outcome was tabulated is integrated here first. With F the
 contact force and F_c that of the columns,
 
-    x_1 = x_1* − side σ δ,    x_2 = x_1 + side (g/2 + δ),    a_1 = (F_c + side F) / m_1,    a_2 = −side F / m
+    x_1 = x_1* − side σ δ,    x_2 = x_1 + side (g/2 + dent + δ),    a_1 = (F_c + side F) / m_1,    a_2 = −side F / m
 
 In the functions s is the state at the event or step that the motion goes on from, t the time since the start of the
 segment, `since` that since the flight, step or contact began, and τ that from the place a polynomial is anchored at.
 
-The sensors take a motion piece by piece, each as one polynomial (`fit`): in flight the Taylor polynomial about its
-middle, shortened; in a contact the one through eight instants of the steps' dense output.
+The sensors take a motion piece by piece (`refine` gives the instants at which it is cut), each as one polynomial
+(`fit`): in flight the Taylor polynomial about its middle, shortened; in a contact the one through eight instants, of a
+step's dense output, or where the outcome was tabulated of δ integrated anew; anything else through eight samples.
 """
 
 from __future__ import annotations
@@ -84,9 +85,9 @@ _MOST_STEPS = 500
 _ROOT_ROUNDS = 60  # Newton needs three to six
 _ROOT_FOUND = 1e-9  # of the step
 _SAME = 1e-12  # instants nearer to each other are one [s]
-_LONGEST = 4.0 / _VALID_RADIANS  # times that: 2 radians either side, the first neglected term is 2^14 / 14! = 2e-7
+_LONGEST = 4.0 / _VALID_RADIANS  # a piece, times `flight.validity`: 2 radians either side of its middle, see `fit`
 _PULSE_STEPS = 12  # of a tabulated contact, at least; the nodes make more of them
-_CORRECTIONS = 2  # of its length: interpolation leaves parts in 1e4, each correction the square
+_CORRECTIONS = 2  # of the length of a step up to an instant: interpolation leaves parts in 1e4, each one the square
 
 
 class Trajectory(NamedTuple):
@@ -674,7 +675,12 @@ def _fit_samples(model, trajectory, spans, i, work):  # type: ignore[no-untyped-
 
 @entry(MODEL, TRAJECTORY, SPANS, SAMPLING_WORKSPACE, returns=bool)
 def fit(model, trajectory, spans, work):  # type: ignore[no-untyped-def]
-    """Fill `spans.out` and return whether there are such ticks."""
+    """Fill `spans.out` and return whether there are such ticks.
+
+    In flight the fastest motion goes at most 2 radians either side of a piece's middle. There the series leaves out
+    2^14 / 14! = 2e-7 of it, and its shortening to eight terms 2 / 8! = 5e-5; the instruments' pieces are shorter. In a
+    contact up to a thousandth of the pulse is left out.
+    """
     p, flight, history = model.parameters[0], work.flight[0], trajectory.history
     flight.omega, work.pulsing[0] = -1.0, -1
     of_structure = True

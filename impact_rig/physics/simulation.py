@@ -60,7 +60,7 @@ def _places(names: tuple[str, ...]) -> NDArray[np.int64]:
 
 
 class Motion:
-    """The trajectory of consecutive ticks, numbered from `first_tick`: drive segments, where a tick has no more.
+    """The trajectory of consecutive ticks, numbered from `first_tick`: each one drive segment, or several of a stream.
 
     Times are (tick, offset into the tick): no value depends on how the run was cut into advances. Motions that
     are asked in turn may share a `work`, their scratch memory.
@@ -129,7 +129,7 @@ class Motion:
     ) -> NDArray[np.float64]:
         """Return some quantities of `SAMPLE` on pieces between breakpoints, each as a polynomial in x = −1 … 1.
 
-        Its error is what eight terms leave out: in a contact up to a thousandth of the pulse, in flight see `fit`.
+        Its error is what eight terms leave out: see `sampling.fit`.
 
         Args:
             names: of the quantities.
@@ -174,7 +174,8 @@ class Motion:
 
 
 MOST_STATES = 200_000
-"""Contacts, rides and flights in one drive segment (10 ms); a chattering sphere makes some ten of them."""
+"""Rows of the history in one drive segment: flights, rides, steps of contacts. It is looked at when the log is full; a
+chattering sphere makes some ten of them."""
 
 _STATES, _IMPACTS = 1 << 15, 1 << 11  # room for so many: pages that are not touched take no memory
 _GROWTH = 4  # of the log, when a call needs more room
@@ -318,7 +319,7 @@ class Simulation:
         """Simulate the drive segments (dtype `flight.SEGMENT`), the first of which begins a tick; return their motion.
 
         Raises:
-            SimulationError: the integration makes no progress, or needs more than `MOST_STATES` steps in a segment.
+            SimulationError: the integration makes no progress, or needs more than `MOST_STATES` rows in a segment.
         """
         segments = np.ascontiguousarray(segments, SEGMENT)
         if self.locked:

@@ -2,8 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """What kernels work on: the parameters of the equations, the state of the rig, and their workspaces.
 
-Everything is a record with named fields, SI units, and one meaning of a field in every phase. A record is an element of
-a recarray: compiled code and plain Python both read and write `state.d_rate`.
+Everything is a record with named fields in SI units. A field has one unit; where its meaning depends on the phase, the
+comment beside it says how. A record is an element of a recarray: compiled code and plain Python both read and write
+`state.d_rate`.
 
 A trajectory is the history of states at its events and at the steps of its contacts. Each state says which phase of
 motion goes on from there, which is enough to evaluate the motion up to the next one.
@@ -25,11 +26,12 @@ NOTHING, LEFT, TIME, RELEASED, TURNED, RELOADED, FAILED, SETTLED, TOUCHED, STOPP
 """What ends a step, a phase or a flight; see `contact_phase` and the table of `event_loop`."""
 
 X1, V1, XB, VB, COIL = range(5)
-"""Places in a structural state y: superior base [m], [m/s], inferior base [m], [m/s], coil current [A].
+"""Places in a structural state y: superior base [m], [m/s], inferior base [m], [m/s], current i of the coil [A].
 
 A prescribed base has the first two only, a current drive the first four.
 """
 STRUCTURE = 5
+"""How many places y has."""
 
 ORDERS = 6
 """Derivatives of x_1 that a flight evaluates: 0 … 5."""
@@ -39,74 +41,88 @@ STEP_TERMS = 12
 STATE = np.dtype(
     [
         ("t", "f8"),  # time since the start of the drive segment [s]
-        ("phase", "i8"),
-        ("y", "f8", (STRUCTURE,)),  # structure; in a contact of the pair: x_1*, v_1*, see `contact_step`
-        ("d", "f8"),  # flight: sphere relative to the superior base, x_2 − x_1 [m]; contact: the same where it touched
-        ("d_rate", "f8"),  # its rate [m/s]
-        ("slide", "f8"),  # flight: which way the sphere slides on a guide with friction, −1, 0 or 1
-        ("side", "f8"),  # wall that is touched or presses, −1 left, 1 right, 0 none
-        ("w", "f8"),  # contact: square root of the indentation [m^0.5]
-        ("speed", "f8"),  # contact: rate of the indentation δ' [m/s], positive while it grows
-        ("deepest", "f8"),  # contact: the largest w so far [m^0.5]
-        ("per_v0", "f8"),  # contact: 1 over the approach speed, floored [s/m]
-        ("tabulated", "i8"),  # contact: from here to the next state it is one tabulated outcome
-        ("h", "f8"),  # contact: length of the step that starts here [s/m^0.5], 0 where none does
-        ("released", "f8"),  # indentation at which a wall let the sphere go, until it is out of there [m]
-        ("released_side", "f8"),  # which wall that is
-        ("next_h", "f8"),  # contact: what the step control proposes [s/m^0.5]
-        ("begin_tick", "i8"),  # contact: the tick in which it began,
-        ("begin_t", "f8"),  # the time since the start of that tick [s],
-        ("approach", "f8"),  # the speed δ' [m/s]; and of the contact so far
-        ("elapsed", "f8"),  # its duration [s],
-        ("peak_force", "f8"),  # [N],
-        ("impulse", "f8"),  # ∫ F dt [N s],
-        ("lost", "f8"),  # the energy lost [J]
-        ("begin_d", "f8"),  # flight: d where it began [m]
+        ("phase", "i8"),  # FREE, CONTACT or ATTACHED
+        ("y", "f8", (STRUCTURE,)),  # x_1, v_1, x_b, v_b, i [m, m/s, m, m/s, A]; in a contact x_1* and v_1*, the pair's
+        ("d", "f8"),  # x_2 − x_1 [m]; in a contact that at the touch
+        ("d_rate", "f8"),  # rate of d [m/s]; 0 in a contact and while ATTACHED
+        ("slide", "f8"),  # the way the sphere slides on a guide with friction, −1, 0 or 1; at PARTED the way it parts
+        ("side", "f8"),  # wall that is touched or presses: −1 left, 1 right, 0 none
+        ("w", "f8"),  # in a contact √δ, the square root of the indentation [m^0.5]
+        ("speed", "f8"),  # in a contact δ', the rate of the indentation [m/s], positive while it grows
+        ("deepest", "f8"),  # in a contact the largest w so far [m^0.5]
+        ("per_v0", "f8"),  # in a contact 1 over its approach speed, which is floored [s/m]
+        ("tabulated", "i8"),  # 1: from here to the next state the motion is one contact looked up in the table
+        ("h", "f8"),  # length in χ of the contact's step that starts here [s/m^0.5], 0 where none does
+        ("released", "f8"),  # depth at which a wall let the sphere go, until it is out of there [m]
+        ("released_side", "f8"),  # which wall that is: −1 left, 1 right
+        ("next_h", "f8"),  # length in χ that the step control proposes [s/m^0.5], 0 where a contact has just begun
+        ("begin_tick", "i8"),  # number of the tick in which the contact began
+        ("begin_t", "f8"),  # when in that tick it began [s]
+        ("approach", "f8"),  # δ' with which the contact began [m/s]
+        ("elapsed", "f8"),  # duration of the contact so far [s]
+        ("peak_force", "f8"),  # largest F of the contact so far [N]
+        ("impulse", "f8"),  # ∫ F dt of the contact so far [N s]
+        ("lost", "f8"),  # energy lost by the contact so far [J]
+        ("begin_d", "f8"),  # d where the flight began [m]
     ],
     align=True,
 )
 
-LEDGER = np.dtype([(name, "f8") for name in ("work", "columns", "shaker", "contact", "friction")])
-"""Energies since the reset [J]: work of the drive, losses by place."""
-
-IMPACT_COLUMNS = (
-    "tick",
-    "offset",
-    "wall",
-    "approach_speed",
-    "separation_speed",
-    "peak_force",
-    "peak_indentation",
-    "impulse",
-    "duration",
-    "energy_lost",
+LEDGER = np.dtype(
+    [
+        ("work", "f8"),  # done by the drive since the reset [J]
+        ("columns", "f8"),  # lost in the columns' damping since then [J]
+        ("shaker", "f8"),  # lost in the damping of the inferior base's suspension and in the coil [J]
+        ("contact", "f8"),  # lost in contacts, less what the least speeds added [J]
+        ("friction", "f8"),  # lost by friction of the guide [J]
+    ]
 )
-IMPACT = np.dtype([(name, "i8" if name == "tick" else "i1" if name == "wall" else "f8") for name in IMPACT_COLUMNS])
-"""One row per finished contact: `tick` and `offset` [s] of its start; see `blocks.IMPACTS` for the rest."""
+"""Energies since the reset."""
 
-LOG = np.dtype([("states", "i8"), ("impacts", "i8")])
+IMPACT = np.dtype(
+    [
+        ("tick", "i8"),  # number of the tick in which the contact began
+        ("offset", "f8"),  # when in that tick it began [s]
+        ("wall", "i1"),  # which wall: −1 left, 1 right
+        ("approach_speed", "f8"),  # δ' with which it began [m/s]
+        ("separation_speed", "f8"),  # −δ' with which it ended [m/s]
+        ("peak_force", "f8"),  # largest F [N]
+        ("peak_indentation", "f8"),  # largest δ [m]
+        ("impulse", "f8"),  # ∫ F dt [N s]
+        ("duration", "f8"),  # from the touch to its end [s]
+        ("energy_lost", "f8"),  # in it [J]
+    ]
+)
+"""One row per finished contact; the columns of `blocks.IMPACTS`, with the instant as tick and offset."""
+
+LOG = np.dtype(
+    [
+        ("states", "i8"),  # rows of the history that are filled
+        ("impacts", "i8"),  # rows of the impacts that are filled
+    ]
+)
 """How many rows of the history and of the impacts are filled."""
 
 FLIGHT = np.dtype(
     [
-        ("omega", "f8"),  # the drive that both answers belong to [rad/s]
-        ("system", "i8"),  # the linear system they belong to
-        ("validity", "f8"),  # time for which a Taylor polynomial holds [s]
-        ("answer", "c16", (STRUCTURE,)),  # H: to a drive of constant amplitude [y per u]
-        ("growth_answer", "c16", (STRUCTURE,)),  # G: to one whose amplitude grows [y s per u]
-        ("steady", "c16", (STRUCTURE,)),  # P [as y] and Q [as y, per s] of y_p(t) = Im[(P + Q t) exp(jωt)]
-        ("growing", "c16", (STRUCTURE,)),
-        ("forced", "c16", (ORDERS,)),  # P and Q of x_1 and its derivatives
-        ("forced_growing", "c16", (ORDERS,)),
-        ("forced_size", "f8", (ORDERS,)),  # a bound on each within the segment
-        ("begin", "f8"),  # t_b: when the flight began [s]
-        ("friction_force", "f8"),  # constant force on the structure [N]: guide friction
-        ("modal", "c16", (STRUCTURE,)),  # C_n: amplitude of each mode at `begin`
-        ("wave", "c16", (ORDERS, STRUCTURE)),  # its part in x_1 and its derivatives then
-        ("wave_size", "f8", (ORDERS, STRUCTURE)),
-        ("x_1", "f8", (ORDERS,)),  # x_1[k] is the k-th derivative of x_1 where it was evaluated last [m/s^k];
-        ("bound", "f8"),  # a bound on the first one that was not evaluated, from there on
-        ("y", "f8", (STRUCTURE,)),  # the structure's state where it was evaluated last
+        ("omega", "f8"),  # frequency of the drive that the answers H and G belong to [rad/s]
+        ("system", "i8"),  # linear system they belong to: LOOSE or HELD
+        ("validity", "f8"),  # length of the intervals that have a Taylor polynomial each, about their middle [s]
+        ("answer", "c16", (STRUCTURE,)),  # H, answer to a drive of constant amplitude [y per u]
+        ("growth_answer", "c16", (STRUCTURE,)),  # G, answer to a drive whose amplitude grows [y s per u]
+        ("steady", "c16", (STRUCTURE,)),  # P of y_p(t) = Im[(P + Q t) exp(jωt)] [as y]
+        ("growing", "c16", (STRUCTURE,)),  # Q of it [as y, per s]
+        ("forced", "c16", (ORDERS,)),  # P of the k-th derivative of x_1 [m/s^k]
+        ("forced_growing", "c16", (ORDERS,)),  # Q of it [m/s^(k+1)]
+        ("forced_size", "f8", (ORDERS,)),  # bound on that derivative's part in y_p within the segment [m/s^k]
+        ("begin", "f8"),  # t_b, when the flight began, since the start of the segment [s]
+        ("friction_force", "f8"),  # constant force of the guide's friction on the structure [N]
+        ("modal", "c16", (STRUCTURE,)),  # C_n, amplitude of mode n at t_b [of the place of y where Γ_n is 1]
+        ("wave", "c16", (ORDERS, STRUCTURE)),  # part of mode n in the k-th derivative of x_1 at t_b [m/s^k]
+        ("wave_size", "f8", (ORDERS, STRUCTURE)),  # modulus of that part [m/s^k]
+        ("x_1", "f8", (ORDERS,)),  # k-th derivative of x_1 where it was evaluated last [m/s^k]
+        ("bound", "f8"),  # bound, from there to the segment's end, on the first derivative not evaluated [m/s^k]
+        ("y", "f8", (STRUCTURE,)),  # structural state where `structure_at` evaluated it last, scratch before [as y]
     ],
     align=True,
 )
@@ -114,41 +130,37 @@ FLIGHT = np.dtype(
 
 CONTACT_STEP = np.dtype(
     [
-        ("path", "f8", (STRUCTURE, STEP_TERMS)),  # Taylor polynomials of the pair's y about the start of the step
-        (
-            "acceleration",
-            "f8",
-            (STEP_TERMS,),
-        ),  # of a_r, relative, pressing sphere and wall together [m/s²]
-        ("w", "f8", (STAGES,)),  # at the stages: sqrt of the indentation [m^0.5],
-        ("speed", "f8", (STAGES,)),  # δ' [m/s],
-        ("since", "f8", (STAGES,)),  # time since the start of the step [s],
-        ("acceleration_at", "f8", (STAGES,)),  # the relative acceleration, correction included [m/s²],
-        ("force", "f8", (STAGES,)),  # F [N],
-        ("lossy", "f8", (STAGES,)),  # the part of it that dissipates [N],
-        ("force_by_w", "f8", (STAGES,)),  # ∂F/∂w,
-        ("force_by_speed", "f8", (STAGES,)),  # ∂F/∂δ',
-        ("speed_slope", "f8", (STAGES,)),  # dδ'/dχ [m^1.5/s²],
-        ("speed_slope_by_w", "f8", (STAGES,)),  # its derivatives
-        ("speed_slope_by_speed", "f8", (STAGES,)),
-        ("correction", "f8", (STRUCTURE, STAGES)),  # z, what the indentation moves the pair by, over side · σ,
-        ("correction_slope", "f8", (STRUCTURE, STAGES)),  # and dz/dχ
-        ("newton", "f8", (STAGES, STAGES)),  # what Newton's method multiplies the residuals of the equations with
-        ("residual", "f8", (STAGES,)),
-        ("dense", "f8", (STAGES + 1,)),  # coefficients of the dense output δ'(x), see `contact_step` [m/s],
-        ("dense_length", "f8"),  # the length of the step it belongs to, 0 where none is known [s/m^0.5],
-        ("dense_since", "f8"),  # and how far from its start the next one starts [s/m^0.5]
+        ("path", "f8", (STRUCTURE, STEP_TERMS)),  # Taylor coefficients of the pair's y about the step's start [y/s^n]
+        ("acceleration", "f8", (STEP_TERMS,)),  # Taylor coefficients of a_r about it [m/s^(n+2)]
+        ("w", "f8", (STAGES,)),  # √δ at the stages [m^0.5]
+        ("speed", "f8", (STAGES,)),  # δ' at the stages [m/s]
+        ("since", "f8", (STAGES,)),  # time from the step's start to the stages [s]
+        ("acceleration_at", "f8", (STAGES,)),  # a_r at the stages, with what the correction z adds [m/s²]
+        ("force", "f8", (STAGES,)),  # F at the stages [N]
+        ("lossy", "f8", (STAGES,)),  # part of F at the stages that dissipates [N]
+        ("force_by_w", "f8", (STAGES,)),  # ∂F/∂w at the stages [N/m^0.5]
+        ("force_by_speed", "f8", (STAGES,)),  # ∂F/∂δ' at the stages [N s/m]
+        ("speed_slope", "f8", (STAGES,)),  # dδ'/dχ at the stages [m^1.5/s²]
+        ("speed_slope_by_w", "f8", (STAGES,)),  # ∂(dδ'/dχ)/∂w at the stages [m/s²]
+        ("speed_slope_by_speed", "f8", (STAGES,)),  # ∂(dδ'/dχ)/∂δ' at the stages [m^0.5/s]
+        ("correction", "f8", (STRUCTURE, STAGES)),  # z at the stages: what δ moves y by, over side · σ [as y]
+        ("correction_slope", "f8", (STRUCTURE, STAGES)),  # dz/dχ at the stages [m^0.5/s, times y]
+        ("newton", "f8", (STAGES, STAGES)),  # matrix of Newton's method for the stages' δ', then its inverse [-]
+        ("residual", "f8", (STAGES,)),  # right-hand side of Newton's method: −MATRIX⁻¹ times the step's residuals [m/s]
+        ("dense", "f8", (STAGES + 1,)),  # coefficients of the dense output δ'(x), x = 0 … 1 [m/s]
+        ("dense_length", "f8"),  # length in χ of the step it belongs to [s/m^0.5], 0 where none is known
+        ("dense_since", "f8"),  # how far in χ from that step's start the next one starts [s/m^0.5]
         ("fastest_time", "f8"),  # time in which the fastest motion of structure or drive goes one radian [s]
-        ("radian", "f8"),  # time in which the contact itself goes one radian [s]
-        ("turned_at", "f8"),  # the branch of the law that the step is on, see `contact.law` [m^0.5]
-        ("start_speed_slope", "f8"),  # dδ'/dχ at the start of the step [m^1.5/s²]
-        ("start_force", "f8"),  # F there [N]
-        ("tolerance", "f8"),  # how wrong the step's speeds may be [m/s],
-        ("goal", "f8"),  # and how near Newton's method must come to what the step says [m/s]
-        ("terms", "i8"),  # Taylor terms that suffice for the step
-        ("validity", "f8"),  # time for which they hold [s]
-        ("rest", "f8"),  # time left to the end of the drive segment [s]
-        ("y", "f8", (STRUCTURE,)),  # the pair's state where it was evaluated last
+        ("radian", "f8"),  # time in which the contact's own vibration goes one radian [s]
+        ("turned_at", "f8"),  # w from which the law unloads, 0 while it loads: see `contact.law` [m^0.5]
+        ("start_speed_slope", "f8"),  # dδ'/dχ at the step's start [m^1.5/s²]
+        ("start_force", "f8"),  # F at the step's start [N]
+        ("tolerance", "f8"),  # how wrong the step's speeds may be [m/s]
+        ("goal", "f8"),  # how near to the solution of the step's equations Newton's method must bring them [m/s]
+        ("terms", "i8"),  # how many Taylor terms suffice for the step
+        ("validity", "f8"),  # time from the step's start for which they hold [s]
+        ("rest", "f8"),  # time from the step's start to the end of the drive segment [s]
+        ("y", "f8", (STRUCTURE,)),  # scratch: a state of the pair, or of the structure [as y]
     ],
     align=True,
 )
@@ -168,39 +180,39 @@ LOOSE, HELD = range(2)
 PARAMETERS = np.dtype(
     [
         ("drive", "i8"),  # PRESCRIBED, CURRENT or VOLTAGE
-        ("sphere_present", "i8"),
-        ("m_1", "f8"),  # superior base [kg]
-        ("c_1", "f8"),  # columns [N s/m]
-        ("k_1", "f8"),  # [N/m]
-        ("m_base", "f8"),  # armature and inferior base [kg]
-        ("c_f", "f8"),  # suspension of the inferior base [N s/m]
-        ("k_f", "f8"),  # [N/m]
+        ("sphere_present", "i8"),  # 0 where there is no sphere
+        ("m_1", "f8"),  # mass of the superior base [kg]
+        ("c_1", "f8"),  # damping of the columns [N s/m]
+        ("k_1", "f8"),  # stiffness of the columns [N/m]
+        ("m_base", "f8"),  # m_a + m_b: armature and inferior base [kg]
+        ("c_f", "f8"),  # damping of the inferior base's suspension [N s/m]
+        ("k_f", "f8"),  # stiffness of that suspension [N/m]
         ("force_factor", "f8"),  # K_f of the coil [N/A]
-        ("resistance", "f8"),  # coil [Ω]
-        ("per_inductance", "f8"),  # [1/H]
-        ("m", "f8"),  # sphere [kg]
+        ("resistance", "f8"),  # R of the coil [Ω]
+        ("per_inductance", "f8"),  # 1/L of the coil [1/H]
+        ("m", "f8"),  # mass of the sphere [kg]
         ("m_eff", "f8"),  # m m_1 / (m + m_1) [kg]
-        ("per_m_eff", "f8"),  # reciprocals, because a division costs as much as the rest of a line
-        ("per_m_1", "f8"),
-        ("per_m_pair", "f8"),
-        ("per_m_base", "f8"),
-        ("share", "f8"),  # σ = m / (m_1 + m): the structure's part in a relative motion
-        ("pair_stiffness", "f8"),  # σ k_1 / m_1 [1/s²]: what the columns do to the indentation
-        ("pair_damping", "f8"),  # σ c_1 / m_1 [1/s]
-        ("half_gap", "f8"),  # [m]
-        ("friction", "f8"),  # μ g [m/s²]
-        ("stiffness", "f8"),  # the contact law's numbers, see `contact.law.Force`
-        ("factor", "f8"),
-        ("restitution", "f8"),
-        ("rigid", "i8"),
-        ("clipped", "i8"),
-        ("remembers", "i8"),
-        ("time_scale", "f8"),  # t_0 = time_scale v0^time_power
-        ("time_power", "f8"),
-        ("speed_floor", "f8"),  # of the approach speed in c = a K / v0 [m/s]
-        ("touch_speed", "f8"),  # the least approach speed a contact can start with [m/s]
+        ("per_m_eff", "f8"),  # 1/m_eff [1/kg]: reciprocals, because a division costs as much as the rest of a line
+        ("per_m_1", "f8"),  # 1/m_1 [1/kg]
+        ("per_m_pair", "f8"),  # 1/(m_1 + m) [1/kg]
+        ("per_m_base", "f8"),  # 1/m_base [1/kg]
+        ("share", "f8"),  # σ = m / (m_1 + m), the structure's part in a relative motion [-]
+        ("pair_stiffness", "f8"),  # σ k_1 / m_1, what the columns' stiffness does to the indentation [1/s²]
+        ("pair_damping", "f8"),  # σ c_1 / m_1, what their damping does [1/s]
+        ("half_gap", "f8"),  # g/2 [m]
+        ("friction", "f8"),  # μ g_0 of the guide [m/s²]
+        ("stiffness", "f8"),  # the contact law's first number, K of F ~ K δ^b [N/m^b]
+        ("factor", "f8"),  # its second number, by law: a [-], c [N s/m] or e² [-]; see `contact.law.Force`
+        ("restitution", "f8"),  # e that a rigid law rebounds with [-]
+        ("rigid", "i8"),  # 1 where a contact takes no time
+        ("clipped", "i8"),  # 1 where a contact ends as soon as its force would pull
+        ("remembers", "i8"),  # 1 where the force depends on where the indentation turned
+        ("time_scale", "f8"),  # of t_0 = time_scale v0^time_power, in s for v0 in m/s
+        ("time_power", "f8"),  # exponent in it [-]
+        ("speed_floor", "f8"),  # least v0 that a law is told, as in c = a K / v0 [m/s]
+        ("touch_speed", "f8"),  # least approach speed that a contact starts with [m/s]
         ("fastest", "f8"),  # rate of the fastest mode [1/s]
-        ("rtol", "f8"),
+        ("rtol", "f8"),  # relative tolerance of a contact's step [-]
     ],
     align=True,
 )
@@ -208,14 +220,14 @@ PARAMETERS = np.dtype(
 
 SYSTEM = np.dtype(
     [
-        ("states", "i8"),
-        ("modes", "i8"),
+        ("states", "i8"),  # how many places of y there are: 2, 4 or 5, by drive
+        ("modes", "i8"),  # how many modes are kept: one of each conjugate pair
         ("rate", "c16", (STRUCTURE,)),  # λ_n [1/s]
-        ("right", "c16", (STRUCTURE, STRUCTURE)),  # Φ[n, state], doubled where a pair is kept once
-        ("left", "c16", (STRUCTURE, STRUCTURE)),  # Γ[n, state]
-        ("b_0", "f8", (STRUCTURE,)),
-        ("b_1", "f8", (STRUCTURE,)),
-        ("static", "f8", (STRUCTURE,)),  # answer to a constant unit force on the superior base
+        ("right", "c16", (STRUCTURE, STRUCTURE)),  # Φ_n by place of y, doubled where a pair is kept once [y per C_n]
+        ("left", "c16", (STRUCTURE, STRUCTURE)),  # Γ_n by place of y, 1 at one of them [C_n per y]
+        ("b_0", "f8", (STRUCTURE,)),  # how u enters [y/s per u]
+        ("b_1", "f8", (STRUCTURE,)),  # how u' enters [y per u]
+        ("static", "f8", (STRUCTURE,)),  # answer to a constant unit force on the superior base [y per N]
     ],
     align=True,
 )

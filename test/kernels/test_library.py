@@ -171,11 +171,16 @@ def test_a_c_program_simulates_the_same_bits(tmp_path: Path) -> None:
 
 @needs_library
 def test_the_header_says_of_each_record_what_its_own_fields_mean() -> None:
-    """A field once carried what a field of the same name in another record of the module means."""
+    """A field once carried what a field of the same name in another record of its module means; some had none."""
     text = (Path(kernels.__file__).parent / "impact_rig.h").read_text(encoding="utf-8")
     flight = text.partition("} ir_flight;")[0].rpartition("typedef struct")[2]
-    assert "double validity; /* time for which a Taylor polynomial holds [s] */" in flight
-    assert "double y[5]; /* the structure's state where it was evaluated last */" in flight
+    assert "double validity; /* length of the intervals that have a Taylor polynomial each" in flight
+    assert "double y[5]; /* structural state where `structure_at` evaluated it last" in flight
     step = text.partition("} ir_contact_step;")[0].rpartition("typedef struct")[2]
-    assert "double y[5]; /* the pair's state where it was evaluated last */" in step
-    assert re.search(r"double correction\[5\]\[5\]; /\* z, what the indentation moves the pair by", step)
+    assert "double y[5]; /* scratch: a state of the pair" in step
+    assert re.search(r"double correction\[5\]\[5\]; /\* z at the stages", step)
+    fields = re.findall(
+        r"^    \w+ (\w+)[\[\]\d]*;(.*)$", "".join(re.findall(r"typedef struct \{(.*?)^\}", text, re.M | re.S)), re.M
+    )
+    assert len(fields) > 150
+    assert [name for name, meaning in fields if not meaning] == []

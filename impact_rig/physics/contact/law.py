@@ -10,12 +10,12 @@ function is called with in a `Force`:
 
     w          √δ [m^0.5], the variable in which contacts are integrated
     speed      δ' [m/s], positive while the indentation grows
-    turned_at  the largest w so far [m^0.5] once the indentation has shrunk from there, 0 while it still grows: a law
-               with a memory has one branch for each
+    turned_at  the largest w so far [m^0.5] once the indentation has shrunk from there, 0 on the first way in and beyond
+               that largest w: a law with a memory has one branch for each
     per_v0     1 / approach speed of this contact, floored [s/m]
     elastic    the part of F [N] that the stored energy gives back
     lossy      the rest: lossy · δ' [W] is what the contact loses at this instant
-    stored     that energy [J], ∫ elastic dδ; where the contact lets go, what is left of it is lost
+    stored     that energy [J], ∫ elastic dδ; what is left of it where the contact ends is lost
 
 On either branch the force must be smooth in w and δ', also a little beyond w = 0, where a step may try it.
 Nothing else of the package asks which law it is: kernels call a force by function pointers of one type, those of
@@ -51,10 +51,10 @@ class Force(NamedTuple):
     Attributes:
         function: see above.
         stiffness: its first argument, K of F ~ K δ^exponent [N/m^exponent].
-        factor: its second argument.
+        factor: its second argument, by law: a [-], c [N s/m] or e² [-].
         exponent: of the indentation, for the scales of a contact.
         restitution: nominal; what a rigid law rebounds with.
-        clipped: whether a force that would pull lets go.
+        clipped: whether the contact ends where the force would pull; otherwise it pulls, and the contact ends at δ = 0.
         scale_free: whether every contact is the same in units of its own: `factor` has no dimension.
         remembers: whether the force depends on `turned_at`; such a law may ring undamped, and is averaged once slow.
         rigid: whether a contact takes no time, and the force is never asked for.
