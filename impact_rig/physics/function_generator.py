@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The function generator: turns commands into drive segments, phase-continuous, with ramped amplitude.
 
-One segment per tick of the command grid. Phases are computed from the number of ticks since the last change, never
-added up, so they neither drift nor depend on how many segments are asked for at once.
+One segment per tick of the command grid. No phase depends on how many segments are asked for at once: that of a sine
+is computed from the number of ticks since the last change, so it does not drift; a chirp changes in every tick.
 
 Random drive is band-passed noise of unit rms: a digital Butterworth band-pass of 8th order, refined with many digits
 and rounded once, behind our own generator.
@@ -189,7 +189,7 @@ class FunctionGenerator:
 
     @property
     def phase_rad(self) -> float:
-        """Phase of the sine at the next tick, in [0, 2π)."""
+        """Phase of the sine or chirp at the next tick, in [0, 2π)."""
         turns = self.frequency_hz * self._tick_s * (self.tick - self._anchor_tick)
         return math.fmod(self._anchor_phase + TWO_PI * math.fmod(turns, 1.0), TWO_PI)
 
@@ -285,6 +285,7 @@ class FunctionGenerator:
             frequency = drive.frequency_hz + place * (drive.chirp_end_hz - drive.frequency_hz)
             rows[i]["omega"], rows[i]["phase"] = TWO_PI * frequency, self._anchor_phase
             self._anchor_phase = math.fmod(self._anchor_phase + TWO_PI * frequency * self._tick_s, TWO_PI)
+        self._anchor_tick = self.tick + len(rows)
 
     def _amplitude_at(self, tick: NDArray[np.int64]) -> NDArray[np.float64]:
         first, start, target = self._ramp

@@ -42,16 +42,35 @@ def test_a_drive_has_no_jumps_but_at_the_chirps_return(waveform):
     assert np.abs(start[1:] - end[:-1]).max() <= 1e-12
 
 
-@given(st.lists(st.tuples(st.floats(5.0, 200.0), st.floats(0.0, 5.0), st.integers(1, 30)), min_size=1, max_size=8))
-def test_commands_leave_no_jump(commands):
-    made = generator(ramp_s=0.1)
+@pytest.mark.parametrize("waveform", ["sine", "chirp", "random"])
+@given(
+    st.lists(
+        st.tuples(st.floats(5.0, 200.0), st.floats(0.0, 5.0), st.floats(-500.0, 500.0), st.integers(1, 30)),
+        min_size=1, max_size=8,
+    )
+)  # fmt: skip
+def test_neither_commands_nor_a_drifting_clock_leave_a_jump(waveform, changes):
+    """A chirp once went on, after each of them, from the phase that a sine would have had."""
+    made = generator(waveform=waveform, ramp_s=0.1)
     rows = [made.segments(3)]
-    for frequency, amplitude, ticks in commands:
-        made.set_frequency(frequency)
+    for frequency, amplitude, ppm, ticks in changes:
+        if waveform == "sine":  # the frequency of the others is no matter of a command
+            made.set_frequency(frequency)
         made.set_amplitude(amplitude)
+        made.set_tick(TICK_S * (1.0 + 1e-6 * ppm))
         rows.append(made.segments(ticks))
     start, end = ends(np.concatenate(rows))
     assert np.abs(start[1:] - end[:-1]).max() <= 1e-11
+
+
+@pytest.mark.parametrize("waveform", ["sine", "chirp"])
+@pytest.mark.parametrize("ticks", [1, 5, 700])
+def test_the_phase_that_is_told_is_the_one_of_the_next_segment(waveform, ticks):
+    """Of a chirp it was once the phase of a sine at the chirp's first frequency."""
+    made = generator(waveform=waveform)
+    made.segments(ticks)
+    told = made.phase_rad
+    assert told == made.segments(1)["phase"][0]
 
 
 @pytest.mark.parametrize("waveform", ["sine", "chirp", "random"])
