@@ -143,7 +143,7 @@ IMPACTS = _table(
     "impacts", Qos.DATA, "analysis", blocks.DETECTED_IMPACTS_COLUMNS, "Impacts detected from the accelerometer alone."
 )
 FREQUENCY = Topic(
-    "shaker/frequency", "std_msgs/msg/Float64", Qos.EVENT, "client", "Command: drive frequency.",
+    "shaker/frequency", "std_msgs/msg/Float64", Qos.EVENT, "client", "Command: drive frequency, of a sine.",
     (Column("data", "Hz", "Within shaker.frequency_min_hz and shaker.frequency_max_hz."),),
 )  # fmt: skip
 CURRENT = Topic(

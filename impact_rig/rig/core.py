@@ -334,12 +334,15 @@ class Rig:
         """Take commanded frequency and amplitude (A peak; m, V by `drive.kind`; rms if random); return the applied row.
 
         Raises:
-            CommandError: out of range, not finite, or the shaker is latched or locked; nothing is changed.
+            CommandError: out of range, not finite, not what the waveform takes (a frequency is for a sine alone), or
+                the shaker is latched or locked; nothing is changed.
         """
         self._refuse_if_stopped()
         if self._generator.stream is not None:
             raise CommandError("the drive is a stream: it takes samples on shaker/waveform, no frequency or current")
         if frequency_hz is not None:
+            if self._drive.waveform != "sine":
+                raise CommandError(f"the drive is {self._drive.waveform}: it takes no frequency, only an amplitude")
             check_frequency(frequency_hz, self.config.shaker)
         if current_a is not None:
             check_amplitude(current_a, self._drive, self.config.shaker)

@@ -80,6 +80,20 @@ def test_a_refused_command_names_value_and_range_and_changes_nothing(
     assert rig.take_journal() == []
 
 
+@pytest.mark.parametrize("waveform", ["chirp", "random"])
+def test_a_drive_of_many_frequencies_takes_no_command_of_one(waveform: str) -> None:
+    """It was once taken, journaled and told as applied, and changed nothing; an amplitude is taken."""
+    rig = Rig(config(drive__waveform=waveform))
+    rig.advance(10 * TICK)
+    rig.take_applied(), rig.take_journal()
+    for command in ({"frequency_hz": 11.0}, {"frequency_hz": 11.0, "current_a": 0.1}):
+        with pytest.raises(CommandError, match=f"the drive is {waveform}: it takes no frequency, only an amplitude"):
+            rig.accept(**command)
+    assert (rig.take_applied(), rig.take_journal(), rig.amplitude) == ([], [], 0.52)
+    rig.accept(current_a=0.1)
+    assert rig.amplitude == 0.1
+
+
 def test_the_initial_drive_is_checked_like_a_command() -> None:
     with pytest.raises(ConfigError, match=r"drive: current must be"):
         Rig(config(drive__amplitude=30.0))
