@@ -87,10 +87,11 @@ def simulate(seconds: float, parameters: Mapping[str, object] | None = None) -> 
     config = from_flat(RigConfig(), parameters or {})
     rig, tracker = Rig(config), Tracker()
     tracker.configure(rig.info())
-    for table in rig.take_applied():
+    blocks = rig.advance(round(seconds * NS_PER_S))
+    for table in rig.take_applied():  # the initial drive, a trip, a time-out: each acts from its stamp on
         tracker.on_applied(table)
     scans, rows, found, truth = [], [], [], []
-    for block in rig.advance(round(seconds * NS_PER_S)):
+    for block in blocks:
         findings = tracker.feed(block.scan)
         scans.append(_since_start(block.scan))
         rows += [table.rows for table in findings.measurements]

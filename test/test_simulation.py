@@ -16,6 +16,7 @@ from impact_rig.physics.prediction import transmissibility
 from impact_rig.rig import Rig
 from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.simulation import simulate
+from impact_rig.states import Analysis
 
 DRIVEN = {"drive.frequency_hz": 9.1, "drive.amplitude": 0.52}
 
@@ -38,6 +39,20 @@ def test_scans_are_the_rigs_and_impacts_found_are_the_true_ones():
     for begin in hard["time"]:
         assert np.min(np.abs(record.impact_times - begin)) < 2e-3
     assert str(record) == "no DT: settling"
+
+
+@pytest.mark.parametrize(
+    "parameters",
+    [
+        {**DRIVEN, "output.command_timeout_s": 1.0},
+        {"drive.frequency_hz": 8.0, "drive.amplitude": 5.0, "shaker.travel_limit_m": 2e-3},
+    ],
+    ids=["time-out", "trip"],
+)
+def test_the_analysis_hears_of_a_drive_that_was_stopped(parameters):
+    """It once heard of the initial drive alone, and went on at a current that was none any more."""
+    record = simulate(3.0, {**parameters, "sphere.present": False})
+    assert (record.state.word, record.state.reason) == (Analysis.AT_REST, "")
 
 
 def test_what_cannot_be_simulated_is_refused():
