@@ -36,6 +36,7 @@ from impact_rig.physics.state import (
     ATTACHED,
     COIL,
     CONTACT,
+    CONTACT_STEP,
     FREE,
     IMPACT,
     LEDGER,
@@ -396,7 +397,9 @@ class Simulation:
         return record_
 
     def _begin(self, y: NDArray[np.float64]) -> None:
-        self._work = self._work._replace(states=records(2, STATE), ledger=records(1, LEDGER))
+        self._work = self._work._replace(
+            states=records(2, STATE), step=records(1, CONTACT_STEP), ledger=records(1, LEDGER)
+        )
         self._work.states[0]["y"][:] = y
         self._put_sphere(_PLACES[self._config.sphere.start] * self._model.parameters[0].half_gap, 0.0)
         self._stored = self.stored_energy()

@@ -64,6 +64,23 @@ def test_hertz_loses_nothing_in_its_contacts():
     assert abs(energy.imbalance) <= TOLERANCE * abs(energy.work)
 
 
+@pytest.mark.parametrize("before", ["prescribed", "current", "voltage"])
+@pytest.mark.parametrize("after", ["prescribed", "current", "voltage"])
+def test_another_kind_of_drive_leaves_nothing_of_the_one_before(before, after):
+    """A coil fed with current once kept, and stored the energy of, what its contacts under voltage had left behind."""
+    amplitude = {"prescribed": 3e-4, "current": 0.52, "voltage": 5.0}
+    changed, fresh = (
+        Simulation(rig(drive={"kind": kind}, barriers={"gap_m": 2e-3}), account=True) for kind in (before, after)
+    )
+    assert len(changed.advance(on_ticks(amplitude[before], 10)).impacts) > 5
+    changed.configure(fresh.config)
+    for one in (changed, fresh):
+        one.place()  # the same instant, both at rest
+    impacts = [len(one.advance(on_ticks(amplitude[after], 10)).impacts) for one in (changed, fresh)]
+    assert impacts[0] == impacts[1] > 5
+    assert changed.energy() == fresh.energy()
+
+
 PRESCRIBED, RANDOM = {"drive.kind": "prescribed"}, {"drive.kind": "prescribed", "drive.waveform": "random"}
 LINEAR = {"contact.law": "kelvin_voigt"}
 
