@@ -175,7 +175,7 @@ class LiveSource(Source):
             "dt": lambda: record.curve.part(record.start_ns),
             "dt_now": lambda: state.present(seen["rig"], seen["analysis"], doubts),
             "faults": lambda: record.faults.in_force(record.start_ns),
-            "health": lambda: record.curve.health() if seen["analysis"].lives else None,
+            "health": lambda: record.health() if seen["analysis"].lives else None,
             "journal": lambda: record.journal.part(record.start_ns),
             "recorder": lambda: self._recorder(seen["recorder"]),
             "lost": lambda: _lost(seen),

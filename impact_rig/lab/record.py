@@ -316,6 +316,18 @@ class Record:
             found.append(f"{plain(change.key or change.kind.value)} was changed after it began")
         return found
 
+    def health(self, at_ns: int | None = None) -> dict[str, str] | None:
+        """Return what `Curve.health` does, of the drive that is in force now, or at an instant.
+
+        None as well at rest, where no measurement is made (a pluck looks like spikes and a silent base), and until the
+        first row after a change of the drive.
+        """
+        drives = [one for one in list(self.applied) if at_ns is None or one[0] <= at_ns]
+        row = self.curve.newest(at_ns)
+        if not drives or drives[-1][1]["current"] == 0.0 or row is None or row.end_ns <= drives[-1][0]:
+            return None
+        return self.curve.health(at_ns)
+
     def take(self, topic: topics.Topic, data: bytes, at_ns: int | None = None) -> None:
         """Take a message that came at `at_ns` (None: now); where that fails, count it."""
         self.guard(topic.name, lambda: self._take(topic, data, at_ns))

@@ -354,6 +354,11 @@ def test_a_clicked_button_is_not_pressed_again_by_space(lab: Lab, page: Page) ->
 def test_pluck_pause_and_reset(lab: Lab, page: Page) -> None:
     page.click("#pluck")
     word(page, "plucked")
+    judged = lab.source.record.curve.judged
+    wait_until(lambda: judged and judged[-1].status == "spikes", "what the analysis makes of the jump")
+    shown = page.js("lab.now.rig.time")
+    page.wait(f"lab.now.rig.time > {shown} + 1", "the page to know of it")
+    assert page.text("#health") == "–", "no channel is at fault"
     page.click("#pause")
     word(page, "paused")
     lab.until(lambda: "paused" in lab.client.status("rig").message, "the rig to be paused")

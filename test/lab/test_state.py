@@ -15,7 +15,7 @@ from kits.recording import HandClock
 
 from impact_rig import states, topics
 from impact_rig.blocks import Table
-from impact_rig.codec import encode_joint_state, joint_state
+from impact_rig.codec import encode, encode_joint_state, joint_state
 from impact_rig.errors import CodecError, RecordingError
 from impact_rig.instruments.instrument import FAULT_KINDS
 from impact_rig.lab.protocol import Kind, RequestError, json_frame, parse
@@ -106,6 +106,29 @@ def test_channels_are_well_only_where_a_row_says_so() -> None:
         curve.add(Table(second * 10**9, rows))
         assert curve.health() == found
     assert curve.health(2 * 10**9) == {"base": "spikes"}
+    assert [row["t"] for row in curve.part(0)] == [1.0, 3.0, 4.0, 5.0], "what was not measured is no point of the curve"
+
+
+def test_channels_are_judged_while_the_drive_that_was_measured_is_in_force() -> None:
+    """A bug once: after a pluck of a rig at rest the page said "laser: spikes", and after the reset it still did."""
+    record, row = Record(), np.zeros(1, topics.TRANSMISSIBILITY_TABLE.columns)
+    applied = np.zeros(1, topics.APPLIED.columns)
+    assert record.health() is None
+    for second, current, status, found in (
+        (1, 0.5, b"", None), (5, None, b"ok", {}), (9, None, b"spikes", {"laser": "spikes"}),
+        (10, 0.0, b"", None),  # the pluck
+        (11, None, b"no_signal", None), (12, 0.0, b"", None),  # its reset
+        (13, 0.5, b"", None), (14, None, b"command_changed", None), (20, None, b"ok", {}),
+    ):  # fmt: skip
+        if current is None:
+            row["status"], row["channel"] = status, b"laser" if status in (b"spikes", b"no_signal") else b""
+            record.curve.add(Table(second * 10**9, row))
+        else:
+            applied["current"] = current
+            record.take(topics.APPLIED, encode(Table(second * 10**9, applied)))
+        assert record.health() == found, second
+    assert record.health(9 * 10**9) == {"laser": "spikes"}
+    assert record.health(11 * 10**9) is None
 
 
 def test_a_measurement_holds_until_the_rig_is_changed_and_again_from_a_row_that_began_after_that() -> None:
