@@ -137,7 +137,7 @@ class Regime(Word):
     MODULATED = "modulated", "The response has a few spectral lines beside the drive."
     CHAOTIC = "chaotic", "The response has a continuous spectrum; DT is its coherent mean."
     INTERMITTENT = "intermittent", "Impacts came and stay away: the sphere may be drifting towards the next."
-    UNKNOWN = "unknown", "There are too few cycles to tell."
+    UNKNOWN = "unknown", "There are too few cycles to tell, or an unsound accelerometer tells no impacts."
 
 
 class Method(enum.StrEnum):

@@ -176,6 +176,7 @@ def measure(
         return refuse(wrong)
     no_current = calibration.present[CURRENT] and health.current_unsound(cycles, calibration, sizes, before)
     unsound = wrong.status if wrong else Status.CURRENT_UNSOUND if no_current else Status.OK
+    untold = wrong is not None and response.regime is Regime.PERIODIC  # impacts could say otherwise, and nobody hears them
     overtones = true[LASER][:, 1:].mean(axis=0)
     clipped = flags & ((1 | RANGE_BIT) << ACCELEROMETER)
     has_current = not no_current and sizes.size[CURRENT] > health.SIGNAL_FACTOR * sizes.u[CURRENT]
@@ -193,8 +194,8 @@ def measure(
         thd=float(np.sqrt(np.sum(np.abs(overtones) ** 2))) / abs(mean1),
         impacts_per_cycle=NAN if wrong else float(cycles.impacts.mean()),
         cycles=len(cycles),
-        regime=response.regime,
-        period=response.period,
+        regime=Regime.UNKNOWN if untold else response.regime,
+        period=NAN if untold else response.period,
         spread=float(np.std(influence.real)),
         steady=response.steady,
         method=method,

@@ -98,6 +98,8 @@ def test_a_fault_in_a_running_measurement_is_named_and_no_wrong_row_looks_good(s
             assert abs(row["phase"] - np.angle(truth)) < 3 * row["phase_uncertainty"] + 1e-4
     if status == "accelerometer_unsound":
         assert np.isnan(named[-1]["impacts_per_cycle"])
+        assert {row["regime"] for row in named} == {b"unknown"}, "impacts could say that it does not repeat"
+        assert found[0]["regime"] == b"periodic"
     if status == "current_unsound":
         assert all(np.isnan(row["current_amplitude"]) for row in named)
 

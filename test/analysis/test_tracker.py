@@ -185,6 +185,23 @@ def test_the_state_says_what_the_measurement_does_and_since_when():
     assert seen[-1].since_ns == 28 * NS_PER_S
 
 
+def test_at_rest_is_a_state_and_no_trouble():
+    """The rows of a rig at rest say `silence`, and of one that was plucked worse; neither is asked for a measurement."""
+    rng, made = np.random.default_rng(6), tracker()
+    rows = record(seconds=20.0)
+    for name, rms in (("laser", 3e-6), ("base", 1e-6), ("current", 2e-3), ("accelerometer", 0.05)):
+        rows[name] = rms * rng.standard_normal(len(rows))
+    free = np.arange(8 * RATE) / RATE
+    rows["laser"][12 * RATE :] += 2e-3 * np.exp(-0.25 * free) * np.cos(2 * np.pi * F_N * free)
+    made.on_applied(applied(9.1, 0.0))
+    seen, said = set(), []
+    for table in blocks(rows, RATE, 20):
+        said += words(made.feed(table).measurements)
+        seen.add(made.state)
+    assert said[:3] == ["silence", "silence", "spikes"]
+    assert {(state.word, state.reason) for state in seen} - {(Analysis.NO_SCANS, "")} == {(Analysis.AT_REST, "")}
+
+
 def test_a_value_is_called_measured_no_longer_when_the_next_row_is_overdue():
     """The sphere's wall has become softer, say: nobody told the analysis, but what it hears is what it said no more."""
     made, rows = tracker(), record(seconds=20.0)
