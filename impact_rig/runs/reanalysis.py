@@ -24,6 +24,7 @@ from impact_rig.blocks import TRANSMISSIBILITY, Table
 from impact_rig.errors import ConfigError, RecordingError
 from impact_rig.recording import Message, Run
 from impact_rig.recording.losses import check_contiguity
+from impact_rig.runs.measurement import is_measured
 from impact_rig.simtime import NS_PER_S
 from impact_rig.states import Status
 from impact_rig.system.machine import fingerprint
@@ -93,17 +94,20 @@ def as_set_live(run: Run) -> tuple[TrackerSettings, list[GapLabel]]:
     """
     if not run.holds(topics.ANALYSIS_SETTINGS):
         return TrackerSettings(), [label for label in map(parse_label, remarks(run)) if label is not None]
-    told = [(one.since_ns, *read_settings(one.table)) for one in _settings_told(run)]
-    return (told[-1][1] if told else TrackerSettings()), [GapLabel(gap_m, since_ns) for since_ns, _, gap_m in told]
+    found = _settings_told(run)
+    told = [(one.since_ns, *read_settings(one.table)) for one in found]
+    labels = [] if any(one.in_turn for one in found) else [GapLabel(gap_m, since_ns) for since_ns, _, gap_m in told]
+    return (told[-1][1] if told else TrackerSettings()), labels
 
 
 @attrs.frozen(eq=False)
 class _Told:
-    """Settings of a live analysis, since when they hold, and whether an analysis that was started again told them."""
+    """Settings of a live analysis, and since when they hold."""
 
     since_ns: int
     table: Table
-    again: bool
+    again: bool  # whether an analysis that was started again told them
+    in_turn: bool  # whether one told them that another had spoken after: two at once, and whose a label is nobody knows
 
 
 def _settings_told(run: Run) -> list[_Told]:
@@ -120,6 +124,7 @@ def _settings_told(run: Run) -> list[_Told]:
     begun_ns = next((message.publish_time for message in run.messages(scans, recorded_order=True)), 0)
     found: list[_Told] = []
     refused = []
+    heard: set[float | None] = set()
     came_ns = 0
     for message in run.messages([run.resolve(topic.name)], recorded_order=True):
         try:
@@ -134,7 +139,8 @@ def _settings_told(run: Run) -> list[_Told]:
             came_ns = message.log_time
         elif another:
             found.clear()
-        found.append(_Told(max(table.stamp_ns, came_ns), table, again))
+        found.append(_Told(max(table.stamp_ns, came_ns), table, again, another and started_of(table) in heard))
+        heard.add(started_of(table))
     if refused and not found:
         raise RecordingError(f"{run.path}: {refused[0]}") from refused[0]
     return found
@@ -263,6 +269,11 @@ def compare(run: Run, offline: Iterable[Table], impacts: Iterable[Table] | None 
     Raises:
         RecordingError: the run is damaged, or a table in it is none of its topic.
     """
+    if is_measured(run):
+        return Comparison(None, reason="this run was imported, no analysis saw it live")
+    settings = _settings_told(run)
+    if any(one.in_turn for one in settings):
+        return Comparison(None, reason="two analyses labelled this run at once: whose gap a row has is not known")
     calibration = next(run.tables(topics.INFO), None) if run.holds(topics.INFO) else None
     if calibration is None or not len(calibration.rows):
         return Comparison(None, reason=f"no {topics.INFO.name} is in this run")
@@ -279,7 +290,6 @@ def compare(run: Run, offline: Iterable[Table], impacts: Iterable[Table] | None 
     our_blind = [_Blind(-math.inf, data_begin)]
     our_blind += [_Blind(*(_scan(at, rate_hz) - 1 for at in (gap.expected_ns, gap.stamp_ns))) for gap in gaps]
     live_blind = _blind(live)
-    settings = _settings_told(run)
     # an analysis that was started again knows nothing of before, and nobody measured between the two
     again = next((one.since_ns for one in settings if one.again), None)
     live_end = data_end if again is None else max((row.end for row in live if row.stamp_ns < again), default=data_begin)

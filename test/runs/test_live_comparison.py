@@ -357,6 +357,35 @@ def test_an_analysis_that_was_started_again_is_compared_until_it_ended(whole: Me
     assert result.compared == live_rows(found)
 
 
+def test_two_analyses_that_label_one_run_in_turn_leave_its_gap_unknown(whole: Messages, tmp_path: Path) -> None:
+    """Of two labs in one namespace rows had the gap of either; one started again says nothing of before any more."""
+    found: Messages = []
+    for name, table in whole:
+        for second, gap_m, started_s in ((3, 0.006, 2.0), (5, 0.010, 1.0), (7, 0.002, 2.0)):
+            if name == "daq/scan" and table.stamp_ns == second * NS_PER_S:
+                found.append(("analysis/settings", settings_table(TrackerSettings(), gap_m, table.stamp_ns, started_s)))
+        found.append((name, table))
+    with open_run(record(tmp_path / "run", found)) as run:
+        rows = reanalysis.rows(reanalysis.measurements(reanalysis.analyze(run)))
+        comparison = reanalysis.compare(run, [])
+    assert len(rows)
+    assert np.isnan(rows["gap"]).all()
+    assert comparison.same is None
+    assert "two analyses labelled this run at once" in str(comparison)
+
+
+def test_a_difference_is_found_in_any_column_of_a_row(whole: Messages) -> None:
+    """Here to the last bit, on another machine too beyond a billionth: a word, a number, one in the place of none."""
+    (row,) = next(table for name, table in whole if name == TABLE and table.rows["settled"][0] == 1).rows
+    for name in row.dtype.names:
+        other = row.copy()
+        is_text, is_none = row.dtype[name].kind == "S", row[name] != row[name]
+        other[name] = b"another" if is_text else 0.5 if is_none else np.nextafter(row[name], np.inf)
+        assert reanalysis._different(row, other, exact=True) == name
+        other[name] = b"another" if is_text else 0.5 if is_none else row[name] + 1e-6 * max(1.0, abs(row[name]))
+        assert reanalysis._different(row, other, exact=False) == name
+
+
 def test_a_label_that_is_told_before_the_first_scan_is_of_the_same_analysis(whole: Messages, tmp_path: Path) -> None:
     """The demo's first job labels an analysis that has seen nothing yet: its stamp is 0, as that of a start."""
     place = next(place for place, (name, _) in enumerate(whole) if name == "analysis/settings")

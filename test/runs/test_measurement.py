@@ -108,6 +108,9 @@ def test_what_is_exported_and_imported_is_measured_alike_bit_for_bit(recorded: P
         kept = reanalysis.rows(list(run.tables(topics.TRANSMISSIBILITY_TABLE)))
         assert kept.tobytes() == rows.tobytes(), "what the import kept is what the analysis finds"
         assert str(verification.verify(run)).endswith("a measurement: there is nothing to re-simulate")
+        live = reanalysis.compare(run, [], [])
+        assert (live.same, live.identical) == (None, False), "a bug once: identical to live results that there were none of"
+        assert "imported" in str(live)
 
 
 def test_a_free_decay_is_identified_alike(tmp_path: Path) -> None:
