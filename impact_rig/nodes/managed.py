@@ -352,7 +352,13 @@ class ManagedNode(LifecycleNode, Generic[S]):
             self.refuse(topic.name, str(error))
             return None
 
-    def service(self, service_type: Any, name: str, on_request: Callable[[Any, Done], None]) -> None:
+    def service(
+        self,
+        service_type: Any,
+        name: str,
+        on_request: Callable[[Any, Done], None],
+        check_sent: Callable[[int], None] | None = None,
+    ) -> None:
         """Create a service of `std_srvs`; private names (`~/name`) are the convention.
 
         Args:
@@ -360,16 +366,19 @@ class ManagedNode(LifecycleNode, Generic[S]):
             name: service name.
             on_request: called with each request and with what answers it, now or later. An error of this package is a
                 refusal, any other a failure: both are answered. What a call changes is reported at once.
+            check_sent: called before it with the system time [ns] at which the request was sent; refuses likewise.
         """
         reason = name.removeprefix("~/")
 
-        def answer(request: Any, send: Callable[[Any], None]) -> None:
+        def answer(request: Any, sent_ns: int, send: Callable[[Any], None]) -> None:
             def done(success: bool, message: str) -> None:
                 if not success:
                     self.refuse(reason, message)
                 send(service_type.Response(success=success, message=message))
 
             try:
+                if check_sent is not None:
+                    check_sent(sent_ns)
                 on_request(request, done)
             except ImpactRigError as error:
                 done(False, str(error))
@@ -619,7 +628,8 @@ class LateService:
     `send_response` keeps the header until there is an answer.
 
     Args:
-        on_request: called with each request and with what sends its response. It must not raise.
+        on_request: called with each request, the system time at which it was sent [ns], and with what sends its
+            response. It must not raise.
     """
 
     def __init__(
@@ -627,7 +637,7 @@ class LateService:
         node: ManagedNode[Any],
         service_type: Any,
         name: str,
-        on_request: Callable[[Any, Callable[[Any], None]], None],
+        on_request: Callable[[Any, int, Callable[[Any], None]], None],
     ) -> None:
         self._on_request = on_request
         self._request: Any = None
@@ -641,4 +651,5 @@ class LateService:
         return self._marker
 
     def _begin(self, _marker: Any, header: Any) -> None:
-        self._on_request(self._request, lambda response: self._send(response, header))
+        sent_ns = getattr(header, "source_timestamp", 0) or time.time_ns()  # not every middleware tells it
+        self._on_request(self._request, sent_ns, lambda response: self._send(response, header))

@@ -124,6 +124,7 @@ SLICE_S = 0.02
 """How long after a call of the timer acknowledgements may drive the work: an executor that hands over the messages of
 one subscription for as long as there are any would never come to services and timers."""
 AWAY_S = 1.0  # a gap this long between two calls of the work timer: this process was suspended, not the peers
+EXPIRES_S = 2.0  # what was sent so long before a suspended rig went on is not done: who sent it was told so long ago
 IDLE_S = 1.0  # who steps in turns asks more often than this: a rig between two steps of a series is not paused
 RATE_WINDOW_S = 2.0
 
@@ -195,6 +196,7 @@ class Session:
         self._history_settled = self._active = False
         self._timer = WorkTimer(node, self._on_timer)
         self._worked_at = self._slice_began = 0.0
+        self._back_ns = 0  # system time at which this process last went on after it was suspended
         self._commands = [
             node.subscribe(topic, functools.partial(self._on_command, topic.name, key))
             for topic, key in ((topics.FREQUENCY, "frequency_hz"), (topics.CURRENT, "current_a"))
@@ -209,7 +211,8 @@ class Session:
             ("clear_trip", Rig.clear_trip, "latch released; current stays zero until the next command"),
             ("pluck", self._pluck, "base locked, structure released; ~/reset unlocks"),
         ):
-            node.service(Trigger, f"~/{name}", functools.partial(self._act, act, said))
+            in_time = None if name == "stop" else self._check_sent
+            node.service(Trigger, f"~/{name}", functools.partial(self._act, act, said), in_time)
 
     @property
     def is_realtime(self) -> bool:
@@ -349,10 +352,7 @@ class Session:
 
         An error of the model ends the activation: it cannot go on.
         """
-        now = time.monotonic()
-        if now - self._worked_at > AWAY_S:
-            self.window.excuse()
-        self._worked_at = now
+        now = self._notice_absence()
         try:
             if self.rig is None:
                 if self._active and self.obstacle() is None:
@@ -366,6 +366,26 @@ class Session:
             self.node.trigger_deactivate()
         if self._pausing and (self.window.outstanding() == 0 or self.window.silent()):
             _answer(self._pausing, True, "paused")
+
+    def _notice_absence(self) -> float:
+        """Return the present time [s]; notice whether this process was suspended since the last call."""
+        now = time.monotonic()
+        if self._worked_at and now - self._worked_at > AWAY_S:
+            self.window.excuse()
+            self._back_ns = time.time_ns()
+        self._worked_at = now
+        return now
+
+    def _check_sent(self, sent_ns: int) -> None:
+        """Refuse what was sent while this process was suspended.
+
+        Raises:
+            CommandError: says how long before.
+        """
+        self._notice_absence()
+        late_s = (self._back_ns - sent_ns) / NS_PER_S
+        if late_s > EXPIRES_S:
+            raise CommandError(f"it was sent {late_s:.1f} s before this rig, which was suspended, went on")
 
     def _catch_up(self, rig: Rig, deadline: float) -> None:
         """Publish what is due, or as much of it as the deadline allows: the next call goes on."""
@@ -505,7 +525,7 @@ class Session:
         self.publishers.changes(rig)
         done(True, said)
 
-    def _on_command(self, name: str, key: str, message: Float64) -> None:
+    def _on_command(self, name: str, key: str, message: Float64, info: Mapping[str, Any]) -> None:
         if self.rig is None:
             try:
                 self.running()
@@ -514,6 +534,7 @@ class Session:
             return
         was_driven = self.rig.amplitude != 0.0
         try:
+            self._check_sent(int(info["source_timestamp"]))
             self.rig.accept(**{key: message.data})
         except CommandError as error:
             self.node.refuse(name, str(error))

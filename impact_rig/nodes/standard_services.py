@@ -45,12 +45,12 @@ class StandardServices:
         for service_type, name, _features in self._offered:
             LateService(self._node, service_type, f"~/{name}", self._guarded(service_type, name))
 
-    def _guarded(self, service_type: Any, name: str) -> Callable[[Any, Callable[[Any], None]], None]:
+    def _guarded(self, service_type: Any, name: str) -> Callable[[Any, int, Callable[[Any], None]], None]:
         """Return what answers each request, whatever happens."""
         handle = getattr(self, f"_{name}")
         codes = self._messages.Result
 
-        def serve(request: Any, send: Callable[[Any], None]) -> None:
+        def serve(request: Any, _sent_ns: int, send: Callable[[Any], None]) -> None:
             response = service_type.Response()
 
             def tell(code: int, text: str = "") -> None:

@@ -1,9 +1,10 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""`kill -9` of the rig: what was given to it is over at once, and the rig that comes after begins at rest."""
+"""A rig that is killed or suspended: what was given to it is over, and neither a later one nor it itself does it."""
 
 from __future__ import annotations
 
+import re
 import signal
 import time
 from collections.abc import Iterator
@@ -12,6 +13,8 @@ from pathlib import Path
 import pytest
 
 pytest.importorskip("rclpy", reason="no ROS 2 here")
+
+from std_srvs.srv import Trigger
 
 from impact_rig.client import Client, Processes, RigGoneError, isolated_domain
 
@@ -68,3 +71,42 @@ def test_who_waits_while_another_rig_begins_is_told(driven: tuple[Client, Proces
     client.wait_active("rig")
     client.wait_until(lambda: client.figures("rig").get("state") == "at_rest", "the rig")
     assert client.figures("rig")["current_a"] == "0"
+
+
+def test_what_was_given_to_a_suspended_rig_is_not_done_when_it_goes_on(tmp_path: Path) -> None:
+    """It waits in the rig's queues, while who gave it is told that the rig is gone. STOP is done however late."""
+    with isolated_domain() as domain_id, Processes(domain_id, tmp_path / "logs") as processes:
+        processes.start("rig")
+        with Client(domain_id) as client:
+            client.wait_active("rig")
+            client.command(current_a=0.1)
+            client.wait_until(lambda: client.figures("rig").get("state") == "driving", "the rig to drive")
+            journal = client.collect("rig/journal")
+            rig = processes.running["rig"]
+            rig.signal(signal.SIGSTOP)
+            suspended = time.monotonic()
+            with pytest.raises(RigGoneError):
+                client.command(current_a=0.5)
+            pluck = client.prepare(Trigger, "rig/pluck").call_async(Trigger.Request())
+            client.wait_until(lambda: time.monotonic() > suspended + 5.0, "more than the two seconds that both have")
+            rig.signal(signal.SIGCONT)
+            client.wait_until(pluck.done, "the answer")
+            assert not pluck.result().success
+            assert re.fullmatch(
+                r"it was sent [2-9]\.\d s before this rig, which was suspended, went on", pluck.result().message
+            )
+            found = client.wait_until(
+                lambda: "refused.shaker/current" in (f := client.figures("rig")) and f, "the count"
+            )
+            assert "which was suspended" in found["last_refused.shaker/current"]
+            assert (found["current_a"], found["state"]) == ("0.1", "driving")
+            client.wait_active("rig")
+            assert client.command(current_a=0.2)["current"] == 0.2, "it takes what it is given now"
+            assert [row["value"] for row in journal.rows() if row["key"] == b"current"] == [0.1, 0.2]
+            rig.signal(signal.SIGSTOP)
+            stopped = time.monotonic()
+            stop = client.prepare(Trigger, "rig/stop").call_async(Trigger.Request())
+            client.wait_until(lambda: time.monotonic() > stopped + 3.0, "more than two seconds")
+            rig.signal(signal.SIGCONT)
+            client.wait_until(stop.done, "the answer")
+            assert stop.result().success
