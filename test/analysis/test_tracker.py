@@ -186,7 +186,7 @@ def test_the_state_says_what_the_measurement_does_and_since_when():
 
 
 def test_at_rest_is_a_state_and_no_trouble():
-    """The rows of a rig at rest say `silence`, and of one that was plucked worse; neither is asked for a measurement."""
+    """The rows of a rig at rest say `silence`, of one that was plucked worse; neither is asked for a measurement."""
     rng, made = np.random.default_rng(6), tracker()
     rows = record(seconds=20.0)
     for name, rms in (("laser", 3e-6), ("base", 1e-6), ("current", 2e-3), ("accelerometer", 0.05)):

@@ -80,6 +80,22 @@ def test_a_rig_runs_without_numba() -> None:
 
 
 @needs_library
+def test_a_cache_of_numba_is_neither_cleaned_up_nor_read(tmp_path: Path) -> None:
+    """A bug once: of all directories `compiled-*` there, the user's own among them, any start deleted all but six."""
+    theirs = [tmp_path / f"compiled-thesis-{number}" / "data.nbi" for number in range(1, 10)]
+    for number, file in enumerate(theirs):
+        file.parent.mkdir()
+        file.write_bytes(b"no pickle, and nothing that may be loaded")
+        os.utime(file.parent, (number, number))
+    tmp_path.chmod(0o777)
+    loaded = "import atexit; atexit.register(lambda: print('numba' in sys.modules))"
+    found = run(loaded, NUMBA_CACHE_DIR=str(tmp_path))
+    assert (found[0], found[2], found[-1]) == ("library", "False", "")
+    assert sorted(tmp_path.rglob("*.nbi")) == theirs
+    assert len(list(tmp_path.iterdir())) == len(theirs), "and nothing was put beside them"
+
+
+@needs_library
 def test_a_law_from_elsewhere_runs_compiled_by_numba_or_as_plain_python() -> None:
     """The same force as the package's own: the same bits, whichever way it is called."""
     _, ours, _ = run(ms=500)

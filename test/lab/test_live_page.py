@@ -173,10 +173,14 @@ def curve(page: Page, directory: Path) -> None:
     assert float(lines[-1].split(",")[1]) == 9.1
     assert (directory / "scope.png").read_bytes()[:4] == b"\x89PNG"
     count = page.js("lab.curve.rows.length")
+    time_s = page.js("lab.curve.rows.at(-1).t")
     page.js("document.activeElement.blur()")
     page.key("Delete")
-    page.wait(f"lab.curve.rows.length < {count}", "a point to go")
+    page.wait(f"lab.now.dt.at(-1).t > {time_s}", "another row, with which the whole table comes again")
+    assert page.js(f"lab.now.dt.some(row => row.t === {time_s}) && !lab.curve.rows.some(row => row.t === {time_s})")
+    assert page.js(f"lab.curve.csv().includes('\\n{time_s},')") is False
     page.js("document.getElementById('curve-back').click()")
+    assert page.js(f"lab.curve.csv().includes('\\n{time_s},')")
     page.wait(f"lab.curve.rows.length >= {count}", "it to come back")
 
 
@@ -471,6 +475,9 @@ def sweep(lab: Lab, page: Page) -> None:
     for kind in ("mousePressed", "mouseReleased"):
         page.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
     lab.applied("frequency", 8.0)
+    for kind in ("mousePressed", "mouseReleased"):
+        page.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1, modifiers=8)
+    page.wait("lab.curve.removed.size === 1 && lab.now.dt.length > lab.curve.rows.length", "a point to go, with Shift")
     page.choose("#sweep-hold", "base")
     assert page.text("#sweep-unit") == "mm"
     page.write("#sweep-target", "0.05")

@@ -9,13 +9,14 @@ import contextlib
 import json
 import socket
 import struct
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import aiohttp
 import pytest
 from kits import loops
+from kits.browser import Page
 from kits.lab import FakeSource, scans
 
 from impact_rig.errors import ImpactRigError
@@ -259,7 +260,9 @@ def test_more_connections_than_there_may_be_are_turned_away_and_the_page_goes_on
     assert server.refused["too many connections"] >= 20
 
 
-def test_runs_are_listed_and_played_beside_what_the_lab_shows(source: FakeSource, sample: Path) -> None:
+def test_runs_are_listed_and_played_beside_what_the_lab_shows(
+    source: FakeSource, sample: Path, open_page: Callable[..., Page]
+) -> None:
     (sample.parent / "no_run").mkdir(exist_ok=True)
     with Server(source, port=0, runs=sample.parent) as server:
         token = f"token={server.token}"
@@ -275,6 +278,13 @@ def test_runs_are_listed_and_played_beside_what_the_lab_shows(source: FakeSource
                 return json.loads(data[8:])
 
         assert loops.run(talk())["mode"] == "playback"
+        page = open_page(server.address)
+        page.js("document.getElementById('recorded').open = true")
+        page.wait(f"document.getElementById('run-list').textContent.includes('{sample.name} (')", "the list")
+        assert page.js("document.getElementById('run-play').disabled")
+        page.click(f"#run-list input[value='{sample.name}']")
+        page.wait("!document.getElementById('run-play').disabled", "that it can be played")
+        page.js("lab.link.socket.onclose = null")
         assert refused_status(server, token=f"{server.token}&run=../{sample.name}") == 404
         assert refused_status(server, token=f"{server.token}&run=no_run") == 404
 

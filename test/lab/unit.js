@@ -4,6 +4,7 @@
   const { clock, decibel, engineering, limits, line, steps, withUncertainty } = await import("/static/format.js");
   const { Knobs, patience, status } = await import("/static/store.js");
   const { decode, Kind } = await import("/static/frames.js");
+  const { drawPhase, drawRig } = await import("/static/rigview.js");
   const results = [];
   const same = (found, expected) => {
     const [a, b] = [JSON.stringify(found), JSON.stringify(expected)];
@@ -38,6 +39,32 @@
     near(motion.newest - motion.oldest, 1, 0.011);
     motion.add("states", table([[0, 0, 0, 0, 0, 0, 0]]));
     same(motion.states.length, 0);
+  });
+  test("impacts are kept for the longest window of the scope, longer than the motion", () => {
+    const motion = new Motion();
+    for (let i = 0; i <= 1200; i++) {
+      motion.add("states", table([[i / 100, 0, 0, 0, 0, 0, 0]]));
+      if (i % 10 === 0) motion.add("impacts", table([[i / 100, 1, 1, 0.5, 40]]));
+    }
+    near(motion.newest - motion.oldest, 6, 0.011);
+    if (motion.newest - motion.impacts[0][0] < 10) throw new Error(`only ${motion.newest - motion.impacts[0][0]} s of impacts`);
+  });
+  test("without a sphere there are no barriers of some gap", () => {
+    const drawn = (draw, present) => {
+      const canvas = document.createElement("canvas"), g = canvas.getContext("2d");
+      Object.assign(canvas.style, { position: "fixed", width: "300px", height: "200px" });
+      document.body.append(canvas);
+      let count = 0;
+      g.fillRect = g.setLineDash = () => { count++; };
+      const moveTo = g.moveTo.bind(g);
+      g.moveTo = (x, y) => { count++; moveTo(x, y); };
+      draw(canvas, { gap: 0.004, present });
+      canvas.remove();
+      return count;
+    };
+    const rig = (canvas, knobs) => drawRig(canvas, { base: 0, structure: 0, sphere: 0 }, knobs, () => null);
+    const plane = (canvas, knobs) => drawPhase(canvas, new Motion(), 0, knobs, 0.6);
+    for (const draw of [rig, plane]) same(drawn(draw, true) - drawn(draw, false), 2);
   });
   test("the clock runs steadily behind the data and catches up after a jump", () => {
     const pace = new Clock(0.12);

@@ -102,6 +102,17 @@ def test_where_the_sphere_begins_decides_between_three_motions(tmp_path):
     assert 2.0 < third.impacts_per_cycle < 3.0
 
 
+def test_a_sphere_on_its_way_to_a_wall_is_not_at_rest():
+    """No impact in hundreds of cycles, the structure as steady as without a sphere, which drifts and strikes later."""
+    rig = MapRig(from_flat(RigConfig(), {"barriers.gap_m": 0.040}), Settings())
+    rig.reset((0.0, 3e-4))
+    found = rig.measure(10.5, CURRENT_A)
+    assert (found.impacts_per_cycle, found.regime) == (0.0, "intermittent")
+    assert math.isnan(found.period)
+    assert abs(found.reduction_percent) < 0.01
+    assert len(rig.advance(10.5, CURRENT_A, 1200).impacts) > 0
+
+
 def test_starts_are_measured_one_beside_the_other(tmp_path):
     path = written(tmp_path, "axes: {gap_m: [0.02, 0.03], frequency_hz: [9.1, 9.2]}\nstarts: [left, centre]\n")
     plan = load_map(path)

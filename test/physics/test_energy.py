@@ -90,6 +90,8 @@ LINEAR = {"contact.law": "kelvin_voigt"}
     [
         (13, PRESCRIBED | LINEAR | {"drive.amplitude": 60e-6, "barriers.gap_m": 0.5e-3}),
         (11, PRESCRIBED | LINEAR | {"drive.amplitude": 60e-6, "barriers.gap_m": 1e-3, "contact.restitution": 0.1}),
+        (20, PRESCRIBED | LINEAR | {"drive.amplitude": 60e-6, "barriers.gap_m": 2e-3}),
+        (10, PRESCRIBED | LINEAR | {"drive.waveform": "chirp", "drive.amplitude": 1e-3}),
         (5, LINEAR | {"drive.amplitude": 0.52, "barriers.gap_m": 1e-3, "contact.restitution": 0.1}),
         (5, LINEAR | {"drive.amplitude": 0.52, "barriers.gap_m": 2e-3, "contact.restitution": 0.1}),
         (5, RANDOM | {"drive.amplitude": 3e-3}),

@@ -109,7 +109,9 @@ def test_what_is_exported_and_imported_is_measured_alike_bit_for_bit(recorded: P
         assert kept.tobytes() == rows.tobytes(), "what the import kept is what the analysis finds"
         assert str(verification.verify(run)).endswith("a measurement: there is nothing to re-simulate")
         live = reanalysis.compare(run, [], [])
-        assert (live.same, live.identical) == (None, False), "a bug once: identical to live results that there were none of"
+        assert (live.same, live.identical) == (None, False), (
+            "a bug once: identical to live results, of which there are none"
+        )
         assert "imported" in str(live)
 
 
