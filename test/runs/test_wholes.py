@@ -83,6 +83,17 @@ def test_the_command_prints_and_draws_a_frequency_response(
     assert "frf.png exists already and is not overwritten" in capsys.readouterr().err
 
 
+def test_the_window_of_a_frequency_response_can_be_chosen(swept: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """One with wide lines resolves less, and says so."""
+    bias = []
+    for window in ("hann", "flattop"):
+        assert main(["analyze", str(swept), "--frf", "--segment", "40", "--window", window, "--json"]) == 0
+        told = json.loads(capsys.readouterr().out)
+        assert (told["window"], told["segment_s"]) == (window, pytest.approx(40.0))
+        bias.append(told["peak_bias"])
+    assert bias[1] is None or bias[1] > 2.0 * bias[0]
+
+
 def test_a_sine_is_one_line_and_said_to_be_one(steady: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["analyze", str(steady), "--frf", "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
