@@ -143,6 +143,23 @@ def test_a_run_that_begins_in_mid_session_begins_with_its_first_scan(recorded: M
         wait_until(lambda: (source.snapshot.get("applied") or {}).get("current") == 0.52, "the drive of before")
 
 
+def test_of_two_runs_of_a_session_nothing_is_played_of_what_lies_between_them(
+    recorded: Messages, tmp_path: Path
+) -> None:
+    """Laid out by rig time, a run that began 21 minutes after the first had ended came after 21 minutes of nothing."""
+    first = [(name, table) for name, table in recorded if table.stamp_ns < 3e9]
+    runs = [record(tmp_path / "first", first), record(tmp_path / "late", from_second(recorded, 8.0))]
+    with PlaybackSource(runs) as source:
+        wait_until(lambda: source.snapshot.get("playback"), "the state")
+        assert asked(source, "play", value=False) == (True, "")
+        assert asked(source, "seek", value=1.0) == (True, "")
+        found = source.snapshot.get("playback")
+        assert (found["begin"], found["aligned"]) == (0.0, "start")
+        assert found["end"] < 3.1
+        assert source.other is not None
+        assert source.other.end_s == pytest.approx(9.0, abs=0.02), "the second after its first second"
+
+
 def test_a_recorded_value_holds_only_until_something_changes(recorded: Messages, tmp_path: Path) -> None:
     """At rest, while it settles, and after the latch the last value is not the present one."""
     rows = [table for name, table in recorded if name == "transmissibility/table"]
