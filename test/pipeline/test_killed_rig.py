@@ -22,6 +22,12 @@ pytestmark = [pytest.mark.ros, pytest.mark.pipeline]
 AT_ONCE_S = 1.0
 
 
+def drive(client: Client, current_a: float) -> None:
+    """Let the rig drive, and hear it say so: before, a client does not know which activation it speaks to."""
+    client.command(current_a=current_a)
+    client.wait_until(lambda: client.figures("rig").get("state") == "driving", "the rig to drive")
+
+
 @pytest.fixture
 def driven(tmp_path: Path) -> Iterator[tuple[Client, Processes]]:
     """A rig in real time that was driven, and has been killed."""
@@ -30,7 +36,7 @@ def driven(tmp_path: Path) -> Iterator[tuple[Client, Processes]]:
         with Client(domain_id) as client:  # which is not told of the processes: it knows the graph alone
             client.wait_active("rig")
             client.wait_until(lambda: client.figures("rig").get("state") == "at_rest", "the rig")
-            client.command(current_a=0.3)
+            drive(client, 0.3)
             processes.running["rig"].signal(signal.SIGKILL)
             processes.stop("rig")
             yield client, processes
@@ -79,8 +85,7 @@ def test_what_was_given_to_a_suspended_rig_is_not_done_when_it_goes_on(tmp_path:
         processes.start("rig")
         with Client(domain_id) as client:
             client.wait_active("rig")
-            client.command(current_a=0.1)
-            client.wait_until(lambda: client.figures("rig").get("state") == "driving", "the rig to drive")
+            drive(client, 0.1)
             journal = client.collect("rig/journal")
             rig = processes.running["rig"]
             rig.signal(signal.SIGSTOP)
