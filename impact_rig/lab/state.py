@@ -199,7 +199,7 @@ def present(rig: Seen, analysis: Seen, doubts: Sequence[str] = ()) -> dict[str, 
     """
     moves = rig.lives and rig.state in (states.Rig.DRIVING, states.Rig.PAUSED)
     known = analysis.state if analysis.lives and moves else ""
-    figures = analysis.figures
+    figures = analysis.figures if known else {}
     return {
         "state": known, "holds": known == states.Analysis.MEASURING and not doubts,
         "reason": plain(analysis.reason) if known else "", "done": figure(figures.get("settling_windows")),

@@ -81,6 +81,16 @@ def test_the_word_follows_from_keys_and_the_gravest_comes_first(
     assert present(rig, analysis, doubts)["holds"] is (word in ("measured", "paused")), "the value is grey otherwise"
 
 
+def test_progress_is_that_of_an_analysis_that_lives() -> None:
+    """One that was killed while it settled was shown at window 15 of 15 for ever."""
+    figures = {"state": "settling", "settling_windows": "15", "settling_windows_needed": "15"}
+    for age_s, ended, state in ((0.1, "", "settling"), (9.0, "", ""), (0.1, "its process ended with code -9", "")):
+        analysis = Seen.of("analysis", figures, age_s, ended)
+        found = present(seen("rig", "driving"), analysis)
+        assert (found["state"], found["done"]) == (state, 15.0 if state else None)
+        assert judge(seen("rig", "driving"), analysis)[0] == (state or "driving")
+
+
 def test_every_state_of_a_rig_and_an_analysis_has_words() -> None:
     for one in states.Rig:
         assert judge(seen("rig", one), MEASURING)[1]
