@@ -35,7 +35,7 @@ from std_srvs.srv import SetBool, Trigger
 from impact_rig import codec, topics
 from impact_rig.blocks import Table
 from impact_rig.client.processes import ParameterValue, Processes
-from impact_rig.errors import CodecError, ConfigError, GoneError, ImpactRigError
+from impact_rig.errors import CodecError, CommandError, ConfigError, GoneError, ImpactRigError
 from impact_rig.nodes import messages
 from impact_rig.nodes.managed import with_info
 from impact_rig.nodes.messages import Template, by_name, header_stamp_ns
@@ -377,7 +377,8 @@ class Client:
         Its `sample` is the first scan the commands act on.
 
         Raises:
-            WaitTimeoutError: the rig did not accept; the message ends with the rig's last refusal.
+            CommandError: the rig refused, in its words.
+            WaitTimeoutError: it did neither in time.
             RigGoneError: the rig that was there is gone.
         """
         row: np.void | None = None
@@ -390,11 +391,33 @@ class Client:
             check = self.given(f"{column} = {value:g}")
             before = len(self.applied)
             self.publish(topic, Float64(data=value), timeout_s, "rig", check)
-            accepted = functools.partial(self._accepted, before, column, value)
+            accepted = functools.partial(self._accepted, before, column, value, self.refusal(topic))
             what = f"{column} = {value:g} in {topics.APPLIED.name}"
             row = self.wait_until(accepted, what, timeout_s, check).rows[-1]
         assert row is not None, "command() needs a frequency or a current"
         return row
+
+    def refusal(self, topic: topics.Topic) -> Callable[[], str]:
+        """Return what gives the rig's words as soon as it tells that it has refused a message of a topic, "" till then.
+
+        A rig tells in its diagnostics, within a second, and not whose message it was: one that is refused to somebody
+        else meanwhile counts, too.
+        """
+
+        def told() -> dict[str, tuple[str, str]] | None:
+            figures = self.figures("rig")
+            about = (f"refused.{reason}" for reason in (topic.name, "inactive"))
+            return {name: (figures.get(name, ""), figures.get(f"last_{name}", "")) for name in about} if figures else None
+
+        before = told()
+
+        def words() -> str:
+            nonlocal before
+            now = told()
+            before = before or now  # what a rig tells that was not heard before may be old
+            return next((now[name][1] for name in now if now[name] != before[name]), "") if now and before else ""
+
+        return words
 
     def publish(
         self,
@@ -594,10 +617,12 @@ class Client:
             raise ServiceFailedError(f"{node}: {status.message}")
         return present == state
 
-    def _accepted(self, before: int, column: str, value: float) -> Table | None:
+    def _accepted(self, before: int, column: str, value: float, refusal: Callable[[], str]) -> Table | None:
         for table in reversed(self.applied.tables(before)):
             if table.rows[column][-1] == value:
                 return table
+        if words := refusal():
+            raise CommandError(words)
         return None
 
     def _on_diagnostics(self, message: Any, info: dict[str, Any]) -> None:

@@ -32,7 +32,7 @@ from impact_rig.errors import ImpactRigError, in_words
 from impact_rig.instruments.instrument import FAULT_KINDS
 from impact_rig.lab.protocol import Request
 from impact_rig.lab.record import Record
-from impact_rig.lab.state import DEAD_S, Answer, Seen, figure
+from impact_rig.lab.state import DEAD_S, Answer, Seen
 from impact_rig.nodes import messages
 from impact_rig.rig.config import RigConfig, fields, from_flat, parameters_in, to_flat
 from impact_rig.rig.journal import PLANNED
@@ -307,27 +307,19 @@ class Gateway:
     async def _command(self, column: str, value: float) -> str:
         """Publish a command and wait for its row in shaker/applied, or for the refusal."""
         record, topic = self.record, COMMANDS[column]
-        before, refused = record.changes, self._refusals(topic.name)
+        before, refusal = record.changes, self.client.refusal(topic)
         self._publish(topic, value)
 
         def is_answered() -> bool:
             new = list(record.applied)[-(record.changes - before) :] if record.changes > before else []
             if any(row[column] == value for _, row in new):
                 return True
-            for reason, (count, words) in self._refusals(topic.name).items():
-                if count > refused[reason][0]:
-                    raise Refused(words)
+            if words := refusal():
+                raise Refused(words)
             return False
 
         await self.until(is_answered, f"{column} {value:g} in shaker/applied", ANSWER_S)
         return f"{column} {value:g}"
-
-    def _refusals(self, topic: str) -> dict[str, tuple[float, str]]:
-        figures = self.seen("rig").figures
-        return {
-            reason: (figure(figures.get(f"refused.{reason}")) or 0.0, figures.get(f"last_refused.{reason}", ""))
-            for reason in (topic, "inactive")
-        }
 
     # The rig
 

@@ -17,7 +17,7 @@ from std_msgs.msg import Float64
 
 from impact_rig import topics
 from impact_rig.client import Client, ServiceFailedError
-from impact_rig.errors import ConfigError
+from impact_rig.errors import CommandError, ConfigError
 from impact_rig.rig.description import robot_description
 
 pytestmark = pytest.mark.ros
@@ -37,10 +37,24 @@ def test_hostile_commands_are_refused_counted_and_change_nothing(client: Client)
     client.wait_until(lambda: node.refusals.total() == len(bad) + 3, "all refusals")
     assert node.refusals.counts == {"shaker/frequency": len(bad), "shaker/current": 3}
     assert "200.1" in node.refusals.last["shaker/frequency"]
+    told = ("refused.shaker/frequency", str(len(bad)))
+    client.wait_until(lambda: told in client.figures("rig").items(), "what was refused to be told")
     row = client.command(frequency_hz=9.2)
     assert (row["frequency"], row["current"]) == (9.2, 0.3)
     client.wait_until(lambda: len(applied) >= 4, "the row")
     assert len(applied) == 4
+
+
+def test_a_command_that_is_refused_says_why_at_once(client: Client) -> None:
+    """It once waited its ten seconds, and ended without a reason: a refusal leaves the rig in good health."""
+    host_rig(client)
+    client.wait_active("rig")
+    client.wait_until(lambda: client.figures("rig"), "diagnostics")
+    with pytest.raises(CommandError, match=r"frequency must be >= 5 .*, got 250"):
+        client.command(frequency_hz=250.0, current_a=0.2)
+    with pytest.raises(CommandError, match=r"current must be .*got 40"):
+        client.command(frequency_hz=8.0, current_a=40.0)
+    assert client.command(current_a=0.2)["frequency"] == 8.0
 
 
 def test_commands_before_activation_are_refused_and_parameters_accepted(client: Client) -> None:
