@@ -232,9 +232,6 @@ class ManagedNode(LifecycleNode, Generic[S]):
     def settings_changed(self, settings: S, changes: dict[str, Any]) -> None:
         """Take validated new settings; an exception refuses the set."""
 
-    def settings_in_force(self) -> None:
-        """Follow up once the new settings are in `self.settings`."""
-
     def doing(self) -> State:
         """Return what the node does, from data alone; asked only while it is active, and often."""
         raise NotImplementedError
@@ -526,7 +523,6 @@ class ManagedNode(LifecycleNode, Generic[S]):
             result = super().set_parameters_atomically(proposed.stored)
             if result.successful:
                 self.parameters.settings = proposed.settings
-                self.settings_in_force()
                 self.report_change()
         except Exception as error:  # a set is refused with its reason, never fatal
             result = SetParametersResult(successful=False, reason=in_words(error))

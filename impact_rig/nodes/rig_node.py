@@ -66,11 +66,6 @@ class RigNode(ManagedNode[RigConfig]):
         """Give the running rig what changed; the validator has already accepted it."""
         self._session.change(settings, changes)
 
-    def settings_in_force(self) -> None:
-        """Pace the work by the new settings."""
-        if self._session.rig is not None:
-            self._session.start_timer()
-
     def rig_time_ns(self) -> int | None:
         """Return the stamp of the next block: rig time; the system time while there is no rig in realtime."""
         if self._session.rig is not None:

@@ -303,7 +303,7 @@ class Session:
         if timing.peers and self.is_realtime:
             self.publishers.settle_history()
         self._worked_at = time.monotonic()
-        self.start_timer()
+        self._start_timer(config)
 
     def deactivate(self) -> None:
         """End the rig; what was not published is dropped, and whoever waits is told why."""
@@ -329,9 +329,9 @@ class Session:
 
     # Work
 
-    def start_timer(self) -> None:
+    def _start_timer(self, config: RigConfig) -> None:
         """Look for work from now on as often as the settings want it."""
-        config, period_s = self.node.settings, AHEAD_PERIOD_S
+        period_s = AHEAD_PERIOD_S
         if self.is_realtime:
             block_s = config.daq.block_scans / config.daq.rate_hz / config.time.factor
             period_s = min(max(block_s, SHORTEST_PERIOD_S), LONGEST_PERIOD_S)
@@ -482,7 +482,7 @@ class Session:
             if starving:
                 rig.feed(rig.stream.played + rig.stream.buffered(), ())
             self.pacer.rebase(rig.next_block_ns - self._base_ns)
-            self.start_timer()
+            self._start_timer(self.node.settings)
             self.node.report_change()
         done(True, "running")
 
@@ -601,6 +601,7 @@ class Session:
             self.window.timeout_ns = round(settings.time.peer_timeout_s * NS_PER_S)
         if "time.factor" in changes:
             self.pacer.rebase(rig.next_block_ns - self._base_ns, settings.time.factor)
+            self._start_timer(settings)
         self._publish_configuration(rig)
 
     def _publish_configuration(self, rig: Rig) -> None:

@@ -144,7 +144,7 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
             self._follow(topics.TRANSMISSIBILITY_TABLE, self._on_measurement),
             self.subscribe_table(topics.INFO, self._on_info),
         )
-        self._listen()
+        self._listen(self.settings)
         self.tick(WATCH_S, self._begin_when_ready)
 
     def deactivate(self) -> None:
@@ -160,18 +160,16 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
         """Forget the last sweep."""
         self._operator = None
 
-    def settings_changed(self, _settings: SteppedSineSettings, changes: dict[str, Any]) -> None:
+    def settings_changed(self, settings: SteppedSineSettings, changes: dict[str, Any]) -> None:
         """Refuse to change a sweep under way; the next one takes the new plan."""
         if self._running:
             raise ConfigError(f"{', '.join(sorted(changes))}: a sweep is under way, call ~/stop first")
-
-    def settings_in_force(self) -> None:
-        """Listen to the scans where the phase is held, and to none otherwise."""
         if self.active:
-            self._listen()
+            self._listen(settings)
 
-    def _listen(self) -> None:
-        wanted = self.settings.hold == PHASE
+    def _listen(self, settings: SteppedSineSettings) -> None:
+        """Listen to the scans where the phase is held, and to none otherwise."""
+        wanted = settings.hold == PHASE
         if wanted and self._scans is None:
             self._scans_heard = False
             self._scans = self.subscribe_table(topics.SCAN, self._on_scan)

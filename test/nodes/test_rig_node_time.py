@@ -43,6 +43,21 @@ def test_stepped_publishes_exactly_what_the_rig_computes(client: Client) -> None
         assert table.rows.tobytes() == block.scan.rows.tobytes()
 
 
+def test_only_another_speed_gives_the_work_another_rhythm(client: Client) -> None:
+    """Every parameter that was set, a gap, once began the period of the blocks anew."""
+    node = host_rig(client, "realtime")
+    client.wait_active("rig")
+    scans = client.collect("daq/scan")
+    client.wait_until(lambda: len(scans) > 5, "some blocks")
+    timers = set(node.timers)
+    client.set_parameters("rig", {"barriers.gap_m": 0.004, "shaker.ramp_s": 0.2})
+    assert set(node.timers) == timers
+    client.set_parameters("rig", {"time.factor": 0.5})
+    assert set(node.timers) != timers
+    before = len(scans)
+    client.wait_until(lambda: len(scans) > before + 5, "blocks at the new speed")
+
+
 @pytest.mark.parametrize("mode", ["realtime", "freewheel"])
 def test_other_modes_give_the_same_bits_for_the_same_journal(client: Client, mode: str) -> None:
     """Commands arrive whenever they arrive; the journal says where they acted."""
