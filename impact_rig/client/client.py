@@ -241,10 +241,17 @@ class Client:
         namespace: namespace of the rig's nodes; topics and node names below are relative to it.
         processes: watched during every wait.
         name: node name, and the name in its acknowledgements.
+        commands: whether `command` will be called: all that the rig accepts is kept for it.
     """
 
     def __init__(
-        self, domain_id: int, namespace: str = "", processes: Processes | None = None, name: str = "client"
+        self,
+        domain_id: int,
+        namespace: str = "",
+        processes: Processes | None = None,
+        name: str = "client",
+        *,
+        commands: bool = True,
     ) -> None:
         self._processes = processes
         self.name = name
@@ -266,8 +273,9 @@ class Client:
         self._clients: dict[tuple[str, Any], Any] = {}
         self.subscribe(topics.DIAGNOSTICS, self._on_diagnostics)
         self.applied = Collector(topics.APPLIED)
-        """What the rig has accepted since this client is there: `shaker/applied`."""
-        self.subscribe(topics.APPLIED, self.applied.take, raw=True)
+        """What the rig has accepted since this client is there: `shaker/applied`; nothing without `commands`."""
+        if commands:
+            self.subscribe(topics.APPLIED, self.applied.take, raw=True)
 
     def __enter__(self) -> Client:
         return self
@@ -391,30 +399,33 @@ class Client:
             check = self.given(f"{column} = {value:g}")
             before = len(self.applied)
             self.publish(topic, Float64(data=value), timeout_s, "rig", check)
-            accepted = functools.partial(self._accepted, before, column, value, self.refusal(topic))
+            accepted = functools.partial(self._accepted, before, column, value, self.refusal(topic.name))
             what = f"{column} = {value:g} in {topics.APPLIED.name}"
             row = self.wait_until(accepted, what, timeout_s, check).rows[-1]
         assert row is not None, "command() needs a frequency or a current"
         return row
 
-    def refusal(self, topic: topics.Topic) -> Callable[[], str]:
-        """Return what gives the rig's words as soon as it tells that it has refused a message of a topic, "" till then.
+    def refusal(self, *reasons: str) -> Callable[[], str]:
+        """Return what gives the rig's words as soon as it tells that it has refused something, "" till then.
 
-        A rig tells in its diagnostics, within a second, and not whose message it was: one that is refused to somebody
-        else meanwhile counts, too.
+        A rig tells in its diagnostics, within a second, and not to whom: what is refused to somebody else meanwhile
+        counts, too.
+
+        Args:
+            reasons: what it counts refusals by: the name of a topic, or `inactive`.
         """
 
         def told() -> dict[str, tuple[str, str]] | None:
             figures = self.figures("rig")
-            about = (f"refused.{reason}" for reason in (topic.name, "inactive"))
-            return {name: (figures.get(name, ""), figures.get(f"last_{name}", "")) for name in about} if figures else None
+            names = [f"refused.{reason}" for reason in reasons]
+            return {name: (figures.get(name, ""), figures.get(f"last_{name}", "")) for name in names if figures} or None
 
         before = told()
 
         def words() -> str:
             nonlocal before
             now = told()
-            before = before or now  # what a rig tells that was not heard before may be old
+            before = before or now  # of a rig that was not heard before it may be old
             return next((now[name][1] for name in now if now[name] != before[name]), "") if now and before else ""
 
         return words

@@ -85,7 +85,7 @@ class LiveSource(Source):
         while not self.end.is_set():
             before, self.record = self.record, Record()
             self.record.epoch = before.epoch + 1
-            self._client = Client(self._domain_id, (self._namespace or "").strip("/"), name="lab")
+            self._client = Client(self._domain_id, (self._namespace or "").strip("/"), name="lab", commands=False)
             self._gateway = Gateway(self._client, self.record, self._own) if self._namespace is not None else None
             try:
                 await self._serve()
