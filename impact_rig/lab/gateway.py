@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import asyncio
 import functools
-import math
 import time
 from collections.abc import Awaitable, Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -40,9 +39,6 @@ from impact_rig.runs import recover
 
 ANSWER_S = 30.0  # a busy machine answers late: the knob stays pending until then
 ECHO_S = 5.0  # how long a parameter that was taken may need to be told as in force
-EXPIRES_S = 2.0
-"""A rig of others that is silent for so long is sent nothing, and what waits for it is refused; our own, from when the
-page calls it dead: whether its process has ended is known, and on a busy machine it may be late."""
 START_S = 60.0
 AGAIN_S, ATTEMPTS = 0.5, 20  # how often a node that has just been started is asked to begin
 MOST_FAULTS = 16
@@ -240,12 +236,11 @@ class Gateway:
         if instance is None:
             return ""
         rig = self.seen("rig")
-        silent_s = DEAD_S if self._own is not None and "rig" in self._own.processes.running else EXPIRES_S
         if rig.ended:
             return f"the rig is gone, {rig.ended}"
         if rig.age_s is None:
             return "there is no rig yet"
-        if rig.age_s > silent_s:
+        if rig.age_s > DEAD_S:
             return f"nothing was heard of the rig for {rig.age_s:.1f} s"
         return "" if rig.instance == instance else "another rig has begun since"
 
@@ -307,7 +302,7 @@ class Gateway:
     async def _command(self, column: str, value: float) -> str:
         """Publish a command and wait for its row in shaker/applied, or for the refusal."""
         record, topic = self.record, COMMANDS[column]
-        before, refusal = record.changes, self.client.refusal(topic)
+        before, refusal = record.changes, self.client.refusal(topic.name, "inactive")
         self._publish(topic, value)
 
         def is_answered() -> bool:
@@ -346,10 +341,6 @@ class Gateway:
             "rig", {"sphere.present": True, "barriers.gap_m": value} if value else {"sphere.present": False}
         )
         return (f"gap {value * 1e3:g} mm" if value else "no sphere") + await self._label(value)
-
-    async def do_present(self, value: bool) -> str:  # as the request has it
-        """Put the sphere in, or take it away."""
-        return await self.do_gap(float(self.record.knobs.get("barriers.gap_m", math.nan)) if value else 0.0)
 
     async def _label(self, gap_m: float) -> str:
         """Tell the analysis the gap; return what to add to an answer."""

@@ -144,7 +144,6 @@ REQUESTS: Mapping[str, Mapping[str, Check]] = {
     "frequency": {"value": _ANY},
     "current": {"value": _ANY},
     "gap": {"value": _ANY},
-    "present": {"value": flag},
     "start": {"value": text},
     "law": {"value": text},
     "restitution": {"value": _ANY},
