@@ -135,7 +135,7 @@ class Sphere:
     start: str = choice(
         "left",
         ("left", "centre", "right"),
-        "Where the sphere rests after a reset or a gap change: decides the attractor.",
+        "Where the sphere rests after a reset or a change of the mechanics: decides the attractor.",
     )
     diameter_m: float = quantity(6.35e-3, "m", "Diameter.", Origin.PAPER, at_least=1e-4, at_most=1)
     density_kg_m3: float = quantity(7850.0, "kg/m^3", "Density of steel: m = 1.052 g.", at_least=100, at_most=1e5)

@@ -20,11 +20,11 @@ from numpy.typing import NDArray
 
 from impact_rig.errors import ConfigError
 from impact_rig.rig.config import RigConfig, fields, from_flat, to_flat
+from impact_rig.rig.journal import is_mechanics
 
 GENTLE = 10  # priority (nice) of the lab's threads: on a busy machine pictures are late, not blocks
 KIND, WAVEFORM = "drive.kind", "drive.waveform"
-_SECTIONS = ("structure.", "shaker.", "sphere.", "barriers.", "contact.")
-DECIDING = (*(name for name, _, _ in fields() if name.startswith(_SECTIONS)), KIND, WAVEFORM)
+DECIDING = (*(name for name, _, _ in fields() if is_mechanics(name)), KIND, WAVEFORM)
 """Configuration values that a prediction depends on."""
 FREQUENCIES_HZ: NDArray[np.float64] = np.unique(
     np.concatenate([np.linspace(7.0, 11.0, 81), np.linspace(8.6, 9.6, 101)]).round(6)

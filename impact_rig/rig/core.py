@@ -31,12 +31,12 @@ from impact_rig.rig.config import RigConfig, differences, from_flat
 from impact_rig.rig.interlock import UNDERRUN, Interlock, Trip, check_amplitude, check_frequency, check_stream
 from impact_rig.rig.journal import (
     INSTRUMENTS,
-    MECHANICS,
     PLANNED,
     Journal,
     Kind,
     PlanInForce,
     Value,
+    is_mechanics,
     not_default,
     sampled,
     until_reset,
@@ -400,7 +400,8 @@ class Rig:
         """Change configuration values, all or none, at the frontier; return the new configuration.
 
         Gap, law, sphere and every other part of the mechanics, the instruments and the interlock's limits change at
-        once; on a change of barriers, contact or sphere the sphere rests at `sphere.start` again. The drive's initial
+        once. On a change of the mechanics (all of structure, shaker, sphere, barriers and contact but limits and ramp
+        of the shaker) the sphere rests at `sphere.start` again, and the energy account begins anew. The drive's initial
         values and the seed are taken at the next reset. A line added to the planned faults is injected, its `start_s`
         counted from now; one taken away is cleared.
 
@@ -422,7 +423,7 @@ class Rig:
         """
         mechanics = attrs.evolve(config, drive=self._drive)
         instruments = until_reset(self._chain.config, config)
-        new_mechanics = any(name.startswith(MECHANICS) for name in changed)
+        new_mechanics = any(is_mechanics(name) for name in changed)
         new_instruments = any(name.startswith(INSTRUMENTS) and name != PLANNED for name in changed)
         replan = self._planned_faults.replan(config.instruments.faults.planned)
         if any(name.startswith("drive.") for name in changed):
@@ -433,6 +434,7 @@ class Rig:
             self._chain.reconfigure(instruments)
         if model is not None:
             self._simulation.configure(mechanics, model)
+        if "shaker.ramp_s" in changed:
             self._generator.set_ramp(config.shaker.ramp_s)
         self.config = config
         self._truth.configure(config.output.monitor_rate_hz, config.output.truth_scan)

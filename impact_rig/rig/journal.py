@@ -327,9 +327,19 @@ def _full_name(key: str) -> tuple[str, Value]:
 
 
 MECHANICS = ("structure.", "shaker.", "sphere.", "barriers.", "contact.")
+LIMITS = frozenset({
+    "shaker.travel_limit_m", "shaker.current_limit_a_rms", "shaker.frequency_min_hz", "shaker.frequency_max_hz",
+    "shaker.ramp_s",
+})  # fmt: skip
+"""Of the mechanics' sections, but none of the mechanics: a change of them leaves the motion as it is."""
 INSTRUMENTS = ("instruments.", "daq.")
 PLANNED = "instruments.faults.planned"
 AT_RESET = ("drive.", "daq.seed")  # what is drawn or commanded at the beginning only
+
+
+def is_mechanics(name: str) -> bool:
+    """Return whether the equations of motion have a parameter: a change of it puts the sphere back to its start."""
+    return name.startswith(MECHANICS) and name not in LIMITS
 
 
 def takes_effect(name: str) -> str:
@@ -340,7 +350,7 @@ def takes_effect(name: str) -> str:
         return "next reset"
     if name.startswith(NOT_SAMPLED) and name not in SAMPLED:
         return "at once"
-    if name.startswith(("sphere.", "barriers.", "contact.")):
+    if is_mechanics(name):
         return "next command instant; the sphere rests at `sphere.start` again"
     return "next command instant"
 

@@ -12,8 +12,9 @@ from kits.rig import TICK, config, resimulated, same, samples
 
 from impact_rig.errors import CommandError, ConfigError
 from impact_rig.instruments.section import CHANNELS
-from impact_rig.rig import Block, Rig
+from impact_rig.rig import Block, Rig, takes_effect
 from impact_rig.rig.config import RigConfig, to_flat
+from impact_rig.rig.journal import LIMITS
 
 _NAMES = st.sampled_from([*to_flat(RigConfig()), "barriers.gap", "", "x" * 400])
 
@@ -68,6 +69,29 @@ def test_a_gap_change_rests_the_sphere_at_its_start() -> None:
     last = before[-1].monitor[-1]
     gone_on = last["x_1"] + last["v_1"] * 5e-3
     assert after["x_1"] == pytest.approx(gone_on, abs=2e-4), "the structure keeps its motion"
+
+
+def test_limits_and_ramp_leave_the_motion_as_it_is(reference: list[Block]) -> None:
+    """They once put the sphere back to its start, and began the energy account anew."""
+    rig = Rig(config())
+    blocks = rig.advance(40 * TICK)
+    work = rig.simulation.energy().work
+    rig.configure({name: getattr(rig.config.shaker, name[7:]) * 1.01 for name in LIMITS})
+    assert rig.simulation.energy().work == work > 0.0
+    blocks += rig.advance(60 * TICK)
+    assert same(samples(blocks), samples(reference))
+    resimulated(blocks, rig.take_journal())
+
+
+@pytest.mark.parametrize(
+    "name", [*sorted(LIMITS), "structure.damping_ratio", "shaker.base_mass_kg", "contact.restitution"]
+)
+def test_the_sphere_rests_at_its_start_again_where_the_interface_says_so(name: str) -> None:
+    rig = Rig(config())
+    rig.advance(40 * TICK)
+    flying = rig.simulation.state()
+    rig.configure({name: 0.9 * to_flat(rig.config)[name]})
+    assert (rig.simulation.state()[5:].tolist() != flying[5:].tolist()) == ("rests at" in takes_effect(name))
 
 
 def test_a_refused_change_changes_nothing() -> None:
