@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from functools import lru_cache
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -66,9 +67,8 @@ def build(config: Setup, rtol: float = CONTACT_RTOL, kind: str | None = None) ->
     m_eff = effective_mass_kg(c.m_1, mass)
     law = contact_laws.from_config(config.contact)
     force = law.force(ContactPair(hertz_stiffness_n_m32(config.sphere, config.barriers), m_eff))
-    systems = _systems(c, kind, mass)
-    rows = record(PARAMETERS)
-    p = rows[0]
+    systems, fastest = _systems(c, kind, mass)
+    p = SimpleNamespace()  # a record takes as long for one field as this for all
     p.drive, p.sphere_present = DRIVES.index(kind), config.sphere.present
     p.m_1, p.c_1, p.k_1, p.m_base, p.c_f, p.k_f = c.m_1, c.c_1, c.k_1, c.m_base, c.c_f, c.k_f
     p.force_factor, p.resistance, p.per_inductance = c.force_factor, c.resistance, 1.0 / c.inductance
@@ -81,14 +81,20 @@ def build(config: Setup, rtol: float = CONTACT_RTOL, kind: str | None = None) ->
     _set_force(p, force, m_eff)
     p.speed_floor = config.contact.speed_floor_m_s
     p.touch_speed = 1e-6 * p.speed_floor
-    p.fastest = max(bound_omega(system, 0.0) for system in systems)
-    p.rtol = rtol
+    p.fastest, p.rtol = fastest, rtol
     tabulated = force.scale_free and rtol >= CONTACT_RTOL
     table = _table(force._replace(stiffness=1.0)).copy() if tabulated else record(TABLE)
-    return Model(rows, systems, with_fields(table), compiled_force(force.function))
+    return Model(_parameters(p), systems, with_fields(table), compiled_force(force.function))
 
 
-def _set_force(p: Any, force: Force, m_eff: float) -> None:
+def _parameters(p: SimpleNamespace) -> Any:
+    """Return one record of PARAMETERS; what was not set is zero."""
+    rows = np.zeros(1, PARAMETERS)
+    rows[0] = tuple(getattr(p, name, 0) for name in PARAMETERS.names or ())
+    return with_fields(rows)
+
+
+def _set_force(p: SimpleNamespace, force: Force, m_eff: float) -> None:
     """Set what the contact law decides."""
     p.stiffness, p.factor, p.restitution = force.stiffness, force.factor, force.restitution
     p.rigid, p.clipped, p.remembers = force.rigid, force.clipped, force.remembers
@@ -105,16 +111,14 @@ def _table(force: Force) -> Any:
 
 def unit_parameters(force: Force) -> Any:
     """Return one record of PARAMETERS for a law in its own units: masses, stiffness and approach speed are 1."""
-    rows = record(PARAMETERS)
-    p = rows[0]
+    p = SimpleNamespace(m=1.0, m_1=1.0, m_eff=1.0, per_m_eff=1.0, speed_floor=1.0)
     _set_force(p, force, 1.0)
-    p.m = p.m_1 = p.m_eff = p.per_m_eff = p.speed_floor = 1.0
-    return rows
+    return _parameters(p)
 
 
 @lru_cache(maxsize=32)
 def _systems(c: Constants, kind: str, sphere_kg: float) -> Any:
-    """Return the two linear systems: a change of gap or law does not come here."""
+    """Return the two linear systems and the fastest of their modes: a change of gap or law does not come here."""
     systems = record(SYSTEM, 2)
     for system, mass in zip(systems, (c.m_1, c.m_1 + sphere_kg), strict=True):
         matrix = state_matrix(c, kind, mass)
@@ -128,4 +132,4 @@ def _systems(c: Constants, kind: str, sphere_kg: float) -> Any:
         system.right[:kept, :n], system.left[:kept, :n] = found.right, found.left
         system.b_0[:n], system.b_1[:n] = b_0, b_1
         system.static[:n] = static_answer(matrix, unit_force)
-    return systems
+    return systems, max(bound_omega(system, 0.0) for system in systems)

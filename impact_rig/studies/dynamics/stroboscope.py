@@ -22,7 +22,7 @@ from impact_rig.maps.measure import PER_CYCLE, MapRig, Reading
 from impact_rig.maps.plan import CURRENT, FREQUENCY, GAP
 from impact_rig.physics import SEGMENT, Motion, Simulation
 from impact_rig.physics.linear import constants
-from impact_rig.physics.model import build
+from impact_rig.physics.model import Model, build
 from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.studies.dynamics.orbits import Real
 
@@ -88,13 +88,18 @@ class Stroboscope:
         self._quiet = False
         self._free = list(COORDINATES[place.config.drive.kind])
         self.scale = np.ones(len(self._free))
-        self._simulation = Simulation(place.config)
-        self._at = place.config
-        self._models = functools.lru_cache(maxsize=8)(build)
+        self._at = self._model = build(place.config)
+        self._simulation = Simulation(place.config, model=self._model)
+        self._found = functools.lru_cache(maxsize=8)(self._find)
 
     def place(self, p: float) -> Place:
         """Return the rig and its drive at a value of the dimensionless parameter."""
-        return at(self._place, self._over, p * self._unit)
+        return self._found(p)[0]
+
+    def _find(self, p: float) -> tuple[Place, Model]:
+        """Return the place and its model; a change of the drive alone changes no model."""
+        place = at(self._place, self._over, p * self._unit)
+        return place, self._model if place.config is self._place.config else build(place.config)
 
     def __call__(self, z: Real, p: float, returns: int = 1) -> Real:
         """Return the coordinates after `cycles`; NaN where the motion stands in a contact, or cannot be resolved."""
@@ -137,9 +142,9 @@ class Stroboscope:
 
     def properties(self, z: Real, p: float) -> Properties:
         """Return what the orbit through z does."""
-        place = self.place(p)
+        place, model = self._found(p)
         config, frequency = place.config, place.frequency_hz
-        simulation = Simulation(config, account=True)
+        simulation = Simulation(config, account=True, model=model)
         simulation.set_state(self._whole(z, place))
         motion = simulation.advance(self._segments(place, self.cycles))
         energy, period = simulation.energy(), 1.0 / frequency
@@ -168,10 +173,10 @@ class Stroboscope:
         )
 
     def _run(self, z: Real, p: float, cycles: float) -> Motion:
-        place = self.place(p)
-        if place.config != self._at:
-            self._simulation.configure(place.config, self._models(place.config))
-            self._at = place.config
+        place, model = self._found(p)
+        if model is not self._at:
+            self._simulation.configure(place.config, model)
+            self._at = model
         self._simulation.set_state(self._whole(z, place))
         return self._simulation.advance(self._segments(place, cycles))
 
@@ -217,12 +222,8 @@ def at(place: Place, over: str, value: float) -> Place:
         return Place(config, value, amplitude)
     if over == CURRENT:
         return Place(config, frequency, value)
-    return Place(_changed(config, "barriers.gap_m" if over == GAP else over, value), frequency, amplitude)
-
-
-@functools.lru_cache(maxsize=64)
-def _changed(config: RigConfig, name: str, value: float) -> RigConfig:
-    return from_flat(config, {name: value})
+    changed = from_flat(config, {"barriers.gap_m" if over == GAP else over: value})
+    return Place(changed, frequency, amplitude)
 
 
 def _longest_flight(motion: Motion, cycles: int) -> float:
