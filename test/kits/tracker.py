@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 from kits.records import add_impacts, applied, blocks, info_rows, steady_record
 
@@ -29,6 +31,7 @@ def record(frequency_hz=9.1, seconds=14.0, *, rate_hz=RATE, seed=1, **options):
     return steady_record(frequency_hz, seconds, rate_hz=rate_hz, rng=np.random.default_rng(seed), **options)
 
 
+@functools.cache
 def scenario(rate_hz=RATE):
     """Everything at once: a change of frequency, an over-range spell, a NaN, impacts, a hole. (rows, events)."""
     rng = np.random.default_rng(3)

@@ -8,7 +8,6 @@ import csv
 import json
 import re
 from html.parser import HTMLParser
-from pathlib import Path
 from urllib.parse import unquote
 
 import attrs
@@ -69,22 +68,52 @@ class Page(HTMLParser):
 
 
 @pytest.fixture(scope="module")
-def reported(tmp_path_factory):
-    """A campaign with the paper's curves at three frequencies, a point that fails, and its page."""
+def short(tmp_path_factory):
+    """A campaign with the paper's curves at three frequencies and a point that fails, and what came of its jobs."""
     folder = tmp_path_factory.mktemp("report")
     file = folder / "short.yaml"
     campaign = load_campaign(config_dir() / "paper.yaml").only(("curves",))
     text = campaign.text.replace("[7.5, 8.0, 8.5, 8.9, 9.0, 9.1, 9.2, 9.5, 10.0, 10.5]", "[9.0, 9.1, 9.2]")
     text = text[: text.index("  peak:")] + "  <trip>: { frequencies_hz: 9.1, gaps_m: none, currents_a: 18 }\n"
     file.write_text(f"analysis: {{ settle_tolerance: 0.01 }}\n{text}")
-    short = load_campaign(file)
-    store = run.prepare(short, folder / "out", "process")
-    for job in run.unique_jobs(short.planned()):
-        fewer = job if job.frequencies_hz == (9.1,) else attrs.evolve(job, traces=False)
-        store.put(job, execute(fewer))
-    run.write_results(run.finished(short, folder / "out"), 1.0)
-    assert main(["report", str(folder / "out")]) == 0
-    return folder / "out"
+    campaign = load_campaign(file)
+    jobs = run.unique_jobs(campaign.planned())
+    fewer = [job if job.frequencies_hz == (9.1,) else attrs.evolve(job, traces=False) for job in jobs]
+    return campaign, [(job, execute(one)) for job, one in zip(jobs, fewer, strict=True)]
+
+
+def stored(folder, campaign, found):
+    """Return the directory of a campaign whose jobs had these outcomes."""
+    store = run.prepare(campaign, folder, "process")
+    for job, outcome in found:
+        store.put(job, outcome)
+    run.write_results(run.finished(campaign, folder), 1.0)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def reported(short, tmp_path_factory):
+    """The campaign, and its page."""
+    folder = stored(tmp_path_factory.mktemp("reported") / "out", *short)
+    assert main(["report", str(folder)]) == 0
+    return folder
+
+
+@pytest.fixture(scope="module")
+def compared(short, tmp_path_factory):
+    """The same without its traces, and a page that tells of margins and of continued motions as well."""
+    folder = tmp_path_factory.mktemp("compared")
+    campaign, found = short
+    out = stored(folder / "out", campaign, [(job, attrs.evolve(one, trace={})) for job, one in found])
+    (folder / "margins.yaml").write_text(MARGINS)
+    varied = load_campaign(folder / "margins.yaml")
+    stored(folder / "margins", varied, [(job, execute(job)) for job in run.unique_jobs(varied.planned())])
+    (folder / "branches.yaml").write_text(BRANCHES)
+    continued = ["dynamics", "continue", str(folder / "branches.yaml"), "--workers", "1"]
+    assert main([*continued, "--output", str(folder / "branches")]) == 0
+    extras = ["--margins", str(folder / "margins"), "--branches", str(folder / "branches")]
+    assert main(["report", str(out), "--output", str(folder / "page.html"), *extras]) == 0
+    return folder
 
 
 @pytest.fixture(scope="module")
@@ -139,18 +168,17 @@ studies:
 """
 
 
-def test_the_page_tells_what_each_verdict_is_worth_and_owes_to_the_choice(reported, tmp_path, capsys):
-    (tmp_path / "margins.yaml").write_text(MARGINS)
-    varied = load_campaign(tmp_path / "margins.yaml")
-    store = run.prepare(varied, tmp_path / "margins", "process")
-    for job in run.unique_jobs(varied.planned()):
-        store.put(job, execute(job))
-    page, margins = str(tmp_path / "page.html"), str(tmp_path / "margins")
-    assert main(["report", str(reported), "--output", page, "--margins", margins]) == 0
-    text = Page(Path(page).read_text()).text
-    for verdict in run.open_finished(reported).verdicts():
+BRANCHES = """
+title: Over the gap
+continue: {over: gap_m, from: 0.002, to: 0.036, at: [0.010], points: 8}
+"""
+
+
+def test_the_page_tells_what_each_verdict_is_worth_and_owes_to_the_choice(reported, compared, capsys):
+    text = Page((compared / "page.html").read_text()).text
+    for verdict in run.open_finished(compared / "out").verdicts():
         assert f"{verdict.word} {verdict.kind.value} {verdict.detail}" in text
-    (itself, changed) = variations(run.open_finished(tmp_path / "margins").points)
+    (itself, changed) = variations(run.open_finished(compared / "margins").points)
     for one, name in ((itself, "the rig itself"), (changed, "shaker.base_mass_kg = 0.84")):
         peak, amplitudes = (f"{v.result.value:.4g} {v.word}" for v in one.verdicts[:2])
         assert f"{name} {peak} {amplitudes}" in text
@@ -159,18 +187,8 @@ def test_the_page_tells_what_each_verdict_is_worth_and_owes_to_the_choice(report
     assert "holds no campaign that varies constants" in capsys.readouterr().err
 
 
-BRANCHES = """
-title: Over the gap
-continue: {over: gap_m, from: 0.002, to: 0.036, at: [0.010], points: 40}
-"""
-
-
-def test_continued_motions_are_drawn_beside_what_was_measured(reported, tmp_path, capsys):
-    (tmp_path / "branches.yaml").write_text(BRANCHES)
-    out, page = str(tmp_path / "out"), tmp_path / "page.html"
-    assert main(["dynamics", "continue", str(tmp_path / "branches.yaml"), "--workers", "1", "--output", out]) == 0
-    assert main(["report", str(reported), "--output", str(page), "--branches", out]) == 0
-    kept = json.loads((tmp_path / "report.json").read_text())["figures"]["continued_0"]
+def test_continued_motions_are_drawn_beside_what_was_measured(reported, compared, tmp_path, capsys):
+    kept = json.loads((compared / "report.json").read_text())["figures"]["continued_0"]
     stable, unstable, measured = kept["cases"]
     assert max(unstable["gap_m"]) < 9.7e-3  # the flip at 9.69 mm
     assert max(stable["gap_m"]) > 10.3e-3
@@ -178,10 +196,11 @@ def test_continued_motions_are_drawn_beside_what_was_measured(reported, tmp_path
     ours = stable["transmissibility"][stable["gap_m"].index(0.010)]
     at = measured["gap_m"].index(0.010)
     assert ours == pytest.approx(measured["transmissibility"][at], abs=2.0 * measured["expanded_uncertainty"][at])
-    assert "Stable and unstable motions of the model" in Page(page.read_text()).text
-    (tmp_path / "branches.yaml").write_text(f"set: {{sphere.diameter_m: 0.006}}\n{BRANCHES.replace('40', '2')}")
+    assert "Stable and unstable motions of the model" in Page((compared / "page.html").read_text()).text
+    (tmp_path / "branches.yaml").write_text(f"set: {{sphere.diameter_m: 0.006}}\n{BRANCHES.replace('8}', '2}')}")
+    out, page = str(tmp_path / "out"), str(tmp_path / "page.html")
     assert main(["dynamics", "continue", str(tmp_path / "branches.yaml"), "--workers", "1", "--output", out]) == 0
-    assert main(["report", str(reported), "--output", str(page), "--branches", out]) == 1
+    assert main(["report", str(reported), "--output", page, "--branches", out]) == 1
     assert "the branches are of another rig: sphere.diameter_m" in capsys.readouterr().err
 
 

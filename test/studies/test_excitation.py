@@ -30,13 +30,16 @@ RATE_HZ = 2_000
 
 def hardware(**values: object) -> Hardware:
     """A rig in this process, by configuration values with `__` for the point."""
-    settings = {"drive.waveform": "stream", "drive.stream_rate_hz": RATE_HZ, "daq.rate_hz": RATE_HZ}
+    settings = {
+        "drive.waveform": "stream", "drive.stream_rate_hz": RATE_HZ,
+        "daq.rate_hz": RATE_HZ, "daq.block_scans": RATE_HZ // 2,  # long ones: a block costs as much as what is in it
+    }  # fmt: skip
     given = {name.replace("__", "."): value for name, value in values.items()}
     return Hardware(InProcess(Rig(from_flat(RigConfig(), settings | given))))
 
 
 def test_a_scan_belongs_to_the_sample_it_is_read_with():
-    linear = hardware(sphere__present=False, instruments__ideal=True)
+    linear = hardware(sphere__present=False, instruments__ideal=True, daq__block_scans=100)
     exchange = Exchange(linear, 100)
     samples = np.random.default_rng(1).uniform(-0.1, 0.1, 1_000)
     parts = [exchange.exchange(part) for part in np.split(samples, 10)]
@@ -47,7 +50,7 @@ def test_a_scan_belongs_to_the_sample_it_is_read_with():
 
 
 def test_reading_what_nobody_plays_ends_in_time():
-    waiting = hardware()
+    waiting = hardware(daq__block_scans=100)
     waiting.acquisition.start(waiting.output.start())
     waiting.output.write(np.zeros(150))
     assert len(waiting.acquisition.read(100)) == 100
@@ -163,6 +166,7 @@ def test_the_base_makes_a_half_sine_and_comes_back_to_rest():
     """By what really happened, not by the sensor: peak within 5 %, change of velocity within 2 %, displacement zero."""
     pulse, rate_hz, truth = Pulse(), 10_000, []
     settings = {"drive.waveform": "stream", "sphere.present": False, "output.truth_scan": True}
+    settings["daq.block_scans"] = 1_000
 
     class Watched(InProcess):
         def advance(self):
