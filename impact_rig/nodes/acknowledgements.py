@@ -259,7 +259,7 @@ class Acknowledgements:
         self._waiting += 1
         if abs(time.time_ns() - stamp_ns) < PRESENT_NS:
             if not self._is_timed:
-                self._node.tick(REALTIME_S, self._send)
+                self._node.every(REALTIME_S, self._send)
             self._is_timed = True
             return
         executor = self._node.executor

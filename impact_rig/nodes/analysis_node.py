@@ -82,7 +82,7 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
         self._started_s = time.time()
         self._label(_gap(self.settings), 0)
         # calibration and present command first: both are transient-local, so they arrive though published long ago
-        self.hear(
+        self.until_deactivated(
             self.subscribe_table(topics.INFO, self._on_info),
             self.subscribe_table(topics.APPLIED, self._on_applied),
             self.subscribe(topics.NOTES, self._on_note),

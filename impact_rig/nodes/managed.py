@@ -290,7 +290,7 @@ class ManagedNode(LifecycleNode, Generic[S]):
         """Create a guarded timer on the monotonic clock: neither sim time nor a clock step moves it."""
         return self.create_timer(period_s, guarded(callback, self.report_failure), clock=self.steady)
 
-    def tick(self, period_s: float, callback: Callable[[], None]) -> None:
+    def every(self, period_s: float, callback: Callable[[], None]) -> None:
         """Call back with a period, until the activation ends."""
         self.activation.callback(self.destroy_timer, self.steady_timer(period_s, callback))
 
@@ -302,8 +302,8 @@ class ManagedNode(LifecycleNode, Generic[S]):
         """Publish a message, or its CDR bytes, on a topic that is offered."""
         self.outputs[topic.name].publish(message)
 
-    def hear(self, *subscriptions: Any) -> None:
-        """Let subscriptions end with the activation."""
+    def until_deactivated(self, *subscriptions: Any) -> None:
+        """Keep subscriptions until the activation ends."""
         for subscription in subscriptions:
             self.activation.callback(self.destroy_subscription, subscription)
 

@@ -59,13 +59,13 @@ class Monitors:
 
         Readings are filtered and come four monitor periods later; the truth is not, and comes at once.
         """
-        start_ns = block.scan.stamp_ns - stamp_ns(block.first_sample, self._rate_hz)
-        instants = (block.first_sample + block.monitor_scans).tolist()
+        start_ns = block.scan.stamp_ns - stamp_ns(block.first_scan, self._rate_hz)
+        instants = (block.first_scan + block.monitor_scans).tolist()
         if wanted(topics.JOINT_STATES):
             for sample, truth in zip(instants, block.monitor, strict=True):
                 yield topics.JOINT_STATES, self._joint_states(stamp_ns(sample, self._rate_hz, start_ns), truth)
         readings = {name: reading for name, reading in self._readings.items() if wanted(reading[0])}
-        for smoothed in self._filter.feed(block.first_sample, block.scan.rows, instants, wanted=bool(readings)):
+        for smoothed in self._filter.feed(block.first_scan, block.scan.rows, instants, wanted=bool(readings)):
             stamp = stamp_ns(smoothed.sample, self._rate_hz, start_ns)
             for name, (topic, render) in readings.items():
                 yield topic, render(stamp, smoothed.values[name], smoothed.status)

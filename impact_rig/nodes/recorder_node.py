@@ -115,8 +115,8 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         self._failure = ""
         self._configuration, self._configured_at = None, math.inf
         self._newest_ns = None
-        self.hear(self.subscribe(topics.CONFIGURATION, self._on_configuration))
-        self.tick(FLUSH_S, self._on_timer)
+        self.until_deactivated(self.subscribe(topics.CONFIGURATION, self._on_configuration))
+        self.every(FLUSH_S, self._on_timer)
         if self.settings.record:
             self._start(patiently=True)
         else:
@@ -249,7 +249,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
     def _follow_scans(self) -> None:
         if self._scans is None:
             self._scans = self._listen(topics.SCAN)
-            self.hear(self._scans)
+            self.until_deactivated(self._scans)
 
     def _listen(self, topic: topics.Topic) -> Any:
         """Subscribe with a queue that outlasts a stall: a burst of small messages must not push each other out."""

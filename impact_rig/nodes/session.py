@@ -142,7 +142,7 @@ class Counts:
         self._rates: deque[tuple[float, int]] = deque([(time.monotonic(), 0)])
 
     def take(self, block: Block) -> None:
-        """Count one published block."""
+        """Count one block, published or lost."""
         self.blocks += 1
         self.lost_blocks += block.lost
         if block.impacts is not None:
@@ -170,7 +170,7 @@ class Counts:
 
 
 class Session:
-    """The rig of a node; it exists from when nobody else is in its place until the node is deactivated."""
+    """The rig of a node, and its pace: a rig from when nobody else is in its place until the node is deactivated."""
 
     publishers: Publishers  # what it publishes; from when the node is configured
     readers: Readers  # who reads its scans, and, below, who else publishes; from when the node is active

@@ -137,7 +137,7 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
     def activate(self) -> None:
         """Listen; begin the sweep as soon as the rig is there if `begin` says so."""
         self._now_ns, self._pending = None, self.settings.begin
-        self.hear(
+        self.until_deactivated(
             self.subscribe(MONITORS["base"], self._on_time, raw=True),
             self._follow(topics.APPLIED, self._on_applied),
             self._follow(topics.JOURNAL, self._on_journal),
@@ -145,7 +145,7 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
             self.subscribe_table(topics.INFO, self._on_info),
         )
         self._listen(self.settings)
-        self.tick(WATCH_S, self._begin_when_ready)
+        self.every(WATCH_S, self._begin_when_ready)
 
     def deactivate(self) -> None:
         """Abort a running sweep, the shaker at rest, and stop listening."""
