@@ -84,7 +84,7 @@ class InProcess:
         if self.rig.blocks_with_samples(1) == 0:
             return None
         block = self.advance()
-        return block.first_sample, block.scan.rows
+        return block.first_scan, block.scan.rows
 
     def advance(self) -> Block:
         """Advance the rig by one block."""

@@ -111,7 +111,7 @@ class Block:
     """Consecutive scans and what is true about them."""
 
     number: int  # blocks since the start or reset
-    first_sample: int  # index of the first scan since the start or reset
+    first_scan: int  # index of the first scan since the start or reset
     end_ns: int  # stamp of the first scan after the block: when it is complete
     scan: Table  # `daq/scan`
     impacts: Table | None  # `truth/impacts`: the contacts that ended in this block; None if there were none
@@ -245,13 +245,13 @@ class Rig:
     # Time
 
     def advance(self, until_ns: int) -> list[Block]:
-        """Simulate until every block that ends by `until_ns` is complete, and return those blocks.
+        """Simulate until every block that is over by `until_ns` is complete, and return those blocks.
 
-        Whole ticks that end by `until_ns` are simulated as well, so a long block is not computed all at once.
+        Ticks that end by then are simulated even if their block is not over: a long block is not computed all at once.
         """
         size = self.config.daq.block_scans
         elapsed = until_ns - self.start_ns
-        ended = ((elapsed + 1) * self.rate_hz - 1) // NS_PER_S  # scans whose successor's stamp is not after until_ns
+        ended = ((elapsed + 1) * self.rate_hz - 1) // NS_PER_S  # scans that are over: the next one has begun
         complete = (ended - self._next_scan) // size
         blocks: list[Block] = []
         needed = max(elapsed // COMMAND_GRID_NS, self._ticks)
@@ -314,7 +314,7 @@ class Rig:
         faults = self._chain.fault_rows(first, size)
         block = Block(
             number=self._blocks,
-            first_sample=first,
+            first_scan=first,
             end_ns=self._stamp(first + size),
             scan=Table(stamp, self._chain.read(size)),
             impacts=Table(stamp, impacts, FRAME_DAQ) if len(impacts) else None,
@@ -367,8 +367,8 @@ class Rig:
             values: A, m or V by `drive.kind`, shape (n,).
 
         Raises:
-            CommandError: a value is not finite or beyond the shaker, the block reaches beyond `drive.stream_buffer_s`,
-                the shaker is latched or locked, or the drive is no stream; nothing of the block is taken.
+            CommandError: a value is not finite or beyond the shaker, the samples reach beyond `drive.stream_buffer_s`,
+                the shaker is latched or locked, or the drive is no stream; none of them is taken then.
         """
         stream = self.stream
         try:

@@ -55,7 +55,7 @@ class Truth:
         return 1 if self.every_scan else self.monitor_step
 
     def take(self, motion: Motion, tick_s: float) -> None:
-        """Keep what is wanted of simulated ticks; segments of the motion are ticks, `tick_s` is their duration."""
+        """Keep what is wanted of simulated ticks, of `tick_s` seconds each."""
         self._take_states(motion, tick_s)
         self._take_impacts(motion, tick_s)
 
@@ -65,10 +65,10 @@ class Truth:
         scans = np.arange(-(-first // step) * step, end, step, dtype=np.int64)
         if len(scans) == 0:
             return
-        segment, rest = np.divmod(scans * TICKS_PER_S, self._rate_hz)
+        tick, rest = np.divmod(scans * TICKS_PER_S, self._rate_hz)
         values = np.empty((len(scans), 1 + len(_QUANTITIES)))
         values[:, 0] = scans  # turned into seconds when the block is known
-        values[:, 1:] = motion.quantities(_QUANTITIES, segment, rest * (tick_s / self._rate_hz)).T
+        values[:, 1:] = motion.quantities(_QUANTITIES, tick, rest * (tick_s / self._rate_hz)).T
         self._states.append(values.view(TRUTH_SCAN).reshape(-1))
 
     def _take_impacts(self, motion: Motion, tick_s: float) -> None:

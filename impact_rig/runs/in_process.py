@@ -85,7 +85,7 @@ class RigRecorder:
             if table is not None:
                 self.write(topic, table)
         for scan, row in zip(block.monitor_scans, block.monitor, strict=True):
-            stamp = stamp_ns(block.first_sample + int(scan), self._rig.rate_hz, self._rig.start_ns)
+            stamp = stamp_ns(block.first_scan + int(scan), self._rig.rate_hz, self._rig.start_ns)
             positions, velocities = ([float(row[f"{what}_{body}"]) for body in "b12"] for what in "xv")
             push = float(row["force_left"] - row["force_right"])
             data = codec.encode_joint_state(stamp, positions, velocities, [0.0, -push, push])

@@ -413,7 +413,7 @@ class _Beside:
             self._truth.compare(block.truth if block.truth is not None and block.truth.stamp_ns == stamp else None)
         for stamp in self._joints.before(block.end_ns, block.scan.stamp_ns):
             scan = -(-(stamp - start_ns) * rate // NS_PER_S)
-            at, rows = scan - block.first_sample, block.truth.rows if block.truth is not None else None
+            at, rows = scan - block.first_scan, block.truth.rows if block.truth is not None else None
             states = block.monitor[block.monitor_scans == at] if rows is None else rows[at : at + 1]
             exact = stamp_ns(scan, rate, start_ns) == stamp and len(states)
             self._joints.compare(states[0] if exact else None)
@@ -428,7 +428,7 @@ class _Beside:
             self._filters = [AntiAlias(there, step) for step in sorted(steps)]
             for monitor in self._monitors:
                 monitor.following.clear()
-        first, end = block.first_sample, block.first_sample + len(block.scan.rows)
+        first, end = block.first_scan, block.first_scan + len(block.scan.rows)
         for one in self._filters:
             for smoothed in one.feed(first, block.scan.rows, range(-(-first // one.step) * one.step, end, one.step)):
                 self._smoothed.setdefault(smoothed.sample, []).append((one.step, smoothed))

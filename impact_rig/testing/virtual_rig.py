@@ -225,7 +225,7 @@ class SteppedRig(abc.ABC):
         """Return the scans that were not published, as (first, one after the last)."""
         lost, expected, start_ns = [], self._kept_from, self._start_ns()
         for table in self.tables():
-            first = first_sample(table, start_ns, self.rate_hz)
+            first = first_scan(table, start_ns, self.rate_hz)
             if first > expected:
                 lost.append((expected, first))
             expected = first + len(table.rows)
@@ -361,7 +361,7 @@ class VirtualRig(SteppedRig):
         return int(table.rows["sample"][-1])
 
     def _deliver(self, block: Block) -> None:
-        self.sample = block.first_sample + len(block.scan.rows)
+        self.sample = block.first_scan + len(block.scan.rows)
         for topic, table in (
             (SCANS, None if block.lost else block.scan),
             (topics.IMPACTS_TRUTH.name, block.impacts),
@@ -398,7 +398,7 @@ class VirtualRig(SteppedRig):
         self._kept[topic].popleft()
         self._bytes -= table.rows.nbytes
         if topic == SCANS:
-            self._kept_from = first_sample(self._kept[SCANS][0], self._start_ns(), self.rate_hz)
+            self._kept_from = first_scan(self._kept[SCANS][0], self._start_ns(), self.rate_hz)
 
 
 def first_scan_on_grid(sample: int, rate_hz: int) -> int:
@@ -408,7 +408,7 @@ def first_scan_on_grid(sample: int, rate_hz: int) -> int:
     return first if first >= sample else -(-(tick + 1) * rate_hz // _GRID_PER_S)
 
 
-def first_sample(table: Table, start_ns: int, rate_hz: int) -> int:
+def first_scan(table: Table, start_ns: int, rate_hz: int) -> int:
     """Return the index of the first scan of a block, from its stamp."""
     return -(-(table.stamp_ns - start_ns) * rate_hz // NS_PER_S)
 

@@ -134,7 +134,7 @@ def everything(rig: Rig, blocks: int, deeds: dict[int, Callable[[], object]] | N
             for scan, state in zip(block.monitor_scans, block.monitor, strict=True):
                 push = state["force_left"] - state["force_right"]
                 values = [state[name] for name in ("x_b", "x_1", "x_2", "v_b", "v_1", "v_2")] + [0.0, -push, push]
-                instant = stamp_ns(block.first_sample + int(scan), rig.rate_hz, rig.start_ns)
+                instant = stamp_ns(block.first_scan + int(scan), rig.rate_hz, rig.start_ns)
                 found.append(("truth/joint_states", Joints(instant, np.array(values))))
         changes_of_time = [("rig/journal", one) for one in rig.take_journal()]
         found += [*changes_of_time, *(("shaker/applied", one) for one in rig.take_applied())]

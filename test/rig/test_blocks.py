@@ -30,7 +30,7 @@ def test_a_long_block_is_simulated_tick_by_tick() -> None:
 
 def test_monitor_instants_are_scans_at_the_asked_rate() -> None:
     blocks = Rig(config(daq__rate_hz=25_600, daq__block_scans=256, output__monitor_rate_hz=200.0)).advance(NS_PER_S)
-    indices = np.concatenate([block.first_sample + block.monitor_scans for block in blocks])
+    indices = np.concatenate([block.first_scan + block.monitor_scans for block in blocks])
     assert np.array_equal(indices, np.arange(200) * 128)
     for block in blocks:
         assert np.array_equal(block.monitor["time"], block.monitor_scans / 25_600)

@@ -23,7 +23,7 @@ def test_a_reset_begins_as_new_with_later_stamps(reference: list[Block]) -> None
     assert rig.start_ns == START_NS + 23 * TICK
     blocks = rig.advance(rig.start_ns + 60 * TICK)
     assert blocks[0].scan.stamp_ns == START_NS + 23 * TICK
-    assert (blocks[0].number, blocks[0].first_sample) == (0, 0)
+    assert (blocks[0].number, blocks[0].first_scan) == (0, 0)
     assert same(samples(blocks), samples(reference))
     assert same(impacts(blocks), impacts(reference))
 

@@ -57,7 +57,7 @@ def test_stamps_are_computed_from_the_index(rate_hz: int) -> None:
     blocks = Rig(config(daq__rate_hz=rate_hz, daq__block_scans=97), START_NS).advance(START_NS + NS_PER_S)
     assert len(blocks) == rate_hz // 97
     for k, block in enumerate(blocks):
-        assert block.first_sample == 97 * k
+        assert block.first_scan == 97 * k
         assert block.scan.stamp_ns == START_NS + 97 * k * NS_PER_S // rate_hz
         assert block.end_ns == START_NS + 97 * (k + 1) * NS_PER_S // rate_hz
         assert np.array_equal(block.scan.rows["time"], np.arange(97) / rate_hz)
