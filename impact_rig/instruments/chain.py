@@ -193,7 +193,7 @@ class Chain:
 
     def _note_rows(self) -> None:
         """Make rows of all that every channel has finished."""
-        room = int(self._channels["begun"].min())
+        room = int(self._channels["finished"].min())
         rows = np.empty(room, self._row_type)
         values, clipped = self._buffers.values.view(np.uint64), self._buffers.clipped
         take_rows(self._channels, values, clipped, rows.view(np.uint8), self._layout)
@@ -319,12 +319,12 @@ class Chain:
                 values[on] = self._sines[j].values((tick + self._tick)[on], offset[on], tick_s)[0]
             self._faults.on_cable(self._names[j], values, clipped, first, 1.0, 0.0)
             self._repeat(*one)
-        self._channels["begun"] = self._channels["filled"]
+        self._channels["finished"] = self._channels["filled"]
 
     def _newest(self, channel: int) -> tuple[NDArray[np.float64], NDArray[np.bool_], int, float | None]:
         """Return what is on its way through a channel: values, flags, number of the first scan, reading before it."""
         row = self._channels[channel]
-        part = slice(int(row["begun"]), int(row["filled"]))
+        part = slice(int(row["finished"]), int(row["filled"]))
         first = int(row["converted"]) - (part.stop - part.start)
         last = float(row["last"]) if first else None
         return self._buffers.values[channel, part], self._buffers.clipped[channel, part], first, last

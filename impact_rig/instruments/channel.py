@@ -94,7 +94,7 @@ def _respond(channel, modes, clock, pieces, coefficients, kicks, values, buffers
             channel.due += count * clock.period
             channel.filled += count
         channel.due -= clock.tick
-    channel.converted += channel.filled - channel.begun
+    channel.converted += channel.filled - channel.finished
 
 
 @entry(SENSOR_MODE, CHANNEL, CLOCK, PIECES, REALS_3D, REALS_2D, BUFFERS)
@@ -114,7 +114,7 @@ def respond(modes, channels, clock, pieces, coefficients, kicks, buffers):  # ty
         channel = channels[j]
         own = modes[channel.first_mode : channel.first_mode + channel.modes]
         _respond(channel, own, clock, pieces, coefficients[j], kicks[j], buffers.values[j], buffers)
-        for low in range(channel.begun, channel.filled, STRETCH):
+        for low in range(channel.finished, channel.filled, STRETCH):
             high = min(low + STRETCH, channel.filled)
             to_volts(channel, buffers.values[j, low:high], buffers.clipped[j, low:high], buffers.white[: high - low])
 
@@ -124,12 +124,12 @@ def digitise(channels, buffers):  # type: ignore[no-untyped-def]
     """Turn the newest volts of all channels into readings."""
     for j in range(channels.shape[0]):
         channel = channels[j]
-        for low in range(channel.begun, channel.filled, STRETCH):
+        for low in range(channel.finished, channel.filled, STRETCH):
             high = min(low + STRETCH, channel.filled)
             to_units(channel, buffers.values[j, low:high], buffers.clipped[j, low:high], buffers.white[: high - low])
-        if channel.filled > channel.begun:
+        if channel.filled > channel.finished:
             channel.last = buffers.values[j, channel.filled - 1]
-        channel.begun = channel.filled
+        channel.finished = channel.filled
 
 
 @entry(CHANNEL, CLOCK, int, float, INTEGERS, REALS, returns=int)

@@ -62,7 +62,7 @@ CHANNEL = np.dtype(
         ("due", "i8"),  # when in this tick its next conversion is [clock units]
         ("converted", "i8"),  # scans since the reset
         ("last", "f8"),  # its last reading [unit]
-        ("begun", "i8"),  # how many values of its buffer are finished readings
+        ("finished", "i8"),  # how many values of its buffer are finished readings
         ("filled", "i8"),  # how many values its buffer has, the newest on their way through the stages
     ],
     align=True,
@@ -168,9 +168,9 @@ def take_rows(channels, readings, clipped, rows, layout):  # type: ignore[no-unt
         rows: of scans, byte by byte, for as many as there may be.
         layout: bytes of a row, place of the status in it, and places of the channels.
     """
-    count = channels[0].begun
+    count = channels[0].finished
     for j in range(channels.shape[0]):
-        count = min(count, channels[j].begun)
+        count = min(count, channels[j].finished)
     size = np.uint64(layout[0])
     for j in range(channels.shape[0]):
         place = np.uint64(layout[2 + j])  # of whole numbers without a sign: those are no places counted from the end
@@ -187,8 +187,8 @@ def take_rows(channels, readings, clipped, rows, layout):  # type: ignore[no-unt
         rows[place] = status
         place += size
     for j in range(channels.shape[0]):
-        for i in range(count, channels[j].begun):
+        for i in range(count, channels[j].finished):
             readings[j, i - count], clipped[j, i - count] = readings[j, i], clipped[j, i]
-        channels[j].begun -= count
+        channels[j].finished -= count
         channels[j].filled -= count
     return count

@@ -12,11 +12,11 @@ derivative by χ. An event's `excess` is how far a point is beyond it, in units 
 
 A step ends where its error allows, and earlier at the first of these events:
 
-    LEFT      w = 0            the sphere is off the wall
-    TIME      t = t_end        the drive segment is over
-    RELEASED  F = 0, δ > 0     a law that lets go would pull: the surface stays behind until the sphere is out of there
-    TURNED    δ' = 0           a law with a memory changes branch, at the largest indentation
-    RELOADED  w = deepest      it presses further than before, and changes branch again
+    SEPARATED  w = 0          the sphere is off the wall
+    TIME       t = t_end      the drive segment is over
+    RELEASED   F = 0, δ > 0   a law that lets go would pull: the surface stays behind until the sphere is out of there
+    TURNED     δ' = 0         a law with a memory changes branch, at the largest indentation
+    RELOADED   w = deepest    it presses further than before, and changes branch again
 
 A step that overshoots an event is taken again, its length found by Newton's method, until it ends there.
 """
@@ -44,9 +44,9 @@ from impact_rig.physics.contact_step import (
     turned_at,
 )
 from impact_rig.physics.energy import add_powers
-from impact_rig.physics.state import FAILED, LEFT, NOTHING, RELEASED, RELOADED, TIME, TURNED, V1, X1
+from impact_rig.physics.state import FAILED, NOTHING, RELEASED, RELOADED, SEPARATED, TIME, TURNED, V1, X1
 
-_IN_ORDER = (LEFT, TIME, RELEASED, TURNED, RELOADED)  # past LEFT the others mean nothing: it comes first
+_IN_ORDER = (SEPARATED, TIME, RELEASED, TURNED, RELOADED)  # past SEPARATED the others mean nothing: it comes first
 
 _REJECTIONS = 60
 _ATTEMPTS = 12  # Newton needs two to four
@@ -77,12 +77,12 @@ def _excess(p, law, s, step, event, at):  # type: ignore[no-untyped-def]  # comp
     excess is NaN, which is not beyond anything.
     """
     since, w, speed = at
-    if event == LEFT:
+    if event == SEPARATED:
         return -w / max(s.w, s.deepest, _SMALLEST)
     if event == TIME:
         return (since - step.rest) / step.rest
     if event == RELEASED:
-        if not p.clipped:
+        if not p.lets_go:
             return -1.0
         elastic, lossy, _, _, _ = law.one(p.stiffness, p.factor, s.per_v0, step.turned_at, w, speed)
         return -(elastic + lossy) / max(step.start_force, s.peak_force, _SMALLEST)
@@ -95,7 +95,7 @@ def _excess(p, law, s, step, event, at):  # type: ignore[no-untyped-def]  # comp
 def _excess_slope(p, law, s, step, event):  # type: ignore[no-untyped-def]
     """Return the derivative of `_excess` at the end of the step with respect to its length in χ."""
     w, speed = step.w[LAST], step.speed[LAST]
-    if event == LEFT:
+    if event == SEPARATED:
         return -0.5 * speed / max(s.w, s.deepest, _SMALLEST)
     if event == TIME:
         return w / step.rest
@@ -170,11 +170,11 @@ def _first_event(p, law, s, step):  # type: ignore[no-untyped-def]
             if not _end_at(p, law, s, step, event) or estimate_error(step, s.h) > 1.0:
                 return FAILED
             ended = event
-    if ended == LEFT and step.speed[LAST] > 0.0:  # nothing leaves inwards: a false solution as well
+    if ended == SEPARATED and step.speed[LAST] > 0.0:  # nothing leaves inwards: a false solution as well
         return FAILED
     for i in range(STAGES):
-        slight = 0.0 if ended == LEFT and i >= LAST - 1 else _COLLAPSED * s.w
-        if not step.w[i] > slight and not (ended == LEFT and i == LAST):
+        slight = 0.0 if ended == SEPARATED and i >= LAST - 1 else _COLLAPSED * s.w
+        if not step.w[i] > slight and not (ended == SEPARATED and i == LAST):
             return FAILED
     return ended if step.since[LAST] > 0.0 else FAILED
 
@@ -328,7 +328,7 @@ def conclude(p, s, step, ended, t_end):  # type: ignore[no-untyped-def]
     s.impulse -= s.side * p.m * (s.y[V1] + s.side * (1.0 - p.share) * speed - sphere)
     s.elapsed += since
     step.dense_since = step.dense_length  # the next step starts where this one ends
-    s.w = 0.0 if ended == LEFT else w
+    s.w = 0.0 if ended == SEPARATED else w
     s.speed = 0.0 if ended == TURNED else speed
     if ended == RELOADED:
         s.w = s.deepest

@@ -140,10 +140,10 @@ def improve_correction(p, step, h):  # type: ignore[no-untyped-def]
     """Improve the correction z at the stages by one sweep of fixed-point iteration; each sweep adds an order in h."""
     z, slope = step.correction, step.correction_slope
     for j in range(STAGES):
-        columns = p.k_1 * (step.w[j] * step.w[j] - z[X1, j] + z[XB, j]) + p.c_1 * (step.speed[j] - z[V1, j] + z[VB, j])
-        slope[V1, j] = step.w[j] * columns * p.per_m_pair
+        on_z = p.k_1 * (step.w[j] * step.w[j] - z[X1, j] + z[XB, j]) + p.c_1 * (step.speed[j] - z[V1, j] + z[VB, j])
+        slope[V1, j] = step.w[j] * on_z * p.per_m_pair
         if p.drive != PRESCRIBED:
-            on_base = p.force_factor * z[COIL, j] - p.c_f * z[VB, j] - p.k_f * z[XB, j] - columns
+            on_base = p.force_factor * z[COIL, j] - p.c_f * z[VB, j] - p.k_f * z[XB, j] - on_z
             slope[VB, j] = step.w[j] * on_base * p.per_m_base
     _integrate(step, V1, h)
     for j in range(STAGES):
@@ -210,9 +210,9 @@ def dense_slope(step, x):  # type: ignore[no-untyped-def]
 def predict_speeds(s, step, h):  # type: ignore[no-untyped-def]
     """Fill the stages of a step of length h from s with the speeds that are expected there."""
     if step.dense_since + h <= _FAR * step.dense_length:
-        begin, stretch = step.dense_since / step.dense_length, h / step.dense_length
+        start, stretch = step.dense_since / step.dense_length, h / step.dense_length
         for i in range(STAGES):
-            step.speed[i] = _speed(step, begin + STAGE_AT[i] * stretch)
+            step.speed[i] = _speed(step, start + STAGE_AT[i] * stretch)
     else:
         for i in range(STAGES):
             step.speed[i] = s.speed + STAGE_AT[i] * h * step.start_speed_slope
@@ -225,8 +225,8 @@ def dense_output(s, step, x):  # type: ignore[no-untyped-def]
     for n in range(STAGES, -1, -1):
         w = w * x + step.dense[n] / (n + 1)
         since = since * x + step.dense[n] / ((n + 1) * (n + 2))
-    half = 0.5 * step.dense_length * x
-    return step.dense_length * x * (s.w + half * since), s.w + half * w, _speed(step, x)
+    per_slope = 0.5 * step.dense_length * x
+    return step.dense_length * x * (s.w + per_slope * since), s.w + per_slope * w, _speed(step, x)
 
 
 ERROR_ORDER = 8.0  # in h, of the relieved estimate_error: between 6, where it is relieved by a constant, and 10

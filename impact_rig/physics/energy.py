@@ -45,8 +45,8 @@ def add_powers(p, f, y, t, weight, ledger):  # type: ignore[no-untyped-def]  # c
 
 @kernel
 def account_flight(p, system, f, flight, end, ledger):  # type: ignore[no-untyped-def]
-    """Add the work and the losses of the flight that began at `flight.begin` and ended at `end`."""
-    duration, done = end - flight.begin, 0.0
+    """Add the work and the losses of the flight that began at `flight.t_b` and ended at `end`."""
+    duration, done = end - flight.t_b, 0.0
     while done < duration:
         fastest = f.omega
         for n in range(system.modes):
@@ -58,7 +58,7 @@ def account_flight(p, system, f, flight, end, ledger):  # type: ignore[no-untype
         if width * fastest < _SHORT:
             nodes, weights = _SHORT_NODES, _SHORT_WEIGHTS
         for point in range(len(nodes)):
-            t = flight.begin + done + 0.5 * width * (1.0 + nodes[point])
+            t = flight.t_b + done + 0.5 * width * (1.0 + nodes[point])
             structure_at(system, f, flight, t)
             add_powers(p, f, flight.y, t, 0.5 * width * weights[point], ledger)
         done += width

@@ -9,15 +9,16 @@ steps also pauses, to be entered again):
     FREE       TOUCHED         a contact begins (`_touch`)                          CONTACT
                                off a rigid wall: the speed reverses (`_bounce`)     FREE, or ATTACHED where it rides
     FREE       STOPPED         friction holds the sphere (`_hold`) or does not      ATTACHED, or FREE (`_part`)
-    CONTACT    LEFT, RELEASED  the sphere flies on from there (`_leave`)            FREE
+    CONTACT    SEPARATED       the sphere flies on from there (`_leave`)            FREE
+               or RELEASED
     CONTACT    SETTLED         a law with a memory only rings, slowly (`settles`)   ATTACHED
     ATTACHED   PARTED          the structure pulls away (`_part`)                   FREE
 
-A sphere that rests on a wall under any other law that yields stays in CONTACT until it is lifted off: LEFT. A rig
+A sphere that rests on a wall under any other law that yields stays in CONTACT until it is lifted off: SEPARATED. A rig
 begins FREE, or ATTACHED where its sphere is at rest and the guide has friction, or `set_state` puts it at rest on a
-wall; a call of `run` goes on in any phase. A contact whose outcome is tabulated ends LEFT; TURNED and RELOADED end a
-step of a contact, not the contact. `_change_phase` is this table. Every segment starts from its own time zero, and the
-loop always stops at its end, so nothing depends on the number of calls that a motion takes.
+wall; a call of `run` goes on in any phase. A contact whose outcome is tabulated ends SEPARATED; TURNED and RELOADED end
+a step of a contact, not the contact. `_change_phase` is this table. Every segment starts from its own time zero, and
+the loop always stops at its end, so nothing depends on the number of calls that a motion takes.
 """
 
 from __future__ import annotations
@@ -55,12 +56,12 @@ from impact_rig.physics.state import (
     HELD,
     IMPACT,
     LEDGER,
-    LEFT,
     LOG,
     LOOSE,
     NOTHING,
     PRESCRIBED,
     RELEASED,
+    SEPARATED,
     SETTLED,
     STATE,
     TIME,
@@ -134,7 +135,7 @@ def _keep_state(work):  # type: ignore[no-untyped-def]  # compiled: types are in
 def _fly_on(p, s, d, d_rate):  # type: ignore[no-untyped-def]
     """Set a flight that starts at d with the rate d_rate; guide friction works against it from the start."""
     s.phase, s.side = FREE, 0.0
-    s.d, s.d_rate, s.begin_d = d, d_rate, d
+    s.d, s.d_rate, s.d_b = d, d_rate, d
     s.slide = np.sign(d_rate) if p.friction > 0.0 else 0.0
 
 
@@ -155,7 +156,7 @@ def _least_speed(p, s):  # type: ignore[no-untyped-def]
 def _part(p, s, way, ledger):  # type: ignore[no-untyped-def]
     """Let a sphere at rest on the structure begin to slide: with the least speed, and nothing added to the momentum."""
     if s.side != 0.0:
-        s.released, s.released_side = max(0.0, s.side * s.d - p.half_gap), s.side
+        s.dent, s.dent_side = max(0.0, s.side * s.d - p.half_gap), s.side
     d_rate = way * _least_speed(p, s)
     s.y[V1] -= p.share * d_rate
     ledger.contact -= 0.5 * p.m_eff * d_rate * d_rate
@@ -170,11 +171,11 @@ def _touch(p, s, side, ledger):  # type: ignore[no-untyped-def]
     """
     speed = max(side * s.d_rate, p.touch_speed)
     ledger.contact -= 0.5 * p.m_eff * (speed * speed - s.d_rate * s.d_rate)
-    if s.released_side != side:
-        s.released, s.released_side = 0.0, side
+    if s.dent_side != side:
+        s.dent, s.dent_side = 0.0, side
     s.y[V1] += p.share * s.d_rate  # not `speed`: the least speed must not change the pair's momentum
     s.phase, s.side = CONTACT, side
-    s.d, s.d_rate, s.slide = side * (p.half_gap + s.released), 0.0, 0.0
+    s.d, s.d_rate, s.slide = side * (p.half_gap + s.dent), 0.0, 0.0
     s.w, s.speed, s.deepest = 0.0, speed, 0.0
     s.per_v0 = 1.0 / max(speed, p.speed_floor)
     s.next_h, s.tabulated = 0.0, 0
@@ -186,7 +187,7 @@ def _touch(p, s, side, ledger):  # type: ignore[no-untyped-def]
 def _keep_impact(work, s, separation, indentation):  # type: ignore[no-untyped-def]
     """Append the contact of s as an impact; separation speed [m/s], largest indentation [m]."""
     row = work.impacts[work.filled[0].impacts]
-    row.tick, row.offset, row.wall = s.begin_tick, s.begin_t, int(s.side)
+    row.tick, row.offset, row.wall = s.touch_tick, s.touch_t, int(s.side)
     row.approach_speed, row.separation_speed = s.approach, separation
     row.peak_force, row.peak_indentation = s.peak_force, indentation
     row.impulse, row.duration, row.energy_lost = s.impulse, s.elapsed, s.lost
@@ -211,22 +212,22 @@ def _leave(model, s, work, settled):  # type: ignore[no-untyped-def]
     if settled:  # at a turning point: the indentation's rate is zero
         _hold(s, d, side)
     else:
-        s.released += depth
+        s.dent += depth
         _fly_on(p, s, d, side * s.speed)
     s.w, s.speed, s.h, s.tabulated = 0.0, 0.0, 0.0, 0
 
 
 @kernel
-def _bounce(p, s, side, held, rounding_m, work):  # type: ignore[no-untyped-def]
+def _bounce(p, s, side, pair_acceleration, rounding_m, work):  # type: ignore[no-untyped-def]
     """Reverse the relative speed at once, or let a sphere ride that no longer bounces off a pressing wall.
 
-    It rides where the wall presses it: `held` is the acceleration of both as one body [m/s²]. A bounce lower than the
+    It rides where the wall presses it, by the `pair_acceleration` [m/s²] of both as one body. A bounce lower than the
     rounding error of the positions would be thrown up again by it, for ever.
     """
     speed = max(0.0, side * s.d_rate)
     e = p.restitution
-    least = max(p.touch_speed, math.sqrt(2.0 * abs(held) * rounding_m))
-    rides = e * speed <= least and side * held <= 0.0
+    least = max(p.touch_speed, math.sqrt(2.0 * abs(pair_acceleration) * rounding_m))
+    rides = e * speed <= least and side * pair_acceleration <= 0.0
     if rides:
         e = 0.0
     away = 0.0 if rides else max(e * speed, _least_speed(p, s))
@@ -254,11 +255,11 @@ def _flight_phase(model, f, work, t_end, account):  # type: ignore[no-untyped-de
             account_flight(p, model.systems[HELD], f, flight, s.t, work.ledger[0])
         return ended
     flight.friction_force = s.slide * p.m * p.friction
-    s.begin_d = s.d
+    s.d_b = s.d
     ended = fly(p, model.systems[LOOSE], f, flight, s, t_end)
     if account:
         account_flight(p, model.systems[LOOSE], f, flight, s.t, work.ledger[0])
-        work.ledger[0].friction += abs(flight.friction_force) * abs(s.d - s.begin_d)
+        work.ledger[0].friction += abs(flight.friction_force) * abs(s.d - s.d_b)
     return ended
 
 
@@ -298,12 +299,12 @@ def _contact_phase(model, f, work, t_end, account):  # type: ignore[no-untyped-d
     """Go on with a contact; return what ends it, or FAILED. TIME before t_end: its steps are used up, call again."""
     p, s, step, ledger = model.parameters[0], work.states[0], work.step[0], work.ledger[0]
     if s.next_h == 0.0 and _apply_tabulated(model, f, work, t_end, account):
-        return LEFT
+        return SEPARATED
     drop_dense_output(step)
     ended = TIME
     for _ in range(_STEPS):
         if s.w == 0.0 and s.speed < 0.0:  # the last segment ended where the sphere left
-            ended = LEFT
+            ended = SEPARATED
             break
         ended = take_next_step(model, f, s, step, t_end)
         if ended == FAILED:
@@ -316,7 +317,7 @@ def _contact_phase(model, f, work, t_end, account):  # type: ignore[no-untyped-d
         if account:
             account_step(p, f, s, step, ledger)
         conclude(p, s, step, ended, t_end)
-        if ended in (LEFT, TIME, RELEASED):
+        if ended in (SEPARATED, TIME, RELEASED):
             break
         if ended == TURNED and p.remembers and settles(p, model.law, s, step):
             ended = SETTLED
@@ -338,20 +339,20 @@ def _change_phase(model, f, work, tick, ended):  # type: ignore[no-untyped-def]
     elif s.phase == ATTACHED:
         _part(p, s, s.slide, ledger)
     elif ended == TOUCHED and not p.rigid:
-        s.begin_tick, s.begin_t = tick, f.begin + s.t
+        s.touch_tick, s.touch_t = tick, f.begin + s.t
         _touch(p, s, s.side, ledger)
     else:
         system = model.systems[LOOSE]
         evaluate(system, f, flight, s.t, 0)
-        held = (p.m_1 * flight.x_1[2] - flight.friction_force) * p.per_m_pair  # acceleration of both as one body
+        pair_acceleration = (p.m_1 * flight.x_1[2] - flight.friction_force) * p.per_m_pair  # of both as one body
         if ended == TOUCHED:
-            s.begin_tick, s.begin_t = tick, f.begin + s.t
-            _bounce(p, s, s.side, held, rounding(p, system, flight, s.t), work)
-        elif abs(held) <= p.friction:
+            s.touch_tick, s.touch_t = tick, f.begin + s.t
+            _bounce(p, s, s.side, pair_acceleration, rounding(p, system, flight, s.t), work)
+        elif abs(pair_acceleration) <= p.friction:
             s.y[V1] += p.share * s.d_rate
             _hold(s, s.d, 0.0)
         else:
-            _part(p, s, -np.sign(held), ledger)
+            _part(p, s, -np.sign(pair_acceleration), ledger)
 
 
 @kernel
@@ -380,8 +381,10 @@ def _move_base(p, f, s, ledger):  # type: ignore[no-untyped-def]
 
 
 @entry(MODEL, SEGMENT, INTEGERS, int, WORKSPACE, bool, returns=(int, int))
-def run(model, segments, ticks, index, work, account):  # type: ignore[no-untyped-def]
-    """Advance the state through `segments[index:]`, in ticks of these numbers; return (how it ended, segment it is in).
+def run(model, segments, tick_of, index, work, account):  # type: ignore[no-untyped-def]
+    """Advance the state through `segments[index:]`; return (how it ended, the segment it is in).
+
+    `tick_of` is the number of each segment's tick, counted since the reset.
 
     Flights are accounted for only if `account`, because it costs as much as flying.
     """
@@ -407,7 +410,7 @@ def run(model, segments, ticks, index, work, account):  # type: ignore[no-untype
                 _prepare_flight(model, f, work, t_end, fresh)
                 fresh = False
                 ended = _flight_phase(model, f, work, t_end, account)
-            _change_phase(model, f, work, ticks[index], ended)
+            _change_phase(model, f, work, tick_of[index], ended)
             if s.t >= t_end:
                 break
         else:

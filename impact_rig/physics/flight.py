@@ -146,8 +146,8 @@ def particular(system, f, flight):  # type: ignore[no-untyped-def]
 @kernel
 def safe_time(distance, speed, acceleration, jerk, longest):  # type: ignore[no-untyped-def]  # compiled: types are inferred
     """Return a time, at most `longest` [s], in which a point cannot cover `distance`: see the head of this file."""
-    half = 0.5 * (acceleration + jerk * longest / 3.0)
-    if speed * longest + half * longest * longest <= distance and (speed <= 0.0 or speed + 2.0 * half * longest >= 0.0):
+    bend = 0.5 * (acceleration + jerk * longest / 3.0)  # the factor of t²
+    if speed * longest + bend * longest * longest <= distance and (speed <= 0.0 or speed + 2.0 * bend * longest >= 0.0):
         return longest  # most often: it ends nearer, and was never further out than there or where it began
     horizon = longest
     if jerk > 0.0:
@@ -157,14 +157,14 @@ def safe_time(distance, speed, acceleration, jerk, longest):  # type: ignore[no-
         )
     safe = 0.0
     for _ in range(_ROUNDS):
-        half = 0.5 * (acceleration + jerk * horizon / 3.0)
-        discriminant = speed * speed + 4.0 * half * distance
+        bend = 0.5 * (acceleration + jerk * horizon / 3.0)
+        discriminant = speed * speed + 4.0 * bend * distance
         crossing = math.inf
         if speed > 0.0:
             if discriminant >= 0.0:
                 crossing = 2.0 * distance / (speed + math.sqrt(discriminant))
-        elif half > 0.0:
-            crossing = (math.sqrt(discriminant) - speed) / (2.0 * half)
+        elif bend > 0.0:
+            crossing = (math.sqrt(discriminant) - speed) / (2.0 * bend)
         if crossing >= horizon:
             if horizon >= longest:
                 return longest
@@ -202,7 +202,7 @@ def decayed(rate, since):  # type: ignore[no-untyped-def]
 def begin_flight(system, f, flight, y, t):  # type: ignore[no-untyped-def]
     """Fill the modes' amplitudes of the flight that begins at t with the state y, and their parts in x_1."""
     rotor = phasor(f.omega * t)
-    flight.begin = t
+    flight.t_b = t
     for i in range(system.states):
         forced = (flight.steady[i] + flight.growing[i] * t) * rotor
         flight.y[i] = y[i] - forced.imag - system.static[i] * flight.friction_force
@@ -221,7 +221,7 @@ def begin_flight(system, f, flight, y, t):  # type: ignore[no-untyped-def]
 @kernel
 def evaluate(system, f, flight, t, order):  # type: ignore[no-untyped-def]
     """Fill `flight.x_1[order:order + 3]`, derivatives of x_1 at t; `flight.bound` bounds the next one from there on."""
-    since, wave = t - flight.begin, flight.wave
+    since, wave = t - flight.t_b, flight.wave
     rotor = phasor(f.omega * t)
     forced = (flight.forced[order] + flight.forced_growing[order] * t) * rotor
     value = forced.imag
@@ -259,7 +259,7 @@ def structure_at(system, f, flight, t):  # type: ignore[no-untyped-def]
         forced = (flight.steady[i] + flight.growing[i] * t) * rotor
         flight.y[i] = forced.imag + system.static[i] * flight.friction_force
     for n in range(system.modes):
-        _, decay = decayed(system.rate[n], t - flight.begin)
+        _, decay = decayed(system.rate[n], t - flight.t_b)
         modal = flight.modal[n] * decay
         for i in range(system.states):
             right = system.right[n, i]
@@ -275,8 +275,8 @@ def negligible(advance, t):  # type: ignore[no-untyped-def]
 @kernel
 def wall_distance(p, s, side, d):  # type: ignore[no-untyped-def]
     """Return how far the sphere at d is from a wall [m]; a wall that has let it go stands where that was."""
-    released = s.released if s.released_side == side else 0.0
-    return max(0.0, p.half_gap + released - side * d)
+    dent = s.dent if s.dent_side == side else 0.0
+    return max(0.0, p.half_gap + dent - side * d)
 
 
 @kernel
@@ -292,7 +292,7 @@ def fly(p, system, f, flight, s, t_end):  # type: ignore[no-untyped-def]
     x_2, v_2 = x_1[0] + s.d, x_1[1] + s.d_rate  # where the flight begins
     ended, t = TIME, s.t
     while p.sphere_present:
-        since, rest = t - flight.begin, t_end - t
+        since, rest = t - flight.t_b, t_end - t
         d = x_2 + since * (v_2 + 0.5 * since * braking) - x_1[0]
         d_rate, d_rate_2, jerk = v_2 + since * braking - x_1[1], braking - x_1[2], flight.bound
         side = 1.0 if d_rate >= 0.0 else -1.0  # the wall that the sphere moves to; the other one is seldom nearer
@@ -301,11 +301,11 @@ def fly(p, system, f, flight, s, t_end):  # type: ignore[no-untyped-def]
         if to_other < to_wall:
             to_wall, side = to_other, -side
         to_stop, to_surface = math.inf, math.inf
-        if s.released > 0.0:
-            inside, out = max(0.0, s.released_side * d - p.half_gap), -s.released_side
+        if s.dent > 0.0:
+            inside, out = max(0.0, s.dent_side * d - p.half_gap), -s.dent_side
             to_surface = safe_time(inside, out * d_rate, out * d_rate_2, jerk, rest)
             if negligible(to_surface, t):
-                s.released = 0.0  # the sphere is out of it: from here on the surface is whole again
+                s.dent = 0.0  # the sphere is out of it: from here on the surface is whole again
                 continue
         if s.slide != 0.0:
             evaluate(system, f, flight, t, 1)
@@ -325,7 +325,7 @@ def fly(p, system, f, flight, s, t_end):  # type: ignore[no-untyped-def]
     structure_at(system, f, flight, t)
     for i in range(system.states):
         s.y[i] = flight.y[i]
-    since = t - flight.begin
+    since = t - flight.t_b
     s.t = t
     s.d_rate = 0.0 if ended == STOPPED else v_2 + since * braking - s.y[V1]
     s.d = x_2 + since * (v_2 + 0.5 * since * braking) - s.y[X1]

@@ -97,7 +97,7 @@ def _parameters(p: SimpleNamespace) -> Any:
 def _set_force(p: SimpleNamespace, force: Force, m_eff: float) -> None:
     """Set what the contact law decides."""
     p.stiffness, p.factor, p.restitution = force.stiffness, force.factor, force.restitution
-    p.rigid, p.clipped, p.remembers = force.rigid, force.clipped, force.remembers
+    p.rigid, p.lets_go, p.remembers = force.rigid, force.lets_go, force.remembers
     if not force.rigid:
         p.time_scale = power(m_eff / force.stiffness, 1.0 / (force.exponent + 1.0))
         p.time_power = (1.0 - force.exponent) / (1.0 + force.exponent)

@@ -33,7 +33,7 @@ from impact_rig.physics.collocation import LAST, MATRIX, STAGES
 from impact_rig.physics.contact.law import FORCE, CompiledForce
 from impact_rig.physics.contact_phase import conclude, contact_time, find_peaks, take_step
 from impact_rig.physics.contact_step import drop_dense_output, pair_at
-from impact_rig.physics.state import CONTACT_STEP, LEFT, NOTHING, PARAMETERS, STATE, TURNED, V1, VB, X1, XB, record
+from impact_rig.physics.state import CONTACT_STEP, NOTHING, PARAMETERS, SEPARATED, STATE, TURNED, V1, VB, X1, XB, record
 
 SEPARATION, DURATION, LOST, PEAK, DEPTH, SUM, MOMENT = range(7)
 """Outcomes, in units made of m_eff, v0 and t_0: separation speed, duration, energy lost, peak force, largest
@@ -94,7 +94,7 @@ def perturbed_contact(parameters, law, eta_0, perturbations, states, steps, out)
         step.acceleration[0] = eta_0 + t * (eta_1 + t * eta_2)
         step.acceleration[1], step.acceleration[2] = eta_1 + 2.0 * t * eta_2, eta_2
         ended = take_step(p, law, s, step)
-        if ended not in (NOTHING, LEFT, TURNED):
+        if ended not in (NOTHING, SEPARATED, TURNED):
             return False
         since = step.since[LAST]
         out[MOMENT] += since * out[SUM]
@@ -107,7 +107,7 @@ def perturbed_contact(parameters, law, eta_0, perturbations, states, steps, out)
         find_peaks(p, law, s, step)
         conclude(p, s, step, ended, 0.0)
         step.dense_since = 0.0  # a prediction from where the last step began is what the bits of the tables go by
-        if ended == LEFT:
+        if ended == SEPARATED:
             out[SEPARATION], out[DURATION], out[DEPTH] = -s.speed, s.t, s.deepest * s.deepest
             out[PEAK] = s.peak_force
             if lossy == 0.0:

@@ -62,10 +62,10 @@ from impact_rig.physics.state import (
     FLIGHT,
     FREE,
     HELD,
-    LEFT,
     LOOSE,
     PRESCRIBED,
     RELEASED,
+    SEPARATED,
     STATE,
     V1,
     VB,
@@ -75,10 +75,12 @@ from impact_rig.physics.state import (
     record,
 )
 
-X_B, X_1, X_2, V_B, V_1, V_2, A_B, A_1, A_2, COIL_CURRENT, FORCE_LEFT, FORCE_RIGHT = range(12)
+OF_X_B, OF_X_1, OF_X_2, OF_V_B, OF_V_1, OF_V_2, OF_A_B, OF_A_1, OF_A_2 = range(9)
+OF_CURRENT, OF_FORCE_LEFT, OF_FORCE_RIGHT = range(9, 12)
 QUANTITIES = (
     "x_b", "x_1", "x_2", "v_b", "v_1", "v_2", "a_b", "a_1", "a_2", "current", "force_left", "force_right"
 )  # fmt: skip
+"""What a motion can be asked for, SI; OF_X_1 is the place of x_1 here, X1 that in a structural state."""
 
 _VALID_RADIANS = 0.5  # of the fastest motion per polynomial: the first neglected term is 0.25^14 / 14! = 4e-20
 _MOST_STEPS = 500
@@ -95,15 +97,15 @@ class Trajectory(NamedTuple):
 
     Attributes:
         segments: the drive.
-        base: number of the first tick.
-        ticks: row of each tick's first segment, and the number of segments.
+        first_tick: number of the first tick.
+        first_segment: row of each tick's first segment, and the number of segments.
         history: records of STATE.
         first: row of each segment's first state, and the number of states.
     """
 
     segments: NDArray[np.void]
-    base: int
-    ticks: NDArray[np.int64]
+    first_tick: int
+    first_segment: NDArray[np.int64]
     history: NDArray[np.void]
     first: NDArray[np.int64]
 
@@ -210,10 +212,10 @@ def _add_oscillation(poly, value, growth, rate, order):  # type: ignore[no-untyp
     """Add the Taylor coefficients of Re[(value + growth τ) exp(rate τ)], differentiated `order` times."""
     for _ in range(order):
         value, growth = rate * value + growth, rate * growth
-    term, last_before = 1.0 + 0.0j, 0.0j
+    term, term_before = 1.0 + 0.0j, 0.0j
     for i in range(PIECE_TERMS):
-        poly[i] += (value * term).real + (growth * last_before).real
-        last_before = term
+        poly[i] += (value * term).real + (growth * term_before).real
+        term_before = term
         term = term * rate * (1.0 / (i + 1))
 
 
@@ -221,11 +223,11 @@ def _add_oscillation(poly, value, growth, rate, order):  # type: ignore[no-untyp
 def _row_and_order(p, quantity):  # type: ignore[no-untyped-def]
     """Return (state, derivative of it, whether it is the drive itself) that a quantity of the structure is."""
     prescribed = p.drive == PRESCRIBED
-    if quantity in (X_1, V_1, A_1):
-        return X1 if quantity == X_1 else V1, 1 if quantity == A_1 else 0, False
-    if quantity == COIL_CURRENT:
+    if quantity in (OF_X_1, OF_V_1, OF_A_1):
+        return X1 if quantity == OF_X_1 else V1, 1 if quantity == OF_A_1 else 0, False
+    if quantity == OF_CURRENT:
         return COIL, 0, p.drive != VOLTAGE
-    order = 2 if quantity == A_B else 1 if quantity == V_B else 0
+    order = 2 if quantity == OF_A_B else 1 if quantity == OF_V_B else 0
     if prescribed:
         return XB, order, True
     return XB if order == 0 else VB, max(0, order - 1), False
@@ -235,7 +237,7 @@ def _row_and_order(p, quantity):  # type: ignore[no-untyped-def]
 def _expand_flight(p, system, f, flight, quantity, poly, since):  # type: ignore[no-untyped-def]
     """Fill the Taylor polynomial of a quantity of the structure, `since` seconds after the flight's beginning."""
     poly[:] = 0.0
-    t = flight.begin + since
+    t = flight.t_b + since
     row, order, of_drive = _row_and_order(p, quantity)
     jw = complex(0.0, f.omega)
     rotor = phasor(f.omega * t) * complex(0.0, -1.0)  # Im(…) = Re(−j …)
@@ -265,10 +267,10 @@ def _evaluate(poly, tau):  # type: ignore[no-untyped-def]
 def _of_structure(s, quantity):  # type: ignore[no-untyped-def]
     """Return the quantity of the structure that this one follows from in flight."""
     if s.phase == ATTACHED:  # one body: the sphere moves as the structure, and a wall may push it
-        if quantity in (X_2, V_2, A_2):
+        if quantity in (OF_X_2, OF_V_2, OF_A_2):
             return quantity - 1
-        if quantity >= FORCE_LEFT:
-            return A_1
+        if quantity >= OF_FORCE_LEFT:
+            return OF_A_1
     return quantity
 
 
@@ -276,23 +278,23 @@ def _of_structure(s, quantity):  # type: ignore[no-untyped-def]
 def _in_flight(p, s, quantity, poly, tau, since):  # type: ignore[no-untyped-def]
     """Return a quantity in the flight from s, by its polynomial, or where it has none by the sphere's parabola."""
     if s.phase == ATTACHED:
-        if quantity == COIL_CURRENT and p.drive == PRESCRIBED:
+        if quantity == OF_CURRENT and p.drive == PRESCRIBED:
             return 0.0
         value = _evaluate(poly, tau)
-        if quantity == X_2:
+        if quantity == OF_X_2:
             return value + s.d
-        if quantity >= FORCE_LEFT:
-            side = 1.0 if quantity == FORCE_RIGHT else -1.0
+        if quantity >= OF_FORCE_LEFT:
+            side = 1.0 if quantity == OF_FORCE_RIGHT else -1.0
             return max(0.0, -side * p.m * value) if s.side == side else 0.0
         return value
     braking = -s.slide * p.friction
-    if quantity == X_2:
+    if quantity == OF_X_2:
         return s.y[X1] + s.d + since * (s.y[V1] + s.d_rate + 0.5 * since * braking)
-    if quantity == V_2:
+    if quantity == OF_V_2:
         return s.y[V1] + s.d_rate + since * braking
-    if quantity == A_2:
+    if quantity == OF_A_2:
         return braking
-    if quantity >= FORCE_LEFT or (quantity == COIL_CURRENT and p.drive == PRESCRIBED):
+    if quantity >= OF_FORCE_LEFT or (quantity == OF_CURRENT and p.drive == PRESCRIBED):
         return 0.0
     return _evaluate(poly, tau)
 
@@ -306,7 +308,7 @@ def integrate_tabulated(model, f, step, steps):  # type: ignore[no-untyped-def]
         ended = take_next_step(model, f, s, step, np.inf)
         steps[n] = s
         conclude(p, s, step, ended, np.inf)
-        if ended in (LEFT, RELEASED, FAILED):
+        if ended in (SEPARATED, RELEASED, FAILED):
             s.h = 0.0
             steps[n + 1] = s
             return n + 2
@@ -377,25 +379,25 @@ def _in_contact(model, f, s, step, at, exact, out):  # type: ignore[no-untyped-d
         add_correction(p, side, step, LAST, step.y)
     depth = w * w
     elastic, lossy, _, _, _ = model.law.one(p.stiffness, p.factor, s.per_v0, step.turned_at, w, speed)
-    force = max(0.0, elastic + lossy) if p.clipped else elastic + lossy
+    force = max(0.0, elastic + lossy) if p.lets_go else elastic + lossy
     u, _ = drive(f, t)
     offset = s.d + side * depth
     x_b, v_b = step.y[XB], step.y[VB]
-    out[X_1] = step.y[X1] - p.share * side * depth
-    out[V_1] = step.y[V1] - p.share * side * speed
-    out[X_2], out[V_2] = out[X_1] + offset, out[V_1] + side * speed
-    columns = -p.k_1 * (out[X_1] - x_b) - p.c_1 * (out[V_1] - v_b)
-    out[A_1], out[A_2] = (columns + side * force) * p.per_m_1, -side * force / p.m
-    out[X_B], out[V_B] = x_b, v_b
-    out[FORCE_LEFT] = force if side < 0.0 else 0.0
-    out[FORCE_RIGHT] = force if side > 0.0 else 0.0
+    out[OF_X_1] = step.y[X1] - p.share * side * depth
+    out[OF_V_1] = step.y[V1] - p.share * side * speed
+    out[OF_X_2], out[OF_V_2] = out[OF_X_1] + offset, out[OF_V_1] + side * speed
+    columns = -p.k_1 * (out[OF_X_1] - x_b) - p.c_1 * (out[OF_V_1] - v_b)
+    out[OF_A_1], out[OF_A_2] = (columns + side * force) * p.per_m_1, -side * force / p.m
+    out[OF_X_B], out[OF_V_B] = x_b, v_b
+    out[OF_FORCE_LEFT] = force if side < 0.0 else 0.0
+    out[OF_FORCE_RIGHT] = force if side > 0.0 else 0.0
     if p.drive == PRESCRIBED:
         _, cosine = sincos(f.omega * t + f.phase)
-        out[A_B], out[COIL_CURRENT] = 2.0 * f.growth * f.omega * cosine - f.omega * f.omega * u, 0.0
+        out[OF_A_B], out[OF_CURRENT] = 2.0 * f.growth * f.omega * cosine - f.omega * f.omega * u, 0.0
         return
-    out[COIL_CURRENT] = step.y[COIL] if p.drive == VOLTAGE else u
-    on_base = p.force_factor * out[COIL_CURRENT] - p.c_f * v_b - p.k_f * x_b - columns
-    out[A_B] = on_base * p.per_m_base
+    out[OF_CURRENT] = step.y[COIL] if p.drive == VOLTAGE else u
+    on_base = p.force_factor * out[OF_CURRENT] - p.c_f * v_b - p.k_f * x_b - columns
+    out[OF_A_B] = on_base * p.per_m_base
 
 
 @kernel
@@ -463,7 +465,7 @@ def _sample_flight(model, f, s, start, stop, query, work):  # type: ignore[no-un
             anchor = place
             for q in range(query.wanted.shape[0]):
                 quantity = _of_structure(s, query.wanted[q])
-                if quantity not in (X_2, V_2, A_2, FORCE_LEFT, FORCE_RIGHT):
+                if quantity not in (OF_X_2, OF_V_2, OF_A_2, OF_FORCE_LEFT, OF_FORCE_RIGHT):
                     _expand_flight(p, system, f, flight, quantity, work.polynomials[q], middle)
         for q in range(query.wanted.shape[0]):
             query.out[q, i] = _in_flight(p, s, query.wanted[q], work.polynomials[q], since - middle, since)
@@ -472,7 +474,7 @@ def _sample_flight(model, f, s, start, stop, query, work):  # type: ignore[no-un
 @kernel
 def _segment_at(trajectory, tick, offset):  # type: ignore[no-untyped-def]
     """Return the row of the segment that holds an instant of a tick."""
-    low, high = trajectory.ticks[tick], trajectory.ticks[tick + 1]
+    low, high = trajectory.first_segment[tick], trajectory.first_segment[tick + 1]
     while high - low > 1:
         middle = (low + high) // 2
         if trajectory.segments[middle].begin <= offset:
@@ -504,19 +506,19 @@ def _sample(model, trajectory, query, work):  # type: ignore[no-untyped-def]
     n = query.offset.shape[0]
     i = 0
     while i < n:
-        tick = query.tick[i] - trajectory.base
-        if not 0 <= tick < trajectory.ticks.shape[0] - 1:
+        tick = query.tick[i] - trajectory.first_tick
+        if not 0 <= tick < trajectory.first_segment.shape[0] - 1:
             return False
         segment = _segment_at(trajectory, tick, query.offset[i])
         f = _forcing(trajectory, segment)
-        until = trajectory.segments[segment + 1].begin if segment + 1 < trajectory.ticks[tick + 1] else np.inf
+        until = trajectory.segments[segment + 1].begin if segment + 1 < trajectory.first_segment[tick + 1] else np.inf
         low, high = trajectory.first[segment], trajectory.first[segment + 1]
         row = last_before(trajectory.history, low, high, query.offset[i] - f.begin)
         begin = trajectory.history[row].t
         end = trajectory.history[row + 1].t if row + 1 < high else np.inf
         start = i
         i += 1
-        while i < n and query.tick[i] - trajectory.base == tick:
+        while i < n and query.tick[i] - trajectory.first_tick == tick:
             if not (begin <= query.offset[i] - f.begin < end and query.offset[i] < until):
                 break
             i += 1
@@ -561,7 +563,7 @@ def _fit_flight(p, system, f, flight, spans, i, work):  # type: ignore[no-untype
     """Fill in the polynomials of a piece in the flight that has been prepared, all quantities of the structure."""
     half = 0.5 * (spans.end[i] - spans.start[i])
     t = 0.5 * (spans.start[i] + spans.end[i]) - f.begin
-    since, wanted, poly = t - flight.begin, spans.wanted, work.polynomials
+    since, wanted, poly = t - flight.t_b, spans.wanted, work.polynomials
     rotor = phasor(f.omega * t) * complex(0.0, -1.0)  # Im(…) = Re(−j …)
     jw = complex(0.0, f.omega)
     terms = _fill_powers(work, jw, half)
@@ -614,7 +616,7 @@ def _acceleration(model, step, per_v0, since, depth, speed):  # type: ignore[no-
     """Return δ'' in a tabulated contact, whose `step` is expanded about the touch."""
     p = model.parameters[0]
     elastic, lossy, _, _, _ = model.law.one(p.stiffness, p.factor, per_v0, 0.0, math.sqrt(max(0.0, depth)), speed)
-    force = max(0.0, elastic + lossy) if p.clipped else elastic + lossy
+    force = max(0.0, elastic + lossy) if p.lets_go else elastic + lossy
     relative = step.acceleration[0] + since * (step.acceleration[1] + since * step.acceleration[2])
     return relative - (p.pair_stiffness * depth + p.pair_damping * speed) - force * p.per_m_eff
 
@@ -685,15 +687,15 @@ def fit(model, trajectory, spans, work):  # type: ignore[no-untyped-def]
     flight.omega, work.pulsing[0] = -1.0, -1
     of_structure = True
     for q in range(spans.wanted.shape[0]):
-        if spans.wanted[q] in (X_2, V_2, A_2, FORCE_LEFT, FORCE_RIGHT):
+        if spans.wanted[q] in (OF_X_2, OF_V_2, OF_A_2, OF_FORCE_LEFT, OF_FORCE_RIGHT):
             of_structure = False
     if p.drive == PRESCRIBED:
         for q in range(spans.wanted.shape[0]):
-            of_structure = of_structure and spans.wanted[q] != COIL_CURRENT
+            of_structure = of_structure and spans.wanted[q] != OF_CURRENT
     prepared = -1  # row of the state that the flight at hand begins at
     for i in range(spans.start.shape[0]):
-        tick = spans.tick[i] - trajectory.base
-        if not 0 <= tick < trajectory.ticks.shape[0] - 1:
+        tick = spans.tick[i] - trajectory.first_tick
+        if not 0 <= tick < trajectory.first_segment.shape[0] - 1:
             return False
         middle = 0.5 * (spans.start[i] + spans.end[i])
         segment = _segment_at(trajectory, tick, middle)
@@ -738,16 +740,16 @@ def refine(trajectory, tick, offset, touching):  # type: ignore[no-untyped-def] 
     i = -1
     for at in range(first.shape[0] - 1):
         begin = trajectory.segments[at].begin
-        if at == trajectory.ticks[i + 1]:
+        if at == trajectory.first_segment[i + 1]:
             i += 1
         for row in range(first[at], first[at + 1]):
             s = history[row]
-            tick[count], offset[count], touching[count] = trajectory.base + i, begin + s.t, s.phase != FREE
+            tick[count], offset[count], touching[count] = trajectory.first_tick + i, begin + s.t, s.phase != FREE
             count += 1
             if s.phase == CONTACT and s.tabulated != 0:
                 length = history[row + 1].t - s.t
                 for part in range(1, PARTS):
-                    tick[count], touching[count] = trajectory.base + i, True
+                    tick[count], touching[count] = trajectory.first_tick + i, True
                     offset[count] = begin + (s.t + length * (part / PARTS))
                     count += 1
     return count

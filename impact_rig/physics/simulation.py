@@ -69,7 +69,7 @@ class Motion:
     Attributes:
         first_tick: number of the first tick, counted since the reset.
         segments: the drive, shape (n,), dtype `flight.SEGMENT`.
-        ticks: row of each tick's first segment, and the number of segments.
+        first_segment: row of each tick's first segment, and the number of segments.
         impacts: contacts that ended in this motion, dtype `IMPACT`; a contact may have begun in an earlier one.
     """
 
@@ -78,23 +78,23 @@ class Motion:
         model: Model,
         first_tick: int,
         segments: NDArray[np.void],
-        ticks: NDArray[np.int64],
+        first_segment: NDArray[np.int64],
         history: NDArray[np.void],
         first: NDArray[np.int64],
         impacts: NDArray[np.void],
         work: SamplingWorkspace | None = None,
     ) -> None:
         self.first_tick = first_tick
-        self.segments, self.ticks = segments, ticks
+        self.segments, self.first_segment = segments, first_segment
         self.impacts = impacts
         self._model = model
-        self._trajectory = Trajectory(segments, first_tick, ticks, history, first)
+        self._trajectory = Trajectory(segments, first_tick, first_segment, history, first)
         self._sampling = work or new_sampling_workspace()
 
     @property
     def last_tick(self) -> int:
         """Number of the last tick, inclusive."""
-        return self.first_tick + len(self.ticks) - 2
+        return self.first_tick + len(self.first_segment) - 2
 
     def sample(self, tick: NDArray[np.int64], offset_s: NDArray[np.float64]) -> NDArray[np.void]:
         """Return all quantities (dtype `SAMPLE`, SI) at the instants, in their shape; fastest when in order."""
@@ -327,24 +327,24 @@ class Simulation:
             segments = segments.copy()
             segments["amplitude"] = segments["growth"] = 0.0
         rows = np.append(np.flatnonzero(segments["begin"] == 0.0), len(segments))
-        ticks = np.repeat(np.arange(self.tick, self.tick + len(rows) - 1), np.diff(rows))
+        tick_of = np.repeat(np.arange(self.tick, self.tick + len(rows) - 1), np.diff(rows))
         segments = for_kernels(segments)
         work = self._work._replace(first=np.zeros(len(segments) + 1, np.int64))
         filled = work.filled[0]
         filled["states"] = filled["impacts"] = 0
         index = 0
         while True:
-            ended, index = run(self._model, segments, ticks, index, work, self._account)
+            ended, index = run(self._model, segments, tick_of, index, work, self._account)
             if ended == STUCK:
                 raise SimulationError(
-                    f"no progress in tick {ticks[index]} {work.states[0]['t']:.9f} s into a segment of it, "
+                    f"no progress in tick {tick_of[index]} {work.states[0]['t']:.9f} s into a segment of it, "
                     f"phase {work.states[0]['phase']}"
                 )
             if ended != NEED_ROOM:
                 break
             if filled["states"] - work.first[index] > MOST_STATES:
                 raise SimulationError(
-                    f"more than {MOST_STATES} contacts, rides and flights in tick {ticks[index]}, "
+                    f"more than {MOST_STATES} contacts, rides and flights in tick {tick_of[index]}, "
                     f"{work.states[0]['t']:.9f} s into a segment of it: the motion cannot be resolved"
                 )
             work = self._work = _grown(work)

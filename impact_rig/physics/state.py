@@ -22,7 +22,7 @@ from impact_rig.physics.collocation import STAGES
 FREE, CONTACT, ATTACHED = range(3)
 """Phases: in flight; touching a wall that yields; one body with the superior base."""
 
-NOTHING, LEFT, TIME, RELEASED, TURNED, RELOADED, FAILED, SETTLED, TOUCHED, STOPPED, PARTED = range(11)
+NOTHING, SEPARATED, TIME, RELEASED, TURNED, RELOADED, FAILED, SETTLED, TOUCHED, STOPPED, PARTED = range(11)
 """What ends a step, a phase or a flight; see `contact_phase` and the table of `event_loop`."""
 
 X1, V1, XB, VB, COIL = range(5)
@@ -53,17 +53,17 @@ STATE = np.dtype(
         ("per_v0", "f8"),  # in a contact 1 over its approach speed, which is floored [s/m]
         ("tabulated", "i8"),  # 1: from here to the next state the motion is one contact looked up in the table
         ("h", "f8"),  # length in χ of the contact's step that starts here [s/m^0.5], 0 where none does
-        ("released", "f8"),  # depth at which a wall let the sphere go, until it is out of there [m]
-        ("released_side", "f8"),  # which wall that is: −1 left, 1 right
+        ("dent", "f8"),  # depth at which a wall let the sphere go, until it is out of there [m]
+        ("dent_side", "f8"),  # which wall that is: −1 left, 1 right
         ("next_h", "f8"),  # length in χ that the step control proposes [s/m^0.5], 0 where a contact has just begun
-        ("begin_tick", "i8"),  # number of the tick in which the contact began
-        ("begin_t", "f8"),  # when in that tick it began [s]
+        ("touch_tick", "i8"),  # number of the tick in which the contact began
+        ("touch_t", "f8"),  # when in that tick it began [s]
         ("approach", "f8"),  # δ' with which the contact began [m/s]
         ("elapsed", "f8"),  # duration of the contact so far [s]
         ("peak_force", "f8"),  # largest F of the contact so far [N]
         ("impulse", "f8"),  # ∫ F dt of the contact so far [N s]
         ("lost", "f8"),  # energy lost by the contact so far [J]
-        ("begin_d", "f8"),  # d where the flight began [m]
+        ("d_b", "f8"),  # d where the flight began [m]
     ],
     align=True,
 )
@@ -115,7 +115,7 @@ FLIGHT = np.dtype(
         ("forced", "c16", (ORDERS,)),  # P of the k-th derivative of x_1 [m/s^k]
         ("forced_growing", "c16", (ORDERS,)),  # Q of it [m/s^(k+1)]
         ("forced_size", "f8", (ORDERS,)),  # bound on that derivative's part in y_p within the segment [m/s^k]
-        ("begin", "f8"),  # t_b, when the flight began, since the start of the segment [s]
+        ("t_b", "f8"),  # when the flight began, since the start of the segment [s]
         ("friction_force", "f8"),  # constant force of the guide's friction on the structure [N]
         ("modal", "c16", (STRUCTURE,)),  # C_n, amplitude of mode n at t_b [of the place of y where Γ_n is 1]
         ("wave", "c16", (ORDERS, STRUCTURE)),  # part of mode n in the k-th derivative of x_1 at t_b [m/s^k]
@@ -205,7 +205,7 @@ PARAMETERS = np.dtype(
         ("factor", "f8"),  # its second number, by law: a [-], c [N s/m] or e² [-]; see `contact.law.Force`
         ("restitution", "f8"),  # e that a rigid law rebounds with [-]
         ("rigid", "i8"),  # 1 where a contact takes no time
-        ("clipped", "i8"),  # 1 where a contact ends as soon as its force would pull
+        ("lets_go", "i8"),  # 1 where a contact ends as soon as its force would pull
         ("remembers", "i8"),  # 1 where the force depends on where the indentation turned
         ("time_scale", "f8"),  # of t_0 = time_scale v0^time_power, in s for v0 in m/s
         ("time_power", "f8"),  # exponent in it [-]

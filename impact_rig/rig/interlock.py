@@ -77,7 +77,7 @@ class Interlock:
         worst, square = np.empty(ticks), np.empty(ticks)
         largest(travel, velocity, tick_s / LOOKS_PER_TICK, worst)
         if (drive.kind, drive.waveform) == ("current", "stream"):  # it may do anything between the looks
-            mean_square_of_lines(for_kernels(motion.segments), motion.ticks, tick_s, square)
+            mean_square_of_lines(for_kernels(motion.segments), motion.first_segment, tick_s, square)
         else:
             mean_square(current, square)
         gain = 1.0 - exp(-tick_s / CURRENT_TIME_S)
@@ -112,11 +112,11 @@ def mean_square(values, found):  # type: ignore[no-untyped-def]  # compiled: typ
 
 
 @entry(SEGMENT, INTEGERS, float, REALS)
-def mean_square_of_lines(segments, ticks, tick_s, found):  # type: ignore[no-untyped-def]
-    """Fill `found` with the mean square of each tick of a drive of straight lines, shape (ticks,)."""
+def mean_square_of_lines(segments, first_segment, tick_s, found):  # type: ignore[no-untyped-def]
+    """Fill `found` with the mean square of each tick of a drive of straight lines; `first_segment` as of a Motion."""
     for tick in range(found.shape[0]):
         total = 0.0
-        for i in range(ticks[tick], ticks[tick + 1]):
+        for i in range(first_segment[tick], first_segment[tick + 1]):
             row = segments[i]
             low, high = row.amplitude, row.amplitude + row.growth * row.duration
             total += row.duration * (low * low + low * high + high * high) * (1.0 / 3.0)

@@ -74,7 +74,7 @@ def draw_tick() -> str:
         arrow(edge, 142, _RIGHT - 1, 142),
         small(middle, 136, event("TOUCHED", "_touch"), anchor="middle"),
         arrow(_RIGHT, 186, edge + 1, 186),
-        small(middle, 180, event("LEFT, RELEASED", "_leave"), anchor="middle"),
+        small(middle, 180, event("SEPARATED, RELEASED", "_leave"), anchor="middle"),
         arrow(_RIGHT, 340, edge + 1, 340),
         small(middle, 334, event("SETTLED", "_leave", "_hold"), anchor="middle"),
         line(((70, _TOP), (70, 98), (110, 98))),

@@ -54,7 +54,7 @@ class Force(NamedTuple):
         factor: its second argument, by law: a [-], c [N s/m] or e² [-].
         exponent: of the indentation, for the scales of a contact.
         restitution: nominal; what a rigid law rebounds with.
-        clipped: whether the contact ends where the force would pull; otherwise it pulls, and the contact ends at δ = 0.
+        lets_go: whether the contact ends where the force would pull; otherwise it pulls, and the contact ends at δ = 0.
         scale_free: whether every contact is the same in units of its own: `factor` has no dimension.
         remembers: whether the force depends on `turned_at`; such a law may ring undamped, and is averaged once slow.
         rigid: whether a contact takes no time, and the force is never asked for.
@@ -65,7 +65,7 @@ class Force(NamedTuple):
     factor: float
     exponent: float
     restitution: float
-    clipped: bool = True
+    lets_go: bool = True
     scale_free: bool = False
     remembers: bool = False
     rigid: bool = False

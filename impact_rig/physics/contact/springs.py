@@ -69,7 +69,7 @@ class KelvinVoigt(ContactLaw):
         log_e = float(log(self.restitution))
         stiffness = pair.effective_mass * (PI * PI + log_e * log_e) / (self.contact_time_s * self.contact_time_s)
         damping = -2.0 * pair.effective_mass * log_e / self.contact_time_s
-        return Force(_spring_damper, stiffness, damping, 1.0, self.restitution, clipped=self.release == "force")
+        return Force(_spring_damper, stiffness, damping, 1.0, self.restitution, lets_go=self.release == "force")
 
     def realised_restitution(self) -> float:
         """Return e, or the larger value that release at zero force gives.
