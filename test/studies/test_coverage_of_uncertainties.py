@@ -34,7 +34,7 @@ def judged(case):
 def test_reductions_are_off_by_what_they_state(bits):
     """Scattered at 16 bits: a sum of (error/u)² is a chi-square. Bounded by the steps at 12: hardly one beyond 2u."""
     case = next(case for case in TOOL["reduction_cases"]() if case.label == (f"{bits}",))
-    found, _ = judged(attrs.evolve(case, gaps_m=(0.0, 0.008, 0.002)))
+    found, _ = judged(attrs.evolve(case, gaps_m=(0.0, 0.008, 0.002), span_s=14.0))  # time for two rows
     assert set(found) == {(f"{bits}", gap, count) for gap in ("2", "8") for count in ("1", "2")}
     low, high = chi2.ppf((CHANCE, 1.0 - CHANCE), len(SEEDS))
     for name, off in found.items():

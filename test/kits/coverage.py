@@ -1,0 +1,21 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""Whether stated uncertainties are those of what was drawn, by fewer draws than counting alone would need."""
+
+from __future__ import annotations
+
+import numpy as np
+
+WITHIN_2U = 0.9545
+
+
+def assert_covers(off):
+    """Assert that deviations over their standard uncertainties, shape (n, quantities), are as large as these say.
+
+    Their root mean square is 1 within three of its own standard deviations, and as many lie within ±2 as should. Of 300
+    the first sees an uncertainty that is 12 % too small or too large, which counting alone sees of 1,200.
+    """
+    off = np.asarray(off)
+    spread, shares = np.sqrt(np.mean(np.square(off), axis=0)), np.mean(np.abs(off) < 2.0, axis=0)
+    assert np.all(np.abs(spread - 1.0) < 3.0 / np.sqrt(2.0 * len(off))), spread
+    assert np.all(np.abs(shares - WITHIN_2U) < 3.0 * np.sqrt(WITHIN_2U * (1.0 - WITHIN_2U) / len(off))), shares
