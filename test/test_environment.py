@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import ast
+import functools
 import importlib.util
 import os
 import re
@@ -48,6 +49,17 @@ LINES = {
 PINS = {part: {(pin := Requirement(line.partition("  #")[0])).name: pin for line in LINES[part]} for part in LINES}
 
 
+@functools.cache
+def installed() -> dict[str, metadata.Distribution]:
+    return {canonicalize_name(one.name): one for one in metadata.distributions()}
+
+
+@functools.cache
+def required(name: str) -> list[Requirement]:
+    """What a distribution that is installed here needs."""
+    return [Requirement(text) for text in installed()[name].requires or ()]
+
+
 def versions(*parts: str) -> dict[str, str]:
     return {name: str(pin.specifier)[2:] for part in parts for name, pin in PINS[part].items()}
 
@@ -69,11 +81,10 @@ def test_every_pin_serves_every_python(python: str) -> None:
 def test_nothing_that_a_pin_needs_is_missing(part: str, python: str) -> None:
     """Every requirement of what is installed here, followed with the markers of each Python, is met by the lock."""
     pinned = versions("run", "wheels", part)
-    installed = {canonicalize_name(one.name): one for one in metadata.distributions()}
     known = {
-        name: [Requirement(text) for text in installed[name].requires or ()]
+        name: required(name)
         for name, version in pinned.items()
-        if name in installed and installed[name].version == version and name not in lock.UNUSED_REQUIREMENTS_OF
+        if name in installed() and installed()[name].version == version and name not in lock.UNUSED_REQUIREMENTS_OF
     }
     assert len(known) > 20
     direct = lock.direct()
@@ -114,9 +125,8 @@ def test_the_smallest_part_has_what_the_package_imports_and_no_more() -> None:
 
 @pytest.mark.parametrize("part", ["run", "kernels", "test"])
 def test_the_cost_that_is_said_is_what_is_paid(part: str) -> None:
-    distributions = {canonicalize_name(one.name): one for one in metadata.distributions() if one.files}
-    names = versions(part).keys() & distributions.keys()
-    files = {file.locate() for name in names for file in distributions[name].files or ()}
+    names = versions(part).keys() & installed().keys()
+    files = {file.locate() for name in names for file in installed()[name].files or ()}
     there = sum(os.lstat(str(file)).st_blocks * 512 for file in files if os.path.lexists(str(file))) / 2**20
     assert install.ON_DISK_MB[part] * 0.85 < there < install.ON_DISK_MB[part] * 1.05
 

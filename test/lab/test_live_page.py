@@ -35,7 +35,7 @@ from impact_rig.rig.config import load
 pytestmark = [pytest.mark.ros, pytest.mark.pipeline]
 
 PARAMETERS = {
-    "rig": {"time.mode": "realtime", "time.factor": 2.0, "time.peers": ["analysis", "recorder"]},
+    "rig": {"time.mode": "realtime", "time.factor": 4.0, "time.peers": ["analysis", "recorder"], "daq.block_scans": 500},
     "analysis": {"gap_m": 0.006},
     "recorder": {"record": False},
 }
