@@ -38,6 +38,8 @@ unexport PYTHONDONTWRITEBYTECODE
 export ROS_AUTOMATIC_DISCOVERY_RANGE := LOCALHOST
 export ROS_DOMAIN_ID ?= 42
 export ROS_LOG_DIR ?= $(CURDIR)/build/log
+# A second thread of BLAS gains nothing on arrays as small as ours, and each process would begin and feed one.
+export OPENBLAS_NUM_THREADS ?= 1
 export MPLCONFIGDIR ?= $(CURDIR)/build/matplotlib
 
 # --- Environment ------------------------------------------------------------------------------------------------------
@@ -108,13 +110,14 @@ note = mkdir -p build/start && echo $$(($$(date +%s) - begin)) > build/start/$(1
 # All tests end with the table of coverage; some of them would say nothing about it. The second table is of the files
 # that hold compiled code, whose lines are seen where tests run them as plain Python.
 COVERAGE := $(VENV)/bin/python -m coverage
+LINES := IMPACT_RIG_LINES=$(CURDIR)/build/coverage/data PYTHONPATH=$(CURDIR)/tools/lines_passed$${PYTHONPATH:+:$$PYTHONPATH}
 KERNELS = $$(grep -rl --include='*.py' '^from impact_rig.kernels import .*kernel\|^from impact_rig.kernels import .*entry' impact_rig | paste -sd,)
 MEASURED := $(if $(ARGS),,1)
 
 test: $(TEST) kernels ## run all tests on real ROS 2; ARGS=--changed or '-k codec' chooses, SHUFFLE=7 draws another order
-	@$(if $(MEASURED),$(COVERAGE) erase)
+	@$(if $(MEASURED),mkdir -p build/coverage && $(COVERAGE) erase)
 	@begin=$$(date +%s); IMPACT_RIG_REQUIRE_ROS=1 \
-	    $(if $(MEASURED),$(COVERAGE) run,$(VENV)/bin/python) -m pytest $(PYTEST_PLUGINS_USED) \
+	    $(if $(MEASURED),$(LINES)) $(VENV)/bin/python -m pytest $(PYTEST_PLUGINS_USED) \
 	    -n 3 $(BY_FILE) $(SECOND_CHANCE) $(if $(SHUFFLE),--shuffle=$(SHUFFLE)) $(ARGS); status=$$?; \
 	    $(if $(MEASURED),$(COVERAGE) combine --quiet && $(COVERAGE) report && \
 	    $(COVERAGE) report --include="$(KERNELS)" --fail-under=90 && [ $$status = 0 ] && $(call note,suite_s) &&) exit $$status

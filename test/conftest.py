@@ -126,20 +126,6 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
         pytest.skip(_why_no_ros())
 
 
-@pytest.hookimpl(wrapper=True)
-def pytest_runtest_call(item: pytest.Item) -> Iterator[None]:
-    """Let no tracer watch a test that repeats: before Python 3.12 it takes half of its time."""
-    measuring = sys.modules.get("coverage")
-    watched = measuring and item.get_closest_marker("repeats") and measuring.Coverage.current()
-    if watched:
-        watched.stop()
-    try:
-        yield
-    finally:
-        if watched:
-            watched.start()
-
-
 def _why_no_ros() -> str:
     try:
         import rclpy  # noqa: F401  # asked for, not used
@@ -193,7 +179,7 @@ def measured_programs(monkeypatch: pytest.MonkeyPatch) -> None:
     """Measure the coverage of whatever a test starts."""
     from kits.measured import measured
 
-    for name, value in measured({}).items():
+    for name, value in measured().items():
         monkeypatch.setenv(name, value)
 
 

@@ -25,7 +25,7 @@ STARTERS = {"impact_rig/client/processes.py", "impact_rig/kernels/build.py"}
 
 
 def _dotted(node: ast.expr) -> str:
-    """`a.b.c` as it is written, of what is called; nothing of what is no name (`ast.unparse` takes a second a hundred)."""
+    """`a.b.c` as it is written, or nothing for what is no name; `ast.unparse` takes ten times as long."""
     if isinstance(node, ast.Attribute):
         return f"{_dotted(node.value)}.{node.attr}"
     return node.id if isinstance(node, ast.Name) else ""

@@ -2,24 +2,32 @@
 # SPDX-License-Identifier: Apache-2.0
 """Which programs that tests start are measured for coverage: those that ask to be.
 
-The tracer takes half of a program's time, and most of them pass through what the tests' own process passes through line
-by line. Measured are those that alone reach something: kernels as plain Python, the nodes' and workers' beginnings.
+Most of them pass through what the tests' own process passes through line by line. Measured are those that alone reach
+something: kernels as plain Python, the nodes' and workers' beginnings. `tools/lines_passed` measures.
 """
 
 from __future__ import annotations
 
 import os
 from collections.abc import Mapping
+from pathlib import Path
 
+FOLDER = str(Path(__file__).parents[2] / "tools" / "lines_passed")
 _HELD: dict[str, str] = {}
 
 
 def hold_back() -> None:
     """Take out of this process's environment what makes a child of it measure its coverage."""
-    for name in [name for name in os.environ if name.startswith("COVERAGE_PROCESS_")]:
-        _HELD[name] = os.environ.pop(name)
+    if (data := os.environ.pop("IMPACT_RIG_LINES", None)) is not None:
+        _HELD["IMPACT_RIG_LINES"] = data
+        paths = [path for path in os.environ.pop("PYTHONPATH", "").split(os.pathsep) if path not in ("", FOLDER)]
+        if paths:
+            os.environ["PYTHONPATH"] = os.pathsep.join(paths)
 
 
 def measured(environment: Mapping[str, str] = os.environ) -> dict[str, str]:
     """Return an environment (this process's) whose children are measured, if this process is."""
-    return {**environment, **_HELD}
+    if not _HELD:
+        return dict(environment)
+    path = os.pathsep.join(filter(None, [FOLDER, environment.get("PYTHONPATH")]))
+    return {**environment, **_HELD, "PYTHONPATH": path}

@@ -19,7 +19,8 @@ ROOT = Path(__file__).parents[2]
 FOLDERS = ("impact_rig", "tools", "fuzz", "benchmarks", "examples", "launch", "test")
 EVERYTHING = (
     "requirements", "pyproject.toml", "setup.py", "setup.cfg", "package.xml", "Makefile",
-    "test/conftest.py", "test/kits/reach.py", "test/kits/measured.py", "impact_rig/client/processes.py",
+    "test/conftest.py", "test/kits/reach.py", "test/kits/measured.py", "tools/lines_passed/lines_passed.py",
+    "impact_rig/client/processes.py",
 )  # fmt: skip
 """What every test depends on: the environment, how tests are run, and what each of them gets."""
 OUTSIDE = ("docs/", "test/", "README", "CONTRIBUTING", "CHANGELOG", ".")

@@ -35,11 +35,17 @@ from impact_rig.rig.config import load
 pytestmark = [pytest.mark.ros, pytest.mark.pipeline]
 
 PARAMETERS = {
-    "rig": {"time.mode": "realtime", "time.factor": 4.0, "time.peers": ["analysis", "recorder"], "daq.block_scans": 500},
+    "rig": {
+        "time.mode": "realtime",
+        "time.factor": 4.0,
+        "time.peers": ["analysis", "recorder"],
+        "daq.block_scans": 500,
+    },
     "analysis": {"gap_m": 0.006},
     "recorder": {"record": False},
 }
-"""Twice real time: what settles in ten seconds is there in five, and two cores carry it beside a browser."""
+"""Four times real time, in blocks of 50 ms: what settles in ten seconds is there in two and a half, and two cores carry
+it beside a browser."""
 
 
 USUAL = {

@@ -1,0 +1,44 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""The lines that `make test` counts are those that a process passed, however it ends."""
+
+from __future__ import annotations
+
+import inspect
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from coverage import CoverageData
+from kits.measured import FOLDER
+
+from impact_rig import simtime
+
+SOURCE, FIRST = inspect.getsourcelines(simtime.stamp_ns)
+DEFINED, PASSED = FIRST, FIRST + len(SOURCE) - 1
+
+
+@pytest.mark.parametrize(
+    ("program", "noted"),
+    [
+        ("", {DEFINED}),
+        ("simtime.stamp_ns(1, 2)", {DEFINED, PASSED}),
+        ("simtime.stamp_ns(1, 2); os.chdir('/'); os._exit(0)", {DEFINED, PASSED}),
+        ("os.fork() and os._exit(os.wait()[1]); simtime.stamp_ns(1, 2)", {DEFINED, PASSED}),
+    ],
+    ids=["not called", "called", "ended at once", "a forked child"],
+)
+def test_lines_that_a_process_passed_are_noted_and_no_others(program: str, noted: set[int], tmp_path: Path) -> None:
+    environment = {**os.environ, "IMPACT_RIG_LINES": str(tmp_path / "data"), "PYTHONPATH": FOLDER}
+    whole = f"import os; from impact_rig import simtime; {program}"
+    subprocess.run([sys.executable, "-c", whole], env=environment, cwd=tmp_path, check=True, timeout=60)
+    found = CoverageData(basename=str(tmp_path / "whole"))
+    for path in tmp_path.glob("data.*"):
+        part = CoverageData(basename=str(path))
+        part.read()
+        found.update(part)
+    lines = set(found.lines(inspect.getfile(simtime)) or ())
+    assert lines & {DEFINED, PASSED} == noted
+    assert set(found.lines(str(Path(simtime.__file__).with_name("blocks.py"))) or ()) == set(), "nobody imported it"
