@@ -11,6 +11,10 @@ and its normal matrix follows from the sample instants in closed form:
 
     Σ_k e^{jnφ_k} = e^{jn(φ_first + φ_last)/2} sin(samples n Ω/2) / sin(n Ω/2)
 
+The sums are about the middle of a cycle: then the matrix depends on the number of its samples alone, and is inverted
+once for each. They are made of stretches, each about its own middle: a cosine is the same as far before it as after it,
+a sine the opposite, so of two values sum and difference are multiplied, not each of them by both.
+
 Cycle m holds the samples k with m·rate/f <= k < (m+1)·rate/f, k counted from the last change of the drive, so neither
 the cycles nor their bits depend on how the stream was cut into blocks.
 """
@@ -26,13 +30,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig.analysis.calibration import Complex, Real
+from impact_rig.arithmetic.elementary import TWO_PI, sincos
 from impact_rig.kernels import BYTES, INTEGERS, REALS, REALS_2D, REALS_3D, entry, kernel
 
 RANGE_BIT = 256
 """Bit in a cycle's flags for channel 0 outside its range or not finite; channel j uses RANGE_BIT << j."""
 MIN_SAMPLES_PER_CYCLE = 8
-STRETCH = 64
-"""Scans that are added up together: what they need stays in the fastest cache."""
+HALF = 32
+"""Pairs of scans that are added up together: what they need stays in the fastest cache."""
 PHASE_BINS = 64
 """Parts of a drive cycle by which the phases of impacts are kept: 0.1 rad each."""
 
@@ -110,18 +115,21 @@ class Accumulator:
         self.origin = origin
         self.period = rate_hz / frequency_hz
         self._low, self._high = low, high
-        step = 2.0 * math.pi / self.period
-        self._rotor = np.array([1.0, 0.0, math.cos(step), math.sin(step)])
-        self._place = np.array([0, 0, math.ceil(self.period), 0], dtype=np.int64)
+        self._place = np.array([0, 0, math.ceil(self.period), 0, 0], dtype=np.int64)
+        orders, places = np.arange(1.0, harmonics + 1.0), np.arange(HALF) + 0.5
+        angle = 2.0 * np.pi / self.period * orders[:, None] * places
+        self._waves = np.stack([np.cos(angle), np.sin(angle)], axis=1)
         size = 2 * harmonics + 2
         self._sums = np.zeros((size, 4))
-        self._scratch = np.empty((STRETCH, 4)), np.empty((STRETCH, 2 * harmonics))
+        self._stretch = np.zeros((4, 2 * HALF))
+        self._folded = np.empty((2, HALF, 4))
         self._last, self._jump = np.full(4, np.nan), np.zeros(4)
         self._out_jump = np.zeros((capacity, 4))
         self._out = np.zeros((capacity, 4, size))
         self._out_flags = np.zeros(capacity, dtype=np.int64)
         self._done: list[tuple[NDArray[Any], ...]] = []  # sums, flags and jumps
         self._cycle = 0
+        self._inverse: dict[int, Real] = {}  # of the normal matrix, by the samples of a cycle
 
     @property
     def pending_cycles(self) -> int:
@@ -132,8 +140,9 @@ class Accumulator:
         """Accumulate the scans begin <= i < end of a buffer; samples has shape (4, capacity), status (capacity,)."""
         while begin < end:
             done, begin = _accumulate(
-                samples, status, begin, end, self._low, self._high, self.period, self._place, self._rotor, self._sums,
-                *self._scratch, self._last, self._jump, self._out, self._out_flags, self._out_jump,
+                samples, status, begin, end, self._low, self._high, self.period, self._waves, self._place,
+                self._stretch, self._folded, self._sums, self._last, self._jump, self._out, self._out_flags,
+                self._out_jump,
             )  # fmt: skip
             if done:
                 self._done.append(tuple(out[:done].copy() for out in (self._out, self._out_flags, self._out_jump)))
@@ -151,29 +160,36 @@ class Accumulator:
         numbers = np.arange(self._cycle, self._cycle + count + 1)
         self._cycle += count
         edges = np.ceil(numbers * self.period).astype(np.int64)
-        return _solve(sums[:count], flags[:count], jump[:count], edges, numbers[:-1], self.period, self.origin)
+        return self._fitted(sums[:count], flags[:count], jump[:count], edges, numbers[:-1])
 
+    def _fitted(
+        self, sums: Real, flags: NDArray[np.int64], jump: Real, edges: NDArray[np.int64], numbers: NDArray[np.int64]
+    ) -> Cycles:
+        """Fit every cycle from its sums, about its middle; then count the phase from where the drive's is zero."""
+        samples, size = edges[1:] - edges[:-1], sums.shape[2] - 1
+        right = sums[:, :, :size]
+        with np.errstate(invalid="ignore", over="ignore"):
+            solution = right @ np.array([self._inverse_for(count) for count in samples.tolist()])
+            explained = np.add.reduce(solution * right, axis=2)
+            mean = sums[:, :, 0] / samples[:, None]
+            variance = np.maximum(sums[:, :, size] / samples[:, None] - mean**2, 0.0)
+            residual = np.maximum(sums[:, :, size] - explained, 0.0)
+        step = 2.0 * np.pi / self.period
+        middle = step * ((edges[:-1] + edges[1:] - 1) / 2.0 - numbers * self.period)
+        back = np.exp(-1j * middle[:, None] * np.arange(1.0, size // 2 + 1.0))
+        phasors = (solution[:, :, 1::2] - 1j * solution[:, :, 2::2]) * back[:, None, :]
+        uncounted = np.full(len(samples), np.nan), np.zeros((len(samples), PHASE_BINS), dtype=np.uint8)
+        return Cycles(self.origin + edges[:-1], samples, phasors, mean, variance, residual, flags, jump, *uncounted)
 
-def _solve(
-    sums: Real, flags: NDArray[np.int64], jump: Real, edges: NDArray[np.int64], numbers: NDArray[np.int64],
-    period: float, origin: int,
-) -> Cycles:  # fmt: skip
-    """Fit every cycle from its sums: one small normal system per cycle, all at once."""
-    samples = np.diff(edges)
-    size = sums.shape[2] - 1
-    matrix = normal_matrix(
-        2.0 * np.pi * (edges[:-1] - numbers * period) / period, samples, 2.0 * np.pi / period, (size - 1) // 2
-    )
-    right = np.swapaxes(sums[:, :, :size], 1, 2)
-    with np.errstate(invalid="ignore", over="ignore"):
-        solution = np.linalg.solve(matrix, right)
-        explained = np.sum(solution * right, axis=1)
-        mean = sums[:, :, 0] / samples[:, None]
-        variance = np.maximum(sums[:, :, size] / samples[:, None] - mean**2, 0.0)
-        residual = np.maximum(sums[:, :, size] - explained, 0.0)
-    phasors = np.swapaxes(solution[:, 1::2] - 1j * solution[:, 2::2], 1, 2)
-    uncounted = np.full(len(samples), np.nan), np.zeros((len(samples), PHASE_BINS), dtype=np.uint8)
-    return Cycles(origin + edges[:-1], samples, phasors, mean, variance, residual, flags, jump, *uncounted)
+    def _inverse_for(self, samples: int) -> Real:
+        """Return the inverse of the normal matrix of so many samples about their middle; there are two such numbers."""
+        found = self._inverse.get(samples)
+        if found is None:
+            step = 2.0 * np.pi / self.period
+            first = np.array([-(samples - 1) * step / 2.0])
+            found = np.linalg.inv(normal_matrix(first, np.array([samples]), step, len(self._waves))[0])
+            self._inverse[samples] = found
+        return found
 
 
 def normal_matrix(phase: Real, samples: NDArray[np.int64], step: float, harmonics: int) -> Real:
@@ -209,84 +225,131 @@ def _places(harmonics: int) -> tuple[NDArray[np.int64], ...]:
 
 
 @kernel
-def _add(plain, square, values):  # type: ignore[no-untyped-def]
-    """Add values, shape (n, 4), and their squares to two sums, shape (4,)."""
-    plain_0, plain_1, plain_2, plain_3 = plain[0], plain[1], plain[2], plain[3]
-    square_0, square_1, square_2, square_3 = square[0], square[1], square[2], square[3]
-    for i in range(values.shape[0]):
-        plain_0, square_0 = plain_0 + values[i, 0], square_0 + values[i, 0] * values[i, 0]
-        plain_1, square_1 = plain_1 + values[i, 1], square_1 + values[i, 1] * values[i, 1]
-        plain_2, square_2 = plain_2 + values[i, 2], square_2 + values[i, 2] * values[i, 2]
-        plain_3, square_3 = plain_3 + values[i, 3], square_3 + values[i, 3] * values[i, 3]
-    plain[0], plain[1], plain[2], plain[3] = plain_0, plain_1, plain_2, plain_3
-    square[0], square[1], square[2], square[3] = square_0, square_1, square_2, square_3
+def _outside(values, count, low, high):  # type: ignore[no-untyped-def]
+    """Return how many of the first values are not between two limits; NaN is not."""
+    inside = 0
+    for q in range(count):
+        inside += (low < values[q]) & (values[q] < high)
+    return count - inside
 
 
 @kernel
-def _add_waves(cosine, sine, values, waves, at):  # type: ignore[no-untyped-def]
-    """Add values, shape (n, 4), times columns `at` and `at` + 1 of `waves` to two sums, shape (4,)."""
-    cosine_0, cosine_1, cosine_2, cosine_3 = cosine[0], cosine[1], cosine[2], cosine[3]
-    sine_0, sine_1, sine_2, sine_3 = sine[0], sine[1], sine[2], sine[3]
-    for i in range(values.shape[0]):
-        first, second = waves[i, at], waves[i, at + 1]
-        cosine_0, sine_0 = cosine_0 + values[i, 0] * first, sine_0 + values[i, 0] * second
-        cosine_1, sine_1 = cosine_1 + values[i, 1] * first, sine_1 + values[i, 1] * second
-        cosine_2, sine_2 = cosine_2 + values[i, 2] * first, sine_2 + values[i, 2] * second
-        cosine_3, sine_3 = cosine_3 + values[i, 3] * first, sine_3 + values[i, 3] * second
-    cosine[0], cosine[1], cosine[2], cosine[3] = cosine_0, cosine_1, cosine_2, cosine_3
-    sine[0], sine[1], sine[2], sine[3] = sine_0, sine_1, sine_2, sine_3
+def _largest_change(values, count, before, largest):  # type: ignore[no-untyped-def]
+    """Return the largest change from one of the first values to the next, or a larger one that is known already."""
+    largest = _larger(abs(values[0] - before), largest)
+    for q in range(1, count):
+        largest = _larger(abs(values[q] - values[q - 1]), largest)
+    return largest
+
+
+@kernel
+def _larger(change, largest):  # type: ignore[no-untyped-def]
+    """Return the larger of two, `largest` beside NaN: the change to the first scan of all, whatever `max` says."""
+    return change if change > largest else largest
+
+
+@kernel
+def _fold(folded, stretch, half, plain, square):  # type: ignore[no-untyped-def]
+    """Add values, shape (4, 2 half), and their squares to two sums, shape (4,); fold them about their middle.
+
+    folded[0, q, j] is the value of channel j that is q + ½ after the middle plus that as far before it, folded[1, q, j]
+    minus that.
+    """
+    for j in range(4):
+        total, squares_after, squares_before = 0.0, 0.0, 0.0
+        for q in range(half):
+            after, before = stretch[j, half + q], stretch[j, half - 1 - q]
+            folded[0, q, j], folded[1, q, j] = after + before, after - before
+            total += after + before
+            squares_after += after * after
+            squares_before += before * before
+        plain[j] += total
+        square[j] += squares_after + squares_before
+
+
+@kernel
+def _add_wave(at_cosine, at_sine, folded, wave, half, cosine, sine):  # type: ignore[no-untyped-def]
+    """Add folded values times a wave to two sums, shape (4,).
+
+    `wave` holds its cosines and sines after the middle, were its phase 0 there; it has `cosine` and `sine`.
+    """
+    even_0, even_1, even_2, even_3 = 0.0, 0.0, 0.0, 0.0
+    odd_0, odd_1, odd_2, odd_3 = 0.0, 0.0, 0.0, 0.0
+    for q in range(half):
+        even, odd = wave[0, q], wave[1, q]
+        even_0, odd_0 = even_0 + folded[0, q, 0] * even, odd_0 + folded[1, q, 0] * odd
+        even_1, odd_1 = even_1 + folded[0, q, 1] * even, odd_1 + folded[1, q, 1] * odd
+        even_2, odd_2 = even_2 + folded[0, q, 2] * even, odd_2 + folded[1, q, 2] * odd
+        even_3, odd_3 = even_3 + folded[0, q, 3] * even, odd_3 + folded[1, q, 3] * odd
+    _add_turned(at_cosine, at_sine, 0, even_0, odd_0, cosine, sine)
+    _add_turned(at_cosine, at_sine, 1, even_1, odd_1, cosine, sine)
+    _add_turned(at_cosine, at_sine, 2, even_2, odd_2, cosine, sine)
+    _add_turned(at_cosine, at_sine, 3, even_3, odd_3, cosine, sine)
+
+
+@kernel
+def _add_turned(at_cosine, at_sine, j, even, odd, cosine, sine):  # type: ignore[no-untyped-def]
+    """Add a channel's sums about the middle to those of the cycle."""
+    at_cosine[j] += even * cosine - odd * sine
+    at_sine[j] += even * sine + odd * cosine
+
+
+@kernel
+def _add_stretch(sums, stretch, filled, angle, waves, folded):  # type: ignore[no-untyped-def]
+    """Add the first `filled` scans of a stretch to the sums; `angle` is the phase of their middle."""
+    half = (filled + 1) // 2
+    if 2 * half > filled:
+        for j in range(4):
+            stretch[j, filled] = 0.0  # a scan that adds nothing
+    _fold(folded, stretch, half, sums[0], sums[sums.shape[0] - 1])
+    first_sine, first_cosine = sincos(angle)
+    cosine, sine = first_cosine, first_sine
+    for n in range(waves.shape[0]):
+        _add_wave(sums[2 * n + 1], sums[2 * n + 2], folded, waves[n], half, cosine, sine)
+        product = cosine * first_cosine - sine * first_sine
+        cosine, sine = product, sine * first_cosine + cosine * first_sine
 
 
 @entry(
-    REALS_2D, BYTES, int, int, REALS, REALS, float, INTEGERS, REALS, REALS_2D, REALS_2D, REALS_2D, REALS, REALS,
+    REALS_2D, BYTES, int, int, REALS, REALS, float, REALS_3D, INTEGERS, REALS_2D, REALS_3D, REALS_2D, REALS, REALS,
     REALS_3D, INTEGERS, REALS_2D, returns=(int, int),
 )  # fmt: skip
 def _accumulate(
-    samples: Real, status: NDArray[np.uint8], begin: int, end: int, low: Real, high: Real, period: float,
-    place: NDArray[np.int64], rotor: Real, sums: Real, values: Real, waves: Real, last: Real, jump: Real, out: Real,
+    samples: Real, status: NDArray[np.uint8], begin: int, end: int, low: Real, high: Real, period: float, waves: Real,
+    place: NDArray[np.int64], stretch: Real, folded: Real, sums: Real, last: Real, jump: Real, out: Real,
     out_flags: NDArray[np.int64], out_jump: Real,
 ) -> tuple[int, int]:  # fmt: skip
     """Add scans to the running sums; stop early when `out` is full. Return (cycles completed, next scan).
 
-    place = [sample since the origin, cycle, first sample of the next cycle, flags],
-    rotor = [cos φ, sin φ, cos Ω, sin Ω], sums[q, j] = Σ basis_q value_j, at last Σ value_j².
-    The rotation is renewed from the sample number at each cycle, so its rounding never grows beyond one cycle.
-    Each sum runs scan by scan; four channels and two sums side by side keep a processor busy.
+    place = [sample since the origin, cycle, first sample of the next cycle, flags, scans in the stretch under way],
+    waves[n, :, q] = cos, sin of harmonic n + 1 at q + ½ samples, sums[q, j] = Σ basis_q value_j, at last Σ value_j².
+    A stretch is added when it is full or its cycle ends, wherever the scans are cut; its phase comes from its number.
     """
-    harmonics = waves.shape[1] // 2
-    k, cycle, stop, flags = place
-    cosine, sine, scan_cosine, scan_sine = rotor
+    k, cycle, stop, flags, filled = place
     done = 0
     i = begin
     while i < end and done < len(out):
-        count = min(end - i, stop - k, STRETCH)
+        count = min(end - i, stop - k, 2 * HALF - filled)
         for q in range(count):
             flags |= status[i + q]
-            waves[q, 0], waves[q, 1] = cosine, sine
-            wave_cosine, wave_sine = cosine, sine
-            for n in range(1, harmonics):
-                product = wave_cosine * cosine - wave_sine * sine
-                wave_cosine, wave_sine = product, wave_sine * cosine + wave_cosine * sine
-                waves[q, 2 * n], waves[q, 2 * n + 1] = wave_cosine, wave_sine
-            cosine, sine = cosine * scan_cosine - sine * scan_sine, sine * scan_cosine + cosine * scan_sine
         for j in range(4):
-            before, largest = last[j], jump[j]
+            new, kept = samples[j, i : i + count], stretch[j, filled : filled + count]
             for q in range(count):
-                value = samples[j, i + q]
-                values[q, j] = value
-                if not low[j] < value < high[j]:  # NaN compares false
-                    flags |= RANGE_BIT << j
-                change = abs(value - before)
-                if change > largest:  # noqa: PLR1730  # false of the NaN before the first scan, whatever max says
-                    largest = change
-                before = value
-            last[j], jump[j] = before, largest
-        _add(sums[0], sums[2 * harmonics + 1], values[:count])
-        for n in range(harmonics):
-            _add_waves(sums[2 * n + 1], sums[2 * n + 2], values[:count], waves, 2 * n)
+                kept[q] = new[q]
         i += count
         k += count
-        if k >= stop:
+        filled += count
+        if filled == 2 * HALF or k == stop:
+            start = math.ceil(cycle * period)
+            middle = k - filled + (filled + 1) // 2 - 0.5 * (start + stop)
+            for j in range(4):
+                if _outside(stretch[j], filled, low[j], high[j]):
+                    flags |= RANGE_BIT << j
+                jump[j] = _largest_change(stretch[j], filled, last[j], jump[j])
+                last[j] = stretch[j, filled - 1]
+            _add_stretch(sums, stretch, filled, TWO_PI * middle / period, waves, folded)
+            filled = 0
+        if k == stop:
             for j in range(4):  # as an array, Numba would compile the words of an error for seconds
                 for q in range(sums.shape[0]):
                     out[done, j, q] = sums[q, j]
@@ -298,8 +361,5 @@ def _accumulate(
             cycle += 1
             flags = 0
             stop = math.ceil((cycle + 1) * period)
-            angle = 2.0 * math.pi * (k - cycle * period) / period
-            cosine, sine = math.cos(angle), math.sin(angle)
-    place[0], place[1], place[2], place[3] = k, cycle, stop, flags
-    rotor[0], rotor[1] = cosine, sine
+    place[0], place[1], place[2], place[3], place[4] = k, cycle, stop, flags, filled
     return done, i
