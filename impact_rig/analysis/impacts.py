@@ -127,7 +127,7 @@ class ImpactDetector:
                 found.append(self._out[:count].copy())
         if not found:
             return NO_IMPACTS
-        impacts: NDArray[np.void] = np.concatenate(found).view(IMPACT)[:, 0]
+        impacts: NDArray[np.void] = (found[0] if len(found) == 1 else np.concatenate(found)).view(IMPACT)[:, 0]
         impacts["scan"] -= self._delay
         return impacts
 
@@ -146,6 +146,8 @@ def _detect(
     """
     in_0, in_1, in_2, out_1, out_2 = coefficients
     floor, noise_factor, ring_factor, decay, forget = limits
+    keep = 1.0 - forget
+    most_quiet, most_ringing = keep + forget * RMS_CLIP, keep + forget * RMS_CLIP_RINGING
     look_ahead, blank_time, quiet_time = times
     memory_1, memory_2, variance, ring, peak, sign, swing = state
     scan, blank, hunting, fresh, peak_at, since = place
@@ -162,7 +164,7 @@ def _detect(
             fresh, blank = 0, blank_time
             memory_1, memory_2 = -in_0 * value, in_2 * value
         passed = in_0 * value + memory_1
-        memory_1 = in_1 * value - out_1 * passed + memory_2
+        memory_1 = (in_1 * value + memory_2) - out_1 * passed
         memory_2 = in_2 * value - out_2 * passed
         history[scan & HISTORY_MASK] = passed
         ring = ring * decay if ring > floor else 0.0  # never into the slow denormal numbers
@@ -195,8 +197,10 @@ def _detect(
             peak, peak_at = sign * passed, scan
             swing = peak
         else:
-            clip = (RMS_CLIP if since > quiet_time else RMS_CLIP_RINGING) * variance
-            variance += forget * (min(passed * passed, clip) - variance)
+            learnt, most = keep * variance + forget * (passed * passed), most_ringing * variance
+            if since > quiet_time:
+                most = most_quiet * variance
+            variance = learnt if learnt < most else most
         scan += 1
     state[0], state[1], state[2], state[3] = memory_1, memory_2, variance, ring
     state[4], state[5], state[6] = peak, sign, swing
@@ -206,13 +210,11 @@ def _detect(
 
 def impact_tables(found: NDArray[np.void], rate_hz: int, start_ns: int) -> list[Table]:
     """Return detected impacts as tables stamped on the command grid, so that no bit depends on the cut into blocks."""
-    seconds = found["scan"] / rate_hz
-    cells = np.floor(seconds / COMMAND_GRID_S).astype(np.int64)
-    tables = []
-    for cell in sorted(set(cells.tolist())):  # mostly one, for which numpy's `unique` takes long
-        chosen = cells == cell
-        rows = np.zeros(int(np.count_nonzero(chosen)), dtype=DETECTED_IMPACTS)
-        rows["time"] = seconds[chosen] - cell * COMMAND_GRID_S
-        rows["peak"], rows["sign"] = found["peak"][chosen], found["sign"][chosen]
-        tables.append(Table(start_ns + cell * COMMAND_GRID_NS, rows))
-    return tables
+    rows: dict[int, list[tuple[float, float, float]]] = {}
+    for scan, peak, sign in found.tolist():  # mostly one, for which numpy's ways take long
+        seconds = scan / rate_hz
+        cell = math.floor(seconds / COMMAND_GRID_S)
+        rows.setdefault(cell, []).append((seconds - cell * COMMAND_GRID_S, peak, sign))
+    return [
+        Table(start_ns + cell * COMMAND_GRID_NS, np.array(rows[cell], dtype=DETECTED_IMPACTS)) for cell in sorted(rows)
+    ]
