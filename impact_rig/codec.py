@@ -209,7 +209,7 @@ def _refuse_texts(values: NDArray[np.generic], column: Column, topic: Topic) -> 
 
 
 def _decode(data: Buffer) -> Table:
-    view = memoryview(data).cast("B")
+    view = memoryview(data).cast("B").toreadonly()
     stamp = header_stamp_ns(view)
     head = _heads.get(len(view))
     if head is None or bytes(view[_HEADER.size : head.end]) != head.content:
@@ -218,7 +218,6 @@ def _decode(data: Buffer) -> Table:
             _heads.clear()
         _heads[len(view)] = head
     rows: NDArray[np.void] = np.ndarray((head.width,), head.dtype, view, head.end)
-    rows.flags.writeable = False
     return Table(stamp, rows, head.frame_id)
 
 

@@ -11,7 +11,8 @@ from __future__ import annotations
 
 import functools
 from collections import deque
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
+from typing import Any  # a field is a tuple of two or three
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,6 +48,18 @@ def _places(dtype: np.dtype[np.void]) -> tuple[tuple[int, int], ...]:
     """Return the number of each channel that scans have, and which of their channels it is."""
     found = [name for name in dtype.names or () if name not in _FRAME]
     return tuple((bit, found.index(name)) for bit, name in enumerate(CHANNELS) if name in found)
+
+
+@functools.lru_cache(maxsize=64)
+def _together(dtype: np.dtype[np.void]) -> np.dtype[np.void] | None:
+    """Return a type of the same rows in which the channels are one field; None where they do not stand in a row."""
+    fields: Mapping[str, Any] = dtype.fields or {}
+    first = fields[CHANNELS[0]][1] if CHANNELS[0] in fields else 0
+    for j, name in enumerate(CHANNELS):
+        if name not in fields or fields[name][:2] != (np.dtype("<f8"), first + 8 * j):
+            return None
+    form = np.dtype(("<f8", (len(CHANNELS),)))
+    return np.dtype({"names": ["channels"], "formats": [form], "offsets": [first], "itemsize": dtype.itemsize})
 
 
 def samples_of(rows: NDArray[np.void], name: str) -> NDArray[np.float64]:
@@ -115,9 +128,13 @@ class ScanBuffer:
         if used + new > len(self.status):
             self._make_room(keep, new)
             used = self.end - self.first
-        measured = rows.dtype.names or ()
-        for j, name in enumerate(CHANNELS):
-            self.samples[j, used : used + new] = rows[name] if name in measured else 0.0
+        together = _together(rows.dtype)
+        if together is not None:
+            self.samples[:, used : used + new] = rows.view(together)["channels"].T
+        else:
+            measured = rows.dtype.names or ()
+            for j, name in enumerate(CHANNELS):
+                self.samples[j, used : used + new] = rows[name] if name in measured else 0.0
         self.status[used : used + new] = status_of(rows)
         self.end += new
 
