@@ -175,19 +175,24 @@ class Calibration:
 
     def steps_uncertainty(self, channel: int, amplitude: float) -> float:
         """Return the standard uncertainty of a measured amplitude by the steps of sensor and converter [unit]."""
-        place, weight = self._rounding(channel)
+        place, weight = self._roundings[channel]
         power = np.minimum(
             (place * amplitude) ** 2 / 4.0, np.minimum(J_1_MOST**2, J_1_TAIL / (place * amplitude + 1e-300))
         )
         u = math.sqrt(2.0 * float(weight**2 @ power))
         x = place[:, None] * np.maximum(amplitude + 2.0 * u * ACROSS, 0.0)
         known = x[:, -1] <= J_1_NODES / 2.0
-        power[known] = np.minimum(power[known], (bessel_j_1(x[known]) ** 2).max(axis=1))
+        if known.any():
+            power[known] = np.minimum(power[known], (bessel_j_1(x[known]) ** 2).max(axis=1))
         return math.sqrt(2.0 * float(weight**2 @ power))
 
     def steps_variance(self, channel: int) -> float:
         """Return the variance that rounding adds to a value, noise averaged out [unit²]: at most r²/12 + q²/12."""
-        return 0.5 * float(np.sum(self._rounding(channel)[1] ** 2))
+        return 0.5 * float(np.sum(self._roundings[channel][1] ** 2))
+
+    @functools.cached_property
+    def _roundings(self) -> list[tuple[Real, Real]]:
+        return [self._rounding(channel) for channel in range(len(CHANNELS))]
 
     def _rounding(self, channel: int) -> tuple[Real, Real]:
         """Return the sines of which the error of rounding consists: (a [1/unit], c [unit]), shape (n,)."""

@@ -17,6 +17,7 @@ import math
 
 import attrs
 import numpy as np
+from numpy.typing import NDArray
 
 from impact_rig.analysis.calibration import Calibration, Complex, Real
 from impact_rig.analysis.cycles import RANGE_BIT, Cycles
@@ -58,21 +59,23 @@ class Verdict:
 def unsound(cycles: Cycles, calibration: Calibration, frequency_hz: float) -> Verdict | None:
     """Return why cycles must not be averaged, or None."""
     flags = int(np.bitwise_or.reduce(cycles.flags))
+    finite = np.logical_and.reduce(np.isfinite(cycles.mean)).tolist()
     for channel in DISPLACEMENTS:
-        if not np.all(np.isfinite(cycles.mean[:, channel])):
+        if not finite[channel]:
             return Verdict(Status.NOT_FINITE, CHANNELS[channel])
         if flags & ((1 | RANGE_BIT) << channel):
             return Verdict(Status.OVER_RANGE, CHANNELS[channel])
-    constant = [bool(_constant(cycles, channel)) for channel in (LASER, BASE)]
+    constant = _constant(cycles)[[LASER, BASE]].tolist()
     if all(constant):
         return Verdict(Status.SILENCE)
     for channel, is_constant in zip((LASER, BASE), constant, strict=True):
         if is_constant:
             return Verdict(Status.CONSTANT, CHANNELS[channel])
+    rough = _rough(cycles, calibration, frequency_hz)
     for channel in (LASER, BASE):
-        rough = _rough(cycles, calibration, frequency_hz, channel)
-        if rough:
-            return Verdict(rough, CHANNELS[channel])
+        why = rough[channel]
+        if why:
+            return Verdict(why, CHANNELS[channel])
     return None
 
 
@@ -87,34 +90,42 @@ def silent(amplitudes: tuple[float, float], floors: tuple[float, float]) -> Verd
     return None
 
 
-def _constant(cycles: Cycles, channel: int) -> bool:
-    return bool((cycles.variance[:, channel] <= CONSTANT_FACTOR * cycles.mean[:, channel] ** 2).any())
+def _constant(cycles: Cycles) -> NDArray[np.bool_]:
+    """Return which channels are constant in a cycle, shape (4,)."""
+    with np.errstate(over="ignore"):
+        return np.asarray((cycles.variance <= CONSTANT_FACTOR * cycles.mean**2).any(axis=0), dtype=np.bool_)
 
 
-def _median(values: Real) -> float:
-    """Return what `numpy.median` does, which takes ten times longer for the cycles of a window."""
-    ordered = np.sort(values)  # NaN last
+def _medians(values: Real) -> list[float]:
+    """Return what `numpy.median` does for each column, which takes ten times longer for the cycles of a window."""
+    ordered = np.sort(values, axis=0)  # NaN last
     middle = 0.5 * (ordered[(len(ordered) - 1) // 2] + ordered[len(ordered) // 2])
-    return float(ordered[-1] if np.isnan(ordered[-1]) else middle)
+    medians: list[float] = np.where(np.isnan(ordered[-1]), np.nan, middle).tolist()
+    return medians
 
 
-def _rough(cycles: Cycles, calibration: Calibration, frequency_hz: float, channel: int) -> Status | None:
-    """Return what the largest change from scan to scan of a channel gives away, or None."""
+def _rough(cycles: Cycles, calibration: Calibration, frequency_hz: float) -> list[Status | None]:
+    """Return what the largest change from scan to scan of each channel gives away, or None."""
     harmonics = np.arange(1.0, cycles.phasors.shape[2] + 1.0)
     turn = 2.0 * np.pi * frequency_hz / calibration.rate_hz
-    smooth = SMOOTH_FACTOR * turn * float((np.abs(cycles.phasors[:, channel]) @ harmonics).max())
-    steps = 2.0 * float(calibration.output_step[channel] + calibration.converter_step[channel])
-    known = float(calibration.noise[channel])
-    freedom = cycles.samples - 2 * cycles.phasors.shape[2] - 1
-    rms = math.sqrt(_median(cycles.residual[:, channel] / np.maximum(freedom, 1)))
-    limit = smooth + steps
-    if known > 0.0 and _median(cycles.jump[:, channel]) > limit + NOISE_FACTOR * PEAK_FACTOR * known / 2.0:
-        return Status.NOISY
-    largest = float(cycles.jump[:, channel].max())
-    if largest <= limit + PEAK_FACTOR * max(known, rms):
-        return None
-    shifted = abs(float(cycles.mean[-1, channel] - cycles.mean[0, channel])) > largest / 2.0
-    return Status.LEVEL_JUMP if shifted else Status.SPIKES
+    with np.errstate(over="ignore", invalid="ignore"):  # an accelerometer may say anything
+        smooth = SMOOTH_FACTOR * turn * (np.abs(cycles.phasors) @ harmonics).max(axis=0)
+    limits = (smooth + 2.0 * (calibration.output_step + calibration.converter_step)).tolist()
+    freedom = np.maximum(cycles.samples - 2 * cycles.phasors.shape[2] - 1, 1)
+    variances, jumps = _medians(cycles.residual / freedom[:, None]), _medians(cycles.jump)
+    largest = cycles.jump.max(axis=0).tolist()
+    first, last = cycles.mean[0].tolist(), cycles.mean[-1].tolist()
+    found: list[Status | None] = []
+    for channel, known in enumerate(calibration.noise.tolist()):
+        limit = limits[channel]
+        if known > 0.0 and jumps[channel] > limit + NOISE_FACTOR * PEAK_FACTOR * known / 2.0:
+            found.append(Status.NOISY)
+        elif largest[channel] <= limit + PEAK_FACTOR * max(known, math.sqrt(variances[channel])):
+            found.append(None)
+        else:
+            shifted = abs(last[channel] - first[channel]) > largest[channel] / 2.0
+            found.append(Status.LEVEL_JUMP if shifted else Status.SPIKES)
+    return found
 
 
 @attrs.frozen(eq=False)
@@ -217,8 +228,8 @@ def current_unsound(
     Stuck is what varies less than its own noise. A current that is there from the start is not held against the
     command: of a prescribed base or a voltage there need be none.
     """
-    stuck = calibration.noise[CURRENT] > calibration.converter_step[CURRENT] and _constant(cycles, CURRENT)
-    if stuck or _rough(cycles, calibration, found.frequency_hz, CURRENT):
+    stuck = calibration.noise[CURRENT] > calibration.converter_step[CURRENT] and _constant(cycles)[CURRENT]
+    if stuck or _rough(cycles, calibration, found.frequency_hz)[CURRENT]:
         return True
     if before is None or before.relative[CURRENT] > 1.0 / REFERENCE_FACTOR:
         return False

@@ -29,7 +29,7 @@ from collections import deque
 import attrs
 import numpy as np
 
-from impact_rig.analysis.calibration import Calibration, Complex, Real
+from impact_rig.analysis.calibration import Calibration, Complex
 from impact_rig.analysis.cycles import Cycles, concatenate
 from impact_rig.analysis.health import REFERENCE_FACTOR, SIGNAL_FACTOR, Amplitudes, Verdict, changed_alone, unsound
 from impact_rig.analysis.scans import BASE, CHANNELS, LASER
@@ -144,6 +144,8 @@ class Judge:
         self._span = 0  # windows from the newest row to the next of a response that stays as it is
         self._reported = False
         self._waited_windows = 0
+        self._crowding = calibration.noise_crowding()
+        self._noise_per_scan = np.zeros(len(CHANNELS))  # in the newest window: variance near the drive
         self._window_s = window_cycles(frequency_hz, settings) / frequency_hz
         self._broken: Status | None = None
         self._quiet = Quiet()
@@ -161,7 +163,11 @@ class Judge:
         self._quiet = quiet
         self._since_row += 1
         self._waited_windows += 1
-        broken = unsound(window, self._calibration, self._frequency_hz) or self._lost_signal(window)
+        broken = unsound(window, self._calibration, self._frequency_hz)
+        if broken is None:
+            residual = window.residual.sum(axis=0) / window.degrees_of_freedom
+            self._noise_per_scan = self._crowding * np.maximum(residual, self._calibration.noise**2)
+            broken = self._lost_signal(window)
         if broken:
             return self._break(broken)
         self._broken = None
@@ -221,12 +227,11 @@ class Judge:
         if not self._windows:
             return None
         before = self._windows[-1]
+        scans = float(window.samples.sum())
         for channel in (LASER, BASE):
-            had, has = (abs(complex(one.phasors[:, channel, 0].mean())) for one in (before, window))
-            floor = SIGNAL_FACTOR * math.sqrt(
-                2.0 * float(self._per_channel_noise(window)[channel] / window.samples.sum())
-            )
-            if has <= floor and had > REFERENCE_FACTOR * floor:
+            floor = SIGNAL_FACTOR * math.sqrt(2.0 * float(self._noise_per_scan[channel]) / scans)
+            has = abs(complex(window.phasors[:, channel, 0].mean()))
+            if has <= floor and abs(complex(before.phasors[:, channel, 0].mean())) > REFERENCE_FACTOR * floor:
                 return Verdict(Status.NO_SIGNAL, CHANNELS[channel])
         return None
 
@@ -295,14 +300,9 @@ class Judge:
     def _noise(self, ratio: float) -> float:
         """Return the standard uncertainty of X_1 / X_b by noise in `windows` windows, from the newest one."""
         window = self._windows[-1]
-        per_channel = self._per_channel_noise(window)
+        per_channel = self._noise_per_scan
         base = abs(complex(window.phasors[:, BASE, 0].mean()))
         scans = float(window.samples.sum()) * self._settings.windows
         if base == 0.0 or not np.isfinite(ratio):
             return math.inf
         return math.sqrt(2.0 * float(per_channel[LASER] + ratio**2 * per_channel[BASE]) / scans) / base
-
-    def _per_channel_noise(self, window: Cycles) -> Real:
-        """Return the variance per scan of the noise near the drive, shape (4,)."""
-        residual = window.residual.sum(axis=0) / window.degrees_of_freedom
-        return np.asarray(self._calibration.noise_crowding() * np.maximum(residual, self._calibration.noise**2))
