@@ -12,15 +12,16 @@ import typing
 from pathlib import Path
 
 from coverage import CoverageData
-from slipcover import FileMatcher, ImportManager, Slipcover
+from slipcover import FileMatcher, ImportManager, Slipcover, wrap_pytest
 
 PACKAGE = Path(__file__).resolve().parents[2] / "impact_rig"
 
 
 def note(data: str) -> None:
     """Begin; at the end, a file whose name begins with `data` has the lines."""
-    passed = Slipcover()
-    ImportManager(passed, FileMatcher([PACKAGE])).__enter__()
+    passed, ours = Slipcover(), FileMatcher([PACKAGE])
+    ImportManager(passed, ours).__enter__()
+    wrap_pytest(passed, ours)  # which imports by itself what comes with one of its plugins: all of the package
 
     def keep() -> None:
         os.chdir(PACKAGE.parent)  # SlipCover names files as seen from where it is
