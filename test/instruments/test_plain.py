@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -16,7 +17,7 @@ def test_plain_python_gives_the_bits_of_compiled_code():
     program = Path(__file__).parents[1] / "kits" / "plain_chain.py"
     plain = subprocess.run(
         [sys.executable, "-W", "error", str(program)],
-        env=measured() | {"IMPACT_RIG_KERNELS": "plain", "PYTHONPATH": str(program.parents[1])},
+        env=measured({**os.environ, "IMPACT_RIG_KERNELS": "plain", "PYTHONPATH": str(program.parents[1])}),
         capture_output=True,
         text=True,
         check=False,

@@ -18,6 +18,7 @@ import aiohttp
 import pytest
 from kits import loops
 from kits.browser import PATIENCE_S, Page, wait_until
+from kits.measured import measured
 
 from impact_rig import topics
 from impact_rig.cli import main
@@ -35,7 +36,7 @@ def lab(directory: Path, *arguments: str, **environment: str) -> Iterator[str]:
         process = subprocess.Popen(
             [*PROGRAM, "lab", "--no-browser", "--port", "0", *arguments],
             stdout=output, stderr=output, cwd=directory,
-            env={**os.environ, "XDG_STATE_HOME": str(directory), **environment},
+            env=measured({**os.environ, "XDG_STATE_HOME": str(directory), **environment}),
         )  # fmt: skip
     try:
 
