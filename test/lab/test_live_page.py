@@ -35,17 +35,11 @@ from impact_rig.rig.config import load
 pytestmark = [pytest.mark.ros, pytest.mark.pipeline]
 
 PARAMETERS = {
-    "rig": {
-        "time.mode": "realtime",
-        "time.factor": 4.0,
-        "time.peers": ["analysis", "recorder"],
-        "daq.block_scans": 500,
-    },
+    "rig": {"time.mode": "realtime", "time.factor": 2.0, "time.peers": ["analysis", "recorder"]},
     "analysis": {"gap_m": 0.006},
     "recorder": {"record": False},
 }
-"""Four times real time, in blocks of 50 ms: what settles in ten seconds is there in two and a half, and two cores carry
-it beside a browser."""
+"""Twice real time: what settles in ten seconds is there in five, and two cores carry it beside a browser."""
 
 
 USUAL = {
