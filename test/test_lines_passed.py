@@ -20,20 +20,32 @@ SOURCE, FIRST = inspect.getsourcelines(simtime.stamp_ns)
 DEFINED, PASSED = FIRST, FIRST + len(SOURCE) - 1
 
 
+PROGRAM = "import os; from impact_rig import simtime; "
+
+
 @pytest.mark.parametrize(
     ("program", "noted"),
     [
-        ("", {DEFINED}),
-        ("simtime.stamp_ns(1, 2)", {DEFINED, PASSED}),
-        ("simtime.stamp_ns(1, 2); os.chdir('/'); os._exit(0)", {DEFINED, PASSED}),
-        ("os.fork() and os._exit(os.wait()[1]); simtime.stamp_ns(1, 2)", {DEFINED, PASSED}),
+        (PROGRAM, {DEFINED}),
+        (f"{PROGRAM} simtime.stamp_ns(1, 2)", {DEFINED, PASSED}),
+        (f"{PROGRAM} simtime.stamp_ns(1, 2); os.chdir('/'); os._exit(0)", {DEFINED, PASSED}),
+        (f"{PROGRAM} os.fork() and os._exit(os.wait()[1]); simtime.stamp_ns(1, 2)", {DEFINED, PASSED}),
+        (
+            "import sys, pytest; sys.exit(pytest.main(['-p', 'impact_rig.testing.plugin', 'test_it.py']))",
+            {DEFINED, PASSED},
+        ),
     ],
-    ids=["not called", "called", "ended at once", "a forked child"],
+    ids=["not called", "called", "ended at once", "a forked child", "pytest, which imports plugins by itself"],
 )
 def test_lines_that_a_process_passed_are_noted_and_no_others(program: str, noted: set[int], tmp_path: Path) -> None:
     environment = {**os.environ, "IMPACT_RIG_LINES": str(tmp_path / "data"), "PYTHONPATH": FOLDER}
-    whole = f"import os; from impact_rig import simtime; {program}"
-    subprocess.run([sys.executable, "-c", whole], env=environment, cwd=tmp_path, check=True, timeout=60)
+    (tmp_path / "test_it.py").write_text(
+        "def test_it():\n    from impact_rig import simtime\n    simtime.stamp_ns(1, 2)\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program], env=environment, cwd=tmp_path, capture_output=True, timeout=60, check=False
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
     found = CoverageData(basename=str(tmp_path / "whole"))
     for path in tmp_path.glob("data.*"):
         part = CoverageData(basename=str(path))

@@ -46,7 +46,7 @@ KNOBS = (
 """Parameters of the rig that the page shows."""
 Answer = Callable[[bool, str], None]
 """Tells the page whether what it asked for was done, and in which words; may be called from any thread, once."""
-DEAD_S = 4.0  # a node that has said nothing for so long is not there: a rig is sent nothing, what waits is refused
+DEAD_S = 4.0  # a node that has said nothing for so long is not there
 
 
 @attrs.frozen

@@ -124,7 +124,9 @@ SLICE_S = 0.02
 """How long after a call of the timer acknowledgements may drive the work: an executor that hands over the messages of
 one subscription for as long as there are any would never come to services and timers."""
 AWAY_S = 1.0  # a gap this long between two calls of the work timer: this process was suspended, not the peers
-EXPIRES_S = 2.0  # what was sent so long before a suspended rig went on is not done: who sent it was told so long ago
+EXPIRES_S = 2.0
+"""How long a command may wait for its rig: what was sent longer ago than this when a suspended rig goes on is not done,
+and who sent it was told so."""
 IDLE_S = 1.0  # who steps in turns asks more often than this: a rig between two steps of a series is not paused
 RATE_WINDOW_S = 2.0
 

@@ -88,9 +88,16 @@ def build(config: Setup, rtol: float = CONTACT_RTOL, kind: str | None = None) ->
 
 
 def _parameters(p: SimpleNamespace) -> Any:
-    """Return one record of PARAMETERS; what was not set is zero."""
+    """Return one record of PARAMETERS; what was not set is zero.
+
+    Raises:
+        AttributeError: something was set that PARAMETERS has not.
+    """
+    names = PARAMETERS.names or ()
+    if unknown := vars(p).keys() - set(names):
+        raise AttributeError(f"PARAMETERS has no {', '.join(sorted(unknown))}")
     rows = np.zeros(1, PARAMETERS)
-    rows[0] = tuple(getattr(p, name, 0) for name in PARAMETERS.names or ())
+    rows[0] = tuple(getattr(p, name, 0) for name in names)
     return with_fields(rows)
 
 

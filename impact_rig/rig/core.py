@@ -26,9 +26,9 @@ from impact_rig.instruments.chain import Chain
 from impact_rig.instruments.fault import Fault
 from impact_rig.physics import FunctionGenerator, Motion, Simulation
 from impact_rig.physics.model import Model, build
-from impact_rig.physics.stream import Event, State, Stream
+from impact_rig.physics.stream import UNDERRUN, Event, State, Stream
 from impact_rig.rig.config import RigConfig, differences, from_flat
-from impact_rig.rig.interlock import UNDERRUN, Interlock, Trip, check_amplitude, check_frequency, check_stream
+from impact_rig.rig.interlock import Interlock, Trip, check_amplitude, check_frequency, check_stream
 from impact_rig.rig.journal import (
     INSTRUMENTS,
     PLANNED,

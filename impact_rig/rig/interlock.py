@@ -21,6 +21,7 @@ from impact_rig.errors import CommandError
 from impact_rig.kernels import INTEGERS, REALS, REALS_2D, entry, for_kernels
 from impact_rig.physics import Motion
 from impact_rig.physics.flight import SEGMENT
+from impact_rig.physics.stream import UNDERRUN
 
 LOOKS_PER_TICK = 10
 """1 ms apart, with the extremes between them from position and velocity: at the 30 Hz below which this shaker can reach
@@ -30,7 +31,7 @@ CURRENT_TIME_S = 1.0
 OVER_CURRENT_MARGIN = 1.05
 """Trips above the limit times this: the average of a sine at the limit, which is a legal command, ripples by 0.8 % at
 5 Hz."""
-OVER_TRAVEL, OVER_CURRENT, UNDERRUN = "over_travel", "over_current", "underrun"
+OVER_TRAVEL, OVER_CURRENT = "over_travel", "over_current"
 
 
 @attrs.frozen

@@ -4,6 +4,9 @@
 
 from __future__ import annotations
 
+import contextlib
+from pathlib import Path
+
 import pytest
 
 pytest.importorskip("rclpy", reason="no ROS 2 here")
@@ -11,9 +14,12 @@ pytest.importorskip("rclpy", reason="no ROS 2 here")
 from kits.browser import PATIENCE_S
 
 from impact_rig import topics
-from impact_rig.client import Client, isolated_domain
-from impact_rig.lab.gateway import KEPT
+from impact_rig.client import Client, Processes, isolated_domain
+from impact_rig.lab.gateway import KEPT, Gateway, Own
 from impact_rig.lab.live import LiveSource
+from impact_rig.lab.record import Record
+from impact_rig.lab.state import DEAD_S, Seen
+from impact_rig.nodes.session import EXPIRES_S
 
 pytestmark = pytest.mark.ros
 
@@ -29,3 +35,21 @@ def test_the_lab_hears_every_topic_once() -> None:
         with LiveSource(domain_id, "/rig"):
             observer.wait_until(lambda: times(KEPT[-1]), "the lab", PATIENCE_S)
             assert {topic.name: times(topic) for topic in KEPT} == {topic.name: 1 for topic in KEPT}
+
+
+def test_a_rig_of_others_is_sent_nothing_sooner_than_our_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nobody knows whether the process of another's rig has ended; ours may be late on a busy machine."""
+    with (
+        isolated_domain() as domain_id,
+        Client(domain_id, "rig") as client,
+        Processes(domain_id, tmp_path) as processes,
+        contextlib.closing(Own(processes, {})) as own,
+    ):
+        processes.start("rig")
+        for owner, silent_s in ((None, EXPIRES_S), (own, DEAD_S)):
+            gateway = Gateway(client, Record(), owner)
+            for age_s, said in ((silent_s - 0.1, ""), (silent_s + 0.1, "nothing was heard of the rig")):
+                monkeypatch.setattr(gateway, "seen", lambda _, age_s=age_s: Seen(instance="1", age_s=age_s))
+                why = gateway._gone("1")
+                assert why.startswith(said), age_s
+                assert bool(why) is bool(said), (why, age_s)
