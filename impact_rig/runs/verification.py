@@ -452,8 +452,12 @@ class _Beside:
             self._end_ns = reset_ns
         self._hear_monitors()
         self._drain()
+        monitored_ns = self._end_ns
+        if last and self._filters:  # of the last instants a monitor weighs scans that nobody has recorded
+            monitored_ns += -self._filters[-1].half * NS_PER_S // self._again.rig.rate_hz
+        ends_ns = {one.recorded: monitored_ns for one in self._monitors}
         for recorded in self._ordered():
-            recorded.end(self._end_ns, anew=not last and reset_ns is None, last=last)
+            recorded.end(ends_ns.get(recorded, self._end_ns), anew=not last and reset_ns is None, last=last)
         self._compare_journal(reset_ns is not None)
         for config in self._again.configurations:
             self._configurations.append(_deciding(config))

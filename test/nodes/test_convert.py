@@ -7,7 +7,9 @@ from __future__ import annotations
 import math
 import re
 import struct
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree as ET
 
 import attrs
@@ -29,6 +31,7 @@ from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.rig.description import robot_description
 from impact_rig.rig.monitors import HALF_PERIODS, AntiAlias, taps
 from impact_rig.runs.verification import verify
+from impact_rig.topics import Topic
 
 pytestmark = pytest.mark.ros
 START_NS = 1_700_000_000_000_000_001
@@ -183,6 +186,24 @@ class Raw:
         return self.data
 
 
+def beside_scans(
+    monkeypatch: pytest.MonkeyPatch, since: int = 0, altered: Callable[[Topic, bytes], bytes] = lambda _, data: data
+) -> list[tuple[str, Any]]:
+    """What a rig publishes in two seconds: journal, scans, and monitors from a block on."""
+    config = from_flat(RigConfig(), {"drive.amplitude": 0.52, "barriers.gap_m": 0.006})
+    rig, found = Rig(config), []
+    info = rig.info().rows
+    monitors = Monitors(config, dict(zip(info["name"].astype(str), info["noise"].tolist(), strict=True)))
+    for topic in messages.MONITORS.values():
+        monkeypatch.setitem(KINDS, topic.name, topic.type_name)
+    for block in rig.advance(2 * 10**9):
+        found += [("rig/journal", table) for table in rig.take_journal()] + [("daq/scan", block.scan)]
+        for topic, data in monitors.messages(block, lambda _, number=block.number: number >= since):
+            if topic.name in KINDS and topic is not messages.by_name("truth/joint_states"):
+                found.append((topic.name, Raw(altered(topic, data))))
+    return found
+
+
 @pytest.mark.parametrize("since", [0, 63], ids=["from the beginning", "since somebody listens"])
 @pytest.mark.parametrize(
     ("name", "form", "at", "what"),
@@ -197,21 +218,17 @@ class Raw:
 def test_verify_finds_a_reading_that_its_scans_do_not_give(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, since: int, name: str, form: str, at: int, what: str
 ) -> None:
-    config = from_flat(RigConfig(), {"drive.amplitude": 0.52, "barriers.gap_m": 0.006})
-    rig, found, seen = Rig(config), [], 0
-    info = rig.info().rows
-    monitors = Monitors(config, dict(zip(info["name"].astype(str), info["noise"].tolist(), strict=True)))
-    for topic in messages.MONITORS.values():
-        monkeypatch.setitem(KINDS, topic.name, topic.type_name)
-    for block in rig.advance(2 * 10**9):
-        found += [("rig/journal", table) for table in rig.take_journal()] + [("daq/scan", block.scan)]
-        for topic, data in monitors.messages(block, lambda _, number=block.number: number >= since):
-            if topic.name in KINDS and topic is not messages.by_name("truth/joint_states"):
-                seen, changed = seen + (topic.name == name), bytearray(data)
-                if seen == 30 and topic.name == name:
-                    (value,) = struct.unpack_from(form, data, len(data) + at)
-                    struct.pack_into(form, changed, len(data) + at, value * (1 + 1e-6))
-                found.append((topic.name, Raw(bytes(changed))))
+    seen = 0
+
+    def altered(topic: Topic, data: bytes) -> bytes:
+        nonlocal seen
+        seen, changed = seen + (topic.name == name), bytearray(data)
+        if seen == 30 and topic.name == name:
+            (value,) = struct.unpack_from(form, data, len(data) + at)
+            struct.pack_into(form, changed, len(data) + at, value * (1 + 1e-6))
+        return bytes(changed)
+
+    found = beside_scans(monkeypatch, since, altered)
     with open_run(record(tmp_path / "run", found)) as run:
         verdict = verify(run)
     compared = {one.topic: one.count for one in verdict.topics}
@@ -221,3 +238,18 @@ def test_verify_finds_a_reading_that_its_scans_do_not_give(
         assert {compared[topic.name] for topic in messages.MONITORS.values()} == {
             96 - (since + 1) // 2 + 4 * (since > 0)
         }
+
+
+@pytest.mark.parametrize("cut", [1, 2 * HALF_PERIODS, 2 * HALF_PERIODS + 1, 30])
+def test_verify_accuses_no_monitor_of_scans_that_a_recorder_no_longer_heard(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cut: int
+) -> None:
+    """Topics end one after the other: of the last instants a rig has weighed scans that are in no recording."""
+    found = beside_scans(monkeypatch)
+    last = [place for place, (name, _) in enumerate(found) if name == "daq/scan"][-cut:]
+    with open_run(record(tmp_path / "run", [one for place, one in enumerate(found) if place not in last])) as run:
+        verdict = verify(run)
+    assert verdict.identical, verdict.reason
+    assert {one.count for one in verdict.topics if one.topic in {t.name for t in messages.MONITORS.values()}} == {
+        (193 - cut) // 2
+    }
