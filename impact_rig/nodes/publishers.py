@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any  # rclpy publishers
 
@@ -13,6 +14,7 @@ from std_msgs.msg import String
 
 from impact_rig import codec, topics
 from impact_rig.instruments.instrument import Instrument
+from impact_rig.instruments.section import row_type_of
 from impact_rig.nodes import messages
 from impact_rig.nodes.managed import ManagedNode
 from impact_rig.nodes.messages import MONITORS, TOPICS, Template, put
@@ -24,7 +26,10 @@ from impact_rig.rig.truth import monitor_step
 from impact_rig.simtime import stamp_ns
 
 PUBLISHED = [topic for topic in TOPICS if topic.publisher == "rig"]
-LEAST_DEPTH = 100  # blocks kept for a slow subscriber: twice what comes in a second, but at least this
+KEPT_S, KEPT_BYTES = 25.0, 16_000_000
+"""Blocks kept for a subscriber that does not answer. A process that is killed can keep others from their messages until
+the middleware forgets it, some 20 s: they are repaired then. Fast scans fill the memory sooner."""
+LEAST_DEPTH, LEAST_S = 100, 2.0  # blocks, and their seconds, that are kept however large they are
 DELIVERY = Duration(seconds=0.2)
 """Longest wait for the delivery of a change; only a subscriber that died without a word takes so long."""
 _PLACES = [f"{name}.{joint}" for name in ("position", "velocity") for joint in range(3)] + ["effort.1", "effort.2"]
@@ -119,8 +124,10 @@ class Publishers:
 
     def __init__(self, node: ManagedNode[RigConfig], config: RigConfig) -> None:
         self._node = node
-        per_second = config.daq.rate_hz // config.daq.block_scans
-        depth = max(LEAST_DEPTH, 2 * per_second)  # for a slow subscriber, without holding seconds of large blocks
+        block_bytes = config.daq.block_scans * row_type_of(config.instruments).itemsize
+        per_second = config.daq.rate_hz / config.daq.block_scans
+        least, most = math.ceil(LEAST_S * per_second), math.ceil(KEPT_S * per_second)
+        depth = max(LEAST_DEPTH, least, min(most, KEPT_BYTES // block_bytes))
         bulky = (topics.SCAN, topics.TRUTH_SCAN)
         fitted = {instrument.name for instrument in config.instruments.fitted()}
         absent = [topic for name, topic in MONITORS.items() if name not in fitted]

@@ -40,6 +40,11 @@ KEYS = {
 }  # fmt: skip
 
 
+SAYS = """JSON.stringify({
+  visible: document.visibilityState, word: document.getElementById("word")?.textContent,
+  sentence: document.getElementById("sentence")?.textContent, drawn: window.lab?.drawn, rig: window.lab?.now?.rig,
+})"""
+"""What tells why a wait was in vain."""
 PORT = re.compile(r"//127\.0\.0\.1:(\d+)/")
 
 
@@ -220,7 +225,10 @@ class Page:
 
     def wait(self, expression: str, what: str, timeout_s: float = PATIENCE_S) -> Any:
         """Wait until an expression is true, looking at every picture the page draws, and return it."""
-        return wait_until(lambda: self.js(expression), f"{what}; errors {self.errors}", timeout_s)
+        try:
+            return wait_until(lambda: self.js(expression), what, timeout_s)
+        except WaitTimeoutError as error:
+            raise WaitTimeoutError(f"{error}; errors {self.errors}; the page: {self.js(SAYS)}") from None
 
     def text(self, selector: str) -> str:
         return str(self.js(f"document.querySelector({selector!r}).textContent"))
