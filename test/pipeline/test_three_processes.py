@@ -139,7 +139,7 @@ def test_a_run_in_real_time_is_whole_from_scan_0_on_and_is_found_again(
     processes: Processes, client: Client, tmp_path: Path
 ) -> None:
     """As the launch file starts it: recorder and analysis come after the rig, which waits for them."""
-    processes.start("rig", {**RIG, "time.start_wait_s": 3600.0, "sphere.present": False, "time.factor": 4.0})
+    processes.start("rig", {**RIG, "time.start_wait_s": 3600.0, "sphere.present": False, "time.factor": 2.0})
     client.wait_active("rig")
     client.wait_until(lambda: "waiting for peer analysis, recorder" in client.status("rig").message, "the rig to wait")
     processes.start("recorder", {"directory": str(tmp_path), "name": "run"})
