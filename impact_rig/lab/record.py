@@ -322,9 +322,8 @@ class Record:
         None as well at rest, where no measurement is made (a pluck looks like spikes and a silent base), and until the
         first row after a change of the drive.
         """
-        drives = [one for one in list(self.applied) if at_ns is None or one[0] <= at_ns]
-        row = self.curve.newest(at_ns)
-        if not drives or drives[-1][1]["current"] == 0.0 or row is None or row.end_ns <= drives[-1][0]:
+        change, row = self._change(at_ns), self.curve.newest(at_ns)
+        if change is None or change[1]["current"] == 0.0 or row is None or row.end_ns <= change[0]:
             return None
         return self.curve.health(at_ns)
 
@@ -396,8 +395,16 @@ class Record:
 
     @property
     def drive(self) -> dict[str, float] | None:
-        """Frequency [Hz] and current [A] in force; None: nothing is known of them."""
-        return self.applied[-1][1] if self.applied else None
+        """Frequency [Hz] and current [A] in force; None: the rig that is there has not told them."""
+        change = self._change()
+        return None if change is None else change[1]
+
+    def _change(self, at_ns: int | None = None) -> tuple[int, dict[str, float]] | None:
+        """Return when the drive was changed last, and to what, before an instant; of the rig there is now, if None."""
+        if at_ns is not None:
+            return next((one for one in reversed(list(self.applied)) if one[0] <= at_ns), None)
+        newest = self.applied[-1] if self.applied else None
+        return None if newest is None or newest[0] < self.start_ns else newest
 
 
 def guard(refused: dict[str, list[Any]], what: str, work: Callable[[], T]) -> T | None:

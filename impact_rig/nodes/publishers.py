@@ -27,9 +27,9 @@ from impact_rig.simtime import stamp_ns
 
 PUBLISHED = [topic for topic in TOPICS if topic.publisher == "rig"]
 KEPT_S, KEPT_BYTES = 25.0, 16_000_000
-"""Blocks kept for a subscriber that does not answer. A process that is killed can keep others from their messages until
-the middleware forgets it, some 20 s: they are repaired then. Fast scans fill the memory sooner."""
-LEAST_DEPTH, LEAST_S = 100, 2.0  # blocks, and their seconds, that are kept however large they are
+"""Scans kept for a subscriber that does not answer, whichever is less. A process that is killed can keep others from
+their messages until the middleware forgets it, some 20 s later; what is kept still reaches them then."""
+LEAST_S, LEAST_BLOCKS = 2.0, 100  # kept of them in any case, whichever is more
 DELIVERY = Duration(seconds=0.2)
 """Longest wait for the delivery of a change; only a subscriber that died without a word takes so long."""
 _PLACES = [f"{name}.{joint}" for name in ("position", "velocity") for joint in range(3)] + ["effort.1", "effort.2"]
@@ -126,8 +126,8 @@ class Publishers:
         self._node = node
         block_bytes = config.daq.block_scans * row_type_of(config.instruments).itemsize
         per_second = config.daq.rate_hz / config.daq.block_scans
-        least, most = math.ceil(LEAST_S * per_second), math.ceil(KEPT_S * per_second)
-        depth = max(LEAST_DEPTH, least, min(most, KEPT_BYTES // block_bytes))
+        kept = min(math.ceil(KEPT_S * per_second), KEPT_BYTES // block_bytes)
+        depth = max(kept, math.ceil(LEAST_S * per_second), LEAST_BLOCKS)
         bulky = (topics.SCAN, topics.TRUTH_SCAN)
         fitted = {instrument.name for instrument in config.instruments.fitted()}
         absent = [topic for name, topic in MONITORS.items() if name not in fitted]

@@ -141,6 +141,21 @@ def test_channels_are_judged_while_the_drive_that_was_measured_is_in_force() -> 
     assert record.health(11 * 10**9) is None
 
 
+def test_what_a_rig_before_applied_is_not_in_force() -> None:
+    """A page once showed the current of a dead rig for seconds over the rig that came after it."""
+    record, applied, info = Record(), np.zeros(1, topics.APPLIED.columns), np.zeros(4, topics.INFO.columns)
+    applied["frequency"], applied["current"], info["rate"] = 9.1, 1.2, 10_000.0
+    record.take(topics.INFO, encode(Table(10**9, info)))
+    record.take(topics.APPLIED, encode(Table(2 * 10**9, applied)))
+    assert record.drive == {"frequency": 9.1, "current": 1.2}
+    record.take(topics.INFO, encode(Table(9 * 10**9, info)))
+    assert record.refused == {}
+    assert record.drive is None
+    applied["current"] = 0.0
+    record.take(topics.APPLIED, encode(Table(9 * 10**9, applied)))
+    assert record.drive == {"frequency": 9.1, "current": 0.0}
+
+
 def test_a_measurement_holds_until_the_rig_is_changed_and_again_from_a_row_that_began_after_that() -> None:
     """A fault is told as such, not as a change; a row of scans from before and after says nothing of the rig now."""
     record, row = Record(), np.zeros(1, topics.TRANSMISSIBILITY_TABLE.columns)

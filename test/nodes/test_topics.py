@@ -41,6 +41,17 @@ def test_nodes_publish_the_table_and_nothing_else(client: Client) -> None:
         assert published <= own | of_ros
 
 
+@pytest.mark.parametrize(
+    ("rate_hz", "block_scans", "blocks"),
+    [(10_000, 100, 2_500), (50_000, 500, 780), (10_000, 5_000, 100)],
+    ids=["25 s", "16 MB of scans of 41 bytes", "at least 100"],
+)
+def test_scans_are_kept_for_who_does_not_answer(client: Client, rate_hz: int, block_scans: int, blocks: int) -> None:
+    node = host_rig(client, daq__rate_hz=rate_hz, daq__block_scans=block_scans)
+    client.wait_active("rig")
+    assert node.outputs["daq/scan"].qos_profile.depth == blocks
+
+
 def test_a_blocks_message_fits_the_shared_memory_segment(client: Client) -> None:
     node = host_rig(client, daq__block_scans=10_000, output__truth_scan=True)
     client.wait_until(lambda: "daq.block_scans must be <= 46" in client.status("rig").message, "the reason")

@@ -91,19 +91,27 @@ def test_the_linear_rig_follows_the_exact_solution_for_a_minute(rate_hz, hold):
 def test_impacts_under_noise_agree_with_an_independent_integration():
     """DOP853 with events at 1e-11 from sample to sample, the contacts' force as the paper writes it.
 
-    Of ten seconds the first 44 impacts agree, or 25 where a CPU rounds the integration otherwise. The last of them, at
+    They may differ as much as a relative change of 1e-7 of the drive makes of ours: slow impacts magnify what the two
+    round otherwise, and the integration rounds by the CPU. So do the first 44 of ten seconds. The last of them, at
     0.6 mm/s, ends otherwise here and there: ours when its force does, the integration's when the indentation is gone,
     and the structure comes after the sphere meanwhile.
     """
     rate_hz, seconds = 500, 10
     config = rig(drive={"waveform": "stream", "stream_rate_hz": rate_hz}, sphere={"start": "centre"})
     samples = noise(seconds * rate_hz + 2, rate_hz, 6.0, 14.0, 0.45)
-    _, impacts = driven(config, samples, seconds * TICKS_PER_S)
-    ours = impacts["tick"] * COMMAND_GRID_S + impacts["offset"]
+    ours, other = (impact_times(config, drive, seconds) for drive in (samples, samples * (1.0 + 1e-7)))
     assert len(ours) > 10 * seconds
+    both = min(len(ours), len(other))
+    allowed = np.maximum.accumulate(np.abs(ours[:both] - other[:both]))
     theirs = integrated(config, samples, rate_hz, seconds)
-    same = itertools.takewhile(lambda pair: abs(pair[0] - pair[1]) < 1e-6, zip(ours, theirs, strict=False))
-    assert len(list(same)) >= 20
+    triples = zip(ours, theirs, allowed, strict=False)
+    assert len(list(itertools.takewhile(lambda one: abs(one[0] - one[1]) < one[2], triples))) == 44
+
+
+def impact_times(config: RigConfig, samples: NDArray[np.float64], seconds: int) -> NDArray[np.float64]:
+    """When contacts begin, by the rig [s]."""
+    _, impacts = driven(config, samples, seconds * TICKS_PER_S)
+    return impacts["tick"] * COMMAND_GRID_S + impacts["offset"]
 
 
 def integrated(config: RigConfig, samples: NDArray[np.float64], rate_hz: int, seconds: int) -> Iterator[float]:

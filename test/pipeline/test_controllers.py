@@ -129,7 +129,7 @@ def test_a_file_is_played_to_a_rig_that_runs_already(bench: Bench, tmp_path: Pat
 
 
 def test_one_that_is_stopped_and_goes_on_is_late_and_then_in_force_again(bench: Bench) -> None:
-    """The recorder is stopped with it, and gets every block when it goes on."""
+    """The recorder is stopped with it; at the end of this file it must have every block."""
     with bench.controller("feedback"):
         late, begun, process = bench.state("late"), bench.told("begin"), bench.processes.running["feedback"]
         recorder = bench.processes.running["recorder"]

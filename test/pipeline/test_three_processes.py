@@ -13,6 +13,7 @@ import pytest
 
 pytest.importorskip("rclpy", reason="no ROS 2 here")
 
+from impact_rig.analysis.settings import TrackerSettings
 from impact_rig.analysis.tracker import Tracker
 from impact_rig.client import Client, ProcessDiedError, Processes, isolated_domain
 from impact_rig.recording import open_run
@@ -139,11 +140,11 @@ def test_a_run_in_real_time_is_whole_from_scan_0_on_and_is_found_again(
     processes: Processes, client: Client, tmp_path: Path
 ) -> None:
     """As the launch file starts it: recorder and analysis come after the rig, which waits for them."""
-    processes.start("rig", {**RIG, "time.start_wait_s": 3600.0, "sphere.present": False, "time.factor": 2.0})
+    processes.start("rig", {**RIG, "time.start_wait_s": 3600.0, "sphere.present": False, "time.factor": 4.0})
     client.wait_active("rig")
     client.wait_until(lambda: "waiting for peer analysis, recorder" in client.status("rig").message, "the rig to wait")
     processes.start("recorder", {"directory": str(tmp_path), "name": "run"})
-    processes.start("analysis", {"gap_m": 0.0})
+    processes.start("analysis", {"gap_m": 0.0, "hold_s": 4.0 * TrackerSettings().hold_s})  # as long on the clock
     client.wait_active("analysis", "recorder")
     client.wait_until(lambda: float(client.figures("rig").get("rig_time_s", 0)) > 0, "scan 0")
     assert client.figures("rig")["mode"] == "realtime"
