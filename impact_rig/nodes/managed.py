@@ -308,10 +308,9 @@ class ManagedNode(LifecycleNode, Generic[S]):
             self.activation.callback(self.destroy_subscription, subscription)
 
     def publisher(self, topic: topics.Topic, depth: int | None = None) -> Publisher:
-        """Create the publisher of a row of the topics table, perhaps less deep; `qos_overrides` parameters apply."""
+        """Create the publisher of a row of the topics table, perhaps of another depth; `qos_overrides` parameters apply."""
         profile = messages.profile(topic.qos)
-        if depth is not None:
-            profile.depth = min(depth, profile.depth)
+        profile.depth = depth or profile.depth
         return self.create_publisher(
             messages.class_of(topic),
             topic.name,
