@@ -213,8 +213,8 @@ def _nothing_left_behind() -> Iterator[None]:
     threads, processes = set(threading.enumerate()), _children()
     yield
     deadline = time.monotonic() + GRACE_S
-    for thread in set(threading.enumerate()) - threads:
-        thread.join(max(0.0, deadline - time.monotonic()))
+    while set(threading.enumerate()) - threads and time.monotonic() < deadline:
+        time.sleep(0.01)  # none is joined: one that is just beginning cannot be
     left: list[object] = [thread for thread in threading.enumerate() if thread not in threads]
     for process in _children() - processes:
         if not _ended(process, deadline):

@@ -308,7 +308,7 @@ class ManagedNode(LifecycleNode, Generic[S]):
             self.activation.callback(self.destroy_subscription, subscription)
 
     def publisher(self, topic: topics.Topic, depth: int | None = None) -> Publisher:
-        """Create the publisher of a row of the topics table, perhaps of another depth; `qos_overrides` parameters apply."""
+        """Create the publisher of a row of the topics table, of another depth if given; `qos_overrides` apply."""
         profile = messages.profile(topic.qos)
         profile.depth = depth or profile.depth
         return self.create_publisher(
