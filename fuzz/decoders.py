@@ -45,7 +45,7 @@ def _rig() -> Rig:
     return rig
 
 
-TABLE_TOPICS = [topic for topic in topics.TOPICS if topic.columns is not None]
+TABLE_TOPICS = [topic for topic in topics.COMMON if topic.columns is not None]
 MESSAGES = [codec.encode(Table(10**9, np.zeros(2, dtype), "daq")) for dtype in TABLES.values()]
 MESSAGES += [codec.encode(Table(0, np.zeros(1, [("a", "u1"), ("b", "<f4"), ("t", "S32")])))]
 

@@ -3,7 +3,8 @@
 """The one table of topics: name, type, quality of service, who publishes, what is in it.
 
 Publishers, subscribers, recordings, the analysis of runs and `docs/interface.md` read this table; nothing about a topic
-is written twice. It needs no ROS: `impact_rig.nodes.messages` turns its rows into what rclpy takes.
+is written twice. Only how many messages of a topic of `BULKY` a rig keeps follows from its configuration:
+`nodes.publishers.Publishers`. It needs no ROS: `impact_rig.nodes.messages` turns its rows into what rclpy takes.
 Names are relative: a launch file puts them under one namespace, except the two that are global by convention.
 """
 
@@ -236,9 +237,11 @@ CLOCK = Topic(
     (Column("clock", "-", "End of the newest block."),),
 )  # fmt: skip
 
-TOPICS = (
+COMMON = (
     SCAN, INFO, APPLIED, JOURNAL, CONFIGURATION, ROBOT_DESCRIPTION, JOINT_STATES, IMPACTS_TRUTH, TRUTH_SCAN, FAULTS,
     TRANSMISSIBILITY, TRANSMISSIBILITY_TABLE, ANALYSIS_SETTINGS, CURVE, HELD, LOCKED, IMPACTS, PLOT_TRANSMISSIBILITY,
     PLOT_DRIVE, PLOT_PULSES, FREQUENCY, CURRENT, WAVEFORM, STREAM, NOTES, ACK, DIAGNOSTICS, CLOCK,
 )  # fmt: skip
-"""Every topic that is the same whatever the instruments; with those of their monitors: `impact_rig.nodes.messages`."""
+"""Every topic that is the same whatever the instruments; with those of their monitors: `nodes.messages.TOPICS`."""
+BULKY = (SCAN, TRUTH_SCAN)
+"""Topics of which a rig keeps as many messages as its blocks allow."""

@@ -80,7 +80,10 @@ def unsound(cycles: Cycles, calibration: Calibration, frequency_hz: float) -> Ve
 
 
 def silent(amplitudes: tuple[float, float], floors: tuple[float, float]) -> Verdict | None:
-    """Return whether laser and base, in this order, show no vibration: neither (silence), or one of them alone."""
+    """Return whether laser and base, in this order, show no vibration: neither (silence), or one of them alone.
+
+    A channel that falls silent while it is measured is found earlier: `settling`.
+    """
     still = [amplitude <= SIGNAL_FACTOR * floor for amplitude, floor in zip(amplitudes, floors, strict=True)]
     if all(still):
         return Verdict(Status.SILENCE)

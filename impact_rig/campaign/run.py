@@ -1,6 +1,6 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""Run a campaign into its directory: what is measured already stays, what is missing is measured, then it is judged.
+"""The directory of a campaign: what is in it, and what follows from it. `tasks.measure` measures what is missing.
 
 | file | content |
 |---|---|

@@ -49,7 +49,7 @@ NODES = {
         "Topics and parameters: docs/interface.md.",
     ),
     "recorder": (
-        "The recorder: writes every topic of a rig into an MCAP run, from its start on or between ~/start and ~/stop.",
+        "The recorder: writes a rig's topics into an MCAP run, from its start on or between ~/start and ~/stop.",
         "name:=first_light",
         "Topics, services and parameters: docs/interface.md.",
     ),

@@ -3,7 +3,7 @@
 """Who follows `daq/scan`, and how far: readers in the graph, the window of what they acknowledge, acknowledging.
 
 A rig that runs ahead of time goes as far as its peers have acknowledged, whom it knows from the graph. A peer says up
-to which block it is: a single one at once, those of a burst together.
+to which block it is: of a rig that waits a single one at once, those of a burst together; in real time now and then.
 """
 
 from __future__ import annotations

@@ -197,7 +197,7 @@ class ManagedNode(LifecycleNode, Generic[S]):
         self.parameters = Parameters(self, tree, kwargs.get("cli_args") or sys.argv, self.MAKES_TIME)
         self.outputs: dict[str, Publisher] = {}  # publishers by topic, made by `offer`; they end with the configuration
         self.activation = contextlib.ExitStack()
-        """What ends with the activation, after `deactivate`: see `hear`, `tick`."""
+        """What ends with the activation, after `deactivate`: see `every`, `until_deactivated`."""
         self.add_on_set_parameters_callback(self._on_set_parameters)
         self._proposed: Proposal[S] | None = None
         self._guard_transitions()

@@ -36,19 +36,19 @@ ENVELOPES = {name: topics.envelope(name, kind.unit) for name, kind in INSTRUMENT
 SPECTRA = {name: topics.spectrum(name, INSTRUMENTS[name].unit) for name in ("laser", "accelerometer")}
 """The amplitude spectrum of each channel that has one."""
 
-_MONITORS_FROM = topics.TOPICS.index(topics.INFO) + 1
-_ANALYSES_FROM = topics.TOPICS.index(topics.IMPACTS) + 1
-_PLOTS_FROM = topics.TOPICS.index(topics.PLOT_PULSES) + 1
+_MONITORS_FROM = topics.COMMON.index(topics.INFO) + 1
+_ANALYSES_FROM = topics.COMMON.index(topics.IMPACTS) + 1
+_PLOTS_FROM = topics.COMMON.index(topics.PLOT_PULSES) + 1
 
 TOPICS: tuple[Topic, ...] = (
-    *topics.TOPICS[:_MONITORS_FROM],
+    *topics.COMMON[:_MONITORS_FROM],
     *MONITORS.values(),
-    *topics.TOPICS[_MONITORS_FROM:_ANALYSES_FROM],
+    *topics.COMMON[_MONITORS_FROM:_ANALYSES_FROM],
     *(analysis.topic for analysis in ANALYSES),
-    *topics.TOPICS[_ANALYSES_FROM:_PLOTS_FROM],
+    *topics.COMMON[_ANALYSES_FROM:_PLOTS_FROM],
     *SPECTRA.values(),
     *ENVELOPES.values(),
-    *topics.TOPICS[_PLOTS_FROM:],
+    *topics.COMMON[_PLOTS_FROM:],
 )
 """Every topic of the interface, in the order of the documentation."""
 

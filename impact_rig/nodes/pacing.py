@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """When blocks are due: pacing against an injected clock, and a timer that calls back in step with the blocks.
 
-Nothing here sleeps: whoever owns the loop asks how many blocks are due and says when they are out. Deadlines are
-computed from the start, never accumulated, so pacing does not drift; a process that was suspended is re-based and says
-by how much.
+Nothing here sleeps: whoever owns the loop asks up to which rig time blocks are due and says when they are out.
+Deadlines are computed from the start, never accumulated, so pacing does not drift; a process that was suspended is
+re-based and says by how much.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""Everything the rig node publishes, and in which order; blocks also as standard messages for plotters."""
+"""What the rig node publishes, blocks also as standard messages for plotters; `Session` decides what comes first."""
 
 from __future__ import annotations
 
@@ -128,12 +128,11 @@ class Publishers:
         per_second = config.daq.rate_hz / config.daq.block_scans
         kept = min(math.ceil(KEPT_S * per_second), KEPT_BYTES // block_bytes)
         depth = max(kept, math.ceil(LEAST_S * per_second), LEAST_BLOCKS)
-        bulky = (topics.SCAN, topics.TRUTH_SCAN)
         fitted = {instrument.name for instrument in config.instruments.fitted()}
         absent = [topic for name, topic in MONITORS.items() if name not in fitted]
         self._publishers = node.outputs
         self._publishers |= {
-            t.name: node.publisher(t, depth if t in bulky else None)
+            t.name: node.publisher(t, depth if t in topics.BULKY else None)
             for t in PUBLISHED
             if t not in absent and (t is not topics.CLOCK or config.time.publishes_clock)
         }

@@ -1,6 +1,6 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""The recorder as a lifecycle node: raw bytes of every topic of the table into a run; `RunWriter` does the work."""
+"""The recorder as a lifecycle node: raw bytes of every recorded topic into a run; `RunWriter` does the work."""
 
 from __future__ import annotations
 
@@ -50,7 +50,6 @@ RESULTS = frozenset({topics.TRANSMISSIBILITY_TABLE.name, topics.CURVE.name, topi
 """What was measured before a recording is latched, and none of its results: left out."""
 ONE_WRITER = {topic.name for topic in TOPICS if topic.columns is not None} | {topics.CONFIGURATION.name}
 """Topics that one node alone may write: of two a run could not be simulated or analysed again."""
-BULKY = (topics.SCAN, topics.TRUTH_SCAN)
 QUIET_S = 0.1  # a configuration this old is the one in force: who comes late is handed every earlier one first
 CALIBRATION = "calibration.yaml"
 
@@ -253,7 +252,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
 
     def _listen(self, topic: topics.Topic) -> Any:
         """Subscribe with a queue that outlasts a stall: a burst of small messages must not push each other out."""
-        depth = None if topic in BULKY else topics.HISTORY_DEPTH
+        depth = None if topic in topics.BULKY else topics.HISTORY_DEPTH
         return self.subscribe(topic, functools.partial(self._on_message, topic), raw=True, depth=depth)
 
     def _open(self, configuration: str | None) -> RunWriter:

@@ -1,6 +1,6 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""The rig as a lifecycle node: its parameters, its transitions, what it says of itself; `Session` is the rig."""
+"""The rig as a lifecycle node: its parameters, its transitions, what it says of itself; `Session` has the rig."""
 
 from __future__ import annotations
 

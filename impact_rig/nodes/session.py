@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A rig on the graph: the device, what it is told, its time, what it publishes, and how far its readers are.
 
-The work is one call into `Rig` for the blocks that are due: by the clock in realtime, otherwise as far as the slowest
+The work is calls into `Rig` for the blocks that are due: by the clock in realtime, otherwise as far as the slowest
 peer allows, and where rig time is stepped or paused only as far as steps were asked for.
 
 A domain and namespace belong to one rig of a machine at a time. The graph knows of another rig only after seconds where
@@ -116,8 +116,8 @@ class DuplicatePublishers:
 
 WORK_S = 0.02  # wall time one call of the work timer may fill before commands and services are looked at
 LARGEST_BATCH_S = 0.2  # rig time simulated at once, for the same reason
-SMALLEST_BATCH_NS = 50_000_000
-"""Rig time caught up at once in realtime: a rig that is slower than real time must still answer."""
+CATCH_UP_NS = 50_000_000
+"""Most rig time simulated at once in realtime: a rig that is slower than real time must still answer."""
 SHORTEST_PERIOD_S, LONGEST_PERIOD_S = 0.001, 0.05
 AHEAD_PERIOD_S = 0.005  # period of the work timer where acknowledgements drive the work
 SLICE_S = 0.02
@@ -393,7 +393,7 @@ class Session:
         """Publish what is due, or as much of it as the deadline allows: the next call goes on."""
         due_ns = self._base_ns + self.pacer.due_ns(rig.next_block_ns - self._base_ns)
         while True:
-            until_ns = min(due_ns, rig.frontier_ns + SMALLEST_BATCH_NS)
+            until_ns = min(due_ns, rig.frontier_ns + CATCH_UP_NS)
             self._advance(rig, until_ns)
             if until_ns == due_ns or time.monotonic() > deadline:
                 return

@@ -8,7 +8,7 @@
 
 The state y holds the centre of mass of structure and sphere, x_1* = x_1 + side σ δ. In the functions p are the
 parameters, law the contact law's force, f the drive, s the state, step the step with its stages, and a slope is a
-derivative by χ. An event's `excess` is how far a point is beyond it, in units of its own.
+derivative by χ. An event's `excess` is how far a point is beyond it, in units of the event's scale.
 
 A step ends where its error allows, and earlier at the first of these events:
 
@@ -51,13 +51,13 @@ _IN_ORDER = (SEPARATED, TIME, RELEASED, TURNED, RELOADED)  # past SEPARATED the 
 _REJECTIONS = 60
 _ATTEMPTS = 12  # Newton needs two to four
 _REACHED = 1e-10  # of the quantity's own scale: as near as Newton's method solves a step
-_COLLAPSED = 1e-4  # of w: smaller within one step, it is taken shorter, see `_first_event`
+_COLLAPSED = 1e-4  # of w at the step's start: where it is smaller at a stage the step is refused, see `_first_event`
 _SMALLEST = 1e-300
-_FIRST_STEP = 0.2  # of ∫ dt/√(v0 t), see `first_step`
+_FIRST_STEP = 0.2  # of √(time/v0), which is half of ∫ dt/√(v0 t), see `first_step`
 _HOP = 3.0  # of the pressing acceleration, see `settles`
 _GUESSES, _NEAR = 12, 1e-6  # of the event's scale: as good as a step's polynomial is
 _PEAK_FOUND = 1e-5  # of a step: the force is flat there
-_PEAK_MARGIN = 0.95  # of an earlier peak: between two stages none rises by more than that
+_PEAK_MARGIN = 0.95  # of an earlier peak: a step whose stages all stay below this does not exceed it between them
 _PART, _RADIANS = 0.4, 8.0  # see `_limited`
 
 
@@ -152,7 +152,7 @@ def _end_at(p, law, s, step, event):  # type: ignore[no-untyped-def]
     else:  # as near as numbers resolve: what is in step must be the step whose length is in s
         if not solve(p, law, s, step, s.h, ROUNDS):
             return False
-    keep_dense_output(s, step, s.h)
+    keep_dense_output(s, step)
     return True
 
 
@@ -184,16 +184,16 @@ def _limited(s, step):  # type: ignore[no-untyped-def]
     """Return the proposed length of a step, or less where it is longer than its polynomials hold, or would go too far.
 
     While the sphere rests on the wall, δ falls as the two thirds' power of the time to the lift-off (to the zero of
-    a_r, seen from here): polynomials follow that over a part of this time, and what a longer step leaves off
-    the slow motion rings through all later ones. Shorter than some radians of the contact itself it rings anyway.
+    a_r, seen from here): polynomials follow that over a part of this time, and what a longer step misses of the slow
+    motion rings on through all later ones. A step need not be shorter than some radians of the contact's own vibration.
     """
     if not s.w > 0.0:
         return s.next_h
-    longest = step.validity
+    longest = step.validity  # [s]
     level, linear, square = step.acceleration[0], step.acceleration[1], step.acceleration[2]
     discriminant = linear * linear - 4.0 * level * square
     if level > 0.0 and discriminant > 0.0:
-        fall = math.sqrt(discriminant) - linear
+        fall = math.sqrt(discriminant) - linear  # [m/s³]: a_r is zero 2 level / fall from here
         if fall > 0.0:
             longest = min(longest, max(_PART * 2.0 * level / fall, _RADIANS * step.radian))
     return min(s.next_h, longest / s.w)
@@ -213,7 +213,7 @@ def take_step(p, law, s, step):  # type: ignore[no-untyped-def]
         elif step.since[LAST] > step.validity:
             s.h *= 0.9 * step.validity / step.since[LAST]
         else:
-            keep_dense_output(s, step, s.h)
+            keep_dense_output(s, step)
             error = estimate_error(step, s.h)
             if error <= 1.0:
                 s.next_h = next_length(s.h, error)
@@ -322,10 +322,10 @@ def account_step(p, f, s, step, ledger):  # type: ignore[no-untyped-def]
 def conclude(p, s, step, ended, t_end):  # type: ignore[no-untyped-def]
     """Move the state to the end of the step, with the impulse on the sphere and the deepest point."""
     since, w, speed = step.since[LAST], max(step.w[LAST], 0.0), step.speed[LAST]
-    sphere = s.y[V1] + s.side * (1.0 - p.share) * s.speed
+    v_2 = s.y[V1] + s.side * (1.0 - p.share) * s.speed
     pair_at(step, since, s.y)
     add_correction(p, s.side, step, LAST, s.y)
-    s.impulse -= s.side * p.m * (s.y[V1] + s.side * (1.0 - p.share) * speed - sphere)
+    s.impulse -= s.side * p.m * (s.y[V1] + s.side * (1.0 - p.share) * speed - v_2)
     s.elapsed += since
     step.dense_since = step.dense_length  # the next step starts where this one ends
     s.w = 0.0 if ended == SEPARATED else w
@@ -338,15 +338,16 @@ def conclude(p, s, step, ended, t_end):  # type: ignore[no-untyped-def]
 
 @kernel
 def settles(p, law, s, step):  # type: ignore[no-untyped-def]
-    """Whether a law without damping only rings about its rest any more, slower than the floored approach speed.
+    """Whether a law with a memory only rings about its rest any more, slower than `speed_floor`.
 
-    At a turning point the ringing has the speed amplitude |δ''| / ω, ω the contact's own frequency. Up to three times
-    the acceleration that presses, a hop is as short as a period of the ringing: it counts as ringing, not as flight.
+    At a turning point the ringing has the speed amplitude |δ''| / ω_c, ω_c the contact's own frequency [rad/s]. Up to
+    three times the acceleration that presses, a hop is as short as a period of the ringing: it counts as ringing, not
+    as flight.
     """
     elastic, lossy, _, by_w, _ = law.one(p.stiffness, p.factor, s.per_v0, turned_at(s), s.w, s.speed)
-    relative = step.acceleration[0]
-    ringing = abs(relative - (elastic + lossy) * p.per_m_eff)
-    return ringing <= _HOP * relative and ringing <= p.speed_floor * math.sqrt(0.5 * by_w * p.per_m_eff / s.w)
+    pressing = step.acceleration[0]  # a_r where the step began: it hardly changes in one
+    ringing = abs(pressing - (elastic + lossy) * p.per_m_eff)  # |δ''| [m/s²]
+    return ringing <= _HOP * pressing and ringing <= p.speed_floor * math.sqrt(0.5 * by_w * p.per_m_eff / s.w)
 
 
 @kernel
@@ -357,6 +358,6 @@ def contact_time(p, speed):  # type: ignore[no-untyped-def]
 
 @kernel
 def first_step(p, speed, acceleration):  # type: ignore[no-untyped-def]
-    """Return a first step [s/m^0.5]: a part of ∫ dt/√(v0 t) up to the time scale of the law, or of a_r."""
+    """Return a first step [s/m^0.5]: a part of √(time/v0), with the time scale of the law, or of a_r."""
     scale = min(contact_time(p, speed), speed / max(abs(acceleration), _SMALLEST))
     return _FIRST_STEP * math.sqrt(scale / speed)

@@ -37,7 +37,8 @@ speeds δ' at the stages, which are the only unknowns of Newton's method. The la
 
 **Dense output.** The speeds at the start and at the stages define a polynomial of degree 5 in x = χ / h, and through
 dw/dχ and dt/dχ also w and the time. It is a thousandth or a millionth off, not as good as the step itself: it predicts
-the next step for Newton's method and about where an event lies, and decides nothing.
+the next step for Newton's method and about where an event lies, and decides nothing of the motion; the instruments'
+polynomials in a contact are read off it (`sampling.fit`).
 
 In the functions p are the parameters, law the contact law's functions, f the drive, s the state, step the step with its
 stages, and a slope is a derivative by χ.
@@ -63,7 +64,7 @@ from impact_rig.physics.state import COIL, PRESCRIBED, STEP_TERMS, STRUCTURE, V1
 
 FEW = 8
 _FEW_VALID_RADIANS, _VALID_RADIANS = 0.03, 0.25  # of the fastest motion in one step: FEW and STEP_TERMS leave out 1e-16
-_AMPLE = 4.0  # the terms are chosen before the step is: it may end up shorter, or a bit longer than its start tells
+_AMPLE = 4.0  # terms are chosen before the length is known, for this many times what is expected
 
 
 @kernel
@@ -172,14 +173,14 @@ _FAR = 1.6  # times its length: further on the polynomial is worse than a straig
 
 
 @kernel
-def keep_dense_output(s, step, h):  # type: ignore[no-untyped-def]  # compiled: types are inferred
-    """Keep the polynomial of the step of length h that was solved from s."""
+def keep_dense_output(s, step):  # type: ignore[no-untyped-def]  # compiled: types are inferred
+    """Keep the polynomial of the step of length `s.h` that was solved from s."""
     for n in range(STAGES + 1):
         total = TO_POLYNOMIAL[n, 0] * s.speed
         for j in range(STAGES):
             total += TO_POLYNOMIAL[n, j + 1] * step.speed[j]
         step.dense[n] = total
-    step.dense_length, step.dense_since = h, 0.0
+    step.dense_length, step.dense_since = s.h, 0.0
 
 
 @kernel
@@ -199,7 +200,7 @@ def _speed(step, x):  # type: ignore[no-untyped-def]
 
 @kernel
 def dense_slope(step, x):  # type: ignore[no-untyped-def]
-    """Return dδ'/dχ at x of the step that was solved last."""
+    """Return dδ'/dχ at x of the step whose polynomial was kept last."""
     slope = STAGES * step.dense[STAGES]
     for n in range(STAGES - 1, 0, -1):
         slope = slope * x + n * step.dense[n]
@@ -220,23 +221,23 @@ def predict_speeds(s, step, h):  # type: ignore[no-untyped-def]
 
 @kernel
 def dense_output(s, step, x):  # type: ignore[no-untyped-def]
-    """Return (time since the start [s], w, δ') at x of the step from s, which is the one that was solved last."""
-    since, w = 0.0, 0.0
+    """Return (time since the start [s], w, δ') at x of the step from s, whose polynomial was kept last."""
+    for_time, for_w = 0.0, 0.0  # sums over the speeds [m/s]
     for n in range(STAGES, -1, -1):
-        w = w * x + step.dense[n] / (n + 1)
-        since = since * x + step.dense[n] / ((n + 1) * (n + 2))
-    per_slope = 0.5 * step.dense_length * x
-    return step.dense_length * x * (s.w + per_slope * since), s.w + per_slope * w, _speed(step, x)
+        for_w = for_w * x + step.dense[n] / (n + 1)
+        for_time = for_time * x + step.dense[n] / ((n + 1) * (n + 2))
+    half_length = 0.5 * step.dense_length * x
+    return step.dense_length * x * (s.w + half_length * for_time), s.w + half_length * for_w, _speed(step, x)
 
 
 ERROR_ORDER = 8.0  # in h, of the relieved estimate_error: between 6, where it is relieved by a constant, and 10
 _RELIEF = 1e4  # found by trial: the largest with which contacts still keep their tolerance
 FEW_ROUNDS, ROUNDS = 12, 24  # most steps need three to six; one that needs many is better taken shorter
-_SLOW = 0.1  # a round that shrinks the change by no more than this factor makes the next one renew the matrix
+_SLOW = 0.1  # a round that leaves more than this part of the change before makes the next one renew the matrix
 _CONVERGED = 0.1  # of what the contact's own speeds allow
 _RESOLUTION = 2.0**-48  # of the speeds: Newton cannot come closer
 _AT_REST = 0.1  # see `begin_step`: with more, the force on a resting sphere becomes inexact
-_LEAST_PART = 1e-3  # of the floored approach speed: slower motion of a contact need not be resolved relatively
+_LEAST_PART = 1e-3  # of `speed_floor`: slower motion of a contact need not be resolved relatively
 
 
 @kernel
@@ -250,16 +251,16 @@ def begin_step(p, law, s, step):  # type: ignore[no-untyped-def]
     """Evaluate force and slope at the start of a step, and how exact its speeds must be [m/s].
 
     A step may be wrong by a part of the contact's own speeds: δ', and δ times its natural frequency. Where the sphere
-    rests on the wall these are tiny, and a tenth of the speed that a_r gives in a radian of the
-    structure's fastest motion is allowed instead. Newton's method never goes by the latter: instruments solve steps
+    rests on the wall these are tiny, and it may be the same part of a tenth of the speed that a_r gives in a radian of
+    the fastest motion of structure or drive. Newton's method never goes by the latter: instruments solve steps
     again, from another prediction, and must find the same.
     """
     step.turned_at = turned_at(s)
     elastic, lossy, _, by_w, _ = law.one(p.stiffness, p.factor, s.per_v0, step.turned_at, s.w, s.speed)
     depth = s.w * s.w
     step.start_force = elastic + lossy
-    by_columns = p.pair_stiffness * depth + p.pair_damping * s.speed
-    step.start_speed_slope = s.w * (step.acceleration[0] - by_columns - step.start_force * p.per_m_eff)
+    from_columns = p.pair_stiffness * depth + p.pair_damping * s.speed  # taken off δ'' [m/s²]
+    step.start_speed_slope = s.w * (step.acceleration[0] - from_columns - step.start_force * p.per_m_eff)
     vibration = math.sqrt(0.5 * s.w * depth * abs(by_w) * p.per_m_eff)  # δ times the contact's own frequency
     step.radian = depth / vibration if vibration > 0.0 else 0.0
     own = max(abs(s.speed), vibration, _LEAST_PART * p.speed_floor)
@@ -290,9 +291,9 @@ def _evaluate_acceleration(p, step):  # type: ignore[no-untyped-def]
     for n in range(step.terms - 2, -1, -1):
         for i in range(STAGES):
             step.acceleration_at[i] = step.acceleration_at[i] * step.since[i] + step.acceleration[n]
-    z, per_m = step.correction, p.share * p.per_m_1
+    z, share_per_m_1 = step.correction, p.share * p.per_m_1
     for i in range(STAGES):
-        step.acceleration_at[i] += per_m * (p.k_1 * (z[X1, i] - z[XB, i]) + p.c_1 * (z[V1, i] - z[VB, i]))
+        step.acceleration_at[i] += share_per_m_1 * (p.k_1 * (z[X1, i] - z[XB, i]) + p.c_1 * (z[V1, i] - z[VB, i]))
 
 
 @kernel
@@ -301,8 +302,8 @@ def _evaluate_slopes(p, law, s, step):  # type: ignore[no-untyped-def]
     law.at_stages(p, s.per_v0, step)
     for i in range(STAGES):
         w, speed = step.w[i], step.speed[i]
-        by_columns = p.pair_stiffness * w * w + p.pair_damping * speed
-        acceleration = step.acceleration_at[i] - by_columns - step.force[i] * p.per_m_eff
+        from_columns = p.pair_stiffness * w * w + p.pair_damping * speed
+        acceleration = step.acceleration_at[i] - from_columns - step.force[i] * p.per_m_eff
         step.speed_slope[i] = w * acceleration
         step.speed_slope_by_w[i] = acceleration - w * (step.force_by_w[i] * p.per_m_eff + 2.0 * p.pair_stiffness * w)
         step.speed_slope_by_speed[i] = -w * (step.force_by_speed[i] * p.per_m_eff + p.pair_damping)
@@ -343,10 +344,10 @@ def _invert_newton(step):  # type: ignore[no-untyped-def]
     """Replace `step.newton` by its inverse (Gauss–Jordan, no pivoting)."""
     newton = step.newton
     for i in range(STAGES):
-        pivot = 1.0 / newton[i, i]
+        per_pivot = 1.0 / newton[i, i]
         newton[i, i] = 1.0
         for j in range(STAGES):
-            newton[i, j] *= pivot
+            newton[i, j] *= per_pivot
         for row in range(STAGES):
             if row != i:
                 factor = newton[row, i]
@@ -379,9 +380,9 @@ def _newton_step(s, step, h):  # type: ignore[no-untyped-def]
 def solve(p, law, s, step, h, rounds):  # type: ignore[no-untyped-def]
     """Solve a step of length h; return whether Newton converged. The stages hold the step, the last one its end.
 
-    A sphere that rests on the wall until a_r(t) lifts it off takes steps in which a_r decides the indentation: where
-    Newton's method does not come near enough without the derivative of a_r(t), it goes on with it. That takes more than
-    FEW_ROUNDS: a step whose length is free is taken shorter instead, one up to an instant has ROUNDS.
+    Where a sphere rests on the wall until a_r(t) lifts it off, a_r decides the indentation, and Newton's method adds
+    the derivative of a_r(t) after FEW_ROUNDS. Only a step that must end at an instant gets as many, ROUNDS; one whose
+    length is free is taken shorter instead. Forces and slopes at the stages are those one change before the speeds.
     """
     predict_speeds(s, step, h)
     step.correction[:] = 0.0
@@ -421,12 +422,12 @@ def estimate_error(step, h):  # type: ignore[no-untyped-def]
     for j in range(STAGES):
         defect -= TO_START[j] * step.speed_slope[j]
     scaled = REAL_EIGENVALUE * h
-    filtered = scaled / (
+    weight = scaled / (
         1.0 - scaled * step.speed_slope_by_speed[LAST] - 0.5 * scaled * scaled * step.speed_slope_by_w[LAST]
     )
     stiff = h * abs(step.speed_slope_by_speed[LAST]) + 0.5 * h * h * abs(step.speed_slope_by_w[LAST])
     relief = max(1.0, _RELIEF / (1.0 + stiff * stiff))
-    return abs(filtered * defect) / (relief * step.tolerance)
+    return abs(weight * defect) / (relief * step.tolerance)
 
 
 @kernel

@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Work and losses of a flight, by Gauss–Legendre quadrature of its closed form.
 
+Contacts: `contact_phase.account_step`; what they lose themselves: `event_loop`, where `ledger.contact` grows.
+
 columns  ∫ c_1 (v_1 − v_b)² dt        shaker  ∫ c_f v_b² + R i² dt        friction  force times the distance slid
 work     ∫ K_f i v_b dt (current),  ∫ U i dt (voltage),  ∫ [k_1 (x_b − x_1) − c_1 (v_1 − v_b)] v_b dt (prescribed)
 """

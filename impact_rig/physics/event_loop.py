@@ -12,12 +12,13 @@ steps also pauses, to be entered again):
     CONTACT    SEPARATED       the sphere flies on from there (`_leave`)            FREE
                or RELEASED
     CONTACT    SETTLED         a law with a memory only rings, slowly (`settles`)   ATTACHED
-    ATTACHED   PARTED          the structure pulls away (`_part`)                   FREE
+    ATTACHED   PARTED          the structure pulls away, or friction yields         FREE
+                               (`_part`)
 
-A sphere that rests on a wall under any other law that yields stays in CONTACT until it is lifted off: SEPARATED. A rig
-begins FREE, or ATTACHED where its sphere is at rest and the guide has friction, or `set_state` puts it at rest on a
-wall; a call of `run` goes on in any phase. A contact whose outcome is tabulated ends SEPARATED; TURNED and RELOADED end
-a step of a contact, not the contact. `_change_phase` is this table. Every segment starts from its own time zero, and
+A sphere that rests on a wall under any other law that yields stays in CONTACT until it is lifted off: SEPARATED or
+RELEASED. A rig begins FREE, or ATTACHED where its sphere is at rest and the guide has friction, or `set_state` puts it
+at rest on a wall; a call of `run` goes on in any phase. A contact whose outcome is tabulated ends SEPARATED; TURNED and
+RELOADED end a step of a contact, not the contact. `_change_phase` is this table. Every segment has its own time zero;
 the loop always stops at its end, so nothing depends on the number of calls that a motion takes.
 """
 
@@ -35,11 +36,12 @@ from impact_rig.physics.contact_step import drop_dense_output, expand, turned_at
 from impact_rig.physics.energy import account_flight
 from impact_rig.physics.flight import (
     SEGMENT,
-    Forcing,
+    choose_system,
     drive,
     evaluate,
     fly,
-    frequency_response,
+    forcing,
+    guide_friction,
     prepare_segment,
     ride,
     rounding,
@@ -53,7 +55,6 @@ from impact_rig.physics.state import (
     FAILED,
     FLIGHT,
     FREE,
-    HELD,
     IMPACT,
     LEDGER,
     LOG,
@@ -135,7 +136,7 @@ def _keep_state(work):  # type: ignore[no-untyped-def]  # compiled: types are in
 def _fly_on(p, s, d, d_rate):  # type: ignore[no-untyped-def]
     """Set a flight that starts at d with the rate d_rate; guide friction works against it from the start."""
     s.phase, s.side = FREE, 0.0
-    s.d, s.d_rate, s.d_b = d, d_rate, d
+    s.d, s.d_rate = d, d_rate
     s.slide = np.sign(d_rate) if p.friction > 0.0 else 0.0
 
 
@@ -221,13 +222,13 @@ def _leave(model, s, work, settled):  # type: ignore[no-untyped-def]
 def _bounce(p, s, side, pair_acceleration, rounding_m, work):  # type: ignore[no-untyped-def]
     """Reverse the relative speed at once, or let a sphere ride that no longer bounces off a pressing wall.
 
-    It rides where the wall presses it, by the `pair_acceleration` [m/s²] of both as one body. A bounce lower than the
-    rounding error of the positions would be thrown up again by it, for ever.
+    It rides where the wall presses it, by the `pair_acceleration` [m/s²] of both as one body, up to the `riding_speed`
+    of the rebound: a lower bounce would be undone by the rounding of the positions, over and over.
     """
     speed = max(0.0, side * s.d_rate)
     e = p.restitution
-    least = max(p.touch_speed, math.sqrt(2.0 * abs(pair_acceleration) * rounding_m))
-    rides = e * speed <= least and side * pair_acceleration <= 0.0
+    riding_speed = max(p.touch_speed, math.sqrt(2.0 * abs(pair_acceleration) * rounding_m))
+    rides = e * speed <= riding_speed and side * pair_acceleration <= 0.0
     if rides:
         e = 0.0
     away = 0.0 if rides else max(e * speed, _least_speed(p, s))
@@ -248,18 +249,12 @@ def _flight_phase(model, f, work, t_end, account):  # type: ignore[no-untyped-de
     """Fly, free or as one body with the structure; return what ends it."""
     p, s, flight = model.parameters[0], work.states[0], work.flight[0]
     _keep_state(work)
-    if s.phase == ATTACHED:
-        flight.friction_force = 0.0
-        ended = ride(p, model.systems[HELD], f, flight, s, t_end)
-        if account:
-            account_flight(p, model.systems[HELD], f, flight, s.t, work.ledger[0])
-        return ended
-    flight.friction_force = s.slide * p.m * p.friction
-    s.d_b = s.d
-    ended = fly(p, model.systems[LOOSE], f, flight, s, t_end)
+    system, d_before = model.systems[flight.system], s.d
+    flight.friction_force = guide_friction(p, s)
+    ended = ride(p, system, f, flight, s, t_end) if s.phase == ATTACHED else fly(p, system, f, flight, s, t_end)
     if account:
-        account_flight(p, model.systems[LOOSE], f, flight, s.t, work.ledger[0])
-        work.ledger[0].friction += abs(flight.friction_force) * abs(s.d - s.d_b)
+        account_flight(p, system, f, flight, s.t, work.ledger[0])
+        work.ledger[0].friction += abs(flight.friction_force) * abs(s.d - d_before)
     return ended
 
 
@@ -284,10 +279,12 @@ def _apply_tabulated(model, f, work, t_end, account):  # type: ignore[no-untyped
 
 @kernel
 def follow(model, f, s, step, ledger):  # type: ignore[no-untyped-def]
-    """Account for the contact that begins at s, step by step, without letting it decide anything."""
+    """Follow s to the end of its contact, step by step, for the account only; a step that fails ends it."""
     drop_dense_output(step)
     for _ in range(_STEPS):
         ended = take_next_step(model, f, s, step, math.inf)
+        if ended == FAILED:
+            return
         account_step(model.parameters[0], f, s, step, ledger)
         conclude(model.parameters[0], s, step, ended, 0.0)
         if ended not in (NOTHING, TURNED):
@@ -334,22 +331,21 @@ def _change_phase(model, f, work, tick, ended):  # type: ignore[no-untyped-def]
     p, s, flight, ledger = model.parameters[0], work.states[0], work.flight[0], work.ledger[0]
     if ended == TIME:
         return
+    if ended == TOUCHED:
+        s.touch_tick, s.touch_t = tick, f.begin + s.t
     if s.phase == CONTACT:
         _leave(model, s, work, ended == SETTLED)
     elif s.phase == ATTACHED:
         _part(p, s, s.slide, ledger)
     elif ended == TOUCHED and not p.rigid:
-        s.touch_tick, s.touch_t = tick, f.begin + s.t
         _touch(p, s, s.side, ledger)
     else:
         system = model.systems[LOOSE]
         evaluate(system, f, flight, s.t, 0)
         pair_acceleration = (p.m_1 * flight.x_1[2] - flight.friction_force) * p.per_m_pair  # of both as one body
         if ended == TOUCHED:
-            s.touch_tick, s.touch_t = tick, f.begin + s.t
             _bounce(p, s, s.side, pair_acceleration, rounding(p, system, flight, s.t), work)
         elif abs(pair_acceleration) <= p.friction:
-            s.y[V1] += p.share * s.d_rate
             _hold(s, s.d, 0.0)
         else:
             _part(p, s, -np.sign(pair_acceleration), ledger)
@@ -359,14 +355,9 @@ def _change_phase(model, f, work, tick, ended):  # type: ignore[no-untyped-def]
 def _prepare_flight(model, f, work, t_end, fresh):  # type: ignore[no-untyped-def]
     """Prepare the closed form of a flight where the frequency, the system or (`fresh`) the segment is new."""
     flight = work.flight[0]
-    which = HELD if work.states[0].phase == ATTACHED else LOOSE
-    system = model.systems[which]
-    if f.omega != flight.omega or which != flight.system:
-        frequency_response(system, f.omega, flight)
-        flight.omega, flight.system = f.omega, which
-        fresh = True
-    if fresh:
-        prepare_segment(system, f, flight, t_end)
+    renewed = choose_system(model, f, work.states[0], flight)
+    if fresh or renewed:
+        prepare_segment(model.systems[flight.system], f, flight, t_end)
 
 
 @kernel
@@ -386,16 +377,16 @@ def run(model, segments, tick_of, index, work, account):  # type: ignore[no-unty
 
     `tick_of` is the number of each segment's tick, counted since the reset.
 
-    Flights are accounted for only if `account`, because it costs as much as flying.
+    Work, and losses outside the contacts, are accounted for only if `account`: it costs as much as flying.
     """
     s = work.states[0]
     work.flight[0].omega = -1.0
     while index < segments.shape[0]:
         row = segments[index]
-        f = Forcing(row.omega, row.phase, row.amplitude, row.growth, row.begin)
-        t_end, fresh = row.duration, True
-        if s.t == 0.0:
+        f, t_end, fresh = forcing(row), row.duration, True
+        if work.filled[0].segments == index:  # not where a call with more room goes on, if all was at its start
             work.first[index] = work.filled[0].states
+            work.filled[0].segments += 1
             if model.parameters[0].drive == PRESCRIBED:
                 _move_base(model.parameters[0], f, s, work.ledger[0])
         for _ in range(_EVENTS_PER_SEGMENT):

@@ -37,7 +37,7 @@ import numpy as np
 
 from impact_rig.arithmetic.elementary import exp, modulus, power, sincos
 from impact_rig.kernels import kernel
-from impact_rig.physics.state import ORDERS, PARTED, STOPPED, TIME, TOUCHED, V1, X1
+from impact_rig.physics.state import ATTACHED, JOINED, LOOSE, ORDERS, PARTED, STOPPED, TIME, TOUCHED, V1, X1
 
 _THIRD = 1.0 / 3.0
 _ROUNDS = 12
@@ -70,7 +70,13 @@ class Forcing(NamedTuple):
 
 
 @kernel
-def drive(f, t):  # type: ignore[no-untyped-def]  # compiled: types are inferred
+def forcing(row):  # type: ignore[no-untyped-def]  # compiled: types are inferred
+    """Return a segment of the drive that is a record of SEGMENT."""
+    return Forcing(row.omega, row.phase, row.amplitude, row.growth, row.begin)
+
+
+@kernel
+def drive(f, t):  # type: ignore[no-untyped-def]
     """Return u and u' at t."""
     level = f.amplitude + f.growth * t
     sine, cosine = sincos(f.omega * t + f.phase)
@@ -179,7 +185,24 @@ def safe_time(distance, speed, acceleration, jerk, longest):  # type: ignore[no-
 
 
 @kernel
-def prepare_segment(system, f, flight, t_end):  # type: ignore[no-untyped-def]  # compiled: types are inferred
+def choose_system(model, f, s, flight):  # type: ignore[no-untyped-def]  # compiled: types are inferred
+    """Let `flight.system` be what moves from s on; return whether its answers to the drive had to be renewed."""
+    which = JOINED if s.phase == ATTACHED else LOOSE
+    if f.omega == flight.omega and which == flight.system:
+        return False
+    frequency_response(model.systems[which], f.omega, flight)
+    flight.omega, flight.system = f.omega, which
+    return True
+
+
+@kernel
+def guide_friction(p, s):  # type: ignore[no-untyped-def]
+    """Return the force of the guide's friction on the superior base [N]: of one body it is an inner force."""
+    return 0.0 if s.phase == ATTACHED else s.slide * p.m * p.friction
+
+
+@kernel
+def prepare_segment(system, f, flight, t_end):  # type: ignore[no-untyped-def]
     """Prepare a segment's particular solution and its part in the derivatives of x_1, with a bound on each."""
     particular(system, f, flight)
     jw = complex(0.0, f.omega)

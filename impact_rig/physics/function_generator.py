@@ -2,8 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The function generator: turns commands into drive segments, phase-continuous, with ramped amplitude.
 
-One segment per tick of the command grid. No phase depends on how many segments are asked for at once: that of a sine
-is computed from the number of ticks since the last change, so it does not drift; a chirp changes in every tick.
+One segment per tick of the command grid; a stream, see `stream`, cuts ticks at its samples as well. No phase depends on
+how many segments are asked for at once: that of a sine is computed from the number of ticks since the last change, so
+it does not drift; a chirp changes in every tick.
 
 Random drive is band-passed noise of unit rms: a digital Butterworth band-pass of 8th order, refined with many digits
 and rounded once, behind our own generator.

@@ -42,7 +42,7 @@ class Model(NamedTuple):
 
     Attributes:
         parameters: one record of PARAMETERS.
-        systems: records of SYSTEM, LOOSE and HELD.
+        systems: records of SYSTEM, LOOSE and JOINED.
         table: one record of `outcome.TABLE`.
         law: the contact law's compiled force.
     """

@@ -14,7 +14,7 @@ segment, `since` that since the flight, step or contact began, and τ that from 
 
 The sensors take a motion piece by piece (`refine` gives the instants at which it is cut), each as one polynomial
 (`fit`): in flight the Taylor polynomial about its middle, shortened; in a contact the one through eight instants, of a
-step's dense output, or where the outcome was tabulated of δ integrated anew; anything else through eight samples.
+step's dense output or, if tabulated, of δ integrated anew; anything else through eight samples.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from impact_rig.arithmetic.elementary import sincos
 from impact_rig.arithmetic.interpolation import NODE_AT, NODES, PIECE_TERMS, shorten, through_nodes
-from impact_rig.kernels import FLAGS, INTEGERS, REALS, REALS_2D, REALS_3D, Fields, entry, kernel
+from impact_rig.kernels import INTEGERS, REALS, REALS_2D, REALS_3D, Fields, entry, kernel
 from impact_rig.physics.collocation import LAST
 from impact_rig.physics.contact_phase import conclude, take_next_step
 from impact_rig.physics.contact_step import (
@@ -39,16 +39,18 @@ from impact_rig.physics.contact_step import (
     expand,
     keep_dense_output,
     pair_at,
+    polynomial,
     solve,
 )
 from impact_rig.physics.flight import (
     SEGMENT,
-    Forcing,
     begin_flight,
     bound_omega,
+    choose_system,
     decayed,
     drive,
-    frequency_response,
+    forcing,
+    guide_friction,
     particular,
     phasor,
 )
@@ -60,9 +62,6 @@ from impact_rig.physics.state import (
     CONTACT_STEP,
     FAILED,
     FLIGHT,
-    FREE,
-    HELD,
-    LOOSE,
     PRESCRIBED,
     RELEASED,
     SEPARATED,
@@ -89,7 +88,7 @@ _ROOT_FOUND = 1e-9  # of the step
 _SAME = 1e-12  # instants nearer to each other are one [s]
 _LONGEST = 4.0 / _VALID_RADIANS  # a piece, times `flight.validity`: 2 radians either side of its middle, see `fit`
 _PULSE_STEPS = 12  # of a tabulated contact, at least; the nodes make more of them
-_CORRECTIONS = 2  # of the length of a step up to an instant: interpolation leaves parts in 1e4, each one the square
+_CORRECTIONS = 2  # of the length of a step up to an instant: interpolation leaves parts in 1e4, each squares the error
 
 
 class Trajectory(NamedTuple):
@@ -208,10 +207,17 @@ def new_sampling_workspace() -> SamplingWorkspace:
 
 
 @kernel
-def _add_oscillation(poly, value, growth, rate, order):  # type: ignore[no-untyped-def]  # compiled: types are inferred
-    """Add the Taylor coefficients of Re[(value + growth τ) exp(rate τ)], differentiated `order` times."""
+def _derived(value, growth, rate, order):  # type: ignore[no-untyped-def]  # compiled: types are inferred
+    """Return value and growth of the derivative of (value + growth τ) exp(λ τ) of this order."""
     for _ in range(order):
         value, growth = rate * value + growth, rate * growth
+    return value, growth
+
+
+@kernel
+def _add_oscillation(poly, value, growth, rate, order):  # type: ignore[no-untyped-def]
+    """Add the Taylor coefficients of Re[(value + growth τ) exp(rate τ)], differentiated `order` times."""
+    value, growth = _derived(value, growth, rate, order)
     term, term_before = 1.0 + 0.0j, 0.0j
     for i in range(PIECE_TERMS):
         poly[i] += (value * term).real + (growth * term_before).real
@@ -220,7 +226,7 @@ def _add_oscillation(poly, value, growth, rate, order):  # type: ignore[no-untyp
 
 
 @kernel
-def _row_and_order(p, quantity):  # type: ignore[no-untyped-def]
+def _place_and_order(p, quantity):  # type: ignore[no-untyped-def]
     """Return (state, derivative of it, whether it is the drive itself) that a quantity of the structure is."""
     prescribed = p.drive == PRESCRIBED
     if quantity in (OF_X_1, OF_V_1, OF_A_1):
@@ -238,29 +244,20 @@ def _expand_flight(p, system, f, flight, quantity, poly, since):  # type: ignore
     """Fill the Taylor polynomial of a quantity of the structure, `since` seconds after the flight's beginning."""
     poly[:] = 0.0
     t = flight.t_b + since
-    row, order, of_drive = _row_and_order(p, quantity)
+    place, order, of_drive = _place_and_order(p, quantity)
     jw = complex(0.0, f.omega)
     rotor = phasor(f.omega * t) * complex(0.0, -1.0)  # Im(…) = Re(−j …)
     if of_drive:
         unit = phasor(f.phase) * rotor
         _add_oscillation(poly, (f.amplitude + f.growth * t) * unit, f.growth * unit, jw, order)
         return
-    steady, growing = flight.steady[row], flight.growing[row]
+    steady, growing = flight.steady[place], flight.growing[place]
     _add_oscillation(poly, (steady + growing * t) * rotor, growing * rotor, jw, order)
     for n in range(system.modes):
         _, decay = decayed(system.rate[n], since)
-        _add_oscillation(poly, system.right[n, row] * flight.modal[n] * decay, 0.0j, system.rate[n], order)
+        _add_oscillation(poly, system.right[n, place] * flight.modal[n] * decay, 0.0j, system.rate[n], order)
     if order == 0:
-        poly[0] += system.static[row] * flight.friction_force
-
-
-@kernel
-def _evaluate(poly, tau):  # type: ignore[no-untyped-def]
-    """Return a flight's polynomial at τ."""
-    total = poly[PIECE_TERMS - 1]
-    for i in range(PIECE_TERMS - 2, -1, -1):
-        total = total * tau + poly[i]
-    return total
+        poly[0] += system.static[place] * flight.friction_force
 
 
 @kernel
@@ -280,7 +277,7 @@ def _in_flight(p, s, quantity, poly, tau, since):  # type: ignore[no-untyped-def
     if s.phase == ATTACHED:
         if quantity == OF_CURRENT and p.drive == PRESCRIBED:
             return 0.0
-        value = _evaluate(poly, tau)
+        value = polynomial(poly, tau, PIECE_TERMS)
         if quantity == OF_X_2:
             return value + s.d
         if quantity >= OF_FORCE_LEFT:
@@ -296,12 +293,15 @@ def _in_flight(p, s, quantity, poly, tau, since):  # type: ignore[no-untyped-def
         return braking
     if quantity >= OF_FORCE_LEFT or (quantity == OF_CURRENT and p.drive == PRESCRIBED):
         return 0.0
-    return _evaluate(poly, tau)
+    return polynomial(poly, tau, PIECE_TERMS)
 
 
 @kernel
 def integrate_tabulated(model, f, step, steps):  # type: ignore[no-untyped-def]
-    """Integrate the contact that begins at the last record of `steps` into the others, its end too; return how many."""
+    """Integrate the contact that begins at `steps[_MOST_STEPS]` into `steps[0]`, `steps[1]`, …; return their number.
+
+    The last of them is its end. What it begins at is overwritten.
+    """
     p, s = model.parameters[0], steps[_MOST_STEPS]
     drop_dense_output(step)
     for n in range(_MOST_STEPS - 1):
@@ -381,11 +381,11 @@ def _in_contact(model, f, s, step, at, exact, out):  # type: ignore[no-untyped-d
     elastic, lossy, _, _, _ = model.law.one(p.stiffness, p.factor, s.per_v0, step.turned_at, w, speed)
     force = max(0.0, elastic + lossy) if p.lets_go else elastic + lossy
     u, _ = drive(f, t)
-    offset = s.d + side * depth
+    d = s.d + side * depth
     x_b, v_b = step.y[XB], step.y[VB]
     out[OF_X_1] = step.y[X1] - p.share * side * depth
     out[OF_V_1] = step.y[V1] - p.share * side * speed
-    out[OF_X_2], out[OF_V_2] = out[OF_X_1] + offset, out[OF_V_1] + side * speed
+    out[OF_X_2], out[OF_V_2] = out[OF_X_1] + d, out[OF_V_1] + side * speed
     columns = -p.k_1 * (out[OF_X_1] - x_b) - p.c_1 * (out[OF_V_1] - v_b)
     out[OF_A_1], out[OF_A_2] = (columns + side * force) * p.per_m_1, -side * force / p.m
     out[OF_X_B], out[OF_V_B] = x_b, v_b
@@ -402,7 +402,7 @@ def _in_contact(model, f, s, step, at, exact, out):  # type: ignore[no-untyped-d
 
 @kernel
 def _solve_again(model, f, s, step):  # type: ignore[no-untyped-def]
-    """Let `step` be expanded about s; return how its step ends: (time it takes [s], w, δ')."""
+    """Expand `step` about s and solve it again; return how it ends: (time it takes [s], w, δ')."""
     p = model.parameters[0]
     expand(p, f, s, step)
     begin_step(p, model.law, s, step)
@@ -410,7 +410,7 @@ def _solve_again(model, f, s, step):  # type: ignore[no-untyped-def]
         return 0.0, s.w, s.speed
     drop_dense_output(step)
     solve(p, model.law, s, step, s.h, ROUNDS)
-    keep_dense_output(s, step, s.h)
+    keep_dense_output(s, step)
     return step.since[LAST], max(step.w[LAST], 0.0), step.speed[LAST]
 
 
@@ -439,14 +439,12 @@ def _sample_contact(model, f, history, row, start, stop, query, work):  # type: 
 @kernel
 def _prepare_flight(model, f, s, flight):  # type: ignore[no-untyped-def]
     """Prepare the closed form of the flight that begins at s; return the system that flies."""
-    p = model.parameters[0]
-    which = HELD if s.phase == ATTACHED else LOOSE
-    system = model.systems[which]
-    if f.omega != flight.omega or which != flight.system:
-        frequency_response(system, f.omega, flight)
-        flight.omega, flight.system, flight.validity = f.omega, which, _VALID_RADIANS / bound_omega(system, f.omega)
+    renewed = choose_system(model, f, s, flight)
+    system = model.systems[flight.system]
+    if renewed:
+        flight.validity = _VALID_RADIANS / bound_omega(system, f.omega)
     particular(system, f, flight)
-    flight.friction_force = 0.0 if s.phase == ATTACHED else s.slide * p.m * p.friction
+    flight.friction_force = guide_friction(model.parameters[0], s)
     begin_flight(system, f, flight, s.y, s.t)
     return system
 
@@ -456,13 +454,13 @@ def _sample_flight(model, f, s, start, stop, query, work):  # type: ignore[no-un
     """Fill the query's instants start … stop − 1, all in the flight that begins at s."""
     p, flight = model.parameters[0], work.flight[0]
     system = _prepare_flight(model, f, s, flight)
-    anchor = -1
+    expanded = -1
     for i in range(start, stop):
         since = query.offset[i] - f.begin - s.t
-        place = int(since / flight.validity)
-        middle = (place + 0.5) * flight.validity
-        if place != anchor:
-            anchor = place
+        interval = int(since / flight.validity)
+        middle = (interval + 0.5) * flight.validity
+        if interval != expanded:
+            expanded = interval
             for q in range(query.wanted.shape[0]):
                 quantity = _of_structure(s, query.wanted[q])
                 if quantity not in (OF_X_2, OF_V_2, OF_A_2, OF_FORCE_LEFT, OF_FORCE_RIGHT):
@@ -484,18 +482,11 @@ def _segment_at(trajectory, tick, offset):  # type: ignore[no-untyped-def]
     return low
 
 
-@kernel
-def _forcing(trajectory, segment):  # type: ignore[no-untyped-def]
-    """Return a segment of the drive."""
-    row = trajectory.segments[segment]
-    return Forcing(row.omega, row.phase, row.amplitude, row.growth, row.begin)
-
-
 @entry(MODEL, TRAJECTORY, QUERY, SAMPLING_WORKSPACE, returns=bool)
 def sample(model, trajectory, query, work):  # type: ignore[no-untyped-def]
     """Fill `query.out` and return whether there are such ticks.
 
-    Runs of instants in one piece of the trajectory are evaluated together.
+    Instants in a row that share one row of the history are evaluated together.
     """
     work.flight[0].omega = -1.0
     return _sample(model, trajectory, query, work)
@@ -510,8 +501,10 @@ def _sample(model, trajectory, query, work):  # type: ignore[no-untyped-def]
         if not 0 <= tick < trajectory.first_segment.shape[0] - 1:
             return False
         segment = _segment_at(trajectory, tick, query.offset[i])
-        f = _forcing(trajectory, segment)
-        until = trajectory.segments[segment + 1].begin if segment + 1 < trajectory.first_segment[tick + 1] else np.inf
+        f = forcing(trajectory.segments[segment])
+        # since the start of the tick, as `offset`
+        ends_in_tick = segment + 1 < trajectory.first_segment[tick + 1]
+        segment_end = trajectory.segments[segment + 1].begin if ends_in_tick else np.inf
         low, high = trajectory.first[segment], trajectory.first[segment + 1]
         row = last_before(trajectory.history, low, high, query.offset[i] - f.begin)
         begin = trajectory.history[row].t
@@ -519,7 +512,7 @@ def _sample(model, trajectory, query, work):  # type: ignore[no-untyped-def]
         start = i
         i += 1
         while i < n and query.tick[i] - trajectory.first_tick == tick:
-            if not (begin <= query.offset[i] - f.begin < end and query.offset[i] < until):
+            if not (begin <= query.offset[i] - f.begin < end and query.offset[i] < segment_end):
                 break
             i += 1
         if trajectory.history[row].phase == CONTACT:
@@ -551,14 +544,6 @@ def _fill_powers(work, rate, half):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _derived(value, growth, rate, order):  # type: ignore[no-untyped-def]
-    """Return value and growth of the derivative of (value + growth τ) exp(λ τ) of this order."""
-    for _ in range(order):
-        value, growth = rate * value + growth, rate * growth
-    return value, growth
-
-
-@kernel
 def _fit_flight(p, system, f, flight, spans, i, work):  # type: ignore[no-untyped-def]
     """Fill in the polynomials of a piece in the flight that has been prepared, all quantities of the structure."""
     half = 0.5 * (spans.end[i] - spans.start[i])
@@ -568,16 +553,16 @@ def _fit_flight(p, system, f, flight, spans, i, work):  # type: ignore[no-untype
     jw = complex(0.0, f.omega)
     terms = _fill_powers(work, jw, half)
     for q in range(wanted.shape[0]):
-        row, order, of_drive = _row_and_order(p, wanted[q])
+        place, order, of_drive = _place_and_order(p, wanted[q])
         poly[q, :] = 0.0
         if of_drive:
             unit = phasor(f.phase) * rotor
             value, growth = _derived((f.amplitude + f.growth * t) * unit, f.growth * unit, jw, order)
         else:
-            growing = flight.growing[row] * rotor
-            value, growth = _derived(flight.steady[row] * rotor + growing * t, growing, jw, order)
+            growing = flight.growing[place] * rotor
+            value, growth = _derived(flight.steady[place] * rotor + growing * t, growing, jw, order)
             if order == 0:
-                poly[q, 0] = system.static[row] * flight.friction_force
+                poly[q, 0] = system.static[place] * flight.friction_force
         _add_series(poly[q], work, terms, value, growth, half)
     for n in range(system.modes):
         rate = system.rate[n]
@@ -585,30 +570,36 @@ def _fit_flight(p, system, f, flight, spans, i, work):  # type: ignore[no-untype
         modal = flight.modal[n] * decay
         terms = _fill_powers(work, rate, half)
         for q in range(wanted.shape[0]):
-            row, order, of_drive = _row_and_order(p, wanted[q])
+            place, order, of_drive = _place_and_order(p, wanted[q])
             if not of_drive:
-                value, growth = _derived(system.right[n, row] * modal, 0.0j, rate, order)
+                value, growth = _derived(system.right[n, place] * modal, 0.0j, rate, order)
                 _add_series(poly[q], work, terms, value, growth, half)
     for q in range(wanted.shape[0]):
         shorten(poly[q], spans.out[q, i])
 
 
 @kernel
+def _through_values(spans, i, work):  # type: ignore[no-untyped-def]
+    """Fill in the polynomials of a piece through the values at its nodes."""
+    for q in range(spans.wanted.shape[0]):
+        through_nodes(work.values[q], spans.out[q, i])
+
+
+@kernel
 def _fit_contact(model, f, history, row, spans, i, work):  # type: ignore[no-untyped-def]
     """Fill in the polynomials of a piece within one step of a contact, from the step's dense output."""
     step, s = work.step[0], history[row]
-    centre, half = 0.5 * (spans.start[i] + spans.end[i]) - f.begin, 0.5 * (spans.end[i] - spans.start[i])
+    t_middle, half = 0.5 * (spans.start[i] + spans.end[i]) - f.begin, 0.5 * (spans.end[i] - spans.start[i])
     end = _solve_again(model, f, s, step)
     for j in range(NODES):
         since, w, speed = 0.0, s.w, s.speed
         if s.h > 0.0:
-            since = min(max(centre + half * NODE_AT[j] - s.t, 0.0), end[0])
+            since = min(max(t_middle + half * NODE_AT[j] - s.t, 0.0), end[0])
             _, w, speed = dense_output(s, step, _length_to(s, step, end, since) / s.h)
         _in_contact(model, f, s, step, (since, max(w, 0.0), speed), False, work.every)
         for q in range(spans.wanted.shape[0]):
             work.values[q, j] = work.every[spans.wanted[q]]
-    for q in range(spans.wanted.shape[0]):
-        through_nodes(work.values[q], spans.out[q, i])
+    _through_values(spans, i, work)
 
 
 @kernel
@@ -628,16 +619,18 @@ def _integrate_pulse(model, step, per_v0, pulse, until, longest):  # type: ignor
     for part in range(parts):
         since, depth, speed = pulse[0], pulse[1], pulse[2]
         span = (until - since) / (parts - part)
-        change = _acceleration(model, step, per_v0, since, depth, speed)
-        speed_2 = speed + 0.5 * span * change
-        change_2 = _acceleration(model, step, per_v0, since + 0.5 * span, depth + 0.5 * span * speed, speed_2)
-        speed_3 = speed + 0.5 * span * change_2
-        change_3 = _acceleration(model, step, per_v0, since + 0.5 * span, depth + 0.5 * span * speed_2, speed_3)
-        speed_4 = speed + span * change_3
-        change_4 = _acceleration(model, step, per_v0, since + span, depth + span * speed_3, speed_4)
+        acceleration = _acceleration(model, step, per_v0, since, depth, speed)
+        speed_2 = speed + 0.5 * span * acceleration
+        middle = since + 0.5 * span
+        acceleration_2 = _acceleration(model, step, per_v0, middle, depth + 0.5 * span * speed, speed_2)
+        speed_3 = speed + 0.5 * span * acceleration_2
+        acceleration_3 = _acceleration(model, step, per_v0, middle, depth + 0.5 * span * speed_2, speed_3)
+        speed_4 = speed + span * acceleration_3
+        acceleration_4 = _acceleration(model, step, per_v0, since + span, depth + span * speed_3, speed_4)
         pulse[0] = since + span
         pulse[1] = depth + span * (speed + 2.0 * (speed_2 + speed_3) + speed_4) * (1.0 / 6.0)
-        pulse[2] = speed + span * (change + 2.0 * (change_2 + change_3) + change_4) * (1.0 / 6.0)
+        accelerations = acceleration + 2.0 * (acceleration_2 + acceleration_3) + acceleration_4
+        pulse[2] = speed + span * accelerations * (1.0 / 6.0)
     pulse[0] = until
 
 
@@ -645,34 +638,36 @@ def _integrate_pulse(model, step, per_v0, pulse, until, longest):  # type: ignor
 def _fit_pulse(model, f, history, row, spans, i, work):  # type: ignore[no-untyped-def]
     """Fill in the polynomials of a piece of a tabulated contact: it is integrated to the nodes.
 
-    These crowd at the ends of the contact, where the force has its kinks. The force is within 3e-4 of its peak.
+    These crowd at the ends of each piece, and so of the contact, where the force has its kinks. The force is wrong by
+    at most 3e-4 of its peak.
     """
     p, step, pulse, s = model.parameters[0], work.step[0], work.pulse, history[row]
-    centre, half = 0.5 * (spans.start[i] + spans.end[i]) - f.begin - s.t, 0.5 * (spans.end[i] - spans.start[i])
-    if work.pulsing[0] != row or centre + half * NODE_AT[0] < pulse[0]:
+    since_middle, half = 0.5 * (spans.start[i] + spans.end[i]) - f.begin - s.t, 0.5 * (spans.end[i] - spans.start[i])
+    if work.pulsing[0] != row or since_middle + half * NODE_AT[0] < pulse[0]:
         expand(p, f, s, step)
         step.turned_at = 0.0
         work.pulsing[0], pulse[0], pulse[1], pulse[2] = row, 0.0, 0.0, s.speed
     longest = (history[row + 1].t - s.t) / _PULSE_STEPS
     for j in range(NODES):
-        _integrate_pulse(model, step, s.per_v0, pulse, centre + half * NODE_AT[j], longest)
+        _integrate_pulse(model, step, s.per_v0, pulse, since_middle + half * NODE_AT[j], longest)
         at = pulse[0], math.sqrt(max(0.0, pulse[1])), pulse[2]
         _in_contact(model, f, s, step, at, False, work.every)
         for q in range(spans.wanted.shape[0]):
             work.values[q, j] = work.every[spans.wanted[q]]
-    for q in range(spans.wanted.shape[0]):
-        through_nodes(work.values[q], spans.out[q, i])
+    _through_values(spans, i, work)
 
 
 @kernel
 def _fit_samples(model, trajectory, spans, i, work):  # type: ignore[no-untyped-def]
-    """Fill in the polynomials of a piece that is neither one flight nor within one contact, through samples of it."""
+    """Fill in the polynomials of any other piece through samples of it.
+
+    It holds more than one flight or step, or is too long, or the sphere or a force is wanted in flight.
+    """
     centre, half = 0.5 * (spans.start[i] + spans.end[i]), 0.5 * (spans.end[i] - spans.start[i])
     for j in range(NODES):
         work.tick[j], work.offset[j] = spans.tick[i], centre + half * NODE_AT[j]
     _sample(model, trajectory, Query(spans.wanted, work.tick, work.offset, work.values), work)
-    for q in range(spans.wanted.shape[0]):
-        through_nodes(work.values[q], spans.out[q, i])
+    _through_values(spans, i, work)
 
 
 @entry(MODEL, TRAJECTORY, SPANS, SAMPLING_WORKSPACE, returns=bool)
@@ -685,13 +680,13 @@ def fit(model, trajectory, spans, work):  # type: ignore[no-untyped-def]
     """
     p, flight, history = model.parameters[0], work.flight[0], trajectory.history
     flight.omega, work.pulsing[0] = -1.0, -1
-    of_structure = True
+    structure_alone = True
     for q in range(spans.wanted.shape[0]):
         if spans.wanted[q] in (OF_X_2, OF_V_2, OF_A_2, OF_FORCE_LEFT, OF_FORCE_RIGHT):
-            of_structure = False
+            structure_alone = False
     if p.drive == PRESCRIBED:
         for q in range(spans.wanted.shape[0]):
-            of_structure = of_structure and spans.wanted[q] != OF_CURRENT
+            structure_alone = structure_alone and spans.wanted[q] != OF_CURRENT
     prepared = -1  # row of the state that the flight at hand begins at
     for i in range(spans.start.shape[0]):
         tick = spans.tick[i] - trajectory.first_tick
@@ -699,14 +694,14 @@ def fit(model, trajectory, spans, work):  # type: ignore[no-untyped-def]
             return False
         middle = 0.5 * (spans.start[i] + spans.end[i])
         segment = _segment_at(trajectory, tick, middle)
-        f = _forcing(trajectory, segment)
+        f = forcing(trajectory.segments[segment])
         low, high = trajectory.first[segment], trajectory.first[segment + 1]
         row = last_before(history, low, high, middle - f.begin)
-        last = (
+        ends_inside = (
             spans.end[i] - f.begin
             <= (history[row + 1].t if row + 1 < high else trajectory.segments[segment].duration) + _SAME
         )
-        inside = spans.start[i] - f.begin >= history[row].t - _SAME and last
+        inside = spans.start[i] - f.begin >= history[row].t - _SAME and ends_inside
         if inside and history[row].phase == CONTACT and not (history[row].tabulated and p.remembers):
             if history[row].tabulated:
                 _fit_pulse(model, f, history, row, spans, i, work)
@@ -714,7 +709,7 @@ def fit(model, trajectory, spans, work):  # type: ignore[no-untyped-def]
                 _fit_contact(model, f, history, row, spans, i, work)
                 work.pulsing[0] = -1
             continue
-        if inside and of_structure:
+        if inside and structure_alone:
             if row != prepared:
                 _prepare_flight(model, f, history[row], flight)
                 prepared = row
@@ -730,26 +725,25 @@ PARTS = 3
 """Pieces in which a tabulated contact is smooth enough for the instruments' polynomials."""
 
 
-@entry(TRAJECTORY, INTEGERS, REALS, FLAGS, returns=int)
-def refine(trajectory, tick, offset, touching):  # type: ignore[no-untyped-def]  # compiled: types are inferred
-    """Fill in tick, offset [s] and whether sphere and wall touch from each instant on; return how many there are.
+@entry(TRAJECTORY, INTEGERS, REALS, returns=int)
+def refine(trajectory, tick, offset):  # type: ignore[no-untyped-def]  # compiled: types are inferred
+    """Fill in tick and offset [s] of the instants between which all is smooth; return how many there are.
 
     The arrays have room for PARTS instants a state.
     """
     history, first, count = trajectory.history, trajectory.first, 0
     i = -1
-    for at in range(first.shape[0] - 1):
-        begin = trajectory.segments[at].begin
-        if at == trajectory.first_segment[i + 1]:
+    for segment in range(first.shape[0] - 1):
+        begin = trajectory.segments[segment].begin
+        if segment == trajectory.first_segment[i + 1]:
             i += 1
-        for row in range(first[at], first[at + 1]):
+        for row in range(first[segment], first[segment + 1]):
             s = history[row]
-            tick[count], offset[count], touching[count] = trajectory.first_tick + i, begin + s.t, s.phase != FREE
+            tick[count], offset[count] = trajectory.first_tick + i, begin + s.t
             count += 1
             if s.phase == CONTACT and s.tabulated != 0:
                 length = history[row + 1].t - s.t
                 for part in range(1, PARTS):
-                    tick[count], touching[count] = trajectory.first_tick + i, True
-                    offset[count] = begin + (s.t + length * (part / PARTS))
+                    tick[count], offset[count] = trajectory.first_tick + i, begin + (s.t + length * (part / PARTS))
                     count += 1
     return count

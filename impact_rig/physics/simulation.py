@@ -159,19 +159,10 @@ class Motion:
 
         These are the segments' starts, the contacts' starts and ends, and the integration steps inside contacts.
         """
-        tick, offset, _ = self._refined()
-        return tick, offset
-
-    def in_contact(self) -> NDArray[np.bool_]:
-        """Return for every breakpoint whether the sphere touches a wall, or is held, from there on."""
-        return self._refined()[2]
-
-    def _refined(self) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.bool_]]:
-        """Return (tick, offset, whether touching) of the states kept and of places inside tabulated contacts."""
         room = PARTS * len(self._trajectory.history)
-        tick, offset, touching = np.empty(room, np.int64), np.empty(room), np.empty(room, np.bool_)
-        count = refine(self._trajectory, tick, offset, touching)
-        return tick[:count], offset[:count], touching[:count]
+        tick, offset = np.empty(room, np.int64), np.empty(room)
+        count = refine(self._trajectory, tick, offset)
+        return tick[:count], offset[:count]
 
 
 MOST_STATES = 200_000
@@ -331,7 +322,7 @@ class Simulation:
         segments = for_kernels(segments)
         work = self._work._replace(first=np.zeros(len(segments) + 1, np.int64))
         filled = work.filled[0]
-        filled["states"] = filled["impacts"] = 0
+        filled["states"] = filled["impacts"] = filled["segments"] = 0
         index = 0
         while True:
             ended, index = run(self._model, segments, tick_of, index, work, self._account)

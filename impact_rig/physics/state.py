@@ -63,7 +63,6 @@ STATE = np.dtype(
         ("peak_force", "f8"),  # largest F of the contact so far [N]
         ("impulse", "f8"),  # ∫ F dt of the contact so far [N s]
         ("lost", "f8"),  # energy lost by the contact so far [J]
-        ("d_b", "f8"),  # d where the flight began [m]
     ],
     align=True,
 )
@@ -99,14 +98,15 @@ LOG = np.dtype(
     [
         ("states", "i8"),  # rows of the history that are filled
         ("impacts", "i8"),  # rows of the impacts that are filled
+        ("segments", "i8"),  # segments that have begun
     ]
 )
-"""How many rows of the history and of the impacts are filled."""
+"""How far the event loop has come since it was called anew."""
 
 FLIGHT = np.dtype(
     [
         ("omega", "f8"),  # frequency of the drive that the answers H and G belong to [rad/s]
-        ("system", "i8"),  # linear system they belong to: LOOSE or HELD
+        ("system", "i8"),  # linear system they belong to: LOOSE or JOINED
         ("validity", "f8"),  # length of the intervals that have a Taylor polynomial each, about their middle [s]
         ("answer", "c16", (STRUCTURE,)),  # H, answer to a drive of constant amplitude [y per u]
         ("growth_answer", "c16", (STRUCTURE,)),  # G, answer to a drive whose amplitude grows [y s per u]
@@ -174,7 +174,7 @@ def record(kind: np.dtype[np.void], rows: int = 1) -> Any:
 
 PRESCRIBED, CURRENT, VOLTAGE = range(3)
 DRIVES = ("prescribed", "current", "voltage")
-LOOSE, HELD = range(2)
+LOOSE, JOINED = range(2)
 """The linear systems: with the sphere loose (mass m_1), and held by the superior base (m_1 + m)."""
 
 PARAMETERS = np.dtype(

@@ -4,7 +4,7 @@
 
 A chunk is closed when it is full or has been open for half a second of wall time, and handed to the operating system
 at once: a process killed at any instant loses the open chunk, unless a tail holds it as well. `metadata.yaml` appears
-when the run is finished; a directory without it was cut short and is completed by `recover`.
+when the run is finished; a directory without it was cut short; `recover` writes what is whole of it to a new run.
 
 Whole records are on disk or nothing: `mcap.writer.Writer` composes them into memory, so that a failing disk never
 leaves it half way; `McapFile.commit` moves what is complete to the file and cuts the file back to the last whole record

@@ -473,7 +473,7 @@ class _Beside:
         yield self._compare_configuration()
         yield self._compare_description()
         known |= {topics.CONFIGURATION.name, topics.ROBOT_DESCRIPTION.name}
-        by_name = {topic.name: topic for topic in topics.TOPICS}
+        by_name = {topic.name: topic for topic in topics.COMMON}
         for name in self._run.topics:
             relative = next((one for one in [*by_name, *known] if name == one or name.endswith(f"/{one}")), "")
             if relative not in known:

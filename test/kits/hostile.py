@@ -52,6 +52,11 @@ class Attacked:
     def refused(self, node: str, reason: str) -> int:
         return int(self.client.figures(node).get(f"refused.{reason}", "0"))
 
+    def refused_before(self, node: str, reason: str) -> int:
+        """Return the count once everything has been reported that was sent until now."""
+        self.quiet()
+        return self.refused(node, reason)
+
     def await_refusals(self, node: str, reason: str, count: int) -> None:
         """Wait until diagnostics have counted `count` refusals; and they count no more, and explain the last."""
         what = f"{count} refusals ({reason})"

@@ -420,6 +420,11 @@ def test_a_recording_is_begun_and_ended(lab: Lab, page: Page) -> None:
     page.wait("document.getElementById('recording').textContent === 'failed'", "the failure")
     page.wait("/Nothing is recorded: .*taken/.test(document.getElementById('notice-text').textContent)", "the reason")
     lab.client.set_parameters("recorder", {"directory": str(lab.directory)})
+    page.click("#record")  # as long as nothing is recorded the page says so, over what it says of the rig
+    page.wait("document.getElementById('recording').textContent.includes('run_')", "the name of the next run")
+    page.wait("document.getElementById('notice').hidden", "the end of the warning")
+    page.click("#record")
+    page.wait("document.getElementById('recording').textContent === 'off'", "its end")
 
 
 def test_scope_spectrum_slow_motion_and_themes(page: Page) -> None:

@@ -75,7 +75,7 @@ def test_commands_of_any_value(attacked: Attacked, topic: topics.Topic, low: flo
     client.set_parameters("rig", {"shaker.travel_limit_m": 1.0})  # the interlock has tests of its own
     expected: list[float] = []
     sent = 0
-    applied, before = len(client.applied), attacked.refused("rig", topic.name)
+    before, applied = attacked.refused_before("rig", topic.name), len(client.applied)
 
     @batches
     @given(st.lists(numbers, min_size=QUEUE - 1, max_size=QUEUE - 1))
@@ -143,7 +143,7 @@ def _given(value: ParameterValue) -> object:
 
 def test_parameters_of_any_name_type_and_value(attacked: Attacked) -> None:
     """The rig takes what the validator takes, and refuses the rest in its words."""
-    client, before = attacked.client, attacked.refused("rig", "parameter")
+    client, before = attacked.client, attacked.refused_before("rig", "parameter")
     refused = 0
 
     @cases
@@ -227,7 +227,7 @@ _SHUTDOWNS = (
 def test_transitions_in_any_order(attacked: Attacked, node: str) -> None:
     """Valid ones happen, others are answered with no and counted; after 2000 of them the node works."""
     client = attacked.client
-    state, refused = client.state(node), attacked.refused(node, "transition")
+    state, refused = client.state(node), attacked.refused_before(node, "transition")
 
     @settings(cases, max_examples=CASES if node == "rig" else CASES // 4)
     @given(st.integers(0, 255).filter(lambda number: number not in _SHUTDOWNS) | st.integers(0, 4))

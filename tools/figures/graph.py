@@ -18,7 +18,7 @@ def known(name: str) -> str:
     Raises:
         LookupError: there is none of that name.
     """
-    if name not in {topic.name for topic in topics.TOPICS}:
+    if name not in {topic.name for topic in topics.COMMON}:
         raise LookupError(f"no topic {name}")
     return name
 
