@@ -7,6 +7,7 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import fcntl
+import importlib
 import multiprocessing
 import os
 import random
@@ -166,6 +167,8 @@ def _claim_domain() -> tuple[int, IO[str]]:
 def _no_process_in_a_check(request: pytest.FixtureRequest) -> None:
     """Skip whatever starts a process, when it does: no marker that somebody could forget."""
     if request.config.getoption("--check"):
+        with contextlib.suppress(ImportError):
+            importlib.import_module("matplotlib.font_manager")  # asks a program for fonts, once on a machine
         for starter in (subprocess.Popen, multiprocessing.process.BaseProcess):
             starter.__init__ = _skip  # type: ignore[method-assign]  # for as long as these tests run
 
