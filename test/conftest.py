@@ -122,6 +122,12 @@ def _leave_out(config: pytest.Config, items: list[pytest.Item], out: Callable[[p
     items[:] = [item for item in items if item not in gone]
 
 
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """Say why a test was run once more: what went wrong the first time is shown nowhere else."""
+    for report in terminalreporter.stats.get("rerun", []):
+        terminalreporter.write_line(f"RERUN {report.nodeid}: {report.longreprtext[-1000:]}")
+
+
 def pytest_runtest_setup(item: pytest.Item) -> None:
     if item.get_closest_marker("ros") and _why_no_ros():
         pytest.skip(_why_no_ros())

@@ -8,6 +8,7 @@ import itertools
 import multiprocessing
 import os
 import signal
+import threading
 from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
@@ -26,6 +27,7 @@ J = TypeVar("J")
 R = TypeVar("R")
 
 AHEAD = 2  # jobs handed out per worker: enough to keep it busy, few enough to stop soon after Ctrl-C
+CLOSING_S = 2.0  # how long the end of a pool is waited for whose workers were killed
 
 
 class WorkerDiedError(GoneError):
@@ -79,7 +81,10 @@ def in_parallel(
             if running:
                 for worker in set(multiprocessing.active_children()) - others:
                     worker.kill()  # it has nothing to save
-            pool.shutdown(wait=not running, cancel_futures=True)
+            # its own thread may hang after that, but must not meet the interpreter's end while it closes what that uses
+            closing = threading.Thread(target=pool.shutdown, kwargs={"cancel_futures": True}, daemon=True)
+            closing.start()
+            closing.join(CLOSING_S if running else None)
 
 
 def _begin_worker(parent: int) -> None:

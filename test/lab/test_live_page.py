@@ -289,7 +289,9 @@ def test_stop_works_whatever_others_publish(lab: Lab, page: Page, hostile: Calla
             client.spin_for(0.1)
     else:
         publisher = client.publisher(by_name(name))
-        client.wait_until(lambda: publisher.get_subscription_count() >= 1, "a listener")
+        path = client.node.resolve_topic_name(name)
+        everybody = lambda: publisher.get_subscription_count() == client.node.count_subscribers(path) > 0  # noqa: E731
+        client.wait_until(everybody, "all who listen, the lab among them")
         client.spin_for(0.5)
         for _ in range(3):
             publisher.publish(codec.encode(content))

@@ -87,6 +87,8 @@ def test_what_was_given_to_a_suspended_rig_is_not_done_when_it_goes_on(tmp_path:
             client.wait_active("rig")
             drive(client, 0.1)
             journal = client.collect("rig/journal")
+            currents = lambda: [row["value"] for row in journal.rows() if row["key"] == b"current"]  # noqa: E731
+            client.wait_until(lambda: currents() == [0.1], "the journal, which goes its own way")
             rig = processes.running["rig"]
             rig.signal(signal.SIGSTOP)
             suspended = time.monotonic()
@@ -107,7 +109,8 @@ def test_what_was_given_to_a_suspended_rig_is_not_done_when_it_goes_on(tmp_path:
             assert (found["current_a"], found["state"]) == ("0.1", "driving")
             client.wait_active("rig")
             assert client.command(current_a=0.2)["current"] == 0.2, "it takes what it is given now"
-            assert [row["value"] for row in journal.rows() if row["key"] == b"current"] == [0.1, 0.2]
+            client.wait_until(lambda: len(currents()) > 1, "the journal")
+            assert currents() == [0.1, 0.2]
             rig.signal(signal.SIGSTOP)
             stopped = time.monotonic()
             stop = client.prepare(Trigger, "rig/stop").call_async(Trigger.Request())
