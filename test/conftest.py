@@ -125,7 +125,7 @@ def _leave_out(config: pytest.Config, items: list[pytest.Item], out: Callable[[p
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
     """Say why a test was run once more: what went wrong the first time is shown nowhere else."""
     for report in terminalreporter.stats.get("rerun", []):
-        terminalreporter.write_line(f"RERUN {report.nodeid}: {report.longreprtext[-1000:]}")
+        terminalreporter.write_line(f"RERUN {report.nodeid}: {report.longreprtext[-2000:]}")
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import functools
+import itertools
 import json
 import math
 import os
@@ -59,7 +60,7 @@ class RecorderSettings:
     """Parameters of the recorder node."""
 
     directory: str = text("runs", "Where run directories are made.")
-    name: str = text("", "Name of the run directory; empty: run_ and the date and time.")
+    name: str = text("", "Name of the run directory; empty: run_, date and time, numbered where there is one.")
     record: bool = switch(True, "Start recording on activation; otherwise with ~/start.", read_only=True)
     compression: str = choice("zstd", ("none", "lz4", "zstd"), "Compression of the chunks.")
     max_file_mb: int = integer(0, "MB", "Split files at this size; 0 = never.", at_least=0, at_most=1_000_000)
@@ -257,7 +258,8 @@ class RecorderNode(ManagedNode[RecorderSettings]):
 
     def _open(self, configuration: str | None) -> RunWriter:
         settings = self.settings
-        name = settings.name or time.strftime("run_%Y%m%d_%H%M%S")
+        directory = run_directory(settings.directory)
+        name = settings.name or _free_name(directory, time.strftime("run_%Y%m%d_%H%M%S"))
         values = parameters(configuration)
         mode = str(values.get("time", {}).get("mode", "unknown"))
         attachments = [Attachment("environment.json", environment(), "application/json")]
@@ -266,7 +268,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         self._added, self._account, self._refused = {}, Account(self._publishing), Counter()
         self._opened_ns = time.time_ns()
         return RunWriter(
-            run_directory(settings.directory) / name,
+            directory / name,
             provenance=Provenance(
                 version=impact_rig.__version__,
                 seed=int(values.get("daq", {}).get("seed", -1)),
@@ -411,6 +413,12 @@ def run_directory(text: str) -> Path:
         return Path(text).expanduser()
     except RuntimeError as error:  # ~nobody
         raise RecordingError(f"directory {text!r} cannot be used: {error}") from error
+
+
+def _free_name(directory: Path, name: str) -> str:
+    """Return the name, numbered where something is called so: recordings of one second are no reason to refuse one."""
+    numbered = (f"{name}_{number}" for number in itertools.count(2))
+    return next(found for found in itertools.chain([name], numbered) if not (directory / found).exists())
 
 
 def calibration_yaml(info: Table) -> str:

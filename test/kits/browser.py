@@ -42,7 +42,8 @@ KEYS = {
 
 SAYS = """JSON.stringify({
   visible: document.visibilityState, word: document.getElementById("word")?.textContent,
-  sentence: document.getElementById("sentence")?.textContent, drawn: window.lab?.drawn, rig: window.lab?.now?.rig,
+  said: ["sentence", "notice-text", "answer", "recording"].map((name) => document.getElementById(name)?.textContent),
+  drawn: {...window.lab?.drawn, trace: undefined}, rig: window.lab?.now?.rig, recorder: window.lab?.now?.recorder,
 })"""
 """What tells why a wait was in vain."""
 PORT = re.compile(r"//127\.0\.0\.1:(\d+)/")

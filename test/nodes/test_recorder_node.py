@@ -108,6 +108,18 @@ def test_start_and_stop_in_every_state(client: Client, tmp_path: Path) -> None:
         assert run.attachments()["environment.json"]
 
 
+def test_recordings_of_one_second_are_numbered(client: Client, tmp_path: Path) -> None:
+    """A bug once: who stopped and recorded again within a second was refused, as the name was taken."""
+    host_recorder(client, tmp_path, record=False, name="", configuration_wait_s=0.0)
+    client.wait_active("recorder")
+    begun = []
+    for _ in range(20):
+        begun.append(client.trigger("recorder/start"))
+        client.trigger("recorder/stop")
+    assert len({*begun}) == 20
+    assert any(name.endswith("_2") for name in begun), "as twenty take less than twenty seconds"
+
+
 def test_a_recorder_whose_disk_fails_acknowledges_no_more(
     client: Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
