@@ -43,7 +43,10 @@ KEYS = {
 SAYS = """JSON.stringify({
   visible: document.visibilityState, word: document.getElementById("word")?.textContent,
   said: ["sentence", "notice-text", "answer", "recording"].map((name) => document.getElementById(name)?.textContent),
-  drawn: {...window.lab?.drawn, trace: undefined}, rig: window.lab?.now?.rig, recorder: window.lab?.now?.recorder,
+  knobs: [...document.querySelectorAll(".knob input, .knob select")].map((one) => [one.value, {...one.dataset}]),
+  refused: [...document.querySelectorAll(".knob .words")].map((one) => one.textContent).join(""),
+  active: document.activeElement?.id, drawn: {...window.lab?.drawn, trace: undefined},
+  rig: window.lab?.now?.rig, recorder: window.lab?.now?.recorder,
 })"""
 """What tells why a wait was in vain."""
 PORT = re.compile(r"//127\.0\.0\.1:(\d+)/")

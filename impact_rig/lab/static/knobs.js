@@ -136,6 +136,7 @@ export class KnobPanel {
     field.value = String(shown);
     this.refresh();
     const { ok, text } = await answer;
+    if (ok) this.values[knob.name] = value; // what the page has heard of the rig may be older than the answer
     this.knobs.answer(knob.name, id, ok, text);
     this.refresh();
     return ok;
@@ -170,7 +171,9 @@ export class KnobPanel {
       const value = this.values[knob.name];
       if (!this.knobs.follows(knob.name) || field.dataset.written || value === null || value === undefined) continue;
       const shown = typeof value === "number" ? String(Number((value * (knob.factor ?? 1)).toPrecision(6))) : value;
-      if (document.activeElement !== field || field.dataset.shown !== shown) field.value = shown;
+      const focused = document.activeElement === field;
+      if (!focused || field.dataset.shown !== shown) field.value = shown;
+      if (focused && slider && field.dataset.shown !== shown) field.select(); // who writes now replaces it: 4 and 6 are not 46
       field.dataset.shown = shown;
       if (slider && document.activeElement !== slider) slider.value = shown;
     }
