@@ -16,6 +16,7 @@ import yaml
 pytest.importorskip("rclpy", reason="no ROS 2 here")
 
 from kits.nodes import host_rig
+from rclpy.duration import Duration
 from rclpy.node import Node
 from std_msgs.msg import Float64, String
 
@@ -234,6 +235,7 @@ def test_results_of_before_are_not_those_of_a_run(client: Client, tmp_path: Path
     client.wait_active("recorder")
     client.wait_until(lambda: recording(client) and table.get_subscription_count(), "the recorder")
     table.publish(codec.encode(Table(4, rows)))
+    assert table.wait_for_all_acked(Duration(seconds=30.0)), "topics overtake each other, and services topics"
     client.step(1)
     client.trigger("recorder/stop")
     with open_run(tmp_path / "run") as run:
