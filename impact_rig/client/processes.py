@@ -24,7 +24,7 @@ import attrs
 
 import impact_rig
 from impact_rig.errors import GoneError, ImpactRigError
-from impact_rig.system import files
+from impact_rig.system import files, segments
 from impact_rig.system.endings import PARENT_VARIABLE, unhurried
 
 STOP_TIMEOUT_S = 10.0
@@ -90,13 +90,18 @@ class Processes:
         self.directory = directory
         self.namespace = namespace
         self.running: dict[str, NodeProcess] = {}
+        self._segments = segments.Watch()
         files.make_folder(directory)
 
     def __enter__(self) -> Processes:
+        self._segments.__enter__()
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.stop()
+        try:
+            self.stop()
+        finally:
+            self._segments.__exit__()
 
     def start(
         self,

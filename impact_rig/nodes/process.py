@@ -26,6 +26,7 @@ from rclpy.task import Future
 
 from impact_rig.errors import describe
 from impact_rig.nodes.managed import ManagedNode
+from impact_rig.system import segments
 from impact_rig.system.endings import SIGNALS, Ending, held
 
 SPIN_S = 0.2
@@ -97,4 +98,5 @@ def run(make_node: Callable[[], ManagedNode[Any]], ending: Ending) -> int:
 
 def main(make_node: Callable[[], ManagedNode[Any]], ending: Ending) -> None:
     """Run a node as a program, from when its imports are done."""
-    sys.exit(ending.run(lambda: run(make_node, ending), interrupting=False))
+    with segments.Watch():
+        sys.exit(ending.run(lambda: run(make_node, ending), interrupting=False))

@@ -1,0 +1,76 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""What a killed process leaves half made of shared memory stops nobody."""
+
+from __future__ import annotations
+
+import struct
+import time
+from pathlib import Path
+
+import pytest
+
+from impact_rig.system import segments
+
+
+def word(path: Path) -> int:
+    return int(struct.unpack("<I", path.read_bytes()[:4])[0])
+
+
+def test_what_is_half_made_at_two_looks_is_marked_and_nothing_else(tmp_path: Path) -> None:
+    contents = {
+        "port1": b"",
+        "port2": bytes(64),
+        "port3": struct.pack("<I", 1),
+        "port4": struct.pack("<I", 2) + bytes(60),
+    }
+    for name, content in contents.items():
+        (tmp_path / f"fastrtps_{name}").write_bytes(content)
+    others = ["fastrtps_port1_el", "sem.fastrtps_port1_mutex", "fastrtps_0a1b", "another"]
+    for name in others:
+        (tmp_path / name).touch()
+    (tmp_path / "fastrtps_port5").symlink_to(tmp_path / "another")
+    before = segments.look(tmp_path, set())
+    assert {name for name, _ in before} == {"fastrtps_port1", "fastrtps_port2", "fastrtps_port3"}
+    assert (tmp_path / "fastrtps_port1").stat().st_size == 0, "it may be being made"
+    (tmp_path / "fastrtps_port2").write_bytes(contents["port4"])  # it was
+    (tmp_path / "new").write_bytes(b"")
+    Path(tmp_path / "new").replace(tmp_path / "fastrtps_port3")  # another one
+    segments.look(tmp_path, before)
+    assert word(tmp_path / "fastrtps_port1") == 3
+    assert (tmp_path / "fastrtps_port1").stat().st_size > 4
+    assert word(tmp_path / "fastrtps_port2") == word(tmp_path / "fastrtps_port4") == 2
+    assert [(tmp_path / name).stat().st_size for name in ("fastrtps_port3", *others)] == [0] * 5
+
+
+def test_the_watch_ends_with_its_context(tmp_path: Path) -> None:
+    (tmp_path / "fastrtps_port7").touch()
+    with segments.Watch(tmp_path, 0.01):
+        deadline = time.monotonic() + 60
+        while not (tmp_path / "fastrtps_port7").stat().st_size and time.monotonic() < deadline:
+            time.sleep(0.01)
+    assert word(tmp_path / "fastrtps_port7") == 3
+    with segments.Watch(tmp_path / "nowhere", 0.01):
+        time.sleep(0.05)
+
+
+@pytest.mark.ros
+@pytest.mark.pipeline
+def test_a_rig_begins_where_a_killed_process_was_about_to_listen(tmp_path: Path) -> None:
+    """The ports of the first participants of a domain, as somebody leaves them who is killed: nobody began before."""
+    pytest.importorskip("rclpy")
+    from impact_rig.client import Client, Processes, isolated_domain
+
+    with isolated_domain() as domain:
+        left = [segments.SHARED / f"fastrtps_port{7400 + 250 * domain + 11 + 2 * number}" for number in range(3)]
+        for path in left:
+            path.touch()
+        try:
+            with Processes(domain, tmp_path) as processes:
+                processes.start("rig")
+                with Client(domain, processes=processes) as client:
+                    client.wait_active("rig")
+            assert not any(path.exists() and not path.stat().st_size for path in left)
+        finally:
+            for path in left:
+                path.unlink(missing_ok=True)
