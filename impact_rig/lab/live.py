@@ -162,6 +162,8 @@ class LiveSource(Source):
         if gateway is None:
             return
         seen = {node: gateway.seen(node) for node in states.BY_NODE}
+        told = seen["rig"].figures.get("start_ns", "")
+        record.told_start_ns = int(told) if told.isascii() and told.isdigit() else 0
         doubts = self.guard("doubts", record.doubts)
         if doubts is None:
             doubts = ["what speaks against it cannot be told"]
@@ -174,7 +176,7 @@ class LiveSource(Source):
             "closed_form": lambda: closed_form(record.knobs),
             "dt": lambda: record.curve.part(record.start_ns),
             "dt_now": lambda: state.present(seen["rig"], seen["analysis"], doubts),
-            "faults": lambda: record.faults.in_force(record.start_ns),
+            "faults": lambda: record.faults.in_force(record.since_ns),
             "health": lambda: record.health() if seen["analysis"].lives else None,
             "journal": lambda: record.journal.part(record.start_ns),
             "recorder": lambda: self._recorder(seen["recorder"]),

@@ -297,6 +297,9 @@ class Record:
         self.curve = Curve()
         self.epoch = 0  # counts resets and jumps: what was drawn before belongs to another record
         self.start_ns = self.newest_ns = 0
+        self.told_start_ns = 0
+        """Stamp of scan 0 by the rig's diagnostics: where it is later than `start_ns`, the `daq/info` of a rig that has
+        just begun has not come, and all that is known is of the one before."""
         self.configuration = ""  # what is in force, as a ROS 2 parameter file
         self.knobs: dict[str, Any] = {}  # the same by name
         self.applied: deque[tuple[int, dict[str, float]]] = deque(maxlen=most)
@@ -307,9 +310,14 @@ class Record:
         """The newest of `shaker/stream`; None: the rig is driven by no stream."""
         self.lock = threading.Lock()  # held while rings are written or read
 
+    @property
+    def since_ns(self) -> int:
+        """Stamp from which on what has come is of the rig that is there."""
+        return max(self.start_ns, self.told_start_ns)
+
     def doubts(self, at_ns: int | None = None) -> list[str]:
         """Return what speaks against the newest measurement, now or at an instant, in words."""
-        found = [f"{fault} is in force (truth)" for fault in self.faults.in_force(self.start_ns, at_ns)]
+        found = [f"{fault} is in force (truth)" for fault in self.faults.in_force(self.since_ns, at_ns)]
         found += [f"{channel}: {word}" for channel, word in (self.curve.health(at_ns) or {}).items()]
         row, change = self.curve.newest(at_ns), self.journal.at(LAST_NS if at_ns is None else at_ns)[1]
         if row is not None and change is not None and not came_before(change.stamp_ns, row):
@@ -404,7 +412,7 @@ class Record:
         if at_ns is not None:
             return next((one for one in reversed(list(self.applied)) if one[0] <= at_ns), None)
         newest = self.applied[-1] if self.applied else None
-        return None if newest is None or newest[0] < self.start_ns else newest
+        return None if newest is None or newest[0] < self.since_ns else newest
 
 
 def guard(refused: dict[str, list[Any]], what: str, work: Callable[[], T]) -> T | None:

@@ -87,6 +87,7 @@ class RigState:
         values: dict[str, object] = {
             "mode": config.time.mode,
             "factor": pacer.factor,
+            "start_ns": rig.start_ns,
             "rig_time_s": (rig.next_block_ns - rig.start_ns) / NS_PER_S,
             "blocks": counts.blocks,
             "block_rate_hz": counts.block_rate_hz(),

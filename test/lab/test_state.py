@@ -147,7 +147,15 @@ def test_what_a_rig_before_applied_is_not_in_force() -> None:
     applied["frequency"], applied["current"], info["rate"] = 9.1, 1.2, 10_000.0
     record.take(topics.INFO, encode(Table(10**9, info)))
     record.take(topics.APPLIED, encode(Table(2 * 10**9, applied)))
+    fault = np.zeros(1, topics.FAULTS.columns)
+    fault["kind"], fault["channel"], fault["active"] = b"dropout", b"base", 1
+    record.take(topics.FAULTS, encode(Table(2 * 10**9, fault)))
     assert record.drive == {"frequency": 9.1, "current": 1.2}
+    assert len(record.doubts()) == 1
+    record.told_start_ns = 9 * 10**9  # its diagnostics come before its daq/info, or after it
+    assert record.drive is None
+    assert record.doubts() == []
+    record.told_start_ns = 0
     record.take(topics.INFO, encode(Table(9 * 10**9, info)))
     assert record.refused == {}
     assert record.drive is None

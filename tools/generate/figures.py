@@ -33,6 +33,7 @@ EVERY_NODE = (
 RIG = (
     Figure("mode", "-", "`time.mode`."),
     Figure("factor", "-", "`time.factor`."),
+    Figure("start_ns", "ns", "Stamp of scan 0: 0 unless in realtime."),
     Figure("rig_time_s", "s", "Since the start or reset."),
     Figure("blocks", "-", "Blocks measured since the activation."),
     Figure("block_rate_hz", "Hz", "Blocks per second of wall time, since the last report."),
