@@ -30,7 +30,7 @@ sys.path.insert(0, str(ROOT / "test"))
 from kits.browser import Browser  # noqa: E402
 
 from benchmarks.cpu import cpu_share, resident_mb  # noqa: E402
-from benchmarks.live import FREEWHEEL_WINDOW, _graph  # noqa: E402
+from benchmarks.live import FREEWHEEL_WINDOW, graph  # noqa: E402
 from impact_rig.client import Client, Processes  # noqa: E402
 from impact_rig.errors import ImpactRigError  # noqa: E402
 
@@ -57,7 +57,7 @@ def run() -> dict[str, float]:
 
 def _live(seconds: float, pairs: int) -> dict[str, float]:
     parameters = {"daq.rate_hz": RATE_HZ, "daq.block_scans": RATE_HZ // 100, **DRIVE}
-    with _graph(parameters) as (client, processes, directory), _lab(processes, directory) as (address, lab):
+    with graph(parameters) as (client, processes, directory), _lab(processes, directory) as (address, lab):
         browser = Browser()
         try:
             extra, drawn, script, shares = [], [], [], []
@@ -97,7 +97,7 @@ def _freewheel(seconds: float, pairs: int) -> dict[str, float]:
     parameters = {
         "time.mode": "freewheel", "time.peers": ("analysis", "recorder"), "time.ack_window": FREEWHEEL_WINDOW, **DRIVE,
     }  # fmt: skip
-    with _graph(parameters) as (client, processes, directory), _lab(processes, directory) as (address, _):
+    with graph(parameters) as (client, processes, directory), _lab(processes, directory) as (address, _):
         browser = Browser()
         try:
             ratios, speeds = [], []

@@ -250,6 +250,11 @@ def records(count: int, kind: np.dtype[np.void]) -> Any:
     return for_kernels(np.zeros(count, kind))
 
 
+def room(count: int, kind: np.dtype[np.void]) -> Any:
+    """Return room for `count` records that are written before they are read: nothing is cleared."""
+    return for_kernels(np.empty(count, kind))
+
+
 def for_kernels(rows: NDArray[np.void]) -> Any:
     """Return rows as kernels take them: as they are, with fields by name where kernels run as plain Python."""
     return with_fields(rows) if MODE == "plain" else rows

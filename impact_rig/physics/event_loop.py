@@ -30,7 +30,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_rig.kernels import INTEGERS, Fields, entry, kernel, records
+from impact_rig.kernels import INTEGERS, Fields, entry, kernel, records, room
 from impact_rig.physics.contact_phase import account_step, conclude, dissipated, find_peaks, settles, take_next_step
 from impact_rig.physics.contact_step import drop_dense_output, expand, turned_at
 from impact_rig.physics.energy import account_flight
@@ -119,8 +119,8 @@ def new_workspace(states: int, impacts: int) -> Workspace:
         records(1, CONTACT_STEP),
         records(1, LEDGER),
         records(1, LOG),
-        records(states, STATE),
-        records(impacts, IMPACT),
+        room(states, STATE),
+        room(impacts, IMPACT),
         np.zeros(1, np.int64),
     )
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from impact_rig.arithmetic.interpolation import NODES
 from impact_rig.blocks import joined
 from impact_rig.errors import SimulationError
-from impact_rig.kernels import for_kernels, records, with_fields
+from impact_rig.kernels import for_kernels, records, room, with_fields
 from impact_rig.physics import contact as contact_laws
 from impact_rig.physics.contact_step import turned_at
 from impact_rig.physics.event_loop import NEED_ROOM, STUCK, Workspace, new_workspace, run
@@ -161,8 +161,8 @@ class Motion:
 
         These are the segments' starts, the contacts' starts and ends, and the integration steps inside contacts.
         """
-        room = PARTS * len(self._trajectory.history)
-        tick, offset = np.empty(room, np.int64), np.empty(room)
+        most = PARTS * len(self._trajectory.history)
+        tick, offset = np.empty(most, np.int64), np.empty(most)
         count = refine(self._trajectory, tick, offset)
         return tick[:count], offset[:count]
 
@@ -346,7 +346,7 @@ class Simulation:
         work.first[-1] = states
         kept = work.history[:states]
         if len(work.history) > _STATES:  # one that grew is given away: to copy it takes a tenth of the motion's time
-            self._work = work._replace(history=records(_STATES, STATE))
+            self._work = work._replace(history=room(_STATES, STATE))
         else:
             kept = joined([kept])
         motion = Motion(
@@ -422,6 +422,6 @@ def _grown(work: Workspace) -> Workspace:
 
 def _longer(rows: Any, kind: np.dtype[np.void]) -> Any:
     """Return records with more room; NumPy would copy them field by field, which takes twelve times as long."""
-    grown = records(_GROWTH * len(rows), kind)
+    grown = room(_GROWTH * len(rows), kind)
     grown.view(np.uint8)[: rows.nbytes] = rows.view(np.uint8)
     return grown

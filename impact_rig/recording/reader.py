@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Reads a run: a directory or a single MCAP file, message by message in log-time order, every byte checked.
 
-Chunks are read and decompressed one ahead in a thread (the decompressor releases the interpreter), so that an analysis
+Chunks are read and decompressed some ahead in a thread (the decompressor releases the interpreter), so that an analysis
 on another core hardly waits for them.
 
 `McapSource` is one finished file: its summary is checked on opening, its chunks when they are read.
@@ -15,8 +15,9 @@ import fcntl
 import os
 import re
 import zlib
+from collections import deque
 from collections.abc import Generator, Iterable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, NamedTuple  # Any: what YAML may hold
 
@@ -36,6 +37,8 @@ from impact_rig.system.budget import BudgetError, Spending
 from impact_rig.system.files import open_regular
 from impact_rig.topics import Topic
 
+LEAST_AHEAD, AHEAD_BYTES = 2, 4 * budget.MIB
+"""Chunks that are read before the first of them is needed: at least so many, and as many as are together no larger."""
 _TRAILING_NUMBER = re.compile(r"_(\d+)$")
 
 
@@ -271,21 +274,25 @@ class Run:
             places.sort(key=lambda place: place.index.message_start_time)
         pending: list[_Item] = []
         account = self._account()
+        coming, ahead = deque(places), deque[tuple[_Place, Future[memoryview]]]()
         with ThreadPoolExecutor(1, thread_name_prefix="read-ahead") as pool:
-            ahead = [pool.submit(place.source.chunk, place.index) for place in places[:1]]
-            for number, place in enumerate(places):
-                content = ahead.pop().result()
-                following = places[number + 1] if number + 1 < len(places) else None
-                if following is not None:
-                    self._refuse_hoard(pending, recorded, (place, following))
-                    ahead.append(pool.submit(following.source.chunk, following.index))
+            while coming or ahead:
+                while coming:
+                    in_memory = [*(place for place, _ in ahead), coming[0]]
+                    if len(in_memory) > LEAST_AHEAD and _size(*in_memory) > AHEAD_BYTES:
+                        break
+                    self._refuse_hoard(pending, recorded, in_memory)
+                    ahead.append((coming[0], pool.submit(coming[0].source.chunk, coming[0].index)))
+                    coming.popleft()
+                place, reading = ahead.popleft()
+                content = reading.result()
                 self._count(content, account)
                 pending += _items(place, content, names, running_number[id(place)])
                 cut = len(pending)
                 if not recorded_order:
                     pending.sort()
-                    if following is not None:  # nothing in the chunks to come is earlier than the next one's start
-                        cut = bisect.bisect_left(pending, (following.index.message_start_time,))
+                    if ahead:  # nothing in the chunks to come is earlier than the next one's start
+                        cut = bisect.bisect_left(pending, (ahead[0][0].index.message_start_time,))
                 for log_time, _, _, message in pending[:cut]:
                     if (start_ns is None or log_time >= start_ns) and (end_ns is None or log_time < end_ns):
                         yield message
@@ -294,7 +301,7 @@ class Run:
     def _refuse_hoard(self, pending: list[_Item], recorded: Sequence[_Place], coming: Iterable[_Place]) -> None:
         """Refuse to hold many chunks because each has a message that is much later than the others."""
         held = [*(recorded[number] for number in {item[1] for item in pending}), *coming]
-        size = sum(place.index.uncompressed_size for place in held) + budget.MESSAGE_BYTES * len(pending)
+        size = _size(*held) + budget.MESSAGE_BYTES * len(pending)
         try:
             budget.allow("bytes held until their time has come", size, budget.HELD_BYTES)
         except BudgetError as error:
@@ -307,6 +314,10 @@ class Run:
             account.records(records.count(content, most))
         except BudgetError as error:
             raise BudgetError(f"{self.path}: {error}") from error
+
+
+def _size(*places: _Place) -> int:
+    return sum(place.index.uncompressed_size for place in places)
 
 
 def open_run(path: Path | str) -> Run:
