@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import ast
 import functools
+import importlib
 import importlib.util
 import os
 import re
@@ -143,6 +144,15 @@ def test_what_the_commands_of_the_readme_took_is_among_the_figures(
     (start.NOTED / "suite_s").write_text("431\n")  # as the shell of `make test` writes it
     assert start.noted() == {"suite_s": 431.0}
     assert f"{start.NOTED}/$(1)" in (ROOT / "Makefile").read_text(encoding="utf-8")
+
+
+@pytest.mark.ros
+def test_every_benchmark_can_begin() -> None:
+    """One once imported what had got another name; nobody saw it before a whole bench was run."""
+    pytest.importorskip("rclpy", reason="no ROS 2 here")
+    from benchmarks.__main__ import PARTS
+
+    assert all(callable(importlib.import_module(f"benchmarks.{part}").run) for part in PARTS)
 
 
 # --- An installation: real pip, real environment, three tiny packages -------------------------------------------------
