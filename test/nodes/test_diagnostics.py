@@ -34,6 +34,7 @@ def test_a_running_rig_reports_rates_energy_faults_and_over_ranges(client: Clien
     client.wait_active("rig")
     client.wait_until(lambda: float(client.figures("rig").get("rig_time_s", 0.0)) > 4.0, "some rig time")
     found = client.figures("rig")
+    assert 0 < time.time_ns() - int(found["start_ns"]) < 600 * 10**9
     assert 0.0 < float(found["block_rate_hz"]) < 600.0  # 400, less on a busy machine, more while it catches up
     assert 0.0 < float(found["cpu_percent"]) <= 200.0
     assert 0.0 <= float(found["lateness_median_ms"]) <= float(found["lateness_p99_ms"])
