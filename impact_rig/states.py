@@ -4,7 +4,8 @@
 
 The message of a diagnostic status is a sentence for people and may change; nothing reads a state out of it. Every
 status carries the keys of `KEYS`; `state` is one of the words below, the gravest that is true. Status, regime and
-method of a measurement are those of `transmissibility/table`; `docs/analysis.md` explains each.
+method of a measurement are those of `transmissibility/table`; `docs/analysis.md` explains each. How grave a state is,
+each node decides for itself (`health`).
 """
 
 from __future__ import annotations
@@ -40,7 +41,10 @@ class Rig(Word):
     INACTIVE = "inactive", "unconfigured, inactive or finalised: the reason begins with the lifecycle state"
     RIVAL = "rival", "somebody else publishes this rig's topics, or holds its namespace"
     NO_PEER = "no_peer", "a peer of `time.peers` has not subscribed yet, and rig time waits for it"
-    SILENT_PEER = "silent_peer", "a peer no longer acknowledges: rig time stands still"
+    SILENT_PEER = (
+        "silent_peer",
+        "a peer no longer acknowledges, or a controller sends no samples: rig time stands still",
+    )
     TRIPPED = "tripped", "the interlock or `~/stop` has latched the shaker: the reason says which"
     PAUSED = "paused", "by `~/pause`; or stepped, and for a second no step was asked for"
     PLUCKED = "plucked", "base locked after a pluck, structure swings freely"

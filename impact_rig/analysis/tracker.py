@@ -4,7 +4,8 @@
 
 Feed it what the rig publishes; it measures when the response has settled and says by name why it does not. Whatever
 the cut into blocks, and in whatever order topics are delivered within `hold_s`, the rows are the same bit for bit:
-scans are held back, cycles and windows are counted from the last change of the drive, sums run scan by scan.
+scans are held back, cycles and windows are counted from the last change of drive, gap label or calibration (`_apply`),
+sums run scan by scan.
 """
 
 from __future__ import annotations

@@ -2,8 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """What pages are told, live and in playback alike, and the `Source` that tells it.
 
-States come from the keys of `impact_rig.states` alone: no sentence is read. What was never said, or too long ago, is
-not shown as present. Times are seconds since scan 0; what came before it is negative.
+How all is stands in one word and one sentence: `judge`. States come from the keys of `impact_rig.states`
+alone: no sentence is read. What was never said, or too long ago, is not shown as present. Times are seconds since scan
+0; what came before it is negative.
 """
 
 from __future__ import annotations

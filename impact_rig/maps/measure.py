@@ -2,8 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the mechanics settle to at one place of a map: DT and phase of the fundamental, impacts per cycle, regime.
 
-One drive segment is one cycle, so the record is stroboscopic: the fundamental of both bases is a sum over each cycle.
-Everything is deterministic, and starts either from a reset rig or from what the place before left.
+The regime is that of `analysis.spread.classify`. One drive segment is one cycle, so the record is
+stroboscopic: the fundamental of both bases is a sum over each cycle. Everything is deterministic, and starts either
+from a reset rig or from what the place before left.
 """
 
 from __future__ import annotations

@@ -4,6 +4,7 @@
 
 A rig that runs ahead of time goes as far as its peers have acknowledged, whom it knows from the graph. A peer says up
 to which block it is: of a rig that waits a single one at once, those of a burst together; in real time now and then.
+What is done about a peer that is silent: `Session`.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""A rig on the graph: the device, what it is told, its time, what it publishes, and how far its readers are.
+"""A rig on the graph: whether it may begin, what it is told, its time, what it publishes, and how far its readers are.
 
 The work is calls into `Rig` for the blocks that are due: by the clock in realtime, otherwise as far as the slowest
 peer allows, and where rig time is stepped or paused only as far as steps were asked for.

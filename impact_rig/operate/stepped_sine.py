@@ -1,6 +1,6 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""Stepped sine: which setpoint comes next, as a pure state machine; `operator` asks it and does what it says.
+"""Stepped sine, also with an amplitude held: which setpoint comes next, as a pure state machine that `operator` asks.
 
     idle ── start ──► running ── all points measured ──► finished
                          └────── rule broken ──────────► aborted

@@ -53,7 +53,7 @@ _ATTEMPTS = 12  # Newton needs two to four
 _REACHED = 1e-10  # of the quantity's own scale: as near as Newton's method solves a step
 _COLLAPSED = 1e-4  # of w at the step's start: where it is smaller at a stage the step is refused, see `_first_event`
 _SMALLEST = 1e-300
-_FIRST_STEP = 0.2  # of √(time/v0), which is half of ∫ dt/√(v0 t), see `first_step`
+_FIRST_LENGTH = 0.2  # of √(time/v0), which is half of ∫ dt/√(v0 t), see `first_length`
 _HOP = 3.0  # of the pressing acceleration, see `settles`
 _GUESSES, _NEAR = 12, 1e-6  # of the event's scale: as good as a step's polynomial is
 _PEAK_FOUND = 1e-5  # of a step: the force is flat there
@@ -203,7 +203,8 @@ def _limited(s, step):  # type: ignore[no-untyped-def]
 def take_step(p, law, s, step):  # type: ignore[no-untyped-def]
     """Solve the next step, its length in `s.h`, and propose one in `s.next_h`; return the event it ends at.
 
-    `step` must have been expanded about s, and hold the `rest` of the segment.
+    The state stays where it is until `conclude` moves it. `step` must have been expanded about s, and hold the `rest`
+    of the segment.
     """
     begin_step(p, law, s, step)
     s.h = _limited(s, step)
@@ -232,7 +233,7 @@ def take_next_step(model, f, s, step, t_end):  # type: ignore[no-untyped-def]
     p = model.parameters[0]
     expand(p, f, s, step)
     if s.next_h == 0.0:
-        s.next_h = first_step(p, s.approach, step.acceleration[0])
+        s.next_h = first_length(p, s.approach, step.acceleration[0])
     step.rest = t_end - s.t
     return take_step(p, model.law, s, step)
 
@@ -357,7 +358,7 @@ def contact_time(p, speed):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def first_step(p, speed, acceleration):  # type: ignore[no-untyped-def]
+def first_length(p, speed, acceleration):  # type: ignore[no-untyped-def]
     """Return a first step [s/m^0.5]: a part of √(time/v0), with the time scale of the law, or of a_r."""
     scale = min(contact_time(p, speed), speed / max(abs(acceleration), _SMALLEST))
-    return _FIRST_STEP * math.sqrt(scale / speed)
+    return _FIRST_LENGTH * math.sqrt(scale / speed)

@@ -40,7 +40,7 @@ dw/dχ and dt/dχ also w and the time. It is a thousandth or a millionth off, no
 the next step for Newton's method and about where an event lies, and decides nothing of the motion; the instruments'
 polynomials in a contact are read off it (`sampling.fit`).
 
-In the functions p are the parameters, law the contact law's functions, f the drive, s the state, step the step with its
+In the functions p are the parameters, law the contact law's force, f the drive, s the state, step the step with its
 stages, and a slope is a derivative by χ.
 """
 
@@ -62,8 +62,11 @@ from impact_rig.physics.collocation import (
 )
 from impact_rig.physics.state import COIL, PRESCRIBED, STEP_TERMS, STRUCTURE, V1, VB, VOLTAGE, X1, XB
 
-FEW = 8
-_FEW_VALID_RADIANS, _VALID_RADIANS = 0.03, 0.25  # of the fastest motion in one step: FEW and STEP_TERMS leave out 1e-16
+FEW_TERMS = 8
+_FEW_VALID_RADIANS, _VALID_RADIANS = (
+    0.03,
+    0.25,
+)  # of the fastest motion in one step: FEW_TERMS and STEP_TERMS leave out 1e-16
 _AMPLE = 4.0  # terms are chosen before the length is known, for this many times what is expected
 
 
@@ -76,7 +79,7 @@ def expand(p, f, s, step):  # type: ignore[no-untyped-def]  # compiled: types ar
     path = step.path
     fastest = max(p.fastest, f.omega)
     expected = _AMPLE * s.next_h * max(s.w, 0.5 * s.next_h * abs(s.speed))  # ∫ w dχ, with w + (δ'/2) χ
-    step.terms, step.validity = FEW, _FEW_VALID_RADIANS / fastest
+    step.terms, step.validity = FEW_TERMS, _FEW_VALID_RADIANS / fastest
     if expected > step.validity:
         step.terms, step.validity = STEP_TERMS, _VALID_RADIANS / fastest
     step.fastest_time = 1.0 / fastest

@@ -11,7 +11,7 @@ steps also pauses, to be entered again):
     FREE       STOPPED         friction holds the sphere (`_hold`) or does not      ATTACHED, or FREE (`_part`)
     CONTACT    SEPARATED       the sphere flies on from there (`_leave`)            FREE
                or RELEASED
-    CONTACT    SETTLED         a law with a memory only rings, slowly (`settles`)   ATTACHED
+    CONTACT    SETTLED         a law with a memory only rings (`settles`; `_leave`) ATTACHED
     ATTACHED   PARTED          the structure pulls away, or friction yields         FREE
                                (`_part`)
 
@@ -74,8 +74,9 @@ from impact_rig.physics.state import (
     XB,
 )
 
-DONE, NEED_ROOM, STUCK = range(3)
-"""How `run` ends: all segments done; call again with more room in the log; no progress."""
+DONE, NEED_ROOM, STUCK, UNSOLVED = range(4)
+"""How `run` ends: all segments done; call again with more room in history and impacts; no progress; a step of a contact
+has no solution that can be found."""
 
 _SPEED_RESOLUTION = 2.0**-48
 _STEPS = 500  # of a contact in one call of its phase
@@ -197,7 +198,7 @@ def _keep_impact(work, s, separation, indentation):  # type: ignore[no-untyped-d
 
 @kernel
 def _leave(model, s, work, settled):  # type: ignore[no-untyped-def]
-    """End a contact: keep the impact, give y back to the structure, and fly on from the surface that is left.
+    """End a contact: keep the impact, give y back to the structure, and fly on from the surface left, or be held there.
 
     What the contact still stores is lost: it relaxes alone or, `settled`, rings out while the sphere goes on ATTACHED.
     """
@@ -396,7 +397,7 @@ def run(model, segments, tick_of, index, work, account):  # type: ignore[no-unty
             if s.phase == CONTACT:
                 ended = _contact_phase(model, f, work, t_end, account)
                 if ended == FAILED:
-                    return STUCK, index
+                    return UNSOLVED, index
             else:
                 _prepare_flight(model, f, work, t_end, fresh)
                 fresh = False

@@ -1,6 +1,6 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""Flight: the sphere is loose, the structure is linear, and both are known in closed form until a wall is reached.
+"""Between contacts: the structure is linear, the sphere loose or one body with it, and both are known in closed form.
 
 **Drive.** Inside one segment u(t) = (A + B t) sin(ω t + φ). The answer of the linear system y' = M y + b_0 u + b_1 u'
 to it is

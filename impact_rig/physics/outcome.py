@@ -87,7 +87,7 @@ def perturbed_contact(parameters, law, eta_0, perturbations, states, steps, out)
     out[:] = 0.0
     damped, lossy = 0.0, 0.0
     step.acceleration[:] = 0.0
-    step.rest = step.validity = 1e300
+    step.rest = step.validity = math.inf
     step.terms = 3
     for _ in range(_MOST_STEPS):
         t = s.t

@@ -14,7 +14,8 @@ segment, `since` that since the flight, step or contact began, and τ that from 
 
 The sensors take a motion piece by piece (`refine` gives the instants at which it is cut), each as one polynomial
 (`fit`): in flight the Taylor polynomial about its middle, shortened; in a contact the one through eight instants, of a
-step's dense output or, if tabulated, of δ integrated anew; anything else through eight samples.
+step's dense output or, if tabulated, of δ integrated anew; anything else, and a tabulated contact of a law with a
+memory, through eight samples.
 """
 
 from __future__ import annotations
@@ -81,12 +82,12 @@ QUANTITIES = (
 )  # fmt: skip
 """What a motion can be asked for, SI; OF_X_1 is the place of x_1 here, X1 that in a structural state."""
 
-_VALID_RADIANS = 0.5  # of the fastest motion per polynomial: the first neglected term is 0.25^14 / 14! = 4e-20
+_INTERVAL_RADIANS = 0.5  # of the fastest motion per polynomial: the first neglected term is 0.25^14 / 14! = 4e-20
 _MOST_STEPS = 500
 _ROOT_ROUNDS = 60  # Newton needs three to six
 _ROOT_FOUND = 1e-9  # of the step
 _SAME = 1e-12  # instants nearer to each other are one [s]
-_LONGEST = 4.0 / _VALID_RADIANS  # a piece, times `flight.validity`: 2 radians either side of its middle, see `fit`
+_LONGEST = 4.0 / _INTERVAL_RADIANS  # a piece, times `flight.interval`: 2 radians either side of its middle, see `fit`
 _PULSE_STEPS = 12  # of a tabulated contact, at least; the nodes make more of them
 _CORRECTIONS = 2  # of the length of a step up to an instant: interpolation leaves parts in 1e4, each squares the error
 
@@ -261,18 +262,18 @@ def _expand_flight(p, system, f, flight, quantity, poly, since):  # type: ignore
 
 
 @kernel
-def _of_structure(s, quantity):  # type: ignore[no-untyped-def]
+def _structure_quantity(s, quantity):  # type: ignore[no-untyped-def]
     """Return the quantity of the structure that this one follows from in flight."""
     if s.phase == ATTACHED:  # one body: the sphere moves as the structure, and a wall may push it
         if quantity in (OF_X_2, OF_V_2, OF_A_2):
-            return quantity - 1
+            return quantity - 1  # x_1, v_1, a_1: each stands before the sphere's
         if quantity >= OF_FORCE_LEFT:
             return OF_A_1
     return quantity
 
 
 @kernel
-def _in_flight(p, s, quantity, poly, tau, since):  # type: ignore[no-untyped-def]
+def _quantity_in_flight(p, s, quantity, poly, tau, since):  # type: ignore[no-untyped-def]
     """Return a quantity in the flight from s, by its polynomial, or where it has none by the sphere's parabola."""
     if s.phase == ATTACHED:
         if quantity == OF_CURRENT and p.drive == PRESCRIBED:
@@ -351,7 +352,7 @@ def _length_to(s, step, end, since):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _inside(model, s, step, end, since):  # type: ignore[no-untyped-def]
+def _solve_up_to(model, s, step, end, since):  # type: ignore[no-untyped-def]
     """Return (w, δ') `since` seconds after the start of a step: the step is taken again to end there."""
     if s.h == 0.0 or since <= 0.0:
         return s.w, s.speed
@@ -365,7 +366,7 @@ def _inside(model, s, step, end, since):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _in_contact(model, f, s, step, at, exact, out):  # type: ignore[no-untyped-def]
+def _quantities_in_contact(model, f, s, step, at, exact, out):  # type: ignore[no-untyped-def]
     """Fill all quantities at a point of a contact's step, which begins at s; `step` is expanded there.
 
     The point is `at` = (time since the start of the step [s], w, δ'). If `exact`, the step has been solved to end
@@ -430,19 +431,19 @@ def _sample_contact(model, f, history, row, start, stop, query, work):  # type: 
         if row != current:
             current, end = row, _solve_again(model, f, steps[row], step)
         since = min(max(t - steps[row].t, 0.0), end[0])
-        w, speed = _inside(model, steps[row], step, end, since)
-        _in_contact(model, f, steps[row], step, (since, w, speed), True, work.every)
+        w, speed = _solve_up_to(model, steps[row], step, end, since)
+        _quantities_in_contact(model, f, steps[row], step, (since, w, speed), True, work.every)
         for q in range(query.wanted.shape[0]):
             query.out[q, i] = work.every[query.wanted[q]]
 
 
 @kernel
-def _prepare_flight(model, f, s, flight):  # type: ignore[no-untyped-def]
+def _begin_flight_at(model, f, s, flight):  # type: ignore[no-untyped-def]
     """Prepare the closed form of the flight that begins at s; return the system that flies."""
     renewed = choose_system(model, f, s, flight)
     system = model.systems[flight.system]
     if renewed:
-        flight.validity = _VALID_RADIANS / bound_omega(system, f.omega)
+        flight.interval = _INTERVAL_RADIANS / bound_omega(system, f.omega)
     particular(system, f, flight)
     flight.friction_force = guide_friction(model.parameters[0], s)
     begin_flight(system, f, flight, s.y, s.t)
@@ -453,20 +454,20 @@ def _prepare_flight(model, f, s, flight):  # type: ignore[no-untyped-def]
 def _sample_flight(model, f, s, start, stop, query, work):  # type: ignore[no-untyped-def]
     """Fill the query's instants start … stop − 1, all in the flight that begins at s."""
     p, flight = model.parameters[0], work.flight[0]
-    system = _prepare_flight(model, f, s, flight)
+    system = _begin_flight_at(model, f, s, flight)
     expanded = -1
     for i in range(start, stop):
         since = query.offset[i] - f.begin - s.t
-        interval = int(since / flight.validity)
-        middle = (interval + 0.5) * flight.validity
+        interval = int(since / flight.interval)
+        middle = (interval + 0.5) * flight.interval
         if interval != expanded:
             expanded = interval
             for q in range(query.wanted.shape[0]):
-                quantity = _of_structure(s, query.wanted[q])
+                quantity = _structure_quantity(s, query.wanted[q])
                 if quantity not in (OF_X_2, OF_V_2, OF_A_2, OF_FORCE_LEFT, OF_FORCE_RIGHT):
                     _expand_flight(p, system, f, flight, quantity, work.polynomials[q], middle)
         for q in range(query.wanted.shape[0]):
-            query.out[q, i] = _in_flight(p, s, query.wanted[q], work.polynomials[q], since - middle, since)
+            query.out[q, i] = _quantity_in_flight(p, s, query.wanted[q], work.polynomials[q], since - middle, since)
 
 
 @kernel
@@ -596,7 +597,7 @@ def _fit_contact(model, f, history, row, spans, i, work):  # type: ignore[no-unt
         if s.h > 0.0:
             since = min(max(t_middle + half * NODE_AT[j] - s.t, 0.0), end[0])
             _, w, speed = dense_output(s, step, _length_to(s, step, end, since) / s.h)
-        _in_contact(model, f, s, step, (since, max(w, 0.0), speed), False, work.every)
+        _quantities_in_contact(model, f, s, step, (since, max(w, 0.0), speed), False, work.every)
         for q in range(spans.wanted.shape[0]):
             work.values[q, j] = work.every[spans.wanted[q]]
     _through_values(spans, i, work)
@@ -651,7 +652,7 @@ def _fit_pulse(model, f, history, row, spans, i, work):  # type: ignore[no-untyp
     for j in range(NODES):
         _integrate_pulse(model, step, s.per_v0, pulse, since_middle + half * NODE_AT[j], longest)
         at = pulse[0], math.sqrt(max(0.0, pulse[1])), pulse[2]
-        _in_contact(model, f, s, step, at, False, work.every)
+        _quantities_in_contact(model, f, s, step, at, False, work.every)
         for q in range(spans.wanted.shape[0]):
             work.values[q, j] = work.every[spans.wanted[q]]
     _through_values(spans, i, work)
@@ -711,9 +712,9 @@ def fit(model, trajectory, spans, work):  # type: ignore[no-untyped-def]
             continue
         if inside and structure_alone:
             if row != prepared:
-                _prepare_flight(model, f, history[row], flight)
+                _begin_flight_at(model, f, history[row], flight)
                 prepared = row
-            if spans.end[i] - spans.start[i] <= _LONGEST * flight.validity:
+            if spans.end[i] - spans.start[i] <= _LONGEST * flight.interval:
                 _fit_flight(p, model.systems[flight.system], f, flight, spans, i, work)
                 continue
         _fit_samples(model, trajectory, spans, i, work)

@@ -18,7 +18,7 @@ from impact_rig.errors import SimulationError
 from impact_rig.kernels import for_kernels, records, room, with_fields
 from impact_rig.physics import contact as contact_laws
 from impact_rig.physics.contact_step import turned_at
-from impact_rig.physics.event_loop import NEED_ROOM, STUCK, Workspace, new_workspace, run
+from impact_rig.physics.event_loop import NEED_ROOM, STUCK, UNSOLVED, Workspace, new_workspace, run
 from impact_rig.physics.flight import SEGMENT
 from impact_rig.physics.linear import Setup
 from impact_rig.physics.model import CONTACT_RTOL, Model, build
@@ -313,7 +313,8 @@ class Simulation:
         """Simulate the drive segments (dtype `flight.SEGMENT`), the first of which begins a tick; return their motion.
 
         Raises:
-            SimulationError: the integration makes no progress, or needs more than `MOST_STATES` rows in a segment.
+            SimulationError: no progress is made, a step of a contact cannot be solved, or a segment needs more than
+                `MOST_STATES` rows.
         """
         segments = np.ascontiguousarray(segments, SEGMENT)
         if self.locked:
@@ -329,9 +330,10 @@ class Simulation:
         index = 0
         while True:
             ended, index = run(self._model, segments, tick_of, index, work, self._account)
-            if ended == STUCK:
+            if ended in (STUCK, UNSOLVED):
+                what = "no progress" if ended == STUCK else "a step of a contact cannot be solved"
                 raise SimulationError(
-                    f"no progress in tick {tick_of[index]} {work.states[0]['t']:.9f} s into a segment of it, "
+                    f"{what} in tick {tick_of[index]} {work.states[0]['t']:.9f} s into a segment of it, "
                     f"phase {work.states[0]['phase']}"
                 )
             if ended != NEED_ROOM:

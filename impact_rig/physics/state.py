@@ -34,7 +34,7 @@ STRUCTURE = 5
 """How many places y has."""
 
 ORDERS = 6
-"""Derivatives of x_1 that a flight evaluates: 0 … 5."""
+"""Derivatives of x_1 that a flight has terms of: it evaluates 0 … 4, and bounds the one after those it evaluates."""
 STEP_TERMS = 12
 """Taylor terms of the structure's motion within one step of a contact."""
 
@@ -107,7 +107,7 @@ FLIGHT = np.dtype(
     [
         ("omega", "f8"),  # frequency of the drive that the answers H and G belong to [rad/s]
         ("system", "i8"),  # linear system they belong to: LOOSE or JOINED
-        ("validity", "f8"),  # length of the intervals that have a Taylor polynomial each, about their middle [s]
+        ("interval", "f8"),  # length of the intervals that have a Taylor polynomial each, about their middle [s]
         ("answer", "c16", (STRUCTURE,)),  # H, answer to a drive of constant amplitude [y per u]
         ("growth_answer", "c16", (STRUCTURE,)),  # G, answer to a drive whose amplitude grows [y s per u]
         ("steady", "c16", (STRUCTURE,)),  # P of y_p(t) = Im[(P + Q t) exp(jωt)] [as y]
@@ -210,7 +210,10 @@ PARAMETERS = np.dtype(
         ("time_scale", "f8"),  # of t_0 = time_scale v0^time_power, in s for v0 in m/s
         ("time_power", "f8"),  # exponent in it [-]
         ("speed_floor", "f8"),  # least v0 that a law is told, as in c = a K / v0 [m/s]
-        ("touch_speed", "f8"),  # least approach speed that a contact starts with [m/s]
+        (
+            "touch_speed",
+            "f8",
+        ),  # a contact starts with no less, a sphere parts with no less, a slower rigid impact is not noted [m/s]
         ("fastest", "f8"),  # rate of the fastest mode [1/s]
         ("rtol", "f8"),  # relative tolerance of a contact's step [-]
     ],

@@ -3,7 +3,8 @@
 """What reading somebody's recording, campaign or configuration may cost, before it is refused; one way to raise it.
 
 Memory has fixed limits; work is bounded in proportion to the size of the files. What is honest stays far below; what is
-made to fill the memory or to run for ever is refused by the figure that gives it away.
+made to fill the memory or to run for ever is refused by the figure that gives it away. What a page may send is bounded
+in `lab.protocol`.
 
 Plain YAML holds values, never objects of Python, and a short text never stands for a long one: an alias names one value
 in many places, or inside itself, and whoever prints or copies what was read pays for all of them.

@@ -190,7 +190,6 @@ def test_the_header_says_of_each_record_what_its_own_fields_mean() -> None:
     """A field once carried what a field of the same name in another record of its module means; some had none."""
     text = (Path(kernels.__file__).parent / "impact_rig.h").read_text(encoding="utf-8")
     flight = text.partition("} ir_flight;")[0].rpartition("typedef struct")[2]
-    assert "double validity; /* length of the intervals that have a Taylor polynomial each" in flight
     assert "double y[5]; /* structural state where `structure_at` evaluated it last" in flight
     step = text.partition("} ir_contact_step;")[0].rpartition("typedef struct")[2]
     assert "double y[5]; /* scratch: a state of the pair" in step
