@@ -221,7 +221,7 @@ class SteppedApparatus(RosApparatus):
         super().__init__(client, record=record)
         self._scans = client.collect(topics.SCAN.name)
         self._truth = client.collect(topics.TRUTH_SCAN.name)
-        self._rate_hz = self._block_scans = self._blocks = 0
+        self._blocks = 0
 
     def prepare(self, job: Job, run_name: str) -> SteppedApparatus:
         """Begin anew with a job's configuration."""
@@ -242,12 +242,11 @@ class SteppedApparatus(RosApparatus):
         self._journal.clear()
         self._take_applied()
         self._config, self._blocks = config, 0
-        self._rate_hz, self._block_scans = config.daq.rate_hz, config.daq.block_scans
         return self
 
     def now_ns(self) -> int:
         """Return the rig time since the reset."""
-        return self._blocks * self._block_scans * NS_PER_S // self._rate_hz
+        return self._blocks * self._config.daq.block_scans * NS_PER_S // self._config.daq.rate_hz
 
     def wait(self) -> News:
         """Let one block pass.
@@ -259,8 +258,8 @@ class SteppedApparatus(RosApparatus):
         before = self.now_ns()
         self._step()
         tables = self._measured.tables()
-        held_ns = round(TrackerSettings().hold_s * NS_PER_S)
-        if any(table.stamp_ns + held_ns < before - self._block_scans * NS_PER_S // self._rate_hz for table in tables):
+        held_ns, daq = round(TrackerSettings().hold_s * NS_PER_S), self._config.daq
+        if any(table.stamp_ns + held_ns < before - daq.block_scans * NS_PER_S // daq.rate_hz for table in tables):
             raise ImpactRigError("a measurement arrived a step late: this machine is too busy to step by")
         rows = [row for table in tables for row in table.rows]
         return News(now_ns=self.now_ns(), applied=self._take_applied(), rows=rows, stopped=self._stopped())
@@ -275,15 +274,15 @@ class SteppedApparatus(RosApparatus):
         self._forget()
         for _ in range(TRACE_BLOCKS):
             self._step()
-        wanted = TRACE_BLOCKS * self._block_scans
+        wanted = TRACE_BLOCKS * self._config.daq.block_scans
         self._client.wait_until(
             lambda: len(self._scans.rows()) == len(self._truth.rows()) == wanted, f"{wanted} scans and their truth"
         )
-        return columns(self._scans.rows(), self._truth.rows(), self._rate_hz)
+        return columns(self._scans.rows(), self._truth.rows(), self._config.daq.rate_hz)
 
     def lost_scans(self) -> int:
         """Return how many scans never arrived here; the analysis acknowledges each block, or the rig waits."""
-        return self._scans.lost() * self._block_scans
+        return self._scans.lost() * self._config.daq.block_scans
 
     def _take(self, applied: Table) -> None:
         self._applied += Applied.of(applied, self.now_ns())
@@ -305,8 +304,8 @@ class FreewheelApparatus(RosApparatus):
     For every job the rig is reset. It stands still from then until the first command, and stands still at the end.
     """
 
-    def __init__(self, client: Client, config: RigConfig, *, record: bool = True) -> None:
-        super().__init__(client, record=record)
+    def __init__(self, client: Client, config: RigConfig) -> None:
+        super().__init__(client, record=True)
         self._config = config
         self._now_ns = 0
         self._gap_m = 0.0
