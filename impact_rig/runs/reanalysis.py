@@ -148,7 +148,7 @@ def _settings_told(run: Run) -> list[_Told]:
 
 def remarks(run: Run) -> list[str]:
     """Return what the operator noted, in order."""
-    return [text_of(message.data) for message in run.messages([topics.NOTES.name])] if run.holds(topics.NOTES) else []
+    return texts(run, topics.NOTES)
 
 
 def measurements(findings: Iterator[Findings]) -> list[Table]:
@@ -170,7 +170,12 @@ def newest_settled(tables: list[Table]) -> NDArray[np.void]:
     return settled[[last[key] for key in sorted(last)]]
 
 
-def text_of(cdr: bytes | memoryview) -> str:
+def texts(run: Run, topic: topics.Topic) -> list[str]:
+    """Return what was said on a topic of std_msgs/String, in order; nothing where it was not recorded."""
+    return [_text(message.data) for message in run.messages([topic.name])] if run.holds(topic) else []
+
+
+def _text(cdr: bytes | memoryview) -> str:
     """Return the text of a serialized std_msgs/String: 4 bytes of encapsulation, length with terminator, UTF-8."""
     length = int.from_bytes(cdr[4:8], "little")
     return bytes(cdr[8 : 8 + max(0, length - 1)]).decode(errors="replace")
