@@ -26,7 +26,7 @@ from impact_rig.analysis.settings import TrackerSettings
 from impact_rig.blocks import WAVEFORM, Table
 from impact_rig.campaign.job import TRACE_BLOCKS, Job, JobApparatus, Outcome, Trace, columns, run_job
 from impact_rig.campaign.run import Runner
-from impact_rig.client.client import Client
+from impact_rig.client.client import Client, Collector
 from impact_rig.client.processes import ParameterValue, Processes, isolated_domain
 from impact_rig.errors import CommandError, ConfigError, ImpactRigError
 from impact_rig.operate.hardware import Hardware, Wanted
@@ -34,7 +34,7 @@ from impact_rig.operate.operator import Applied, News
 from impact_rig.operate.phase_lock import Look, PhasorMeter
 from impact_rig.operate.stepped_sine import HoldPlan, Setpoint, SteppedSine
 from impact_rig.rig import Kind
-from impact_rig.rig.config import RigConfig, differences, from_flat, to_flat
+from impact_rig.rig.config import RigConfig, differences, to_flat
 from impact_rig.rig.interlock import OVER_TRAVEL, Trip
 from impact_rig.simtime import NS_PER_S, stamp_ns
 from impact_rig.studies.closed_loop import Held, hold, with_short_blocks
@@ -75,7 +75,7 @@ def stepped(directory: Path, rate_hz: int, block_scans: int, *, record: bool = F
         "time.mode": "stepped", "time.peers": ["analysis", "recorder"] if record else ["analysis"],
         "daq.rate_hz": rate_hz, "daq.block_scans": block_scans,
     }  # fmt: skip
-    with _graph(directory, parameters, directory / "runs" if record else None) as client:
+    with _graph(directory / "logs", _measuring(parameters, directory / "runs" if record else None)) as client:
         yield SteppedApparatus(client, record=record)
 
 
@@ -105,22 +105,24 @@ def freewheel_runner(directory: Path, config: RigConfig, name: Callable[[Job], s
     }  # fmt: skip
 
     def run(jobs: Sequence[Job]) -> Generator[tuple[Job, Outcome], None, None]:
-        with _graph(directory, parameters, directory) as client:
+        with _graph(directory / "logs", _measuring(parameters, directory)) as client:
             yield from _run_all(jobs, FreewheelApparatus(client, config), name, watch)
 
     return run
 
 
+def _measuring(rig: Mapping[str, ParameterValue], runs: Path | None) -> dict[str, Mapping[str, ParameterValue]]:
+    """Return the nodes that measure, and record into `runs`, with their parameters."""
+    nodes: dict[str, Mapping[str, ParameterValue]] = {"rig": rig, "analysis": {}}
+    return nodes if runs is None else {**nodes, "recorder": {"record": False, "directory": str(runs)}}
+
+
 @contextlib.contextmanager
-def _graph(directory: Path, parameters: Mapping[str, ParameterValue], runs: Path | None) -> Iterator[Client]:
-    """Start the nodes, and give a client of theirs once they are active."""
-    nodes = ["rig", "analysis"]
-    with isolated_domain() as domain_id, Processes(domain_id, directory / "logs") as processes:
-        processes.start("rig", parameters)
-        processes.start("analysis")
-        if runs is not None:
-            processes.start("recorder", {"record": False, "directory": str(runs)})
-            nodes.append("recorder")
+def _graph(logs: Path, nodes: Mapping[str, Mapping[str, ParameterValue]]) -> Iterator[Client]:
+    """Start nodes in a domain of their own, and give a client of theirs once they are active."""
+    with isolated_domain() as domain_id, Processes(domain_id, logs) as processes:
+        for node, parameters in nodes.items():
+            processes.start(node, parameters)
         with Client(domain_id, processes=processes, name="operator") as client:
             client.wait_active(*nodes)
             yield client
@@ -134,6 +136,11 @@ def _run_all(
         outcome = run_job(job, lambda job: apparatus.prepare(job, name(job)), functools.partial(watch, job))
         apparatus.finish()
         yield job, outcome
+
+
+def _first_trip(journal: Collector) -> np.void | None:
+    """Return the first row of `rig/journal` that says that the rig has tripped."""
+    return next((row for row in journal.rows() if row["kind"] == Kind.TRIP.value.encode()), None)
 
 
 class RosApparatus(JobApparatus):
@@ -201,13 +208,12 @@ class RosApparatus(JobApparatus):
 
     def _stopped(self) -> str | None:
         """Return why the rig goes on no more, in the words of its interlock."""
-        rows = self._journal.rows()
-        trips = rows[rows["kind"] == Kind.TRIP.value.encode()]
-        if not len(trips):
+        trip = _first_trip(self._journal)
+        if trip is None:
             return None
-        reason, shaker = trips[0]["key"].decode(), self._config.shaker
+        reason, shaker = trip["key"].decode(), self._config.shaker
         limit = shaker.travel_limit_m if reason == OVER_TRAVEL else shaker.current_limit_a_rms
-        return f"the rig tripped: {Trip(0, reason, float(trips[0]['value']), limit).message()}"
+        return f"the rig tripped: {Trip(0, reason, float(trip['value']), limit).message()}"
 
 
 class SteppedApparatus(RosApparatus):
@@ -420,9 +426,8 @@ class SteppedLoop:
         return look or f"{len(rows)} scans are too few to look at"
 
     def _stopped(self) -> str | None:
-        rows = self._journal.rows()
-        trips = rows[rows["kind"] == Kind.TRIP.value.encode()]
-        return f"the rig tripped: {trips[0]['key'].decode()}" if len(trips) else None
+        trip = _first_trip(self._journal)
+        return None if trip is None else f"the rig tripped: {trip['key'].decode()}"
 
 
 def stepped_hold(directory: Path, job: Job, plan: HoldPlan) -> Held:
@@ -444,11 +449,8 @@ def stepped_loop(directory: Path, config: RigConfig) -> Iterator[SteppedLoop]:
         **differences(config), "time.mode": "stepped", "time.peers": ["operator"],
         "daq.block_scans": config.daq.block_scans,
     }  # fmt: skip
-    with isolated_domain() as domain_id, Processes(domain_id, directory) as processes:
-        processes.start("rig", values)
-        with Client(domain_id, processes=processes, name="operator") as client:
-            client.wait_active("rig")
-            yield SteppedLoop(client, from_flat(config, {}))
+    with _graph(directory, {"rig": values}) as client:
+        yield SteppedLoop(client, config)
 
 
 class OverTopics:

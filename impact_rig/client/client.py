@@ -352,7 +352,7 @@ class Client:
             ServiceFailedError: one says that it cannot be configured, and why.
         """
         for node in nodes:
-            is_active = functools.partial(self._is_in_state, node, "active", timeout_s)
+            is_active = functools.partial(self._is_active, node, timeout_s)
             self.wait_until(is_active, f"{node} to be active", timeout_s)
             self._address(node)
 
@@ -635,12 +635,11 @@ class Client:
     def _acknowledge(self, message: Received) -> None:
         self.acknowledge_for(self.name, codec.header_stamp_ns(message.data))
 
-    def _is_in_state(self, node: str, state: str, timeout_s: float) -> bool:
-        present = self.state(node, timeout_s)
-        status = self.status(node)
-        if present == "unconfigured" and state == "active" and status.message.startswith("cannot configure"):
-            raise ServiceFailedError(f"{node}: {status.message}")
-        return present == state
+    def _is_active(self, node: str, timeout_s: float) -> bool:
+        present, message = self.state(node, timeout_s), self.status(node).message
+        if present == "unconfigured" and message.startswith("cannot configure"):
+            raise ServiceFailedError(f"{node}: {message}")
+        return present == "active"
 
     def _accepted(self, before: int, column: str, value: float, refusal: Callable[[], str]) -> Table | None:
         for table in reversed(self.applied.tables(before)):
