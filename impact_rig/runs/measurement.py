@@ -364,14 +364,12 @@ def measurement(
             f"{source.path}: signals differ in length: " + ", ".join(f"{name} {n}" for name, n in lengths.items())
         )
     count = next(iter(lengths.values()))
-    followed = {
-        key: source.signals[column].values
-        for key, column in (("frequency", mapping.frequency), ("gap", mapping.gap))
-        if isinstance(column, str) and column in source.signals
-    }
+    followed: dict[str, NDArray[np.float64]] = {}
     for key, column in (("frequency", mapping.frequency), ("gap", mapping.gap)):
-        if isinstance(column, str) and len(followed.get(key, ())) != count:
-            raise ConfigError(f"{key}: {source.path} has no signal {column!r} of {count} values")
+        if isinstance(column, str):
+            if column not in source.signals or len(source.signals[column].values) != count:
+                raise ConfigError(f"{key}: {source.path} has no signal {column!r} of {count} values")
+            followed[key] = source.signals[column].values
     rate, index, found = _uniform(source, mapping, found)
     if mapping.resample_hz is not None and followed:
         place = np.minimum(np.arange(len(index)) * count // len(index), count - 1)
