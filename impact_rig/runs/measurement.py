@@ -414,7 +414,8 @@ def _uniform(
     """Return rate, numbers of the scans and their values, on a uniform grid with losses left open."""
     count = len(next(iter(found.values())))
     times = source.time_s
-    rates = {one.rate_hz for name, one in source.signals.items() if one.rate_hz and name in _columns(mapping)}
+    used = {one.column for one in mapping.channels.values()}
+    rates = {one.rate_hz for name, one in source.signals.items() if one.rate_hz and name in used}
     rate = rates.pop() if len(rates) == 1 else None
     if mapping.rate_hz is not None:
         rate, times = mapping.rate_hz, None
@@ -455,10 +456,6 @@ def _uniform(
             "scans per second; resample it, or give its rate if the times are not to be believed"
         )
     return whole, index, found
-
-
-def _columns(mapping: Mapping) -> set[str]:
-    return {one.column for one in mapping.channels.values()}
 
 
 def _resampled(

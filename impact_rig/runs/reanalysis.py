@@ -230,15 +230,14 @@ class Comparison:
             f"; rows made from scans that only one of the two saw are not compared: {live} of the live analysis, "
             f"{offline} of this one"
         )
-        return self._sentence() + (rest if live or offline else "")
-
-    def _sentence(self) -> str:
-        if not self.same:
-            return f"not identical to the live results: {self.reason}"
-        if self.identical:
-            return f"identical to the live results: {self.compared} rows, bit for bit"
         where = "it is not recorded on which machine" if self.elsewhere is None else "on another machine or libraries"
-        return f"equal to the live results to {TOLERANCE:g}, not bit for bit: {self.compared} rows, made {where}"
+        if not self.same:
+            found = f"not identical to the live results: {self.reason}"
+        elif self.identical:
+            found = f"identical to the live results: {self.compared} rows, bit for bit"
+        else:
+            found = f"equal to the live results to {TOLERANCE:g}, not bit for bit: {self.compared} rows, made {where}"
+        return found + (rest if live or offline else "")
 
 
 @attrs.frozen

@@ -36,6 +36,7 @@ from impact_rig.rig.journal import PLANNED, Entry, read, sampled
 from impact_rig.rig.monitors import HALF_PERIODS, AntiAlias, Smoothed
 from impact_rig.rig.resimulation import Resimulation, Sent
 from impact_rig.rig.truth import monitor_step
+from impact_rig.runs.in_process import joints
 from impact_rig.runs.measurement import is_measured
 from impact_rig.runs.reanalysis import Compared, texts
 from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S, stamp_ns
@@ -660,13 +661,7 @@ def _stamped(table: Table) -> tuple[int, Table]:
 
 def _joints_differ(recorded: tuple[NDArray[np.float64], ...], truth: np.void) -> str:
     """Return which true quantity was not published as it was."""
-    push = truth["force_left"] - truth["force_right"]
-    wanted = (
-        [truth[name] for name in ("x_b", "x_1", "x_2")],
-        [truth[name] for name in ("v_b", "v_1", "v_2")],
-        [0.0, -push, push],
-    )
-    for what, found, values in zip(("position", "velocity", "effort"), recorded, wanted, strict=True):
+    for what, found, values in zip(("position", "velocity", "effort"), recorded, joints(truth), strict=True):
         true = np.array(values, np.float64)
         if len(found) != len(true) or (_bits(found) != _bits(true)).any():
             return f"{what}: logged {found.tolist()}, re-simulated {true.tolist()}"
