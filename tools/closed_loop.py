@@ -25,8 +25,7 @@ from impact_rig.campaign.axes import NO_SPHERE
 from impact_rig.campaign.job import Job, execute
 from impact_rig.campaign.pool import in_parallel
 from impact_rig.drawing import SERIES, legend_below, new_axes, style
-from impact_rig.operate.looking import Ladder, Rung, climb, follow, lock_on
-from impact_rig.operate.phase_lock import LockPlan, PhaseLock
+from impact_rig.operate.phase_lock import Ladder, LockPlan, PhaseLock, Rung, climb, follow, lock_on
 from impact_rig.operate.stepped_sine import Hold, HoldPlan, State
 from impact_rig.physics import prediction
 from impact_rig.physics.prediction import Manifold, transmissibility

@@ -23,8 +23,7 @@ from impact_rig.campaign.paper import CURRENT_A, FREQUENCIES_HZ
 from impact_rig.cli.excite import add_kinds, add_rig, rig_of
 from impact_rig.cli.terminal import Console, TextTable, add_json, subcommand, tell_json
 from impact_rig.errors import ConfigError, RecordingError
-from impact_rig.operate.looking import Ladder, LoopApparatus, Rung, climb, lock_on, mean
-from impact_rig.operate.phase_lock import LockPlan, Reference
+from impact_rig.operate.phase_lock import Ladder, LockPlan, LoopApparatus, Reference, Rung, climb, lock_on, mean
 from impact_rig.operate.stepped_sine import Direction, Hold, HoldPlan, State
 from impact_rig.rig.config import RigConfig, differences
 from impact_rig.simtime import NS_PER_S

@@ -26,7 +26,7 @@ from impact_rig.analysis.settings import TrackerSettings
 from impact_rig.blocks import WAVEFORM, Table
 from impact_rig.campaign.job import TRACE_BLOCKS, Job, JobApparatus, Outcome, Trace, columns, run_job
 from impact_rig.campaign.run import Runner
-from impact_rig.client.client import Client
+from impact_rig.client.client import Client, Collector
 from impact_rig.client.processes import ParameterValue, Processes, isolated_domain
 from impact_rig.errors import CommandError, ConfigError, ImpactRigError
 from impact_rig.operate.hardware import Hardware, Wanted
@@ -34,7 +34,7 @@ from impact_rig.operate.operator import Applied, News
 from impact_rig.operate.phase_lock import Look, PhasorMeter
 from impact_rig.operate.stepped_sine import HoldPlan, Setpoint, SteppedSine
 from impact_rig.rig import Kind
-from impact_rig.rig.config import RigConfig, differences, from_flat, to_flat
+from impact_rig.rig.config import RigConfig, differences, to_flat
 from impact_rig.rig.interlock import OVER_TRAVEL, Trip
 from impact_rig.simtime import NS_PER_S, stamp_ns
 from impact_rig.studies.closed_loop import Held, hold, with_short_blocks
@@ -75,7 +75,7 @@ def stepped(directory: Path, rate_hz: int, block_scans: int, *, record: bool = F
         "time.mode": "stepped", "time.peers": ["analysis", "recorder"] if record else ["analysis"],
         "daq.rate_hz": rate_hz, "daq.block_scans": block_scans,
     }  # fmt: skip
-    with _graph(directory, parameters, directory / "runs" if record else None) as client:
+    with _graph(directory / "logs", _measuring(parameters, directory / "runs" if record else None)) as client:
         yield SteppedApparatus(client, record=record)
 
 
@@ -105,22 +105,24 @@ def freewheel_runner(directory: Path, config: RigConfig, name: Callable[[Job], s
     }  # fmt: skip
 
     def run(jobs: Sequence[Job]) -> Generator[tuple[Job, Outcome], None, None]:
-        with _graph(directory, parameters, directory) as client:
+        with _graph(directory / "logs", _measuring(parameters, directory)) as client:
             yield from _run_all(jobs, FreewheelApparatus(client, config), name, watch)
 
     return run
 
 
+def _measuring(rig: Mapping[str, ParameterValue], runs: Path | None) -> dict[str, Mapping[str, ParameterValue]]:
+    """Return the nodes that measure, and record into `runs`, with their parameters."""
+    nodes: dict[str, Mapping[str, ParameterValue]] = {"rig": rig, "analysis": {}}
+    return nodes if runs is None else {**nodes, "recorder": {"record": False, "directory": str(runs)}}
+
+
 @contextlib.contextmanager
-def _graph(directory: Path, parameters: Mapping[str, ParameterValue], runs: Path | None) -> Iterator[Client]:
-    """Start the nodes, and give a client of theirs once they are active."""
-    nodes = ["rig", "analysis"]
-    with isolated_domain() as domain_id, Processes(domain_id, directory / "logs") as processes:
-        processes.start("rig", parameters)
-        processes.start("analysis")
-        if runs is not None:
-            processes.start("recorder", {"record": False, "directory": str(runs)})
-            nodes.append("recorder")
+def _graph(logs: Path, nodes: Mapping[str, Mapping[str, ParameterValue]]) -> Iterator[Client]:
+    """Start nodes in a domain of their own, and give a client of theirs once they are active."""
+    with isolated_domain() as domain_id, Processes(domain_id, logs) as processes:
+        for node, parameters in nodes.items():
+            processes.start(node, parameters)
         with Client(domain_id, processes=processes, name="operator") as client:
             client.wait_active(*nodes)
             yield client
@@ -134,6 +136,11 @@ def _run_all(
         outcome = run_job(job, lambda job: apparatus.prepare(job, name(job)), functools.partial(watch, job))
         apparatus.finish()
         yield job, outcome
+
+
+def _first_trip(journal: Collector) -> np.void | None:
+    """Return the first row of `rig/journal` that says that the rig has tripped."""
+    return next((row for row in journal.rows() if row["kind"] == Kind.TRIP.value.encode()), None)
 
 
 class RosApparatus(JobApparatus):
@@ -201,13 +208,12 @@ class RosApparatus(JobApparatus):
 
     def _stopped(self) -> str | None:
         """Return why the rig goes on no more, in the words of its interlock."""
-        rows = self._journal.rows()
-        trips = rows[rows["kind"] == Kind.TRIP.value.encode()]
-        if not len(trips):
+        trip = _first_trip(self._journal)
+        if trip is None:
             return None
-        reason, shaker = trips[0]["key"].decode(), self._config.shaker
+        reason, shaker = trip["key"].decode(), self._config.shaker
         limit = shaker.travel_limit_m if reason == OVER_TRAVEL else shaker.current_limit_a_rms
-        return f"the rig tripped: {Trip(0, reason, float(trips[0]['value']), limit).message()}"
+        return f"the rig tripped: {Trip(0, reason, float(trip['value']), limit).message()}"
 
 
 class SteppedApparatus(RosApparatus):
@@ -221,7 +227,7 @@ class SteppedApparatus(RosApparatus):
         super().__init__(client, record=record)
         self._scans = client.collect(topics.SCAN.name)
         self._truth = client.collect(topics.TRUTH_SCAN.name)
-        self._rate_hz = self._block_scans = self._blocks = 0
+        self._blocks = 0
 
     def prepare(self, job: Job, run_name: str) -> SteppedApparatus:
         """Begin anew with a job's configuration."""
@@ -242,12 +248,11 @@ class SteppedApparatus(RosApparatus):
         self._journal.clear()
         self._take_applied()
         self._config, self._blocks = config, 0
-        self._rate_hz, self._block_scans = config.daq.rate_hz, config.daq.block_scans
         return self
 
     def now_ns(self) -> int:
         """Return the rig time since the reset."""
-        return self._blocks * self._block_scans * NS_PER_S // self._rate_hz
+        return self._blocks * self._config.daq.block_scans * NS_PER_S // self._config.daq.rate_hz
 
     def wait(self) -> News:
         """Let one block pass.
@@ -259,8 +264,8 @@ class SteppedApparatus(RosApparatus):
         before = self.now_ns()
         self._step()
         tables = self._measured.tables()
-        held_ns = round(TrackerSettings().hold_s * NS_PER_S)
-        if any(table.stamp_ns + held_ns < before - self._block_scans * NS_PER_S // self._rate_hz for table in tables):
+        held_ns, daq = round(TrackerSettings().hold_s * NS_PER_S), self._config.daq
+        if any(table.stamp_ns + held_ns < before - daq.block_scans * NS_PER_S // daq.rate_hz for table in tables):
             raise ImpactRigError("a measurement arrived a step late: this machine is too busy to step by")
         rows = [row for table in tables for row in table.rows]
         return News(now_ns=self.now_ns(), applied=self._take_applied(), rows=rows, stopped=self._stopped())
@@ -275,15 +280,15 @@ class SteppedApparatus(RosApparatus):
         self._forget()
         for _ in range(TRACE_BLOCKS):
             self._step()
-        wanted = TRACE_BLOCKS * self._block_scans
+        wanted = TRACE_BLOCKS * self._config.daq.block_scans
         self._client.wait_until(
             lambda: len(self._scans.rows()) == len(self._truth.rows()) == wanted, f"{wanted} scans and their truth"
         )
-        return columns(self._scans.rows(), self._truth.rows(), self._rate_hz)
+        return columns(self._scans.rows(), self._truth.rows(), self._config.daq.rate_hz)
 
     def lost_scans(self) -> int:
         """Return how many scans never arrived here; the analysis acknowledges each block, or the rig waits."""
-        return self._scans.lost() * self._block_scans
+        return self._scans.lost() * self._config.daq.block_scans
 
     def _take(self, applied: Table) -> None:
         self._applied += Applied.of(applied, self.now_ns())
@@ -305,8 +310,8 @@ class FreewheelApparatus(RosApparatus):
     For every job the rig is reset. It stands still from then until the first command, and stands still at the end.
     """
 
-    def __init__(self, client: Client, config: RigConfig, *, record: bool = True) -> None:
-        super().__init__(client, record=record)
+    def __init__(self, client: Client, config: RigConfig) -> None:
+        super().__init__(client, record=True)
         self._config = config
         self._now_ns = 0
         self._gap_m = 0.0
@@ -421,9 +426,8 @@ class SteppedLoop:
         return look or f"{len(rows)} scans are too few to look at"
 
     def _stopped(self) -> str | None:
-        rows = self._journal.rows()
-        trips = rows[rows["kind"] == Kind.TRIP.value.encode()]
-        return f"the rig tripped: {trips[0]['key'].decode()}" if len(trips) else None
+        trip = _first_trip(self._journal)
+        return None if trip is None else f"the rig tripped: {trip['key'].decode()}"
 
 
 def stepped_hold(directory: Path, job: Job, plan: HoldPlan) -> Held:
@@ -445,11 +449,8 @@ def stepped_loop(directory: Path, config: RigConfig) -> Iterator[SteppedLoop]:
         **differences(config), "time.mode": "stepped", "time.peers": ["operator"],
         "daq.block_scans": config.daq.block_scans,
     }  # fmt: skip
-    with isolated_domain() as domain_id, Processes(domain_id, directory) as processes:
-        processes.start("rig", values)
-        with Client(domain_id, processes=processes, name="operator") as client:
-            client.wait_active("rig")
-            yield SteppedLoop(client, from_flat(config, {}))
+    with _graph(directory, {"rig": values}) as client:
+        yield SteppedLoop(client, config)
 
 
 class OverTopics:

@@ -264,7 +264,7 @@ class Client:
         self.executor.add_node(self.node)
         self.diagnostics: dict[str, DiagnosticStatus] = {}
         """Latest status of each node, by name relative to the namespace."""
-        self._hosted = HostedNodes(self.node, self.executor)
+        self._hosted: list[Any] = []
         self._spinner = Spinner(self.executor)
         self._rigs: dict[str, Activation] = {}
         self._publishers: dict[str, Any] = {}
@@ -286,10 +286,12 @@ class Client:
     def close(self) -> None:
         """Destroy the node, the nodes it hosts and the context."""
         with unhurried():
-            self._hosted.stop_working()
+            for node in self._hosted:  # those of this package end what they do, while the executor still runs
+                if hasattr(node, "close"):
+                    node.close()
             self.executor.shutdown()
-            self._hosted.destroy()
-            self.node.destroy_node()
+            for node in (*self._hosted, self.node):
+                node.destroy_node()
             self.context.try_shutdown()
 
     # Waiting
@@ -350,7 +352,7 @@ class Client:
             ServiceFailedError: one says that it cannot be configured, and why.
         """
         for node in nodes:
-            is_active = functools.partial(self._is_in_state, node, "active", timeout_s)
+            is_active = functools.partial(self._is_active, node, timeout_s)
             self.wait_until(is_active, f"{node} to be active", timeout_s)
             self._address(node)
 
@@ -366,14 +368,26 @@ class Client:
         No thread: the node works while the client waits. A class that does not hand keyword arguments on to `Node` gets
         the context as the default one, and no namespace.
         """
-        return self._hosted.start(make_node, **kwargs)
+        if any(one.kind is one.VAR_KEYWORD for one in inspect.signature(make_node).parameters.values()):
+            namespace = self.node.get_namespace()
+            kwargs |= {"context": self.context, "namespace": namespace, "use_global_arguments": False}
+        with _as_default(self.context):
+            node = make_node(**kwargs)
+        self._hosted.append(node)
+        self.executor.add_node(node)
+        return node
 
     def acknowledge_callbacks(self, node: Any) -> int:
-        """Acknowledge every block of daq/scan for a hosted node, once its callback has returned.
+        """Acknowledge every block of daq/scan for a hosted node, once its callback has returned, or raised.
 
         The node need not know of daq/ack. Returns how many subscriptions to daq/scan it has.
         """
-        return acknowledge_callbacks(node, self.node.resolve_topic_name(topics.SCAN.name), self.acknowledge_for)
+        name = self.node.resolve_topic_name(topics.SCAN.name)
+        found = [subscription for subscription in node.subscriptions if subscription.topic_name == name]
+        acknowledge = functools.partial(self.acknowledge_for, node.get_name())
+        for subscription in found:
+            subscription.callback = _then(subscription.callback, acknowledge)
+        return len(found)
 
     # Commands
 
@@ -621,12 +635,11 @@ class Client:
     def _acknowledge(self, message: Received) -> None:
         self.acknowledge_for(self.name, codec.header_stamp_ns(message.data))
 
-    def _is_in_state(self, node: str, state: str, timeout_s: float) -> bool:
-        present = self.state(node, timeout_s)
-        status = self.status(node)
-        if present == "unconfigured" and state == "active" and status.message.startswith("cannot configure"):
-            raise ServiceFailedError(f"{node}: {status.message}")
-        return present == state
+    def _is_active(self, node: str, timeout_s: float) -> bool:
+        present, message = self.state(node, timeout_s), self.status(node).message
+        if present == "unconfigured" and message.startswith("cannot configure"):
+            raise ServiceFailedError(f"{node}: {message}")
+        return present == "active"
 
     def _accepted(self, before: int, column: str, value: float, refusal: Callable[[], str]) -> Table | None:
         for table in reversed(self.applied.tables(before)):
@@ -686,66 +699,6 @@ def published(node: Node, topic: str) -> tuple[topics.Topic, QoSProfile] | None:
     profile = messages.profile(topics.Qos.DATA)
     profile.reliability = publisher.qos_profile.reliability
     return topics.Topic(topic, publisher.topic_type, topics.Qos.DATA, publisher.node_name, "", ()), profile
-
-
-class HostedNodes:
-    """The nodes that run in one executor beside the node of its owner, with the owner's context and namespace."""
-
-    def __init__(self, owner: Node, executor: Any) -> None:
-        self._owner = owner
-        self._executor = executor
-        self._nodes: list[Any] = []
-
-    def start(self, make_node: Callable[..., Any], **kwargs: Any) -> Any:
-        """Make a node and add it to the executor.
-
-        A class that does not hand keyword arguments on to `Node` gets the context as the default one, and no namespace.
-        """
-        if takes_keywords(make_node):
-            kwargs |= {
-                "context": self._owner.context,
-                "namespace": self._owner.get_namespace(),
-                "use_global_arguments": False,
-            }
-        with _as_default(self._owner.context):
-            node = make_node(**kwargs)
-        self._nodes.append(node)
-        self._executor.add_node(node)
-        return node
-
-    def stop_working(self) -> None:
-        """Let nodes of this package end what they do, while the executor still runs."""
-        for node in self._nodes:
-            if hasattr(node, "close"):
-                node.close()
-
-    def destroy(self) -> None:
-        """Destroy every node, after the executor was shut down."""
-        for node in self._nodes:
-            node.destroy_node()
-
-
-def takes_keywords(make_node: Callable[..., Any]) -> bool:
-    """Return whether a node's class hands keyword arguments on to rclpy's Node."""
-    parameters = inspect.signature(make_node).parameters.values()
-    return any(parameter.kind is parameter.VAR_KEYWORD for parameter in parameters)
-
-
-def acknowledge_callbacks(node: Any, topic: str, acknowledge: Callable[[str, int], None]) -> int:
-    """Acknowledge every message of a topic for a node, once its callback has returned, or raised.
-
-    Args:
-        node: a hosted node.
-        topic: full name of a topic whose messages have a header.
-        acknowledge: called with the node's name and the stamp of the message [ns].
-
-    Returns:
-        How many subscriptions to the topic the node has.
-    """
-    found = [subscription for subscription in node.subscriptions if subscription.topic_name == topic]
-    for subscription in found:
-        subscription.callback = _then(subscription.callback, functools.partial(acknowledge, node.get_name()))
-    return len(found)
 
 
 def _then(callback: Callable[..., Any], acknowledge: Callable[[int], None]) -> Callable[..., Any]:

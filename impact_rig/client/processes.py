@@ -161,20 +161,17 @@ class Processes:
     def stop(self, *names: str, timeout_s: float = STOP_TIMEOUT_S) -> dict[str, int]:
         """End the named processes, or all: SIGINT, then SIGTERM, then SIGKILL; return their exit codes."""
         with unhurried():
-            return self._stop(names or tuple(self.running), timeout_s)
-
-    def _stop(self, names: Sequence[str], timeout_s: float) -> dict[str, int]:
-        chosen = [self.running.pop(name) for name in names]
-        for number, patience in ((signal.SIGINT, timeout_s), (signal.SIGTERM, 2.0), (signal.SIGKILL, 5.0)):
-            waiting = [process for process in chosen if process.exit_code is None]
-            for process in waiting:
-                process.signal(number)
-            deadline = time.monotonic() + patience
-            for process in waiting:
-                process.wait(max(0.0, deadline - time.monotonic()))
-        for process in chosen:
-            process.signal(signal.SIGKILL)  # whatever a child of it left behind in the group
-        return {process.name: process.process.wait() for process in chosen}
+            chosen = [self.running.pop(name) for name in names or tuple(self.running)]
+            for number, patience in ((signal.SIGINT, timeout_s), (signal.SIGTERM, 2.0), (signal.SIGKILL, 5.0)):
+                waiting = [process for process in chosen if process.exit_code is None]
+                for process in waiting:
+                    process.signal(number)
+                deadline = time.monotonic() + patience
+                for process in waiting:
+                    process.wait(max(0.0, deadline - time.monotonic()))
+            for process in chosen:
+                process.signal(signal.SIGKILL)  # whatever a child of it left behind in the group
+            return {process.name: process.process.wait() for process in chosen}
 
     def environment(self, more: Mapping[str, str]) -> dict[str, str]:
         """Return the environment that a node is started with: this process's, its own domain, this machine only."""
@@ -229,8 +226,12 @@ def isolated_domain() -> Iterator[int]:
         ImpactRigError: all ids are in use.
     """
     before = os.environ.get(DISCOVERY_VARIABLE)
-    for domain_id in _candidates():
-        handle = _hold(domain_id)
+    count = LAST_DOMAIN - FIRST_DOMAIN + 1
+    first = time.monotonic_ns() // 1000 % count  # spreads users; the locks decide
+    for domain_id in (FIRST_DOMAIN + (first + k) % count for k in range(count)):
+        handle = None
+        with contextlib.suppress(OSError):  # of a user who does not share
+            handle = files.hold(FOLDER, str(domain_id))
         if handle is None:
             continue
         os.environ[DISCOVERY_VARIABLE] = "LOCALHOST"
@@ -274,17 +275,3 @@ def _remove_unless_in_use(port: Path) -> None:
                 fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         for path in (port, *locks, SHARED_MEMORY / f"sem.{port.name}_mutex"):
             path.unlink(missing_ok=True)
-
-
-def _candidates() -> Iterator[int]:
-    count = LAST_DOMAIN - FIRST_DOMAIN + 1
-    start = time.monotonic_ns() // 1000 % count  # spreads users; the locks decide
-    for k in range(count):
-        yield FIRST_DOMAIN + (start + k) % count
-
-
-def _hold(domain_id: int) -> int | None:
-    try:
-        return files.hold(FOLDER, str(domain_id))
-    except OSError:  # of a user who does not share
-        return None

@@ -129,7 +129,7 @@ class Gateway:
         for topic in (*COMMANDS.values(), topics.NOTES):
             client.publisher(topic)
         for topic in KEPT:
-            client.subscribe(topic, functools.partial(self._on_message, topic), raw=True)
+            client.subscribe(topic, lambda data, _info, topic=topic: record.take(topic, data), raw=True)
         self._view = Node(  # spun by nobody
             "lab_view", namespace=client.node.get_namespace(), context=client.context,
             use_global_arguments=False, enable_rosout=False, start_parameter_services=False,
@@ -144,9 +144,6 @@ class Gateway:
 
     # What is heard
 
-    def _on_message(self, topic: topics.Topic, data: bytes, _info: Any) -> None:
-        self.record.take(topic, data)
-
     def look(self, scans: bool, motion: bool) -> None:
         """Take what has come since the last look; without `motion`, what was known of that is forgotten."""
         wanted = {*(SCANS if scans else ()), *(TRUTH if scans and motion else ())}
@@ -156,8 +153,8 @@ class Gateway:
                 with self.record.lock:
                     self.record.forget_motion()
         for topic in [topic for topic in (*SCANS, *TRUTH) if topic in wanted and topic not in self._looks]:
-            kind = messages.class_of(topic)
-            self._looks[topic] = self._view.create_subscription(kind, topic.name, _ignore, PICTURES, raw=True)
+            kind, never = messages.class_of(topic), lambda _message: None  # nobody spins its node
+            self._looks[topic] = self._view.create_subscription(kind, topic.name, never, PICTURES, raw=True)
         for topic, subscription in self._looks.items():
             found: list[bytes] = []
             with subscription.handle:
@@ -458,7 +455,3 @@ class Gateway:
             self._own.processes.stop(node)
         self.client.diagnostics.pop(node, None)
         self._own.start(node)
-
-
-def _ignore(_message: Any) -> None:
-    """Nobody spins the node whose callback this is."""

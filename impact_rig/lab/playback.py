@@ -25,7 +25,7 @@ from impact_rig import codec, topics
 from impact_rig.blocks import Table
 from impact_rig.errors import ImpactRigError, RecordingError
 from impact_rig.lab.protocol import Request
-from impact_rig.lab.record import Record, came_before, plain, scan_rate, start_ns
+from impact_rig.lab.record import Record, came_before, guard, plain, scan_rate, start_ns
 from impact_rig.lab.scope import LONGEST_S, Scope
 from impact_rig.lab.state import KNOBS, Answer, Source
 from impact_rig.lab.theory import closed_form
@@ -196,12 +196,11 @@ class RunPlayer:
         self.whole = True
 
     def _note(self, topic: topics.Topic, message: Message) -> None:
-        if topic is topics.SCAN:
-            self.record.guard(topic.name, lambda: self._count_lost(codec.decode(message.data, topic)))
-        elif topic is topics.IMPACTS_TRUTH:
-            self.record.guard(topic.name, lambda: self._note_impacts(codec.decode(message.data, topic)))
-        else:
+        note = {topics.SCAN.name: self._count_lost, topics.IMPACTS_TRUTH.name: self._note_impacts}.get(topic.name)
+        if note is None:
             self.record.take(topic, bytes(message.data), message.log_time)
+        else:
+            guard(self.record.refused, topic.name, lambda: note(codec.decode(message.data, topic)))
 
     def _note_impacts(self, table: Table) -> None:
         begin = (table.stamp_ns - self.start_ns) / NS_PER_S

@@ -337,11 +337,7 @@ class Record:
 
     def take(self, topic: topics.Topic, data: bytes, at_ns: int | None = None) -> None:
         """Take a message that came at `at_ns` (None: now); where that fails, count it."""
-        self.guard(topic.name, lambda: self._take(topic, data, at_ns))
-
-    def guard(self, what: str, work: Callable[[], Any]) -> None:
-        """Do something with what others have published; where that fails, count it."""
-        guard(self.refused, what, work)
+        guard(self.refused, topic.name, lambda: self._take(topic, data, at_ns))
 
     def _take(self, topic: topics.Topic, data: bytes, at_ns: int | None) -> None:
         if topic is topics.JOINT_STATES:

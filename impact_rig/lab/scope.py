@@ -154,21 +154,19 @@ class Scope:
                 self._commanded[place] = np.nan
             done += len(part)
 
-    def window(self, span_s: float, columns: int, *, trigger: bool = False, end_s: float | None = None) -> Trace | None:
-        """Return the newest window of a length, or the one that ends at an instant; None: there is nothing.
+    def window(self, span_s: float, columns: int, *, trigger: bool = False) -> Trace | None:
+        """Return the newest window of a length; None: there is nothing.
 
         Args:
             span_s: its length [s].
             columns: of the picture; there may be fewer, or up to half as many more.
             trigger: move the window back, until it begins where the current passes zero upwards.
-            end_s: the instant at which it ends.
         """
         if self.end <= self.begin:
             return None
-        end = self.end if end_s is None else min(max(round(end_s * self.rate_hz), self.begin), self.end)
         count = max(2, round(min(span_s, LONGEST_S) * self.rate_hz))
-        begin = end - count
-        crossing = self._crossing(begin, end) if trigger else math.nan
+        begin = self.end - count
+        crossing = self._crossing(begin) if trigger else math.nan
         if not math.isnan(crossing):
             begin = int(crossing)
         step = max(1, count // columns)
@@ -177,10 +175,10 @@ class Scope:
         level = next(level for level in reversed(self._levels) if level.fine == 1 or step >= 2 * level.fine)
         return self._trace(level, begin // level.fine, count // level.fine, step // level.fine, crossing)
 
-    def _crossing(self, begin: int, end: int) -> float:
+    def _crossing(self, begin: int) -> float:
         """Return the last scan before `begin` at which the current passes zero upwards; NaN: there is none."""
         low = max(self.begin, begin - round(0.25 * self.rate_hz), 0)
-        found = self._read(low, min(begin + 1, end))[CURRENT]
+        found = self._read(low, begin + 1)[CURRENT]
         if not len(found):
             return math.nan
         # the noise of the monitor crosses zero many times: take means over a millisecond, and ask for some amplitude
@@ -199,10 +197,9 @@ class Scope:
         parts = [self._scans.low[:, p] for p in self._scans.places(max(begin, self.begin), min(end, self.end))]
         return np.concatenate(parts, axis=1) if parts else self._scans.low[:, :0]
 
-    def stretch(self, span_s: float, end_s: float | None = None) -> NDArray[np.float32]:
-        """Return the newest scans, or those before an instant, of the shape of a `Trace`'s minima."""
-        end = self.end if end_s is None else min(round(end_s * self.rate_hz), self.end)
-        return self._read(end - round(span_s * self.rate_hz), end)
+    def stretch(self, span_s: float) -> NDArray[np.float32]:
+        """Return the newest scans, of the shape of a `Trace`'s minima."""
+        return self._read(self.end - round(span_s * self.rate_hz), self.end)
 
     def _trace(self, level: Level, begin: int, count: int, step: int, crossing: float) -> Trace:
         """Make columns of `step` pairs of a level each; a coarse one begins up to a pair earlier than asked."""

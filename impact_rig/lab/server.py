@@ -142,20 +142,17 @@ class Session:
             if message.type is WSMsgType.ERROR:
                 return  # too long, or no WebSocket's: the connection is closed
             if message.type is not WSMsgType.TEXT:
-                self._refuse("binary")
+                self._refused["binary"] += 1
                 bad += 1
             else:
                 try:
                     self._take(protocol.parse(message.data))
                 except RequestError as error:
-                    self._refuse("malformed")
+                    self._refused["malformed"] += 1
                     bad += 1
                     self._reply(0, False, str(error))
             if bad >= MOST_BAD:
                 await self._socket.close(code=1008, message=b"too many requests without sense")
-
-    def _refuse(self, reason: str) -> None:
-        self._refused[reason] += 1
 
     def _take(self, request: Request) -> None:
         if request.do == "ack":
@@ -194,7 +191,7 @@ class Session:
             try:
                 frames = self._picture(now)
             except Exception:  # one that cannot be drawn costs itself: STOP is asked for here
-                self._refuse("pictures")
+                self._refused["pictures"] += 1
                 continue
             if frames:
                 self._sent_at = now

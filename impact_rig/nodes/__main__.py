@@ -78,7 +78,12 @@ def show_help(node: str, arguments: Sequence[str]) -> bool:
 
 
 def _run(node: str) -> None:
-    begin(node, lambda ending: importlib.import_module(f"impact_rig.nodes.{node}_node").main(ending))
+    def main(ending: Ending) -> None:
+        from impact_rig.nodes import process  # noqa: PLC0415
+
+        process.main(importlib.import_module(f"impact_rig.nodes.{node}_node").PROGRAM, ending)
+
+    begin(node, main)
 
 
 rig, analysis, recorder, stepped_sine = (

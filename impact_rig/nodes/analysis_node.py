@@ -20,13 +20,11 @@ from impact_rig.blocks import Table
 from impact_rig.config.fields import quantity, switch
 from impact_rig.config.tree import Tree
 from impact_rig.errors import CodecError, ConfigError, ImpactRigError
-from impact_rig.nodes import process
 from impact_rig.nodes.acknowledgements import Acknowledgements
 from impact_rig.nodes.managed import Level, ManagedNode, State
 from impact_rig.nodes.messages import TOPICS
 from impact_rig.nodes.plots import Plots
 from impact_rig.simtime import NS_PER_S
-from impact_rig.system.endings import Ending
 
 PUBLISHED = [topic for topic in TOPICS if topic.publisher == "analysis"]
 SILENCE_S = 2.0  # wall time without a block after which there are no scans; a paused rig sends none either
@@ -220,6 +218,5 @@ def _gap(settings: AnalysisSettings) -> float:
     return math.nan if settings.gap_m == UNKNOWN_GAP else settings.gap_m
 
 
-def main(ending: Ending) -> None:
-    """Run the analysis node."""
-    process.main(AnalysisNode, ending)
+PROGRAM = AnalysisNode
+"""What makes the node of the program `analysis_node`."""

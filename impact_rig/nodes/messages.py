@@ -36,20 +36,14 @@ ENVELOPES = {name: topics.envelope(name, kind.unit) for name, kind in INSTRUMENT
 SPECTRA = {name: topics.spectrum(name, INSTRUMENTS[name].unit) for name in ("laser", "accelerometer")}
 """The amplitude spectrum of each channel that has one."""
 
-_MONITORS_FROM = topics.COMMON.index(topics.INFO) + 1
-_ANALYSES_FROM = topics.COMMON.index(topics.IMPACTS) + 1
-_PLOTS_FROM = topics.COMMON.index(topics.PLOT_PULSES) + 1
+_FOLLOWING = {
+    topics.INFO: tuple(MONITORS.values()),
+    topics.IMPACTS: tuple(analysis.topic for analysis in ANALYSES),
+    topics.PLOT_PULSES: (*SPECTRA.values(), *ENVELOPES.values()),
+}
+"""What is not in the table at the ground, by the row that it follows."""
 
-TOPICS: tuple[Topic, ...] = (
-    *topics.COMMON[:_MONITORS_FROM],
-    *MONITORS.values(),
-    *topics.COMMON[_MONITORS_FROM:_ANALYSES_FROM],
-    *(analysis.topic for analysis in ANALYSES),
-    *topics.COMMON[_ANALYSES_FROM:_PLOTS_FROM],
-    *SPECTRA.values(),
-    *ENVELOPES.values(),
-    *topics.COMMON[_PLOTS_FROM:],
-)
+TOPICS: tuple[Topic, ...] = tuple(found for topic in topics.COMMON for found in (topic, *_FOLLOWING.get(topic, ())))
 """Every topic of the interface, in the order of the documentation."""
 
 

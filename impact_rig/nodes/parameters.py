@@ -29,15 +29,9 @@ Attempt = Callable[[list[Parameter]], SetParametersResult]  # sets some paramete
 
 _LARGEST = 1.7976931348623157e308
 _LARGEST_INTEGER = 2**63 - 1
-_FOREIGN = (
-    "use_sim_time",
-    "start_type_description_service",
-    "qos_overrides.",
-)  # overrides that belong to rclpy, not us
-
-
 CONFIG_FILE = "config_file"  # parameter: a configuration file to start from; other parameters go on top of it
 SIM_TIME = "use_sim_time"
+_FOREIGN = (SIM_TIME, "start_type_description_service", "qos_overrides.")  # overrides that belong to rclpy, not us
 NO_SIM_TIME = "must be false here: this node makes the time that others follow"
 
 

@@ -29,7 +29,7 @@ from impact_rig.nodes.acknowledgements import AckWindow, Readers
 from impact_rig.nodes.messages import TOPICS
 from impact_rig.nodes.pacing import Pacer
 from impact_rig.nodes.process import make_executor
-from impact_rig.recording import Message, RecordedTopic, Run
+from impact_rig.recording import RecordedTopic, Run
 from impact_rig.recording.description import matches
 from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S
 from impact_rig.system.endings import unhurried
@@ -114,7 +114,7 @@ class Player:
         node.create_subscription(Header, ack, self._on_ack, messages.profile(topics.ACK.qos))
         node.create_service(SetBool, "~/pause", self._on_pause)
         self.paused = paused
-        self.now_ns = self.start_ns = self._first_scan_ns()
+        self.now_ns = self.start_ns = next((one.log_time for one in run.messages([self._scan])), run.start_ns)
         self.end_ns = run.end_ns
 
     def play(self) -> Iterator[int]:
@@ -139,7 +139,9 @@ class Player:
             while clock_ns <= message.log_time:
                 self._clock.publish(messages.CLOCK.render(clock_ns))
                 clock_ns += COMMAND_GRID_NS
-            self._publish(message)
+            self._publishers[message.topic].publish(bytes(message.data))
+            if message.topic == self._scan:
+                self._window.published(codec.header_stamp_ns(message.data))
         while self._window.outstanding():
             yield from self._rest(SPIN_S)
 
@@ -150,7 +152,7 @@ class Player:
         self._spin(LAST_WORDS_S)
 
     def _must_wait(self, due_ns: int) -> bool:
-        blocked = self._window.room() <= 0 if self._window.peers else False
+        blocked = self._window.room() <= 0
         return self.paused or blocked or (self._factor is not None and self._pacer.wait_ns(due_ns) > 0)
 
     def _time_left_s(self, due_ns: int) -> float:
@@ -165,16 +167,6 @@ class Player:
             raise ImpactRigError(f"peer {', '.join(silent)} acknowledged nothing for {PEER_TIMEOUT_S:g} s")
         self._spin(longest_s)
         yield self.now_ns
-
-    def _publish(self, message: Message) -> None:
-        self._publishers[message.topic].publish(bytes(message.data))
-        if message.topic == self._scan:
-            self._window.published(codec.header_stamp_ns(message.data))
-
-    def _first_scan_ns(self) -> int:
-        for message in self._run.messages([self._scan]):
-            return message.log_time
-        return self._run.start_ns
 
     def _publisher(self, recorded: RecordedTopic) -> Any:
         topic = recorded.topic

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import itertools
 import json
@@ -24,9 +25,8 @@ import impact_rig
 from impact_rig import states, topics
 from impact_rig.blocks import Table
 from impact_rig.config.fields import choice, integer, quantity, switch, text
-from impact_rig.config.tree import Tree
-from impact_rig.errors import RecordingError
-from impact_rig.nodes import process
+from impact_rig.config.tree import Tree, parameters_in
+from impact_rig.errors import ConfigError, RecordingError
 from impact_rig.nodes.acknowledgements import Acknowledgements
 from impact_rig.nodes.managed import Done, Level, ManagedNode, State
 from impact_rig.nodes.messages import TOPICS
@@ -40,7 +40,6 @@ from impact_rig.recording import (
     TopicDescription,
     schema_text,
 )
-from impact_rig.system.endings import Ending
 from impact_rig.system.machine import identity
 
 FLUSH_S = 0.2
@@ -260,8 +259,10 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         settings = self.settings
         directory = run_directory(settings.directory)
         name = settings.name or _free_name(directory, time.strftime("run_%Y%m%d_%H%M%S"))
-        values = parameters(configuration)
-        mode = str(values.get("time", {}).get("mode", "unknown"))
+        values: dict[str, Any] = {}
+        with contextlib.suppress(ConfigError):  # it comes from the network
+            values = parameters_in(configuration or "")
+        mode = str(values.get("time.mode", "unknown"))
         attachments = [Attachment("environment.json", environment(), "application/json")]
         if configuration is not None:
             attachments.append(Attachment(CONFIGURATION, configuration.encode(), "application/yaml"))
@@ -271,7 +272,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
             directory / name,
             provenance=Provenance(
                 version=impact_rig.__version__,
-                seed=int(values.get("daq", {}).get("seed", -1)),
+                seed=int(values.get("daq.seed", -1)),
                 wall_start_ns=self._opened_ns,
                 extra={"mode": mode, "namespace": self.get_namespace()},
             ),
@@ -287,11 +288,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
     def _finish(self) -> None:
         """Close the run; nothing is lost that has arrived."""
         self._waiting = False
-        self._awaited = set()
-        for subscription in self._recorded:
-            self.destroy_subscription(subscription)
-        self._recorded = []
-        writer, self._writer = self._writer, None
+        writer = self._leave_run()
         self._answer(False, "recording was stopped")
         if writer is None:
             return
@@ -304,15 +301,21 @@ class RecorderNode(ManagedNode[RecorderSettings]):
 
     def _fail(self, error: RecordingError) -> None:
         """Stop recording, say why, and let the rig go on."""
-        self._failure, self._awaited = f"recording stopped: {error}", set()
+        self._failure = f"recording stopped: {error}"
         self.report_change()
         self.get_logger().error(self._failure)
-        writer, self._writer = self._writer, None
+        writer = self._leave_run()
+        if writer is not None and not writer.closed:
+            writer.finish()
+
+    def _leave_run(self) -> RunWriter | None:
+        """Write no more, and wait for nothing; return the writer, which is to be finished."""
+        self._awaited = set()
         for subscription in self._recorded:
             self.destroy_subscription(subscription)
         self._recorded = []
-        if writer is not None and not writer.closed:
-            writer.finish()
+        writer, self._writer = self._writer, None
+        return writer
 
     # Messages
 
@@ -449,17 +452,6 @@ def qos(profile: Any) -> OfferedQos:
     )
 
 
-def parameters(configuration: str | None) -> dict[str, Any]:
-    """Return the nested values of a rig's configuration; empty if it is none (it comes from the network)."""
-    try:
-        document = yaml.safe_load(configuration or "")
-        values = document["/**"]["ros__parameters"]
-    except (yaml.YAMLError, KeyError, TypeError, ValueError, RecursionError):  # a date that is none, nesting
-        return {}
-    sections = values if isinstance(values, dict) else {}
-    return {name: section for name, section in sections.items() if isinstance(section, dict)}
-
-
 def environment() -> bytes:
     """Return what the run depended on, as JSON."""
     return json.dumps(
@@ -474,6 +466,5 @@ def environment() -> bytes:
     ).encode()
 
 
-def main(ending: Ending) -> None:
-    """Run the recorder node."""
-    process.main(RecorderNode, ending)
+PROGRAM = RecorderNode
+"""What makes the node of the program `recorder_node`."""

@@ -9,14 +9,12 @@ import time
 from typing import Any  # rclpy messages
 
 from impact_rig import states
-from impact_rig.nodes import process
 from impact_rig.nodes.managed import Level, ManagedNode, State
 from impact_rig.nodes.rig_state import RigState
 from impact_rig.nodes.session import Session
 from impact_rig.nodes.standard_services import StandardServices
 from impact_rig.rig import Rig
 from impact_rig.rig.config import TREE, RigConfig
-from impact_rig.system.endings import Ending
 
 DISCOVERY_S = 3.5
 """How long rigs of other machines are looked for: an announcement that a new process misses comes again 3 s later
@@ -86,6 +84,5 @@ class RigNode(ManagedNode[RigConfig]):
         return self._state.figures()
 
 
-def main(ending: Ending) -> None:
-    """Run the rig node."""
-    process.main(functools.partial(RigNode, discovery_s=DISCOVERY_S), ending)
+PROGRAM = functools.partial(RigNode, discovery_s=DISCOVERY_S)
+"""What makes the node of the program `rig_node`."""

@@ -16,22 +16,18 @@ from impact_rig.blocks import Table
 from impact_rig.config.fields import Origin, choice, integer, quantities, quantity, switch
 from impact_rig.config.tree import Tree
 from impact_rig.errors import CodecError, ConfigError, ImpactRigError
-from impact_rig.nodes import process
 from impact_rig.nodes.acknowledgements import Acknowledgements
 from impact_rig.nodes.managed import Done, Level, ManagedNode, State
 from impact_rig.nodes.messages import MONITORS
-from impact_rig.operate.operator import Applied, News, Operator
+from impact_rig.operate.operator import Applied, News, Operator, Walk
 from impact_rig.operate.phase_lock import LockedSine, LockPlan, Reference
 from impact_rig.operate.stepped_sine import ControlledSine, Direction, Hold, HoldPlan, Plan, Setpoint, SteppedSine
 from impact_rig.operate.stepped_sine import State as Progress
-from impact_rig.system.endings import Ending
 
 WATCH_S = 0.1  # how often the node looks for the rig, while a sweep waits to begin
 STOPPING = {b"trip": "tripped", b"stop": "was stopped", b"timeout": "missed commands", b"reset": "was reset"}
 """Kinds of journal entries that end a sweep, and what the rig did then."""
 COMMAND, PHASE = "command", "phase"  # what stays constant besides the amplitudes of `Hold`
-
-Walk = SteppedSine | LockedSine
 
 
 @attrs.frozen(kw_only=True)
@@ -345,6 +341,5 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
         operator.hear(News(now_ns=table.stamp_ns, rows=table.rows))
 
 
-def main(ending: Ending) -> None:
-    """Run the stepped-sine node."""
-    process.main(SteppedSineNode, ending)
+PROGRAM = SteppedSineNode
+"""What makes the node of the program `stepped_sine_node`."""

@@ -16,6 +16,7 @@ import attrs
 import numpy as np
 
 from impact_rig.blocks import Table
+from impact_rig.operate.phase_lock import LockedSine
 from impact_rig.operate.stepped_sine import Setpoint, State, SteppedSine
 from impact_rig.simtime import NS_PER_S
 
@@ -52,36 +53,8 @@ class News:
     stopped: str | None = None  # why the rig goes on no more, or None
 
 
-class Walk(Protocol):
-    """What an operator walks through: a sweep, or the lock on a resonance; it answers news with the next setpoint."""
-
-    @property
-    def state(self) -> State:
-        """Where it stands."""
-
-    @property
-    def measured(self) -> int:
-        """How much was measured so far."""
-
-    def start(self, now_ns: int) -> Setpoint:
-        """Begin."""
-
-    def on_applied(self, frequency_hz: float, current_a: float, now_ns: int) -> Setpoint | None:
-        """Take an accepted change of the drive."""
-
-    def on_measurement(self, row: np.void, now_ns: int) -> Setpoint | None:
-        """Take a row of `transmissibility/table`."""
-
-    def on_scans(self, table: Table) -> Setpoint | None:
-        """Take a block of `daq/scan`."""
-
-    def on_time(self, now_ns: int) -> Setpoint | None:
-        """Take the rig time."""
-
-    def abort(self, reason: str) -> Setpoint | None:
-        """End what is under way."""
-
-
+Walk = SteppedSine | LockedSine
+"""What an operator walks through: a sweep, or the lock on a resonance; it answers news with the next setpoint."""
 W = TypeVar("W", bound=Walk)
 
 

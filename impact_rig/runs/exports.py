@@ -115,6 +115,11 @@ def _columns(
     return columns
 
 
+def _whole(batches: Iterator[Columns]) -> Columns:
+    parts = list(batches)
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+
+
 def _write_csv(file: BinaryIO, batches: Iterator[Columns]) -> None:
     text = io.TextIOWrapper(file, encoding="utf-8", newline="")
     writer = csv.writer(text)
@@ -126,8 +131,7 @@ def _write_csv(file: BinaryIO, batches: Iterator[Columns]) -> None:
 
 
 def _write_npz(file: BinaryIO, batches: Iterator[Columns]) -> None:
-    parts = list(batches)
-    columns = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    columns = _whole(batches)
     # np.savez would take columns called `file` or `allow_pickle` for its own arguments
     with zipfile.ZipFile(file, "w") as archive:
         for name, column in columns.items():
@@ -156,8 +160,7 @@ def _write_uff(file: BinaryIO, batches: Iterator[Columns]) -> None:
         pyuff = importlib.import_module("pyuff")
     except ImportError as error:
         raise RecordingError("UFF needs pyuff, which is not installed: pip install pyuff") from error
-    parts = list(batches)
-    columns = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    columns = _whole(batches)
     with tempfile.TemporaryDirectory(prefix="impact_rig_uff_") as folder:  # pyuff opens files by name only
         path = Path(folder) / "all.uff"
         with warnings.catch_warnings():

@@ -9,6 +9,7 @@ come from anybody: their size is bounded, and while a library reads one, so is t
 from __future__ import annotations
 
 import contextlib
+import csv
 import faulthandler
 import importlib
 import io
@@ -263,7 +264,6 @@ def _csv(path: Path, content: bytes) -> Foreign:
 
 def _worded(path: Path, lines: Sequence[str]) -> Foreign:
     """Read a table with words in it, such as an exported `daq/info`: small, by the standard library."""
-    csv = importlib.import_module("csv")
     rows = [row for row in csv.reader(line for line in lines if not line.startswith("#")) if row]
     if len(rows) < 2:  # names and a row
         raise RecordingError(f"{path} has no row of numbers within its first {HEADER_LINES} lines")

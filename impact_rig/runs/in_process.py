@@ -8,7 +8,6 @@ import shutil
 import time
 from collections.abc import Iterable
 from pathlib import Path
-from types import TracebackType
 
 import numpy as np
 
@@ -34,6 +33,13 @@ from impact_rig.simtime import NS_PER_S, stamp_ns
 PUBLISHED = (topics.INFO, topics.JOURNAL, topics.APPLIED, topics.SCAN, topics.IMPACTS_TRUTH, topics.FAULTS)
 
 DRIVEN = (topics.WAVEFORM, topics.STREAM)  # of a rig that is driven by a stream
+
+
+def joints(truth: np.void) -> tuple[list[float], list[float], list[float]]:
+    """Return what is told of a true state: positions [m], velocities [m/s] and the contact force on each body [N]."""
+    positions, velocities = ([float(truth[f"{what}_{body}"]) for body in "b12"] for what in "xv")
+    push = float(truth["force_left"] - truth["force_right"])
+    return positions, velocities, [0.0, -push, push]
 
 
 class RigRecorder:
@@ -65,9 +71,7 @@ class RigRecorder:
     def __enter__(self) -> RigRecorder:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.changes()
         self._writer.finish()
 
@@ -86,10 +90,7 @@ class RigRecorder:
                 self.write(topic, table)
         for scan, row in zip(block.monitor_scans, block.monitor, strict=True):
             stamp = stamp_ns(block.first_scan + int(scan), self._rig.rate_hz, self._rig.start_ns)
-            positions, velocities = ([float(row[f"{what}_{body}"]) for body in "b12"] for what in "xv")
-            push = float(row["force_left"] - row["force_right"])
-            data = codec.encode_joint_state(stamp, positions, velocities, [0.0, -push, push])
-            self._writer.write(f"/rig/{topics.JOINT_STATES.name}", data, stamp)
+            self._writer.write(f"/rig/{topics.JOINT_STATES.name}", codec.encode_joint_state(stamp, *joints(row)), stamp)
 
     def changes(self) -> list[Table]:
         """Write what has changed since the last call; return what was applied."""

@@ -29,7 +29,7 @@ import impact_rig
 from impact_rig import codec, topics
 from impact_rig.analysis.scans import CHANNELS
 from impact_rig.analysis.settings import GapLabel, parse_label
-from impact_rig.analysis.tracker import Tracker
+from impact_rig.analysis.tracker import Findings, Tracker
 from impact_rig.blocks import APPLIED, DAQ_INFO, DAQ_INFO_COLUMNS, LONGEST_S, MOST_HZ, Column, Table, row_type
 from impact_rig.errors import ConfigError, RecordingError
 from impact_rig.recording import Attachment, Provenance, Run, RunWriter, TopicDescription, schema_text
@@ -364,14 +364,12 @@ def measurement(
             f"{source.path}: signals differ in length: " + ", ".join(f"{name} {n}" for name, n in lengths.items())
         )
     count = next(iter(lengths.values()))
-    followed = {
-        key: source.signals[column].values
-        for key, column in (("frequency", mapping.frequency), ("gap", mapping.gap))
-        if isinstance(column, str) and column in source.signals
-    }
+    followed: dict[str, NDArray[np.float64]] = {}
     for key, column in (("frequency", mapping.frequency), ("gap", mapping.gap)):
-        if isinstance(column, str) and len(followed.get(key, ())) != count:
-            raise ConfigError(f"{key}: {source.path} has no signal {column!r} of {count} values")
+        if isinstance(column, str):
+            if column not in source.signals or len(source.signals[column].values) != count:
+                raise ConfigError(f"{key}: {source.path} has no signal {column!r} of {count} values")
+            followed[key] = source.signals[column].values
     rate, index, found = _uniform(source, mapping, found)
     if mapping.resample_hz is not None and followed:
         place = np.minimum(np.arange(len(index)) * count // len(index), count - 1)
@@ -416,7 +414,8 @@ def _uniform(
     """Return rate, numbers of the scans and their values, on a uniform grid with losses left open."""
     count = len(next(iter(found.values())))
     times = source.time_s
-    rates = {one.rate_hz for name, one in source.signals.items() if one.rate_hz and name in _columns(mapping)}
+    used = {one.column for one in mapping.channels.values()}
+    rates = {one.rate_hz for name, one in source.signals.items() if one.rate_hz and name in used}
     rate = rates.pop() if len(rates) == 1 else None
     if mapping.rate_hz is not None:
         rate, times = mapping.rate_hz, None
@@ -457,10 +456,6 @@ def _uniform(
             "scans per second; resample it, or give its rate if the times are not to be believed"
         )
     return whole, index, found
-
-
-def _columns(mapping: Mapping) -> set[str]:
-    return {one.column for one in mapping.channels.values()}
 
 
 def _resampled(
@@ -548,13 +543,15 @@ def _frequency_of(found: AnyMapping[str, NDArray[np.float64]], rate: int) -> flo
     return fit.frequency_hz if fit.status is Status.OK else coarse
 
 
+WRITTEN = (topics.INFO, topics.APPLIED, topics.NOTES, topics.SCAN, topics.TRANSMISSIBILITY_TABLE, topics.IMPACTS)
+
+
 def write(found: Measurement, directory: Path, clock_ns: int | None = None) -> Path:
     """Write a measurement as a run, with what the analysis finds in it; return the directory.
 
     Raises:
         RecordingError: it cannot be written, or holds a recording already.
     """
-    table = schema_text(topics.TABLE)
     now = time.time_ns() if clock_ns is None else clock_ns
     about = {"mode": MEASURED, "source": found.source.path.name, "format": found.source.kind}
     provenance = Provenance(version=impact_rig.__version__, seed=0, wall_start_ns=now, extra=about)
@@ -565,20 +562,19 @@ def write(found: Measurement, directory: Path, clock_ns: int | None = None) -> P
     with RunWriter(
         directory, provenance=provenance, attachments=(kept,), clock=time.monotonic, rig_start_ns=found.start_ns
     ) as writer:
-        for topic in (
-            topics.INFO,
-            topics.APPLIED,
-            topics.NOTES,
-            topics.SCAN,
-            topics.TRANSMISSIBILITY_TABLE,
-            topics.IMPACTS,
-        ):
-            schema = table if topic.columns is not None else schema_text(topic.type_name)
+        for topic in WRITTEN:
+            schema = schema_text(topic.type_name)
             writer.add_topic(TopicDescription(name=f"/{topic.name}", type_name=topic.type_name, schema=schema))
 
         def put(topic: topics.Topic, data: bytes) -> None:
             numbers[topic.name] = numbers.get(topic.name, 0) + 1
             writer.write(f"/{topic.name}", data, now, numbers[topic.name])
+
+        def tell(findings: Findings) -> None:
+            for one in findings.impacts:
+                put(topics.IMPACTS, codec.encode(one))
+            for one in findings.measurements:
+                put(topics.TRANSMISSIBILITY_TABLE, codec.encode(one))
 
         tracker = Tracker()
         for topic, one in _heads(found):
@@ -589,13 +585,8 @@ def write(found: Measurement, directory: Path, clock_ns: int | None = None) -> P
             tracker.label(label.gap_m, label.stamp_ns)
         for block in _blocks(found):
             put(topics.SCAN, codec.encode(block))
-            findings = tracker.feed(block)
-            for one in findings.impacts:
-                put(topics.IMPACTS, codec.encode(one))
-            for one in findings.measurements:
-                put(topics.TRANSMISSIBILITY_TABLE, codec.encode(one))
-        for one in tracker.flush().measurements:
-            put(topics.TRANSMISSIBILITY_TABLE, codec.encode(one))
+            tell(tracker.feed(block))
+        tell(tracker.flush())
     return directory
 
 

@@ -148,7 +148,7 @@ def _settings_told(run: Run) -> list[_Told]:
 
 def remarks(run: Run) -> list[str]:
     """Return what the operator noted, in order."""
-    return [text_of(message.data) for message in run.messages([topics.NOTES.name])] if run.holds(topics.NOTES) else []
+    return texts(run, topics.NOTES)
 
 
 def measurements(findings: Iterator[Findings]) -> list[Table]:
@@ -170,7 +170,12 @@ def newest_settled(tables: list[Table]) -> NDArray[np.void]:
     return settled[[last[key] for key in sorted(last)]]
 
 
-def text_of(cdr: bytes | memoryview) -> str:
+def texts(run: Run, topic: topics.Topic) -> list[str]:
+    """Return what was said on a topic of std_msgs/String, in order; nothing where it was not recorded."""
+    return [_text(message.data) for message in run.messages([topic.name])] if run.holds(topic) else []
+
+
+def _text(cdr: bytes | memoryview) -> str:
     """Return the text of a serialized std_msgs/String: 4 bytes of encapsulation, length with terminator, UTF-8."""
     length = int.from_bytes(cdr[4:8], "little")
     return bytes(cdr[8 : 8 + max(0, length - 1)]).decode(errors="replace")
@@ -225,15 +230,14 @@ class Comparison:
             f"; rows made from scans that only one of the two saw are not compared: {live} of the live analysis, "
             f"{offline} of this one"
         )
-        return self._sentence() + (rest if live or offline else "")
-
-    def _sentence(self) -> str:
-        if not self.same:
-            return f"not identical to the live results: {self.reason}"
-        if self.identical:
-            return f"identical to the live results: {self.compared} rows, bit for bit"
         where = "it is not recorded on which machine" if self.elsewhere is None else "on another machine or libraries"
-        return f"equal to the live results to {TOLERANCE:g}, not bit for bit: {self.compared} rows, made {where}"
+        if not self.same:
+            found = f"not identical to the live results: {self.reason}"
+        elif self.identical:
+            found = f"identical to the live results: {self.compared} rows, bit for bit"
+        else:
+            found = f"equal to the live results to {TOLERANCE:g}, not bit for bit: {self.compared} rows, made {where}"
+        return found + (rest if live or offline else "")
 
 
 @attrs.frozen

@@ -36,8 +36,9 @@ from impact_rig.rig.journal import PLANNED, Entry, read, sampled
 from impact_rig.rig.monitors import HALF_PERIODS, AntiAlias, Smoothed
 from impact_rig.rig.resimulation import Resimulation, Sent
 from impact_rig.rig.truth import monitor_step
+from impact_rig.runs.in_process import joints
 from impact_rig.runs.measurement import is_measured
-from impact_rig.runs.reanalysis import Compared, text_of
+from impact_rig.runs.reanalysis import Compared, texts
 from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S, stamp_ns
 
 _BEGINS = (Kind.START.value.encode(), Kind.RESET.value.encode())
@@ -533,11 +534,11 @@ class _Beside:
     def _compare_configuration(self) -> Compared:
         """Compare each configuration that was published or attached with those the journal has led to."""
         name = topics.CONFIGURATION.name
-        texts = [text_of(message.data) for message in self._run.messages([name])] if self._run.holds(name) else []
+        told = texts(self._run, topics.CONFIGURATION)
         attached = self._run.attachments().get(CONFIGURATION)
         count, found = 0, []
         try:
-            found = [parse(text.encode()) for text in texts]
+            found = [parse(text.encode()) for text in told]
             opened = None if attached is None else parse(attached)
         except ConfigError as error:
             return Compared(name, count, f"text {len(found)}: {error}")
@@ -550,9 +551,9 @@ class _Beside:
                 return Compared(name, count, f"text {number}: {self._unlike(config)}")
         if opened is not None and _deciding(opened) not in [*published, *self._configurations]:
             return Compared(name, count, f"attachment {CONFIGURATION}: {self._unlike(_deciding(opened))}")
-        if not texts:
+        if not told:
             return Compared(name, left_out="it is not in this run")
-        rest = f"{len(texts) - count} are of before the first scan" if count < len(texts) else ""
+        rest = f"{len(told) - count} are of before the first scan" if count < len(told) else ""
         return Compared(name, count, left_out=rest, what="texts")
 
     def _unlike(self, config: dict[str, object]) -> str:
@@ -567,9 +568,9 @@ class _Beside:
         name = topics.ROBOT_DESCRIPTION.name
         if not self._run.holds(name):
             return Compared(name, left_out="it is not in this run")
-        texts = [text_of(message.data) for message in self._run.messages([name])]
-        wrong = [text for text in texts if text not in self._descriptions]
-        return Compared(name, len(texts), "it is not that of the configuration" if wrong else "", what="texts")
+        told = texts(self._run, topics.ROBOT_DESCRIPTION)
+        wrong = [text for text in told if text not in self._descriptions]
+        return Compared(name, len(told), "it is not that of the configuration" if wrong else "", what="texts")
 
 
 class _Monitor:
@@ -630,13 +631,13 @@ class _Monitor:
 
 def _monitor_rates_hz(run: Run) -> set[float]:
     """Return the rates of the monitors in the configurations that were recorded."""
-    name = topics.CONFIGURATION.name
-    texts = [text_of(message.data).encode() for message in run.messages([name])] if run.holds(name) else []
-    rates_hz = {RigConfig().output.monitor_rate_hz} if not texts else set()
-    for found in [*texts, run.attachments().get(CONFIGURATION)]:
+    usual_hz = RigConfig().output.monitor_rate_hz
+    told = [text.encode() for text in texts(run, topics.CONFIGURATION)]
+    rates_hz = set() if told else {usual_hz}
+    for found in [*told, run.attachments().get(CONFIGURATION)]:
         with contextlib.suppress(ConfigError):  # told where configurations are compared
             rates_hz |= {parse(found).output.monitor_rate_hz} if found is not None else set()
-    return rates_hz or {RigConfig().output.monitor_rate_hz}
+    return rates_hz or {usual_hz}
 
 
 def _fields_differ(found: dict[str, Any], wanted: Mapping[str, object]) -> str:
@@ -660,13 +661,7 @@ def _stamped(table: Table) -> tuple[int, Table]:
 
 def _joints_differ(recorded: tuple[NDArray[np.float64], ...], truth: np.void) -> str:
     """Return which true quantity was not published as it was."""
-    push = truth["force_left"] - truth["force_right"]
-    wanted = (
-        [truth[name] for name in ("x_b", "x_1", "x_2")],
-        [truth[name] for name in ("v_b", "v_1", "v_2")],
-        [0.0, -push, push],
-    )
-    for what, found, values in zip(("position", "velocity", "effort"), recorded, wanted, strict=True):
+    for what, found, values in zip(("position", "velocity", "effort"), recorded, joints(truth), strict=True):
         true = np.array(values, np.float64)
         if len(found) != len(true) or (_bits(found) != _bits(true)).any():
             return f"{what}: logged {found.tolist()}, re-simulated {true.tolist()}"

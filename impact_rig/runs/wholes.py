@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import sys
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import attrs
 import numpy as np
@@ -78,8 +78,7 @@ def last_excerpt(run: Run, found: Sequence[Findings]) -> Excerpt:
     else:
         drive = [table.rows["frequency"][-1] for table in run.tables(topics.APPLIED.name, recorded_order=True)]
         last, drive_hz, end_ns, span_s = sys.maxsize, float(drive[-1]) if drive else 0.0, None, UNSETTLED_S
-    first, origin_ns, tables = _newest_scans(run, last, span_s + HELD_S, rate_hz)
-    rows = _joined(tables, origin_ns) if tables else np.empty(0, SCAN)
+    first, origin_ns, rows = _newest_scans(run, last, span_s + HELD_S, rate_hz)
     if not len(rows):
         raise RecordingError(f"{run.path} holds no scans to draw")
     end_s = rows["time"][-1] if end_ns is None else (end_ns - origin_ns) / NS_PER_S
@@ -103,8 +102,7 @@ def last_record(run: Run) -> Excerpt:
         RecordingError: there are too few.
     """
     rate_hz = float(calibration_rows(run)["rate"][0])
-    _, origin_ns, tables = _newest_scans(run, sys.maxsize, MOST_SCANS / rate_hz, rate_hz)
-    rows = _joined(tables, origin_ns) if tables else np.empty(0, SCAN)
+    _, _, rows = _newest_scans(run, sys.maxsize, MOST_SCANS / rate_hz, rate_hz)
     if len(rows) < FEWEST_SCANS:
         raise RecordingError(
             f"{run.path}: {len(rows)} scans without a gap at its end, at least {FEWEST_SCANS} are needed"
@@ -124,8 +122,8 @@ def calibration_rows(run: Run) -> NDArray[np.void]:
     return tables[-1].rows
 
 
-def _newest_scans(run: Run, last: int, span_s: float, rate_hz: float) -> tuple[int, int, list[Table]]:
-    """Return the contiguous scans before block `last`: number and origin [ns] of their time, and the tables.
+def _newest_scans(run: Run, last: int, span_s: float, rate_hz: float) -> tuple[int, int, NDArray[np.void]]:
+    """Return the contiguous scans before block `last`: number and origin [ns] of their time, and the rows.
 
     Origin is the first scan of the run, or that after the last reset.
     """
@@ -142,10 +140,10 @@ def _newest_scans(run: Run, last: int, span_s: float, rate_hz: float) -> tuple[i
         kept.append(table)
         while table.stamp_ns - kept[0].stamp_ns > span_s * NS_PER_S:
             kept.popleft()
-    return first, origin_ns, list(kept)
+    return first, origin_ns, _joined(kept, origin_ns) if kept else np.empty(0, SCAN)
 
 
-def _joined(tables: Sequence[Table], origin_ns: int) -> NDArray[np.void]:
+def _joined(tables: Iterable[Table], origin_ns: int) -> NDArray[np.void]:
     """Return the rows of tables, one after the other, `time` since `origin_ns`."""
     parts = []
     for table in tables:

@@ -117,7 +117,11 @@ def load_yaml(text: str, limit: int) -> object:
     if len(text) > limit:
         raise PlainYamlError(f"it has more than {limit} characters")
     try:
-        return _content(text)
+        loader = _Loader(text)
+        try:
+            return loader.get_single_data()
+        finally:
+            loader.dispose()
     except (yaml.YAMLError, ValueError, RecursionError) as error:  # ValueError: a date that is none
         raise PlainYamlError(" ".join(str(error).split())) from error
 
@@ -152,12 +156,3 @@ def _refuse_twice(mapping: yaml.MappingNode) -> None:
             if (key.tag, key.value) in seen:
                 raise PlainYamlError(f"the key {key.value!r} is there twice, again in line {key.start_mark.line + 1}")
             seen.add((key.tag, key.value))
-
-
-def _content(text: str) -> object:
-    loader = _Loader(text)
-    try:
-        content: object = loader.get_single_data()
-    finally:
-        loader.dispose()
-    return content

@@ -63,7 +63,7 @@ class Ending:
         sys.unraisablehook = self._unraisable
         code = 0
         try:
-            code = self._do(work, self._interrupt if interrupting else _do_nothing)
+            code = self._do(work, self._interrupt if interrupting else lambda: None)
         except Told:  # in the very moment when the work was done
             self._over()
         if self.told:
@@ -90,10 +90,11 @@ class Ending:
         ignored = False
         while not ignored:
             with contextlib.suppress(Told):  # a signal may come in between
-                for number in (*SIGNALS, signal.SIGALRM):
-                    signal.signal(
-                        number, signal.SIG_IGN
-                    )  # Python would restore the default, which kills, on its way out
+                for number in (
+                    *SIGNALS,
+                    signal.SIGALRM,
+                ):  # Python would restore the default, which kills, on its way out
+                    signal.signal(number, signal.SIG_IGN)
                 ignored = True
         signal.setitimer(signal.ITIMER_REAL, 0.0)
 
@@ -128,10 +129,6 @@ class Ending:
     def _unraisable(self, unraisable: sys.UnraisableHookArgs) -> None:
         if not isinstance(unraisable.exc_value, Told):
             sys.__unraisablehook__(unraisable)
-
-
-def _do_nothing() -> None:
-    """Leave it to the work to see that the program was told."""
 
 
 class _Unhurried:

@@ -13,8 +13,18 @@ import numpy as np
 import pytest
 
 from impact_rig.errors import ConfigError
-from impact_rig.operate.looking import Ladder, climb, follow, lock_on, mean
-from impact_rig.operate.phase_lock import LockPlan, Look, PhaseLock, Reference, Stage
+from impact_rig.operate.phase_lock import (
+    Ladder,
+    LockPlan,
+    Look,
+    PhaseLock,
+    Reference,
+    Stage,
+    climb,
+    follow,
+    lock_on,
+    mean,
+)
 from impact_rig.operate.stepped_sine import State
 from impact_rig.physics.prediction import transmissibility
 from impact_rig.rig.config import RigConfig, from_flat

@@ -1,7 +1,7 @@
 // The transmissibility over frequency: points with error bars, earlier gaps in grey; as lines the rig without sphere
 // and what theory predicts with it, dashed where such a motion does not last.
 
-import { colour, stacked } from "./paper.js";
+import { colour, stacked, stroke } from "./paper.js";
 
 /* global uPlot */
 
@@ -106,9 +106,7 @@ export class CurveView {
     g.lineWidth = 1.6 * ratio;
     for (const [lasts, points] of this.predicted) {
       g.setLineDash(lasts ? [] : [4 * ratio, 3 * ratio]);
-      g.beginPath();
-      for (const [f, dt] of points) g.lineTo(plot.valToPos(f, "x", true), plot.valToPos(dt, "y", true));
-      g.stroke();
+      stroke(g, points.map(([f, dt]) => [plot.valToPos(f, "x", true), plot.valToPos(dt, "y", true)]));
     }
     const kinds = [["without sphere", "soft", 1, [], this.closed.length > 0],
       ["predicted", "drive", 1.6, [], this.predicted.some(([lasts]) => lasts)],
@@ -120,10 +118,7 @@ export class CurveView {
       g.strokeStyle = colour(ink);
       g.lineWidth = wide * ratio;
       g.setLineDash(dash.map((one) => one * ratio));
-      g.beginPath();
-      g.moveTo(x, y);
-      g.lineTo(x + 18 * ratio, y);
-      g.stroke();
+      stroke(g, [[x, y], [x + 18 * ratio, y]]);
       g.fillStyle = colour("ink");
       g.fillText(words, x + 23 * ratio, y);
     });
@@ -140,10 +135,7 @@ export class CurveView {
       g.lineWidth = ratio;
       if (row.u > 0) {
         const high = plot.valToPos(row.dt + 2 * row.u, "y", true), low = plot.valToPos(Math.max(1, row.dt - 2 * row.u), "y", true);
-        g.beginPath();
-        g.moveTo(x, high);
-        g.lineTo(x, low);
-        g.stroke();
+        stroke(g, [[x, high], [x, low]]);
       }
       g.beginPath();
       if (square) g.rect(x - 3 * ratio, y - 3 * ratio, 6 * ratio, 6 * ratio);

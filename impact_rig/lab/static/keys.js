@@ -1,5 +1,7 @@
 // Keyboard: one table for what keys do and for the sheet that says so.
 
+import { element } from "./page.js";
+
 /** @typedef {{keys: string[], text: string, run: () => void}} Binding */
 
 /**
@@ -29,16 +31,7 @@ export function listen(bindings) {
 export function fillSheet(table, bindings) {
   const names = { " ": "space", ArrowUp: "↑", ArrowDown: "↓", ArrowLeft: "←", ArrowRight: "→", Escape: "Esc" };
   table.replaceChildren(...bindings.map((binding) => {
-    const row = document.createElement("tr");
-    const keys = document.createElement("th"), text = document.createElement("td");
-    keys.scope = "row";
-    for (const key of binding.keys) {
-      const kbd = document.createElement("kbd");
-      kbd.textContent = names[key] ?? key;
-      keys.append(kbd, " ");
-    }
-    text.textContent = binding.text;
-    row.append(keys, text);
-    return row;
+    const keys = binding.keys.flatMap((key) => [element("kbd", { textContent: names[key] ?? key }), " "]);
+    return element("tr", {}, element("th", { scope: "row" }, ...keys), element("td", { textContent: binding.text }));
   }));
 }

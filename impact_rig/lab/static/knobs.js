@@ -1,6 +1,7 @@
 // The knobs: slider, number field, keys; pending until the rig echoes, refusals in its own words beside the knob.
 
 import { steps } from "./format.js";
+import { byId, element } from "./page.js";
 import { Knobs } from "./store.js";
 
 const PAPER_GAPS_MM = [0, 2, 4, 6, 8, 10];
@@ -45,31 +46,20 @@ export class KnobPanel {
 
   /** @private */
   make(knob) {
-    const box = document.createElement("div");
-    box.className = "knob";
-    const label = document.createElement("label");
-    label.textContent = knob.label;
-    label.htmlFor = `knob-${knob.name}`;
+    const id = `knob-${knob.name}`;
+    const label = element("label", { textContent: knob.label, htmlFor: id });
     label.dataset.help = knob.label.toLowerCase();
-    box.append(label);
-    const words = document.createElement("p");
-    words.className = "words";
+    const words = element("p", { className: "words" });
     words.setAttribute("role", "status");
     if (knob.choices) {
-      const select = document.createElement("select");
-      select.id = label.htmlFor;
+      const select = element("select", { id });
       select.addEventListener("change", () => this.turn(knob, select.value));
-      box.append(select, words);
+      const box = element("div", { className: "knob" }, label, select, words);
       this.place.append(box);
       return { box, field: select, slider: null, words };
     }
-    const field = document.createElement("input");
-    Object.assign(field, { type: "number", id: label.htmlFor, step: "any", required: true });
-    const unit = document.createElement("span");
-    unit.className = "unit";
-    unit.textContent = knob.unit ?? "";
-    const slider = document.createElement("input");
-    Object.assign(slider, { type: "range", min: knob.min, max: knob.max, step: knob.fine });
+    const field = element("input", { type: "number", id, step: "any", required: true });
+    const slider = element("input", { type: "range", min: knob.min, max: knob.max, step: knob.fine });
     slider.setAttribute("aria-label", `${knob.label} slider`);
     field.addEventListener("input", () => { field.dataset.written = "yes"; this.forgive(); });
     const written = () => { // by Enter, or by leaving the field: once
@@ -86,15 +76,14 @@ export class KnobPanel {
     });
     slider.addEventListener("input", () => { field.value = slider.value; });
     slider.addEventListener("change", () => this.turn(knob, slider.valueAsNumber));
-    box.append(field, unit, slider);
+    const box = element("div", { className: "knob" }, label, field,
+      element("span", { className: "unit", textContent: knob.unit ?? "" }), slider);
     if (knob.marks) {
-      const marks = document.createElement("div");
-      marks.className = "marks";
+      const marks = element("div", { className: "marks" });
       marks.setAttribute("role", "group");
       marks.setAttribute("aria-label", `${knob.label}: values of the paper`);
       for (const [text, value] of knob.marks) {
-        const button = document.createElement("button");
-        Object.assign(button, { type: "button", textContent: text, title: "value of the paper" });
+        const button = element("button", { type: "button", textContent: text, title: "value of the paper" });
         button.dataset.mark = `${knob.name}-${value}`;
         button.addEventListener("click", () => this.turn(knob, value));
         marks.append(button);
@@ -184,9 +173,8 @@ export class KnobPanel {
 const HELD = { base: ["mm", 1e3, 0.06], superior: ["mm", 1e3, 3], current: ["A", 1, 0.3] };
 
 export class SweepForm {
-  /** @param {(id: string) => any} byId @param {(what: string, values: object) => void} act */
-  constructor(byId, act) {
-    this.byId = byId;
+  /** @param {(what: string, values: object) => void} act */
+  constructor(act) {
     byId("sweep-hold").addEventListener("change", () => this.choose());
     byId("sweep-form").addEventListener("submit", (event) => { event.preventDefault(); act("sweep", this.values()); });
     this.choose();
@@ -194,19 +182,19 @@ export class SweepForm {
 
   /** Show the target in its unit, where there is one. */
   choose() {
-    const hold = this.byId("sweep-hold").value, held = HELD[hold], target = this.byId("sweep-target");
+    const hold = byId("sweep-hold").value, held = HELD[hold], target = byId("sweep-target");
     target.disabled = !held;
     target.value = held ? held[2] : "";
-    this.byId("sweep-unit").textContent = held ? held[0] : "";
-    this.byId("sweep-start").textContent = hold === "phase" ? "Lock" : "Sweep";
+    byId("sweep-unit").textContent = held ? held[0] : "";
+    byId("sweep-start").textContent = hold === "phase" ? "Lock" : "Sweep";
   }
 
   /** @returns {{frequencies: number[], direction: string, hold: string, target: number}} what is asked for */
   values() {
-    const number = (id) => this.byId(id).valueAsNumber, hold = this.byId("sweep-hold").value;
+    const number = (id) => byId(id).valueAsNumber, hold = byId("sweep-hold").value;
     return {
       frequencies: steps(number("sweep-from"), number("sweep-to"), number("sweep-points")),
-      direction: this.byId("sweep-direction").value, hold, target: HELD[hold] ? number("sweep-target") / HELD[hold][1] : 0,
+      direction: byId("sweep-direction").value, hold, target: HELD[hold] ? number("sweep-target") / HELD[hold][1] : 0,
     };
   }
 }

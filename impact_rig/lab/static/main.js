@@ -7,6 +7,7 @@ import { fillSheet, listen } from "./keys.js";
 import { KnobPanel, SweepForm } from "./knobs.js";
 import { Link } from "./link.js";
 import { Clock, Motion } from "./motion.js";
+import { byId, element } from "./page.js";
 import { forgetColours, save, savePicture } from "./paper.js";
 import { Player } from "./player.js";
 import { drawPhase, drawRig, GLOW_S } from "./rigview.js";
@@ -14,8 +15,8 @@ import { ScopeView } from "./scopeview.js";
 import { SpectrumView } from "./spectrumview.js";
 import { GRAVE, holds, status } from "./store.js";
 
-const byId = (id) => /** @type {any} */ (document.getElementById(id));
 const setText = (id, text) => { const node = byId(id); if (node.textContent !== text) node.textContent = text; };
+const say = (id, text, bad) => { setText(id, text); byId(id).classList.toggle("bad", Boolean(bad)); };
 
 /** @type {Record<string, any>} the snapshot */
 const now = {};
@@ -32,9 +33,8 @@ const act = (what, values = {}) => {
   const { id, answer } = link.ask(what, values);
   answer.then(({ ok, text }) => {
     if (what === "seek" && ok) return;
-    setText("answer", text);
+    say("answer", text, !ok);
     answeredAt = Date.now();
-    byId("answer").classList.toggle("bad", !ok);
   });
   return { id, answer };
 };
@@ -123,35 +123,28 @@ const SHOW = {
     const size = recorder.megabytes ? ` ${fixed(recorder.megabytes, 1)} MB` : "";
     const records = Boolean(recorder.lives && recorder.name);
     const trouble = ["failed", "rival", "losing"].includes(recorder.state) ? ` ${recorder.state}` : "";
-    setText("recording", now.mode === "playback" ? recorder.name
-      : !recorder.lives ? "no recorder" : records ? `● ${recorder.name}${size}${trouble}` : trouble.trim() || "off");
+    say("recording", now.mode === "playback" ? recorder.name
+      : !recorder.lives ? "no recorder" : records ? `● ${recorder.name}${size}${trouble}` : trouble.trim() || "off", trouble || recorder.gone);
     byId("recording").title = recorder.reason || recorder.gone || "";
-    byId("recording").classList.toggle("bad", Boolean(trouble || recorder.gone));
     byId("record").textContent = records ? "Stop recording" : "Record";
     byId("record").setAttribute("aria-pressed", String(records));
     byId("record").disabled = now.mode !== "live" || !recorder.lives;
   },
   lost: (lost) => {
     const names = Object.keys(lost);
-    setText("lost", names.length ? names.map((name) => `${lost[name]} ${name}`).join(", ") : "0");
-    byId("lost").classList.toggle("bad", names.length > 0);
+    say("lost", names.map((name) => `${lost[name]} ${name}`).join(", ") || "0", names.length);
   },
-  faults: (faults) => {
-    setText("faults", faults.length ? faults.join(", ") : "none");
-    byId("faults").classList.toggle("bad", faults.length > 0);
-  },
+  faults: (faults) => say("faults", faults.join(", ") || "none", faults.length),
   health: (health) => {
     const bad = health ? Object.entries(health).map(([channel, word]) => `${channel}: ${word}`) : [];
-    setText("health", !health ? "–" : bad.length ? bad.join(", ") : "well");
-    byId("health").classList.toggle("bad", bad.length > 0);
+    say("health", health ? bad.join(", ") || "well" : "–", bad.length);
   },
   stream: (stream) => {
     byId("stream-box").hidden = !stream;
     if (!stream) return;
     const troubles = [["missing", " s missing"], ["late", " s late"], ["refused", " blocks refused"]].filter(([name]) => stream[name]);
     const words = troubles.map(([name, what]) => `, ${fixed(stream[name], name === "refused" ? 0 : 2)}${what}`);
-    setText("stream", `${fixed(stream.buffered, 2)} of ${fixed(stream.capacity, 1)} s${words.join("")}`);
-    byId("stream").classList.toggle("bad", troubles.length > 0);
+    say("stream", `${fixed(stream.buffered, 2)} of ${fixed(stream.capacity, 1)} s${words.join("")}`, troubles.length);
   },
   refused: (refused) => {
     const names = Object.keys(refused);
@@ -231,12 +224,7 @@ function showNotice(said) {
   const place = byId("notice-buttons"), names = buttons.map(([name]) => name).join();
   if (place.dataset.names === names) return true;
   place.dataset.names = names;
-  place.replaceChildren(...buttons.map(([name, run]) => {
-    const button = document.createElement("button");
-    button.textContent = name;
-    button.addEventListener("click", run);
-    return button;
-  }));
+  place.replaceChildren(...buttons.map(([name, run]) => element("button", { textContent: name, onclick: run })));
   return true;
 }
 
@@ -272,13 +260,7 @@ function showDt() {
   const words = JSON.stringify(more);
   if (list.dataset.words !== words) {
     list.dataset.words = words;
-    list.replaceChildren(...Object.entries(more).map(([name, text]) => {
-      const box = document.createElement("div"), dt = document.createElement("dt"), dd = document.createElement("dd");
-      dt.textContent = name;
-      dd.textContent = text;
-      box.append(dt, dd);
-      return box;
-    }));
+    list.replaceChildren(...Object.entries(more).map((entry) => element("div", {}, ...explained(entry))));
   }
   setText("curve-note", rows.length ? "grey points: other gaps" : "No measurement yet: it appears when the response has settled.");
 }
@@ -304,28 +286,21 @@ function explain() {
   }
 }
 
+/** A term and what it is, for a list. */
+const explained = ([name, text]) => [element("dt", { textContent: name }), element("dd", { textContent: text })];
+
 function fillWords() {
-  byId("sheet-words").replaceChildren(...Object.entries(now.help ?? {}).flatMap(([word, text]) => {
-    const dt = document.createElement("dt"), dd = document.createElement("dd");
-    dt.textContent = word;
-    dd.textContent = text;
-    return [dt, dd];
-  }));
+  byId("sheet-words").replaceChildren(...Object.entries(now.help ?? {}).flatMap(explained));
 }
 
 function showJournal(lines) {
   const list = byId("journal-list");
   const bottom = list.scrollHeight - list.scrollTop - list.clientHeight < 30;
   list.replaceChildren(...lines.slice(-120).map(([time, kind, key, words]) => {
-    const item = document.createElement("li");
-    const when = document.createElement("time"), what = document.createElement("span"), how = document.createElement("span");
-    when.textContent = clock(time);
-    what.textContent = kind.replaceAll("_", " ");
-    what.className = "kind";
-    how.textContent = `${kind === "parameter" ? key : key.replaceAll("_", " ")} ${words}`.trim();
-    how.className = "what";
+    const item = element("li", {}, element("time", { textContent: clock(time) }),
+      element("span", { className: "kind", textContent: plain(kind) }),
+      element("span", { className: "what", textContent: `${kind === "parameter" ? key : plain(key)} ${words}`.trim() }));
     item.dataset.kind = kind;
-    item.append(when, what, how);
     return item;
   }));
   if (bottom) list.scrollTop = list.scrollHeight;
@@ -402,12 +377,9 @@ async function listRuns() {
   const token = new URLSearchParams(location.search).get("token") ?? "";
   const runs = await (await fetch(`/runs?token=${encodeURIComponent(token)}`)).json();
   byId("run-list").replaceChildren(...runs.map(({ name, megabytes }) => {
-    const item = document.createElement("li"), label = document.createElement("label"), box = document.createElement("input");
-    Object.assign(box, { type: "checkbox", value: name });
+    const box = element("input", { type: "checkbox", value: name });
     box.addEventListener("change", () => { byId("run-play").disabled = ![1, 2].includes(chosenRuns().length); });
-    label.append(box, ` ${name} `, `(${megabytes} MB)`);
-    item.append(label);
-    return item;
+    return element("li", {}, element("label", {}, box, ` ${name} `, `(${megabytes} MB)`));
   }));
   if (!runs.length) byId("run-list").textContent = "none yet";
 }
@@ -488,7 +460,7 @@ onClick("pause", pause);
 onClick("pluck", () => act("pluck", { value: 0.002 }));
 onClick("record", record);
 const onSubmit = (id, deed) => byId(id).addEventListener("submit", (event) => { event.preventDefault(); deed(); });
-new SweepForm(byId, act);
+new SweepForm(act);
 onSubmit("fault-form", () => act("fault", {
   kind: byId("fault-kind").value, channel: byId("fault-channel").disabled ? "" : byId("fault-channel").value,
   value: byId("fault-value").valueAsNumber, duration: byId("fault-duration").valueAsNumber, rate: byId("fault-rate").valueAsNumber,

@@ -18,6 +18,13 @@ export function paper(canvas) {
   return { g, w, h };
 }
 
+/** Draw a line. @param {CanvasRenderingContext2D} g @param {number[][]} points */
+export function stroke(g, points) {
+  g.beginPath();
+  points.forEach(([x, y], i) => (i ? g.lineTo(x, y) : g.moveTo(x, y)));
+  g.stroke();
+}
+
 let cached = {};
 
 /** @param {string} name of a variable of style.css @returns {string} its value now */

@@ -1,10 +1,10 @@
 // Playback: time slider with marks for commands, impacts, faults and trips.
 
 import { clock } from "./format.js";
+import { byId } from "./page.js";
 import { colour, paper } from "./paper.js";
 
 const INK = { command: "drive", parameter: "drive", trip: "hot", stop: "hot", fault: "warn", note: "soft" };
-const byId = (id) => /** @type {any} */ (document.getElementById(id));
 
 export class Player {
   /** @param {(what: string, values: object) => void} ask */

@@ -1,7 +1,7 @@
 // The rig in motion: table, bending columns, superior base with its barriers, sphere; walls flash with the peak force.
 
 import { engineering } from "./format.js";
-import { colour, paper } from "./paper.js";
+import { colour, paper, stroke } from "./paper.js";
 
 const BASE_ENLARGED = 20;
 const SPHERE_M = 6.35e-3;
@@ -26,7 +26,9 @@ export function drawRig(canvas, at, knobs, flash, pace = 1) {
   const top = middle + (at ? at.structure : 0) * scale;
   const plate = (inner + 0.012) * scale;
   g.lineJoin = "round";
-  ground(g, w, floor);
+  g.strokeStyle = colour("line"); // the ground
+  g.lineWidth = 1;
+  stroke(g, [[8, floor + 0.5], [w - 8, floor + 0.5]]);
   // inferior base, on the shaker's table
   g.fillStyle = colour("steel");
   g.fillRect(base - plate * 0.62, floor - 16, plate * 1.24, 16);
@@ -63,15 +65,6 @@ export function drawRig(canvas, at, knobs, flash, pace = 1) {
   }
   if (knobs.present) sphere(g, middle + (at ? at.sphere : 0) * scale, deck - SPHERE_M / 2 * scale, SPHERE_M / 2 * scale);
   labels(g, { w, h, middle, top, deck, scale, at, gap, present: knobs.present });
-}
-
-function ground(g, w, floor) {
-  g.strokeStyle = colour("line");
-  g.lineWidth = 1;
-  g.beginPath();
-  g.moveTo(8, floor + 0.5);
-  g.lineTo(w - 8, floor + 0.5);
-  g.stroke();
 }
 
 function sphere(g, x, y, r) {
@@ -120,18 +113,10 @@ export function drawPhase(canvas, motion, until, knobs, span) {
   const x = (value) => w / 2 + value / reach * (w / 2 - 8), y = (value) => h / 2 - value / (fastest * 1.1) * (h / 2 - 14);
   g.strokeStyle = colour("line");
   g.strokeRect(0.5, 0.5, w - 1, h - 1);
-  g.beginPath();
-  g.moveTo(0, h / 2);
-  g.lineTo(w, h / 2);
-  g.stroke();
+  stroke(g, [[0, h / 2], [w, h / 2]]);
   g.strokeStyle = colour("hot");
   g.setLineDash([4, 3]);
-  for (const wall of knobs.present ? [-1, 1] : []) {
-    g.beginPath();
-    g.moveTo(x(wall * knobs.gap / 2), 0);
-    g.lineTo(x(wall * knobs.gap / 2), h);
-    g.stroke();
-  }
+  for (const wall of knobs.present ? [-1, 1] : []) stroke(g, [[x(wall * knobs.gap / 2), 0], [x(wall * knobs.gap / 2), h]]);
   g.setLineDash([]);
   if (knobs.present && motion.states.length > 2) {
     g.strokeStyle = colour("sphere");

@@ -30,8 +30,7 @@ export class ScopeView {
     this.place.replaceChildren();
     this.ranges = [null, null, null, null];
     this.plots = CHANNELS.map(([name, unit], number) => {
-      const box = document.createElement("div");
-      this.place.append(box);
+      const box = this.place.appendChild(document.createElement("div"));
       const axis = { stroke: colour("soft"), grid: { stroke: colour("line"), width: 1 }, ticks: { show: false }, font: "10.5px system-ui" };
       const made = new uPlot({
         width: Math.max(50, box.clientWidth), height: Math.max(40, box.clientHeight), pxAlign: false, legend: { show: false },

@@ -1,0 +1,14 @@
+// The elements of the page: found by their id, and made.
+
+/** @param {string} id @returns {any} the element of this id */
+export const byId = (id) => document.getElementById(id);
+
+/**
+ * Make an element.
+ * @param {string} tag @param {object} [properties] @param {(Node | string)[]} children @returns {any}
+ */
+export function element(tag, properties = {}, ...children) {
+  const made = Object.assign(document.createElement(tag), properties);
+  made.append(...children);
+  return made;
+}
