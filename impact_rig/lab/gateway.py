@@ -163,7 +163,7 @@ class Gateway:
                     if one is None:
                         break
                     found.append(one[0])
-            if self.record.since_ns > self.record.start_ns:
+            if self.record.since_ns() > self.record.start_ns:
                 continue  # of a rig whose scan 0 is not known yet: it would go on where the one before has ended
             with self.record.lock:
                 for data in found:

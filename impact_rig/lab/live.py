@@ -20,8 +20,8 @@ from impact_rig import states
 from impact_rig.errors import ImpactRigError
 from impact_rig.instruments.section import CHANNELS
 from impact_rig.lab import state
-from impact_rig.lab.record import Record
-from impact_rig.lab.state import KNOBS, Pace, Seen, Source, figure
+from impact_rig.lab.record import LAST_NS, Record
+from impact_rig.lab.state import KNOBS, STANDING, Pace, Seen, Source, figure
 from impact_rig.lab.theory import be_gentle, closed_form
 from impact_rig.topics import SCAN
 
@@ -162,8 +162,8 @@ class LiveSource(Source):
         if gateway is None:
             return
         seen = {node: gateway.seen(node) for node in states.BY_NODE}
-        told = seen["rig"].figures.get("start_ns", "")
-        record.told_start_ns = int(told) if told.isascii() and told.isdigit() else 0
+        has_begun, told = _has_begun(seen["rig"]), seen["rig"].figures.get("start_ns", "")
+        record.told_start_ns = int(told) if told.isascii() and told.isdigit() else 0 if has_begun else LAST_NS
         doubts = self.guard("doubts", record.doubts)
         if doubts is None:
             doubts = ["what speaks against it cannot be told"]
@@ -176,7 +176,7 @@ class LiveSource(Source):
             "closed_form": lambda: closed_form(record.knobs),
             "dt": lambda: record.curve.part(record.start_ns),
             "dt_now": lambda: state.present(seen["rig"], seen["analysis"], doubts),
-            "faults": lambda: record.faults.in_force(record.since_ns),
+            "faults": lambda: record.faults.in_force(record.since_ns()) if has_begun else None,
             "health": lambda: record.health() if seen["analysis"].lives else None,
             "journal": lambda: record.journal.part(record.start_ns),
             "recorder": lambda: self._recorder(seen["recorder"]),
@@ -191,9 +191,10 @@ class LiveSource(Source):
         word, words = state.judge(rig, seen["analysis"], doubts)
         rig_s = figure(rig.figures.get("rig_time_s"))
         return {
-            "word": word, "text": words, "name": self._client.node.get_namespace(), "instance": rig.instance,
+            "word": word, "text": words, "begun": _has_begun(rig),
+            "name": self._client.node.get_namespace(), "instance": rig.instance,
             "age": round(rig.age_s or 0.0), "time": rig_s,
-            "speed": round(self._pace.read(rig_s or 0.0, rig.instance), 2),
+            "speed": round(self._pace.read(rig_s or 0.0, rig.instance, stands=rig.state in STANDING), 2),
             "mode": rig.figures.get("mode", ""), "own": self._own is not None,
             "realised": figure(rig.figures.get("realised_restitution")), "over": _over_range(rig.figures),
             "motion": self._pace.is_followed,
@@ -215,14 +216,20 @@ class LiveSource(Source):
         }  # fmt: skip
 
 
-def _lost(seen: Mapping[str, Seen]) -> dict[str, float]:
+def _has_begun(rig: Seen) -> bool:
+    """Whether what is known of a rig is of the one that is there: of one that waits to begin there is nothing yet."""
+    return not rig.lives or "rig_time_s" in rig.figures
+
+
+def _lost(seen: Mapping[str, Seen]) -> dict[str, float] | None:
     """Return what was lost and where, in words; None where nobody counts any more."""
     found = {
         "blocks withheld by a fault": seen["rig"].figures.get("lost_blocks"),
         "scans missed by the analysis": seen["analysis"].figures.get("lost_scans"),
         "blocks missed by the recorder": seen["recorder"].figures.get(f"lost.{SCAN.name}"),
     }
-    return {name: count for name, value in found.items() if (count := figure(value))}
+    counts = {name: count for name, value in found.items() if (count := figure(value)) is not None}
+    return {name: count for name, count in counts.items() if count} if counts else None
 
 
 def _over_range(figures: Mapping[str, str]) -> dict[str, float]:

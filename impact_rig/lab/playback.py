@@ -444,7 +444,7 @@ class PlaybackSource(Source):
             "dt_now": lambda: run.present(self.now_s, then),
             **({"dt_b": lambda: self._runs[1].rows(self.now_s)} if len(self._runs) > 1 else {}),
             "closed_form": lambda: closed_form(then.values),
-            "faults": lambda: record.faults.in_force(run.start_ns, at_ns),
+            "faults": lambda: record.faults.in_force(record.since_ns(at_ns), at_ns),
             "health": lambda: record.health(at_ns),
             "journal": lambda: record.journal.part(run.start_ns),
             "recorder": lambda: {"name": run.path.name},

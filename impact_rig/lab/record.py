@@ -39,6 +39,7 @@ ABOUT = {
 """Statuses of sound rows that name a channel themselves: the column `channel` tells what contributes most to u."""
 NO_CHANGE = (Kind.FAULT, Kind.CLEAR_FAULT, Kind.STREAM)  # a measurement holds on; `truth/faults` tells of faults
 LAST_NS = 2**63
+SAME_M = 1e-9  # gaps nearer to each other are one
 HIGHEST_RATE_HZ = 1e7
 LONGEST_RUN_S = 1e9
 STREAM = ("buffered", "capacity", "playing", "late", "refused", "missing", "rate")
@@ -197,31 +198,35 @@ class Faults:
             self._rows.append((stamp, int(row["id"]), bool(row["active"]), f"{what} ({float(row['value']):g})"))
 
     def in_force(self, start_ns: int, at_ns: int | None = None) -> list[str]:
-        """Return the faults that are in force, in words.
+        """Return the faults that are in force at an instant (None: after everything that was heard), in words.
 
         Args:
             start_ns: stamp of scan 0; a fault of before belongs to another record.
-            at_ns: an instant; None: after everything that was heard.
+            at_ns: the instant.
         """
-        active: dict[int, str] = {}
+        now_ns = LAST_NS if at_ns is None else at_ns
+        return self.acting(start_ns, now_ns, now_ns)
+
+    def acting(self, start_ns: int, begin_ns: int, end_ns: int) -> list[str]:
+        """Return the faults that were in force at any instant of a stretch, in words."""
+        found: dict[int, str] = {}
         for stamp, number, begins, words in self._rows:
-            if stamp < start_ns or (at_ns is not None and stamp > at_ns):
-                continue
-            if begins:
-                active[number] = words
-            else:
-                active.pop(number, None)
-        return list(active.values())
+            if begins and start_ns <= stamp <= end_ns:
+                found[number] = words
+            elif not begins and stamp <= begin_ns:
+                found.pop(number, None)
+        return list(found.values())
 
 
 @attrs.frozen
 class Judged:
-    """What a row of `transmissibility/table` is: first and last scan [ns], status, and the channel that it is about."""
+    """A row of `transmissibility/table`: first and last scan [ns], status, the channel that it is about, its label."""
 
     begin_ns: int
     end_ns: int
     status: str
     channel: str
+    gap_m: float  # as the operator has told the analysis; NaN: he has not
 
 
 class Curve:
@@ -242,7 +247,8 @@ class Curve:
             cycles, frequency_hz = float(row["cycles"]), float(row["frequency"])
             length_s = cycles / frequency_hz if frequency_hz > 0.0 else 0.0
             begin_ns = table.stamp_ns - round(min(length_s, LONGEST_RUN_S) * NS_PER_S)
-            self.judged.append(Judged(begin_ns, table.stamp_ns, status, "" if sound else ABOUT.get(status, channel)))
+            about = "" if sound else ABOUT.get(status, channel)
+            self.judged.append(Judged(begin_ns, table.stamp_ns, status, about, float(row["gap"])))
             if status in MEASURED:
                 self._rows.append((table.stamp_ns, _measurement(row)))
                 self._part = None
@@ -310,18 +316,29 @@ class Record:
         """The newest of `shaker/stream`; None: the rig is driven by no stream."""
         self.lock = threading.Lock()  # held while rings are written or read
 
-    @property
-    def since_ns(self) -> int:
-        """Stamp from which on what has come is of the rig that is there."""
-        return max(self.start_ns, self.told_start_ns)
+    def since_ns(self, at_ns: int | None = None) -> int:
+        """Return the stamp of scan 0 of the rig that is there, now or at an instant: what is older is of another."""
+        if at_ns is None:
+            return max(self.start_ns, self.told_start_ns)
+        return max(self.start_ns, self.journal.at(at_ns)[0].start_ns or 0)
 
     def doubts(self, at_ns: int | None = None) -> list[str]:
         """Return what speaks against the newest measurement, now or at an instant, in words."""
-        found = [f"{fault} is in force (truth)" for fault in self.faults.in_force(self.since_ns, at_ns)]
+        since_ns, row = self.since_ns(at_ns), self.curve.newest(at_ns)
+        faults = self.faults.in_force(since_ns, at_ns)
+        found = [f"{fault} is in force (truth)" for fault in faults]
         found += [f"{channel}: {word}" for channel, word in (self.curve.health(at_ns) or {}).items()]
-        row, change = self.curve.newest(at_ns), self.journal.at(LAST_NS if at_ns is None else at_ns)[1]
-        if row is not None and change is not None and not came_before(change.stamp_ns, row):
+        if row is None:
+            return found
+        over = [fault for fault in self.faults.acting(since_ns, row.begin_ns, row.end_ns) if fault not in faults]
+        found += [f"{fault} was in force while it was made (truth)" for fault in over]
+        view, change = self.journal.at(LAST_NS if at_ns is None else at_ns)
+        if change is not None and not came_before(change.stamp_ns, row):
             found.append(f"{plain(change.key or change.kind.value)} was changed after it began")
+        configuration = self.journal.configuration if at_ns is None else view.configuration
+        gap_m: Any = configuration["barriers.gap_m"] if configuration["sphere.present"] else 0.0
+        if abs(row.gap_m - gap_m) > SAME_M:  # not where it has no label
+            found.append(f"its label says a gap of {row.gap_m * 1e3:g} mm, the rig has {gap_m * 1e3:g} mm")
         return found
 
     def health(self, at_ns: int | None = None) -> dict[str, str] | None:
@@ -408,7 +425,7 @@ class Record:
         if at_ns is not None:
             return next((one for one in reversed(list(self.applied)) if one[0] <= at_ns), None)
         newest = self.applied[-1] if self.applied else None
-        return None if newest is None or newest[0] < self.since_ns else newest
+        return None if newest is None or newest[0] < self.since_ns() else newest
 
 
 def guard(refused: dict[str, list[Any]], what: str, work: Callable[[], T]) -> T | None:

@@ -38,6 +38,8 @@ FOLLOWED = 4.5
 """Speed up to which the motion is drawn: beyond it nobody can follow, and publishing it costs the rig a tenth."""
 T = TypeVar("T")
 STALE_S = 3.0  # rig time that has not moved for so long stands still
+STANDING = (states.Rig.INACTIVE, states.Rig.NO_PEER, states.Rig.SILENT_PEER, states.Rig.PAUSED)
+"""States in which rig time stands still, or has not begun."""
 GAP_S = 10.0  # two readings further apart say nothing about the speed between them
 KNOBS = (
     "barriers.gap_m", "sphere.present", "sphere.start", "contact.law", "contact.restitution", "pluck.displacement_m",
@@ -158,13 +160,13 @@ class Pace:
         """Whether somebody could follow the motion."""
         return self.speed <= FOLLOWED
 
-    def read(self, rig_s: float, instance: str = "") -> float:
-        """Take a reading of the time of a rig [s]; return the speed, 0 where it stands still.
+    def read(self, rig_s: float, instance: str = "", *, stands: bool = False) -> float:
+        """Take a reading of the time of a rig [s]; return the speed, 0 where it stands still, or says so.
 
         Of two activations, or two rigs in one namespace, the times have nothing to do with each other.
         """
         now = self._clock()
-        if instance != self._instance:
+        if instance != self._instance or stands:
             self._instance, self._read_at, self._rig_s, self.speed = instance, now, rig_s, 0.0
         if rig_s == self._rig_s:
             return 0.0 if now - self._read_at > STALE_S else self.speed

@@ -42,6 +42,7 @@ class _Reader:
     forgiven: int  # blocks up to here are owed no more
     heard_ns: int  # clock when it last said something new, or when it had nothing to say
     acknowledged: int | None = None  # blocks, counted from the start; None before it has acknowledged any
+    waived: bool = False  # it is not waited for until it acknowledges again
 
 
 class AckWindow:
@@ -115,6 +116,7 @@ class AckWindow:
         if reader.acknowledged is None or count > reader.acknowledged:
             reader.acknowledged = count
             reader.heard_ns = self._clock()
+        reader.waived = False
         return True
 
     def room(self) -> int:
@@ -139,11 +141,28 @@ class AckWindow:
         owing = (name for name in self._peers if self._owed(self._readers[name]) > 0)
         return tuple(name for name in owing if self._readers[name].heard_ns < limit)
 
-    def forgive(self) -> None:
-        """Count everything as acknowledged: the operator continues without what a silent peer missed."""
-        for name in self._peers:
-            self._readers[name].forgiven = self._published
-        self.excuse()
+    def forgive(self, names: Iterable[str]) -> None:
+        """Count everything as acknowledged by some peers; they are waited for as before."""
+        for name in names:
+            self._readers[name].forgiven, self._readers[name].heard_ns = self._published, self._clock()
+
+    def heard_ns(self, name: str) -> int:
+        """Return when a reader said something new last, or had nothing to say [ns of the clock]."""
+        return self._readers[name].heard_ns
+
+    def waive(self) -> None:
+        """Go on without the peers that are silent, until each of them acknowledges again.
+
+        Where nobody else is followed, they are waited for after the next window: no rig runs away from all its peers.
+        """
+        silent = self.silent()
+        for name in silent if set(silent) != set(self._peers) else ():
+            self._readers[name].waived = True
+        self.forgive(self._peers)
+
+    def waived(self) -> tuple[str, ...]:
+        """Return the peers that are not waited for."""
+        return tuple(name for name in self._peers if self._readers[name].waived)
 
     def excuse(self) -> None:
         """Restart every peer's timeout: this process itself was away, so their silence means nothing."""
@@ -157,7 +176,7 @@ class AckWindow:
             self._readers[name] = _Reader(self._published - self._owed(reader), reader.heard_ns)
 
     def _owed(self, reader: _Reader) -> int:
-        return self._published - max(reader.acknowledged or 0, reader.forgiven)
+        return 0 if reader.waived else self._published - max(reader.acknowledged or 0, reader.forgiven)
 
 
 class Readers:
@@ -173,7 +192,8 @@ class Readers:
         self._publisher = publisher
         self._missing: set[str] = set()
         self._expected_at = 0.0
-        self._present: set[str] = set()
+        self._present: dict[str, set[bytes]] = {}  # subscriptions by name of their node
+        self._came_ns: dict[str, int] = {}  # when the newest of these was seen first [ns of the monotonic clock]
         self._looked_at = -LOOK_S
         self._matched = 0
 
@@ -222,13 +242,22 @@ class Readers:
             self._look()
         return tuple(name for name in names if name not in self._present)
 
+    def came_ns(self, name: str) -> int:
+        """Return when the newest subscription of a node was seen first [ns of the monotonic clock]; 0: never."""
+        return self._came_ns.get(name, 0)
+
     def _due(self, period_s: float) -> bool:
         return time.monotonic() - self._looked_at >= period_s
 
     def _look(self) -> list[TopicEndpointInfo]:
         found: list[TopicEndpointInfo] = self._node.get_subscriptions_info_by_topic(self._publisher.topic_name)
         self._looked_at, self._matched = time.monotonic(), self.subscribers
-        self._present = {info.node_name for info in found}
+        before, self._present = self._present, {}
+        for info in found:
+            self._present.setdefault(info.node_name, set()).add(bytes(info.endpoint_gid))
+        now_ns = time.monotonic_ns()
+        anew = (name for name, ids in self._present.items() if not ids <= before.get(name, set()))
+        self._came_ns |= dict.fromkeys(anew, now_ns)
         return found
 
 

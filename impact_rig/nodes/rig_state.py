@@ -155,8 +155,9 @@ class RigState:
             yield Trouble(Level.WARN, "paused", State(words.PAUSED, "~/pause"))
         if session.is_stepped and session.is_idle:
             yield Trouble(Level.OK, "", State(words.PAUSED, "no step is asked for"))
-        if missing and realtime:
-            yield Trouble(Level.WARN, f"running without peer {missing}")
+        without = missing if realtime else ", ".join(session.window.waived())
+        if without:
+            yield Trouble(Level.WARN, f"running without peer {without}")
         if rig.takes_samples:
             who = session.controllers()
             if " and " in who:
@@ -203,6 +204,8 @@ class RigState:
             say(f"{topics.WAVEFORM.name}: {state.value if state else 'the drive is another one'}")
         self._stream = state
         self._look_at_faults(session.counts.faults)
+        # of one that has begun anew the one before is owed for, to whom the blocks that are out are lost
+        window.forgive(name for name in window.silent() if session.readers.came_ns(name) > window.heard_ns(name))
         silent = window.silent()
         for name in set(silent).difference(self._silent):
             self._warn(f"peer {name} is silent: it owes acknowledgements of {topics.SCAN.name}")

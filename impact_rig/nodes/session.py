@@ -480,7 +480,7 @@ class Session:
             _answer(self._pausing, False, "told to go on")
             if not self.is_stepped:
                 self._end_steps("told to go on")
-            self.window.forgive()
+            self.window.waive()
             if starving:
                 rig.feed(rig.stream.played + rig.stream.buffered(), ())
             self.pacer.rebase(rig.next_block_ns - self._base_ns)

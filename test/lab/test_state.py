@@ -167,7 +167,7 @@ def test_what_a_rig_before_applied_is_not_in_force() -> None:
 def test_a_measurement_holds_until_the_rig_is_changed_and_again_from_a_row_that_began_after_that() -> None:
     """A fault is told as such, not as a change; a row of scans from before and after says nothing of the rig now."""
     record, row = Record(), np.zeros(1, topics.TRANSMISSIBILITY_TABLE.columns)
-    row["status"], row["frequency"], row["cycles"] = b"ok", 10.0, 40.0
+    row["status"], row["frequency"], row["cycles"], row["gap"] = b"ok", 10.0, 40.0, 0.006
 
     def told(second: int, kind: str, key: str) -> None:
         entry = np.zeros(1, topics.JOURNAL.columns)
@@ -211,6 +211,43 @@ def test_every_word_that_is_shown_has_help() -> None:
     assert len(words) > 70
     assert sorted(words - help_.keys()) == []
     assert all(text.endswith((".", ").")) for text in help_.values())
+
+
+def test_a_fault_that_has_ended_speaks_against_what_was_measured_under_it() -> None:
+    """A page once said "the measurement holds" for seconds after a gain error was cleared, over a value wrong by it."""
+    record, row = Record(), np.zeros(1, topics.TRANSMISSIBILITY_TABLE.columns)
+    row["status"], row["frequency"], row["cycles"], row["gap"] = b"ok", 10.0, 40.0, 0.006
+    fault = np.zeros(1, topics.FAULTS.columns)
+    fault["id"], fault["kind"], fault["channel"], fault["value"] = 1, b"gain_error", b"base", 0.05
+    for second, active in ((3, 1), (5, 0)):
+        fault["active"] = active
+        record.take(topics.FAULTS, encode(Table(second * 10**9, fault)))
+    for end_s, doubts in ((6, 1), (8.9, 1), (9.1, 0)):  # each of four seconds
+        record.curve.add(Table(round(end_s * 1e9), row))
+        assert len(record.doubts()) == doubts, end_s
+    assert record.doubts(6 * 10**9) == ["gain error base (0.05) was in force while it was made (truth)"]
+
+
+def test_a_label_that_is_not_the_gap_of_the_rig_speaks_against_a_measurement() -> None:
+    record, row = Record(), np.zeros(1, topics.TRANSMISSIBILITY_TABLE.columns)
+    row["status"], row["frequency"], row["cycles"] = b"ok", 10.0, 40.0
+    for label_m, doubts in ((0.006, 0), (math.nan, 0), (0.003, 1), (0.0, 1)):
+        row["gap"] = label_m
+        record.curve.add(Table(6 * 10**9, row))
+        assert len(record.doubts()) == len(record.doubts(7 * 10**9)) == doubts
+    assert record.doubts() == ["its label says a gap of 0 mm, the rig has 6 mm"]
+
+
+def test_a_fault_of_before_a_reset_is_not_in_force_in_playback() -> None:
+    record, entry, fault = Record(None), np.zeros(1, topics.JOURNAL.columns), np.zeros(1, topics.FAULTS.columns)
+    fault["kind"], fault["channel"], fault["active"] = b"stuck", b"laser", 1
+    record.take(topics.FAULTS, encode(Table(3 * 10**9, fault)))
+    for second, kind in ((1, b"start"), (5, b"reset")):
+        entry["kind"], entry["sequence"] = kind, second
+        record.take(topics.JOURNAL, encode(Table(second * 10**9, entry)))
+    assert record.refused == {}
+    found = [record.faults.in_force(record.since_ns(at), at) for at in (2 * 10**9, 4 * 10**9, 6 * 10**9)]
+    assert [len(one) for one in found] == [0, 1, 0]
 
 
 def test_faults_are_in_force_from_begin_to_end_and_not_after_a_new_start() -> None:
@@ -374,6 +411,15 @@ def test_one_reading_says_nothing(clock: HandClock) -> None:
     pace = Pace(clock)
     assert pace.read(7.0) == 0.0
     assert pace.is_followed
+
+
+def test_of_a_rig_that_says_that_it_stands_no_speed_is_shown(clock: HandClock) -> None:
+    pace = Pace(clock)
+    pace.read(1.0)
+    clock.now_s += 1.0
+    assert pace.read(3.0) == 2.0
+    clock.now_s += 1.0
+    assert (pace.read(3.5, stands=True), pace.is_hurried) == (0.0, False)
 
 
 def test_time_that_stands_has_no_speed_after_a_while(clock: HandClock) -> None:

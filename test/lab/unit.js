@@ -80,7 +80,7 @@
   });
   test("numbers for people", () => {
     same([engineering(0.00585, "m"), engineering(0, "A"), engineering(-1.5e-5, "m"), engineering(NaN, "m")], ["5.85 mm", "0 A", "-15.0 µm", "–"]);
-    same([clock(12.34), clock(245.2), clock(3723), clock(-3), clock(NaN)], ["12.3 s", "4:05.2", "1:02:03", "−3.0 s", "–"]);
+    same([clock(12.34), clock(245.2), clock(119.96), clock(3723), clock(3599.99), clock(-3), clock(NaN)], ["12.3 s", "4:05.2", "2:00.0", "1:02:03", "1:00:00", "−3.0 s", "–"]);
     same(withUncertainty(63.5465, 0.1597), ["63.55", "± 0.32"]);
     same([withUncertainty(110.3, NaN), withUncertainty(NaN, 1)], [["110.3", ""], ["–", ""]]);
     near(decibel(0.1), -20);
@@ -115,6 +115,7 @@
   test("nothing stale is shown as live", () => {
     same([status(false, { word: "driving" }).word, status(false, undefined).stale], ["offline", true]);
     same([status(true, { word: "dead" }).stale, status(true, { word: "driving" }).stale], [true, false]);
+    same([status(true, { word: "no peer", begun: false }).stale, status(true, { word: "no peer", begun: true }).stale], [true, false]);
     same(new Set(["at rest", "driving", "settling", "tripped"].map((word) => status(true, { word }).lamp)).size, 4);
     if (!(patience(0) < 1 && patience(20) === 5)) throw new Error("it waits too long, or not long enough");
   });

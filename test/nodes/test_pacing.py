@@ -108,8 +108,17 @@ def test_only_a_peer_that_owes_something_is_silent() -> None:
     window.excuse()
     assert window.silent() == ()
     clock.now += 4 * NS_PER_S
-    window.forgive()
+    window.waive()
     assert (window.silent(), window.room()) == ((), 4)
+    for stamp in range(1, 9):
+        window.published(stamp)
+        window.acknowledge("a", stamp)
+    clock.now += 4 * NS_PER_S
+    assert (window.silent(), window.room(), window.waived()) == ((), 4, ("b",)), "it goes on without b"
+    window.acknowledge("b", 0)
+    assert (window.room(), window.waived()) == (-4, ()), "from its next word on it is waited for again"
+    window.forgive(["b"])
+    assert (window.room(), window.heard_ns("b")) == (4, clock.now)
 
 
 def test_without_peers_there_is_always_room() -> None:
@@ -185,7 +194,7 @@ def test_a_peer_that_left_and_comes_back_owes_nothing_that_was_forgiven() -> Non
         window.published(stamp)
     window.forget("a")
     assert window.behind() == {"a": 3}, "a peer is waited for, there or not"
-    window.forgive()
+    window.forgive(["a"])
     window.published(4)
     window.acknowledge("a", 4)
     assert window.behind() == {"a": 0}

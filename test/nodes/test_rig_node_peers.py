@@ -92,3 +92,30 @@ def test_a_step_without_its_peer_is_refused_by_name(client: Client) -> None:
 def test_freewheel_without_anybody_to_follow_is_refused(client: Client) -> None:
     rig = host_rig(client, mode="freewheel")
     assert "peers must name who follows in freewheel" in str(rig.parameters.refused)
+
+
+def test_a_peer_that_has_begun_anew_owes_nothing_and_the_rig_goes_on(client: Client) -> None:
+    """A recorder that was killed and started again once left the rig standing: it got no block, so it said nothing."""
+    host_rig(client, "freewheel", time__peers=["client"], time__peer_timeout_s=0.5, time__ack_window=4)
+    client.wait_active("rig")
+    dead = client.subscribe(topics.SCAN, lambda *_: None, raw=True)
+    client.wait_until(lambda: "client silent" in client.status("rig").message, "the diagnostic")
+    client.node.destroy_subscription(dead)
+    scans = client.collect("daq/scan", acknowledge=True)
+    client.wait_until(lambda: len(scans) > 20, "blocks")
+    assert client.status("rig").level != b"\2" or client.wait_until(
+        lambda: "silent" not in client.status("rig").message, "the diagnostic to go"
+    )
+
+
+def test_a_rig_told_to_go_on_goes_on_without_the_one_that_is_silent(client: Client) -> None:
+    host_rig(client, "freewheel", time__peers=["client", "other"], time__peer_timeout_s=0.5, time__ack_window=4)
+    client.wait_active("rig")
+    scans = client.collect("daq/scan", acknowledge=True)
+    client.set_parameters("rig", {"time.peers": ["client", "other"]})
+    with Client(client.context.get_domain_id(), namespace=client.node.get_namespace(), name="other") as other:
+        other.collect("daq/scan")  # listens, but never acknowledges
+        client.wait_until(lambda: "other silent" in client.status("rig").message, "the diagnostic")
+        client.pause(False)
+        client.wait_until(lambda: len(scans) > 40, "many more than a window")
+        client.wait_until(lambda: "running without peer other" in client.status("rig").message, "to be told so")

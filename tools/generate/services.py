@@ -62,7 +62,7 @@ SERVICES = (
         SET_BOOL,
         "rig",
         "true: hold rig time; answered when the peers have processed all that is out. false: go on, without what a "
-        "silent peer missed.",
+        "silent peer missed, and where others are followed without that peer until it acknowledges again.",
         _ACTIVE,
     ),
     Input(

@@ -9,7 +9,7 @@ export function fixed(value, digits) {
 export function clock(seconds) {
   if (!Number.isFinite(seconds)) return "–";
   const sign = seconds < 0 ? "−" : "";
-  const s = Math.abs(seconds);
+  const s = Math.round(Math.abs(seconds) * 10) / 10;
   if (s < 100) return `${sign}${s.toFixed(1)} s`;
   const h = Math.floor(s / 3600), m = Math.floor((s % 3600) / 60), rest = s % 60;
   if (h) return `${sign}${h}:${String(m).padStart(2, "0")}:${String(Math.floor(rest)).padStart(2, "0")}`;

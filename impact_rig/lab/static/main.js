@@ -131,10 +131,10 @@ const SHOW = {
     byId("record").disabled = now.mode !== "live" || !recorder.lives;
   },
   lost: (lost) => {
-    const names = Object.keys(lost);
-    say("lost", names.map((name) => `${lost[name]} ${name}`).join(", ") || "0", names.length);
+    const names = Object.keys(lost ?? {});
+    say("lost", lost ? names.map((name) => `${lost[name]} ${name}`).join(", ") || "0" : "–", names.length);
   },
-  faults: (faults) => say("faults", faults.join(", ") || "none", faults.length),
+  faults: (faults) => say("faults", faults ? faults.join(", ") || "none" : "–", faults?.length),
   health: (health) => {
     const bad = health ? Object.entries(health).map(([channel, word]) => `${channel}: ${word}`) : [];
     say("health", health ? bad.join(", ") || "well" : "–", bad.length);
