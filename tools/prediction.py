@@ -19,14 +19,13 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_rig.campaign.job import Job, Outcome
+from impact_rig.campaign.job import Job, Outcome, execute
 from impact_rig.campaign.paper import CURRENT_A
-from impact_rig.campaign.pool import in_parallel, run_parallel
+from impact_rig.campaign.pool import in_parallel
 from impact_rig.campaign.run import Runner
 from impact_rig.drawing import INK, SERIES, legend_below, new_axes, style
 from impact_rig.maps.measure import Settings
 from impact_rig.maps.plan import GAP
-from impact_rig.operate.stepped_sine import Direction
 from impact_rig.physics import prediction
 from impact_rig.rig.config import RigConfig
 from impact_rig.studies.dynamics import figures
@@ -80,16 +79,8 @@ class Compared:
 
 def job(frequency_hz: float, gap_m: float, current_a: float = CURRENT_A) -> Job:
     """Return the measurement of one place of the default rig."""
-    return Job(
-        changes={"barriers.gap_m": gap_m},
-        analysis={},
-        gap_m=gap_m,
-        frequencies_hz=(frequency_hz,),
-        direction=Direction.UP,
-        current_a=current_a,
-        repetitions=1,
-        traces=False,
-    )
+    changes = {"barriers.gap_m": gap_m}
+    return Job(changes=changes, gap_m=gap_m, frequencies_hz=(frequency_hz,), current_a=current_a)
 
 
 def compared(one: Job, outcome: Outcome) -> Compared:
@@ -124,7 +115,7 @@ def main() -> int:
     parser.add_argument("--draw", action="store_true", help="draw docs/images/prediction.png")
     arguments = parser.parse_args()
     places = [(frequency, gap * 1e-3) for frequency in FREQUENCIES_HZ for gap in sorted(GAPS_MM)]
-    found = side_by_side(places, run_parallel)
+    found = side_by_side(places, lambda jobs: in_parallel(execute, jobs))
     bad = sum(_tell(one) for one in found)
     for frequency in FREQUENCIES_HZ:
         branch = prediction.branch(RigConfig(), frequency, current_a=CURRENT_A)
@@ -141,7 +132,7 @@ def main() -> int:
 
 def tell(text: str) -> None:
     """Print a line."""
-    print(text)  # noqa: T201  # a command line tool talks
+    print(text, flush=True)  # noqa: T201  # a command line tool talks
 
 
 def _tell(one: Compared) -> bool:
