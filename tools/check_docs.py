@@ -214,9 +214,8 @@ def figure_faults(page: Page) -> Iterator[str]:
         for owner in section.owners:
             path, _, test = owner.partition("::")
             if owner.split(" ")[0] in PROGRAMS:
-                yield from (
-                    f"{where}: {fault}" for words in commands(owner) for fault in command_faults(words, whole=True)
-                )
+                for words in commands(owner):
+                    yield from (f"{where}: {fault}" for fault in command_faults(words, whole=True))
             elif not (ROOT / path).exists():
                 yield f"{where}: there is no {path}, which is to answer for figures"
             elif test and f"def {test}(" not in (ROOT / path).read_text(encoding="utf-8"):

@@ -294,17 +294,14 @@ class Bench:
                 if tally.endings == enough:
                     break
                 instant_s = math.exp(self._random.uniform(math.log(0.005), math.log(longest_s)))
-                self._end_once(what, number, instant_s, tally)
+                with self._into() as name:
+                    if what == "nodes":
+                        end_nodes(number, instant_s, Path(name), tally)
+                    else:
+                        end_program(self.programs[what](Path(name)), number, instant_s, Path(name), tally)
             else:
                 tally.faults.append(f"{what}: {tally.done} had ended before they were told")
         return tally
-
-    def _end_once(self, what: str, number: int, instant_s: float, tally: Tally) -> None:
-        with self._into() as name:
-            if what == "nodes":
-                end_nodes(number, instant_s, Path(name), tally)
-            else:
-                end_program(self.programs[what](Path(name)), number, instant_s, Path(name), tally)
 
     def _into(self) -> tempfile.TemporaryDirectory[str]:
         return tempfile.TemporaryDirectory(dir=self.folder)

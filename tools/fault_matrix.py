@@ -346,13 +346,8 @@ DRIVING = Seen("driving", age_s=0.0)
 def told(kind: str, channel: str, value: float, stamp_ns: int, active: int) -> Table:
     """Return the row of `truth/faults` of a fault that begins, or ends."""
     row = np.zeros(1, FAULTS)
-    row["id"], row["kind"], row["channel"], row["active"], row["value"] = (
-        1,
-        kind.encode(),
-        channel.encode(),
-        active,
-        value,
-    )
+    row["id"], row["active"], row["value"] = 1, active, value
+    row["kind"], row["channel"] = kind.encode(), channel.encode()
     return Table(stamp_ns, row)
 
 

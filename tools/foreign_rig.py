@@ -115,16 +115,8 @@ def measure(seed: int, place: Path, attempt: int = 0) -> None:
     write_csv(place / "decay.csv", record(rig, 0.0, 0.0, 0.0, DECAY_S, seed), gain)
     write_certificate(place / "certificate.csv", from_flat(RigConfig(), {"daq.rate_hz": RATE_HZ, "daq.seed": seed}))
     common = ("--mapping", place / "mapping.yaml", "--calibration", place / "certificate.csv", "--json")
-    told(
-        "import",
-        *sorted((place / "csv").iterdir()),
-        "--campaign",
-        "--output",
-        place / "sweep",
-        "--config",
-        place / "known.yaml",
-        *common,
-    )
+    sweep = ("--campaign", "--output", place / "sweep", "--config", place / "known.yaml")
+    told("import", *sorted((place / "csv").iterdir()), *sweep, *common)
     told("import", place / "decay.csv", "--output", place / "decay", *common)
     shutil.rmtree(place / "csv")
     (place / "decay.csv").unlink()

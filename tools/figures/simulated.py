@@ -1,6 +1,6 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""Motions of the rig's mechanics for figures: no instruments, no ROS, the same bits on every machine."""
+"""Motions of the rig's mechanics for figures: no ROS, the same bits on every machine; and the first look."""
 
 from __future__ import annotations
 
@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 from impact_rig.campaign.paper import CURRENT_A, FREQUENCY_HZ
 from impact_rig.physics import SEGMENT, Motion, Simulation
 from impact_rig.rig.config import RigConfig, from_flat
+from impact_rig.simulation import simulate
+from tools.figures.style import finished
 
 TICK_S = 0.01
 SETTLE_S = 40.0
@@ -68,6 +70,13 @@ def transmissibility(gap_m: float, frequency_hz: float = FREQUENCY_HZ, settle_s:
     turn = np.exp(-2j * math.pi * frequency_hz * time)
     base, structure = found.at(("x_b", "x_1"), time) @ turn
     return float(abs(structure) / abs(base))
+
+
+def draw_first_look() -> str:
+    """Return as SVG what the five lines of docs/index.md draw."""
+    driven = {"drive.frequency_hz": 9.1, "drive.amplitude": 0.52, "barriers.gap_m": 0.006}
+    words = "Half a second of base, structure and acceleration, with the impacts that the analysis found."
+    return finished(simulate(20.0, driven).plot(), words)
 
 
 def _drive(first: int, count: int, frequency_hz: float) -> NDArray[np.void]:

@@ -115,9 +115,8 @@ class Bench:
     def emulated(self, cpu: str, bare: Machine) -> Outcome:
         """Record two short runs on another CPU, as plain Python."""
         emulator = (EMULATOR, "-cpu", cpu)
-        environment = full_environment(BARE) | {
-            "_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1"
-        }  # else it starts itself anew, bare
+        # else it starts itself anew, bare
+        environment = full_environment(BARE) | {"_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1"}
         seen = self.machine(environment, emulator)
         held = "NO" if seen == bare else f"LLVM sees {seen.llvm[0]}"
         found = self.record(cpu, environment | {"IMPACT_RIG_KERNELS": "plain"}, [*INTERPRETED_ELSEWHERE], emulator)

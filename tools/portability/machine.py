@@ -48,7 +48,10 @@ class Machine:
 
 def numpy_features() -> list[str]:
     """Return the dispatched features that NumPy has found and uses."""
-    module = importlib.import_module("numpy._core._multiarray_umath" if _numpy_2() else "numpy.core._multiarray_umath")
+    import numpy as np  # noqa: PLC0415
+
+    core = "_core" if int(np.__version__.split(".", 1)[0]) >= 2 else "core"
+    module = importlib.import_module(f"numpy.{core}._multiarray_umath")
     features = module.__cpu_features__
     return [name for name in module.__cpu_dispatch__ if features[name]]
 
@@ -71,12 +74,6 @@ def this() -> Machine:
         openblas=_openblas_cores(),
         glibc=_libm_variants(),
     )
-
-
-def _numpy_2() -> bool:
-    import numpy as np  # noqa: PLC0415
-
-    return int(np.__version__.split(".", 1)[0]) >= 2
 
 
 def _loaded() -> dict[str, int]:
