@@ -30,6 +30,11 @@ def case_of(gap_m: float) -> str:
     return "no sphere" if gap_m == NO_SPHERE else f"gap {gap_m * 1e3:g} mm"
 
 
+def gap_values(gap_m: float) -> dict[str, Value]:
+    """Return the configuration of a gap; without a sphere the barriers do not matter and stay as they are."""
+    return {"sphere.present": False} if gap_m == NO_SPHERE else {"sphere.present": True, "barriers.gap_m": gap_m}
+
+
 def wrong(key: str, rule: str, value: object) -> ConfigError:
     """Return the error for a value that breaks a rule; one of thousands of digits is not quoted whole."""
     if isinstance(value, int) and abs(value) >= HUGE:

@@ -121,10 +121,8 @@ class Campaign:
         combinations = itertools.product(itertools.product(*study.vary.values()), study.currents_a, study.gaps_m)
         for values, current, gap in combinations:
             varied = dict(zip(study.vary, values, strict=True))
-            # without a sphere the barriers do not matter and stay at their default
-            sphere = {"sphere.present": False} if gap == NO_SPHERE else {"sphere.present": True, "barriers.gap_m": gap}
             try:
-                config = from_flat(self.base, {**varied, **sphere})
+                config = from_flat(self.base, {**varied, **axes.gap_values(gap)})
             except ConfigError as error:
                 raise ConfigError(f"study {study.name}: {error}") from error
             changes = differences(config)

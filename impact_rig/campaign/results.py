@@ -120,7 +120,10 @@ def points_of(planned: Planned, outcome: Outcome) -> list[Point]:
             failure = SKIPPED
         else:
             taken += len(own)
-            failure = _failure(own, outcome.failure, job.repetitions)
+            unsettled = own["status"][own["settled"] != 1.0]
+            failure = str(unsettled[0].decode()) if len(unsettled) else ""
+            if len(own) < job.repetitions:
+                failure = outcome.failure or NOT_REACHED
         direction = RESET
         if once > 1:
             down = job.direction is Direction.DOWN or place >= once
@@ -140,13 +143,6 @@ def points_of(planned: Planned, outcome: Outcome) -> list[Point]:
             )
         )
     return found
-
-
-def _failure(rows: NDArray[np.void], run: str, wanted: int) -> str:
-    if len(rows) < wanted:
-        return run or NOT_REACHED
-    unsettled = rows["settled"] != 1.0
-    return str(rows["status"][unsettled][0].decode()) if unsettled.any() else ""
 
 
 @attrs.frozen

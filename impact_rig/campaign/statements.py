@@ -230,13 +230,10 @@ _STATEMENTS: tuple[tuple[str, Worth, str, str, Callable[[Curves], Judgement]], .
 
 @attrs.frozen(eq=False)
 class Variation:
-    """One rig and what becomes of the statements on it.
-
-    Attributes:
-        changed: the constants that differ from the campaign's reference rig, by dotted name; none: that rig itself.
-    """
+    """One rig and what becomes of the statements on it."""
 
     changed: Mapping[str, Value]
+    """The constants that differ from the campaign's reference rig, by dotted name; none: that rig itself."""
     verdicts: list[Verdict]
 
 

@@ -19,7 +19,7 @@ from rich.progress import BarColumn, Progress, TaskID, TimeElapsedColumn
 from impact_rig import topics
 from impact_rig.analysis.calibration import Calibration
 from impact_rig.campaign import paper
-from impact_rig.campaign.axes import case_of
+from impact_rig.campaign.axes import case_of, gap_values
 from impact_rig.campaign.job import Job
 from impact_rig.campaign.paper import Reductions
 from impact_rig.campaign.results import FILE_NAME, Statement, write_summary
@@ -53,9 +53,8 @@ class Case:
 
     def job(self, config: RigConfig) -> Job:
         """Return what is measured, on a rig of this configuration."""
-        sphere = {"sphere.present": True, "barriers.gap_m": self.gap_m} if self.gap_m else {"sphere.present": False}
         return Job(
-            changes=not_default(from_flat(config, sphere)),
+            changes=not_default(from_flat(config, gap_values(self.gap_m))),
             gap_m=self.gap_m,
             frequencies_hz=(paper.FREQUENCY_HZ,),
             current_a=paper.CURRENT_A,

@@ -10,6 +10,7 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
+from impact_rig.campaign.axes import gap_values
 from impact_rig.campaign.paper import CURRENT_A, FREQUENCY_HZ
 from impact_rig.physics import SEGMENT, Motion, Simulation
 from impact_rig.rig.config import RigConfig, from_flat
@@ -26,17 +27,11 @@ Real = NDArray[np.float64]
 
 @attrs.frozen(eq=False)
 class Steady:
-    """The rig when its transient has died.
+    """The rig when its transient has died."""
 
-    Attributes:
-        motion: of the last part.
-        frequency_hz: of the drive.
-        begin_s: where whole cycles begin, in rig time: the current passes zero upwards.
-    """
-
-    motion: Motion
-    frequency_hz: float
-    begin_s: float
+    motion: Motion  # of the last part
+    frequency_hz: float  # of the drive
+    begin_s: float  # where whole cycles begin, in rig time: the current passes zero upwards
 
     def at(self, names: tuple[str, ...], time_s: Real) -> Real:
         """Return quantities at instants after `begin_s` [s], SI, shape (names, n)."""
@@ -54,8 +49,7 @@ def steady(
     gap_m: float, frequency_hz: float = FREQUENCY_HZ, cycles: int = AVERAGED_CYCLES, settle_s: float = SETTLE_S
 ) -> Steady:
     """Return the steady motion at the paper's current; gap 0: without the sphere."""
-    sphere = {"barriers.gap_m": gap_m} if gap_m else {"sphere.present": False}
-    simulation = Simulation(from_flat(RigConfig(), sphere))
+    simulation = Simulation(from_flat(RigConfig(), gap_values(gap_m)))
     begin = math.ceil(settle_s * frequency_hz) / frequency_hz
     first = int(begin / TICK_S)
     simulation.advance(_drive(0, first, frequency_hz))
