@@ -230,14 +230,9 @@ def _play(opened: Run, arguments: argparse.Namespace) -> int:
     word, times = Words("{task.fields[state]:<8}"), Words("{task.completed:.1f} of {task.total:.1f} s")
     bar = Progress(word, BarColumn(24), times, TimeRemainingColumn(), console=console, disable=not console.is_terminal)
     with on_graph("player") as (node, spin), bar as progress:
+        factor = None if math.isinf(arguments.rate) else arguments.rate
         player = Player(
-            opened,
-            node,
-            spin,
-            factor=None if math.isinf(arguments.rate) else arguments.rate,
-            peers=arguments.peers,
-            chosen=arguments.topics,
-            paused=arguments.paused,
+            opened, node, spin, factor=factor, peers=arguments.peers, chosen=arguments.topics, paused=arguments.paused
         )
         spin(arguments.delay)
         total = (player.end_ns - player.start_ns) / NS_PER_S

@@ -79,12 +79,9 @@ class TextTable(rich_table.Table):
     ) -> None:
         super().__init__(title=title, caption=caption, box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
         self.title_justify = self.caption_justify = "left"
-        for heading in left:
-            self.add_column(heading)
-        for heading in right:
-            self.add_column(heading, justify="right")
-        for heading in last:
-            self.add_column(heading)
+        for headings, side in ((left, "left"), (right, "right"), (last, "left")):
+            for heading in headings:
+                self.add_column(heading, justify=side)
 
     def add_column(self, header: Any = "", *arguments: Any, **options: Any) -> None:
         """Add a column; one that is set flush right keeps its width, others are broken where the line is full."""

@@ -200,14 +200,13 @@ def integer(
     default: int,
     unit: str,
     doc: str,
-    origin: Origin = Origin.ASSUMED,
     *,
     at_least: int | None = None,
     at_most: int | None = None,
     read_only: bool = False,
 ) -> Any:
     """An integer with a unit and a closed range."""
-    about = FieldInfo(doc, unit, origin, low=at_least, high=at_most, read_only=read_only)
+    about = FieldInfo(doc, unit, low=at_least, high=at_most, read_only=read_only)
     return _field(default, about, _check_int)
 
 

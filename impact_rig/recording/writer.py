@@ -200,14 +200,20 @@ class RunWriter:
         channel = self._channels[topic_name]
         with self._stopping_on_error():
             if self._file_is_full(log_time_ns):
-                self._next_file()
+                following = f"{self.directory.name}_{len(self._spans)}.mcap"
+                self._finish_file({CONTINUES_RECORD_NAME: {"file": following}})
+                self._bytes_before += self._file.size
+                self._open_file()
             if self._chunk_opened_s is None:
                 self._chunk_opened_s = self._clock()
             channel.count += 1
             self._spans[-1].add(log_time_ns)
             message = (channel.id, log_time_ns, data, min(max(0, publish_time_ns), INFINITE_NS), sequence)
             if self._with_tail:
-                self._open_tail().add_message(*message)
+                if self._tail is None:
+                    known = [one.topic for one in self._channels.values()]
+                    self._tail = Tail(self._file.path, self._file.size, known, self._chunk_bytes)
+                self._tail.add_message(*message)
             if self._file.add_message(*message):
                 self._commit()
             else:
@@ -310,11 +316,6 @@ class RunWriter:
         too_long = 0 < self._max_file_duration_ns < log_time_ns - span.start_ns
         return too_long or 0 < self._max_file_bytes <= self._file.size
 
-    def _next_file(self) -> None:
-        self._finish_file({CONTINUES_RECORD_NAME: {"file": f"{self.directory.name}_{len(self._spans)}.mcap"}})
-        self._bytes_before += self._file.size
-        self._open_file()
-
     def _finish_file(self, further: Mapping[str, Mapping[str, str]] = MappingProxyType({})) -> None:
         try:
             self._file.close_chunk()
@@ -338,12 +339,6 @@ class RunWriter:
         return description.bag_information(topics, self._spans, ros_distro=self._ros_distro)
 
     # --- chunks
-
-    def _open_tail(self) -> Tail:
-        if self._tail is None:
-            topics = [channel.topic for channel in self._channels.values()]
-            self._tail = Tail(self._file.path, self._file.size, topics, self._chunk_bytes)
-        return self._tail
 
     def _drop_tail(self) -> None:
         tail, self._tail = self._tail, None

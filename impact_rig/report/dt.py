@@ -83,12 +83,9 @@ def by_frequency(curves: Curves, config: RigConfig) -> Iterator[Drawn]:
         "measured, ± 2u. Full lines: predicted without simulation; dotted: from point to point, where no prediction "
         "exists. Diamonds: our DT without sphere, less the reduction the paper prints."
     )
+    whole = (FREQUENCIES_HZ[0], FREQUENCIES_HZ[-1])
     ranges = (
-        (
-            "fig7_all_gaps",
-            (FREQUENCIES_HZ[0], FREQUENCIES_HZ[-1]),
-            "All cases over the frequency (the paper's Fig. 7).",
-        ),
+        ("fig7_all_gaps", whole, "All cases over the frequency (the paper's Fig. 7)."),
         ("fig7_near_resonance", NEAR_HZ, "The same near resonance, where the cases differ."),
     )
     for name, (low, high), what in ranges:

@@ -47,32 +47,24 @@ U_RESTITUTION = 0.02
 
 @attrs.frozen(eq=False)
 class SineData:
-    """The stepped sine without sphere; arrays of shape (n,), u_: standard uncertainty by noise alone, relative or rad.
-
-    Attributes:
-        laser_m, base_m: amplitudes.
-    """
+    """The stepped sine without sphere; arrays of shape (n,), u_: standard uncertainty by noise alone, relative, rad."""
 
     frequency_hz: Real  # of the points
     dt: Real  # transmissibility
     phase_rad: Real  # of x_1 to x_b
     base_per_a: Real  # amplitude of the base over that of the current [m/A]
-    laser_m: Real
-    base_m: Real
+    laser_m: Real  # amplitude
+    base_m: Real  # amplitude
     u_amplitude: Real  # relative, of dt and of base_per_a
     u_phase: Real  # [rad]
 
 
 @attrs.frozen(eq=False)
 class Reduced:
-    """DT with the sphere over DT without, at one frequency.
+    """DT with the sphere over DT without, at one frequency."""
 
-    Attributes:
-        frequency_hz, current_a: of the drive.
-    """
-
-    frequency_hz: float
-    current_a: float
+    frequency_hz: float  # of the drive
+    current_a: float  # of the drive
     ratio: Mapping[float, float]  # by gap [m]
     u: Real  # relative standard uncertainty by the noise of DT with the sphere, shape (n,)
     u_without: float  # that of DT without
