@@ -22,7 +22,7 @@ import attrs
 import numpy as np
 
 from impact_rig.campaign.axes import NO_SPHERE
-from impact_rig.campaign.job import Job, execute
+from impact_rig.campaign.job import execute
 from impact_rig.campaign.pool import in_parallel
 from impact_rig.drawing import SERIES, legend_below, new_axes, style
 from impact_rig.operate.looking import Ladder, Rung, climb, follow, lock_on
@@ -83,14 +83,13 @@ def _held_pair(place: tuple[float, float]) -> tuple[float, float, float, float, 
     )
 
 
-def _linear_job(frequencies: tuple[float, ...]) -> Job:
-    return attrs.evolve(job(9.0, 6e-3), changes={"sphere.present": False}, gap_m=NO_SPHERE, frequencies_hz=frequencies)
-
-
 def holding(_draw: bool) -> Iterator[Finding]:
     """Yield the acceptance of controlled sine, place by place as they are done: they take the longest of all."""
+    linear = attrs.evolve(
+        job(9.0, 6e-3), changes={"sphere.present": False}, gap_m=NO_SPHERE, frequencies_hz=FREQUENCIES_HZ
+    )
     for what, target in ((Hold.BASE, BASE_M), (Hold.SUPERIOR, 3e-3), (Hold.CURRENT, 0.3)):
-        rows = hold(_linear_job(FREQUENCIES_HZ), HoldPlan(hold=what, target=target)).rows
+        rows = hold(linear, HoldPlan(hold=what, target=target)).rows
         worst = float(np.abs(rows["error"]).max())
         wanted = np.abs(transmissibility(RigConfig(), rows["frequency"]))
         in_u = float(np.max(np.abs(rows["transmissibility"] - wanted) / rows["transmissibility_uncertainty"]))

@@ -231,23 +231,14 @@ def expected_code(command: str, what: str) -> int:
 
 @attrs.frozen
 class Cost:
-    """What a command took.
+    """What a command took."""
 
-    Attributes:
-        code: exit code; negative: the signal that ended it.
-        wall_s: wall time [s].
-        cpu_s: CPU time of its own [s].
-        peak_mb: largest memory it had [MB].
-        output: all it wrote.
-        error: what of it went to stderr.
-    """
-
-    code: int
-    wall_s: float
-    cpu_s: float
-    peak_mb: float
-    output: str
-    error: str
+    code: int  # exit code; negative: the signal that ended it
+    wall_s: float  # wall time [s]
+    cpu_s: float  # CPU time of its own [s]
+    peak_mb: float  # largest memory it had [MB]
+    output: str  # all it wrote
+    error: str  # what of it went to stderr
 
     def faults(self, expected: int) -> list[str]:
         """Say what is not as it must be, apart from cost; `expected` is the exit code."""

@@ -7,6 +7,7 @@ The animation is drawn by the page itself; Pillow, which comes with matplotlib, 
 
 from __future__ import annotations
 
+import contextlib
 import io
 import sys
 import tempfile
@@ -33,13 +34,9 @@ FRAMES, FRAME_MS = 24, 60
 def main() -> None:
     """Take all of them."""
     IMAGES.mkdir(parents=True, exist_ok=True)
-    browser = Browser()
-    try:
-        with tempfile.TemporaryDirectory() as directory:
-            live(browser, Path(directory))
-            playback(browser, Path(directory))
-    finally:
-        browser.close()
+    with contextlib.closing(Browser()) as browser, tempfile.TemporaryDirectory() as directory:
+        live(browser, Path(directory))
+        playback(browser, Path(directory))
 
 
 def live(browser: Browser, directory: Path) -> None:

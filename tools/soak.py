@@ -58,10 +58,6 @@ class Watched:
         slope = np.polyfit(self.times[half:], self.memory[half:], 1)[0]
         return float(slope * (self.times[-1] - self.times[0]))
 
-    def more_descriptors(self) -> int:
-        """Return how many more descriptors are open at the end than half-way."""
-        return self.descriptors[-1] - self.descriptors[len(self.descriptors) // 2]
-
 
 def soak(part: str, duration_s: float, directory: Path, console: Console) -> bool:
     """Run one part for a duration: rig time in freewheel, real time live; return whether all was well."""
@@ -108,10 +104,11 @@ def soak(part: str, duration_s: float, directory: Path, console: Console) -> boo
     for heading in ("node", "memory [MB]", "growth [MB]", "descriptors", "more", "exit code"):
         table.add_column(heading, justify="right")
     for node, record in watched.items():
-        growth, more = record.growth_mb(), record.more_descriptors()
+        opened = record.descriptors
+        growth, more = record.growth_mb(), opened[-1] - opened[len(opened) // 2]  # since half-way
         well &= growth < GROWTH_LIMIT_MB and more <= DESCRIPTOR_LIMIT and codes[node] == 0
-        open_now = str(record.descriptors[-1])
-        table.add_row(node, f"{record.memory[-1]:.0f}", f"{growth:+.1f}", open_now, f"{more:+d}", str(codes[node]))
+        cells = (f"{record.memory[-1]:.0f}", f"{growth:+.1f}", str(opened[-1]), f"{more:+d}", str(codes[node]))
+        table.add_row(node, *cells)
     console.print(table)
     return well
 

@@ -131,11 +131,6 @@ def _figures() -> str:
     return table(("node", "figure", "unit", "meaning"), rows)
 
 
-def _words() -> str:
-    rows = ((node, f"`{word.value}`", f"{word.doc}.") for node, words in states.BY_NODE.items() for word in words)
-    return table(("node", "state", "meaning"), rows)
-
-
 def document() -> str:
     """Return topics, services and parameters as JSON, a row a line, without what a row has none of."""
     content = {
@@ -209,6 +204,9 @@ TABLES: dict[str, Callable[[], str]] = {
     "recorder parameters": _parameters("recorder"),
     "stepped_sine parameters": _parameters("stepped_sine"),
     "figures": _figures,
-    "words": _words,
+    "words": lambda: table(
+        ("node", "state", "meaning"),
+        ((node, f"`{word.value}`", f"{word.doc}.") for node, words in states.BY_NODE.items() for word in words),
+    ),
 }
 """Name in the page's markers -> its text."""

@@ -44,21 +44,13 @@ ALL_RUNS = known((*LONG, *SHORT))
 
 @attrs.frozen
 class Outcome:
-    """What one mask or CPU gave.
+    """What one mask or CPU gave."""
 
-    Attributes:
-        name: of the mask or the CPU.
-        held: whether the mask took hold.
-        equal: runs whose every topic has the committed digest.
-        different: those that have not, with the first topic that differs.
-        first: where the first of them parts from the unmasked run of this machine.
-    """
-
-    name: str
-    held: str
-    equal: int
-    different: dict[str, str]
-    first: str = ""
+    name: str  # of the mask or the CPU
+    held: str  # whether the mask took hold
+    equal: int  # runs whose every topic has the committed digest
+    different: dict[str, str]  # those that have not, with the first topic that differs
+    first: str = ""  # where the first of them parts from the unmasked run of this machine
 
     @property
     def well(self) -> bool:

@@ -29,21 +29,14 @@ _HIDDEN = {"exp": math.exp, "log": math.log, "pow": functools.partial(math.pow, 
 
 @attrs.frozen
 class Machine:
-    """What this process runs on, so far as libraries choose code by it.
+    """What this process runs on, so far as libraries choose code by it."""
 
-    Attributes:
-        numpy: dispatched CPU features that NumPy uses.
-        llvm: the CPU and the features Numba compiles for.
-        vectors: whether compiled arithmetic uses AVX instructions: seen in the machine code itself.
-        openblas: core that each loaded OpenBLAS chose, by file name.
-        glibc: which variants of its functions libm chose: addresses within the library, or a checksum of values.
-    """
-
-    numpy: list[str]
-    llvm: list[str]
-    vectors: bool
-    openblas: dict[str, str]
+    numpy: list[str]  # dispatched CPU features that NumPy uses
+    llvm: list[str]  # the CPU and the features Numba compiles for
+    vectors: bool  # whether compiled arithmetic uses AVX instructions: seen in the machine code itself
+    openblas: dict[str, str]  # core that each loaded OpenBLAS chose, by file name
     glibc: dict[str, int]
+    """Which variants of its functions libm chose: addresses within the library, or a checksum of values."""
 
 
 def numpy_features() -> list[str]:
