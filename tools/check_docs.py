@@ -43,7 +43,7 @@ import attrs
 from markdown_it import MarkdownIt
 from markdown_it.token import Token
 
-sys.path.insert(0, str(Path(__file__).parents[1]))
+sys.path.insert(0, str(Path(__file__).parents[1]))  # also for modules that the pages run, `python -m benchmarks`
 
 from tools.doc_commands import PROGRAMS, command_faults, commands
 from tools.doc_paths import ROOT, exists, is_dangling, is_path
@@ -214,9 +214,8 @@ def figure_faults(page: Page) -> Iterator[str]:
         for owner in section.owners:
             path, _, test = owner.partition("::")
             if owner.split(" ")[0] in PROGRAMS:
-                yield from (
-                    f"{where}: {fault}" for words in commands(owner) for fault in command_faults(words, whole=True)
-                )
+                for words in commands(owner):
+                    yield from (f"{where}: {fault}" for fault in command_faults(words, whole=True))
             elif not (ROOT / path).exists():
                 yield f"{where}: there is no {path}, which is to answer for figures"
             elif test and f"def {test}(" not in (ROOT / path).read_text(encoding="utf-8"):
@@ -268,7 +267,6 @@ def main() -> int:
     parser.add_argument("--run", action="store_true", help="run the commands as well")
     parser.add_argument("pages", nargs="*", metavar="PAGE", help="run only those of these pages, e.g. README.md")
     arguments = parser.parse_args()
-    sys.path.insert(0, str(ROOT))  # modules that the pages run, `python -m benchmarks`
     found = [fault for page in pages().values() for fault in faults(page)]
     blocks = [block for page in pages().values() for block in page.blocks]
     if arguments.run:

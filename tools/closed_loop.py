@@ -15,14 +15,14 @@ import argparse
 import itertools
 import math
 import sys
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
 import attrs
 import numpy as np
 
 from impact_rig.campaign.axes import NO_SPHERE
-from impact_rig.campaign.job import Job, execute
+from impact_rig.campaign.job import execute
 from impact_rig.campaign.pool import in_parallel
 from impact_rig.drawing import SERIES, legend_below, new_axes, style
 from impact_rig.operate.phase_lock import Ladder, LockPlan, PhaseLock, Rung, climb, follow, lock_on
@@ -32,7 +32,7 @@ from impact_rig.physics.prediction import Manifold, transmissibility
 from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.simtime import NS_PER_S
 from impact_rig.studies.closed_loop import ProcessLoop, hold
-from tools.prediction import job
+from tools.prediction import job, tell
 
 GAPS_MM, FREQUENCIES_HZ = (2, 4, 6, 8, 10), (8.8, 9.0, 9.1, 9.2, 9.4)
 BASE_M = 60e-6
@@ -42,11 +42,6 @@ LADDER_A = tuple(round(float(one), 3) for one in np.geomspace(0.13, 0.7, 12))
 LADDER_GAP_M = 10e-3
 PICTURE = Path(__file__).parents[1] / "docs" / "images" / "backbone.png"
 Finding = tuple[str, bool]
-
-
-def tell(text: str) -> None:
-    """Print a line."""
-    print(text, flush=True)  # noqa: T201  # a command line tool talks
 
 
 def main() -> int:
@@ -87,14 +82,13 @@ def _held_pair(place: tuple[float, float]) -> tuple[float, float, float, float, 
     )
 
 
-def _linear_job(frequencies: tuple[float, ...]) -> Job:
-    return attrs.evolve(job(9.0, 6e-3), changes={"sphere.present": False}, gap_m=NO_SPHERE, frequencies_hz=frequencies)
-
-
 def holding(_draw: bool) -> Iterator[Finding]:
     """Yield the acceptance of controlled sine, place by place as they are done: they take the longest of all."""
+    linear = attrs.evolve(
+        job(9.0, 6e-3), changes={"sphere.present": False}, gap_m=NO_SPHERE, frequencies_hz=FREQUENCIES_HZ
+    )
     for what, target in ((Hold.BASE, BASE_M), (Hold.SUPERIOR, 3e-3), (Hold.CURRENT, 0.3)):
-        rows = hold(_linear_job(FREQUENCIES_HZ), HoldPlan(hold=what, target=target)).rows
+        rows = hold(linear, HoldPlan(hold=what, target=target)).rows
         worst = float(np.abs(rows["error"]).max())
         wanted = np.abs(transmissibility(RigConfig(), rows["frequency"]))
         in_u = float(np.max(np.abs(rows["transmissibility"] - wanted) / rows["transmissibility_uncertainty"]))
@@ -122,9 +116,8 @@ def locking(_draw: bool) -> list[Finding]:
         f, phase = float(np.mean(late["frequency"])), math.degrees(float(np.mean(late["phase"])))
         first = (lock.locked_ns or 0) / NS_PER_S
         kept = lock.state is State.FINISHED and abs(phase + 90.0) <= 0.5 and abs(f - true_hz) <= 0.003 and first <= 60.0
-        found.append(
-            (f"from {start:.2f} Hz: locked after {first:.1f} s, {f - true_hz:+.5f} Hz, phase {phase:.3f}°", kept)
-        )
+        words = f"from {start:.2f} Hz: locked after {first:.1f} s, {f - true_hz:+.5f} Hz, phase {phase:.3f}°"
+        found.append((words, kept))
     rig = ProcessLoop(from_flat(RigConfig(), {"barriers.gap_m": 6e-3}))
     lock = PhaseLock(LockPlan(start_hz=8.8, current_a=0.52, dwell_s=1e6))
     rig.set(lock.start(0))
@@ -140,17 +133,14 @@ def locking(_draw: bool) -> list[Finding]:
     away = seconds[1:][np.abs(mean) > 2.0]
     last = float(away[-1]) if len(away) else 0.0
     kept = before and lock.state is State.RUNNING and last < 20.0
-    found.append(
-        (f"gap 6 to 10 mm while locked: held within 2° from {last:.1f} s on, {lock.frequency_hz:.4f} Hz", kept)
-    )
-    return found
+    words = f"gap 6 to 10 mm while locked: held within 2° from {last:.1f} s on, {lock.frequency_hz:.4f} Hz"
+    return [*found, (words, kept)]
 
 
 def _backbone(start: str) -> list[Rung]:
     config = from_flat(RigConfig(), {"barriers.gap_m": LADDER_GAP_M, "sphere.start": start})
-    return climb(Ladder(currents_a=LADDER_A, lock=LockPlan(start_hz=9.0, current_a=LADDER_A[0])), ProcessLoop(config))[
-        0
-    ]
+    ladder = Ladder(currents_a=LADDER_A, lock=LockPlan(start_hz=9.0, current_a=LADDER_A[0]))
+    return climb(ladder, ProcessLoop(config))[0]
 
 
 def _from_reset(place: tuple[str, float, float]) -> float:
@@ -175,9 +165,8 @@ def backbones(draw: bool) -> list[Finding]:
         _draw(rungs)
     up = [one for one in rungs["centre"] if one.direction == "up"]
     jump = next(i for i, one in enumerate(up) if one.jumped)
-    quiet, struck = up[jump - 1], next(
-        one for one in rungs["left"] if one.direction == "down" and one.current_a == up[jump - 1].current_a
-    )  # fmt: skip
+    quiet = up[jump - 1]
+    struck = next(one for one in rungs["left"] if one.direction == "down" and one.current_a == quiet.current_a)
     places = [("centre", quiet.frequency_hz, quiet.current_a), ("left", struck.frequency_hz, struck.current_a)]
     fresh = dict(in_parallel(_from_reset, places))
     both = [(quiet.dt, fresh[places[0]]), (struck.dt, fresh[places[1]])]
@@ -186,19 +175,19 @@ def backbones(draw: bool) -> list[Finding]:
         f"two answers at {quiet.current_a:.3f} A: DT {both[0][0]:.2f} and {both[1][0]:.2f}; a campaign from centre and "
         f"wall {both[0][1]:.2f} and {both[1][1]:.2f}"
     )
-    found_: list[Finding] = [(words, kept)]
+    findings = [(words, kept)]
     fold = Manifold(0.309).gap_per_amplitude_at_fold
     down = list(itertools.takewhile(lambda one: not one.jumped, (r for r in rungs["left"] if r.direction == "down")))
     ratio = LADDER_GAP_M / down[-1].superior_m
-    found_.append(
-        (f"down: the last rung on the branch has g/X = {ratio:.2f}, the fold is at {fold:.2f}", 5.5 < ratio <= fold)
-    )
+    words = f"down: the last rung on the branch has g/X = {ratio:.2f}, the fold is at {fold:.2f}"
+    findings.append((words, 5.5 < ratio <= fold))
     line = prediction.backbone(RigConfig(), LADDER_GAP_M)
     line = line.take(line.stable)
     on = [one for one in down if one.superior_m < float(line.superior_m.max())]
     worst = max(abs(one.dt / float(np.interp(one.superior_m, line.superior_m, line.dt)) - 1.0) for one in on)
-    found_.append((f"down: {len(on)} rungs within {100 * worst:.2f} % of the predicted backbone", worst <= 0.01))
-    return found_
+    return [
+        *findings, (f"down: {len(on)} rungs within {100 * worst:.2f} % of the predicted backbone", worst <= 0.01),
+    ]  # fmt: skip
 
 
 def _draw(rungs: dict[str, list[Rung]]) -> None:
@@ -211,8 +200,10 @@ def _draw(rungs: dict[str, list[Rung]]) -> None:
                 axis.plot(x, np.where(mask, y, np.nan), mark, color="0.3", label=label if axis is upper else None)
         for number, (start, found) in enumerate(sorted(rungs.items())):
             for direction, marker in (("up", "^"), ("down", "v")):
-                _marks((upper, lower), [one for one in found if one.direction == direction], marker, SERIES[number],
-                       f"{direction}, sphere from the {start}")  # fmt: skip
+                own = [one for one in found if one.direction == direction]
+                x, look = [one.superior_m * 1e3 for one in own], {"color": SERIES[number], "fillstyle": "none"}
+                upper.plot(x, [one.dt for one in own], marker, label=f"{direction}, sphere from the {start}", **look)
+                lower.plot(x, [one.frequency_hz for one in own], marker, **look)
         upper.set(ylabel="DT at −90°", ylim=(0, None), xlim=(1, 8), xscale="log")
         lower.set(xlabel="amplitude of the superior base (mm)", ylabel="frequency (Hz)")
         lower.set_xticks([1, 2, 3, 4, 5, 6, 8], ["1", "2", "3", "4", "5", "6", "8"])
@@ -220,12 +211,6 @@ def _draw(rungs: dict[str, list[Rung]]) -> None:
         upper.set_title("Backbone, gap 10 mm", loc="left")
         legend_below(lower, 2, upper)
         figure.savefig(PICTURE, dpi=130, facecolor="white")
-
-
-def _marks(axes: Sequence[object], found: list[Rung], marker: str, colour: str, label: str) -> None:
-    for axis, name in zip(axes, ("dt", "frequency_hz"), strict=True):
-        x, y = [one.superior_m * 1e3 for one in found], [getattr(one, name) for one in found]
-        axis.plot(x, y, marker, color=colour, fillstyle="none", label=label if name == "dt" else None)  # type: ignore[attr-defined]  # matplotlib's
 
 
 PARTS: dict[str, Callable[[bool], Iterable[Finding]]] = {"hold": holding, "lock": locking, "backbone": backbones}

@@ -40,7 +40,7 @@ from impact_rig.analysis.calibration import Calibration
 from impact_rig.analysis.reduction import reduction
 from impact_rig.analysis.tracker import Tracker
 from impact_rig.blocks import APPLIED, Table
-from impact_rig.campaign.axes import NO_SPHERE
+from impact_rig.campaign.axes import NO_SPHERE, gap_values
 from impact_rig.campaign.paper import CURRENT_A, FREQUENCY_HZ
 from impact_rig.instruments.chain import Chain
 from impact_rig.physics import FunctionGenerator, Motion, Simulation
@@ -60,32 +60,22 @@ BATCH = 25
 
 @attrs.frozen
 class Case:
-    """One motion, and the instruments that read it.
+    """One motion, and the instruments that read it."""
 
-    Attributes:
-        table: which of the three.
-        changes: of the default configuration.
-        frequency_hz: of the drive.
-        amplitude: of the drive [A or m].
-        gaps_m: set one after the other, `span_s` each; 0 = no sphere.
-        wait_s: of the motion before anything is read.
-        span_s: read at each gap.
-        label: what the cell is called.
-    """
-
-    table: str
-    changes: tuple[tuple[str, object], ...]
-    frequency_hz: float
-    amplitude: float
-    gaps_m: tuple[float, ...]
-    wait_s: float
-    span_s: float
-    label: tuple[str, ...]
+    table: str  # which of the three
+    changes: tuple[tuple[str, object], ...]  # of the default configuration
+    frequency_hz: float  # of the drive
+    amplitude: float  # of the drive [A or m]
+    gaps_m: tuple[float, ...]  # set one after the other, `span_s` each; 0 = no sphere
+    wait_s: float  # of the motion before anything is read
+    span_s: float  # read at each gap
+    label: tuple[str, ...]  # what the cell is called
 
     def config(self, gap_m: float, seed: int = 1) -> RigConfig:
         """Return the rig with this gap, or without the sphere."""
-        gap = {"sphere.present": False} if gap_m == NO_SPHERE else {"barriers.gap_m": gap_m}
-        return from_flat(RigConfig(), {**dict(self.changes), **gap, "daq.rate_hz": RATE_HZ, "daq.seed": seed})
+        return from_flat(
+            RigConfig(), {**dict(self.changes), **gap_values(gap_m), "daq.rate_hz": RATE_HZ, "daq.seed": seed}
+        )
 
 
 @attrs.frozen
@@ -123,12 +113,9 @@ def small_cases(frequencies_hz=(6.0, 9.1, 20.0, 50.0, 100.0)) -> Iterator[Case]:
                     )  # fmt: skip
 
 
-IRREGULAR = ((0.032, 9.1), (0.030, 8.82))
-
-
 def irregular_cases() -> Iterator[Case]:
     """Yield the motions that never repeat."""
-    for gap_m, frequency_hz in IRREGULAR:
+    for gap_m, frequency_hz in ((0.032, 9.1), (0.030, 8.82)):
         label = f"{gap_m * 1e3:g}", f"{frequency_hz:g}"
         yield Case("irregular", (), frequency_hz, CURRENT_A, (gap_m,), 30.0, 66.0, label)
 

@@ -59,7 +59,8 @@ def is_dangling(text: str) -> bool:
     elif top == "rig":
         where = list(package.rglob("*.py"))
     else:
-        return top in _sections() and f"{top}.{rest[0]}" not in _parameters()
+        sections = {name.partition(".")[0] for name in _parameters()}
+        return top in sections and f"{top}.{rest[0]}" not in _parameters()
     known = {word for path in where for word in _words(path)} | {path.stem for path in where}
     known |= {path.name for path in (package / top).rglob("*") if path.is_dir()} | {"py", "md", "yaml"}
     return f"{top}.{rest[0]}" not in _parameters() and not known.issuperset(rest)
@@ -74,8 +75,3 @@ def _words(path: Path) -> frozenset[str]:
 def _parameters() -> frozenset[str]:
     text = (ROOT / "docs" / "interface.md").read_text(encoding="utf-8")
     return frozenset(re.findall(r"`([a-z_]+\.\w+)", text))
-
-
-@cache
-def _sections() -> frozenset[str]:
-    return frozenset(name.partition(".")[0] for name in _parameters())

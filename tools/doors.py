@@ -18,7 +18,7 @@ import tempfile
 import time
 import urllib.request
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
@@ -94,15 +94,12 @@ def measure(say: Callable[[str, float], None], directory: Path) -> None:
     note("install_run_tier_mb", float(run("du", "-sm", ".venv").split()[0]))
     with started(["make", "lab", "ARGS=--no-browser --port 0 --no-record"], checkout, environment) as lab:
         address = line_with(lab, "http")
-        browser = Browser()
-        try:
+        with closing(Browser()) as browser:
             page = browser.page()
             page.goto(address)
             page.wait("window.lab && lab.now.rig?.word === 'at rest'", "a rig at rest", PATIENCE_S)
             page.key("r")
             page.wait(SETTLED, "DT on the page", PATIENCE_S)
-        finally:
-            browser.close()
         first = time.monotonic()
         say("then: `make lab`, to DT on the page", first - demo)
         node = [".venv/bin/python", "-u", "examples/first_node.py", "--ros-args", "-r", "__ns:=/rig"]

@@ -58,19 +58,12 @@ SCRIPT = "import sys; from impact_rig.cli import main; sys.exit(main())"
 
 @attrs.define
 class Tally:
-    """What came of the endings of one program.
+    """What came of the endings of one program."""
 
-    Attributes:
-        endings: how many were told to end.
-        done: how many had ended by themselves before, and do not count.
-        slowest_s: longest time from the signal to the end [s].
-        faults: what was not as it must be.
-    """
-
-    endings: int = 0
-    done: int = 0
-    slowest_s: float = 0.0
-    faults: list[str] = attrs.field(factory=list)
+    endings: int = 0  # how many were told to end
+    done: int = 0  # how many had ended by themselves before, and do not count
+    slowest_s: float = 0.0  # longest time from the signal to the end [s]
+    faults: list[str] = attrs.field(factory=list)  # what was not as it must be
 
 
 # --- one ending ------------------------------------------------------------------------------------------------------
@@ -294,17 +287,14 @@ class Bench:
                 if tally.endings == enough:
                     break
                 instant_s = math.exp(self._random.uniform(math.log(0.005), math.log(longest_s)))
-                self._end_once(what, number, instant_s, tally)
+                with self._into() as name:
+                    if what == "nodes":
+                        end_nodes(number, instant_s, Path(name), tally)
+                    else:
+                        end_program(self.programs[what](Path(name)), number, instant_s, Path(name), tally)
             else:
                 tally.faults.append(f"{what}: {tally.done} had ended before they were told")
         return tally
-
-    def _end_once(self, what: str, number: int, instant_s: float, tally: Tally) -> None:
-        with self._into() as name:
-            if what == "nodes":
-                end_nodes(number, instant_s, Path(name), tally)
-            else:
-                end_program(self.programs[what](Path(name)), number, instant_s, Path(name), tally)
 
     def _into(self) -> tempfile.TemporaryDirectory[str]:
         return tempfile.TemporaryDirectory(dir=self.folder)
@@ -314,16 +304,13 @@ class Bench:
             words = self.programs[what](Path(name))  # makes what it works on
             return lasts_s(words, Path(name))
 
-    def _finish(self, words: Sequence[str | Path]) -> None:
-        command = [sys.executable, "-c", SCRIPT, *map(str, words)]
-        subprocess.run(command, check=True, capture_output=True, cwd=self.folder)  # noqa: S603  # our own program
-
     def _campaign(self) -> Path:
         directory = self.folder / "finished"
         if not directory.exists():
             plan = self.folder / "finished.yaml"
             plan.write_text(FEW)
-            self._finish(["campaign", plan, "--output", directory])
+            command = [sys.executable, "-c", SCRIPT, "campaign", plan, "--output", directory]
+            subprocess.run(command, check=True, capture_output=True, cwd=self.folder)  # noqa: S603  # our own program
         return directory
 
     def _run(self) -> Path:

@@ -37,6 +37,7 @@ from impact_rig.analysis.scans import CHANNELS
 from impact_rig.analysis.sine import fit_sine
 from impact_rig.analysis.tracker import Tracker
 from impact_rig.blocks import APPLIED, FAULTS, Table
+from impact_rig.campaign.axes import gap_values
 from impact_rig.client import Client, Collector, Processes, isolated_domain
 from impact_rig.client.client import Received
 from impact_rig.instruments.chain import Chain
@@ -249,19 +250,12 @@ SENSOR_FAULTS: tuple[tuple[str, tuple[float, float]], ...] = (
 
 @attrs.frozen
 class Outcome:
-    """What a fault made of the rows that end in it or after it.
+    """What a fault made of the rows that end in it or after it."""
 
-    Attributes:
-        worst: largest error of a row that looks good, in its u; NaN where none does.
-        words: statuses with channels, and how many of each.
-        claims: seconds in which the page said `measured` in the fault, or over a row off by more than `WORST_U`.
-        within: whether the fault is a gain error that the calibration allows for.
-    """
-
-    worst: float
-    words: Counter[str]
-    claims: int
-    within: bool
+    worst: float  # largest error of a row that looks good, in its u; NaN where none does
+    words: Counter[str]  # statuses with channels, and how many of each
+    claims: int  # seconds in which the page said `measured` in the fault, or over a row off by more than `WORST_U`
+    within: bool  # whether the fault is a gain error that the calibration allows for
 
     @property
     def passes(self) -> bool:
@@ -279,8 +273,7 @@ class Outcome:
 @functools.cache
 def steady_motion(gap_m: float) -> tuple[RigConfig, Motion]:
     """Return the rig and its motion from rest on, after the drive has started."""
-    changes: dict[str, object] = {"barriers.gap_m": gap_m} if gap_m else {"sphere.present": False}
-    config = from_flat(RigConfig(), changes | {"daq.rate_hz": RATE_HZ})
+    config = from_flat(RigConfig(), {**gap_values(gap_m), "daq.rate_hz": RATE_HZ})
     drive = FunctionGenerator(config.drive, config.shaker, np.random.default_rng(1))
     drive.set_frequency(DRIVE_HZ)
     drive.set_amplitude(DRIVE_A)
@@ -346,13 +339,8 @@ DRIVING = Seen("driving", age_s=0.0)
 def told(kind: str, channel: str, value: float, stamp_ns: int, active: int) -> Table:
     """Return the row of `truth/faults` of a fault that begins, or ends."""
     row = np.zeros(1, FAULTS)
-    row["id"], row["kind"], row["channel"], row["active"], row["value"] = (
-        1,
-        kind.encode(),
-        channel.encode(),
-        active,
-        value,
-    )
+    row["id"], row["active"], row["value"] = 1, active, value
+    row["kind"], row["channel"] = kind.encode(), channel.encode()
     return Table(stamp_ns, row)
 
 

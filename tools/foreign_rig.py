@@ -27,6 +27,7 @@ from pathlib import Path
 import numpy as np
 
 from impact_rig.blocks import joined
+from impact_rig.campaign.axes import gap_values
 from impact_rig.cli.main import main as impact_rig
 from impact_rig.rig import Rig
 from impact_rig.rig.config import RigConfig, dump, from_flat
@@ -60,9 +61,8 @@ def record(
     rig: dict[str, float], gap_m: float, frequency_hz: float, current_a: float, seconds: float, seed: int
 ) -> np.ndarray:
     """Return scans of a rig: driven, or plucked where the frequency is 0."""
-    own = {**rig, "daq.rate_hz": RATE_HZ, "daq.block_scans": RATE_HZ, "daq.seed": seed, "sphere.present": gap_m > 0.0}
-    config = from_flat(RigConfig(), {**own, **({"barriers.gap_m": gap_m} if gap_m else {})})
-    one = Rig(config)
+    own = {**rig, "daq.rate_hz": RATE_HZ, "daq.block_scans": RATE_HZ, "daq.seed": seed, **gap_values(gap_m)}
+    one = Rig(from_flat(RigConfig(), own))
     if frequency_hz:
         one.accept(frequency_hz, current_a)
     else:
@@ -115,16 +115,8 @@ def measure(seed: int, place: Path, attempt: int = 0) -> None:
     write_csv(place / "decay.csv", record(rig, 0.0, 0.0, 0.0, DECAY_S, seed), gain)
     write_certificate(place / "certificate.csv", from_flat(RigConfig(), {"daq.rate_hz": RATE_HZ, "daq.seed": seed}))
     common = ("--mapping", place / "mapping.yaml", "--calibration", place / "certificate.csv", "--json")
-    told(
-        "import",
-        *sorted((place / "csv").iterdir()),
-        "--campaign",
-        "--output",
-        place / "sweep",
-        "--config",
-        place / "known.yaml",
-        *common,
-    )
+    sweep = ("--campaign", "--output", place / "sweep", "--config", place / "known.yaml")
+    told("import", *sorted((place / "csv").iterdir()), *sweep, *common)
     told("import", place / "decay.csv", "--output", place / "decay", *common)
     shutil.rmtree(place / "csv")
     (place / "decay.csv").unlink()

@@ -133,52 +133,6 @@ def recording(
     return path
 
 
-def bomb(folder: Path) -> Path:
-    """70 MB of zeros in a few kB, sixty times."""
-    return recording(folder / "bomb.mcap", (message(0, bytes(MIB)) for _ in range(70)), listed=60, count=70)
-
-
-def large_bomb(folder: Path) -> Path:
-    """The same, once, in a chunk of 2 GB."""
-    return recording(folder / "large.mcap", zeros(2_000_000_000), count=1)
-
-
-def empty_messages(folder: Path) -> Path:
-    """7.7 million messages without content."""
-    return recording(folder / "empty.mcap", (message(0, b"") * 77_000 for _ in range(100)), count=7_700_000)
-
-
-def repeated_index(folder: Path) -> Path:
-    """A small chunk, listed 20,000 times."""
-    return recording(folder / "repeated.mcap", scans(), listed=20_000)
-
-
-def many_topics(folder: Path) -> Path:
-    """60,000 topics, of which one has messages."""
-    return recording(folder / "topics.mcap", scans(), channels=60_000)
-
-
-def aliases(folder: Path) -> Path:
-    """A quality of service that doubles and doubles."""
-    return recording(folder / "aliases.mcap", scans(), qos=LAUGHS)
-
-
-def self_reference(folder: Path) -> Path:
-    """A quality of service inside itself."""
-    return recording(folder / "self.mcap", scans(), qos="&a [*a]")
-
-
-def end_of_time(folder: Path) -> Path:
-    """A message 584 years later."""
-    times = (0, 10_000_000, FAR_NS)
-    return recording(folder / "late.mcap", scans(at_ns=times.__getitem__), end_ns=FAR_NS)
-
-
-def bad_name(folder: Path) -> Path:
-    """A topic whose name ROS does not have."""
-    return recording(folder / "name.mcap", scans(), topic="/no name/daq/scan")
-
-
 def escapes(folder: Path) -> Path:
     """Markup, colours and a new title for the window, in the names of file and topic."""
     tricks = "[/red]\x1b[31m\x1b]0;title\x07"
@@ -209,11 +163,6 @@ def large_metadata(folder: Path) -> Path:
     return path.parent
 
 
-def links(folder: Path) -> Path:
-    """An honest recording; links lie where its copies would be written first."""
-    return recording(folder / "links.mcap", scans())
-
-
 def huge_plan(folder: Path) -> Path:
     """A campaign of 81 million points."""
     path = folder / "plan.yaml"
@@ -223,28 +172,38 @@ def huge_plan(folder: Path) -> Path:
     return path
 
 
-def no_file(folder: Path) -> Path:
-    """A device without end instead of a file."""
-    return folder / ".." / ".." / ".." / ".." / "dev" / "zero"
-
-
 RECORDINGS: dict[str, Callable[[Path], Path]] = {
-    "compression bomb, indexed 60 times": bomb,
-    "chunk of 2 GB": large_bomb,
-    "7.7 million empty messages": empty_messages,
-    "one chunk indexed 20,000 times": repeated_index,
-    "60,000 topics": many_topics,
-    "aliases in a QoS text": aliases,
-    "a QoS text inside itself": self_reference,
-    "log time 2⁶⁴ − 1": end_of_time,
-    "invalid topic name": bad_name,
+    # 70 MB of zeros in a few kB, sixty times
+    "compression bomb, indexed 60 times": lambda folder: recording(
+        folder / "bomb.mcap", (message(0, bytes(MIB)) for _ in range(70)), listed=60, count=70
+    ),
+    # the same, once
+    "chunk of 2 GB": lambda folder: recording(folder / "large.mcap", zeros(2_000_000_000), count=1),
+    "7.7 million empty messages": lambda folder: recording(
+        folder / "empty.mcap", (message(0, b"") * 77_000 for _ in range(100)), count=7_700_000
+    ),
+    "one chunk indexed 20,000 times": lambda folder: recording(folder / "repeated.mcap", scans(), listed=20_000),
+    # of which one has messages
+    "60,000 topics": lambda folder: recording(folder / "topics.mcap", scans(), channels=60_000),
+    # which double and double
+    "aliases in a QoS text": lambda folder: recording(folder / "aliases.mcap", scans(), qos=LAUGHS),
+    "a QoS text inside itself": lambda folder: recording(folder / "self.mcap", scans(), qos="&a [*a]"),
+    # a message 584 years later
+    "log time 2⁶⁴ − 1": lambda folder: recording(
+        folder / "late.mcap", scans(at_ns=(0, 10_000_000, FAR_NS).__getitem__), end_ns=FAR_NS
+    ),
+    "invalid topic name": lambda folder: recording(folder / "name.mcap", scans(), topic="/no name/daq/scan"),
     "escape sequences and markup": escapes,
     "FIFO": fifo,
     "link to /dev/zero": endless,
     "9 MB metadata.yaml": large_metadata,
-    "links at predictable names": links,
+    # an honest recording; links lie where its copies would be written first
+    "links at predictable names": lambda folder: recording(folder / "links.mcap", scans()),
 }
-CAMPAIGNS: dict[str, Callable[[Path], Path]] = {"plan of 9,000 × 9,000": huge_plan, "/dev/zero as a file": no_file}
+CAMPAIGNS: dict[str, Callable[[Path], Path]] = {
+    "plan of 9,000 × 9,000": huge_plan,
+    "/dev/zero as a file": lambda folder: folder / ".." / ".." / ".." / ".." / "dev" / "zero",
+}
 LEGIBLE = {
     "aliases in a QoS text": COMMANDS,
     "a QoS text inside itself": COMMANDS,
@@ -272,23 +231,14 @@ def expected_code(command: str, what: str) -> int:
 
 @attrs.frozen
 class Cost:
-    """What a command took.
+    """What a command took."""
 
-    Attributes:
-        code: exit code; negative: the signal that ended it.
-        wall_s: wall time [s].
-        cpu_s: CPU time of its own [s].
-        peak_mb: largest memory it had [MB].
-        output: all it wrote.
-        error: what of it went to stderr.
-    """
-
-    code: int
-    wall_s: float
-    cpu_s: float
-    peak_mb: float
-    output: str
-    error: str
+    code: int  # exit code; negative: the signal that ended it
+    wall_s: float  # wall time [s]
+    cpu_s: float  # CPU time of its own [s]
+    peak_mb: float  # largest memory it had [MB]
+    output: str  # all it wrote
+    error: str  # what of it went to stderr
 
     def faults(self, expected: int) -> list[str]:
         """Say what is not as it must be, apart from cost; `expected` is the exit code."""

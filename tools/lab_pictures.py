@@ -7,6 +7,7 @@ The animation is drawn by the page itself; Pillow, which comes with matplotlib, 
 
 from __future__ import annotations
 
+import contextlib
 import io
 import sys
 import tempfile
@@ -33,13 +34,9 @@ FRAMES, FRAME_MS = 24, 60
 def main() -> None:
     """Take all of them."""
     IMAGES.mkdir(parents=True, exist_ok=True)
-    browser = Browser()
-    try:
-        with tempfile.TemporaryDirectory() as directory:
-            live(browser, Path(directory))
-            playback(browser, Path(directory))
-    finally:
-        browser.close()
+    with contextlib.closing(Browser()) as browser, tempfile.TemporaryDirectory() as directory:
+        live(browser, Path(directory))
+        playback(browser, Path(directory))
 
 
 def live(browser: Browser, directory: Path) -> None:
@@ -70,14 +67,13 @@ def live(browser: Browser, directory: Path) -> None:
                 )  # fmt: skip
             picture(light, "lab")
             animation(light)
-            dark = browser.page(1920, 1080, prefers_color_scheme="dark")
-            dark.goto(server.address)
-            dark.wait("window.lab && lab.drawn.pictures > 40", "traces")
-            picture(dark, "lab_1920_dark")
-            narrow = browser.page(400, 860, prefers_color_scheme="light")
-            narrow.goto(server.address)
-            narrow.wait("window.lab && lab.drawn.pictures > 20", "traces")
-            picture(narrow, "lab_400")
+            for name, width, height, scheme, drawn in (
+                ("lab_1920_dark", 1920, 1080, "dark", 40), ("lab_400", 400, 860, "light", 20),
+            ):  # fmt: skip
+                other = browser.page(width, height, prefers_color_scheme=scheme)
+                other.goto(server.address)
+                other.wait(f"window.lab && lab.drawn.pictures > {drawn}", "traces")
+                picture(other, name)
             light.write("#knob-current", "14")
             light.wait("lab.now.rig.word === 'tripped'", "a trip")
             light.wait("lab.now.rig.text.includes('latched')", "its words")
@@ -102,10 +98,9 @@ def picture(page: Page, name: str) -> None:
     """Take a picture when everything has been drawn."""
     page.js("document.activeElement.blur()")
     page.js("new Promise(done => setTimeout(done, 400))")
-    page.picture(IMAGES / f"{name}.png")
-    Image.open(IMAGES / f"{name}.png").convert("P", palette=Image.Palette.ADAPTIVE, colors=128).save(
-        IMAGES / f"{name}.png", optimize=True
-    )
+    file = IMAGES / f"{name}.png"
+    page.picture(file)
+    Image.open(file).convert("P", palette=Image.Palette.ADAPTIVE, colors=128).save(file, optimize=True)
     sys.stdout.write(f"{name}\n")
 
 

@@ -12,21 +12,19 @@ from __future__ import annotations
 import argparse
 import math
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import attrs
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_rig.campaign.job import Job, Outcome
+from impact_rig.campaign.job import Job, Outcome, execute
 from impact_rig.campaign.paper import CURRENT_A
-from impact_rig.campaign.pool import in_parallel, run_parallel
-from impact_rig.campaign.run import Runner
+from impact_rig.campaign.pool import in_parallel
 from impact_rig.drawing import INK, SERIES, legend_below, new_axes, style
 from impact_rig.maps.measure import Settings
 from impact_rig.maps.plan import GAP
-from impact_rig.operate.stepped_sine import Direction
 from impact_rig.physics import prediction
 from impact_rig.rig.config import RigConfig
 from impact_rig.studies.dynamics import figures
@@ -43,29 +41,17 @@ PICTURE = Path(__file__).parents[1] / "docs" / "images" / "prediction.png"
 
 @attrs.frozen(kw_only=True)
 class Compared:
-    """One place, measured and predicted; NaN where there is no measurement, or no such motion.
+    """One place, measured and predicted; NaN where there is no measurement, or no such motion."""
 
-    Attributes:
-        frequency_hz: of the drive.
-        gap_m: gap.
-        dt: measured.
-        phase_rad: measured, superior base to base.
-        impacts_per_cycle: measured.
-        regime: the word for the response; empty where nothing was measured.
-        period: cycles after which it repeats.
-        predicted_dt: of the stable motion with two symmetric impacts per cycle.
-        predicted_phase_rad: its phase.
-    """
-
-    frequency_hz: float
-    gap_m: float
-    dt: float
-    phase_rad: float
-    impacts_per_cycle: float
-    regime: str
-    period: float
-    predicted_dt: float
-    predicted_phase_rad: float
+    frequency_hz: float  # of the drive
+    gap_m: float  # gap
+    dt: float  # measured
+    phase_rad: float  # measured, superior base to base
+    impacts_per_cycle: float  # measured
+    regime: str  # the word for the response; empty where nothing was measured
+    period: float  # cycles after which it repeats
+    predicted_dt: float  # of the stable motion with two symmetric impacts per cycle
+    predicted_phase_rad: float  # its phase
 
     @property
     def two_per_cycle(self) -> bool:
@@ -80,16 +66,8 @@ class Compared:
 
 def job(frequency_hz: float, gap_m: float, current_a: float = CURRENT_A) -> Job:
     """Return the measurement of one place of the default rig."""
-    return Job(
-        changes={"barriers.gap_m": gap_m},
-        analysis={},
-        gap_m=gap_m,
-        frequencies_hz=(frequency_hz,),
-        direction=Direction.UP,
-        current_a=current_a,
-        repetitions=1,
-        traces=False,
-    )
+    changes = {"barriers.gap_m": gap_m}
+    return Job(changes=changes, gap_m=gap_m, frequencies_hz=(frequency_hz,), current_a=current_a)
 
 
 def compared(one: Job, outcome: Outcome) -> Compared:
@@ -111,20 +89,14 @@ def compared(one: Job, outcome: Outcome) -> Compared:
     )
 
 
-def side_by_side(places: Iterable[tuple[float, float]], runner: Runner) -> Sequence[Compared]:
-    """Return measurement and prediction at (frequency [Hz], gap [m]), in that order."""
-    jobs = [job(frequency, gap) for frequency, gap in places]
-    found = {one.key: compared(one, outcome) for one, outcome in runner(jobs)}
-    return [found[one.key] for one in jobs]
-
-
 def main() -> int:
     """Measure, print, perhaps draw; return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--draw", action="store_true", help="draw docs/images/prediction.png")
     arguments = parser.parse_args()
-    places = [(frequency, gap * 1e-3) for frequency in FREQUENCIES_HZ for gap in sorted(GAPS_MM)]
-    found = side_by_side(places, run_parallel)
+    jobs = [job(frequency, gap * 1e-3) for frequency in FREQUENCIES_HZ for gap in sorted(GAPS_MM)]
+    by_key = {one.key: compared(one, outcome) for one, outcome in in_parallel(execute, jobs)}
+    found = [by_key[one.key] for one in jobs]
     bad = sum(_tell(one) for one in found)
     for frequency in FREQUENCIES_HZ:
         branch = prediction.branch(RigConfig(), frequency, current_a=CURRENT_A)
@@ -141,7 +113,7 @@ def main() -> int:
 
 def tell(text: str) -> None:
     """Print a line."""
-    print(text)  # noqa: T201  # a command line tool talks
+    print(text, flush=True)  # noqa: T201  # a command line tool talks
 
 
 def _tell(one: Compared) -> bool:

@@ -24,6 +24,7 @@ from rclpy.parameter import parameter_dict_from_yaml_file, parameter_value_to_py
 
 from impact_rig.client import Client, Processes, isolated_domain
 from impact_rig.client.client import WaitTimeoutError, ros_parameters
+from impact_rig.config.tree import nested
 from impact_rig.nodes.analysis_node import AnalysisNode
 from impact_rig.nodes.messages import TOPICS, nanoseconds
 from impact_rig.nodes.rig_node import RigNode
@@ -118,14 +119,8 @@ def parameters(calls: Calls, client: Client, node: str, directory: Path) -> None
 
 def _dump(client: Client, node: str, names: list[str], path: Path) -> None:
     answer = client.call(GetParameters, f"{node}/get_parameters", GetParameters.Request(names=names))
-    tree: dict[str, Any] = {}
-    for name, message in sorted(zip(names, answer.values, strict=True), key=lambda pair: pair[0]):
-        value = parameter_value_to_python(message)
-        *sections, key = name.split(".")
-        place = tree
-        for section in sections:
-            place = place.setdefault(section, {})
-        place[key] = list(value) if hasattr(value, "tolist") else value
+    values = {name: parameter_value_to_python(one) for name, one in zip(names, answer.values, strict=True)}
+    tree = nested({name: list(x) if hasattr(x, "tolist") else x for name, x in sorted(values.items())}, dict)
     path.write_text(yaml.dump({f"/{node}": {"ros__parameters": tree}}, default_flow_style=False), encoding="utf-8")
 
 

@@ -58,10 +58,6 @@ class Watched:
         slope = np.polyfit(self.times[half:], self.memory[half:], 1)[0]
         return float(slope * (self.times[-1] - self.times[0]))
 
-    def more_descriptors(self) -> int:
-        """Return how many more descriptors are open at the end than half-way."""
-        return self.descriptors[-1] - self.descriptors[len(self.descriptors) // 2]
-
 
 def soak(part: str, duration_s: float, directory: Path, console: Console) -> bool:
     """Run one part for a duration: rig time in freewheel, real time live; return whether all was well."""
@@ -103,35 +99,24 @@ def soak(part: str, duration_s: float, directory: Path, console: Console) -> boo
     for gap in contiguity.gaps[:10]:
         console.print(f"gap before block {gap.block} of {contiguity.blocks}: {gap.missing_scans} scans missing")
     console.print(f"lost by peers: {lost or 'nothing'}; slips of the pacer: {figures.get('slips')}")
-    return _report(part, done, wall_s, watched, codes, contiguity.whole and not lost, console)
+    well = contiguity.whole and not lost
+    table = TextTable(title=f"{part}: {done:.0f} s in {wall_s:.0f} s of wall time, scans whole: {well}")
+    for heading in ("node", "memory [MB]", "growth [MB]", "descriptors", "more", "exit code"):
+        table.add_column(heading, justify="right")
+    for node, record in watched.items():
+        opened = record.descriptors
+        growth, more = record.growth_mb(), opened[-1] - opened[len(opened) // 2]  # since half-way
+        well &= growth < GROWTH_LIMIT_MB and more <= DESCRIPTOR_LIMIT and codes[node] == 0
+        cells = (f"{record.memory[-1]:.0f}", f"{growth:+.1f}", str(opened[-1]), f"{more:+d}", str(codes[node]))
+        table.add_row(node, *cells)
+    console.print(table)
+    return well
 
 
 def _rig_time_s(client: Client) -> float:
     """Return the rig's newest stamp, which its diagnostics carry."""
     client.wait_until(lambda: "rig_time_s" in client.figures("rig"), "the rig's diagnostics")
     return float(client.figures("rig")["rig_time_s"])
-
-
-def _report(
-    part: str,
-    done_s: float,
-    wall_s: float,
-    watched: dict[str, Watched],
-    codes: dict[str, int],
-    whole: bool,
-    console: Console,
-) -> bool:
-    table = TextTable(title=f"{part}: {done_s:.0f} s in {wall_s:.0f} s of wall time, scans whole: {whole}")
-    for heading in ("node", "memory [MB]", "growth [MB]", "descriptors", "more", "exit code"):
-        table.add_column(heading, justify="right")
-    well = whole
-    for node, record in watched.items():
-        growth, more = record.growth_mb(), record.more_descriptors()
-        well &= growth < GROWTH_LIMIT_MB and more <= DESCRIPTOR_LIMIT and codes[node] == 0
-        open_now = str(record.descriptors[-1])
-        table.add_row(node, f"{record.memory[-1]:.0f}", f"{growth:+.1f}", open_now, f"{more:+d}", str(codes[node]))
-    console.print(table)
-    return well
 
 
 def main() -> int:

@@ -62,20 +62,15 @@ def draw(axes: Axes3D, frames: bool = True) -> None:
         for number, visual in enumerate(link.iter("visual")):
             place = manager.get_transform(f"visual:{link.get('name')}/{number}", "rig")
             shape = visual.find("geometry")[0]  # type: ignore[index]
-            polygons = (
-                faces(np.array(shape.get("size", "").split(), float))
-                if shape.tag == "box"
-                else ball(float(shape.get("radius", "")))
-            )
+            if shape.tag == "box":
+                polygons = faces(np.array(shape.get("size", "").split(), float))
+                edge, alpha = (0.2, 0.25, 0.3, 0.6), 0.75
+            else:
+                polygons, edge, alpha = ball(float(shape.get("radius", ""))), "none", 1.0
             moved = [polygon @ place[:3, :3].T + place[:3, 3] for polygon in polygons]
             colour = [float(part) for part in colours[visual.find("material").get("name")].split()]  # type: ignore[union-attr]
-            edge = "none" if shape.tag == "sphere" else (0.2, 0.25, 0.3, 0.6)
-            alpha = 0.75 if shape.tag == "box" else 1.0
-            axes.add_collection3d(
-                Poly3DCollection(
-                    moved, axlim_clip=not frames, facecolors=[(*colour[:3], alpha)], edgecolors=edge, linewidths=0.5
-                )
-            )
+            look = {"facecolors": [(*colour[:3], alpha)], "edgecolors": edge, "linewidths": 0.5}
+            axes.add_collection3d(Poly3DCollection(moved, axlim_clip=not frames, **look))
     for frame, offset in FRAMES.items() if frames else ():
         place = manager.get_transform(frame, "rig")
         for column, colour in enumerate(("#c03028", "#2c8a3c", "#2858b8")):
@@ -88,24 +83,17 @@ def main() -> None:
     """Write the picture."""
     figure = plt.figure(figsize=(8, 5.4), dpi=110)
     axes = figure.add_axes((-0.12, -0.2, 1.24, 1.4), projection="3d", computed_zorder=True)
-    assert isinstance(axes, Axes3D)
-    draw(axes)
-    axes.set_xlim(-0.19, 0.17)
-    axes.set_ylim(-0.09, 0.09)
-    axes.set_zlim(0.0, 0.28)
-    axes.set_box_aspect((0.36, 0.18, 0.28))
-    axes.view_init(elev=18, azim=-68)
-    axes.set_axis_off()
     near = figure.add_axes((-0.04, 0.56, 0.42, 0.5), projection="3d")
-    assert isinstance(near, Axes3D)
     near.patch.set_alpha(0.0)
-    draw(near, frames=False)
-    near.set_xlim(0.0, 0.04)
-    near.set_ylim(-0.015, 0.015)
-    near.set_zlim(0.215, 0.235)
-    near.set_box_aspect((0.04, 0.03, 0.02))
-    near.view_init(elev=30, azim=-75)
-    near.set_axis_off()
+    for one, x, y, z, view in (
+        (axes, (-0.19, 0.17), (-0.09, 0.09), (0.0, 0.28), (18, -68)),
+        (near, (0.0, 0.04), (-0.015, 0.015), (0.215, 0.235), (30, -75)),
+    ):
+        assert isinstance(one, Axes3D)
+        draw(one, frames=one is axes)
+        one.set(xlim=x, ylim=y, zlim=z, box_aspect=np.ptp((x, y, z), axis=1))
+        one.view_init(*view)
+        one.set_axis_off()
     figure.text(0.03, 0.66, "sphere and barriers", fontsize=9, color="#10212e")
     figure.savefig(PICTURE, facecolor="white")
 

@@ -25,6 +25,16 @@ SHOWN = 200  # characters of a wrong value that an error quotes
 _DIGITS = 12  # of the values of a range, so that 9.00, 9.01, ... are what they look like
 
 
+def case_of(gap_m: float) -> str:
+    """Return the words for a gap, or for no sphere."""
+    return "no sphere" if gap_m == NO_SPHERE else f"gap {gap_m * 1e3:g} mm"
+
+
+def gap_values(gap_m: float) -> dict[str, Value]:
+    """Return the configuration of a gap; without a sphere the barriers do not matter and stay as they are."""
+    return {"sphere.present": False} if gap_m == NO_SPHERE else {"sphere.present": True, "barriers.gap_m": gap_m}
+
+
 def wrong(key: str, rule: str, value: object) -> ConfigError:
     """Return the error for a value that breaks a rule; one of thousands of digits is not quoted whole."""
     if isinstance(value, int) and abs(value) >= HUGE:
@@ -54,12 +64,9 @@ def number(key: str, value: object, low: float, high: float = math.inf) -> float
     """
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         raise wrong(key, "a number", value)
-    if abs(value) >= HUGE and isinstance(value, int):
+    if not (abs(value) < HUGE or isinstance(value, float)) or not (math.isfinite(value) and low < value <= high):
         raise wrong(key, f"> {low:g} and {'finite' if math.isinf(high) else f'<= {high:g}'}", value)
-    result = float(value)
-    if not (math.isfinite(result) and low < result <= high):
-        raise wrong(key, f"> {low:g} and {'finite' if math.isinf(high) else f'<= {high:g}'}", value)
-    return result
+    return float(value)
 
 
 def whole(key: str, value: object, low: int, high: int) -> int:
@@ -83,6 +90,11 @@ def word(key: str, value: object, choices: Iterable[str]) -> str:
     if value not in allowed:
         raise wrong(key, f"one of {', '.join(allowed)}", value)
     return str(value)
+
+
+def words(key: str, value: object, choices: Iterable[str]) -> tuple[str, ...]:
+    """Return some of `choices`, see `values`."""
+    return tuple(word(key, item, choices) for item in values(key, value))
 
 
 def mapping(key: str, value: object) -> dict[str, object]:

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from impact_rig.analysis.settings import TrackerSettings
 from impact_rig.analysis.tracker import Tracker
 from impact_rig.blocks import TRANSMISSIBILITY, joined
-from impact_rig.campaign.axes import NO_SPHERE
+from impact_rig.campaign.axes import case_of
 from impact_rig.config.tree import Value
 from impact_rig.errors import GoneError, ImpactRigError
 from impact_rig.instruments.section import channels_of
@@ -50,13 +50,14 @@ class Job:
     """One run."""
 
     changes: Mapping[str, Value]  # configuration values that differ from the default rig, by dotted name
-    analysis: Mapping[str, Value]  # settings of the measurement that differ from `TrackerSettings`
+    analysis: Mapping[str, Value] = attrs.field(factory=dict)
+    """Settings of the measurement that differ from `TrackerSettings`."""
     gap_m: float  # the operator's label: gap, or `NO_SPHERE`
     frequencies_hz: tuple[float, ...]
-    direction: Direction  # order in which a job of several points visits them
+    direction: Direction = Direction.UP  # order in which a job of several points visits them
     current_a: float  # peak current
-    repetitions: int  # settled measurements per point, one after the other
-    traces: bool  # keep scans and truth after the last measurement as well
+    repetitions: int = 1  # settled measurements per point, one after the other
+    traces: bool = False  # keep scans and truth after the last measurement as well
 
     def config(self) -> RigConfig:
         """Return the rig's configuration; one block from one look to the next.
@@ -104,7 +105,7 @@ class Job:
 
     def describe(self) -> str:
         """Return a short name for people."""
-        gap = "no sphere" if self.gap_m == NO_SPHERE else f"gap {self.gap_m * 1e3:g} mm"
+        gap = case_of(self.gap_m)
         first, last = min(self.frequencies_hz), max(self.frequencies_hz)
         return f"{gap}, {first:g} Hz" if first == last else f"{gap}, {first:g} to {last:g} Hz {self.direction.value}"
 

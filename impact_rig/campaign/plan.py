@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
 import attrs
@@ -31,16 +31,21 @@ from impact_rig.system import budget
 RESET = "reset"  # the direction of a study whose points each begin with a reset rig
 DIRECTIONS = (RESET, *(direction.value for direction in Direction))
 STARTS = ("left", "centre", "right")
+GAP_VALUES = ("barriers.gap_m", "sphere.present")
 OWNED = ("daq.block_scans", "time.", "step.", "pluck.", "output.autostart", "output.truth_scan")
 """Configuration that the campaign decides itself."""
-NAMED_AXES = {
-    "contact.law": "laws",
-    "contact.restitution": "restitutions",
-    "sphere.start": "starts",
-    "daq.seed": "seeds",
-    "barriers.gap_m": "gaps_m",
-    "sphere.present": "gaps_m",
+NAMED_AXES: Mapping[str, tuple[str, Callable[[str, object], tuple[Value, ...]]]] = {
+    "laws": ("contact.law", lambda key, given: axes.words(key, given, LAWS)),
+    "restitutions": ("contact.restitution", lambda key, given: axes.numbers(key, given, 0.0, 1.0)),
+    "starts": (
+        "sphere.start",
+        lambda key, given: axes.words(key, given, STARTS),
+    ),
+    "seeds": ("daq.seed", lambda key, given: tuple(axes.whole(key, one, 0, 2**53) for one in axes.values(key, given))),
 }
+"""Key of a study -> the value that it varies, and what reads it."""
+OTHERWISE = {**{name: key for key, (name, _) in NAMED_AXES.items()}, **dict.fromkeys(GAP_VALUES, "gaps_m")}
+"""Values that are not varied by name, but by these keys."""
 
 
 @attrs.frozen(kw_only=True)
@@ -117,7 +122,7 @@ class Campaign:
         for values, current, gap in combinations:
             varied = dict(zip(study.vary, values, strict=True))
             try:
-                config = from_flat(self.base, {**varied, **_gap_values(gap)})
+                config = from_flat(self.base, {**varied, **axes.gap_values(gap)})
             except ConfigError as error:
                 raise ConfigError(f"study {study.name}: {error}") from error
             changes = differences(config)
@@ -182,8 +187,8 @@ def _read(top: Mapping[str, object], base: RigConfig, text: str, name: str) -> C
 def _study(name: str, content: object, base: RigConfig) -> Study:
     where = f"studies.{name}"
     given = axes.mapping(where, content)
-    known = ["frequencies_hz", "gaps_m", "currents_a", "laws", "restitutions", "starts", "seeds", "vary", "direction"]
-    axes.check_keys(where, given, [*known, "repetitions", "traces"])
+    known = ("frequencies_hz", "gaps_m", "currents_a", *NAMED_AXES, "vary", "direction", "repetitions", "traces")
+    axes.check_keys(where, given, known)
     if "frequencies_hz" not in given:
         raise ConfigError(f"{where}.frequencies_hz is missing")
     shaker = base.shaker
@@ -209,22 +214,11 @@ def _study(name: str, content: object, base: RigConfig) -> Study:
 
 
 def _vary(where: str, given: Mapping[str, object]) -> dict[str, tuple[Value, ...]]:
-    vary: dict[str, tuple[Value, ...]] = {}
-    if "laws" in given:
-        key = f"{where}.laws"
-        vary["contact.law"] = tuple(axes.word(key, law, LAWS) for law in axes.values(key, given["laws"]))
-    if "restitutions" in given:
-        vary["contact.restitution"] = axes.numbers(f"{where}.restitutions", given["restitutions"], 0.0, 1.0)
-    if "starts" in given:
-        key = f"{where}.starts"
-        vary["sphere.start"] = tuple(axes.word(key, start, STARTS) for start in axes.values(key, given["starts"]))
-    if "seeds" in given:
-        key = f"{where}.seeds"
-        vary["daq.seed"] = tuple(axes.whole(key, seed, 0, 2**53) for seed in axes.values(key, given["seeds"]))
+    vary = {name: read(f"{where}.{key}", given[key]) for key, (name, read) in NAMED_AXES.items() if key in given}
     for name, values in flatten(axes.mapping(f"{where}.vary", given.get("vary"))).items():
         key = f"{where}.vary.{name}"
-        if name in NAMED_AXES:
-            raise ConfigError(f"{key}: use {where}.{NAMED_AXES[name]}")
+        if name in OTHERWISE:
+            raise ConfigError(f"{key}: use {where}.{OTHERWISE[name]}")
         _refuse_owned(key, name)
         vary[name] = axes.scalars(key, values)
     return vary
@@ -235,10 +229,5 @@ def _refuse_owned(key: str, name: str) -> None:
         raise ConfigError(f"{key} is decided by the campaign itself")
 
 
-def _gap_values(gap_m: float) -> dict[str, Value]:
-    """Return the configuration of a gap; without a sphere the barriers do not matter and stay at their default."""
-    return {"sphere.present": False} if gap_m == NO_SPHERE else {"sphere.present": True, "barriers.gap_m": gap_m}
-
-
 def _without_gap(changes: Mapping[str, Value]) -> dict[str, Value]:
-    return {name: value for name, value in changes.items() if name not in ("sphere.present", "barriers.gap_m")}
+    return {name: value for name, value in changes.items() if name not in GAP_VALUES}

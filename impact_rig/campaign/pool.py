@@ -12,16 +12,12 @@ import threading
 from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from typing import TYPE_CHECKING, TypeVar
+from typing import TypeVar
 
-from impact_rig.campaign.job import Job, Outcome, execute
 from impact_rig.campaign.store import fingerprint
 from impact_rig.campaign.tasks import Portable
 from impact_rig.errors import ConfigError, GoneError, ImpactRigError
 from impact_rig.system.endings import SIGNALS, end_with, held, unhurried
-
-if TYPE_CHECKING:
-    from impact_rig.campaign.run import Runner
 
 J = TypeVar("J")
 R = TypeVar("R")
@@ -32,11 +28,6 @@ CLOSING_S = 2.0  # how long the end of a pool is waited for whose workers were k
 
 class WorkerDiedError(GoneError):
     """A worker process was ended from outside."""
-
-
-def run_parallel(jobs: Sequence[Job], workers: int | None = None) -> Generator[tuple[Job, Outcome], None, None]:
-    """Yield every job of a campaign with its outcome, see `in_parallel`."""
-    return in_parallel(execute, jobs, workers)
 
 
 def in_parallel(
@@ -81,10 +72,12 @@ def in_parallel(
             if running:
                 for worker in set(multiprocessing.active_children()) - others:
                     worker.kill()  # it has nothing to save
-            # its own thread may hang after that, but must not meet the interpreter's end while it closes what that uses
-            closing = threading.Thread(target=pool.shutdown, kwargs={"cancel_futures": True}, daemon=True)
-            closing.start()
-            closing.join(CLOSING_S if running else None)
+                # its thread may hang after that, but must not meet the interpreter's end while it closes what that uses
+                closing = threading.Thread(target=pool.shutdown, kwargs={"cancel_futures": True}, daemon=True)
+                closing.start()
+                closing.join(CLOSING_S)
+            else:
+                pool.shutdown()
 
 
 def _begin_worker(parent: int) -> None:
@@ -101,11 +94,6 @@ def _begin_worker(parent: int) -> None:
 
 CONNECT_S = 10.0
 P = TypeVar("P", bound=Portable)
-
-
-def dask_runner(address: str) -> Runner:
-    """Return a runner that sends a campaign's jobs to the scheduler at `address`, see `on_cluster`."""
-    return on_cluster(execute, address)
 
 
 def on_cluster(work: Callable[[P], R], address: str) -> Callable[[Sequence[P]], Generator[tuple[P, R], None, None]]:

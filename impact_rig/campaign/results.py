@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 import impact_rig
 from impact_rig.analysis.reduction import combined
-from impact_rig.campaign.axes import NO_SPHERE
+from impact_rig.campaign.axes import NO_SPHERE, case_of
 from impact_rig.campaign.job import Outcome
 from impact_rig.campaign.paper import REDUCTION_PERCENT, Reductions
 from impact_rig.campaign.plan import RESET, Planned
@@ -101,7 +101,7 @@ class Point:
     @property
     def label(self) -> str:
         """The case for people."""
-        return "no sphere" if self.gap_m == NO_SPHERE else f"{self.gap_m * 1e3:g} mm"
+        return case_of(self.gap_m).removeprefix("gap ")
 
 
 def points_of(planned: Planned, outcome: Outcome) -> list[Point]:
@@ -120,7 +120,10 @@ def points_of(planned: Planned, outcome: Outcome) -> list[Point]:
             failure = SKIPPED
         else:
             taken += len(own)
-            failure = _failure(own, outcome.failure, job.repetitions)
+            unsettled = own["status"][own["settled"] != 1.0]
+            failure = str(unsettled[0].decode()) if len(unsettled) else ""
+            if len(own) < job.repetitions:
+                failure = outcome.failure or NOT_REACHED
         direction = RESET
         if once > 1:
             down = job.direction is Direction.DOWN or place >= once
@@ -140,13 +143,6 @@ def points_of(planned: Planned, outcome: Outcome) -> list[Point]:
             )
         )
     return found
-
-
-def _failure(rows: NDArray[np.void], run: str, wanted: int) -> str:
-    if len(rows) < wanted:
-        return run or NOT_REACHED
-    unsettled = rows["settled"] != 1.0
-    return str(rows["status"][unsettled][0].decode()) if unsettled.any() else ""
 
 
 @attrs.frozen
@@ -202,12 +198,6 @@ def table(points: Sequence[Point]) -> tuple[list[str], list[list[object]]]:
     return [*COLUMNS, *axes], rows
 
 
-def write_csv(path: Path, points: Sequence[Point]) -> Path:
-    """Write all points as CSV, see `table`; return `path`."""
-    files.write_csv(path, *table(points))
-    return path
-
-
 # --- `summary.json` of a run or campaign directory: the figures that programs read
 
 FILE_NAME = "summary.json"
@@ -231,9 +221,9 @@ def write_summary(
     wall_s: float,
     simulated_s: float,
     seed: int,
-    more: dict[str, object] | None = None,
-) -> Path:
-    """Write `summary.json` and return its path; numbers that do not exist are null."""
+    more: Mapping[str, object],
+) -> None:
+    """Write `summary.json`; numbers that do not exist are null."""
     content = {
         "version": impact_rig.__version__,
         "seed": seed,
@@ -245,18 +235,15 @@ def write_summary(
         "max_abs_error_points": reductions.max_abs_error(),
         "rms_error_points": reductions.rms_error(),
         "statements": {
-            name: {"pass": statement.passed, "value": statement.value, "limit": statement.limit}
-            for name, statement in statements.items()
+            name: {"pass": one.passed, "value": one.value, "limit": one.limit} for name, one in statements.items()
         },
         "lost_blocks": lost_blocks,
         "wall_s": wall_s,
         "simulated_s": simulated_s,
-        **(more or {}),
+        **more,
     }
-    path = directory / FILE_NAME
-    files.write_text(path, json.dumps(files.plain(content), indent=2) + "\n")
-    return path
+    files.write_text(directory / FILE_NAME, json.dumps(files.plain(content), indent=2) + "\n")
 
 
-def _by_millimetre(values: object) -> dict[str, float]:
-    return {f"{gap * 1e3:g}": value for gap, value in dict(values).items()}  # type: ignore[call-overload]  # any mapping
+def _by_millimetre(values: Mapping[float, float]) -> dict[str, float]:
+    return {f"{gap * 1e3:g}": value for gap, value in values.items()}

@@ -35,7 +35,7 @@ from impact_rig.campaign.axes import NO_SPHERE
 from impact_rig.campaign.job import Job, Outcome
 from impact_rig.campaign.paper import FREQUENCY_HZ, REDUCTION_PERCENT, Reductions
 from impact_rig.campaign.plan import Campaign, Planned, load_campaign
-from impact_rig.campaign.results import Curves, Point, points_of, write_csv, write_summary
+from impact_rig.campaign.results import Curves, Point, points_of, table, write_summary
 from impact_rig.campaign.statements import Verdict
 from impact_rig.campaign.store import FOLDER, Store, fingerprint
 from impact_rig.errors import ConfigError, RecordingError
@@ -131,8 +131,12 @@ def prepare(campaign: Campaign, directory: Path, through: str) -> Store:
     try:
         files.write_text(directory / CAMPAIGN_FILE, campaign.text)
         files.write_text(directory / CONFIGURATION_FILE, dump(campaign.base))
-        provenance = json.dumps(_provenance(through), indent=2)
-        files.write_text(directory / PROVENANCE_FILE, f"{provenance}\n")
+        provenance = {
+            "impact_rig": fingerprint(), "arithmetic": ARITHMETIC, "python": sys.version.split()[0],
+            **{name: metadata.version(name) for name in LIBRARIES},
+            "machine": platform.machine(), "system": platform.platform(), "through": through,
+        }  # fmt: skip
+        files.write_text(directory / PROVENANCE_FILE, json.dumps(provenance, indent=2) + "\n")
     except OSError as error:
         raise RecordingError(f"cannot write {directory}: {error.strerror}") from error
     return store
@@ -163,12 +167,12 @@ def open_finished(directory: Path) -> Finished:
 
 def write_results(done: Finished, wall_s: float) -> None:
     """Write `points.csv` and `summary.json`."""
-    write_csv(done.directory / CSV_FILE, done.points)
+    files.write_csv(done.directory / CSV_FILE, *table(done.points))
     block_scans = done.campaign.planned()[0].job.config().daq.block_scans
     write_summary(
         done.directory,
         done.reductions(),
-        statements.results(done.verdicts()),
+        {one.name: one.result for one in done.verdicts() if one.result is not None},
         lost_blocks=sum(-(-outcome.lost_scans // block_scans) for outcome in done.outcomes.values()),
         wall_s=wall_s,
         simulated_s=sum(outcome.simulated_s for outcome in done.outcomes.values()),
@@ -180,15 +184,3 @@ def write_results(done: Finished, wall_s: float) -> None:
             "written": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
         },
     )
-
-
-def _provenance(through: str) -> dict[str, object]:
-    return {
-        "impact_rig": fingerprint(),
-        "arithmetic": ARITHMETIC,
-        "python": sys.version.split()[0],
-        **{name: metadata.version(name) for name in LIBRARIES},
-        "machine": platform.machine(),
-        "system": platform.platform(),
-        "through": through,
-    }

@@ -15,7 +15,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 import attrs
 
-from impact_rig.campaign.axes import NO_SPHERE
+from impact_rig.campaign.axes import NO_SPHERE, case_of
 from impact_rig.campaign.paper import FREQUENCIES_HZ, FREQUENCY_HZ, REDUCTION_PERCENT
 from impact_rig.campaign.plan import RESET
 from impact_rig.campaign.results import Curves, Point, Statement
@@ -71,25 +71,19 @@ def judge(curves: Curves) -> list[Verdict]:
     """Return the verdict on each of the seven statements."""
     verdicts = []
     for name, kind, unit, text, judge_one in _STATEMENTS:
+        result: Statement | None = None
         try:
             result, detail = judge_one(curves)
         except MissingError as error:
-            verdicts.append(Verdict(name, text, kind, None, f"needs {error}", unit))
-        else:
-            verdicts.append(Verdict(name, text, kind, result, detail, unit))
+            detail = f"needs {error}"
+        verdicts.append(Verdict(name, text, kind, result, detail, unit))
     return verdicts
-
-
-def results(verdicts: Sequence[Verdict]) -> dict[str, Statement]:
-    """Return the judgements that could be made, by name."""
-    return {verdict.name: verdict.result for verdict in verdicts if verdict.result is not None}
 
 
 def _need(curves: Curves, gap_m: float, frequency_hz: float) -> Point:
     point = curves.at(gap_m, frequency_hz)
     if point is None:
-        case = "no sphere" if gap_m == NO_SPHERE else f"gap {gap_m * 1e3:g} mm"
-        raise MissingError(f"a settled point at {frequency_hz:g} Hz, {case}")
+        raise MissingError(f"a settled point at {frequency_hz:g} Hz, {case_of(gap_m)}")
     return point
 
 
@@ -148,11 +142,8 @@ def _agree_far_away(curves: Curves) -> Judgement:
 
 
 def _falls_beyond_optimum(curves: Curves) -> Judgement:
-    gaps = []
-    for gap in curves.gaps():
-        point = curves.at(gap, FREQUENCY_HZ)
-        if point is not None and point.impacts:
-            gaps.append(gap)
+    points = [point for gap in curves.gaps() if (point := curves.at(gap, FREQUENCY_HZ)) is not None]
+    gaps = [point.gap_m for point in points if point.impacts]
     if not gaps or max(gaps) <= max(GAPS_M):
         raise MissingError(f"impacting orbits at {FREQUENCY_HZ:g} Hz with gaps wider than {max(GAPS_M) * 1e3:g} mm")
     reductions = {gap: _reduction(curves, gap) for gap in gaps}
@@ -181,13 +172,10 @@ def peak_hz(curves: Curves, gap_m: float) -> float:
         MissingError: the highest point has no neighbours within `PEAK_STEP_HZ` on both sides.
     """
     curve = sorted(curves.by_gap.get(gap_m, {}).items())
-    case = "no sphere" if gap_m == NO_SPHERE else f"gap {gap_m * 1e3:g} mm"
-    if len(curve) < 3:
-        raise MissingError(f"a grid of 0.01 Hz around the peak, {case}")
-    top = max(range(len(curve)), key=lambda i: curve[i][1].dt)
+    top = max(range(len(curve)), key=lambda i: curve[i][1].dt, default=0)
     near = curve[max(top - 1, 0) : top + 2]
     if len(near) < 3 or near[2][0] - near[0][0] > 2.0 * PEAK_STEP_HZ:
-        raise MissingError(f"a grid of 0.01 Hz around the peak, {case}")
+        raise MissingError(f"a grid of 0.01 Hz around the peak, {case_of(gap_m)}")
     (left, a), (middle, b), (right, c) = ((frequency, point.dt) for frequency, point in near)
     rise, fall = (b - a) / (middle - left), (c - b) / (right - middle)
     return (left + middle) / 2.0 + rise * (right - left) / (2.0 * (rise - fall))
@@ -242,13 +230,10 @@ _STATEMENTS: tuple[tuple[str, Worth, str, str, Callable[[Curves], Judgement]], .
 
 @attrs.frozen(eq=False)
 class Variation:
-    """One rig and what becomes of the statements on it.
-
-    Attributes:
-        changed: the constants that differ from the campaign's reference rig, by dotted name; none: that rig itself.
-    """
+    """One rig and what becomes of the statements on it."""
 
     changed: Mapping[str, Value]
+    """The constants that differ from the campaign's reference rig, by dotted name; none: that rig itself."""
     verdicts: list[Verdict]
 
 

@@ -138,8 +138,9 @@ class Store:
             whose = part.text("job")[:SHOWN]
             raise DamagedPointError(f"{path} holds the result of another job ({whose}): its key must be {job.key}")
         rows = part.each("rows", job.repetitions * len(job.plan().points()))
+        names = TRANSMISSIBILITY.names or ()
         outcome = Outcome(
-            rows=np.array([_row(row) for row in rows], dtype=TRANSMISSIBILITY),
+            rows=np.array([tuple(_cell(name, row[name]) for name in names) for row in rows], dtype=TRANSMISSIBILITY),
             failure=part.text("failure"),
             skipped_hz=tuple(
                 _Checked(path, {"skipped_hz": one}).number("skipped_hz") for one in part.several("skipped_hz")
@@ -276,11 +277,8 @@ def _digest(content: Mapping[str, object]) -> str:
     return hashlib.sha256(json.dumps(kept, sort_keys=True).encode()).hexdigest()
 
 
-def _row(plain: Mapping[str, object]) -> tuple[object, ...]:
-    return tuple(
-        str(plain[name]).encode() if name in _TEXTS else math.nan if plain[name] is None else plain[name]
-        for name in TRANSMISSIBILITY.names or ()
-    )
+def _cell(name: str, value: object) -> object:
+    return str(value).encode() if name in _TEXTS else math.nan if value is None else value
 
 
 # --- Which code a result was measured with: results of other code are shown, but never mixed with new ones

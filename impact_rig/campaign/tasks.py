@@ -194,7 +194,5 @@ def load_plan(path: Path, what: str, read: Callable[[object, str], P]) -> P:
         raise ConfigError(f"not a YAML file: {' '.join(str(error).split())} ({path})") from error
     try:
         return read(document, text)
-    except ConfigError as error:
-        raise ConfigError(f"{error} ({path})") from error
-    except BudgetError as error:
-        raise BudgetError(f"{error} ({path})") from error
+    except (ConfigError, BudgetError) as error:
+        raise type(error)(f"{error} ({path})") from error

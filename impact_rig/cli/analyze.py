@@ -33,7 +33,7 @@ DRAWN_CYCLES = 4
 def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Register the subcommand."""
     parser = subcommand(
-        commands, "analyze", "analyse a run again, as the live node did; says if the results agree",
+        commands, "analyze", _run, "analyse a run again, as the live node did; says if the results agree",
         [
             ("analyze runs/demo/gap_6mm", "every measurement in it, and whether the live analysis found the same"),
             ("analyze runs/demo/gap_6mm --figures pictures", "also draws time traces, phase plane, spectrum, curves"),
@@ -74,7 +74,6 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
         "what was asked for instead",
     )  # fmt: skip
     parser.add_argument("--format", choices=FIGURE_FORMATS, default="png", help="of the figures (default: png)")
-    parser.set_defaults(run=_run)
 
 
 def _run(arguments: argparse.Namespace) -> int:
@@ -105,8 +104,7 @@ def _as_live(console: Console, run: Run, arguments: argparse.Namespace) -> int:
         tell_json({"run": str(run.path), "measurements": list(rows), "live": {**compared, "sentence": str(comparison)}})
     _print_last(console, rows)
     _print_measurements(console, rows, everything=arguments.all)
-    style = {True: "green", False: "red", None: "yellow"}[comparison.same]
-    console.print(str(comparison), style=style)
+    console.print(str(comparison), style={True: "green", False: "red", None: "yellow"}[comparison.same])
     for one in comparison.others:
         console.print(str(one))
     if arguments.figures is not None:
@@ -249,11 +247,7 @@ def _resolution(found: Frf, window: str, apart_hz: float) -> list[str]:
 def _sine(console: Console, run: Run, arguments: argparse.Namespace) -> int:
     from impact_rig.analysis.drawings import sine_fits  # noqa: PLC0415  # heavy: after the run is open
     from impact_rig.runs import reanalysis  # noqa: PLC0415  # as above
-    from impact_rig.runs.wholes import (  # noqa: PLC0415  # as above
-        calibration_rows,
-        last_excerpt,
-        sines_of,  # as above
-    )
+    from impact_rig.runs.wholes import calibration_rows, last_excerpt, sines_of  # noqa: PLC0415  # as above
 
     _prepare(arguments, "sine")
     found = sines_of(run, last_excerpt(run, list(reanalysis.analyze(run))))

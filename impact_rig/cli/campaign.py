@@ -10,15 +10,15 @@ import json
 import time
 from pathlib import Path
 
-from impact_rig.campaign import paper, pool, run
-from impact_rig.campaign.job import Job
+from impact_rig.campaign import paper, run
+from impact_rig.campaign.job import Job, execute
 from impact_rig.campaign.plan import load_campaign
 from impact_rig.campaign.results import FILE_NAME
 from impact_rig.campaign.statements import Variation, Verdict, variations
 from impact_rig.campaign.store import Store
 from impact_rig.campaign.tasks import measure
-from impact_rig.cli.tasks import words
-from impact_rig.cli.terminal import Console, Counted, TextTable, add_json, subcommand, tell_json, tell_program
+from impact_rig.cli import tasks
+from impact_rig.cli.terminal import Console, Counted, TextTable, add_json, subcommand, tell_program, tell_results
 from impact_rig.errors import ConfigError
 
 WAYS = ("process", "ros", "dask")
@@ -30,7 +30,7 @@ SHOWN = 20  # failing points that are printed; all of them are in the CSV
 def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Register the subcommand."""
     parser = subcommand(
-        commands, "campaign", "measure all points of a campaign file; run again to resume",
+        commands, "campaign", _run, "measure all points of a campaign file; run again to resume",
         [
             ("campaign config/paper.yaml", "the whole paper, on all cores"),
             ("campaign config/paper.yaml --only curves --check", "its 60 points; exit code 1 if they are not right"),
@@ -55,11 +55,10 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
     parser.add_argument(
         "--check", action="store_true", help="exit with 1 if a point failed, or the result is not the paper's"
     )
-    parser.set_defaults(run=_run)
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    file, directory, way, address = words(arguments, "campaign", "campaign config/paper.yaml", WAYS)
+    file, directory, way, address = tasks.words(arguments, "campaign", "campaign config/paper.yaml", WAYS)
     overrides = {"daq.seed": arguments.seed, "daq.rate_hz": arguments.rate}
     campaign = load_campaign(file, {name: value for name, value in overrides.items() if value is not None})
     if arguments.only:
@@ -70,7 +69,13 @@ def _run(arguments: argparse.Namespace) -> int:
     console = Console(quiet=arguments.json)
     started = time.monotonic()
     jobs = run.unique_jobs(campaign.planned())
-    _measure(jobs, store, _runner(way, address, arguments, directory))
+    if way == "ros":
+        from impact_rig.client.apparatus import stepped_runner  # noqa: PLC0415  # needs rclpy
+
+        runner = stepped_runner(directory, record=arguments.record)
+    else:
+        runner = tasks.runner(execute, address, arguments.workers)
+    _measure(jobs, store, runner)
     for what in store.damaged:
         console.print(f"{what}; it was measured again", style="yellow")
     done = run.finished(campaign, directory)
@@ -81,33 +86,16 @@ def _run(arguments: argparse.Namespace) -> int:
     _print_margins(console, variations(done.points))
     _print_failed(console, done)
     console.print(f"{len(done.points)} points; figures for programs: {run.CSV_FILE}, summary.json")
-    if arguments.json:
-        tell_json(_content(done, directory))
-    else:
-        tell_program(directory)
+    tell_results(directory, _content(done), as_json=arguments.json)
     wanted = [verdict for verdict in verdicts if verdict.result is not None or not arguments.only]
     sound = close and not done.failed() and all(verdict.word == "pass" for verdict in wanted)
     return 1 if arguments.check and not sound else 0
 
 
-def _runner(way: str, address: str, arguments: argparse.Namespace, directory: Path) -> run.Runner:
-    if way == "ros":
-        from impact_rig.client.apparatus import stepped_runner  # noqa: PLC0415  # needs rclpy
-
-        return stepped_runner(directory, record=arguments.record)
-    if way == "dask":
-        from impact_rig.campaign.pool import dask_runner  # noqa: PLC0415  # needs dask
-
-        return dask_runner(address)
-    return lambda jobs: pool.run_parallel(jobs, arguments.workers)
-
-
-def _content(done: run.Finished, directory: Path) -> dict[str, object]:
+def _content(done: run.Finished) -> dict[str, object]:
     """Return what is printed, for programs: `summary.json`, and what it leaves to the CSV."""
-    summary = json.loads((directory / FILE_NAME).read_text(encoding="utf-8"))
     return {
-        "directory": str(directory),
-        **summary,
+        **json.loads((done.directory / FILE_NAME).read_text(encoding="utf-8")),
         "verdicts": [
             {"name": one.name, "statement": one.text, "verdict": one.word, "worth": one.kind.value, "found": one.detail}
             for one in done.verdicts()
@@ -214,7 +202,8 @@ def _print_failed(console: Console, done: run.Finished) -> None:
 def add_report(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Register `report`: the page of a campaign."""
     parser = subcommand(
-        commands, "report", "write a campaign's report: one HTML page, figures as PNG and SVG, numbers as JSON",
+        commands, "report", _report,
+        "write a campaign's report: one HTML page, figures as PNG and SVG, numbers as JSON",
         [
             ("report runs/campaign_paper", "writes runs/campaign_paper/report.html"),
             ("report runs/campaign_paper --margins runs/campaign_margins", "with what the verdicts owe to constants"),
@@ -230,7 +219,6 @@ def add_report(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         "--branches", type=Path, metavar="DIR", nargs="+", default=(),
         help="of `impact-rig dynamics continue`: its stable and unstable motions, drawn beside what was measured",
     )  # fmt: skip
-    parser.set_defaults(run=_report)
 
 
 def _report(arguments: argparse.Namespace) -> int:

@@ -26,7 +26,7 @@ _POLARITY = {1: "right", 0: "no signal", -1: "reversed"}
 def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Register the subcommand."""
     parser = subcommand(
-        commands, "check", "validate a configuration file without starting anything",
+        commands, "check", _run, "validate a configuration file without starting anything",
         [
             ("check config/nominal.yaml", "names key, value, range and file of what is wrong"),
             ("check my_rig.yaml --instruments", "also puts a known sine into every channel"),
@@ -37,7 +37,6 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
     parser.add_argument(
         "--instruments", action="store_true", help="put a known sine into every channel: gain, phase, noise, polarity"
     )
-    parser.set_defaults(run=_run)
 
 
 def _run(arguments: argparse.Namespace) -> int:
@@ -50,8 +49,7 @@ def _run(arguments: argparse.Namespace) -> int:
     console = Console(quiet=arguments.json)
     console.print(
         f"{arguments.path}: valid; contact law {config.contact.law}, restitution nominal {law.restitution:g}, "
-        f"realised {law.realised_restitution():.4f}",
-        highlight=False,
+        f"realised {law.realised_restitution():.4f}"
     )
     checks = check_known_input(config) if arguments.instruments else []
     if arguments.json:

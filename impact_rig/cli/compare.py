@@ -23,7 +23,7 @@ FAR_OFF = 2.0  # standard uncertainties from which a difference is marked
 def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Register the subcommand."""
     parser = subcommand(
-        commands, "compare", "a measurement and the model side by side, and the constants that would fit best",
+        commands, "compare", _run, "a measurement and the model side by side, and the constants that would fit best",
         [
             ("compare runs/mine --config my_rig.yaml", "the model of that rig, driven by the measured current"),
             ("compare runs/mine --drive base --figure build/mine", "driven by the measured base, and drawn"),
@@ -38,7 +38,6 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
     )
     parser.add_argument("--figure", type=Path, metavar="DIR", help="draw to DIR/comparison.png, .svg and .csv")
     parser.add_argument("--no-fit", action="store_true", help="look for no better constants")
-    parser.set_defaults(run=_run)
 
 
 def _run(arguments: argparse.Namespace) -> int:
@@ -92,12 +91,10 @@ def _content(found: Comparison) -> dict[str, object]:
 def _print(console: Console, found: Comparison) -> None:
     from impact_rig.cli.identify import print_identified  # noqa: PLC0415  # as above
 
-    table = TextTable(title=f"Measured, and the model driven by the measured {found.driven_by}")
-    for heading, side in (
-        ("gap [mm]", "right"), ("frequency [Hz]", "right"), ("DT measured", "right"), ("± 2u", "right"),
-        ("DT model", "right"), ("off [u]", "right"), ("phase off [u]", "right"), ("", "left"),
-    ):  # fmt: skip
-        table.add_column(heading, justify=side)
+    table = TextTable(
+        f"Measured, and the model driven by the measured {found.driven_by}",
+        right=("gap [mm]", "frequency [Hz]", "DT measured", "± 2u", "DT model", "off [u]", "phase off [u]"), last=("",),
+    )  # fmt: skip
     for one in found.places:
         dt, phase = one.off("transmissibility"), one.off("phase")
         row = one.measured

@@ -19,12 +19,13 @@ from rich.progress import BarColumn, Progress, TaskID, TimeElapsedColumn
 from impact_rig import topics
 from impact_rig.analysis.calibration import Calibration
 from impact_rig.campaign import paper
+from impact_rig.campaign.axes import case_of, gap_values
 from impact_rig.campaign.job import Job
 from impact_rig.campaign.paper import Reductions
 from impact_rig.campaign.results import FILE_NAME, Statement, write_summary
-from impact_rig.cli.terminal import Console, Steps, TextTable, Words, add_json, subcommand, tell_json, tell_program
+from impact_rig.cli.terminal import Console, Steps, TextTable, Words, add_json, subcommand, tell_results
 from impact_rig.errors import ImpactRigError
-from impact_rig.operate.stepped_sine import Direction, SteppedSine
+from impact_rig.operate.stepped_sine import SteppedSine
 from impact_rig.recording import open_run
 from impact_rig.report.dt import draw_reductions
 from impact_rig.rig.config import RigConfig, from_flat
@@ -50,23 +51,14 @@ class Case:
         """Name of the run's directory."""
         return f"gap_{self.gap_m * 1e3:g}mm" if self.gap_m else "no_sphere"
 
-    @property
-    def label(self) -> str:
-        """Name for people."""
-        return f"gap {self.gap_m * 1e3:g} mm" if self.gap_m else "no sphere"
-
     def job(self, config: RigConfig) -> Job:
         """Return what is measured, on a rig of this configuration."""
-        sphere = {"sphere.present": True, "barriers.gap_m": self.gap_m} if self.gap_m else {"sphere.present": False}
         return Job(
-            changes=not_default(from_flat(config, sphere)),
-            analysis={},
+            changes=not_default(from_flat(config, gap_values(self.gap_m))),
             gap_m=self.gap_m,
             frequencies_hz=(paper.FREQUENCY_HZ,),
-            direction=Direction.UP,
             current_a=paper.CURRENT_A,
             repetitions=MEASUREMENTS,
-            traces=False,
         )
 
 
@@ -76,7 +68,7 @@ CASES = (Case(0.0), *(Case(gap) for gap in paper.REDUCTION_PERCENT))
 def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Register the subcommand."""
     parser = subcommand(
-        commands, "demo", "measure the paper's five reductions through the topics",
+        commands, "demo", run, "measure the paper's five reductions through the topics",
         [
             ("demo", "three processes, six runs recorded below runs/, a table and a figure"),
             ("demo --rate 50000 --seed 7 --output runs/fast", "other instruments, read faster"),
@@ -89,7 +81,6 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
     )
     parser.add_argument("--rate", type=int, default=10_000, metavar="HZ", help="scans per second (default: 10000)")
     parser.add_argument("--seed", type=int, default=1, help="seed of noise and calibration errors (default: 1)")
-    parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -112,11 +103,16 @@ def run(arguments: argparse.Namespace) -> int:
     started = time.monotonic()
     rows = _measure(config, directory)
     wall_s = time.monotonic() - started
+
+    from impact_rig.physics.prediction import transmissibility  # noqa: PLC0415  # compiles nothing, but loads SciPy
+
     runs = [info(directory / case.name) for case in CASES]
     lost = sum(_lost_blocks(run) for run in runs)
     simulated_s = sum(_scanned_s(run) for run in runs)
-    reductions = Reductions.of(rows, _calibration(directory / CASES[0].name))
-    closed_form = _closed_form(config)
+    with open_run(directory / CASES[0].name) as recorded:
+        calibration = Calibration.from_info(next(recorded.tables(topics.INFO.name)).rows)  # the certificate, published
+    reductions = Reductions.of(rows, calibration)
+    closed_form = float(abs(transmissibility(config, paper.FREQUENCY_HZ)))
     statements = {
         "dt_no_sphere_agrees_with_closed_form": _judge(abs(reductions.dt_no_sphere / closed_form - 1.0), LINEAR_LIMIT),
         "reductions_within_3_points": _judge(reductions.max_abs_error(), POINTS_LIMIT),
@@ -136,11 +132,8 @@ def run(arguments: argparse.Namespace) -> int:
     console.print(
         f"figure: reductions.png, figures for programs: summary.json, runs: {', '.join(c.name for c in CASES)}"
     )
-    if arguments.json:
-        summary = json.loads((directory / FILE_NAME).read_text(encoding="utf-8"))
-        tell_json({"directory": str(directory), "runs": [case.name for case in CASES], **summary})
-    else:
-        tell_program(directory)
+    summary = json.loads((directory / FILE_NAME).read_text(encoding="utf-8"))
+    tell_results(directory, {"runs": [case.name for case in CASES], **summary}, as_json=arguments.json)
     return 1 if failed else 0
 
 
@@ -148,14 +141,13 @@ def _measure(config: RigConfig, directory: Path) -> dict[float, NDArray[np.void]
     """Return the settled measurements by gap; every case is recorded in a directory of its name."""
     from impact_rig.client.apparatus import freewheel_runner  # noqa: PLC0415  # needs rclpy
 
-    jobs = {case.job(config).key: case for case in CASES}
     rows: dict[float, NDArray[np.void]] = {}
     with Screen() as screen:
-        runner = freewheel_runner(directory, config, lambda job: jobs[job.key].name, screen.show)
+        runner = freewheel_runner(directory, config, lambda job: Case(job.gap_m).name, screen.show)
         with contextlib.closing(runner([case.job(config) for case in CASES])) as done:
             for job, outcome in done:
                 if outcome.failure:
-                    raise ImpactRigError(f"{jobs[job.key].label}: {outcome.failure}")
+                    raise ImpactRigError(f"{case_of(job.gap_m)}: {outcome.failure}")
                 rows[job.gap_m] = outcome.rows
         screen.done()
     return rows
@@ -168,9 +160,8 @@ class Screen:
         console = Console(stderr=True)
         self._plain = not console.is_terminal
         words, state = Words("{task.description:<12}"), Words("{task.fields[state]:<36}")
-        self._progress = Progress(
-            words, BarColumn(24), state, TimeElapsedColumn(), console=console, disable=self._plain
-        )
+        columns = (words, BarColumn(24), state, TimeElapsedColumn())
+        self._progress = Progress(*columns, console=console, disable=self._plain)
         self._starting = self._progress.add_task("processes", total=None, state="starting")
         self._tasks: dict[float, TaskID] = {}
         self._lines: dict[float, Steps] = {}
@@ -186,7 +177,7 @@ class Screen:
         """Show where a job stands."""
         if sweep is None:
             self._progress.update(self._starting, total=1, completed=1, state="running")
-            label = Case(job.gap_m).label
+            label = case_of(job.gap_m)
             self._tasks[job.gap_m] = self._progress.add_task(label, total=MEASUREMENTS, state="preparing")
             self._lines[job.gap_m] = Steps(label, MEASUREMENTS)
             if self._plain:
@@ -201,18 +192,6 @@ class Screen:
     def done(self) -> None:
         """Show that everything is measured."""
         self._progress.update(self._starting, state="done")
-
-
-def _calibration(run: Path) -> Calibration:
-    """Return what the certificate says that the rig published."""
-    with open_run(run) as recorded:
-        return Calibration.from_info(next(recorded.tables(topics.INFO.name)).rows)
-
-
-def _closed_form(config: RigConfig) -> float:
-    from impact_rig.physics.prediction import transmissibility  # noqa: PLC0415  # compiles nothing, but loads SciPy
-
-    return float(abs(transmissibility(config, paper.FREQUENCY_HZ)))
 
 
 def _judge(value: float, limit: float) -> Statement:

@@ -10,13 +10,15 @@ import json
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import TypeVar
 
+import attrs
 import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig.analysis.scans import CHANNELS
 from impact_rig.campaign.axes import NO_SPHERE
-from impact_rig.cli.terminal import Console, add_json, subcommand, tell_json, tell_program
+from impact_rig.cli.terminal import Console, add_json, subcommand, tell_results
 from impact_rig.errors import CommandError, ConfigError, ImpactRigError
 from impact_rig.operate.hardware import Hardware
 from impact_rig.rig import Rig
@@ -26,13 +28,14 @@ from impact_rig.system.endings import unhurried
 
 PROCESS, ROS, RUNNING = WAYS = ("process", "ros", "running")
 RATE_HZ, FAST_HZ = 2_000, 10_000  # of samples and scans where nothing else is asked: what 200 Hz and what a shock needs
+P = TypeVar("P", bound=attrs.AttrsInstance)
 Work = Callable[[Hardware], Iterator[object]]  # drives the rig, and yields what it has reached, again and again
 
 
 def add_play(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Register `play`."""
     parser = subcommand(
-        commands, "play", "drive the rig with a signal of a file, or of a run",
+        commands, "play", _play, "drive the rig with a signal of a file, or of a run",
         [
             ("play road.csv --signal drive --scale 0.5", "half of a column, resampled to the rig's rate"),
             ("play runs/demo/gap_6mm --seconds 30", "the current that a recorded run measured"),
@@ -43,7 +46,6 @@ def add_play(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
     parser.add_argument("--seconds", type=float, metavar="S", help="no more than this")
     parser.add_argument("--clip", type=float, metavar="A", help="clip samples there (default: too large ones end it)")
     _add_words(parser, "play", FAST_HZ)
-    parser.set_defaults(run=_play)
 
 
 def add_frf(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -52,7 +54,7 @@ def add_frf(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> No
 
     default = Excitation()
     parser = subcommand(
-        commands, "frf", "drive the rig at random or by a chirp and measure its frequency response",
+        commands, "frf", _frf, "drive the rig at random or by a chirp and measure its frequency response",
         [
             ("frf --gap none", "base over current, by bursts of noise"),
             ("frf --channel laser --reference base --kind chirp", "structure over base"),
@@ -72,7 +74,6 @@ def add_frf(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> No
             help=f"{text} (default: {value})",
         )  # fmt: skip
     _add_words(parser, "frf", RATE_HZ)
-    parser.set_defaults(run=_frf)
 
 
 def add_kinds(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -167,30 +168,34 @@ def _frf(arguments: argparse.Namespace) -> int:
 SI = {"accelerometer": "(m/s²)", "laser": "m", "base": "m", "current": "A"}
 
 
-def _random(arguments: argparse.Namespace) -> int:
+def _plan(arguments: argparse.Namespace, kind: type[P]) -> P:
+    """Return the plan of a kind in the file that is asked for, else the default one."""
     from impact_rig.studies.excitation.files import load as load_plan  # noqa: PLC0415  # scipy
-    from impact_rig.studies.excitation.random import RandomPlan, control  # noqa: PLC0415
 
-    plan = load_plan(arguments.plan, RandomPlan) if arguments.plan else RandomPlan()
+    return load_plan(arguments.plan, kind) if arguments.plan else kind()
+
+
+def _random(arguments: argparse.Namespace) -> int:
+    from impact_rig.studies.excitation.random import RandomPlan, control  # noqa: PLC0415  # scipy
+
+    plan = _plan(arguments, RandomPlan)
     title = f"Random control: {plan.response.replace('_', ' ')}"
     return _drive(arguments, title, plan.response.unit, lambda rig: control(rig, plan))
 
 
 def _replicate(arguments: argparse.Namespace) -> int:
-    from impact_rig.studies.excitation.files import load as load_plan  # noqa: PLC0415  # scipy
-    from impact_rig.studies.excitation.history import ReplicatePlan, replicate  # noqa: PLC0415
+    from impact_rig.studies.excitation.history import ReplicatePlan, replicate  # noqa: PLC0415  # scipy
 
-    plan = load_plan(arguments.plan, ReplicatePlan) if arguments.plan else ReplicatePlan()
+    plan = _plan(arguments, ReplicatePlan)
     asked = _history(arguments, plan.response.unit, plan.response.channel)
     title = f"Replicated: {plan.response.replace('_', ' ')} of {arguments.file.name}"
     return _drive(arguments, title, plan.response.unit, lambda rig: replicate(rig, asked, plan))
 
 
 def _shock(arguments: argparse.Namespace) -> int:
-    from impact_rig.studies.excitation.files import load as load_plan  # noqa: PLC0415  # scipy
-    from impact_rig.studies.excitation.shock import Pulse, shock  # noqa: PLC0415
+    from impact_rig.studies.excitation.shock import Pulse, shock  # noqa: PLC0415  # scipy
 
-    pulse = load_plan(arguments.plan, Pulse) if arguments.plan else Pulse()
+    pulse = _plan(arguments, Pulse)
     title = f"Shock: half sine of {pulse.peak:g} m/s², {1e3 * pulse.duration_s:g} ms"
     return _drive(arguments, title, "m", lambda rig: shock(rig, pulse))
 
@@ -247,10 +252,7 @@ def _drive(arguments: argparse.Namespace, title: str, unit: str, work: Work) -> 
         files.write_text(page, document(title, about, told, early))
         for sentence in [title, *told.sentences, *([f"ended early: {early}"] if early else [])]:
             console.print(sentence)
-        if arguments.json:
-            tell_json({"directory": str(directory), **figures})
-        else:
-            tell_program(directory)
+        tell_results(directory, figures, as_json=arguments.json)
         if interrupted:
             raise interrupted
     return 1 if early else 0

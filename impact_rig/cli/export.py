@@ -26,7 +26,7 @@ FORMATS = ("csv", "npz", "parquet", "uff")
 def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Register the subcommand."""
     parser = subcommand(
-        commands, "export", "write a table topic, a campaign or a map as .csv, .npz, .parquet or .uff",
+        commands, "export", _run, "write a table topic, a campaign or a map as .csv, .npz, .parquet or .uff",
         [
             ("export runs/demo/gap_6mm transmissibility/table dt.csv", "what was measured"),
             ("export runs/demo/gap_6mm daq/scan scans.npz", "every scan, for NumPy"),
@@ -37,18 +37,18 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
     parser.add_argument("topic", help="e.g. transmissibility/table; points: of a campaign or a map")
     parser.add_argument("target", type=Path, metavar="FILE", help="its suffix chooses the format")
     parser.add_argument("--format", choices=FORMATS, help="instead of a suffix, which is then appended")
-    parser.set_defaults(run=_run)
 
 
 def _run(arguments: argparse.Namespace) -> int:
     path, target = arguments.path, arguments.target
     if arguments.format and target.suffix != f".{arguments.format}":
         target = target.with_name(f"{target.name}.{arguments.format}")
-    if maps.store(path).file.exists():
-        _need_points(arguments.topic)
+    is_map = maps.store(path).file.exists()
+    if (is_map or (path / CAMPAIGN_FILE).exists()) and arguments.topic != "points":
+        raise ConfigError(f"of a campaign or a map there are points, got {arguments.topic!r}")
+    if is_map:
         written = write_columns(lambda: iter([_columns(*maps.table(maps.open_map(path)))]), target)
     elif (path / CAMPAIGN_FILE).exists():
-        _need_points(arguments.topic)
         points = open_finished(path).points
         columns = _columns(*table(points))
         if target.suffix == ".uff":
@@ -59,11 +59,6 @@ def _run(arguments: argparse.Namespace) -> int:
             written = export(run, arguments.topic, target)
     Console().print(str(written))
     return 0
-
-
-def _need_points(topic: str) -> None:
-    if topic != "points":
-        raise ConfigError(f"of a campaign or a map there are points, got {topic!r}")
 
 
 def _columns(names: Sequence[str], rows: Sequence[Sequence[object]]) -> dict[str, NDArray[np.generic]]:

@@ -7,7 +7,6 @@ from __future__ import annotations
 import argparse
 import json
 import math
-from collections.abc import Sequence
 from pathlib import Path
 
 from impact_rig.analysis.decay import REASONS, fit_decay, log_decrement
@@ -38,7 +37,7 @@ JSON_FILE, CONFIGURATION_FILE = "identification.json", "identified.yaml"
 def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Register the subcommand."""
     parser = subcommand(
-        commands, "identify", "constants of the rig from measured runs, and what they cannot tell",
+        commands, "identify", _run, "constants of the rig from measured runs, and what they cannot tell",
         [
             ("identify runs/campaign_paper", "from its curves, its reductions and a free decay"),
             ("identify --paper", "what the paper's own numbers determine"),
@@ -64,7 +63,6 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
     )  # fmt: skip
     parser.add_argument("--paper", action="store_true", help="instead: fit the default rig to the paper's numbers")
     parser.add_argument("--config", type=Path, metavar="FILE", help="with --paper: what is taken as known")
-    parser.set_defaults(run=_run)
 
 
 def _run(arguments: argparse.Namespace) -> int:
@@ -73,7 +71,7 @@ def _run(arguments: argparse.Namespace) -> int:
         base = load(arguments.config) if arguments.config else RigConfig()
         fits = []
         for free in (("f_n", "ζ"), ("f_n", "ζ", "I")):
-            fits.append(_fitted(console, base, free))
+            fits.append(paper_fit.fit_paper(base, free, lambda what: console.print(f"{what} ...")))
             _print_paper(console, fits[-1], base)
         if arguments.json:
             tell_json([_paper_content(fit) for fit in fits])
@@ -91,7 +89,10 @@ def _run(arguments: argparse.Namespace) -> int:
     if not found.consistent:
         console.print(f"no {CONFIGURATION_FILE} is written", style="red")
     content = identified_content(found)
-    _write(arguments.directory, found, content)
+    text = json.dumps(content, indent=2, ensure_ascii=False)
+    files.write_text(arguments.directory / JSON_FILE, f"{text}\n")
+    if found.consistent and all(map(found.information.determined, NAMES)):
+        files.write_text(arguments.directory / CONFIGURATION_FILE, dump(found.config))
     if arguments.json:
         tell_json(content)
     else:
@@ -132,16 +133,12 @@ def _measured(done: run.Finished, arguments: argparse.Namespace, console: Consol
             at_hz = max(counts, key=lambda f: counts[f], default=FREQUENCY_HZ)
         reduced = reduced_of(curves, at_hz, gaps, gains)
         console.print(f"reductions at {at_hz:g} Hz: {len(reduced.ratio) if reduced else 0} gaps")
-    return Measured(
-        gains=gains, decay=decay, sine=sine, reduced=reduced, u_restitution=arguments.e_uncertainty
-    )  # fmt: skip
+    return Measured(gains=gains, decay=decay, sine=sine, reduced=reduced, u_restitution=arguments.e_uncertainty)
 
 
 def print_identified(console: Console, found: Identified) -> None:
     """Print constants, what is not used, and whether data and model go together."""
-    table = TextTable(title="Constants of the rig")
-    for heading, side in (("constant", "left"), ("value", "right"), ("± 2u", "right"), ("unit", "left"), ("", "left")):
-        table.add_column(heading, justify=side)
+    table = TextTable("Constants of the rig", left=("constant",), right=("value", "± 2u"), last=("unit", ""))
     for name, unit in zip(NAMES, UNITS, strict=True):
         if found.information.determined(name):
             table.add_row(name, f"{found.value(name):.7g}", f"{2 * found.u(name):.2g}", unit, "")
@@ -169,26 +166,17 @@ def print_identified(console: Console, found: Identified) -> None:
 
 
 def _print_combinations(console: Console, information: Information) -> None:
-    table = TextTable(title="Independent combinations, best known first")
-    for heading in ("product of powers", "relative u"):
-        table.add_column(heading)
+    table = TextTable("Independent combinations, best known first", left=("product of powers", "relative u"))
     for one in information.combinations:
         known = f"{100 * one.u_relative:.2g} %" if one.determined else "not determined"
         table.add_row(one.text, known, style=None if one.determined else "bright_black")
     console.print(table)
 
 
-def _fitted(console: Console, base: RigConfig, free: Sequence[str]) -> paper_fit.PaperFit:
-    return paper_fit.fit_paper(base, free, lambda what: console.print(f"{what} ..."))
-
-
 def _print_paper(console: Console, fit: paper_fit.PaperFit, base: RigConfig) -> None:
-    shipped = {
-        "f_n": base.structure.natural_frequency_hz, "ζ": base.structure.damping_ratio, "I": CURRENT_A,
-    }  # fmt: skip
-    table = TextTable(title=f"{', '.join(fit.fitted)} fitted to the paper's reductions")
-    for heading in ("", "fit", "± u", "in the configuration"):
-        table.add_column(heading, justify="right")
+    shipped = {"f_n": base.structure.natural_frequency_hz, "ζ": base.structure.damping_ratio, "I": CURRENT_A}
+    title = f"{', '.join(fit.fitted)} fitted to the paper's reductions"
+    table = TextTable(title, right=("", "fit", "± u", "in the configuration"))
     for name, value in fit.fitted.items():
         table.add_row(name, f"{value:.5g}", f"{fit.u[name]:.2g}", f"{shipped[name]:.5g}")
     console.print(table)
@@ -241,10 +229,3 @@ def identified_content(found: Identified) -> dict[str, object]:
         "chance": found.chance,
         "consistent": found.consistent,
     }
-
-
-def _write(directory: Path, found: Identified, content: dict[str, object]) -> None:
-    """Write the constants for programs, and as a configuration."""
-    files.write_text(directory / JSON_FILE, json.dumps(content, indent=2, ensure_ascii=False) + "\n")
-    if found.consistent and all(map(found.information.determined, NAMES)):
-        files.write_text(directory / CONFIGURATION_FILE, dump(found.config))

@@ -26,7 +26,8 @@ Row = dict[str, Any]
 def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Register the subcommand."""
     parser = subcommand(
-        commands, "interface", "topics, services and parameters as a document, or what breaks clients of another one",
+        commands, "interface", _run,
+        "topics, services and parameters as a document, or what breaks clients of another one",
         [
             ("interface --json > interface.json", "types, qualities of service, columns, ranges, defaults"),
             ("interface --against older.json", "what breaks a client of that version, and what is merely new"),
@@ -35,7 +36,6 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
     )  # fmt: skip
     add_json(parser)
     parser.add_argument("--against", type=Path, metavar="FILE", help="document of another version, an earlier one")
-    parser.set_defaults(run=_run)
 
 
 def _run(arguments: argparse.Namespace) -> int:
@@ -105,7 +105,7 @@ def differences(old: Mapping[str, Any], new: Mapping[str, Any]) -> tuple[list[st
         for key in dict.fromkeys((*before[name], *row)):
             was, now = before[name].get(key), row.get(key)
             if was != now and key not in ("doc", "taken"):
-                bad = _BREAKS.get(key, _always)(was, now, row)
+                bad = key not in _BREAKS or _BREAKS[key](was, now, row)
                 (breaks if bad else other).append(f"{name}: {key} was {_shown(was)}, is {_shown(now)}")
     return breaks, other
 
@@ -134,10 +134,6 @@ def _shown(value: object) -> str:
     return "not said" if value is None else json.dumps(value, ensure_ascii=False)
 
 
-def _always(_was: object, _now: object, _row: Row) -> bool:
-    return True
-
-
 def _offers(less: str, more: str) -> Callable[[Any, Any, Row], bool]:
     """A quality of service breaks whoever asks for more than is offered (OMG DDS 1.4, 2.2.3: request and offer)."""
     return lambda _was, now, row: bool(now == (more if row["taken"] else less))
@@ -159,13 +155,10 @@ _BREAKS: dict[str, Callable[[Any, Any, Row], bool]] = {
     "durability": _offers("volatile", "transient local"),
     # who joins late gets fewer; how many wait for one who is slow, nobody can rely on
     "depth": lambda was, now, row: row.get("durability") == "transient local" and not row["taken"] and now < was,
-    "required": lambda _was, now, _: bool(now),
+    **dict.fromkeys(("required", "start_only"), lambda _was, now, _: bool(now)),
     "least": _reaches(-1.0),
     "most": _reaches(1.0),
-    "least_open": lambda _was, now, row: bool(row["taken"] and now),
-    "most_open": lambda _was, now, row: bool(row["taken"] and now),
-    "whole": lambda _was, now, row: bool(row["taken"] and now),
+    **dict.fromkeys(("least_open", "most_open", "whole"), lambda _was, now, row: bool(row["taken"] and now)),
     "choices": lambda was, now, _: now is not None and not set(was or ()) <= set(now),
-    "start_only": lambda _was, now, _: bool(now),
 }
 """Key of a row -> whether a change breaks a client (was, is, the row); any change of another key does."""

@@ -26,7 +26,7 @@ FOUND = "?"
 def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Register the subcommand."""
     parser = subcommand(
-        commands, "lab", "see the rig move and turn its knobs, live, in a browser",
+        commands, "lab", run, "see the rig move and turn its knobs, live, in a browser",
         [
             ("lab", "starts a rig and opens its page"),
             ("lab --sample", "plays back a short run; needs no ROS 2"),
@@ -57,7 +57,6 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
     parser.add_argument(
         "--record-directory", type=Path, default=Path("runs"), help="where run directories are made (default: runs)"
     )
-    parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -108,7 +107,11 @@ def _source(arguments: argparse.Namespace, stack: contextlib.ExitStack) -> Any:
     if arguments.runs or arguments.sample:
         from impact_rig.lab.playback import PlaybackSource  # noqa: PLC0415
 
-        return PlaybackSource(arguments.runs or [_sample()])
+        if not arguments.runs:
+            from impact_rig.runs.in_process import make_sample  # noqa: PLC0415
+
+            arguments.runs = [make_sample(SAMPLE)]
+        return PlaybackSource(arguments.runs)
     from impact_rig.lab.live import LiveSource, domain_id  # noqa: PLC0415
 
     domain = domain_id()
@@ -157,9 +160,3 @@ def node_parameters(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
         "analysis": {"gap_m": 0.006},
         "recorder": {"directory": str(arguments.record_directory.resolve()), "record": not arguments.no_record},
     }
-
-
-def _sample() -> Path:
-    from impact_rig.runs.in_process import make_sample  # noqa: PLC0415
-
-    return make_sample(SAMPLE)

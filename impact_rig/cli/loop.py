@@ -36,7 +36,8 @@ SHOWN = 12  # looks of a lock that are printed; all of them are in the CSV
 def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Register the subcommand."""
     parser = subcommand(
-        commands, "loop", "closed-loop tests: hold an amplitude, lock a resonance, control random, replicate, shock",
+        commands, "loop", _run,
+        "closed-loop tests: hold an amplitude, lock a resonance, control random, replicate, shock",
         [
             ("loop hold base 6e-5 --frequencies 8.8 9.1 9.4", "the base at 60 µm, at three frequencies"),
             ("loop lock --gap none", "search the resonance without a sphere, and stay there"),
@@ -71,8 +72,6 @@ def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
         add_rig(one)
         add_json(one)
         one.add_argument("--output", type=Path, metavar="FILE", help="write everything as CSV; never over a file")
-    for one in (holding, locking, climbing):
-        one.set_defaults(run=_run)
     add_kinds(kinds)
 
 
@@ -87,19 +86,18 @@ def _run(arguments: argparse.Namespace) -> int:
 def _hold(arguments: argparse.Namespace, config: RigConfig, gap: float, console: Console) -> int:
     job = Job(
         changes=differences(config),
-        analysis={},
         gap_m=gap,
         frequencies_hz=tuple(arguments.frequencies),
         direction=Direction(arguments.direction),
         current_a=arguments.current,
         repetitions=arguments.measurements,
-        traces=False,
     )
     plan = HoldPlan(hold=arguments.what, target=arguments.target, tolerance=arguments.tolerance)
     found = _held(arguments.through, job, plan)
-    table = TextTable(title=f"{arguments.what} held at {arguments.target:g}")
-    for heading in ("f [Hz]", "DT", "± 2u", "base [µm]", "superior [mm]", "current [A]", "error [%]", "", "regime"):
-        table.add_column(heading, justify="right")
+    table = TextTable(
+        f"{arguments.what} held at {arguments.target:g}",
+        right=("f [Hz]", "DT", "± 2u", "base [µm]", "superior [mm]", "current [A]", "error [%]", "", "regime"),
+    )
     for row in found.rows:
         table.add_row(
             f"{row['frequency']:g}", f"{row['transmissibility']:.3f}", f"{2 * row['transmissibility_uncertainty']:.3f}",
@@ -131,9 +129,10 @@ def _lock(arguments: argparse.Namespace, config: RigConfig, _gap: float, console
     )
     with _apparatus(arguments.through, config) as apparatus:
         lock = lock_on(plan, apparatus)
-    table = TextTable(title=f"Superior base against {arguments.reference}, −90° sought")
-    for heading in ("t [s]", "f [Hz]", "phase [°]", "DT", "superior [mm]", "locked"):
-        table.add_column(heading, justify="right")
+    table = TextTable(
+        f"Superior base against {arguments.reference}, −90° sought",
+        right=("t [s]", "f [Hz]", "phase [°]", "DT", "superior [mm]", "locked"),
+    )
     for row in lock.rows[:: max(1, len(lock.rows) // SHOWN)]:
         table.add_row(
             f"{row['time']:.1f}", f"{row['frequency']:.4f}", f"{math.degrees(row['phase']):.2f}",
@@ -166,9 +165,8 @@ def _backbone(arguments: argparse.Namespace, config: RigConfig, gap: float, cons
     plan = LockPlan(start_hz=arguments.start, current_a=currents[0], reference=arguments.reference)
     with _apparatus(arguments.through, config) as apparatus:
         rungs, why = climb(Ladder(currents_a=currents, lock=plan), apparatus)
-    table = TextTable(title="Backbone")
-    for heading in ("", "I [A]", "f [Hz]", "± 2u", "DT", "± 2u", "superior [mm]", "g/X", "phase [°]", ""):
-        table.add_column(heading, justify="right")
+    headings = ("", "I [A]", "f [Hz]", "± 2u", "DT", "± 2u", "superior [mm]", "g/X", "phase [°]", "")
+    table = TextTable("Backbone", right=headings)
     for one in rungs:
         words = [*(["not locked"] if not one.locked else []), *(["JUMP"] if one.jumped else [])]
         table.add_row(

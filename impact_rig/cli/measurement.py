@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 def add_import(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Register the subcommand."""
     parser = subcommand(
-        commands, "import", "make a run of a measurement of your own rig, or a campaign of several",
+        commands, "import", _import, "make a run of a measurement of your own rig, or a campaign of several",
         [
             ("import test.csv --output runs/mine --dry-run", "shows what it takes the columns for, and writes nothing"),
             ("import test.csv --output runs/mine --channel laser=ai0 mm --gap 6", "column ai0 is the laser, in mm"),
@@ -55,7 +55,6 @@ def add_import(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     parser.add_argument("--note", action="append", default=[], metavar="TEXT", help="remark to keep with the run")
     parser.add_argument("--campaign", action="store_true", help="one campaign, which report and identify take")
     parser.add_argument("--config", type=Path, metavar="FILE", help="with --campaign: what is known of the rig")
-    parser.set_defaults(run=_import)
 
 
 def _import(arguments: argparse.Namespace) -> int:
@@ -148,12 +147,8 @@ def _content(found: Measurement) -> dict[str, object]:
 def _print(console: Console, found: Measurement) -> None:
     """Print what the signals of a file are taken for."""
     used = {one.column: name for name, one in found.mapping.channels.items()}
-    table = TextTable(title=f"{found.source.path}: {found.source.kind}")
-    for heading, side in (
-        ("signal", "left"), ("unit", "left"), ("channel", "left"), ("least", "right"), ("largest", "right"),
-        ("", "left"),
-    ):  # fmt: skip
-        table.add_column(heading, justify=side)
+    title = f"{found.source.path}: {found.source.kind}"
+    table = TextTable(title, left=("signal", "unit", "channel"), right=("least", "largest"), last=("",))
     for name, one in found.source.signals.items():
         channel = used.get(name)
         if channel is None:

@@ -15,7 +15,7 @@ import numpy as np
 
 from impact_rig.campaign.tasks import Row, Runner, Store
 from impact_rig.cli import tasks
-from impact_rig.cli.terminal import Console, TextTable, subcommand, tell_json, tell_program
+from impact_rig.cli.terminal import Console, TextTable, subcommand, tell_results
 from impact_rig.errors import ConfigError
 from impact_rig.maps import optimum, run
 from impact_rig.maps.measure import FAILED
@@ -37,7 +37,7 @@ MOST_ROWS = 40
 def add_map(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Register the subcommand."""
     parser = subcommand(
-        commands, "map", "map DT and regimes over two or three parameters; run again to resume",
+        commands, "map", _map, "map DT and regimes over two or three parameters; run again to resume",
         [
             ("map config/maps/gap_frequency.yaml", "on all cores; draws the map beside its table"),
             ("map my_map.yaml --through dask tcp://host:8786", "on a Dask cluster"),
@@ -50,7 +50,6 @@ def add_map(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> No
         "--exponent", action="store_true", help="measure the largest exponent of every motion that does not repeat"
     )
     tasks.add_words(parser, "map")
-    parser.set_defaults(run=_map)
 
 
 def _map(arguments: argparse.Namespace) -> int:
@@ -81,10 +80,7 @@ def _map(arguments: argparse.Namespace) -> int:
         for drawn in heat_maps(done):
             drawn.save(folder)
     console.print(f"{plan.points} points on the mechanics, {measured} of them now; {run.CSV_FILE}, {run.JSON_FILE}")
-    if arguments.json:
-        tell_json({"directory": str(directory), "points": plan.points, **more})
-    else:
-        tell_program(directory)
+    tell_results(directory, {"points": plan.points, **more}, as_json=arguments.json)
     return 0
 
 
@@ -126,7 +122,7 @@ def _print_optimum(console: Console, best: optimum.Optimum) -> None:
 def add_dynamics(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Register the subcommand."""
     parser = subcommand(
-        commands, "dynamics", "sections, bifurcations, basins, orbits, branches and exponents of the model",
+        commands, "dynamics", _dynamics, "sections, bifurcations, basins, orbits, branches and exponents of the model",
         [
             ("dynamics continue config/dynamics/nominal.yaml", "stable and unstable motions over the gap, with folds"),
             ("dynamics basin config/dynamics/two_motions.yaml", "which start of the sphere leads where"),
@@ -136,7 +132,6 @@ def add_dynamics(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("kind", choices=plans.KINDS, help="of study: a section of the file")
     parser.add_argument("file", nargs="?", type=Path, metavar="FILE", help="e.g. config/dynamics/nominal.yaml")
     tasks.add_words(parser, "dynamics")
-    parser.set_defaults(run=_dynamics)
 
 
 def _dynamics(arguments: argparse.Namespace) -> int:
@@ -164,10 +159,7 @@ def _dynamics(arguments: argparse.Namespace) -> int:
         drawn(plan, found).save(tasks.figures_folder(directory))
     _show(console, plan, rows)
     console.print(f"{len(rows)} rows on the mechanics; {kind}.csv, {kind}.json")
-    if arguments.json:
-        tell_json({"directory": str(directory), **told})
-    else:
-        tell_program(directory)
+    tell_results(directory, told, as_json=arguments.json)
     return 0
 
 
@@ -209,9 +201,7 @@ def _show(console: Console, plan: Plan, rows: list[Row]) -> None:
         console.print(f"{100.0 * share:.2f} % lead to: {name}")
     if plan.kind not in SHOWN:
         return
-    table = TextTable()
-    for name in SHOWN[plan.kind]:
-        table.add_column(name.replace("_", " "), justify="right")
+    table = TextTable(right=[name.replace("_", " ") for name in SHOWN[plan.kind]])
     for row in _named(plan, _told(plan, rows)[:MOST_ROWS], SHOWN[plan.kind]):
         table.add_row(*(f"{cell:.5g}" if isinstance(cell, float) else str(cell or "-") for cell in row.values()))
     console.print(table)

@@ -22,7 +22,7 @@ from impact_rig.simtime import NS_PER_S
 def add_info(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Register the subcommand."""
     parser = subcommand(
-        commands, "info", "what a run holds and whether it is whole",
+        commands, "info", _info, "what a run holds and whether it is whole",
         [
             ("info runs/demo/gap_6mm", "verdict, duration, topics"),
             ("info runs/demo/gap_6mm --json", "the same for a script"),
@@ -31,7 +31,6 @@ def add_info(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
     )  # fmt: skip
     add_json(parser)
     parser.add_argument("path", type=Path, metavar="RUN", help="run directory or .mcap file")
-    parser.set_defaults(run=_info)
 
 
 def _info(arguments: argparse.Namespace) -> int:
@@ -46,7 +45,7 @@ def _info(arguments: argparse.Namespace) -> int:
     size = sum(size for _, size in found.files)
     console.print(f"{found.duration_s:.3f} s of rig time, files: {len(found.files)}, {size / 1e6:.2f} MB")
     if found.recovered is not None:
-        console.print(f"recovered from {found.recovered.source}", highlight=False)
+        console.print(f"recovered from {found.recovered.source}")
     for key, value in found.provenance.items():
         console.print(f"{key}: {value}")
     table = TextTable(left=("topic", "type"), right=("messages", "per s", "kB"))
@@ -83,13 +82,12 @@ def _info_content(found: RunInfo) -> dict[str, object]:
 def add_verify(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Register the subcommand."""
     parser = subcommand(
-        commands, "verify", "re-simulate a run from its journal and compare all that the rig published",
+        commands, "verify", _verify, "re-simulate a run from its journal and compare all that the rig published",
         [("verify runs/demo/gap_6mm", "says `identical`, or names the first difference; then topic by topic")],
         "Exit code 0: identical; 1: different, or not verifiable.",
     )  # fmt: skip
     parser.add_argument("path", type=Path, metavar="RUN", help="run directory or .mcap file")
     add_json(parser)
-    parser.set_defaults(run=_verify)
 
 
 def _verify(arguments: argparse.Namespace) -> int:
@@ -115,7 +113,7 @@ LISTED = 20  # places that are shown one by one
 def add_recover(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Register the subcommand."""
     parser = subcommand(
-        commands, "recover", "save every whole chunk of a damaged or unfinished run",
+        commands, "recover", _recover, "save every whole chunk of a damaged or unfinished run",
         [("recover runs/killed runs/saved", "writes what is whole to a new run, and says what is missing")],
         f"Exit code 0: all that was found is whole; {INCOMPLETE}: something is missing; 1: nothing was saved.",
     )  # fmt: skip
@@ -127,7 +125,6 @@ def add_recover(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
         action="store_true",
         help="also take chunks without a checksum, as rosbag2 writes them: nobody can tell whether they are right",
     )
-    parser.set_defaults(run=_recover)
 
 
 def _recover(arguments: argparse.Namespace) -> int:
@@ -199,7 +196,7 @@ FASTEST = "max"
 def add_replay(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Register the subcommand."""
     parser = subcommand(
-        commands, "replay", "publish a run onto the graph again, with /clock",
+        commands, "replay", _replay, "publish a run onto the graph again, with /clock",
         [
             ("replay runs/demo/gap_6mm", "in real time"),
             ("replay runs/demo/gap_6mm --rate max --peers analysis", "as fast as the analysis follows"),
@@ -216,7 +213,6 @@ def add_replay(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     parser.add_argument(
         "--delay", type=float, default=1.0, metavar="S", help="wait this long for subscribers to be found (default: 1)"
     )
-    parser.set_defaults(run=_replay)
 
 
 def _replay(arguments: argparse.Namespace) -> int:
@@ -231,15 +227,12 @@ def _play(opened: Run, arguments: argparse.Namespace) -> int:
     except ImportError as error:
         raise ImpactRigError(f"replay needs ROS 2: {error}") from error
     console = Console(stderr=True)
-    with on_graph("player") as (node, spin), _shown(console) as progress:
+    word, times = Words("{task.fields[state]:<8}"), Words("{task.completed:.1f} of {task.total:.1f} s")
+    bar = Progress(word, BarColumn(24), times, TimeRemainingColumn(), console=console, disable=not console.is_terminal)
+    with on_graph("player") as (node, spin), bar as progress:
+        factor = None if math.isinf(arguments.rate) else arguments.rate
         player = Player(
-            opened,
-            node,
-            spin,
-            factor=None if math.isinf(arguments.rate) else arguments.rate,
-            peers=arguments.peers,
-            chosen=arguments.topics,
-            paused=arguments.paused,
+            opened, node, spin, factor=factor, peers=arguments.peers, chosen=arguments.topics, paused=arguments.paused
         )
         spin(arguments.delay)
         total = (player.end_ns - player.start_ns) / NS_PER_S
@@ -255,17 +248,6 @@ def _play(opened: Run, arguments: argparse.Namespace) -> int:
             if not arguments.loop:
                 player.finish()
                 return 0
-
-
-def _shown(console: Console) -> Progress:
-    """Return the bar, which only a terminal shows."""
-    columns = (
-        Words("{task.fields[state]:<8}"),
-        BarColumn(24),
-        Words("{task.completed:.1f} of {task.total:.1f} s"),
-        TimeRemainingColumn(),
-    )
-    return Progress(*columns, console=console, disable=not console.is_terminal)
 
 
 def _rate(text: str) -> float:

@@ -6,18 +6,20 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Generator, Sequence
 from pathlib import Path
 from typing import TypeVar
 
-from impact_rig.campaign.pool import in_parallel
-from impact_rig.campaign.tasks import Row, Runner, Store, Task
+from impact_rig.campaign.pool import in_parallel, on_cluster
+from impact_rig.campaign.tasks import Portable, Runner, Store, Task
 from impact_rig.campaign.tasks import measure as measure_tasks
 from impact_rig.cli.terminal import Console, Counted, add_json
 from impact_rig.errors import ConfigError, RecordingError
 from impact_rig.system import files
 
 WAYS = ("process", "dask")
+P = TypeVar("P", bound=Portable)
+R = TypeVar("R")
 T = TypeVar("T", bound=Task)
 
 
@@ -57,13 +59,11 @@ def words(
     return file, (arguments.output or Path("runs") / f"{what}_{file.stem}").resolve(), way, address
 
 
-def runner(work: Callable[[T], Sequence[Row]], address: str, workers: int | None) -> Runner[T]:
+def runner(
+    work: Callable[[P], R], address: str, workers: int | None
+) -> Callable[[Sequence[P]], Generator[tuple[P, R], None, None]]:
     """Return what measures tasks: on the cluster at an address, or on the cores of this machine."""
-    if not address:
-        return lambda tasks: in_parallel(work, tasks, workers)
-    from impact_rig.campaign.pool import on_cluster  # noqa: PLC0415  # needs dask
-
-    return on_cluster(work, address)
+    return on_cluster(work, address) if address else lambda tasks: in_parallel(work, tasks, workers)
 
 
 def measure(

@@ -13,7 +13,7 @@ import argparse
 import json
 import sys
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any  # what rich's methods take
 
@@ -34,7 +34,7 @@ from rich.text import Text
 from impact_rig.errors import visible
 from impact_rig.system.files import plain
 
-__all__ = ["Console", "Counted", "Steps", "TextTable", "Words", "tell_json", "tell_program"]
+__all__ = ["Console", "Counted", "Steps", "TextTable", "Words", "tell_json", "tell_program", "tell_results"]
 
 LONGEST_HEADING = 11  # characters of a heading over numbers that stay in one line
 LARGEST_WIDTH = 10_000  # of a table, in characters
@@ -65,7 +65,7 @@ class Console(rich_console.Console):
 class TextTable(rich_table.Table):
     """A table that fits 80 columns: units stand below the names they belong to, numbers and units are never cut.
 
-    Its columns are those with texts, then those with numbers, which are set flush right.
+    Its columns are those with texts, then those with numbers, which are set flush right, then the last ones with texts.
     """
 
     def __init__(
@@ -75,13 +75,13 @@ class TextTable(rich_table.Table):
         *,
         left: Sequence[str] = (),
         right: Sequence[str] = (),
+        last: Sequence[str] = (),
     ) -> None:
         super().__init__(title=title, caption=caption, box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
         self.title_justify = self.caption_justify = "left"
-        for heading in left:
-            self.add_column(heading)
-        for heading in right:
-            self.add_column(heading, justify="right")
+        for headings, side in ((left, "left"), (right, "right"), (last, "left")):
+            for heading in headings:
+                self.add_column(heading, justify=side)
 
     def add_column(self, header: Any = "", *arguments: Any, **options: Any) -> None:
         """Add a column; one that is set flush right keeps its width, others are broken where the line is full."""
@@ -159,6 +159,14 @@ def tell_json(content: object) -> None:
     print(json.dumps(plain(content), indent=2, ensure_ascii=False))  # noqa: T201  # a command line tool talks
 
 
+def tell_results(directory: Path, content: Mapping[str, object], *, as_json: bool) -> None:
+    """Tell where the results are, as the last line, or as JSON together with what was found."""
+    if as_json:
+        tell_json({"directory": str(directory), **content})
+    else:
+        tell_program(directory)
+
+
 def tell_program(path: Path) -> None:
     """Print a path as the last line: as it is for a program that reads it, visible for people."""
     print(visible(str(path)) if sys.stdout.isatty() else path)  # noqa: T201  # a command line tool talks
@@ -170,6 +178,7 @@ WIDTH = 78  # of help pages: they are made for a terminal of 80 columns
 def subcommand(
     commands: argparse._SubParsersAction[argparse.ArgumentParser],
     name: str,
+    run: Callable[[argparse.Namespace], int],
     sentence: str,
     examples: Sequence[tuple[str, str]],
     more: str = "",
@@ -179,6 +188,7 @@ def subcommand(
     Args:
         commands: of the program.
         name: of the subcommand.
+        run: does it, and returns the exit code.
         sentence: what it does, for the list of commands and the head of its page.
         examples: command without the program's name, and what it is for.
         more: what else is to be known, below the examples.
@@ -186,10 +196,12 @@ def subcommand(
     lines = [f"  impact-rig {words}\n      {what}" for words, what in examples]
     head = "example:" if len(lines) == 1 else "examples:"
     epilog = "\n".join([head, *lines, *(["", textwrap.fill(more, WIDTH)] if more else [])])
-    return commands.add_parser(
+    parser = commands.add_parser(
         name,
         help=sentence,
         description=textwrap.fill(f"{sentence[:1].upper()}{sentence[1:]}.", WIDTH),
         epilog=epilog,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
+    parser.set_defaults(run=run)
+    return parser

@@ -13,7 +13,7 @@ import enum
 import functools
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any  # attrs validators receive untyped instances
 
 import attrs
@@ -156,6 +156,12 @@ def _list_to_floats(value: object) -> object:
     return tuple(_to_float(item) for item in value) if isinstance(value, (list, tuple)) else value
 
 
+def _field(
+    default: Any, about: FieldInfo, check: Callable[..., None], convert: Callable[[Any], object] | None = None
+) -> Any:
+    return attrs.field(default=default, converter=convert, validator=check, metadata={METADATA_KEY: about})
+
+
 def quantity(
     default: float,
     unit: str,
@@ -179,7 +185,7 @@ def quantity(
         high_open=below is not None,
         read_only=read_only,
     )
-    return attrs.field(default=default, converter=_to_float, validator=_check_float, metadata={METADATA_KEY: about})
+    return _field(default, about, _check_float, _to_float)
 
 
 def quantities(
@@ -187,24 +193,21 @@ def quantities(
 ) -> Any:
     """A tuple of one or more finite floats with one unit and one range."""
     about = FieldInfo(doc, unit, origin, low=above, high=at_most, low_open=True)
-    return attrs.field(
-        default=default, converter=_list_to_floats, validator=_check_floats, metadata={METADATA_KEY: about}
-    )
+    return _field(default, about, _check_floats, _list_to_floats)
 
 
 def integer(
     default: int,
     unit: str,
     doc: str,
-    origin: Origin = Origin.ASSUMED,
     *,
     at_least: int | None = None,
     at_most: int | None = None,
     read_only: bool = False,
 ) -> Any:
     """An integer with a unit and a closed range."""
-    about = FieldInfo(doc, unit, origin, low=at_least, high=at_most, read_only=read_only)
-    return attrs.field(default=default, validator=_check_int, metadata={METADATA_KEY: about})
+    about = FieldInfo(doc, unit, low=at_least, high=at_most, read_only=read_only)
+    return _field(default, about, _check_int)
 
 
 def choice(
@@ -224,29 +227,17 @@ def choice(
     for state, word in (switched or {}).items():
         meant[bool, state] = meant[str, "on" if state else "off"] = word
     about = FieldInfo(doc, "-", origin, choices=choices, read_only=read_only)
-    return attrs.field(
-        default=default,
-        converter=functools.partial(_to_word, meant),
-        validator=_check_choice,
-        metadata={METADATA_KEY: about},
-    )
+    return _field(default, about, _check_choice, functools.partial(_to_word, meant))
 
 
 def switch(default: bool, doc: str, origin: Origin = Origin.ASSUMED, *, read_only: bool = False) -> Any:
     """True or false."""
-    return attrs.field(
-        default=default,
-        validator=_check_bool,
-        metadata={METADATA_KEY: FieldInfo(doc, "-", origin, read_only=read_only)},
-    )
+    return _field(default, FieldInfo(doc, "-", origin, read_only=read_only), _check_bool)
 
 
-def names(default: tuple[str, ...], doc: str, origin: Origin = Origin.ASSUMED, *, read_only: bool = False) -> Any:
+def names(default: tuple[str, ...], doc: str) -> Any:
     """A tuple of words."""
-    about = FieldInfo(doc, "-", origin, read_only=read_only)
-    return attrs.field(
-        default=default, converter=_list_to_names, validator=_check_names, metadata={METADATA_KEY: about}
-    )
+    return _field(default, FieldInfo(doc), _check_names, _list_to_names)
 
 
 def _check_text(_instance: object, attribute: attrs.Attribute[Any], value: object) -> None:
@@ -265,6 +256,4 @@ def _number_to_text(value: object) -> object:
 def text(default: str, doc: str, *, read_only: bool = False, pattern: str = "", means: str = "any text") -> Any:
     """Any text, or only what matches a pattern, which `means` says in words."""
     about = FieldInfo(doc, read_only=read_only, pattern=pattern, means=means)
-    return attrs.field(
-        default=default, converter=_number_to_text, validator=_check_text, metadata={METADATA_KEY: about}
-    )
+    return _field(default, about, _check_text, _number_to_text)

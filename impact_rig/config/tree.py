@@ -11,9 +11,10 @@ from __future__ import annotations
 
 import difflib
 import functools
+import operator
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar  # Any: what a mapping within another holds
 
 import attrs
 import yaml
@@ -28,6 +29,7 @@ MAX_DEPTH = 20
 
 Value = bool | int | float | str | tuple[str, ...]
 Root = TypeVar("Root", bound=attrs.AttrsInstance)
+N = TypeVar("N", bound="dict[str, Any]")
 
 
 class Tree(Generic[Root]):
@@ -76,24 +78,17 @@ class Tree(Generic[Root]):
         Raises:
             ConfigError: unknown key, bad value, or a combination that makes no sense.
         """
-        nested = _Nested()
-        for name, value in changes.items():
+        for name in changes:
             if name not in self._known:
-                raise ConfigError(f"unknown key {name!r}{self._suggestion(name)}")
-            *sections, key = name.split(".")
-            node = nested
-            for section in sections:
-                child = node.setdefault(section, _Nested())
-                assert isinstance(child, _Nested)
-                node = child
-            node[key] = value
-        changed = _evolve(base, nested)
+                close = difflib.get_close_matches(name, self._known, n=1)
+                raise ConfigError(f"unknown key {name!r}" + (f", did you mean {close[0]!r}?" if close else ""))
+        changed = _evolve(base, nested(changes, _Nested))
         assert isinstance(changed, self.root)
         return changed
 
     def to_flat(self, config: Root) -> dict[str, Value]:
         """Return every value by its dotted name: what a run's attachment and the node's parameters hold."""
-        return {name: _lookup(config, name) for name in self._known}
+        return {name: operator.attrgetter(name)(config) for name in self._known}
 
     def differences(self, config: Root, before: Root | None = None) -> dict[str, Value]:
         """Return the values of `config` that `before` (None: the default) has otherwise, by dotted name."""
@@ -111,21 +106,12 @@ class Tree(Generic[Root]):
 
     def dump(self, config: Root) -> str:
         """Return `config` as a ROS 2 parameter file, complete: `load` of it gives `config` again."""
-        tree: dict[str, object] = {}
-        for name, value in self.to_flat(config).items():
-            *path, key = name.split(".")
-            node = tree
-            for part in path:
-                child = node.setdefault(part, {})
-                assert isinstance(child, dict)
-                node = child
-            node[key] = list(value or ("",)) if isinstance(value, tuple) else value  # ROS has no empty typed lists
-        text: str = yaml.safe_dump({"/**": {"ros__parameters": tree}}, sort_keys=False)
+        plain = {  # ROS has no empty typed lists
+            name: list(value or ("",)) if isinstance(value, tuple) else value
+            for name, value in self.to_flat(config).items()
+        }
+        text: str = yaml.safe_dump({"/**": {"ros__parameters": nested(plain, dict)}}, sort_keys=False)
         return text
-
-    def _suggestion(self, name: str) -> str:
-        close = difflib.get_close_matches(name, self._known, n=1)
-        return f", did you mean {close[0]!r}?" if close else ""
 
 
 def parameters_in(text: str) -> dict[str, object]:
@@ -165,6 +151,18 @@ def flatten(tree: object, prefix: str = "", depth: int = 0) -> dict[str, object]
     return flat
 
 
+def nested(flat: Mapping[str, object], kind: type[N]) -> N:
+    """Return dotted names as mappings of this kind within each other."""
+    tree = kind()
+    for name, value in flat.items():
+        *sections, key = name.split(".")
+        node = tree
+        for section in sections:
+            node = node.setdefault(section, kind())
+        node[key] = value
+    return tree
+
+
 def _unwrap(document: object) -> object:
     if document is None:
         return {}
@@ -183,14 +181,6 @@ def _walk(section: type[attrs.AttrsInstance], prefix: str) -> Iterator[tuple[str
         else:
             assert isinstance(attribute.type, type)
             yield from _walk(attribute.type, f"{name}.")
-
-
-def _lookup(config: object, name: str) -> Value:
-    value = config
-    for part in name.split("."):
-        value = getattr(value, part)
-    assert isinstance(value, (bool, int, float, str, tuple))
-    return value
 
 
 def _evolve(section: attrs.AttrsInstance, changes: Mapping[str, object], prefix: str = "") -> attrs.AttrsInstance:

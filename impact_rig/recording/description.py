@@ -21,7 +21,7 @@ import re
 import struct
 import sys
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import attrs
@@ -115,8 +115,7 @@ def _profiles(text: str) -> tuple[QosYaml, ...]:
         found = budget.load_yaml(text, MAX_QOS_CHARACTERS)
     except budget.PlainYamlError:
         return ()
-    profiles = found if isinstance(found, list) else []
-    return tuple(_profile(profile) for profile in profiles if isinstance(profile, dict))
+    return tuple(_profile(one) for one in found if isinstance(one, dict)) if isinstance(found, list) else ()
 
 
 def _profile(found: Mapping[object, object]) -> QosYaml:
@@ -194,17 +193,15 @@ def interface_prefixes() -> tuple[Path, ...]:
     return tuple(Path(prefix) for prefix in [*sourced, sys.prefix] if prefix)
 
 
-def schema_text(type_name: str, prefixes: Sequence[Path] | None = None) -> str:
-    """Return the schema of `type_name` (`package/msg/Type`), dependencies appended.
+def schema_text(type_name: str) -> str:
+    """Return the schema of `type_name` (`package/msg/Type`, or `package/Type`), dependencies appended.
 
-    Args:
-        type_name: as ROS writes it; `package/Type` is understood too.
-        prefixes: where to look for `share/<package>/msg/<Type>.msg`; None: `interface_prefixes()`.
+    Looked for is `share/<package>/msg/<Type>.msg` in all `interface_prefixes`.
 
     Raises:
         RecordingError: the type or one it uses is not installed, or the name is not a message type's.
     """
-    where = interface_prefixes() if prefixes is None else tuple(prefixes)
+    where = interface_prefixes()
     root = _short_name(type_name)
     seen = {root}
     parts: list[str] = []
@@ -228,8 +225,8 @@ def starts_with_header(type_name: str, schema: str) -> bool:
     """Return whether messages of this type begin with a `std_msgs/Header`, or are one."""
     if _short_name(type_name) == "std_msgs/Header":
         return True
-    first = next(_fields(schema), "")
-    return first in {"std_msgs/Header", "std_msgs/msg/Header", "Header"}
+    first = _FIELD.search(schema)
+    return first is not None and first[1] in {"std_msgs/Header", "std_msgs/msg/Header", "Header"}
 
 
 def members(schema: str) -> list[tuple[str, str, int]]:
@@ -280,17 +277,9 @@ def _read(package: str, kind: str, prefixes: Sequence[Path], wanted_by: str) -> 
     raise RecordingError(f"{wanted_by} is not installed: no {package}/msg/{kind}.msg in {looked}")
 
 
-def _fields(text: str) -> Iterator[str]:
-    for match in _FIELD.finditer(text):
-        yield match[1]
-
-
 def _used_types(text: str, package: str) -> set[str]:
-    used = set()
-    for name in _fields(text):
-        if not _PRIMITIVE.fullmatch(name):
-            used.add(_short_name(name) if "/" in name else f"{package}/{name}")
-    return used
+    used = (name for name in _FIELD.findall(text) if not _PRIMITIVE.fullmatch(name))
+    return {_short_name(name) if "/" in name else f"{package}/{name}" for name in used}
 
 
 METADATA_VERSION = 9
@@ -324,11 +313,7 @@ class FileSpan:
 
 
 def bag_information(
-    topics: Sequence[tuple[TopicDescription, int]],
-    spans: Sequence[FileSpan],
-    *,
-    ros_distro: str,
-    custom_data: Mapping[str, str] | None = None,
+    topics: Sequence[tuple[TopicDescription, int]], spans: Sequence[FileSpan], *, ros_distro: str
 ) -> Information:
     """Return the twelve keys under `rosbag2_bagfile_information`.
 
@@ -336,7 +321,6 @@ def bag_information(
         topics: each with its number of messages.
         spans: of the files, in the order they were written; at least one.
         ros_distro: such as `jazzy`.
-        custom_data: free text for other tools.
     """
     start_ns, end_ns = min(span.start_ns for span in spans), max(span.end_ns for span in spans)
     total = FileSpan("", sum(span.count for span in spans), start_ns, end_ns)
@@ -371,7 +355,7 @@ def bag_information(
             }
             for span in spans
         ],
-        "custom_data": dict(custom_data) if custom_data else None,
+        "custom_data": None,
         "ros_distro": ros_distro,
     }
 
@@ -381,7 +365,7 @@ def bag_record(info: Information) -> dict[str, str]:
     return {BAG_RECORD_KEY: dump_yaml(info)}
 
 
-def write_metadata(directory: Path, info: Information) -> Path:
+def write_metadata(directory: Path, info: Information) -> None:
     """Write `metadata.yaml` whole or not at all.
 
     Raises:
@@ -392,7 +376,6 @@ def write_metadata(directory: Path, info: Information) -> Path:
         files.write_text(path, dump_yaml({METADATA_KEY: info}) + "\n")
     except OSError as error:
         raise RecordingError(f"{path} cannot be written: {error.strerror}") from error
-    return path
 
 
 RECORD_NAME = "impact_rig"  # metadata record with the package version, the seed and the wall-clock start

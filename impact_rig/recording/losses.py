@@ -106,7 +106,8 @@ class Account:
         stream = Stream(new[0] if len(new) == 1 else "", sequence, sequence)
         known.streams.append(stream)
         if len(known.streams) > MAX_STREAMS:
-            _forget_first(known)
+            gone, before = known.streams.pop(0), known.forgotten or Stream("", 0, 0, 0)
+            known.forgotten = Stream("", 0, 0, before.received + gone.received, before.lost + gone.lost)
         return stream.publisher
 
     def _streams(self, name: str) -> list[Stream]:
@@ -139,12 +140,6 @@ def _stream(entry: dict[str, object]) -> Stream:
     ):
         raise ValueError(f"{entry} is no count of messages")
     return stream
-
-
-def _forget_first(topic: _Topic) -> None:
-    gone, topic.streams = topic.streams[0], topic.streams[1:]
-    before = topic.forgotten or Stream("", 0, 0, 0)
-    topic.forgotten = attrs.evolve(before, received=before.received + gone.received, lost=before.lost + gone.lost)
 
 
 @attrs.frozen

@@ -11,6 +11,7 @@ on another core hardly waits for them.
 from __future__ import annotations
 
 import bisect
+import contextlib
 import fcntl
 import os
 import re
@@ -235,15 +236,13 @@ class Run:
     def _refuse_excess(self) -> None:
         """Refuse what the index alone shows to be beyond the budget."""
         account = self._account()
-        try:
+        with _named(self.path):
             for source in self.sources:
                 for index in source.summary.chunk_indexes:
                     account.chunk(index.uncompressed_size)
             budget.allow("topics", len(self.topics), budget.TOPICS)
             texts = sum(len(recorded.topic.offered_qos_text) for recorded in self.topics.values())
             budget.allow("characters of QoS profiles", texts, budget.QOS_CHARACTERS)
-        except BudgetError as error:
-            raise BudgetError(f"{self.path}: {error}") from error
 
     def _account(self) -> Spending:
         return Spending(sum(source.size for source in self.sources))
@@ -273,7 +272,7 @@ class Run:
         if not recorded_order:
             places.sort(key=lambda place: place.index.message_start_time)
         pending: list[_Item] = []
-        account = self._account()
+        account, most = self._account(), round(budget.HELD_BYTES // budget.MESSAGE_BYTES * budget.factor())
         coming, ahead = deque(places), deque[tuple[_Place, Future[memoryview]]]()
         with ThreadPoolExecutor(1, thread_name_prefix="read-ahead") as pool:
             while coming or ahead:
@@ -286,7 +285,8 @@ class Run:
                     coming.popleft()
                 place, reading = ahead.popleft()
                 content = reading.result()
-                self._count(content, account)
+                with _named(self.path):  # counted before any record becomes an object
+                    account.records(records.count(content, most))
                 pending += _items(place, content, names, running_number[id(place)])
                 cut = len(pending)
                 if not recorded_order:
@@ -302,18 +302,17 @@ class Run:
         """Refuse to hold many chunks because each has a message that is much later than the others."""
         held = [*(recorded[number] for number in {item[1] for item in pending}), *coming]
         size = _size(*held) + budget.MESSAGE_BYTES * len(pending)
-        try:
+        with _named(self.path):
             budget.allow("bytes held until their time has come", size, budget.HELD_BYTES)
-        except BudgetError as error:
-            raise BudgetError(f"{self.path}: {error}") from error
 
-    def _count(self, content: memoryview, account: Spending) -> None:
-        """Count the records of a chunk before any of them becomes an object."""
-        most = round(budget.HELD_BYTES // budget.MESSAGE_BYTES * budget.factor())
-        try:
-            account.records(records.count(content, most))
-        except BudgetError as error:
-            raise BudgetError(f"{self.path}: {error}") from error
+
+@contextlib.contextmanager
+def _named(path: Path) -> Iterator[None]:
+    """Say of which run or file something costs too much."""
+    try:
+        yield
+    except BudgetError as error:
+        raise BudgetError(f"{path}: {error}") from error
 
 
 def _size(*places: _Place) -> int:
@@ -413,10 +412,10 @@ class McapSource:
             self.statistics = self.summary.statistics
             self.topics = topics_of(self.summary)
         except DamageError as error:
-            if self._is_being_written():
-                self.close()
-                raise RecordingError(f"{path}: {_BEING_WRITTEN}") from error
+            being_written = self._is_being_written()
             self.close()
+            if being_written:
+                raise RecordingError(f"{path}: {_BEING_WRITTEN}") from error
             raise DamageError(f"{path}: {error}; {_REMEDY}") from error
         except BudgetError as error:
             self.close()

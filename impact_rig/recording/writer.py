@@ -20,9 +20,9 @@ import os
 import resource
 import struct
 import zlib
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
-from types import MappingProxyType, TracebackType
+from types import MappingProxyType
 
 import attrs
 from mcap.writer import CompressionType, Writer
@@ -127,7 +127,6 @@ class RunWriter:
         self._chunk_opened_s: float | None = None
         self._closed = False
         self._failure: RecordingError | None = None
-        self._stopping_on_error = _StopOnError(self)
         make_room(directory)
         self._with_tail = tail
         self._tail: Tail | None = None
@@ -165,7 +164,7 @@ class RunWriter:
             has_header = starts_with_header(topic.type_name, topic.schema)
             is_ahead = matches(topic.name, topics.WAVEFORM.name)  # its stamp is when it will act, or whatever is sent
             channel = _Channel(topic, has_header and not is_ahead, matches(topic.name, topics.SCAN.name))
-            with self._stopping_on_error:
+            with self._stopping_on_error():
                 self._file.close_chunk()  # a definition that filled it would close it behind the tail's back
                 self._commit()
                 self._register(channel)
@@ -199,16 +198,22 @@ class RunWriter:
         """Record one message at a log time that is known already; otherwise like `write`."""
         self._refuse_if_closed()
         channel = self._channels[topic_name]
-        with self._stopping_on_error:
+        with self._stopping_on_error():
             if self._file_is_full(log_time_ns):
-                self._next_file()
+                following = f"{self.directory.name}_{len(self._spans)}.mcap"
+                self._finish_file({CONTINUES_RECORD_NAME: {"file": following}})
+                self._bytes_before += self._file.size
+                self._open_file()
             if self._chunk_opened_s is None:
                 self._chunk_opened_s = self._clock()
             channel.count += 1
             self._spans[-1].add(log_time_ns)
             message = (channel.id, log_time_ns, data, min(max(0, publish_time_ns), INFINITE_NS), sequence)
             if self._with_tail:
-                self._open_tail().add_message(*message)
+                if self._tail is None:
+                    known = [one.topic for one in self._channels.values()]
+                    self._tail = Tail(self._file.path, self._file.size, known, self._chunk_bytes)
+                self._tail.add_message(*message)
             if self._file.add_message(*message):
                 self._commit()
             else:
@@ -222,7 +227,7 @@ class RunWriter:
         """
         self._refuse_if_closed()
         if self._tail is not None:
-            with self._stopping_on_error:
+            with self._stopping_on_error():
                 self._tail.secure()
 
     def flush_due(self) -> None:
@@ -232,7 +237,7 @@ class RunWriter:
             RecordingError: the run had to stop.
         """
         if not self._closed:
-            with self._stopping_on_error:
+            with self._stopping_on_error():
                 self._flush_if_due()
 
     def attach(self, attachment: Attachment, instead_of: str = "") -> None:
@@ -247,7 +252,7 @@ class RunWriter:
         """
         self._refuse_if_closed()
         self.supersede(attachment, instead_of)
-        with self._stopping_on_error:
+        with self._stopping_on_error():
             self._write_attachment(attachment)
             self._file.commit()
 
@@ -270,9 +275,7 @@ class RunWriter:
     def __enter__(self) -> RunWriter:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.finish()
 
     # --- files
@@ -313,11 +316,6 @@ class RunWriter:
         too_long = 0 < self._max_file_duration_ns < log_time_ns - span.start_ns
         return too_long or 0 < self._max_file_bytes <= self._file.size
 
-    def _next_file(self) -> None:
-        self._finish_file({CONTINUES_RECORD_NAME: {"file": f"{self.directory.name}_{len(self._spans)}.mcap"}})
-        self._bytes_before += self._file.size
-        self._open_file()
-
     def _finish_file(self, further: Mapping[str, Mapping[str, str]] = MappingProxyType({})) -> None:
         try:
             self._file.close_chunk()
@@ -342,12 +340,6 @@ class RunWriter:
 
     # --- chunks
 
-    def _open_tail(self) -> Tail:
-        if self._tail is None:
-            topics = [channel.topic for channel in self._channels.values()]
-            self._tail = Tail(self._file.path, self._file.size, topics, self._chunk_bytes)
-        return self._tail
-
     def _drop_tail(self) -> None:
         tail, self._tail = self._tail, None
         if tail is not None:
@@ -365,12 +357,20 @@ class RunWriter:
         self._chunk_opened_s = None
         self._file.commit()
         self._drop_tail()
-        shortage = self._file.shortage()
-        if shortage:
+        if shortage := self._file.shortage():
             self.finish()
             raise RecordingError(f"recording of {self.directory} stopped and finished: {shortage}")
 
     # --- errors
+
+    @contextlib.contextmanager
+    def _stopping_on_error(self) -> Iterator[None]:
+        """A run that failed to write is over: later calls repeat the error instead of damaging what is there."""
+        try:
+            yield
+        except RecordingError as error:
+            self.stop(error)
+            raise
 
     def _refuse_if_closed(self) -> None:
         if self._failure is not None:
@@ -390,22 +390,6 @@ class RunWriter:
         if finished:
             with contextlib.suppress(RecordingError):
                 description.write_metadata(self.directory, self._information())
-
-
-@attrs.frozen
-class _StopOnError:
-    """A run that failed to write is over: later calls repeat the error instead of damaging what is there."""
-
-    writer: RunWriter
-
-    def __enter__(self) -> None:
-        return None
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if isinstance(error, RecordingError):
-            self.writer.stop(error)
 
 
 _LONGEST_BLOCK_S = 1e6  # a `time` beyond this (or none at all, or NaN) is no instant of a block
@@ -552,7 +536,8 @@ class McapFile:
         try:
             self._writer.start(PROFILE, LIBRARY)
             self.commit()
-            self._refuse_shortage()
+            if shortage := self.shortage():
+                raise RecordingError(f"{self.path} cannot be recorded: {shortage}")  # noqa: TRY301  # to be undone, too
         except RecordingError:
             os.close(self._fd)
             path.unlink()
@@ -633,7 +618,8 @@ class McapFile:
 
     def shortage(self) -> str:
         """Return why one more chunk and the index might not fit, or an empty string."""
-        needed = self._chunk_bytes + self._largest_message + self._reserve()
+        index = self._index_bytes + (self._chunks + 2) * (_INDEX_BYTES_PER_CHUNK + 10 * self._channels)
+        needed = self._chunk_bytes + self._largest_message + index
         limit, _ = resource.getrlimit(resource.RLIMIT_FSIZE)
         if limit != resource.RLIM_INFINITY and self.size + needed > limit:
             return f"the file size limit of this process (RLIMIT_FSIZE, {limit} bytes) is reached"
@@ -661,14 +647,6 @@ class McapFile:
         if self._fd >= 0:
             os.close(self._fd)
             self._fd = -1
-
-    def _refuse_shortage(self) -> None:
-        shortage = self.shortage()
-        if shortage:
-            raise RecordingError(f"{self.path} cannot be recorded: {shortage}")
-
-    def _reserve(self) -> int:
-        return self._index_bytes + (self._chunks + 2) * (_INDEX_BYTES_PER_CHUNK + 10 * self._channels)
 
 
 def _create(path: Path) -> int:

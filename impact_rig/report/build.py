@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -78,13 +79,13 @@ def _sections(
     """Yield the sections of the page that goes into `folder`."""
     curves, config, keep = done.curves, done.campaign.base, content.figures
     reductions = done.reductions()
-    compared = _chain(
+    compared = itertools.chain(
         dt.without_sphere(curves, config),
         dt.reductions_by_gap(reductions),
         dt.differences(reductions),
         dt.errors_without_sphere(curves, config),
     )
-    details = _chain(dt.peaks(curves), dt.amplitudes(curves), dt.regime_map(curves))
+    details = itertools.chain(dt.peaks(curves), dt.amplitudes(curves), dt.regime_map(curves))
     yield section("Set-up and instruments", *cover.apparatus(done, content), part=True)
     yield section("Transmissibility", keep(dt.by_frequency(curves, config), large=True), part=True)
     yield section(
@@ -104,11 +105,6 @@ def _sections(
     yield section("Points without a settled measurement", _failed(done.failed(), content))
     yield section("The rig", *_configuration(done, content))
     yield section("Versions and files", *_files(done, content, folder))
-
-
-def _chain(*parts: Iterator[Drawn]) -> Iterator[Drawn]:
-    for part in parts:
-        yield from part
 
 
 def _motions(done: Finished) -> Iterator[Drawn]:
@@ -172,16 +168,13 @@ def _files(done: Finished, content: Content, folder: Path) -> Iterator[str]:
     paths = [folder / name if name == kept.FILE_NAME else done.directory / name for name in names]
     paths = [path for path in paths if path.exists() or path.name == kept.FILE_NAME]
     paths += sorted(done.directory.rglob("*.mcap"))
-    items = "".join(f"<li>{link(_address(path, folder), path.name)}</li>" for path in paths)
+    resolved, here = [path.resolve() for path in paths], folder.resolve()
+    # relative where it can be, so that the directory can be moved
+    addresses = [path.relative_to(here).as_posix() if path.is_relative_to(here) else path.as_uri() for path in resolved]
+    items = "".join(f"<li>{link(at, path.name)}</li>" for at, path in zip(addresses, paths, strict=True))
     yield f"<ul>{items}</ul>"
     if not any(path.suffix == ".mcap" for path in paths):
         yield paragraph(
             "No MCAP files: this campaign was measured without the recorder. `impact-rig demo` records the same cases.",
             "muted",
         )
-
-
-def _address(path: Path, folder: Path) -> str:
-    """Return where a file is, as seen from the page: relative where it can be, so that the directory can be moved."""
-    path, folder = path.resolve(), folder.resolve()
-    return path.relative_to(folder).as_posix() if path.is_relative_to(folder) else path.as_uri()

@@ -25,14 +25,11 @@ COVERAGE = 2.0  # standard uncertainties that an error bar, or a number behind Â
 
 @attrs.frozen
 class Cell:
-    """A cell of a table: what is read, and the number or numbers behind it.
-
-    Attributes:
-        value: as it is kept, in the unit that is shown; value and expanded uncertainty where there are two.
-    """
+    """A cell of a table: what is read, and the number or numbers behind it."""
 
     text: str
     value: float | Sequence[float] | None
+    """As it is kept, in the unit that is shown; value and expanded uncertainty where there are two."""
 
 
 def number(value: float, spec: str = ".6g") -> Cell:

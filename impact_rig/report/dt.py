@@ -5,17 +5,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any  # Any: what matplotlib takes
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike
 
 from impact_rig.analysis.calibration import Calibration
 from impact_rig.analysis.reduction import Damper, damper
 from impact_rig.campaign import paper
-from impact_rig.campaign.axes import NO_SPHERE
+from impact_rig.campaign.axes import NO_SPHERE, case_of
+from impact_rig.campaign.job import Trace
 from impact_rig.campaign.paper import FREQUENCIES_HZ, FREQUENCY_HZ, REDUCTION_PERCENT, Reductions
 from impact_rig.campaign.results import Curves, Point
 from impact_rig.campaign.statements import MissingError, peak_hz
@@ -44,6 +45,7 @@ from impact_rig.system import files
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 NEAR_HZ = (8.85, 9.35)  # where the cases differ
 HEIGHT_INCH = 6.6
@@ -59,15 +61,12 @@ def without_sphere(curves: Curves, config: RigConfig) -> Iterator[Drawn]:
     fine = np.linspace(FREQUENCIES_HZ[0], FREQUENCIES_HZ[-1], FINE)
     (exact,) = predicted(config, NO_SPHERE, fine, paper.CURRENT_A)
     axis.plot(fine, exact.dt, color=PREDICTED, linewidth=0.9, label="closed form")
-    axis.errorbar(
-        [p.frequency_hz for p in points], [p.dt for p in points], [COVERAGE * p.u_dt for p in points],
-        color=MEASURED, marker="o", linestyle="none", capsize=2.0, label="measured, ± 2u",
-    )  # fmt: skip
+    _errorbar(axis, points, MEASURED, "none", label="measured, ± 2u")
     axis.axvline(FREQUENCY_HZ, color=PAPER_RED, linewidth=0.9, linestyle=":", label="paper: 9.1 Hz")
     axis.set(xlabel="frequency (Hz)", ylabel="transmissibility", title="DT without sphere", ylim=(0.0, None))
     axis.legend(loc="upper left")
     caption = "Displacement transmissibility without the sphere (the paper's Fig. 6)."
-    lines = [measured_line(case(NO_SPHERE), points), _predicted_line(NO_SPHERE, exact)]
+    lines = [measured_line(NO_SPHERE, points), _predicted_line(NO_SPHERE, exact)]
     yield Drawn("fig6_without_sphere", figure, caption, lines)
 
 
@@ -84,18 +83,15 @@ def by_frequency(curves: Curves, config: RigConfig) -> Iterator[Drawn]:
         "measured, ± 2u. Full lines: predicted without simulation; dotted: from point to point, where no prediction "
         "exists. Diamonds: our DT without sphere, less the reduction the paper prints."
     )
+    whole = (FREQUENCIES_HZ[0], FREQUENCIES_HZ[-1])
     ranges = (
-        (
-            "fig7_all_gaps",
-            (FREQUENCIES_HZ[0], FREQUENCIES_HZ[-1]),
-            "All cases over the frequency (the paper's Fig. 7).",
-        ),
+        ("fig7_all_gaps", whole, "All cases over the frequency (the paper's Fig. 7)."),
         ("fig7_near_resonance", NEAR_HZ, "The same near resonance, where the cases differ."),
     )
     for name, (low, high), what in ranges:
         measured = {gap: _within(curves, gap, low, high) for gap in cases}
         theory = {gap: predicted(config, gap, np.linspace(low, high, FINE), paper.CURRENT_A) for gap in cases}
-        lines = [measured_line(case(gap), points) for gap, points in measured.items()]
+        lines = [measured_line(gap, points) for gap, points in measured.items()]
         lines += [_predicted_line(gap, part) for gap, parts in theory.items() for part in parts]
         figure, axes = new_axes(HEIGHT_INCH, (1.5, 1.5, 1.0))
         for gap in cases:
@@ -133,10 +129,7 @@ def _draw_case(axes: Sequence[Axes], gap: float, points: Sequence[Point], theory
     phases = [math.degrees(p.phase_rad) for p in points]
     bars = [COVERAGE * math.degrees(float(p.rows["phase_uncertainty"][0])) for p in points]
     for axis in axes[:2]:
-        axis.errorbar(
-            frequency, [p.dt for p in points], [COVERAGE * p.u_dt for p in points],
-            color=shade, marker="o", markersize=3.0, linestyle="none", capsize=1.5,
-        )  # fmt: skip
+        _errorbar(axis, points, shade, "none", markersize=3.0, capsize=1.5)
         for part in theory:
             axis.plot(part.frequency_hz, part.dt, color=shade, linewidth=1.0, linestyle="-")
         if not theory:
@@ -238,23 +231,14 @@ def differences(reductions: Reductions) -> Iterator[Drawn]:
     errors, spread = reductions.errors(), reductions.percent_uncertainty
     if not errors:
         return
-    figure, (axis,) = new_axes(3.0)
     gaps = sorted(errors)
-    millimetres = [gap * 1e3 for gap in gaps]
-    bars = [COVERAGE * spread[gap] for gap in gaps]
-    axis.axhline(0.0, color=PAPER_RED, linewidth=1.0, label="paper")
-    axis.errorbar(
-        millimetres, [errors[gap] for gap in gaps], bars,
-        color=MEASURED, marker="o", linestyle="none", capsize=3.0, label="this rig less the paper, ± 2u",
-    )  # fmt: skip
+    x, y, bars = [gap * 1e3 for gap in gaps], [errors[gap] for gap in gaps], [COVERAGE * spread[gap] for gap in gaps]
+    figure, axis = _residuals(x, y, bars, (PAPER_RED, "paper"), "this rig less the paper, ± 2u")
     reach = 1.25 * max(0.5, *(abs(error) for error in errors.values()))
     axis.set(xlabel="gap (mm)", ylabel="difference (points)", title="Residuals", ylim=(-reach, reach))
-    axis.set_xticks(millimetres)
-    legend_below(axis, 2)
+    axis.set_xticks(x)
     caption = "Our reduction at 9.1 Hz less the paper's, in points. The bars are ours; the paper states none."
-    columns = {
-        "gap_mm": millimetres, "difference_points": [errors[g] for g in gaps], "expanded_uncertainty_points": bars,
-    }  # fmt: skip
+    columns = {"gap_mm": x, "difference_points": y, "expanded_uncertainty_points": bars}
     yield Drawn("residuals", figure, caption, [Line("this rig less the paper", columns)])
 
 
@@ -267,19 +251,25 @@ def errors_without_sphere(curves: Curves, config: RigConfig) -> Iterator[Drawn]:
     (exact,) = predicted(config, NO_SPHERE, frequency, paper.CURRENT_A)
     errors = 100.0 * (np.array([p.dt for p in points]) / exact.dt - 1.0)
     bars = 100.0 * COVERAGE * np.array([p.u_dt / p.dt for p in points])
-    figure, (axis,) = new_axes(3.0)
-    axis.axhline(0.0, color=MUTED, linewidth=1.0, label="closed form")
-    axis.errorbar(
-        frequency, errors, bars, color=MEASURED, marker="o", linestyle="none", capsize=3.0, label="measured, ± 2u"
-    )
+    figure, axis = _residuals(frequency, errors, bars, (MUTED, "closed form"), "measured, ± 2u")
     axis.set(xlabel="frequency (Hz)", ylabel="difference (%)", title="Without sphere, against theory")
-    legend_below(axis, 2)
     caption = "DT without the sphere against the closed form of the configured rig: errors of instruments and analysis."
     columns = {
         "frequency_hz": frequency.tolist(), "difference_percent": errors.tolist(),
         "expanded_uncertainty_percent": bars.tolist(),
     }  # fmt: skip
     yield Drawn("residuals_without_sphere", figure, caption, [Line("no sphere", columns)])
+
+
+def _residuals(
+    x: ArrayLike, errors: ArrayLike, bars: ArrayLike, zero: tuple[str, str], label: str
+) -> tuple[Figure, Axes]:
+    """Draw differences with their bars about a line of a colour and a name."""
+    figure, (axis,) = new_axes(3.0)
+    axis.axhline(0.0, color=zero[0], linewidth=1.0, label=zero[1])
+    axis.errorbar(x, errors, bars, color=MEASURED, marker="o", linestyle="none", capsize=3.0, label=label)
+    legend_below(axis, 2)
+    return figure, axis
 
 
 # --- The paper's figures from our runs: curves over frequency, base amplitude, regimes
@@ -307,13 +297,13 @@ def papers_dt(curves: Curves, gap_m: float) -> float | None:
 
 def case(gap_m: float) -> str:
     """Return the name of a case in legends."""
-    return "no sphere" if gap_m == NO_SPHERE else f"{gap_m * 1e3:g} mm"
+    return case_of(gap_m).removeprefix("gap ")
 
 
-def measured_line(label: str, points: Sequence[Point]) -> Line:
+def measured_line(gap_m: float, points: Sequence[Point]) -> Line:
     """Return what was measured of a case, as its curve is drawn."""
     return Line(
-        label,
+        case(gap_m),
         {
             "frequency_hz": [p.frequency_hz for p in points],
             "transmissibility": [p.dt for p in points],
@@ -331,14 +321,15 @@ def figure_8(curves: Curves) -> Iterator[Drawn]:
             continue
         figure, (axis,) = new_axes(2.9)
         if curve(curves, NO_SPHERE):
-            _errorbar(axis, curve(curves, NO_SPHERE), colour(NO_SPHERE), "no sphere", dashed=True)
-        _errorbar(axis, points, colour(gap), f"gap {gap * 1e3:g} mm")
+            _errorbar(axis, curve(curves, NO_SPHERE), colour(NO_SPHERE), "--", label="no sphere")
+        _errorbar(axis, points, colour(gap), "-", label=f"gap {gap * 1e3:g} mm")
         wanted = papers_dt(curves, gap)
         if wanted is not None:
             label = f"paper, −{REDUCTION_PERCENT[gap]:g} %"
             axis.plot(FREQUENCY_HZ, wanted, "D", color=PAPER_RED, markerfacecolor="none", markersize=6.0, label=label)
-        _finish(axis, f"Gap {gap * 1e3:g} mm")
-        lines = [measured_line(case(one), curve(curves, one)) for one in (NO_SPHERE, gap) if curve(curves, one)]
+        axis.set(xlabel="frequency (Hz)", ylabel="transmissibility", title=f"Gap {gap * 1e3:g} mm", ylim=(0.0, None))
+        axis.legend(loc="upper left")
+        lines = [measured_line(one, curve(curves, one)) for one in (NO_SPHERE, gap) if curve(curves, one)]
         yield Drawn(f"fig8{letter}_gap_{gap * 1e3:g}mm", figure, f"Gap {gap * 1e3:g} mm (Fig. 8{letter}).", lines)
 
 
@@ -352,10 +343,9 @@ def peaks(curves: Curves) -> Iterator[Drawn]:
         except MissingError:
             continue
         points = [p for f, p in sorted(curves.by_gap[gap].items()) if abs(f - FREQUENCY_HZ) < 0.0999]
-        lines.append(measured_line(case(gap), points))
-        label = case(gap)
+        lines.append(measured_line(gap, points))
         style = "--" if gap == NO_SPHERE else "-"
-        axis.plot([p.frequency_hz for p in points], [p.dt for p in points], style, color=colour(gap), label=label)
+        axis.plot([p.frequency_hz for p in points], [p.dt for p in points], style, color=colour(gap), label=case(gap))
         axis.axvline(peak, color=colour(gap), linewidth=0.7, linestyle=":")
     if not lines:
         return
@@ -413,11 +403,10 @@ def amplitudes(curves: Curves) -> Iterator[Drawn]:
         points = curve(curves, gap)
         frequency = [p.frequency_hz for p in points]
         style = "--" if gap == NO_SPHERE else "-"
-        label = case(gap)
         columns = {"superior_base_mm": [p.laser_m * 1e3 for p in points], "base_um": [p.base_m * 1e6 for p in points]}
         lines.append(Line(case(gap), {"frequency_hz": frequency, **columns}))
-        upper.plot(frequency, [p.laser_m * 1e3 for p in points], style, marker="o", color=colour(gap), label=label)
-        lower.plot(frequency, [p.base_m * 1e6 for p in points], style, marker="o", color=colour(gap))
+        for axis, y, label in zip((upper, lower), columns.values(), (case(gap), None), strict=True):
+            axis.plot(frequency, y, style, marker="o", color=colour(gap), label=label)
     upper.set(ylabel="superior base (mm)", title=f"Amplitudes at {paper.CURRENT_A * 1e3:g} mA")
     lower.set(ylabel="inferior base (µm)", xlabel="frequency (Hz)", yscale="log")
     lower.set_yticks([50, 100, 200, 500], ["50", "100", "200", "500"])
@@ -463,28 +452,16 @@ def regime_map(curves: Curves) -> Iterator[Drawn]:
     yield Drawn("regimes", figure, caption, lines)
 
 
-def _errorbar(
-    axis: Axes, points: Sequence[Point], shade: str, label: str, *, line: bool = True, dashed: bool = False
-) -> None:
-    axis.errorbar(
-        [p.frequency_hz for p in points], [p.dt for p in points], [COVERAGE * p.u_dt for p in points],
-        color=shade, marker="o", linestyle="--" if dashed else "-" if line else "none", capsize=2.0, label=label,
-    )  # fmt: skip
-
-
-def _finish(axis: Axes, title: str, *, legend: bool = True) -> None:
-    axis.set(xlabel="frequency (Hz)", ylabel="transmissibility", title=title, ylim=(0.0, None))
-    if legend:
-        axis.legend(loc="upper left")
+def _errorbar(axis: Axes, points: Sequence[Point], shade: str, line: str, capsize: float = 2.0, **more: Any) -> None:
+    frequency, bars = [p.frequency_hz for p in points], [COVERAGE * p.u_dt for p in points]
+    dt = [p.dt for p in points]
+    axis.errorbar(frequency, dt, bars, color=shade, marker="o", linestyle=line, capsize=capsize, **more)
 
 
 # --- Time traces and phase planes of single runs, from their last blocks
 
 CYCLES = 3  # drive cycles in a time trace
 DRAWN_HZ = 2000.0  # displacements are drawn at this rate; pulses of the accelerometer keep every scan
-
-
-Trace = Mapping[str, NDArray[np.generic]]
 
 
 def time_trace(trace: Trace, gap_m: float, frequency_hz: float) -> Drawn:

@@ -69,10 +69,6 @@ def _panes(axes: Sequence[Axes], *labels: str, x: str) -> None:
     legend_below(axes[-1], 3, *axes[:-1])
 
 
-def _every(n: int) -> slice:
-    return slice(None, None, -(-n // MOST_POINTS))
-
-
 def _learning(errors: Sequence[float], label: str, what: str) -> Drawn:
     """Draw the error of each loop or trial."""
     with style():
@@ -157,13 +153,13 @@ def _replicated(found: Replicated, unit: str) -> Told:
     ]
     return Told(
         f"trial {len(found.errors)}: error {100 * found.errors[-1]:.2f} %", figures, sentences,
-        lambda: [_history(found.rate_hz, found.asked, found.reached, found.linear, unit),
-                 _learning([100 * one for one in found.errors], "error (%)", "trial")],
+        lambda: [_history(found, unit), _learning([100 * one for one in found.errors], "error (%)", "trial")],
     )  # fmt: skip
 
 
-def _history(rate_hz: int, asked: Real, reached: Real, linear: Real, unit: str, name: str = "history") -> Drawn:
-    t, part = np.arange(len(asked)) / rate_hz, _every(len(asked))
+def _history(found: Replicated, unit: str) -> Drawn:
+    asked, reached, linear = found.asked, found.reached, found.linear
+    t, part = np.arange(len(asked)) / found.rate_hz, slice(None, None, -(-len(asked) // MOST_POINTS))
     with style():
         figure, axes = new_axes(4.2, (2.0, 1.0))
         axes[0].plot(t[part], reached[part], color=MEASURED, label="reached")
@@ -172,7 +168,8 @@ def _history(rate_hz: int, asked: Real, reached: Real, linear: Real, unit: str, 
         axes[1].plot(t[part], (reached - linear)[part], color=SERIES[2], label="not linear", linewidth=0.8)
         _panes(axes, f"response ({unit})", f"({unit})", x="time (s)")
         columns = {"time (s)": t[part], "asked": asked[part], "reached": reached[part], "linear": linear[part]}
-        return Drawn(name, figure, "The history asked and reached; below, what is left.", [Line(name, columns)])
+        caption = "The history asked and reached; below, what is left."
+        return Drawn("history", figure, caption, [Line("history", columns)])
 
 
 def _shocked(found: Shocked, unit: str) -> Told:

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from impact_rig.analysis.reduction import Contribution, budget
+from impact_rig.analysis.reduction import budget
 from impact_rig.campaign.axes import NO_SPHERE
 from impact_rig.campaign.paper import CURRENT_A, FREQUENCY_HZ, REDUCTION_PERCENT
 from impact_rig.campaign.results import Point
@@ -85,13 +85,8 @@ def statements(done: Finished, content: Content) -> Iterator[str]:
     for i, one in enumerate(verdicts, 1):
         figures: list[str | Cell] = ["", "", "", ""]
         if one.result is not None and one.margin is not None:
-            unit = "" if one.unit == "-" else one.unit
-            figures = [
-                number(one.result.value, ".4g"),
-                number(one.result.limit, ".4g"),
-                number(one.margin, ".3g"),
-                unit,
-            ]
+            values = (number(one.result.value, ".4g"), number(one.result.limit, ".4g"), number(one.margin, ".3g"))
+            figures = [*values, "" if one.unit == "-" else one.unit]
         rows.append([Cell(str(i), i), one.text, one.word, one.kind.value, one.detail, *figures])
     headings = ["no.", "statement", "verdict", "worth", "found", "value", "limit", "margin", "unit"]
     yield content.table("statements", headings, rows, [5, 6, 7])
@@ -115,9 +110,12 @@ def uncertainty(done: Finished, content: Content) -> Iterator[str]:
         "the sensitivities add is the same in every DT of this report, so it cancels in reductions."
     )
     rows: list[list[str | Cell]] = [
-        [part.source, part.what, part.evaluation, *_shares(part, found.transmissibility, found.share(part))]
+        [
+            part.source, part.what, part.evaluation, number(100.0 * part.u_relative, ".2g"),
+            number(part.u_relative * found.transmissibility, ".2g"), number(100.0 * found.share(part), ".1f"),
+        ]
         for part in found.parts
-    ]
+    ]  # fmt: skip
     sums = (100.0 * relative, found.u_transmissibility, 100.0)
     rows.append(["combined", "standard uncertainty", "", *(number(v, ".2g" if v < 100.0 else ".0f") for v in sums)])
     expanded = COVERAGE * found.u_transmissibility
@@ -127,11 +125,6 @@ def uncertainty(done: Finished, content: Content) -> Iterator[str]:
     yield content.table("uncertainty_budget", headings, rows, [3, 4, 5])
     result = Cell(f"{found.transmissibility:.2f} ± {expanded:.2f}", (found.transmissibility, expanded))
     yield content.table("uncertainty_result", ["result", "DT"], [[chosen.label, result]], [1])
-
-
-def _shares(part: Contribution, transmissibility: float, share: float) -> list[Cell]:
-    u = part.u_relative
-    return [number(100.0 * u, ".2g"), number(u * transmissibility, ".2g"), number(100.0 * share, ".1f")]
 
 
 def chosen(config: RigConfig, content: Content) -> Iterator[str]:
@@ -174,14 +167,10 @@ def margins(varied: list[Variation], content: Content) -> Iterator[str]:
     judged = [verdict.result for verdict in varied[0].verdicts]
     rows: list[list[str | Cell]] = [["limit", *("" if one is None else number(one.limit, ".4g") for one in judged)]]
     for one in varied:
-        names = [f"{name} = {_text(value)}" for name, value in one.changed.items()]
+        values = {name: value_cell(value) for name, value in one.changed.items()}
+        names = [f"{name} = {cell.text if isinstance(cell, Cell) else cell}" for name, cell in values.items()]
         cells = [
             "" if v.result is None else Cell(f"{v.result.value:.4g} {v.word}", v.result.value) for v in one.verdicts
         ]
         rows.append([", ".join(names) or "the rig itself", *cells])
     yield content.table("margins", ["rig", *(str(i) for i in range(1, len(judged) + 1))], rows)
-
-
-def _text(value: Value) -> str:
-    cell = value_cell(value)
-    return cell.text if isinstance(cell, Cell) else cell

@@ -13,10 +13,11 @@ from numpy.typing import NDArray
 
 from impact_rig.drawing import Drawn, new_axes, style
 from impact_rig.errors import ConfigError
-from impact_rig.maps.plan import BOTH, CURRENT, DOWN, FREQUENCY, GAP, POSITION, SPEED, UP, MapPlan
+from impact_rig.maps.plan import BOTH, CURRENT, DOWN, FREQUENCY, GAP, UP, MapPlan
 from impact_rig.maps.run import FinishedMap
 from impact_rig.physics import prediction
 from impact_rig.rig.config import from_flat
+from impact_rig.studies.dynamics.figures import label_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -26,16 +27,7 @@ WORDS = ("no impacts", "two impacts per cycle", "periodic", "modulated", "chaoti
 OUTLINES = {QUIET: "#1b1f24", MODULATED: "#ff9347", CHAOTIC: "#ff6b6b", TWO: "#ffffff"}
 """Colours of the regimes' borders in the order in which they are drawn; what is left is periodic otherwise."""
 _COLUMNS = 2
-LABELS = {
-    FREQUENCY: ("frequency (Hz)", 1.0), CURRENT: ("current (A)", 1.0), GAP: ("gap (mm)", 1e3),
-    POSITION: ("sphere at the beginning, from the middle (mm)", 1e3), SPEED: ("its speed (m/s)", 1.0),
-}  # fmt: skip
 APART = 0.01  # relative difference of DT from which up and down count as two answers
-
-
-def label_of(name: str) -> tuple[str, float]:
-    """Return what stands at an axis, and the factor of its numbers."""
-    return LABELS.get(name, (name, 1.0))
 
 
 def heat_maps(done: FinishedMap) -> Iterator[Drawn]:

@@ -150,7 +150,7 @@ def continued(name: str, plan: Plan, found: Found, points: Sequence[Point], conf
         if p.reference and p.settled and p.gap_m != NO_SPHERE and all(getattr(p, n) == v for n, v in held.items())
     ]  # fmt: skip
     figure, (axis,) = new_axes(3.5)
-    label, factor = figures.across_of(plan)
+    label, factor = figures.label_of(plan.over)
     numbers: list[Line] = []
     for i, (one, rows) in enumerate(found):
         both = figures.draw_branch(axis, plan, rows, "dt", SERIES[i % len(SERIES)], one.name)

@@ -17,7 +17,6 @@ from impact_rig.operate.phase_lock import Look, PhasorMeter
 from impact_rig.operate.stepped_sine import ControlledSine, HoldPlan, Setpoint
 from impact_rig.rig import Rig
 from impact_rig.rig.config import RigConfig, from_flat
-from impact_rig.simtime import NS_PER_S
 
 BLOCKS_PER_S = 20  # blocks of the rig in a loop: rig time passes in steps of 50 ms
 
@@ -28,7 +27,6 @@ class Held:
 
     rows: NDArray[np.void]  # of `blocks.HELD`
     failure: str  # why it did not reach its end; empty otherwise
-    simulated_s: float
 
 
 def hold(job: Job, plan: HoldPlan, apparatus: PatientApparatus | None = None) -> Held:
@@ -44,7 +42,7 @@ def hold(job: Job, plan: HoldPlan, apparatus: PatientApparatus | None = None) ->
     """
     apparatus, sweep = apparatus or ProcessApparatus(job), ControlledSine(job.plan(), plan)
     operate(sweep, apparatus)
-    return Held(sweep.held, sweep.reason, apparatus.now_ns() / NS_PER_S)
+    return Held(sweep.held, sweep.reason)
 
 
 def with_short_blocks(config: RigConfig) -> RigConfig:

@@ -28,7 +28,7 @@ from impact_rig import topics
 from impact_rig.analysis.calibration import Calibration, Real
 from impact_rig.analysis.scans import BASE, CHANNELS, CURRENT, LASER, SCAN, samples_of
 from impact_rig.blocks import Table
-from impact_rig.campaign.axes import NO_SPHERE
+from impact_rig.campaign.axes import NO_SPHERE, gap_values
 from impact_rig.campaign.plan import RESET
 from impact_rig.campaign.results import Curves, Point
 from impact_rig.drawing import MEASURED, MUTED, PREDICTED, WIDE_INCH, Drawn, Line, style
@@ -315,10 +315,8 @@ def _model(config: RigConfig, gap_m: float, kind: str) -> RigConfig:
         "drive.kind": kind, "drive.waveform": "stream", "drive.stream_hold": "first_order", "drive.amplitude": 0.0,
         "drive.stream_rate_hz": STREAM_HZ,
     }  # fmt: skip
-    if gap_m == NO_SPHERE:
-        changes["sphere.present"] = False
-    elif not math.isnan(gap_m):
-        changes |= {"sphere.present": True, "barriers.gap_m": gap_m}
+    if not math.isnan(gap_m):
+        changes |= gap_values(gap_m)
     return from_flat(config, changes)
 
 

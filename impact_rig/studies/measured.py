@@ -101,6 +101,5 @@ def _known(frequency_hz: float, found: dict[tuple[float, float], NDArray[np.void
 
 
 def _plain(row: np.void) -> dict[str, object]:
-    return {
-        name: row[name].decode() if isinstance(row[name], bytes) else float(row[name]) for name in DAQ_INFO.names or ()
-    }
+    cells = zip(DAQ_INFO.names or (), row.tolist(), strict=True)
+    return {name: cell.decode() if isinstance(cell, bytes) else float(cell) for name, cell in cells}

@@ -82,8 +82,9 @@ class Golden:
         wrong = [
             f"{name}: {numbers.get(name, 'missing')}, golden {expected.get(name, 'missing')}"
             for name in sorted({*numbers, *expected})
-            if name not in numbers or name not in expected or not _close(numbers[name], expected[name], rel, abs)
-        ]
+            if name not in numbers or name not in expected
+            or not np.isclose(numbers[name], expected[name], rel, abs, equal_nan=True)
+        ]  # fmt: skip
         if wrong:
             raise AssertionError(f"different from {where} (rel {rel:g}, abs {abs:g}): {'; '.join(wrong)}")
 
@@ -135,7 +136,3 @@ def _agree(found: NDArray[np.generic], expected: NDArray[np.generic], tolerance:
         return np.asarray(found == expected)
     bits = f"u{found.dtype.itemsize}"
     return np.asarray(np.ascontiguousarray(found).view(bits) == np.ascontiguousarray(expected).view(bits))
-
-
-def _close(found: float, expected: float, rel: float, absolute: float) -> bool:
-    return bool(np.isclose(found, expected, rtol=rel, atol=absolute, equal_nan=True))

@@ -27,23 +27,15 @@ from impact_rig.rig.config import RigConfig, dump, from_flat, to_flat
 from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S
 
 SCANS = topics.SCAN.name
-TOPICS = (
-    SCANS,
-    topics.INFO.name,
-    topics.APPLIED.name,
-    topics.JOURNAL.name,
-    topics.IMPACTS_TRUTH.name,
-    topics.FAULTS.name,
-)
+ESSENTIAL = (topics.INFO.name, topics.APPLIED.name, topics.JOURNAL.name)
+"""Never forgotten: what they say holds until the next of them."""
+TOPICS = (SCANS, *ESSENTIAL, topics.IMPACTS_TRUTH.name, topics.FAULTS.name)
 """Tables that every rig under test keeps, and that are in the run of a failed test."""
 _GRID_PER_S = NS_PER_S // COMMAND_GRID_NS
 _DEFAULTS = to_flat(RigConfig())
 _UNSAID = ("time.", "instruments.faults")  # the same in every test; told in words
 BATCH_BLOCKS = 50
 KEPT_BYTES = 256_000_000  # scans beyond this are forgotten, oldest first: 10 minutes at 10 kS/s
-
-ESSENTIAL = (topics.INFO.name, topics.APPLIED.name, topics.JOURNAL.name)
-"""Never forgotten: what they say holds until the next of them."""
 
 Listener = Callable[[Table], object]
 

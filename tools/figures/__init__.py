@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from tools.figures import animation, contacts, damping, first_look, graph, kernels, paper, rig, transmissibility
+from tools.figures import animation, contacts, damping, graph, kernels, paper, rig, simulated, transmissibility
 
 COMMAND = "make figures"
 ROOT = Path(__file__).parents[2]
@@ -44,7 +44,7 @@ DRAWN: Mapping[str, Callable[[], str]] = {
     "animation.svg": animation.draw,
     "contact_laws.svg": contacts.draw_laws,
     "contact_order.svg": contacts.draw_order,
-    "first_look.svg": first_look.draw,
+    "first_look.svg": simulated.draw_first_look,
     "graph.svg": graph.draw,
     "kernels_outcome.svg": kernels.draw_table,
     "kernels_tick.svg": kernels.draw_tick,

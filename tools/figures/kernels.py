@@ -137,13 +137,9 @@ def draw_table() -> str:
         parts.append(text(x + 2, _TABLE_TOP - 8 - 14 * (row % 2), name, colour=colour, px=12))
         parts.append(text(x + 2, _TABLE_TOP + 86 + 14 * (row % 2), what, colour=MUTED, px=11))
         column += count
+    first = "in each group: separation speed, duration, energy lost; then, in the first two,"
     parts += [
-        text(
-            20,
-            _TABLE_TOP + 128,
-            "in each group: separation speed, duration, energy lost; then, in the first two,",
-            px=12,
-        ),
+        text(20, _TABLE_TOP + 128, first, px=12),
         text(20, _TABLE_TOP + 146, "peak force, largest indentation, ∫Δ dθ, ∫(θ_end − θ) Δ dθ", px=12),
     ]
     return sheet(

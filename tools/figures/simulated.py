@@ -1,6 +1,6 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""Motions of the rig's mechanics for figures: no instruments, no ROS, the same bits on every machine."""
+"""Motions of the rig's mechanics for figures: no ROS, the same bits on every machine; and the first look."""
 
 from __future__ import annotations
 
@@ -10,9 +10,12 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
+from impact_rig.campaign.axes import gap_values
 from impact_rig.campaign.paper import CURRENT_A, FREQUENCY_HZ
 from impact_rig.physics import SEGMENT, Motion, Simulation
 from impact_rig.rig.config import RigConfig, from_flat
+from impact_rig.simulation import simulate
+from tools.figures.style import finished
 
 TICK_S = 0.01
 SETTLE_S = 40.0
@@ -24,17 +27,11 @@ Real = NDArray[np.float64]
 
 @attrs.frozen(eq=False)
 class Steady:
-    """The rig when its transient has died.
+    """The rig when its transient has died."""
 
-    Attributes:
-        motion: of the last part.
-        frequency_hz: of the drive.
-        begin_s: where whole cycles begin, in rig time: the current passes zero upwards.
-    """
-
-    motion: Motion
-    frequency_hz: float
-    begin_s: float
+    motion: Motion  # of the last part
+    frequency_hz: float  # of the drive
+    begin_s: float  # where whole cycles begin, in rig time: the current passes zero upwards
 
     def at(self, names: tuple[str, ...], time_s: Real) -> Real:
         """Return quantities at instants after `begin_s` [s], SI, shape (names, n)."""
@@ -52,8 +49,7 @@ def steady(
     gap_m: float, frequency_hz: float = FREQUENCY_HZ, cycles: int = AVERAGED_CYCLES, settle_s: float = SETTLE_S
 ) -> Steady:
     """Return the steady motion at the paper's current; gap 0: without the sphere."""
-    sphere = {"barriers.gap_m": gap_m} if gap_m else {"sphere.present": False}
-    simulation = Simulation(from_flat(RigConfig(), sphere))
+    simulation = Simulation(from_flat(RigConfig(), gap_values(gap_m)))
     begin = math.ceil(settle_s * frequency_hz) / frequency_hz
     first = int(begin / TICK_S)
     simulation.advance(_drive(0, first, frequency_hz))
@@ -68,6 +64,13 @@ def transmissibility(gap_m: float, frequency_hz: float = FREQUENCY_HZ, settle_s:
     turn = np.exp(-2j * math.pi * frequency_hz * time)
     base, structure = found.at(("x_b", "x_1"), time) @ turn
     return float(abs(structure) / abs(base))
+
+
+def draw_first_look() -> str:
+    """Return as SVG what the five lines of docs/index.md draw."""
+    driven = {"drive.frequency_hz": 9.1, "drive.amplitude": 0.52, "barriers.gap_m": 0.006}
+    words = "Half a second of base, structure and acceleration, with the impacts that the analysis found."
+    return finished(simulate(20.0, driven).plot(), words)
 
 
 def _drive(first: int, count: int, frequency_hz: float) -> NDArray[np.void]:

@@ -147,11 +147,11 @@ def line(points: Sequence[tuple[float, float]], *, colour: str = INK, width: flo
     return f'<polyline points="{path}" fill="none" stroke="{colour}" stroke-width="{width:g}" {more}/>'
 
 
-def arrow(x0: float, y0: float, x1: float, y1: float, *, colour: str = INK, width: float = 1.5) -> str:
+def arrow(x0: float, y0: float, x1: float, y1: float, *, colour: str = INK) -> str:
     """Return an arrow."""
     length = ((x1 - x0) ** 2 + (y1 - y0) ** 2) ** 0.5
     ux, uy = (x1 - x0) / length, (y1 - y0) / length
     foot_x, foot_y = x1 - 8.0 * ux, y1 - 8.0 * uy
     head = ((x1, y1), (foot_x - 4.0 * uy, foot_y + 4.0 * ux), (foot_x + 4.0 * uy, foot_y - 4.0 * ux))
     tip = " ".join(f"{x:.1f},{y:.1f}" for x, y in head)
-    return line(((x0, y0), (foot_x, foot_y)), colour=colour, width=width) + f'<polygon points="{tip}" fill="{colour}"/>'
+    return line(((x0, y0), (foot_x, foot_y)), colour=colour) + f'<polygon points="{tip}" fill="{colour}"/>'

@@ -14,14 +14,23 @@ from collections.abc import Callable
 from pathlib import Path
 
 from impact_rig.cli.interface import DOCUMENT
+from impact_rig.physics.contact import LAWS
 from impact_rig.rig.config import RigConfig
 from impact_rig.rig.description import robot_description
-from tools.generate import graph, interface, laws, layers
+from tools.generate import graph, interface, layers
+from tools.generate.markdown import table
 from tools.generate.nominal import nominal
 
 COMMAND = "make generate"
 ROOT = Path(__file__).parents[2]
-TABLES: dict[str, Callable[[], str]] = {**layers.TABLES, **interface.TABLES, **laws.TABLES}
+
+
+def _laws() -> str:
+    rows = ((f"`{law.name}`", law.formula, f"{law.returns:.3f}", law.source) for law in LAWS.values())
+    return table(("law", "a(e), or its shape", "returned e", "source"), rows)
+
+
+TABLES: dict[str, Callable[[], str]] = {**layers.TABLES, **interface.TABLES, "contact laws": _laws}
 """Name in a page's markers -> its text."""
 
 _SECTION = re.compile(r"(<!-- generated: (?P<name>[\w ]+) -->\n).*?(<!-- end -->)", re.DOTALL)

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import itertools
 from html import escape
 from pathlib import Path
 from xml.etree import ElementTree as ET
@@ -57,25 +58,18 @@ _HEAD = """\
 
 def edges() -> dict[tuple[str, str], list[str]]:
     """Return the topics that pass from one node to another, by both names; those of ROS itself are left out."""
-    said: dict[str, dict[str, set[str]]] = {}
-    for profile in ET.parse(POLICY).iter("profile"):  # noqa: S314  # our own file
-        name = profile.get("node", "")
-        said[name] = {
-            kind: {
-                topic.text or ""
-                for group in profile.iter("topics")
-                if group.get(kind) == "ALLOW"
-                for topic in group.iter("topic")
-            }
-            for kind in ("publish", "subscribe")
-        }
+    policy = ET.parse(POLICY)  # noqa: S314  # our own file
+
+    def topics(node: str, kind: str) -> set[str]:
+        found = policy.findall(f".//profile[@node='{node}']/topics[@{kind}='ALLOW']/topic")
+        return {topic.text or "" for topic in found}
+
     found: dict[tuple[str, str], list[str]] = {}
-    for source in NODES:
-        for sink in NODES:
-            common = said[source]["publish"] & said[sink]["subscribe"] if source != sink else set()
-            names = [name for topic in common if (name := _known(topic))]
-            if names:
-                found[source, sink] = sorted(names)
+    for source, sink in itertools.permutations(NODES, 2):
+        common = topics(source, "publish") & topics(sink, "subscribe")
+        names = [name for topic in common if (name := _known(topic))]
+        if names:
+            found[source, sink] = sorted(names)
     return found
 
 

@@ -41,12 +41,8 @@ SCHEMAS: dict[str, Tree[Any]] = {
 
 def _shown_topics() -> list[topics.Topic]:
     """Return the topics of the page: one row stands for all envelopes and one for all spectra."""
-    shown: list[topics.Topic] = []
-    for family, general in (
-        (ENVELOPES, topics.envelope("CHANNEL", "as the channel")),
-        (SPECTRA, topics.spectrum("CHANNEL", "as the channel")),
-    ):
-        shown += [general] * bool(family)
+    families = ((ENVELOPES, topics.envelope), (SPECTRA, topics.spectrum))
+    shown = [general("CHANNEL", "as the channel") for family, general in families if family]
     alike = {topic.name for topic in (*ENVELOPES.values(), *SPECTRA.values())}
     first = next(number for number, topic in enumerate(TOPICS) if topic.name in alike)
     others = [topic for topic in TOPICS if topic.name not in alike]
@@ -99,14 +95,6 @@ def _kind(code: str) -> str:
     return {"f": "FLOAT", "i": "INT", "u": "UINT"}[kind.kind] + str(8 * kind.itemsize)
 
 
-def _journal() -> str:
-    return table(("kind", "meaning"), ((f"`{kind.value}`", kind.doc) for kind in Kind))
-
-
-def _faults() -> str:
-    return table(("kind", "meaning"), ((f"`{kind}`", doc) for kind, doc in FAULT_KINDS.items()))
-
-
 def _services() -> str:
     rows = ((f"`{s.node}{s.name[1:]}`", s.type_name.split("/")[-1], s.doc) for s in services.SERVICES)
     return table(("service", "type", "what it does"), rows)
@@ -122,26 +110,16 @@ def _states() -> str:
 def _parameters(node: str) -> Callable[[], str]:
     def parameters() -> str:
         heads = ["parameter", "default", "unit", "range", "origin", "meaning"]
+        types: dict[type, str] = {bool: "true or false", str: "any text", tuple: "list of texts"}
         rows = []
         for name, about, default in SCHEMAS[node].fields():
-            legal = about.range_text() if _limited(about) else _type(default)
-            row = [f"`{name}`", f"`{_shown(default)}`", about.unit, legal, about.origin.value, about.doc]
+            limited = about.choices or about.low is not None or about.high is not None
+            legal = about.range_text() if limited else types.get(type(default), "any finite number")
+            row = [f"`{name}`", f"`{scalar(default)}`", about.unit, legal, about.origin.value, about.doc]
             rows.append([*row, "start only" if about.read_only else takes_effect(name)] if node == "rig" else row)
         return table([*heads, "acts from"] if node == "rig" else heads, rows)
 
     return parameters
-
-
-def _limited(about: FieldInfo) -> bool:
-    return bool(about.choices) or about.low is not None or about.high is not None
-
-
-def _shown(value: Value) -> str:
-    return scalar(value)
-
-
-def _type(value: Value) -> str:
-    return {bool: "true or false", str: "any text", tuple: "list of texts"}.get(type(value), "any finite number")
 
 
 def _figures() -> str:
@@ -151,11 +129,6 @@ def _figures() -> str:
         for figure in known
     )
     return table(("node", "figure", "unit", "meaning"), rows)
-
-
-def _words() -> str:
-    rows = ((node, f"`{word.value}`", f"{word.doc}.") for node, words in states.BY_NODE.items() for word in words)
-    return table(("node", "state", "meaning"), rows)
 
 
 def document() -> str:
@@ -222,8 +195,8 @@ TABLES: dict[str, Callable[[], str]] = {
     "qualities of service": _qualities,
     "columns": _columns,
     "fields": _fields,
-    "journal": _journal,
-    "faults": _faults,
+    "journal": lambda: table(("kind", "meaning"), ((f"`{kind.value}`", kind.doc) for kind in Kind)),
+    "faults": lambda: table(("kind", "meaning"), ((f"`{kind}`", doc) for kind, doc in FAULT_KINDS.items())),
     "services": _services,
     "states": _states,
     "rig parameters": _parameters("rig"),
@@ -231,6 +204,9 @@ TABLES: dict[str, Callable[[], str]] = {
     "recorder parameters": _parameters("recorder"),
     "stepped_sine parameters": _parameters("stepped_sine"),
     "figures": _figures,
-    "words": _words,
+    "words": lambda: table(
+        ("node", "state", "meaning"),
+        ((node, f"`{word.value}`", f"{word.doc}.") for node, words in states.BY_NODE.items() for word in words),
+    ),
 }
 """Name in the page's markers -> its text."""

@@ -57,7 +57,8 @@ def picture() -> str:
     y, boxes = _MARGIN, []
     for packages in layers():
         width = (_WIDTH - 2 * _MARGIN - (len(packages) - 1) * _GAP) / len(packages)
-        texts = [_wrapped(sentence(package), width) for package in packages]
+        characters = max(10, int((width - 2 * _PAD) / _CHARACTER))
+        texts = [textwrap.wrap(sentence(package), characters) for package in packages]
         height = 2 * _PAD + 18 + _LINE * max(map(len, texts))
         for number, (package, lines) in enumerate(zip(packages, texts, strict=True)):
             boxes.append(_box(package, lines, (_MARGIN + number * (width + _GAP), y, width, height)))
@@ -67,10 +68,6 @@ def picture() -> str:
         "in the lowest layer they may see each other. Green ones may import rclpy.</text>"
     )
     return _HEAD.format(width=_WIDTH, height=y + 30) + "\n".join(boxes) + "\n</svg>\n"
-
-
-def _wrapped(text: str, width: float) -> list[str]:
-    return textwrap.wrap(text, max(10, int((width - 2 * _PAD) / _CHARACTER)))
 
 
 def _box(package: str, lines: list[str], place: tuple[float, float, float, float]) -> str:

@@ -34,21 +34,14 @@ _ANY = frozenset(Situation)
 
 @attrs.frozen
 class Input:
-    """One row: a service, or the topic of a command.
+    """One row: a service, or the topic of a command."""
 
-    Attributes:
-        name: topic, or private service name.
-        type_name: ROS interface; empty for a topic, whose type the table of topics has.
-        node: node that takes it.
-        doc: what it does.
-        taken: the situations in which it is taken; in the others it is refused with a message and counted.
-    """
-
-    name: str
-    type_name: str
-    node: str
-    doc: str
+    name: str  # topic, or private service name
+    type_name: str  # ROS interface; empty for a topic, whose type the table of topics has
+    node: str  # node that takes it
+    doc: str  # what it does
     taken: frozenset[Situation]
+    """The situations in which it is taken; in the others it is refused with a message and counted."""
 
 
 COMMANDS = (

@@ -44,21 +44,13 @@ ALL_RUNS = known((*LONG, *SHORT))
 
 @attrs.frozen
 class Outcome:
-    """What one mask or CPU gave.
+    """What one mask or CPU gave."""
 
-    Attributes:
-        name: of the mask or the CPU.
-        held: whether the mask took hold.
-        equal: runs whose every topic has the committed digest.
-        different: those that have not, with the first topic that differs.
-        first: where the first of them parts from the unmasked run of this machine.
-    """
-
-    name: str
-    held: str
-    equal: int
-    different: dict[str, str]
-    first: str = ""
+    name: str  # of the mask or the CPU
+    held: str  # whether the mask took hold
+    equal: int  # runs whose every topic has the committed digest
+    different: dict[str, str]  # those that have not, with the first topic that differs
+    first: str = ""  # where the first of them parts from the unmasked run of this machine
 
     @property
     def well(self) -> bool:
@@ -115,9 +107,8 @@ class Bench:
     def emulated(self, cpu: str, bare: Machine) -> Outcome:
         """Record two short runs on another CPU, as plain Python."""
         emulator = (EMULATOR, "-cpu", cpu)
-        environment = full_environment(BARE) | {
-            "_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1"
-        }  # else it starts itself anew, bare
+        # else it starts itself anew, bare
+        environment = full_environment(BARE) | {"_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1"}
         seen = self.machine(environment, emulator)
         held = "NO" if seen == bare else f"LLVM sees {seen.llvm[0]}"
         found = self.record(cpu, environment | {"IMPACT_RIG_KERNELS": "plain"}, [*INTERPRETED_ELSEWHERE], emulator)

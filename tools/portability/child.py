@@ -27,7 +27,7 @@ from impact_rig.physics import model
 from impact_rig.physics.model import build
 from impact_rig.rig import core
 from tools.portability import digests
-from tools.portability.runs import LONG, QUICK, SHORT, Streams, known
+from tools.portability.runs import LONG, QUICK, SHORT, known
 
 TABLES = "tables.npz"
 
@@ -60,11 +60,13 @@ def main() -> int:
             if arguments.save:
                 arguments.save.mkdir(parents=True, exist_ok=True)
                 np.savez(arguments.save / f"{run.name}.npz", **streams)
-            if arguments.against and (difference := _difference(arguments.against / f"{run.name}.npz", streams)):
-                _say(f"{run.name} differs: {difference}")
+            if arguments.against:
+                with np.load(arguments.against / f"{run.name}.npz") as kept:
+                    if difference := digests.first_difference(kept, streams):
+                        _say(f"{run.name} differs: {difference}")
     if arguments.save:
         tables.keep(arguments.save)
-    arguments.output.write_text("".join(f"{line}\n" for line in digests.lines(found)), encoding="utf-8")
+    digests.write(found, arguments.output)
     return 1 if failed else 0
 
 
@@ -96,11 +98,6 @@ class Tables:
 
 def _say(line: str) -> None:
     print(line, flush=True)  # noqa: T201  # what a parent shows
-
-
-def _difference(path: Path, streams: Streams) -> str:
-    with np.load(path) as kept:
-        return digests.first_difference(kept, streams)
 
 
 if __name__ == "__main__":

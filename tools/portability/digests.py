@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 
 import attrs
@@ -40,20 +40,15 @@ def digest(rows: NDArray[np.void]) -> Digest:
     return Digest(len(rows), hashlib.sha256(rows.tobytes()).hexdigest())
 
 
-def lines(digests: Digests) -> Iterable[str]:
-    """Yield one line for each."""
-    for (run, topic), one in sorted(digests.items()):
-        yield f"{run:19}{topic:15}{one.rows:>7} {one.sha256}"
-
-
 def write(digests: Digests, path: Path = FILE) -> None:
-    """Replace the committed digests."""
+    """Replace the committed digests, a line for each."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(HEADER + "".join(f"{line}\n" for line in lines(digests)), encoding="utf-8")
+    lines = (f"{run:19}{topic:15}{one.rows:>7} {one.sha256}\n" for (run, topic), one in sorted(digests.items()))
+    path.write_text(HEADER + "".join(lines), encoding="utf-8")
 
 
 def read(path: Path = FILE) -> Digests:
-    """Return what `write` or `lines` wrote."""
+    """Return what `write` wrote."""
     found: Digests = {}
     for line in path.read_text(encoding="utf-8").splitlines():
         if not line.startswith("#"):

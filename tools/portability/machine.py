@@ -29,26 +29,22 @@ _HIDDEN = {"exp": math.exp, "log": math.log, "pow": functools.partial(math.pow, 
 
 @attrs.frozen
 class Machine:
-    """What this process runs on, so far as libraries choose code by it.
+    """What this process runs on, so far as libraries choose code by it."""
 
-    Attributes:
-        numpy: dispatched CPU features that NumPy uses.
-        llvm: the CPU and the features Numba compiles for.
-        vectors: whether compiled arithmetic uses AVX instructions: seen in the machine code itself.
-        openblas: core that each loaded OpenBLAS chose, by file name.
-        glibc: which variants of its functions libm chose: addresses within the library, or a checksum of values.
-    """
-
-    numpy: list[str]
-    llvm: list[str]
-    vectors: bool
-    openblas: dict[str, str]
+    numpy: list[str]  # dispatched CPU features that NumPy uses
+    llvm: list[str]  # the CPU and the features Numba compiles for
+    vectors: bool  # whether compiled arithmetic uses AVX instructions: seen in the machine code itself
+    openblas: dict[str, str]  # core that each loaded OpenBLAS chose, by file name
     glibc: dict[str, int]
+    """Which variants of its functions libm chose: addresses within the library, or a checksum of values."""
 
 
 def numpy_features() -> list[str]:
     """Return the dispatched features that NumPy has found and uses."""
-    module = importlib.import_module("numpy._core._multiarray_umath" if _numpy_2() else "numpy.core._multiarray_umath")
+    import numpy as np  # noqa: PLC0415
+
+    core = "_core" if int(np.__version__.split(".", 1)[0]) >= 2 else "core"
+    module = importlib.import_module(f"numpy.{core}._multiarray_umath")
     features = module.__cpu_features__
     return [name for name in module.__cpu_dispatch__ if features[name]]
 
@@ -71,12 +67,6 @@ def this() -> Machine:
         openblas=_openblas_cores(),
         glibc=_libm_variants(),
     )
-
-
-def _numpy_2() -> bool:
-    import numpy as np  # noqa: PLC0415
-
-    return int(np.__version__.split(".", 1)[0]) >= 2
 
 
 def _loaded() -> dict[str, int]:

@@ -42,30 +42,19 @@ def _openblas(*names: str) -> Callable[[Machine, Machine], bool]:
     return lambda masked, bare: set(masked.openblas.values()) <= set(names)
 
 
-def _llvm(masked: Machine, bare: Machine) -> bool:
-    return masked.llvm == ["generic", ""] and not masked.vectors
-
-
-def _numpy(masked: Machine, bare: Machine) -> bool:
-    return masked.numpy == []
-
-
 def _glibc(masked: Machine, bare: Machine) -> bool:
     """See other functions in use; without FMA, AVX2 or FMA4 there is one variant only, and nothing to see."""
     return masked.glibc != bare.glibc or not bare.vectors
 
 
-def _all(masked: Machine, bare: Machine) -> bool:
-    return all(mask.held(masked, bare) for mask in (PRESCOTT, LLVM_GENERIC, NUMPY_BASELINE, GLIBC_BASELINE))
-
-
 BARE = Mask("none", {}, lambda masked, bare: masked == bare)
-PRESCOTT = Mask(
-    "openblas-prescott", {"OPENBLAS_CORETYPE": "Prescott"}, _openblas("Prescott", "Katmai")
-)  # one kernel, two names
+# one kernel, two names
+PRESCOTT = Mask("openblas-prescott", {"OPENBLAS_CORETYPE": "Prescott"}, _openblas("Prescott", "Katmai"))
 HASWELL = Mask("openblas-haswell", {"OPENBLAS_CORETYPE": "Haswell"}, _openblas("Haswell"))
-LLVM_GENERIC = Mask("llvm-generic", LLVM, _llvm, recompiles=True)
-NUMPY_BASELINE = Mask("numpy-baseline", NUMPY, _numpy)
+LLVM_GENERIC = Mask(
+    "llvm-generic", LLVM, lambda masked, bare: masked.llvm == ["generic", ""] and not masked.vectors, recompiles=True
+)
+NUMPY_BASELINE = Mask("numpy-baseline", NUMPY, lambda masked, bare: masked.numpy == [])
 GLIBC_BASELINE = Mask("glibc-baseline", GLIBC, _glibc)
 LIBRARIES = Mask(
     "libraries",
@@ -73,6 +62,11 @@ LIBRARIES = Mask(
     lambda masked, bare: all(one.held(masked, bare) for one in (PRESCOTT, NUMPY_BASELINE, GLIBC_BASELINE)),
 )
 """All that need no other compiled code: quick enough for every test run."""
-ALL = Mask("all", LIBRARIES.environment | LLVM, _all, recompiles=True)
+ALL = Mask(
+    "all",
+    LIBRARIES.environment | LLVM,
+    lambda masked, bare: LIBRARIES.held(masked, bare) and LLVM_GENERIC.held(masked, bare),
+    recompiles=True,
+)
 
 MASKS = (PRESCOTT, HASWELL, LLVM_GENERIC, NUMPY_BASELINE, GLIBC_BASELINE, LIBRARIES, ALL)

@@ -51,20 +51,14 @@ HARD = {"drive.kind": "prescribed", "drive.amplitude": 0.003, "barriers.gap_m": 
 
 @attrs.frozen
 class Run:
-    """One fixed run.
+    """One fixed run."""
 
-    Attributes:
-        name: in the file of digests.
-        seconds: of rig time.
-        values: what differs from the default configuration.
-        commands: (frequency [Hz], amplitude) by the second at which they are commanded.
-        record: returns everything that its topics would have carried.
-    """
-
-    name: str
-    seconds: float
-    values: Mapping[str, object]
+    name: str  # in the file of digests
+    seconds: float  # of rig time
+    values: Mapping[str, object]  # what differs from the default configuration
     commands: Mapping[float, tuple[float, float]] = attrs.field(factory=dict)
+    """(Frequency [Hz], amplitude) by the second at which they are commanded."""
+    # returns everything that its topics would have carried
     record: Callable[[Run], Streams] = attrs.field(default=lambda run: _rig(run))  # noqa: PLW0108  # it stands below
 
 

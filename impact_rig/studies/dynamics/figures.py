@@ -22,8 +22,9 @@ if TYPE_CHECKING:
 Found = Sequence[tuple[Task, Sequence[Row]]]
 MARKS = {"fold": "o", "symmetry": "D", "flip": "s", "torus": "^", "grazing": "v", "lost": "x"}
 """Of what changes along a branch."""
-_LABELS = {
+LABELS = {
     FREQUENCY: ("frequency (Hz)", 1.0), CURRENT: ("current (A)", 1.0), GAP: ("gap (mm)", 1e3),
+    POSITION: ("sphere at the beginning, from the middle (mm)", 1e3), SPEED: ("its speed (m/s)", 1.0),
 }  # fmt: skip
 _SPHERE = "sphere at the section (mm)"
 
@@ -47,9 +48,9 @@ def column(plan: Plan, rows: Sequence[Row], name: str) -> NDArray[np.float64]:
     return np.array([row[place] for row in rows], float)
 
 
-def across_of(plan: Plan) -> tuple[str, float]:
+def label_of(name: str) -> tuple[str, float]:
     """Return what stands at the axis of a parameter, and the factor of its numbers."""
-    return _LABELS.get(plan.over, (plan.over, 1.0))
+    return LABELS.get(name, (name, 1.0))
 
 
 def along(
@@ -69,7 +70,7 @@ def _section(panes: Sequence[Axes], plan: Plan, found: Found) -> None:
 
 
 def _bifurcation(panes: Sequence[Axes], plan: Plan, found: Found) -> None:
-    label, factor = across_of(plan)
+    label, factor = label_of(plan.over)
     known: dict[str, int] = {}
     for task, rows in found:
         values, way = task.what["values"], "from rest"
@@ -107,7 +108,7 @@ def _basin(panes: Sequence[Axes], plan: Plan, found: Found) -> None:
     )
     for colour, kind in zip(colours, kinds, strict=True):
         panes[0].plot([], [], "s", color=colour, label=kind)
-    panes[0].set(xlabel="sphere at the beginning, from the middle (mm)", ylabel="its speed (m/s)")
+    panes[0].set(xlabel=LABELS[POSITION][0], ylabel=LABELS[SPEED][0])
 
 
 def motion(plan: Plan, row: Row) -> str:
@@ -135,7 +136,7 @@ def draw_branch(
 ) -> list[tuple[list[float], list[float]]]:
     """Draw a branch over its parameter, dotted where it is not stable; return its stable and its unstable points."""
     across, height, stable = along(plan, rows, quantity)
-    across = across_of(plan)[1] * across
+    across = label_of(plan.over)[1] * across
     for which, line, name in ((stable, "-", label), (~stable, ":", None)):
         near = which | np.append(which[1:], False) if line == ":" else which
         pane.plot(across, np.where(near, height, np.nan), line, color=colour, label=name)
@@ -143,7 +144,7 @@ def draw_branch(
 
 
 def _continue(panes: Sequence[Axes], plan: Plan, found: Found) -> None:
-    label, factor = across_of(plan)
+    label, factor = label_of(plan.over)
     events = plans.COLUMNS[plan.kind].index("event")
     marked: set[str] = set()
     for i, (task, rows) in enumerate(found):
@@ -163,7 +164,7 @@ def _continue(panes: Sequence[Axes], plan: Plan, found: Found) -> None:
 
 
 def _exponent(panes: Sequence[Axes], plan: Plan, found: Found) -> None:
-    label, factor = across_of(plan)
+    label, factor = label_of(plan.over)
     starts = list(dict.fromkeys(plans.named(task.what["start"]) for task, _ in found))
     for i, start in enumerate(starts):
         rows = [row for task, each in found for row in each if plans.named(task.what["start"]) == start]

@@ -36,6 +36,7 @@ TOLERANCE = 1e-10  # largest component of f(z, p) − z of an orbit
 ROUNDS = 14
 _SHORTEST = 2.0**-6  # of a Newton step that makes the residual worse
 ROUNDED = 1e-8  # the same where rounding and the contacts' tolerance leave no less: a motion with many impacts
+_GIVEN_UP = 1e-5  # step along a branch that is not made any shorter
 _GROWTH = 1.4  # of the step along a branch that has gone well
 _TURN = 0.97  # cosine between successive tangents, below which a step was too long
 _LOCATED = 1e-9  # share of a step to which a bifurcation is found
@@ -112,7 +113,6 @@ def followed(
     limits: tuple[float, float],
     *,
     longest: float = 0.1,
-    shortest: float = 1e-5,
     points: int = 400,
     noted: Callable[[Orbit], object] = lambda _: None,
     moved: Callable[[Real, float, Real, float], tuple[Real, Real] | None] = lambda *_: None,
@@ -125,7 +125,6 @@ def followed(
         way: −1.0 or 1.0: p falls or rises at first.
         limits: least and largest p.
         longest: step along the arc.
-        shortest: step at which the branch is given up.
         points: at most.
         noted: asked for the `note` of every orbit while `f` is read in its coordinates.
         moved: given the newest two points (z, p, z, p), returns both z in other coordinates in which `f` is to be read
@@ -143,7 +142,7 @@ def followed(
             new = attrs.evolve(new, tangent=-new.tangent)
         if new is None or float(new.tangent @ here.tangent) < _TURN:
             length *= 0.5
-            if length < shortest:
+            if length < _GIVEN_UP:
                 return Arc(tuple(orbits), tuple(changes), "lost")
             continue
         if not limits[0] <= new.p <= limits[1]:
@@ -237,8 +236,11 @@ def _changes(f: Map, here: Orbit, new: Orbit) -> Iterator[Change]:
         tests[TORUS] = lambda one, _: _pairs(one)
     for kind, test in tests.items():
         found = _zero(f, here, new, test)
-        if found is None or (kind == TORUS and not _turns(found)):
+        if found is None:
             continue
+        paired = found.multipliers[found.multipliers.imag > NEUTRAL]
+        if kind == TORUS and not (np.abs(np.abs(paired) - 1.0) < PASSING).any():
+            continue  # no pair of complex multipliers stands on the unit circle
         jumps = kind in PASSED and float(np.abs(found.multipliers - PASSED[kind]).min()) > PASSING
         yield Change(GRAZING if jumps else kind, found)
 
@@ -246,11 +248,6 @@ def _changes(f: Map, here: Orbit, new: Orbit) -> Iterator[Change]:
 def _product(one: Orbit, value: float) -> float:
     """Return Π (multiplier − value): real, and of another sign where one real multiplier has passed."""
     return float(np.prod(one.multipliers - value).real)
-
-
-def _turns(one: Orbit) -> bool:
-    """Return whether a pair of complex multipliers stands on the unit circle."""
-    return bool((np.abs(np.abs(one.multipliers[one.multipliers.imag > NEUTRAL]) - 1.0) < PASSING).any())
 
 
 def _pairs(one: Orbit) -> float:

@@ -201,7 +201,8 @@ def _bifurcation_parts(given: Mapping[str, object], place: Place, _settings: Set
     for start in _starts(BIFURCATION, given):
         ways = {UP: [values], DOWN: [values[::-1]], BOTH: [values, values[::-1]]}
         marched = direction != RESET
-        for line in ways[direction] if marched else _chunks(values):
+        chunks = [values[i : i + CHUNK_VALUES] for i in range(0, len(values), CHUNK_VALUES)]
+        for line in ways[direction] if marched else chunks:
             name = f"{over} {line[0]:g} to {line[-1]:g}, {named(start)}"
             parts.append((name, {**held, "values": line, "start": start, "marched": marched}))
     return over, parts
@@ -292,10 +293,6 @@ def _starts(kind: str, given: Mapping[str, object]) -> list[Start]:
 def named(start: object) -> str:
     """Return the words for where the sphere begins."""
     return start if isinstance(start, str) else "{:g} m at {:g} m/s".format(*start)  # type: ignore[misc]  # a pair
-
-
-def _chunks(values: tuple[float, ...]) -> list[tuple[float, ...]]:
-    return [values[i : i + CHUNK_VALUES] for i in range(0, len(values), CHUNK_VALUES)]
 
 
 def _begun(place: Place, start: Start, settings: Settings) -> MapRig:

@@ -39,7 +39,7 @@ class Pulse:
     def acceleration(self, rate_hz: int) -> Real:
         """Return the acceleration [m/s²], shape (n,); its sum and the sum of its running sum are zero."""
         on, beside = round(self.duration_s * rate_hz), round(self.compensation_s * rate_hz)
-        pulse = self.half_sine(rate_hz)
+        pulse = self.peak * np.sin(np.pi * (np.arange(on) + 0.5) / on)
         hill = np.sin(np.pi * (np.arange(beside) + 0.5) / beside) ** 2
         before, after = np.zeros(on + 2 * beside), np.zeros(on + 2 * beside)
         whole = np.zeros(on + 2 * beside)
@@ -47,11 +47,6 @@ class Pulse:
         sums = np.array([[one.sum(), one.cumsum().sum()] for one in (before, after)]).T
         low = np.linalg.solve(sums, [-whole.sum(), -whole.cumsum().sum()])
         return np.asarray(whole + low[0] * before + low[1] * after)
-
-    def half_sine(self, rate_hz: int) -> Real:
-        """Return the half sine alone [m/s²], shape (n,)."""
-        on = round(self.duration_s * rate_hz)
-        return np.asarray(self.peak * np.sin(np.pi * (np.arange(on) + 0.5) / on))
 
     def displacement(self, rate_hz: int) -> Real:
         """Return the base's displacement that has this acceleration [m], shape (n,); it begins and ends at zero."""
@@ -141,22 +136,19 @@ def differentiated(displacement: Real, rate_hz: int, corner_hz: float) -> tuple[
     return velocity, acceleration
 
 
-def shock(hardware: Hardware, pulse: Pulse, plan: ReplicatePlan | None = None) -> Iterator[Shocked]:
+def shock(hardware: Hardware, pulse: Pulse) -> Iterator[Shocked]:
     """Let the inferior base make a shock; yields after each trial.
 
     Args:
         hardware: output and acquisition, of one rate.
-        pulse: what is asked for.
-        plan: how its displacement is replicated; None: from rest up to `CORNER` / duration of the pulse.
+        pulse: what is asked for; its displacement is replicated from rest up to `CORNER` / duration.
 
     Raises:
         CommandError: the shaker trips, or refuses the drive.
         TimeoutError: the rig did not go on.
     """
     rate_hz, corner_hz = hardware.wire.rate_hz, CORNER / pulse.duration_s
-    plan = plan or ReplicatePlan(
-        low_hz=0.0, high_hz=corner_hz, rest_s=1.0, identify_s=16.0, identify_rms=3.0, enough=1e-3
-    )
+    plan = ReplicatePlan(low_hz=0.0, high_hz=corner_hz, rest_s=1.0, identify_s=16.0, identify_rms=3.0, enough=1e-3)
     frequency = np.geomspace(5.0, corner_hz, 60)
     asked = pulse.acceleration(rate_hz)
     on = slice(round(pulse.compensation_s * rate_hz), round((pulse.compensation_s + pulse.duration_s) * rate_hz))

@@ -47,32 +47,24 @@ U_RESTITUTION = 0.02
 
 @attrs.frozen(eq=False)
 class SineData:
-    """The stepped sine without sphere; arrays of shape (n,), u_: standard uncertainty by noise alone, relative or rad.
-
-    Attributes:
-        laser_m, base_m: amplitudes.
-    """
+    """The stepped sine without sphere; arrays of shape (n,), u_: standard uncertainty by noise alone, relative, rad."""
 
     frequency_hz: Real  # of the points
     dt: Real  # transmissibility
     phase_rad: Real  # of x_1 to x_b
     base_per_a: Real  # amplitude of the base over that of the current [m/A]
-    laser_m: Real
-    base_m: Real
+    laser_m: Real  # amplitude
+    base_m: Real  # amplitude
     u_amplitude: Real  # relative, of dt and of base_per_a
     u_phase: Real  # [rad]
 
 
 @attrs.frozen(eq=False)
 class Reduced:
-    """DT with the sphere over DT without, at one frequency.
+    """DT with the sphere over DT without, at one frequency."""
 
-    Attributes:
-        frequency_hz, current_a: of the drive.
-    """
-
-    frequency_hz: float
-    current_a: float
+    frequency_hz: float  # of the drive
+    current_a: float  # of the drive
     ratio: Mapping[float, float]  # by gap [m]
     u: Real  # relative standard uncertainty by the noise of DT with the sphere, shape (n,)
     u_without: float  # that of DT without
@@ -93,11 +85,13 @@ class Gains:
     def of(cls, info: NDArray[np.void]) -> Gains:
         """Read the certificate, rows of `daq/info`."""
         calibration = Calibration.from_info(info)
-        curve = [U_CUBIC * _bend(calibration, channel) for channel in (LASER, BASE)]
+        halves = [(channel, _half_range(calibration, channel)) for channel in (LASER, BASE)]
+        bent = [float(calibration.linearity[one]) / half if math.isfinite(half) else 0.0 for one, half in halves]
+        curve = [U_CUBIC * one for one in bent]
         gains = [float(calibration.gain_uncertainty[channel]) for channel in (LASER, BASE, CURRENT)]
         # the certificate counts the curve's slope at mid-range among the gains; here the curve has a parameter itself
-        for place, bent in enumerate(curve):
-            gains[place] = math.sqrt(max(gains[place] ** 2 - (1.5 * bent) ** 2, 0.0))
+        for place, one in enumerate(curve):
+            gains[place] = math.sqrt(max(gains[place] ** 2 - (1.5 * one) ** 2, 0.0))
         return cls(np.array([*gains, *curve]), calibration)
 
     def relative(self, channel: int, amplitude: Real) -> Real:
@@ -112,11 +106,6 @@ class Gains:
 
 def _half_range(calibration: Calibration, channel: int) -> float:
     return float(calibration.high[channel] - calibration.low[channel]) / 2.0
-
-
-def _bend(calibration: Calibration, channel: int) -> float:
-    half = _half_range(calibration, channel)
-    return float(calibration.linearity[channel]) / half if math.isfinite(half) else 0.0
 
 
 def sine_of(points: Sequence[Point], gains: Gains) -> SineData:
@@ -141,7 +130,8 @@ def reduced_of(curves: Curves, frequency_hz: float, gaps_m: Sequence[float], gai
     Where no accelerometer was there, nobody counted: then the simulated motion says.
     """
     without = curves.at(NO_SPHERE, frequency_hz)
-    points = [point for gap in gaps_m if (point := curves.at(gap, frequency_hz)) is not None and _may_impact(point)]
+    at = [point for gap in gaps_m if (point := curves.at(gap, frequency_hz)) is not None]
+    points = [point for point in at if point.impacts or not _counted(point)]
     if without is None or not points:
         return None
     effects = np.zeros((len(points), len(NUISANCES)))
@@ -158,10 +148,6 @@ def reduced_of(curves: Curves, frequency_hz: float, gaps_m: Sequence[float], gai
         effects=effects,
         regimes={point.gap_m: point.regime if _counted(point) else Regime.UNKNOWN.value for point in points},
     )
-
-
-def _may_impact(point: Point) -> bool:
-    return point.impacts or not _counted(point)
 
 
 def _counted(point: Point) -> bool:
