@@ -85,6 +85,9 @@ def simulate(seconds: float, parameters: Mapping[str, object] | None = None) -> 
     if not 0.0 < seconds <= LONGEST_S:
         raise ConfigError(f"seconds must be above 0 and at most {LONGEST_S:g}, got {seconds!r}")
     config = from_flat(RigConfig(), parameters or {})
+    least_s = config.daq.block_scans / config.daq.rate_hz
+    if seconds < least_s:
+        raise ConfigError(f"seconds must be at least {least_s:g}, a block of the DAQ, got {seconds!r}")
     rig, tracker = Rig(config), Tracker()
     tracker.configure(rig.info())
     blocks = rig.advance(round(seconds * NS_PER_S))

@@ -59,6 +59,8 @@ def test_what_cannot_be_simulated_is_refused():
     for seconds in (0.0, -1.0, float("nan"), 1e9):
         with pytest.raises(ConfigError, match="seconds must be above 0"):
             simulate(seconds)
+    with pytest.raises(ConfigError, match=r"at least 0\.01, a block"):
+        simulate(0.009)
     with pytest.raises(ConfigError, match="gap"):
         simulate(1.0, {"barriers.gap_m": -1.0})
     assert impact_rig.simulate is simulate

@@ -45,15 +45,16 @@ def _run(arguments: argparse.Namespace) -> int:
     from impact_rig.studies.comparison import compare, drawn  # noqa: PLC0415  # as above
 
     console = Console(quiet=arguments.json)
+    if arguments.figure:
+        from impact_rig.system import files  # noqa: PLC0415  # as above
+
+        files.make_folder(arguments.figure)
     known = load(arguments.config) if arguments.config else None
     with open_run(arguments.path) as run:
         found = compare(
             run, known, arguments.drive, fits=not arguments.no_fit, on_step=lambda what: console.print(f"{what} ...")
         )
     if arguments.figure:
-        from impact_rig.system import files  # noqa: PLC0415  # as above
-
-        files.make_folder(arguments.figure)
         drawn(found, arguments.path.name).save(arguments.figure)
     _print(console, found)
     if arguments.json:

@@ -7,6 +7,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import json
+import math
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -43,8 +44,10 @@ def add_play(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
     )  # fmt: skip
     parser.add_argument("file", type=Path, metavar="FILE", help="CSV, WAV, npz and others, see import; or a run")
     _add_signal(parser)
-    parser.add_argument("--seconds", type=float, metavar="S", help="no more than this")
-    parser.add_argument("--clip", type=float, metavar="A", help="clip samples there (default: too large ones end it)")
+    parser.add_argument("--seconds", type=_above_zero, metavar="S", help="no more than this")
+    parser.add_argument(
+        "--clip", type=_above_zero, metavar="A", help="clip samples there (default: too large ones end it)"
+    )
     _add_words(parser, "play", FAST_HZ)
 
 
@@ -121,6 +124,13 @@ def rig_of(arguments: argparse.Namespace) -> tuple[RigConfig, float]:
     return from_flat(config, changes), gap
 
 
+def _above_zero(word: str) -> float:
+    value = float(word)
+    if not 0.0 < value < math.inf:
+        raise argparse.ArgumentTypeError(f"it must be a number above 0, got {word}")
+    return value
+
+
 def _add_signal(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--signal", metavar="NAME", help="column of the file, channel of the run")
     parser.add_argument("--unit", default="", help="of the file's values (default: as it says, else SI)")
@@ -149,7 +159,7 @@ def _play(arguments: argparse.Namespace) -> int:
     from impact_rig.studies.excitation.history import play  # noqa: PLC0415  # scipy
 
     samples = _history(arguments, "A")
-    if arguments.seconds is not None:
+    if arguments.seconds is not None and arguments.seconds * arguments.rate < len(samples):
         samples = samples[: round(arguments.seconds * arguments.rate)]
     return _drive(arguments, f"Played: {arguments.file.name}", "A", lambda rig: play(rig, samples, arguments.clip))
 

@@ -156,6 +156,7 @@ def print_identified(console: Console, found: Identified) -> None:
     if not found.consistent:
         where = " and ".join(f"{gap * 1e3:g} mm" for gap in found.contradicted)
         why = f"at {where} the motion was measured to be periodic, and the fitted rig's is not" if where else "χ²"
+        why = why if found.converged else "the fit has not converged"
         console.print(
             f"WARNING: data and model do not go together ({why}): the uncertainties above do not hold. Something taken "
             "as known is wrong (contact law, e and its uncertainty, sphere, gaps), or a sensor is outside its "
@@ -227,5 +228,6 @@ def identified_content(found: Identified) -> dict[str, object]:
         "chi_square": found.chi_square,
         "degrees_of_freedom": found.freedom,
         "chance": found.chance,
+        "converged": found.converged,
         "consistent": found.consistent,
     }

@@ -119,14 +119,17 @@ def _source(arguments: argparse.Namespace, stack: contextlib.ExitStack) -> Any:
         return LiveSource(domain, None if arguments.attach == FOUND else arguments.attach)
     from impact_rig.client.processes import Processes  # noqa: PLC0415
     from impact_rig.lab.gateway import Own  # noqa: PLC0415
+    from impact_rig.rig.config import RigConfig, from_flat  # noqa: PLC0415
 
     namespace = f"/{arguments.namespace.strip('/')}"
     if not re.fullmatch(r"(/[A-Za-z_][A-Za-z0-9_]*)+", namespace):
         raise ImpactRigError(f"a namespace is letters, digits and _ between slashes, got {arguments.namespace!r}")
+    parameters = node_parameters(arguments)
+    from_flat(RigConfig(), parameters["rig"])  # what a rig refuses is refused here, where somebody reads it
     _take_place(domain, namespace, stack)
     logs = Path("build" if Path("build").is_dir() else ".") / "lab_logs"
     processes = stack.enter_context(Processes(domain, logs, namespace=namespace))
-    return LiveSource(domain, namespace, Own(processes, node_parameters(arguments)))
+    return LiveSource(domain, namespace, Own(processes, parameters))
 
 
 def _take_place(domain: int, namespace: str, stack: contextlib.ExitStack) -> None:

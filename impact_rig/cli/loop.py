@@ -107,11 +107,15 @@ def _hold(arguments: argparse.Namespace, config: RigConfig, gap: float, console:
         )  # fmt: skip
     console.print(table)
     _write(arguments.output, found.rows)
+    reached = set(found.rows["frequency"].tolist())
+    missing = [frequency for frequency in job.plan().frequencies_hz if frequency not in reached]
     if arguments.json:
-        tell_json({"rows": found.rows, "ended_early": found.failure})
+        tell_json({"rows": found.rows, "ended_early": found.failure, "not_measured_hz": missing})
     if found.failure:
         console.print(f"ended early: {found.failure}")
-    return 1 if found.failure or not np.all(found.rows["held"] == 1.0) else 0
+    elif missing:
+        console.print(f"no measurement was made at {', '.join(f'{frequency:g}' for frequency in missing)} Hz")
+    return 1 if found.failure or missing or not np.all(found.rows["held"] == 1.0) else 0
 
 
 def _held(way: str, job: Job, plan: HoldPlan) -> Held:

@@ -106,4 +106,10 @@ def _run(chosen: argparse.Namespace, ending: Ending | None) -> int:
             text = visible(str(error), lines=not about_content)
             print(f"{PROGRAM} {chosen.command}: {text}", file=sys.stderr)  # noqa: T201  # a command line tool talks
         return EXIT_ERROR
+    except OSError as error:
+        if isinstance(error, BrokenPipeError) or (ending is not None and ending.told):
+            raise
+        where = f"{error.filename}: " if error.filename else ""
+        print(f"{PROGRAM} {chosen.command}: {visible(where)}{error.strerror or error}", file=sys.stderr)  # noqa: T201
+        return EXIT_ERROR
     return result

@@ -37,6 +37,7 @@ from impact_rig.system.files import plain
 __all__ = ["Console", "Counted", "Steps", "TextTable", "Words", "tell_json", "tell_program", "tell_results"]
 
 LONGEST_HEADING = 11  # characters of a heading over numbers that stay in one line
+LONGEST_WORD = 12  # characters of a word in a cell that are not parted
 LARGEST_WIDTH = 10_000  # of a table, in characters
 LINES = 50  # of a progress that nobody watches, about
 
@@ -96,7 +97,11 @@ class TextTable(rich_table.Table):
     def __rich_console__(
         self, console: rich_console.Console, options: rich_console.ConsoleOptions
     ) -> rich_console.RenderResult:
-        """Draw it, as wide as its numbers are where the terminal is narrower."""
+        """Draw it, as wide as its numbers and its longest words are where the terminal is narrower."""
+        for column in self.columns:
+            words = (word for cell in column.cells for word in str(cell).split())
+            longest = min(LONGEST_WORD, max(map(len, words), default=0))
+            column.min_width = max(column.min_width or 0, longest)
         least = self.__rich_measure__(console, options.update_width(LARGEST_WIDTH)).minimum
         return super().__rich_console__(console, options.update_width(max(options.max_width, least)))
 

@@ -12,6 +12,7 @@ at a time, by whoever draws, and only while somebody looks. A queue that overflo
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import functools
 import time
 from collections.abc import Awaitable, Callable, Mapping
@@ -39,6 +40,7 @@ from impact_rig.rig.journal import PLANNED
 from impact_rig.runs import recover
 
 ANSWER_S = 30.0  # a busy machine answers late: the knob stays pending until then
+TOLD_S = 1.5  # how long what a rig has done may need to be told by its diagnostics
 ECHO_S = 5.0  # how long a parameter that was taken may need to be told as in force
 START_S = 60.0
 AGAIN_S, ATTEMPTS = 0.5, 20  # how often a node that has just been started is asked to begin
@@ -324,7 +326,13 @@ class Gateway:
         """Ramp the current to zero and latch it, whatever is known of the rig."""
         if gone := self.seen("rig").ended:
             raise Refused(f"there is no rig to stop, {gone}")
-        return await self._trigger("rig/stop")
+        try:
+            return await self._trigger("rig/stop")
+        except Refused:  # where two rigs are in the namespace, the one that has not begun may answer first
+            with contextlib.suppress(Refused):
+                await self.until(lambda: self.seen("rig").figures.get("latched"), "the latch", TOLD_S)
+                return "stopped, as the rig says"
+            raise
 
     async def do_pluck(self, value: float) -> str:
         """Release the superior base from a displacement [m]."""

@@ -269,6 +269,8 @@ def _search(given: object) -> Search | None:
     axes.check_keys("optimum", wanted, ("over", "from", "to", "points"))
     over = str(wanted.get("over", GAP))
     refuse_owned("optimum.over", over)
+    if over not in NAMED and "." not in over:
+        raise ConfigError(f"optimum.over: unknown axis {over!r}: {', '.join(NAMED)}, or a value by its dotted name")
     low = axes.number("optimum.from", wanted.get("from"), 0.0)
     return Search(
         over=over,

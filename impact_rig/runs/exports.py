@@ -178,9 +178,9 @@ def _datasets(columns: Columns) -> list[dict[str, object]]:
         x = np.asarray(stamps - stamps[0], float) / NS_PER_S + numbers["time"]
         order = np.argsort(x, kind="stable")
         found += [
-            _dataset(name, _TIME_RESPONSE, x[order], column[order], "s")
+            _dataset(name, _TIME_RESPONSE, x[own], column[own], "s")
             for name, column in numbers.items()
-            if name not in (STAMP, EARLIER, "time")
+            if name not in (STAMP, EARLIER, "time") and len(own := order[np.isfinite(column[order])]) > 1
         ]
     if {"frequency", "transmissibility", "phase"} <= numbers.keys():
         found += _response_functions(numbers, columns.get(CURVE))

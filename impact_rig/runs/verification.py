@@ -544,17 +544,25 @@ class _Beside:
             return Compared(name, count, f"text {len(found)}: {error}")
         self._descriptions |= {robot_description(config) for config in found}
         published = [_deciding(config) for config in found]
-        for number, config in enumerate(published):
-            if config in self._configurations:
-                count += 1
-            elif count or number == len(published) - 1:  # else of before the first recorded scan
-                return Compared(name, count, f"text {number}: {self._unlike(config)}")
+        other = [number for number, config in enumerate(published) if config not in self._configurations]
+        since = other[-1] + 1 if other else 0  # what is older may be of before the first recorded scan
+        if other and (since == len(published) or self._explained(published[since:]) < self._explained(published)):
+            return Compared(name, count, f"text {other[-1]}: {self._unlike(published[other[-1]])}")
+        count = len(published) - since
         if opened is not None and _deciding(opened) not in [*published, *self._configurations]:
             return Compared(name, count, f"attachment {CONFIGURATION}: {self._unlike(_deciding(opened))}")
         if not told:
             return Compared(name, left_out="it is not in this run")
         rest = f"{len(told) - count} are of before the first scan" if count < len(told) else ""
         return Compared(name, count, left_out=rest, what="texts")
+
+    def _explained(self, published: Sequence[dict[str, object]]) -> int:
+        """Return how many of the journal's changes of configuration are there, one after the other."""
+        wanted = [one for one, _ in itertools.groupby(self._configurations)]
+        count = 0
+        for config in published:
+            count += count < len(wanted) and config == wanted[count]
+        return count
 
     def _unlike(self, config: dict[str, object]) -> str:
         """Return the first value that the journal does not explain."""

@@ -122,3 +122,24 @@ def test_wrong_words_are_refused_by_name(tmp_path, capsys, words, says):
     assert run("loop", "shock", *words, "--output", tmp_path / "run") == 1
     assert says in capsys.readouterr().err
     assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (("play", "drive.csv", "--rate", "0"), "whole number of Hz above 0, got 0"),
+        (("frf", "--frames", "1000000000"), "samples of 1000000000 frames"),
+        (("frf", "--frame-s", "1e9"), "samples of 20 frames"),
+        (("frf", "--seed", "-1"), "seed must be"),
+    ],
+)
+def test_what_nobody_can_play_is_refused_before_anything_runs(tmp_path, capsys, words, says):
+    (tmp_path / "drive.csv").write_text("time,current\n0,0\n0.001,0.1\n0.002,0\n")
+    words = [tmp_path / word if word.endswith(".csv") else word for word in words]
+    assert run(*words, "--output", tmp_path / "run") == 1
+    assert says in capsys.readouterr().err.replace("'", "")
+    for word in ("nan", "inf", "0", "-1"):
+        for option in ("--clip", "--seconds"):
+            with pytest.raises(SystemExit):
+                run("play", tmp_path / "drive.csv", option, word)
+            assert f"a number above 0, got {word}" in capsys.readouterr().err

@@ -37,6 +37,11 @@ def test_hold(rig, tmp_path, capsys):
     assert "not overwritten" in capsys.readouterr().err
 
 
+def test_an_amplitude_that_was_not_reached_is_said_and_is_no_success(rig, tmp_path, capsys):
+    assert main(["loop", "hold", "base", "1", "--frequencies", "9", *rig]) == 1
+    assert "9 Hz" in capsys.readouterr().out.splitlines()[-1]
+
+
 @pytest.mark.ros
 @pytest.mark.pipeline
 def test_hold_over_topics_has_the_same_bits(rig, tmp_path):

@@ -57,6 +57,17 @@ def test_no_number_in_a_table_loses_its_last_digits(width: int) -> None:
     assert all(number in shown for number in ("9.105", "63.567", "0.160", "-119.73", "6.25")), shown
 
 
+@pytest.mark.parametrize("width", [80, 38, 12])
+def test_a_verdict_without_a_heading_is_not_taken_apart(width: int) -> None:
+    """It once stood there letter below letter, or not at all."""
+    console = Console()
+    console.file, console.width = io.StringIO(), width
+    table = TextTable(right=("frequency [Hz]", "DT measured", "± 2u", "DT model", "off [u]"), last=("",))
+    table.add_row("9.105", "63.567", "0.160", "61.012", "+254214.2", "differs")
+    console.print(table)
+    assert all(word in console.file.getvalue() for word in ("differs", "+254214.2"))
+
+
 def test_text_in_a_progress_display_is_printed_whole() -> None:
     console = Console()
     console.file = io.StringIO()

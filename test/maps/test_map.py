@@ -258,6 +258,10 @@ def test_three_axes_are_one_picture_each(tmp_path):
         ("axes: {gap_m: [0.01, 0.02], frequency_hz: [9, 9.1]}\nsweep: current_a", "sweep must be one of"),
         ("axes: {gap_m: [0.01, 0.02], frequency_hz: 9}", "two values or more"),
         ("optimum: 1\naxes: {gap_m: [0.01, 0.02], frequency_hz: [9, 9.1]}", "optimum must be a mapping"),
+        (
+            "optimum: {over: gap, from: 1, to: 2}\naxes: {gap_m: [0.01, 0.02], frequency_hz: [9, 9.1]}",
+            "optimum.over: unknown axis 'gap'",
+        ),
         ("axes: [", "not a YAML file"),
     ],
 )

@@ -128,6 +128,18 @@ def test_a_curve_is_a_frequency_response_function_per_gap(tmp_path):
     assert without["x"].tolist() == [8.7, 9.0]
 
 
+def test_what_is_no_number_stays_out_of_a_universal_file(tmp_path):
+    """A measurement that was refused once stood in the file with a DT of 0."""
+    pyuff = pytest.importorskip("pyuff")
+    columns = {
+        "stamp_ns": np.arange(4) * 10**9, "time": np.zeros(4), "dt": np.array([3.0, np.nan, 5.0, 6.0]),
+        "never": np.full(4, np.nan),
+    }  # fmt: skip
+    (only,) = (pyuff.UFF(str(write_columns(lambda: iter([columns]), tmp_path / "dt.uff"))).read_sets(),)
+    one = only[0] if isinstance(only, list) else only
+    assert (one["id1"], one["x"].tolist(), one["data"].tolist()) == ("dt", [0.0, 2.0, 3.0], [3.0, 5.0, 6.0])
+
+
 def test_universal_file_without_pyuff_or_without_functions(run, tmp_path, monkeypatch):
     with pytest.raises(RecordingError, match="neither"):
         write_columns(lambda: iter([{"regime": np.array(["periodic"])}]), tmp_path / "words.uff")

@@ -368,6 +368,19 @@ def test_an_altered_joint_state_and_configuration_are_named(told, tmp_path: Path
     assert "barriers.gap_m is 0.0021, which by the journal it never was" in found.reason
 
 
+def test_a_session_that_came_back_to_its_first_configuration_is_not_accused(told, tmp_path: Path) -> None:
+    """Latched texts of before: the first like the run's own, the next not; once that was called different."""
+    place = next(place for place, (name, _) in enumerate(told) if name == "rig/configuration")
+    name, own = told[place]
+    other = (name, attrs.evolve(own, text=own.text.replace("gap_m: 0.002", "gap_m: 0.0021")))
+    found = verdict(tmp_path / "before", [*told[:place], (name, own), other, *told[place:]])
+    assert found.identical, found.reason
+    later = next(place for place, (what, one) in enumerate(told) if what == name and one.text != own.text)
+    found = verdict(tmp_path / "after", [*told[: later + 1], other, *told[later + 1 :]])
+    assert found.identical is False
+    assert "barriers.gap_m is 0.0021, which by the journal it never was" in found.reason
+
+
 def test_a_row_that_the_rig_itself_would_have_written_cannot_be_invented_or_removed(told, tmp_path: Path) -> None:
     """A trip is a result: the journal without it, or with one more, leads to other rows."""
     tables = [place for place, (name, _) in enumerate(told) if name == "rig/journal"]

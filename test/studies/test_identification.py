@@ -110,6 +110,16 @@ def test_reductions_weigh_the_rig_within_the_stated_uncertainty_though_e_is_not_
         assert np.all((spread > 0.67) & (spread < 1.33)), spread  # ± 11 % each, three times that
 
 
+def test_a_fit_that_has_not_converged_is_called_consistent_by_nobody(monkeypatch):
+    """It once gave c_f 4.4 standard uncertainties off, and no alarm: its rounds were used up."""
+    rng = np.random.default_rng(0)
+    measured = attrs.evolve(synthetic(rng), reduced=reduced(rng, (0.002, 0.010)))
+    assert identify(measured, RigConfig()).converged
+    monkeypatch.setattr("impact_rig.studies.identification.fit.ROUNDS", 1)
+    found = identify(measured, RigConfig())
+    assert (found.converged, found.consistent) == (False, False)
+
+
 def test_what_is_wrongly_taken_as_known_raises_an_alarm():
     rng = np.random.default_rng(0)
     measured = attrs.evolve(synthetic(rng), reduced=reduced(rng, (0.002, 0.010)))

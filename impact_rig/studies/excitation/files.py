@@ -116,6 +116,8 @@ def history(
         if to_si is None:
             raise ConfigError(f"{path}: {unit!r} is no unit of {wanted}")
         scale *= to_si
+    if rate_hz < 1:
+        raise ConfigError(f"a rate must be a whole number of Hz above 0, got {rate_hz}")
     if not len(values) or not np.all(np.isfinite(values)):
         raise RecordingError(f"{path}: the signal has no samples, or some that are not finite")
     ratio = Fraction(rate_hz / found_hz).limit_denominator(MOST_RATIO)

@@ -22,6 +22,7 @@ from impact_rig.analysis.frf import Frf, frf
 from impact_rig.analysis.scans import CHANNELS
 from impact_rig.errors import ConfigError
 from impact_rig.operate.hardware import Exchange, Hardware
+from impact_rig.system import budget
 
 Real = NDArray[np.float64]
 BURST, PSEUDO, CHIRP = KINDS = ("burst_random", "pseudo_random", "chirp")
@@ -61,6 +62,9 @@ class Response(enum.StrEnum):
         return np.asarray(self.weight(frequency_hz) * white)
 
 
+MOST_SAMPLES = 50_000_000  # of an excitation, in memory at once
+
+
 @attrs.frozen(kw_only=True)
 class Excitation:
     """What drives the rig for a frequency response."""
@@ -74,11 +78,12 @@ class Excitation:
     low_hz: float = attrs.field(default=4.0, validator=attrs.validators.gt(0.0))  # lower edge of the band
     high_hz: float = attrs.field(default=60.0, validator=attrs.validators.gt(0.0))  # upper edge
     rms: float = attrs.field(default=0.2, validator=attrs.validators.gt(0.0))  # of the drive while it is on [A]
-    seed: int = 1  # of its random numbers
+    seed: int = attrs.field(default=1, validator=attrs.validators.ge(0))  # of its random numbers
 
     def samples(self, rate_hz: int) -> Real:
         """Return all frames one after the other, shape (n,)."""
         length, random = round(self.frame_s * rate_hz), np.random.default_rng(self.seed)
+        budget.allow(f"samples of {self.frames} frames at {rate_hz} Hz", (self.frames + 1) * length, MOST_SAMPLES)
         if not self.low_hz < self.high_hz < 0.5 * rate_hz:
             raise ConfigError(
                 f"the band must be within 0 to {0.5 * rate_hz:g} Hz, got {self.low_hz:g} to {self.high_hz:g}"

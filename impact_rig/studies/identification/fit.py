@@ -191,6 +191,7 @@ class Identified:
     left_out: Mapping[float, str] = attrs.field(factory=dict)
     """Gaps [m] whose reductions were not used, with the reason."""
     contradicted: tuple[float, ...] = ()  # those of them that were measured to be periodic where the fitted rig is not
+    converged: bool = True  # whether the last step was small; where not, the uncertainties are of no minimum
 
     @property
     def chance(self) -> float:
@@ -199,8 +200,8 @@ class Identified:
 
     @property
     def consistent(self) -> bool:
-        """Whether data, uncertainties and what was taken as known go together."""
-        return self.chance >= SIGNIFICANCE and not self.contradicted
+        """Whether the fit has converged, and data, uncertainties and what was taken as known go together."""
+        return self.converged and self.chance >= SIGNIFICANCE and not self.contradicted
 
     def value(self, name: str) -> float:
         """Return a constant."""
@@ -228,10 +229,12 @@ def identify(
     if measured.decay is None and measured.sine is None and measured.reduced is None:
         raise ConfigError("nothing to identify from: no free decay, no stepped sine, no reductions")
     theta, nuisance = _begun(measured, start), np.zeros(len(NUISANCES))
+    converged = False
     for _ in range(ITERATIONS if measured.decay or measured.sine else 0):
         change, along = _step(*_linear(measured, known, theta, nuisance))
         theta, nuisance = theta + change, nuisance + along
-        if max(np.abs(change).max(), np.abs(along).max()) < CONVERGED:
+        converged = bool(max(np.abs(change).max(), np.abs(along).max()) < CONVERGED)
+        if converged:
             break
     residual, jacobian, bent = _linear(measured, known, theta, nuisance)
     restitution = u_restitution = math.nan
@@ -247,7 +250,8 @@ def identify(
             residual, jacobian, bent = (np.concatenate(part) for part in parts)
             change, along = _step(residual, jacobian, bent)
             size = np.linalg.norm(jacobian @ change + bent @ along)
-            if size < SMALL or turn == ROUNDS:
+            converged = bool(size < SMALL)
+            if converged or turn == ROUNDS:
                 break
             theta, nuisance = theta + change, nuisance + along
             nuisance[RESTITUTION] = impacts.within(nuisance[RESTITUTION])
@@ -264,7 +268,7 @@ def identify(
         config = from_flat(config, {"contact.restitution": restitution})
     return Identified(
         theta, found, float(residual @ residual), len(residual) - len(NUISANCES) - determined, config,
-        restitution, u_restitution, left_out, contradicted,
+        restitution, u_restitution, left_out, contradicted, converged,
     )  # fmt: skip
 
 
