@@ -1,6 +1,6 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""The paper's numbers, and how a set of measurements compares with them.
+"""The paper's numbers, the same of a set of measurements (`Reductions`), and how near they must come.
 
 Source: `TITLE` by `AUTHORS`. No DOI of it was found.
 """
@@ -33,6 +33,9 @@ CURRENT_A = 0.520
 
 REDUCTION_PERCENT: Mapping[float, float] = {2e-3: 29.4, 4e-3: 38.5, 6e-3: 43.0, 8e-3: 45.0, 10e-3: 49.0}
 """Published reduction of the transmissibility at 9.1 Hz against the run without the sphere, by gap [m]."""
+POINTS_LIMIT, RMS_LIMIT = 2.0, 1.0
+"""Distance from the paper's reductions, in points, that the shipped configuration must keep; each one, and rms."""
+DEMO_POINTS_LIMIT = 3.0  # the same of the demo, which measures each case twice
 
 
 @attrs.frozen

@@ -22,8 +22,6 @@ from impact_rig.cli.terminal import Console, Counted, TextTable, add_json, subco
 from impact_rig.errors import ConfigError
 
 WAYS = ("process", "ros", "dask")
-POINTS_LIMIT, RMS_LIMIT = 2.0, 1.0
-"""Distance from the paper's reductions, in points, that the shipped configuration must keep; each one, and rms."""
 SHOWN = 20  # failing points that are printed; all of them are in the CSV
 
 
@@ -150,8 +148,10 @@ def _print_reductions(console: Console, done: run.Finished) -> bool:
         )  # fmt: skip
     console.print(table)
     largest, rms = reductions.max_abs_error(), reductions.rms_error()
-    close = largest <= POINTS_LIMIT and rms <= RMS_LIMIT and len(ours) == len(paper.REDUCTION_PERCENT)
-    console.print(f"largest difference {largest:.2f} points (limit {POINTS_LIMIT}), rms {rms:.2f} (limit {RMS_LIMIT})")
+    close = largest <= paper.POINTS_LIMIT and rms <= paper.RMS_LIMIT and len(ours) == len(paper.REDUCTION_PERCENT)
+    console.print(
+        f"largest difference {largest:.2f} points (limit {paper.POINTS_LIMIT}), rms {rms:.2f} (limit {paper.RMS_LIMIT})"
+    )
     return close
 
 

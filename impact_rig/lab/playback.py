@@ -211,7 +211,10 @@ class RunPlayer:
         length_ns = round(len(table.rows) * NS_PER_S / self.rate_hz)
         if not length_ns:
             return
-        lost = round((table.stamp_ns - self._expected_ns) / length_ns)
+        expected_ns = self._expected_ns
+        if table.stamp_ns > expected_ns:  # between two rigs nothing is missing
+            expected_ns = max(expected_ns, self.record.since_ns(table.stamp_ns))
+        lost = round((table.stamp_ns - expected_ns) / length_ns)
         if lost > 0:
             self._lost.append((table.stamp_ns, lost))
         self._expected_ns = table.stamp_ns + length_ns

@@ -12,6 +12,7 @@ The stamp of scan i is `start_ns + i * 10**9 // rate_hz`: exact integers, so tha
 from __future__ import annotations
 
 import json
+from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 
 import attrs
@@ -172,7 +173,9 @@ class Contiguity:
         return not self.gaps
 
 
-def check_contiguity(blocks: Iterable[tuple[int, int]], rate_hz: int, start_ns: int | None = None) -> Contiguity:
+def check_contiguity(
+    blocks: Iterable[tuple[int, int]], rate_hz: int, start_ns: int | None = None, starts: Iterable[int] = ()
+) -> Contiguity:
     """Check that blocks follow each other.
 
     Args:
@@ -181,6 +184,8 @@ def check_contiguity(blocks: Iterable[tuple[int, int]], rate_hz: int, start_ns: 
         start_ns: rig time of scan 0. None: unknown; then the first block anchors the index (and again one whose stamp
             does not fit, so that a rig started anew counts as one gap), and where the scan period is no whole number of
             nanoseconds a stamp may be off by the one nanosecond that its unknown index leaves open.
+        starts: rig times of scan 0 of further rigs: between the last block of one and that of the next nothing is
+            missing.
     """
     period_exact = NS_PER_S % rate_hz == 0
     slack = 0 if start_ns is not None or period_exact else 1
@@ -188,7 +193,12 @@ def check_contiguity(blocks: Iterable[tuple[int, int]], rate_hz: int, start_ns: 
     gaps: list[Gap] = []
     anchor_ns = start_ns
     index = before = 0  # of the next scan, counted from the anchor; scans of the block before
+    begins, newest = deque(sorted(starts)), 0
     for stamp, length in blocks:
+        while begins and begins[0] <= stamp:
+            if (begin := begins.popleft()) > newest and count:
+                anchor_ns, index = begin, 0
+        newest = stamp
         if anchor_ns is None:
             anchor_ns = stamp
         elif count == 0:

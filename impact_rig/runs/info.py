@@ -22,6 +22,7 @@ from impact_rig.recording.losses import Contiguity, check_contiguity, scan_rate_
 from impact_rig.recording.reader import Message, Run, open_run
 from impact_rig.recording.records import DamageError
 from impact_rig.recording.writer import CONTINUES_RECORD_NAME
+from impact_rig.rig.journal import Kind
 from impact_rig.runs import recovery
 from impact_rig.runs.recovery import Recovered
 from impact_rig.simtime import NS_PER_S
@@ -114,7 +115,7 @@ def info(path: Path | str) -> RunInfo:
         except DamageError as error:
             problem = str(error)
         rate_hz = tally.rate_hz
-        scans = check_contiguity(tally.blocks, rate_hz) if rate_hz else None
+        scans = check_contiguity(tally.blocks, rate_hz, starts=tally.starts) if rate_hz else None
         lost = losses.lost(account)
         missing = [*_absent_files(run), *_gaps(scans), *_losses(lost), *_left_out(recovered)]
         if recovered is None:  # an account of what was recorded, not of what could be given back
@@ -241,10 +242,12 @@ class _Tally:
         self._types = {name: recorded.topic.type_name for name, recorded in run.topics.items()}
         self._counts = {name: _Count() for name in run.topics}
         self._scan_topics = {name for name in run.topics if matches(name, topics.SCAN.name)}
+        self._journals = {name for name in run.topics if matches(name, topics.JOURNAL.name)}
         self._info_topics = {name for name in run.topics if matches(name, topics.INFO.name)}
         self._rates: list[int] = []
         self._from_times: int | None = None
         self.blocks: list[tuple[int, int]] = []
+        self.starts: list[int] = []  # scan 0 of every rig that the journal tells of [ns]
         self.sequences = {name: array("Q") for name in run.topics}
         """Numbers of the messages of every topic as their publishers gave them."""
 
@@ -261,6 +264,10 @@ class _Tally:
         elif message.topic in self._info_topics:
             with contextlib.suppress(CodecError):  # what no analysis understands says no rate
                 self._rates += codec.decode(message.data, topics.INFO).rows["rate"][:1].astype(int).tolist()
+        elif message.topic in self._journals:
+            with contextlib.suppress(CodecError):
+                table = codec.decode(message.data, topics.JOURNAL)
+                self.starts += [table.stamp_ns] * bool((table.rows["kind"] == Kind.START.value.encode()).any())
 
     def _add_block(self, message: Message) -> None:
         try:

@@ -75,6 +75,16 @@ class Channel:
     """Columns of `daq/info` by name: range, noise, resolution, lag, skew, uncertainties."""
 
 
+def _above_zero(_mapping: object, _field: object, value: float | str | None) -> None:
+    if isinstance(value, float) and not 0.0 < value < math.inf:
+        raise ConfigError(f"frequency must be above 0 Hz, got {value:g}")
+
+
+def _not_negative(_mapping: object, _field: object, value: float | str | None) -> None:
+    if isinstance(value, float) and not 0.0 <= value < math.inf:
+        raise ConfigError(f"gap must be 0 (no sphere) or more, got {value * 1e3:g} mm")
+
+
 @attrs.frozen(kw_only=True)
 class Mapping:
     """What the signals of a file are."""
@@ -82,10 +92,10 @@ class Mapping:
     channels: AnyMapping[str, Channel]  # by name
     rate_hz: float | None = None  # where the file has neither times nor a rate
     resample_hz: int | None = None  # rate to bring scans to that are not uniform in time; None: they are refused
-    frequency: float | str | None = None
+    frequency: float | str | None = attrs.field(default=None, validator=_above_zero)
     """Of the drive [Hz], or name of the signal that holds it; None: measured from the base."""
     amplitude: float = math.nan  # commanded [A], of the base [m] where its motion is prescribed; NaN: as measured
-    gap: float | str | None = None
+    gap: float | str | None = attrs.field(default=None, validator=_not_negative)
     """Label [m], 0 without sphere, or name of the signal that holds it [m]; None: unknown."""
     notes: tuple[str, ...] = ()  # remarks for the run
 

@@ -106,7 +106,9 @@ def _verify_all(run: Run, journals: list[list[Table]], first: int, beside: _Besi
     compared, rest = 0, None
     scans = run.tables(topics.SCAN, recorded_order=True)
     for number, stretch in itertools.groupby(_assigned(scans, journals, first), key=lambda pair: pair[0]):
-        if rest is not None and _is_missing(rest, journals[number][0].stamp_ns):
+        begun = journals[number][0]
+        is_reset = begun.rows["kind"][0] != Kind.START.value.encode()  # else nobody knows when the rig before ended
+        if rest is not None and is_reset and _is_missing(rest, begun.stamp_ns):
             return _missing(rest, compared)
         following = journals[number + 1][0] if number + 1 < len(journals) else None
         found, rest = _verify(journals[number], (table for _, table in stretch), beside, following)

@@ -190,6 +190,16 @@ def test_a_stamp_off_the_grid_is_a_gap(known):
     assert (gap.expected_ns, gap.stamp_ns, gap.missing_scans) == (START_NS + 20_000_000, START_NS + 20_000_001, 0)
 
 
+@pytest.mark.parametrize("missed", [0, 1, 7])
+def test_between_two_rigs_nothing_is_missing_but_blocks_of_the_second(missed):
+    """The time between the death of a rig and scan 0 of the next once counted as 774 missing blocks."""
+    again = START_NS + 7_740_000_123
+    blocks = [(START_NS, 100), (START_NS + 10_000_000, 100), (again + missed * 10_000_000, 100)]
+    for known in (START_NS, None):
+        result = check_contiguity(blocks, RATE_HZ, known, starts=[START_NS, again])
+        assert (result.lost_blocks, len(result.gaps)) == (missed, bool(missed))
+
+
 def test_a_block_that_comes_twice_is_no_loss():
     blocks = [(START_NS, 100), (START_NS + 10_000_000, 100), (START_NS + 10_000_000, 100), (START_NS + 20_000_000, 100)]
     result = check_contiguity(blocks, RATE_HZ, START_NS)
