@@ -320,9 +320,8 @@ class Simulation:
         if self.locked:
             segments = segments.copy()
             segments["amplitude"] = segments["growth"] = 0.0
-        begins = segments["begin"] == 0.0
-        rows = np.append(np.flatnonzero(begins), len(segments))
-        tick_of = self.tick - 1 + np.cumsum(begins)
+        rows = np.append(np.flatnonzero(segments["begin"] == 0.0), len(segments))
+        tick_of = np.repeat(np.arange(self.tick, self.tick + len(rows) - 1), np.diff(rows))
         segments = for_kernels(segments)
         work = self._work._replace(first=np.zeros(len(segments) + 1, np.int64))
         filled = work.filled[0]

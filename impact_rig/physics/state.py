@@ -210,10 +210,7 @@ PARAMETERS = np.dtype(
         ("time_scale", "f8"),  # of t_0 = time_scale v0^time_power, in s for v0 in m/s
         ("time_power", "f8"),  # exponent in it [-]
         ("speed_floor", "f8"),  # least v0 that a law is told, as in c = a K / v0 [m/s]
-        (
-            "touch_speed",
-            "f8",
-        ),  # a contact starts with no less, a sphere parts with no less, a slower rigid impact is not noted [m/s]
+        ("touch_speed", "f8"),  # least speed that a contact begins, or a sphere parts, with [m/s]
         ("fastest", "f8"),  # rate of the fastest mode [1/s]
         ("rtol", "f8"),  # relative tolerance of a contact's step [-]
     ],
