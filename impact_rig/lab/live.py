@@ -176,7 +176,7 @@ class LiveSource(Source):
             "closed_form": lambda: closed_form(record.knobs),
             "dt": lambda: record.curve.part(record.start_ns),
             "dt_now": lambda: state.present(seen["rig"], seen["analysis"], doubts),
-            "faults": lambda: record.faults.in_force(record.since_ns()) if has_begun else None,
+            "faults": lambda: record.faults.in_force(record.since_ns()) if has_begun and seen["rig"].figures else None,
             "health": lambda: record.health() if seen["analysis"].lives else None,
             "journal": lambda: record.journal.part(record.start_ns),
             "recorder": lambda: self._recorder(seen["recorder"]),

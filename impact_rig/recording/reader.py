@@ -285,6 +285,7 @@ class Run:
                     coming.popleft()
                 place, reading = ahead.popleft()
                 content = reading.result()
+                place.source.refuse_if_closed(place.index)  # it may have been read before
                 with _named(self.path):  # counted before any record becomes an object
                     account.records(records.count(content, most))
                 pending += _items(place, content, names, running_number[id(place)])
@@ -429,6 +430,15 @@ class McapSource:
         if self._fd >= 0:
             os.close(self._fd)
             self._fd = -1
+
+    def refuse_if_closed(self, index: ChunkIndex) -> None:
+        """Refuse to go on with a chunk of a file that has been closed.
+
+        Raises:
+            RecordingError: it has.
+        """
+        if self._fd < 0:
+            raise RecordingError(f"{self.path} cannot be read at byte {index.chunk_start_offset}: it has been closed")
 
     def _is_being_written(self) -> bool:
         """Return whether the process lives that writes the file: it holds a lock on it."""
