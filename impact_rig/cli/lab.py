@@ -21,6 +21,8 @@ from impact_rig.system import files
 
 SAMPLE = Path("build") / "lab_sample"
 FOUND = "?"
+LOOK_MS = 1000
+"""Time between two looks at signals: one that comes in the very moment when a wait begins does not interrupt it."""
 
 
 def add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -90,7 +92,7 @@ def run(arguments: argparse.Namespace) -> int:
                 webbrowser.open(server.address)
         reader = select.poll()
         reader.register(sys.stdout.fileno(), 0)  # only an end of who reads it is told
-        while not reader.poll(60_000):
+        while not reader.poll(LOOK_MS):
             pass
     return 128 + signal.SIGPIPE
 

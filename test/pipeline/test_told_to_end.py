@@ -29,7 +29,7 @@ from impact_rig.system.endings import PARENT_VARIABLE
 pytestmark = [pytest.mark.ros, pytest.mark.pipeline]
 TOOL: dict[str, Any] = runpy.run_path(str(Path(__file__).parents[2] / "tools" / "endings.py"))
 SIGNALS = [signal.SIGINT, signal.SIGTERM]
-SOON_S = {"campaign": 4.0, "report": 1.0, "identify": 1.0, "verify": 1.0, "replay": 2.0}
+SOON_S = {"campaign": 1.5, "report": 1.0, "identify": 1.0, "verify": 1.0, "replay": 2.0}
 """Instants are drawn from the first seconds: no program is run to its end only to see how long it takes."""
 
 
