@@ -56,6 +56,8 @@ def test_a_frequency_response_is_told_with_its_coherence(tmp_path):
     assert found["coherence_median"] > 0.99
     assert found["lines_coherent"] > 0.9 * found["lines"]
     assert len(found["table"]["real"]) == found["lines"]
+    lines = found["table"]["frequency_hz"]
+    assert (min(lines), max(lines)) == (4.0, 30.0), "what the edges of the band let through is no answer to the drive"
     assert "best linear approximation" in page
 
 

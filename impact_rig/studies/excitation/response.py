@@ -143,7 +143,10 @@ def measure(hardware: Hardware, excitation: Excitation, channel: str, reference:
         if reference == "current":
             # of straight lines between samples: scans at the samples fold its harmonics onto it
             lag = lag / np.sinc(found.frequency_hz / rate_hz) ** 2
+        lines = found.frequency_hz[found.excited]
+        inside = (lines >= excitation.low_hz) & (lines <= excitation.high_hz)  # others hold what the edges let through
         yield attrs.evolve(
-            found, h1=found.h1 * lag, h2=found.h2 * lag, hv=found.hv * lag, u_relative=np.hypot(found.u_relative, gain)
-        )
+            found, h1=found.h1 * lag, h2=found.h2 * lag, hv=found.hv * lag, u_relative=np.hypot(found.u_relative, gain),
+            excited=found.excited[inside] if inside.any() else found.excited,
+        )  # fmt: skip
     hardware.output.stop()
