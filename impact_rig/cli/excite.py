@@ -282,6 +282,8 @@ def _connected(arguments: argparse.Namespace, config: RigConfig, directory: Path
     from impact_rig.client.apparatus import recorded  # noqa: PLC0415  # needs rclpy
 
     namespace = arguments.namespace if arguments.through == RUNNING else None
+    if namespace is not None:
+        Console(quiet=arguments.json).print(f"waiting for a rig in {namespace} ...")
     with recorded(directory, config, namespace) as wire:
         if wire.rate_hz != wire.scan_rate_hz or wire.rate_hz != arguments.rate:
             raise ConfigError(
