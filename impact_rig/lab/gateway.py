@@ -326,11 +326,17 @@ class Gateway:
         """Ramp the current to zero and latch it, whatever is known of the rig."""
         if gone := self.seen("rig").ended:
             raise Refused(f"there is no rig to stop, {gone}")
+        asked_at = time.monotonic()
+
+        def is_latched() -> bool:
+            rig = self.seen("rig")
+            return (rig.age_s or 0.0) < time.monotonic() - asked_at and bool(rig.figures.get("latched"))
+
         try:
             return await self._trigger("rig/stop")
         except Refused:  # where two rigs are in the namespace, the one that has not begun may answer first
             with contextlib.suppress(Refused):
-                await self.until(lambda: self.seen("rig").figures.get("latched"), "the latch", TOLD_S)
+                await self.until(is_latched, "the latch", TOLD_S)
                 return "stopped, as the rig says"
             raise
 

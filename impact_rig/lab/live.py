@@ -11,6 +11,7 @@ from __future__ import annotations
 import asyncio
 import functools
 import os
+import re
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -162,8 +163,8 @@ class LiveSource(Source):
         if gateway is None:
             return
         seen = {node: gateway.seen(node) for node in states.BY_NODE}
-        has_begun, told = _has_begun(seen["rig"]), seen["rig"].figures.get("start_ns", "")
-        record.told_start_ns = int(told) if told.isascii() and told.isdigit() else 0 if has_begun else LAST_NS
+        rig = seen["rig"]
+        record.told_start_ns = LAST_NS if _waits(rig) else _stamp(rig.figures.get("start_ns", ""))
         doubts = self.guard("doubts", record.doubts)
         if doubts is None:
             doubts = ["what speaks against it cannot be told"]
@@ -176,7 +177,7 @@ class LiveSource(Source):
             "closed_form": lambda: closed_form(record.knobs),
             "dt": lambda: record.curve.part(record.start_ns),
             "dt_now": lambda: state.present(seen["rig"], seen["analysis"], doubts),
-            "faults": lambda: record.faults.in_force(record.since_ns()) if has_begun and seen["rig"].figures else None,
+            "faults": lambda: None if _waits(rig) or not rig.figures else record.faults.in_force(record.since_ns()),
             "health": lambda: record.health() if seen["analysis"].lives else None,
             "journal": lambda: record.journal.part(record.start_ns),
             "recorder": lambda: self._recorder(seen["recorder"]),
@@ -191,7 +192,7 @@ class LiveSource(Source):
         word, words = state.judge(rig, seen["analysis"], doubts)
         rig_s = figure(rig.figures.get("rig_time_s"))
         return {
-            "word": word, "text": words, "begun": _has_begun(rig),
+            "word": word, "text": words, "waits": _waits(rig),
             "name": self._client.node.get_namespace(), "instance": rig.instance,
             "age": round(rig.age_s or 0.0), "time": rig_s,
             "speed": round(self._pace.read(rig_s or 0.0, rig.instance, stands=rig.state in STANDING), 2),
@@ -216,9 +217,14 @@ class LiveSource(Source):
         }  # fmt: skip
 
 
-def _has_begun(rig: Seen) -> bool:
-    """Whether what is known of a rig is of the one that is there: of one that waits to begin there is nothing yet."""
-    return not rig.lives or "rig_time_s" in rig.figures
+def _waits(rig: Seen) -> bool:
+    """Whether a rig is there that has not begun: all that is known is of the one before."""
+    return rig.lives and "rig_time_s" not in rig.figures
+
+
+def _stamp(told: str) -> int:
+    """Return a stamp of the diagnostics [ns]; 0: it is none."""
+    return int(told) if re.fullmatch("[0-9]{1,19}", told) else 0
 
 
 def _lost(seen: Mapping[str, Seen]) -> dict[str, float] | None:

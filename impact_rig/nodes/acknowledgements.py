@@ -173,7 +173,7 @@ class AckWindow:
         """Drop what is known of a reader that has left; a peer still owes what it has not acknowledged."""
         reader = self._readers.pop(name)
         if name in self._peers:
-            self._readers[name] = _Reader(self._published - self._owed(reader), reader.heard_ns)
+            self._readers[name] = _Reader(self._published - self._owed(reader), reader.heard_ns, waived=reader.waived)
 
     def _owed(self, reader: _Reader) -> int:
         return 0 if reader.waived else self._published - max(reader.acknowledged or 0, reader.forgiven)

@@ -63,10 +63,8 @@ from impact_rig.physics.collocation import (
 from impact_rig.physics.state import COIL, PRESCRIBED, STEP_TERMS, STRUCTURE, V1, VB, VOLTAGE, X1, XB
 
 FEW_TERMS = 8
-_FEW_VALID_RADIANS, _VALID_RADIANS = (
-    0.03,
-    0.25,
-)  # of the fastest motion in one step: FEW_TERMS and STEP_TERMS leave out 1e-16
+_FEW_VALID_RADIANS = 0.03  # of the fastest motion in one step: FEW_TERMS leave out 1e-16
+_VALID_RADIANS = 0.25  # the same for STEP_TERMS
 _AMPLE = 4.0  # terms are chosen before the length is known, for this many times what is expected
 
 

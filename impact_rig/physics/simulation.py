@@ -349,7 +349,7 @@ class Simulation:
         if len(work.history) > _STATES:  # one that grew is given away: to copy it takes a tenth of the motion's time
             self._work = work._replace(history=room(_STATES, STATE))
         else:
-            kept = joined([kept])
+            kept = joined([kept])  # a copy, in bytes: NumPy copies records field by field
         motion = Motion(
             self._model, self.tick, segments, rows, kept, work.first, joined([work.impacts[:impacts]]), self._sampling,
         )  # fmt: skip

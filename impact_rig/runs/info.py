@@ -267,7 +267,8 @@ class _Tally:
         elif message.topic in self._journals:
             with contextlib.suppress(CodecError):
                 table = codec.decode(message.data, topics.JOURNAL)
-                self.starts += [table.stamp_ns] * bool((table.rows["kind"] == Kind.START.value.encode()).any())
+                if Kind.START.value.encode() in table.rows["kind"]:
+                    self.starts.append(table.stamp_ns)
 
     def _add_block(self, message: Message) -> None:
         try:

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 from pathlib import Path
 
@@ -53,3 +54,30 @@ def test_a_rig_of_others_is_sent_nothing_sooner_than_our_own(tmp_path: Path, mon
                 why = gateway._gone("1")
                 assert why.startswith(said), age_s
                 assert bool(why) is bool(said), (why, age_s)
+
+
+def test_a_stop_is_told_as_done_whichever_of_two_rigs_answers_first(tmp_path: Path) -> None:
+    """The one that waits to be alone once answered first: "not done", of an emergency stop that the other had made."""
+    with (
+        isolated_domain() as domain_id,
+        Client(domain_id, "rig", name="lab") as client,
+        Processes(domain_id, tmp_path / "one", "/rig") as one,
+        Processes(domain_id, tmp_path / "two", "/rig") as two,
+    ):
+        one.start("rig", {"time.start_wait_s": 0.0})
+        client.wait_until(lambda: "rig_time_s" in client.figures("rig"), "the first rig", PATIENCE_S)
+        two.start("rig")
+        client.wait_until(lambda: "to be alone" in client.status("rig").message, "the second to wait", PATIENCE_S)
+
+        async def stop() -> str:
+            gateway = Gateway(client, Record(), None)
+            stopping = asyncio.ensure_future(gateway.do_stop())
+            while not stopping.done():
+                client.executor.spin_once(timeout_sec=0.05)
+                await asyncio.sleep(0)
+            await gateway.close("the test is over")
+            return stopping.result()
+
+        for _ in range(6):
+            assert asyncio.run(stop())
+        client.wait_until(lambda: client.figures("rig").get("latched"), "the latch", PATIENCE_S)

@@ -115,7 +115,7 @@
   test("nothing stale is shown as live", () => {
     same([status(false, { word: "driving" }).word, status(false, undefined).stale], ["offline", true]);
     same([status(true, { word: "dead" }).stale, status(true, { word: "driving" }).stale], [true, false]);
-    same([status(true, { word: "no peer", begun: false }).stale, status(true, { word: "no peer", begun: true }).stale], [true, false]);
+    same([status(true, { word: "no peer", waits: true }).stale, status(true, { word: "no peer", waits: false }).stale], [true, false]);
     same(new Set(["at rest", "driving", "settling", "tripped"].map((word) => status(true, { word }).lamp)).size, 4);
     if (!(patience(0) < 1 && patience(20) === 5)) throw new Error("it waits too long, or not long enough");
   });

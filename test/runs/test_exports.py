@@ -135,8 +135,8 @@ def test_what_is_no_number_stays_out_of_a_universal_file(tmp_path):
         "stamp_ns": np.arange(4) * 10**9, "time": np.zeros(4), "dt": np.array([3.0, np.nan, 5.0, 6.0]),
         "never": np.full(4, np.nan),
     }  # fmt: skip
-    (only,) = (pyuff.UFF(str(write_columns(lambda: iter([columns]), tmp_path / "dt.uff"))).read_sets(),)
-    one = only[0] if isinstance(only, list) else only
+    found = pyuff.UFF(str(write_columns(lambda: iter([columns]), tmp_path / "dt.uff"))).read_sets()
+    one = found[0] if isinstance(found, list) else found
     assert (one["id1"], one["x"].tolist(), one["data"].tolist()) == ("dt", [0.0, 2.0, 3.0], [3.0, 5.0, 6.0])
 
 

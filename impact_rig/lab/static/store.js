@@ -54,13 +54,13 @@ export const GRAVE = ["tripped", "dead", "rival", "silent peer", "no peer", "off
 
 /**
  * What the bar says: the connection comes before the rig, for nothing stale is shown as live.
- * @param {boolean} connected @param {{word?: string, text?: string, begun?: boolean} | undefined} rig
+ * @param {boolean} connected @param {{word?: string, text?: string, waits?: boolean} | undefined} rig
  * @returns {{word: string, text: string, lamp: string, stale: boolean}}
  */
 export function status(connected, rig) {
   const word = connected ? rig?.word ?? "starting" : "offline";
   const text = connected ? rig?.text ?? "" : "The lab does not answer: connecting again. What you see is old.";
-  return { word, text, lamp: LAMPS[word] ?? "○", stale: STALE.includes(word) || rig?.begun === false };
+  return { word, text, lamp: LAMPS[word] ?? "○", stale: STALE.includes(word) || Boolean(rig?.waits) };
 }
 
 /**
