@@ -2,9 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the mechanics settle to at one place of a map: DT and phase of the fundamental, impacts per cycle, regime.
 
-The regime is that of `analysis.spread.classify`. One drive segment is one cycle, so the record is
-stroboscopic: the fundamental of both bases is a sum over each cycle. Everything is deterministic, and starts either
-from a reset rig or from what the place before left.
+One drive segment is one cycle, so the record is stroboscopic: the fundamentals of both bases, and where the sphere is
+when each cycle begins. A motion that comes ever nearer to one that repeats has settled where what is left of the
+transient, a geometric series, is too little to matter. The regime is that of `analysis.spread.classify`. Everything is
+deterministic, and starts either from a reset rig or from what the place before left.
 """
 
 from __future__ import annotations
@@ -17,7 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig.analysis.cycles import PHASE_BINS
-from impact_rig.analysis.spread import Behaviour, classify
+from impact_rig.analysis.spread import LONGEST_PERIOD, Behaviour, classify
+from impact_rig.blocks import joined
 from impact_rig.config.fields import integer, quantity
 from impact_rig.errors import SimulationError
 from impact_rig.physics import SEGMENT, Motion, Simulation
@@ -25,15 +27,14 @@ from impact_rig.physics.prediction import transmissibility
 from impact_rig.rig.config import RigConfig
 from impact_rig.states import Regime
 
-PER_CYCLE = 32
-"""Instants per cycle of the fundamental's sum: the 31st harmonic is the first that disturbs it, by less than 1e-5."""
-CHUNK = 24  # cycles looked at together: responses of period 1, 2, 3, 4, 6 and 8 have one mean in each
+CHUNK = 24  # cycles looked at together: up to six in a row are told from chance
+_PART = CHUNK // 2  # of them, the later ones, which a response that repeats is read from
+_FIRST = CHUNK + _PART  # cycles before it is looked for the first time
+_ROUNDING = 1e-9  # relative change of a cycle that is none
 WEAK = 0.02
 """Impacts slower than this share of the fastest one are bounces that settle: not counted, no part of the regime."""
 NEAR_S = 60.0  # a sphere that flies towards a wall and will strike it within this time has not come to rest
 FAILED = "failed"  # the regime of a place whose motion could not be resolved
-_ANGLE = 2.0 * np.pi * np.arange(PER_CYCLE) / PER_CYCLE
-_TURN = 2j / PER_CYCLE * np.exp(-1j * _ANGLE)
 
 
 @attrs.frozen(kw_only=True)
@@ -43,7 +44,7 @@ class Settings:
     settle_tolerance: float = quantity(
         5e-4,
         "-",
-        "Relative change from one stretch of 24 cycles to the next that counts as none.",
+        "Relative change from cycle to cycle, and of all cycles to come, up to which a response has settled.",
         above=0,
         at_most=0.1,
     )
@@ -54,7 +55,7 @@ class Settings:
         360, "-", "Cycles of waiting for a settled response, at most.", at_least=48, at_most=100_000
     )
     cycles: int = integer(
-        200, "-", "Cycles over which a response that does not repeat is averaged.", at_least=48, at_most=100_000
+        200, "-", "Last cycles, over which a response that does not repeat is averaged.", at_least=48, at_most=100_000
     )
 
 
@@ -79,13 +80,28 @@ NOTHING = Reading(FAILED, *[math.nan] * 10)
 
 
 class _Record(NamedTuple):
-    """Consecutive cycles: fundamentals of x_b and x_1, shape (n,), and impacts as (cycle, turn, speed)."""
+    """Consecutive cycles, dtype `fundamental.CYCLE`, and their impacts."""
 
-    base: NDArray[np.complex128]
-    superior: NDArray[np.complex128]
-    cycle: NDArray[np.int64]
+    cycles: NDArray[np.void]
+    cycle: NDArray[np.int64]  # of each impact
     turn: NDArray[np.float64]
     speed: NDArray[np.float64]
+
+    def last(self, n: int) -> _Record:
+        """Return the last n cycles alone."""
+        before = max(0, len(self.cycles) - n)
+        later = self.cycle >= before
+        return _Record(self.cycles[before:], self.cycle[later] - before, self.turn[later], self.speed[later])
+
+    def then(self, other: _Record) -> _Record:
+        """Return this record and what comes after it."""
+        later = other._replace(cycle=other.cycle + len(self.cycles))
+        return _Record(
+            joined([self.cycles, later.cycles]),
+            np.concatenate([self.cycle, later.cycle]),
+            np.concatenate([self.turn, later.turn]),
+            np.concatenate([self.speed, later.speed]),
+        )
 
 
 class MapRig:
@@ -96,7 +112,6 @@ class MapRig:
         self._config = config
         self.simulation = Simulation(config)
         self._amplitude = 0.0
-        self._newest: Motion | None = None
 
     def change(self, config: RigConfig) -> None:
         """Go on with another configuration: the structure keeps its motion, the sphere begins at its start again."""
@@ -141,38 +156,38 @@ class MapRig:
             return NOTHING
 
     def _measured(self, frequency_hz: float, amplitude: float) -> Reading:
-        record = self._settled(frequency_hz, amplitude)
-        behaviour = _behaviour(record, self._settings)
-        drifts = self._drifts(record)
+        settings = self._settings
+        record = self._run(frequency_hz, amplitude, _FIRST)
+        while True:
+            last = record.last(CHUNK)
+            behaviour = _settled(last, frequency_hz, settings)
+            if behaviour:
+                return _reading(last.last(_PART), behaviour, self._config, frequency_hz)
+            done = len(record.cycles)
+            if done >= settings.settle_cycles:
+                break
+            more = max(_PART, done // 3 // _PART * _PART)  # looked at less often, the longer it takes
+            record = record.then(self._run(frequency_hz, amplitude, min(more, settings.settle_cycles - done)))
+        last = record.last(2 * CHUNK)
+        behaviour, drifts = _behaviour(last, settings), self._drifts(last)
         if drifts or not math.isfinite(behaviour.period):
-            record = self._run(frequency_hz, amplitude, self._settings.cycles)
-            behaviour = _behaviour(record, self._settings)
-            if drifts or self._drifts(record):
+            if done < _FIRST + settings.cycles:
+                record = record.then(self._run(frequency_hz, amplitude, _FIRST + settings.cycles - done))
+            last = record.last(settings.cycles)
+            behaviour = _behaviour(last, settings)
+            if drifts or self._drifts(last):
                 behaviour = attrs.evolve(behaviour, regime=Regime.INTERMITTENT, period=math.nan)
-        return _reading(record, behaviour, self._config, frequency_hz)
-
-    def _settled(self, frequency_hz: float, amplitude: float) -> _Record:
-        """Wait, and return the last two chunks."""
-        now = self._run(frequency_hz, amplitude, CHUNK)
-        quiet = 0
-        for _ in range(self._settings.settle_cycles // CHUNK):
-            before, now = now, self._run(frequency_hz, amplitude, CHUNK)
-            quiet = quiet + 1 if _change(before, now) <= self._settings.settle_tolerance else 0
-            if quiet >= 2 and not self._drifts(both := _joined(before, now)):
-                return both
-        return _joined(before, now)
+        return _reading(last, behaviour, self._config, frequency_hz)
 
     def _drifts(self, record: _Record) -> bool:
         """Return whether a record without impacts ends with the sphere on its way to one.
 
         Between impacts the sphere keeps its velocity, and the wall moves to and fro by |X_1|.
         """
-        motion = self._newest
-        if len(record.speed) or not self._config.sphere.present or motion is None:
+        if len(record.speed) or not self._config.sphere.present:
             return False
-        end = np.array([motion.last_tick]), motion.segments["duration"][-1:]
-        place, velocity = motion.quantities(("x_2", "v_2"), *end)[:, 0].tolist()
-        reach = self._config.barriers.gap_m / 2.0 - float(np.abs(record.superior[-CHUNK:]).max())
+        place, velocity = float(record.cycles["x_2"][-1]), float(record.cycles["v_2"][-1])
+        reach = self._config.barriers.gap_m / 2.0 - float(np.abs(record.cycles["x_1"][-CHUNK:]).max())
         return bool(abs(place + velocity * NEAR_S) > reach > 0.0) and abs(velocity) > 0.0
 
     def advance(self, frequency_hz: float, amplitude: float, cycles: int) -> Motion:
@@ -189,28 +204,37 @@ class MapRig:
     def _run(self, frequency_hz: float, amplitude: float, cycles: int) -> _Record:
         """Advance by whole cycles."""
         motion, period = self.advance(frequency_hz, amplitude, cycles), 1.0 / frequency_hz
-        number = np.repeat(np.arange(motion.first_tick, motion.last_tick + 1), PER_CYCLE)
-        offset = np.tile(_ANGLE / (2.0 * np.pi) * period, cycles)
-        x_b, x_1 = motion.quantities(("x_b", "x_1"), number, offset).reshape(2, cycles, PER_CYCLE)
-        self._newest, hits = motion, motion.impacts
-        place = np.maximum(hits["tick"] - motion.first_tick, 0)  # one that began before is told of now
-        return _Record(
-            (x_b * _TURN).sum(axis=1), (x_1 * _TURN).sum(axis=1), place, hits["offset"] / period, hits["approach_speed"]
-        )
+        hits = motion.impacts
+        cycle = np.maximum(hits["tick"] - motion.first_tick, 0)  # one that began before is told of now
+        return _Record(motion.cycles(), cycle, hits["offset"] / period, hits["approach_speed"])
 
 
-def _joined(one: _Record, other: _Record) -> _Record:
-    later = other._replace(cycle=other.cycle + len(one.base))
-    return _Record(*(np.concatenate(parts) for parts in zip(one, later, strict=True)))
+def _settled(record: _Record, frequency_hz: float, settings: Settings) -> Behaviour | None:
+    """Return what the motion does if it repeats, and is as near to what it will be as the settings ask.
 
-
-def _change(before: _Record, now: _Record) -> float:
-    """Return the relative change of the means, of whichever base changes more."""
-    changes = [
-        abs(new.mean() - old.mean()) / max(abs(new.mean()), 1e-300)
-        for old, new in zip((before.base, before.superior), (now.base, now.superior), strict=True)
-    ]
-    return float(max(changes))
+    Every number of a cycle changes from one period to the next by no more than `settle_tolerance`, and by a factor less
+    each time, so that all changes to come, a geometric series, are together no more than that either.
+    """
+    series = np.array([record.cycles[name] for name in ("x_b", "x_1", "x_2", "v_2")])
+    base, superior = np.abs(series[:2].sum(axis=1)).tolist()
+    if superior == 0.0:
+        return None
+    sizes = np.array([base, superior, superior, 2.0 * np.pi * frequency_hz * superior]) / CHUNK
+    series /= sizes[:, np.newaxis]
+    longest = min(LONGEST_PERIOD, CHUNK // 4)
+    near = np.abs(series[:, -1:] - series[:, -2 : -2 - longest : -1]).max(axis=0) <= settings.settle_tolerance
+    for period in (np.flatnonzero(near) + 1).tolist():
+        change = np.abs(series[:, period:] - series[:, :-period])
+        half = change.shape[1] // 2
+        early, late = change[:, :half].max(axis=1), change[:, half:].max(axis=1)
+        moving = late > _ROUNDING
+        ratio = (late[moving] / early[moving]) ** (period / half)
+        with np.errstate(divide="ignore"):
+            left = np.where(ratio < 1.0, late[moving] * np.maximum(1.0, ratio / (1.0 - ratio)), np.inf)
+        if np.all(left <= settings.settle_tolerance):
+            behaviour = _behaviour(record, settings)
+            return behaviour if behaviour.period == period else None
+    return None
 
 
 def _strong(record: _Record) -> NDArray[np.bool_]:
@@ -220,26 +244,30 @@ def _strong(record: _Record) -> NDArray[np.bool_]:
 
 
 def _behaviour(record: _Record, settings: Settings) -> Behaviour:
-    n = len(record.superior)
+    n = len(record.cycles)
     strikes = np.zeros((n, PHASE_BINS), np.uint8)
     strong = _strong(record)
     strikes[record.cycle[strong], (record.turn[strong] * PHASE_BINS).astype(np.int64) % PHASE_BINS] = 1
-    mean = record.superior.mean()
+    superior = record.cycles["x_1"]
+    mean = superior.mean()
     if mean == 0.0:
         return classify(np.full(n, np.nan, np.complex128), 0.0, settings.periodic_tolerance, strikes)
-    return classify(record.superior / mean - 1.0, 0.0, settings.periodic_tolerance, strikes)
+    return classify(superior / mean - 1.0, 0.0, settings.periodic_tolerance, strikes)
 
 
 def _reading(record: _Record, behaviour: Behaviour, config: RigConfig, frequency_hz: float) -> Reading:
-    n = len(record.base)
+    half = len(record.cycles) // 2
     if math.isfinite(behaviour.period):  # whole periods, or the mean is none
-        n -= n % int(behaviour.period)
-    base, superior = record.base[-n:].mean(), record.superior[-n:].mean()
+        half -= half % int(behaviour.period)
+    parts = record.cycles[-2 * half : -half], record.cycles[-half:]
+    amplitudes = np.array([[part["x_b"].mean(), part["x_1"].mean()] for part in parts])
+    first, last = np.abs(amplitudes[:, 1] / amplitudes[:, 0]).tolist()
+    base, superior = amplitudes.mean(axis=0)
     ratio = superior / base
-    dt, half = float(abs(ratio)), n // 2
-    first = abs(record.superior[-n:][:half].mean() / record.base[-n:][:half].mean())
-    last = abs(record.superior[-n:][half:].mean() / record.base[-n:][half:].mean())
-    counted = _strong(record) & (record.cycle >= len(record.base) - n)
+    dt, n = float(abs(ratio)), 2 * half
+    impacts = float(np.sum(_strong(record) & (record.cycle >= len(record.cycles) - n))) / n
+    if math.isfinite(behaviour.period):  # a whole number a period: one at the border of a cycle may fall on either side
+        impacts = round(impacts * behaviour.period) / behaviour.period
     return Reading(
         regime=behaviour.regime.value,
         dt=dt,
@@ -247,9 +275,9 @@ def _reading(record: _Record, behaviour: Behaviour, config: RigConfig, frequency
         phase_rad=float(np.angle(ratio)),
         base_m=float(abs(base)),
         superior_m=float(abs(superior)),
-        impacts_per_cycle=float(counted.sum()) / n,
+        impacts_per_cycle=impacts,
         period=behaviour.period,
         spread=behaviour.spread,
-        drift=float(abs(last - first) / dt),
-        cycles=float(len(record.base)),
+        drift=abs(last - first) / dt,
+        cycles=float(len(record.cycles)),
     )

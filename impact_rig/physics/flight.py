@@ -109,7 +109,7 @@ def _half_reciprocal(number):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _resolve(system, omega, vector, out):  # type: ignore[no-untyped-def]
+def resolve(system, omega, vector, out):  # type: ignore[no-untyped-def]
     """Fill out = (jω − M)^-1 vector; each kept mode stands for itself and its conjugate."""
     for i in range(system.states):
         out[i] = 0.0j
@@ -134,10 +134,10 @@ def frequency_response(system, omega, flight):  # type: ignore[no-untyped-def]
     vector = flight.steady  # scratch: `particular` fills it anew
     for i in range(n):
         vector[i] = complex(system.b_0[i], omega * system.b_1[i])
-    _resolve(system, omega, vector, flight.answer)
+    resolve(system, omega, vector, flight.answer)
     for i in range(n):
         vector[i] = complex(system.b_1[i] - flight.answer[i].real, -flight.answer[i].imag)
-    _resolve(system, omega, vector, flight.growth_answer)
+    resolve(system, omega, vector, flight.growth_answer)
 
 
 @kernel

@@ -99,8 +99,8 @@ class Trajectory(NamedTuple):
         segments: the drive.
         first_tick: number of the first tick.
         first_segment: row of each tick's first segment, and the number of segments.
-        history: records of STATE.
-        first: row of each segment's first state, and the number of states.
+        history: records of STATE, and last the one after all segments.
+        first: row of each segment's first state, and of that last one.
     """
 
     segments: NDArray[np.void]
@@ -208,7 +208,7 @@ def new_sampling_workspace() -> SamplingWorkspace:
 
 
 @kernel
-def _derived(value, growth, rate, order):  # type: ignore[no-untyped-def]  # compiled: types are inferred
+def derived(value, growth, rate, order):  # type: ignore[no-untyped-def]  # compiled: types are inferred
     """Return value and growth of the derivative of (value + growth τ) exp(λ τ) of this order."""
     for _ in range(order):
         value, growth = rate * value + growth, rate * growth
@@ -218,7 +218,7 @@ def _derived(value, growth, rate, order):  # type: ignore[no-untyped-def]  # com
 @kernel
 def _add_oscillation(poly, value, growth, rate, order):  # type: ignore[no-untyped-def]
     """Add the Taylor coefficients of Re[(value + growth τ) exp(rate τ)], differentiated `order` times."""
-    value, growth = _derived(value, growth, rate, order)
+    value, growth = derived(value, growth, rate, order)
     term, term_before = 1.0 + 0.0j, 0.0j
     for i in range(PIECE_TERMS):
         poly[i] += (value * term).real + (growth * term_before).real
@@ -438,7 +438,7 @@ def _sample_contact(model, f, history, row, start, stop, query, work):  # type: 
 
 
 @kernel
-def _begin_flight_at(model, f, s, flight):  # type: ignore[no-untyped-def]
+def begin_flight_at(model, f, s, flight):  # type: ignore[no-untyped-def]
     """Prepare the closed form of the flight that begins at s; return the system that flies."""
     renewed = choose_system(model, f, s, flight)
     system = model.systems[flight.system]
@@ -454,7 +454,7 @@ def _begin_flight_at(model, f, s, flight):  # type: ignore[no-untyped-def]
 def _sample_flight(model, f, s, start, stop, query, work):  # type: ignore[no-untyped-def]
     """Fill the query's instants start … stop − 1, all in the flight that begins at s."""
     p, flight = model.parameters[0], work.flight[0]
-    system = _begin_flight_at(model, f, s, flight)
+    system = begin_flight_at(model, f, s, flight)
     expanded = -1
     for i in range(start, stop):
         since = query.offset[i] - f.begin - s.t
@@ -558,10 +558,10 @@ def _fit_flight(p, system, f, flight, spans, i, work):  # type: ignore[no-untype
         poly[q, :] = 0.0
         if of_drive:
             unit = phasor(f.phase) * rotor
-            value, growth = _derived((f.amplitude + f.growth * t) * unit, f.growth * unit, jw, order)
+            value, growth = derived((f.amplitude + f.growth * t) * unit, f.growth * unit, jw, order)
         else:
             growing = flight.growing[place] * rotor
-            value, growth = _derived(flight.steady[place] * rotor + growing * t, growing, jw, order)
+            value, growth = derived(flight.steady[place] * rotor + growing * t, growing, jw, order)
             if order == 0:
                 poly[q, 0] = system.static[place] * flight.friction_force
         _add_series(poly[q], work, terms, value, growth, half)
@@ -573,7 +573,7 @@ def _fit_flight(p, system, f, flight, spans, i, work):  # type: ignore[no-untype
         for q in range(wanted.shape[0]):
             place, order, of_drive = _place_and_order(p, wanted[q])
             if not of_drive:
-                value, growth = _derived(system.right[n, place] * modal, 0.0j, rate, order)
+                value, growth = derived(system.right[n, place] * modal, 0.0j, rate, order)
                 _add_series(poly[q], work, terms, value, growth, half)
     for q in range(wanted.shape[0]):
         shorten(poly[q], spans.out[q, i])
@@ -712,7 +712,7 @@ def fit(model, trajectory, spans, work):  # type: ignore[no-untyped-def]
             continue
         if inside and structure_alone:
             if row != prepared:
-                _begin_flight_at(model, f, history[row], flight)
+                begin_flight_at(model, f, history[row], flight)
                 prepared = row
             if spans.end[i] - spans.start[i] <= _LONGEST * flight.interval:
                 _fit_flight(p, model.systems[flight.system], f, flight, spans, i, work)

@@ -20,6 +20,7 @@ from impact_rig.physics import contact as contact_laws
 from impact_rig.physics.contact_step import turned_at
 from impact_rig.physics.event_loop import NEED_ROOM, STUCK, UNSOLVED, Workspace, new_workspace, run
 from impact_rig.physics.flight import SEGMENT
+from impact_rig.physics.fundamental import CYCLE, follow_cycles
 from impact_rig.physics.linear import Setup
 from impact_rig.physics.model import CONTACT_RTOL, Model, build
 from impact_rig.physics.sampling import (
@@ -150,6 +151,13 @@ class Motion:
         if not fit(self._model, self._trajectory, Spans(_places(names), tick, start_s, end_s, out), self._sampling):
             raise self._elsewhere(tick)
         return out
+
+    def cycles(self) -> NDArray[np.void]:
+        """Return what each tick does, dtype `fundamental.CYCLE`: each is one segment, a whole cycle of the drive."""
+        out = np.empty((len(self.segments), CYCLE.itemsize // 8))
+        follow_cycles(self._model, self._trajectory, self._sampling.flight, out)
+        found: NDArray[np.void] = out.view(CYCLE)[:, 0]
+        return found
 
     def _elsewhere(self, tick: NDArray[np.int64]) -> ValueError:
         return ValueError(
@@ -345,7 +353,8 @@ class Simulation:
             work = self._work = _grown(work)
         states, impacts = int(filled["states"]), int(filled["impacts"])
         work.first[-1] = states
-        kept = work.history[:states]
+        work.history[states] = work.states[0]  # where the next motion begins
+        kept = work.history[: states + 1]
         if len(work.history) > _STATES:  # one that grew is given away: to copy it takes a tenth of the motion's time
             self._work = work._replace(history=room(_STATES, STATE))
         else:

@@ -83,6 +83,26 @@ def test_two_impacts_per_cycle_are_the_prediction(small):
     assert {*values["regime"].ravel()} <= {"periodic", "modulated", "chaotic"}
 
 
+@pytest.mark.parametrize(
+    ("gap_m", "frequency_hz", "period"),
+    [(0.020, 9.1, 1), (0.002, 9.1, 1), (0.010, 8.905, 2), (0.026, 9.595, 3), (0.008, 8.695, 4)],
+)
+def test_what_has_settled_is_what_a_long_motion_does(gap_m, frequency_hz, period):
+    """DT within `settle_tolerance`, from a hundredth of the cycles, and from no samples."""
+    rig = MapRig(from_flat(RigConfig(), {"barriers.gap_m": gap_m}), Settings())
+    found = rig.measure(frequency_hz, CURRENT_A)
+    rig.reset()
+    motion = rig.advance(frequency_hz, CURRENT_A, 3000)
+    cycles, turn = 24, np.arange(64) / 64
+    tick = np.repeat(np.arange(motion.last_tick + 1 - cycles, motion.last_tick + 1), len(turn))
+    samples = motion.quantities(("x_b", "x_1"), tick, np.tile(turn / frequency_hz, cycles)).reshape(2, cycles, -1)
+    x_b, x_1 = samples @ np.exp(-2j * math.pi * turn)
+    assert found.dt == pytest.approx(abs(x_1.mean() / x_b.mean()), rel=Settings().settle_tolerance)
+    assert (found.regime, found.period) == ("periodic", period)
+    assert np.abs(x_1[period:] - x_1[:-period]).max() < 1e-6 * np.abs(x_1).mean(), "the long motion does not repeat"
+    assert period == 1 or np.abs(x_1[1:] - x_1[:-1]).max() > 1e-4 * np.abs(x_1).mean()
+
+
 COEXISTENCE = """
 title: coexistence
 axes:

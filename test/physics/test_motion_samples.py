@@ -192,3 +192,41 @@ def test_a_log_that_is_full_where_a_touch_begins_a_tick_changes_nothing():
     ample, full = (motion.sample(tick, offset) for motion in motions)
     assert np.array_equal(ample, full)
     assert np.abs(ample["x_2"][:50] - 0.3 * offset[:50]).max() <= 1e-15
+
+
+@pytest.mark.parametrize(
+    ("changes", "left_out"),
+    [
+        ({}, 1e-7),
+        ({"drive": {"kind": "prescribed"}}, 1e-7),
+        ({"drive": {"kind": "voltage"}}, 1e-7),
+        ({"sphere": {"present": False}}, 1e-7),
+        ({"barriers": {"gap_m": 0.5e-3}}, 4e-6),  # long steps of a sphere that rests: (ω τ)² / 24 of the force's bend
+        ({"contact": {"law": "restitution"}, "barriers": {"gap_m": 1e-3}}, 1e-7),
+        ({"contact": {"law": "walton_braun"}, "barriers": {"gap_m": 1e-3}}, 1e-7),
+        ({"sphere": {"guide_friction": 0.1}, "barriers": {"gap_m": 1e-3}}, 4e-6),
+        ({"sphere": {"guide_friction": 0.5}, "barriers": {"gap_m": 10e-3}}, 1e-7),
+    ],
+    ids=str,
+)
+@pytest.mark.parametrize("phase", [0.0, 1.0])
+def test_fundamentals_of_cycles_are_those_of_the_samples(changes, left_out, phase):
+    """Of every phase of the motion, under a growing drive and a steady one; the sums leave out less than 1e-7."""
+    config, cycles, many = rig(**changes), 20, 1 << 14
+    simulation, frequency_hz = Simulation(config), 9.1
+    simulation.place(x_1=-1e-3, d_rate=0.1)
+    segments = sine(frequency_hz, AMPLITUDES[config.drive.kind] / 4, 1.0 / frequency_hz, cycles)
+    segments["phase"] = phase
+    segments["growth"][:2] = segments["amplitude"][0] * frequency_hz / 2.0
+    motion = simulation.advance(segments)
+    turn = (np.arange(many) + 0.5) / many
+    tick = np.repeat(np.arange(cycles), many)
+    samples = motion.quantities(("x_b", "x_1"), tick, np.tile(turn / frequency_hz, cycles)).reshape(2, cycles, many)
+    sums = samples @ (2j / many * np.exp(-1j * TWO_PI * turn))
+    found = motion.cycles()
+    for name, wanted in zip(("x_b", "x_1"), sums, strict=True):
+        assert np.abs(found[name] - wanted).max() <= left_out * np.abs(wanted).mean(), name
+    if config.sphere.present:
+        places = motion.quantities(("x_2", "v_2"), np.arange(cycles), np.zeros(cycles))
+        assert np.abs(found["x_2"] - places[0]).max() <= 1e-12
+        assert np.abs(found["v_2"] - places[1]).max() <= 1e-9

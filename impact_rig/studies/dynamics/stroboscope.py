@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig.errors import ConfigError, SimulationError
-from impact_rig.maps.measure import PER_CYCLE, MapRig, Reading
+from impact_rig.maps.measure import MapRig, Reading
 from impact_rig.maps.plan import CURRENT, FREQUENCY, GAP
 from impact_rig.physics import SEGMENT, Motion, Simulation
 from impact_rig.physics.linear import constants
@@ -147,12 +147,9 @@ class Stroboscope:
         simulation = Simulation(config, account=True, model=model)
         simulation.set_state(self._whole(z, place))
         motion = simulation.advance(self._segments(place, self.cycles))
-        energy, period = simulation.energy(), 1.0 / frequency
-        angle = (np.arange(PER_CYCLE) / PER_CYCLE - self.turn) % 1.0
-        number = np.repeat(np.arange(motion.first_tick, motion.last_tick + 1), PER_CYCLE)
-        found = motion.quantities(("x_b", "x_1"), number, np.tile(angle * period, self.cycles))
-        turning = np.tile(np.exp(-1j * _TURN * np.arange(PER_CYCLE) / PER_CYCLE), self.cycles)
-        base, superior = 2j / (PER_CYCLE * self.cycles) * (found * turning).sum(axis=1)
+        energy = simulation.energy()
+        cycles = motion.cycles()
+        base, superior = cycles["x_b"].mean(), cycles["x_1"].mean()
         ratio, speeds = superior / base, motion.impacts["approach_speed"]
         c, s = constants(config), 1j * _TURN * frequency
         k, inertia = c.k_1 + c.c_1 * s, c.m_1 * abs(s) ** 2

@@ -1,0 +1,135 @@
+# Copyright 2026 The impact_rig developers
+# SPDX-License-Identifier: Apache-2.0
+"""What whole cycles of the drive do, in closed form from the states between which the motion goes on.
+
+The fundamentals of both bases, and where the sphere is as each cycle begins.
+
+Of a segment of the drive that is one cycle, T = 2π/ω, let Y be the integral of y(t) exp(−jωt), and U that of the drive.
+The structure is linear, and all that the sphere does to it, at the walls or by friction, is N = −m x_2''. So
+
+    (jω − M) Y = −[y] + b_0 U + b_1 ([u] + jω U) + N's integral / m_1,   [y] = y(T) − y(0)
+
+    U = e^{jφ} (A T + B T² / 2) / 2j − e^{−jφ} B T / 4ω,   [u] = B T sin φ
+
+The complex amplitude of x, for x = Im(X exp(jωt)), is 2j/T times its integral. That of x_2'' is
+
+    in flight       of the guide's friction, which is constant
+    in a contact    of a straight line, that has the change of speed and of place from one step to the next: what it
+                    leaves out is the bend of the force in (ω τ)² / 24, τ the length of the step
+    ATTACHED        of x_1'' in closed form
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from impact_rig.kernels import REALS_2D, entry, kernel
+from impact_rig.physics.flight import decayed, forcing, phasor, resolve
+from impact_rig.physics.model import MODEL
+from impact_rig.physics.sampling import TRAJECTORY, begin_flight_at, derived
+from impact_rig.physics.state import ATTACHED, CONTACT, FLIGHT, LOOSE, PRESCRIBED, V1, X1, XB
+
+CYCLE = np.dtype(
+    [
+        ("x_b", "c16"),  # X_b of x_b = Im(X_b exp(jωt)), t from the start of the cycle [m]
+        ("x_1", "c16"),  # X_1, likewise [m]
+        ("x_2", "f8"),  # where the sphere is as the cycle begins, 0 without one [m]
+        ("v_2", "f8"),  # its velocity then [m/s]
+    ]
+)
+"""One cycle."""
+
+
+@kernel
+def _sphere(p, s):  # type: ignore[no-untyped-def]  # compiled: types are inferred
+    """Return x_2 and v_2 in a state."""
+    if s.phase != CONTACT:
+        return s.y[X1] + s.d, s.y[V1] + s.d_rate
+    part = (1.0 - p.share) * s.side
+    return s.y[X1] + s.d + part * s.w * s.w, s.y[V1] + part * s.speed
+
+
+@kernel
+def _straight(omega, tau, x_2, v_2, x_end, v_end):  # type: ignore[no-untyped-def]
+    """Return the integral over a step of x_2'' exp(−jωt), t from its middle, where x_2'' is a straight line."""
+    moment = 0.5 * tau * (v_end + v_2) - (x_end - x_2)  # of x_2'' about the middle
+    square = omega * tau * omega * tau
+    return complex((v_end - v_2) * (1.0 - square * (1.0 / 24.0)), -omega * moment * (1.0 - square * (1.0 / 40.0)))
+
+
+@kernel
+def _one_body(system, flight, omega, t, z, t_end, z_end):  # type: ignore[no-untyped-def]
+    """Return the integral of x_1'' exp(−jωt) over the flight from t to t_end; z and z_end are exp(−jωt) there."""
+    jw = complex(0.0, omega)
+    value, growth = derived(flight.steady[X1], flight.growing[X1], jw, 2)
+    tau, twice = t_end - t, -2.0 * jw
+    total = tau * (value + 0.5 * (t_end + t) * growth)
+    value, growth = value.conjugate(), growth.conjugate()
+    end = (value + growth * t_end - growth / twice) * (z_end * z_end)
+    total = (total - (end - (value + growth * t - growth / twice) * (z * z)) / twice) * -0.5j
+    for n in range(system.modes):
+        rate = system.rate[n]
+        _, decay = decayed(rate, tau)
+        wave = 0.5 * (rate * rate) * system.right[n, X1] * flight.modal[n]
+        total += wave * (decay * z_end - z) / (rate - jw)
+        total += wave.conjugate() * (decay.conjugate() * z_end - z) / (rate.conjugate() - jw)
+    return total
+
+
+@kernel
+def _accelerated(model, f, trajectory, rows, duration, flight):  # type: ignore[no-untyped-def]
+    """Return the integral of x_2'' exp(−jωt) over a segment, whose states are `rows` = (first, first of the next)."""
+    p, history, total, z = model.parameters[0], trajectory.history, 0.0j, 1.0 + 0.0j
+    x_2, v_2 = _sphere(p, history[rows[0]])
+    for row in range(rows[0], rows[1]):
+        s = history[row]
+        t_end = history[row + 1].t if row + 1 < rows[1] else duration
+        z_end = phasor(-f.omega * t_end)
+        x_end, v_end = _sphere(p, history[row + 1])
+        tau, braking = t_end - s.t, 0.0
+        if s.phase == CONTACT:
+            total += phasor(-f.omega * (s.t + 0.5 * tau)) * _straight(f.omega, tau, x_2, v_2, x_end, v_end)
+        elif s.phase == ATTACHED:
+            system = begin_flight_at(model, f, s, flight)
+            total += _one_body(system, flight, f.omega, s.t, z, t_end, z_end)
+        else:
+            braking = -s.slide * p.friction
+            total += braking * (z_end - z) * complex(0.0, 1.0 / f.omega)
+            total += (v_end - v_2 - braking * tau) * z_end  # off a rigid wall: at once
+        x_2, v_2, z = x_end, v_end, z_end
+    return total
+
+
+@entry(MODEL, TRAJECTORY, FLIGHT, REALS_2D)
+def follow_cycles(model, trajectory, flights, out):  # type: ignore[no-untyped-def]
+    """Fill in the numbers of a CYCLE, a row a segment; `flights` is scratch, one record."""
+    p, system, flight = model.parameters[0], model.systems[LOOSE], flights[0]
+    flight.omega = -1.0
+    for i in range(out.shape[0]):
+        segment = trajectory.segments[i]
+        f, duration = forcing(segment), segment.duration
+        force = 0.0j
+        if p.sphere_present:
+            rows = trajectory.first[i], trajectory.first[i + 1]
+            force = -p.m * _accelerated(model, f, trajectory, rows, duration, flight)
+        jw, rotor = complex(0.0, f.omega), phasor(f.phase)
+        drive = rotor * (f.amplitude + 0.5 * f.growth * duration) * duration * -0.5j
+        drive -= rotor.conjugate() * (f.growth * duration * 0.25 / f.omega)
+        rise = f.growth * duration * rotor.imag
+        begin, end = trajectory.history[trajectory.first[i]], trajectory.history[trajectory.first[i + 1]]
+        load = flight.steady  # scratch
+        for k in range(system.states):
+            load[k] = begin.y[k] - end.y[k] + system.b_0[k] * drive + system.b_1[k] * (rise + jw * drive)
+        load[V1] += force * p.per_m_1
+        x_2, v_2 = _sphere(p, begin)
+        out[i, 4], out[i, 5] = (x_2, v_2) if p.sphere_present else (0.0, 0.0)
+        for s, sign in ((begin, 1.0), (end, -1.0)):
+            if s.phase == CONTACT:  # y is the pair's
+                load[X1] -= sign * p.share * s.side * s.w * s.w
+                load[V1] -= sign * p.share * s.side * s.speed
+        resolve(system, f.omega, load, flight.answer)
+        flight.omega = -1.0  # it holds no answer to the drive any more
+        base = drive if p.drive == PRESCRIBED else flight.answer[XB]
+        amplitude = complex(0.0, 2.0 / duration)
+        base, superior = amplitude * base, amplitude * flight.answer[X1]
+        out[i, 0], out[i, 1], out[i, 2], out[i, 3] = base.real, base.imag, superior.real, superior.imag
