@@ -39,7 +39,7 @@ RESET, UP, DOWN, BOTH = "reset", "up", "down", "both"
 DIRECTIONS = (RESET, UP, DOWN, BOTH)
 OWNED = ("daq.", "instruments.", "time.", "step.", "pluck.", "output.", "drive.waveform", "drive.frequency_hz")
 """Configuration that means nothing to a map, or that it decides itself."""
-POINT_S = 0.05  # what a point costs on one core, about: narrow gaps and chaos cost twice as much, wide gaps a fifth
+POINT_S = 0.004  # what a point costs on one core, about: narrow gaps and chaos cost twice as much, wide gaps a fifth
 LIMIT_S = 3600.0  # estimated time above which a map is refused
 
 
