@@ -80,7 +80,7 @@ class Processes:
     """Starts node processes on one ROS domain and ends every one of them, whatever happens.
 
     Args:
-        domain_id: ROS domain, see `domain.isolated_domain`.
+        domain_id: ROS domain, see `isolated_domain`.
         directory: where logs go; made if missing.
         namespace: ROS namespace of all nodes, e.g. `/rig1`; empty for none.
     """

@@ -146,17 +146,21 @@ class Gateway:
 
     # What is heard
 
-    def look(self, scans: bool, motion: bool) -> None:
-        """Take what has come since the last look; without `motion`, what was known of that is forgotten."""
+    def listen(self, scans: bool, motion: bool) -> None:
+        """Hear from now on scans and motion, or not; without `motion`, what was known of that is forgotten."""
         wanted = {*(SCANS if scans else ()), *(TRUTH if scans and motion else ())}
         for topic in self._looks.keys() - wanted:
             self._view.destroy_subscription(self._looks.pop(topic))
-            if scans and topic is topics.JOINT_STATES:
+            if topic is topics.JOINT_STATES and not motion:
                 with self.record.lock:
                     self.record.forget_motion()
         for topic in [topic for topic in (*SCANS, *TRUTH) if topic in wanted and topic not in self._looks]:
             kind, never = messages.class_of(topic), lambda _message: None  # nobody spins its node
             self._looks[topic] = self._view.create_subscription(kind, topic.name, never, PICTURES, raw=True)
+
+    def take(self) -> bool:
+        """Take what has come since the last time; return whether anything has."""
+        came = False
         for topic, subscription in self._looks.items():
             found: list[bytes] = []
             with subscription.handle:
@@ -165,11 +169,13 @@ class Gateway:
                     if one is None:
                         break
                     found.append(one[0])
+            came = came or bool(found)
             if self.record.since_ns() > self.record.start_ns:
                 continue  # of a rig whose scan 0 is not known yet: it would go on where the one before has ended
             with self.record.lock:
                 for data in found:
                     self.record.take(topic, data)
+        return came
 
     def seen(self, node: str) -> Seen:
         """Return what a node has said last, and how long ago."""

@@ -32,10 +32,12 @@ if TYPE_CHECKING:
 
 LOOK_S = 0.02  # between two looks at the data while a page is open
 GLANCE_S = 0.5  # the same while rig time runs ahead of ours
+PEEK_S, DEAF_S = 0.1, 1.4  # where nobody can follow: so long it listens to scans, and then so long not
 TURN_S = 0.05  # the longest turn of the loop while a page is open: what it asks for waits no longer
 IDLE_S = 0.2
-STATE_S = 0.1
-SLOW_S = 0.5
+STATE_S = 0.1  # between two words to the page
+SLOW_S = 0.5  # the same while rig time runs ahead of ours, and where nobody looks
+SLOWEST_S = 1.0  # the same where nobody can follow
 
 
 class LiveSource(Source):
@@ -53,6 +55,7 @@ class LiveSource(Source):
         self._client: Client
         self._gateway: Gateway | None = None
         self._pace = Pace()
+        self._listens = True  # to scans; while rig time runs ahead of ours only now and then
         self.snapshot.put(rig={"word": "starting", "text": "The lab starts.", "name": namespace or ""})
 
     @property
@@ -104,11 +107,11 @@ class LiveSource(Source):
             now = time.monotonic()
             self.guard("requests", self._take_requests)
             if now >= look_at:
-                look_at = now + self._until_next_look()
                 self.guard("pictures", self._look)
+                look_at = now + self._until_next_look()
             if now >= state_at:
-                state_at = now + (STATE_S if self.watchers and not self._pace.is_hurried else SLOW_S)
                 self.guard("state", self._tell)
+                state_at = now + self._until_next_word()
             if self._gateway is None and now >= slow_at:
                 slow_at = now + SLOW_S
                 self.guard("discovery", self._discover)
@@ -119,14 +122,26 @@ class LiveSource(Source):
             await asyncio.sleep(0)  # every action looks whether what it waits for has come
 
     def _look(self) -> None:
-        if self._gateway is not None:
-            self._gateway.look(self.watchers > 0, self._pace.is_followed)
+        """Take what has come; where nobody can follow, most is not even sent: that costs the rig as much as us."""
+        if self._gateway is None:
+            return
+        came = self._gateway.take()
+        self._listens = self._pace.is_followed or self._gateway.is_busy or not (self._listens and came)
+        self._gateway.listen(self.watchers > 0 and self._listens, self._pace.is_followed)
 
     def _until_next_look(self) -> float:
         if not self.watchers:
             return IDLE_S
-        busy = self._gateway is not None and self._gateway.is_busy
-        return GLANCE_S if self._pace.is_hurried and not busy else LOOK_S
+        if not self._pace.is_hurried or (self._gateway is not None and self._gateway.is_busy):
+            return LOOK_S
+        if self._pace.is_followed:
+            return GLANCE_S
+        return PEEK_S if self._listens else DEAF_S
+
+    def _until_next_word(self) -> float:
+        if not self._pace.is_followed:
+            return SLOWEST_S
+        return STATE_S if self.watchers and not self._pace.is_hurried else SLOW_S
 
     def _take_requests(self) -> None:
         while not self._asked.empty():

@@ -311,7 +311,7 @@ function showJournal(lines) {
 const hurries = () => (now.rig?.speed ?? 1) > 1.5; // rig time runs ahead of ours: the machine is needed elsewhere
 
 function frame(at) {
-  if (hurries() && now.mode === "live" && slow.factor === 1) setTimeout(() => requestAnimationFrame(frame), 450);
+  if (hurries() && now.mode === "live" && slow.factor === 1) setTimeout(() => requestAnimationFrame(frame), now.rig?.motion === false ? 950 : 450);
   else requestAnimationFrame(frame);
   const began = performance.now();
   const dt = Math.min(0.25, (at - (drawn.last || at)) / 1000);
