@@ -4,7 +4,9 @@
 
 from __future__ import annotations
 
+import difflib
 import traceback
+from collections.abc import Iterable
 
 
 def visible(text: str, *, lines: bool = False) -> str:
@@ -15,6 +17,12 @@ def visible(text: str, *, lines: bool = False) -> str:
         lines: leave line ends as they are.
     """
     return "".join(c if c.isprintable() or (lines and c == "\n") else c.encode("unicode_escape").decode() for c in text)
+
+
+def did_you_mean(word: str, known: Iterable[str], question: str = ": did you mean {}?", otherwise: str = "") -> str:
+    """Return `question` with the known word that is nearest in its braces; `otherwise` where none is near."""
+    close = difflib.get_close_matches(word, list(known), n=1)
+    return question.format(close[0]) if close else otherwise
 
 
 class ImpactRigError(Exception):

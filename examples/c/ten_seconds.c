@@ -17,7 +17,7 @@ static ir_contact_step step[1];
 static ir_ledger ledger[1];
 static ir_log filled[1];
 static ir_impact impacts[IMPACTS];
-static int64_t tick_of[SEGMENTS], first[SEGMENTS + 1], result[2];
+static int64_t tick_of[SEGMENTS], first_state[SEGMENTS + 1], result[2];
 #define READ(what) (fread(what, sizeof what, 1, file) == 1)
 
 int main(int count, char **words)
@@ -29,7 +29,7 @@ int main(int count, char **words)
     for (int64_t i = 0; i < SEGMENTS; i++) tick_of[i] = i; /* one segment a tick: a stream of samples has more */
     int32_t status = ir_physics_event_loop_run(
         parameters, 1, systems, 2, table, 1, one, at_stages, segments, SEGMENTS, tick_of, SEGMENTS, 0, states, 2, flight, 1, step, 1,
-        ledger, 1, filled, 1, history, STATES, impacts, IMPACTS, first, SEGMENTS + 1, 0, result);
+        ledger, 1, filled, 1, history, STATES, impacts, IMPACTS, first_state, SEGMENTS + 1, 0, result);
     printf("%d %lld %lld %a\n", (int)status, (long long)result[0], (long long)filled->impacts, states[0].y[0]);
     for (int64_t i = 0; i < filled->impacts; i++) printf("%lld %a %a\n", (long long)impacts[i].tick, impacts[i].offset, impacts[i].impulse);
     return status;

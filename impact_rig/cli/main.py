@@ -75,12 +75,11 @@ def _parse(arguments: Sequence[str]) -> argparse.Namespace:
     first = arguments[0] if arguments else ""
     parser = command_line(first)
     if first and not first.startswith("-") and first not in COMMANDS:
-        import difflib  # noqa: PLC0415
+        from impact_rig.errors import did_you_mean, visible  # noqa: PLC0415
 
-        from impact_rig.errors import visible  # noqa: PLC0415
-
-        close = difflib.get_close_matches(first, COMMANDS, n=1)
-        hint = f"did you mean `{PROGRAM} {close[0]}`?" if close else f"the commands are {', '.join(COMMANDS)}"
+        hint = did_you_mean(
+            first, COMMANDS, f"did you mean `{PROGRAM} {{}}`?", f"the commands are {', '.join(COMMANDS)}"
+        )
         parser.error(visible(f"{first!r} is no command: {hint}"))
     return parser.parse_args(arguments)
 

@@ -9,7 +9,6 @@ with `--ros-args --params-file`; the two outer keys may be left out. A parameter
 
 from __future__ import annotations
 
-import difflib
 import functools
 import operator
 from collections.abc import Iterator, Mapping
@@ -20,7 +19,7 @@ import attrs
 import yaml
 
 from impact_rig.config.fields import METADATA_KEY, FieldInfo, info
-from impact_rig.errors import ConfigError
+from impact_rig.errors import ConfigError, did_you_mean
 from impact_rig.system import budget, files
 
 MAX_FILE_BYTES = 1_000_000
@@ -80,8 +79,7 @@ class Tree(Generic[Root]):
         """
         for name in changes:
             if name not in self._known:
-                close = difflib.get_close_matches(name, self._known, n=1)
-                raise ConfigError(f"unknown key {name!r}" + (f", did you mean {close[0]!r}?" if close else ""))
+                raise ConfigError(f"unknown key {name!r}" + did_you_mean(name, self._known, ", did you mean {!r}?"))
         changed = _evolve(base, nested(changes, _Nested))
         assert isinstance(changed, self.root)
         return changed

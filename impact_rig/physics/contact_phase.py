@@ -13,7 +13,7 @@ derivative by χ. An event's `excess` is how far a point is beyond it, in units 
 A step ends where its error allows, and earlier at the first of these events:
 
     SEPARATED  w = 0          the sphere is off the wall
-    TIME       t = t_end      the drive segment is over
+    PAUSED     t = t_end      the drive segment is over
     RELEASED   F = 0, δ > 0   a law that lets go would pull: the surface stays behind until the sphere is out of there
     TURNED     δ' = 0         a law with a memory changes branch, at the largest indentation
     RELOADED   w = deepest    it presses further than before, and changes branch again
@@ -44,9 +44,9 @@ from impact_rig.physics.contact_step import (
     turned_at,
 )
 from impact_rig.physics.energy import add_powers
-from impact_rig.physics.state import FAILED, NOTHING, RELEASED, RELOADED, SEPARATED, TIME, TURNED, V1, X1
+from impact_rig.physics.state import FAILED, NOTHING, PAUSED, RELEASED, RELOADED, SEPARATED, TURNED, V1, X1
 
-_IN_ORDER = (SEPARATED, TIME, RELEASED, TURNED, RELOADED)  # past SEPARATED the others mean nothing: it comes first
+_IN_ORDER = (SEPARATED, PAUSED, RELEASED, TURNED, RELOADED)  # past SEPARATED the others mean nothing: it comes first
 
 _REJECTIONS = 60
 _ATTEMPTS = 12  # Newton needs two to four
@@ -73,13 +73,13 @@ def _force_slope(p, law, s, step, point):  # type: ignore[no-untyped-def]
 def _excess(p, law, s, step, event, at):  # type: ignore[no-untyped-def]  # compiled: types are inferred
     """Return how far a point of the step is beyond an event, in units of the event's scale; at most 0 before it.
 
-    The point is `at` = (time since the start of the step, w, δ'). Where `step.rest` is infinite TIME never comes: its
+    The point is `at` = (time since the start of the step, w, δ'). Where `step.rest` is infinite none is PAUSED: its
     excess is NaN, which is not beyond anything.
     """
     since, w, speed = at
     if event == SEPARATED:
         return -w / max(s.w, s.deepest, _SMALLEST)
-    if event == TIME:
+    if event == PAUSED:
         return (since - step.rest) / step.rest
     if event == RELEASED:
         if not p.lets_go:
@@ -97,7 +97,7 @@ def _excess_slope(p, law, s, step, event):  # type: ignore[no-untyped-def]
     w, speed = step.w[LAST], step.speed[LAST]
     if event == SEPARATED:
         return -0.5 * speed / max(s.w, s.deepest, _SMALLEST)
-    if event == TIME:
+    if event == PAUSED:
         return w / step.rest
     if event == RELEASED:
         _, slope = _force_slope(p, law, s, step, (w, speed, step.speed_slope[LAST]))
@@ -334,7 +334,7 @@ def conclude(p, s, step, ended, t_end):  # type: ignore[no-untyped-def]
     if ended == RELOADED:
         s.w = s.deepest
     s.deepest = max(s.deepest, s.w)
-    s.t = t_end if ended == TIME else s.t + since
+    s.t = t_end if ended == PAUSED else s.t + since
 
 
 @kernel

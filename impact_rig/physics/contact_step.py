@@ -260,7 +260,7 @@ def begin_step(p, law, s, step):  # type: ignore[no-untyped-def]
     elastic, lossy, _, by_w, _ = law.one(p.stiffness, p.factor, s.per_v0, step.turned_at, s.w, s.speed)
     depth = s.w * s.w
     step.start_force = elastic + lossy
-    from_columns = p.pair_stiffness * depth + p.pair_damping * s.speed  # taken off δ'' [m/s²]
+    from_columns = p.columns_by_depth * depth + p.columns_by_speed * s.speed  # taken off δ'' [m/s²]
     step.start_speed_slope = s.w * (step.acceleration[0] - from_columns - step.start_force * p.per_m_eff)
     vibration = math.sqrt(0.5 * s.w * depth * abs(by_w) * p.per_m_eff)  # δ times the contact's own frequency
     step.radian = depth / vibration if vibration > 0.0 else 0.0
@@ -303,11 +303,11 @@ def _evaluate_slopes(p, law, s, step):  # type: ignore[no-untyped-def]
     law.at_stages(p, s.per_v0, step)
     for i in range(STAGES):
         w, speed = step.w[i], step.speed[i]
-        from_columns = p.pair_stiffness * w * w + p.pair_damping * speed
+        from_columns = p.columns_by_depth * w * w + p.columns_by_speed * speed
         acceleration = step.acceleration_at[i] - from_columns - step.force[i] * p.per_m_eff
         step.speed_slope[i] = w * acceleration
-        step.speed_slope_by_w[i] = acceleration - w * (step.force_by_w[i] * p.per_m_eff + 2.0 * p.pair_stiffness * w)
-        step.speed_slope_by_speed[i] = -w * (step.force_by_speed[i] * p.per_m_eff + p.pair_damping)
+        step.speed_slope_by_w[i] = acceleration - w * (step.force_by_w[i] * p.per_m_eff + 2.0 * p.columns_by_depth * w)
+        step.speed_slope_by_speed[i] = -w * (step.force_by_speed[i] * p.per_m_eff + p.columns_by_speed)
 
 
 @kernel

@@ -2,12 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """The event loop: fly, touch, leave — segment by segment of the drive.
 
-Each phase of the motion goes on until an event, or the end of the segment (`TIME`, with which a contact of very many
-steps also pauses, to be entered again):
+Each phase of the motion goes on until an event, or until it is PAUSED to be entered again: at the end of the segment,
+and a contact also after very many steps:
 
     phase      event           what then happens                                    next phase
     FREE       TOUCHED         a contact begins (`_touch`)                          CONTACT
-                               off a rigid wall: the speed reverses (`_bounce`)     FREE, or ATTACHED where it rides
+                               off a rigid wall: the speed reverses (`_bounce`)     FREE, or ATTACHED if pressed
     FREE       STOPPED         friction holds the sphere (`_hold`) or does not      ATTACHED, or FREE (`_part`)
     CONTACT    SEPARATED       the sphere flies on from there (`_leave`)            FREE
                or RELEASED
@@ -40,10 +40,10 @@ from impact_rig.physics.flight import (
     drive,
     evaluate,
     fly,
+    fly_attached,
     forcing,
     guide_friction,
     prepare_segment,
-    ride,
     rounding,
 )
 from impact_rig.physics.model import MODEL
@@ -58,14 +58,14 @@ from impact_rig.physics.state import (
     IMPACT,
     LEDGER,
     LOG,
-    LOOSE,
     NOTHING,
+    PAUSED,
     PRESCRIBED,
     RELEASED,
     SEPARATED,
     SETTLED,
+    SPHERE_LOOSE,
     STATE,
-    TIME,
     TOUCHED,
     TURNED,
     V1,
@@ -80,8 +80,8 @@ has no solution that can be found."""
 
 _SPEED_RESOLUTION = 2.0**-48
 _STEPS = 500  # of a contact in one call of its phase
-ROOM = 2 * _STEPS
-"""Rows of the history that must be free before a phase is entered."""
+ROWS_PER_PHASE = 2 * _STEPS
+"""Rows of the history that must be left before a phase is entered: it fills no more."""
 _EVENTS_PER_SEGMENT = 10_000_000
 
 
@@ -96,7 +96,7 @@ class Workspace(NamedTuple):
         filled: one record of LOG: how many rows of history and impacts there are.
         history: records of STATE: the state at each event and each step of a contact.
         impacts: records of IMPACT.
-        first: row of the history that holds each segment's first state.
+        first_state: row of the history that holds each segment's first state.
     """
 
     states: NDArray[np.void]
@@ -106,7 +106,7 @@ class Workspace(NamedTuple):
     filled: NDArray[np.void]
     history: NDArray[np.void]
     impacts: NDArray[np.void]
-    first: NDArray[np.int64]
+    first_state: NDArray[np.int64]
 
 
 WORKSPACE = Fields(Workspace, (STATE, FLIGHT, CONTACT_STEP, LEDGER, LOG, STATE, IMPACT, INTEGERS))
@@ -138,7 +138,7 @@ def _fly_on(p, s, d, d_rate):  # type: ignore[no-untyped-def]
     """Set a flight that starts at d with the rate d_rate; guide friction works against it from the start."""
     s.phase, s.side = FREE, 0.0
     s.d, s.d_rate = d, d_rate
-    s.slide = np.sign(d_rate) if p.friction > 0.0 else 0.0
+    s.slide = np.sign(d_rate) if p.friction_acceleration > 0.0 else 0.0
 
 
 @kernel
@@ -221,25 +221,25 @@ def _leave(model, s, work, settled):  # type: ignore[no-untyped-def]
 
 @kernel
 def _bounce(p, s, side, pair_acceleration, rounding_m, work):  # type: ignore[no-untyped-def]
-    """Reverse the relative speed at once, or let a sphere ride that no longer bounces off a pressing wall.
+    """Reverse the relative speed at once, or attach a sphere that no longer bounces off a pressing wall.
 
-    It rides where the wall presses it, by the `pair_acceleration` [m/s²] of both as one body, up to the `riding_speed`
-    of the rebound: a lower bounce would be undone by the rounding of the positions, over and over.
+    It stays where the wall presses it, by the `pair_acceleration` [m/s²] of both as one body, up to the `least_rebound`
+    speed: a lower bounce would be undone by the rounding of the positions, over and over.
     """
     speed = max(0.0, side * s.d_rate)
     e = p.restitution
-    riding_speed = max(p.touch_speed, math.sqrt(2.0 * abs(pair_acceleration) * rounding_m))
-    rides = e * speed <= riding_speed and side * pair_acceleration <= 0.0
-    if rides:
+    least_rebound = max(p.touch_speed, math.sqrt(2.0 * abs(pair_acceleration) * rounding_m))
+    stays = e * speed <= least_rebound and side * pair_acceleration <= 0.0
+    if stays:
         e = 0.0
-    away = 0.0 if rides else max(e * speed, _least_speed(p, s))
+    away = 0.0 if stays else max(e * speed, _least_speed(p, s))
     s.y[V1] += p.share * side * (speed + away)
     s.side, s.approach, s.elapsed, s.peak_force = side, speed, 0.0, 0.0
     s.impulse, s.lost = p.m_eff * speed * (1.0 + e), 0.5 * p.m_eff * speed * speed * (1.0 - e * e)
     work.ledger[0].contact += 0.5 * p.m_eff * (s.d_rate * s.d_rate - away * away)
     if speed > p.touch_speed:
         _keep_impact(work, s, e * speed, 0.0)
-    if rides:
+    if stays:
         _hold(s, side * p.half_gap, side)
     else:
         _fly_on(p, s, side * p.half_gap, -side * away)
@@ -252,7 +252,7 @@ def _flight_phase(model, f, work, t_end, account):  # type: ignore[no-untyped-de
     _keep_state(work)
     system, d_before = model.systems[flight.system], s.d
     flight.friction_force = guide_friction(p, s)
-    ended = ride(p, system, f, flight, s, t_end) if s.phase == ATTACHED else fly(p, system, f, flight, s, t_end)
+    ended = fly_attached(p, system, f, flight, s, t_end) if s.phase == ATTACHED else fly(p, system, f, flight, s, t_end)
     if account:
         account_flight(p, system, f, flight, s.t, work.ledger[0])
         work.ledger[0].friction += abs(flight.friction_force) * abs(s.d - d_before)
@@ -294,12 +294,12 @@ def follow(model, f, s, step, ledger):  # type: ignore[no-untyped-def]
 
 @kernel
 def _contact_phase(model, f, work, t_end, account):  # type: ignore[no-untyped-def]
-    """Go on with a contact; return what ends it, or FAILED. TIME before t_end: its steps are used up, call again."""
+    """Go on with a contact; return what ends it, or FAILED; PAUSED before t_end where its steps are used up."""
     p, s, step, ledger = model.parameters[0], work.states[0], work.step[0], work.ledger[0]
     if s.next_h == 0.0 and _apply_tabulated(model, f, work, t_end, account):
         return SEPARATED
     drop_dense_output(step)
-    ended = TIME
+    ended = PAUSED
     for _ in range(_STEPS):
         if s.w == 0.0 and s.speed < 0.0:  # the last segment ended where the sphere left
             ended = SEPARATED
@@ -315,12 +315,12 @@ def _contact_phase(model, f, work, t_end, account):  # type: ignore[no-untyped-d
         if account:
             account_step(p, f, s, step, ledger)
         conclude(p, s, step, ended, t_end)
-        if ended in (SEPARATED, TIME, RELEASED):
+        if ended in (SEPARATED, PAUSED, RELEASED):
             break
         if ended == TURNED and p.remembers and settles(p, model.law, s, step):
             ended = SETTLED
             break
-        ended = TIME
+        ended = PAUSED
     s.h = 0.0
     _keep_state(work)
     return ended
@@ -330,7 +330,7 @@ def _contact_phase(model, f, work, t_end, account):  # type: ignore[no-untyped-d
 def _change_phase(model, f, work, tick, ended):  # type: ignore[no-untyped-def]
     """Do what an event asks for, see the table above."""
     p, s, flight, ledger = model.parameters[0], work.states[0], work.flight[0], work.ledger[0]
-    if ended == TIME:
+    if ended == PAUSED:
         return
     if ended == TOUCHED:
         s.touch_tick, s.touch_t = tick, f.begin + s.t
@@ -341,12 +341,12 @@ def _change_phase(model, f, work, tick, ended):  # type: ignore[no-untyped-def]
     elif ended == TOUCHED and not p.rigid:
         _touch(p, s, s.side, ledger)
     else:
-        system = model.systems[LOOSE]
+        system = model.systems[SPHERE_LOOSE]
         evaluate(system, f, flight, s.t, 0)
         pair_acceleration = (p.m_1 * flight.x_1[2] - flight.friction_force) * p.per_m_pair  # of both as one body
         if ended == TOUCHED:
             _bounce(p, s, s.side, pair_acceleration, rounding(p, system, flight, s.t), work)
-        elif abs(pair_acceleration) <= p.friction:
+        elif abs(pair_acceleration) <= p.friction_acceleration:
             _hold(s, s.d, 0.0)
         else:
             _part(p, s, -np.sign(pair_acceleration), ledger)
@@ -386,13 +386,13 @@ def run(model, segments, tick_of, index, work, account):  # type: ignore[no-unty
         row = segments[index]
         f, t_end, fresh = forcing(row), row.duration, True
         if work.filled[0].segments == index:  # not where a call with more room goes on, if all was at its start
-            work.first[index] = work.filled[0].states
+            work.first_state[index] = work.filled[0].states
             work.filled[0].segments += 1
             if model.parameters[0].drive == PRESCRIBED:
                 _move_base(model.parameters[0], f, s, work.ledger[0])
         for _ in range(_EVENTS_PER_SEGMENT):
             filled = work.filled[0]
-            if filled.states + ROOM > work.history.shape[0] or filled.impacts + 2 > work.impacts.shape[0]:
+            if filled.states + ROWS_PER_PHASE > work.history.shape[0] or filled.impacts + 2 > work.impacts.shape[0]:
                 return NEED_ROOM, index
             if s.phase == CONTACT:
                 ended = _contact_phase(model, f, work, t_end, account)

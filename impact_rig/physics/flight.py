@@ -37,7 +37,18 @@ import numpy as np
 
 from impact_rig.arithmetic.elementary import exp, modulus, power, sincos
 from impact_rig.kernels import kernel
-from impact_rig.physics.state import ATTACHED, JOINED, LOOSE, ORDERS, PARTED, STOPPED, TIME, TOUCHED, V1, X1
+from impact_rig.physics.state import (
+    ATTACHED,
+    ORDERS,
+    PARTED,
+    PAUSED,
+    SPHERE_ATTACHED,
+    SPHERE_LOOSE,
+    STOPPED,
+    TOUCHED,
+    V1,
+    X1,
+)
 
 _THIRD = 1.0 / 3.0
 _ROUNDS = 12
@@ -187,7 +198,7 @@ def safe_time(distance, speed, acceleration, jerk, longest):  # type: ignore[no-
 @kernel
 def choose_system(model, f, s, flight):  # type: ignore[no-untyped-def]  # compiled: types are inferred
     """Let `flight.system` be what moves from s on; return whether its answers to the drive had to be renewed."""
-    which = JOINED if s.phase == ATTACHED else LOOSE
+    which = SPHERE_ATTACHED if s.phase == ATTACHED else SPHERE_LOOSE
     if f.omega == flight.omega and which == flight.system:
         return False
     frequency_response(model.systems[which], f.omega, flight)
@@ -198,7 +209,7 @@ def choose_system(model, f, s, flight):  # type: ignore[no-untyped-def]  # compi
 @kernel
 def guide_friction(p, s):  # type: ignore[no-untyped-def]
     """Return the force of the guide's friction on the superior base [N]: of one body it is an inner force."""
-    return 0.0 if s.phase == ATTACHED else s.slide * p.m * p.friction
+    return 0.0 if s.phase == ATTACHED else s.slide * p.m * p.friction_acceleration
 
 
 @kernel
@@ -304,16 +315,16 @@ def wall_distance(p, s, side, d):  # type: ignore[no-untyped-def]
 
 @kernel
 def fly(p, system, f, flight, s, t_end):  # type: ignore[no-untyped-def]
-    """Advance a flight from s to the first touch or to t_end; return TOUCHED, STOPPED or TIME.
+    """Advance a flight from s to the first touch or to t_end; return TOUCHED, STOPPED or PAUSED.
 
     TOUCHED: the state is the one at the touch, the distance to the wall `s.side` zero within rounding (`_touch` and
     `_bounce` set it exactly). STOPPED: friction has brought the sphere to rest on its guide.
     """
-    braking, x_1 = -s.slide * p.friction, flight.x_1
+    braking, x_1 = -s.slide * p.friction_acceleration, flight.x_1
     begin_flight(system, f, flight, s.y, s.t)
     evaluate(system, f, flight, s.t, 0)
     x_2, v_2 = x_1[0] + s.d, x_1[1] + s.d_rate  # where the flight begins
-    ended, t = TIME, s.t
+    ended, t = PAUSED, s.t
     while p.sphere_present:
         since, rest = t - flight.t_b, t_end - t
         d = x_2 + since * (v_2 + 0.5 * since * braking) - x_1[0]
@@ -343,7 +354,7 @@ def fly(p, system, f, flight, s, t_end):  # type: ignore[no-untyped-def]
             break
         t += min(to_wall, to_stop, to_surface)
         evaluate(system, f, flight, t, 0)
-    if ended == TIME:
+    if ended == PAUSED:
         t = t_end
     structure_at(system, f, flight, t)
     for i in range(system.states):
@@ -356,23 +367,23 @@ def fly(p, system, f, flight, s, t_end):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def ride(p, system, f, flight, s, t_end):  # type: ignore[no-untyped-def]
-    """Advance sphere and superior base as one body until they part or to t_end; return PARTED or TIME.
+def fly_attached(p, system, f, flight, s, t_end):  # type: ignore[no-untyped-def]
+    """Advance sphere and superior base as one body until they part or to t_end; return PARTED or PAUSED.
 
     `s.side` is the wall that presses the sphere, or 0 when guide friction holds it. They part where |x_1''| comes to
     μ g_0, at a wall only where it pulls away; the sphere then goes the way of `s.slide`.
     """
     begin_flight(system, f, flight, s.y, s.t)
-    t, ended, x_1 = s.t, TIME, flight.x_1
+    t, ended, x_1 = s.t, PAUSED, flight.x_1
     while True:
         evaluate(system, f, flight, t, 2)
         rest = t_end - t
         # the structure may pull away to the right (the sphere lags: -1) or to the left (+1), but not through a wall
         to_lag, to_lead = math.inf, math.inf
         if s.side >= 0.0:
-            to_lag = safe_time(max(0.0, p.friction - x_1[2]), x_1[3], x_1[4], flight.bound, rest)
+            to_lag = safe_time(max(0.0, p.friction_acceleration - x_1[2]), x_1[3], x_1[4], flight.bound, rest)
         if s.side <= 0.0:
-            to_lead = safe_time(max(0.0, p.friction + x_1[2]), -x_1[3], -x_1[4], flight.bound, rest)
+            to_lead = safe_time(max(0.0, p.friction_acceleration + x_1[2]), -x_1[3], -x_1[4], flight.bound, rest)
         advance = min(to_lag, to_lead)
         if advance >= rest:
             t = t_end

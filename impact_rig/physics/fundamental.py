@@ -4,12 +4,12 @@
 
 The fundamentals of both bases, and where the sphere is as each cycle begins.
 
-Of a segment of the drive that is one cycle, T = 2π/ω, let Y be the integral of y(t) exp(−jωt), and U that of the drive.
+Of a segment of the drive that is one cycle, T = 2π/ω, let Y be the integral of y(t) exp(−jωt), and D that of the drive.
 The structure is linear, and all that the sphere does to it, at the walls or by friction, is N = −m x_2''. So
 
-    (jω − M) Y = −[y] + b_0 U + b_1 ([u] + jω U) + N's integral / m_1,   [y] = y(T) − y(0)
+    (jω − M) Y = −[y] + b_0 D + b_1 ([u] + jω D) + N's integral / m_1,   [y] = y(T) − y(0)
 
-    U = e^{jφ} (A T + B T² / 2) / 2j − e^{−jφ} B T / 4ω,   [u] = B T sin φ
+    D = e^{jφ} (A T + B T² / 2) / 2j − e^{−jφ} B T / 4ω,   [u] = B T sin φ
 
 The complex amplitude of x, for x = Im(X exp(jωt)), is 2j/T times its integral. That of x_2'' is
 
@@ -27,7 +27,7 @@ from impact_rig.kernels import REALS_2D, entry, kernel
 from impact_rig.physics.flight import decayed, forcing, phasor, resolve
 from impact_rig.physics.model import MODEL
 from impact_rig.physics.sampling import TRAJECTORY, begin_flight_at, derived
-from impact_rig.physics.state import ATTACHED, CONTACT, FLIGHT, LOOSE, PRESCRIBED, V1, X1, XB
+from impact_rig.physics.state import ATTACHED, CONTACT, FLIGHT, PRESCRIBED, SPHERE_LOOSE, V1, X1, XB
 
 CYCLE = np.dtype(
     [
@@ -93,7 +93,7 @@ def _accelerated(model, f, trajectory, rows, duration, flight):  # type: ignore[
             system = begin_flight_at(model, f, s, flight)
             total += _one_body(system, flight, f.omega, s.t, z, t_end, z_end)
         else:
-            braking = -s.slide * p.friction
+            braking = -s.slide * p.friction_acceleration
             total += braking * (z_end - z) * complex(0.0, 1.0 / f.omega)
             total += (v_end - v_2 - braking * tau) * z_end  # off a rigid wall: at once
         x_2, v_2, z = x_end, v_end, z_end
@@ -103,20 +103,20 @@ def _accelerated(model, f, trajectory, rows, duration, flight):  # type: ignore[
 @entry(MODEL, TRAJECTORY, FLIGHT, REALS_2D)
 def follow_cycles(model, trajectory, flights, out):  # type: ignore[no-untyped-def]
     """Fill in the numbers of a CYCLE, a row a segment; `flights` is scratch, one record."""
-    p, system, flight = model.parameters[0], model.systems[LOOSE], flights[0]
+    p, system, flight = model.parameters[0], model.systems[SPHERE_LOOSE], flights[0]
     flight.omega = -1.0
     for i in range(out.shape[0]):
         segment = trajectory.segments[i]
         f, duration = forcing(segment), segment.duration
         force = 0.0j
         if p.sphere_present:
-            rows = trajectory.first[i], trajectory.first[i + 1]
+            rows = trajectory.first_state[i], trajectory.first_state[i + 1]
             force = -p.m * _accelerated(model, f, trajectory, rows, duration, flight)
         jw, rotor = complex(0.0, f.omega), phasor(f.phase)
         drive = rotor * (f.amplitude + 0.5 * f.growth * duration) * duration * -0.5j
         drive -= rotor.conjugate() * (f.growth * duration * 0.25 / f.omega)
         rise = f.growth * duration * rotor.imag
-        begin, end = trajectory.history[trajectory.first[i]], trajectory.history[trajectory.first[i + 1]]
+        begin, end = trajectory.history[trajectory.first_state[i]], trajectory.history[trajectory.first_state[i + 1]]
         load = flight.steady  # scratch
         for k in range(system.states):
             load[k] = begin.y[k] - end.y[k] + system.b_0[k] * drive + system.b_1[k] * (rise + jw * drive)

@@ -42,7 +42,7 @@ class Model(NamedTuple):
 
     Attributes:
         parameters: one record of PARAMETERS.
-        systems: records of SYSTEM, LOOSE and JOINED.
+        systems: records of SYSTEM, SPHERE_LOOSE and SPHERE_ATTACHED.
         table: one record of `outcome.TABLE`.
         law: the contact law's compiled force.
     """
@@ -75,9 +75,9 @@ def build(config: Setup, rtol: float = CONTACT_RTOL, kind: str | None = None) ->
     p.m, p.m_eff, p.per_m_eff, p.per_m_1 = mass, m_eff, 1.0 / m_eff, 1.0 / c.m_1
     p.per_m_pair, p.share = 1.0 / (c.m_1 + mass), mass / (c.m_1 + mass)
     p.per_m_base = 0.0 if p.drive == PRESCRIBED else 1.0 / c.m_base  # nothing moves a prescribed base
-    p.pair_stiffness, p.pair_damping = p.share * c.k_1 / c.m_1, p.share * c.c_1 / c.m_1
+    p.columns_by_depth, p.columns_by_speed = p.share * c.k_1 / c.m_1, p.share * c.c_1 / c.m_1
     p.half_gap = config.barriers.gap_m / 2.0
-    p.friction = config.sphere.guide_friction * STANDARD_GRAVITY
+    p.friction_acceleration = config.sphere.guide_friction * STANDARD_GRAVITY
     _set_force(p, force, m_eff)
     p.speed_floor = config.contact.speed_floor_m_s
     p.touch_speed = 1e-6 * p.speed_floor

@@ -80,7 +80,7 @@ def perturbed_contact(parameters, law, eta_0, perturbations, states, steps, out)
     """
     p, s, step = parameters[0], states[0], steps[0]
     eta_1, eta_2, gamma = perturbations[0], perturbations[1], perturbations[3]
-    p.pair_stiffness, p.pair_damping = perturbations[2], gamma
+    p.columns_by_depth, p.columns_by_speed = perturbations[2], gamma
     s.w, s.speed, s.deepest, s.per_v0, s.peak_force, s.t = 0.0, 1.0, 0.0, 1.0, 0.0, 0.0
     s.next_h = 0.1
     drop_dense_output(step)
@@ -151,7 +151,7 @@ class Contacts:
     def rebound(self, eta_0: float) -> float:
         """Return twice the energy with which the sphere leaves under η_0, 0 where it does not leave by itself."""
         p = self._parameters[0]
-        left, out = self.under(eta_0, np.array([0.0, 0.0, p.pair_stiffness, p.pair_damping]))
+        left, out = self.under(eta_0, np.array([0.0, 0.0, p.columns_by_depth, p.columns_by_speed]))
         return float(out[SEPARATION] * out[SEPARATION]) if left else 0.0
 
 
@@ -239,7 +239,7 @@ def look_up(p, table, s, step, rest):  # type: ignore[no-untyped-def]
     scale = t_0 * t_0 / speed
     eta_1, eta_2 = step.acceleration[1] * scale, step.acceleration[2] * scale * t_0
     eta_3 = step.acceleration[3] * scale * t_0 * t_0
-    alpha, gamma = p.pair_stiffness * t_0 * t_0, p.pair_damping * t_0
+    alpha, gamma = p.columns_by_depth * t_0 * t_0, p.columns_by_speed * t_0
     if not table.low <= eta_0 <= table.high or max(abs(eta_2), alpha, gamma) > MOST_2:
         return False
     if abs(eta_1) > MOST_1 or abs(eta_3) > MOST_3:

@@ -100,14 +100,14 @@ class Trajectory(NamedTuple):
         first_tick: number of the first tick.
         first_segment: row of each tick's first segment, and the number of segments.
         history: records of STATE, and last the one after all segments.
-        first: row of each segment's first state, and of that last one.
+        first_state: row of each segment's first state, and of that last one.
     """
 
     segments: NDArray[np.void]
     first_tick: int
     first_segment: NDArray[np.int64]
     history: NDArray[np.void]
-    first: NDArray[np.int64]
+    first_state: NDArray[np.int64]
 
 
 TRAJECTORY = Fields(Trajectory, (SEGMENT, int, INTEGERS, STATE, INTEGERS))
@@ -285,7 +285,7 @@ def _quantity_in_flight(p, s, quantity, poly, tau, since):  # type: ignore[no-un
             side = 1.0 if quantity == OF_FORCE_RIGHT else -1.0
             return max(0.0, -side * p.m * value) if s.side == side else 0.0
         return value
-    braking = -s.slide * p.friction
+    braking = -s.slide * p.friction_acceleration
     if quantity == OF_X_2:
         return s.y[X1] + s.d + since * (s.y[V1] + s.d_rate + 0.5 * since * braking)
     if quantity == OF_V_2:
@@ -506,7 +506,7 @@ def _sample(model, trajectory, query, work):  # type: ignore[no-untyped-def]
         # since the start of the tick, as `offset`
         ends_in_tick = segment + 1 < trajectory.first_segment[tick + 1]
         segment_end = trajectory.segments[segment + 1].begin if ends_in_tick else np.inf
-        low, high = trajectory.first[segment], trajectory.first[segment + 1]
+        low, high = trajectory.first_state[segment], trajectory.first_state[segment + 1]
         row = last_before(trajectory.history, low, high, query.offset[i] - f.begin)
         begin = trajectory.history[row].t
         end = trajectory.history[row + 1].t if row + 1 < high else np.inf
@@ -610,7 +610,7 @@ def _acceleration(model, step, per_v0, since, depth, speed):  # type: ignore[no-
     elastic, lossy, _, _, _ = model.law.one(p.stiffness, p.factor, per_v0, 0.0, math.sqrt(max(0.0, depth)), speed)
     force = max(0.0, elastic + lossy) if p.lets_go else elastic + lossy
     relative = step.acceleration[0] + since * (step.acceleration[1] + since * step.acceleration[2])
-    return relative - (p.pair_stiffness * depth + p.pair_damping * speed) - force * p.per_m_eff
+    return relative - (p.columns_by_depth * depth + p.columns_by_speed * speed) - force * p.per_m_eff
 
 
 @kernel
@@ -696,7 +696,7 @@ def fit(model, trajectory, spans, work):  # type: ignore[no-untyped-def]
         middle = 0.5 * (spans.start[i] + spans.end[i])
         segment = _segment_at(trajectory, tick, middle)
         f = forcing(trajectory.segments[segment])
-        low, high = trajectory.first[segment], trajectory.first[segment + 1]
+        low, high = trajectory.first_state[segment], trajectory.first_state[segment + 1]
         row = last_before(history, low, high, middle - f.begin)
         ends_inside = (
             spans.end[i] - f.begin
@@ -732,13 +732,13 @@ def refine(trajectory, tick, offset):  # type: ignore[no-untyped-def]  # compile
 
     The arrays have room for PARTS instants a state.
     """
-    history, first, count = trajectory.history, trajectory.first, 0
+    history, first_state, count = trajectory.history, trajectory.first_state, 0
     i = -1
-    for segment in range(first.shape[0] - 1):
+    for segment in range(first_state.shape[0] - 1):
         begin = trajectory.segments[segment].begin
         if segment == trajectory.first_segment[i + 1]:
             i += 1
-        for row in range(first[segment], first[segment + 1]):
+        for row in range(first_state[segment], first_state[segment + 1]):
             s = history[row]
             tick[count], offset[count] = trajectory.first_tick + i, begin + s.t
             count += 1

@@ -43,8 +43,8 @@ from impact_rig.physics.state import (
     FREE,
     IMPACT,
     LEDGER,
-    LOOSE,
     PRESCRIBED,
+    SPHERE_LOOSE,
     STATE,
     STRUCTURE,
     V1,
@@ -83,7 +83,7 @@ class Motion:
         segments: NDArray[np.void],
         first_segment: NDArray[np.int64],
         history: NDArray[np.void],
-        first: NDArray[np.int64],
+        first_state: NDArray[np.int64],
         impacts: NDArray[np.void],
         work: SamplingWorkspace | None = None,
     ) -> None:
@@ -91,7 +91,7 @@ class Motion:
         self.segments, self.first_segment = segments, first_segment
         self.impacts = impacts
         self._model = model
-        self._trajectory = Trajectory(segments, first_tick, first_segment, history, first)
+        self._trajectory = Trajectory(segments, first_tick, first_segment, history, first_state)
         self._sampling = work or new_sampling_workspace()
 
     @property
@@ -176,7 +176,7 @@ class Motion:
 
 
 MOST_STATES = 200_000
-"""Rows of the history in one drive segment: flights, rides, steps of contacts. It is looked at when the log is full; a
+"""Rows of the history in one drive segment: flights and steps of contacts. It is looked at when the log is full; a
 chattering sphere makes some ten of them."""
 
 _STATES, _IMPACTS = 1 << 15, 1 << 11  # room for so many: pages that are not touched take no memory
@@ -263,7 +263,7 @@ class Simulation:
         self._config = config
         model = model or build(config, self._rtol)
         if not self.locked:
-            if model.systems[LOOSE].states != self._model.systems[LOOSE].states:  # another kind of drive
+            if model.systems[SPHERE_LOOSE].states != self._model.systems[SPHERE_LOOSE].states:  # another kind of drive
                 y = np.zeros(STRUCTURE)
             self._model = model
         self._begin(y)
@@ -309,9 +309,9 @@ class Simulation:
         s = self._work.states[0]
         s["y"][:], s["d"], s["d_rate"] = y, d, rate
         p = self._model.parameters[0]
-        if rate == 0.0 and p["sphere_present"] and (p["friction"] > 0.0 or abs(d) >= p["half_gap"]):
+        if rate == 0.0 and p["sphere_present"] and (p["friction_acceleration"] > 0.0 or abs(d) >= p["half_gap"]):
             s["phase"], s["side"] = ATTACHED, np.sign(d) if abs(d) >= p["half_gap"] else 0.0
-        elif p["friction"] > 0.0:
+        elif p["friction_acceleration"] > 0.0:
             s["slide"] = np.sign(rate)
         if self._account:
             self._work.ledger[0] = np.zeros((), LEDGER)
@@ -331,7 +331,7 @@ class Simulation:
         rows = np.append(np.flatnonzero(segments["begin"] == 0.0), len(segments))
         tick_of = np.repeat(np.arange(self.tick, self.tick + len(rows) - 1), np.diff(rows))
         segments = for_kernels(segments)
-        work = self._work._replace(first=np.zeros(len(segments) + 1, np.int64))
+        work = self._work._replace(first_state=np.zeros(len(segments) + 1, np.int64))
         filled = work.filled[0]
         filled["states"] = filled["impacts"] = filled["segments"] = 0
         index = 0
@@ -345,23 +345,22 @@ class Simulation:
                 )
             if ended != NEED_ROOM:
                 break
-            if filled["states"] - work.first[index] > MOST_STATES:
+            if filled["states"] - work.first_state[index] > MOST_STATES:
                 raise SimulationError(
-                    f"more than {MOST_STATES} contacts, rides and flights in tick {tick_of[index]}, "
+                    f"more than {MOST_STATES} flights and steps of contacts in tick {tick_of[index]}, "
                     f"{work.states[0]['t']:.9f} s into a segment of it: the motion cannot be resolved"
                 )
             work = self._work = _grown(work)
         states, impacts = int(filled["states"]), int(filled["impacts"])
-        work.first[-1] = states
+        work.first_state[-1] = states
         work.history[states] = work.states[0]  # where the next motion begins
         kept = work.history[: states + 1]
         if len(work.history) > _STATES:  # one that grew is given away: to copy it takes a tenth of the motion's time
             self._work = work._replace(history=room(_STATES, STATE))
         else:
             kept = joined([kept])  # a copy, in bytes: NumPy copies records field by field
-        motion = Motion(
-            self._model, self.tick, segments, rows, kept, work.first, joined([work.impacts[:impacts]]), self._sampling,
-        )  # fmt: skip
+        hits = joined([work.impacts[:impacts]])
+        motion = Motion(self._model, self.tick, segments, rows, kept, work.first_state, hits, self._sampling)
         self.tick += len(rows) - 1
         return motion
 
@@ -411,7 +410,7 @@ class Simulation:
         """Set the sphere; where the guide has friction, one at rest is held and a sliding one braked."""
         p, s = self._model.parameters[0], self._state
         s.phase, s.side, s.slide, s.d, s.d_rate = FREE, 0.0, 0.0, d, d_rate
-        if p.friction > 0.0 and p.sphere_present:
+        if p.friction_acceleration > 0.0 and p.sphere_present:
             s.phase = FREE if d_rate else ATTACHED
             s.slide = np.sign(d_rate)
 

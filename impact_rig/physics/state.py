@@ -22,8 +22,8 @@ from impact_rig.physics.collocation import STAGES
 FREE, CONTACT, ATTACHED = range(3)
 """Phases: in flight; touching a wall that yields; one body with the superior base."""
 
-NOTHING, SEPARATED, TIME, RELEASED, TURNED, RELOADED, FAILED, SETTLED, TOUCHED, STOPPED, PARTED = range(11)
-"""What ends a step, a phase or a flight; see `contact_phase` and the table of `event_loop`."""
+NOTHING, SEPARATED, PAUSED, RELEASED, TURNED, RELOADED, FAILED, SETTLED, TOUCHED, STOPPED, PARTED = range(11)
+"""What ends a step, a phase or a flight; see `contact_phase` and the table of `event_loop`. PAUSED: it goes on next."""
 
 X1, V1, XB, VB, COIL = range(5)
 """Places in a structural state y: superior base [m], [m/s], inferior base [m], [m/s], current i of the coil [A].
@@ -106,7 +106,7 @@ LOG = np.dtype(
 FLIGHT = np.dtype(
     [
         ("omega", "f8"),  # frequency of the drive that the answers H and G belong to [rad/s]
-        ("system", "i8"),  # linear system they belong to: LOOSE or JOINED
+        ("system", "i8"),  # linear system they belong to: SPHERE_LOOSE or SPHERE_ATTACHED
         ("interval", "f8"),  # length of the intervals that have a Taylor polynomial each, about their middle [s]
         ("answer", "c16", (STRUCTURE,)),  # H, answer to a drive of constant amplitude [y per u]
         ("growth_answer", "c16", (STRUCTURE,)),  # G, answer to a drive whose amplitude grows [y s per u]
@@ -174,8 +174,8 @@ def record(kind: np.dtype[np.void], rows: int = 1) -> Any:
 
 PRESCRIBED, CURRENT, VOLTAGE = range(3)
 DRIVES = ("prescribed", "current", "voltage")
-LOOSE, JOINED = range(2)
-"""The linear systems: with the sphere loose (mass m_1), and held by the superior base (m_1 + m)."""
+SPHERE_LOOSE, SPHERE_ATTACHED = range(2)
+"""The linear systems: the superior base alone (mass m_1), and in phase ATTACHED with the sphere (m_1 + m)."""
 
 PARAMETERS = np.dtype(
     [
@@ -197,10 +197,10 @@ PARAMETERS = np.dtype(
         ("per_m_pair", "f8"),  # 1/(m_1 + m) [1/kg]
         ("per_m_base", "f8"),  # 1/m_base [1/kg]
         ("share", "f8"),  # σ = m / (m_1 + m), the structure's part in a relative motion [-]
-        ("pair_stiffness", "f8"),  # σ k_1 / m_1, what the columns' stiffness does to the indentation [1/s²]
-        ("pair_damping", "f8"),  # σ c_1 / m_1, what their damping does [1/s]
+        ("columns_by_depth", "f8"),  # σ k_1 / m_1, what the columns take off δ'' per δ [1/s²]
+        ("columns_by_speed", "f8"),  # σ c_1 / m_1, what they take off it per δ' [1/s]
         ("half_gap", "f8"),  # g/2 [m]
-        ("friction", "f8"),  # μ g_0 of the guide [m/s²]
+        ("friction_acceleration", "f8"),  # μ g_0 of the guide [m/s²]
         ("stiffness", "f8"),  # the contact law's first number, K of F ~ K δ^b [N/m^b]
         ("factor", "f8"),  # its second number, by law: a [-], c [N s/m] or e² [-]; see `contact.law.Force`
         ("restitution", "f8"),  # e that a rigid law rebounds with [-]

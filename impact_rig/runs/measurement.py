@@ -11,7 +11,6 @@ rows are kept in the run as well. A channel that was not measured is not in the 
 
 from __future__ import annotations
 
-import difflib
 import itertools
 import json
 import math
@@ -31,7 +30,7 @@ from impact_rig.analysis.scans import CHANNELS
 from impact_rig.analysis.settings import GapLabel, parse_label
 from impact_rig.analysis.tracker import Findings, Tracker
 from impact_rig.blocks import APPLIED, DAQ_INFO, DAQ_INFO_COLUMNS, LONGEST_S, MOST_HZ, Column, Table, row_type
-from impact_rig.errors import ConfigError, RecordingError
+from impact_rig.errors import ConfigError, RecordingError, did_you_mean
 from impact_rig.recording import Attachment, Provenance, Run, RunWriter, TopicDescription, schema_text
 from impact_rig.runs.foreign_files import VALUES, Foreign
 from impact_rig.simtime import NS_PER_S, stamp_ns
@@ -254,8 +253,7 @@ def _mapping(key: str, value: object) -> dict[str, object]:
 def _refuse_unknown(where: str, given: AnyMapping[str, object], known: Sequence[str]) -> None:
     for name in given:
         if name not in known:
-            close = difflib.get_close_matches(name, known, n=1)
-            raise ConfigError(f"unknown key {where}{name}" + (f": did you mean {close[0]}?" if close else ""))
+            raise ConfigError(f"unknown key {where}{name}{did_you_mean(name, known)}")
 
 
 def _number(key: str, value: object) -> float:
@@ -360,8 +358,8 @@ def measurement(
             one = mapping.channels[name]
             signal = source.signals.get(one.column)
             if signal is None:
-                close = difflib.get_close_matches(one.column, list(source.signals), n=1)
-                hint = f"did you mean {close[0]!r}?" if close else f"there are {', '.join(source.signals)[:300]}"
+                there = f"there are {', '.join(source.signals)[:300]}"
+                hint = did_you_mean(one.column, source.signals, "did you mean {!r}?", there)
                 raise ConfigError(f"{source.path} has no signal {one.column!r} for {name}: {hint}")
             one = used[name] = attrs.evolve(one, unit=one.unit or signal.unit)
             found[name] = one.sign * one.scale * _to_si(name, one) * signal.values

@@ -25,7 +25,7 @@ def drive() -> np.ndarray:
 
 CONFIGS = {
     "flores 6 mm": rig(),
-    "flores 1 mm, riding": rig(barriers={"gap_m": 1e-3}),
+    "flores 1 mm, resting": rig(barriers={"gap_m": 1e-3}),
     "kelvin_voigt": rig(contact={"law": "kelvin_voigt"}, barriers={"gap_m": 2e-3}),
     "restitution, attached": rig(contact={"law": "restitution"}, barriers={"gap_m": 1e-3}),
     "friction": rig(sphere={"guide_friction": 0.05}, barriers={"gap_m": 2e-3}),
@@ -59,7 +59,7 @@ def test_impacts_and_samples_do_not_depend_on_the_cuts(name):
 
 @pytest.mark.parametrize("rate_hz", [1e3, 10e3, 50e3])
 def test_impacts_do_not_depend_on_the_sampling_rate(rate_hz):
-    name = "flores 1 mm, riding"
+    name = "flores 1 mm, resting"
     assert run(CONFIGS[name], 10, rate_hz)[0] == run(CONFIGS[name], SEGMENTS)[0]
 
 

@@ -9,7 +9,7 @@ import pytest
 from kits.mechanics import TWO_PI, gauss, rig, sine, sphere_kg, stiffness
 
 from impact_rig.physics import Motion, Simulation
-from impact_rig.physics.event_loop import ROOM, new_workspace
+from impact_rig.physics.event_loop import ROWS_PER_PHASE, new_workspace
 from impact_rig.rig.config import RigConfig
 
 SEGMENTS, TICK_S = 60, 0.01
@@ -17,7 +17,7 @@ CONFIGS = {
     "current": rig(),
     "prescribed": rig(drive={"kind": "prescribed"}),
     "voltage": rig(drive={"kind": "voltage"}),
-    "riding": rig(barriers={"gap_m": 0.5e-3}),
+    "resting": rig(barriers={"gap_m": 0.5e-3}),
     "kelvin_voigt": rig(contact={"law": "kelvin_voigt", "release": "force"}, barriers={"gap_m": 2e-3}),
     "restitution": rig(contact={"law": "restitution"}, barriers={"gap_m": 1e-3}),
     "friction": rig(sphere={"guide_friction": 0.1}, barriers={"gap_m": 1e-3}),
@@ -181,7 +181,7 @@ def test_motions_of_one_simulation_do_not_disturb_each_other():
 def test_a_log_that_is_full_where_a_touch_begins_a_tick_changes_nothing():
     """The sphere crosses half the gap in a tick: it touches 0 s into the next one, which begins with two states."""
     motions = []
-    for rows in (10 * ROOM, ROOM + 1):
+    for rows in (10 * ROWS_PER_PHASE, ROWS_PER_PHASE + 1):
         simulation = Simulation(rig(barriers={"gap_m": 6e-3}))
         simulation._work = new_workspace(rows, 16)
         simulation.place(d_rate=3e-3 / TICK_S)

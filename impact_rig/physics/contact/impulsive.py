@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Instantaneous restitution: no contact time, the relative speed jumps from v to −e v.
 
-The sphere's momentum goes to the structure in no time; a sphere that no longer bounces rides on the wall.
+The sphere's momentum goes to the structure in no time; one that no longer bounces stays on the wall, ATTACHED.
 """
 
 from __future__ import annotations

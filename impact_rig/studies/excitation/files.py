@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Mapping
 from fractions import Fraction
 from pathlib import Path
@@ -17,7 +16,7 @@ from scipy import signal
 
 from impact_rig import topics
 from impact_rig.campaign.tasks import load_plan
-from impact_rig.errors import ConfigError, RecordingError
+from impact_rig.errors import ConfigError, RecordingError, did_you_mean
 from impact_rig.recording import open_run
 from impact_rig.runs import foreign_files
 from impact_rig.runs.measurement import unit_factor
@@ -50,8 +49,7 @@ def read(document: object, kind: type[P]) -> P:
     values: dict[str, object] = {}
     for key, value in document.items():
         if key not in fields:
-            close = difflib.get_close_matches(str(key), fields, n=1)
-            raise ConfigError(f"unknown key {key}" + (f": did you mean {close[0]}?" if close else ""))
+            raise ConfigError(f"unknown key {key}{did_you_mean(str(key), fields)}")
         values[key] = _value(str(key), value, fields[key].type)
     try:
         return kind(**values)

@@ -37,25 +37,25 @@ def narrow(law: str, kind: str = "current") -> RigConfig:
 
 @pytest.mark.parametrize("kind", AMPLITUDES)
 @pytest.mark.parametrize("law", ["flores", "kelvin_voigt"])
-def test_a_ride_does_not_depend_on_the_tolerance(law, kind):
+def test_a_rest_does_not_depend_on_the_tolerance(law, kind):
     plain, tight = (run(narrow(law, kind), rtol) for rtol in (CONTACT_RTOL, 1e-4 * CONTACT_RTOL))
     assert len(plain.impacts) == len(tight.impacts)
-    ride, same = (longest(motion) for motion in (plain, tight))
-    assert ride["duration"] > 0.2 * CYCLE_S, "the sphere does not ride: the test tests nothing"
-    assert ride["duration"] == pytest.approx(same["duration"], rel=1e-7)
-    assert ride["impulse"] == pytest.approx(same["impulse"], rel=1e-8)
-    during = np.zeros(50, int), ride["offset"] + np.linspace(0.1, 0.9, 50) * ride["duration"]
+    rest, same = (longest(motion) for motion in (plain, tight))
+    assert rest["duration"] > 0.2 * CYCLE_S, "the sphere does not rest: the test tests nothing"
+    assert rest["duration"] == pytest.approx(same["duration"], rel=1e-7)
+    assert rest["impulse"] == pytest.approx(same["impulse"], rel=1e-8)
+    during = np.zeros(50, int), rest["offset"] + np.linspace(0.1, 0.9, 50) * rest["duration"]
     for name, tolerance in {"x_1": 1e-7, "v_1": 1e-7, "x_2": 1e-7, "force_left": 1e-5}.items():
         got, wanted = (motion.quantity(name, *during) for motion in (plain, tight))
         assert np.abs(got - wanted).max() <= tolerance * np.abs(wanted).max(), name
 
 
 @pytest.mark.parametrize("kind", AMPLITUDES)
-def test_a_riding_sphere_and_the_base_move_as_one_body(kind):
+def test_a_resting_sphere_and_the_base_move_as_one_body(kind):
     """The compliant contact against the rigid one, which carries the sphere in closed form until the force is gone."""
     soft, rigid = run(narrow("flores", kind)), run(narrow("restitution", kind))
-    ride = longest(soft)["offset"] + longest(soft)["duration"]
-    during = np.zeros(50, int), np.linspace(0.1, 0.9, 50) * ride
+    rest = longest(soft)["offset"] + longest(soft)["duration"]
+    during = np.zeros(50, int), np.linspace(0.1, 0.9, 50) * rest
     x, one_body = (motion.quantity("x_1", *during) for motion in (soft, rigid))
     assert np.abs(x - one_body).max() <= 1e-4 * np.abs(one_body).max()
     force, pressing = (motion.quantity("force_left", *during) for motion in (soft, rigid))
@@ -63,7 +63,7 @@ def test_a_riding_sphere_and_the_base_move_as_one_body(kind):
     released = np.flatnonzero(
         rigid.quantity("force_left", np.zeros(10_000, int), np.arange(10_000) * CYCLE_S / 1e4) > 0
     )
-    assert released[-1] * CYCLE_S / 1e4 == pytest.approx(ride, abs=1e-3 * CYCLE_S)
+    assert released[-1] * CYCLE_S / 1e4 == pytest.approx(rest, abs=1e-3 * CYCLE_S)
 
 
 @pytest.mark.parametrize("e", [0.05, 0.35, 0.9])
