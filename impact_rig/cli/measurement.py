@@ -140,7 +140,7 @@ def _content(found: Measurement) -> dict[str, object]:
         "file": str(found.source.path), "format": found.source.kind, "rate_hz": found.rate_hz,
         "scans": len(found.rows), "channels": {name: one.column for name, one in found.mapping.channels.items()},
         "drive": [{"stamp_ns": t, "frequency_hz": f, "amplitude": a} for t, f, a in found.drive],
-        "notes": list(found.labels),
+        "notes": list(found.labels), "left_out": dict(found.source.left_out),
     }  # fmt: skip
 
 
@@ -160,6 +160,8 @@ def _print(console: Console, found: Measurement) -> None:
         si = row["unit"].decode()
         table.add_row(name, unit or si, channel, f"{values.min():.4g}", f"{values.max():.4g}", si)
     console.print(table)
+    for name, why in found.source.left_out.items():
+        console.print(f"left out: {name}, {why}")
     untold = [name for name, channel in used.items() if not found.mapping.channels[channel].unit]
     if untold:
         console.print(f"no unit is told for {', '.join(untold)}: SI was taken; --channel laser=NAME mm says another")

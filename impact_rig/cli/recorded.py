@@ -191,6 +191,7 @@ def _recover_content(report: RecoverReport) -> dict[str, object]:
 
 
 FASTEST = "max"
+LONGEST_DELAY_S = 3600.0
 
 
 def add_replay(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -211,7 +212,7 @@ def add_replay(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     parser.add_argument("--loop", action="store_true", help="begin again at the end, until Ctrl-C")
     parser.add_argument("--paused", action="store_true", help="begin paused; the service /player/pause lets it go on")
     parser.add_argument(
-        "--delay", type=float, default=1.0, metavar="S", help="wait this long for subscribers to be found (default: 1)"
+        "--delay", type=_delay, default=1.0, metavar="S", help="wait this long for subscribers to be found (default: 1)"
     )
 
 
@@ -248,6 +249,17 @@ def _play(opened: Run, arguments: argparse.Namespace) -> int:
             if not arguments.loop:
                 player.finish()
                 return 0
+
+
+def _delay(text: str) -> float:
+    """Return a time [s]."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not 0.0 <= value <= LONGEST_DELAY_S:
+        raise argparse.ArgumentTypeError(f"must be a number of seconds from 0 to {LONGEST_DELAY_S:g}, got {text!r}")
+    return value
 
 
 def _rate(text: str) -> float:

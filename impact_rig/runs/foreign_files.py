@@ -68,6 +68,8 @@ class Foreign:
     start_ns: int | None = None  # stamp of the first sample; None: the file has none
     texts: Mapping[str, list[str]] = attrs.field(factory=dict)
     """Columns of words, such as the names in an exported `daq/info`."""
+    left_out: Mapping[str, str] = attrs.field(factory=dict)
+    """Why it is none of these, by the name of a column."""
 
 
 def read(path: Path) -> Foreign:
@@ -152,7 +154,8 @@ def _apart(reader: Callable[[Path, bytes], Foreign], path: Path, content: bytes)
     signals = {
         name: Signal(part, unit, rate) for (name, _, unit, rate), part in zip(told["signals"], parts[1:], strict=True)
     }
-    return Foreign(path, told["kind"], signals, parts[0] if told["times"] else None, told["start_ns"], told["texts"])
+    times = parts[0] if told["times"] else None
+    return Foreign(path, told["kind"], signals, times, told["start_ns"], told["texts"], told["left_out"])
 
 
 def _send(found: Foreign, out: BinaryIO) -> None:
@@ -161,6 +164,7 @@ def _send(found: Foreign, out: BinaryIO) -> None:
     signals = [(name, len(one.values), one.unit, one.rate_hz) for name, one in found.signals.items()]
     texts = {name: list(words) for name, words in found.texts.items()}
     told = {"kind": found.kind, "times": len(times), "signals": signals, "start_ns": found.start_ns, "texts": texts}
+    told["left_out"] = dict(found.left_out)
     out.write(json.dumps(told).encode() + b"\n")
     for values in (times, *(one.values for one in found.signals.values())):
         out.write(np.ascontiguousarray(values, np.float64).tobytes())
@@ -180,31 +184,36 @@ def _allow(rows: int, columns: int) -> None:
 def _foreign(path: Path, kind: str, columns: Mapping[str, NDArray[np.generic]], units: Mapping[str, str]) -> Foreign:
     """Return columns of a table as signals: times taken out, scalars understood as rate or period where their name is.
 
-    A column of two dimensions is as many signals as its shorter side has; one that is no number is left out.
+    A column of two dimensions is as many signals as its shorter side has; what is no number is left out, and told.
     """
     stamps: NDArray[np.generic] | None = None
     times: Real | None = None
     rate: float | None = None
     signals: dict[str, Signal] = {}
     texts: dict[str, list[str]] = {}
+    left_out: dict[str, str] = {}
     for name, column in columns.items():
         values = np.asarray(column)
         if values.dtype.kind in "SUO" and values.ndim == 1:
             texts[name] = [one.decode("utf-8", "replace") if isinstance(one, bytes) else str(one) for one in values]
             continue
         if values.dtype.kind not in "fiub":
+            left_out[name] = "complex numbers" if values.dtype.kind == "c" else "no numbers"
             continue
-        if values.size == 1 and RATES.fullmatch(name):
-            rate = float(values.reshape(-1)[0])
-        elif values.size == 1 and PERIODS.fullmatch(name):
-            rate = 1.0 / float(values.reshape(-1)[0])
+        if values.size == 1 and (RATES.fullmatch(name) or PERIODS.fullmatch(name)):
+            one = float(values.reshape(-1)[0])
+            if math.isfinite(one) and one > 0.0:
+                rate = one if RATES.fullmatch(name) else 1.0 / one
+            else:
+                left_out[name] = f"no rate or period: {one:g}"
         elif name == STAMP and values.ndim == 1:
             stamps = values
         elif TIMES.fullmatch(name) and values.size == max(values.shape, default=0):
             times = _seconds(np.asarray(values, np.float64).reshape(-1), units.get(name, "") or _split(name)[1])
         else:
             squeezed = np.atleast_1d(np.squeeze(values))
-            if squeezed.ndim > 2:  # a table of tables
+            if squeezed.ndim > 2:
+                left_out[name] = "a table of tables"
                 continue
             rows = squeezed[None] if squeezed.ndim == 1 else squeezed if len(squeezed) < len(squeezed.T) else squeezed.T
             for number, row in enumerate(rows):
@@ -216,10 +225,9 @@ def _foreign(path: Path, kind: str, columns: Mapping[str, NDArray[np.generic]], 
         start = int(stamps[0])
         since = (stamps - stamps[0]).astype(np.float64) / NS_PER_S
         times = since if times is None else since + times
-    if rate is not None and not (math.isfinite(rate) and rate > 0.0):
-        rate = None
     signals = {name: attrs.evolve(one, rate_hz=rate) for name, one in signals.items()}
-    return Foreign(path, kind, signals, None if times is None or not len(times) else times - times[0], start, texts)
+    times = None if times is None or not len(times) else times - times[0]
+    return Foreign(path, kind, signals, times, start, texts, left_out)
 
 
 def _seconds(times: Real, unit: str) -> Real:
@@ -376,16 +384,19 @@ def _uff(path: Path, content: bytes) -> Foreign:
     pyuff = _library("pyuff", "UFF")
     time_response = (0, 1)
     signals: dict[str, Signal] = {}
+    left_out: dict[str, str] = {}
     times = None
     with tempfile.TemporaryDirectory(prefix="impact_rig_uff_") as folder:  # pyuff opens files by name only
         named = Path(folder) / "all.uff"
         named.write_bytes(content)
         file = pyuff.UFF(str(named))
-        chosen = [number for number, kind in enumerate(file.get_set_types()) if int(kind) == 58]
-        for number in chosen:
+        for number, kind in enumerate(file.get_set_types()):
+            if int(kind) != 58:
+                continue
             one = file.read_sets(number)
             data, x = np.asarray(one["data"]), np.asarray(one["x"], np.float64)
             if one.get("func_type") not in time_response or np.iscomplexobj(data):
+                left_out[f"dataset {number + 1}"] = "no time response"
                 continue
             words = [str(one.get(key, "")).strip() for key in ("id1", "rsp_ent_name")]
             name = next((word for word in words if word and word.upper() != "NONE"), f"dataset_{number}")
@@ -402,7 +413,7 @@ def _uff(path: Path, content: bytes) -> Foreign:
             times = x - x[0] if times is None and len(x) == len(data) else times
     if not signals:
         raise RecordingError(f"{path} holds no time response (dataset 58, function type 1)")
-    return Foreign(path, "universal file", signals, times)
+    return Foreign(path, "universal file", signals, times, left_out=left_out)
 
 
 def _netcdf(path: Path, content: bytes) -> Foreign:

@@ -56,6 +56,7 @@ class RunInfo:
     end_ns: int
     topics: tuple[TopicInfo, ...]  # in the order they were registered
     rate_hz: int | None  # scans per second of `daq/scan`; None without it
+    last_block_s: float  # how long the newest block of it is [s]; 0 where that is not known
     scans: Contiguity | None  # whether its blocks follow each other; None without it
     provenance: Mapping[str, str]  # version, seed, wall_start_ns, ...; empty for other recorders' files
     attachments: Mapping[str, int]
@@ -68,14 +69,15 @@ class RunInfo:
 
     @property
     def duration_s(self) -> float:
-        """Rig time from the first to the last block of daq/scan [s]; of all messages where there is none.
+        """Rig time from the first block of daq/scan to the end of the last [s]; of all messages where there is none.
 
         What was published before (journal, calibration) keeps its stamp, which may be hours older.
         """
         scans = [topic for topic in self.topics if matches(topic.name, topics.SCAN.name)]
         if not scans:
             return (self.end_ns - self.start_ns) / NS_PER_S
-        return (max(topic.last_ns for topic in scans) - min(topic.first_ns for topic in scans)) / NS_PER_S
+        begins_ns, ends_ns = min(topic.first_ns for topic in scans), max(topic.last_ns for topic in scans)
+        return (ends_ns - begins_ns) / NS_PER_S + self.last_block_s
 
     @property
     def messages(self) -> int:
@@ -128,6 +130,7 @@ def info(path: Path | str) -> RunInfo:
             end_ns=run.end_ns,
             topics=tally.topics(),
             rate_hz=rate_hz,
+            last_block_s=max(tally.blocks)[1] / rate_hz if rate_hz else 0.0,
             scans=scans,
             provenance=provenance,
             attachments={name: len(data) for name, data in attachments.items()},

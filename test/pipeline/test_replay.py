@@ -143,9 +143,11 @@ def test_a_single_topic_can_be_replayed(client: Client, run: Path) -> None:
         (("--rate", "max", "--peers", "analysis", "--topics", "laser"), "choose it as well"),
         (("--topics", "nothing/here"), "no topic 'nothing/here'"),
         (("--rate", "-1"), "must be max or a number"),
+        (("--delay", "-1"), "must be a number of seconds from 0 to 3600"),
+        (("--delay", "nan"), "must be a number of seconds from 0 to 3600"),
     ],
 )
 def test_what_cannot_be_replayed_is_refused(client: Client, run: Path, options: tuple[str, ...], words: str) -> None:
     with replay(client, run, *options) as player:
-        output = finish(client, player, 2 if "-1" in options else 1)
+        output = finish(client, player, 2 if options[-1] in ("-1", "nan") else 1)
     assert words in " ".join(output.split())

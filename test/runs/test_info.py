@@ -45,7 +45,7 @@ def test_a_whole_run_in_figures(record):
     )
     assert found.messages == len(sent)
     assert found.rate_hz == RATE_HZ
-    assert found.duration_s == pytest.approx(0.49)
+    assert found.duration_s == pytest.approx(0.5)
     assert found.files == (("run.mcap", writer.files[0].stat().st_size),)
     assert found.bytes == writer.bytes_written
     assert found.provenance == PROVENANCE.to_record()

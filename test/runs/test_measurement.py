@@ -314,3 +314,18 @@ def test_an_uncertainty_below_a_thousandth_is_not_shown_as_none(
     value, u = re.findall(r"DT ([0-9.]+) ± ([0-9.]+) \(2u\)", capsys.readouterr().out)[0]
     assert float(u) > 0.0
     assert abs(float(value) - 1 / 15) <= 1.5 * float(u)  # what is shown is 2u
+
+
+def test_what_an_import_leaves_out_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    turn = 2.0 * np.pi * 9.0 * np.arange(20_000) / RATE_HZ
+    base, laser = 1e-3 * np.sin(turn), 1e-2 * np.sin(turn)
+    np.savez(tmp_path / "own.npz", base=base, laser=laser, fft=np.exp(1j * turn), cube=np.zeros((2, 3, 4)), dt=-1.0)
+    words = ["import", str(tmp_path / "own.npz"), "--output", str(tmp_path / "run"), "--rate", str(RATE_HZ)]
+    assert main([*words, "--dry-run"]) == 0
+    told = capsys.readouterr().out
+    for line in (
+        "left out: fft, complex numbers",
+        "left out: cube, a table of tables",
+        "left out: dt, no rate or period: -1",
+    ):
+        assert line in told
