@@ -464,6 +464,7 @@ class OverTopics:
 
     def __init__(self, client: Client) -> None:
         self._client = client
+        client.publisher(topics.WAVEFORM)  # is found while the rest is waited for: what a recorder misses is lost to it
         found = client.get_parameters("rig", ["drive.stream_rate_hz", "daq.rate_hz", "time.mode"])
         self.rate_hz, self.scan_rate_hz = int(found["drive.stream_rate_hz"]), int(found["daq.rate_hz"])
         self.lead_s = REALTIME_LEAD_S if found["time.mode"] == "realtime" else 0.0

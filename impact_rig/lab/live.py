@@ -35,6 +35,7 @@ GLANCE_S = 0.5  # the same while rig time runs ahead of ours
 PEEK_S, DEAF_S = 0.1, 1.4  # where nobody can follow: so long it listens to scans, and then so long not
 TURN_S = 0.05  # the longest turn of the loop while a page is open: what it asks for waits no longer
 IDLE_S = 0.2
+LATE_S = 5.0  # by so much the first diagnostics of a rig may come after what else it says
 STATE_S = 0.1  # between two words to the page
 SLOW_S = 0.5  # the same while rig time runs ahead of ours, and where nobody looks
 SLOWEST_S = 1.0  # the same where nobody can follow
@@ -55,6 +56,7 @@ class LiveSource(Source):
         self._client: Client
         self._gateway: Gateway | None = None
         self._pace = Pace()
+        self._instance = ""  # of the rig that is there
         self._listens = True  # to scans; while rig time runs ahead of ours only now and then
         self.snapshot.put(rig={"word": "starting", "text": "The lab starts.", "name": namespace or ""})
 
@@ -179,6 +181,8 @@ class LiveSource(Source):
             return
         seen = {node: gateway.seen(node) for node in states.BY_NODE}
         rig = seen["rig"]
+        if rig.instance != self._instance and not _waits(rig):
+            self._instance, record.begun_at_s = rig.instance, time.monotonic() - LATE_S
         record.told_start_ns = LAST_NS if _waits(rig) else _stamp(rig.figures.get("start_ns", ""))
         doubts = self.guard("doubts", record.doubts)
         if doubts is None:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 import threading
+import time
 from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Any, TypeVar  # Any: what goes to JSON
@@ -311,6 +312,9 @@ class Record:
         self.applied: deque[tuple[int, dict[str, float]]] = deque(maxlen=most)
         """The newest changes of the drive, and when they came into force."""
         self.changes = 0  # how many there were
+        self.changed_at_s = 0.0  # when the newest was heard, by our clock
+        self.begun_at_s = 0.0
+        """What was heard before is of another rig: one that runs faster than our time stamps ahead of its successor."""
         self.refused: dict[str, list[Any]] = {}  # messages that made no sense, by topic: how many, and the last reason
         self.stream: dict[str, float] | None = None
         """The newest of `shaker/stream`; None: the rig is driven by no stream."""
@@ -386,7 +390,7 @@ class Record:
             for row in table.rows:
                 stamp = table.stamp_ns + round(float(row["time"]) * NS_PER_S)
                 self.applied.append((stamp, {name: float(row[name]) for name in ("frequency", "current")}))
-                self.changes += 1
+                self.changes, self.changed_at_s = self.changes + 1, time.monotonic()
         elif topic is topics.JOURNAL:
             self.journal.add(table)
         elif topic is topics.FAULTS:
@@ -425,7 +429,8 @@ class Record:
         if at_ns is not None:
             return next((one for one in reversed(list(self.applied)) if one[0] <= at_ns), None)
         newest = self.applied[-1] if self.applied else None
-        return None if newest is None or newest[0] < self.since_ns() else newest
+        is_old = newest is None or newest[0] < self.since_ns() or self.changed_at_s < self.begun_at_s
+        return None if is_old else newest
 
 
 def guard(refused: dict[str, list[Any]], what: str, work: Callable[[], T]) -> T | None:

@@ -27,8 +27,8 @@ from impact_rig.physics.prediction import transmissibility
 from impact_rig.rig.config import RigConfig
 from impact_rig.states import Regime
 
-CHUNK = 24  # cycles looked at together: up to six in a row are told from chance
-_PART = CHUNK // 2  # of them, the later ones, which a response that repeats is read from
+CHUNK = 24  # cycles looked at together, for a response that repeats after up to six of them
+_PART = CHUNK // 2  # the later ones, which such a response is read from
 _FIRST = CHUNK + _PART  # cycles before it is looked for the first time
 _ROUNDING = 1e-9  # relative change of a cycle that is none
 WEAK = 0.02
@@ -217,7 +217,7 @@ def _settled(record: _Record, frequency_hz: float, settings: Settings) -> Behavi
     """
     series = np.array([record.cycles[name] for name in ("x_b", "x_1", "x_2", "v_2")])
     base, superior = np.abs(series[:2].sum(axis=1)).tolist()
-    if superior == 0.0:
+    if base == 0.0 or superior == 0.0:
         return None
     sizes = np.array([base, superior, superior, 2.0 * np.pi * frequency_hz * superior]) / CHUNK
     series /= sizes[:, np.newaxis]

@@ -12,6 +12,7 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
+from impact_rig.arithmetic.elementary import TWO_PI
 from impact_rig.arithmetic.interpolation import NODES
 from impact_rig.blocks import joined
 from impact_rig.errors import SimulationError
@@ -153,7 +154,14 @@ class Motion:
         return out
 
     def cycles(self) -> NDArray[np.void]:
-        """Return what each tick does, dtype `fundamental.CYCLE`: each is one segment, a whole cycle of the drive."""
+        """Return what each tick does, dtype `fundamental.CYCLE`.
+
+        Raises:
+            ValueError: a tick is not one segment of one whole cycle of the drive.
+        """
+        turns = self.segments["duration"] * self.segments["omega"]
+        if len(self.segments) >= len(self.first_segment) or np.abs(turns - TWO_PI).max(initial=0.0) > _WHOLE:
+            raise ValueError("each tick must be one segment, and one whole cycle of the drive")
         out = np.empty((len(self.segments), CYCLE.itemsize // 8))
         follow_cycles(self._model, self._trajectory, self._sampling.flight, out)
         found: NDArray[np.void] = out.view(CYCLE)[:, 0]
@@ -179,6 +187,7 @@ MOST_STATES = 200_000
 """Rows of the history in one drive segment: flights and steps of contacts. It is looked at when the log is full; a
 chattering sphere makes some ten of them."""
 
+_WHOLE = 1e-9  # by so much the phase of a whole cycle may miss one turn [rad]
 _STATES, _IMPACTS = 1 << 15, 1 << 11  # room for so many: pages that are not touched take no memory
 _GROWTH = 4  # of the log, when a call needs more room
 _PLACES = {"left": -1.0, "centre": 0.0, "right": 1.0}

@@ -260,6 +260,20 @@ def test_more_connections_than_there_may_be_are_turned_away_and_the_page_goes_on
     assert server.refused["too many connections"] >= 20
 
 
+def test_a_knob_without_a_told_value_shows_none(
+    server: Server, source: FakeSource, open_page: Callable[..., Page]
+) -> None:
+    """A slider stands somewhere always: in the middle, where nobody has said so, or where the rig before had it."""
+    page = open_page(server.address)
+    slider = "document.querySelector('.knob:has(#knob-gap) input[type=range]')"
+    seen = f"[document.getElementById('knob-gap').value, getComputedStyle({slider}).visibility].join()"
+    page.wait(f"{seen} === ',hidden'", "no gap")
+    source.snapshot.put(knobs={"sphere.present": True, "barriers.gap_m": 0.004})
+    page.wait(f"{seen} === '4,visible'", "the gap that was told")
+    source.snapshot.put(knobs=None)
+    page.wait(f"{seen} === ',hidden'", "no gap of another rig")
+
+
 def test_runs_are_listed_and_played_beside_what_the_lab_shows(
     source: FakeSource, sample: Path, open_page: Callable[..., Page]
 ) -> None:

@@ -438,3 +438,20 @@ def test_a_reset_or_a_long_silence_gives_no_speed_of_its_own(clock: HandClock) -
     assert pace.read(0.1) == pytest.approx(2.0)
     clock.now_s += GAP_S
     assert pace.read(1000.0) == pytest.approx(2.0)
+
+
+def test_a_drive_that_was_heard_before_a_rig_began_is_not_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A rig at twice our speed stamps a minute ahead after a minute; the stamps of the next one begin behind that."""
+    now_s = [100.0]
+    monkeypatch.setattr("impact_rig.lab.record.time.monotonic", lambda: now_s[0])
+    record = Record()
+    rows = np.zeros(1, topics.APPLIED.columns)
+    rows["current"] = 1.2
+    record.take(topics.APPLIED, encode(Table(60 * 10**9, rows)))
+    record.told_start_ns = 30 * 10**9
+    assert record.drive == {"frequency": 0.0, "current": 1.2}
+    record.begun_at_s = 110.0
+    assert record.drive is None
+    now_s[0], rows["current"] = 111.0, 0.0
+    record.take(topics.APPLIED, encode(Table(30 * 10**9, rows)))
+    assert record.drive == {"frequency": 0.0, "current": 0.0}

@@ -230,3 +230,10 @@ def test_fundamentals_of_cycles_are_those_of_the_samples(changes, left_out, phas
         places = motion.quantities(("x_2", "v_2"), np.arange(cycles), np.zeros(cycles))
         assert np.abs(found["x_2"] - places[0]).max() <= 1e-12
         assert np.abs(found["v_2"] - places[1]).max() <= 1e-9
+
+
+@pytest.mark.parametrize("turns", [0.5, 1.001, 2.0])
+def test_what_is_no_cycle_has_no_fundamental(turns):
+    motion = Simulation(rig()).advance(sine(9.1, 0.5, turns / 9.1, 3))
+    with pytest.raises(ValueError, match="one whole cycle"):
+        motion.cycles()

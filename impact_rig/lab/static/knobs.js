@@ -158,7 +158,14 @@ export class KnobPanel {
       if (slider) slider.disabled = this.readOnly;
       for (const button of box.querySelectorAll("button")) button.disabled = this.readOnly;
       const value = this.values[knob.name];
-      if (!this.knobs.follows(knob.name) || field.dataset.written || value === null || value === undefined) continue;
+      const told = value !== null && value !== undefined;
+      slider?.classList.toggle("untold", !told);
+      if (!this.knobs.follows(knob.name) || field.dataset.written) continue;
+      if (!told) { // what another rig said is no value of this one
+        if (field.dataset.shown !== undefined) field.value = "";
+        delete field.dataset.shown;
+        continue;
+      }
       const shown = typeof value === "number" ? String(Number((value * (knob.factor ?? 1)).toPrecision(6))) : value;
       const focused = document.activeElement === field;
       if (!focused || field.dataset.shown !== shown) field.value = shown;

@@ -100,15 +100,13 @@ const SHOW = {
     look();
   },
   applied: (applied) => {
-    if (!applied) return;
-    knobs.show({ frequency: applied.frequency, current: applied.current });
-    spectrum.drive = applied.current > 0 ? applied.frequency : 0;
+    knobs.show({ frequency: applied?.frequency ?? null, current: applied?.current ?? null });
+    spectrum.drive = applied?.current > 0 ? applied.frequency : 0;
   },
   knobs: (values) => {
-    if (!values) return;
     knobs.show({
-      gap: values["sphere.present"] ? values["barriers.gap_m"] : 0, start: values["sphere.start"],
-      law: values["contact.law"], restitution: values["contact.restitution"],
+      gap: gapNow(), start: values?.["sphere.start"] ?? null, law: values?.["contact.law"] ?? null,
+      restitution: values?.["contact.restitution"] ?? null,
     });
     showCurve();
   },
