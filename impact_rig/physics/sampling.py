@@ -471,8 +471,8 @@ def _sample_flight(model, f, s, start, stop, query, work):  # type: ignore[no-un
 
 
 @kernel
-def _segment_at(trajectory, tick, offset):  # type: ignore[no-untyped-def]
-    """Return the row of the segment that holds an instant of a tick."""
+def _rows_at(trajectory, tick, offset):  # type: ignore[no-untyped-def]
+    """Return (row of the segment that holds an instant of a tick, row of the state there, row after its last)."""
     low, high = trajectory.first_segment[tick], trajectory.first_segment[tick + 1]
     while high - low > 1:
         middle = (low + high) // 2
@@ -480,7 +480,8 @@ def _segment_at(trajectory, tick, offset):  # type: ignore[no-untyped-def]
             low = middle
         else:
             high = middle
-    return low
+    since, end = offset - trajectory.segments[low].begin, trajectory.first_state[low + 1]
+    return low, last_before(trajectory.history, trajectory.first_state[low], end, since), end
 
 
 @entry(MODEL, TRAJECTORY, QUERY, SAMPLING_WORKSPACE, returns=bool)
@@ -501,13 +502,11 @@ def _sample(model, trajectory, query, work):  # type: ignore[no-untyped-def]
         tick = query.tick[i] - trajectory.first_tick
         if not 0 <= tick < trajectory.first_segment.shape[0] - 1:
             return False
-        segment = _segment_at(trajectory, tick, query.offset[i])
+        segment, row, high = _rows_at(trajectory, tick, query.offset[i])
         f = forcing(trajectory.segments[segment])
         # since the start of the tick, as `offset`
         ends_in_tick = segment + 1 < trajectory.first_segment[tick + 1]
         segment_end = trajectory.segments[segment + 1].begin if ends_in_tick else np.inf
-        low, high = trajectory.first_state[segment], trajectory.first_state[segment + 1]
-        row = last_before(trajectory.history, low, high, query.offset[i] - f.begin)
         begin = trajectory.history[row].t
         end = trajectory.history[row + 1].t if row + 1 < high else np.inf
         start = i
@@ -580,15 +579,8 @@ def _fit_flight(p, system, f, flight, spans, i, work):  # type: ignore[no-untype
 
 
 @kernel
-def _through_values(spans, i, work):  # type: ignore[no-untyped-def]
-    """Fill in the polynomials of a piece through the values at its nodes."""
-    for q in range(spans.wanted.shape[0]):
-        through_nodes(work.values[q], spans.out[q, i])
-
-
-@kernel
 def _fit_contact(model, f, history, row, spans, i, work):  # type: ignore[no-untyped-def]
-    """Fill in the polynomials of a piece within one step of a contact, from the step's dense output."""
+    """Fill in the values at the nodes of a piece within one step of a contact, from the step's dense output."""
     step, s = work.step[0], history[row]
     t_middle, half = 0.5 * (spans.start[i] + spans.end[i]) - f.begin, 0.5 * (spans.end[i] - spans.start[i])
     end = _solve_again(model, f, s, step)
@@ -600,7 +592,6 @@ def _fit_contact(model, f, history, row, spans, i, work):  # type: ignore[no-unt
         _quantities_in_contact(model, f, s, step, (since, max(w, 0.0), speed), False, work.every)
         for q in range(spans.wanted.shape[0]):
             work.values[q, j] = work.every[spans.wanted[q]]
-    _through_values(spans, i, work)
 
 
 @kernel
@@ -637,7 +628,7 @@ def _integrate_pulse(model, step, per_v0, pulse, until, longest):  # type: ignor
 
 @kernel
 def _fit_pulse(model, f, history, row, spans, i, work):  # type: ignore[no-untyped-def]
-    """Fill in the polynomials of a piece of a tabulated contact: it is integrated to the nodes.
+    """Fill in the values at the nodes of a piece of a tabulated contact: it is integrated to them.
 
     These crowd at the ends of each piece, and so of the contact, where the force has its kinks. The force is wrong by
     at most 3e-4 of its peak.
@@ -655,12 +646,11 @@ def _fit_pulse(model, f, history, row, spans, i, work):  # type: ignore[no-untyp
         _quantities_in_contact(model, f, s, step, at, False, work.every)
         for q in range(spans.wanted.shape[0]):
             work.values[q, j] = work.every[spans.wanted[q]]
-    _through_values(spans, i, work)
 
 
 @kernel
 def _fit_samples(model, trajectory, spans, i, work):  # type: ignore[no-untyped-def]
-    """Fill in the polynomials of any other piece through samples of it.
+    """Fill in the values at the nodes of any other piece: samples of it.
 
     It holds more than one flight or step, or is too long, or the sphere or a force is wanted in flight.
     """
@@ -668,7 +658,6 @@ def _fit_samples(model, trajectory, spans, i, work):  # type: ignore[no-untyped-
     for j in range(NODES):
         work.tick[j], work.offset[j] = spans.tick[i], centre + half * NODE_AT[j]
     _sample(model, trajectory, Query(spans.wanted, work.tick, work.offset, work.values), work)
-    _through_values(spans, i, work)
 
 
 @entry(MODEL, TRAJECTORY, SPANS, SAMPLING_WORKSPACE, returns=bool)
@@ -694,10 +683,8 @@ def fit(model, trajectory, spans, work):  # type: ignore[no-untyped-def]
         if not 0 <= tick < trajectory.first_segment.shape[0] - 1:
             return False
         middle = 0.5 * (spans.start[i] + spans.end[i])
-        segment = _segment_at(trajectory, tick, middle)
+        segment, row, high = _rows_at(trajectory, tick, middle)
         f = forcing(trajectory.segments[segment])
-        low, high = trajectory.first_state[segment], trajectory.first_state[segment + 1]
-        row = last_before(history, low, high, middle - f.begin)
         ends_inside = (
             spans.end[i] - f.begin
             <= (history[row + 1].t if row + 1 < high else trajectory.segments[segment].duration) + _SAME
@@ -709,16 +696,18 @@ def fit(model, trajectory, spans, work):  # type: ignore[no-untyped-def]
             else:
                 _fit_contact(model, f, history, row, spans, i, work)
                 work.pulsing[0] = -1
-            continue
-        if inside and structure_alone:
-            if row != prepared:
-                begin_flight_at(model, f, history[row], flight)
-                prepared = row
-            if spans.end[i] - spans.start[i] <= _LONGEST * flight.interval:
-                _fit_flight(p, model.systems[flight.system], f, flight, spans, i, work)
-                continue
-        _fit_samples(model, trajectory, spans, i, work)
-        prepared, work.pulsing[0] = -1, -1
+        else:
+            if inside and structure_alone:
+                if row != prepared:
+                    begin_flight_at(model, f, history[row], flight)
+                    prepared = row
+                if spans.end[i] - spans.start[i] <= _LONGEST * flight.interval:
+                    _fit_flight(p, model.systems[flight.system], f, flight, spans, i, work)
+                    continue
+            _fit_samples(model, trajectory, spans, i, work)
+            prepared, work.pulsing[0] = -1, -1
+        for q in range(spans.wanted.shape[0]):
+            through_nodes(work.values[q], spans.out[q, i])
     return True
 
 
