@@ -208,26 +208,7 @@ def new_sampling_workspace() -> SamplingWorkspace:
 
 
 @kernel
-def derived(value, growth, rate, order):  # type: ignore[no-untyped-def]  # compiled: types are inferred
-    """Return value and growth of the derivative of (value + growth τ) exp(λ τ) of this order."""
-    for _ in range(order):
-        value, growth = rate * value + growth, rate * growth
-    return value, growth
-
-
-@kernel
-def _add_oscillation(poly, value, growth, rate, order):  # type: ignore[no-untyped-def]
-    """Add the Taylor coefficients of Re[(value + growth τ) exp(rate τ)], differentiated `order` times."""
-    value, growth = derived(value, growth, rate, order)
-    term, term_before = 1.0 + 0.0j, 0.0j
-    for i in range(PIECE_TERMS):
-        poly[i] += (value * term).real + (growth * term_before).real
-        term_before = term
-        term = term * rate * (1.0 / (i + 1))
-
-
-@kernel
-def _place_and_order(p, quantity):  # type: ignore[no-untyped-def]
+def _place_and_order(p, quantity):  # type: ignore[no-untyped-def]  # compiled: types are inferred
     """Return (state, derivative of it, whether it is the drive itself) that a quantity of the structure is."""
     prescribed = p.drive == PRESCRIBED
     if quantity in (OF_X_1, OF_V_1, OF_A_1):
@@ -241,22 +222,51 @@ def _place_and_order(p, quantity):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _expand_flight(p, system, f, flight, quantity, poly, since):  # type: ignore[no-untyped-def]
+def _fill_powers(work, rate, half):  # type: ignore[no-untyped-def]
+    """Fill in (λ half)^k / k!; return how many terms of a series they make: of a straight line, for λ = 0, two."""
+    scaled, term = rate * half, 1.0 + 0.0j
+    terms = 2 if rate == 0.0 else PIECE_TERMS
+    for k in range(terms):
+        work.powers[0, k], work.powers[1, k] = term.real, term.imag
+        term = term * scaled * (1.0 / (k + 1))
+    return terms
+
+
+@kernel
+def _add_series(poly, work, terms, value, growth, rate, order, half):  # type: ignore[no-untyped-def]
+    """Add the Taylor coefficients in x = τ / half of Re[(value + growth τ) exp(λ τ)], differentiated `order` times.
+
+    They are made of as many powers of the rate λ in `work`.
+    """
+    for _ in range(order):
+        value, growth = rate * value + growth, rate * growth
+    re, im = work.powers[0], work.powers[1]
+    value_re, value_im, growth_re, growth_im = value.real, value.imag, half * growth.real, half * growth.imag
+    poly[0] += value_re * re[0] - value_im * im[0]
+    for k in range(1, terms):
+        poly[k] += (value_re * re[k] - value_im * im[k]) + (growth_re * re[k - 1] - growth_im * im[k - 1])
+
+
+@kernel
+def _expand_flight(p, system, f, flight, quantity, poly, since, work):  # type: ignore[no-untyped-def]
     """Fill the Taylor polynomial of a quantity of the structure, `since` seconds after the flight's beginning."""
     poly[:] = 0.0
     t = flight.t_b + since
     place, order, of_drive = _place_and_order(p, quantity)
     jw = complex(0.0, f.omega)
     rotor = phasor(f.omega * t) * complex(0.0, -1.0)  # Im(…) = Re(−j …)
+    terms = _fill_powers(work, jw, 1.0)
     if of_drive:
         unit = phasor(f.phase) * rotor
-        _add_oscillation(poly, (f.amplitude + f.growth * t) * unit, f.growth * unit, jw, order)
+        _add_series(poly, work, terms, (f.amplitude + f.growth * t) * unit, f.growth * unit, jw, order, 1.0)
         return
     steady, growing = flight.steady[place], flight.growing[place]
-    _add_oscillation(poly, (steady + growing * t) * rotor, growing * rotor, jw, order)
+    _add_series(poly, work, terms, (steady + growing * t) * rotor, growing * rotor, jw, order, 1.0)
     for n in range(system.modes):
-        _, decay = decayed(system.rate[n], since)
-        _add_oscillation(poly, system.right[n, place] * flight.modal[n] * decay, 0.0j, system.rate[n], order)
+        rate = system.rate[n]
+        _, decay = decayed(rate, since)
+        terms = _fill_powers(work, rate, 1.0)
+        _add_series(poly, work, terms, system.right[n, place] * flight.modal[n] * decay, 0.0j, rate, order, 1.0)
     if order == 0:
         poly[0] += system.static[place] * flight.friction_force
 
@@ -465,7 +475,7 @@ def _sample_flight(model, f, s, start, stop, query, work):  # type: ignore[no-un
             for q in range(query.wanted.shape[0]):
                 quantity = _structure_quantity(s, query.wanted[q])
                 if quantity not in (OF_X_2, OF_V_2, OF_A_2, OF_FORCE_LEFT, OF_FORCE_RIGHT):
-                    _expand_flight(p, system, f, flight, quantity, work.polynomials[q], middle)
+                    _expand_flight(p, system, f, flight, quantity, work.polynomials[q], middle, work)
         for q in range(query.wanted.shape[0]):
             query.out[q, i] = _quantity_in_flight(p, s, query.wanted[q], work.polynomials[q], since - middle, since)
 
@@ -523,27 +533,6 @@ def _sample(model, trajectory, query, work):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _add_series(poly, work, terms, value, growth, half):  # type: ignore[no-untyped-def]
-    """Add the Taylor coefficients of Re[(value + growth τ) exp(λ τ)] in x = τ / half, by as many powers in `work`."""
-    re, im = work.powers[0], work.powers[1]
-    value_re, value_im, growth_re, growth_im = value.real, value.imag, half * growth.real, half * growth.imag
-    poly[0] += value_re * re[0] - value_im * im[0]
-    for k in range(1, terms):
-        poly[k] += (value_re * re[k] - value_im * im[k]) + (growth_re * re[k - 1] - growth_im * im[k - 1])
-
-
-@kernel
-def _fill_powers(work, rate, half):  # type: ignore[no-untyped-def]
-    """Fill in (λ half)^k / k!; return how many terms of a series they make: of a straight line, for λ = 0, two."""
-    scaled, term = rate * half, 1.0 + 0.0j
-    terms = 2 if rate == 0.0 else PIECE_TERMS
-    for k in range(terms):
-        work.powers[0, k], work.powers[1, k] = term.real, term.imag
-        term = term * scaled * (1.0 / (k + 1))
-    return terms
-
-
-@kernel
 def _fit_flight(p, system, f, flight, spans, i, work):  # type: ignore[no-untyped-def]
     """Fill in the polynomials of a piece in the flight that has been prepared, all quantities of the structure."""
     half = 0.5 * (spans.end[i] - spans.start[i])
@@ -557,13 +546,13 @@ def _fit_flight(p, system, f, flight, spans, i, work):  # type: ignore[no-untype
         poly[q, :] = 0.0
         if of_drive:
             unit = phasor(f.phase) * rotor
-            value, growth = derived((f.amplitude + f.growth * t) * unit, f.growth * unit, jw, order)
+            value, growth = (f.amplitude + f.growth * t) * unit, f.growth * unit
         else:
-            growing = flight.growing[place] * rotor
-            value, growth = derived(flight.steady[place] * rotor + growing * t, growing, jw, order)
+            growth = flight.growing[place] * rotor
+            value = flight.steady[place] * rotor + growth * t
             if order == 0:
                 poly[q, 0] = system.static[place] * flight.friction_force
-        _add_series(poly[q], work, terms, value, growth, half)
+        _add_series(poly[q], work, terms, value, growth, jw, order, half)
     for n in range(system.modes):
         rate = system.rate[n]
         _, decay = decayed(rate, since)
@@ -572,8 +561,7 @@ def _fit_flight(p, system, f, flight, spans, i, work):  # type: ignore[no-untype
         for q in range(wanted.shape[0]):
             place, order, of_drive = _place_and_order(p, wanted[q])
             if not of_drive:
-                value, growth = derived(system.right[n, place] * modal, 0.0j, rate, order)
-                _add_series(poly[q], work, terms, value, growth, half)
+                _add_series(poly[q], work, terms, system.right[n, place] * modal, 0.0j, rate, order, half)
     for q in range(wanted.shape[0]):
         shorten(poly[q], spans.out[q, i])
 
