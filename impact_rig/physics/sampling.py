@@ -272,6 +272,13 @@ def _expand_flight(p, system, f, flight, quantity, poly, since, work):  # type: 
 
 
 @kernel
+def _is_of_structure(p, quantity):  # type: ignore[no-untyped-def]
+    """Return whether a quantity is a motion of the structure or its drive: then it has a polynomial in flight."""
+    of_sphere = quantity in (OF_X_2, OF_V_2, OF_A_2, OF_FORCE_LEFT, OF_FORCE_RIGHT)
+    return not (of_sphere or (quantity == OF_CURRENT and p.drive == PRESCRIBED))
+
+
+@kernel
 def _structure_quantity(s, quantity):  # type: ignore[no-untyped-def]
     """Return the quantity of the structure that this one follows from in flight."""
     if s.phase == ATTACHED:  # one body: the sphere moves as the structure, and a wall may push it
@@ -285,9 +292,9 @@ def _structure_quantity(s, quantity):  # type: ignore[no-untyped-def]
 @kernel
 def _quantity_in_flight(p, s, quantity, poly, tau, since):  # type: ignore[no-untyped-def]
     """Return a quantity in the flight from s, by its polynomial, or where it has none by the sphere's parabola."""
+    if quantity == OF_CURRENT and p.drive == PRESCRIBED:
+        return 0.0
     if s.phase == ATTACHED:
-        if quantity == OF_CURRENT and p.drive == PRESCRIBED:
-            return 0.0
         value = polynomial(poly, tau, PIECE_TERMS)
         if quantity == OF_X_2:
             return value + s.d
@@ -302,9 +309,7 @@ def _quantity_in_flight(p, s, quantity, poly, tau, since):  # type: ignore[no-un
         return s.y[V1] + s.d_rate + since * braking
     if quantity == OF_A_2:
         return braking
-    if quantity >= OF_FORCE_LEFT or (quantity == OF_CURRENT and p.drive == PRESCRIBED):
-        return 0.0
-    return polynomial(poly, tau, PIECE_TERMS)
+    return polynomial(poly, tau, PIECE_TERMS) if quantity < OF_FORCE_LEFT else 0.0
 
 
 @kernel
@@ -474,7 +479,7 @@ def _sample_flight(model, f, s, start, stop, query, work):  # type: ignore[no-un
             expanded = interval
             for q in range(query.wanted.shape[0]):
                 quantity = _structure_quantity(s, query.wanted[q])
-                if quantity not in (OF_X_2, OF_V_2, OF_A_2, OF_FORCE_LEFT, OF_FORCE_RIGHT):
+                if _is_of_structure(p, quantity):
                     _expand_flight(p, system, f, flight, quantity, work.polynomials[q], middle, work)
         for q in range(query.wanted.shape[0]):
             query.out[q, i] = _quantity_in_flight(p, s, query.wanted[q], work.polynomials[q], since - middle, since)
@@ -660,11 +665,7 @@ def fit(model, trajectory, spans, work):  # type: ignore[no-untyped-def]
     flight.omega, work.pulsing[0] = -1.0, -1
     structure_alone = True
     for q in range(spans.wanted.shape[0]):
-        if spans.wanted[q] in (OF_X_2, OF_V_2, OF_A_2, OF_FORCE_LEFT, OF_FORCE_RIGHT):
-            structure_alone = False
-    if p.drive == PRESCRIBED:
-        for q in range(spans.wanted.shape[0]):
-            structure_alone = structure_alone and spans.wanted[q] != OF_CURRENT
+        structure_alone = structure_alone and _is_of_structure(p, spans.wanted[q])
     prepared = -1  # row of the state that the flight at hand begins at
     for i in range(spans.start.shape[0]):
         tick = spans.tick[i] - trajectory.first_tick
