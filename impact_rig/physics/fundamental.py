@@ -26,7 +26,7 @@ import numpy as np
 from impact_rig.kernels import REALS_2D, entry, kernel
 from impact_rig.physics.flight import decayed, forcing, phasor, resolve
 from impact_rig.physics.model import MODEL
-from impact_rig.physics.sampling import TRAJECTORY, begin_flight_at, derived
+from impact_rig.physics.sampling import TRAJECTORY, begin_flight_at
 from impact_rig.physics.state import ATTACHED, CONTACT, FLIGHT, PRESCRIBED, SPHERE_LOOSE, V1, X1, XB
 
 CYCLE = np.dtype(
@@ -61,7 +61,9 @@ def _straight(omega, tau, x_2, v_2, x_end, v_end):  # type: ignore[no-untyped-de
 def _one_body(system, flight, omega, t, z, t_end, z_end):  # type: ignore[no-untyped-def]
     """Return the integral of x_1'' exp(−jωt) over the flight from t to t_end; z and z_end are exp(−jωt) there."""
     jw = complex(0.0, omega)
-    value, growth = derived(flight.steady[X1], flight.growing[X1], jw, 2)
+    value, growth = flight.steady[X1], flight.growing[X1]
+    for _ in range(2):
+        value, growth = jw * value + growth, jw * growth
     tau, twice = t_end - t, -2.0 * jw
     total = tau * (value + 0.5 * (t_end + t) * growth)
     value, growth = value.conjugate(), growth.conjugate()

@@ -1,6 +1,6 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""The kernels of the instruments and of the drive are ordinary Python as well, and give the same bits."""
+"""The kernels of instruments, drive and cycles are ordinary Python as well, and give the same bits."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""Print digests of short, eventful runs of the instruments: compiled, or plain Python where the JIT is off."""
+"""Print digests of short, eventful runs of the instruments, and of a few cycles: compiled, or as plain Python."""
 
 from __future__ import annotations
 
@@ -8,10 +8,12 @@ import hashlib
 
 import numpy as np
 from kits.instruments import IMPACT, AnalyticMotion, configured
+from kits.mechanics import rig, sine
 
 from impact_rig.arithmetic.random import Random
 from impact_rig.config import Drive, Shaker
 from impact_rig.instruments import Chain, Fault
+from impact_rig.physics import Simulation
 from impact_rig.physics.function_generator import FunctionGenerator
 
 TICKS = 4
@@ -47,8 +49,19 @@ def drive() -> np.ndarray:
     return FunctionGenerator(noisy, Shaker(), Random(1)).segments(300)
 
 
+def cycles(**changes: dict) -> np.ndarray:
+    """Three cycles, of which the first ramps."""
+    with np.errstate(all="ignore"):  # plain Python tells of each infinity
+        simulation, segments = Simulation(rig(**changes)), sine(9.1, 0.3, 1.0 / 9.1, 3)
+        segments["growth"][0] = 0.1 * 9.1
+        simulation.place(x_1=-1e-3, d_rate=0.1)
+        return simulation.advance(segments).cycles()
+
+
 def digests() -> list[str]:
-    made = [scans(), scans(rate_hz=1_000), scans(ideal=True), drive()]
+    held = {"sphere": {"guide_friction": 0.3}, "contact": {"law": "restitution"}}
+    made = [scans(), scans(rate_hz=1_000), scans(ideal=True), drive(), cycles(), cycles(**held)]
+    made += [cycles(drive={"kind": "prescribed"}, sphere={"present": False})]
     return [hashlib.sha256(rows.tobytes()).hexdigest() for rows in made]
 
 
