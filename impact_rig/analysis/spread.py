@@ -80,8 +80,10 @@ def _scatter_of_batches(values: Complex, batches: int) -> Real:
 def by_class_removed(values: Complex, period: int) -> Complex:
     """Return values less the mean of all values at the same place of the period: what a periodic orbit leaves over."""
     place: NDArray[np.int64] = np.arange(len(values)) % period
-    means = np.array([values[p::period].mean() for p in range(period)])
-    return np.asarray(values - means[place], dtype=np.complex128)
+    whole = len(values) - len(values) % period
+    sums = values[:whole].reshape(-1, period).sum(axis=0)
+    sums[: len(values) - whole] += values[whole:]
+    return np.asarray(values - (sums / np.bincount(place))[place], dtype=np.complex128)
 
 
 LONGEST_PERIOD = 8
@@ -134,11 +136,10 @@ def _strikes_repeat(strikes: NDArray[np.uint8], period: int) -> bool:
 
     Weak impacts may be missed in some cycles, so a cycle without one proves nothing; one out of place does.
     """
-    regular = 0
+    regular, near = 0, strikes | np.roll(strikes, 1, axis=1) | np.roll(strikes, -1, axis=1)
     for place in range(period):
-        own = strikes[place::period]
-        near = own | np.roll(own, 1, axis=1) | np.roll(own, -1, axis=1)
-        regular += int(own[:, near.mean(axis=0) >= SUPPORT].sum())
+        supported = near[place::period].mean(axis=0) >= SUPPORT
+        regular += int(strikes[place::period, supported].sum())
     return regular >= REGULAR_SHARE * int(strikes.sum())
 
 

@@ -29,7 +29,7 @@ from impact_rig.states import Regime
 
 CHUNK = 24  # cycles looked at together, for a response that repeats after up to six of them
 _PART = CHUNK // 2  # the later ones, which such a response is read from
-_FIRST = CHUNK + _PART  # cycles before it is looked for the first time
+_FIRST = 2 * CHUNK  # cycles before it is looked for the first time: hardly a response has settled earlier
 _ROUNDING = 1e-9  # relative change of a cycle that is none
 WEAK = 0.02
 """Impacts slower than this share of the fastest one are bounces that settle: not counted, no part of the regime."""

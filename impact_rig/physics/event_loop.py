@@ -411,4 +411,5 @@ def run(model, segments, tick_of, index, work, account):  # type: ignore[no-unty
             s.y[XB], s.y[VB] = drive(f, t_end)
         s.t = 0.0
         index += 1
+    work.history[work.filled[0].states] = s  # where the next motion begins; no row of this one
     return DONE, index

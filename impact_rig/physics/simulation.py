@@ -362,8 +362,7 @@ class Simulation:
             work = self._work = _grown(work)
         states, impacts = int(filled["states"]), int(filled["impacts"])
         work.first_state[-1] = states
-        work.history[states] = work.states[0]  # where the next motion begins
-        kept = work.history[: states + 1]
+        kept = work.history[: states + 1]  # and where the next motion begins
         if len(work.history) > _STATES:  # one that grew is given away: to copy it takes a tenth of the motion's time
             self._work = work._replace(history=room(_STATES, STATE))
         else:
