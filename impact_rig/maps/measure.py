@@ -166,8 +166,8 @@ class MapRig:
             done = len(record.cycles)
             if done >= settings.settle_cycles:
                 break
-            more = max(_PART, done // 3 // _PART * _PART)  # looked at less often, the longer it takes
-            record = record.then(self._run(frequency_hz, amplitude, min(more, settings.settle_cycles - done)))
+            more, rest = done // 2 // _PART * _PART, settings.settle_cycles - done  # looked at less often, the later
+            record = record.then(self._run(frequency_hz, amplitude, more if rest > 2 * more else rest))
         last = record.last(2 * CHUNK)
         behaviour, drifts = _behaviour(last, settings), self._drifts(last)
         if drifts or not math.isfinite(behaviour.period):
