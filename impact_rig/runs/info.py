@@ -130,7 +130,7 @@ def info(path: Path | str) -> RunInfo:
             end_ns=run.end_ns,
             topics=tally.topics(),
             rate_hz=rate_hz,
-            last_block_s=max(tally.blocks)[1] / rate_hz if rate_hz else 0.0,
+            last_block_s=max(tally.blocks)[1] / rate_hz if rate_hz and tally.blocks else 0.0,
             scans=scans,
             provenance=provenance,
             attachments={name: len(data) for name, data in attachments.items()},

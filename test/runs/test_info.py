@@ -16,6 +16,7 @@ from kits.recording import (
     APPLIED_TOPIC,
     CONFIG,
     NOTES_TOPIC,
+    POINT_CLOUD,
     PROVENANCE,
     RATE_HZ,
     SCAN_TOPIC,
@@ -23,6 +24,7 @@ from kits.recording import (
     fill,
     scan_block,
     string,
+    topic,
 )
 from kits.records import info_rows
 
@@ -88,6 +90,15 @@ def test_a_run_without_scans(record):
     assert found.verdict == "whole: every checksum fits, there is no daq/scan, no message lost on any topic"
     assert (found.rate_hz, found.scans, found.topics[0].rate_hz) == (None, None, None)
     assert found.start_ns == 17  # nothing else is known: the publish time
+
+
+def test_a_run_of_a_rig_that_has_told_its_rate_and_no_scans(record):
+    told = topic("/rig/daq/info", POINT_CLOUD)
+    with record() as writer:
+        writer.add_topic(told)
+        writer.write(told.name, codec.encode(Table(17, info_rows(RATE_HZ))), 17)
+    found = info(writer.directory)
+    assert (found.rate_hz, found.duration_s, found.last_block_s) == (RATE_HZ, 0.0, 0.0)
 
 
 def test_the_start_of_rig_time_may_be_given(record):
