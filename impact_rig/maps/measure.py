@@ -162,7 +162,10 @@ class MapRig:
             last = record.last(CHUNK)
             behaviour = _settled(last, frequency_hz, settings)
             if behaviour:
-                return _reading(last.last(_PART), behaviour, self._config, frequency_hz)
+                found = _reading(last.last(_PART), behaviour, self._config, frequency_hz)
+                # of an orbit they are whole, though one at the border of a cycle may fall on either side
+                whole = round(found.impacts_per_cycle * found.period)
+                return found._replace(impacts_per_cycle=whole / found.period)
             done = len(record.cycles)
             if done >= settings.settle_cycles:
                 break
@@ -266,8 +269,6 @@ def _reading(record: _Record, behaviour: Behaviour, config: RigConfig, frequency
     ratio = superior / base
     dt, n = float(abs(ratio)), 2 * half
     impacts = float(np.sum(_strong(record) & (record.cycle >= len(record.cycles) - n))) / n
-    if math.isfinite(behaviour.period):  # a whole number a period: one at the border of a cycle may fall on either side
-        impacts = round(impacts * behaviour.period) / behaviour.period
     return Reading(
         regime=behaviour.regime.value,
         dt=dt,

@@ -88,7 +88,7 @@ def _accelerated(model, f, trajectory, rows, duration, flight):  # type: ignore[
         t_end = history[row + 1].t if row + 1 < rows[1] else duration
         z_end = phasor(-f.omega * t_end)
         x_end, v_end = _sphere(p, history[row + 1])
-        tau, braking = t_end - s.t, 0.0
+        tau = t_end - s.t
         if s.phase == CONTACT:
             total += phasor(-f.omega * (s.t + 0.5 * tau)) * _straight(f.omega, tau, x_2, v_2, x_end, v_end)
         elif s.phase == ATTACHED:

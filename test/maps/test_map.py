@@ -85,7 +85,15 @@ def test_two_impacts_per_cycle_are_the_prediction(small):
 
 @pytest.mark.parametrize(
     ("gap_m", "frequency_hz", "period"),
-    [(0.020, 9.1, 1), (0.002, 9.1, 1), (0.010, 8.905, 2), (0.026, 9.595, 3), (0.008, 8.695, 4)],
+    [
+        (0.020, 9.1, 1),
+        (0.002, 9.1, 1),
+        (0.010, 8.905, 2),
+        (0.026, 9.595, 3),
+        (0.008, 8.695, 4),
+        (0.012, 9.115, 1),  # from cycle to cycle it changes little, and goes on to
+        (0.008, 9.565, 1),  # an impact comes as the cycle begins
+    ],
 )
 def test_what_has_settled_is_what_a_long_motion_does(gap_m, frequency_hz, period):
     """DT within `settle_tolerance`, from a hundredth of the cycles, and from no samples."""
@@ -99,8 +107,17 @@ def test_what_has_settled_is_what_a_long_motion_does(gap_m, frequency_hz, period
     x_b, x_1 = samples @ np.exp(-2j * math.pi * turn)
     assert found.dt == pytest.approx(abs(x_1.mean() / x_b.mean()), rel=Settings().settle_tolerance)
     assert (found.regime, found.period) == ("periodic", period)
+    assert (found.impacts_per_cycle * period) % 1.0 == pytest.approx(0.0, abs=1e-9), "of an orbit they are whole"
     assert np.abs(x_1[period:] - x_1[:-period]).max() < 1e-6 * np.abs(x_1).mean(), "the long motion does not repeat"
     assert period == 1 or np.abs(x_1[1:] - x_1[:-1]).max() > 1e-4 * np.abs(x_1).mean()
+
+
+def test_impacts_of_what_has_not_settled_are_counted_as_they_came():
+    """The amplitude repeats, within what counts as periodic; not all impacts do."""
+    found = MapRig(from_flat(RigConfig(), {"barriers.gap_m": 0.004}), Settings()).measure(8.725, CURRENT_A)
+    assert (found.regime, found.period, found.cycles) == ("periodic", 1.0, 48.0)
+    assert found.impacts_per_cycle * 48.0 == pytest.approx(round(found.impacts_per_cycle * 48.0), abs=1e-9)
+    assert found.impacts_per_cycle % 1.0 > 0.1
 
 
 COEXISTENCE = """
