@@ -37,7 +37,7 @@ class BuildKernels(build_ext):
     def build_extension(self, ext: Extension) -> None:
         folder = Path(self.get_ext_fullpath(ext.name)).absolute().parent
         try:
-            subprocess.run([sys.executable, "-m", "impact_rig.kernels", str(folder)], cwd=HERE, check=True)  # noqa: S603  # ourselves
+            subprocess.run([sys.executable, "-m", "impact_rig.kernels.build", str(folder)], cwd=HERE, check=True)  # noqa: S603  # ourselves
         except subprocess.CalledProcessError as error:
             raise CompileError(str(error)) from None
 

@@ -22,4 +22,4 @@ if ! "$python" -c 'import numba' 2>/dev/null; then
     pip --target "$fetched" --requirement "$here/kernels.txt"
     export PYTHONPATH="$fetched"
 fi
-"$python" -m impact_rig.kernels
+"$python" -m impact_rig.kernels.build

@@ -39,7 +39,7 @@ from impact_rig.errors import CodecError, CommandError, ConfigError, GoneError, 
 from impact_rig.nodes import messages
 from impact_rig.nodes.managed import with_info
 from impact_rig.nodes.messages import Template, by_name, header_stamp_ns
-from impact_rig.nodes.process import make_executor
+from impact_rig.nodes.process import make_executor, patient_threads
 from impact_rig.system.endings import unhurried
 from impact_rig.topics import Topic
 
@@ -258,9 +258,10 @@ class Client:
         self.context = Context()
         self.context.init(args=[], domain_id=domain_id)
         self.executor = make_executor(self.context)
-        self.node = Node(
-            name, namespace=namespace, context=self.context, use_global_arguments=False, enable_rosout=False
-        )
+        with patient_threads():
+            self.node = Node(
+                name, namespace=namespace, context=self.context, use_global_arguments=False, enable_rosout=False
+            )
         self.executor.add_node(self.node)
         self.diagnostics: dict[str, DiagnosticStatus] = {}
         """Latest status of each node, by name relative to the namespace."""

@@ -1,6 +1,6 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""Compiled functions: marked in the sources here, built into one shared library by `python -m impact_rig.kernels`.
+"""Compiled functions: marked in the sources, built into one library by `python -m impact_rig.kernels.build`.
 
 `kernel` marks a function that compiled code calls, `entry` one that Python calls, with the types it takes. What runs is
 decided once, when this module is imported:

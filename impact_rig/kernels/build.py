@@ -1,6 +1,8 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""Build the shared library of all kernels: `python -m impact_rig.kernels`.
+"""Build the shared library of all kernels, next to them or in a folder: `python -m impact_rig.kernels.build [FOLDER]`.
+
+Where there is one of these sources already, it is left, or copied.
 
 Numba translates each entry, and whatever it calls, to LLVM's code once, for a plain x86-64 CPU (the arithmetic is
 portable, so nothing is lost and the bits are the same). All of it becomes one module, in which LLVM sees and optimises
@@ -16,6 +18,7 @@ import json
 import os
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 import sysconfig
@@ -24,7 +27,7 @@ import time
 from collections.abc import Iterable
 from pathlib import Path
 
-from impact_rig.kernels import PACKAGE, VARIABLE, digest
+from impact_rig.kernels import PACKAGE, VARIABLE, digest, library
 from impact_rig.kernels.header import whole
 
 FOLDER = Path(__file__).parent
@@ -147,3 +150,17 @@ def _compile(arguments: list[str]) -> None:
         subprocess.run([*compiler, *options, *arguments, "-lm"], check=True)  # noqa: S603  # the user's own compiler
     except (OSError, subprocess.CalledProcessError) as error:
         raise SystemExit(f"the kernels were not linked: {error}") from None
+
+
+def main(folder: Path = FOLDER) -> None:
+    """Put the library of these sources into a folder: build it, or copy what is there."""
+    if library() is None:
+        build(folder)
+    elif folder != FOLDER:
+        folder.mkdir(parents=True, exist_ok=True)
+        for name in (OUTPUT, HEADER):
+            shutil.copy(FOLDER / name, folder)
+
+
+if __name__ == "__main__":
+    main(*map(Path, sys.argv[1:]))

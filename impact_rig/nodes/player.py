@@ -28,7 +28,7 @@ from impact_rig.nodes import messages
 from impact_rig.nodes.acknowledgements import AckWindow, Readers
 from impact_rig.nodes.messages import TOPICS
 from impact_rig.nodes.pacing import Pacer
-from impact_rig.nodes.process import make_executor
+from impact_rig.nodes.process import make_executor, patient_threads
 from impact_rig.recording import RecordedTopic, Run
 from impact_rig.recording.description import matches
 from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S
@@ -53,7 +53,8 @@ def on_graph(name: str) -> Iterator[tuple[Node, Spin]]:
     context = Context()
     context.init(args=[])
     executor = make_executor(context)
-    node = Node(name, context=context, use_global_arguments=False)
+    with patient_threads():
+        node = Node(name, context=context, use_global_arguments=False)
     executor.add_node(node)
     try:
         yield node, lambda longest_s: executor.spin_once(timeout_sec=longest_s)

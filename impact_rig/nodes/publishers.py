@@ -5,6 +5,8 @@
 from __future__ import annotations
 
 import math
+import operator
+import time
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any  # rclpy publishers
 
@@ -13,6 +15,7 @@ from rclpy.duration import Duration
 from std_msgs.msg import String
 
 from impact_rig import codec, topics
+from impact_rig.blocks import TRUTH_SCAN
 from impact_rig.instruments.instrument import Instrument
 from impact_rig.instruments.section import row_type_of
 from impact_rig.nodes import messages
@@ -30,6 +33,7 @@ KEPT_S, KEPT_BYTES = 25.0, 16_000_000
 """Scans kept for a subscriber that does not answer, whichever is less. A process that is killed can keep others from
 their messages until the middleware forgets it, some 20 s later; what is kept still reaches them then."""
 LEAST_S, LEAST_BLOCKS = 2.0, 100  # kept of them in any case, whichever is more
+LOOK_S = 0.1  # least time between two looks at who listens, in real time: each costs a twentieth of a block
 DELIVERY = Duration(seconds=0.2)
 """Longest wait for the delivery of a change; only a subscriber that died without a word takes so long."""
 _PLACES = [f"{name}.{joint}" for name in ("position", "velocity") for joint in range(3)] + ["effort.1", "effort.2"]
@@ -92,6 +96,8 @@ def _reading(config: RigConfig, instrument: Instrument, bit: int, noise: float) 
 def _joint_states(config: RigConfig) -> Callable[[int, np.void], bytes]:
     """Return the renderer of the true state; effort is the contact force on each body, both walls push the sphere."""
     zeros = [0.0] * len(JOINTS)
+    shown = ("x_b", "x_1", "x_2", "v_b", "v_1", "v_2", "force_left", "force_right")
+    take = operator.itemgetter(*((TRUTH_SCAN.names or ()).index(name) for name in shown))
     template = _template(
         config,
         topics.JOINT_STATES,
@@ -100,8 +106,8 @@ def _joint_states(config: RigConfig) -> Callable[[int, np.void], bytes]:
     )
 
     def render(stamp: int, truth: np.void) -> bytes:
-        push = truth["force_left"] - truth["force_right"]
-        moving = (truth[name] for name in ("x_b", "x_1", "x_2", "v_b", "v_1", "v_2"))
+        *moving, left, right = take(truth.item())
+        push = left - right
         return template.render(stamp, *moving, -push, push)
 
     return render
@@ -137,6 +143,7 @@ class Publishers:
             if t not in absent and (t is not topics.CLOCK or config.time.publishes_clock)
         }
         self._listened_to: set[str] = set()
+        self._looked_at = -LOOK_S
         self._info = b""
         self._description = ""
         self._monitors: Monitors | None = None
@@ -151,7 +158,11 @@ class Publishers:
         return [name for name in self._publishers if name != topics.ROBOT_DESCRIPTION.name]
 
     def look(self) -> None:
-        """Look which topics anybody listens to, before some blocks are published."""
+        """Look which topics anybody listens to, before some blocks are published; in real time not before all."""
+        now = time.monotonic()
+        if now - self._looked_at < LOOK_S and self._node.settings.time.mode == "realtime":
+            return
+        self._looked_at = now
         self._listened_to = {name for name, publisher in self._publishers.items() if publisher.get_subscription_count()}
 
     def block(self, block: Block) -> None:
