@@ -3,7 +3,7 @@
 """How long a new process needs to see who publishes already: `python tools/discovery.py`, a minute or two.
 
 A publisher of `daq/scan` is there. New processes, one after another, each make a node as the rig does, and look at the
-graph until they see it; time counts from when the node begins to be made, as `nodes.rig_node.DISCOVERY_S` does. That is
+graph until they see it; time counts from when the node begins to be made, as `nodes.process.DISCOVERY_S` does. That is
 done with the machine as it is, and with so many busy processes beside it that each of its cores has two of them. What
 takes longer than most was announced while the new one could not hear it yet, and is again every 3 s.
 """
@@ -22,7 +22,7 @@ from rich.console import Console
 from rich.table import Table
 
 from impact_rig.client import isolated_domain
-from impact_rig.nodes.rig_node import DISCOVERY_S
+from impact_rig.nodes.process import DISCOVERY_S
 
 STARTS = 40
 SOON_S = 1.0

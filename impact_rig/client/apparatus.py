@@ -26,9 +26,10 @@ from impact_rig.analysis.settings import TrackerSettings
 from impact_rig.blocks import WAVEFORM, Table
 from impact_rig.campaign.job import TRACE_BLOCKS, Job, JobApparatus, Outcome, Trace, columns, run_job
 from impact_rig.campaign.run import Runner
-from impact_rig.client.client import Client, Collector
+from impact_rig.client.client import Client, Collector, WaitTimeoutError
 from impact_rig.client.processes import ParameterValue, Processes, isolated_domain
 from impact_rig.errors import CommandError, ConfigError, ImpactRigError
+from impact_rig.nodes.process import DISCOVERY_S
 from impact_rig.operate.hardware import Hardware, Wanted
 from impact_rig.operate.operator import Applied, News
 from impact_rig.operate.phase_lock import Look, PhasorMeter
@@ -474,7 +475,16 @@ class OverTopics:
         self._stream = client.collect(topics.STREAM.name)
         client.wait_until(self._stream.last, f"{topics.STREAM.name} (drive.waveform: stream)")
         client.wait_until(self._info.last, topics.INFO.name)
+        with contextlib.suppress(WaitTimeoutError):  # one that has died, or reads without being in the graph
+            client.wait_until(self._finds_readers, "everybody who reads the rig", DISCOVERY_S)
         self._sent_to, self._before = 0, len(self._journal)
+
+    def _finds_readers(self) -> bool:
+        """Whether all are found that the rig says it is read by: a recorder that is not misses the first samples."""
+        figures, node = self._client.figures("rig"), self._client.node
+        reading = node.get_subscriptions_info_by_topic(node.resolve_topic_name(topics.SCAN.name))
+        names = {key.removeprefix("behind.") for key in figures if key.startswith("behind.")}
+        return bool(figures) and names <= {info.node_name for info in reading}
 
     def info(self) -> NDArray[np.void]:
         """Return the calibration as last published."""

@@ -10,15 +10,13 @@ from typing import Any  # rclpy messages
 
 from impact_rig import states
 from impact_rig.nodes.managed import Level, ManagedNode, State
+from impact_rig.nodes.process import DISCOVERY_S
 from impact_rig.nodes.rig_state import RigState
 from impact_rig.nodes.session import Session
 from impact_rig.nodes.standard_services import StandardServices
 from impact_rig.rig import Rig
 from impact_rig.rig.config import TREE, RigConfig
 
-DISCOVERY_S = 3.5
-"""How long rigs of other machines are looked for: an announcement that a new process misses comes again 3 s later
-(tools/discovery.py)."""
 WARM_UP_NS = 50_000_000
 """Simulated once while configuring, so that compiled code is loaded before the first block is due."""
 

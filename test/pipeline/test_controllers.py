@@ -15,6 +15,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from subprocess import PIPE
 
 import numpy as np
 import pytest
@@ -118,9 +119,16 @@ def test_a_file_is_played_to_a_rig_that_runs_already(bench: Bench, tmp_path: Pat
     program = [sys.executable, "-c", "from impact_rig.cli import main; raise SystemExit(main())", "play", "--json"]
     words = [str(tmp_path / "wave.npz"), "--through", "running", "--namespace", "/", "--output", str(tmp_path / "run")]
     environment = {**os.environ, "ROS_DOMAIN_ID": str(bench.domain_id)}
-    done = subprocess.run([*program, *words], env=environment, capture_output=True, text=True, timeout=250, check=False)
-    assert done.returncode == 0, done.stderr
-    found = json.loads(done.stdout)
+    recorder = bench.processes.running["recorder"]
+    bench.wait(lambda: "behind.recorder" in bench.client.figures("rig"), "the rig to know its reader")
+    recorder.signal(signal.SIGSTOP)  # it cannot be found meanwhile, and must not miss the first samples
+    with subprocess.Popen([*program, *words], env=environment, stdout=PIPE, stderr=PIPE, text=True) as playing:
+        bench.wait(lambda: bench.client.node.count_publishers("shaker/waveform"), "the player")
+        bench.client.spin_for(1.0)
+        recorder.signal(signal.SIGCONT)
+        output, errors = playing.communicate(timeout=250)
+    assert playing.returncode == 0, errors
+    found = json.loads(output)
     assert found["peak_asked"] == pytest.approx(0.3)
     assert found["current_error"] < 0.05
     with open_run(tmp_path / "run") as run:

@@ -50,6 +50,11 @@ def shared_memory(processes: Processes) -> set[Path]:
     return {Path(name) for name in re.findall(r"/dev/shm/fastrtps_[0-9a-f]{16}\b", "\n".join(maps))}
 
 
+def threads_of_dds(process: int) -> list[Path]:
+    threads = Path(f"/proc/{process}/task").iterdir()
+    return [thread for thread in threads if (thread / "comm").read_text().startswith("dds.")]
+
+
 def test_killed_processes_leave_a_readable_file_and_do_not_hinder_the_next_start(
     processes: Processes, tmp_path: Path
 ) -> None:
@@ -59,6 +64,10 @@ def test_killed_processes_leave_a_readable_file_and_do_not_hinder_the_next_start
         client.wait_active(*ALL)
         client.wait_until(lambda: client.status("recorder").message == "recording", "the recorder")
         client.wait_until(lambda: "behind.analysis" in client.figures("rig"), "the analysis to be known")
+        for process in processes.running.values():
+            policies = {int(t.name): os.sched_getscheduler(int(t.name)) for t in threads_of_dds(process.pid)}
+            assert set(policies.values()) == {os.SCHED_BATCH}, "they wait their turn"
+            assert os.sched_getscheduler(process.pid) == os.SCHED_OTHER
         processes.running["analysis"].signal(signal.SIGKILL)
         client.wait_until(
             lambda: re.search(r"analysis is \d+ s behind", client.status("rig").message), "the dead reader's name"
