@@ -45,15 +45,21 @@ def run() -> dict[str, float]:
 
 def freewheel_beside_the_wire(seconds: float) -> dict[str, float]:
     """Freewheel and what the wire carries, in turn; the ratio of their medians."""
-    ours, wires = [], []
-    for _ in range(PAIRS):
-        ours.append(freewheel(seconds)["freewheel_x_realtime_10kSps"])
-        wires.append(wire.run(seconds, FREEWHEEL_WINDOW)["wire_x_realtime_10kSps"])
-    own, floor = float(np.median(ours)), float(np.median(wires))
+    found = [
+        (
+            freewheel(seconds)["freewheel_x_realtime_10kSps"],
+            wire.run(seconds, FREEWHEEL_WINDOW),
+            wire.run(seconds, FREEWHEEL_WINDOW, patient=True),
+        )
+        for _ in range(PAIRS)
+    ]
+    own, bare, patient = map(float, np.median(found, axis=0))
     return {
         "freewheel_x_realtime_10kSps": own,
-        "wire_x_realtime_10kSps": floor,
-        "freewheel_over_wire": own / floor,
+        "wire_x_realtime_10kSps": bare,
+        "patient_wire_x_realtime_10kSps": patient,
+        "freewheel_over_wire": own / bare,
+        "freewheel_over_patient_wire": own / patient,
     }
 
 
