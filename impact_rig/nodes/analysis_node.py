@@ -174,7 +174,8 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
         if self._tracker is None:
             return
         if scan is None:  # a rig that waits for us must not be held up by what cannot be measured
-            self._acknowledge(data)
+            with contextlib.suppress(CodecError):  # told already
+                self._acknowledgements.processed(codec.header_stamp_ns(data))
             return
         try:
             before = self._tracker.state
@@ -188,11 +189,7 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
         finally:
             last_s = float(scan.rows["time"][-1]) if len(scan.rows) else 0.0
             self._newest_ns, self._heard_at = scan.stamp_ns + round(last_s * NS_PER_S), time.monotonic()
-            self._acknowledge(data)
-
-    def _acknowledge(self, data: bytes) -> None:
-        with contextlib.suppress(CodecError):  # told already
-            self._acknowledgements.processed(codec.header_stamp_ns(data))
+            self._acknowledgements.processed(scan.stamp_ns)
 
     def _publish(self, findings: Findings) -> None:
         for table in findings.impacts:

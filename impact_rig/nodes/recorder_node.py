@@ -356,7 +356,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
                 return
         if self._writer is not None:
             try:
-                self._write(self._writer, topic, data, info)
+                self._write(self._writer, topic, data, info, table)
                 if table is not None and topic is topics.INFO:
                     self._attach_calibration(self._writer, table)
             except RecordingError as error:
@@ -365,7 +365,9 @@ class RecorderNode(ManagedNode[RecorderSettings]):
             self._newest_ns = table.stamp_ns
             self._acknowledgements.processed(table.stamp_ns)
 
-    def _write(self, writer: RunWriter, topic: topics.Topic, data: bytes, info: dict[str, Any]) -> None:
+    def _write(
+        self, writer: RunWriter, topic: topics.Topic, data: bytes, info: dict[str, Any], table: Table | None
+    ) -> None:
         if topic.name in RESULTS and int(info["source_timestamp"]) < self._opened_ns:
             return
         name = self._resolved.get(topic.name)
@@ -374,7 +376,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         if name not in self._added:
             self._added[name] = topic.name
             writer.add_topic(self._describe(topic, name))
-        writer.write(name, data, int(info["source_timestamp"]), int(info["publication_sequence_number"]))
+        writer.write(name, data, int(info["source_timestamp"]), int(info["publication_sequence_number"]), table)
         if topic.name in self._awaited:
             self._awaited.discard(topic.name)
             self._answer_start()

@@ -72,7 +72,7 @@ class Account:
             topic: fully qualified name.
             sequence: publication sequence number; 0: there is none, so that nothing can be found missing.
         """
-        known = self._topics.setdefault(topic, _Topic())
+        known = self._topics.get(topic) or self._topics.setdefault(topic, _Topic())
         if sequence <= 0:
             known.unnumbered += 1
             return ""

@@ -20,7 +20,7 @@ import os
 import resource
 import struct
 import zlib
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from types import MappingProxyType
 
@@ -28,6 +28,7 @@ import attrs
 from mcap.writer import CompressionType, Writer
 
 from impact_rig import codec, topics
+from impact_rig.blocks import Table
 from impact_rig.errors import CodecError, RecordingError
 from impact_rig.recording import description
 from impact_rig.recording.description import (
@@ -164,7 +165,7 @@ class RunWriter:
             has_header = starts_with_header(topic.type_name, topic.schema)
             is_ahead = matches(topic.name, topics.WAVEFORM.name)  # its stamp is when it will act, or whatever is sent
             channel = _Channel(topic, has_header and not is_ahead, matches(topic.name, topics.SCAN.name))
-            with self._stopping_on_error():
+            with _StoppingOnError(self):
                 self._file.close_chunk()  # a definition that filled it would close it behind the tail's back
                 self._commit()
                 self._register(channel)
@@ -175,7 +176,9 @@ class RunWriter:
                 f"topic {topic.name} is recorded as {known.topic.type_name}: what is {topic.type_name} is ignored"
             )
 
-    def write(self, topic_name: str, data: bytes, publish_time_ns: int, sequence: int = 0) -> None:
+    def write(
+        self, topic_name: str, data: bytes, publish_time_ns: int, sequence: int = 0, table: Table | None = None
+    ) -> None:
         """Record one message.
 
         Args:
@@ -183,6 +186,7 @@ class RunWriter:
             data: CDR bytes as received.
             publish_time_ns: DDS source time.
             sequence: publication sequence number of the publisher (its low 32 bits are kept); 0: it has none.
+            table: in `data`, where that has been decoded.
 
         Raises:
             RecordingError: unknown topic (the run goes on); or the run had to stop, now or earlier: see `closed`.
@@ -190,7 +194,7 @@ class RunWriter:
         channel = self._channels.get(topic_name)
         if channel is None:
             raise RecordingError(f"topic {topic_name} has not been added to the recording")
-        log_time = self._log_time.of(data, publish_time_ns, has_header=channel.has_header, is_scan=channel.is_scan)
+        log_time = self._log_time.of(data, publish_time_ns, channel.has_header, channel.is_scan, table)
         self.write_at(topic_name, data, log_time, publish_time_ns, sequence)
         self._account.take(topic_name, sequence)
 
@@ -198,7 +202,7 @@ class RunWriter:
         """Record one message at a log time that is known already; otherwise like `write`."""
         self._refuse_if_closed()
         channel = self._channels[topic_name]
-        with self._stopping_on_error():
+        with _StoppingOnError(self):
             if self._file_is_full(log_time_ns):
                 following = f"{self.directory.name}_{len(self._spans)}.mcap"
                 self._finish_file({CONTINUES_RECORD_NAME: {"file": following}})
@@ -227,7 +231,7 @@ class RunWriter:
         """
         self._refuse_if_closed()
         if self._tail is not None:
-            with self._stopping_on_error():
+            with _StoppingOnError(self):
                 self._tail.secure()
 
     def flush_due(self) -> None:
@@ -237,7 +241,7 @@ class RunWriter:
             RecordingError: the run had to stop.
         """
         if not self._closed:
-            with self._stopping_on_error():
+            with _StoppingOnError(self):
                 self._flush_if_due()
 
     def attach(self, attachment: Attachment, instead_of: str = "") -> None:
@@ -252,7 +256,7 @@ class RunWriter:
         """
         self._refuse_if_closed()
         self.supersede(attachment, instead_of)
-        with self._stopping_on_error():
+        with _StoppingOnError(self):
             self._write_attachment(attachment)
             self._file.commit()
 
@@ -363,15 +367,6 @@ class RunWriter:
 
     # --- errors
 
-    @contextlib.contextmanager
-    def _stopping_on_error(self) -> Iterator[None]:
-        """A run that failed to write is over: later calls repeat the error instead of damaging what is there."""
-        try:
-            yield
-        except RecordingError as error:
-            self.stop(error)
-            raise
-
     def _refuse_if_closed(self) -> None:
         if self._failure is not None:
             raise self._failure
@@ -392,6 +387,23 @@ class RunWriter:
                 description.write_metadata(self.directory, self._information())
 
 
+class _StoppingOnError:
+    """A run that failed to write is over: later calls repeat the error instead of damaging what is there.
+
+    A class, not a generator: every message goes through it.
+    """
+
+    def __init__(self, writer: RunWriter) -> None:
+        self._writer = writer
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(self, _kind: object, error: BaseException | None, _traceback: object) -> None:
+        if isinstance(error, RecordingError):
+            self._writer.stop(error)
+
+
 _LONGEST_BLOCK_S = 1e6  # a `time` beyond this (or none at all, or NaN) is no instant of a block
 
 
@@ -406,13 +418,13 @@ class LogTime:
         self._newest_ns = rig_start_ns
         self._scans_seen = False
 
-    def of(self, data: bytes, publish_time_ns: int, *, has_header: bool, is_scan: bool) -> int:
+    def of(self, data: bytes, publish_time_ns: int, has_header: bool, is_scan: bool, table: Table | None) -> int:
         """Return the log time [ns, not negative] of a message received now.
 
         A stamp of zero is a header nobody filled in (or the first instant of a rig that starts at 0, where the fallback
         is zero as well), and bytes too short for a header have none: both are logged like header-less messages.
         """
-        block = _block(data) if is_scan else None
+        block = _block(data, table) if is_scan else None
         if block is not None:
             stamp, self._newest_ns = block
             self._scans_seen = True
@@ -437,10 +449,10 @@ def _stamp(data: bytes) -> int:
         return 0
 
 
-def _block(data: bytes) -> tuple[int, int] | None:
+def _block(data: bytes, table: Table | None) -> tuple[int, int] | None:
     """Return the times of a block's first and last scan, or None if it is no table with a sound `time` column."""
     try:
-        table = codec.decode(data)
+        table = table or codec.decode(data)
     except CodecError:
         return None
     if not len(table.rows) or "time" not in (table.rows.dtype.names or ()):
