@@ -296,7 +296,8 @@ class Chain:
                 on = sine.replace(coefficients[j], pieces.tick - motion_tick + self._tick, pieces)
                 kicks[j, on[: kicks.shape[1]]] = 0.0
         respond(self._modes, self._channels, clock, pieces, coefficients, kicks, self._buffers)
-        faulty = [(j, *self._newest(j)) for j, name in enumerate(self._names) if self._faults.on(name)]
+        channels = self._faults.channels()
+        faulty = [(j, *self._newest(j)) for j, name in enumerate(self._names) if name in channels]
         for j, values, clipped, first, _ in faulty:
             sensor = self._sensors[j]
             self._faults.on_cable(sensor.name, values, clipped, first, sensor.volt_per_unit, sensor.offset_v)

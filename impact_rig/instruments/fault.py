@@ -185,6 +185,7 @@ def _scans(seconds: float, rate_hz: int) -> int:
 
 
 _STREAM = 2  # first number of the spawn key of every fault's generator
+_NO_ROWS = np.zeros(0, FAULTS)
 
 
 @attrs.define(eq=False)
@@ -238,9 +239,9 @@ class FaultBoard:
             active.end = min(active.end, max(scan, active.fault.start_sample))
         self._faults = [active for active in self._faults if active.end > active.fault.start_sample]
 
-    def on(self, channel: str) -> bool:
-        """Whether there are faults of a channel."""
-        return any(active.fault.channel == channel for active in self._faults)
+    def channels(self) -> set[str]:
+        """Return the channels that have faults; empty: a fault of none."""
+        return {active.fault.channel for active in self._faults}
 
     def on_cable(
         self, channel: str, volts: NDArray[np.float64], clipped: NDArray[np.bool_], first: int, gain: float, zero: float
@@ -291,6 +292,8 @@ class FaultBoard:
 
         Faults that ended before these scans are forgotten.
         """
+        if not self._faults:
+            return _NO_ROWS
         self._faults = [active for active in self._faults if active.end >= first]
         events: list[tuple[int, int, int, _Active]] = []
         for active in self._faults:

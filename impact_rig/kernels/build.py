@@ -44,7 +44,7 @@ TELL_S = 2.0
 
 
 def sources() -> list[Path]:
-    """Return the files that decide the library: kernels, contact laws, and what these import from."""
+    """Return the files that decide the library: kernels, contact laws, what these import from, and what calls them."""
     texts = {path: path.read_text(encoding="utf-8") for path in PACKAGE.rglob("*.py")}
     declares = re.compile(r"^from impact_rig\.(kernels|physics\.contact\.law) import", re.MULTILINE)
     holders = {path for path, text in texts.items() if declares.search(text)}
@@ -53,7 +53,7 @@ def sources() -> list[Path]:
         for module in re.findall(r"^from impact_rig\.([\w.]+) import", texts[holder], re.MULTILINE):
             stem = PACKAGE.joinpath(*module.split("."))
             found |= {stem.with_suffix(".py"), stem / "__init__.py"} & texts.keys()
-    return sorted(found)
+    return sorted(found | {FOLDER / "library.c"})
 
 
 def build(folder: Path = FOLDER) -> None:

@@ -89,7 +89,7 @@ static int array(call *c, PyObject *value, int dimensions)
 {
     entry *e = (entry *)c->of;
     Py_ssize_t which = c->views;
-    PyObject *dtype = PyObject_GetAttr(value, of_dtype);
+    PyObject *dtype = PyObject_GenericGetAttr(value, of_dtype);
     if (!dtype) return 0;
     if (dtype != e->known[which]) {
         int same = PyObject_RichCompareBool(dtype, e->dtype[which], Py_EQ);

@@ -337,8 +337,12 @@ class Simulation:
         if self.locked:
             segments = segments.copy()
             segments["amplitude"] = segments["growth"] = 0.0
-        rows = np.append(np.flatnonzero(segments["begin"] == 0.0), len(segments))
-        tick_of = np.repeat(np.arange(self.tick, self.tick + len(rows) - 1), np.diff(rows))
+        (begin,) = (segments["begin"] == 0.0).nonzero()
+        rows = np.empty(len(begin) + 1, np.int64)
+        rows[:-1], rows[-1] = begin, len(segments)
+        tick_of = np.arange(self.tick, self.tick + len(begin))
+        if len(begin) < len(segments):
+            tick_of = tick_of.repeat(rows[1:] - rows[:-1])
         segments = for_kernels(segments)
         work = self._work._replace(first_state=np.zeros(len(segments) + 1, np.int64))
         filled = work.filled[0]
