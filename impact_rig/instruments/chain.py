@@ -194,11 +194,11 @@ class Chain:
     def _note_rows(self) -> None:
         """Make rows of all that every channel has finished."""
         room = int(self._channels["finished"].min())
-        rows = np.empty(room, self._row_type)
+        rows = np.empty(room * self._row_type.itemsize, np.uint8)
         values, clipped = self._buffers.values.view(np.uint64), self._buffers.clipped
-        take_rows(self._channels, values, clipped, rows.view(np.uint8), self._layout)
+        take_rows(self._channels, values, clipped, rows, self._layout)
         if room:
-            self._rows.append(rows)
+            self._rows.append(np.frombuffer(rows, self._row_type))  # a view as records is looked through by NumPy
             self._ready += room
 
     def info(self) -> NDArray[np.void]:

@@ -69,7 +69,7 @@ class Truth:
         values = np.empty((len(scans), 1 + len(_QUANTITIES)))
         values[:, 0] = scans  # turned into seconds when the block is known
         values[:, 1:] = motion.quantities(_QUANTITIES, tick, rest * (tick_s / self._rate_hz)).T
-        self._states.append(values.view(TRUTH_SCAN).reshape(-1))
+        self._states.append(np.frombuffer(values, TRUTH_SCAN))
 
     def _take_impacts(self, motion: Motion, tick_s: float) -> None:
         found = motion.impacts
@@ -92,7 +92,7 @@ class Truth:
         parts = []
         while self._states:
             kept = self._states[0]
-            split = int(np.searchsorted(kept["time"], first + count))
+            split = int(kept["time"].searchsorted(first + count))
             parts.append(kept[:split])
             if split < len(kept):
                 self._states[0] = kept[split:]
