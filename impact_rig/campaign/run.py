@@ -128,7 +128,7 @@ def prepare(campaign: Campaign, directory: Path, through: str) -> Store:
     if directory.exists() and any(directory.iterdir()) and not (directory / CAMPAIGN_FILE).exists():
         raise RecordingError(f"{directory} is not empty and holds no campaign: choose another --output")
     store = Store(directory)
-    try:
+    with files.errors_as(f"cannot write {directory}"):
         files.write_text(directory / CAMPAIGN_FILE, campaign.text)
         files.write_text(directory / CONFIGURATION_FILE, dump(campaign.base))
         provenance = {
@@ -137,8 +137,6 @@ def prepare(campaign: Campaign, directory: Path, through: str) -> Store:
             "machine": platform.machine(), "system": platform.platform(), "through": through,
         }  # fmt: skip
         files.write_text(directory / PROVENANCE_FILE, json.dumps(provenance, indent=2) + "\n")
-    except OSError as error:
-        raise RecordingError(f"cannot write {directory}: {error.strerror}") from error
     return store
 
 

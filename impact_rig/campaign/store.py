@@ -60,10 +60,8 @@ class Store:
     def __init__(self, directory: Path) -> None:
         self._folder = directory / FOLDER
         self.damaged: list[str] = []
-        try:
+        with files.errors_as(f"cannot write {self._folder}"):
             files.make_folder(self._folder)
-        except OSError as error:
-            raise RecordingError(f"cannot write {self._folder}: {error.strerror}") from error
 
     def get(self, job: Job, *, as_it_is: bool = False) -> Outcome | None:
         """Return what is stored of a job, or None if it is to be measured: never was, or its file is damaged.
@@ -113,13 +111,11 @@ class Store:
             "trace": hashlib.sha256(packed.getvalue()).hexdigest() if outcome.trace else "",
         }
         content["digest"] = _digest(content)
-        try:
+        with files.errors_as(f"cannot write {self._folder}"):
             if outcome.trace:
                 with files.written_whole(self._path(job, "npz")) as file:
                     file.write(packed.getvalue())
             files.write_text(self._path(job, "json"), json.dumps(content, indent=1) + "\n")
-        except OSError as error:
-            raise RecordingError(f"cannot write {self._folder}: {error.strerror}") from error
 
     def _read(self, job: Job) -> tuple[Mapping[str, object], Outcome]:
         """Return the content of a job's file, and the outcome in it."""

@@ -84,12 +84,10 @@ class Store(Generic[T]):
         """
         if self.directory.exists() and any(self.directory.iterdir()) and not self.file.exists():
             raise RecordingError(f"{self.directory} is not empty and holds no {self.what}: choose another --output")
-        try:
+        with files.errors_as(f"cannot write {self.directory}"):
             files.make_folder(self.directory / self.folder)
             files.write_text(self.file, text)
             files.write_text(self.directory / CONFIGURATION_FILE, dump(base))
-        except OSError as error:
-            raise RecordingError(f"cannot write {self.directory}: {error.strerror}") from error
 
     def configuration(self) -> RigConfig:
         """Return the rig of a directory that is there.
@@ -125,10 +123,8 @@ class Store(Generic[T]):
         """
         plain = [[value if isinstance(value, str) or math.isfinite(value) else None for value in row] for row in rows]
         content = {"task": task.describe(), "key": task.key, "code": self.code(), "rows": plain}
-        try:
+        with files.errors_as(f"cannot write {self.directory / self.folder}"):
             files.write_text(self._path(task), json.dumps(content) + "\n")
-        except OSError as error:
-            raise RecordingError(f"cannot write {self.directory / self.folder}: {error.strerror}") from error
 
     def _path(self, task: T) -> Path:
         return self.directory / self.folder / f"{task.key}.json"

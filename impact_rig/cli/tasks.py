@@ -14,7 +14,7 @@ from impact_rig.campaign.pool import in_parallel, on_cluster
 from impact_rig.campaign.tasks import Portable, Runner, Store, Task
 from impact_rig.campaign.tasks import measure as measure_tasks
 from impact_rig.cli.terminal import Console, Counted, add_json
-from impact_rig.errors import ConfigError, RecordingError
+from impact_rig.errors import ConfigError
 from impact_rig.system import files
 
 WAYS = ("process", "dask")
@@ -89,8 +89,6 @@ def figures_folder(directory: Path) -> Path:
         RecordingError: it cannot be made.
     """
     folder = directory / "figures"
-    try:
+    with files.errors_as(f"cannot write {folder}"):
         files.make_folder(folder)
-    except OSError as error:
-        raise RecordingError(f"cannot write {folder}: {error.strerror}") from error
     return folder

@@ -372,10 +372,8 @@ def write_metadata(directory: Path, info: Information) -> None:
         RecordingError: it cannot be written.
     """
     path = directory / METADATA_FILE
-    try:
+    with files.errors_as(f"{path} cannot be written"):
         files.write_text(path, dump_yaml({METADATA_KEY: info}) + "\n")
-    except OSError as error:
-        raise RecordingError(f"{path} cannot be written: {error.strerror}") from error
 
 
 RECORD_NAME = "impact_rig"  # metadata record with the package version, the seed and the wall-clock start

@@ -35,7 +35,6 @@ from impact_rig.recording.description import RECORD_NAME, Attachment, TopicDescr
 from impact_rig.recording.records import DamageError
 from impact_rig.system import budget, files
 from impact_rig.system.budget import BudgetError, Spending
-from impact_rig.system.files import open_regular
 from impact_rig.topics import Topic
 
 LEAST_AHEAD, AHEAD_BYTES = 2, 4 * budget.MIB
@@ -402,10 +401,8 @@ class McapSource:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        try:
-            self._fd = open_regular(path)
-        except OSError as error:
-            raise RecordingError(f"{path} cannot be opened: {error.strerror}") from error
+        with files.errors_as(f"{path} cannot be opened"):
+            self._fd = files.open_regular(path)
         try:
             self.size = os.fstat(self._fd).st_size
             self.summary = read_summary(self._fd, self.size)
@@ -511,10 +508,8 @@ class McapSource:
         if length > self.size - offset:
             raise DamageError(f"it claims {length} bytes of a file of {self.size}")
         budget.allow("bytes in a record", length, budget.CHUNK_BYTES + budget.MIB)
-        try:
+        with files.errors_as(f"{self.path} cannot be read at byte {offset}"):  # a bad sector, or it has been closed
             view = memoryview(os.pread(self._fd, length, offset))
-        except OSError as error:  # a bad sector, or the run has been closed meanwhile
-            raise RecordingError(f"{self.path} cannot be read at byte {offset}: {error.strerror}") from error
         if len(view) != length:
             raise DamageError("the file is shorter than its index says")
         found, content, end = records.split(view, 0)

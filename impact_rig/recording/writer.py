@@ -746,10 +746,8 @@ class Tail(McapFile):
             RecordingError: it cannot be removed.
         """
         self.close()
-        try:
+        with files.errors_as(f"{self.path} cannot be removed"):
             self.path.unlink(missing_ok=True)
-        except OSError as error:
-            raise RecordingError(f"{self.path} cannot be removed: {error.strerror}") from error
 
 
 def _chunk(content: bytes, first_ns: int, last_ns: int) -> bytes:

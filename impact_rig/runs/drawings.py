@@ -45,12 +45,10 @@ def prepare(directory: Path, suffix: str, names: Sequence[str] = NAMES) -> None:
     Raises:
         RecordingError: it cannot be made or written to, or there are figures in it already.
     """
-    try:
+    with files.errors_as(f"figures cannot be written to {directory}"):
         files.make_folder(directory)
         with tempfile.TemporaryFile(dir=directory):
             pass
-    except OSError as error:
-        raise RecordingError(f"figures cannot be written to {directory}: {error.strerror}") from error
     there = [name for name in names if (directory / f"{name}.{suffix}").exists()]
     if there:
         raise RecordingError(f"{directory / there[0]}.{suffix} exists already and is not overwritten")
@@ -135,9 +133,6 @@ def save(figure: Figure, path: Path) -> Path:
     Raises:
         RecordingError: it cannot be written.
     """
-    try:
-        with files.written_whole(path, replace=False) as file, style():
-            figure.savefig(file, format=path.suffix[1:], dpi=150, facecolor="white")
-    except OSError as error:
-        raise RecordingError(f"{path} cannot be written: {error.strerror}") from error
+    with files.errors_as(f"{path} cannot be written"), files.written_whole(path, replace=False) as file, style():
+        figure.savefig(file, format=path.suffix[1:], dpi=150, facecolor="white")
     return path

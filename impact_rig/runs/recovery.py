@@ -36,10 +36,9 @@ from impact_rig.recording.reader import run_files
 from impact_rig.recording.records import RECORD_HEAD, DamageError, RawMessage
 from impact_rig.recording.writer import FOLLOWS, TAIL_RECORD_NAME, TAIL_SUFFIX, RunWriter, tail_of
 from impact_rig.simtime import NS_PER_S
-from impact_rig.system import budget
+from impact_rig.system import budget, files
 from impact_rig.system.budget import BudgetError, Spending
 from impact_rig.system.endings import unhurried
-from impact_rig.system.files import open_regular
 
 _CHUNK_FIXED = struct.Struct("<QQQII")  # times, size, checksum, length of the compression's name
 _LONGEST_NAME = 16
@@ -86,11 +85,9 @@ class DamagedFile:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        try:
-            self.fd = open_regular(path)
+        with files.errors_as(f"{path} cannot be opened"):
+            self.fd = files.open_regular(path)
             self.size = os.fstat(self.fd).st_size
-        except OSError as error:
-            raise RecordingError(f"{path} cannot be opened: {error.strerror}") from error
 
     def __enter__(self) -> DamagedFile:
         return self
@@ -161,13 +158,11 @@ class DamagedFile:
 
     def _read(self, offset: int, length: int) -> bytes:
         parts = []
-        try:
+        with files.errors_as(f"{self.path} cannot be read at byte {offset}"):
             while length > 0 and (part := os.pread(self.fd, length, offset)):
                 parts.append(part)
                 offset += len(part)
                 length -= len(part)
-        except OSError as error:
-            raise RecordingError(f"{self.path} cannot be read at byte {offset}: {error.strerror}") from error
         return b"".join(parts)
 
 

@@ -32,7 +32,7 @@ from typing import BinaryIO
 
 import numpy as np
 
-from impact_rig.errors import ImpactRigError
+from impact_rig.errors import ImpactRigError, RecordingError
 from impact_rig.system.endings import unhurried
 
 NEW_FILE = os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
@@ -136,6 +136,15 @@ def plain(value: object) -> object:
     if isinstance(value, bytes):
         return value.decode(errors="replace")
     return int(value) if isinstance(value, np.integer) else bool(value) if isinstance(value, np.bool_) else str(value)
+
+
+@contextlib.contextmanager
+def errors_as(what: str) -> Iterator[None]:
+    """Tell what the system refuses in the block as a `RecordingError`: what could not be done, and why."""
+    try:
+        yield
+    except OSError as error:
+        raise RecordingError(f"{what}: {error.strerror}") from error
 
 
 def make_folder(path: Path) -> None:
