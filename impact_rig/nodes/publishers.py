@@ -4,18 +4,16 @@
 
 from __future__ import annotations
 
+import itertools
 import math
-import operator
 import time
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any  # rclpy publishers
 
-import numpy as np
 from rclpy.duration import Duration
 from std_msgs.msg import String
 
 from impact_rig import codec, topics
-from impact_rig.blocks import TRUTH_SCAN
 from impact_rig.instruments.instrument import Instrument
 from impact_rig.instruments.section import row_type_of
 from impact_rig.nodes import messages
@@ -23,7 +21,7 @@ from impact_rig.nodes.managed import ManagedNode
 from impact_rig.nodes.messages import MONITORS, TOPICS, Template, put
 from impact_rig.rig import Block, Rig
 from impact_rig.rig.config import RigConfig, dump
-from impact_rig.rig.description import JOINTS, robot_description
+from impact_rig.rig.description import JOINTS, joints, robot_description
 from impact_rig.rig.monitors import AntiAlias
 from impact_rig.rig.truth import monitor_step
 from impact_rig.simtime import stamp_ns
@@ -36,7 +34,6 @@ LEAST_S, LEAST_BLOCKS = 2.0, 100  # kept of them in any case, whichever is more
 LOOK_S = 0.1  # least time between two looks at who listens, in real time: each costs a twentieth of a block
 DELIVERY = Duration(seconds=0.2)
 """Longest wait for the delivery of a change; only a subscriber that died without a word takes so long."""
-_PLACES = [f"{name}.{joint}" for name in ("position", "velocity") for joint in range(3)] + ["effort.1", "effort.2"]
 
 Reading = Callable[[int, float, int], bytes]  # makes an instrument's message of (stamp [ns], reading, status bits)
 
@@ -57,7 +54,9 @@ class Monitors:
             if instrument.name in MONITORS:
                 topic = MONITORS[instrument.name]
                 self._readings[instrument.name] = topic, _reading(config, instrument, 1 << bit, noise[instrument.name])
-        self._joint_states = _joint_states(config)
+        still = {"name": JOINTS, **{name: [0.0] * len(JOINTS) for name in ("position", "velocity", "effort")}}
+        places = [f"{name}.{joint}" for name in list(still)[1:] for joint in range(len(JOINTS))]
+        self._joint_states = _template(config, topics.JOINT_STATES, still, places)
         self._filter = AntiAlias(self._readings, monitor_step(config.daq.rate_hz, config.output.monitor_rate_hz))
         if before is not None:
             same = (before._filter.step, before._filter.channels) == (self._filter.step, self._filter.channels)
@@ -72,7 +71,8 @@ class Monitors:
         instants = (block.first_scan + block.monitor_scans).tolist()
         if wanted(topics.JOINT_STATES):
             for sample, truth in zip(instants, block.monitor, strict=True):
-                yield topics.JOINT_STATES, self._joint_states(stamp_ns(sample, self._rate_hz, start_ns), truth)
+                stamp = stamp_ns(sample, self._rate_hz, start_ns)
+                yield topics.JOINT_STATES, self._joint_states.render(stamp, *itertools.chain(*joints(truth)))
         readings = {name: reading for name, reading in self._readings.items() if wanted(reading[0])}
         for smoothed in self._filter.feed(block.first_scan, block.scan.rows, instants, wanted=bool(readings)):
             stamp = stamp_ns(smoothed.sample, self._rate_hz, start_ns)
@@ -89,26 +89,6 @@ def _reading(config: RigConfig, instrument: Instrument, bit: int, noise: float) 
     def render(stamp: int, reading: float, status: int) -> bytes:
         values = instrument.message(reading, bool(status & bit), noise)
         return template.render(stamp, *(values[path] for path in changing))
-
-    return render
-
-
-def _joint_states(config: RigConfig) -> Callable[[int, np.void], bytes]:
-    """Return the renderer of the true state; effort is the contact force on each body, both walls push the sphere."""
-    zeros = [0.0] * len(JOINTS)
-    shown = ("x_b", "x_1", "x_2", "v_b", "v_1", "v_2", "force_left", "force_right")
-    take = operator.itemgetter(*((TRUTH_SCAN.names or ()).index(name) for name in shown))
-    template = _template(
-        config,
-        topics.JOINT_STATES,
-        {"name": list(JOINTS), "position": zeros, "velocity": zeros, "effort": zeros},
-        _PLACES,
-    )
-
-    def render(stamp: int, truth: np.void) -> bytes:
-        *moving, left, right = take(truth.item())
-        push = left - right
-        return template.render(stamp, *moving, -push, push)
 
     return render
 
@@ -166,15 +146,9 @@ class Publishers:
         self._listened_to = {name for name, publisher in self._publishers.items() if publisher.get_subscription_count()}
 
     def block(self, block: Block) -> None:
-        """Publish a block: scans first, then what is true about them, then the monitors."""
-        if not block.lost:
-            self.scan.publish(codec.encode(block.scan))
-        for topic, table in (
-            (topics.IMPACTS_TRUTH, block.impacts),
-            (topics.FAULTS, block.faults),
-            (topics.TRUTH_SCAN, block.truth),
-        ):
-            if table is not None and (topic.qos.transient_local or self._heard(topic)):
+        """Publish a block: its tables, then the monitors."""
+        for topic, table in block.tables():
+            if topic is topics.SCAN or topic.qos.transient_local or self._heard(topic):
                 self._node.send(topic, codec.encode(table))
         assert self._monitors is not None
         for topic, data in self._monitors.messages(block, self._heard):

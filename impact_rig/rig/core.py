@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 import impact_rig
+from impact_rig import topics
 from impact_rig.arithmetic.random import Random
 from impact_rig.blocks import APPLIED, FRAME_DAQ, STREAM, Table
 from impact_rig.config import Drive
@@ -121,6 +122,12 @@ class Block:
     truth: Table | None  # `truth/scan`, if asked for
     faults: Table | None  # `truth/faults`: faults that start or end in this block; None if there are none
     lost: bool  # a lost_block fault is active: the block is numbered but must not be published
+
+    def tables(self) -> list[tuple[topics.Topic, Table]]:
+        """Return what is published of it, in order: scans first, then what is true about them."""
+        order = (topics.SCAN, topics.IMPACTS_TRUTH, topics.FAULTS, topics.TRUTH_SCAN)
+        tables = (None if self.lost else self.scan, self.impacts, self.faults, self.truth)
+        return [(topic, table) for topic, table in zip(order, tables, strict=True) if table is not None]
 
 
 BATCH_TICKS = 50  # ticks simulated in one call: enough to make the overhead of a call small, few enough to bound memory

@@ -9,8 +9,12 @@ inertias are those of the bodies drawn; shapes and heights are chosen to be look
 
 from __future__ import annotations
 
+import operator
 from xml.etree import ElementTree as ET
 
+import numpy as np
+
+from impact_rig.blocks import TRUTH_SCAN
 from impact_rig.physics.linear import sphere_mass_kg
 from impact_rig.rig.config import RigConfig
 
@@ -39,6 +43,18 @@ MATERIALS = {
     "sphere": "0.85 0.33 0.10 1",
     "sensor": "0.10 0.45 0.70 1",
 }
+
+
+_SHOWN = operator.itemgetter(
+    *map((TRUTH_SCAN.names or ()).index, ("x_b", "x_1", "x_2", "v_b", "v_1", "v_2", "force_left", "force_right"))
+)
+
+
+def joints(truth: np.void) -> tuple[list[float], list[float], list[float]]:
+    """Return what is told of a true state: positions [m], velocities [m/s] and the contact force on each body [N]."""
+    *moving, left, right = _SHOWN(truth.item())
+    push = left - right  # both walls push the sphere
+    return moving[:3], moving[3:], [0.0, -push, push]
 
 
 def robot_description(config: RigConfig) -> str:

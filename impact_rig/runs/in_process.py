@@ -28,18 +28,12 @@ from impact_rig.recording import (
 )
 from impact_rig.rig import Block, Rig
 from impact_rig.rig.config import RigConfig, dump
+from impact_rig.rig.description import joints
 from impact_rig.simtime import NS_PER_S, stamp_ns
 
 PUBLISHED = (topics.INFO, topics.JOURNAL, topics.APPLIED, topics.SCAN, topics.IMPACTS_TRUTH, topics.FAULTS)
 
 DRIVEN = (topics.WAVEFORM, topics.STREAM)  # of a rig that is driven by a stream
-
-
-def joints(truth: np.void) -> tuple[list[float], list[float], list[float]]:
-    """Return what is told of a true state: positions [m], velocities [m/s] and the contact force on each body [N]."""
-    positions, velocities = ([float(truth[f"{what}_{body}"]) for body in "b12"] for what in "xv")
-    push = float(truth["force_left"] - truth["force_right"])
-    return positions, velocities, [0.0, -push, push]
 
 
 class RigRecorder:
@@ -83,10 +77,8 @@ class RigRecorder:
     def block(self, block: Block) -> None:
         """Write a block, after what has led to it."""
         self.changes()
-        if not block.lost:
-            self.write(topics.SCAN, block.scan)
-        for topic, table in ((topics.IMPACTS_TRUTH, block.impacts), (topics.FAULTS, block.faults)):
-            if table is not None:
+        for topic, table in block.tables():
+            if topic in PUBLISHED:
                 self.write(topic, table)
         for scan, row in zip(block.monitor_scans, block.monitor, strict=True):
             stamp = stamp_ns(block.first_scan + int(scan), self._rig.rate_hz, self._rig.start_ns)

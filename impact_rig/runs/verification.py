@@ -31,12 +31,11 @@ from impact_rig.recording import CONFIGURATION, Message, Run, arithmetic_of
 from impact_rig.recording.description import matches, members
 from impact_rig.rig import Block, Kind
 from impact_rig.rig.config import RigConfig, from_flat, parse, to_flat
-from impact_rig.rig.description import robot_description
+from impact_rig.rig.description import joints, robot_description
 from impact_rig.rig.journal import PLANNED, Entry, read, sampled
 from impact_rig.rig.monitors import HALF_PERIODS, AntiAlias, Smoothed
 from impact_rig.rig.resimulation import Resimulation, Sent
 from impact_rig.rig.truth import monitor_step
-from impact_rig.runs.in_process import joints
 from impact_rig.runs.measurement import is_measured
 from impact_rig.runs.reanalysis import Compared, texts
 from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S, stamp_ns

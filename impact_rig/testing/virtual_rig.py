@@ -354,14 +354,10 @@ class VirtualRig(SteppedRig):
 
     def _deliver(self, block: Block) -> None:
         self.sample = block.first_scan + len(block.scan.rows)
-        for topic, table in (
-            (SCANS, None if block.lost else block.scan),
-            (topics.IMPACTS_TRUTH.name, block.impacts),
-            (topics.FAULTS.name, block.faults),
-        ):
-            if table is not None:
+        for topic, table in block.tables():
+            if topic.name in TOPICS:
                 table.rows.flags.writeable = False  # as a subscriber gets it
-                self._keep(topic, table)
+                self._keep(topic.name, table)
         if not block.lost:
             for listener in self._listeners:
                 listener(block.scan)
