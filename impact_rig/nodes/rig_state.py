@@ -141,12 +141,10 @@ class RigState:
             waiting = f"waiting for peer {missing}"
             level = Level.ERROR if readers.overdue(timing.peer_timeout_s) else Level.WARN
             yield Trouble(level, waiting, State(words.NO_PEER, waiting))
-        if silent:
-            why = f"peer {silent} silent for {timing.peer_timeout_s:g} s"
-            go_on = f"paused: {why} (~/pause false goes on without)"
-            yield Trouble(Level.ERROR, go_on, State(words.SILENT_PEER, why))
+        quiet = [f"peer {silent} silent for {timing.peer_timeout_s:g} s"] if silent else []
         if session.is_starving:
-            why = f"{session.controllers()} sends no samples on {topics.WAVEFORM.name}"
+            quiet.append(f"{session.controllers()} sends no samples on {topics.WAVEFORM.name}")
+        for why in quiet:
             go_on = f"paused: {why} (~/pause false goes on without)"
             yield Trouble(Level.ERROR, go_on, State(words.SILENT_PEER, why))
         if rig.latched is not None:
