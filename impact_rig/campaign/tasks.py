@@ -12,6 +12,7 @@
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import json
 import math
 from collections.abc import Callable, Generator, Sequence
@@ -42,6 +43,16 @@ class Portable(Protocol):
 
     def describe(self) -> str:
         """Return a short name for people."""
+
+
+class Keyed:
+    """A task that is nothing but its values: a class of attrs."""
+
+    @property
+    def key(self) -> str:
+        """Identify it by all values that decide its numbers: 16 hexadecimal digits."""
+        content = attrs.asdict(self)  # type: ignore[arg-type]  # who inherits is one
+        return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
 
 
 class Task(Portable, Protocol):

@@ -8,9 +8,7 @@ runs; the message names key, value, range and file. So is a map that would take 
 
 from __future__ import annotations
 
-import hashlib
 import itertools
-import json
 import math
 import os
 from collections.abc import Mapping, Sequence
@@ -21,7 +19,7 @@ import attrs
 from impact_rig.campaign import axes
 from impact_rig.campaign.paper import CURRENT_A, FREQUENCY_HZ
 from impact_rig.campaign.plan import STARTS
-from impact_rig.campaign.tasks import Row, load_plan
+from impact_rig.campaign.tasks import Keyed, Row, load_plan
 from impact_rig.config.tree import Value
 from impact_rig.errors import ConfigError
 from impact_rig.maps.measure import FAILED, MapRig, Reading, Settings
@@ -44,7 +42,7 @@ LIMIT_S = 3600.0  # estimated time above which a map is refused
 
 
 @attrs.frozen(kw_only=True)
-class Line:
+class Line(Keyed):
     """Places measured one after the other, the unit that is measured, stored and never repeated."""
 
     changes: Mapping[str, Value]  # configuration values that differ from the default rig, by dotted name
@@ -62,12 +60,6 @@ class Line:
         """Return a short name for people."""
         held = ", ".join(f"{name} {value:g}" for name, value in self.held.items())
         return f"{held}, {self.direction}"
-
-    @property
-    def key(self) -> str:
-        """Identify the line by all values that decide its numbers: 16 hexadecimal digits."""
-        content = attrs.asdict(self)
-        return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
 
     def read(self, rows: Sequence[Row]) -> list[Reading]:
         """Return stored rows as readings.

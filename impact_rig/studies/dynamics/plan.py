@@ -4,9 +4,7 @@
 
 from __future__ import annotations
 
-import hashlib
 import itertools
-import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -18,7 +16,7 @@ import numpy as np
 from impact_rig.campaign import axes
 from impact_rig.campaign.paper import CURRENT_A, FREQUENCY_HZ
 from impact_rig.campaign.plan import STARTS
-from impact_rig.campaign.tasks import Row, Store, load_plan
+from impact_rig.campaign.tasks import Keyed, Row, Store, load_plan
 from impact_rig.config.tree import Value
 from impact_rig.errors import ConfigError
 from impact_rig.maps.measure import CHUNK, FAILED, MapRig, Reading, Settings
@@ -65,7 +63,7 @@ class Note(NamedTuple):
 
 
 @attrs.frozen(kw_only=True)
-class Task:
+class Task(Keyed):
     """A part of a study that is run, stored and never repeated; it holds every value that decides its numbers."""
 
     kind: str  # of the study
@@ -79,11 +77,6 @@ class Task:
     def describe(self) -> str:
         """Return a short name for people."""
         return self.name
-
-    @property
-    def key(self) -> str:
-        """Identify it: 16 hexadecimal digits."""
-        return hashlib.sha256(json.dumps(attrs.asdict(self), sort_keys=True).encode()).hexdigest()[:16]
 
     @property
     def place(self) -> Place:
