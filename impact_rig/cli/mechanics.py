@@ -7,7 +7,6 @@ from __future__ import annotations
 import argparse
 import json
 import math
-import time
 from collections import Counter
 from pathlib import Path
 
@@ -61,9 +60,7 @@ def _map(arguments: argparse.Namespace) -> int:
     store = run.store(directory)
     store.prepare(plan.text, plan.base)
     console = Console(quiet=arguments.json)
-    began = time.monotonic()
-    measured = tasks.measure(plan.lines(), store, runner, console, lambda line: len(line.values))
-    wall_s = time.monotonic() - began
+    measured, wall_s = tasks.measure(plan.lines(), store, runner, console, lambda line: len(line.values))
     done = run.finished(plan, directory)
     more: dict[str, object] = {"wall_s": wall_s, "measured_points": measured}
     if arguments.exponent:
@@ -142,9 +139,7 @@ def _dynamics(arguments: argparse.Namespace) -> int:
     store = plans.store(directory)
     store.prepare(plan.text, plan.base)
     console = Console(quiet=arguments.json)
-    began = time.monotonic()
-    measured = tasks.measure(plan.tasks, store, runner, console, lambda _: 1)
-    wall_s = time.monotonic() - began
+    measured, wall_s = tasks.measure(plan.tasks, store, runner, console, lambda _: 1)
     found = [(task, store.get(task) or []) for task in plan.tasks]
     rows = [row for _, each in found for row in each]
     files.write_csv(directory / f"{kind}.csv", plans.COLUMNS[kind], rows)

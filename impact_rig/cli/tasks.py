@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import time
 from collections.abc import Callable, Generator, Sequence
 from pathlib import Path
 from typing import TypeVar
@@ -68,8 +69,9 @@ def runner(
 
 def measure(
     tasks: Sequence[T], store: Store[T], runner: Runner[T], console: Console, places: Callable[[T], int]
-) -> int:
-    """Measure what is missing, with progress by `places`; return how many places that were."""
+) -> tuple[int, float]:
+    """Measure what is missing, with progress by `places`; return how many places that were, and its duration [s]."""
+    began = time.monotonic()
     new = sum(places(task) for task in tasks if store.get(task) is None)
     count = 0
     with (
@@ -79,7 +81,7 @@ def measure(
         for task, _ in done:
             count += places(task)
             shown.show(count, task.describe())
-    return new
+    return new, time.monotonic() - began
 
 
 def figures_folder(directory: Path) -> Path:
