@@ -26,7 +26,7 @@ from impact_rig.analysis.scans import SCAN, ScanBuffer, first_scan_at, need_colu
 from impact_rig.analysis.settings import GapLabel, ImpactSettings, TrackerSettings
 from impact_rig.analysis.settling import Judge, Progress, Quiet, window_cycles
 from impact_rig.analysis.transmissibility import Measurement, counts_impacts, measurement_table
-from impact_rig.blocks import APPLIED, DAQ_INFO, Table, joined
+from impact_rig.blocks import APPLIED, DAQ_INFO, LONGEST_S, Table, joined
 from impact_rig.errors import ConfigError
 from impact_rig.simtime import NS_PER_S, stamp_ns
 from impact_rig.states import MEASURED, SETTLED, Analysis, Status
@@ -64,7 +64,6 @@ class Findings:
     impacts: tuple[Table, ...] = ()
 
 
-LONGEST_S = 2.0**32  # two stamps cannot be further apart
 MIN_HOLD_SCANS = 16  # impacts are known this many scans after they happened; cycles are closed no earlier
 
 

@@ -212,7 +212,6 @@ FOLDER = "impact_rig_domains"
 FIRST_DOMAIN, LAST_DOMAIN = 1, 49
 """0 is everybody's default, and above 101 the ports of a domain fall into Linux's ephemeral range."""
 FIRST_PORT, PORTS_PER_DOMAIN = 7400, 250  # of RTPS (DDSI-RTPS 2.2, 9.6.1.1)
-SHARED_MEMORY = Path("/dev/shm")  # noqa: S108  # where Fast DDS keeps it on Linux
 DISCOVERY_VARIABLE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 
 
@@ -260,7 +259,7 @@ def remove_litter(domain_id: int) -> None:
     """
     first = FIRST_PORT + PORTS_PER_DOMAIN * domain_id
     for number in range(first, first + PORTS_PER_DOMAIN):
-        port = SHARED_MEMORY / f"fastrtps_port{number}"
+        port = segments.SHARED / f"fastrtps_port{number}"
         if port.exists():
             _remove_unless_in_use(port)
 
@@ -273,5 +272,5 @@ def _remove_unless_in_use(port: Path) -> None:
                 handle = os.open(path, os.O_RDONLY)
                 held.callback(os.close, handle)
                 fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        for path in (port, *locks, SHARED_MEMORY / f"sem.{port.name}_mutex"):
+        for path in (port, *locks, segments.SHARED / f"sem.{port.name}_mutex"):
             path.unlink(missing_ok=True)

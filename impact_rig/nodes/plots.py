@@ -12,7 +12,7 @@ import numpy as np
 from impact_rig import codec, topics
 from impact_rig.analysis.blockwise import EVERY_S, PULSES, WINDOW_S, HighPass, Intervals, amplitude_spectrum
 from impact_rig.analysis.scans import Recent
-from impact_rig.blocks import Table
+from impact_rig.blocks import MOST_HZ, Table
 from impact_rig.nodes import messages
 from impact_rig.nodes.messages import ENVELOPES, SPECTRA, Template
 from impact_rig.topics import Topic
@@ -45,7 +45,7 @@ class Plots:
         """Take the rate of the scans from daq/info."""
         rates = info.rows["rate"]
         rate = float(rates[0]) if len(rates) else 0.0
-        if rate != self._rate_hz and 0.0 < rate <= _FASTEST_HZ:
+        if rate != self._rate_hz and 0.0 < rate <= MOST_HZ:
             self._rate_hz = rate
             self._intervals = self._pulses = self._recent = None
 
@@ -138,7 +138,6 @@ class Plots:
 
 ACCELEROMETER = "accelerometer"
 _VECTORS = (topics.PLOT_TRANSMISSIBILITY, topics.PLOT_DRIVE, topics.PLOT_PULSES)
-_FASTEST_HZ = 1e6  # more no board scans; bounds the memory that a hostile daq/info can ask for
 
 
 def _vector(topic: Topic) -> Template:

@@ -37,7 +37,7 @@ from impact_rig.physics import Simulation
 from impact_rig.recording import CONFIGURATION, Run
 from impact_rig.rig.config import RigConfig, from_flat, parse
 from impact_rig.rig.core import generator
-from impact_rig.runs import reanalysis
+from impact_rig.runs import drawings, reanalysis
 from impact_rig.runs.wholes import Excerpt, calibration_rows, last_excerpt
 from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S, stamp_ns
 from impact_rig.studies.identification.fit import Identified, identify, logarithms
@@ -362,7 +362,6 @@ def _constants(
 
 
 TRACED_CYCLES = 6
-HARMONICS = 10.5
 
 
 @style()
@@ -403,7 +402,7 @@ def drawn(found: Comparison, name: str) -> Drawn:
         (samples_of(found.excerpt.rows, "laser"), MEASURED, "$x_1$ measured"), (residual, MUTED, "difference"),
     ):  # fmt: skip
         frequency_hz, power = signal.periodogram(y, rate, window="flattop", scaling="spectrum", detrend="constant")
-        shown = (frequency_hz > 0.0) & (frequency_hz <= min(HARMONICS * drive or math.inf, rate / 2.0))
+        shown = (frequency_hz > 0.0) & (frequency_hz <= min(drawings.HARMONICS * drive or math.inf, rate / 2.0))
         amplitude = 1e3 * np.sqrt(2.0 * power[shown])
         lines.semilogy(frequency_hz[shown], amplitude, color=colour, linewidth=0.8, label=label)
         numbers.append(Line(label, {"frequency_hz": frequency_hz[shown].tolist(), "amplitude_mm": amplitude.tolist()}))

@@ -15,8 +15,9 @@ from pathlib import Path
 import pytest
 
 from impact_rig.client import ProcessDiedError, Processes, isolated_domain
-from impact_rig.client.processes import FIRST_PORT, PORTS_PER_DOMAIN, SHARED_MEMORY, _yaml, remove_litter
+from impact_rig.client.processes import FIRST_PORT, PORTS_PER_DOMAIN, _yaml, remove_litter
 from impact_rig.errors import ImpactRigError
+from impact_rig.system.segments import SHARED
 
 ROOT = Path(__file__).parents[2]
 
@@ -37,7 +38,7 @@ def test_ports_of_killed_processes_are_removed_and_those_in_use_are_not(tmp_path
 
         def ports() -> set[str]:
             numbers = range(first, first + PORTS_PER_DOMAIN)
-            return {name for n in numbers if (SHARED_MEMORY / (name := f"fastrtps_port{n}")).exists()}
+            return {name for n in numbers if (SHARED / (name := f"fastrtps_port{n}")).exists()}
 
         assert not ports(), "an isolated domain begins clean"
         processes.start("analysis")
