@@ -281,10 +281,8 @@ def compare(run: Run, offline: Iterable[Table], impacts: Iterable[Table] | None 
     calibration = next(run.tables(topics.INFO), None) if run.holds(topics.INFO) else None
     if calibration is None or not len(calibration.rows):
         return Comparison(None, reason=f"no {topics.INFO.name} is in this run")
-    if not run.holds(_TABLE):
-        return Comparison(None, reason="no live results are in this run")
     rate_hz = round(float(calibration.rows["rate"][0]))
-    blocks, tables = _recorded(run)
+    blocks, tables = _recorded(run) if run.holds(_TABLE) else ([], [])
     live = _rows(tables, rate_hz)
     if not live:
         return Comparison(None, reason="no live results are in this run")
