@@ -1,7 +1,7 @@
 // The transmissibility over frequency: points with error bars, earlier gaps in grey; as lines the rig without sphere
 // and what theory predicts with it, dashed where such a motion does not last.
 
-import { colour, stacked, stroke } from "./paper.js";
+import { axis, colour, stacked, stroke } from "./paper.js";
 
 /* global uPlot */
 
@@ -34,12 +34,11 @@ export class CurveView {
   /** Make the plot, in the colours of the theme. */
   make() {
     this.place.replaceChildren();
-    const axis = { stroke: colour("soft"), grid: { stroke: colour("line"), width: 1 }, ticks: { show: false }, font: "10.5px system-ui" };
     this.plot = new uPlot({
       width: Math.max(50, this.place.clientWidth), height: Math.max(100, this.place.clientHeight), legend: { show: false },
       padding: [8, 16, 0, 0], cursor: { drag: { x: false, y: false }, points: { show: false } },
       scales: { x: { time: false, range: () => this.frequencies() }, y: { distr: 3, range: () => [1, 200] } },
-      axes: [{ ...axis, size: 24, values: (_, all) => all.map((v) => `${v} Hz`) }, { ...axis, size: 34 }],
+      axes: [{ ...axis(), size: 24, values: (_, all) => all.map((v) => `${v} Hz`) }, { ...axis(), size: 34 }],
       series: [{}, { stroke: colour("soft"), width: 1, points: { show: false } }],
       hooks: { draw: [(plot) => this.theory(plot), (plot) => this.points(plot)] },
     }, [[1], [null]], this.place);

@@ -33,6 +33,9 @@ export function colour(name) {
   return cached[name];
 }
 
+/** What every axis of a plot has, in the colours of the theme. */
+export const axis = () => ({ stroke: colour("soft"), grid: { stroke: colour("line"), width: 1 }, ticks: { show: false }, font: "10.5px system-ui" });
+
 /** The theme has changed: read the colours again. */
 export function forgetColours() { cached = {}; }
 

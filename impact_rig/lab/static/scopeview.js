@@ -1,7 +1,7 @@
 // Four traces above one time axis; every column of the picture is a minimum and a maximum.
 
 import { engineering, limits, line } from "./format.js";
-import { colour, stacked } from "./paper.js";
+import { axis, colour, stacked } from "./paper.js";
 
 /* global uPlot */
 const CHANNELS = [["accelerometer", "m/s²"], ["laser", "m"], ["base", "m"], ["current", "A"]];
@@ -31,15 +31,14 @@ export class ScopeView {
     this.ranges = [null, null, null, null];
     this.plots = CHANNELS.map(([name, unit], number) => {
       const box = this.place.appendChild(document.createElement("div"));
-      const axis = { stroke: colour("soft"), grid: { stroke: colour("line"), width: 1 }, ticks: { show: false }, font: "10.5px system-ui" };
       const made = new uPlot({
         width: Math.max(50, box.clientWidth), height: Math.max(40, box.clientHeight), pxAlign: false, legend: { show: false },
         padding: [6, 22, 0, 0],
         cursor: { sync: { key: "scope" }, drag: { x: false, y: false }, points: { show: false } },
         scales: { x: { time: false, range: () => [0, this.span()] }, y: { range: () => this.ranges[number] ?? [-1, 1] } },
         axes: [
-          { ...axis, size: number === 3 ? 22 : 4, values: (_, all) => all.map((v) => (number === 3 ? engineering(v, "s") : "")) },
-          { ...axis, size: 66, values: (_, all) => all.map((v) => engineering(v, unit)), space: 26 },
+          { ...axis(), size: number === 3 ? 22 : 4, values: (_, all) => all.map((v) => (number === 3 ? engineering(v, "s") : "")) },
+          { ...axis(), size: 66, values: (_, all) => all.map((v) => engineering(v, unit)), space: 26 },
         ],
         series: [
           {}, { stroke: colour("trace"), width: 1, points: { show: false }, label: name },

@@ -1,7 +1,7 @@
 // Amplitude spectrum of one channel, harmonics of the drive marked.
 
 import { decibel, engineering, limits } from "./format.js";
-import { colour } from "./paper.js";
+import { axis, colour } from "./paper.js";
 
 /* global uPlot */
 const UNITS = ["m/s²", "m", "m", "A"];
@@ -22,13 +22,12 @@ export class SpectrumView {
   make() {
     this.place.replaceChildren();
     this.range = null;
-    const axis = { stroke: colour("soft"), grid: { stroke: colour("line"), width: 1 }, ticks: { show: false }, font: "10.5px system-ui" };
     const value = (v) => (this.db ? `${v}` : engineering(v, UNITS[this.channel]));
     this.plot = new uPlot({
       width: Math.max(50, this.place.clientWidth), height: Math.max(50, this.place.clientHeight), legend: { show: false },
       padding: [6, 22, 0, 0], cursor: { drag: { x: false, y: false }, points: { show: false } },
       scales: { x: { time: false, range: () => [0, this.top] }, y: { range: () => this.range ?? [0, 1] } },
-      axes: [{ ...axis, size: 22, values: (_, all) => all.map((v) => `${v} Hz`) }, { ...axis, size: 58, values: (_, all) => all.map(value), space: 24 }],
+      axes: [{ ...axis(), size: 22, values: (_, all) => all.map((v) => `${v} Hz`) }, { ...axis(), size: 58, values: (_, all) => all.map(value), space: 24 }],
       series: [{}, { stroke: colour("trace"), width: 1, points: { show: false } }],
       hooks: { draw: [(plot) => this.marks(plot)] },
     }, [[0, 1], [null, null]], this.place);
