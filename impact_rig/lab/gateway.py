@@ -27,6 +27,7 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from std_srvs.srv import SetBool, Trigger
 
 from impact_rig import states, topics
+from impact_rig.campaign.axes import case_of, gap_values
 from impact_rig.client.client import Client, ros_parameters
 from impact_rig.errors import ImpactRigError, in_words
 from impact_rig.instruments.instrument import FAULT_KINDS
@@ -359,10 +360,8 @@ class Gateway:
         """Set the gap of the rig and the label of the analysis together [m]; 0 takes the sphere away."""
         if value < 0.0:
             raise Refused(f"a gap is 0 (no sphere) or more, got {value * 1e3:g} mm")
-        await self._set(
-            "rig", {"sphere.present": True, "barriers.gap_m": value} if value else {"sphere.present": False}
-        )
-        return (f"gap {value * 1e3:g} mm" if value else "no sphere") + await self._label(value)
+        await self._set("rig", gap_values(value))
+        return case_of(value) + await self._label(value)
 
     async def _label(self, gap_m: float) -> str:
         """Tell the analysis the gap; return what to add to an answer."""
