@@ -393,7 +393,6 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         return TopicDescription(
             name=name,
             type_name=topic.type_name,
-            schema=schema_text(topic.type_name),
             type_hash=type_hash,
             offered_qos=tuple(qos(publisher.qos_profile) for publisher in publishers),
         )

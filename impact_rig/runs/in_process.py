@@ -17,15 +17,7 @@ from impact_rig.analysis.settings import TrackerSettings, settings_table
 from impact_rig.analysis.tracker import Tracker
 from impact_rig.blocks import WAVEFORM, Table
 from impact_rig.operate.hardware import InProcess
-from impact_rig.recording import (
-    CONFIGURATION,
-    Attachment,
-    Provenance,
-    RunWriter,
-    TopicDescription,
-    open_run,
-    schema_text,
-)
+from impact_rig.recording import CONFIGURATION, Attachment, Provenance, RunWriter, TopicDescription, open_run
 from impact_rig.rig import Block, Rig
 from impact_rig.rig.config import RigConfig, dump
 from impact_rig.rig.description import joints
@@ -56,10 +48,7 @@ class RigRecorder:
             rig_start_ns=0,
         )  # fmt: skip
         for topic in (*PUBLISHED, topics.JOINT_STATES, *more):
-            schema = schema_text(topic.type_name)
-            self._writer.add_topic(
-                TopicDescription(name=f"/rig/{topic.name}", type_name=topic.type_name, schema=schema)
-            )
+            self._writer.add_topic(TopicDescription(name=f"/rig/{topic.name}", type_name=topic.type_name))
         self._info = b""
 
     def __enter__(self) -> RigRecorder:

@@ -31,7 +31,7 @@ from impact_rig.analysis.settings import GapLabel, parse_label
 from impact_rig.analysis.tracker import Findings, Tracker
 from impact_rig.blocks import APPLIED, DAQ_INFO, DAQ_INFO_COLUMNS, LONGEST_S, MOST_HZ, Column, Table, row_type
 from impact_rig.errors import ConfigError, RecordingError, did_you_mean
-from impact_rig.recording import Attachment, Provenance, Run, RunWriter, TopicDescription, schema_text
+from impact_rig.recording import Attachment, Provenance, Run, RunWriter, TopicDescription
 from impact_rig.runs.foreign_files import VALUES, Foreign
 from impact_rig.simtime import NS_PER_S, stamp_ns
 from impact_rig.system import budget
@@ -571,8 +571,7 @@ def write(found: Measurement, directory: Path, clock_ns: int | None = None) -> P
         directory, provenance=provenance, attachments=(kept,), clock=time.monotonic, rig_start_ns=found.start_ns
     ) as writer:
         for topic in WRITTEN:
-            schema = schema_text(topic.type_name)
-            writer.add_topic(TopicDescription(name=f"/{topic.name}", type_name=topic.type_name, schema=schema))
+            writer.add_topic(TopicDescription(name=f"/{topic.name}", type_name=topic.type_name))
 
         def put(topic: topics.Topic, data: bytes) -> None:
             numbers[topic.name] = numbers.get(topic.name, 0) + 1
