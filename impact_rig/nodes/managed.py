@@ -309,12 +309,10 @@ class ManagedNode(LifecycleNode, Generic[S]):
 
     def publisher(self, topic: topics.Topic, depth: int | None = None) -> Publisher:
         """Create the publisher of a row of the topics table, of another depth if given; `qos_overrides` apply."""
-        profile = messages.profile(topic.qos)
-        profile.depth = depth or profile.depth
         return self.create_publisher(
             messages.class_of(topic),
             topic.name,
-            profile,
+            messages.profile(topic.qos, depth),
             qos_overriding_options=QoSOverridingOptions.with_default_policies(),
         )
 
@@ -322,8 +320,7 @@ class ManagedNode(LifecycleNode, Generic[S]):
         self, topic: topics.Topic, callback: Callable[..., None], raw: bool = False, depth: int | None = None
     ) -> Any:
         """Create a guarded subscription to a row of the topics table, perhaps deeper; `raw` gives CDR bytes."""
-        profile = messages.profile(topic.qos)
-        profile.depth = depth or profile.depth
+        profile = messages.profile(topic.qos, depth)
         return self.create_subscription(messages.class_of(topic), topic.name, callback, profile, raw=raw)
 
     def subscribe_table(self, topic: topics.Topic, callback: Callable[[Table], None]) -> Any:

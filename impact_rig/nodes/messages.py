@@ -74,11 +74,11 @@ def message_class(type_name: str) -> Any:
     return getattr(importlib.import_module(f"{package}.msg"), name)
 
 
-def profile(qos: Qos) -> QoSProfile:
-    """Return a fresh rclpy profile (rclpy writes overrides into it)."""
+def profile(qos: Qos, depth: int | None = None) -> QoSProfile:
+    """Return a fresh rclpy profile (rclpy writes overrides into it), of another depth if given."""
     return QoSProfile(
         history=HistoryPolicy.KEEP_LAST,
-        depth=qos.depth,
+        depth=depth or qos.depth,
         reliability=ReliabilityPolicy.RELIABLE,
         durability=DurabilityPolicy.TRANSIENT_LOCAL if qos.transient_local else DurabilityPolicy.VOLATILE,
     )

@@ -17,7 +17,7 @@ from rclpy.context import Context
 from rclpy.duration import Duration
 from rclpy.exceptions import NameValidationException
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Header
 from std_srvs.srv import SetBool
@@ -174,12 +174,8 @@ class Player:
         offered = [qos for qos in topic.offered_qos_yaml() if isinstance(qos, dict)]
         known = next((row for row in TOPICS if matches(topic.name, row.name)), None)
         latched = any(qos.get("durability") == "transient_local" for qos in offered)
-        profile = QoSProfile(
-            history=HistoryPolicy.KEEP_LAST,
-            depth=known.qos.depth if known else topics.DATA_DEPTH,
-            reliability=ReliabilityPolicy.RELIABLE,
-            durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
-        )
+        profile = messages.profile(known.qos if known else topics.Qos.DATA)
+        profile.durability = DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE
         try:
             return self._node.create_publisher(messages.message_class(topic.type_name), topic.name, profile)
         except NameValidationException as error:
