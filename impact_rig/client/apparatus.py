@@ -475,9 +475,9 @@ class OverTopics:
         self._stream = client.collect(topics.STREAM.name)
         client.wait_until(self._stream.last, f"{topics.STREAM.name} (drive.waveform: stream)")
         client.wait_until(self._info.last, topics.INFO.name)
-        with contextlib.suppress(WaitTimeoutError):  # one that has died, or reads without being in the graph
-            client.wait_until(self._finds_readers, "everybody who reads the rig", DISCOVERY_S)
         self._sent_to, self._before = 0, len(self._journal)
+        with contextlib.suppress(WaitTimeoutError):  # one that has died, or a peer that is not there
+            client.wait_until(self._finds_readers, "everybody who reads the rig", DISCOVERY_S)
 
     def _finds_readers(self) -> bool:
         """Whether all are found that the rig says it is read by: a recorder that is not misses the first samples."""

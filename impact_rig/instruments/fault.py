@@ -240,7 +240,7 @@ class FaultBoard:
         self._faults = [active for active in self._faults if active.end > active.fault.start_sample]
 
     def channels(self) -> set[str]:
-        """Return the channels that have faults; empty: a fault of none."""
+        """Return the channels that have faults; "" among them: one of the board, of no channel."""
         return {active.fault.channel for active in self._faults}
 
     def on_cable(

@@ -69,18 +69,19 @@ def spin(executor: Any, seconds: float) -> None:
 def patient_threads() -> Iterator[None]:
     """Let threads that begin meanwhile, those of DDS, wait for a free core or their turn when they wake (Linux).
 
-    A process that somebody gave a policy of its own keeps it (sched(7): `SCHED_BATCH` and others are inherited).
+    The calling thread is as patient meanwhile. A process that somebody gave a policy of its own keeps it (sched(7):
+    `SCHED_BATCH` and others are inherited).
     """
     patient = getattr(os, "SCHED_BATCH", None)
-    if patient is None or os.sched_getscheduler(0) != os.SCHED_OTHER:
-        yield
-        return
-    with contextlib.suppress(PermissionError):  # a container may forbid it: slower, nothing else
-        os.sched_setscheduler(0, patient, os.sched_param(0))
+    changed = False
+    with contextlib.suppress(OSError):  # a container may forbid it: slower, nothing else
+        if patient is not None and os.sched_getscheduler(0) == os.SCHED_OTHER:
+            os.sched_setscheduler(0, patient, os.sched_param(0))
+            changed = True
     try:
         yield
     finally:
-        with contextlib.suppress(PermissionError):
+        if changed:
             os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
 
 

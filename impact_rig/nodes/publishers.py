@@ -31,7 +31,7 @@ KEPT_S, KEPT_BYTES = 25.0, 16_000_000
 """Scans kept for a subscriber that does not answer, whichever is less. A process that is killed can keep others from
 their messages until the middleware forgets it, some 20 s later; what is kept still reaches them then."""
 LEAST_S, LEAST_BLOCKS = 2.0, 100  # kept of them in any case, whichever is more
-LOOK_S = 0.1  # least time between two looks at who listens, in real time: each costs a twentieth of a block
+LOOK_S = 0.1  # least time between two looks at who listens, where blocks are many: each costs a twentieth of a block
 DELIVERY = Duration(seconds=0.2)
 """Longest wait for the delivery of a change; only a subscriber that died without a word takes so long."""
 
@@ -137,10 +137,10 @@ class Publishers:
         """Return the topics that are published now, and that nobody else may publish."""
         return [name for name in self._publishers if name != topics.ROBOT_DESCRIPTION.name]
 
-    def look(self) -> None:
-        """Look which topics anybody listens to, before some blocks are published; in real time not before all."""
+    def look(self, often: bool) -> None:
+        """Look which topics anybody listens to, before blocks are published; unless `often`, once in `LOOK_S`."""
         now = time.monotonic()
-        if now - self._looked_at < LOOK_S and self._node.settings.time.mode == "realtime":
+        if now - self._looked_at < LOOK_S and not often:
             return
         self._looked_at = now
         self._listened_to = {name for name, publisher in self._publishers.items() if publisher.get_subscription_count()}
@@ -208,6 +208,7 @@ class Publishers:
     def forget(self) -> None:
         """Publish the calibration again when next asked: a new rig begins."""
         self._info = b""
+        self._looked_at = -LOOK_S
 
     def _settle(self, topic: topics.Topic) -> None:
         """Wait until every matched subscriber has what was published on a topic.

@@ -438,7 +438,7 @@ class Session:
         if self.publishers.changes(rig):
             self.node.report_change()  # a trip, for one
         if blocks:
-            self.publishers.look()
+            self.publishers.look(often=self.paused or not self.is_realtime)
         for block in blocks:
             self.publishers.block(block)
             if not block.lost:

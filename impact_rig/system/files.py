@@ -143,6 +143,8 @@ def errors_as(what: str) -> Iterator[None]:
     """Tell what the system refuses in the block as a `RecordingError`: what could not be done, and why."""
     try:
         yield
+    except RecordingError:  # has its words already
+        raise
     except OSError as error:
         raise RecordingError(f"{what}: {error.strerror}") from error
 

@@ -123,10 +123,14 @@ def test_a_file_is_played_to_a_rig_that_runs_already(bench: Bench, tmp_path: Pat
     bench.wait(lambda: "behind.recorder" in bench.client.figures("rig"), "the rig to know its reader")
     recorder.signal(signal.SIGSTOP)  # it cannot be found meanwhile, and must not miss the first samples
     with subprocess.Popen([*program, *words], env=environment, stdout=PIPE, stderr=PIPE, text=True) as playing:
-        bench.wait(lambda: bench.client.node.count_publishers("shaker/waveform"), "the player")
-        bench.client.spin_for(1.0)
-        recorder.signal(signal.SIGCONT)
-        output, errors = playing.communicate(timeout=250)
+        try:
+            bench.wait(lambda: bench.client.node.count_publishers("shaker/waveform"), "the player")
+            bench.client.spin_for(1.0)
+            recorder.signal(signal.SIGCONT)
+            output, errors = playing.communicate(timeout=250)
+        finally:
+            recorder.signal(signal.SIGCONT)
+            playing.kill()
     assert playing.returncode == 0, errors
     found = json.loads(output)
     assert found["peak_asked"] == pytest.approx(0.3)
