@@ -18,7 +18,7 @@ from impact_rig import codec, topics
 from impact_rig.analysis.tracker import Tracker
 from impact_rig.blocks import APPLIED, DAQ_INFO, Table
 from impact_rig.instruments.section import CHANNELS, SCAN
-from impact_rig.recording import Provenance, RunWriter, TopicDescription, open_run, schema_text
+from impact_rig.recording import Provenance, RunWriter, TopicDescription, open_run
 
 RATE_HZ = 50_000
 BLOCK_SCANS = 500
@@ -69,7 +69,7 @@ def write(directory: Path, tables: list[Table]) -> None:
         directory, provenance=Provenance(version="benchmark", seed=1, wall_start_ns=0), clock=time.monotonic
     ) as run:
         for name in (topics.INFO.name, topics.APPLIED.name, topics.SCAN.name):
-            run.add_topic(TopicDescription(name=f"/rig/{name}", type_name=POINT_CLOUD, schema=schema_text(POINT_CLOUD)))
+            run.add_topic(TopicDescription(name=f"/rig/{name}", type_name=POINT_CLOUD))
         run.write("/rig/daq/info", codec.encode(info()), 0)
         run.write("/rig/shaker/applied", codec.encode(Table(0, command)), 0)
         for table in tables:

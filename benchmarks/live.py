@@ -31,7 +31,7 @@ DRIVE = {"drive.amplitude": 0.52, "barriers.gap_m": 0.006}
 NODES = ("rig", "analysis", "recorder")
 WARM_UP_S = 2.0
 FREEWHEEL_WINDOW = 64
-PAIRS = 3
+ROUNDS = 3
 
 
 def run() -> dict[str, float]:
@@ -51,7 +51,7 @@ def freewheel_beside_the_wire(seconds: float) -> dict[str, float]:
             wire.run(seconds, FREEWHEEL_WINDOW),
             wire.run(seconds, FREEWHEEL_WINDOW, patient=True),
         )
-        for _ in range(PAIRS)
+        for _ in range(ROUNDS)
     ]
     own, bare, patient = map(float, np.median(found, axis=0))
     return {

@@ -17,7 +17,7 @@ import numpy as np
 from impact_rig import codec, topics
 from impact_rig.blocks import Table
 from impact_rig.instruments.section import SCAN
-from impact_rig.recording import Provenance, RunWriter, TopicDescription, open_run, schema_text
+from impact_rig.recording import Provenance, RunWriter, TopicDescription, open_run
 from impact_rig.recording.writer import COMPRESSIONS
 
 RATE_HZ = 50_000
@@ -51,12 +51,8 @@ def messages(pool: list[np.ndarray], count: int) -> list[bytes]:
 def writer(directory: Path, compression: str) -> RunWriter:
     provenance = Provenance(version="benchmark", seed=1, wall_start_ns=0)
     run = RunWriter(directory, provenance=provenance, clock=time.monotonic, compression=compression)
-    run.add_topic(TopicDescription(name="/rig/daq/scan", type_name=POINT_CLOUD, schema=schema_text(POINT_CLOUD)))
-    run.add_topic(
-        TopicDescription(
-            name="/rig/transmissibility", type_name="std_msgs/msg/Float64", schema=schema_text("std_msgs/msg/Float64")
-        )
-    )
+    run.add_topic(TopicDescription(name="/rig/daq/scan", type_name=POINT_CLOUD))
+    run.add_topic(TopicDescription(name="/rig/transmissibility", type_name="std_msgs/msg/Float64"))
     return run
 
 

@@ -45,14 +45,14 @@ class Portable(Protocol):
         """Return a short name for people."""
 
 
+@attrs.frozen
 class Keyed:
-    """A task that is nothing but its values: a class of attrs."""
+    """A task that is nothing but its values."""
 
     @property
     def key(self) -> str:
         """Identify it by all values that decide its numbers: 16 hexadecimal digits."""
-        content = attrs.asdict(self)  # type: ignore[arg-type]  # who inherits is one
-        return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
+        return hashlib.sha256(json.dumps(attrs.asdict(self), sort_keys=True).encode()).hexdigest()[:16]
 
 
 class Task(Portable, Protocol):

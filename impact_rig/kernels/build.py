@@ -44,7 +44,7 @@ TELL_S = 2.0
 
 
 def sources() -> list[Path]:
-    """Return the files that decide the library: kernels, contact laws, what these import from, and what calls them."""
+    """Return the files that decide the library: kernels, contact laws, what these import from, the C code."""
     texts = {path: path.read_text(encoding="utf-8") for path in PACKAGE.rglob("*.py")}
     declares = re.compile(r"^from impact_rig\.(kernels|physics\.contact\.law) import", re.MULTILINE)
     holders = {path for path, text in texts.items() if declares.search(text)}

@@ -6,9 +6,6 @@
 comes back to Python after every message, so it spins for a while at a time. Where rclpy does not have it, the default
 one runs. Signals are noted, not raised: neither a callback nor the clean-up is interrupted, however often Ctrl-C
 arrives, and the last messages still find a valid context. They reach the main thread only, never one of DDS.
-
-Each message wakes threads of DDS (receipt, heartbeats, acknowledgements), in its sender as well. Where all cores are
-busy they interrupted the callback that was running some five times a block, for a fifth of freewheel's speed.
 """
 
 from __future__ import annotations
@@ -69,6 +66,8 @@ def spin(executor: Any, seconds: float) -> None:
 def patient_threads() -> Iterator[None]:
     """Let threads that begin meanwhile, those of DDS, wait for a free core or their turn when they wake (Linux).
 
+    Each message wakes some, in its sender as well: receipt, heartbeats, acknowledgements. Where all cores are busy they
+    would interrupt the callback that runs some five times a block, which costs freewheel a quarter of its speed.
     The calling thread is as patient meanwhile. A process that somebody gave a policy of its own keeps it (sched(7):
     `SCHED_BATCH` and others are inherited).
     """

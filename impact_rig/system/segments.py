@@ -23,7 +23,7 @@ from pathlib import Path
 
 from impact_rig.system.endings import held
 
-SHARED = Path("/dev/shm")  # noqa: S108  # where Boost's segments are
+SHARED = Path("/dev/shm")  # noqa: S108  # where Fast DDS keeps its ports and segments on Linux
 LOOK_S = 1.0
 """Between two looks. Making a segment takes a fraction of a millisecond: who is seen at it twice was killed."""
 _PORT = re.compile(r"fastrtps_port\d+")

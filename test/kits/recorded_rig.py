@@ -19,7 +19,7 @@ from impact_rig.analysis.settings import TrackerSettings, settings_table
 from impact_rig.analysis.tracker import Tracker
 from impact_rig.blocks import Table
 from impact_rig.instruments.fault import Fault
-from impact_rig.recording import Provenance, RunWriter, TopicDescription, schema_text
+from impact_rig.recording import Provenance, RunWriter, TopicDescription
 from impact_rig.rig import Rig
 from impact_rig.rig.config import RigConfig, dump, from_flat
 from impact_rig.simtime import stamp_ns
@@ -170,7 +170,7 @@ def record(directory: Path, found: Iterable[tuple[str, Any]], provenance: Proven
     with writer:
         for name in sorted({name for name, _ in found}):
             kind = KINDS.get(name, POINT_CLOUD)
-            writer.add_topic(TopicDescription(name=f"/rig/{name}", type_name=kind, schema=schema_text(kind)))
+            writer.add_topic(TopicDescription(name=f"/rig/{name}", type_name=kind))
         newest_ns = 0
         for name, one in found:
             data = codec.encode(one) if isinstance(one, Table) else one.encoded()

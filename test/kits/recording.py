@@ -19,7 +19,7 @@ from mcap.writer import CompressionType, Writer
 from impact_rig import codec
 from impact_rig.blocks import APPLIED, Table
 from impact_rig.instruments.section import SCAN
-from impact_rig.recording import Attachment, OfferedQos, Provenance, RunWriter, TopicDescription, schema_text
+from impact_rig.recording import Attachment, OfferedQos, Provenance, RunWriter, TopicDescription
 
 POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
 RATE_HZ = 10_000
@@ -70,7 +70,6 @@ def topic(name: str, type_name: str, *qos: OfferedQos) -> TopicDescription:
     return TopicDescription(
         name=name,
         type_name=type_name,
-        schema=schema_text(type_name),
         type_hash=type_hash(type_name),
         offered_qos=qos or (OfferedQos(),),
     )

@@ -15,6 +15,7 @@ from kits.nodes import DRIVEN, TICK, dotted, host_rig, same_as_resimulated
 from std_srvs.srv import SetBool, Trigger
 
 from impact_rig.client import Client, ServiceFailedError
+from impact_rig.nodes import publishers
 from impact_rig.nodes.messages import nanoseconds
 from impact_rig.nodes.pacing import Pacer
 from impact_rig.rig import Rig
@@ -230,3 +231,14 @@ def test_going_on_while_running_gives_up_no_time(client: Client, monkeypatch: py
     stood_ns = time.monotonic_ns() - begin
     client.pause(False)
     assert due_ns() >= before + stood_ns, "as long as it stood still, and what pausing took"
+
+
+def test_a_paused_rig_looks_at_each_step_who_listens(client: Client, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(publishers, "LOOK_S", 1000.0)  # a running one in real time looks now and then
+    host_rig(client, "realtime")
+    client.wait_active("rig")
+    client.pause()
+    client.step(1)
+    states = client.collect("truth/joint_states")
+    client.step(4)
+    client.wait_until(lambda: len(states) == 2, "the true states of four blocks")

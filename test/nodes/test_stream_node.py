@@ -19,12 +19,14 @@ from kits.rig import paper_rig
 from numpy.typing import NDArray
 from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
+from std_srvs.srv import Trigger
 
 from impact_rig import codec, topics
 from impact_rig.blocks import WAVEFORM, Table
-from impact_rig.client import Client
+from impact_rig.client import Client, apparatus
 from impact_rig.client.apparatus import over_topics
 from impact_rig.client.client import ros_parameters
+from impact_rig.errors import CommandError
 from impact_rig.nodes.recorder_node import RecorderNode
 from impact_rig.operate.hardware import Hardware, InProcess
 from impact_rig.recording import Run
@@ -235,3 +237,20 @@ def test_a_controllers_hardware_reads_over_topics_what_it_reads_in_process(clien
     assert len(over) == len(alone) > RATE_HZ // 2
     assert np.array_equal(over["laser"], alone["laser"])
     assert np.array_equal(over["current"], alone["current"])
+
+
+def test_a_stop_while_a_controller_looks_for_readers_is_not_overlooked(
+    client: Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    host_rig(client, "realtime", **STREAM)
+    client.wait_active("rig")
+    stop = client.node.create_client(Trigger, "rig/stop")
+
+    def is_stopped(wire: apparatus.OverTopics) -> bool:
+        stop.call_async(Trigger.Request())
+        return b"stop" in wire._journal.rows()["kind"]
+
+    monkeypatch.setattr(apparatus.OverTopics, "_finds_readers", is_stopped)
+    wire = apparatus.OverTopics(client)
+    with pytest.raises(CommandError, match=r"^the rig stopped: stop$"):
+        wire.feed(wire.wanted().sample, WAVE[:100])

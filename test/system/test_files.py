@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from impact_rig.errors import RecordingError
 from impact_rig.system import files
 
 MINE, THEIRS = b"whole\n", b"not to be touched\n"
@@ -132,3 +133,10 @@ def test_a_directory_of_somebody_else_is_refused(tmp_path: Path) -> None:
     os.chown(link, 4321, -1, follow_symlinks=False)
     with pytest.raises(PermissionError, match="another user"):
         files.refuse_foreign(link)
+
+
+def test_what_the_system_refuses_is_told_in_words_and_what_has_words_keeps_them(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match=r"^there: No such file or directory$"), files.errors_as("there"):
+        (tmp_path / "nothing").read_bytes()
+    with pytest.raises(RecordingError, match=r"^no room$"), files.errors_as("there"):
+        raise RecordingError("no room")
