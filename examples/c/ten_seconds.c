@@ -17,7 +17,7 @@ static ir_contact_step step[1];
 static ir_ledger ledger[1];
 static ir_log filled[1];
 static ir_impact impacts[IMPACTS];
-static int64_t tick_of[SEGMENTS], first_state[SEGMENTS + 1], result[2];
+static int64_t first_state[SEGMENTS + 1], first_segment[SEGMENTS + 1], result[2];
 #define READ(what) (fread(what, sizeof what, 1, file) == 1)
 
 int main(int count, char **words)
@@ -26,10 +26,9 @@ int main(int count, char **words)
     if (!file || !READ(parameters) || !READ(systems) || !READ(table) || !READ(states) || !READ(segments)) return 1;
     void *one = impact_rig_address("force.impact_rig.physics.contact.hunt_crossley._hertz_damped.one");
     void *at_stages = impact_rig_address("force.impact_rig.physics.contact.hunt_crossley._hertz_damped.at_stages");
-    for (int64_t i = 0; i < SEGMENTS; i++) tick_of[i] = i; /* one segment a tick: a stream of samples has more */
     int32_t status = ir_physics_event_loop_run(
-        parameters, 1, systems, 2, table, 1, one, at_stages, segments, SEGMENTS, tick_of, SEGMENTS, 0, states, 2, flight, 1, step, 1,
-        ledger, 1, filled, 1, history, STATES, impacts, IMPACTS, first_state, SEGMENTS + 1, 0, result);
+        parameters, 1, systems, 2, table, 1, one, at_stages, segments, SEGMENTS, 0, 0, states, 2, flight, 1, step, 1,
+        ledger, 1, filled, 1, history, STATES, impacts, IMPACTS, first_state, SEGMENTS + 1, first_segment, SEGMENTS + 1, 0, result);
     printf("%d %lld %lld %a\n", (int)status, (long long)result[0], (long long)filled->impacts, states[0].y[0]);
     for (int64_t i = 0; i < filled->impacts; i++) printf("%lld %a %a\n", (long long)impacts[i].tick, impacts[i].offset, impacts[i].impulse);
     return status;

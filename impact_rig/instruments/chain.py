@@ -100,6 +100,7 @@ class Chain:
         self._quantities = tuple(sensor.quantity for sensor in self._sensors)
         self._most = self._clock.scans_per_tick() + 1
         self._buffers = new_buffers(len(places), _TICKS_AT_ONCE * self._most + _LEFT_OVER)
+        self._words = self._buffers.values.view(np.uint64)
         self._chains: list[Modes] = []
         self._modes: NDArray[np.void] = records(0, SENSOR_MODE)
         self._equip()
@@ -164,7 +165,7 @@ class Chain:
             else:
                 pieces = cut(rough, motion_tick + first, ticks, Limits(tick_s, self._longest_s, _LONGEST_PULSE_PIECE_S))
                 self._acquire(motion, pieces, blows, motion_tick + first, clock)
-            self._note_rows()
+            self._note_rows(ticks)
             self._tick += ticks
 
     def read(self, count: int) -> NDArray[np.void]:
@@ -191,15 +192,14 @@ class Chain:
         self._next_scan += count
         return rows
 
-    def _note_rows(self) -> None:
-        """Make rows of all that every channel has finished."""
-        room = int(self._channels["finished"].min())
-        rows = np.empty(room * self._row_type.itemsize, np.uint8)
-        values, clipped = self._buffers.values.view(np.uint64), self._buffers.clipped
-        take_rows(self._channels, values, clipped, rows, self._layout)
-        if room:
-            self._rows.append(np.frombuffer(rows, self._row_type))  # a view as records is looked through by NumPy
-            self._ready += room
+    def _note_rows(self, ticks: int) -> None:
+        """Make rows of all that every channel has finished after so many new ticks."""
+        rows = np.empty((ticks * self._most + _LEFT_OVER) * self._row_type.itemsize, np.uint8)
+        count = take_rows(self._channels, self._words, self._buffers.clipped, rows, self._layout)
+        if count:
+            # a view as records is looked through by NumPy
+            self._rows.append(np.frombuffer(rows, self._row_type, count))
+            self._ready += count
 
     def info(self) -> NDArray[np.void]:
         """Return the calibration certificate, `blocks.DAQ_INFO` rows."""

@@ -91,13 +91,12 @@ def cut(rough: tuple[NDArray[np.int64], NDArray[np.float64]], motion_tick: int, 
             long as they are together no longer than `joined_s`.
     """
     tick, offset = rough
-    low, high = tick.searchsorted(motion_tick), tick.searchsorted(motion_tick + ticks)
-    room = ticks * (math.ceil(limits.tick_s / limits.longest_s) + 1) + 2 * int(high - low)
+    room = ticks * (math.ceil(limits.tick_s / limits.longest_s) + 1) + 2 * len(tick)
     first = np.empty(ticks + 1, np.int64)
     start, end = np.empty(room), np.empty(room)
     of = np.empty(room, np.int64)
     pieces = Pieces(first, start, end, of, limits.tick_s)
-    n = _cut(tick[low:high], offset[low:high], motion_tick, limits, pieces)
+    n = _cut(tick, offset, motion_tick, limits, pieces)
     return Pieces(first, start[:n], end[:n], of[:n], limits.tick_s)
 
 

@@ -96,7 +96,8 @@ class Workspace(NamedTuple):
         filled: one record of LOG: how many rows of history and impacts there are.
         history: records of STATE: the state at each event and each step of a contact.
         impacts: records of IMPACT.
-        first_state: row of the history that holds each segment's first state.
+        first_state: row of the history that holds each segment's first state, and the number of rows.
+        first_segment: each tick's first segment, and the number of segments.
     """
 
     states: NDArray[np.void]
@@ -107,9 +108,10 @@ class Workspace(NamedTuple):
     history: NDArray[np.void]
     impacts: NDArray[np.void]
     first_state: NDArray[np.int64]
+    first_segment: NDArray[np.int64]
 
 
-WORKSPACE = Fields(Workspace, (STATE, FLIGHT, CONTACT_STEP, LEDGER, LOG, STATE, IMPACT, INTEGERS))
+WORKSPACE = Fields(Workspace, (STATE, FLIGHT, CONTACT_STEP, LEDGER, LOG, STATE, IMPACT, INTEGERS, INTEGERS))
 
 
 def new_workspace(states: int, impacts: int) -> Workspace:
@@ -122,6 +124,7 @@ def new_workspace(states: int, impacts: int) -> Workspace:
         records(1, LOG),
         room(states, STATE),
         room(impacts, IMPACT),
+        np.zeros(1, np.int64),
         np.zeros(1, np.int64),
     )
 
@@ -372,11 +375,11 @@ def _move_base(p, f, s, ledger):  # type: ignore[no-untyped-def]
     ledger.work += p.k_1 * (s.y[XB] - before) * (0.5 * (s.y[XB] + before) - x_1)
 
 
-@entry(MODEL, SEGMENT, INTEGERS, int, WORKSPACE, bool, returns=(int, int))
-def run(model, segments, tick_of, index, work, account):  # type: ignore[no-untyped-def]
+@entry(MODEL, SEGMENT, int, int, WORKSPACE, bool, returns=(int, int))
+def run(model, segments, first_tick, index, work, account):  # type: ignore[no-untyped-def]
     """Advance the state through `segments[index:]`; return (how it ended, the segment it is in).
 
-    `tick_of` is the number of each segment's tick, counted since the reset.
+    `first_tick` is the number of the first segment's tick, counted since the reset.
 
     Work, and losses outside the contacts, are accounted for only if `account`: it costs as much as flying.
     """
@@ -388,6 +391,9 @@ def run(model, segments, tick_of, index, work, account):  # type: ignore[no-unty
         if work.filled[0].segments == index:  # not where a call with more room goes on, if all was at its start
             work.first_state[index] = work.filled[0].states
             work.filled[0].segments += 1
+            if row.begin == 0.0:
+                work.first_segment[work.filled[0].ticks] = index
+                work.filled[0].ticks += 1
             if model.parameters[0].drive == PRESCRIBED:
                 _move_base(model.parameters[0], f, s, work.ledger[0])
         for _ in range(_EVENTS_PER_SEGMENT):
@@ -402,7 +408,7 @@ def run(model, segments, tick_of, index, work, account):  # type: ignore[no-unty
                 _prepare_flight(model, f, work, t_end, fresh)
                 fresh = False
                 ended = _flight_phase(model, f, work, t_end, account)
-            _change_phase(model, f, work, tick_of[index], ended)
+            _change_phase(model, f, work, first_tick + work.filled[0].ticks - 1, ended)
             if s.t >= t_end:
                 break
         else:
@@ -411,5 +417,7 @@ def run(model, segments, tick_of, index, work, account):  # type: ignore[no-unty
             s.y[XB], s.y[VB] = drive(f, t_end)
         s.t = 0.0
         index += 1
-    work.history[work.filled[0].states] = s  # where the next motion begins; no row of this one
+    filled = work.filled[0]
+    work.history[filled.states] = s  # where the next motion begins; no row of this one
+    work.first_state[index], work.first_segment[filled.ticks] = filled.states, index
     return DONE, index

@@ -31,7 +31,7 @@ from impact_rig.arithmetic.precise import ONE, TWO, ZERO, Complex, pi, precise, 
 from impact_rig.arithmetic.random import Random
 from impact_rig.config import Drive, Shaker
 from impact_rig.errors import CommandError
-from impact_rig.kernels import REALS, entry, records
+from impact_rig.kernels import REALS, entry, for_kernels, records
 from impact_rig.physics.flight import SEGMENT
 from impact_rig.physics.stream import Stream
 from impact_rig.simtime import COMMAND_GRID_S
@@ -153,6 +153,34 @@ def run(sections, memory, samples):  # type: ignore[no-untyped-def]  # compiled:
         samples[i] = value
 
 
+@entry(int, int, float, float, int, REALS)
+def ramp(tick, first, start, target, ticks, level):  # type: ignore[no-untyped-def]
+    """Fill in the amplitudes at `tick` and the ticks after it: from `start` at the tick `first` linearly to `target`."""
+    for i in range(level.shape[0]):
+        part = (tick + i - first) / ticks if tick + i < first + ticks else 1.0
+        level[i] = start + (target - start) * part
+
+
+@entry(SEGMENT, REALS, float)
+def fill(rows, level, tick_s):  # type: ignore[no-untyped-def]
+    """Fill in length and amplitude of segments of one tick each, from the amplitudes at their starts and last end."""
+    for i in range(rows.shape[0]):
+        rows[i].duration = tick_s
+        rows[i].amplitude, rows[i].growth = level[i], (level[i + 1] - level[i]) / tick_s
+
+
+@entry(SEGMENT, float, int, float)
+def fill_sine(rows, frequency_hz, since, phase):  # type: ignore[no-untyped-def]
+    """Fill in frequency and phase of such segments, `since` ticks after the phase [rad] was `phase`."""
+    per_tick = frequency_hz * rows[0].duration if rows.shape[0] > 0 else 0.0
+    for i in range(rows.shape[0]):
+        turns = per_tick * (since + i)
+        angle = phase + TWO_PI * (turns - int(turns))
+        while angle >= TWO_PI:
+            angle -= TWO_PI
+        rows[i].omega, rows[i].phase = TWO_PI * frequency_hz, angle
+
+
 class FunctionGenerator:
     """Sine with phase-continuous frequency changes, a chirp in steps of one tick, seeded band-limited noise, a stream.
 
@@ -197,7 +225,9 @@ class FunctionGenerator:
     @property
     def amplitude(self) -> float:
         """Amplitude at the next tick."""
-        return float(self._amplitude_at(np.array(self.tick)))
+        level = np.empty(1)
+        ramp(self.tick, *self._ramp, self._ramp_ticks, level)
+        return float(level[0])
 
     @property
     def target_amplitude(self) -> float:
@@ -252,31 +282,20 @@ class FunctionGenerator:
         if self.stream is not None:
             self.tick += count
             return self.stream.segments(self.tick - count, count, self._tick_s)
-        rows = np.zeros(count, SEGMENT)
-        rows["duration"] = self._tick_s
-        self._fill_level(rows)
+        level = np.empty(count + 1)
+        ramp(self.tick, *self._ramp, self._ramp_ticks, level)
+        if self._noise is not None:
+            level *= self._noise.numbers(self.tick, count + 1)
+        rows = for_kernels(np.zeros(count, SEGMENT))
+        fill(rows, level, self._tick_s)
         if self._noise is not None:
             rows["phase"] = PI / 2.0
         elif self._drive.waveform == "chirp":
             self._fill_chirp(rows)
         else:
-            rows["omega"] = TWO_PI * self.frequency_hz
-            since = self.tick - self._anchor_tick
-            turns = self.frequency_hz * self._tick_s * np.arange(since, since + count)
-            rows["phase"] = np.fmod(self._anchor_phase + TWO_PI * np.fmod(turns, 1.0), TWO_PI)
+            fill_sine(rows, self.frequency_hz, self.tick - self._anchor_tick, self._anchor_phase)
         self.tick += count
         return rows
-
-    def _fill_level(self, rows: NDArray[np.void]) -> None:
-        first, start, target = self._ramp
-        if self._noise is None and self.tick >= first + self._ramp_ticks:  # most of the time: nothing changes
-            rows["amplitude"] = start + (target - start)
-            return
-        level = self._amplitude_at(np.arange(self.tick, self.tick + len(rows) + 1))
-        if self._noise is not None:
-            level = level * self._noise.numbers(self.tick, len(rows) + 1)
-        rows["amplitude"] = level[:-1]
-        rows["growth"] = np.diff(level) / self._tick_s
 
     def _fill_chirp(self, rows: NDArray[np.void]) -> None:
         drive = self._drive
@@ -287,10 +306,3 @@ class FunctionGenerator:
             rows[i]["omega"], rows[i]["phase"] = TWO_PI * frequency, self._anchor_phase
             self._anchor_phase = math.fmod(self._anchor_phase + TWO_PI * frequency * self._tick_s, TWO_PI)
         self._anchor_tick = self.tick + len(rows)
-
-    def _amplitude_at(self, tick: NDArray[np.int64]) -> NDArray[np.float64]:
-        first, start, target = self._ramp
-        if start == target or self._ramp_ticks == 0:
-            return np.full(tick.shape, target)
-        part = np.clip((tick - first) / self._ramp_ticks, 0.0, 1.0)
-        return np.asarray(start + (target - start) * part)

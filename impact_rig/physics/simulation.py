@@ -44,6 +44,7 @@ from impact_rig.physics.state import (
     FREE,
     IMPACT,
     LEDGER,
+    LOG,
     PRESCRIBED,
     SPHERE_LOOSE,
     STATE,
@@ -189,6 +190,7 @@ chattering sphere makes some ten of them."""
 
 _WHOLE = 1e-9  # by so much the phase of a whole cycle may miss one turn [rad]
 _STATES, _IMPACTS = 1 << 15, 1 << 11  # room for so many: pages that are not touched take no memory
+_NOTHING_FILLED, _NO_IMPACTS = np.zeros((), LOG), np.empty(0, IMPACT)
 _GROWTH = 4  # of the log, when a call needs more room
 _PLACES = {"left": -1.0, "centre": 0.0, "right": 1.0}
 
@@ -337,43 +339,37 @@ class Simulation:
         if self.locked:
             segments = segments.copy()
             segments["amplitude"] = segments["growth"] = 0.0
-        (begin,) = (segments["begin"] == 0.0).nonzero()
-        rows = np.empty(len(begin) + 1, np.int64)
-        rows[:-1], rows[-1] = begin, len(segments)
-        tick_of = np.arange(self.tick, self.tick + len(begin))
-        if len(begin) < len(segments):
-            tick_of = tick_of.repeat(rows[1:] - rows[:-1])
         segments = for_kernels(segments)
-        work = self._work._replace(first_state=np.zeros(len(segments) + 1, np.int64))
-        filled = work.filled[0]
-        filled["states"] = filled["impacts"] = filled["segments"] = 0
+        first = np.zeros((2, len(segments) + 1), np.int64)
+        work = self._work._replace(first_state=first[0], first_segment=first[1])
+        work.filled[0] = _NOTHING_FILLED
         index = 0
         while True:
-            ended, index = run(self._model, segments, tick_of, index, work, self._account)
+            ended, index = run(self._model, segments, self.tick, index, work, self._account)
+            states, impacts, _, ticks = work.filled[0].tolist()
             if ended in (STUCK, UNSOLVED):
                 what = "no progress" if ended == STUCK else "a step of a contact cannot be solved"
                 raise SimulationError(
-                    f"{what} in tick {tick_of[index]} {work.states[0]['t']:.9f} s into a segment of it, "
+                    f"{what} in tick {self.tick + ticks - 1} {work.states[0]['t']:.9f} s into a segment of it, "
                     f"phase {work.states[0]['phase']}"
                 )
             if ended != NEED_ROOM:
                 break
-            if filled["states"] - work.first_state[index] > MOST_STATES:
+            if states - work.first_state[index] > MOST_STATES:
                 raise SimulationError(
-                    f"more than {MOST_STATES} flights and steps of contacts in tick {tick_of[index]}, "
+                    f"more than {MOST_STATES} flights and steps of contacts in tick {self.tick + ticks - 1}, "
                     f"{work.states[0]['t']:.9f} s into a segment of it: the motion cannot be resolved"
                 )
             work = self._work = _grown(work)
-        states, impacts = int(filled["states"]), int(filled["impacts"])
-        work.first_state[-1] = states
         kept = work.history[: states + 1]  # and where the next motion begins
         if len(work.history) > _STATES:  # one that grew is given away: to copy it takes a tenth of the motion's time
             self._work = work._replace(history=room(_STATES, STATE))
         else:
             kept = joined([kept])  # a copy, in bytes: NumPy copies records field by field
-        hits = joined([work.impacts[:impacts]])
+        hits = joined([work.impacts[:impacts]]) if impacts else _NO_IMPACTS
+        rows = work.first_segment[: ticks + 1]
         motion = Motion(self._model, self.tick, segments, rows, kept, work.first_state, hits, self._sampling)
-        self.tick += len(rows) - 1
+        self.tick += ticks
         return motion
 
     def copy(self) -> Simulation:

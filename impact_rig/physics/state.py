@@ -99,6 +99,7 @@ LOG = np.dtype(
         ("states", "i8"),  # rows of the history that are filled
         ("impacts", "i8"),  # rows of the impacts that are filled
         ("segments", "i8"),  # segments that have begun
+        ("ticks", "i8"),  # ticks that have begun
     ]
 )
 """How far the event loop has come since it was called anew."""

@@ -316,7 +316,7 @@ class Rig:
         first = self._next_scan
         stamp = self._stamp(first)
         states, scans = self._truth.pop_states(first, size)
-        monitor = (first + scans) % self._truth.monitor_step == 0
+        monitor = (first + scans) % self._truth.monitor_step == 0 if self._truth.every_scan else slice(None)
         impacts = self._truth.pop_impacts(first, size)
         faults = self._chain.fault_rows(first, size)
         block = Block(

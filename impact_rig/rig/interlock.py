@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from impact_rig.arithmetic.elementary import exp
 from impact_rig.config import Drive, Shaker
 from impact_rig.errors import CommandError
-from impact_rig.kernels import INTEGERS, REALS, REALS_2D, entry, for_kernels
+from impact_rig.kernels import INTEGERS, REALS_2D, REALS_3D, entry, for_kernels, kernel
 from impact_rig.physics import Motion
 from impact_rig.physics.flight import SEGMENT
 from impact_rig.physics.stream import UNDERRUN
@@ -74,19 +74,16 @@ class Interlock:
         ticks = motion.last_tick - motion.first_tick + 1
         after, offset = _instants(ticks, tick_s)
         seen = motion.quantities(("x_b", "v_b", "current"), motion.first_tick + after, offset)
-        travel, velocity, current = seen.reshape(3, ticks, LOOKS_PER_TICK + 1)
-        worst, square = np.empty(ticks), np.empty(ticks)
-        largest(travel, velocity, tick_s / LOOKS_PER_TICK, worst)
+        found = np.empty((ticks, 2))
+        watched(seen.reshape(3, ticks, LOOKS_PER_TICK + 1), tick_s / LOOKS_PER_TICK, found)
         if (drive.kind, drive.waveform) == ("current", "stream"):  # it may do anything between the looks
-            mean_square_of_lines(for_kernels(motion.segments), motion.first_segment, tick_s, square)
-        else:
-            mean_square(current, square)
-        gain = 1.0 - exp(-tick_s / CURRENT_TIME_S)
+            mean_square_of_lines(for_kernels(motion.segments), motion.first_segment, tick_s, found)
+        gain = _gain(tick_s)
         limit, limit_rms = shaker.travel_limit_m, shaker.current_limit_a_rms
-        for tick in range(ticks):
-            self._mean_square += gain * (square[tick] - self._mean_square)
-            if worst[tick] > limit:
-                return Trip(tick, OVER_TRAVEL, float(worst[tick]), limit)
+        for tick, (worst, square) in enumerate(found.tolist()):
+            self._mean_square += gain * (square - self._mean_square)
+            if worst > limit:
+                return Trip(tick, OVER_TRAVEL, worst, limit)
             if math.sqrt(self._mean_square) > OVER_CURRENT_MARGIN * limit_rms:
                 return Trip(tick, OVER_CURRENT, math.sqrt(self._mean_square), limit_rms)
         return None
@@ -99,51 +96,65 @@ def _instants(ticks: int, tick_s: float) -> tuple[NDArray[np.int64], NDArray[np.
     return tick, np.tile(np.arange(LOOKS_PER_TICK + 1) * (tick_s / LOOKS_PER_TICK), ticks)
 
 
-@entry(REALS_2D, REALS)
-def mean_square(values, found):  # type: ignore[no-untyped-def]  # compiled: types are inferred
-    """Fill `found` with the mean of the squares in each row of values but the first, which ends the tick before.
+@functools.lru_cache(maxsize=4)
+def _gain(tick_s: float) -> float:
+    """Return the weight of a tick in the average of the current."""
+    return 1.0 - exp(-tick_s / CURRENT_TIME_S)
 
-    values has the shape (rows, 1 + n), found (rows,); they are added up in order.
+
+@entry(REALS_3D, float, REALS_2D)
+def watched(seen, spacing_s, found):  # type: ignore[no-untyped-def]  # compiled: types are inferred
+    """Fill in each tick's largest |travel| [m] and mean square of the current [A²], `found` of shape (ticks, 2).
+
+    `seen` holds travel [m], its rate [m/s] and current [A] at instants `spacing_s` [s] apart, the first of which ends
+    the tick before: shape (3, ticks, 1 + n).
     """
-    for row in range(values.shape[0]):
-        found[row] = 0.0
-        for i in range(1, values.shape[1]):
-            found[row] += values[row, i] * values[row, i]
-        found[row] /= values.shape[1] - 1
+    for tick in range(found.shape[0]):
+        found[tick, 0] = _largest(seen[0, tick], seen[1, tick], spacing_s)
+        found[tick, 1] = _mean_square(seen[2, tick])
 
 
-@entry(SEGMENT, INTEGERS, float, REALS)
+@kernel
+def _mean_square(values):  # type: ignore[no-untyped-def]
+    """Return the mean of the squares of all values but the first, added up in order."""
+    total = 0.0
+    for i in range(1, values.shape[0]):
+        total += values[i] * values[i]
+    return total / (values.shape[0] - 1)
+
+
+@entry(SEGMENT, INTEGERS, float, REALS_2D)
 def mean_square_of_lines(segments, first_segment, tick_s, found):  # type: ignore[no-untyped-def]
-    """Fill `found` with the mean square of each tick of a drive of straight lines; `first_segment` as of a Motion."""
+    """Fill `found[:, 1]` with the mean square of each tick of a drive of straight lines; `first_segment` as of a Motion."""
     for tick in range(found.shape[0]):
         total = 0.0
         for i in range(first_segment[tick], first_segment[tick + 1]):
             row = segments[i]
             low, high = row.amplitude, row.amplitude + row.growth * row.duration
             total += row.duration * (low * low + low * high + high * high) * (1.0 / 3.0)
-        found[tick] = total / tick_s
+        found[tick, 1] = total / tick_s
 
 
-@entry(REALS_2D, REALS_2D, float, REALS)
-def largest(position, velocity, spacing_s, found):  # type: ignore[no-untyped-def]
-    """Fill `found` with the largest |position| of each row, between the samples as well, shape (rows,).
+@kernel
+def _largest(position, velocity, spacing_s):  # type: ignore[no-untyped-def]
+    """Return the largest |position|, between the samples as well.
 
-    position [m] and its rate, velocity [m/s], have shape (rows, n), samples `spacing_s` [s] apart: so short that the
+    position [m] and its rate, velocity [m/s], have shape (n,), samples `spacing_s` [s] apart: so short that the
     velocity changes its sign at most once in it. Between two samples the position is the cubic through both ends,
     low + x (low_rate + x (square + cube x)), x = 0 … 1.
     """
-    for row in range(position.shape[0]):
-        found[row] = abs(position[row, 0])
-        for i in range(position.shape[1] - 1):
-            low, high = position[row, i], position[row, i + 1]
-            low_rate, high_rate = spacing_s * velocity[row, i], spacing_s * velocity[row, i + 1]
-            found[row] = max(found[row], abs(high))
-            if low_rate * high_rate < 0.0:  # it turns in between
-                square = 3.0 * (high - low) - 2.0 * low_rate - high_rate
-                cube = low_rate + high_rate - 2.0 * (high - low)
-                bottom = square + math.copysign(math.sqrt(square * square - 3.0 * cube * low_rate), high_rate)
-                x = min(1.0, max(0.0, -low_rate / bottom)) if bottom != 0.0 else 0.0
-                found[row] = max(found[row], abs(low + x * (low_rate + x * (square + x * cube))))
+    found = abs(position[0])
+    for i in range(position.shape[0] - 1):
+        low, high = position[i], position[i + 1]
+        low_rate, high_rate = spacing_s * velocity[i], spacing_s * velocity[i + 1]
+        found = max(found, abs(high))
+        if low_rate * high_rate < 0.0:  # it turns in between
+            square = 3.0 * (high - low) - 2.0 * low_rate - high_rate
+            cube = low_rate + high_rate - 2.0 * (high - low)
+            bottom = square + math.copysign(math.sqrt(square * square - 3.0 * cube * low_rate), high_rate)
+            x = min(1.0, max(0.0, -low_rate / bottom)) if bottom != 0.0 else 0.0
+            found = max(found, abs(low + x * (low_rate + x * (square + x * cube))))
+    return found
 
 
 def check_frequency(frequency_hz: float, shaker: Shaker) -> None:

@@ -20,6 +20,7 @@ TICKS_PER_S = NS_PER_S // COMMAND_GRID_NS
 
 _NO_STATES = np.empty(0, TRUTH_SCAN)
 _NO_IMPACTS = np.empty(0, IMPACTS)
+_NO_SCANS = np.empty(0, np.int64)
 _QUANTITIES = (TRUTH_SCAN.names or ())[1:]
 _IMPACT_COLUMNS = [name for name in IMPACTS.names or () if name != "time"]
 
@@ -39,8 +40,8 @@ class Truth:
 
     def __init__(self, rate_hz: int, monitor_hz: float, every_scan: bool) -> None:
         self._rate_hz = rate_hz
-        self.configure(monitor_hz, every_scan)
         self._states: list[NDArray[np.void]] = []
+        self.configure(monitor_hz, every_scan)
         self._impacts: list[NDArray[np.void]] = []  # time: since scan 0; ends beside it
         self._ends: list[NDArray[np.float64]] = []
         self._first_end_s = math.inf
@@ -49,6 +50,8 @@ class Truth:
         """Change what is kept, from the next tick on."""
         self.monitor_step = monitor_step(self._rate_hz, monitor_hz)
         self.every_scan = every_scan
+        if not every_scan:
+            self._states = [rows[rows["time"] % self.monitor_step == 0.0] for rows in self._states]
 
     @property
     def _step(self) -> int:
@@ -62,9 +65,10 @@ class Truth:
     def _take_states(self, motion: Motion, tick_s: float) -> None:
         step = self._step
         first, end = (-(-tick * self._rate_hz // TICKS_PER_S) for tick in (motion.first_tick, motion.last_tick + 1))
-        scans = np.arange(-(-first // step) * step, end, step, dtype=np.int64)
-        if len(scans) == 0:
+        first = -(-first // step) * step
+        if first >= end:
             return
+        scans = np.arange(first, end, step, dtype=np.int64)
         tick, rest = np.divmod(scans * TICKS_PER_S, self._rate_hz)
         values = np.empty((len(scans), 1 + len(_QUANTITIES)))
         values[:, 0] = scans  # turned into seconds when the block is known
@@ -89,6 +93,8 @@ class Truth:
 
         The second array says which of the `count` scans they are.
         """
+        if not self._states:
+            return _NO_STATES, _NO_SCANS
         parts = []
         while self._states:
             kept = self._states[0]
