@@ -155,7 +155,7 @@ def run(sections, memory, samples):  # type: ignore[no-untyped-def]  # compiled:
 
 @entry(int, int, float, float, int, REALS)
 def ramp(tick, first, start, target, ticks, level):  # type: ignore[no-untyped-def]
-    """Fill in the amplitudes at `tick` and the ticks after it: from `start` at the tick `first` linearly to `target`."""
+    """Fill in the amplitudes at `tick` and after it: linear from `start` at `first` to `target` so many ticks later."""
     for i in range(level.shape[0]):
         part = (tick + i - first) / ticks if tick + i < first + ticks else 1.0
         level[i] = start + (target - start) * part
@@ -286,7 +286,7 @@ class FunctionGenerator:
         ramp(self.tick, *self._ramp, self._ramp_ticks, level)
         if self._noise is not None:
             level *= self._noise.numbers(self.tick, count + 1)
-        rows = for_kernels(np.zeros(count, SEGMENT))
+        rows: NDArray[np.void] = for_kernels(np.zeros(count, SEGMENT))
         fill(rows, level, self._tick_s)
         if self._noise is not None:
             rows["phase"] = PI / 2.0
