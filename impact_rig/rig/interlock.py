@@ -99,7 +99,7 @@ def _instants(ticks: int, tick_s: float) -> tuple[NDArray[np.int64], NDArray[np.
 @functools.lru_cache(maxsize=4)
 def _gain(tick_s: float) -> float:
     """Return the weight of a tick in the average of the current."""
-    return 1.0 - exp(-tick_s / CURRENT_TIME_S)
+    return 1.0 - float(exp(-tick_s / CURRENT_TIME_S))
 
 
 @entry(REALS_3D, float, REALS_2D)
@@ -125,7 +125,7 @@ def _mean_square(values):  # type: ignore[no-untyped-def]
 
 @entry(SEGMENT, INTEGERS, float, REALS_2D)
 def mean_square_of_lines(segments, first_segment, tick_s, found):  # type: ignore[no-untyped-def]
-    """Fill `found[:, 1]` with the mean square of each tick of a drive of straight lines; `first_segment` as of a Motion."""
+    """Fill in mean squares of a drive of straight lines instead; `first_segment` is that of a Motion."""
     for tick in range(found.shape[0]):
         total = 0.0
         for i in range(first_segment[tick], first_segment[tick + 1]):
