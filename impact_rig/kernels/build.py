@@ -33,8 +33,8 @@ from impact_rig.kernels.header import whole
 FOLDER = Path(__file__).parent
 OUTPUT, HEADER = "_library.abi3.so", "impact_rig.h"
 PARTS = {
-    "mechanics": ("physics.simulation", "physics.function_generator"),
-    "instruments": ("instruments.chain", "rig.interlock", "analysis.tracker"),
+    "mechanics": ("physics.simulation", "physics.function_generator", "rig.interlock", "rig.truth"),
+    "instruments": ("instruments.chain", "analysis.tracker"),
 }
 """What is translated side by side: modules whose import declares the entries."""
 CPU = "x86-64"

@@ -2,7 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The C header of the library: every record as a struct, every entry as a function, made from their declarations.
 
-What a field means, and its unit, is the comment beside it in the Python source, on the same line.
+What a field means, and its unit, is the comment beside it in the Python source, on the same line; of a topic's rows it
+is what their columns say.
 """
 
 from __future__ import annotations
@@ -68,7 +69,8 @@ def _names() -> Iterator[tuple[np.dtype[Any], str, dict[str, str]]]:
         for name, value in vars(module).items():
             if isinstance(value, np.dtype) and value.names:
                 declared = inspect.getsource(module).partition(f"\n{name} = np.dtype(")[2].partition("\n)")[0]
-                yield value, name.strip("_").lower(), dict(_FIELD.findall(declared))
+                columns = {one.name: f"{one.doc} [{one.unit}]" for one in vars(module).get(f"{name}_COLUMNS", ())}
+                yield value, name.strip("_").lower(), dict(_FIELD.findall(declared)) or columns
 
 
 def _struct(dtype: np.dtype[Any], name: str) -> str:

@@ -81,7 +81,7 @@ def main() -> None:
 
 def part_of(name: str) -> str:
     """Return in which part an entry is translated."""
-    return "mechanics" if name.startswith(("physics.", "arithmetic.")) else "instruments"
+    return "mechanics" if name.startswith(("physics.", "arithmetic.", "rig.")) else "instruments"
 
 
 def _let_numba_see_kernels() -> None:

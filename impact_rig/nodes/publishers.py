@@ -146,12 +146,17 @@ class Publishers:
         self._listened_to = {name for name, publisher in self._publishers.items() if publisher.get_subscription_count()}
 
     def block(self, block: Block) -> None:
-        """Publish a block: its tables, then the monitors."""
-        for topic, table in block.tables():
-            if topic is topics.SCAN or topic.qos.transient_local or self._heard(topic):
-                self._node.send(topic, codec.encode(table))
+        """Publish a block: its tables, then the monitors; all are made before the first goes out.
+
+        What the middleware does between two of them drives all else from the caches.
+        """
         assert self._monitors is not None
-        for topic, data in self._monitors.messages(block, self._heard):
+        made = [
+            (topic, codec.encode(table))
+            for topic, table in block.tables()
+            if topic is topics.SCAN or topic.qos.transient_local or self._heard(topic)
+        ]
+        for topic, data in (*made, *self._monitors.messages(block, self._heard)):
             self._node.send(topic, data)
 
     def _heard(self, topic: topics.Topic) -> bool:

@@ -122,7 +122,8 @@ class RigState:
                 "lateness_worst_ms": late.worst_ms,
             }
         values |= {f"behind.{name}": count for name, count in session.window.behind().items()}
-        values |= {f"over_range.{one.name}": counts.over_range[one.name] for one in config.instruments.fitted()}
+        over_range = counts.over_range()
+        values |= {f"over_range.{one.name}": over_range[one.name] for one in config.instruments.fitted()}
         return values
 
     def _clock_step_s(self) -> float:

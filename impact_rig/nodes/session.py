@@ -19,13 +19,15 @@ from collections import Counter, deque
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any  # values of parameters
 
+import numpy as np
+from numpy.typing import NDArray
 from rclpy.node import Node
 from rclpy.utilities import get_rmw_implementation_identifier
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 
 from impact_rig import codec, states, topics
-from impact_rig.blocks import Table
+from impact_rig.blocks import Table, joined
 from impact_rig.errors import CodecError, CommandError, describe
 from impact_rig.instruments.section import channels_of
 from impact_rig.nodes.acknowledgements import AckWindow, Readers
@@ -129,6 +131,7 @@ EXPIRES_S = 2.0
 and who sent it was told so."""
 IDLE_S = 1.0  # who steps in turns asks more often than this: a rig between two steps of a series is not paused
 RATE_WINDOW_S = 2.0
+COUNTED_TOGETHER = 32  # blocks
 
 
 class Counts:
@@ -139,7 +142,8 @@ class Counts:
         self.lost_blocks = 0
         self.impacts = 0
         self.other_acks = 0
-        self.over_range: Counter[str] = Counter()
+        self._over_range: Counter[str] = Counter()
+        self._uncounted: list[NDArray[np.void]] = []  # scans not yet looked through for channels over range
         self.faults: dict[int, str] = {}  # the instrument faults that act now
         self._rates: deque[tuple[float, int]] = deque([(time.monotonic(), 0)])
 
@@ -149,10 +153,9 @@ class Counts:
         self.lost_blocks += block.lost
         if block.impacts is not None:
             self.impacts += len(block.impacts.rows)
-        status = block.scan.rows["status"]
-        if status.any():
-            for bit, name in enumerate(channels_of(block.scan.rows)):
-                self.over_range[name] += int(((status >> bit) & 1).sum())
+        self._uncounted.append(block.scan.rows)
+        if len(self._uncounted) >= COUNTED_TOGETHER:
+            self.over_range()
         if block.faults is not None:
             for row in block.faults.rows:
                 number = int(row["id"])
@@ -160,6 +163,16 @@ class Counts:
                     self.faults[number] = f"{row['kind'].decode()}/{row['channel'].decode()}".rstrip("/")
                 else:
                     self.faults.pop(number, None)
+
+    def over_range(self) -> Counter[str]:
+        """Return the scans in which each channel was over range."""
+        if self._uncounted:
+            rows, self._uncounted = joined(self._uncounted), []
+            status = rows["status"]
+            if status.any():
+                for bit, name in enumerate(channels_of(rows)):
+                    self._over_range[name] += int(((status >> bit) & 1).sum())
+        return self._over_range
 
     def block_rate_hz(self) -> float:
         """Return blocks per second of wall time over about the last two seconds."""

@@ -20,6 +20,7 @@ memory, through eight samples.
 
 from __future__ import annotations
 
+import functools
 import math
 from typing import NamedTuple
 
@@ -153,6 +154,12 @@ class Spans(NamedTuple):
 SPANS = Fields(Spans, (INTEGERS, INTEGERS, REALS, REALS, REALS_3D))
 
 
+@functools.cache
+def places(names: tuple[str, ...]) -> NDArray[np.int64]:
+    """Return the places of some quantities in QUANTITIES, shape (names,)."""
+    return np.array([QUANTITIES.index(name) for name in names], np.int64)
+
+
 class SamplingWorkspace(NamedTuple):
     """Scratch memory of the sampler.
 
@@ -187,6 +194,10 @@ SAMPLING_WORKSPACE = Fields(
     SamplingWorkspace,
     (FLIGHT, CONTACT_STEP, STATE, REALS_2D, REALS, REALS_2D, REALS, INTEGERS, INTEGERS, REALS, REALS_2D),
 )
+
+
+SAMPLED = MODEL, TRAJECTORY, SAMPLING_WORKSPACE
+"""What a kernel takes that evaluates a motion, see `Motion.sampled`."""
 
 
 def new_sampling_workspace() -> SamplingWorkspace:
@@ -499,8 +510,14 @@ def _rows_at(trajectory, tick, offset):  # type: ignore[no-untyped-def]
     return low, last_before(trajectory.history, trajectory.first_state[low], end, since), end
 
 
-@entry(MODEL, TRAJECTORY, QUERY, SAMPLING_WORKSPACE, returns=bool)
-def sample(model, trajectory, query, work):  # type: ignore[no-untyped-def]
+@entry(*SAMPLED, QUERY, returns=bool)
+def sample(model, trajectory, work, query):  # type: ignore[no-untyped-def]
+    """Fill `query.out` as `sample_anew` does, for callers in Python."""
+    return sample_anew(model, trajectory, work, query)
+
+
+@kernel
+def sample_anew(model, trajectory, work, query):  # type: ignore[no-untyped-def]
     """Fill `query.out` and return whether there are such ticks.
 
     Instants in a row that share one row of the history are evaluated together.

@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import copy
-import functools
 from typing import Any  # records, which are other arrays where kernels run as plain Python
 
 import attrs
@@ -33,6 +32,7 @@ from impact_rig.physics.sampling import (
     Trajectory,
     fit,
     new_sampling_workspace,
+    places,
     refine,
     sample,
 )
@@ -58,11 +58,6 @@ from impact_rig.physics.state import (
 __all__ = ["IMPACT", "SAMPLE", "Motion"]
 
 SAMPLE = np.dtype([(name, "f8") for name in QUANTITIES])
-
-
-@functools.cache
-def _places(names: tuple[str, ...]) -> NDArray[np.int64]:
-    return np.array([QUANTITIES.index(name) for name in names], np.int64)
 
 
 class Motion:
@@ -97,6 +92,11 @@ class Motion:
         self._sampling = work or new_sampling_workspace()
 
     @property
+    def sampled(self) -> tuple[Model, Trajectory, SamplingWorkspace]:
+        """What kernels take that evaluate it, as `sampling.SAMPLED`."""
+        return self._model, self._trajectory, self._sampling
+
+    @property
     def last_tick(self) -> int:
         """Number of the last tick, inclusive."""
         return self.first_tick + len(self.first_segment) - 2
@@ -125,8 +125,8 @@ class Motion:
         if tick.shape != offset_s.shape:
             raise ValueError(f"tick and offset must have one shape, got {tick.shape} and {offset_s.shape}")
         out = np.empty((len(names), tick.size))
-        query = Query(_places(names), tick.reshape(-1), offset_s.reshape(-1), out)
-        if not sample(self._model, self._trajectory, query, self._sampling):
+        query = Query(places(names), tick.reshape(-1), offset_s.reshape(-1), out)
+        if not sample(*self.sampled, query):
             raise self._elsewhere(tick)
         return out.reshape(len(names), *tick.shape)
 
@@ -150,7 +150,7 @@ class Motion:
             ValueError: a piece is in none of the ticks.
         """
         out = np.empty((len(names), len(tick), NODES))
-        if not fit(self._model, self._trajectory, Spans(_places(names), tick, start_s, end_s, out), self._sampling):
+        if not fit(self._model, self._trajectory, Spans(places(names), tick, start_s, end_s, out), self._sampling):
             raise self._elsewhere(tick)
         return out
 
@@ -341,12 +341,12 @@ class Simulation:
             segments["amplitude"] = segments["growth"] = 0.0
         segments = for_kernels(segments)
         first = np.zeros((2, len(segments) + 1), np.int64)
-        work = self._work._replace(first_state=first[0], first_segment=first[1])
+        work = Workspace(*self._work[:-2], *first)
         work.filled[0] = _NOTHING_FILLED
         index = 0
         while True:
             ended, index = run(self._model, segments, self.tick, index, work, self._account)
-            states, impacts, _, ticks = work.filled[0].tolist()
+            ((states, impacts, _, ticks),) = work.filled.tolist()
             if ended in (STUCK, UNSOLVED):
                 what = "no progress" if ended == STUCK else "a step of a contact cannot be solved"
                 raise SimulationError(

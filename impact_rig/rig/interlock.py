@@ -18,9 +18,10 @@ from numpy.typing import NDArray
 from impact_rig.arithmetic.elementary import exp
 from impact_rig.config import Drive, Shaker
 from impact_rig.errors import CommandError
-from impact_rig.kernels import INTEGERS, REALS_2D, REALS_3D, entry, for_kernels, kernel
+from impact_rig.kernels import INTEGERS, REALS_2D, entry, for_kernels, kernel
 from impact_rig.physics import Motion
 from impact_rig.physics.flight import SEGMENT
+from impact_rig.physics.sampling import QUERY, SAMPLED, Query, places, sample_anew
 from impact_rig.physics.stream import UNDERRUN
 
 LOOKS_PER_TICK = 10
@@ -56,6 +57,7 @@ class Interlock:
 
     def __init__(self) -> None:
         self._mean_square = 0.0
+        self._looks: Query | None = None  # scratch: where and what is looked at
 
     def reset(self) -> None:
         """Forget the current so far."""
@@ -72,10 +74,11 @@ class Interlock:
         if drive.kind == "prescribed":
             return None
         ticks = motion.last_tick - motion.first_tick + 1
-        after, offset = _instants(ticks, tick_s)
-        seen = motion.quantities(("x_b", "v_b", "current"), motion.first_tick + after, offset)
+        if self._looks is None or len(self._looks.tick) != ticks * (LOOKS_PER_TICK + 1):
+            room = np.empty((4, ticks * (LOOKS_PER_TICK + 1)))
+            self._looks = Query(places(("x_b", "v_b", "current")), np.empty(room.shape[1], np.int64), room[3], room[:3])
         found = np.empty((ticks, 2))
-        watched(seen.reshape(3, ticks, LOOKS_PER_TICK + 1), tick_s / LOOKS_PER_TICK, found)
+        watched(*motion.sampled, self._looks, tick_s / LOOKS_PER_TICK, found)
         if (drive.kind, drive.waveform) == ("current", "stream"):  # it may do anything between the looks
             mean_square_of_lines(for_kernels(motion.segments), motion.first_segment, tick_s, found)
         gain = _gain(tick_s)
@@ -90,28 +93,26 @@ class Interlock:
 
 
 @functools.lru_cache(maxsize=4)
-def _instants(ticks: int, tick_s: float) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Return the instants of the interlock, (tick, offset [s]), LOOKS_PER_TICK + 1 a tick: both ends count."""
-    tick = np.repeat(np.arange(ticks, dtype=np.int64), LOOKS_PER_TICK + 1)
-    return tick, np.tile(np.arange(LOOKS_PER_TICK + 1) * (tick_s / LOOKS_PER_TICK), ticks)
-
-
-@functools.lru_cache(maxsize=4)
 def _gain(tick_s: float) -> float:
     """Return the weight of a tick in the average of the current."""
     return 1.0 - float(exp(-tick_s / CURRENT_TIME_S))
 
 
-@entry(REALS_3D, float, REALS_2D)
-def watched(seen, spacing_s, found):  # type: ignore[no-untyped-def]  # compiled: types are inferred
+@entry(*SAMPLED, QUERY, float, REALS_2D)
+def watched(model, trajectory, work, looks, spacing_s, found):  # type: ignore[no-untyped-def]  # compiled
     """Fill in each tick's largest |travel| [m] and mean square of the current [A²], `found` of shape (ticks, 2).
 
-    `seen` holds travel [m], its rate [m/s] and current [A] at instants `spacing_s` [s] apart, the first of which ends
-    the tick before: shape (3, ticks, 1 + n).
+    `looks` asks for travel, its rate and the current, and has room for all looks: `spacing_s` [s] apart, from the start
+    of each tick to its end, which is also the start of the next.
     """
+    each = looks.tick.shape[0] // found.shape[0]
+    for i in range(looks.tick.shape[0]):
+        looks.tick[i], looks.offset[i] = trajectory.first_tick + i // each, (i % each) * spacing_s
+    sample_anew(model, trajectory, work, looks)
     for tick in range(found.shape[0]):
-        found[tick, 0] = _largest(seen[0, tick], seen[1, tick], spacing_s)
-        found[tick, 1] = _mean_square(seen[2, tick])
+        part = looks.out[:, tick * each : (tick + 1) * each]
+        found[tick, 0] = largest(part[0], part[1], spacing_s)
+        found[tick, 1] = _mean_square(part[2])
 
 
 @kernel
@@ -136,7 +137,7 @@ def mean_square_of_lines(segments, first_segment, tick_s, found):  # type: ignor
 
 
 @kernel
-def _largest(position, velocity, spacing_s):  # type: ignore[no-untyped-def]
+def largest(position, velocity, spacing_s):  # type: ignore[no-untyped-def]
     """Return the largest |position|, between the samples as well.
 
     position [m] and its rate, velocity [m/s], have shape (n,), samples `spacing_s` [s] apart: so short that the

@@ -7,13 +7,18 @@ Instants are reckoned in whole ticks and a remainder, so nothing depends on how 
 
 from __future__ import annotations
 
+import bisect
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig.blocks import IMPACTS, TRUTH_SCAN, joined
+from impact_rig.kernels import REALS, REALS_2D, Fields, entry, for_kernels, room
 from impact_rig.physics import Motion
+from impact_rig.physics.sampling import QUERY, SAMPLED, Query, places, sample_anew
+from impact_rig.physics.state import IMPACT
 from impact_rig.simtime import COMMAND_GRID_NS, COMMAND_GRID_S, NS_PER_S
 
 TICKS_PER_S = NS_PER_S // COMMAND_GRID_NS
@@ -22,12 +27,52 @@ _NO_STATES = np.empty(0, TRUTH_SCAN)
 _NO_IMPACTS = np.empty(0, IMPACTS)
 _NO_SCANS = np.empty(0, np.int64)
 _QUANTITIES = (TRUTH_SCAN.names or ())[1:]
-_IMPACT_COLUMNS = [name for name in IMPACTS.names or () if name != "time"]
 
 
 def monitor_step(rate_hz: int, monitor_hz: float) -> int:
     """Return how many scans lie between two monitor instants: the nearest whole number from above."""
     return max(1, math.ceil(rate_hz / monitor_hz - 1e-9))
+
+
+class Scans(NamedTuple):
+    """Every so many scans: number of the first, step, and scans per second."""
+
+    first: int
+    step: int
+    rate_hz: int
+
+
+SCANS = Fields(Scans, (int, int, int))
+
+
+@entry(*SAMPLED, QUERY, SCANS, float, REALS_2D)
+def states_at(model, trajectory, work, query, scans, tick_s, rows):  # type: ignore[no-untyped-def]  # compiled
+    """Fill in the number of each scan, which becomes its time when the block is known, and what `query` asks for.
+
+    rows has the shape (n, 1 + q); `query` has room for n instants.
+    """
+    per_rest = tick_s / scans.rate_hz
+    for i in range(rows.shape[0]):
+        scan = scans.first + i * scans.step
+        rows[i, 0] = scan
+        query.tick[i] = scan * TICKS_PER_S // scans.rate_hz
+        query.offset[i] = (scan * TICKS_PER_S % scans.rate_hz) * per_rest
+    sample_anew(model, trajectory, work, query)
+    for i in range(rows.shape[0]):
+        for j in range(query.wanted.shape[0]):
+            rows[i, 1 + j] = query.out[j, i]
+
+
+@entry(IMPACT, float, IMPACTS, REALS)
+def timed(found, stretch, rows, ends):  # type: ignore[no-untyped-def]
+    """Fill in the columns of the impacts, and when each ended [s]; times since scan 0, `stretch` to one of motion."""
+    for i in range(found.shape[0]):
+        one, row = found[i], rows[i]
+        row.time = one.tick * COMMAND_GRID_S + one.offset * stretch
+        ends[i] = row.time + one.duration * stretch
+        row.wall, row.approach_speed, row.separation_speed = one.wall, one.approach_speed, one.separation_speed
+        row.peak_force, row.peak_indentation = one.peak_force, one.peak_indentation
+        row.impulse, row.duration, row.energy_lost = one.impulse, one.duration, one.energy_lost
 
 
 class Truth:
@@ -42,9 +87,8 @@ class Truth:
         self._rate_hz = rate_hz
         self._states: list[NDArray[np.void]] = []
         self.configure(monitor_hz, every_scan)
-        self._impacts: list[NDArray[np.void]] = []  # time: since scan 0; ends beside it
-        self._ends: list[NDArray[np.float64]] = []
-        self._first_end_s = math.inf
+        self._impacts: list[NDArray[np.void]] = []  # time: since scan 0
+        self._ends: list[float] = []  # of them, since scan 0; a sphere has one contact after another
 
     def configure(self, monitor_hz: float, every_scan: bool) -> None:
         """Change what is kept, from the next tick on."""
@@ -68,25 +112,20 @@ class Truth:
         first = -(-first // step) * step
         if first >= end:
             return
-        scans = np.arange(first, end, step, dtype=np.int64)
-        tick, rest = np.divmod(scans * TICKS_PER_S, self._rate_hz)
-        values = np.empty((len(scans), 1 + len(_QUANTITIES)))
-        values[:, 0] = scans  # turned into seconds when the block is known
-        values[:, 1:] = motion.quantities(_QUANTITIES, tick, rest * (tick_s / self._rate_hz)).T
-        self._states.append(np.frombuffer(values, TRUTH_SCAN))
+        count = -(-(end - first) // step)
+        wanted, rows = places(_QUANTITIES), np.empty((count, 1 + len(_QUANTITIES)))
+        query = Query(wanted, np.empty(count, np.int64), np.empty(count), np.empty((len(wanted), count)))
+        states_at(*motion.sampled, query, Scans(first, step, self._rate_hz), tick_s, rows)
+        self._states.append(np.frombuffer(rows, TRUTH_SCAN))
 
     def _take_impacts(self, motion: Motion, tick_s: float) -> None:
         found = motion.impacts
         if len(found) == 0:
             return
-        rows = np.empty(len(found), IMPACTS)
-        for name in _IMPACT_COLUMNS:
-            rows[name] = found[name]
-        stretch = COMMAND_GRID_S / tick_s
-        rows["time"] = found["tick"] * COMMAND_GRID_S + found["offset"] * stretch
+        rows, ends = room(len(found), IMPACTS), np.empty(len(found))
+        timed(for_kernels(found), COMMAND_GRID_S / tick_s, rows, ends)
         self._impacts.append(rows)
-        self._ends.append(rows["time"] + found["duration"] * stretch)
-        self._first_end_s = min(self._first_end_s, float(self._ends[-1].min()))
+        self._ends += ends.tolist()
 
     def pop_states(self, first: int, count: int) -> tuple[NDArray[np.void], NDArray[np.int64]]:
         """Return the kept rows of scans first to first + count, with `time` since `first`, and forget them.
@@ -112,12 +151,11 @@ class Truth:
     def pop_impacts(self, first: int, count: int) -> NDArray[np.void]:
         """Return the contacts that ended before the end of these scans, with `time` since `first`, and forget them."""
         end_s = (first + count) / self._rate_hz
-        if self._first_end_s >= end_s:
+        done = bisect.bisect_left(self._ends, end_s)
+        if done == 0:
             return _NO_IMPACTS
-        rows, ends = joined(self._impacts), np.concatenate(self._ends)
-        done = ends < end_s
-        self._impacts, self._ends = [rows[~done]], [ends[~done]]
-        self._first_end_s = self._ends[0].min(initial=math.inf)
-        rows = rows[done]
+        rows = joined(self._impacts)
+        self._impacts, self._ends = [rows[done:]], self._ends[done:]
+        rows = rows[:done]
         rows["time"] -= first / self._rate_hz
         return rows
