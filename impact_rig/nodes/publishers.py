@@ -68,7 +68,7 @@ class Monitors:
         Readings are filtered and come four monitor periods later; the truth is not, and comes at once.
         """
         start_ns = block.scan.stamp_ns - stamp_ns(block.first_scan, self._rate_hz)
-        instants = (block.first_scan + block.monitor_scans).tolist()
+        instants = [block.first_scan + scan for scan in block.monitor_scans.tolist()]
         if wanted(topics.JOINT_STATES):
             for sample, truth in zip(instants, block.monitor, strict=True):
                 stamp = stamp_ns(sample, self._rate_hz, start_ns)

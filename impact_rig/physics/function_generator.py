@@ -31,7 +31,7 @@ from impact_rig.arithmetic.precise import ONE, TWO, ZERO, Complex, pi, precise, 
 from impact_rig.arithmetic.random import Random
 from impact_rig.config import Drive, Shaker
 from impact_rig.errors import CommandError
-from impact_rig.kernels import REALS, entry, for_kernels, records
+from impact_rig.kernels import REALS, Fields, entry, for_kernels, kernel, records
 from impact_rig.physics.flight import SEGMENT
 from impact_rig.physics.stream import Stream
 from impact_rig.simtime import COMMAND_GRID_S
@@ -153,12 +153,23 @@ def run(sections, memory, samples):  # type: ignore[no-untyped-def]  # compiled:
         samples[i] = value
 
 
-@entry(int, int, float, float, int, REALS)
-def ramp(tick, first, start, target, ticks, level):  # type: ignore[no-untyped-def]
-    """Fill in the amplitudes at `tick` and after it: linear from `start` at `first` to `target` so many ticks later."""
-    for i in range(level.shape[0]):
-        part = (tick + i - first) / ticks if tick + i < first + ticks else 1.0
-        level[i] = start + (target - start) * part
+class Ramp(NamedTuple):
+    """Of the amplitude, linear: first tick, amplitude there, target, and ticks until that."""
+
+    first: int
+    start: float
+    target: float
+    ticks: int
+
+
+RAMP = Fields(Ramp, (int, float, float, int))
+
+
+@kernel
+def level_at(ramp, tick):  # type: ignore[no-untyped-def]
+    """Return the amplitude at a tick."""
+    part = (tick - ramp.first) / ramp.ticks if tick < ramp.first + ramp.ticks else 1.0
+    return ramp.start + (ramp.target - ramp.start) * part
 
 
 @entry(SEGMENT, REALS, float)
@@ -169,16 +180,19 @@ def fill(rows, level, tick_s):  # type: ignore[no-untyped-def]
         rows[i].amplitude, rows[i].growth = level[i], (level[i + 1] - level[i]) / tick_s
 
 
-@entry(SEGMENT, float, int, float)
-def fill_sine(rows, frequency_hz, since, phase):  # type: ignore[no-untyped-def]
-    """Fill in frequency and phase of such segments, `since` ticks after the phase [rad] was `phase`."""
-    per_tick = frequency_hz * rows[0].duration if rows.shape[0] > 0 else 0.0
+@entry(SEGMENT, int, RAMP, float, float, int, float)
+def fill_sine(rows, tick, ramp, tick_s, frequency_hz, since, phase):  # type: ignore[no-untyped-def]
+    """Fill in segments of one tick each from `tick` on, `since` ticks after the phase [rad] was `phase`."""
+    level, per_tick = level_at(ramp, tick), frequency_hz * tick_s
     for i in range(rows.shape[0]):
+        row, after = rows[i], level_at(ramp, tick + i + 1)
+        row.duration, row.amplitude, row.growth = tick_s, level, (after - level) / tick_s
+        level = after
         turns = per_tick * (since + i)
         angle = phase + TWO_PI * (turns - int(turns))
         while angle >= TWO_PI:
             angle -= TWO_PI
-        rows[i].omega, rows[i].phase = TWO_PI * frequency_hz, angle
+        row.omega, row.phase = TWO_PI * frequency_hz, angle
 
 
 class FunctionGenerator:
@@ -201,12 +215,11 @@ class FunctionGenerator:
         self.tick = 0
         self.frequency_hz = drive.frequency_hz
         self._anchor_tick, self._anchor_phase = 0, 0.0
-        self._ramp = (0, 0.0, drive.amplitude)  # first tick, amplitude there, target
-        if self._ramp_ticks == 0 or drive.amplitude == 0.0:
-            self._ramp = (0, drive.amplitude, drive.amplitude)
+        begin = drive.amplitude if self._ramp_ticks == 0 else 0.0
+        self._ramp = Ramp(0, begin, drive.amplitude, self._ramp_ticks)
         self.stream = Stream(drive, shaker) if drive.waveform == "stream" else None
         if self.stream is not None:
-            self._ramp = (0, 0.0, 0.0)
+            self._ramp = Ramp(0, 0.0, 0.0, 0)
         self._noise: BandNoise | None = None
         if drive.waveform == "random":
             if drive.random_high_hz >= 0.45 / tick_s:
@@ -225,14 +238,12 @@ class FunctionGenerator:
     @property
     def amplitude(self) -> float:
         """Amplitude at the next tick."""
-        level = np.empty(1)
-        ramp(self.tick, *self._ramp, self._ramp_ticks, level)
-        return float(level[0])
+        return float(level_at(self._ramp, self.tick))
 
     @property
     def target_amplitude(self) -> float:
         """Amplitude that the ramp leads to."""
-        return self._ramp[2]
+        return self._ramp.target
 
     def set_frequency(self, frequency_hz: float) -> None:
         """Go on with another frequency from the next tick, without a jump of phase."""
@@ -253,7 +264,7 @@ class FunctionGenerator:
             self.stream.stop()
             return
         now = self.amplitude if self._ramp_ticks else amplitude
-        self._ramp = (self.tick, now, amplitude)
+        self._ramp = Ramp(self.tick, now, amplitude, self._ramp_ticks)
 
     def set_ramp(self, ramp_s: float) -> None:
         """Ramp later amplitude changes within another time; a ramp under way starts again with it."""
@@ -262,7 +273,7 @@ class FunctionGenerator:
             return
         now, target = self.amplitude, self.target_amplitude
         self._ramp_ticks = math.ceil(ramp_s / self._tick_s - 1e-9)
-        self._ramp = (self.tick, now if self._ramp_ticks else target, target)
+        self._ramp = Ramp(self.tick, now if self._ramp_ticks else target, target, self._ramp_ticks)
 
     def set_tick(self, tick_s: float) -> None:
         """Go on with ticks of another duration: the scan clock's error has changed. The phase does not jump."""
@@ -282,18 +293,16 @@ class FunctionGenerator:
         if self.stream is not None:
             self.tick += count
             return self.stream.segments(self.tick - count, count, self._tick_s)
-        level = np.empty(count + 1)
-        ramp(self.tick, *self._ramp, self._ramp_ticks, level)
-        if self._noise is not None:
-            level *= self._noise.numbers(self.tick, count + 1)
         rows: NDArray[np.void] = for_kernels(np.zeros(count, SEGMENT))
-        fill(rows, level, self._tick_s)
         if self._noise is not None:
+            levels = [level_at(self._ramp, tick) for tick in range(self.tick, self.tick + count + 1)]
+            fill(rows, self._noise.numbers(self.tick, count + 1) * levels, self._tick_s)
             rows["phase"] = PI / 2.0
-        elif self._drive.waveform == "chirp":
-            self._fill_chirp(rows)
         else:
-            fill_sine(rows, self.frequency_hz, self.tick - self._anchor_tick, self._anchor_phase)
+            since = self.tick - self._anchor_tick
+            fill_sine(rows, self.tick, self._ramp, self._tick_s, self.frequency_hz, since, self._anchor_phase)
+        if self._drive.waveform == "chirp":
+            self._fill_chirp(rows)
         self.tick += count
         return rows
 

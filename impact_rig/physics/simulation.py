@@ -340,8 +340,8 @@ class Simulation:
             segments = segments.copy()
             segments["amplitude"] = segments["growth"] = 0.0
         segments = for_kernels(segments)
-        first = np.zeros((2, len(segments) + 1), np.int64)
-        work = Workspace(*self._work[:-2], *first)
+        rows = len(segments) + 1
+        work = Workspace(*self._work[:-2], np.empty(rows, np.int64), np.empty(rows, np.int64))
         work.filled[0] = _NOTHING_FILLED
         index = 0
         while True:
@@ -367,8 +367,8 @@ class Simulation:
         else:
             kept = joined([kept])  # a copy, in bytes: NumPy copies records field by field
         hits = joined([work.impacts[:impacts]]) if impacts else _NO_IMPACTS
-        rows = work.first_segment[: ticks + 1]
-        motion = Motion(self._model, self.tick, segments, rows, kept, work.first_state, hits, self._sampling)
+        first_segment = work.first_segment[: ticks + 1]
+        motion = Motion(self._model, self.tick, segments, first_segment, kept, work.first_state, hits, self._sampling)
         self.tick += ticks
         return motion
 

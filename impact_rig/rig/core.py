@@ -278,7 +278,8 @@ class Rig:
         if self._generator.stream is not None:
             ticks = min(ticks, self._generator.stream.ticks_until_event(self._ticks))
         ppm = self._chain.clock_ppm(self._ticks)
-        ticks = next((k for k in range(1, ticks) if self._chain.clock_ppm(self._ticks + k) != ppm), ticks)
+        if ticks > 1:
+            ticks = next((k for k in range(1, ticks) if self._chain.clock_ppm(self._ticks + k) != ppm), ticks)
         tick_s = COMMAND_GRID_S * (1.0 + 1e-6 * (self.config.daq.clock_error_ppm + ppm))
         self._generator.set_tick(tick_s)
         before = (self._simulation.copy(), self._generator.copy(), self._interlock.copy()) if ticks > 1 else None

@@ -134,19 +134,13 @@ class Truth:
         """
         if not self._states:
             return _NO_STATES, _NO_SCANS
-        parts = []
-        while self._states:
-            kept = self._states[0]
-            split = int(kept["time"].searchsorted(first + count))
-            parts.append(kept[:split])
-            if split < len(kept):
-                self._states[0] = kept[split:]
-                break
-            del self._states[0]
-        rows = joined(parts or [_NO_STATES])
-        scans = rows["time"].astype(np.int64) - first
-        rows["time"] = scans / self._rate_hz
-        return rows, scans
+        kept = self._states[0] if len(self._states) == 1 else joined(self._states)
+        taken = bisect.bisect_left(kept["time"], first + count)
+        self._states = [kept[taken:]] if taken < len(kept) else []
+        rows = joined([kept[:taken]])
+        scans = [int(number) - first for number in rows["time"].tolist()]
+        rows["time"] = [scan / self._rate_hz for scan in scans]
+        return rows, np.array(scans, np.int64)
 
     def pop_impacts(self, first: int, count: int) -> NDArray[np.void]:
         """Return the contacts that ended before the end of these scans, with `time` since `first`, and forget them."""
