@@ -9,6 +9,7 @@ re-based and says by how much.
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
 from typing import Any  # rclpy timers, settings of any node
 
@@ -51,8 +52,7 @@ class Pacer:
         self._max_lag_ns = max_lag_ns
         self._origin_ns = clock()
         self._origin_rig_ns = 0
-        self._lateness = np.zeros(LATENESS_WINDOW)
-        self._published = 0
+        self._late_ms: deque[float] = deque(maxlen=LATENESS_WINDOW)
         self.slips = 0  # how often the pacer was re-based because it had fallen behind
         self.slipped_ns = 0  # clock time given up by re-basing [ns]
 
@@ -83,17 +83,16 @@ class Pacer:
 
     def published(self, end_ns: int) -> None:
         """Note that the block ending at rig time `end_ns` is out."""
-        self._lateness[self._published % LATENESS_WINDOW] = (self._clock() - self._deadline_ns(end_ns)) * 1e-6
-        self._published += 1
+        self._late_ms.append((self._clock() - self._deadline_ns(end_ns)) * 1e-6)
 
     def _deadline_ns(self, rig_ns: int) -> float:
         return self._origin_ns + (rig_ns - self._origin_rig_ns) / self._factor
 
     def lateness(self) -> Lateness | None:
         """Return the statistics of the last blocks, or None before the first."""
-        if not self._published:
+        if not self._late_ms:
             return None
-        median, p99, worst = np.percentile(self._lateness[: self._published], (50, 99, 100))
+        median, p99, worst = np.percentile(self._late_ms, (50, 99, 100))
         return Lateness(float(median), float(p99), float(worst))
 
 
