@@ -271,26 +271,36 @@ class Acknowledgements:
     Args:
         node: owner, which offers `daq/ack` while it is configured; its name is the peer's.
         may_send: called before each acknowledgement; keeps the promise it makes, or returns False if that cannot be.
+        catch_up: called by the timer of real time: processes what has been put off until then.
     """
 
-    def __init__(self, node: ManagedNode[Any], may_send: Callable[[], bool] = lambda: True) -> None:
+    def __init__(
+        self,
+        node: ManagedNode[Any],
+        may_send: Callable[[], bool] = lambda: True,
+        catch_up: Callable[[], None] = lambda: None,
+    ) -> None:
+        self.is_timed = False
+        """Whether the newest block was one of real time, so that the timer acknowledges it."""
         self._node = node
         self._may_send = may_send
+        self._catch_up = catch_up
         self._later = guarded(self._send, node.report_failure)
         self._message = Template(Header(frame_id=node.get_name()))
         self._newest_ns = 0
         self._waiting = 0
         self._sent_at = 0.0
-        self._is_timed = False
+        self._has_timer = False
 
     def processed(self, stamp_ns: int) -> None:
         """Note that the block with this stamp is processed."""
         self._newest_ns = stamp_ns
         self._waiting += 1
-        if abs(time.time_ns() - stamp_ns) < PRESENT_NS:
-            if not self._is_timed:
-                self._node.every(REALTIME_S, self._send)
-            self._is_timed = True
+        self.is_timed = abs(time.time_ns() - stamp_ns) < PRESENT_NS
+        if self.is_timed:
+            if not self._has_timer:
+                self._node.every(REALTIME_S, self._on_timer)
+            self._has_timer = True
             return
         executor = self._node.executor
         if self._waiting >= MOST or executor is None:
@@ -303,9 +313,13 @@ class Acknowledgements:
 
     def flush(self) -> None:
         """Say what has not been said: the node is being deactivated."""
-        self._is_timed = False
+        self.is_timed = self._has_timer = False
         if self._node.context.ok():
             self._send()
+
+    def _on_timer(self) -> None:
+        self._catch_up()
+        self._send()
 
     def _send(self) -> None:
         waiting, self._waiting = self._waiting, 0  # what must not be acknowledged now never is by itself

@@ -12,7 +12,7 @@ import math
 import os
 import platform
 import time
-from collections import Counter
+from collections import Counter, deque
 from pathlib import Path
 from typing import Any  # rclpy messages and handles
 
@@ -97,7 +97,8 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         self._opened_ns = 0
         self._scans: Any = None
         self._recorded: list[Any] = []
-        self._acknowledgements = Acknowledgements(self, self._secured)
+        self._inbox: deque[tuple[topics.Topic, bytes, dict[str, Any]]] = deque()  # came, and not looked at yet
+        self._acknowledgements = Acknowledgements(self, self._secured, self._take_all)
         self._starting: list[Done] = []
         self.service(Trigger, "~/start", self._on_start)
         self.service(Trigger, "~/stop", self._on_stop)
@@ -123,6 +124,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
 
     def deactivate(self) -> None:
         """Finish the run and stop listening."""
+        self._take_all()
         self._finish()
         self._acknowledgements.flush()
         self._scans = None
@@ -194,6 +196,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
             raise RecordingError(f"the recorder is {self.state}, activate it first")
         if self._writer is not None or self._waiting:
             raise RecordingError(f"already recording {self._writer.directory if self._writer else ''}")
+        self._take_all()
         self._starting.append(done)
         self._start()
         self._answer_start()
@@ -210,6 +213,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
             self._starting.pop()(success, message)
 
     def _on_stop(self, _request: Trigger.Request, done: Done) -> None:
+        self._take_all()
         directory = self._writer.directory if self._writer else None
         self._failure = ""
         self._finish()
@@ -327,11 +331,13 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         }
 
     def _on_configuration(self, message: String) -> None:
+        self._take_all()
         self._configuration, self._configured_at = message.data, time.monotonic()
         if self._writer is not None:  # a further file of a split run begins with what is in force then
             self._writer.supersede(Attachment(CONFIGURATION, message.data.encode(), "application/yaml"))
 
     def _on_timer(self) -> None:
+        self._take_all()
         if self._waiting and math.isinf(self._deadline) and self.count_publishers(topics.SCAN.name):
             # a rig that is there and does not say what it is
             self._deadline = time.monotonic() + self.settings.configuration_wait_s
@@ -348,6 +354,20 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         self._answer_start()
 
     def _on_message(self, topic: topics.Topic, data: bytes, info: dict[str, Any]) -> None:
+        """Take a message; in real time those of several blocks together, before they are acknowledged.
+
+        What they need then stays in the caches of the processor from one to the next, which halves their cost. Whatever
+        may change what becomes of them takes them first.
+        """
+        self._inbox.append((topic, data, info))
+        if not self._acknowledgements.is_timed:
+            self._take_all()
+
+    def _take_all(self) -> None:
+        while self._inbox:
+            self._take(*self._inbox.popleft())
+
+    def _take(self, topic: topics.Topic, data: bytes, info: dict[str, Any]) -> None:
         table = None
         if topic.columns is not None:
             table = self.table(topic, data)

@@ -53,15 +53,21 @@ def test_blocks_of_a_burst_are_acknowledged_together_and_the_last_one_soon(
 def test_blocks_of_real_time_are_acknowledged_together_and_the_last_one_without_another(client: Client) -> None:
     node = host_rig(client, time__peers=[])
     node.offer(topics.ACK)
-    acknowledgements = Acknowledgements(node)
+    caught_up: list[bool] = []
+    acknowledgements = Acknowledgements(node, catch_up=lambda: caught_up.append(True))
     heard = client.listen(topics.ACK.name)
     now = time.time_ns()
     for number in range(MOST + 1):
         acknowledgements.processed(now + number)
     assert not heard.messages
     client.wait_until(lambda: len(heard.messages) > 0, "an acknowledgement")
+    assert caught_up
+    assert acknowledgements.is_timed
+    acknowledgements.processed(1)  # of a rig that no longer runs in real time: it may wait for us
+    assert not acknowledgements.is_timed
+    client.wait_until(lambda: len(heard.messages) > 1, "another one")
     acknowledgements.flush()
-    assert [nanoseconds(header.stamp) for header in heard.messages] == [now + MOST]
+    assert [nanoseconds(header.stamp) for header in heard.messages] == [now + MOST, 1]
 
 
 def test_what_is_not_safe_is_not_acknowledged(client: Client) -> None:

@@ -8,6 +8,7 @@ import errno
 import functools
 import os
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -66,6 +67,30 @@ def test_a_run_holds_every_message_and_the_configuration(client: Client, tmp_pat
         assert journal == [b"start", b"initial", b"initial", b"command", b"command"]
         times = [message.log_time for message in run.messages()]
         assert max(times) < 10**9, "rig time, not the system's"
+
+
+def test_in_real_time_what_several_blocks_bring_is_taken_together_and_all_of_it_before_the_end(
+    client: Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("impact_rig.nodes.acknowledgements.REALTIME_S", 60.0)  # whatever else takes it comes to light
+    came: list[str] = []
+    kept: list[int] = []
+
+    class Counting(RecorderNode):
+        def _on_message(self, topic: topics.Topic, data: bytes, info: dict[str, Any]) -> None:
+            came.append(topic.name)
+            super()._on_message(topic, data, info)
+            kept.append(len(self._inbox))
+
+    client.host(Counting, parameter_overrides=ros_parameters({"directory": str(tmp_path), "name": "run"}))
+    host_rig(client, "realtime", time__peers=["recorder"])
+    client.wait_active("rig", "recorder")
+    client.wait_until(lambda: max(kept, default=0) >= 10, "a full inbox")
+    client.wait_until(lambda: kept[-1] > 0, "something in it")
+    client.trigger("recorder/stop")
+    with open_run(tmp_path / "run") as run:
+        assert run.topics[run.resolve("daq/scan")].count == came.count("daq/scan") > 0
+        assert sum(topic.count for topic in run.topics.values()) == len(came)
 
 
 def test_a_recorder_that_cannot_write_holds_up_who_waits_for_it_until_it_is_told_what_to_do(
