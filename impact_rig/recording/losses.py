@@ -88,8 +88,8 @@ class Account:
 
     def writers(self, topic: str) -> list[str]:
         """Return the publishers of a topic on which more than one has written, as far as the graph has named them."""
-        known = self._topics.get(topic, _Topic())
-        return sorted(set(known.known.values())) if len(known.streams) > 1 else []
+        known = self._topics.get(topic)
+        return sorted(set(known.known.values())) if known is not None and len(known.streams) > 1 else []
 
     def to_record(self) -> dict[str, str]:
         """Return the content of the metadata record: by topic a JSON list of its streams."""

@@ -19,12 +19,15 @@ import io
 import os
 import resource
 import struct
+import sys
 import zlib
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from types import MappingProxyType
 
 import attrs
+from mcap.data_stream import RecordBuilder
+from mcap.records import Channel, McapRecord, Schema
 from mcap.writer import CompressionType, Writer
 
 from impact_rig import codec, topics
@@ -535,6 +538,8 @@ class McapFile:
         self.path = path
         self._chunk_bytes = chunk_bytes
         self._largest_message = 0
+        self._messages: list[tuple[int, int, bytes, int, int]] = []  # of the open chunk
+        self._open_bytes = 0  # what the open chunk holds
         self._chunks = 0
         self._channels = 0
         self._schema_ids: dict[str, int] = {}
@@ -543,7 +548,7 @@ class McapFile:
         self._fd = _create(path)
         self._buffer = _Buffer()
         self._writer = Writer(
-            self._buffer, chunk_size=chunk_bytes, compression=COMPRESSIONS[compression], use_chunking=chunked
+            self._buffer, chunk_size=sys.maxsize, compression=COMPRESSIONS[compression], use_chunking=chunked
         )
         try:
             self._writer.start(PROFILE, LIBRARY)
@@ -566,19 +571,27 @@ class McapFile:
             data = topic.schema.encode()
             self._index_bytes += len(data) + len(topic.type_name) + 64
             known = self._writer.register_schema(topic.type_name, ENCODING, data)
-            self._schema_ids[topic.type_name] = int(known)
+            self._schema_ids[topic.type_name] = known = int(known)
+            self._open_bytes += _length(Schema(known, data, ENCODING, topic.type_name))
         self._channels += 1
         metadata = topic.channel_metadata()
         self._index_bytes += (
             _CLOSING_BYTES_PER_TOPIC + len(topic.name) + sum(len(k) + len(v) for k, v in metadata.items()) + 64
         )
-        return self._writer.register_channel(topic.name, SERIALIZATION, self._schema_ids[topic.type_name], metadata)
+        schema = self._schema_ids[topic.type_name]
+        number = self._writer.register_channel(topic.name, SERIALIZATION, schema, metadata)
+        self._open_bytes += _length(Channel(number, topic.name, SERIALIZATION, metadata, schema))
+        return number
 
     def add_message(self, channel: int, log_time: int, data: bytes, publish_time: int, sequence: int) -> bool:
         """Add a message to the open chunk; return whether that closed the chunk (then it waits for `commit`)."""
         self._largest_message = max(self._largest_message, len(data))
-        self._writer.add_message(channel, log_time, data, publish_time, sequence & SEQUENCE_MASK)
-        return self._buffer.pending() > 0
+        self._messages.append((channel, log_time, data, publish_time, sequence & SEQUENCE_MASK))
+        self._open_bytes += MESSAGE_HEAD.size + len(data)
+        if self._open_bytes <= self._chunk_bytes:
+            return False
+        self.close_chunk()
+        return True
 
     def add_metadata(self, name: str, record: Mapping[str, str]) -> None:
         """Add a metadata record; it waits for `commit`."""
@@ -602,7 +615,14 @@ class McapFile:
         return records
 
     def close_chunk(self) -> None:
-        """End the open chunk, if it holds a message; it waits for `commit`."""
+        """End the open chunk, if it holds a message; it waits for `commit`.
+
+        The library gets the messages of a chunk all at once: one by one, each costs it three times as long.
+        """
+        for message in self._messages:
+            self._writer.add_message(*message)
+        if self._messages:
+            self._messages, self._open_bytes = [], 0
         self._writer.flush()  # type: ignore[no-untyped-call]  # mcap annotates arguments, not results
 
     def commit(self) -> None:
@@ -648,6 +668,7 @@ class McapFile:
             RecordingError: there is no room for them; the records before them are whole.
         """
         try:
+            self.close_chunk()
             self._writer.finish()  # type: ignore[no-untyped-call]  # mcap annotates arguments, not results
             self.commit()
             self.finished = True
@@ -659,6 +680,13 @@ class McapFile:
         if self._fd >= 0:
             os.close(self._fd)
             self._fd = -1
+
+
+def _length(record: McapRecord) -> int:
+    """Return how many bytes a record takes."""
+    builder = RecordBuilder()
+    record.write(builder)
+    return builder.count
 
 
 def _create(path: Path) -> int:
