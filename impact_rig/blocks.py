@@ -40,6 +40,9 @@ class Column:
     is_part: bool = attrs.field(default=False, kw_only=True)
     """Whether a text may be part of a longer one, so that it need not be UTF-8 by itself."""
 
+    def __attrs_post_init__(self) -> None:
+        assert self.kind == NUMBER or not self.is_bounded, f"{self.name}: a column with a bound must be {NUMBER}"
+
     @property
     def is_bounded(self) -> bool:
         """Whether some numbers are refused."""

@@ -34,7 +34,7 @@ FOLDER = Path(__file__).parent
 OUTPUT, HEADER = "_library.abi3.so", "impact_rig.h"
 PARTS = {
     "mechanics": ("physics.simulation", "physics.function_generator", "rig.interlock", "rig.truth"),
-    "instruments": ("instruments.chain", "analysis.tracker"),
+    "instruments": ("instruments.chain", "analysis.tracker", "codec"),
 }
 """What is translated side by side: modules whose import declares the entries."""
 CPU = "x86-64"
