@@ -21,11 +21,14 @@ from kits.recording import (
     string,
     topic,
 )
+from mcap.records import Chunk
+from mcap.stream_reader import StreamReader
 
 from impact_rig import codec
 from impact_rig.errors import RecordingError
 from impact_rig.recording import Attachment, RunWriter, open_run
 from impact_rig.recording.description import INFINITE_NS, resolve
+from impact_rig.recording.records import MESSAGE_HEAD
 
 
 def as_sent(message):
@@ -50,6 +53,23 @@ def test_every_message_comes_back_as_sent(record, compression):
             type(known).from_channel(known.name, known.type_name, known.schema, known.channel_metadata())
             for known in ALL_TOPICS
         ]
+
+
+def test_a_chunk_ends_with_the_message_that_fills_it_definitions_counted(record):
+    most, data = 4000, string("a" * 80)
+    with record(compression="none", chunk_bytes=most) as writer:
+        for name in ("notes", "remarks"):
+            writer.add_topic(topic(name, "std_msgs/msg/String"))
+        for number in range(200):
+            writer.write("notes", data, number)
+    with writer.files[0].open("rb") as file:
+        sizes = [
+            one.uncompressed_size for one in StreamReader(file, emit_chunks=True).records if isinstance(one, Chunk)
+        ]
+    message = MESSAGE_HEAD.size + len(data)
+    assert len(sizes) > 4
+    assert all(most < size <= most + message for size in sizes[:-1])
+    assert sizes[0] % message != sizes[1] % message == 0, "the first one defines the topics"
 
 
 def test_times_that_rosbag2_cannot_read_become_those_it_can(record):
