@@ -136,6 +136,10 @@ class Accumulator:
         """Whole cycles accumulated and not yet taken."""
         return int(self._place[1]) - self._cycle
 
+    def end(self, count: int) -> int:
+        """Return the index after the last scan of the oldest `count` cycles not yet taken."""
+        return self.origin + math.ceil((self._cycle + count) * self.period)
+
     def add(self, samples: Real, status: NDArray[np.uint8], begin: int, end: int) -> None:
         """Accumulate the scans begin <= i < end of a buffer; samples has shape (4, capacity), status (capacity,)."""
         while begin < end:

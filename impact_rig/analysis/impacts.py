@@ -14,6 +14,7 @@ where the pulse passes ONSET of its peak, less the sensor's lag: within 10 µs o
 from __future__ import annotations
 
 import math
+import struct
 
 import attrs
 import numpy as np
@@ -96,10 +97,10 @@ class ImpactDetector:
         decay, forget = math.exp(-1.0 / (ring_time * rate)), 1.0 / (RMS_TIME_S * rate)
         self._limits = np.array([
             settings.threshold_m_s2, settings.noise_factor, settings.ring_factor, decay, forget,
+            (float(calibration.lag[ACCELEROMETER]) - float(calibration.skew[ACCELEROMETER])) * rate,
         ])  # fmt: skip
         look_ahead = max(LOOK_AHEAD_SCANS, math.ceil(LOOK_AHEAD_S * rate))
         self._times = np.array([look_ahead, round(BLANK_S * rate), round(QUIET_RING_TIMES * ring_time * rate)])
-        self._delay = (float(calibration.lag[ACCELEROMETER]) - float(calibration.skew[ACCELEROMETER])) * rate
         self._history = np.zeros(HISTORY_MASK + 1)
         self._state = np.zeros(7)
         self._place = np.zeros(6, dtype=np.int64)
@@ -128,7 +129,6 @@ class ImpactDetector:
         if not found:
             return NO_IMPACTS
         impacts: NDArray[np.void] = (found[0] if len(found) == 1 else np.concatenate(found)).view(IMPACT)[:, 0]
-        impacts["scan"] -= self._delay
         return impacts
 
 
@@ -145,7 +145,7 @@ def _detect(
     swing that the ringing is measured by.
     """
     in_0, in_1, in_2, out_1, out_2 = coefficients
-    floor, noise_factor, ring_factor, decay, forget = limits
+    floor, noise_factor, ring_factor, decay, forget, delay = limits
     keep = 1.0 - forget
     most_quiet, most_ringing = keep + forget * RMS_CLIP, keep + forget * RMS_CLIP_RINGING
     look_ahead, blank_time, quiet_time = times
@@ -182,7 +182,7 @@ def _detect(
                 while k > peak_at - look_ahead and sign * history[(k - 1) & HISTORY_MASK] > level:
                     k -= 1
                 after, before = sign * history[k & HISTORY_MASK], sign * history[(k - 1) & HISTORY_MASK]
-                out[count, 0] = k - (after - level) / (after - before)
+                out[count, 0] = k - (after - level) / (after - before) - delay
                 out[count, 1], out[count, 2] = peak, sign
                 count += 1
                 ring = ring_factor * swing * decay ** (scan - peak_at)
@@ -208,13 +208,17 @@ def _detect(
     return count, i
 
 
+_ROW = struct.Struct("<ddb")  # of DETECTED_IMPACTS
+
+
 def impact_tables(found: NDArray[np.void], rate_hz: int, start_ns: int) -> list[Table]:
     """Return detected impacts as tables stamped on the command grid, so that no bit depends on the cut into blocks."""
-    rows: dict[int, list[tuple[float, float, float]]] = {}
+    rows: dict[int, list[bytes]] = {}
     for scan, peak, sign in found.tolist():  # mostly one, for which numpy's ways take long
         seconds = scan / rate_hz
         cell = math.floor(seconds / COMMAND_GRID_S)
-        rows.setdefault(cell, []).append((seconds - cell * COMMAND_GRID_S, peak, sign))
+        rows.setdefault(cell, []).append(_ROW.pack(seconds - cell * COMMAND_GRID_S, peak, int(sign)))
     return [
-        Table(start_ns + cell * COMMAND_GRID_NS, np.array(rows[cell], dtype=DETECTED_IMPACTS)) for cell in sorted(rows)
+        Table(start_ns + cell * COMMAND_GRID_NS, np.frombuffer(b"".join(rows[cell]), DETECTED_IMPACTS))
+        for cell in sorted(rows)
     ]

@@ -11,23 +11,29 @@ from __future__ import annotations
 
 import functools
 from collections import deque
-from collections.abc import Collection, Mapping
-from typing import Any  # a field is a tuple of two or three
+from collections.abc import Collection
+from typing import Any  # rows of records
 
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_rig import topics
-from impact_rig.blocks import Column, Table, joined, row_type
+from impact_rig.blocks import Table, joined
 from impact_rig.errors import ConfigError
+from impact_rig.kernels import BYTES, REALS_2D, entry, for_kernels
 from impact_rig.simtime import NS_PER_S
 
 CHANNELS = ("accelerometer", "laser", "base", "current")  # by name; arrays over channels have this order
 ACCELEROMETER, LASER, BASE, CURRENT = range(len(CHANNELS))
-_TIME, _STATUS = topics.SCAN.fields
-SCAN = row_type((_TIME, *(Column(name, "SI", "") for name in CHANNELS), _STATUS))
+SCAN = np.dtype([
+    ("time", "<f8"),  # scan clock, since the stamp of the block [s]
+    ("accelerometer", "<f8"),  # acceleration of the superior base [m/s^2]
+    ("laser", "<f8"),  # its displacement [m]
+    ("base", "<f8"),  # displacement of the inferior base [m]
+    ("current", "<f8"),  # coil current [A]
+    ("status", "u1"),  # bit j: channel j of `CHANNELS` is over range or clipped
+])  # fmt: skip
 """A row of `daq/scan` with every one of them."""
-_FRAME = (_TIME.name, _STATUS.name)
+_FRAME = ("time", "status")
 _IN_ORDER = tuple((bit, bit) for bit in range(len(CHANNELS)))
 
 
@@ -50,16 +56,24 @@ def _places(dtype: np.dtype[np.void]) -> tuple[tuple[int, int], ...]:
     return tuple((bit, found.index(name)) for bit, name in enumerate(CHANNELS) if name in found)
 
 
-@functools.lru_cache(maxsize=64)
-def _together(dtype: np.dtype[np.void]) -> np.dtype[np.void] | None:
-    """Return a type of the same rows in which the channels are one field; None where they do not stand in a row."""
-    fields: Mapping[str, Any] = dtype.fields or {}
-    first = fields[CHANNELS[0]][1] if CHANNELS[0] in fields else 0
-    for j, name in enumerate(CHANNELS):
-        if name not in fields or fields[name][:2] != (np.dtype("<f8"), first + 8 * j):
-            return None
-    form = np.dtype(("<f8", (len(CHANNELS),)))
-    return np.dtype({"names": ["channels"], "formats": [form], "offsets": [first], "itemsize": dtype.itemsize})
+def _only_these(rows: NDArray[np.void]) -> NDArray[np.void]:
+    """Return scans of any type as rows of `SCAN`, shape (n,): zeros where a channel was not measured."""
+    scans = np.zeros(len(rows), SCAN)
+    for name in set(CHANNELS).intersection(rows.dtype.names or ()):
+        scans[name] = rows[name]
+    scans["status"] = status_of(rows)
+    return scans
+
+
+@entry(SCAN, REALS_2D, BYTES, int)
+def _copy(rows: Any, samples: NDArray[np.float64], status: NDArray[np.uint8], at: int) -> None:
+    """Copy scans into the columns of a buffer from `at` on: samples has shape (4, capacity), status (capacity,)."""
+    for i in range(len(rows)):
+        samples[0, at + i] = rows[i].accelerometer
+        samples[1, at + i] = rows[i].laser
+        samples[2, at + i] = rows[i].base
+        samples[3, at + i] = rows[i].current
+        status[at + i] = rows[i].status
 
 
 def samples_of(rows: NDArray[np.void], name: str) -> NDArray[np.float64]:
@@ -110,6 +124,7 @@ class ScanBuffer:
     def __init__(self) -> None:
         self.samples = np.empty((len(CHANNELS), 0))
         self.status = np.empty(0, dtype=np.uint8)
+        self._kind = SCAN
         self.first = 0
         self.end = 0
 
@@ -128,14 +143,11 @@ class ScanBuffer:
         if used + new > len(self.status):
             self._make_room(keep, new)
             used = self.end - self.first
-        together = _together(rows.dtype)
-        if together is not None:
-            self.samples[:, used : used + new] = rows.view(together)["channels"].T
-        else:
-            measured = rows.dtype.names or ()
-            for j, name in enumerate(CHANNELS):
-                self.samples[j, used : used + new] = rows[name] if name in measured else 0.0
-        self.status[used : used + new] = status_of(rows)
+        if rows.dtype is not self._kind and rows.dtype == SCAN:
+            self._kind = rows.dtype  # to compare two such types takes longer than all the rest
+        if rows.dtype is not self._kind or not rows.flags.c_contiguous:
+            rows = _only_these(rows)
+        _copy(for_kernels(rows), self.samples, self.status, used)
         self.end += new
 
     def column(self, index: int) -> int:

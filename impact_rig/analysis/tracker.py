@@ -64,6 +64,7 @@ class Findings:
     impacts: tuple[Table, ...] = ()
 
 
+ADD_S = 0.05  # scans are added to their cycle this late at most: in few steps, without a long buffer
 MIN_HOLD_SCANS = 16  # impacts are known this many scans after they happened; cycles are closed no earlier
 
 
@@ -80,7 +81,7 @@ class _Reset(NamedTuple):
 
 
 _Event = _Command | GapLabel | Calibration
-_NOTHING = Findings()
+NOTHING = Findings()
 
 
 class Tracker:
@@ -96,6 +97,9 @@ class Tracker:
         self._start_ns = 0
         self._hold = 0
         self._buffer = ScanBuffer()
+        self._added = 0  # index of the next scan to add to the accumulator
+        self._due = 0  # index of the scan before which all must have been added
+        self._taken: tuple[object, ...] = ()  # type of the rows of the newest block, and the channels it may lack
         self._started = False
         self._last_block = -1
         self._measured = 0  # index of the next scan to measure
@@ -165,36 +169,43 @@ class Tracker:
             ConfigError: the table is no such table.
         """
         absent = () if self._calibration is None else self._calibration.absent
-        need_columns(scan, SCAN, topics.SCAN.name, later=absent)
         rows = scan.rows
+        if self._taken != (rows.dtype, absent):
+            need_columns(scan, SCAN, topics.SCAN.name, later=absent)
+            self._taken = rows.dtype, absent
         if self._calibration is None:
             self.counters.unconfigured_scans += len(rows)
-            return _NOTHING
+            return NOTHING
         if not len(rows):
-            return _NOTHING
+            return NOTHING
         while self._resets and self._resets[0].start_ns <= scan.stamp_ns:
             self._begin_again(self._resets.pop(0))
         rate = self._calibration.rate_hz
         index = scan_index(scan.stamp_ns, rate, self._start_ns)
         times = rows["time"]
-        if np.rint(times[-1] * rate) - np.rint(times[0] * rate) != len(rows) - 1:  # NaN as well
+        first, last = float(times[0]) * rate, float(times[-1]) * rate
+        if not math.isfinite(last - first) or round(last) - round(first) != len(rows) - 1:
             return self._feed_broken(scan, np.rint(times * rate))
         impacts: list[Table] = []
         if index != self._buffer.end or not self._started:
             if self._started and index == self._last_block:
                 self.counters.duplicate_scans += len(rows)
-                return _NOTHING
+                return NOTHING
             self._resume(index)
         self._last_block = index
         buffer = self._buffer
-        buffer.append(rows, self._measured)
+        buffer.append(rows, self._added)
         self.counters.scans += len(rows)
         found = self._detector.feed(buffer.samples[0, buffer.column(index) : buffer.column(buffer.end)])
         if len(found):
             impacts = self._impacts(found)
-        self._advance(buffer.end - self._hold)
+        until = buffer.end - self._hold
+        if self._events or until >= self._due:
+            self._advance(until)
+        else:
+            self._measured = max(self._measured, until)
         if not self._rows and not impacts:
-            return _NOTHING
+            return NOTHING
         measurements, self._rows = tuple(self._rows), []
         return Findings(measurements, tuple(impacts))
 
@@ -224,7 +235,7 @@ class Tracker:
         rate = self._calibration.rate_hz
         if not ((np.abs(numbers) <= LONGEST_S * rate).all() and (np.diff(numbers) > 0).all()):
             self.counters.lost_scans += len(numbers)
-            return _NOTHING
+            return NOTHING
         cuts = np.flatnonzero(np.diff(numbers) != 1) + 1
         base = scan_index(scan.stamp_ns, rate, self._start_ns)
         found = []
@@ -337,7 +348,7 @@ class Tracker:
         rate, frequency = self._calibration.rate_hz, self._command.frequency_hz if self._command else 0.0
         if changed:
             self._changed = index
-        self._origin = index
+        self._origin = self._added = self._due = index
         at_rest = self._command is None or self._command.current == 0.0
         self._enter(Analysis.AT_REST if at_rest else Analysis.SETTLING, "", index)
         harmonics = usable_harmonics(rate, frequency, self._settings.harmonics)
@@ -357,10 +368,12 @@ class Tracker:
         self._measured = until
         accumulator = self._accumulator
         if accumulator is None:
+            self._added = until
             self._report_no_frequency(until)
             return
-        buffer = self._buffer
-        accumulator.add(buffer.samples, buffer.status, buffer.column(begin), buffer.column(until))
+        if until < self._due:
+            return
+        self._add(accumulator)
         while accumulator.pending_cycles >= self._window:
             window = self._counted(accumulator.take(self._window), accumulator)
             last = int(window.first[-1] + window.samples[-1]) - 1
@@ -369,6 +382,15 @@ class Tracker:
                 self._emit(found, last)
             elif self._judge.late and self._state.word == Analysis.MEASURING:
                 self._enter(Analysis.SETTLING, "", last)
+
+    def _add(self, accumulator: Accumulator) -> None:
+        """Accumulate what has been measured; it is due again when that completes a window, or after ADD_S."""
+        assert self._calibration is not None
+        buffer = self._buffer
+        accumulator.add(buffer.samples, buffer.status, buffer.column(self._added), buffer.column(self._measured))
+        self._added = self._measured
+        soon = self._added + math.ceil(ADD_S * self._calibration.rate_hz)
+        self._due = min(soon, accumulator.end(self._window))
 
     def _quiet(self, scan: int) -> Quiet:
         """Return for how long there has been no impact at a scan, and for how long one may stay away.
@@ -412,8 +434,10 @@ class Tracker:
 
     def _interrupt(self, status: Status) -> None:
         """Say that a measurement under way ends here without a result."""
-        if self._accumulator is not None and (self._accumulator.pending_cycles or self._judge.pending):
-            self._refuse(status)
+        if self._accumulator is not None:
+            self._add(self._accumulator)
+            if self._accumulator.pending_cycles or self._judge.pending:
+                self._refuse(status)
 
     def _refuse(self, status: Status) -> None:
         frequency = self._command.frequency_hz if self._command else math.nan

@@ -15,7 +15,7 @@ from std_msgs.msg import Float64, String
 from impact_rig import codec, states, topics
 from impact_rig.analysis.blockwise import ANALYSES, Blockwise
 from impact_rig.analysis.settings import TrackerSettings, parse_label, settings_table
-from impact_rig.analysis.tracker import Findings, Tracker
+from impact_rig.analysis.tracker import NOTHING, Findings, Tracker
 from impact_rig.blocks import Table
 from impact_rig.config.fields import quantity, switch
 from impact_rig.config.tree import Tree
@@ -62,7 +62,7 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
         self._blockwise: list[Blockwise] = []
         self._plots = Plots({})
         self._acknowledgements = Acknowledgements(self)
-        self._newest_ns: int | None = None
+        self._newest: Table | None = None
         self._heard_at = self._started_s = 0.0
         self._latest = math.nan
 
@@ -76,7 +76,7 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
         self._tracker = Tracker(TrackerSettings(**{name: getattr(self.settings, name) for name in names}))
         self._blockwise = [analysis() for analysis in ANALYSES]
         self._plots = Plots(self.outputs)
-        self._newest_ns = None
+        self._newest = None
         self._started_s = time.time()
         self._label(_gap(self.settings), 0)
         # calibration and present command first: both are transient-local, so they arrive though published long ago
@@ -102,16 +102,19 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
         if fixed:
             raise ConfigError(f"{', '.join(fixed)}: change it while the node is inactive")
         if "gap_m" in changes:
-            self._label(_gap(settings), self._newest_ns or 0)
+            self._label(_gap(settings), self.rig_time_ns() or 0)
 
     def rig_time_ns(self) -> int | None:
         """Return the instant of the newest scan."""
-        return self._newest_ns
+        if self._newest is None:
+            return None
+        last_s = float(self._newest.rows["time"][-1]) if len(self._newest.rows) else 0.0
+        return self._newest.stamp_ns + round(last_s * NS_PER_S)
 
     def doing(self) -> State:
         """Return what the tracker does, unless it gets nothing to do."""
         words = states.Analysis
-        if self._tracker is None or self._newest_ns is None:
+        if self._tracker is None or self._newest is None:
             return State(words.NO_SCANS, "none came yet")
         silent_s = time.monotonic() - self._heard_at
         if silent_s > SILENCE_S:
@@ -123,7 +126,7 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
         """Return whether scans come, all of them."""
         if self._tracker is None:
             return Level.WARN, self.state
-        if self._newest_ns is None:
+        if self._newest is None:
             return Level.OK, "waiting for daq/scan"
         if self._tracker.counters.lost_scans:
             return Level.WARN, "scans were lost"
@@ -179,16 +182,18 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
             return
         try:
             before = self._tracker.state
-            self._publish(self._tracker.feed(scan))
+            found = self._tracker.feed(scan)
+            if found is not NOTHING:
+                self._publish(found)
             if self._tracker.state.word != before.word:
                 self.report_change()
-            self._analyse(scan)
+            if self._blockwise:
+                self._analyse(scan)
             self._plots.feed(scan)
         except ImpactRigError as error:
             self.refuse(topics.SCAN.name, str(error))
         finally:
-            last_s = float(scan.rows["time"][-1]) if len(scan.rows) else 0.0
-            self._newest_ns, self._heard_at = scan.stamp_ns + round(last_s * NS_PER_S), time.monotonic()
+            self._newest, self._heard_at = scan, time.monotonic()
             self._acknowledgements.processed(scan.stamp_ns)
 
     def _publish(self, findings: Findings) -> None:

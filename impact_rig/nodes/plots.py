@@ -38,6 +38,7 @@ class Plots:
         self._since_spectrum = 0
         self._since_drive = 0
         self._drive: tuple[float, float] | None = None
+        self._followed = [topic.name for topic in _FOLLOWED if topic.name in publishers]
         self._listened_to: set[str] = set()
         self._until_look = 0
 
@@ -65,8 +66,13 @@ class Plots:
         """Publish what a block of daq/scan completes, as far as anybody listens."""
         if not self._rate_hz or not len(scan.rows):
             return
-        self._look(len(scan.rows))
+        self._until_look -= len(scan.rows)
+        if self._until_look < 0:
+            self._look()
         self._since_drive += len(scan.rows)
+        if not self._listened_to:
+            self._intervals = self._pulses = self._recent = None
+            return
         if self._drive is not None and self._since_drive >= self._rate_hz * EVERY_S and self._heard(topics.PLOT_DRIVE):
             self._send(topics.PLOT_DRIVE, scan.stamp_ns, *self._drive, 0.0)
             self._since_drive = 0
@@ -120,14 +126,10 @@ class Plots:
         names = scan.rows.dtype.names or ()
         return {channel: topic for channel, topic in by_channel.items() if channel in names and self._heard(topic)}
 
-    def _look(self, scans: int) -> None:
+    def _look(self) -> None:
         """Look who listens, ten times a second: to ask for each block costs as much as to measure it."""
-        self._until_look -= scans
-        if self._until_look < 0:
-            self._listened_to = {
-                name for name, publisher in self._publishers.items() if publisher.get_subscription_count()
-            }
-            self._until_look = round(LOOK_S * self._rate_hz)
+        self._listened_to = {name for name in self._followed if self._publishers[name].get_subscription_count()}
+        self._until_look = round(LOOK_S * self._rate_hz)
 
     def _heard(self, topic: Topic) -> bool:
         return topic.name in self._listened_to
@@ -138,6 +140,8 @@ class Plots:
 
 ACCELEROMETER = "accelerometer"
 _VECTORS = (topics.PLOT_TRANSMISSIBILITY, topics.PLOT_DRIVE, topics.PLOT_PULSES)
+_FOLLOWED = (topics.PLOT_DRIVE, topics.PLOT_PULSES, *ENVELOPES.values(), *SPECTRA.values())
+"""Made only where somebody listens; the others are rare."""
 
 
 def _vector(topic: Topic) -> Template:

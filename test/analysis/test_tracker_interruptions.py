@@ -4,11 +4,13 @@
 
 from __future__ import annotations
 
+import attrs
 import numpy as np
 import pytest
 from kits.records import applied, blocks, feed_all, info_rows, linear_transmissibility, words
-from kits.tracker import RATE, record, run_scenario, tracker
+from kits.tracker import QUICK, RATE, record, run_scenario, tracker
 
+from impact_rig.analysis.cycles import Accumulator
 from impact_rig.blocks import Table
 from impact_rig.simtime import NS_PER_S
 
@@ -38,6 +40,18 @@ def test_every_interruption_is_named_and_none_is_averaged_in():
     assert made.counters.impacts == sum(len(table.rows) for table in impacts) > 500
     assert made.counters.measurements == 5
     assert made.counters.refusals == 4
+
+
+def test_scans_are_added_in_few_steps_and_an_interruption_finds_every_cycle(monkeypatch):
+    begins = []
+    really = Accumulator.add
+    monkeypatch.setattr(Accumulator, "add", lambda self, *of: (begins.append(of[2]), really(self, *of)))
+    made = tracker(100.0, tracker_settings=attrs.evolve(QUICK, hold_s=0.0))
+    tables = list(blocks(record(100.0, 0.5), RATE, 20))
+    feed_all(made, tables[:4])
+    assert set(begins) == {0}, "nothing else is due yet"
+    made.on_applied(applied(90.0, at_ns=tables[4].stamp_ns))  # four whole cycles are there, none of them added
+    assert words(feed_all(made, tables[4:6])[0]) == ["command_changed"]
 
 
 def test_a_hole_inside_a_block_is_found():
