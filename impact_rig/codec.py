@@ -42,6 +42,8 @@ _ENCAPSULATION = b"\x00\x01\x00\x00"
 _ORIGIN = len(_ENCAPSULATION)  # CDR alignment counts from here
 _STAMP = struct.Struct("<iI")
 _HEADER = struct.Struct("<4siI")
+_BEGINNING = struct.Struct("<2s2xiI")  # the same, without the options
+_LITTLE_ENDIAN, _BIG_ENDIAN = b"\x00\x01", b"\x00\x00"
 _U4 = struct.Struct("<I")
 _SIZES = struct.Struct("<II")
 _NOT_DENSE = b"\x00"
@@ -140,8 +142,12 @@ def checked(table: Table, topic: Topic, needs: tuple[str, ...] = ()) -> Table:
     """
     plan = _plan(topic, table.rows.dtype, needs)
     rows = table.rows if plan.fits else _fitted(table.rows, plan)
-    if plan.numbers:
-        _refuse_numbers(rows, plan, topic)
+    data = (rows if rows.flags.c_contiguous else rows.copy()).view(np.uint8) if plan.numbers else None
+    for column, offset in plan.numbers:
+        row = _first_wrong(data, offset, rows.itemsize, column.least, column.most, column.whole)
+        if row < len(rows):
+            value = rows[column.name][row].item()
+            raise CodecError(f"{topic.name}: {column.name} must be {column.allowed()}, got {value!r} in row {row}")
     for column in plan.texts:
         _refuse_texts(rows[column.name], column, topic)
     return table if rows is table.rows else Table(table.stamp_ns, rows, table.frame_id)
@@ -192,15 +198,6 @@ def _fitted(rows: NDArray[np.void], plan: _Plan) -> NDArray[np.void]:
     for name in plan.dtype.names or ():
         fitted[name] = absent[name] if name in absent else rows[name]
     return fitted
-
-
-def _refuse_numbers(rows: NDArray[np.void], plan: _Plan, topic: Topic) -> None:
-    data = (rows if rows.flags.c_contiguous else rows.copy()).view(np.uint8)
-    for column, offset in plan.numbers:
-        row = _first_wrong(data, offset, rows.itemsize, column.least, column.most, column.whole)
-        if row < len(rows):
-            value = rows[column.name][row].item()
-            raise CodecError(f"{topic.name}: {column.name} must be {column.allowed()}, got {value!r} in row {row}")
 
 
 @entry(BYTES, int, int, float, float, bool, returns=int)
@@ -293,14 +290,15 @@ def header_stamp_ns(data: Buffer) -> int:
     """
     if len(data) < _HEADER.size:
         raise CodecError(f"a message with a header has at least {_HEADER.size} bytes, got {len(data)}")
-    encapsulation, seconds, nanoseconds = _HEADER.unpack_from(data)
-    if not encapsulation.startswith(_ENCAPSULATION[:2]):
-        if encapsulation.startswith(b"\x00\x00"):
+    encapsulation, seconds, nanoseconds = _BEGINNING.unpack_from(data)
+    if encapsulation != _LITTLE_ENDIAN:
+        if encapsulation == _BIG_ENDIAN:
             raise CodecError("big-endian CDR (encapsulation 00 00) is not supported")
-        raise CodecError(f"encapsulation must be 00 01 (little-endian CDR), got {encapsulation[:2].hex(' ')}")
+        raise CodecError(f"encapsulation must be 00 01 (little-endian CDR), got {encapsulation.hex(' ')}")
     if nanoseconds >= NS_PER_S:
         raise CodecError(f"nanoseconds of the stamp must be < {NS_PER_S}, got {nanoseconds}")
-    return int(seconds * NS_PER_S + nanoseconds)
+    stamp: int = seconds * NS_PER_S + nanoseconds
+    return stamp
 
 
 def joint_state(data: Buffer) -> tuple[int, tuple[NDArray[np.float64], ...]]:
