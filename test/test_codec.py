@@ -417,3 +417,12 @@ def test_a_scan_needs_the_channels_that_are_asked_for_as_numbers():
     assert checked(changed(scan, drop=("accelerometer",)), topics.SCAN, ("laser",)).rows["laser"].shape == (3,)
     with pytest.raises(CodecError, match=r"daq/scan: column 'laser' must be of type <f8, got \|S32"):
         checked(changed(scan, kinds={"laser": TEXT}), topics.SCAN)
+
+
+def test_rows_that_do_not_lie_together_are_checked_like_others():
+    rows = np.zeros(7, topics.APPLIED.columns)
+    rows["sample"][4], rows["sample"][5] = 0.5, -1.0
+    with pytest.raises(CodecError, match=r"sample must be a whole number .* got 0.5 in row 2"):
+        checked(Table(0, rows[::2]), topics.APPLIED)
+    table = Table(0, rows[::3])
+    assert checked(table, topics.APPLIED) is table
