@@ -17,23 +17,19 @@ from typing import Any  # rows of records
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_rig.blocks import Table, joined
+from impact_rig import topics
+from impact_rig.blocks import Column, Table, joined, row_type
 from impact_rig.errors import ConfigError
 from impact_rig.kernels import BYTES, REALS_2D, entry, for_kernels
 from impact_rig.simtime import NS_PER_S
 
 CHANNELS = ("accelerometer", "laser", "base", "current")  # by name; arrays over channels have this order
 ACCELEROMETER, LASER, BASE, CURRENT = range(len(CHANNELS))
-SCAN = np.dtype([
-    ("time", "<f8"),  # scan clock, since the stamp of the block [s]
-    ("accelerometer", "<f8"),  # acceleration of the superior base [m/s^2]
-    ("laser", "<f8"),  # its displacement [m]
-    ("base", "<f8"),  # displacement of the inferior base [m]
-    ("current", "<f8"),  # coil current [A]
-    ("status", "u1"),  # bit j: channel j of `CHANNELS` is over range or clipped
-])  # fmt: skip
+_TIME, _STATUS = topics.SCAN.fields
+SCAN_COLUMNS = (_TIME, *(Column(name, "SI", "Its reading.") for name in CHANNELS), _STATUS)
+SCAN = row_type(SCAN_COLUMNS)
 """A row of `daq/scan` with every one of them."""
-_FRAME = ("time", "status")
+_FRAME = (_TIME.name, _STATUS.name)
 _IN_ORDER = tuple((bit, bit) for bit in range(len(CHANNELS)))
 
 
