@@ -1,6 +1,6 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""The whole graph as processes: real time at 10 and 50 kS/s, freewheel at 10 kS/s.
+"""The whole graph as processes: real time at 10 and 50 kS/s, freewheel at 10 kS/s, in turns with what the wire takes.
 
 Lateness is receipt at a further subscriber less the end of the block, so it holds computing, pacing, DDS and that
 subscriber's own wake-up. CPU shares are those of the processes, from /proc, in percent of one core. The environment
@@ -25,22 +25,36 @@ from impact_rig.client import Client, Processes, isolated_domain
 from impact_rig.client.processes import ParameterValue
 from impact_rig.runs import info
 
-RATES_HZ = (10_000, 50_000)
 BLOCK_NS = 10_000_000
 DRIVE = {"drive.amplitude": 0.52, "barriers.gap_m": 0.006}
 NODES = ("rig", "analysis", "recorder")
 WARM_UP_S = 2.0
 FREEWHEEL_WINDOW = 64
 ROUNDS = 3
+BESIDE = dict(zip(NODES, ("source", *wire.READERS), strict=True))  # node -> the bare process with its messages
+WORST = ("lost_blocks", "wrong_stamps", "p99_lateness_ms", "slips")  # figures of which no median is taken
 
 
 def run() -> dict[str, float]:
     """Measure everything."""
     seconds = float(os.environ.get("SECONDS", "20"))
-    figures: dict[str, float] = {}
-    for rate_hz in RATES_HZ:
-        figures.update(live(seconds, rate_hz))
-    return {**figures, **wire.run_paced(seconds), **freewheel_beside_the_wire(seconds / 2)}
+    return {
+        **live_beside_the_wire(seconds / 2),
+        **live(seconds, 50_000),
+        **freewheel_beside_the_wire(seconds / 2),
+    }
+
+
+def live_beside_the_wire(seconds: float) -> dict[str, float]:
+    """Real time and what its bare messages take, in turn: medians, also of the ratios, and the worst of what is wrong."""
+    found = [{**live(seconds, 10_000), **wire.run_paced(seconds)} for _ in range(ROUNDS)]
+    for one in found:
+        for ours, bare in BESIDE.items():
+            share = one[f"live_10kSps_{ours}_cpu_percent"]
+            one[f"live_10kSps_{ours}_over_wire_{bare}"] = share / one[f"wire_live_{bare}_cpu_percent"]
+    return {
+        name: float((np.max if name.endswith(WORST) else np.median)([one[name] for one in found])) for name in found[0]
+    }
 
 
 def freewheel_beside_the_wire(seconds: float) -> dict[str, float]:
