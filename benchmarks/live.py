@@ -46,7 +46,7 @@ def run() -> dict[str, float]:
 
 
 def live_beside_the_wire(seconds: float) -> dict[str, float]:
-    """Real time and what its bare messages take, in turn: medians, also of the ratios, and the worst of what is wrong."""
+    """Real time and what its bare messages take, in turn: medians, of the ratios too; the worst of what is wrong."""
     found = [{**live(seconds, 10_000), **wire.run_paced(seconds)} for _ in range(ROUNDS)]
     for one in found:
         for ours, bare in BESIDE.items():
