@@ -100,14 +100,18 @@ def _freewheel(seconds: float, pairs: int) -> dict[str, float]:
     with graph(parameters) as (client, processes, directory), _lab(processes, directory) as (address, _):
         browser = Browser()
         try:
-            ratios, speeds = [], []
+            without, speeds = [_speed(client, seconds)], []
             for turn in range(pairs):
-                tell(f"freewheel, pair {turn + 1} of {pairs}: without a page, then with one")
-                without = _speed(client, seconds)
+                tell(f"freewheel, pair {turn + 1} of {pairs}: with a page, then without one")
                 with _pages(browser, address, sockets=0):
                     client.spin_for(2.0)
                     speeds.append(_speed(client, seconds))
-                ratios.append(speeds[-1] / without)
+                client.spin_for(2.0)
+                without.append(_speed(client, seconds))
+            ratios = [  # beside the mean of before and after: a machine that slows down or picks up counts for neither
+                speed / (0.5 * (before + after))
+                for speed, before, after in zip(speeds, without, without[1:], strict=False)
+            ]
             return {
                 "lab_freewheel_x_realtime": statistics.median(speeds),
                 "lab_freewheel_slower_percent": 100.0 * (1.0 - statistics.median(ratios)),
