@@ -36,6 +36,32 @@ def ends(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return values[0], values[1]
 
 
+@given(
+    st.lists(st.tuples(st.floats(5.0, 200.0), st.floats(0.0, 5.0), st.integers(1, 2_000)), min_size=1, max_size=6),
+    st.sampled_from([0.0, 0.1, 0.3]),
+)
+def test_a_sine_is_computed_from_its_last_change_and_its_ramp_to_the_last_bit(changes, ramp_s):
+    """By the formulas, with libm's exact fmod; every phase is within a turn."""
+    made, ramp = generator(ramp_s=ramp_s), math.ceil(ramp_s / TICK_S - 1e-9)
+    made.segments(40)
+    anchor, level = made.phase_rad, made.amplitude
+    for frequency, amplitude, ticks in changes:
+        made.set_frequency(frequency)
+        made.set_amplitude(amplitude)
+        rows = made.segments(ticks)
+        turns = frequency * TICK_S * np.arange(ticks + 1)
+        phases = np.fmod(anchor + 2 * math.pi * np.fmod(turns, 1.0), 2 * math.pi)
+        begin, part = (level, np.arange(ticks + 1) / ramp) if ramp else (amplitude, np.ones(ticks + 1))
+        levels = begin + (amplitude - begin) * np.minimum(part, 1.0)
+        assert rows["phase"].tolist() == phases[:-1].tolist()
+        assert rows["amplitude"].tolist() == levels[:-1].tolist()
+        assert rows["growth"].tolist() == (np.diff(levels) / TICK_S).tolist()
+        assert rows["omega"].tolist() == [2 * math.pi * frequency] * ticks
+        assert rows["phase"].min() >= 0.0 and rows["phase"].max() < 2 * math.pi
+        anchor, level = made.phase_rad, made.amplitude
+        assert (anchor, level) == (phases[-1], levels[-1])
+
+
 @pytest.mark.parametrize("waveform", ["sine", "chirp", "random"])
 def test_a_drive_has_no_jumps_but_at_the_chirps_return(waveform):
     start, end = ends(generator(waveform=waveform, ramp_s=0.3).segments(500))

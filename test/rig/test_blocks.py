@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import attrs
 import numpy as np
+import pytest
 from kits.memory import growth
 from kits.rig import START_NS, TICK, config, same
 
@@ -34,6 +35,22 @@ def test_monitor_instants_are_scans_at_the_asked_rate() -> None:
     assert np.array_equal(indices, np.arange(200) * 128)
     for block in blocks:
         assert np.array_equal(block.monitor["time"], block.monitor_scans / 25_600)
+
+
+@pytest.mark.parametrize("then", [{"output.monitor_rate_hz": 20.0}, {"output.truth_scan": True}])
+def test_a_block_holds_the_instants_of_the_rate_at_its_end(then: dict[str, object]) -> None:
+    """What was kept of the same block at another rate before is no monitor instant any more."""
+    rig = Rig(config(daq__block_scans=2_000, output__monitor_rate_hz=100.0))
+    rig.advance(10 * TICK)
+    rig.configure(then)
+    first, second = rig.advance(40 * TICK)
+    step = first.monitor_scans[1]
+    assert step == (500 if "output.monitor_rate_hz" in then else 100)
+    for block in (first, second):
+        assert np.array_equal(block.monitor_scans, np.arange(0, 2_000, step))
+        assert np.array_equal(block.monitor["time"], block.monitor_scans / 10_000)
+    assert first.truth is None, "the truth of a part of its scans is none"
+    assert (second.truth is None) == ("output.truth_scan" not in then)
 
 
 def test_memory_stays_bounded() -> None:
