@@ -57,7 +57,8 @@ def test_a_sine_is_computed_from_its_last_change_and_its_ramp_to_the_last_bit(ch
         assert rows["amplitude"].tolist() == levels[:-1].tolist()
         assert rows["growth"].tolist() == (np.diff(levels) / TICK_S).tolist()
         assert rows["omega"].tolist() == [2 * math.pi * frequency] * ticks
-        assert rows["phase"].min() >= 0.0 and rows["phase"].max() < 2 * math.pi
+        assert rows["phase"].min() >= 0.0
+        assert rows["phase"].max() < 2 * math.pi
         anchor, level = made.phase_rad, made.amplitude
         assert (anchor, level) == (phases[-1], levels[-1])
 
