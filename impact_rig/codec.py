@@ -17,7 +17,6 @@ tables use NaN for "unknown".
 from __future__ import annotations
 
 import functools
-import math
 import struct
 from collections.abc import Mapping, Sequence
 from typing import Any  # numbers of any precision
@@ -209,7 +208,7 @@ def _first_wrong(data: NDArray[np.uint8], offset: int, step: int, least: float, 
     for row in range(count):
         begin = row * step + offset
         value = data[begin : begin + 8].view(np.float64)[0]
-        if not (least <= value <= most) or (whole and value != math.floor(value)):
+        if not (least <= value <= most) or (whole and value != np.floor(value)):
             return row
     return count
 

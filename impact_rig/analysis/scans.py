@@ -52,7 +52,7 @@ def _places(dtype: np.dtype[np.void]) -> tuple[tuple[int, int], ...]:
     return tuple((bit, found.index(name)) for bit, name in enumerate(CHANNELS) if name in found)
 
 
-def _only_these(rows: NDArray[np.void]) -> NDArray[np.void]:
+def _as_scans(rows: NDArray[np.void]) -> NDArray[np.void]:
     """Return scans of any type as rows of `SCAN`, shape (n,): zeros where a channel was not measured."""
     scans = np.zeros(len(rows), SCAN)
     for name in set(CHANNELS).intersection(rows.dtype.names or ()):
@@ -142,7 +142,7 @@ class ScanBuffer:
         if rows.dtype is not self._kind and rows.dtype == SCAN:
             self._kind = rows.dtype  # to compare two such types takes longer than all the rest
         if rows.dtype is not self._kind or not rows.flags.c_contiguous:
-            rows = _only_these(rows)
+            rows = _as_scans(rows)
         _copy(for_kernels(rows), self.samples, self.status, used)
         self.end += new
 

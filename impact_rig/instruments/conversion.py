@@ -168,7 +168,7 @@ def take_rows(channels, readings, clipped, rows, layout):  # type: ignore[no-unt
         rows: of scans, byte by byte, for as many as there may be.
         layout: bytes of a row, place of the status in it, and places of the channels.
     """
-    count = channels[0].finished
+    count = rows.shape[0] // layout[0]
     for j in range(channels.shape[0]):
         count = min(count, channels[j].finished)
     size = np.uint64(layout[0])

@@ -65,7 +65,7 @@ def guarded(callback: Callable[..., Any], report: Report) -> Callable[..., Any]:
     @functools.wraps(callback)
     def safe(*args: Any) -> Any:
         try:
-            return callback(*(args[0] if args and type(args[0]) is tuple else args))  # one frame less than `_each`
+            return callback(*_each(args))
         except Exception as error:  # the whole point: nothing a callback raises may end the process
             report(_name(callback), describe(error))
             return None

@@ -124,10 +124,12 @@ class RecorderNode(ManagedNode[RecorderSettings]):
 
     def deactivate(self) -> None:
         """Finish the run and stop listening."""
-        self._take_all()
-        self._finish()
-        self._acknowledgements.flush()
-        self._scans = None
+        try:
+            self._take_all()
+        finally:
+            self._finish()
+            self._acknowledgements.flush()
+            self._scans = None
 
     def rig_time_ns(self) -> int | None:
         """Return the stamp of the newest block."""
@@ -213,9 +215,9 @@ class RecorderNode(ManagedNode[RecorderSettings]):
             self._starting.pop()(success, message)
 
     def _on_stop(self, _request: Trigger.Request, done: Done) -> None:
-        self._take_all()
         directory = self._writer.directory if self._writer else None
         self._failure = ""
+        self._take_all()  # what fails now is told
         self._finish()
         if self.active:
             self._follow_scans()

@@ -174,7 +174,7 @@ def level_at(ramp, tick):  # type: ignore[no-untyped-def]
 
 @entry(SEGMENT, REALS, float)
 def fill(rows, level, tick_s):  # type: ignore[no-untyped-def]
-    """Fill in length and amplitude of segments of one tick each, from the amplitudes at their starts and last end."""
+    """Fill in duration and amplitude of n segments of a tick [s] each, from n + 1 amplitudes at their ends."""
     for i in range(rows.shape[0]):
         rows[i].duration = tick_s
         rows[i].amplitude, rows[i].growth = level[i], (level[i + 1] - level[i]) / tick_s
@@ -182,7 +182,7 @@ def fill(rows, level, tick_s):  # type: ignore[no-untyped-def]
 
 @entry(SEGMENT, int, RAMP, float, float, int, float)
 def fill_sine(rows, tick, ramp, tick_s, frequency_hz, since, phase):  # type: ignore[no-untyped-def]
-    """Fill in segments of one tick each from `tick` on, `since` ticks after the phase [rad] was `phase`."""
+    """Fill in segments of one tick [s] each from `tick` on, `since` ticks after the phase [rad] was `phase`."""
     level, per_tick = level_at(ramp, tick), frequency_hz * tick_s
     for i in range(rows.shape[0]):
         row, after = rows[i], level_at(ramp, tick + i + 1)

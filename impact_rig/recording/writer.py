@@ -170,7 +170,7 @@ class RunWriter:
             is_ahead = matches(topic.name, topics.WAVEFORM.name)  # its stamp is when it will act, or whatever is sent
             channel = _Channel(topic, has_header and not is_ahead, matches(topic.name, topics.SCAN.name))
             with self._stopping_on_error():
-                self._file.close_chunk()  # a definition that filled it would close it behind the tail's back
+                self._file.close_chunk()  # the tail of the open one knows only the topics of its beginning
                 self._commit()
                 self._register(channel)
                 self._file.commit()

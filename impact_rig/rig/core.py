@@ -316,8 +316,7 @@ class Rig:
         """Return the next `size` scans as a block."""
         first = self._next_scan
         stamp = self._stamp(first)
-        states, scans = self._truth.pop_states(first, size)
-        monitor = (first + scans) % self._truth.monitor_step == 0 if self._truth.every_scan else slice(None)
+        states, scans, monitor = self._truth.pop_states(first, size)
         impacts = self._truth.pop_impacts(first, size)
         faults = self._chain.fault_rows(first, size)
         block = Block(

@@ -112,11 +112,11 @@ def watched(model, trajectory, work, looks, spacing_s, found):  # type: ignore[n
     for tick in range(found.shape[0]):
         part = looks.out[:, tick * each : (tick + 1) * each]
         found[tick, 0] = largest(part[0], part[1], spacing_s)
-        found[tick, 1] = _mean_square(part[2])
+        found[tick, 1] = mean_square(part[2])
 
 
 @kernel
-def _mean_square(values):  # type: ignore[no-untyped-def]
+def mean_square(values):  # type: ignore[no-untyped-def]
     """Return the mean of the squares of all values but the first, added up in order."""
     total = 0.0
     for i in range(1, values.shape[0]):
@@ -126,7 +126,7 @@ def _mean_square(values):  # type: ignore[no-untyped-def]
 
 @entry(SEGMENT, INTEGERS, float, REALS_2D)
 def mean_square_of_lines(segments, first_segment, tick_s, found):  # type: ignore[no-untyped-def]
-    """Fill in mean squares of a drive of straight lines instead; `first_segment` is that of a Motion."""
+    """Fill in `found[:, 1]`, as `watched` does, for a current of straight lines; `first_segment` is a Motion's."""
     for tick in range(found.shape[0]):
         total = 0.0
         for i in range(first_segment[tick], first_segment[tick + 1]):

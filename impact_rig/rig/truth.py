@@ -8,6 +8,7 @@ Instants are reckoned in whole ticks and a remainder, so nothing depends on how 
 from __future__ import annotations
 
 import bisect
+import itertools
 import math
 from typing import NamedTuple
 
@@ -26,6 +27,7 @@ TICKS_PER_S = NS_PER_S // COMMAND_GRID_NS
 _NO_STATES = np.empty(0, TRUTH_SCAN)
 _NO_IMPACTS = np.empty(0, IMPACTS)
 _NO_SCANS = np.empty(0, np.int64)
+_ALL: NDArray[np.bool_] | slice = slice(None)
 _QUANTITIES = (TRUTH_SCAN.names or ())[1:]
 
 
@@ -88,14 +90,12 @@ class Truth:
         self._states: list[NDArray[np.void]] = []
         self.configure(monitor_hz, every_scan)
         self._impacts: list[NDArray[np.void]] = []  # time: since scan 0
-        self._ends: list[float] = []  # of them, since scan 0; a sphere has one contact after another
+        self._ends: list[float] = []  # of them, since scan 0, in order: a sphere has one contact after another
 
     def configure(self, monitor_hz: float, every_scan: bool) -> None:
         """Change what is kept, from the next tick on."""
         self.monitor_step = monitor_step(self._rate_hz, monitor_hz)
         self.every_scan = every_scan
-        if not every_scan:
-            self._states = [rows[rows["time"] % self.monitor_step == 0.0] for rows in self._states]
 
     @property
     def _step(self) -> int:
@@ -125,22 +125,27 @@ class Truth:
         rows, ends = room(len(found), IMPACTS), np.empty(len(found))
         timed(for_kernels(found), COMMAND_GRID_S / tick_s, rows, ends)
         self._impacts.append(rows)
-        self._ends += ends.tolist()
+        self._ends = list(itertools.accumulate([*self._ends, *ends.tolist()], max))  # the clock's error may change
 
-    def pop_states(self, first: int, count: int) -> tuple[NDArray[np.void], NDArray[np.int64]]:
+    def pop_states(
+        self, first: int, count: int
+    ) -> tuple[NDArray[np.void], NDArray[np.int64], NDArray[np.bool_] | slice]:
         """Return the kept rows of scans first to first + count, with `time` since `first`, and forget them.
 
-        The second array says which of the `count` scans they are.
+        The second array says which of the `count` scans they are, the last value which of them are monitor instants.
         """
         if not self._states:
-            return _NO_STATES, _NO_SCANS
+            return _NO_STATES, _NO_SCANS, _ALL
         kept = self._states[0] if len(self._states) == 1 else joined(self._states)
         taken = bisect.bisect_left(kept["time"], first + count)
         self._states = [kept[taken:]] if taken < len(kept) else []
         rows = joined([kept[:taken]])
         scans = [int(number) - first for number in rows["time"].tolist()]
         rows["time"] = [scan / self._rate_hz for scan in scans]
-        return rows, np.array(scans, np.int64)
+        found, monitor = np.array(scans, np.int64), _ALL
+        if any((first + scan) % self.monitor_step for scan in scans):
+            monitor = (first + found) % self.monitor_step == 0
+        return rows, found, monitor
 
     def pop_impacts(self, first: int, count: int) -> NDArray[np.void]:
         """Return the contacts that ended before the end of these scans, with `time` since `first`, and forget them."""

@@ -10,6 +10,7 @@ import pytest
 from kits.records import applied, blocks, feed_all, info_rows, linear_transmissibility, words
 from kits.tracker import QUICK, RATE, record, run_scenario, tracker
 
+from impact_rig.analysis import tracker as tracker_module
 from impact_rig.analysis.cycles import Accumulator
 from impact_rig.blocks import Table
 from impact_rig.simtime import NS_PER_S
@@ -52,6 +53,18 @@ def test_scans_are_added_in_few_steps_and_an_interruption_finds_every_cycle(monk
     assert set(begins) == {0}, "nothing else is due yet"
     made.on_applied(applied(90.0, at_ns=tables[4].stamp_ns))  # four whole cycles are there, none of them added
     assert words(feed_all(made, tables[4:6])[0]) == ["command_changed"]
+
+
+def test_a_window_is_reported_with_the_block_that_completes_it(monkeypatch):
+    """As if each block were added to its cycle at once."""
+    found = []
+    for add_s in (tracker_module.ADD_S, 0.0):
+        monkeypatch.setattr(tracker_module, "ADD_S", add_s)
+        made = tracker(23.0)
+        tables = blocks(record(23.0, 4.0), RATE, 20)
+        found.append([(k, one) for k, table in enumerate(tables) for one in words(made.feed(table).measurements)])
+    assert found[0] == found[1]
+    assert [word for _, word in found[0]] == ["ok"]
 
 
 def test_a_hole_inside_a_block_is_found():

@@ -25,6 +25,7 @@ from rclpy.serialization import deserialize_message
 from impact_rig.nodes import messages
 from impact_rig.nodes.messages import by_name, nanoseconds
 from impact_rig.nodes.publishers import Monitors
+from impact_rig.nodes.session import Counts
 from impact_rig.recording import open_run
 from impact_rig.rig import Block, Rig
 from impact_rig.rig.config import RigConfig, from_flat
@@ -97,6 +98,14 @@ def test_a_monitor_passes_the_vibration_and_folds_nothing_into_it() -> None:
     assert shown(np.sin(2 * np.pi * 9.1 * time)) == pytest.approx(np.sin(2 * np.pi * 9.1 * instants), abs=0.005)
     for unwanted in (41.0, 109.0, 991.0):
         assert np.abs(shown(np.sin(2 * np.pi * unwanted * time + 0.3))).max() < 0.003
+
+
+def test_a_filter_that_is_cut_at_the_beginning_weighs_what_there_is() -> None:
+    rows = np.zeros(400, dtype=[("laser", "<f8"), ("status", "u1")])
+    rows["laser"] = 3.0
+    found = list(AntiAlias(["laser"], 20).feed(0, rows, range(0, 400, 20)))
+    assert [one.values["laser"] for one in found] == pytest.approx([3.0] * len(found), rel=1e-12)
+    assert found[0].sample == 0
 
 
 def test_the_filter_does_not_depend_on_the_cut_into_blocks_and_begins_anew_after_a_reset() -> None:
@@ -253,3 +262,15 @@ def test_verify_accuses_no_monitor_of_scans_that_a_recorder_no_longer_heard(
     assert {one.count for one in verdict.topics if one.topic in {t.name for t in messages.MONITORS.values()}} == {
         (193 - cut) // 2
     }
+
+
+def test_scans_over_range_are_counted_when_they_are_asked_for() -> None:
+    """They are looked through in lots; none of them is told late."""
+    rig = Rig(from_flat(RigConfig(), {"drive.amplitude": 0.52, "instruments.laser.half_range_m": 1e-4}))
+    blocks, counts = rig.advance(400_000_000), Counts()
+    expected = 0
+    for block in blocks:
+        counts.take(block)
+        expected += int(((block.scan.rows["status"] >> 1) & 1).sum())
+        assert counts.over_range()["laser"] == expected
+    assert expected > 0

@@ -25,6 +25,7 @@ from impact_rig import codec, topics
 from impact_rig.blocks import TRANSMISSIBILITY, Table
 from impact_rig.client import Client, ServiceFailedError
 from impact_rig.client.client import ros_parameters
+from impact_rig.errors import RecordingError
 from impact_rig.nodes import messages
 from impact_rig.nodes.recorder_node import RecorderNode
 from impact_rig.recording import open_run
@@ -69,9 +70,11 @@ def test_a_run_holds_every_message_and_the_configuration(client: Client, tmp_pat
         assert max(times) < 10**9, "rig time, not the system's"
 
 
+@pytest.mark.parametrize("end", ["stop", "deactivate", "failed"])
 def test_in_real_time_what_several_blocks_bring_is_taken_together_and_all_of_it_before_the_end(
-    client: Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    client: Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, end: str
 ) -> None:
+    """An error in what waits, of a disk for one, neither leaves the run open nor is it forgotten by ~/stop."""
     monkeypatch.setattr("impact_rig.nodes.acknowledgements.REALTIME_S", 60.0)  # whatever else takes it comes to light
     came: list[str] = []
     kept: list[int] = []
@@ -82,12 +85,26 @@ def test_in_real_time_what_several_blocks_bring_is_taken_together_and_all_of_it_
             super()._on_message(topic, data, info)
             kept.append(len(self._inbox))
 
+        def _take(self, topic: topics.Topic, data: bytes, info: dict[str, Any]) -> None:
+            if ended and end == "failed":
+                self._fail(RecordingError("no room"))
+            super()._take(topic, data, info)
+
+    ended: list[bool] = []
     client.host(Counting, parameter_overrides=ros_parameters({"directory": str(tmp_path), "name": "run"}))
     host_rig(client, "realtime", time__peers=["recorder"])
     client.wait_active("rig", "recorder")
     client.wait_until(lambda: max(kept, default=0) >= 10, "a full inbox")
     client.wait_until(lambda: kept[-1] > 0, "something in it")
-    client.trigger("recorder/stop")
+    ended.append(True)
+    if end == "deactivate":
+        assert client.change_state("recorder", "deactivate")
+    elif end == "stop":
+        client.trigger("recorder/stop")
+    else:
+        with pytest.raises(ServiceFailedError, match="no room"):
+            client.trigger("recorder/stop")
+        return
     with open_run(tmp_path / "run") as run:
         assert run.topics[run.resolve("daq/scan")].count == came.count("daq/scan") > 0
         assert sum(topic.count for topic in run.topics.values()) == len(came)

@@ -53,6 +53,17 @@ def test_a_block_holds_the_instants_of_the_rate_at_its_end(then: dict[str, objec
     assert (second.truth is None) == ("output.truth_scan" not in then)
 
 
+def test_what_is_changed_and_changed_back_between_two_ticks_changes_no_block() -> None:
+    rig, as_it_was = (Rig(config(daq__block_scans=2_000, output__truth_scan=True)) for _ in range(2))
+    for one in (rig, as_it_was):
+        one.advance(10 * TICK)
+    rig.configure({"output.truth_scan": False, "output.monitor_rate_hz": 30.0})
+    rig.configure({"output.truth_scan": True, "output.monitor_rate_hz": 50.0})
+    (block,), (expected,) = rig.advance(20 * TICK), as_it_was.advance(20 * TICK)
+    assert same(block.truth.rows, expected.truth.rows)
+    assert same(block.monitor, expected.monitor)
+
+
 def test_memory_stays_bounded() -> None:
     """What is handed out is forgotten: nothing in the rig grows with its running time."""
     rig = Rig(config(output__truth_scan=True))

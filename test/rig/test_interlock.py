@@ -14,7 +14,7 @@ from kits.rig import TICK, paper_rig
 
 from impact_rig.errors import CommandError, ConfigError
 from impact_rig.rig import Rig
-from impact_rig.rig.interlock import LOOKS_PER_TICK, largest
+from impact_rig.rig.interlock import LOOKS_PER_TICK, largest, mean_square
 from impact_rig.rig.journal import Kind, read
 
 LOOK_S = 1e-2 / LOOKS_PER_TICK
@@ -111,6 +111,10 @@ def test_the_largest_current_that_is_accepted_does_not_trip() -> None:
     rig.accept(current_a=rig.config.shaker.current_limit_a_rms * math.sqrt(2.0))
     rig.advance(800 * TICK)
     assert rig.latched is None
+
+
+def test_the_current_is_averaged_over_a_tick_without_its_beginning() -> None:
+    assert mean_square(np.array([9.0, 1.0, 2.0, 3.0])) == pytest.approx(14.0 / 3.0)
 
 
 @given(st.floats(1.0, 30.0), st.floats(0.0, 2 * math.pi), st.floats(-1.0, 1.0))
