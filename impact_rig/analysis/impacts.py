@@ -14,7 +14,6 @@ where the pulse passes ONSET of its peak, less the sensor's lag: within 10 µs o
 from __future__ import annotations
 
 import math
-import struct
 
 import attrs
 import numpy as np
@@ -208,17 +207,13 @@ def _detect(
     return count, i
 
 
-_ROW = struct.Struct("<ddb")  # of DETECTED_IMPACTS
-
-
 def impact_tables(found: NDArray[np.void], rate_hz: int, start_ns: int) -> list[Table]:
     """Return detected impacts as tables stamped on the command grid, so that no bit depends on the cut into blocks."""
-    rows: dict[int, list[bytes]] = {}
+    rows: dict[int, list[tuple[float, float, float]]] = {}
     for scan, peak, sign in found.tolist():  # mostly one, for which numpy's ways take long
         seconds = scan / rate_hz
         cell = math.floor(seconds / COMMAND_GRID_S)
-        rows.setdefault(cell, []).append(_ROW.pack(seconds - cell * COMMAND_GRID_S, peak, int(sign)))
+        rows.setdefault(cell, []).append((seconds - cell * COMMAND_GRID_S, peak, sign))
     return [
-        Table(start_ns + cell * COMMAND_GRID_NS, np.frombuffer(b"".join(rows[cell]), DETECTED_IMPACTS))
-        for cell in sorted(rows)
+        Table(start_ns + cell * COMMAND_GRID_NS, np.array(rows[cell], dtype=DETECTED_IMPACTS)) for cell in sorted(rows)
     ]

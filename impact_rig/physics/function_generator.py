@@ -173,7 +173,7 @@ def level_at(ramp, tick):  # type: ignore[no-untyped-def]
 
 
 @entry(SEGMENT, REALS, float)
-def fill(rows, level, tick_s):  # type: ignore[no-untyped-def]
+def fill_levels(rows, level, tick_s):  # type: ignore[no-untyped-def]
     """Fill in duration and amplitude of n segments of a tick [s] each, from n + 1 amplitudes at their ends."""
     for i in range(rows.shape[0]):
         rows[i].duration = tick_s
@@ -296,7 +296,7 @@ class FunctionGenerator:
         rows: NDArray[np.void] = for_kernels(np.zeros(count, SEGMENT))
         if self._noise is not None:
             levels = [level_at(self._ramp, tick) for tick in range(self.tick, self.tick + count + 1)]
-            fill(rows, self._noise.numbers(self.tick, count + 1) * levels, self._tick_s)
+            fill_levels(rows, self._noise.numbers(self.tick, count + 1) * levels, self._tick_s)
             rows["phase"] = PI / 2.0
         else:
             since = self.tick - self._anchor_tick

@@ -512,12 +512,6 @@ def _rows_at(trajectory, tick, offset):  # type: ignore[no-untyped-def]
 
 @entry(*SAMPLED, QUERY, returns=bool)
 def sample(model, trajectory, work, query):  # type: ignore[no-untyped-def]
-    """Fill `query.out` as `sample_anew` does, for callers in Python."""
-    return sample_anew(model, trajectory, work, query)
-
-
-@kernel
-def sample_anew(model, trajectory, work, query):  # type: ignore[no-untyped-def]
     """Fill `query.out` and return whether there are such ticks.
 
     Instants in a row that share one row of the history are evaluated together.

@@ -21,7 +21,7 @@ import resource
 import struct
 import sys
 import zlib
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from types import MappingProxyType
 
@@ -123,7 +123,6 @@ class RunWriter:
         self._chunk_bytes = chunk_bytes
         self._max_file_bytes = max_file_bytes
         self._max_file_duration_ns = max_file_duration_ns
-        self._splits = max_file_bytes > 0 or max_file_duration_ns > 0
         self._ros_distro = ros_distro
         self._log_time = LogTime(rig_start_ns)
         self._channels: dict[str, _Channel] = {}
@@ -169,7 +168,7 @@ class RunWriter:
             has_header = starts_with_header(topic.type_name, topic.schema)
             is_ahead = matches(topic.name, topics.WAVEFORM.name)  # its stamp is when it will act, or whatever is sent
             channel = _Channel(topic, has_header and not is_ahead, matches(topic.name, topics.SCAN.name))
-            with self._stopping_on_error():
+            with _StoppingOnError(self):
                 self._file.close_chunk()  # the tail of the open one knows only the topics of its beginning
                 self._commit()
                 self._register(channel)
@@ -204,11 +203,10 @@ class RunWriter:
 
     def write_at(self, topic_name: str, data: bytes, log_time_ns: int, publish_time_ns: int, sequence: int = 0) -> None:
         """Record one message at a log time that is known already; otherwise like `write`."""
-        if self._closed:
-            self._refuse_if_closed()
+        self._refuse_if_closed()
         channel = self._channels[topic_name]
-        try:  # as `_stopping_on_error`, which takes as long as the rest
-            if self._splits and self._file_is_full(log_time_ns):
+        with _StoppingOnError(self):
+            if self._file_is_full(log_time_ns):
                 following = f"{self.directory.name}_{len(self._spans)}.mcap"
                 self._finish_file({CONTINUES_RECORD_NAME: {"file": following}})
                 self._bytes_before += self._file.size
@@ -227,9 +225,6 @@ class RunWriter:
                 self._commit()
             else:
                 self._flush_if_due()
-        except RecordingError as error:
-            self.stop(error)
-            raise
 
     def secure(self) -> None:
         """Make sure that what was accepted survives a killed process; needs `tail`.
@@ -239,7 +234,7 @@ class RunWriter:
         """
         self._refuse_if_closed()
         if self._tail is not None:
-            with self._stopping_on_error():
+            with _StoppingOnError(self):
                 self._tail.secure()
 
     def flush_due(self) -> None:
@@ -249,7 +244,7 @@ class RunWriter:
             RecordingError: the run had to stop.
         """
         if not self._closed:
-            with self._stopping_on_error():
+            with _StoppingOnError(self):
                 self._flush_if_due()
 
     def attach(self, attachment: Attachment, instead_of: str = "") -> None:
@@ -264,7 +259,7 @@ class RunWriter:
         """
         self._refuse_if_closed()
         self.supersede(attachment, instead_of)
-        with self._stopping_on_error():
+        with _StoppingOnError(self):
             self._write_attachment(attachment)
             self._file.commit()
 
@@ -293,7 +288,8 @@ class RunWriter:
     # --- files
 
     def _open_file(self) -> McapFile:
-        stem = f"{self.directory.name}_{len(self._spans)}" if self._splits else self.directory.name
+        splitting = self._max_file_bytes > 0 or self._max_file_duration_ns > 0
+        stem = f"{self.directory.name}_{len(self._spans)}" if splitting else self.directory.name
         path = self.directory / f"{stem}.mcap"
         file = McapFile(path, compression=self._compression, chunk_bytes=self._chunk_bytes)
         self._file = file
@@ -374,15 +370,6 @@ class RunWriter:
 
     # --- errors
 
-    @contextlib.contextmanager
-    def _stopping_on_error(self) -> Iterator[None]:
-        """A run that failed to write is over: later calls repeat the error instead of damaging what is there."""
-        try:
-            yield
-        except RecordingError as error:
-            self.stop(error)
-            raise
-
     def _refuse_if_closed(self) -> None:
         if self._failure is not None:
             raise self._failure
@@ -401,6 +388,23 @@ class RunWriter:
         if finished:
             with contextlib.suppress(RecordingError):
                 description.write_metadata(self.directory, self._information())
+
+
+class _StoppingOnError:
+    """A run that failed to write is over: later calls repeat the error instead of damaging what is there.
+
+    A class, not a generator: every message goes through it.
+    """
+
+    def __init__(self, writer: RunWriter) -> None:
+        self._writer = writer
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(self, _kind: object, error: BaseException | None, _traceback: object) -> None:
+        if isinstance(error, RecordingError):
+            self._writer.stop(error)
 
 
 _LONGEST_BLOCK_S = 1e6  # a `time` beyond this (or none at all, or NaN) is no instant of a block

@@ -21,7 +21,7 @@ from impact_rig.errors import CommandError
 from impact_rig.kernels import INTEGERS, REALS_2D, entry, for_kernels, kernel
 from impact_rig.physics import Motion
 from impact_rig.physics.flight import SEGMENT
-from impact_rig.physics.sampling import QUERY, SAMPLED, Query, places, sample_anew
+from impact_rig.physics.sampling import QUERY, SAMPLED, Query, places, sample
 from impact_rig.physics.stream import UNDERRUN
 
 LOOKS_PER_TICK = 10
@@ -78,7 +78,7 @@ class Interlock:
             room = np.empty((4, ticks * (LOOKS_PER_TICK + 1)))
             self._looks = Query(places(("x_b", "v_b", "current")), np.empty(room.shape[1], np.int64), room[3], room[:3])
         found = np.empty((ticks, 2))
-        watched(*motion.sampled, self._looks, tick_s / LOOKS_PER_TICK, found)
+        travel_and_current(*motion.sampled, self._looks, tick_s / LOOKS_PER_TICK, found)
         if (drive.kind, drive.waveform) == ("current", "stream"):  # it may do anything between the looks
             mean_square_of_lines(for_kernels(motion.segments), motion.first_segment, tick_s, found)
         gain = _gain(tick_s)
@@ -99,7 +99,7 @@ def _gain(tick_s: float) -> float:
 
 
 @entry(*SAMPLED, QUERY, float, REALS_2D)
-def watched(model, trajectory, work, looks, spacing_s, found):  # type: ignore[no-untyped-def]  # compiled
+def travel_and_current(model, trajectory, work, looks, spacing_s, found):  # type: ignore[no-untyped-def]  # compiled
     """Fill in each tick's largest |travel| [m] and mean square of the current [A²], `found` of shape (ticks, 2).
 
     `looks` asks for travel, its rate and the current, and has room for all looks: `spacing_s` [s] apart, from the start
@@ -108,7 +108,7 @@ def watched(model, trajectory, work, looks, spacing_s, found):  # type: ignore[n
     each = looks.tick.shape[0] // found.shape[0]
     for i in range(looks.tick.shape[0]):
         looks.tick[i], looks.offset[i] = trajectory.first_tick + i // each, (i % each) * spacing_s
-    sample_anew(model, trajectory, work, looks)
+    sample(model, trajectory, work, looks)
     for tick in range(found.shape[0]):
         part = looks.out[:, tick * each : (tick + 1) * each]
         found[tick, 0] = largest(part[0], part[1], spacing_s)
@@ -126,7 +126,7 @@ def mean_square(values):  # type: ignore[no-untyped-def]
 
 @entry(SEGMENT, INTEGERS, float, REALS_2D)
 def mean_square_of_lines(segments, first_segment, tick_s, found):  # type: ignore[no-untyped-def]
-    """Fill in `found[:, 1]`, as `watched` does, for a current of straight lines; `first_segment` is a Motion's."""
+    """Fill in `found[:, 1]`, for a current of straight lines [A²]; `first_segment` is that of a Motion."""
     for tick in range(found.shape[0]):
         total = 0.0
         for i in range(first_segment[tick], first_segment[tick + 1]):

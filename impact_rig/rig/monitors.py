@@ -12,7 +12,6 @@ nothing folds to below 0.4 f_m. The truth is never filtered.
 from __future__ import annotations
 
 import functools
-import operator
 from collections import deque
 from collections.abc import Iterable, Iterator
 
@@ -59,7 +58,6 @@ class AntiAlias:
     def __init__(self, channels: Iterable[str], step: int) -> None:
         self.channels, self.step = tuple(channels), step
         self._taps = taps(step)
-        self._total = float(np.add.reduce(self._taps))
         self.half = len(self._taps) // 2  # scans on either side of an instant that the filter weighs
         self._kept: deque[NDArray[np.void]] = deque()
         self._begin = self._end = -1  # numbers of the first scan that is kept, and of the one after the last
@@ -101,9 +99,6 @@ class AntiAlias:
         columns = np.empty((len(self.channels), len(part)))
         for column, name in zip(columns, self.channels, strict=True):
             np.multiply(part[name], weights, out=column)
-        total = self._total if len(weights) == len(self._taps) == len(part) else float(np.add.reduce(weights))
-        sums = zip(self.channels, np.add.reduce(columns, axis=1).tolist(), strict=True)
-        near = kept["status"][max(0, centre - self.step + 1) : centre + self.step].tobytes()
-        return Smoothed(
-            sample, {name: value / total for name, value in sums}, functools.reduce(operator.or_, set(near))
-        )
+        sums = np.add.reduce(columns, axis=1) / np.add.reduce(weights)
+        near = kept["status"][max(0, centre - self.step + 1) : centre + self.step]
+        return Smoothed(sample, dict(zip(self.channels, sums.tolist(), strict=True)), int(np.bitwise_or.reduce(near)))

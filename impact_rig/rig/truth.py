@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from impact_rig.blocks import IMPACTS, TRUTH_SCAN, joined
 from impact_rig.kernels import REALS, REALS_2D, Fields, entry, for_kernels, room
 from impact_rig.physics import Motion
-from impact_rig.physics.sampling import QUERY, SAMPLED, Query, places, sample_anew
+from impact_rig.physics.sampling import QUERY, SAMPLED, Query, places, sample
 from impact_rig.physics.state import IMPACT
 from impact_rig.simtime import COMMAND_GRID_NS, COMMAND_GRID_S, NS_PER_S
 
@@ -48,7 +48,7 @@ SCANS = Fields(Scans, (int, int, int))
 
 
 @entry(*SAMPLED, QUERY, SCANS, float, REALS_2D)
-def states_at(model, trajectory, work, query, scans, tick_s, rows):  # type: ignore[no-untyped-def]  # compiled
+def state_rows(model, trajectory, work, query, scans, tick_s, rows):  # type: ignore[no-untyped-def]  # compiled
     """Fill in the number of each scan, which becomes its time when the block is known, and what `query` asks for.
 
     rows has the shape (n, 1 + q); `query` has room for n instants.
@@ -59,14 +59,14 @@ def states_at(model, trajectory, work, query, scans, tick_s, rows):  # type: ign
         rows[i, 0] = scan
         query.tick[i] = scan * TICKS_PER_S // scans.rate_hz
         query.offset[i] = (scan * TICKS_PER_S % scans.rate_hz) * per_rest
-    sample_anew(model, trajectory, work, query)
+    sample(model, trajectory, work, query)
     for i in range(rows.shape[0]):
         for j in range(query.wanted.shape[0]):
             rows[i, 1 + j] = query.out[j, i]
 
 
 @entry(IMPACT, float, IMPACTS, REALS)
-def timed(found, stretch, rows, ends):  # type: ignore[no-untyped-def]
+def impact_rows(found, stretch, rows, ends):  # type: ignore[no-untyped-def]
     """Fill in the columns of the impacts, and when each ended [s]; times since scan 0, `stretch` to one of motion."""
     for i in range(found.shape[0]):
         one, row = found[i], rows[i]
@@ -87,8 +87,8 @@ class Truth:
 
     def __init__(self, rate_hz: int, monitor_hz: float, every_scan: bool) -> None:
         self._rate_hz = rate_hz
-        self._states: list[NDArray[np.void]] = []
         self.configure(monitor_hz, every_scan)
+        self._states: list[NDArray[np.void]] = []
         self._impacts: list[NDArray[np.void]] = []  # time: since scan 0
         self._ends: list[float] = []  # of them, since scan 0, in order: a sphere has one contact after another
 
@@ -115,7 +115,7 @@ class Truth:
         count = -(-(end - first) // step)
         wanted, rows = places(_QUANTITIES), np.empty((count, 1 + len(_QUANTITIES)))
         query = Query(wanted, np.empty(count, np.int64), np.empty(count), np.empty((len(wanted), count)))
-        states_at(*motion.sampled, query, Scans(first, step, self._rate_hz), tick_s, rows)
+        state_rows(*motion.sampled, query, Scans(first, step, self._rate_hz), tick_s, rows)
         self._states.append(np.frombuffer(rows, TRUTH_SCAN))
 
     def _take_impacts(self, motion: Motion, tick_s: float) -> None:
@@ -123,7 +123,7 @@ class Truth:
         if len(found) == 0:
             return
         rows, ends = room(len(found), IMPACTS), np.empty(len(found))
-        timed(for_kernels(found), COMMAND_GRID_S / tick_s, rows, ends)
+        impact_rows(for_kernels(found), COMMAND_GRID_S / tick_s, rows, ends)
         self._impacts.append(rows)
         self._ends = list(itertools.accumulate([*self._ends, *ends.tolist()], max))  # the clock's error may change
 
