@@ -28,7 +28,7 @@ from impact_rig.config.fields import choice, integer, quantity, switch, text
 from impact_rig.config.tree import Tree, parameters_in
 from impact_rig.errors import ConfigError, RecordingError
 from impact_rig.nodes.acknowledgements import Acknowledgements
-from impact_rig.nodes.managed import Done, Level, ManagedNode, State
+from impact_rig.nodes.managed import Done, Level, ManagedNode, State, guarded
 from impact_rig.nodes.messages import TOPICS
 from impact_rig.recording import (
     CONFIGURATION,
@@ -124,12 +124,10 @@ class RecorderNode(ManagedNode[RecorderSettings]):
 
     def deactivate(self) -> None:
         """Finish the run and stop listening."""
-        try:
-            self._take_all()
-        finally:
-            self._finish()
-            self._acknowledgements.flush()
-            self._scans = None
+        self._take_all()
+        self._finish()
+        self._acknowledgements.flush()
+        self._scans = None
 
     def rig_time_ns(self) -> int | None:
         """Return the stamp of the newest block."""
@@ -356,18 +354,19 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         self._answer_start()
 
     def _on_message(self, topic: topics.Topic, data: bytes, info: dict[str, Any]) -> None:
-        """Take a message; in real time those of several blocks together, before they are acknowledged.
+        """Take a message; where real time is recorded those of several blocks together, before they are acknowledged.
 
         What they need then stays in the caches of the processor from one to the next, which halves their cost. Whatever
         may change what becomes of them takes them first.
         """
         self._inbox.append((topic, data, info))
-        if not self._acknowledgements.is_timed:
+        if self._writer is None or not self._acknowledgements.is_timed:
             self._take_all()
 
     def _take_all(self) -> None:
+        take = guarded(self._take, self.report_failure)  # each: what is wrong with one spoils no other
         while self._inbox:
-            self._take(*self._inbox.popleft())
+            take(*self._inbox.popleft())
 
     def _take(self, topic: topics.Topic, data: bytes, info: dict[str, Any]) -> None:
         table = None

@@ -91,6 +91,21 @@ def test_taking_in_portions_is_taking_at_once():
         accumulator.take(1)
 
 
+@pytest.mark.parametrize("frequency_hz", [9.1, 50.0, 73.3])
+def test_cycles_end_with_the_scan_that_completes_them(frequency_hz):
+    samples, status = np.zeros((4, 30_000)), np.zeros(30_000, np.uint8)
+    accumulator = Accumulator(10_000, frequency_hz, 2, 0, -WIDE, WIDE)
+    done = 0
+    for count in (1, 2, 7):
+        end = accumulator.end(count)
+        accumulator.add(samples, status, done, end - 1)
+        assert accumulator.pending_cycles == count - 1, "one scan is missing"
+        accumulator.add(samples, status, end - 1, end)
+        assert accumulator.pending_cycles == count
+        accumulator.take(count)
+        done = end
+
+
 def test_flags_name_channel_and_kind():
     samples = np.zeros((4, 3000))
     samples[1, 150], samples[2, 1050], samples[0, 2050] = 2.0, np.nan, -np.inf

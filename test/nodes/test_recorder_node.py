@@ -70,7 +70,7 @@ def test_a_run_holds_every_message_and_the_configuration(client: Client, tmp_pat
         assert max(times) < 10**9, "rig time, not the system's"
 
 
-@pytest.mark.parametrize("end", ["stop", "deactivate", "failed"])
+@pytest.mark.parametrize("end", ["stop", "deactivate", "failed", "broken"])
 def test_in_real_time_what_several_blocks_bring_is_taken_together_and_all_of_it_before_the_end(
     client: Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, end: str
 ) -> None:
@@ -88,16 +88,23 @@ def test_in_real_time_what_several_blocks_bring_is_taken_together_and_all_of_it_
         def _take(self, topic: topics.Topic, data: bytes, info: dict[str, Any]) -> None:
             if ended and end == "failed":
                 self._fail(RecordingError("no room"))
+            if ended and end == "broken" and ended.pop():
+                raise RuntimeError("of one message")
             super()._take(topic, data, info)
 
+        def _finish(self) -> None:
+            due.append(len(came))
+            super()._finish()
+
     ended: list[bool] = []
+    due: list[int] = []
     client.host(Counting, parameter_overrides=ros_parameters({"directory": str(tmp_path), "name": "run"}))
     host_rig(client, "realtime", time__peers=["recorder"])
     client.wait_active("rig", "recorder")
     client.wait_until(lambda: max(kept, default=0) >= 10, "a full inbox")
     client.wait_until(lambda: kept[-1] > 0, "something in it")
     ended.append(True)
-    if end == "deactivate":
+    if end in ("deactivate", "broken"):
         assert client.change_state("recorder", "deactivate")
     elif end == "stop":
         client.trigger("recorder/stop")
@@ -106,8 +113,11 @@ def test_in_real_time_what_several_blocks_bring_is_taken_together_and_all_of_it_
             client.trigger("recorder/stop")
         return
     with open_run(tmp_path / "run") as run:
-        assert run.topics[run.resolve("daq/scan")].count == came.count("daq/scan") > 0
-        assert sum(topic.count for topic in run.topics.values()) == len(came)
+        counts = {name.lstrip("/"): topic.count for name, topic in run.topics.items()}
+    assert counts["daq/scan"] > 0
+    assert sum(counts.values()) == due[0] - (end == "broken"), (
+        "and not what was still delivered to a node that had ended"
+    )
 
 
 def test_a_recorder_that_cannot_write_holds_up_who_waits_for_it_until_it_is_told_what_to_do(
