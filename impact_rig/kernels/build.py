@@ -33,7 +33,7 @@ from impact_rig.kernels.header import whole
 FOLDER = Path(__file__).parent
 OUTPUT, HEADER = "_library.abi3.so", "impact_rig.h"
 PARTS = {
-    "mechanics": ("physics.simulation", "physics.function_generator", "rig.interlock", "rig.truth"),
+    "mechanics": ("physics.simulation", "physics.function_generator", "rig.interlock", "rig.monitors", "rig.truth"),
     "instruments": ("instruments.chain", "analysis.tracker", "codec"),
 }
 """What is translated side by side: modules whose import declares the entries."""

@@ -68,13 +68,12 @@ class Monitors:
         Readings are filtered and come four monitor periods later; the truth is not, and comes at once.
         """
         start_ns = block.scan.stamp_ns - stamp_ns(block.first_scan, self._rate_hz)
-        instants = [block.first_scan + scan for scan in block.monitor_scans.tolist()]
         if wanted(topics.JOINT_STATES):
-            for sample, truth in zip(instants, block.monitor, strict=True):
-                stamp = stamp_ns(sample, self._rate_hz, start_ns)
+            for scan, truth in zip(block.monitor_scans.tolist(), block.monitor, strict=True):
+                stamp = stamp_ns(block.first_scan + scan, self._rate_hz, start_ns)
                 yield topics.JOINT_STATES, self._joint_states.render(stamp, *itertools.chain(*joints(truth)))
         readings = {name: reading for name, reading in self._readings.items() if wanted(reading[0])}
-        for smoothed in self._filter.feed(block.first_scan, block.scan.rows, instants, wanted=bool(readings)):
+        for smoothed in self._filter.feed(block.first_scan, block.scan.rows):
             stamp = stamp_ns(smoothed.sample, self._rate_hz, start_ns)
             for name, (topic, render) in readings.items():
                 yield topic, render(stamp, smoothed.values[name], smoothed.status)

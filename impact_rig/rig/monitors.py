@@ -12,18 +12,21 @@ nothing folds to below 0.4 f_m. The truth is never filtered.
 from __future__ import annotations
 
 import functools
-from collections import deque
-from collections.abc import Iterable, Iterator
+import math
+from collections.abc import Iterable
 
 import attrs
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_rig.blocks import joined
+from impact_rig.arithmetic.elementary import PI, sincos
+from impact_rig.kernels import BYTES, INTEGERS, REALS, REALS_2D, entry
 
 HALF_PERIODS = 4  # half the filter's length, in monitor periods: how much later than its stamp a message comes
 CUTOFF = 0.4  # middle of the transition, over the monitor rate
 BETA = 5.0
+_WINDOWS = 2 * HALF_PERIODS + 1  # that can weigh one scan
+_BESSEL_TERMS = 20  # of I_0 up to BETA: what is left is below rounding
 
 
 @functools.lru_cache(maxsize=4)
@@ -32,8 +35,16 @@ def taps(step: int) -> NDArray[np.float64]:
     if step == 1:
         return np.ones(1)
     offsets = np.arange(-HALF_PERIODS * step, HALF_PERIODS * step + 1)
-    weights = np.sinc(2.0 * CUTOFF * offsets / step) * np.kaiser(len(offsets), BETA)
-    found: NDArray[np.float64] = weights / weights.sum()
+    angles = [2.0 * PI * CUTOFF * (offset / step) for offset in offsets.tolist()]
+    sinc = np.array([sincos(angle)[0] / angle if angle else 1.0 for angle in angles])
+    share = offsets / (HALF_PERIODS * step)
+    square = 0.25 * BETA * BETA * (1.0 - share * share)
+    term, window = np.ones(len(offsets)), np.ones(len(offsets))  # Kaiser's, but for a factor: I_0(2 √square)
+    for k in range(1, _BESSEL_TERMS):
+        term *= square / (k * k)
+        window += term
+    weights = sinc * window
+    found: NDArray[np.float64] = weights / math.fsum(weights)
     return found
 
 
@@ -47,58 +58,89 @@ class Smoothed:
 
 
 class AntiAlias:
-    """Filters a stream of scans at the monitor instants.
+    """Filters a stream of scans at the monitor instants, the scans whose numbers are multiples of `step`.
 
-    Blocks are kept as they came, and joined only for an instant that is wanted.
+    Each scan is weighed once, when it comes, for every instant whose window it lies in: no scan is kept.
 
     Args:
+        channels: columns to be filtered.
         step: scans per monitor period.
     """
 
     def __init__(self, channels: Iterable[str], step: int) -> None:
         self.channels, self.step = tuple(channels), step
-        self._taps = taps(step)
-        self.half = len(self._taps) // 2  # scans on either side of an instant that the filter weighs
-        self._kept: deque[NDArray[np.void]] = deque()
-        self._begin = self._end = -1  # numbers of the first scan that is kept, and of the one after the last
-        self._due: deque[int] = deque()
+        self._weights = taps(step)
+        self.half = len(self._weights) // 2  # scans on either side of an instant that the filter weighs
+        self._sums = np.zeros((_WINDOWS, 1 + len(self.channels)))
+        self._statuses = np.zeros(_WINDOWS, np.int64)
+        self._begin = self._end = -1  # numbers of the stream's first scan, and of the one after the last
+        self._type: np.dtype[np.void] | None = None  # of the rows, and where in one of them the columns stand
+        self._layout = np.zeros(0, np.int64)
 
-    def feed(
-        self, first: int, rows: NDArray[np.void], instants: Iterable[int], wanted: bool = True
-    ) -> Iterator[Smoothed]:
-        """Yield the instants that a block completes; after a gap, as after a reset, a new stream begins.
+    def feed(self, first: int, rows: NDArray[np.void]) -> list[Smoothed]:
+        """Return the instants that a block completes; after a gap, as after a reset, a new stream begins.
 
         At the beginning of a stream the filter is cut where there are no scans, and weighs what there is.
 
         Args:
             first: number of the block's first scan.
             rows: of daq/scan.
-            instants: monitor instants in the block, numbered like the scans.
-            wanted: whether anybody wants them; otherwise the block is only kept for instants to come.
         """
         if first != self._end:
-            self._due.clear()
-            self._kept.clear()
             self._begin = first
-        self._kept.append(rows)
+            self._sums[:], self._statuses[:] = 0.0, 0
+        if rows.dtype is not self._type:
+            columns = rows.dtype.fields
+            assert columns is not None
+            self._type = rows.dtype
+            self._layout = np.array([rows.itemsize, *(columns[name][1] for name in ("status", *self.channels))])
         self._end = first + len(rows)
-        self._due.extend(instants)
-        while self._due and self._due[0] + self.half < self._end:
-            sample = self._due.popleft()
-            if wanted:
-                yield self._smoothed(sample)
-        oldest = (self._due[0] if self._due else self._end) - self.half - self.step
-        while self._begin + len(self._kept[0]) <= oldest:
-            self._begin += len(self._kept.popleft())
+        done = np.empty((len(rows) // self.step + 1, 2 + len(self.channels)))
+        data: NDArray[np.uint8] = np.ndarray((rows.nbytes,), np.uint8, rows)
+        scans = max(self._begin, first - self.half), first, self.step
+        count = _weigh(data, self._layout, *scans, self._weights, self._sums, self._statuses, done)
+        return [
+            Smoothed(int(sample), dict(zip(self.channels, values, strict=True)), int(status))
+            for sample, status, *values in done[:count].tolist()
+        ]
 
-    def _smoothed(self, sample: int) -> Smoothed:
-        kept, centre = joined(self._kept), sample - self._begin
-        left = max(0, centre - self.half)
-        weights = self._taps[left - centre + self.half :]
-        part = kept[left : centre + self.half + 1]
-        columns = np.empty((len(self.channels), len(part)))
-        for column, name in zip(columns, self.channels, strict=True):
-            np.multiply(part[name], weights, out=column)
-        sums = np.add.reduce(columns, axis=1) / np.add.reduce(weights)
-        near = kept["status"][max(0, centre - self.step + 1) : centre + self.step]
-        return Smoothed(sample, dict(zip(self.channels, sums.tolist(), strict=True)), int(np.bitwise_or.reduce(near)))
+
+@entry(BYTES, INTEGERS, int, int, int, REALS, REALS_2D, INTEGERS, REALS_2D, returns=int)
+def _weigh(rows, layout, least, first, step, weights, sums, statuses, done):  # type: ignore[no-untyped-def]  # compiled
+    """Add a block to the windows it lies in; return how many end in it.
+
+    Each window is summed scan by scan, so that the cut into blocks changes no bit.
+
+    Args:
+        rows: of scans, byte by byte.
+        layout: bytes of a row, place of the status in it, and places of the channels.
+        least: number of the first scan that may be an instant whose window is open.
+        first: number of the first scan of the block.
+        step: scans per monitor period.
+        weights: of a window's scans.
+        sums: of each window: sum of the weights, and of the weighed readings by channel. Window k is in row k modulo
+            their number.
+        statuses: of each window: status bits of the scans nearer to its instant than to any other.
+        done: is filled in for each window that ends: number of its scan, status, means by channel.
+    """
+    half = weights.shape[0] // 2
+    end = first + rows.shape[0] // layout[0]
+    count = 0
+    for window in range(-(-least // step), (end - 1 + half) // step + 1):
+        centre, total = window * step, sums[window % sums.shape[0]]
+        for scan in range(max(first, centre - half), min(end, centre + half + 1)):
+            place, weight = (scan - first) * layout[0], weights[scan - centre + half]
+            total[0] += weight
+            for j in range(1, total.shape[0]):
+                begin = place + layout[1 + j]
+                total[j] += weight * rows[begin : begin + 8].view(np.float64)[0]
+            if abs(scan - centre) < step:
+                statuses[window % sums.shape[0]] |= rows[place + layout[1]]
+        if centre + half < end:
+            done[count, 0], done[count, 1] = centre, statuses[window % sums.shape[0]]
+            for j in range(1, total.shape[0]):
+                done[count, 1 + j] = total[j] / total[0]
+            total[:] = 0.0
+            statuses[window % sums.shape[0]] = 0
+            count += 1
+    return count

@@ -54,7 +54,7 @@ _NOT_COMPARED = {
 }
 """Why a topic is not compared, by its name or publisher."""
 _FOREIGN = "not of a rig"
-_SUMS = 1e-12  # monitors are sums in whatever order NumPy takes: compared to this share of the reading and of its unit
+_SUMS = 1e-12  # of a reading and of its unit: earlier versions left the order of a monitor's sums to NumPy
 
 
 @attrs.frozen
@@ -432,7 +432,7 @@ class _Beside:
                 monitor.following.clear()
         first, end = block.first_scan, block.first_scan + len(block.scan.rows)
         for one in self._filters:
-            for smoothed in one.feed(first, block.scan.rows, range(-(-first // one.step) * one.step, end, one.step)):
+            for smoothed in one.feed(first, block.scan.rows):
                 self._smoothed.setdefault(smoothed.sample, []).append((one.step, smoothed))
         self._hear_monitors(end - self._filters[-1].half)
 

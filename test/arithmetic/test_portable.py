@@ -49,7 +49,6 @@ ALLOWED = {
     "physics/prediction.py": "what simulation and analysis are held against",
     "instruments/sensor.py: np.prod": "the frequency response, for whoever judges readings",
     "instruments/checks.py": "judges readings and feeds none",
-    "rig/monitors.py": "for plotters, made of samples that are there; verify compares them to 1e-12",
     "arithmetic/precise.py: sum": "of Decimals",
     "instruments/sensor.py: sum": "of Decimals",
     "instruments/sensor.py: **": "a whole power of a Decimal",

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from impact_rig import topics
 from impact_rig.blocks import Table
+from impact_rig.instruments.section import channels_of, row_type_of
 from impact_rig.physics import contact as contact_laws
 from impact_rig.physics import outcome
 from impact_rig.physics.contact import LAWS, ContactPair
@@ -23,13 +24,16 @@ from impact_rig.physics.contact.law import compiled_force
 from impact_rig.physics.model import unit_parameters
 from impact_rig.rig import Rig
 from impact_rig.rig.config import RigConfig, from_flat
+from impact_rig.rig.monitors import AntiAlias
+from impact_rig.rig.truth import monitor_step
 from impact_rig.simtime import NS_PER_S
 
 Streams = dict[str, NDArray[np.void]]
 """Rows by topic, in their order."""
 
 MONITOR, MONITOR_HZ = "output.monitor_rate_hz", 100.0
-"""How often the truth is kept for its digest; what a rig does by default may change."""
+"""How often truth and readings are kept for their digests; what a rig does by default may change."""
+MONITORS = "monitors"  # where the readings of all channels at that rate stand among the topics
 BLOCK = "daq.block_scans"
 PAPER = {"drive.amplitude": 0.52}
 FAULTS = (
@@ -133,6 +137,9 @@ def known(runs: tuple[Run, ...]) -> tuple[Run, ...]:
 def _rig(run: Run) -> Streams:
     rig = Rig(from_flat(RigConfig(), {BLOCK: 1000, MONITOR: MONITOR_HZ, **run.values}))
     tables: dict[str, list[Table]] = {topics.INFO.name: [rig.info()]}
+    channels = channels_of(np.zeros(0, row_type_of(rig.config.instruments)))
+    monitors = AntiAlias(channels, monitor_step(rig.rate_hz, MONITOR_HZ))
+    reading = np.dtype([("sample", "i8"), ("status", "i8"), *((name, "f8") for name in channels)])
     for second, (frequency_hz, amplitude) in [*run.commands.items(), (run.seconds, (0.0, 0.0))]:
         for block in rig.advance(round(second * NS_PER_S)):
             found = {
@@ -141,6 +148,10 @@ def _rig(run: Run) -> Streams:
                 topics.FAULTS.name: block.faults,
             }
             found[topics.TRUTH_SCAN.name] = block.truth or Table(block.scan.stamp_ns, block.monitor)
+            smoothed = monitors.feed(block.first_scan, block.scan.rows)
+            if smoothed:
+                rows = [(one.sample, one.status, *one.values.values()) for one in smoothed]
+                found[MONITORS] = Table(block.scan.stamp_ns, np.array(rows, reading))
             for topic, table in found.items():
                 tables.setdefault(topic, []).extend([table] if table is not None else [])
         if second < run.seconds:
