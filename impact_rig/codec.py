@@ -92,11 +92,6 @@ def encode(table: Table) -> bytes:
     )
 
 
-def put_stamp(data: bytearray, stamp_ns: int) -> None:
-    """Write the stamp [ns] of a serialised message that starts with a header, or with a time."""
-    _STAMP.pack_into(data, _ORIGIN, *divmod(stamp_ns, NS_PER_S))
-
-
 def encode_polygon(stamp_ns: int, frame_id: str, points: NDArray[np.floating[Any]]) -> bytes:
     """Return a serialised `geometry_msgs/PolygonStamped` through points (x, y, z), shape (n, 3)."""
     stream = bytearray(_HEADER.pack(_ENCAPSULATION, *divmod(stamp_ns, NS_PER_S)))

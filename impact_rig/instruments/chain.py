@@ -157,7 +157,8 @@ class Chain:
         """
         clock = Clock(self._clock.period, self._clock.tick)
         rough = None if self._config.instruments.ideal else motion.breakpoints()
-        blows = motion.impacts[motion.impacts["duration"] == 0.0] if len(motion.impacts) else motion.impacts
+        durations = motion.impacts["duration"]
+        blows = motion.impacts[durations == 0.0 if 0.0 in durations.tolist() else slice(0)]
         for first in range(0, count, _TICKS_AT_ONCE):
             ticks = min(_TICKS_AT_ONCE, count - first)
             if rough is None:

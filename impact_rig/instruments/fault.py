@@ -322,5 +322,7 @@ class FaultBoard:
 
     def clock_ppm(self, scan: int) -> float:
         """Return by how much the scan clock is off at a scan because of faults [ppm]."""
+        if not self._faults:
+            return 0.0
         drifts = (active for active in self._faults if active.fault.kind == "clock_drift")
         return math.fsum(active.fault.value for active in drifts if active.fault.start_sample <= scan < active.end)

@@ -26,6 +26,7 @@ from impact_rig.instruments.registry import INSTRUMENTS
 from impact_rig.simtime import NS_PER_S
 from impact_rig.topics import Qos, Topic
 
+_STAMP_FORM = "<4siI"  # encapsulation, seconds, nanoseconds
 _MARK = struct.unpack("<f", b"\x13\x57\x9b\x71")[0]  # exact in both precisions, and no number of a message of ours
 
 MONITORS = {name: instrument.monitor for name, instrument in INSTRUMENTS.items() if instrument.monitor is not None}
@@ -112,16 +113,26 @@ class Template:
     """
 
     def __init__(self, message: Any, *paths: str) -> None:
-        self._numbers = [_find(message, path) for path in paths]
-        self._bytes = bytes(serialize_message(message))
+        numbers = [_find(message, path) for path in paths]
+        data = bytes(serialize_message(message))
+        form, end = _STAMP_FORM, struct.calcsize(_STAMP_FORM)
+        self._parts: list[Any] = [data[:4], 0, 0]  # what stays, and between it the stamp and the numbers
+        self._places = [0] * len(numbers)
+        for index, (kind, offset) in sorted(enumerate(numbers), key=lambda number: number[1][1]):
+            form += f"{offset - end}s{kind}"
+            self._places[index] = len(self._parts) + 1
+            self._parts += [data[end:offset], 0.0]
+            end = offset + struct.calcsize(f"<{kind}")
+        self._parts.append(data[end:])
+        self._form = struct.Struct(f"{form}{len(data) - end}s")
 
     def render(self, stamp_ns: int, *values: object) -> bytes:
         """Return the message with this stamp [ns] and these numbers, in the order of the paths."""
-        data = bytearray(self._bytes)
-        codec.put_stamp(data, stamp_ns)
-        for (number, offset), value in zip(self._numbers, values, strict=True):
-            number.pack_into(data, offset, value)
-        return bytes(data)
+        parts = self._parts.copy()
+        parts[1:3] = divmod(stamp_ns, NS_PER_S)
+        for place, value in zip(self._places, values, strict=True):
+            parts[place] = value
+        return self._form.pack(*parts)
 
 
 def put(message: Any, path: str, value: object) -> None:
@@ -135,14 +146,14 @@ def put(message: Any, path: str, value: object) -> None:
         setattr(message, last, value)
 
 
-def _find(message: Any, path: str) -> tuple[struct.Struct, int]:
+def _find(message: Any, path: str) -> tuple[str, int]:
     """Return form and offset of a number: where a mark appears that is not there otherwise."""
     put(message, path, _MARK)
     marked = bytes(serialize_message(message))
     put(message, path, 0.0)
-    offsets = {kind: marked.find(struct.pack(kind, _MARK)) for kind in ("<d", "<f")}
+    offsets = {kind: marked.find(struct.pack(f"<{kind}", _MARK)) for kind in "df"}
     kind = next(kind for kind, offset in offsets.items() if offset >= 0)
-    return struct.Struct(kind), offsets[kind]
+    return kind, offsets[kind]
 
 
 CLOCK = Template(Clock())  # `/clock`: nothing but a stamp

@@ -31,7 +31,7 @@ from impact_rig.arithmetic.precise import ONE, TWO, ZERO, Complex, pi, precise, 
 from impact_rig.arithmetic.random import Random
 from impact_rig.config import Drive, Shaker
 from impact_rig.errors import CommandError
-from impact_rig.kernels import REALS, Fields, entry, for_kernels, kernel, records
+from impact_rig.kernels import REALS, Fields, entry, kernel, records, room
 from impact_rig.physics.flight import SEGMENT
 from impact_rig.physics.stream import Stream
 from impact_rig.simtime import COMMAND_GRID_S
@@ -174,10 +174,11 @@ def level_at(ramp, tick):  # type: ignore[no-untyped-def]
 
 @entry(SEGMENT, REALS, float)
 def fill_levels(rows, level, tick_s):  # type: ignore[no-untyped-def]
-    """Fill in duration and amplitude of n segments of a tick [s] each, from n + 1 amplitudes at their ends."""
+    """Fill in n segments of a tick [s] each, straight lines between n + 1 amplitudes at their ends."""
     for i in range(rows.shape[0]):
-        rows[i].duration = tick_s
-        rows[i].amplitude, rows[i].growth = level[i], (level[i + 1] - level[i]) / tick_s
+        row = rows[i]
+        row.duration, row.omega, row.phase, row.begin = tick_s, 0.0, PI / 2.0, 0.0
+        row.amplitude, row.growth = level[i], (level[i + 1] - level[i]) / tick_s
 
 
 @entry(SEGMENT, int, RAMP, float, float, int, float)
@@ -192,7 +193,7 @@ def fill_sine(rows, tick, ramp, tick_s, frequency_hz, since, phase):  # type: ig
         angle = phase + TWO_PI * (turns - int(turns))
         while angle >= TWO_PI:
             angle -= TWO_PI
-        row.omega, row.phase = TWO_PI * frequency_hz, angle
+        row.omega, row.phase, row.begin = TWO_PI * frequency_hz, angle, 0.0
 
 
 class FunctionGenerator:
@@ -293,11 +294,10 @@ class FunctionGenerator:
         if self.stream is not None:
             self.tick += count
             return self.stream.segments(self.tick - count, count, self._tick_s)
-        rows: NDArray[np.void] = for_kernels(np.zeros(count, SEGMENT))
+        rows: NDArray[np.void] = room(count, SEGMENT)
         if self._noise is not None:
             levels = [level_at(self._ramp, tick) for tick in range(self.tick, self.tick + count + 1)]
             fill_levels(rows, self._noise.numbers(self.tick, count + 1) * levels, self._tick_s)
-            rows["phase"] = PI / 2.0
         else:
             since = self.tick - self._anchor_tick
             fill_sine(rows, self.tick, self._ramp, self._tick_s, self.frequency_hz, since, self._anchor_phase)

@@ -156,5 +156,6 @@ class Truth:
         rows = joined(self._impacts)
         self._impacts, self._ends = [rows[done:]], self._ends[done:]
         rows = rows[:done]
-        rows["time"] -= first / self._rate_hz
+        since = first / self._rate_hz
+        rows["time"] = [time - since for time in rows["time"].tolist()]
         return rows
