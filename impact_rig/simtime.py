@@ -10,8 +10,9 @@ from __future__ import annotations
 
 NS_PER_S = 1_000_000_000
 COMMAND_GRID_NS = 10_000_000
-"""Commands take effect at the first multiple of this after the last simulated instant, whatever the block length."""
+"""Length of a tick: commands take effect where the last simulated one ends, whatever the block length."""
 COMMAND_GRID_S = COMMAND_GRID_NS / NS_PER_S
+TICKS_PER_S = NS_PER_S // COMMAND_GRID_NS
 
 
 def stamp_ns(index: int, rate_hz: int, start_ns: int = 0) -> int:

@@ -36,7 +36,8 @@ class Record:
     """What the instruments of a simulated rig read, and what follows from it.
 
     Attributes:
-        scans: columns of `daq/scan`, docs/interface.md, SI; `time` [s] since the start; shape (n,).
+        scans: columns of `daq/scan`, docs/interface.md, SI; `time` [s] since the start; shape (n,). Those that a
+            `lost_block` fault withholds are missing.
         state: of the measurement at the end: settling, measuring, ...
         measurements: rows of `transmissibility/table`, the newest last; empty before the first window is full.
         impact_times: when the analysis found impacts in the acceleration [s], shape (k,).
@@ -93,13 +94,15 @@ def simulate(seconds: float, parameters: Mapping[str, object] | None = None) -> 
     blocks = rig.advance(round(seconds * NS_PER_S))
     for table in rig.take_applied():  # the initial drive, a trip, a time-out: each acts from its stamp on
         tracker.on_applied(table)
-    scans, rows, found, truth = [], [], [], []
+    scans, rows, found, truth = [np.empty(0, blocks[0].scan.rows.dtype)], [], [], []
     for block in blocks:
+        truth += [_since_start(block.impacts)] if block.impacts is not None else []
+        if block.lost:
+            continue
         findings = tracker.feed(block.scan)
         scans.append(_since_start(block.scan))
         rows += [table.rows for table in findings.measurements]
         found += [_since_start(table) for table in findings.impacts]
-        truth += [_since_start(block.impacts)] if block.impacts is not None else []
     return Record(
         config=config,
         scans=joined(scans),

@@ -55,6 +55,14 @@ def test_the_analysis_hears_of_a_drive_that_was_stopped(parameters):
     assert (record.state.word, record.state.reason) == (Analysis.AT_REST, "")
 
 
+def test_scans_that_a_fault_withholds_are_missing_for_the_analysis_too():
+    record = impact_rig.simulate(1.0, {"instruments.faults.planned": ["lost_block start_s=0.5 duration_s=0.02"]})
+    assert len(record.scans) == 9_800
+    assert np.diff(record.scans["time"]).max() == pytest.approx(0.02 + 1e-4)
+    assert record.state.reason == "lost_blocks"
+    assert len(impact_rig.simulate(0.1, {"instruments.faults.planned": ["lost_block duration_s=1"]}).scans) == 0
+
+
 def test_what_cannot_be_simulated_is_refused():
     for seconds in (0.0, -1.0, float("nan"), 1e9):
         with pytest.raises(ConfigError, match="seconds must be above 0"):

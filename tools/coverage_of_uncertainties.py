@@ -45,10 +45,9 @@ from impact_rig.campaign.paper import CURRENT_A, FREQUENCY_HZ
 from impact_rig.instruments.chain import Chain
 from impact_rig.physics import FunctionGenerator, Motion, Simulation
 from impact_rig.rig.config import RigConfig, from_flat
-from impact_rig.simtime import NS_PER_S
+from impact_rig.simtime import NS_PER_S, TICKS_PER_S
 
 RATE_HZ = 10_000
-TICKS_PER_S = 100
 PER_TICK = RATE_HZ // TICKS_PER_S
 LEAST, MOST = 0.93, 0.98
 CHANCE = 0.01

@@ -257,7 +257,7 @@ class Chain:
         return self._faults.rows(first_scan, count)
 
     def block_lost(self, first_scan: int, count: int) -> bool:
-        """Whether a lost_block fault acts on any of these scans: number the block, but do not publish it."""
+        """Whether a lost_block fault acts on any of these scans: their block is numbered, but withheld."""
         return self._faults.block_lost(first_scan, count)
 
     def clock_ppm(self, tick: int) -> float:

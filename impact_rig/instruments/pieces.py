@@ -24,7 +24,7 @@ PIECES_PER_PERIOD = 2.0
 class Motion(Protocol):
     """What an instrument needs to see of a motion: `impact_rig.physics.Motion` has it, any analytic motion can.
 
-    Quantities of the rig are functions of (tick, offset within it); a tick takes 10 ms.
+    Quantities of the rig are functions of (tick, offset within it); a tick takes 10 ms of the scan clock.
     """
 
     @property

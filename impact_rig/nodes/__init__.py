@@ -2,5 +2,5 @@
 # SPDX-License-Identifier: Apache-2.0
 """The ROS 2 nodes: they publish what the rig, the analysis and the recorder compute, and decide nothing themselves.
 
-Only here and in `impact_rig.testing` is rclpy imported.
+Of the layers below, none imports rclpy.
 """

@@ -31,7 +31,7 @@ KEPT_S, KEPT_BYTES = 25.0, 16_000_000
 """Scans kept for a subscriber that does not answer, whichever is less. A process that is killed can keep others from
 their messages until the middleware forgets it, some 20 s later; what is kept still reaches them then."""
 LEAST_S, LEAST_BLOCKS = 2.0, 100  # kept of them in any case, whichever is more
-LOOK_S = 0.1  # least time between two looks at who listens, where blocks are many: each costs a twentieth of a block
+LOOK_S = 0.1  # least time between two looks at who listens, in real time: each costs a twentieth of a block
 DELIVERY = Duration(seconds=0.2)
 """Longest wait for the delivery of a change; only a subscriber that died without a word takes so long."""
 
@@ -147,7 +147,7 @@ class Publishers:
     def block(self, block: Block) -> None:
         """Publish a block: its tables, then the monitors; all are made before the first goes out.
 
-        What the middleware does between two of them drives all else from the caches.
+        To send one empties the caches for the making of the next.
         """
         assert self._monitors is not None
         made = [
@@ -168,7 +168,7 @@ class Publishers:
             self._publishers[topics.STREAM.name].publish(codec.encode(rig.stream_state()))
 
     def clock(self, now_ns: int) -> None:
-        """Publish rig time; a rig that does not has no publisher either, since a clock must have only one."""
+        """Publish rig time, by a publisher made when first wanted: a clock must be offered by one node alone."""
         if topics.CLOCK.name not in self._publishers:
             self._node.offer(topics.CLOCK)
         self._node.send(topics.CLOCK, messages.CLOCK.render(now_ns))
@@ -197,7 +197,7 @@ class Publishers:
         self.announce(rig.config)
 
     def announce(self, config: RigConfig) -> None:
-        """Publish what a recorder opens its file by before there is a rig: the configuration, the rig as it looks."""
+        """Publish the configuration and how the rig looks, before it is there as well: a recorder begins with them."""
         self._node.send(topics.CONFIGURATION, String(data=dump(config)))
         description = robot_description(config)
         if description != self._description:

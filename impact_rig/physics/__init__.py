@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The rig's mechanics: flights in closed form, contacts integrated in a variable without kinks.
 
-Never imports rclpy. `Simulation` advances by drive segments made by `FunctionGenerator` and returns a `Motion`, from
-which instruments sample.
+Never imports rclpy. `Simulation` advances by drive segments made by `FunctionGenerator` and returns a `Motion`, which
+instruments evaluate.
 """
 
 from typing import TYPE_CHECKING

@@ -7,8 +7,8 @@ and a contact also after very many steps:
 
     phase      event           what then happens                                    next phase
     FREE       TOUCHED         a contact begins (`_touch`)                          CONTACT
-                               off a rigid wall: the speed reverses (`_bounce`)     FREE, or ATTACHED if pressed
-    FREE       STOPPED         friction holds the sphere (`_hold`) or does not      ATTACHED, or FREE (`_part`)
+                               off a rigid wall: the speed reverses (`_bounce`)     FREE; slow and pressed: ATTACHED
+    FREE       STOPPED         friction holds both as one (`_hold`) or cannot       ATTACHED, or FREE (`_part`)
     CONTACT    SEPARATED       the sphere flies on from there (`_leave`)            FREE
                or RELEASED
     CONTACT    SETTLED         a law with a memory only rings (`settles`; `_leave`) ATTACHED
@@ -19,7 +19,7 @@ A sphere that rests on a wall under any other law that yields stays in CONTACT u
 RELEASED. A rig begins FREE, or ATTACHED where its sphere is at rest and the guide has friction, or `set_state` puts it
 at rest on a wall; a call of `run` goes on in any phase. A contact whose outcome is tabulated ends SEPARATED; TURNED and
 RELOADED end a step of a contact, not the contact. `_change_phase` is this table. Every segment has its own time zero;
-the loop always stops at its end, so nothing depends on the number of calls that a motion takes.
+every phase stops at its end, so nothing depends on the number of calls that a motion takes.
 """
 
 from __future__ import annotations
@@ -159,7 +159,7 @@ def _least_speed(p, s):  # type: ignore[no-untyped-def]
 
 @kernel
 def _part(p, s, way, ledger):  # type: ignore[no-untyped-def]
-    """Let a sphere at rest on the structure begin to slide: with the least speed, and nothing added to the momentum."""
+    """Let a sphere that moves with the structure come loose: with the least speed, nothing added to the momentum."""
     if s.side != 0.0:
         s.dent, s.dent_side = max(0.0, s.side * s.d - p.half_gap), s.side
     d_rate = way * _least_speed(p, s)
@@ -201,7 +201,7 @@ def _keep_impact(work, s, separation, indentation):  # type: ignore[no-untyped-d
 
 @kernel
 def _leave(model, s, work, settled):  # type: ignore[no-untyped-def]
-    """End a contact: keep the impact, give y back to the structure, and fly on from the surface left, or be held there.
+    """End a contact: keep the impact, give y back to the structure; fly on from where the surface is, or be held there.
 
     What the contact still stores is lost: it relaxes alone or, `settled`, rings out while the sphere goes on ATTACHED.
     """
@@ -379,7 +379,7 @@ def _move_base(p, f, s, ledger):  # type: ignore[no-untyped-def]
 def run(model, segments, first_tick, index, work, account):  # type: ignore[no-untyped-def]
     """Advance the state through `segments[index:]`; return (how it ended, the segment it is in).
 
-    `first_tick` is the number of the first segment's tick, counted since the reset.
+    `first_tick` is the number of the tick of `segments[0]`, counted since the reset, whatever `index` is.
 
     Work, and losses outside the contacts, are accounted for only if `account`: it costs as much as flying.
     """
@@ -388,7 +388,7 @@ def run(model, segments, first_tick, index, work, account):  # type: ignore[no-u
     while index < segments.shape[0]:
         row = segments[index]
         f, t_end, fresh = forcing(row), row.duration, True
-        if work.filled[0].segments == index:  # not where a call with more room goes on, if all was at its start
+        if work.filled[0].segments == index:  # not noted before a call ran out of room
             work.first_state[index] = work.filled[0].states
             work.filled[0].segments += 1
             if row.begin == 0.0:

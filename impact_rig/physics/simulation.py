@@ -176,7 +176,7 @@ class Motion:
     def breakpoints(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
         """Return (tick, offset) of the instants between which every quantity is smooth, in order.
 
-        These are the segments' starts, the contacts' starts and ends, and the integration steps inside contacts.
+        These are all states that were kept, at events and steps of contacts, and two places in each tabulated contact.
         """
         most = PARTS * len(self._trajectory.history)
         tick, offset = np.empty(most, np.int64), np.empty(most)
@@ -186,7 +186,7 @@ class Motion:
 
 MOST_STATES = 200_000
 """Rows of the history in one drive segment: flights and steps of contacts. It is looked at when the log is full; a
-chattering sphere makes some ten of them."""
+chattering sphere makes some ten rows a segment."""
 
 _WHOLE = 1e-9  # by so much the phase of a whole cycle may miss one turn [rad]
 _STATES, _IMPACTS = 1 << 15, 1 << 11  # room for so many: pages that are not touched take no memory
@@ -222,8 +222,9 @@ class Simulation:
 
     Args:
         config: the rig.
-        rtol: relative tolerance of the contact integrators, per step.
+        rtol: relative tolerance of each step of a contact.
         account: whether to keep the energy account (flights then cost about twice as much).
+        model: of the configuration, where that has been built; its tolerance holds until the next is built.
 
     Attributes:
         tick: number of the next tick, counted since the reset.

@@ -20,10 +20,12 @@ from impact_rig.kernels import with_fields
 from impact_rig.physics.collocation import STAGES
 
 FREE, CONTACT, ATTACHED = range(3)
-"""Phases: in flight; touching a wall that yields; one body with the superior base."""
+"""Phases: the sphere is loose; touches a wall that yields; is one body with the superior base (a flight as well)."""
 
 NOTHING, SEPARATED, PAUSED, RELEASED, TURNED, RELOADED, FAILED, SETTLED, TOUCHED, STOPPED, PARTED = range(11)
-"""What ends a step, a phase or a flight; see `contact_phase` and the table of `event_loop`. PAUSED: it goes on next."""
+"""What ends a step of a contact (TURNED, RELOADED, or NOTHING), or a phase; PAUSED: the same phase goes on next.
+
+See `contact_phase` and the table of `event_loop`."""
 
 X1, V1, XB, VB, COIL = range(5)
 """Places in a structural state y: superior base [m], [m/s], inferior base [m], [m/s], current i of the coil [A].
@@ -92,7 +94,9 @@ IMPACT = np.dtype(
         ("energy_lost", "f8"),  # in it [J]
     ]
 )
-"""One row per finished contact; the columns of `blocks.IMPACTS`, with the instant as tick and offset."""
+"""One row per finished contact, but for those with a rigid wall that were slower than `touch_speed`.
+
+The columns of `blocks.IMPACTS`, with the instant as tick and offset."""
 
 LOG = np.dtype(
     [
@@ -102,7 +106,7 @@ LOG = np.dtype(
         ("ticks", "i8"),  # ticks that have begun
     ]
 )
-"""How far the event loop has come since it was called anew."""
+"""How much of its workspace the event loop has filled since it was called anew."""
 
 FLIGHT = np.dtype(
     [

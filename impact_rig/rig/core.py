@@ -42,8 +42,8 @@ from impact_rig.rig.journal import (
     sampled,
     until_reset,
 )
-from impact_rig.rig.truth import TICKS_PER_S, Truth
-from impact_rig.simtime import COMMAND_GRID_NS, COMMAND_GRID_S, NS_PER_S, stamp_ns
+from impact_rig.rig.truth import Truth
+from impact_rig.simtime import COMMAND_GRID_NS, COMMAND_GRID_S, NS_PER_S, TICKS_PER_S, stamp_ns
 
 TRIAL_TICKS = 3
 SLOWEST_RATE, FASTEST_RATE = 0.5, 1e5
@@ -121,10 +121,10 @@ class Block:
     monitor_scans: NDArray[np.int64]  # rows of `scan` at the monitor instants
     truth: Table | None  # `truth/scan`, if asked for
     faults: Table | None  # `truth/faults`: faults that start or end in this block; None if there are none
-    lost: bool  # a lost_block fault is active: the block is numbered but must not be published
+    lost: bool  # a lost_block fault is active: the scans are withheld, truth and monitors are not
 
     def tables(self) -> list[tuple[topics.Topic, Table]]:
-        """Return what is published of it, in order: scans first, then what is true about them."""
+        """Return its tables in the order they are published: scans first, then what is true about them."""
         order = (topics.SCAN, topics.IMPACTS_TRUTH, topics.FAULTS, topics.TRUTH_SCAN)
         tables = (None if self.lost else self.scan, self.impacts, self.faults, self.truth)
         return [(topic, table) for topic, table in zip(order, tables, strict=True) if table is not None]
@@ -255,6 +255,7 @@ class Rig:
         """Simulate until every block that is over by `until_ns` is complete, and return those blocks.
 
         Ticks that end by then are simulated even if their block is not over: a long block is not computed all at once.
+        The tick in which the last of those blocks ends is simulated whole.
         """
         size = self.config.daq.block_scans
         elapsed = until_ns - self.start_ns
@@ -335,7 +336,7 @@ class Rig:
         self._blocks += 1
         return block
 
-    # Inputs: each takes effect at the frontier and leaves a journal row
+    # Inputs: commands and parameters act at the frontier and are journaled there; faults and samples at their own scans
 
     def accept(self, frequency_hz: float | None = None, current_a: float | None = None) -> Table:
         """Take commanded frequency and amplitude (A peak; m, V by `drive.kind`; rms if random); return the applied row.
@@ -360,7 +361,7 @@ class Rig:
             self._generator.set_amplitude(current_a)
             self._journal.add(self.frontier_sample, Kind.COMMAND, "current", current_a)
         self._last_command_tick, self._timed_out = self._ticks, False
-        return self._publish_applied()
+        return self._add_applied()
 
     def feed(self, first_sample: int, values: ArrayLike) -> int:
         """Take samples of the stream from number `first_sample` on; return how many of them came too late.
@@ -474,7 +475,7 @@ class Rig:
         self._simulation.pluck(displacement_m)
         self._generator.set_amplitude(0.0)
         self._journal_row(Kind.PLUCK, value=displacement_m)
-        self._publish_applied()
+        self._add_applied()
 
     def stop(self) -> None:
         """Ramp the shaker to zero and latch it until `clear_trip`: the emergency stop."""
@@ -535,7 +536,7 @@ class Rig:
         self._truth = Truth(self.rate_hz, config.output.monitor_rate_hz, config.output.truth_scan)
         self._journal_row(kind, text=impact_rig.__version__.encode())
         self._journal.add_values(0, Kind.INITIAL, not_default(config).items())
-        self._publish_applied()
+        self._add_applied()
 
     def _clear_if_there(self, number: int) -> None:
         if number in self._chain.fault_numbers():
@@ -559,7 +560,7 @@ class Rig:
     def _latch(self, reason: str) -> None:
         self._latched = reason
         self._generator.set_amplitude(0.0)
-        self._publish_applied()
+        self._add_applied()
 
     def _timeout_tick(self) -> int | None:
         """Return the tick at which the drive ramps down for want of commands."""
@@ -581,12 +582,12 @@ class Rig:
         self._timed_out = True
         self._journal_row(Kind.TIMEOUT)
         self._generator.set_amplitude(0.0)
-        self._publish_applied()
+        self._add_applied()
 
     def _journal_row(self, kind: Kind, key: str = "", value: float = 0.0, text: bytes = b"") -> None:
         self._journal.add(self.frontier_sample, kind, key, value, text)
 
-    def _publish_applied(self) -> Table:
+    def _add_applied(self) -> Table:
         sample = self.frontier_sample
         drive = self._generator
         row = (0.0, sample, drive.frequency_hz, drive.target_amplitude, drive.phase_rad)

@@ -1,6 +1,6 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""What protects the shaker: command limits, and the interlock on true table travel and coil current.
+"""What protects the shaker: command limits, and the interlock on true travel of the base and coil current.
 
 The interlock looks at fixed instants of the command grid, so that neither scan rate nor block length nor the cut into
 calls decides whether it trips.
@@ -37,7 +37,7 @@ OVER_TRAVEL, OVER_CURRENT = "over_travel", "over_current"
 
 @attrs.frozen
 class Trip:
-    """Why the interlock tripped, and in which tick of the call."""
+    """Why the shaker is stopped: over-travel, over-current or an underrun; and in which tick of the call."""
 
     tick: int
     reason: str

@@ -22,8 +22,7 @@ from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.rig.core import Block, Rig
 from impact_rig.rig.interlock import check_stream
 from impact_rig.rig.journal import RESULTS, Change, Entry, Kind, changes, read
-from impact_rig.rig.truth import TICKS_PER_S
-from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S
+from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S, TICKS_PER_S
 
 Samples = NDArray[np.float64]
 

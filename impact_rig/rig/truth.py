@@ -20,9 +20,7 @@ from impact_rig.kernels import REALS, REALS_2D, Fields, entry, for_kernels, room
 from impact_rig.physics import Motion
 from impact_rig.physics.sampling import QUERY, SAMPLED, Query, places, sample
 from impact_rig.physics.state import IMPACT
-from impact_rig.simtime import COMMAND_GRID_NS, COMMAND_GRID_S, NS_PER_S
-
-TICKS_PER_S = NS_PER_S // COMMAND_GRID_NS
+from impact_rig.simtime import COMMAND_GRID_S, TICKS_PER_S
 
 _NO_STATES = np.empty(0, TRUTH_SCAN)
 _NO_IMPACTS = np.empty(0, IMPACTS)

@@ -24,14 +24,13 @@ from impact_rig.instruments.section import SCAN
 from impact_rig.recording import CONFIGURATION, Attachment, Provenance, RunWriter, TopicDescription, schema_text
 from impact_rig.rig import Block, Rig
 from impact_rig.rig.config import RigConfig, dump, from_flat, to_flat
-from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S
+from impact_rig.simtime import NS_PER_S, TICKS_PER_S
 
 SCANS = topics.SCAN.name
 ESSENTIAL = (topics.INFO.name, topics.APPLIED.name, topics.JOURNAL.name)
 """Never forgotten: what they say holds until the next of them."""
 TOPICS = (SCANS, *ESSENTIAL, topics.IMPACTS_TRUTH.name, topics.FAULTS.name)
 """Tables that every rig under test keeps, and that are in the run of a failed test."""
-_GRID_PER_S = NS_PER_S // COMMAND_GRID_NS
 _DEFAULTS = to_flat(RigConfig())
 _UNSAID = ("time.", "instruments.faults")  # the same in every test; told in words
 BATCH_BLOCKS = 50
@@ -186,7 +185,7 @@ class SteppedRig(abc.ABC):
         if first_scan_on_grid(at_sample, self.rate_hz) != at_sample or at_sample % self.block_scans:
             raise CommandError(
                 f"no command can act on sample {at_sample}: at {self.rate_hz} Hz commands act every "
-                f"{self.rate_hz / _GRID_PER_S:g} samples, and a block has {self.block_scans}"
+                f"{self.rate_hz / TICKS_PER_S:g} samples, and a block has {self.block_scans}"
             )
         self.run_to_sample(at_sample)
         acts_on = self._command(frequency_hz, current_a)
@@ -391,9 +390,9 @@ class VirtualRig(SteppedRig):
 
 def first_scan_on_grid(sample: int, rate_hz: int) -> int:
     """Return the first scan on which a command can act that is not before `sample`."""
-    tick = -(-sample * _GRID_PER_S // rate_hz)
-    first = -(-tick * rate_hz // _GRID_PER_S)
-    return first if first >= sample else -(-(tick + 1) * rate_hz // _GRID_PER_S)
+    tick = -(-sample * TICKS_PER_S // rate_hz)
+    first = -(-tick * rate_hz // TICKS_PER_S)
+    return first if first >= sample else -(-(tick + 1) * rate_hz // TICKS_PER_S)
 
 
 def first_scan(table: Table, start_ns: int, rate_hz: int) -> int:

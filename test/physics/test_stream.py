@@ -19,9 +19,8 @@ from impact_rig.arithmetic.random import Random
 from impact_rig.physics import FunctionGenerator, Simulation, contact
 from impact_rig.physics.linear import constants, input_vectors, state_matrix
 from impact_rig.rig.config import RigConfig
-from impact_rig.simtime import COMMAND_GRID_S
+from impact_rig.simtime import COMMAND_GRID_S, TICKS_PER_S
 
-TICKS_PER_S = round(1.0 / COMMAND_GRID_S)
 NAMES = ("x_1", "v_1", "x_b", "v_b")
 
 
