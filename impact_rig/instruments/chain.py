@@ -292,7 +292,7 @@ class Chain:
                 blows, motion_tick, pieces, self._config.structure.mass_kg
             )
         if self._sines:
-            self._sines = still_on(self._sines.items(), self._tick)
+            self._sines = still_on(self._sines.items(), self._tick, pieces.tick_s)
             for j, sine in self._sines.items():
                 on = sine.replace(coefficients[j], pieces.tick - motion_tick + self._tick, pieces)
                 kicks[j, on[: kicks.shape[1]]] = 0.0
@@ -311,14 +311,14 @@ class Chain:
         tick, offset = np.empty(ticks * self._most, np.int64), np.empty(ticks * self._most)
         count = instants(self._channels, clock, ticks, tick_s, tick, offset)
         tick, offset = tick[:count], offset[:count]
-        self._sines = still_on(self._sines.items(), self._tick)
+        self._sines = still_on(self._sines.items(), self._tick, tick_s)
         for j, seen in enumerate(motion.quantities(self._quantities, tick + motion_tick, offset)):
             one = j, *self._newest(j)
             _, values, clipped, first, _ = one
             values[:], clipped[:] = seen, False
             if j in self._sines:
                 on = self._sines[j].covers(tick + self._tick)
-                values[on] = self._sines[j].values((tick + self._tick)[on], offset[on], tick_s)[0]
+                values[on] = self._sines[j].values((tick + self._tick)[on], offset[on])[0]
             self._faults.on_cable(self._names[j], values, clipped, first, 1.0, 0.0)
             self._repeat(*one)
         self._channels["finished"] = self._channels["filled"]

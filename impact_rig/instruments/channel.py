@@ -17,6 +17,7 @@ from impact_rig.instruments.conversion import CHANNEL, STRETCH, TWO_D_FLAGS, to_
 from impact_rig.instruments.pieces import PIECES, Pieces
 from impact_rig.instruments.response import SENSOR_MODE, SERIES, first_value, set_period, settle, through_piece
 from impact_rig.kernels import INTEGERS, REALS, REALS_2D, REALS_3D, Fields, entry, kernel
+from impact_rig.simtime import COMMAND_GRID_S
 
 
 class Clock(NamedTuple):
@@ -162,33 +163,43 @@ class Sine:
     ticks: int
     frequency_hz: float
     amplitude: float
+    anchor_s: float = 0.0  # how long it had been on when its ticks became as long as they are, and at which tick
+    anchor_tick: int = attrs.field(default=attrs.Factory(lambda sine: sine.first_tick, takes_self=True))
+    tick_s: float = COMMAND_GRID_S
+
+    def paced(self, tick: int, tick_s: float) -> Sine:
+        """Return it with ticks of another duration from `tick` on; its phase does not jump."""
+        if tick_s == self.tick_s:
+            return self
+        anchor_s = self.anchor_s + (tick - self.anchor_tick) * self.tick_s
+        return attrs.evolve(self, anchor_s=anchor_s, anchor_tick=tick, tick_s=tick_s)
 
     def covers(self, tick: NDArray[np.int64]) -> NDArray[np.bool_]:
         """Whether the sine is on during each of some ticks."""
         return (tick >= self.first_tick) & (tick < self.first_tick + self.ticks)
 
-    def values(self, tick: NDArray[np.int64], offset_s: NDArray[np.float64], tick_s: float) -> NDArray[np.float64]:
-        """Return it at instants of its ticks, which last `tick_s`; shape (1, n)."""
+    def values(self, tick: NDArray[np.int64], offset_s: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return it at instants of its ticks; shape (1, n)."""
         out = np.empty((1, len(tick)))
-        _sine(tick - self.first_tick, offset_s, tick_s, TWO_PI * self.frequency_hz, self.amplitude, out[0])
+        since_anchor = tick - self.anchor_tick
+        _sine(since_anchor, offset_s, self.tick_s, self.anchor_s, TWO_PI * self.frequency_hz, self.amplitude, out[0])
         return out
 
     def replace(self, coefficients: NDArray[np.float64], tick: NDArray[np.int64], pieces: Pieces) -> NDArray[np.bool_]:
         """Overwrite the polynomials of the pieces in its ticks, shape (pieces, NODES); return which these are."""
         on = self.covers(tick)
-        coefficients[on] = polynomials(
-            lambda at, offset: self.values(at, offset, pieces.tick_s), tick[on], pieces.start[on], pieces.end[on]
-        )[0]
+        coefficients[on] = polynomials(self.values, tick[on], pieces.start[on], pieces.end[on])[0]
         return on
 
 
-@entry(INTEGERS, REALS, float, float, float, REALS)
-def _sine(tick, offset, tick_s, omega, amplitude, values):  # type: ignore[no-untyped-def]
+@entry(INTEGERS, REALS, float, float, float, float, REALS)
+def _sine(tick, offset, tick_s, anchor_s, omega, amplitude, values):  # type: ignore[no-untyped-def]
+    """Fill in a sine at `offset` [s] into ticks, counted from when it had been on for `anchor_s` [s]."""
     for i in range(values.shape[0]):
-        sine, _ = sincos(omega * (tick[i] * tick_s + offset[i]))
+        sine, _ = sincos(omega * (anchor_s + (tick[i] * tick_s + offset[i])))
         values[i] = amplitude * sine
 
 
-def still_on(sines: Iterable[tuple[int, Sine]], tick: int) -> dict[int, Sine]:
-    """Return the sines that are not over at a tick, by channel."""
-    return {channel: sine for channel, sine in sines if tick < sine.first_tick + sine.ticks}
+def still_on(sines: Iterable[tuple[int, Sine]], tick: int, tick_s: float) -> dict[int, Sine]:
+    """Return the sines that are not over at a tick, by channel, with ticks of `tick_s` from there on."""
+    return {channel: sine.paced(tick, tick_s) for channel, sine in sines if tick < sine.first_tick + sine.ticks}

@@ -236,7 +236,7 @@ def _bounce(p, s, side, pair_acceleration, rounding_m, work):  # type: ignore[no
     if stays:
         e = 0.0
     away = 0.0 if stays else max(e * speed, _least_speed(p, s))
-    s.y[V1] += p.share * side * (speed + away)
+    s.y[V1] += p.share * (s.d_rate + side * away)  # not of `speed`: the momentum of both must stay
     s.side, s.approach, s.elapsed, s.peak_force = side, speed, 0.0, 0.0
     s.impulse, s.lost = p.m_eff * speed * (1.0 + e), 0.5 * p.m_eff * speed * speed * (1.0 - e * e)
     work.ledger[0].contact += 0.5 * p.m_eff * (s.d_rate * s.d_rate - away * away)
@@ -365,14 +365,15 @@ def _prepare_flight(model, f, work, t_end, fresh):  # type: ignore[no-untyped-de
 
 
 @kernel
-def _move_base(p, f, s, ledger):  # type: ignore[no-untyped-def]
+def _move_base(p, f, s, ledger, account):  # type: ignore[no-untyped-def]
     """Let a prescribed base begin a segment; where it jumps to its place, the springs of the columns take that work."""
-    x_1 = s.y[X1]
-    if s.phase == CONTACT:
-        x_1 -= p.share * s.side * s.w * s.w
-    before = s.y[XB]
+    x_b_before = s.y[XB]
     s.y[XB], s.y[VB] = drive(f, 0.0)
-    ledger.work += p.k_1 * (s.y[XB] - before) * (0.5 * (s.y[XB] + before) - x_1)
+    if account:
+        x_1 = s.y[X1]
+        if s.phase == CONTACT:
+            x_1 -= p.share * s.side * s.w * s.w
+        ledger.work += p.k_1 * (s.y[XB] - x_b_before) * (0.5 * (s.y[XB] + x_b_before) - x_1)
 
 
 @entry(MODEL, SEGMENT, int, int, WORKSPACE, bool, returns=(int, int))
@@ -395,7 +396,7 @@ def run(model, segments, first_tick, index, work, account):  # type: ignore[no-u
                 work.first_segment[work.filled[0].ticks] = index
                 work.filled[0].ticks += 1
             if model.parameters[0].drive == PRESCRIBED:
-                _move_base(model.parameters[0], f, s, work.ledger[0])
+                _move_base(model.parameters[0], f, s, work.ledger[0], account)
         for _ in range(_EVENTS_PER_SEGMENT):
             filled = work.filled[0]
             if filled.states + ROWS_PER_PHASE > work.history.shape[0] or filled.impacts + 2 > work.impacts.shape[0]:

@@ -308,7 +308,7 @@ class FunctionGenerator:
 
     def _fill_chirp(self, rows: NDArray[np.void]) -> None:
         drive = self._drive
-        per_sweep = max(1, round(drive.chirp_s / self._tick_s))
+        per_sweep = max(1, round(drive.chirp_s / COMMAND_GRID_S))  # by the scan clock, whatever its error
         for i in range(len(rows)):
             place = ((self.tick + i) % per_sweep) / per_sweep
             frequency = drive.frequency_hz + place * (drive.chirp_end_hz - drive.frequency_hz)

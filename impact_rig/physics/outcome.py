@@ -150,8 +150,7 @@ class Contacts:
 
     def rebound(self, eta_0: float) -> float:
         """Return twice the energy with which the sphere leaves under η_0, 0 where it does not leave by itself."""
-        p = self._parameters[0]
-        left, out = self.under(eta_0, np.array([0.0, 0.0, p.columns_by_depth, p.columns_by_speed]))
+        left, out = self.under(eta_0, np.zeros(4))
         return float(out[SEPARATION] * out[SEPARATION]) if left else 0.0
 
 

@@ -327,14 +327,15 @@ def _quantity_in_flight(p, s, quantity, poly, tau, since):  # type: ignore[no-un
 def integrate_tabulated(model, f, step, steps):  # type: ignore[no-untyped-def]
     """Integrate the contact that begins at `steps[_MOST_STEPS]` into `steps[0]`, `steps[1]`, …; return their number.
 
-    The last of them is its end. What it begins at is overwritten.
+    The last of them is its end, or where a step failed or room ran out. What it begins at is overwritten.
     """
     p, s = model.parameters[0], steps[_MOST_STEPS]
     drop_dense_output(step)
     for n in range(_MOST_STEPS - 1):
         ended = take_next_step(model, f, s, step, np.inf)
         steps[n] = s
-        conclude(p, s, step, ended, np.inf)
+        if ended != FAILED:
+            conclude(p, s, step, ended, np.inf)
         if ended in (SEPARATED, RELEASED, FAILED):
             s.h = 0.0
             steps[n + 1] = s
@@ -370,11 +371,11 @@ def _length_to(s, step, end, since):  # type: ignore[no-untyped-def]
             low = x
         move = (since - at) / (w * s.h) if w > 0.0 else np.inf
         x += move
+        if abs(move) <= _ROOT_FOUND:  # before a look at the limits: at the root, rounding puts x on one of them
+            break
         if not low < x < high:
             x = 0.5 * (low + high)
-        if abs(move) <= _ROOT_FOUND or high - low <= _ROOT_FOUND:
-            break
-    return x * s.h
+    return min(max(x, 0.0), 1.0) * s.h
 
 
 @kernel

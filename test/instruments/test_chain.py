@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The chain as a whole: nothing depends on how it is called, seeds change what they should, reset starts over."""
 
+import attrs
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -209,6 +210,20 @@ def test_calibration_sine_replaces_one_channel_for_a_while():
     for wrong in (("lase", 10.0, 1.0, 1), ("laser", 0.0, 1.0, 1), ("laser", 1e4, 1.0, 1), ("laser", 1.0, np.nan, 1)):
         with pytest.raises(CommandError):
             chain.calibrate(*wrong)
+
+
+@pytest.mark.parametrize("ideal", [True, False])
+def test_a_calibration_sine_goes_on_where_the_scan_clock_begins_to_err(ideal):
+    """Its phase once jumped by what the new length of a tick makes of all ticks since it began: by half a turn here."""
+    config = configured(10_000, exact=True)
+    config = attrs.evolve(config, instruments=attrs.evolve(config.instruments, ideal=ideal))
+    chain = Chain(config)
+    chain.calibrate("base", 10.0, 1e-3, 300)
+    chain.acquire(lively_motion(), 0, 100, 0.01)
+    chain.acquire(lively_motion(), 100, 100, 0.01 * (1.0 + 0.05))
+    readings = chain.read(chain.ready)["base"][900:]
+    steps = np.abs(np.diff(readings))
+    assert steps.max() < 2.0 * np.pi * 10.0 * 1e-3 * 1.05e-4 * 1.02, "no faster than a sine of 10 Hz"
 
 
 def test_memory_is_bounded():

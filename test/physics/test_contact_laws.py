@@ -22,9 +22,10 @@ from scipy.optimize import brentq, minimize_scalar
 from scipy.special import gamma
 
 from impact_rig.errors import ConfigError
-from impact_rig.physics import contact
-from impact_rig.physics.contact import LAWS, Contact, from_config, hunt_crossley
-from impact_rig.physics.contact.law import LEAST_RESTITUTION
+from impact_rig.physics import contact, outcome
+from impact_rig.physics.contact import LAWS, Contact, ContactPair, from_config, hunt_crossley
+from impact_rig.physics.contact.law import LEAST_RESTITUTION, compiled_force
+from impact_rig.physics.model import unit_parameters
 from impact_rig.rig.config import RigConfig
 
 RESTITUTIONS = (LEAST_RESTITUTION, 0.05, 0.2, 0.35, 0.6, 0.8, 0.95)
@@ -247,3 +248,12 @@ def test_the_speed_at_which_a_barrier_yields():
     pressure = 2.0 / math.pi * 0.75 * k / math.sqrt(radius) * math.sqrt(indentation / radius)
     assert pressure_gpa == pytest.approx(pressure / 1e9, abs=0.05)
     assert speed == pytest.approx((1.6 * yield_gpa * 1e9 / pressure) ** 2.5, abs=0.0006)
+
+
+def test_what_a_contact_returns_does_not_depend_on_the_one_that_was_integrated_before():
+    """The pull of the columns that one had been integrated with once stayed for the next."""
+    force = from_config(RigConfig().contact).force(ContactPair(1.0, 1.0))
+    contacts = outcome.Contacts(unit_parameters(force), compiled_force(force.function))
+    before = contacts.rebound(0.05)
+    contacts.derivatives(0.05, 3)
+    assert contacts.rebound(0.05) == before

@@ -161,6 +161,15 @@ def test_the_account_does_not_change_the_motion():
     assert plain.impacts.tobytes() == kept.impacts.tobytes()
 
 
+def test_without_an_account_a_base_that_jumps_does_no_work_either():
+    config = rig(drive={"kind": "prescribed"})
+    jump = np.concatenate([sine(9.1, amplitude, 0.01, phase=1.0) for amplitude in (1e-3, 2e-3)])
+    for account, works in ((True, True), (False, False)):
+        simulation = Simulation(config, account=account)
+        simulation.advance(jump)
+        assert (simulation.energy().work != 0.0) == works
+
+
 def test_contact_losses_are_the_impacts_sum():
     config = rig()
     simulation = Simulation(config)

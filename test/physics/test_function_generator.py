@@ -134,6 +134,15 @@ def test_a_chirp_sweeps_from_one_frequency_to_the_other_and_begins_again():
     assert (frequency[200:] == frequency[:200]).all()
 
 
+def test_a_chirp_goes_on_where_the_scan_clock_begins_to_err():
+    """After hours of sweeps the place in the present one once jumped by minutes of the clock's error."""
+    made = generator(waveform="chirp", frequency_hz=5.0, chirp_end_hz=15.0, chirp_s=60.0)
+    made.tick = 600_000
+    before = made.segments(1)["omega"][0]
+    made.set_tick(TICK_S * (1.0 + 100e-6))
+    assert made.segments(1)["omega"][0] - before == pytest.approx(2.0 * math.pi * 10.0 / 6000, rel=1e-6)
+
+
 def test_noise_is_seeded_and_keeps_to_its_band_and_level():
     band = {"waveform": "random", "random_low_hz": 5.0, "random_high_hz": 15.0}
     level = generator(**band).segments(200_000)["amplitude"]

@@ -6,10 +6,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from kits.mechanics import TWO_PI, gauss, rig, sine, sphere_kg, stiffness
+from kits.mechanics import TWO_PI, at_rest, gauss, rig, sine, sphere_kg, stiffness
 
 from impact_rig.physics import Motion, Simulation
 from impact_rig.physics.event_loop import ROWS_PER_PHASE, new_workspace
+from impact_rig.physics.state import CONTACT
 from impact_rig.rig.config import RigConfig
 
 SEGMENTS, TICK_S = 60, 0.01
@@ -237,3 +238,42 @@ def test_what_is_no_cycle_has_no_fundamental(turns):
     motion = Simulation(rig()).advance(sine(9.1, 0.5, turns / 9.1, 3))
     with pytest.raises(ValueError, match="one whole cycle"):
         motion.cycles()
+
+
+@pytest.mark.parametrize("law", ["kelvin_voigt", "walton_braun"])
+def test_a_step_of_a_contact_is_one_polynomial_to_a_millionth(law):
+    """Its time was once solved for and then thrown away where it was exact: up to a hundredth of the peak was wrong."""
+    config = rig(contact={"law": law}, sphere={"start": "centre"}, barriers={"gap_m": 6e-3})
+    motion = Simulation(config).advance(sine(9.1, 2.0, 0.01, 100))
+    tick, offset = motion.breakpoints()
+    inside = (tick[1:] == tick[:-1]) & (np.diff(offset) > 1e-9)
+    tick, begin, end = tick[:-1][inside], offset[:-1][inside], offset[1:][inside]
+    middle, half = 0.5 * (begin + end), 0.5 * (end - begin)
+    touching = motion.quantity("force_left", tick, middle) + motion.quantity("force_right", tick, middle) > 0.0
+    tick, begin, end, middle, half = (values[touching] for values in (tick, begin, end, middle, half))
+    assert len(tick) > 300
+    pieces = motion.polynomials(("a_1",), tick, begin, end)[0]
+    for x in np.linspace(-0.95, 0.95, 7):
+        exact = motion.quantity("a_1", tick, middle + half * x)
+        fitted = (pieces * x ** np.arange(pieces.shape[1])).sum(axis=1)
+        assert np.abs(fitted - exact).max() < 1e-6 * np.abs(exact).max()
+
+
+def test_a_step_of_a_contact_that_ends_with_the_segment_ends_there():
+    """As near to it as events are told, it once was no pause: the contact ran on and lost time, or could not go on."""
+    config = rig(drive={"kind": "prescribed"}, contact={"law": "kelvin_voigt"})
+
+    def moved(*durations_s):
+        simulation = Simulation(config)
+        simulation.place(x_1=1e-3, d=0.0029, d_rate=0.5)
+        return simulation.advance(np.concatenate([at_rest(duration_s) for duration_s in durations_s]))
+
+    whole = moved(1e-3)
+    history = whole._trajectory.history
+    steps = history["t"][(history["phase"] == CONTACT) & (history["t"] > 0.0)]
+    assert len(steps) > 5
+    expected = whole.sample(np.array([0]), np.array([0.9e-3]))
+    for end_s in steps[1:].tolist():
+        for first_s in (end_s, end_s * (1.0 - 2e-16), end_s * (1.0 - 1e-13), end_s * (1.0 + 2e-16)):
+            found = moved(first_s, 1e-3 - first_s).sample(np.array([1]), np.array([0.9e-3 - first_s]))
+            assert found["x_2"] == pytest.approx(expected["x_2"], abs=1e-11)

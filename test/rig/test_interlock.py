@@ -127,3 +127,8 @@ def test_an_extreme_between_two_looks_is_found(frequency_hz: float, phase: float
     found = largest(position, velocity, LOOK_S)
     true = np.abs(offset + np.sin(omega * fine + phase)).max()
     assert found == pytest.approx(true, abs=(omega * LOOK_S) ** 4 / 384 + 1e-9)
+
+
+def test_a_saddle_at_a_look_is_no_root_of_a_negative_number() -> None:
+    rate = 0.9693949389499377
+    assert largest(np.array([0.0, rate / 3.0]), np.array([rate, -1e-22]), 1.0) == pytest.approx(rate / 3.0)
