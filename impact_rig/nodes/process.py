@@ -43,10 +43,10 @@ def make_executor(context: Any = None) -> Any:
     if os.environ.get(EXECUTOR_VARIABLE, "") != "default":
         handlers = {number: signal.getsignal(number) for number in SIGNALS}
         try:
-            from rclpy.experimental.events_executor import EventsExecutor  # noqa: PLC0415  # absent before rclpy 7.1.2
+            from impact_rig.nodes.events import LookingExecutor  # noqa: PLC0415  # absent before rclpy 7.1.2
 
             with contextlib.redirect_stderr(sys.__stderr__):  # it wants a file behind it, which a test may have changed
-                return EventsExecutor(context=context)
+                return LookingExecutor(rclpy.get_default_context() if context is None else context)
         except ImportError:
             pass
         finally:
