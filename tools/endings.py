@@ -127,7 +127,7 @@ def end_program(words: Sequence[str | Path], number: int, instant_s: float, fold
         error.seek(0)
         said = error.read().decode(errors="replace")
     where = f"{words[0]}, {signal.Signals(number).name} after {instant_s:.3f} s"
-    if code == 0 and not said:
+    if code == 0 and not PROGRESS.sub("", said):
         tally.endings, tally.done = tally.endings - 1, tally.done + 1  # it was done when the signal came
     elif code != 128 + number or PROGRESS.sub("", said) != f"impact-rig {words[0]}: {WORDS[signal.Signals(number)]}\n":
         tally.faults.append(f"{where}: exit code {code}, {said[-600:]!r}")

@@ -65,6 +65,24 @@ def test_a_program_that_is_told_to_end_while_it_imports_says_so_in_one_line(
     assert tally.endings == 1
 
 
+DONE = """
+import signal, sys, time
+signal.signal(signal.SIGTERM, lambda *_: None)
+print("runs 1 of 1: gap 2 mm, 9.1 Hz{more}", file=sys.stderr, flush=True)
+time.sleep(1)
+"""
+
+
+@pytest.mark.parametrize(("more", "done"), [("", 1), (r"\nand more", 0)])
+def test_a_program_that_has_told_its_progress_and_is_done_when_the_signal_comes_was_not_told_to_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, more: str, done: int
+) -> None:
+    monkeypatch.setitem(TOOL["end_program"].__globals__, "SCRIPT", DONE.format(more=more))
+    tally = TOOL["Tally"]()
+    TOOL["end_program"](["campaign"], signal.SIGTERM, 0.3, tmp_path, tally)
+    assert (tally.done, tally.endings, len(tally.faults)) == (done, 1 - done, 1 - done)
+
+
 PAUSING = """
 import os, sys, threading, time
 from impact_rig.system.endings import Ending, unhurried
