@@ -15,6 +15,7 @@ with var c_2 = var c_3 = 1/6; both are in the certificate.
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 import attrs
 import numpy as np
@@ -22,8 +23,10 @@ from numpy.typing import NDArray
 
 from impact_rig.arithmetic.random import Random
 from impact_rig.blocks import DAQ_INFO
-from impact_rig.instruments.clock import ScanClock
 from impact_rig.instruments.sensor import Adc, Sensor
+
+if TYPE_CHECKING:
+    from impact_rig.instruments.channel import ScanClock
 
 _VARIANCE_C = 1.0 / 6.0
 

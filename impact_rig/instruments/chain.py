@@ -19,8 +19,16 @@ from impact_rig.arithmetic.random import Random
 from impact_rig.blocks import joined
 from impact_rig.errors import CommandError, ConfigError
 from impact_rig.instruments import calibration
-from impact_rig.instruments.channel import Clock, Sine, digitise, instants, new_buffers, respond, still_on
-from impact_rig.instruments.clock import scan_clock
+from impact_rig.instruments.channel import (
+    Clock,
+    Sine,
+    digitise,
+    instants,
+    new_buffers,
+    respond,
+    scan_clock,
+    still_on,
+)
 from impact_rig.instruments.conversion import CHANNEL, set_converter, set_output, take_rows
 from impact_rig.instruments.fault import Fault, FaultBoard
 from impact_rig.instruments.pieces import PIECES_PER_PERIOD, Limits, Motion, Pieces, cut
@@ -155,7 +163,7 @@ class Chain:
             count: of ticks.
             tick_s: duration of one tick in the motion's time [s]: 10 ms, scaled by the error of the scan clock.
         """
-        clock = Clock(self._clock.period, self._clock.tick)
+        clock = self._clock.lengths
         rough = None if self._config.instruments.ideal else motion.breakpoints()
         durations = motion.impacts["duration"]
         blows = motion.impacts[durations == 0.0 if 0.0 in durations.tolist() else slice(0)]

@@ -1,6 +1,10 @@
 # Copyright 2026 The impact_rig developers
 # SPDX-License-Identifier: Apache-2.0
-"""All channels over some ticks: dynamics and output stages up to the cables, converter behind them."""
+"""All channels over some ticks: when each is converted, its dynamics and output stage up to the cable, the converter.
+
+Conversions are counted in clock units, 1 ns divided by the number `rate_hz` · channels, in which a scan period, a skew
+and a 10 ms tick are all whole numbers: no scan ever drifts, and no result depends on where a block or a call begins.
+"""
 
 from __future__ import annotations
 
@@ -13,21 +17,62 @@ from numpy.typing import NDArray
 
 from impact_rig.arithmetic.elementary import TWO_PI, sincos
 from impact_rig.arithmetic.interpolation import polynomials
+from impact_rig.errors import ConfigError
 from impact_rig.instruments.conversion import CHANNEL, STRETCH, TWO_D_FLAGS, to_units, to_volts
 from impact_rig.instruments.pieces import PIECES, Pieces
 from impact_rig.instruments.response import SENSOR_MODE, SERIES, first_value, set_period, settle, through_piece
+from impact_rig.instruments.section import Setup
 from impact_rig.kernels import INTEGERS, REALS, REALS_2D, REALS_3D, Fields, entry, kernel
-from impact_rig.simtime import COMMAND_GRID_S
+from impact_rig.simtime import COMMAND_GRID_NS, COMMAND_GRID_S, NS_PER_S
 
 
 class Clock(NamedTuple):
-    """The scan clock, for compiled code: lengths of a scan period and of a tick [clock units]."""
+    """Lengths of a scan period and of a tick of 10 ms [clock units]."""
 
     period: int
     tick: int
 
 
 CLOCK = Fields(Clock, (int, int))
+
+
+@attrs.frozen
+class ScanClock:
+    """Conversion times of a multiplexed converter."""
+
+    rate_hz: int  # scans per second
+    lengths: Clock
+    skews: tuple[int, ...]  # conversion of each channel after the scan clock, in clock units
+
+    def skew_s(self, channel: int) -> float:
+        """Return how long after the scan clock `channel` is converted [s]."""
+        return self.skews[channel] / self.lengths.tick * COMMAND_GRID_NS / NS_PER_S
+
+    def scans_per_tick(self) -> int:
+        """Return the largest number of scans in one tick."""
+        return -(-self.lengths.tick // self.lengths.period)
+
+
+def scan_clock(config: Setup) -> ScanClock:
+    """Return the clock of a configuration.
+
+    Raises:
+        ConfigError: more conversions per second than the converter can do.
+    """
+    rate, adc, channels = config.daq.rate_hz, config.instruments.adc, len(config.instruments.fitted())
+    if rate * channels > adc.aggregate_limit_hz:
+        raise ConfigError(
+            f"daq.rate_hz must be <= {int(adc.aggregate_limit_hz) // channels} Hz: {channels} channels share"
+            f" instruments.adc.aggregate_limit_hz = {adc.aggregate_limit_hz:g} Hz, got {rate} Hz"
+        )
+    unit = rate * channels  # clock units per nanosecond
+    interval = min(adc.conversion_ns * unit, NS_PER_S)  # the smaller of the board's and period / channels
+    apart = adc.multiplexed and not config.instruments.ideal
+    return ScanClock(
+        rate_hz=rate,
+        lengths=Clock(NS_PER_S * channels, COMMAND_GRID_NS * unit),
+        skews=tuple(channel * interval * apart for channel in range(channels)),
+    )
 
 
 class Buffers(NamedTuple):
