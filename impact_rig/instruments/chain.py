@@ -164,15 +164,17 @@ class Chain:
             tick_s: duration of one tick in the motion's time [s]: 10 ms, scaled by the error of the scan clock.
         """
         clock = self._clock.lengths
-        rough = None if self._config.instruments.ideal else motion.breakpoints()
+        breakpoints = None if self._config.instruments.ideal else motion.breakpoints()
         durations = motion.impacts["duration"]
         blows = motion.impacts[durations == 0.0 if 0.0 in durations.tolist() else slice(0)]
         for first in range(0, count, _TICKS_AT_ONCE):
             ticks = min(_TICKS_AT_ONCE, count - first)
-            if rough is None:
+            if breakpoints is None:
                 self._acquire_directly(motion, motion_tick + first, ticks, tick_s, clock)
             else:
-                pieces = cut(rough, motion_tick + first, ticks, Limits(tick_s, self._longest_s, _LONGEST_PULSE_PIECE_S))
+                pieces = cut(
+                    breakpoints, motion_tick + first, ticks, Limits(tick_s, self._longest_s, _LONGEST_PULSE_PIECE_S)
+                )
                 self._acquire(motion, pieces, blows, motion_tick + first, clock)
             self._note_rows(ticks)
             self._tick += ticks

@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """A motion cut into smooth pieces, each a polynomial: what the sensors' exact response is computed from.
 
-Between breakpoints every quantity is smooth, so eight coefficients hold it (see `arithmetic.interpolation`). A contact
-of 40 µs becomes three pieces, a flight of 10 ms four: some five hundred pieces per second, which do not depend on the
-scan rate.
+Between breakpoints every quantity is smooth, and over some that are close together smooth enough, so eight coefficients
+hold it (see `arithmetic.interpolation`). A contact of 40 µs becomes three pieces, a flight of 10 ms four: some five
+hundred pieces per second, which do not depend on the scan rate.
 """
 
 from __future__ import annotations
@@ -80,17 +80,19 @@ class Pieces(NamedTuple):
 PIECES = Fields(Pieces, (INTEGERS, REALS, REALS, INTEGERS, float))
 
 
-def cut(rough: tuple[NDArray[np.int64], NDArray[np.float64]], motion_tick: int, ticks: int, limits: Limits) -> Pieces:
+def cut(
+    breakpoints: tuple[NDArray[np.int64], NDArray[np.float64]], motion_tick: int, ticks: int, limits: Limits
+) -> Pieces:
     """Cut ticks of a motion at its breakpoints.
 
     Args:
-        rough: the motion's breakpoints (tick, offset [s]), in order; those of other ticks do not matter.
+        breakpoints: the motion's breakpoints (tick, offset [s]), in order; those of other ticks do not matter.
         motion_tick: the motion's number of the first tick.
         ticks: how many.
         limits: flights are cut into equal parts of at most `longest_s`; neighbours between breakpoints are joined as
             long as they are together no longer than `joined_s`.
     """
-    tick, offset = rough
+    tick, offset = breakpoints
     room = ticks * (math.ceil(limits.tick_s / limits.longest_s) + 1) + 2 * len(tick)
     first = np.empty(ticks + 1, np.int64)
     start, end = np.empty(room), np.empty(room)

@@ -150,13 +150,13 @@ def through_piece(modes, seen, length, since, work, out):  # type: ignore[no-unt
         mode.psi_re = (decay_re * free_re - decay_im * free_im) + last_re
         mode.psi_im = (decay_re * free_im + decay_im * free_re) + last_im
     if count:
-        largest = _add_polynomial(total, (since[0] - half) / half, since[1] / half, out)
+        largest = _fill_polynomial(total, (since[0] - half) / half, since[1] / half, out)
         for n in range(modes.shape[0]):
             _add_ringing(modes[n], largest, out)
 
 
 @kernel
-def _add_polynomial(total, first, spacing, out):  # type: ignore[no-untyped-def]
+def _fill_polynomial(total, first, spacing, out):  # type: ignore[no-untyped-def]
     """Fill in the polynomial at x = first, first + spacing, …; return the size of its coefficients."""
     largest, beyond = 0.0, 0.0
     for k in range(SERIES):

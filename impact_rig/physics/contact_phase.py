@@ -58,7 +58,7 @@ _HOP = 3.0  # of the pressing acceleration, see `settles`
 _GUESSES, _NEAR = 12, 1e-6  # of the event's scale: as good as a step's polynomial is
 _PEAK_FOUND = 1e-5  # of a step: the force is flat there
 _PEAK_MARGIN = 0.95  # of an earlier peak: a step whose stages all stay below this does not exceed it between them
-_PART, _RADIANS = 0.4, 8.0  # see `_limited`
+_PART_OF_FALL, _RADIANS = 0.4, 8.0  # see `_limited`
 
 
 @kernel
@@ -110,7 +110,7 @@ def _excess_slope(p, law, s, step, event):  # type: ignore[no-untyped-def]
 @kernel
 def _length_by_dense_output(p, law, s, step, event):  # type: ignore[no-untyped-def]
     """Return the length of a step up to an event that it went beyond, by the Illinois method on its dense output."""
-    low, high, x, moved_last = 0.0, 1.0, 1.0, 0
+    low, high, x, side_moved = 0.0, 1.0, 1.0, 0
     excess_low = _excess(p, law, s, step, event, dense_output(s, step, low))
     excess_high = _excess(p, law, s, step, event, dense_output(s, step, high))
     excess_low = excess_low if excess_low < 0.0 else -excess_high  # the step may have started at the same event
@@ -121,12 +121,12 @@ def _length_by_dense_output(p, law, s, step, event):  # type: ignore[no-untyped-
             break
         if excess > 0.0:
             high, excess_high = x, excess
-            excess_low *= 0.5 if moved_last == 1 else 1.0
-            moved_last = 1
+            excess_low *= 0.5 if side_moved == 1 else 1.0
+            side_moved = 1
         else:
             low, excess_low = x, excess
-            excess_high *= 0.5 if moved_last == -1 else 1.0
-            moved_last = -1
+            excess_high *= 0.5 if side_moved == -1 else 1.0
+            side_moved = -1
     return x * s.h
 
 
@@ -177,8 +177,8 @@ def _first_event(p, law, s, step):  # type: ignore[no-untyped-def]
     if ended == SEPARATED and step.speed[LAST] > 0.0:  # nothing leaves inwards: a false solution as well
         return FAILED
     for i in range(STAGES):
-        slight = 0.0 if ended == SEPARATED and i >= LAST - 1 else _COLLAPSED * s.w
-        if not step.w[i] > slight and not (ended == SEPARATED and i == LAST):
+        least_w = 0.0 if ended == SEPARATED and i >= LAST - 1 else _COLLAPSED * s.w
+        if not step.w[i] > least_w and not (ended == SEPARATED and i == LAST):
             return FAILED
     return ended if step.since[LAST] > 0.0 else FAILED
 
@@ -199,7 +199,7 @@ def _limited(s, step):  # type: ignore[no-untyped-def]
     if level > 0.0 and discriminant > 0.0:
         fall = math.sqrt(discriminant) - linear  # [m/s³]: a_r is zero 2 level / fall from here
         if fall > 0.0:
-            longest = min(longest, max(_PART * 2.0 * level / fall, _RADIANS * step.radian))
+            longest = min(longest, max(_PART_OF_FALL * 2.0 * level / fall, _RADIANS * step.radian))
     return min(s.next_h, longest / s.w)
 
 
@@ -272,7 +272,7 @@ def find_peaks(p, law, s, step):  # type: ignore[no-untyped-def]
     """Raise `s.peak_force` [N] and `s.deepest` to the largest of the step, also where they lie inside of it.
 
     Inside, a step is solved that ends where the polynomial says; what is left to the peak is of second order. Where all
-    stages are well below an earlier peak, so is the step.
+    stages are well below an earlier peak, so is the step. A law with a memory ends its steps where it is deepest.
     """
     w, speed, slope = step.w[LAST], step.speed[LAST], step.speed_slope[LAST]
     _, rising = _force_slope(p, law, s, step, (s.w, s.speed, step.start_speed_slope))
@@ -325,7 +325,7 @@ def account_step(p, f, s, step, ledger):  # type: ignore[no-untyped-def]
 
 @kernel
 def conclude(p, s, step, ended, t_end):  # type: ignore[no-untyped-def]
-    """Move the state to the end of the step, with the impulse on the sphere and the deepest point."""
+    """Move the state to the end of the step, with the time elapsed, the impulse on the sphere and the deepest point."""
     since, w, speed = step.since[LAST], max(step.w[LAST], 0.0), step.speed[LAST]
     v_2 = s.y[V1] + s.side * (1.0 - p.share) * s.speed
     pair_at(step, since, s.y)
@@ -351,8 +351,10 @@ def settles(p, law, s, step):  # type: ignore[no-untyped-def]
     """
     elastic, lossy, _, by_w, _ = law.one(p.stiffness, p.factor, s.per_v0, turned_at(s), s.w, s.speed)
     pressing = step.acceleration[0]  # a_r where the step began: it hardly changes in one
-    ringing = abs(pressing - (elastic + lossy) * p.per_m_eff)  # |δ''| [m/s²]
-    return ringing <= _HOP * pressing and ringing <= p.speed_floor * math.sqrt(0.5 * by_w * p.per_m_eff / s.w)
+    ringing_acceleration = abs(pressing - (elastic + lossy) * p.per_m_eff)  # |δ''| [m/s²]
+    return ringing_acceleration <= _HOP * pressing and ringing_acceleration <= p.speed_floor * math.sqrt(
+        0.5 * by_w * p.per_m_eff / s.w
+    )
 
 
 @kernel

@@ -17,7 +17,8 @@ Taylor polynomials in time (`expand`), and the relative acceleration a_r = −si
 columns press sphere and wall together: m_1 x_1'' = F_c + side F, m x_2'' = −side F.
 
 That leaves out F_c − F_c* = side σ (k_1 δ + c_1 δ'), most often a millionth of it, and what follows from it: it moves
-the pair by side σ z, its `correction`, from z = 0 at the start of each step on. With F_z the columns' force on that,
+the pair by side σ z, its `correction`, from z = 0 at the start of each step on. With side σ F_z what δ and z add to the
+columns' force,
 
     z_x1' = z_v1,   (m_1 + m) z_v1' = F_z,    F_z = k_1 (δ − z_x1 + z_xb) + c_1 (δ' − z_v1 + z_vb)
     z_xb' = z_vb,   (m_a + m_b) z_vb' = K_f z_i − c_f z_vb − k_f z_xb − F_z,   L z_i' = −R z_i − K_f z_vb
@@ -249,7 +250,7 @@ def turned_at(s):  # type: ignore[no-untyped-def]  # compiled: types are inferre
 
 @kernel
 def begin_step(p, law, s, step):  # type: ignore[no-untyped-def]
-    """Evaluate force and slope at the start of a step, and how exact its speeds must be [m/s].
+    """Evaluate force and slope at the start of a step, where it turned, its `radian`, and how exact its speeds must be.
 
     A step may be wrong by a part of the contact's own speeds: δ', and δ times its natural frequency. Where the sphere
     rests on the wall these are tiny, and it may be the same part of a tenth of the speed that a_r gives in a radian of
@@ -359,7 +360,7 @@ def _invert_newton(step):  # type: ignore[no-untyped-def]
 
 @kernel
 def _newton_step(s, step, h):  # type: ignore[no-untyped-def]
-    """Make one Newton step of the stages' speeds; return the largest change [m/s]."""
+    """Make one Newton step of the stages' speeds; return the largest change [m/s], infinite where one is not finite."""
     for i in range(STAGES):
         residual = h * step.speed_slope[i]
         for j in range(STAGES):
@@ -382,8 +383,8 @@ def solve(p, law, s, step, h, rounds):  # type: ignore[no-untyped-def]
     """Solve a step of length h; return whether Newton converged. The stages hold the step, the last one its end.
 
     Where a sphere rests on the wall until a_r(t) lifts it off, a_r decides the indentation, and Newton's method adds
-    the derivative of a_r(t) after FEW_ROUNDS. Only a step that must end at an instant gets as many, ROUNDS; one whose
-    length is free is taken shorter instead. Forces and slopes at the stages are those one change before the speeds.
+    the derivative of a_r(t) after FEW_ROUNDS. Only a step of given length gets as many, ROUNDS; one whose length is
+    free is taken shorter instead. Forces and slopes at the stages belong to the speeds before Newton's last change.
     """
     predict_speeds(s, step, h)
     step.correction[:] = 0.0

@@ -81,7 +81,7 @@ has no solution that can be found."""
 _SPEED_RESOLUTION = 2.0**-48
 _STEPS = 500  # of a contact in one call of its phase
 ROWS_PER_PHASE = 2 * _STEPS
-"""Rows of the history that must be left before a phase is entered: it fills no more."""
+"""Rows of the history that must be left before a phase is entered: it fills hardly more than half of them."""
 _EVENTS_PER_SEGMENT = 10_000_000
 
 
@@ -93,7 +93,7 @@ class Workspace(NamedTuple):
         flight: one record of FLIGHT.
         step: one record of CONTACT_STEP.
         ledger: one record of LEDGER.
-        filled: one record of LOG: how many rows of history and impacts there are.
+        filled: one record of LOG: how many states, impacts, segments and ticks there are.
         history: records of STATE: the state at each event and each step of a contact.
         impacts: records of IMPACT.
         first_state: row of the history that holds each segment's first state, and the number of rows.
@@ -153,7 +153,7 @@ def _hold(s, d, side):  # type: ignore[no-untyped-def]
 
 @kernel
 def _least_speed(p, s):  # type: ignore[no-untyped-def]
-    """Return the least relative speed [m/s] that the rounding of the structure's speed leaves standing."""
+    """Return the least relative speed [m/s]: `touch_speed`, or what the rounding of the structure's speed leaves."""
     return max(p.touch_speed, _SPEED_RESOLUTION * abs(s.y[V1]))
 
 
@@ -235,17 +235,17 @@ def _bounce(p, s, side, pair_acceleration, rounding_m, work):  # type: ignore[no
     stays = e * speed <= least_rebound and side * pair_acceleration <= 0.0
     if stays:
         e = 0.0
-    away = 0.0 if stays else max(e * speed, _least_speed(p, s))
-    s.y[V1] += p.share * (s.d_rate + side * away)  # not of `speed`: the momentum of both must stay
+    rebound_speed = 0.0 if stays else max(e * speed, _least_speed(p, s))
+    s.y[V1] += p.share * (s.d_rate + side * rebound_speed)  # not of `speed`: the momentum of both must stay
     s.side, s.approach, s.elapsed, s.peak_force = side, speed, 0.0, 0.0
     s.impulse, s.lost = p.m_eff * speed * (1.0 + e), 0.5 * p.m_eff * speed * speed * (1.0 - e * e)
-    work.ledger[0].contact += 0.5 * p.m_eff * (s.d_rate * s.d_rate - away * away)
+    work.ledger[0].contact += 0.5 * p.m_eff * (s.d_rate * s.d_rate - rebound_speed * rebound_speed)
     if speed > p.touch_speed:
         _keep_impact(work, s, e * speed, 0.0)
     if stays:
         _hold(s, side * p.half_gap, side)
     else:
-        _fly_on(p, s, side * p.half_gap, -side * away)
+        _fly_on(p, s, side * p.half_gap, -side * rebound_speed)
 
 
 @kernel
@@ -267,6 +267,8 @@ def _apply_tabulated(model, f, work, t_end, account):  # type: ignore[no-untyped
     """Take a contact that has just begun to its end, from the table; return whether that was possible."""
     p, table = model.parameters[0], model.table[0]
     s, step = work.states[0], work.step[0]
+    if table.high == 0.0:
+        return False
     expand(p, f, s, step)
     if not look_up(p, table, s, step, t_end - s.t):
         return False

@@ -55,7 +55,7 @@ _ROUNDS = 12
 _CLOSE = 0.8  # of the horizon: a crossing that comes later makes a shorter horizon not worth trying
 _TIME_RESOLUTION = 2.0**-51  # of t: an advance as short is lost in rounding
 _POSITION_RESOLUTION = 2.0**-47  # of the largest terms of x_1, with a margin
-_SHORTEST = 1e-3  # least t that _TIME_RESOLUTION is of [s]: a segment may be shorter than what rounding depends on
+_SHORTEST = 1e-3  # least t that _TIME_RESOLUTION is of [s]: before that, times are resolved as there
 
 SEGMENT = np.dtype(
     [

@@ -10,9 +10,9 @@ Random drive is band-passed noise of unit rms: a digital Butterworth band-pass o
 and rounded once, behind our own generator.
 
 prototype     s_k = e^{jπ(2k + 5)/8}, k = 0 … 3, of the low-pass with corner 1
-band-pass     s² − s_k B s + ω_0² = 0, B = ω_2 − ω_1, ω_0² = ω_1 ω_2, ω_i = tan(π f_i h)
-digital       p = (1 + s) / (1 − s): H(z) = g Π (1 − z⁻²) / (1 + a_1 z⁻¹ + a_2 z⁻²), four sections
-unit rms      g⁻² = Σ h_n² of H/g, which is a sum over its partial fractions
+band-pass     s² − s_k B s + ω_0² = 0, B = ω_2 − ω_1, ω_0² = ω_1 ω_2, ω_i = tan(π f_i · tick)
+digital       p = (1 + s) / (1 − s): g B(z), B = Π (1 − z⁻²) / (1 + a_1 z⁻¹ + a_2 z⁻²), four sections
+unit rms      g⁻² = Σ b_n² of B(z) = Σ b_n z⁻ⁿ, which is a sum over its partial fractions
 """
 
 from __future__ import annotations
@@ -45,8 +45,8 @@ _SECTION = np.dtype(
 )
 _MEMORY = np.dtype(
     [
-        ("first", "f8"),  # what the next number adds to itself [-]
-        ("second", "f8"),  # what the one after it adds [-]
+        ("first", "f8"),  # what is added to the next number [-]
+        ("second", "f8"),  # what is added to the one after it [-]
     ]
 )
 
@@ -88,7 +88,7 @@ def _digital_poles(prototype: Complex, width: Decimal, centre_square: Decimal) -
 
 
 def _power(poles: list[Complex]) -> Decimal:
-    """Return Σ h_n² of Π (1 − z⁻²)⁴ / Π (1 − p_k z⁻¹): of c + Σ r_k / (1 − p_k z⁻¹) with h_0 = 1."""
+    """Return Σ b_n² of Π (1 − z⁻²)⁴ / Π (1 − p_k z⁻¹): of c + Σ r_k / (1 − p_k z⁻¹) with b_0 = 1."""
     residues = [_residue(k, poles) for k in range(len(poles))]
     later = ZERO
     for first, r in zip(poles, residues, strict=True):
@@ -109,14 +109,14 @@ class BandNoise:
     """A stream of band-passed noise: which numbers it gives does not depend on how they are asked for.
 
     Args:
-        filtered: the band.
+        band: how it is filtered.
         random: where white noise comes from.
     """
 
     _CHUNK = 256  # numbers made at once: the filter's arrays stay small
 
-    def __init__(self, filtered: BandPass, random: Random) -> None:
-        self._filter, self._random = filtered, random
+    def __init__(self, band: BandPass, random: Random) -> None:
+        self._filter, self._random = band, random
         self._memory = records(SECTIONS, _MEMORY)
         self._made: NDArray[np.float64] = np.empty(0)
         self._first = 0
@@ -128,19 +128,19 @@ class BandNoise:
         return twin
 
     def numbers(self, first: int, count: int) -> NDArray[np.float64]:
-        """Return the numbers first … first + count; the next call must not begin earlier, nor behind their end."""
+        """Return the numbers first … first + count − 1; the next call must not begin earlier, nor behind their end."""
         parts = [self._made[first - self._first :]]
         ready = len(parts[0])
         while ready < count:
             parts.append(self._random.normal(self._CHUNK) * self._filter.gain)
-            run(self._filter.sections, self._memory, parts[-1])
+            filter_in_place(self._filter.sections, self._memory, parts[-1])
             ready += self._CHUNK
         self._first, self._made = first, np.concatenate(parts)
         return self._made[:count]
 
 
 @entry(_SECTION, _MEMORY, REALS)
-def run(sections, memory, samples):  # type: ignore[no-untyped-def]  # compiled: types are inferred
+def filter_in_place(sections, memory, samples):  # type: ignore[no-untyped-def]  # compiled: types are inferred
     """Filter samples in place, in transposed direct form II, records of both coefficients and of what they remember."""
     for i in range(samples.shape[0]):
         value = samples[i]
@@ -200,11 +200,10 @@ class FunctionGenerator:
     """Sine with phase-continuous frequency changes, a chirp in steps of one tick, seeded band-limited noise, a stream.
 
     The amplitude moves linearly to a new command within `shaker.ramp_s`, rounded up to whole ticks. Random drive is
-    Gaussian noise of unit rms,
-    band-passed and held to first order between ticks; its amplitude is an rms value.
+    Gaussian noise, band-passed, straight lines between ticks; its amplitude is the rms of its values there.
 
     Attributes:
-        frequency_hz: commanded frequency from the next tick on.
+        frequency_hz: commanded frequency from the next tick on; of a chirp its first.
         tick: number of ticks generated so far.
         stream: what plays the samples of a stream; None with any other waveform. It has no amplitude: that is 0.
     """
@@ -290,7 +289,7 @@ class FunctionGenerator:
         return twin
 
     def segments(self, count: int) -> NDArray[np.void]:
-        """Return the drive segments of the next `count` ticks, dtype `SEGMENT`: one each, or one a sample."""
+        """Return the drive segments of the next `count` ticks, dtype `SEGMENT`: one each, of a stream more."""
         if self.stream is not None:
             self.tick += count
             return self.stream.segments(self.tick - count, count, self._tick_s)

@@ -228,10 +228,10 @@ def _chebyshev(values: NDArray[np.float64]) -> NDArray[np.float64]:
 def look_up(p, table, s, step, rest):  # type: ignore[no-untyped-def]
     """Fill `table.outcome` for the contact that begins at s, `step` expanded about it.
 
-    Returns whether it is tabulated and over within `rest` seconds.
+    Returns whether it is tabulated and over within `rest` seconds, and as long as `step` holds.
     """
     speed = s.speed
-    if table.high == 0.0 or speed < p.speed_floor:  # a floored approach speed is a scale of its own
+    if speed < p.speed_floor:  # a floored approach speed is a scale of its own
         return False
     t_0 = contact_time(p, speed)
     eta_0 = step.acceleration[0] * t_0 / speed

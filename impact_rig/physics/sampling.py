@@ -220,7 +220,7 @@ def new_sampling_workspace() -> SamplingWorkspace:
 
 @kernel
 def _place_and_order(p, quantity):  # type: ignore[no-untyped-def]  # compiled: types are inferred
-    """Return (state, derivative of it, whether it is the drive itself) that a quantity of the structure is."""
+    """Return (place in y, derivative of it, whether it is the drive itself) that a quantity of the structure is."""
     prescribed = p.drive == PRESCRIBED
     if quantity in (OF_X_1, OF_V_1, OF_A_1):
         return X1 if quantity == OF_X_1 else V1, 1 if quantity == OF_A_1 else 0, False
@@ -383,11 +383,13 @@ def _solve_up_to(model, s, step, end, since):  # type: ignore[no-untyped-def]
     """Return (w, δ') `since` seconds after the start of a step: the step is taken again to end there."""
     if s.h == 0.0 or since <= 0.0:
         return s.w, s.speed
-    h = s.h if since >= end[0] else _length_to(s, step, end, since)
-    for _ in range(_CORRECTIONS):
-        solve(model.parameters[0], model.law, s, step, h, ROUNDS)
-        if step.w[LAST] > 0.0 and since < end[0]:
-            h = min(s.h, h - (step.since[LAST] - since) / step.w[LAST])
+    h = s.h
+    if since < end[0]:
+        h = _length_to(s, step, end, since)
+        for _ in range(_CORRECTIONS):
+            solve(model.parameters[0], model.law, s, step, h, ROUNDS)
+            if step.w[LAST] > 0.0:
+                h = min(s.h, h - (step.since[LAST] - since) / step.w[LAST])
     solve(model.parameters[0], model.law, s, step, h, ROUNDS)
     return max(step.w[LAST], 0.0), step.speed[LAST]
 
@@ -670,8 +672,8 @@ def fit(model, trajectory, spans, work):  # type: ignore[no-untyped-def]
     """Fill `spans.out` and return whether there are such ticks.
 
     In flight the fastest motion goes at most 2 radians either side of a piece's middle. There the series leaves out
-    2^14 / 14! = 2e-7 of it, and its shortening to eight terms 2 / 8! = 5e-5; the instruments' pieces are shorter. In a
-    contact up to a thousandth of the pulse is left out.
+    2^14 / 14! = 2e-7 of it, and its shortening to eight terms 2 / 8! = 5e-5; longer pieces go through
+    samples. In a step of a contact a millionth is left out, in a tabulated contact up to a thousandth of the pulse.
     """
     p, flight, history = model.parameters[0], work.flight[0], trajectory.history
     flight.omega, work.pulsing[0] = -1.0, -1

@@ -3,7 +3,7 @@
 """What protects the shaker: command limits, and the interlock on true travel of the base and coil current.
 
 The interlock looks at fixed instants of the command grid, so that neither scan rate nor block length nor the cut into
-calls decides whether it trips.
+calls decides whether it trips; of a streamed current it integrates the lines.
 """
 
 from __future__ import annotations
@@ -105,12 +105,12 @@ def travel_and_current(model, trajectory, work, looks, spacing_s, found):  # typ
     `looks` asks for travel, its rate and the current, and has room for all looks: `spacing_s` [s] apart, from the start
     of each tick to its end, which is also the start of the next.
     """
-    each = looks.tick.shape[0] // found.shape[0]
+    looks_per_tick = looks.tick.shape[0] // found.shape[0]
     for i in range(looks.tick.shape[0]):
-        looks.tick[i], looks.offset[i] = trajectory.first_tick + i // each, (i % each) * spacing_s
+        looks.tick[i], looks.offset[i] = trajectory.first_tick + i // looks_per_tick, (i % looks_per_tick) * spacing_s
     sample(model, trajectory, work, looks)
     for tick in range(found.shape[0]):
-        part = looks.out[:, tick * each : (tick + 1) * each]
+        part = looks.out[:, tick * looks_per_tick : (tick + 1) * looks_per_tick]
         found[tick, 0] = largest(part[0], part[1], spacing_s)
         found[tick, 1] = mean_square(part[2])
 
@@ -155,8 +155,8 @@ def largest(position, velocity, spacing_s):  # type: ignore[no-untyped-def]
             root = math.sqrt(
                 max(0.0, square * square - 3.0 * cube * low_rate)
             )  # rounding may make a double root negative
-            bottom = square + math.copysign(root, high_rate)
-            x = min(1.0, max(0.0, -low_rate / bottom)) if bottom != 0.0 else 0.0
+            divisor = square + math.copysign(root, high_rate)
+            x = min(1.0, max(0.0, -low_rate / divisor)) if divisor != 0.0 else 0.0
             found = max(found, abs(low + x * (low_rate + x * (square + x * cube))))
     return found
 

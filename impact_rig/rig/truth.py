@@ -65,7 +65,10 @@ def state_rows(model, trajectory, work, query, scans, tick_s, rows):  # type: ig
 
 @entry(IMPACT, float, IMPACTS, REALS)
 def impact_rows(found, stretch, rows, ends):  # type: ignore[no-untyped-def]
-    """Fill in the columns of the impacts, and when each ended [s]; times since scan 0, `stretch` to one of motion."""
+    """Fill in the columns of the impacts, and when each ended, since scan 0 [s].
+
+    A second of motion is `stretch` seconds of the scan clock; durations stay in those of motion.
+    """
     for i in range(found.shape[0]):
         one, row = found[i], rows[i]
         row.time = one.tick * COMMAND_GRID_S + one.offset * stretch
@@ -79,6 +82,7 @@ class Truth:
     """Collects the truth of simulated ticks and gives it out by scans.
 
     Args:
+        rate_hz: scans per second.
         monitor_hz: wanted rate of the monitor; every k-th scan is taken, k the nearest from above.
         every_scan: keep the truth of every scan, not of the monitor instants only.
     """
@@ -128,7 +132,7 @@ class Truth:
     def pop_states(
         self, first: int, count: int
     ) -> tuple[NDArray[np.void], NDArray[np.int64], NDArray[np.bool_] | slice]:
-        """Return the kept rows of scans first to first + count, with `time` since `first`, and forget them.
+        """Return the kept rows of scans first … first + count − 1, with `time` since `first`, and forget them.
 
         The second array says which of the `count` scans they are, the last value which of them are monitor instants.
         """
