@@ -325,10 +325,12 @@ class Chain:
         for j, seen in enumerate(motion.quantities(self._quantities, tick + motion_tick, offset)):
             one = j, *self._newest(j)
             _, values, clipped, first, _ = one
-            values[:], clipped[:] = seen, False
+            own = slice(count - len(values), count)  # one more where a skew had kept the channel a scan behind
+            values[:], clipped[:] = seen[own], False
             if j in self._sines:
-                on = self._sines[j].covers(tick + self._tick)
-                values[on] = self._sines[j].values((tick + self._tick)[on], offset[on])[0]
+                at = tick[own] + self._tick
+                on = self._sines[j].covers(at)
+                values[on] = self._sines[j].values(at[on], offset[own][on])[0]
             self._faults.on_cable(self._names[j], values, clipped, first, 1.0, 0.0)
             self._repeat(*one)
         self._channels["finished"] = self._channels["filled"]

@@ -182,9 +182,13 @@ def digitise(channels, buffers):  # type: ignore[no-untyped-def]
 def instants(channels, clock, ticks, tick_s, at_tick, offset):  # type: ignore[no-untyped-def]
     """Fill in when the next conversions of all channels come, which are without skew: tick, and offset into it [s].
 
-    Returns how many there are; they count as converted.
+    Returns how many there are; they count as converted. A channel whose skew has just been taken away may lag a scan
+    behind others: it makes all of them, the others only the last ones.
     """
-    count, due = 0, channels[0].due
+    earliest = channels[0].due
+    for j in range(channels.shape[0]):
+        earliest = min(earliest, channels[j].due)
+    count, due = 0, earliest
     for tick in range(ticks):
         while due < clock.tick:
             at_tick[count] = tick
@@ -194,9 +198,10 @@ def instants(channels, clock, ticks, tick_s, at_tick, offset):  # type: ignore[n
         due -= clock.tick
     for j in range(channels.shape[0]):
         channel = channels[j]
+        own = count - (channel.due - earliest) // clock.period
         channel.due = due
-        channel.converted += count
-        channel.filled += count
+        channel.converted += own
+        channel.filled += own
     return count
 
 

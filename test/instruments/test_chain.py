@@ -179,6 +179,26 @@ def test_ideal_instruments_read_the_motion_itself():
         assert not np.any(info[column])
 
 
+@pytest.mark.parametrize("ticks", [3, 53])
+def test_every_channel_of_instruments_made_ideal_reads_each_scan_once(ticks):
+    """A bug once: a channel whose conversion lay beyond the tick's end lost it, and was a scan behind for good."""
+    config = configured(1234)
+    chain, motion = Chain(config), lively_motion()
+    chain.acquire(motion, 0, ticks)
+    begun = chain.first_open_scan
+    assert chain.ready < begun  # skews keep some channels behind
+    chain.reconfigure(from_flat(config, {"instruments.ideal": True}))
+    chain.calibrate("current", 20.0, 1.0, TICKS)
+    chain.acquire(motion, ticks, TICKS)
+    rows = chain.read(chain.ready)[begun:]
+    assert len(rows) == -(-(ticks + TICKS) * 1234 // 100) - begun
+    at = (begun + np.arange(len(rows))) / 1234
+    truth = motion.quantities(("a_1", "x_1", "x_b"), np.zeros(len(at), np.int64), at)
+    for name, expected in zip(CHANNELS, truth, strict=False):
+        np.testing.assert_allclose(rows[name], expected, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(rows["current"], np.sin(2 * np.pi * 20.0 * (at - 0.01 * ticks)), atol=1e-9)
+
+
 def test_certificate_tells_what_the_analysis_needs():
     info = Chain(configured(50_000)).info()
     assert info.dtype == DAQ_INFO
