@@ -111,6 +111,7 @@ class Chain:
         self._words = self._buffers.values.view(np.uint64)
         self._chains: list[Modes] = []
         self._modes: NDArray[np.void] = records(0, SENSOR_MODE)
+        self._longest_s = _LONGEST_PIECE_S
         self._equip()
         rate = config.daq.rate_hz
         self._faults = FaultBoard(config.instruments.faults.faults(rate), rate)
@@ -146,6 +147,7 @@ class Chain:
                 raise ConfigError(f"{key} cannot change without a reset: is {old}, got {new}")
         if config.instruments == self._config.instruments:
             self._config = config
+            self._note_fastest()
             return
         skews, ideal = self._clock.skews, self._config.instruments.ideal
         self._clock = scan_clock(config)
@@ -292,7 +294,11 @@ class Chain:
         channels["modes"], channels["first_mode"] = list(map(len, modes)), firsts
         self._chains, self._modes = chains, records(total, SENSOR_MODE)
         self._modes[:] = np.concatenate(modes)
-        self._longest_s = min(_LONGEST_PIECE_S, 1.0 / (PIECES_PER_PERIOD * config.shaker.frequency_max_hz))
+        self._note_fastest()
+
+    def _note_fastest(self) -> None:
+        """Cut pieces as short as the fastest drive needs; no longer ones until a reset: one may still be in force."""
+        self._longest_s = min(self._longest_s, 1.0 / (PIECES_PER_PERIOD * self._config.shaker.frequency_max_hz))
 
     def _acquire(self, motion: Motion, pieces: Pieces, blows: NDArray[np.void], motion_tick: int, clock: Clock) -> None:
         coefficients = motion.polynomials(self._quantities, pieces.tick, pieces.start, pieces.end)

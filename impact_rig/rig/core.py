@@ -439,7 +439,7 @@ class Rig:
         model = tried(mechanics) if new_mechanics else None  # refused here, before anything is changed
         if new_instruments:
             Chain(instruments)
-            self._chain.reconfigure(instruments)
+        self._chain.reconfigure(instruments)  # always: the structure's mass and the fastest drive decide readings, too
         if model is not None:
             self._simulation.configure(mechanics, model)
         if "shaker.ramp_s" in changed:

@@ -123,3 +123,37 @@ def test_a_seed_is_taken_at_the_next_reset() -> None:
     rig.configure({"daq.seed": 5})
     rig.reset()
     assert same(samples(rig.advance(rig.start_ns + 5 * TICK)), samples(other.advance(5 * TICK)))
+
+
+@pytest.mark.parametrize(
+    ("chosen", "then", "hertz"),
+    [
+        ({"contact__law": "restitution"}, {"structure.mass_kg": 1.0}, 9.0),
+        ({"sphere__present": False}, {"shaker.frequency_max_hz": 1000.0}, 1000.0),
+    ],
+    ids=["mass", "fastest drive"],
+)
+def test_instruments_know_the_mechanics_as_they_are(chosen: dict, then: dict[str, object], hertz: float) -> None:
+    """A bug once: they kept the mass that an impact kicks, and pieces as short as the fastest drive needs, of before.
+
+    Readings after the change were eight times too high, or off by half of what they should be.
+    """
+    read = []
+    for first, later in (({}, then), (then, {})):
+        named = {name.replace(".", "__"): value for name, value in first.items()}
+        rig = Rig(config(**chosen, **named))
+        rig.configure(later)
+        rig.accept(frequency_hz=hertz, current_a=0.52)
+        read.append(samples(rig.advance(100 * TICK)))
+    assert same(*read)
+
+
+def test_a_drive_faster_than_a_new_limit_is_still_read_as_it_is() -> None:
+    """The limit holds for the next command; the instruments must not take it for what is in force."""
+    read = []
+    for then in ({}, {"shaker.frequency_max_hz": 200.0, "instruments.laser.lag_s": 1e-3}):
+        rig = Rig(config(sphere__present=False, shaker__frequency_max_hz=1000.0))
+        rig.accept(frequency_hz=1000.0, current_a=0.52)
+        rig.configure(then)
+        read.append(samples(rig.advance(20 * TICK))["current"])
+    assert same(*read)
