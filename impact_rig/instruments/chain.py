@@ -112,6 +112,8 @@ class Chain:
         self._chains: list[Modes] = []
         self._modes: NDArray[np.void] = records(0, SENSOR_MODE)
         self._longest_s = _LONGEST_PIECE_S
+        if config.drive.waveform == "chirp":  # no command: it may end beyond the highest frequency of one
+            self._note_fastest(config.drive.chirp_end_hz)
         self._equip()
         rate = config.daq.rate_hz
         self._faults = FaultBoard(config.instruments.faults.faults(rate), rate)
@@ -147,7 +149,7 @@ class Chain:
                 raise ConfigError(f"{key} cannot change without a reset: is {old}, got {new}")
         if config.instruments == self._config.instruments:
             self._config = config
-            self._note_fastest()
+            self._note_fastest(config.shaker.frequency_max_hz)
             return
         skews, ideal = self._clock.skews, self._config.instruments.ideal
         self._clock = scan_clock(config)
@@ -294,11 +296,11 @@ class Chain:
         channels["modes"], channels["first_mode"] = list(map(len, modes)), firsts
         self._chains, self._modes = chains, records(total, SENSOR_MODE)
         self._modes[:] = np.concatenate(modes)
-        self._note_fastest()
+        self._note_fastest(config.shaker.frequency_max_hz)
 
-    def _note_fastest(self) -> None:
-        """Cut pieces as short as the fastest drive needs; no longer ones until a reset: one may still be in force."""
-        self._longest_s = min(self._longest_s, 1.0 / (PIECES_PER_PERIOD * self._config.shaker.frequency_max_hz))
+    def _note_fastest(self, frequency_hz: float) -> None:
+        """Cut pieces as short as such a drive needs; no longer ones until a reset: a faster one may still be on."""
+        self._longest_s = min(self._longest_s, 1.0 / (PIECES_PER_PERIOD * frequency_hz))
 
     def _acquire(self, motion: Motion, pieces: Pieces, blows: NDArray[np.void], motion_tick: int, clock: Clock) -> None:
         coefficients = motion.polynomials(self._quantities, pieces.tick, pieces.start, pieces.end)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from impact_rig.blocks import Column, row_type
 from impact_rig.config.fields import switch
-from impact_rig.config.sections import Daq, Shaker, Structure
+from impact_rig.config.sections import Daq, Drive, Shaker, Structure
 from impact_rig.errors import ConfigError
 from impact_rig.instruments.fault import FaultPlan
 from impact_rig.instruments.instrument import Instrument
@@ -104,8 +104,12 @@ class Setup(Protocol):
         """The instruments themselves."""
 
     @property
+    def drive(self) -> Drive:
+        """How far up a chirp goes."""
+
+    @property
     def shaker(self) -> Shaker:
-        """How fast things move at most."""
+        """How fast things move at most, but for a chirp."""
 
     @property
     def structure(self) -> Structure:

@@ -157,3 +157,15 @@ def test_a_drive_faster_than_a_new_limit_is_still_read_as_it_is() -> None:
         rig.configure(then)
         read.append(samples(rig.advance(20 * TICK))["current"])
     assert same(*read)
+
+
+def test_a_chirp_beyond_the_highest_command_is_read_as_it_is() -> None:
+    """A bug once: pieces were as long as the fastest command allows, and a chirp to 1 kHz of 0.5 A read 0.62 A."""
+    read = []
+    for highest_hz in (200.0, 1000.0):
+        chirp = {"drive__waveform": "chirp", "drive__frequency_hz": 150.0, "drive__chirp_end_hz": 1000.0}
+        rig = Rig(
+            config(sphere__present=False, drive__chirp_s=0.2, shaker__frequency_max_hz=highest_hz, **chirp),
+        )
+        read.append(samples(rig.advance(20 * TICK)))
+    assert same(*read)
