@@ -258,7 +258,7 @@ class Chain:
         """End one fault, or all of them, at the first scan not yet converted.
 
         Raises:
-            CommandError: there is no such fault.
+            CommandError: there has been no such fault.
         """
         self._faults.clear(number, self.first_open_scan)
 

@@ -229,12 +229,14 @@ class FaultBoard:
     def clear(self, number: int | None, scan: int) -> None:
         """End one fault, or all, at a scan; a fault that would have started later never does.
 
+        One that is over stays so: when such a fault is forgotten depends on the cut into blocks, which decides nothing.
+
         Raises:
-            CommandError: there is no such fault.
+            CommandError: there has been no such fault.
         """
-        chosen = [active for active in self._faults if number in (None, active.number)]
-        if number is not None and not chosen:
+        if number is not None and not 0 < number <= self._last_number:
             raise CommandError(f"no fault number {number}")
+        chosen = [active for active in self._faults if number in (None, active.number)]
         for active in chosen:
             active.end = min(active.end, max(scan, active.fault.start_sample))
         self._faults = [active for active in self._faults if active.end > active.fault.start_sample]

@@ -45,6 +45,16 @@ def test_a_blank_line_plans_no_fault() -> None:
     assert [(row["kind"], row["active"]) for row in rows] == [(b"stuck", 1)]
 
 
+def test_a_fault_that_has_ended_may_go_before_its_block_comes() -> None:
+    """A bug once: a re-simulation, which had cut blocks that the rig had not, knew no such fault and stopped."""
+    line = "dropout channel=laser duration_s=0.0004"
+    rig = Rig(config(daq__block_scans=10, instruments__faults__planned=[line]))
+    blocks = rig.advance(TICK // 10)  # simulates a whole tick
+    rig.configure({"instruments.faults.planned": []})
+    blocks += rig.advance(5 * TICK)
+    resimulated(blocks, rig.take_journal())
+
+
 def test_a_lost_block_is_numbered_and_marked() -> None:
     planned = ("lost_block start_s=0.03 duration_s=0.02",)
     blocks = Rig(config(instruments__faults__planned=planned)).advance(10 * TICK)
