@@ -433,7 +433,7 @@ class Rig:
         instruments = until_reset(self._chain.config, config)
         new_mechanics = any(is_mechanics(name) for name in changed)
         new_instruments = any(name.startswith(INSTRUMENTS) and name != PLANNED for name in changed)
-        replan = self._planned_faults.replan(config.instruments.faults.planned)
+        replan = self._planned_faults.replan(config.instruments.faults.planned, self.frontier_sample)
         if any(name.startswith("drive.") for name in changed):
             generator(config)  # taken at the next reset, refused here
         model = tried(mechanics) if new_mechanics else None  # refused here, before anything is changed
@@ -448,7 +448,7 @@ class Rig:
         self._truth.configure(config.output.monitor_rate_hz, config.output.truth_scan)
         values = {name: value for name, value in sampled(changed).items() if name != PLANNED}
         self._journal.add_values(self.frontier_sample, Kind.PARAMETER, values.items())
-        self._planned_faults.put_into_force(replan, self.frontier_sample, self._clear_if_there, self.inject)
+        self._planned_faults.put_into_force(replan, self._clear_if_there, self.inject)
         if new_instruments:
             self._info_sample = self.frontier_sample
 

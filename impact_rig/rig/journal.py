@@ -20,7 +20,7 @@ import numpy as np
 
 from impact_rig import codec, topics
 from impact_rig.blocks import JOURNAL, TEXT_BYTES, Table
-from impact_rig.errors import CodecError, ConfigError
+from impact_rig.errors import CodecError, CommandError, ConfigError
 from impact_rig.instruments.fault import Fault
 from impact_rig.instruments.section import Setup
 from impact_rig.rig.config import RigConfig, differences, to_flat
@@ -386,33 +386,40 @@ class PlanInForce:
         for number, line in enumerate(_written(lines), start=1):
             self._numbers[line].append(number)
 
-    def replan(self, lines: Iterable[str]) -> Replan:
+    def replan(self, lines: Iterable[str], sample: int) -> Replan:
         """Return what turns the present lines into these; nothing changes before `put_into_force`.
 
+        Args:
+            lines: as they shall be.
+            sample: the first scan they act on; the `start_s` of new lines count from there.
+
         Raises:
-            ConfigError: an added line describes no fault.
+            ConfigError: an added line describes no fault, or one that starts too late to be written down.
         """
         before = Counter({line: len(numbers) for line, numbers in self._numbers.items()})
         after = Counter(_written(lines))
-        new = tuple((line, Fault.from_line(line, self._rate_hz)) for line in (after - before).elements())
+        new = tuple((line, self._fault(line, sample)) for line in (after - before).elements())
         return Replan(tuple((before - after).elements()), new)
 
-    def put_into_force(
-        self, replan: Replan, sample: int, clear: Callable[[int], None], inject: Callable[[Fault], int]
-    ) -> None:
+    def put_into_force(self, replan: Replan, clear: Callable[[int], None], inject: Callable[[Fault], int]) -> None:
         """Clear the faults of the lines that go, then inject those of the lines that come.
 
         Args:
             replan: as `replan` returned it, with no other change in between.
-            sample: the first scan it acts on; the `start_s` of new lines count from there.
             clear: ends the fault of a number, which may have ended already.
             inject: starts a fault and returns its number.
         """
         for line in replan.gone:
             clear(self._numbers[line].pop())
         for line, fault in replan.new:
-            number = inject(attrs.evolve(fault, start_sample=sample + fault.start_sample))
-            self._numbers[line].append(number)
+            self._numbers[line].append(inject(fault))
+
+    def _fault(self, line: str, sample: int) -> Fault:
+        fault = Fault.from_line(line, self._rate_hz)
+        try:
+            return attrs.evolve(fault, start_sample=sample + fault.start_sample)
+        except CommandError as error:
+            raise ConfigError(str(error)) from error
 
 
 def _written(lines: Iterable[str]) -> Iterator[str]:

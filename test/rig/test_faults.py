@@ -9,7 +9,9 @@ import pytest
 from kits.rig import TICK, config, resimulated
 
 from impact_rig.errors import ConfigError
+from impact_rig.instruments.fault import MOST
 from impact_rig.rig import Rig
+from impact_rig.rig.journal import Kind, read
 
 
 def test_faults_come_and_go_with_the_list_of_planned_ones() -> None:
@@ -53,6 +55,18 @@ def test_a_fault_that_has_ended_may_go_before_its_block_comes() -> None:
     rig.configure({"instruments.faults.planned": []})
     blocks += rig.advance(5 * TICK)
     resimulated(blocks, rig.take_journal())
+
+
+def test_a_planned_fault_that_would_start_too_late_changes_nothing() -> None:
+    """A bug once: it was refused when all else of the change was in force and in the journal."""
+    rig = Rig(config())
+    rig.advance(5 * TICK)
+    before = rig.config
+    late = f"dropout channel=laser start_s={MOST / rig.rate_hz!r}"
+    with pytest.raises(ConfigError, match="start_sample of dropout must be at most"):
+        rig.configure({"instruments.faults.planned": [late], "barriers.gap_m": 0.003})
+    assert rig.config == before
+    assert all(entry.kind in (Kind.START, Kind.INITIAL) for entry in read(rig.take_journal()))
 
 
 def test_a_lost_block_is_numbered_and_marked() -> None:
