@@ -146,8 +146,10 @@ def _to_word(meant: Mapping[tuple[type, object], str], value: object) -> object:
 
 
 def _list_to_names(value: object) -> object:
-    """ROS has no empty typed lists: `[""]` means none."""
-    return tuple(item for item in value if item != "") if isinstance(value, (list, tuple)) else value
+    """ROS has no empty typed lists: `[""]` means none. An item is one line: the journal has one item on each."""
+    if not isinstance(value, (list, tuple)):
+        return value
+    return tuple(item.replace("\n", " ") if isinstance(item, str) else item for item in value if item != "")
 
 
 def _list_to_floats(value: object) -> object:

@@ -57,6 +57,12 @@ def test_a_fault_that_has_ended_may_go_before_its_block_comes() -> None:
     resimulated(blocks, rig.take_journal())
 
 
+def test_a_planned_fault_of_two_lines_is_one_in_the_journal() -> None:
+    """A bug once: the journal keeps one item on a line, and a re-simulation took this for two faults."""
+    rig = Rig(config(instruments__faults__planned=["dropout\nchannel=laser\n"]))
+    resimulated(rig.advance(5 * TICK), rig.take_journal())
+
+
 def test_a_planned_fault_that_would_start_too_late_changes_nothing() -> None:
     """A bug once: it was refused when all else of the change was in force and in the journal."""
     rig = Rig(config())
