@@ -33,6 +33,8 @@ from impact_rig.instruments.registry import INSTRUMENTS
 
 DEFAULT_SPIKE_RATE_HZ = 10.0
 MOST = 2**53  # of the whole numbers: beyond, the journal's columns are not exact
+LARGEST_DRIFT_PPM = 5e5
+"""Of the scan clock: at a million slow it stands, and no tick ends; far beyond fast, one takes for ever."""
 _PACKED = struct.Struct("<QQd")
 _NUMBERS = ("start_s", "duration_s", "value", "seed", "rate_hz")
 
@@ -60,6 +62,8 @@ class Fault:
             if not math.isfinite(number) or (number < 0 and key != "value"):
                 rule = "finite" if key == "value" else "finite and >= 0"
                 raise CommandError(f"{key} of {self.kind} must be {rule}, got {number!r}")
+        if self.kind == "clock_drift" and abs(self.value) > LARGEST_DRIFT_PPM:
+            raise CommandError(f"value of clock_drift must be within {LARGEST_DRIFT_PPM:g} ppm, got {self.value!r}")
         for key in ("start_sample", "samples", "seed"):
             if getattr(self, key) > MOST:
                 raise CommandError(f"{key} of {self.kind} must be at most 2**53, got {getattr(self, key)}")
@@ -323,8 +327,9 @@ class FaultBoard:
         return any(active.fault.start_sample < first + count and active.end > first for active in lost)
 
     def clock_ppm(self, scan: int) -> float:
-        """Return by how much the scan clock is off at a scan because of faults [ppm]."""
+        """Return by how much the scan clock is off at a scan because of faults [ppm], at most LARGEST_DRIFT_PPM."""
         if not self._faults:
             return 0.0
         drifts = (active for active in self._faults if active.fault.kind == "clock_drift")
-        return math.fsum(active.fault.value for active in drifts if active.fault.start_sample <= scan < active.end)
+        total = math.fsum(active.fault.value for active in drifts if active.fault.start_sample <= scan < active.end)
+        return max(-LARGEST_DRIFT_PPM, min(LARGEST_DRIFT_PPM, total))

@@ -134,6 +134,14 @@ def test_clock_drift_adds_up():
     assert [chain.clock_ppm(tick) for tick in range(5)] == [0.0, 30.0, 20.0, -10.0, -10.0]
 
 
+def test_a_scan_clock_never_stands_nor_runs_backwards():
+    """A bug once: a drift of -2e6 ppm gave ticks of negative length and ended the rig, -1e6 ones that brought none."""
+    chain = Chain(configured(10_000))
+    for _ in range(3):
+        chain.inject(Fault(kind="clock_drift", value=-4e5))
+    assert chain.clock_ppm(0) == -5e5
+
+
 def test_starts_and_ends_are_written_down_once_each():
     chain = Chain(configured(10_000))
     first = chain.inject(Fault(kind="stuck", channel="base", start_sample=150, samples=100))
@@ -186,6 +194,7 @@ def test_the_past_cannot_be_changed():
             "start_sample of stuck must be finite and >= 0, got -1",
         ),
         ({"kind": "gain_error", "channel": "base", "value": np.nan}, "value of gain_error must be finite, got nan"),
+        ({"kind": "clock_drift", "value": -1e6}, "value of clock_drift must be within 500000 ppm, got -1000000.0"),
     ],
 )
 def test_nonsense_is_refused_by_name(fault, message):
