@@ -20,7 +20,7 @@ from impact_rig.arithmetic.interpolation import polynomials
 from impact_rig.errors import ConfigError
 from impact_rig.instruments.conversion import CHANNEL, STRETCH, TWO_D_FLAGS, to_units, to_volts
 from impact_rig.instruments.pieces import PIECES, Pieces
-from impact_rig.instruments.response import SENSOR_MODE, SERIES, first_value, set_period, settle, through_piece
+from impact_rig.instruments.response import SENSOR_MODE, SERIES, first_value, put_out, set_period, settle, through_piece
 from impact_rig.instruments.section import Setup
 from impact_rig.kernels import INTEGERS, REALS, REALS_2D, REALS_3D, Fields, entry, kernel
 from impact_rig.simtime import COMMAND_GRID_NS, COMMAND_GRID_S, NS_PER_S
@@ -127,6 +127,10 @@ def _respond(channel, modes, clock, pieces, coefficients, kicks, values, buffers
         channel.awake = 1
         if channel.settled != 0:
             settle(modes, first_value(coefficients[0]))
+    if channel.due < 0:  # a skew that became smaller has put it before these ticks: it is made at their start
+        values[channel.filled] = put_out(modes)
+        channel.filled += 1
+        channel.due += clock.period
     for tick in range(pieces.first.shape[0] - 1):
         for i in range(pieces.first[tick], pieces.first[tick + 1]):
             if kicks.shape[0] > 0:

@@ -89,6 +89,16 @@ def first_value(seen):  # type: ignore[no-untyped-def]
 
 
 @kernel
+def put_out(modes):  # type: ignore[no-untyped-def]
+    """Return what the modes put out at the start of the piece."""
+    value = 0.0
+    for k in range(modes.shape[0]):
+        mode = modes[k]
+        value += mode.residue_re * mode.psi_re - mode.residue_im * mode.psi_im
+    return value
+
+
+@kernel
 def _particular(mode, seen, half, psi):  # type: ignore[no-untyped-def]
     """Fill psi, shape (2, SERIES), with the particular answer to S; return its values at x = −1 and 1, re and im."""
     rate_re, rate_im = mode.pole_re * half, mode.pole_im * half

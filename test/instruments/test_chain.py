@@ -199,6 +199,24 @@ def test_every_channel_of_instruments_made_ideal_reads_each_scan_once(ticks):
     np.testing.assert_allclose(rows["current"], np.sin(2 * np.pi * 20.0 * (at - 0.01 * ticks)), atol=1e-9)
 
 
+@pytest.mark.parametrize("change", [{"adc.multiplexed": False}, {"adc.conversion_ns": 1000}], ids=["one", "sooner"])
+def test_a_scan_that_a_smaller_skew_puts_into_the_past_delays_no_other(change):
+    """A bug once: it was made at the tick's start, and all others of that piece came as much too late as it did."""
+    config = configured(1234, exact=True, base__bandwidth_hz=1e5)
+    then = from_flat(config, {f"instruments.{name}": value for name, value in change.items()})
+    motion, chain, twin = AnalyticMotion(x_b=sine(20.0, 10e-3)), Chain(config), Chain(then)
+    chain.acquire(motion, 0, 3)
+    begun = chain.first_open_scan
+    assert chain.ready < begun
+    chain.reconfigure(then)
+    chain.acquire(motion, 3, TICKS)
+    twin.acquire(motion, 0, 3 + TICKS)
+    assert chain.ready == twin.ready
+    scans, all_along = chain.read(chain.ready)["base"], twin.read(twin.ready)["base"]
+    np.testing.assert_allclose(scans[begun:], all_along[begun:], atol=1e-8)
+    assert abs(scans[begun - 1] - all_along[begun - 1]) < 22e-6 * 2 * np.pi * 20.0 * 10e-3  # at most as late as it was
+
+
 def test_certificate_tells_what_the_analysis_needs():
     info = Chain(configured(50_000)).info()
     assert info.dtype == DAQ_INFO
