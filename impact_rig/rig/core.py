@@ -437,6 +437,8 @@ class Rig:
         if any(name.startswith("drive.") for name in changed):
             generator(config)  # taken at the next reset, refused here
         model = tried(mechanics) if new_mechanics else None  # refused here, before anything is changed
+        if config.drive.kind != self._drive.kind:  # so is what the next reset would make of them
+            tried(config)
         if new_instruments:
             Chain(instruments)
         self._chain.reconfigure(instruments)  # always: the structure's mass and the fastest drive decide readings, too

@@ -40,6 +40,23 @@ def test_an_initial_drive_that_the_shaker_refuses_is_refused_when_it_is_set() ->
     assert rig.config == paper_rig()
 
 
+def test_a_shaker_that_a_new_kind_of_drive_cannot_move_is_refused_when_it_is_set() -> None:
+    """A bug once: a prescribed base has no shaker, so only the reset found out, and could not begin."""
+    stiff = {"shaker.coil_inductance_h": 1e-7}
+    for first, then in (({}, {**stiff, "drive.kind": "voltage"}), (stiff, {"drive.kind": "voltage"})):
+        rig = Rig(paper_rig(drive__kind="prescribed", drive__amplitude=0.0))
+        rig.configure(first)
+        before = rig.config
+        with pytest.raises(ConfigError, match="structure and shaker must have modes"):
+            rig.configure(then)
+        assert rig.config == before
+        rig.reset()
+    rig = Rig(paper_rig(drive__kind="prescribed", drive__amplitude=0.0))
+    rig.configure({"drive.kind": "voltage"})
+    with pytest.raises(ConfigError, match="structure and shaker must have modes"):
+        rig.configure(stiff)
+
+
 def test_a_reset_that_cannot_begin_changes_nothing() -> None:
     """A bug once: the new start was noted before the initial drive was refused, and time jumped."""
     rig, twin = Rig(paper_rig(drive__amplitude=2.0)), Rig(paper_rig(drive__amplitude=2.0))
