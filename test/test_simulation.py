@@ -79,3 +79,10 @@ def test_what_cannot_be_simulated_is_refused():
 def test_importing_the_package_loads_nothing_heavy():
     code = "import sys, impact_rig; print({'numpy', 'scipy', 'attrs'} & set(sys.modules))"
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "set()\n"
+
+
+def test_a_record_of_which_every_scan_was_withheld_is_drawn_empty():
+    """A bug once: the drawing asked for the time of the first scan."""
+    record = simulate(0.1, {"instruments.faults.planned": ["lost_block"]})
+    assert len(record.scans) == 0
+    assert record.plot().axes[0].get_title(loc="left") == str(record)
