@@ -155,7 +155,10 @@ class Resimulation:
 
     def finish(self, until_ns: int) -> None:
         """Give the rig what its journal says up to an instant, at which it was reset."""
-        while self._coming and self._instant(self._coming[0]) <= until_ns:
+        while self._coming and (
+            self._coming[0].kind is Kind.FAULT  # ordered ahead of the scan its row names
+            or self._instant(self._coming[0]) <= until_ns
+        ):
             next(self.blocks)
 
     def _run(self) -> Iterator[Block]:

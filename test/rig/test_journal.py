@@ -14,6 +14,7 @@ from impact_rig.instruments.fault import Fault
 from impact_rig.rig import Block, Rig
 from impact_rig.rig.config import RigConfig, from_flat, to_flat
 from impact_rig.rig.journal import JournalView, Kind, read, short_key, values_of
+from impact_rig.rig.resimulation import Resimulation
 
 
 def eventful(chosen: RigConfig, cuts: int) -> tuple[list[Block], list[Table], Rig]:
@@ -60,6 +61,18 @@ def test_a_resimulation_begins_at_the_last_reset() -> None:
     rig.accept(current_a=0.3)
     blocks += rig.advance(rig.start_ns + 20 * TICK)
     resimulated(blocks, rig.take_journal())
+
+
+def test_a_fault_ordered_ahead_does_not_end_what_a_resimulation_is_given_before_a_reset() -> None:
+    """A bug once: where no block came before the reset, changes behind such a fault were left out."""
+    rig = Rig(config(daq__block_scans=1000))
+    rig.inject(Fault(kind="dropout", channel="laser", start_sample=50_000))
+    rig.advance(2 * TICK)
+    rig.configure({"instruments.laser.lag_s": 1e-3})
+    again = Resimulation(rig.take_journal())
+    again.finish(3 * TICK)
+    assert [one.instruments.laser.lag_s for one in again.configurations] == [0.7e-3, 1e-3]
+    assert any(entry.kind is Kind.FAULT for entry in read(again.rig.take_journal()))
 
 
 def test_a_journal_with_a_missing_row_is_refused() -> None:
