@@ -131,10 +131,13 @@ class Stream:
         self._from, self._since, self._falls = 0.0, 0, True
         self._why = UNDERRUN
         self._sum_first, self._sum_count, self._sum = 0, 0, 0
+        self._ramp = 1
         self.set_ramp(shaker.ramp_s)
 
     def set_ramp(self, ramp_s: float) -> None:
-        """Ramp to zero within another time where samples are missing."""
+        """Ramp to zero within another time where samples are missing; a ramp under way starts again with it."""
+        if self.state is not State.PLAYING and self._falls and self._since:  # from where it is: the drive must not jump
+            self._from, self._since = self._from * (1.0 - self._since / self._ramp), 0
         self._ramp = max(1, math.ceil(ramp_s * self.rate_hz - 1e-9))
 
     def copy(self) -> Stream:

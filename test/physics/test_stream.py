@@ -107,6 +107,27 @@ def test_impacts_under_noise_agree_with_an_independent_integration():
     assert len(list(itertools.takewhile(lambda one: abs(one[0] - one[1]) < one[2], triples))) == 44
 
 
+@pytest.mark.parametrize(("ticks", "ramp_s"), [(30, 1.0), (12, 1.0), (15, 0.02)], ids=["at rest", "longer", "shorter"])
+def test_a_drive_that_ramps_for_want_of_samples_goes_on_from_where_it_is(ticks, ramp_s):
+    """Within another ramp time it comes down from there.
+
+    Once the place on the ramp was kept, in samples: a drive long at rest jumped to nine tenths of its last sample when
+    `shaker.ramp_s` was made ten times as long.
+    """
+    config = rig(drive={"waveform": "stream", "stream_rate_hz": 1000}, shaker={"ramp_s": 0.1})
+    generator = FunctionGenerator(config.drive, config.shaker, Random(1))
+    generator.stream.put(0, np.full(100, 0.3))
+    before = generator.segments(ticks)[-1]
+    now = before["amplitude"] + before["growth"] * before["duration"]
+    generator.set_ramp(ramp_s)
+    rows = generator.segments(110)
+    levels = np.append(now, rows["amplitude"] + rows["growth"] * rows["duration"])
+    assert np.abs(rows["amplitude"] - levels[:-1]).max() < 1e-12
+    assert np.diff(levels).max() <= 0.0
+    assert np.diff(levels).min() >= -now / (1000 * ramp_s) - 1e-12
+    assert levels[-1] == 0.0
+
+
 def impact_times(config: RigConfig, samples: NDArray[np.float64], seconds: int) -> NDArray[np.float64]:
     """When contacts begin, by the rig [s]."""
     _, impacts = driven(config, samples, seconds * TICKS_PER_S)
