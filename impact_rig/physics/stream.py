@@ -69,8 +69,11 @@ class Buffer:
         self._whole_to = 0  # all are there from the first one played to here
 
     def put(self, first: int, values: NDArray[np.float64]) -> None:
-        """Put the samples from number `first` on, no more than the capacity; none at all: they end there."""
-        self.ends = {end for end in self.ends if end >= first + len(values)}
+        """Put the samples from number `first` on, no more than the capacity; none at all: they end there.
+
+        An end is replaced by the sample of its number alone, not by later ones: in which order they come is lost.
+        """
+        self.ends = {end for end in self.ends if not first <= end < first + len(values)}
         if len(values) == 0:
             self.ends.add(first)
         numbers = np.arange(first, first + len(values))
@@ -161,6 +164,7 @@ class Stream:
         if first + len(values) > self.played + self.capacity:
             ahead = (self.time_ns(first + len(values)) - self.time_ns(self.played)) / NS_PER_S
             raise CommandError(f"the block reaches {ahead:.6g} s ahead, beyond drive.stream_buffer_s")
+        self.buffer.ends = {end for end in self.buffer.ends if end >= self.played}  # the others have had their effect
         late = min(len(values), max(0, self.played - first))
         if late < len(values) or len(values) == 0:
             self.buffer.put(max(first, self.played), values[late:])

@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 from kits.rig import TICK, config, impacts, same, samples
@@ -97,6 +99,34 @@ def test_missing_samples_ramp_to_zero_and_are_told():
     ]  # fmt: skip
     assert [text for key, _, text in told if key == "end"] == ["underrun", "ended"]
     assert rig.stream.missing == 2_500
+
+
+@pytest.mark.parametrize("order", list(itertools.permutations(range(4))))
+def test_an_end_is_one_in_whatever_order_it_comes(order):
+    """Two pieces with a pause, and their ends.
+
+    Once a later block or end made an earlier end forgotten: a pause that the controller had asked for was an underrun.
+    """
+    rig = stream_rig(drive__on_underrun="trip")
+    blocks = [(0, np.full(500, 0.3)), (500, []), (1_500, np.full(500, 0.1)), (2_000, [])]
+    for i in order:
+        rig.feed(*blocks[i])
+    rig.advance(NS_PER_S)
+    told = [(key, value, text) for key, value, text in rows(rig, []) if key != "crc32"]
+    pieces = [("begin", 0.0, ""), ("end", 500.0, "ended"), ("begin", 1_500.0, ""), ("end", 2_000.0, "ended")]
+    assert told == pieces
+    assert rig.latched is None
+    assert rig.stream.missing == 0
+
+
+def test_a_sample_takes_the_place_of_an_end():
+    rig = stream_rig()
+    rig.feed(0, np.full(500, 0.3))
+    rig.feed(500, [])
+    rig.feed(400, np.full(300, 0.3))
+    rig.feed(700, [])
+    rig.advance(NS_PER_S)
+    assert [(value, text) for key, value, text in rows(rig, []) if key == "end"] == [(700.0, "ended")]
 
 
 def test_what_an_underrun_does_can_be_chosen():
