@@ -267,14 +267,18 @@ class Simulation:
     def configure(self, config: Setup, model: Model | None = None) -> None:
         """Go on with another configuration: the structure keeps its motion, the sphere rests at its start again.
 
+        A locked base stays locked.
+
         Args:
             config: the configuration.
             model: its model, where that has been built.
         """
         y = self._structure()
         self._config = config
-        model = model or build(config, self._rtol)
-        if not self.locked:
+        if self.locked:
+            self._model = build(config, self._rtol, kind="prescribed")
+        else:
+            model = model or build(config, self._rtol)
             if model.systems[SPHERE_LOOSE].states != self._model.systems[SPHERE_LOOSE].states:  # another kind of drive
                 y = np.zeros(STRUCTURE)
             self._model = model

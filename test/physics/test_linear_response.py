@@ -115,6 +115,29 @@ def test_free_decay_of_the_locked_rig(zeta):
     assert not motion.quantity("x_b", np.arange(500), np.zeros(500)).any()
 
 
+def test_a_locked_rig_goes_on_with_another_configuration():
+    """It decays as the new structure does, and its sphere begins at the new wall.
+
+    Once only `config` told of the change: structure, gap and law in force were those of the pluck until the reset.
+    """
+    simulation = Simulation(rig(sphere={"present": False}))
+    simulation.pluck(5e-3)
+    other = rig(sphere={"present": False}, structure={"damping_ratio": 0.05, "natural_frequency_hz": 20.0})
+    simulation.configure(other)
+    motion = simulation.advance(sine(9.1, 0.5, 0.01, 100))  # and is still locked
+    simulation.reset()
+    simulation.configure(other)
+    simulation.pluck(5e-3)
+    wanted = simulation.advance(sine(9.1, 0.5, 0.01, 100))
+    instants = np.arange(100), np.zeros(100)
+    assert np.array_equal(motion.quantity("x_1", *instants), wanted.quantity("x_1", *instants))
+    assert not motion.quantity("x_b", *instants).any()
+
+    simulation.configure(rig(barriers={"gap_m": 2e-3}))
+    assert simulation.locked
+    assert simulation.state()[5] == -1e-3
+
+
 def test_logarithmic_decrement_gives_the_damping_ratio():
     config = rig(sphere={"present": False})
     simulation = Simulation(config)
