@@ -74,6 +74,23 @@ def test_a_high_bouncing_ball_doubles_its_period_where_holmes_says():
     assert arcs[1].orbits[-1].kind == "flip"
 
 
+@pytest.mark.parametrize("beyond", [1e-4, 0.02, 0.1])
+def test_a_branch_tells_of_a_change_just_before_the_end_of_the_range(beyond):
+    """The logistic map's flip at 3, in the last step up to the edge or before it.
+
+    Once the last step was taken for its end alone: a branch turned unstable there and said nothing.
+    """
+
+    def logistic(z: np.ndarray, p: float) -> np.ndarray:
+        return p * z * (1.0 - z)
+
+    start = orbits.orbit(logistic, np.array([0.6]), 2.5)
+    assert start is not None
+    arc = orbits.followed(logistic, start, 1.0, (2.0, 3.0 + beyond))
+    assert (arc.end, arc.orbits[-1].p, arc.orbits[-1].stable) == ("edge", 3.0 + beyond, False)
+    assert [(change.kind, round(change.orbit.p, 8)) for change in arc.changes] == [("flip", 3.0)]
+
+
 @attrs.frozen
 class Bouncer:
     """A ball on a table under gravity, made of the rig itself: g is a slow acceleration of a soft structure.

@@ -149,7 +149,11 @@ def followed(
             edge = limits[0] if new.p < limits[0] else limits[1]
             share = (edge - here.p) / (new.p - here.p)
             last = orbit(f, here.z + share * (new.z - here.z), edge)
-            orbits += [] if last is None else [attrs.evolve(last, note=noted(last))]
+            if last is not None:
+                if float(last.tangent @ here.tangent) < 0.0:
+                    last = attrs.evolve(last, tangent=-last.tangent)
+                changes += [attrs.evolve(one, note=noted(one.orbit)) for one in _changes(f, here, last)]
+                orbits.append(attrs.evolve(last, note=noted(last)))
             return Arc(tuple(orbits), tuple(changes), "edge")
         changes += [attrs.evolve(one, note=noted(one.orbit)) for one in _changes(f, here, new)]
         orbits.append(attrs.evolve(new, note=noted(new)))
