@@ -74,6 +74,22 @@ def test_a_high_bouncing_ball_doubles_its_period_where_holmes_says():
     assert arcs[1].orbits[-1].kind == "flip"
 
 
+@pytest.mark.parametrize("aside", [0.09, 0.12, 0.15])
+def test_an_orbit_that_the_last_round_finds_is_found(aside):
+    """At a fold Newton's method halves the distance in each round, and takes all of them from a little way off.
+
+    Once what the last round found was looked at no more, and thrown away.
+    """
+
+    def touching(z: np.ndarray, _p: float) -> np.ndarray:
+        return z - z * z
+
+    assert aside**2 / 4.0**orbits.ROUNDS < orbits.TOLERANCE < aside**2 / 4.0 ** (orbits.ROUNDS - 1)
+    found = orbits.orbit(touching, np.array([aside]), 0.0)
+    assert found is not None
+    assert found.residual < orbits.TOLERANCE
+
+
 @pytest.mark.parametrize("beyond", [1e-4, 0.02, 0.1])
 def test_a_branch_tells_of_a_change_just_before_the_end_of_the_range(beyond):
     """The logistic map's flip at 3, in the last step up to the edge or before it.

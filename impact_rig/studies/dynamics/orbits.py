@@ -196,7 +196,7 @@ def _corrected(f: Map, z: Real, p: float, tangent: Real | None) -> Orbit | None:
             if share < _SHORTEST:
                 return _told(f, y) if size < ROUNDED else None
         y, residual = trial, after
-    return None
+    return _told(f, y) if float(np.abs(residual).max()) <= TOLERANCE else None  # the last round may have found it
 
 
 def _extended(f: Map, y: Real, tangent: Real | None) -> Real:
