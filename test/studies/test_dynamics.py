@@ -511,6 +511,8 @@ def test_the_exponent_stands_beside_the_regime_in_a_map_that_asks(tmp_path, caps
         ("continue", "continue: {from: 0.02, to: 0.01, at: 0.02}", "continue.to must be > 0.02"),
         ("continue", "continue: {from: 0.01, to: 0.02, at: 0.03}", r"continue.at\[0\] must be"),
         ("bifurcation", "bifurcation: {over: gap_m, values: [-1, 0.02]}", "barriers.gap_m must be"),
+        ("bifurcation", "bifurcation: {over: frequency_hz, values: [0, 9.1]}", r"bifurcation.values\[0\] must be > 0"),
+        ("exponent", "exponent: {over: current_a, values: [0.5, -0.5]}", r"exponent.values\[1\] must be > 0"),
         ("basin", "basin: {sphere_position_m: [0.5], sphere_speed_m_s: [0, 1]}", r"basin.sphere_position_m\[0\]"),
         ("exponent", "exponent: {over: gap_m, values: [0.02], windows: 1}", "exponent.windows must be"),
         ("exponent", "set: {daq.seed: 1}\nexponent: {}", "means nothing to"),

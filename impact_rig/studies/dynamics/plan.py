@@ -264,7 +264,8 @@ def _parameter(kind: str, given: Mapping[str, object], place: Place) -> str:
 
 def _over(kind: str, given: Mapping[str, object], place: Place) -> tuple[str, tuple[float, ...]]:
     over = _parameter(kind, given, place)
-    values = tuple(sorted(axes.numbers(f"{kind}.values", given.get("values"), -math.inf)))
+    least = 0.0 if over in (FREQUENCY, CURRENT) else -math.inf  # of the others the configuration has the range
+    values = tuple(sorted(axes.numbers(f"{kind}.values", given.get("values"), least)))
     for value in (values[0], values[-1]):
         at(place, over, value)
     return over, values
