@@ -15,7 +15,7 @@ import attrs
 import numpy as np
 
 from impact_rig.maps.measure import Reading
-from impact_rig.maps.plan import CURRENT, FREQUENCY, GAP, RESET, Line, MapPlan, Search, measure_line
+from impact_rig.maps.plan import CURRENT, FREQUENCY, GAP, MapPlan, Search, measure_line
 from impact_rig.rig.config import to_flat
 
 REGION_POINTS = 1.0  # reductions within so many points of the best one belong to its region
@@ -97,17 +97,7 @@ def _best(known: dict[float, Reading]) -> float:
 
 def _measured(plan: MapPlan, over: str, values: tuple[float, ...], **changed: float) -> list[Reading]:
     """Return the readings at values of one parameter, others changed by their names."""
-    line = Line(
-        changes=plan.changes(),
-        settings=plan.settings,
-        held={name: value for name, value in changed.items() if name != over},
-        along=over,
-        values=values,
-        direction=RESET,
-        frequency_hz=plan.frequency_hz,
-        current_a=plan.current_a,
-    )
-    return measure_line(line)
+    return measure_line(plan.search_line(over, values, {name: one for name, one in changed.items() if name != over}))
 
 
 def _sensitivity(plan: MapPlan, over: str, best: float) -> dict[str, float]:

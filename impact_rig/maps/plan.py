@@ -151,6 +151,19 @@ class MapPlan:
         """Return the rig's values that differ from the default."""
         return differences(self.base)
 
+    def search_line(self, over: str, values: tuple[float, ...], held: Mapping[str, float] | None = None) -> Line:
+        """Return the line of values of one parameter from a reset rig, which a search measures, others held."""
+        return Line(
+            changes=self.changes(),
+            settings=self.settings,
+            held=held or {},
+            along=over,
+            values=values,
+            direction=RESET,
+            frequency_hz=self.frequency_hz,
+            current_a=self.current_a,
+        )
+
     def lines(self) -> list[Line]:
         """Return all lines in order."""
         others = {name: values for name, values in self.axes.items() if name != self.sweep}
@@ -283,8 +296,12 @@ def refuse_owned(key: str, name: str) -> None:
 
 
 def _check_corners(plan: MapPlan) -> None:
-    """Refuse values at the ends of the axes that cannot be simulated, before anything runs."""
-    for line in plan.lines()[:: max(1, len(plan.lines()) - 1)]:
+    """Refuse values at the ends of the axes and of the search that cannot be simulated, before anything runs."""
+    lines = plan.lines()
+    ends = lines[:: max(1, len(lines) - 1)]
+    if plan.search is not None:
+        ends.append(plan.search_line(plan.search.over, (plan.search.low, plan.search.high)))
+    for line in ends:
         for value in (line.values[0], line.values[-1]):
             changes, frequency, current, sphere = line.place(value)
             if not (frequency > 0.0 and current > 0.0):

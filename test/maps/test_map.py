@@ -281,6 +281,10 @@ def test_three_axes_are_one_picture_each(tmp_path):
     assert [one.name for one in drawn] == ["map_reset_0", "map_reset_1"]
 
 
+SEARCH = "optimum: {{over: {}, from: {}, to: {}}}\naxes: {{gap_m: [0.01, 0.02], current_a: [0.4, 0.5]}}"
+"""A wrong end of the search was once found when the whole map had been measured."""
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
@@ -299,6 +303,10 @@ def test_three_axes_are_one_picture_each(tmp_path):
             "optimum: {over: gap, from: 1, to: 2}\naxes: {gap_m: [0.01, 0.02], frequency_hz: [9, 9.1]}",
             "optimum.over: unknown axis 'gap'",
         ),
+        (SEARCH.format("contact.restitution", 0.5, 2), "contact.restitution must be .* <= 1, got 2"),
+        (SEARCH.format("contact.rest", 0.5, 0.6), "unknown key 'contact.rest'"),
+        (SEARCH.format("gap_m", "1.0e-7", 0.02), "barriers.gap_m must be"),
+        (SEARCH.format("sphere_position_m", 0.001, 0.5), "sphere_position_m must be"),
         ("axes: [", "not a YAML file"),
     ],
 )
