@@ -14,6 +14,7 @@ from collections.abc import Sequence
 import attrs
 import numpy as np
 
+from impact_rig.errors import ConfigError
 from impact_rig.maps.measure import Reading
 from impact_rig.maps.plan import CURRENT, FREQUENCY, GAP, MapPlan, Search, measure_line
 from impact_rig.rig.config import to_flat
@@ -106,13 +107,22 @@ def _sensitivity(plan: MapPlan, over: str, best: float) -> dict[str, float]:
     nominal |= {FREQUENCY: plan.frequency_hz, CURRENT: plan.current_a, over: best}
     found = {}
     for name, value in nominal.items():
-        low, high = (
-            _measured(plan, over, (factor * best,))[0]
-            if name == over
-            else _measured(plan, over, (best,), **{name: factor * value})[0]
-            for factor in (1.0 - _SHARE, 1.0 + _SHARE)
-        )
-        found[name] = (high.reduction_percent - low.reduction_percent) / (200.0 * _SHARE)
+        reductions = []
+        for factor in (1.0 - _SHARE, 1.0 + _SHARE):
+            try:
+                one = (
+                    _measured(plan, over, (factor * best,))[0]
+                    if name == over
+                    else _measured(plan, over, (best,), **{name: factor * value})[0]
+                )
+            except ConfigError:  # beyond the range of the value: the difference to the other side alone
+                continue
+            reductions.append((factor, one.reduction_percent))
+        if len(reductions) < 2:
+            reductions.append((1.0, _measured(plan, over, (best,))[0].reduction_percent))
+        (_, low), (_, high) = sorted(reductions)
+        sides = sum(factor != 1.0 for factor, _ in reductions)
+        found[name] = (high - low) / (100.0 * sides * _SHARE)
     return found
 
 

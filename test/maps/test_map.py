@@ -223,6 +223,23 @@ def test_the_best_gap_agrees_with_the_prediction(small):
     assert best["points_per_percent"]["sphere.density_kg_m3"] > 0.1
 
 
+def test_what_an_optimum_hangs_on_is_told_at_the_end_of_a_range_too(tmp_path):
+    """Of e = 1 there is no more: the difference to less of it.
+
+    Once an elastic contact's optimum was refused when all was measured, because e = 1.005 is none.
+    """
+    search = "optimum: {over: gap_m, from: 0.0279, to: 0.0281, points: 5}\nset: {contact.restitution: 1.0}"
+    plan = load_map(written(tmp_path, f"{search}\naxes: {{gap_m: [0.01, 0.02], current_a: [0.4, 0.5]}}"))
+    best = optimum.find(plan, plan.search)
+
+    def reduction(e: float) -> float:
+        config = from_flat(plan.base, {"barriers.gap_m": best.value, "contact.restitution": e})
+        return MapRig(config, plan.settings).measure(plan.frequency_hz, plan.current_a).reduction_percent
+
+    assert best.points_per_percent["contact.restitution"] == (reduction(1.0) - reduction(0.995)) / 0.5
+    assert np.isfinite(list(best.points_per_percent.values())).all()
+
+
 def test_the_best_of_a_map_and_its_neighbours():
     assert optimum.from_map([10.0, 49.5, 50.0, 49.2, 30.0], [1, 2, 3, 4, 5]) == (3.0, (2.0, 4.0))
 
