@@ -300,6 +300,24 @@ def test_both_branches_are_the_slow_invariant_manifold(over_gap):
     assert event(over_gap, "fold")["value"] == pytest.approx(widest, rel=0.02)
 
 
+@pytest.mark.parametrize(
+    ("friction", "gap_m"), [(2.0, 0.006), (0.3, 0.1), (0.05, 0.2)], ids=["held", "held and sliding", "sliding"]
+)
+def test_an_orbit_of_a_sphere_that_only_rubs_is_what_the_motion_settles_to(friction, gap_m, tmp_path):
+    """No impacts, and yet it is no free sphere: held it is a mass more, sliding it damps.
+
+    Once every motion without impacts was taken for one of a free sphere, which rests: the orbit was another one.
+    """
+    rig = f"set: {{sphere.guide_friction: {friction}, barriers.gap_m: {gap_m}}}\n"
+    measure = "measure: {settle_tolerance: 1.0e-6, settle_cycles: 2000}\n"
+    (one,) = study(tmp_path, "orbit", f"{rig}{measure}orbit: {{}}")
+    settled = study(tmp_path, "bifurcation", f"{rig}{measure}bifurcation: {{over: frequency_hz, values: 9.1}}")[0]
+    assert (one["impacts_per_cycle"], one["event"]) == (0.0, "stable")
+    assert one["dt"] == pytest.approx(settled["dt"], rel=1e-6)
+    assert one["loss_factor"] == pytest.approx(one["dt_loss_factor"], rel=1e-5, abs=1e-12)
+    assert abs(one["imbalance_j"]) < 1e-9 * one["work_j"]
+
+
 def test_energy_per_cycle_closes_and_gives_the_loss_factor_of_dt(over_gap):
     for row in over_gap:
         assert abs(row["imbalance_j"]) <= 1e-8 * row["work_j"]

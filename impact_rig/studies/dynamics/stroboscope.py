@@ -85,7 +85,7 @@ class Stroboscope:
     def __init__(self, place: Place, over: str, unit: float) -> None:
         self._place, self._over, self._unit, self.cycles = place, over, unit, 1
         self.turn = 0.0
-        self._quiet = False
+        self._quiet, self._aside = False, 0.0
         self._free = list(COORDINATES[place.config.drive.kind])
         self.scale = np.ones(len(self._free))
         self._at = self._model = build(place.config)
@@ -115,7 +115,10 @@ class Stroboscope:
         _, frequency, amplitude = self.place(p)
         self.cycles = int(reading.period) if math.isfinite(reading.period) else 1
         self._quiet = not reading.impacts_per_cycle
-        self._free = [i for i in self._free if not (self._quiet and i in SPHERE)]
+        if self._quiet:  # without impacts it does not matter where the sphere is, and without friction not how fast
+            sphere = self.place(p).config.sphere
+            left_out = SPHERE[:1] if sphere.present and sphere.guide_friction > 0.0 else SPHERE
+            self._free = [i for i in self._free if i not in left_out]
         motion = rig.advance(frequency, amplitude, self.cycles)
         self.turn = _longest_flight(motion, self.cycles)
         part = np.zeros(1, SEGMENT)
@@ -124,6 +127,8 @@ class Stroboscope:
         state = rig.simulation.state()
         if state is None:
             raise SimulationError("the sphere is never free of the walls: there is no section")
+        d, rate = state[list(SPHERE)]
+        self._aside = d if rate else 0.0  # one that is held may lie at a wall, where its neighbours would strike
         self.scale = size(self.place(p), state)[self._free]
         return state[self._free] / self.scale
 
@@ -189,7 +194,9 @@ class Stroboscope:
         """Return all that `Simulation.set_state` wants."""
         state = np.zeros(7)
         state[self._free] = z * self.scale
-        if self._quiet:
+        if self._quiet and SPHERE[1] in self._free:
+            state[SPHERE[0]] = self._aside
+        elif self._quiet:
             state[list(SPHERE)] = -state[:2]
         if place.config.drive.kind == "prescribed":
             angle = _TURN * self.turn
