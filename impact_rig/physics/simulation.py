@@ -325,10 +325,11 @@ class Simulation:
         s = self._work.states[0]
         s["y"][:], s["d"], s["d_rate"] = y, d, rate
         p = self._model.parameters[0]
-        if rate == 0.0 and p["sphere_present"] and (p["friction_acceleration"] > 0.0 or abs(d) >= p["half_gap"]):
-            s["phase"], s["side"] = ATTACHED, np.sign(d) if abs(d) >= p["half_gap"] else 0.0
-        elif p["friction_acceleration"] > 0.0:
-            s["slide"] = np.sign(rate)
+        if p["sphere_present"]:
+            if rate == 0.0 and (p["friction_acceleration"] > 0.0 or abs(d) >= p["half_gap"]):
+                s["phase"], s["side"] = ATTACHED, np.sign(d) if abs(d) >= p["half_gap"] else 0.0
+            elif p["friction_acceleration"] > 0.0:
+                s["slide"] = np.sign(rate)
         if self._account:
             self._work.ledger[0] = np.zeros((), LEDGER)
             self._stored = self.stored_energy()

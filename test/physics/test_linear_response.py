@@ -138,6 +138,19 @@ def test_a_locked_rig_goes_on_with_another_configuration():
     assert simulation.state()[5] == -1e-3
 
 
+def test_a_state_put_back_knows_no_friction_of_a_sphere_that_is_not_there():
+    """Once the guide's friction then pushed the structure to one side, and was booked as a loss."""
+    simulation = Simulation(rig(sphere={"present": False, "guide_friction": 0.3}), account=True)
+    simulation.advance(sine(9.1, 0.5, 0.01, 37))
+    twin = simulation.copy()
+    twin.set_state(simulation.state())
+    motions = [one.advance(sine(9.1, 0.5, 0.01, 100, first=37)) for one in (simulation, twin)]
+    ticks, zeros = np.arange(37, 137), np.zeros(100)
+    assert np.array_equal(*(motion.quantity("x_1", ticks, zeros) for motion in motions))
+    assert twin.energy().friction == 0.0
+    assert abs(twin.energy().imbalance) < 1e-12 * twin.energy().work
+
+
 def test_logarithmic_decrement_gives_the_damping_ratio():
     config = rig(sphere={"present": False})
     simulation = Simulation(config)
