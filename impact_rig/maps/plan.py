@@ -205,7 +205,7 @@ def load_map(path: Path, workers: int | None = None, resolved: RigConfig | None 
     Args:
         path: of the file.
         workers: cores it would run on; None: those of this machine.
-        resolved: the rig, instead of the file's `config` and `set`.
+        resolved: the rig, instead of the file's `config` and `set`: of a map that is there, which need not be run.
 
     Raises:
         ConfigError: the file cannot be read or is wrong; the message names key, value, range and file.
@@ -214,7 +214,8 @@ def load_map(path: Path, workers: int | None = None, resolved: RigConfig | None 
 
     def read(document: object, text: str) -> MapPlan:
         plan = _read(axes.mapping("a map", document), path, text, resolved)
-        allow_time(plan.points, workers)
+        if resolved is None:
+            allow_time(plan.points, workers)
         _check_corners(plan)
         return plan
 

@@ -338,6 +338,15 @@ def test_a_map_that_would_take_too_long_is_refused_with_its_time(tmp_path, monke
         load_map(written(tmp_path, text), workers=2)
 
 
+def test_a_map_that_took_long_is_opened_on_any_machine(small, tmp_path, monkeypatch):
+    """What is measured takes no time any more; once it was refused with the time that it would take here."""
+    plan, directory = small
+    monkeypatch.setattr("impact_rig.maps.plan.LIMIT_S", 1e-6)
+    with pytest.raises(BudgetError):
+        load_map(written(tmp_path))
+    assert run.open_map(directory).plan.points == plan.points
+
+
 def test_a_directory_of_something_else_is_left_alone(small, tmp_path):
     plan, _ = small
     (tmp_path / "mine.txt").write_text("mine")
