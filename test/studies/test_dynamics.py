@@ -17,7 +17,7 @@ from kits.mechanics import TWO_PI, limit_case, sine
 from scipy.optimize import brentq
 
 from impact_rig.cli.main import main
-from impact_rig.errors import ConfigError
+from impact_rig.errors import ConfigError, SimulationError
 from impact_rig.maps.measure import MapRig, Settings
 from impact_rig.physics import Simulation
 from impact_rig.physics.prediction import Rig
@@ -339,6 +339,21 @@ def marched(place: Place, over: str, values: np.ndarray) -> float:
             break
         last = value
     return last
+
+
+def test_a_section_of_a_motion_that_cannot_be_resolved_is_empty(tmp_path, monkeypatch):
+    """Once it was that of the first cycles from rest, for the rig had been reset."""
+    real, calls = Simulation.advance, []
+
+    def fail_first(self: Simulation, segments: np.ndarray) -> object:
+        calls.append(len(segments))
+        if len(calls) == 1:
+            raise SimulationError("stuck")
+        return real(self, segments)
+
+    monkeypatch.setattr(Simulation, "advance", fail_first)
+    assert study(tmp_path, "section", "section: {cycles: 3}") == []
+    assert len(calls) == 1
 
 
 def test_marching_keeps_the_branch_until_it_changes_and_gives_its_dt(over_gap):

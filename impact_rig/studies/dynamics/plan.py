@@ -309,7 +309,8 @@ def _points(rig: MapRig, place: Place, cycles: int, turn: float) -> list[list[fl
 def _section(task: Task, start: Start, cycles: int, turn: float) -> list[Row]:
     place = task.place
     rig = _begun(place, start, task.settings)
-    rig.measure(place.frequency_hz, place.amplitude)
+    if rig.measure(place.frequency_hz, place.amplitude).regime == FAILED:
+        return []  # the rig has been reset: what it would do next has not settled
     return [tuple(point) for point in _points(rig, place, cycles, turn)]
 
 
