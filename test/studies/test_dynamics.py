@@ -90,6 +90,30 @@ def test_an_orbit_that_the_last_round_finds_is_found(aside):
     assert found.residual < orbits.TOLERANCE
 
 
+@pytest.mark.parametrize("moves", [0, 1, 3])
+def test_a_branch_that_meets_itself_is_closed_in_whatever_coordinates(moves):
+    """A circle, whose coordinates are shifted on the way.
+
+    Once the first orbit was not: it was never met again, and the branch went round and round.
+    """
+    shift = 0.0
+
+    def circle(z: np.ndarray, p: float) -> np.ndarray:
+        return z - 0.3 * ((z - shift) ** 2 + p * p - 1.0)
+
+    def moved(points: list[tuple[np.ndarray, float]]) -> list[np.ndarray] | None:
+        nonlocal moves, shift
+        if not moves:
+            return None
+        moves, shift = moves - 1, shift + 0.7
+        return [z + 0.7 for z, _ in points]
+
+    start = orbits.orbit(circle, np.array([0.9]), 0.3)
+    arc = orbits.followed(circle, start, 1.0, (-2.0, 2.0), moved=moved)
+    assert arc.end == "closed"
+    assert [(change.kind, round(change.orbit.p, 6)) for change in arc.changes] == [("fold", 1.0), ("fold", -1.0)]
+
+
 @pytest.mark.parametrize("beyond", [1e-4, 0.02, 0.1])
 def test_a_branch_tells_of_a_change_just_before_the_end_of_the_range(beyond):
     """The logistic map's flip at 3, in the last step up to the edge or before it.

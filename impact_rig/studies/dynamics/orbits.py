@@ -21,7 +21,7 @@ Applications of Bifurcation Theory, Academic Press, 359–384.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 
 import attrs
 import numpy as np
@@ -115,7 +115,7 @@ def followed(
     longest: float = 0.1,
     points: int = 400,
     noted: Callable[[Orbit], object] = lambda _: None,
-    moved: Callable[[Real, float, Real, float], tuple[Real, Real] | None] = lambda *_: None,
+    moved: Callable[[Sequence[tuple[Real, float]]], list[Real] | None] = lambda _: None,
 ) -> Arc:
     """Return the branch of an orbit one way.
 
@@ -127,12 +127,12 @@ def followed(
         longest: step along the arc.
         points: at most.
         noted: asked for the `note` of every orbit while `f` is read in its coordinates.
-        moved: given the newest two points (z, p, z, p), returns both z in other coordinates in which `f` is to be read
-            from now on, or None.
+        moved: given the first point (z, p) and the newest two, returns the z of all in other coordinates in which `f`
+            is to be read from now on, or None.
     """
     orbits: list[Orbit] = []
     changes: list[Change] = []
-    here, length = start, longest / 4.0
+    here, length, first = start, longest / 4.0, start.z
     if way * here.tangent[-1] < 0.0:
         here = attrs.evolve(here, tangent=-here.tangent)
     while len(orbits) < points:
@@ -157,10 +157,11 @@ def followed(
             return Arc(tuple(orbits), tuple(changes), "edge")
         changes += [attrs.evolve(one, note=noted(one.orbit)) for one in _changes(f, here, new)]
         orbits.append(attrs.evolve(new, note=noted(new)))
-        if len(orbits) > 3 and np.abs(np.append(new.z - start.z, new.p - start.p)).max() < 0.5 * length:
+        if len(orbits) > 3 and np.abs(np.append(new.z - first, new.p - start.p)).max() < 0.5 * length:
             return Arc(tuple(orbits), tuple(changes), "closed")
-        secant = moved(here.z, here.p, new.z, new.p)
-        if secant is not None:  # seen in other coordinates from now on
+        seen = moved([(first, start.p), (here.z, here.p), (new.z, new.p)])
+        if seen is not None:  # in other coordinates from now on
+            first, *secant = seen
             told = _told(f, np.append(secant[1], new.p))
             if told is None:
                 return Arc(tuple(orbits), tuple(changes), "lost")

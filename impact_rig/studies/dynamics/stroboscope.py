@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import functools
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -132,18 +133,18 @@ class Stroboscope:
         self.scale = size(self.place(p), state)[self._free]
         return state[self._free] / self.scale
 
-    def moved(self, z_0: Real, p_0: float, z_1: Real, p_1: float) -> tuple[Real, Real] | None:
-        """Return two points of a branch at another section if an impact is near this one, else None."""
-        motion = self._run(z_1, p_1, self.cycles)
+    def moved(self, points: Sequence[tuple[Real, float]]) -> list[Real] | None:
+        """Return points of a branch at another section if an impact of the last is near this one, else None."""
+        motion = self._run(*points[-1], self.cycles)
         turns = motion.impacts["offset"] / motion.segments["duration"][0]
         if not len(turns) or np.abs((turns + 0.5) % 1.0 - 0.5).min() > CLOSE:
             return None
         turn, old = (self.turn + _longest_flight(motion, self.cycles)) % 1.0, self.turn
         found = []
-        for z, p in ((z_0, p_0), (z_1, p_1)):
+        for z, p in points:
             self.turn = old
             found.append(self._moved(z, p, turn))
-        return found[0], found[1]
+        return found
 
     def properties(self, z: Real, p: float) -> Properties:
         """Return what the orbit through z does."""
@@ -207,7 +208,7 @@ class Stroboscope:
     def _moved(self, z: Real, p: float, turn: float) -> Real:
         """Return the coordinates at another section, which is the one from now on."""
         later = (turn - self.turn) % 1.0
-        if later == 0.0:
+        if later == 0.0 or not np.isfinite(z).all():  # one that stood in a contact at an earlier section stays unknown
             return z
         self._run(z, p, later)
         state = self._simulation.state()
