@@ -408,11 +408,15 @@ class Tracker:
 
     def _report_no_frequency(self, until: int) -> None:
         assert self._calibration is not None
-        self._impacts_ahead.clear()
+        self._forget_impacts(until)
         while until - self._origin >= self._calibration.rate_hz:
             self._origin += self._calibration.rate_hz
             frequency = self._command.frequency_hz if self._command else math.nan
             self._emit(Measurement(status=Status.NO_FREQUENCY, frequency_hz=frequency), self._origin - 1)
+
+    def _forget_impacts(self, before: int) -> None:
+        """Forget the impacts before a scan; those after it are of scans that are held back."""
+        self._impacts_ahead = [left for found in self._impacts_ahead if len(left := found[found["scan"] >= before])]
 
     def _counted(self, window: Cycles, accumulator: Accumulator) -> Cycles:
         """Return the window with its impacts counted per cycle; impacts after it are kept."""

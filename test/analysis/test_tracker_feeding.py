@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from kits.records import applied, blocks, feed_all, info_rows, words
+from kits.records import add_impacts, applied, blocks, feed_all, info_rows, words
 from kits.tracker import QUICK, RATE, fingerprint, record, run_scenario, tracker
 
 from impact_rig.analysis.tracker import Tracker
@@ -53,6 +53,20 @@ def test_a_command_delivered_late_changes_nothing(late_ns):
 def test_a_command_later_than_that_is_counted():
     made = run_scenario(20, late_ns=200_000_000)[2]
     assert made.counters.late_events == 1
+
+
+@pytest.mark.parametrize("size", [1000, 5000])
+def test_no_impact_is_lost_where_the_first_command_comes(size):
+    """Scans are held back, their impacts are known before: a second without a command once forgot those after it."""
+    rows, times = record(seconds=9.0), (np.arange(160) + 0.3) / 18.2
+    add_impacts(rows["accelerometer"], RATE, times, np.full(160, 0.4), np.resize([1, -1], 160))
+    found = []
+    for cut in (20, size):
+        made = tracker(None, gap_m=0.006)
+        made.on_applied(applied(9.1, at_ns=NS_PER_S))
+        found.append(feed_all(made, blocks(rows, RATE, cut))[0])
+    assert words(found[0]) == ["no_frequency", "ok"]
+    assert fingerprint(found[0], ()) == fingerprint(found[1], ())
 
 
 @pytest.mark.parametrize("start_ns", [1_763_700_000_123_456_789, -5_000_000_000])
