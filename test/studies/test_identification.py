@@ -120,6 +120,16 @@ def test_a_fit_that_has_not_converged_is_called_consistent_by_nobody(monkeypatch
     assert (found.converged, found.consistent) == (False, False)
 
 
+@pytest.mark.parametrize("without", [None, "decay", "sine"])
+def test_a_fit_without_reductions_converges_and_is_consistent(without):
+    """Forces and masses may be multiplied by one factor, and that once never came to rest: each fit was called bad."""
+    measured = synthetic(np.random.default_rng(0))
+    found = identify(attrs.evolve(measured, **{without: None}) if without else measured, RigConfig())
+    assert (found.converged, found.consistent) == (True, True)
+    if without != "sine":
+        assert abs(found.log_constants[0] - logarithms(TRUTH)[0]) < LIMIT * found.information.u_relative[0]
+
+
 def test_what_is_wrongly_taken_as_known_raises_an_alarm():
     rng = np.random.default_rng(0)
     measured = attrs.evolve(synthetic(rng), reduced=reduced(rng, (0.002, 0.010)))

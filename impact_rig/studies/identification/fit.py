@@ -164,7 +164,7 @@ U_SIMULATED = 1e-4
 """Relative standard uncertainty of a ratio beside its noise: transients that the analysis calls settled."""
 SIGNIFICANCE = 0.01  # a fit as bad as this or worse by chance alone is an alarm
 ITERATIONS = 30
-CONVERGED = 1e-9
+CONVERGED = 1e-4  # a step this small, in standard uncertainties, ends the fit of the closed forms
 ROUNDS = 8  # of adjusting the constants to the reductions, at most; each simulates all derivatives anew
 SMALL = 0.05  # a step this small, in standard uncertainties, ends them
 RANK = 1e-6
@@ -231,9 +231,11 @@ def identify(
     theta, nuisance = _begun(measured, start), np.zeros(len(NUISANCES))
     converged = False
     for _ in range(ITERATIONS if measured.decay or measured.sine else 0):
-        change, along = _step(*_linear(measured, known, theta, nuisance))
+        residual, jacobian, bent = _linear(measured, known, theta, nuisance)
+        change, along = _step(residual, jacobian, bent)
         theta, nuisance = theta + change, nuisance + along
-        converged = bool(max(np.abs(change).max(), np.abs(along).max()) < CONVERGED)
+        # seen by the data: along what they do not determine, rounding in the derivatives moves the constants for ever
+        converged = bool(np.linalg.norm(jacobian @ change + bent @ along) < CONVERGED)
         if converged:
             break
     residual, jacobian, bent = _linear(measured, known, theta, nuisance)
