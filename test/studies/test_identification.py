@@ -130,6 +130,20 @@ def test_a_fit_without_reductions_converges_and_is_consistent(without):
         assert abs(found.log_constants[0] - logarithms(TRUTH)[0]) < LIMIT * found.information.u_relative[0]
 
 
+def test_a_phase_of_almost_half_a_turn_may_come_out_on_either_side_of_it():
+    """Far above resonance x_1 lags by half a turn; noise once made it lead by that, a whole turn off the model."""
+    measured = synthetic(np.random.default_rng(0))
+    assert measured.sine is not None
+    phase, u = measured.sine.phase_rad.copy(), measured.sine.u_phase.copy()
+    u[-1] = 0.05  # a weak signal
+    for lag in (np.pi - 0.02, np.pi + 0.02):
+        phase[-1] = np.angle(np.exp(-1j * lag))
+        found = identify(
+            attrs.evolve(measured, sine=attrs.evolve(measured.sine, phase_rad=phase, u_phase=u)), RigConfig()
+        )
+        assert found.consistent
+
+
 def test_what_is_wrongly_taken_as_known_raises_an_alarm():
     rng = np.random.default_rng(0)
     measured = attrs.evolve(synthetic(rng), reduced=reduced(rng, (0.002, 0.010)))

@@ -389,14 +389,16 @@ def _linear(measured: Measured, known: RigConfig, theta: Real, nuisance: Real) -
         current = gains.relative(CURRENT, sine.base_m)
         model = _model(known, theta, sine.frequency_hz)
         derivative = np.stack(
-            [(_model(known, theta + STEP * e, sine.frequency_hz) - model) / STEP for e in np.eye(len(NAMES))], axis=2
+            [_apart(_model(known, theta + STEP * e, sine.frequency_hz), model) / STEP for e in np.eye(len(NAMES))],
+            axis=2,
         )
         data = np.stack([np.log(sine.dt), np.log(sine.base_per_a), sine.phase_rad])
         u = np.stack([sine.u_amplitude, sine.u_amplitude, sine.u_phase])
         effects = np.stack([laser - base, base - current, np.zeros_like(base)])
+        off = _apart(model, data)
         for row in range(3):
             told = np.isfinite(data[row])  # a point whose current is unsound tells DT and phase
-            residuals.append(((model[row] + effects[row] @ nuisance - data[row]) / u[row])[told])
+            residuals.append(((off[row] + effects[row] @ nuisance) / u[row])[told])
             slopes.append((derivative[row] / u[row][:, None])[told])
             bends.append((effects[row] / u[row][:, None])[told])
     prior = _prior(measured)
@@ -407,6 +409,13 @@ def _linear(measured: Measured, known: RigConfig, theta: Real, nuisance: Real) -
     bends = [bent * uncertain for bent in bends]
     bends.append(np.diag(1.0 / width))
     return np.concatenate(residuals), np.concatenate(slopes), np.concatenate(bends)
+
+
+def _apart(one: Real, other: Real) -> Real:
+    """Return the difference of two arrays as `_model` returns them; of phases the smallest."""
+    difference = one - other
+    difference[2] -= 2.0 * math.pi * np.round(difference[2] / (2.0 * math.pi))
+    return difference
 
 
 def _prior(measured: Measured) -> Real:
