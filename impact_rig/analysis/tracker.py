@@ -184,7 +184,7 @@ class Tracker:
         index = scan_index(scan.stamp_ns, rate, self._start_ns)
         times = rows["time"]
         first, last = float(times[0]) * rate, float(times[-1]) * rate
-        if not math.isfinite(last - first) or round(last) - round(first) != len(rows) - 1:
+        if not math.isfinite(last - first) or round(first) != 0 or round(last) != len(rows) - 1:
             return self._feed_broken(scan, np.rint(times * rate))
         impacts: list[Table] = []
         if index != self._buffer.end or not self._started:
@@ -227,7 +227,7 @@ class Tracker:
         return Findings(measurements)
 
     def _feed_broken(self, scan: Table, numbers: NDArray[np.float64]) -> Findings:
-        """Feed a block with scans missing inside it as the whole runs it consists of.
+        """Feed a block with scans missing at its beginning or inside it as the whole runs it consists of.
 
         Scans whose times are no such runs (another rate than `daq/info` says, or no numbers) count as lost.
         """

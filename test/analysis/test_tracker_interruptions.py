@@ -77,6 +77,19 @@ def test_a_hole_inside_a_block_is_found():
     assert made.counters.lost_scans == 10
 
 
+def test_a_hole_at_the_beginning_of_a_block_is_found():
+    """Its scans were once taken for those that are missing: the hole was averaged in, and found at the next block."""
+    first, second = blocks(record(seconds=13.0), RATE, [12_000, 14_000])
+    made = tracker()
+    found = made.feed(first).measurements + made.feed(Table(second.stamp_ns, second.rows[100:])).measurements
+    found += made.flush().measurements
+    assert words(found) == ["ok", "lost_blocks", "ok"]
+    assert found[1].stamp_ns == 6 * NS_PER_S - NS_PER_S // RATE
+    assert found[2].rows[0]["waited"] == pytest.approx(48 / 9.1, abs=1 / RATE)
+    assert found[2].stamp_ns == pytest.approx((6.05 + 48 / 9.1) * NS_PER_S, abs=NS_PER_S / RATE)
+    assert made.counters.lost_scans == 100
+
+
 @pytest.mark.parametrize("times", ["another_rate", "nan", "backwards", "jitter"])
 def test_scans_that_are_no_runs_are_lost_not_measured(times):
     """Another rate than daq/info says, or times that are none: counted, and no recursion."""
