@@ -137,10 +137,11 @@ class Tracker:
         if content == self._info:
             return
         self._info = content
-        newest_start_ns = self._resets[-1].start_ns if self._resets else self._start_ns
         if self._calibration is None:
             self._use(_Reset(start_ns, calibration))
-        elif start_ns == newest_start_ns and calibration.rate_hz == self._calibration.rate_hz:
+            return
+        newest = self._resets[-1] if self._resets else _Reset(self._start_ns, self._calibration)
+        if start_ns == newest.start_ns and calibration.rate_hz == newest.calibration.rate_hz:
             self._schedule(info.stamp_ns, calibration)
         else:
             self._resets.append(_Reset(start_ns, calibration))

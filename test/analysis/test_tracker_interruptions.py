@@ -8,7 +8,7 @@ import attrs
 import numpy as np
 import pytest
 from kits.records import applied, blocks, feed_all, info_rows, linear_transmissibility, words
-from kits.tracker import QUICK, RATE, record, run_scenario, tracker
+from kits.tracker import QUICK, RATE, fingerprint, record, run_scenario, tracker
 
 from impact_rig.analysis import tracker as tracker_module
 from impact_rig.analysis.cycles import Accumulator
@@ -146,6 +146,27 @@ def test_after_a_reset_everything_is_as_in_a_new_record(late, silence_ns):
     after = [table for table in found if table.stamp_ns >= reset_ns]
     assert [table.stamp_ns for table in after] == [table.stamp_ns for table in expected]
     assert b"".join(table.rows.tobytes() for table in after) == b"".join(t.rows.tobytes() for t in expected)
+
+
+@pytest.mark.parametrize("rate_hz", [RATE, 2 * RATE])
+def test_a_calibration_that_overtakes_the_scans_after_a_reset_acts_from_its_stamp(rate_hz):
+    """Where the reset had changed the rate, it was once taken for another reset, and acted from there on."""
+    reset_ns, changed_s = 2 * NS_PER_S, 6.0
+    changed = info_rows(rate_hz, since_start=changed_s)
+    changed["sensitivity_uncertainty"] = 0.01
+    found = []
+    for first in (0, 1):  # the block of the new record before which it is delivered
+        made = tracker()
+        measurements, _ = feed_all(made, blocks(record(seconds=2.0), RATE, 20))
+        made.configure(Table(reset_ns, info_rows(rate_hz)))
+        for number, table in enumerate(blocks(record(seconds=12.0, rate_hz=rate_hz), rate_hz, 40, start_ns=reset_ns)):
+            if number == first:
+                made.configure(Table(reset_ns + round(changed_s * NS_PER_S), changed))
+            measurements += made.feed(table).measurements
+        found.append(measurements)
+        assert made.counters.restarts == 1
+    assert words(found[0]) == ["restarted", "ok", "calibration_changed", "ok"]
+    assert fingerprint(found[0], ()) == fingerprint(found[1], ())
 
 
 @pytest.mark.parametrize("kind", ["label", "calibration", "current"])
