@@ -332,6 +332,7 @@ class Tracker:
                 self._interrupt(Status.LABEL_CHANGED)
                 self._gap_m = gap_m
                 self._struck, self._placed = math.nan, index
+                self._forget_impacts(index)  # of the window that is broken off: they were of another gap
             case Calibration():
                 self._interrupt(Status.CALIBRATION_CHANGED)
                 self._calibration = event

@@ -270,6 +270,18 @@ def test_a_response_without_impacts_is_settled_when_a_drifting_sphere_would_have
     assert quiet[0]["impact_age"] == pytest.approx(age_s, abs=0.7, nan_ok=True)
 
 
+def test_a_drifting_sphere_is_waited_for_from_when_the_gap_was_set():
+    """An impact in the window that the label broke off once counted as the last one: a second too early here."""
+    rows = struck(record(seconds=22.0), np.arange(0.2, 6.7, 0.0549))
+    made = tracker(gap_m=0.010, tracker_settings=TrackerSettings(window_s=1.3, wait_limit_s=40.0, slowest_speed=1e-3))
+    made.label(0.011, 7_800_000_000)  # the window from 6.6 s on is not complete then
+    measurements, _ = feed_all(made, blocks(rows, RATE, 20))
+    assert words(measurements) == ["label_changed", "ok"]
+    row = measurements[1].rows[0]
+    assert row["waited"] >= 11.0
+    assert np.isnan(row["impact_age"])
+
+
 def test_regular_impacts_are_waited_for_no_longer():
     rows = struck(record(seconds=7.0), (np.arange(126) + 0.3) / 18.2)
     row = feed_all(tracker(gap_m=0.006), blocks(rows, RATE, 20))[0][0].rows[0]
