@@ -38,6 +38,7 @@ from impact_rig.states import Status
 MIN_CYCLES = 4
 MIN_POINTS = 32
 MIN_SAMPLES_FOR_HARMONICS = 20  # scans per cycle from which second and third harmonic are fitted too
+MIN_SAMPLES_PER_CYCLE = 5  # as many as a cycle's fit without harmonics has columns
 LINE_FACTOR = 20.0  # a spectral line this far above the expected largest one of noise is a vibration
 SIGNAL_FACTOR = 10.0  # a cycle's amplitude in standard uncertainties from which its logarithm is used
 DIFFERENT = 6.0
@@ -218,6 +219,8 @@ def _start(y: Real, rate_hz: float) -> tuple[float, float] | Status:
         return Status.TOO_FEW_CYCLES
     if power[peak] < LINE_FACTOR * np.median(power[1:-1]) * math.log(len(power)):
         return Status.SILENCE  # no line stands out of the noise
+    if padded < MIN_SAMPLES_PER_CYCLE * (peak + 1):  # refined, the frequency is perhaps almost that of the next line
+        return Status.NO_FIT
     omega = 2.0 * math.pi * peak * rate_hz / padded
     phasors, middles, noise = _cycle_phasors(level, rate_hz, omega)
     used = _strong(phasors, noise)

@@ -44,6 +44,16 @@ def test_a_noiseless_decay_gives_back_its_parameters(method, f_n, zeta, phase, a
 
 
 @METHODS
+@pytest.mark.parametrize("rate_hz", [19.0, 30.0, 40.0, 45.0, 46.0])
+def test_a_rate_at_which_a_cycle_has_too_few_samples_gives_no_fit(method, rate_hz):
+    """Below five of them its fit was a singular matrix, and its error all that the user saw."""
+    rng = np.random.default_rng(3)
+    y = decay(20.0, rate_hz) + 1e-6 * rng.standard_normal(round(20 * rate_hz))
+    found = method(y, rate_hz)
+    assert found.status is (Status.NO_FIT if rate_hz < 46.0 else Status.OK)
+
+
+@METHODS
 def test_acceptance_on_a_locked_base_decay(method):
     """f_n within 0.02 %, ζ within 2 %: laser steps of 8 µm, 3 µm of noise, 10 kS/s, 5 mm."""
     rng = np.random.default_rng(1)
