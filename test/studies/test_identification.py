@@ -345,6 +345,27 @@ def test_a_recorded_pluck_gives_what_a_pluck_of_our_own_gives(directory, tmp_pat
     assert "nothing was plucked in this run (rig/pluck)" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("ended_by", ["lost blocks", "reset"])
+def test_a_recorded_decay_ends_where_its_scans_do_not_follow_one_another(tmp_path, ended_by):
+    """What came later was once joined to it: a jump that was called impacts, or the vibration of the next drive."""
+    plucked = Rig(from_flat(TRUTH, {"sphere.present": False}))
+    plucked.pluck(DISPLACEMENT_M)
+    scans = [("daq/scan", block.scan) for block in plucked.advance(8 * NS_PER_S)]
+    if ended_by == "reset":
+        plucked.reset()
+        plucked.accept(9.5, 0.5)
+    later = [("daq/scan", block.scan) for block in plucked.advance(plucked.frontier_ns + 4 * NS_PER_S)]
+    beside = [("daq/info", plucked.info()), *(("rig/journal", table) for table in plucked.take_journal())]
+    record(tmp_path / "alone", [*beside, *scans])
+    record(tmp_path / "more", [*beside, *scans, *later[3 if ended_by == "lost blocks" else 0 :]])
+    found = []
+    for name in ("alone", "more"):
+        with open_run(tmp_path / name) as recorded:
+            found.append(recorded_decay(recorded))
+    assert found[0] == found[1]
+    assert found[0].status is Status.OK
+
+
 @pytest.mark.slow
 def test_the_shipped_rig_is_near_the_best_fit_to_the_paper():
     """As docs/identification.md says: f_n and ζ follow from five reductions; a free current as well would not."""

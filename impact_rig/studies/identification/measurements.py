@@ -9,6 +9,7 @@ nuisance parameters with the certificate's standard uncertainties; what is left 
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
@@ -20,7 +21,7 @@ from impact_rig import topics
 from impact_rig.analysis.calibration import U_CUBIC, Calibration, Real
 from impact_rig.analysis.decay import Decay, DecayMethod, fit_decay, measure_decay
 from impact_rig.analysis.reduction import repeatability
-from impact_rig.analysis.scans import BASE, CURRENT, LASER, samples_of
+from impact_rig.analysis.scans import BASE, CURRENT, LASER, Recent, samples_of
 from impact_rig.blocks import joined
 from impact_rig.campaign.axes import NO_SPHERE
 from impact_rig.campaign.results import Curves, Point
@@ -190,6 +191,8 @@ def measured_decay(config: RigConfig, method: DecayMethod = fit_decay) -> Decay:
 def recorded_decay(run: Run, method: DecayMethod = fit_decay) -> Decay:
     """Measure the decay after the last pluck of a recorded run by a fit, or by `method`.
 
+    It ends where the rig is reset, or where scans are missing: the scans of a decay are consecutive.
+
     A measurement of somebody's own rig has no journal: its decay begins where the structure is farthest from where it
     comes to rest.
 
@@ -202,20 +205,28 @@ def recorded_decay(run: Run, method: DecayMethod = fit_decay) -> Decay:
         rest = x_1[-max(1, len(x_1) // 4) :].mean()
         begin = int(np.argmax(np.abs(x_1 - rest))) + round(SETTLE_S * record.rate_hz)
         return measure_decay(record.rows[begin:], calibration_rows(run), method)
-    plucks = [
-        table.stamp_ns + round(float(row["time"]) * NS_PER_S)
-        for table in run.tables(topics.JOURNAL.name, recorded_order=True)
-        for row in table.rows
-        if row["kind"] == Kind.PLUCK.value.encode()
-    ]
-    if not plucks:
+    begin_ns: int | None = None
+    end_ns = math.inf
+    for table in run.tables(topics.JOURNAL.name, recorded_order=True):
+        for row in table.rows:
+            at_ns = table.stamp_ns + round(float(row["time"]) * NS_PER_S)
+            if row["kind"] == Kind.PLUCK.value.encode():
+                begin_ns, end_ns = at_ns, math.inf
+            elif row["kind"] == Kind.RESET.value.encode():
+                end_ns = min(end_ns, at_ns)
+    if begin_ns is None:
         raise RecordingError(f"{run.path}: nothing was plucked in this run (rig/pluck)")
     info = list(run.tables(topics.INFO.name, recorded_order=True))[-1]
-    first = plucks[-1] + round(SETTLE_S * NS_PER_S)
-    parts = [table.rows for table in run.tables(topics.SCAN.name, recorded_order=True) if table.stamp_ns >= first]
-    if not parts:
+    first = begin_ns + round(SETTLE_S * NS_PER_S)
+    decay = Recent(float(info.rows["rate"][0]), sys.maxsize)
+    for table in run.tables(topics.SCAN.name, recorded_order=True):
+        if first <= table.stamp_ns < end_ns:
+            if decay.count and not decay.follows(table):
+                break
+            decay.add(table)
+    if not decay.count:
         raise RecordingError(f"{run.path}: no scans after the pluck")
-    return measure_decay(np.concatenate(parts), info.rows, method)
+    return measure_decay(decay.rows(), info.rows, method)
 
 
 # --- Simulated reductions, and their derivatives along one orbit: the mechanics alone, settled to 1e-6. ln(DT with /
