@@ -235,3 +235,14 @@ def test_a_history_of_any_file_is_in_si_units_at_the_rate_of_the_rig(tmp_path):
         history(tmp_path / "a.npz", 2_000, "A")
     with pytest.raises(ConfigError, match="'mA' is no unit of m"):
         history(tmp_path / "a.csv", 2_000, "m", "drive")
+
+
+@pytest.mark.parametrize("file_hz", [3_000.0, 1.5e6, 7e6])
+def test_a_history_of_any_rate_keeps_its_length(tmp_path, file_hz):
+    """Down by more than a thousand it once took half as long again, or ended in an error of the resampling."""
+    np.savez(
+        tmp_path / "a.npz", drive=np.sin(2.0 * np.pi * 9.0 * np.arange(round(0.2 * file_hz)) / file_hz), fs=file_hz
+    )
+    found = history(tmp_path / "a.npz", 1_000, "A", "drive")
+    assert len(found) == 200
+    assert np.abs(found - np.sin(2.0 * np.pi * 9.0 * np.arange(200) / 1_000))[20:-20].max() < 0.01

@@ -25,7 +25,7 @@ from impact_rig.studies.excitation.response import Response
 from impact_rig.system import budget
 
 P = TypeVar("P", bound=attrs.AttrsInstance)
-MOST_RATIO = 1000  # of two rates in smallest numbers: what is resampled between them
+MOST_RATIO = 1000  # the smaller of two rates in smallest numbers: what is resampled between them
 
 
 def load(path: Path, kind: type[P]) -> P:
@@ -118,7 +118,10 @@ def history(
         raise ConfigError(f"a rate must be a whole number of Hz above 0, got {rate_hz}")
     if not len(values) or not np.all(np.isfinite(values)):
         raise RecordingError(f"{path}: the signal has no samples, or some that are not finite")
-    ratio = Fraction(rate_hz / found_hz).limit_denominator(MOST_RATIO)
+    if rate_hz >= found_hz:
+        ratio = Fraction(rate_hz / found_hz).limit_denominator(MOST_RATIO)
+    else:  # of a small number with such a denominator little is left
+        ratio = 1 / Fraction(found_hz / rate_hz).limit_denominator(MOST_RATIO)
     budget.allow(f"samples at {rate_hz} Hz of {path}", int(len(values) * ratio), foreign_files.VALUES)
     if ratio == 1:
         return scale * values
