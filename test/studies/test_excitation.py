@@ -9,9 +9,11 @@ from pathlib import Path
 import attrs
 import numpy as np
 import pytest
+from kits.recorded_rig import record
 from scipy import signal
 
-from impact_rig.errors import CommandError, ConfigError
+from impact_rig.blocks import Table
+from impact_rig.errors import CommandError, ConfigError, RecordingError
 from impact_rig.operate.hardware import Exchange, Hardware, InProcess
 from impact_rig.physics.linear import constants, input_vectors, state_matrix
 from impact_rig.rig import Rig
@@ -246,3 +248,19 @@ def test_a_history_of_any_rate_keeps_its_length(tmp_path, file_hz):
     found = history(tmp_path / "a.npz", 1_000, "A", "drive")
     assert len(found) == 200
     assert np.abs(found - np.sin(2.0 * np.pi * 9.0 * np.arange(200) / 1_000))[20:-20].max() < 0.01
+
+
+def test_a_run_with_a_gap_is_no_history(tmp_path):
+    """Its scans were once joined, and played more slowly by as much as was missing; one scan divided by no time."""
+    rig = Rig(from_flat(RigConfig(), {"daq.rate_hz": 2_000, "daq.block_scans": 20}))
+    scans = [("daq/scan", block.scan) for block in rig.advance(2_000_000_000)]
+    whole = [("daq/info", rig.info()), *scans]
+    record(tmp_path / "whole", whole)
+    assert len(history(tmp_path / "whole", 2_000, "A")) == 4_000
+    record(tmp_path / "holed", whole[:50] + whole[51:])
+    with pytest.raises(RecordingError, match="without a gap"):
+        history(tmp_path / "holed", 2_000, "A")
+    one = [("daq/scan", Table(table.stamp_ns, table.rows[:1])) for _, table in scans[:1]]
+    record(tmp_path / "one", [*whole[:1], *one])
+    with pytest.raises(RecordingError, match="1 scans in 0 s"):
+        history(tmp_path / "one", 2_000, "A")

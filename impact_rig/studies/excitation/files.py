@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping
 from fractions import Fraction
 from pathlib import Path
@@ -103,7 +104,7 @@ def history(
 
     Raises:
         ConfigError: which signal or rate is meant is not known, or its unit is of another kind.
-        RecordingError: the file is damaged.
+        RecordingError: the file is damaged, or scans of the run are missing.
     """
     if path.is_dir() or path.suffix == ".mcap":
         values, found_hz, unit = *_of_run(path, name or channel or "current"), ""
@@ -135,7 +136,13 @@ def _of_run(path: Path, name: str) -> tuple[NDArray[np.float64], float]:
         raise ConfigError(f"{path} has no channel {name!r}")
     rows = np.concatenate([table.rows[name] for table in tables]).astype(float)
     seconds = (tables[-1].stamp_ns - tables[0].stamp_ns) * 1e-9 + float(tables[-1].rows["time"][-1])
-    return rows, round((len(rows) - 1) / seconds, 3)
+    if not seconds > 0.0:
+        raise RecordingError(f"{path}: {len(rows)} scans in {seconds:g} s are no signal")
+    rate_hz = (len(rows) - 1) / seconds
+    for table, after in itertools.pairwise(tables):
+        if abs((after.stamp_ns - table.stamp_ns) * 1e-9 * rate_hz - len(table.rows)) > 0.5:
+            raise RecordingError(f"{path}: scans are missing: what is played must be without a gap")
+    return rows, round(rate_hz, 3)
 
 
 def _of_file(path: Path, name: str | None, unit: str, file_hz: float | None) -> tuple[NDArray[np.float64], float, str]:
