@@ -99,6 +99,8 @@ class ImpactDetector:
             (float(calibration.lag[ACCELEROMETER]) - float(calibration.skew[ACCELEROMETER])) * rate,
         ])  # fmt: skip
         look_ahead = max(LOOK_AHEAD_SCANS, math.ceil(LOOK_AHEAD_S * rate))
+        self.behind = 2 * look_ahead + math.ceil(max(self._limits[5], 0.0))
+        """Scans after which an impact is known: its onset may lie before the crossing, and the sensor lags."""
         self._times = np.array([look_ahead, round(BLANK_S * rate), round(QUIET_RING_TIMES * ring_time * rate)])
         self._history = np.zeros(HISTORY_MASK + 1)
         self._state = np.zeros(7)

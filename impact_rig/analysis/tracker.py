@@ -65,7 +65,7 @@ class Findings:
 
 
 ADD_S = 0.05  # scans are added to their cycle this late at most: in few steps, without a long buffer
-MIN_HOLD_SCANS = 16  # impacts are known this many scans after they happened; cycles are closed no earlier
+MIN_HOLD_SCANS = 16  # cycles are closed no earlier than this, nor before all impacts in them are known
 
 
 class _Command(NamedTuple):
@@ -256,8 +256,9 @@ class Tracker:
 
     def _use(self, reset: _Reset) -> None:
         self._start_ns, self._calibration = reset.start_ns, reset.calibration
-        self._hold = max(MIN_HOLD_SCANS, math.ceil(self._settings.hold_s * reset.calibration.rate_hz))
         self._detector = ImpactDetector(reset.calibration, self._impact_settings)
+        wanted = math.ceil(self._settings.hold_s * reset.calibration.rate_hz)
+        self._hold = max(MIN_HOLD_SCANS, self._detector.behind, wanted)
 
     def _begin_again(self, reset: _Reset) -> None:
         """Measure what came before a reset, and start anew with the scans after it that are held back already."""

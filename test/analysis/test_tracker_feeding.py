@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import functools
 
+import attrs
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -67,6 +68,20 @@ def test_no_impact_is_lost_where_the_first_command_comes(size):
         found.append(feed_all(made, blocks(rows, RATE, cut))[0])
     assert words(found[0]) == ["no_frequency", "ok"]
     assert fingerprint(found[0], ()) == fingerprint(found[1], ())
+
+
+def test_an_impact_just_before_the_end_of_a_window_is_known_when_the_window_is_closed():
+    """At 200 kS/s it is known 30 scans later; without a time to hold back the window was once closed after 16."""
+    rate_hz, frequency_hz = 200_000, 97.0
+    rows = record(frequency_hz, 1.05, rate_hz=rate_hz)
+    times = (np.arange(200) + 0.999) / (2 * frequency_hz)
+    add_impacts(rows["accelerometer"], rate_hz, times, np.full(200, 0.4), np.resize([1, -1], 200))
+    ages = []
+    for size in (20, 1000):
+        made = tracker(frequency_hz, rate_hz=rate_hz, tracker_settings=attrs.evolve(QUICK, hold_s=0.0), gap_m=0.006)
+        ages += [float(table.rows["impact_age"][0]) for table in feed_all(made, blocks(rows, rate_hz, size))[0]]
+    assert len(ages) == 2
+    assert max(ages) < 10 / rate_hz
 
 
 @pytest.mark.parametrize("start_ns", [1_763_700_000_123_456_789, -5_000_000_000])
