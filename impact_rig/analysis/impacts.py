@@ -44,7 +44,7 @@ RING_SCANS = 8
 """Below 20 kS/s the pulse itself falls between the scans and the high-pass rings longer than the sensor."""
 FORERUNNER = 4.0
 """A swing to the other side, this much larger, is the pulse; what crossed before was its forerunner or the flank."""
-HISTORY_MASK = 63
+HISTORY_MASK = 511  # an onset is looked for as far back as twice the look-ahead: 300 scans at the highest rate
 MIN_RATE_HZ = 2_000
 """Below this rate contacts fall between the scans: nothing is detected."""
 
