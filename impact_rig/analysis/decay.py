@@ -5,9 +5,9 @@
     y(t) = C + D t + e^{−λt} (A cos ω_d t + B sin ω_d t),   λ = ζω_n,   ω_d = ω_n √(1 − ζ²)
     ω_n = √(ω_d² + λ²),   ζ = λ/ω_n;      decrement per cycle δ = 2πλ/ω_d,   ζ = δ/√(4π² + δ²)
 
-Gain, offset, skew and lag of the sensor scale and shift the decay without changing either value. Its curve does not: a
-gain that changes by κ (a/a_0)² with the amplitude a bends the envelope, and ζ by up to κ/2 (`bent`). So u(f_n) is that
-of noise (density near ω_d, as in `sine`) and clock, u(ζ) that of noise and curve.
+Gain, offset, skew and lag of the sensor scale and shift the decay without changing either value. Its curve does: a
+gain that changes by κ (a/a_0)² with the amplitude a bends the envelope, and ζ by κ/2 or more (`bent`). So u(f_n) is
+that of noise (density near ω_d, as in `sine`) and clock, u(ζ) that of noise and curve.
 
 A record in which the accelerometer shows impacts has no ζ: the sphere takes energy as long as it strikes. Nor has one
 whose two halves decay at different rates, whatever the cause. Both are refused.
@@ -121,7 +121,7 @@ def _one_rate(y: Real, rate_hz: float, omega: float, bend: float) -> bool:
 def bent(decay_per_s: float, seconds: float) -> float:
     """Return Δζ/ζ per κ: what a gain of 1 + κ (a/a_0)² does to the slope of ln a, fitted with weights a².
 
-    1/2 for a record that holds the whole decay, less for a shorter one.
+    1/2 for a record that holds the whole decay, more for a shorter one, up to 2.
     """
     k = 2.0 * decay_per_s * seconds
     weight, first, second = _moments(k)
