@@ -239,7 +239,7 @@ class Judge:
         status = why.status
         self._windows.clear()
         self._ratios.clear()
-        self._whole, self._due, self._remnant = 0, None, math.nan
+        self._whole, self._due, self._remnant, self._waited_windows = 0, None, math.nan, 0
         if status is self._broken and self._since_row < self._settings.windows:
             return None
         self._broken, self._since_row = status, 0

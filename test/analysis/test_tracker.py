@@ -100,6 +100,17 @@ def test_the_bound_of_waiting_is_kept_and_named():
     assert 10.0 <= first["waited"] < 11.0
 
 
+def test_windows_that_were_thrown_away_are_no_wait():
+    """After a channel had been over range for longer than the bound, the first 8 windows were given as they were."""
+    truth = linear_transmissibility(9.1)
+    rows = record(seconds=50.0, transient=lambda t: truth * (1 + 0.05 * np.sin(3.3 * t) + 0.03 * np.sin(1.3 * t)))
+    rows["status"][: 26 * RATE] = 2
+    made = tracker(tracker_settings=TrackerSettings(window_s=0.1, wait_limit_s=25.0))
+    found = [table.rows[0] for table in feed_all(made, blocks(rows, RATE, 20))[0]]
+    assert {row["status"] for row in found[:-1]} == {b"over_range"}
+    assert (found[-1]["status"], found[-1]["regime"], found[-1]["cycles"]) == (b"ok", b"modulated", 192)
+
+
 def test_a_modulated_response_is_labelled_and_measured_long():
     truth = linear_transmissibility(9.2)
     rows = record(9.2, 30.0, transient=lambda t: truth * (1 + 0.03 * np.cos(2.7 * t)))
