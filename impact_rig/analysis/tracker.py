@@ -111,7 +111,7 @@ class Tracker:
         self._accumulator: Accumulator | None = None
         self._window = 0
         self._impacts_ahead: list[NDArray[np.void]] = []
-        self._struck = math.nan  # scan of the last impact in a window judged
+        self._struck = math.nan  # scan of the last impact before what was reported last
         self._placed = 0  # scan from which the label holds
         self._rows: list[Table] = []
         self._state = State(Analysis.NO_SCANS)
@@ -332,8 +332,8 @@ class Tracker:
                     return
                 self._interrupt(Status.LABEL_CHANGED)
                 self._gap_m = gap_m
+                self._pass_impacts(index)  # of the window that is broken off: they were of another gap
                 self._struck, self._placed = math.nan, index
-                self._forget_impacts(index)  # of the window that is broken off: they were of another gap
             case Calibration():
                 self._interrupt(Status.CALIBRATION_CHANGED)
                 self._calibration = event
@@ -411,15 +411,20 @@ class Tracker:
 
     def _report_no_frequency(self, until: int) -> None:
         assert self._calibration is not None
-        self._forget_impacts(until)
         while until - self._origin >= self._calibration.rate_hz:
             self._origin += self._calibration.rate_hz
+            self._pass_impacts(self._origin)
             frequency = self._command.frequency_hz if self._command else math.nan
             self._emit(Measurement(status=Status.NO_FREQUENCY, frequency_hz=frequency), self._origin - 1)
+        self._pass_impacts(until)
 
-    def _forget_impacts(self, before: int) -> None:
-        """Forget the impacts before a scan; those after it are of scans that are held back."""
-        self._impacts_ahead = [left for found in self._impacts_ahead if len(left := found[found["scan"] >= before])]
+    def _pass_impacts(self, before: int) -> None:
+        """Keep of the impacts before a scan when the last one was; those after it are of scans that are held back."""
+        impacts = joined([NO_IMPACTS, *self._impacts_ahead])
+        later = int(np.searchsorted(impacts["scan"], before))
+        self._impacts_ahead = [impacts[later:]] if later < len(impacts) else []
+        if later:
+            self._struck = float(impacts["scan"][later - 1])
 
     def _counted(self, window: Cycles, accumulator: Accumulator) -> Cycles:
         """Return the window with its impacts counted per cycle; impacts after it are kept."""
@@ -447,6 +452,7 @@ class Tracker:
                 self._refuse(status)
 
     def _refuse(self, status: Status) -> None:
+        self._pass_impacts(self._measured)
         frequency = self._command.frequency_hz if self._command else math.nan
         self._emit(Measurement(status=status, frequency_hz=frequency), self._measured - 1)
 

@@ -288,6 +288,7 @@ def test_a_drifting_sphere_is_waited_for_from_when_the_gap_was_set():
     made.label(0.011, 7_800_000_000)  # the window from 6.6 s on is not complete then
     measurements, _ = feed_all(made, blocks(rows, RATE, 20))
     assert words(measurements) == ["label_changed", "ok"]
+    assert measurements[0].rows["impact_age"][0] == pytest.approx(7.8 - 6.679, abs=0.06)
     row = measurements[1].rows[0]
     assert row["waited"] >= 11.0
     assert np.isnan(row["impact_age"])

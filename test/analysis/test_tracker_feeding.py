@@ -67,6 +67,7 @@ def test_no_impact_is_lost_where_the_first_command_comes(size):
         made.on_applied(applied(9.1, at_ns=NS_PER_S))
         found.append(feed_all(made, blocks(rows, RATE, cut))[0])
     assert words(found[0]) == ["no_frequency", "ok"]
+    assert found[0][0].rows["impact_age"][0] < 0.1, "it once said that there had been none"
     assert fingerprint(found[0], ()) == fingerprint(found[1], ())
 
 
