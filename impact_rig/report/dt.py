@@ -429,9 +429,12 @@ def regime_map(curves: Curves) -> Iterator[Drawn]:
     for row, gap in enumerate(cases):
         for column, frequency in enumerate(FREQUENCIES_HZ):
             point = curves.at(gap, frequency)
-            shade = GRID if point is None else REGIMES.get(point.regime, GRID) if point.impacts else QUIET
+            counted = point is not None and not math.isnan(point.impacts_per_cycle)  # else nobody knows of none
+            shade = GRID if point is None else REGIMES.get(point.regime, GRID)
+            if point is not None and counted and not point.impacts:
+                shade = QUIET
             axis.fill_between([column - 0.48, column + 0.48], row - 0.46, row + 0.46, color=shade, linewidth=0)
-            if point is not None:
+            if point is not None and counted:
                 axis.text(column, row, f"{point.impacts_per_cycle:.1f}", ha="center", va="center", fontsize=8.0)
     axis.set_xticks(range(len(FREQUENCIES_HZ)), [f"{frequency:g}" for frequency in FREQUENCIES_HZ])
     axis.set_yticks(range(len(cases)), [f"{gap * 1e3:g}" for gap in cases])

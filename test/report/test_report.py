@@ -13,15 +13,19 @@ from urllib.parse import unquote
 import attrs
 import numpy as np
 import pytest
+from matplotlib.colors import to_hex
 
 from impact_rig.arithmetic import ARITHMETIC
+from impact_rig.blocks import TRANSMISSIBILITY
 from impact_rig.campaign import paper, run
 from impact_rig.campaign.job import execute
 from impact_rig.campaign.plan import load_campaign
+from impact_rig.campaign.results import Curves, Point
 from impact_rig.campaign.statements import variations
 from impact_rig.cli import main
-from impact_rig.drawing import DARK, NAMES
+from impact_rig.drawing import DARK, NAMES, PERIODIC, QUIET
 from impact_rig.physics import prediction
+from impact_rig.report import dt
 from impact_rig.report.studies import predicted, reduction_over_gap
 from impact_rig.rig import Rig
 from impact_rig.rig.config import RigConfig, from_flat
@@ -345,3 +349,33 @@ def test_a_browser_finds_what_is_wrong(browser, tmp_path):
         found = "\n".join(troubles(page))
     for trouble in ("a table is cut off", "overlap", "asks for https", "console: ", "image-alt"):
         assert trouble in found
+
+
+def drawable(**changes):
+    """Points with and without the sphere at two frequencies."""
+    row = np.zeros(1, TRANSMISSIBILITY)
+    row["transmissibility"], row["transmissibility_uncertainty"], row["phase"], row["settled"] = 5.0, 0.01, -1.5, 1.0
+    row["regime"], row["impacts_per_cycle"] = b"periodic", 2.0
+    for name, value in changes.items():
+        row[name] = value
+    return Curves.of([
+        Point(
+            study="s", axes={}, reference=True, gap_m=gap, current_a=paper.CURRENT_A, frequency_hz=frequency,
+            direction="reset", rows=row, failure="", key="",
+        )
+        for gap in (0.0, 0.006) for frequency in (9.1, 10.5)
+    ])  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("impacts", "shade", "text"), [(2.0, PERIODIC, "2.0"), (0.0, QUIET, "0.0"), (np.nan, PERIODIC, "")]
+)
+def test_where_nobody_counted_impacts_the_map_does_not_say_that_there_are_none(monkeypatch, impacts, shade, text):
+    """A measurement without an accelerometer was once drawn as one without impacts, nan of them."""
+    monkeypatch.setattr(dt, "Drawn", lambda _, figure, *__: figure)
+    (figure,) = dt.regime_map(drawable(impacts_per_cycle=impacts))
+    (axis,) = figure.axes
+    colours = {to_hex(one.get_facecolor()[0]) for one in axis.collections[: len(paper.FREQUENCIES_HZ)]}
+    assert to_hex(shade) in colours
+    assert (to_hex(QUIET) in colours) == (impacts == 0.0)
+    assert {one.get_text() for one in axis.texts} == ({text} if text else set())
