@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any  # Any: what matplotlib takes
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from impact_rig.analysis.calibration import Calibration
 from impact_rig.analysis.reduction import Damper, damper
@@ -126,7 +126,7 @@ def _label_if_first(value: float, _: float) -> str:
 def _draw_case(axes: Sequence[Axes], gap: float, points: Sequence[Point], theory: Sequence[Stretch]) -> None:
     """Draw one case into the three axes: points with bars, the theory's lines, or a faint line from point to point."""
     frequency, shade = [p.frequency_hz for p in points], colour(gap)
-    phases = [math.degrees(p.phase_rad) for p in points]
+    phases = _lag_deg([p.phase_rad for p in points])
     bars = [COVERAGE * math.degrees(float(p.rows["phase_uncertainty"][0])) for p in points]
     for axis in axes[:2]:
         _errorbar(axis, points, shade, "none", markersize=3.0, capsize=1.5)
@@ -138,7 +138,13 @@ def _draw_case(axes: Sequence[Axes], gap: float, points: Sequence[Point], theory
         frequency, phases, bars, color=shade, marker="o", markersize=3.0, linestyle="none", capsize=1.5, label=case(gap)
     )
     for part in theory:
-        axes[2].plot(part.frequency_hz, np.degrees(part.phase_rad), color=shade, linewidth=1.0, linestyle="-")
+        axes[2].plot(part.frequency_hz, _lag_deg(part.phase_rad), color=shade, linewidth=1.0, linestyle="-")
+
+
+def _lag_deg(phase_rad: ArrayLike) -> NDArray[np.float64]:
+    """Return phases [°] as they are drawn: as a lead of almost half a turn comes a lag of a little more."""
+    degrees = np.degrees(phase_rad)
+    return np.where(degrees > 90.0, degrees - 360.0, degrees)
 
 
 def _predicted_line(gap: float, part: Stretch) -> Line:

@@ -379,3 +379,14 @@ def test_where_nobody_counted_impacts_the_map_does_not_say_that_there_are_none(m
     assert to_hex(shade) in colours
     assert (to_hex(QUIET) in colours) == (impacts == 0.0)
     assert {one.get_text() for one in axis.texts} == ({text} if text else set())
+
+
+def test_a_phase_on_either_side_of_half_a_turn_is_in_the_figure(monkeypatch):
+    """One that noise had turned into a lead of 179° was once above the axis, where nobody saw it."""
+    monkeypatch.setattr(dt, "Drawn", lambda _, figure, *__: figure)
+    for figure in dt.by_frequency(drawable(phase=np.pi - 0.01), RigConfig()):
+        axis = figure.axes[2]
+        low, high = axis.get_ylim()
+        drawn = np.concatenate([np.asarray(line.get_ydata(), float) for line in axis.lines])
+        assert len(drawn)
+        assert np.all((drawn > low) & (drawn < high))
