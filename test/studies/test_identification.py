@@ -13,7 +13,7 @@ import pytest
 from kits.recorded_rig import record
 
 from impact_rig.analysis.decay import Decay
-from impact_rig.campaign import run
+from impact_rig.campaign import paper, run
 from impact_rig.campaign.job import execute
 from impact_rig.campaign.paper import FREQUENCIES_HZ
 from impact_rig.campaign.plan import load_campaign
@@ -25,6 +25,7 @@ from impact_rig.rig import Rig
 from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.simtime import NS_PER_S
 from impact_rig.states import Regime, Status
+from impact_rig.studies.identification import paper_fit
 from impact_rig.studies.identification.fit import NAMES, SCALE, SCALED, identify, information, logarithms, rig
 from impact_rig.studies.identification.measurements import (
     DISPLACEMENT_M,
@@ -42,7 +43,6 @@ from impact_rig.studies.identification.measurements import (
     sine_of,
     slope,
 )
-from impact_rig.studies.identification.paper_fit import fit_paper
 
 pytestmark = pytest.mark.heavy
 
@@ -366,10 +366,21 @@ def test_a_recorded_decay_ends_where_its_scans_do_not_follow_one_another(tmp_pat
     assert found[0].status is Status.OK
 
 
+def test_a_fit_to_the_paper_that_runs_out_tells_the_reductions_of_its_own_constants(monkeypatch):
+    """It once took a last step of which nothing was computed: constants and reductions were of two rigs."""
+    monkeypatch.setattr(paper_fit, "ITERATIONS", 1)
+    found = paper_fit.fit_paper(RigConfig(), ("ζ",))
+    assert not found.converged
+    fitted = from_flat(RigConfig(), {"structure.damping_ratio": found.fitted["ζ"]})
+    (gap, percent), *_ = found.points.items()
+    motion = simulated(fitted, gap, 9.1, paper.CURRENT_A)
+    assert percent == pytest.approx(100.0 * (1.0 - np.exp(motion.log_ratio)), abs=1e-6)
+
+
 @pytest.mark.slow
 def test_the_shipped_rig_is_near_the_best_fit_to_the_paper():
     """As docs/identification.md says: f_n and ζ follow from five reductions; a free current as well would not."""
-    found = fit_paper(RigConfig())
+    found = paper_fit.fit_paper(RigConfig())
     shipped = {"f_n": RigConfig().structure.natural_frequency_hz, "ζ": RigConfig().structure.damping_ratio}
     assert found.converged
     assert found.rms_points <= found.default_rms_points < 1.0

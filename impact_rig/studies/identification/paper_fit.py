@@ -75,8 +75,8 @@ def fit_paper(
         information_matrix = jacobian.T @ jacobian
         change = -np.linalg.solve(information_matrix, jacobian.T @ fitted_residual)
         converged = bool(change @ information_matrix @ change < CONVERGED**2)
-        if converged:
-            break
+        if converged or iteration == ITERATIONS - 1:
+            break  # what was computed is of these constants
         at[places] += change * min(1.0, float((largest / np.abs(change)).min()))
     covariance = np.linalg.inv(information_matrix)
     on_step("what the paper says about every constant")
