@@ -141,7 +141,9 @@ class Tracker:
             self._use(_Reset(start_ns, calibration))
             return
         newest = self._resets[-1] if self._resets else _Reset(self._start_ns, self._calibration)
-        if start_ns == newest.start_ns and calibration.rate_hz == newest.calibration.rate_hz:
+        same_rate = calibration.rate_hz == newest.calibration.rate_hz
+        # months after scan 0 the seconds since then are no longer exact to the nanosecond
+        if same_rate and scan_index(start_ns, calibration.rate_hz, newest.start_ns) == 0:
             self._schedule(info.stamp_ns, calibration)
         else:
             self._resets.append(_Reset(start_ns, calibration))

@@ -13,7 +13,7 @@ from kits.tracker import QUICK, RATE, fingerprint, record, run_scenario, tracker
 from impact_rig.analysis import tracker as tracker_module
 from impact_rig.analysis.cycles import Accumulator
 from impact_rig.blocks import Table
-from impact_rig.simtime import NS_PER_S
+from impact_rig.simtime import NS_PER_S, stamp_ns
 
 
 def test_every_interruption_is_named_and_none_is_averaged_in():
@@ -167,6 +167,22 @@ def test_a_calibration_that_overtakes_the_scans_after_a_reset_acts_from_its_stam
         assert made.counters.restarts == 1
     assert words(found[0]) == ["restarted", "ok", "calibration_changed", "ok"]
     assert fingerprint(found[0], ()) == fingerprint(found[1], ())
+
+
+def test_a_calibration_of_a_rig_that_has_run_for_months_is_no_reset():
+    """The seconds since scan 0 are then rounded by more than a nanosecond, and scan 0 once seemed to be another."""
+    first = 200 * 86_400 * RATE
+    instants = (stamp_ns(first + 16_000 + 20 * k, RATE) for k in range(100))
+    changed_ns = next(ns for ns in instants if round(ns / NS_PER_S * NS_PER_S) != ns)
+    info = info_rows(RATE, since_start=changed_ns / NS_PER_S)
+    info["sensitivity_uncertainty"] = 0.01
+    made, found = tracker(), []
+    for table in blocks(record(seconds=16.0), RATE, 20, first=first):
+        if table.stamp_ns == changed_ns:
+            made.configure(Table(changed_ns, info))
+        found += made.feed(table).measurements
+    assert words(found) == ["ok", "calibration_changed", "ok"]
+    assert made.counters.restarts == 0
 
 
 @pytest.mark.parametrize("kind", ["label", "calibration", "current"])
