@@ -81,6 +81,8 @@ class _Reset(NamedTuple):
 
 
 _Event = _Command | GapLabel | Calibration
+_KINDS = (GapLabel, Calibration, _Command)
+"""In this order what acts at one instant is applied: which of two topics is delivered first, is chance."""
 NOTHING = Findings()
 
 
@@ -104,7 +106,7 @@ class Tracker:
         self._last_block = -1
         self._measured = 0  # index of the next scan to measure
         self._changed = 0  # index of the last change of the drive
-        self._events: list[tuple[int, int, _Event]] = []
+        self._events: list[tuple[int, int, int, _Event]] = []  # instant, place among the kinds, number, what
         self._event_count = 0
         self._command: _Command | None = None
         self._gap_m = math.nan
@@ -254,7 +256,8 @@ class Tracker:
     def _schedule(self, time_ns: int, event: _Event) -> None:
         """Queue an event at the scan it acts on; before the time base is known the instant itself is kept."""
         self._event_count += 1
-        bisect.insort(self._events, (time_ns, self._event_count, event), key=lambda entry: entry[:2])
+        entry = time_ns, _KINDS.index(type(event)), self._event_count, event
+        bisect.insort(self._events, entry, key=lambda entry: entry[:3])
 
     def _use(self, reset: _Reset) -> None:
         self._start_ns, self._calibration = reset.start_ns, reset.calibration
@@ -319,7 +322,7 @@ class Tracker:
                 self.counters.late_events += 1
             at = max(at, self._measured)
             self._measure(at)
-            self._apply(self._events.pop(0)[2], at)
+            self._apply(self._events.pop(0)[3], at)
         self._measure(until)
 
     def _apply(self, event: _Event, index: int) -> None:

@@ -51,6 +51,19 @@ def test_a_command_delivered_late_changes_nothing(late_ns):
     assert made.counters.late_events == 0
 
 
+def test_a_label_and_a_command_of_one_instant_may_come_in_either_order():
+    """Live the command comes first, in a recorded run the label is known before: the row once had two reasons."""
+    reasons = set()
+    for label_first in (True, False):
+        made = tracker()
+        if label_first:
+            made.label(0.006, 4 * NS_PER_S)
+        made.on_applied(applied(9.5, at_ns=4 * NS_PER_S))
+        made.label(0.006, 4 * NS_PER_S)
+        reasons |= set(words(feed_all(made, blocks(record(seconds=5.0), RATE, 20))[0]))
+    assert reasons == {"label_changed"}
+
+
 def test_a_command_later_than_that_is_counted():
     made = run_scenario(20, late_ns=200_000_000)[2]
     assert made.counters.late_events == 1
