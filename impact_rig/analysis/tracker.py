@@ -270,23 +270,27 @@ class Tracker:
         assert self._calibration is not None
         buffer, end = self._buffer, self._buffer.end
         cut = scan_index(reset.start_ns, self._calibration.rate_hz, self._start_ns)
-        if not self._measured <= cut <= end:
+        if cut > end or not self._started:
             cut = end
+        first = max(cut, self._measured)  # of the scans after the reset that are not measured yet
         if self._started:
-            self._advance(cut)
+            if first > cut:
+                self.counters.late_events += 1
+            self._advance(first)
             self._interrupt(Status.RESTARTED)
             self.counters.restarts += 1
         self._use(reset)
         buffer.renumber(cut)
         self._last_block -= cut
-        self._measured = 0
-        self._struck, self._placed = math.nan, 0
-        self._detector.restart(0)
+        first -= cut
+        self._measured = first
+        self._struck, self._placed = math.nan, first
+        self._detector.restart(first)
         self._impacts_ahead.clear()
-        found = self._detector.feed(buffer.samples[0, buffer.column(0) : buffer.column(buffer.end)])
+        found = self._detector.feed(buffer.samples[0, buffer.column(first) : buffer.column(buffer.end)])
         if len(found):
             self._impacts_ahead.append(found)  # reported already
-        self._begin(0, changed=True)
+        self._begin(first, changed=True)
 
     def _resume(self, index: int) -> None:
         """Start at a scan that does not follow the last one: the first of all, after lost blocks, or after a reset."""

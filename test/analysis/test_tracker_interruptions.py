@@ -148,6 +148,25 @@ def test_after_a_reset_everything_is_as_in_a_new_record(late, silence_ns):
     assert b"".join(table.rows.tobytes() for table in after) == b"".join(t.rows.tobytes() for t in expected)
 
 
+@pytest.mark.parametrize("late", [5, 6, 50])
+def test_a_reset_that_is_announced_late_loses_no_scan(late):
+    """Later than scans are held back, those measured already were once called lost, in a row from before the reset."""
+    reset_ns, made, found = 8 * NS_PER_S, tracker(), []
+    for table in blocks(record(seconds=8.0), RATE, 20):
+        found += made.feed(table).measurements
+    for number, table in enumerate(blocks(record(seconds=8.0, seed=2), RATE, 20, start_ns=reset_ns)):
+        if number == late:
+            made.configure(Table(reset_ns, info_rows(RATE)))
+        found += made.feed(table).measurements
+    assert words(found) == ["ok", "restarted", "ok"]
+    assert [table.stamp_ns for table in found] == sorted(table.stamp_ns for table in found)
+    last = found[-1]
+    begun_ns = reset_ns + max(0, 20 * late - 100) * NS_PER_S // RATE
+    assert last.rows["waited"][0] == pytest.approx((last.stamp_ns - begun_ns) / NS_PER_S, abs=1.5 / RATE)
+    assert (made.counters.restarts, made.counters.lost_scans) == (1, 0)
+    assert made.counters.late_events == (late > 5)
+
+
 @pytest.mark.parametrize("rate_hz", [RATE, 2 * RATE])
 def test_a_calibration_that_overtakes_the_scans_after_a_reset_acts_from_its_stamp(rate_hz):
     """Where the reset had changed the rate, it was once taken for another reset, and acted from there on."""
