@@ -66,6 +66,7 @@ class Foreign:
     time_s: Real | None = None
     """Since the first sample, shape (n,), not necessarily uniform; None: the file has no times."""
     start_ns: int | None = None  # stamp of the first sample; None: the file has none
+    begins_s: float = 0.0  # the first sample's time as the file has it; 0 where it has none, or has stamps
     texts: Mapping[str, list[str]] = attrs.field(factory=dict)
     """Columns of words, such as the names in an exported `daq/info`."""
     left_out: Mapping[str, str] = attrs.field(factory=dict)
@@ -155,7 +156,9 @@ def _apart(reader: Callable[[Path, bytes], Foreign], path: Path, content: bytes)
         name: Signal(part, unit, rate) for (name, _, unit, rate), part in zip(told["signals"], parts[1:], strict=True)
     }
     times = parts[0] if told["times"] else None
-    return Foreign(path, told["kind"], signals, times, told["start_ns"], told["texts"], told["left_out"])
+    return Foreign(
+        path, told["kind"], signals, times, told["start_ns"], told["begins_s"], told["texts"], told["left_out"]
+    )
 
 
 def _send(found: Foreign, out: BinaryIO) -> None:
@@ -164,7 +167,7 @@ def _send(found: Foreign, out: BinaryIO) -> None:
     signals = [(name, len(one.values), one.unit, one.rate_hz) for name, one in found.signals.items()]
     texts = {name: list(words) for name, words in found.texts.items()}
     told = {"kind": found.kind, "times": len(times), "signals": signals, "start_ns": found.start_ns, "texts": texts}
-    told["left_out"] = dict(found.left_out)
+    told["begins_s"], told["left_out"] = found.begins_s, dict(found.left_out)
     out.write(json.dumps(told).encode() + b"\n")
     for values in (times, *(one.values for one in found.signals.values())):
         out.write(np.ascontiguousarray(values, np.float64).tobytes())
@@ -220,14 +223,16 @@ def _foreign(path: Path, kind: str, columns: Mapping[str, NDArray[np.generic]], 
                 plain, unit = _split(name)
                 own = plain if len(rows) == 1 else f"{plain}_{number}"
                 signals[own] = Signal(np.ascontiguousarray(row, np.float64), units.get(name, "") or unit)
-    start = None
+    start, begins_s = None, 0.0 if times is None or not len(times) else float(times[0])
     if stamps is not None and len(stamps):
-        start = int(stamps[0])
+        # a table that was cut begins amid a block: its first sample is then later than its first stamp
+        start = int(stamps[0]) + (round(begins_s * NS_PER_S) if math.isfinite(begins_s) else 0)
+        begins_s = 0.0
         since = (stamps - stamps[0]).astype(np.float64) / NS_PER_S
         times = since if times is None else since + times
     signals = {name: attrs.evolve(one, rate_hz=rate) for name, one in signals.items()}
     times = None if times is None or not len(times) else times - times[0]
-    return Foreign(path, kind, signals, times, start, texts, left_out)
+    return Foreign(path, kind, signals, times, start, begins_s, texts, left_out)
 
 
 def _seconds(times: Real, unit: str) -> Real:
@@ -385,7 +390,7 @@ def _uff(path: Path, content: bytes) -> Foreign:
     time_response = (0, 1)
     signals: dict[str, Signal] = {}
     left_out: dict[str, str] = {}
-    times = None
+    times, begins_s = None, 0.0
     with tempfile.TemporaryDirectory(prefix="impact_rig_uff_") as folder:  # pyuff opens files by name only
         named = Path(folder) / "all.uff"
         named.write_bytes(content)
@@ -410,10 +415,11 @@ def _uff(path: Path, content: bytes) -> Foreign:
             )
             unit = str(one.get("ordinate_axis_units_lab") or "").strip()
             signals[name] = Signal(np.asarray(data, np.float64), "" if unit.upper() == "NONE" else unit)
-            times = x - x[0] if times is None and len(x) == len(data) else times
+            if times is None and len(x) == len(data) and len(x):
+                times, begins_s = x - x[0], float(x[0])
     if not signals:
         raise RecordingError(f"{path} holds no time response (dataset 58, function type 1)")
-    return Foreign(path, "universal file", signals, times, left_out=left_out)
+    return Foreign(path, "universal file", signals, times, begins_s=begins_s, left_out=left_out)
 
 
 def _netcdf(path: Path, content: bytes) -> Foreign:

@@ -513,7 +513,11 @@ def _commands(
         if frequency is None or drive.time_s is None:
             raise ConfigError(f"{drive.path} must have the columns `time` or `stamp_ns`, and `frequency`")
         amplitude = current.values if current is not None else np.full(len(frequency.values), mapping.amplitude)
-        first = drive.start_ns if drive.start_ns is not None and source.start_ns is not None else start_ns
+        if not np.all(np.isfinite(drive.time_s)):
+            raise ConfigError(f"{drive.path}: a time is no number")
+        first = start_ns + round((drive.begins_s - source.begins_s) * NS_PER_S)  # both count from one instant
+        if drive.start_ns is not None and source.start_ns is not None:
+            first = drive.start_ns
         instants = [first + round(float(one) * NS_PER_S) for one in drive.time_s]
         return tuple(zip(instants, frequency.values.tolist(), amplitude.tolist(), strict=True))
     if followed is not None:

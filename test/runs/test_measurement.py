@@ -251,6 +251,29 @@ def test_scans_that_are_missing_stay_missing_and_uneven_ones_can_be_resampled(tm
     assert found.rows["laser"] == pytest.approx(MILLIMETRE * np.arange(len(found.rows)) / 200)
 
 
+def test_a_table_of_commands_counts_its_times_from_the_same_instant_as_the_scans(tmp_path: Path) -> None:
+    """Each file once counted from its own first row: a first command after 2 s came with the first scan."""
+    head, commands = "time,laser,base", "time,frequency,current\n2,9,0.5\n6,10,0.5\n"
+    for begins_s, instants_s in ((0, [2.0, 6.0]), (1, [1.0, 5.0])):
+        source = table(tmp_path, lines(lambda k, begins_s=begins_s: f"{begins_s + k / 10},{k},{k}", head, 100))
+        found = measurement(source, guess(source), table(tmp_path, commands, "drive.csv"))
+        assert [one[0] / 1e9 for one in found.drive] == instants_s
+    with pytest.raises(ImpactRigError, match=r"drive.csv: a time is no number"):
+        measurement(source, guess(source), table(tmp_path, commands.replace("6,", "nan,"), "drive.csv"))
+
+
+def test_an_export_that_was_cut_amid_a_block_begins_with_its_first_row(tmp_path: Path) -> None:
+    """Its first stamp is that of the block; taken for that of the first row, commands came up to a block off."""
+
+    def row(k: int) -> str:
+        return f"{10**9 + k // 10 * 10**8},{k % 10 / 100},{k},{k}"
+
+    source = table(tmp_path, lines(lambda k: row(k + 5), "stamp_ns,time,laser,base"))
+    found = measurement(source, guess(source))
+    assert found.start_ns == 1_050_000_000
+    assert found.index.tolist() == list(range(40))
+
+
 def test_a_file_that_crashes_its_library_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A reader that ends its process as a fault of memory would."""
 
