@@ -21,7 +21,7 @@ import resource
 import tempfile
 import warnings
 import zipfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import ModuleType
 from typing import BinaryIO
@@ -221,7 +221,9 @@ def _foreign(path: Path, kind: str, columns: Mapping[str, NDArray[np.generic]], 
             rows = squeezed[None] if squeezed.ndim == 1 else squeezed if len(squeezed) < len(squeezed.T) else squeezed.T
             for number, row in enumerate(rows):
                 plain, unit = _split(name)
-                own = plain if len(rows) == 1 else f"{plain}_{number}"
+                own, full = (plain, name) if len(rows) == 1 else (f"{plain}_{number}", f"{name}_{number}")
+                if own in signals:  # two headings that differ in what is in their brackets
+                    own = _free(full, signals)
                 signals[own] = Signal(np.ascontiguousarray(row, np.float64), units.get(name, "") or unit)
     start, begins_s = None, 0.0 if times is None or not len(times) else float(times[0])
     if stamps is not None and len(stamps):
@@ -244,6 +246,13 @@ def _split(name: str) -> tuple[str, str]:
     """Return a heading's name and the unit in its brackets."""
     match = UNIT_IN_NAME.match(name)
     return (match[1].strip(), match[2].strip()) if match and match[1].strip() else (name.strip(), "")
+
+
+def _free(name: str, taken: Container[str]) -> str:
+    """Return a name that is not taken, like this one."""
+    while name in taken:
+        name += "_"
+    return name
 
 
 # --- one reader a format
@@ -327,16 +336,19 @@ def _headings(lines: Sequence[str], delimiter: str | None, width: int) -> tuple[
     if not usable:
         return [f"column_{j}" for j in range(width)], {}
     rows = usable[-2:]
-    names, units = rows[0], {}
+    names, units = rows[0], list[str]()
     if len(rows) == 2:  # names above units, or something else above the names
         if all(len(cell.strip("[]()")) <= 12 for cell in rows[1]) and not any(
             TIMES.fullmatch(cell) for cell in rows[1]
         ):
-            units = {name: cell.strip("[]() ") for name, cell in zip(names, rows[1], strict=True)}
+            units = [cell.strip("[]() ") for cell in rows[1]]
         else:
             names = rows[1]
-    unique = [name if name and names.index(name) == j else f"{name or 'column'}_{j}" for j, name in enumerate(names)]
-    return unique, units
+    unique: list[str] = []
+    for j, name in enumerate(names):
+        is_first = name and name not in unique
+        unique.append(name if is_first else _free(f"{name or 'column'}_{j}", {*names, *unique}))
+    return unique, dict(zip(unique, units, strict=False))
 
 
 def _npz(path: Path, content: bytes) -> Foreign:

@@ -274,6 +274,26 @@ def test_an_export_that_was_cut_amid_a_block_begins_with_its_first_row(tmp_path:
     assert found.index.tolist() == list(range(40))
 
 
+@pytest.mark.parametrize(
+    ("head", "names", "units"),
+    [
+        ("time;value;value\ns;V;mV", ["value", "value_2"], ["V", "mV"]),
+        ("time;value;value_2;value\ns;V;A;mV", ["value", "value_2", "value_3"], ["V", "A", "mV"]),
+        ("time;value_3;value;value\ns;V;A;mV", ["value_3", "value", "value_3_"], ["V", "A", "mV"]),
+        ("time [s];ai0 [V];ai0 [A]", ["ai0", "ai0 [A]"], ["V", "A"]),
+        ("time;laser;laser (raw)", ["laser", "laser (raw)"], ["", "raw"]),
+    ],
+)
+def test_columns_of_one_name_are_told_apart_and_keep_their_units(
+    tmp_path: Path, head: str, names: list[str], units: list[str]
+) -> None:
+    """The first once had the unit of the last, and of two that differ in brackets only the last was left."""
+    source = table(tmp_path, lines(lambda k: ";".join(f"{k + j}" for j in range(len(names) + 1)), head))
+    assert list(source.signals) == names
+    assert [one.unit for one in source.signals.values()] == units
+    assert [one.values[0] for one in source.signals.values()] == [*range(1, len(names) + 1)]
+
+
 def test_a_file_that_crashes_its_library_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A reader that ends its process as a fault of memory would."""
 
