@@ -265,7 +265,7 @@ def _csv(path: Path, content: bytes) -> Foreign:
     delimiter, first = _first_row(lines[:HEADER_LINES])
     if first is None:
         return _worded(path, lines)
-    comma = delimiter == ";" and "," in lines[first]
+    comma = delimiter == ";" and any("," in line for line in lines[first:])  # whole numbers have none
     width = len(_cells(lines[first], delimiter))
     names, units = _headings(lines[:first], delimiter, width)
     _allow(len(lines) - first, width)
@@ -276,7 +276,7 @@ def _csv(path: Path, content: bytes) -> Foreign:
         return _worded(path, lines)
     kinds = np.dtype([(f"c{j}", np.int64 if name == STAMP else np.float64) for j, name in enumerate(names)])
     try:
-        table = np.loadtxt(rows, kinds, delimiter=delimiter, comments="#", ndmin=1)
+        table = np.loadtxt(rows, kinds, delimiter=delimiter, comments="#", ndmin=1, quotechar='"')
     except ValueError as error:
         raise RecordingError(
             f"{path}: {' '.join(str(error).split())}; the first row of numbers is line {first + 1}"

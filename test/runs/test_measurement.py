@@ -171,6 +171,9 @@ def semicolons(k: int) -> str:
     [
         (lines(lambda k: f"{k / 100},{k},{2 * k}"), "gap_4mm_9.1Hz.csv", 1e-3, 0.004),
         (lines(semicolons, "time;laser (µm);base (µm)"), "no_sphere.csv", 1e-6, 0.0),
+        # numbers in quotes, and a first row without decimals: neither was once understood
+        (lines(lambda k: f'"{k / 100}","{k}","{2 * k}"', '"t","x1 [mm]","xb [mm]"'), "quoted.csv", 1e-3, None),
+        (lines(lambda k: f"{k / 100:g};{k};{2 * k}".replace(".", ","), "t;x1 (mm);xb (mm)"), "own.csv", 1e-3, None),
         (lines(lambda k: f"{10 * k}\t{k}\t{k}", "t\tresponse\ttable\n[ms]\t[cm]\t[cm]"), "own.txt", 1e-2, None),
     ],
 )  # fmt: skip
