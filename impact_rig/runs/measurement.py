@@ -49,6 +49,7 @@ HINTS = {
 LIKE = {"accelerometer": "m/s^2", "current": "A"}  # channels that their unit alone gives away
 BLOCK_S, BLOCK_SCANS = 0.1, 4000
 EVEN = 0.02  # of a period: departure from a uniform grid of times that is called jitter of the clock's last digit
+HOLE = 2.5  # in periods: so long a step between two scans is no unevenness, scans are missing there
 WHOLE = 1e-4  # relative departure of a rate from a whole number of Hz that times printed with few digits have
 ROUNDED = 0.5  # of a period: by how much times may depart from the rate that the same file states
 LONGEST_UNIT = 40
@@ -58,6 +59,9 @@ FROM_FILE_NAME = {
 }
 NO_SPHERE_NAME = re.compile(r"no[_ -]?(sphere|ball|damper)|without|bare", re.IGNORECASE)
 MAPPING_CHARACTERS = 100_000
+
+
+_Signals = dict[str, NDArray[np.float64]]  # values of the scans by name
 
 
 @attrs.frozen(kw_only=True)
@@ -378,10 +382,7 @@ def measurement(
             if column not in source.signals or len(source.signals[column].values) != count:
                 raise ConfigError(f"{key}: {source.path} has no signal {column!r} of {count} values")
             followed[key] = source.signals[column].values
-    rate, index, found = _uniform(source, mapping, found)
-    if mapping.resample_hz is not None and followed:
-        place = np.minimum(np.arange(len(index)) * count // len(index), count - 1)
-        followed = {key: values[place] for key, values in followed.items()}
+    rate, index, found, followed = _uniform(source, mapping, found, followed)
     info = _calibration(mapping, rate, sheet)
     start_ns = source.start_ns or 0
     if (
@@ -417,9 +418,9 @@ def measurement(
 
 
 def _uniform(
-    source: Foreign, mapping: Mapping, found: dict[str, NDArray[np.float64]]
-) -> tuple[int, NDArray[np.int64], dict[str, NDArray[np.float64]]]:
-    """Return rate, numbers of the scans and their values, on a uniform grid with losses left open."""
+    source: Foreign, mapping: Mapping, found: _Signals, followed: _Signals
+) -> tuple[int, NDArray[np.int64], _Signals, _Signals]:
+    """Return rate, numbers of the scans, their values and what is followed, on a uniform grid with losses left open."""
     count = len(next(iter(found.values())))
     times = source.time_s
     used = {one.column for one in mapping.channels.values()}
@@ -448,7 +449,7 @@ def _uniform(
     exact = rate or 1.0 / float(np.median(np.diff(times)))
     whole = round(exact)
     if mapping.resample_hz is not None:
-        return _resampled(source, times, found, exact, mapping.resample_hz)
+        return _resampled(source, times, found, followed, exact, mapping.resample_hz)
     if not 1 <= whole <= MOST_HZ or abs(exact - whole) > WHOLE * whole:
         raise ConfigError(
             f"{source.path}: its rate of {exact:.6g} scans per second is no whole number up to {MOST_HZ:g}: resample, "
@@ -463,20 +464,42 @@ def _uniform(
             f"{source.path}: not uniform in time: value {scan + 1} is {off[scan]:.2f} of a period off {whole} "
             "scans per second; resample it, or give its rate if the times are not to be believed"
         )
-    return whole, index, found
+    return whole, index, found, followed
 
 
 def _resampled(
-    source: Foreign, times: NDArray[np.float64], found: dict[str, NDArray[np.float64]], exact: float, rate: int
-) -> tuple[int, NDArray[np.int64], dict[str, NDArray[np.float64]]]:
-    """Return signals on another grid, by a cubic through the values around; never a coarser one, which would alias."""
+    source: Foreign, times: NDArray[np.float64], found: _Signals, followed: _Signals, exact: float, rate: int
+) -> tuple[int, NDArray[np.int64], _Signals, _Signals]:
+    """Return signals on another grid, by a cubic through the values around; never a coarser one, which would alias.
+
+    What is followed keeps its value until the next. Nothing is made up where scans are missing: each stretch between
+    two holes has a cubic of its own.
+    """
     from scipy.interpolate import CubicSpline  # noqa: PLC0415  # heavy: only where it is asked for
 
     if not exact * (1.0 - WHOLE) <= rate <= MOST_HZ:
         raise ConfigError(f"{source.path}: resample to at least its {exact:.6g} Hz, at most {MOST_HZ:g}, got {rate}")
     budget.allow("values after resampling", float(times[-1]) * rate * len(found), VALUES)
+    for name, values in found.items():
+        if not np.all(np.isfinite(values)):
+            wrong = int(np.argmin(np.isfinite(values)))
+            raise ConfigError(f"{source.path}: {name} cannot be resampled: value {wrong + 1} is no finite number")
     index = np.arange(int(times[-1] * rate) + 1, dtype=np.int64)
-    return rate, index, {name: CubicSpline(times, values)(index / rate) for name, values in found.items()}
+    place = np.searchsorted(times, (index + 1e-3) / rate, side="right") - 1  # a time may be rounded up
+    cuts = [0, *(np.flatnonzero(np.diff(times) * exact > HOLE) + 1).tolist(), len(times)]
+    parts = []
+    for begin, end in itertools.pairwise(cuts):
+        first, last = np.searchsorted(index / rate, (times[begin], times[end - 1] + 1e-9 / rate))
+        if end - begin > 1:
+            parts.append((slice(begin, end), index[first:last]))
+    if not parts:
+        raise ConfigError(f"{source.path}: its times have more holes than scans")
+    splined = {
+        name: np.concatenate([CubicSpline(times[part], values[part])(own / rate) for part, own in parts])
+        for name, values in found.items()
+    }
+    index = np.concatenate([own for _, own in parts])
+    return rate, index, splined, {key: values[place[index]] for key, values in followed.items()}
 
 
 def _calibration(mapping: Mapping, rate: int, sheet: Foreign | None) -> NDArray[np.void]:

@@ -254,6 +254,20 @@ def test_scans_that_are_missing_stay_missing_and_uneven_ones_can_be_resampled(tm
     assert found.rows["laser"] == pytest.approx(MILLIMETRE * np.arange(len(found.rows)) / 200)
 
 
+def test_resampling_neither_fills_holes_nor_moves_commands(tmp_path: Path) -> None:
+    """A cubic once bridged seconds without a scan, and commands moved where the rate of the times changes."""
+    times = np.concatenate([np.arange(100) / 100, 1 + np.arange(200) / 200, 4 + np.arange(100) / 200])
+    rows = [f"{t:.4f},{np.sin(20 * t):.9f},{9 if t < 1 else 10 if t < 4.25 else 11}" for t in times]
+    source = table(tmp_path, "\n".join(["time,laser [m],frequency", *rows]) + "\n")
+    found = measurement(source, refined(guess(source), "resample_hz: 400"))
+    assert found.index.tolist() == [*range(799), *range(1600, 1799)]
+    assert found.rows["laser"] == pytest.approx(np.sin(20 * found.index / 400), abs=2e-3)
+    assert [one[:2] for one in found.drive] == [(0, 9.0), (1_000_000_000, 10.0), (4_250_000_000, 11.0)]
+    broken = table(tmp_path, "\n".join(["time,laser [m]", "0,0", "0.01,nan", "0.02,1"]) + "\n")
+    with pytest.raises(ImpactRigError, match=r"laser cannot be resampled: value 2 is no finite number"):
+        measurement(broken, refined(guess(broken), "resample_hz: 400"))
+
+
 def test_a_table_of_commands_counts_its_times_from_the_same_instant_as_the_scans(tmp_path: Path) -> None:
     """Each file once counted from its own first row: a first command after 2 s came with the first scan."""
     head, commands = "time,laser,base", "time,frequency,current\n2,9,0.5\n6,10,0.5\n"
