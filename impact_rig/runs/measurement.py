@@ -402,7 +402,8 @@ def measurement(
         with np.errstate(invalid="ignore"):
             beyond = (found[name] <= info["range_low"][bit]) | (found[name] >= info["range_high"][bit])
         rows["status"] |= beyond.astype(np.uint8) << bit
-    stamps = start_ns + index * NS_PER_S // rate
+    # in two steps: the product of both exceeds 64 bits after days
+    stamps = start_ns + index // rate * NS_PER_S + index % rate * NS_PER_S // rate
     commands = _commands(source, mapping, drive, followed.get("frequency"), stamps, start_ns)
     if not commands:
         commands = ((start_ns, _frequency_of(found, rate), math.nan),)
@@ -410,8 +411,7 @@ def measurement(
     labels = list(mapping.notes)
     if "gap" in followed:
         gaps = followed["gap"]
-        changes = [0, *(np.flatnonzero(np.diff(gaps) != 0.0) + 1).tolist()]
-        labels += [GapLabel(float(gaps[scan]), int(stamps[scan])).text() for scan in changes]
+        labels += [GapLabel(float(gaps[scan]), int(stamps[scan])).text() for scan in _changes(gaps)]
     elif isinstance(mapping.gap, float):
         labels.append(GapLabel(mapping.gap, start_ns).text())
     return Measurement(source, mapping, rate, start_ns, index, rows, info, commands, tuple(labels))
@@ -518,7 +518,7 @@ def _calibration(mapping: Mapping, rate: int, sheet: Foreign | None) -> NDArray[
             rows[key][place] = value
         if not rows["range_low"][place] < rows["range_high"][place]:
             raise ConfigError(f"channels.{name}: range_low must be < range_high")
-    rows["rate"] = rate
+    rows["rate"], rows["since_start"] = rate, 0.0  # its stamp in the run is that of scan 0
     return rows
 
 
@@ -544,11 +544,16 @@ def _commands(
         instants = [first + round(float(one) * NS_PER_S) for one in drive.time_s]
         return tuple(zip(instants, frequency.values.tolist(), amplitude.tolist(), strict=True))
     if followed is not None:
-        changes = [0, *(np.flatnonzero(np.diff(followed) != 0.0) + 1).tolist()]
-        return tuple((int(stamps[scan]), float(followed[scan]), mapping.amplitude) for scan in changes)
+        return tuple((int(stamps[scan]), float(followed[scan]), mapping.amplitude) for scan in _changes(followed))
     if isinstance(mapping.frequency, float):
         return ((start_ns, mapping.frequency, mapping.amplitude),)
     return ()
+
+
+def _changes(values: NDArray[np.float64]) -> list[int]:
+    """Return where a signal has another value than before, the first scan included; NaN is one value, unknown."""
+    same = (values[1:] == values[:-1]) | (np.isnan(values[1:]) & np.isnan(values[:-1]))
+    return [0, *(np.flatnonzero(~same) + 1).tolist()]
 
 
 def _with_amplitude(
@@ -591,7 +596,7 @@ def write(found: Measurement, directory: Path, clock_ns: int | None = None) -> P
     about = {"mode": MEASURED, "source": found.source.path.name, "format": found.source.kind}
     provenance = Provenance(version=impact_rig.__version__, seed=0, wall_start_ns=now, extra=about)
     kept = Attachment(MAPPING_FILE, as_yaml(found.mapping).encode(), "application/yaml")
-    if directory.exists() and any(directory.iterdir()):
+    if directory.is_dir() and any(directory.iterdir()):
         raise RecordingError(f"{directory} is not empty: nothing is overwritten")
     numbers: dict[str, int] = {}
     with RunWriter(

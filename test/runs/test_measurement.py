@@ -268,6 +268,43 @@ def test_resampling_neither_fills_holes_nor_moves_commands(tmp_path: Path) -> No
         measurement(broken, refined(guess(broken), "resample_hz: 400"))
 
 
+def test_a_sheet_of_calibration_says_where_scan_0_is_once(tmp_path: Path) -> None:
+    """Its `since_start` stayed in the run, where the stamp is that of scan 0 already: scan 0 was then 12 s earlier."""
+    source = table(tmp_path, lines(lambda k: f"{2 * 10**10 + k * 10**7},{k},{k}", "stamp_ns,laser,base"))
+    sheet = table(tmp_path, "stamp_ns,name,since_start\n12000000000,laser,11.5\n12000000000,base,11.5\n", "sheet.csv")
+    found = measurement(source, guess(source), sheet=sheet)
+    assert (found.start_ns, found.index[0]) == (500_000_000, 1950)
+    assert found.info["since_start"].tolist() == [0.0, 0.0]
+
+
+def test_commands_and_labels_of_a_file_that_spans_weeks_keep_their_instants(tmp_path: Path) -> None:
+    """The number of a scan times 10**9 once exceeded 64 bits: commands went back by years."""
+    head, late_s = "t,laser,base,frequency,gap", 40 * 86_400
+    rows = [*(np.arange(100) / 5000), *(late_s + np.arange(100) / 5000)]
+    source = table(tmp_path, lines(lambda k: f"{rows[k]:.4f},{k},{k},{9 + k // 100},{k // 100 / 1e3}", head, 200))
+    found = measurement(source, guess(source))
+    assert [one[0] for one in found.drive] == [0, late_s * 10**9]
+    assert f"{late_s * 10**9}" in found.labels[1]
+
+
+def test_what_is_unknown_over_many_scans_is_said_once(tmp_path: Path) -> None:
+    """NaN differs from NaN: there was once a remark, and a command, for every scan."""
+    values = ["nan", "nan", "9", "9", "nan", "nan"]
+    source = table(
+        tmp_path, lines(lambda k: f"{k / 100},{k},{k},{values[k]},{values[k]}", "t,laser,base,frequency,gap", 6)
+    )
+    found = measurement(source, guess(source))
+    assert [one[0] for one in found.drive] == [0, 20_000_000, 40_000_000]
+    assert len(found.labels) == 3
+
+
+def test_a_file_where_the_run_should_be_is_said(tmp_path: Path) -> None:
+    """It once ended in a NotADirectoryError."""
+    source = table(tmp_path, STEADY)
+    with pytest.raises(ImpactRigError, match="is a file, not a directory"):
+        write(measurement(source, refined(guess(source), MM)), tmp_path / "own.csv")
+
+
 def test_a_table_of_commands_counts_its_times_from_the_same_instant_as_the_scans(tmp_path: Path) -> None:
     """Each file once counted from its own first row: a first command after 2 s came with the first scan."""
     head, commands = "time,laser,base", "time,frequency,current\n2,9,0.5\n6,10,0.5\n"
