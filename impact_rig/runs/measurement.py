@@ -219,11 +219,13 @@ def as_yaml(mapping: Mapping) -> str:
         "amplitude": None if math.isnan(mapping.amplitude) else mapping.amplitude,
         "notes": list(mapping.notes),
     }
-    lines = [
-        f"{key}: {json.dumps(value, ensure_ascii=False)}" for key, value in content.items() if value not in (None, [])
-    ]
+    texts = {key: json.dumps(value, ensure_ascii=False) for key, value in content.items() if value not in (None, [])}
+    lines = [f"{key}: {_WHOLE_BY_POWER.sub(lambda m: m[1] or f'{m[2]}.0e', text)}" for key, text in texts.items()]
     return "\n".join(lines) + "\n"
 
+
+_WHOLE_BY_POWER = re.compile(r'("(?:[^"\\]|\\.)*")|(?<![\d.])(\d+)e')
+"""A text, or the begin of a number such as 1e-06: JSON writes it so, and in YAML it is a text without a point."""
 
 _CALIBRATION = tuple(column.name for column in DAQ_INFO_COLUMNS if column.name not in ("name", "unit", "rate"))
 _OWN = ("column", "unit", "scale", "sensitivity", "sign", "offset")

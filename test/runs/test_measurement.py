@@ -20,7 +20,7 @@ from impact_rig.cli.main import main
 from impact_rig.errors import ImpactRigError
 from impact_rig.recording import open_run
 from impact_rig.runs import export, foreign_files, reanalysis, verification
-from impact_rig.runs.measurement import Channel, Mapping, guess, measurement, refined, write
+from impact_rig.runs.measurement import Channel, Mapping, as_yaml, guess, measurement, refined, write
 from impact_rig.runs.wholes import calibration_rows
 from impact_rig.studies.identification.measurements import recorded_decay
 from impact_rig.testing import VirtualRig
@@ -303,6 +303,15 @@ def test_a_file_where_the_run_should_be_is_said(tmp_path: Path) -> None:
     source = table(tmp_path, STEADY)
     with pytest.raises(ImpactRigError, match="is a file, not a directory"):
         write(measurement(source, refined(guess(source), MM)), tmp_path / "own.csv")
+
+
+def test_a_mapping_reads_back_as_it_was_written() -> None:
+    """Numbers such as 1e-06 came back as texts: the mapping that a run keeps was refused."""
+    laser = Channel(
+        column='"1e-6"', unit="mm", scale=2e-7, calibration={"noise": 1e-6, "range_high": 1e16, "lag": 1.5e-7}
+    )
+    mapping = Mapping(channels={"laser": laser}, gap=1e-5, amplitude=-1e-5, frequency="µ 1e-06", notes=("say \\ 2e-7",))
+    assert refined(Mapping(channels={}), as_yaml(mapping)) == mapping
 
 
 def test_a_table_of_commands_counts_its_times_from_the_same_instant_as_the_scans(tmp_path: Path) -> None:
