@@ -198,13 +198,16 @@ class RunWriter:
         if channel is None:
             raise RecordingError(f"topic {topic_name} has not been added to the recording")
         log_time = self._log_time.of(data, publish_time_ns, channel.has_header, channel.is_scan, table)
-        self.write_at(topic_name, data, log_time, publish_time_ns, sequence)
-        self._account.take(topic_name, sequence)
+        self._write(channel, data, log_time, publish_time_ns, sequence, counted=True)
 
     def write_at(self, topic_name: str, data: bytes, log_time_ns: int, publish_time_ns: int, sequence: int = 0) -> None:
-        """Record one message at a log time that is known already; otherwise like `write`."""
+        """Record one message at a log time that is known already, without account; otherwise like `write`."""
+        self._write(self._channels[topic_name], data, log_time_ns, publish_time_ns, sequence, counted=False)
+
+    def _write(
+        self, channel: _Channel, data: bytes, log_time_ns: int, publish_time_ns: int, sequence: int, *, counted: bool
+    ) -> None:
         self._refuse_if_closed()
-        channel = self._channels[topic_name]
         with _StoppingOnError(self):
             if self._file_is_full(log_time_ns):
                 following = f"{self.directory.name}_{len(self._spans)}.mcap"
@@ -215,6 +218,8 @@ class RunWriter:
                 self._chunk_opened_s = self._clock()
             channel.count += 1
             self._spans[-1].add(log_time_ns)
+            if counted:  # after a file before has been finished, and before this message can be the last one
+                self._account.take(channel.topic.name, sequence)
             message = (channel.id, log_time_ns, data, min(max(0, publish_time_ns), INFINITE_NS), sequence)
             if self._with_tail:
                 if self._tail is None:

@@ -22,7 +22,7 @@ from impact_rig.errors import RecordingError
 from impact_rig.recording import open_run
 from impact_rig.recording import writer as recording_writer
 from impact_rig.recording.writer import CHUNK_OPEN_S
-from impact_rig.runs import recover
+from impact_rig.runs import info, recover
 
 
 def stamps(path):
@@ -270,6 +270,16 @@ def test_recording_stops_while_the_disk_still_has_room(record, monkeypatch):
     with pytest.raises(RecordingError, match=r"run2.mcap cannot be recorded: only"):
         record("run2")
     assert list((writer.directory.parent / "run2").iterdir()) == []
+
+
+def test_the_message_at_which_a_recording_stops_is_accounted_for(record, monkeypatch):
+    """The account was written before it was counted: `info` said that a message is in the file twice."""
+    writer = record(chunk_bytes=20_000)
+    writer.add_topic(SCAN_TOPIC)
+    monkeypatch.setattr(recording_writer, "MIN_FREE_BYTES", 2**62)
+    with pytest.raises(RecordingError, match="stopped and finished"):
+        fill(writer, 100, topics=(SCAN_TOPIC,))
+    assert info(writer.directory).verdict.startswith("whole: ")
 
 
 def test_a_part_that_cannot_be_opened_leaves_the_earlier_ones_a_readable_run(record):
