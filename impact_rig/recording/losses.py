@@ -49,6 +49,7 @@ class Stream:
 @attrs.define
 class _Topic:
     streams: list[Stream] = attrs.field(factory=list)
+    begun: int = 0  # streams, those that were dropped included
     known: dict[str, str] = attrs.field(factory=dict)  # publishers seen in the graph so far
     unnumbered: int = 0
     forgotten: Stream | None = None  # sum of the streams that were dropped
@@ -100,12 +101,13 @@ class Account:
         new = [name for identifier, name in present.items() if identifier not in known.known]
         known.known |= present
         earlier = [stream for stream in known.streams if stream.newest < sequence]
-        if earlier and len(known.streams) >= max(len(known.known), 1):
+        if earlier and known.begun >= max(len(known.known), 1):
             stream = max(earlier, key=lambda one: one.newest)
             stream.take(sequence)
             return stream.publisher
         stream = Stream(new[0] if len(new) == 1 else "", sequence, sequence)
         known.streams.append(stream)
+        known.begun += 1
         if len(known.streams) > MAX_STREAMS:
             gone, before = known.streams.pop(0), known.forgotten or Stream("", 0, 0, 0)
             known.forgotten = Stream("", 0, 0, before.received + gone.received, before.lost + gone.lost)

@@ -56,6 +56,17 @@ def test_a_publisher_that_begins_anew_is_no_loss():
     assert account.lost() == {TOPIC: 1}
 
 
+def test_a_loss_is_found_however_many_publishers_there_were_before():
+    """When streams had been dropped there seemed to be publishers yet to be heard, and no gap was a loss any more."""
+    present = {}
+    account = Account(lambda _: present)
+    for number in range(MAX_STREAMS + 6):
+        present = {str(number): "/rig/rig"}
+        for sequence in (1, 2, 3, 5):
+            account.take(TOPIC, sequence)
+    assert account.lost() == {TOPIC: MAX_STREAMS + 6}
+
+
 def test_publishers_without_end_do_not_fill_memory():
     account = Account()
     for _ in range(10 * MAX_STREAMS):
