@@ -150,7 +150,11 @@ class Run:
         Raises:
             RecordingError: one is damaged.
         """
-        return {found.name: found.data for source in reversed(self.sources) for found in source.attachments()}
+        found: dict[str, bytes] = {}
+        for source in self.sources:
+            for one in source.attachments():
+                found.setdefault(one.name, one.data)
+        return found
 
     def resolve(self, wanted: str) -> str:
         """Return the full name of the topic `wanted`, which may lack its namespace.
@@ -334,13 +338,18 @@ def run_files(path: Path) -> list[Path]:
         return [path]
     if not path.is_dir():
         raise RecordingError(f"{path} is neither a run directory nor an MCAP file")
-    files = sorted(path.glob("*.mcap"), key=_split_order)
+    files = mcap_files(path)
     missing = set(_listed_files(path)) - {file.name for file in files}
     if missing:
         raise RecordingError(f"{path}: {', '.join(sorted(missing))} is missing ({description.METADATA_FILE} lists it)")
     if not files:
         raise RecordingError(f"{path} holds no *.mcap file")
     return files
+
+
+def mcap_files(directory: Path) -> list[Path]:
+    """Return the MCAP files in a directory in the order they were written, whatever `metadata.yaml` lists."""
+    return sorted(directory.glob("*.mcap"), key=_split_order)
 
 
 def _split_order(file: Path) -> tuple[str, int]:

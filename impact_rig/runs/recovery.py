@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import itertools
 import os
 import re
 import struct
@@ -32,7 +33,7 @@ from impact_rig.errors import CodecError, RecordingError
 from impact_rig.recording import description, losses, reader, records
 from impact_rig.recording.description import Attachment, Provenance, TopicDescription, matches
 from impact_rig.recording.losses import check_contiguity, scan_rate_hz
-from impact_rig.recording.reader import run_files
+from impact_rig.recording.reader import mcap_files, run_files
 from impact_rig.recording.records import RECORD_HEAD, DamageError, RawMessage
 from impact_rig.recording.writer import FOLLOWS, TAIL_RECORD_NAME, TAIL_SUFFIX, RunWriter, tail_of
 from impact_rig.simtime import NS_PER_S
@@ -389,7 +390,10 @@ def recover(path: Path | str, out: Path | str, *, accept_unchecked: bool = False
     report.account = Spending(_bytes(files))
     salvages = [_Salvage(file, report, accept_unchecked=accept_unchecked) for file in files]
     origin = next((salvage.provenance for salvage in salvages if salvage.provenance is not None), None)
-    attachments = {found.name: found for salvage in salvages for found in salvage.attachments}
+    attachments: dict[str, Attachment] = {}  # of several with one name the first: the run's start
+    for one in itertools.chain.from_iterable(salvage.attachments for salvage in salvages):
+        attachments.setdefault(one.name, one)
+    earlier = next((salvage.recovered for salvage in reversed(salvages) if salvage.recovered is not None), None)
     accounts = [salvage.losses for salvage in salvages if salvage.losses]
     largest = max(file.stat().st_size for file in files) if len(files) > 1 else 0
     writer: RunWriter | None = None
@@ -405,7 +409,7 @@ def recover(path: Path | str, out: Path | str, *, accept_unchecked: bool = False
                         max_file_bytes=largest,
                         closing=lambda: {
                             losses.RECORD_NAME: accounts[-1] if accounts else {},
-                            RECORD_NAME: _record(source, report).to_record(),
+                            RECORD_NAME: _record(source, report, earlier).to_record(),
                         },
                     )
                     for known in salvages:
@@ -426,13 +430,16 @@ def recover(path: Path | str, out: Path | str, *, accept_unchecked: bool = False
     return report
 
 
-def _record(source: Path, report: RecoverReport) -> Recovered:
+def _record(source: Path, report: RecoverReport, earlier: Recovered | None) -> Recovered:
+    """Return what this recovery has left out, and an earlier one whose result it was given."""
+    before = earlier or Recovered(source.name, 0, 0, 0, unfinished=False)
+    missing, missed = report.missing_messages, before.missing_messages
     return Recovered(
         source=source.name,
-        damages=report.damage_count,
-        lost_bytes=report.lost_bytes,
-        missing_messages=report.missing_messages,
-        unfinished=report.expected_messages is None,
+        damages=before.damages + report.damage_count,
+        lost_bytes=before.lost_bytes + report.lost_bytes,
+        missing_messages=None if missing is None or missed is None else missed + missing,
+        unfinished=before.unfinished or report.expected_messages is None,
     )
 
 
@@ -441,7 +448,7 @@ def _files(path: Path, report: RecoverReport) -> list[Path]:
         return run_files(path)
     except (RecordingError, BudgetError) as error:
         # what metadata.yaml says of a damaged run may be damaged too: the files that are there count
-        files = sorted(path.glob("*.mcap"))
+        files = mcap_files(path)
         if not files:
             raise
         report.note(Damage(path.name, 0, 0, str(error)))
@@ -479,6 +486,7 @@ class _Salvage:
         """Of a tail: size of the recording when the chunk began whose messages it holds [bytes]."""
         self.provenance: Provenance | None = None
         self.losses: dict[str, str] = {}
+        self.recovered: Recovered | None = None
         self.figures = figures or report.file(path)
         self._report = report
         self._accept_unchecked = accept_unchecked
@@ -629,6 +637,9 @@ class _Salvage:
             self._take_topic(found, verified)
         elif name == losses.RECORD_NAME:
             self.losses = verified
+        elif name == RECORD_NAME:
+            with contextlib.suppress(DamageError):
+                self.recovered = read_record(verified)
         elif name == TAIL_RECORD_NAME:
             with contextlib.suppress(KeyError, ValueError):
                 self.follows = int(verified[FOLLOWS])

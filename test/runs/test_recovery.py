@@ -15,10 +15,12 @@ import time
 from collections import Counter
 from pathlib import Path
 
+import attrs
 import numpy as np
 import pytest
 import yaml
 from kits.recording import (
+    CONFIG,
     PROVENANCE,
     HandClock,
     fill,
@@ -34,7 +36,7 @@ from rosbags.highlevel import AnyReader
 
 from impact_rig.errors import RecordingError
 from impact_rig.recording import Attachment, Provenance, RunWriter, TopicDescription, open_run, records
-from impact_rig.runs import recover, recovery
+from impact_rig.runs import info, recover, recovery
 from impact_rig.system import budget
 from impact_rig.system.budget import BudgetError
 
@@ -320,6 +322,44 @@ def test_a_damaged_metadata_yaml_does_not_stop_recovery(record, tmp_path):
     with pytest.raises(RecordingError, match=r"metadata.yaml cannot be understood"):
         open_run(writer.directory)
     assert recover(writer.directory, tmp_path / "out").messages == len(sent)
+
+
+def test_files_of_a_split_run_are_recovered_in_order_whatever_lists_them(record, tmp_path):
+    """Without metadata.yaml the eleventh file once came before the third: blocks went back in time."""
+    with record(max_file_duration_ns=20_000_000) as writer:
+        sent = fill(writer, 40)
+    assert len(writer.files) > 10
+    (writer.directory / "metadata.yaml").write_text("damaged: [")
+    recover(writer.directory, tmp_path / "out")
+    with open_run(tmp_path / "out") as run:
+        assert [message.log_time for message in run.messages(recorded_order=True)] == [one.log_time for one in sent]
+
+
+def test_the_first_of_several_attachments_of_one_name_is_that_of_the_start(record, tmp_path):
+    """A recovered run once had the configuration of the last file, and a reader took the last one of a file."""
+    with record(max_file_duration_ns=20_000_000) as writer:
+        writer.attach(Attachment("config.yaml", b"later"))
+        fill(writer, 10)
+    recover(writer.directory, tmp_path / "out")
+    for path in (writer.directory, writer.files[0], tmp_path / "out"):
+        with open_run(path) as run:
+            assert run.attachments()["config.yaml"] == CONFIG
+
+
+def test_what_an_earlier_recovery_left_out_is_still_told(record, tmp_path):
+    """The result of a recovery, recovered again, once claimed that nothing is left out of it."""
+    with record(chunk_bytes=20_000) as writer:
+        fill(writer, 30)
+    (path,) = writer.files
+    with open_run(path) as run:
+        offset = run.sources[0].summary.chunk_indexes[1].chunk_start_offset + 200
+    path.write_bytes(path.read_bytes()[:offset] + bytes(100) + path.read_bytes()[offset + 100 :])
+    recover(writer.directory, tmp_path / "once")
+    recover(tmp_path / "once", tmp_path / "twice")
+    once, twice = (info(tmp_path / name) for name in ("once", "twice"))
+    assert once.recovered.missing_messages > 0
+    assert twice.recovered == attrs.evolve(once.recovered, source="once")
+    assert not twice.intact
 
 
 def test_nothing_is_overwritten_by_recovery(record, tmp_path):
