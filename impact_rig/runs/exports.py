@@ -209,9 +209,12 @@ def _response_functions(
 
 
 def _dataset(name: str, kind: int, x: NDArray[np.float64], y: NDArray[np.generic], unit: str) -> dict[str, object]:
-    """Return a function as pyuff wants it; the abscissa is written out unless it is even, which readers like better."""
-    steps = np.diff(x)
-    even = kind == _TIME_RESPONSE and bool(np.all(np.abs(steps - steps[0]) <= _EVEN * abs(steps[0])))
+    """Return a function as pyuff wants it; the abscissa is written out unless it is even, which readers like better.
+
+    Of an even one the file has begin and step with six digits each, from which readers make all others.
+    """
+    begin, step = (float(f"{one:.5e}") for one in (x[0], x[1] - x[0]))
+    even = kind == _TIME_RESPONSE and bool(np.all(np.abs(begin + step * np.arange(len(x)) - x) <= _EVEN * abs(step)))
     return {
         "binary": 1, "func_type": kind, "data": y, "x": x, "abscissa_spacing": int(even),
         "id1": name[:80], "id2": "impact_rig", "rsp_ent_name": name[:10], "rsp_node": 1, "rsp_dir": 1,
@@ -220,7 +223,7 @@ def _dataset(name: str, kind: int, x: NDArray[np.float64], y: NDArray[np.generic
     }  # fmt: skip
 
 
-_EVEN = 1e-6
+_EVEN = 1e-6  # in steps: how far an even abscissa may be off
 _TIME_RESPONSE, _RESPONSE_FUNCTION = 1, 4  # function types of dataset 58
 
 _WRITERS: Mapping[str, Callable[[BinaryIO, Iterator[Columns]], None]] = {

@@ -140,6 +140,20 @@ def test_what_is_no_number_stays_out_of_a_universal_file(tmp_path):
     assert (one["id1"], one["x"].tolist(), one["data"].tolist()) == ("dt", [0.0, 2.0, 3.0], [3.0, 5.0, 6.0])
 
 
+@pytest.mark.parametrize(
+    ("rate_hz", "begin_s", "even"), [(5000, 0, 1), (5000, 3, 1), (3000, 0, 0), (5000, 12345.6788, 0)]
+)
+def test_times_in_a_universal_file_are_right_to_the_last(tmp_path, rate_hz, begin_s, even):
+    """A step of 1/3000 s has six digits there: the last time of a minute was 0.2 scans off; of a late begin, 21 ms."""
+    pyuff = pytest.importorskip("pyuff")
+    times = begin_s + np.arange(60 * rate_hz) / rate_hz
+    columns = {"stamp_ns": np.zeros(len(times), np.int64), "time": times, "x": np.ones(len(times))}
+    found = pyuff.UFF(str(write_columns(lambda: iter([columns]), tmp_path / "x.uff"))).read_sets()
+    one = found[0] if isinstance(found, list) else found
+    assert one["abscissa_spacing"] == even
+    np.testing.assert_allclose(one["x"], times, rtol=0.0, atol=1e-9)
+
+
 def test_universal_file_without_pyuff_or_without_functions(run, tmp_path, monkeypatch):
     with pytest.raises(RecordingError, match="neither"):
         write_columns(lambda: iter([{"regime": np.array(["periodic"])}]), tmp_path / "words.uff")
