@@ -338,8 +338,8 @@ def plain(data: Buffer, members: Sequence[tuple[str, str, int]]) -> dict[str, An
         if kind == "string" and count == 1:
             found[path] = cursor.text(path)
             continue
-        if kind not in _PRIMITIVES or count < 0:
-            raise CodecError(f"{path} is of type {kind}, in no fixed number")
+        if kind not in _PRIMITIVES or not 0 < count <= len(data):  # a definition may claim any number
+            raise CodecError(f"{path} is of type {kind}, in no number that a message of {len(data)} bytes can have")
         form = struct.Struct(f"<{count}{_PRIMITIVES[kind]}")
         cursor.position += (_ORIGIN - cursor.position) % struct.calcsize(_PRIMITIVES[kind])
         values = form.unpack_from(cursor.view, cursor.take(form.size, path))

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from impact_rig import blocks, topics
 from impact_rig.blocks import TEXT, Table
-from impact_rig.codec import MAX_COLUMNS, checked, decode, encode, header_stamp_ns
+from impact_rig.codec import MAX_COLUMNS, checked, decode, encode, header_stamp_ns, plain
 from impact_rig.errors import CodecError
 from impact_rig.instruments.section import SCAN
 
@@ -341,6 +341,15 @@ def test_the_stamp_of_any_message_with_a_header_is_found():
         message.header.stamp.sec, message.header.stamp.nanosec = 12, 345
         message.header.frame_id = "somewhere"
         assert header_stamp_ns(serialize_message(message)) == 12_000_000_345
+
+
+@pytest.mark.parametrize("count", [-1, 0, 13, 10**30])
+def test_members_in_no_number_that_fits_the_message_are_refused(count):
+    """A definition in a file may say any number: none at all, or very many, once ended in Python's own errors."""
+    message = b"\0\1\0\0" + bytes(12)
+    assert plain(message, [("x", "uint8", 12)]) == {"x": (0,) * 12}
+    with pytest.raises(CodecError, match=r"^x "):
+        plain(message, [("x", "uint8", count)])
 
 
 def changed(table, name=None, value=None, drop=(), kinds=None):

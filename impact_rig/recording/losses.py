@@ -12,6 +12,7 @@ The stamp of scan i is `start_ns + i * 10**9 // rate_hz`: exact integers, so tha
 from __future__ import annotations
 
 import json
+import math
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 
@@ -222,14 +223,19 @@ def check_contiguity(
     return Contiguity(count, scans, tuple(gaps), lost_blocks, lost_scans, restarts)
 
 
+def has_times(table: Table) -> bool:
+    """Return whether a table, which may be anybody's, has a column `time` of numbers."""
+    return "time" in (table.rows.dtype.names or ()) and table.rows.dtype["time"].kind in "iuf"
+
+
 def scan_rate_hz(table: Table) -> int | None:
     """Return the rate of a block from its `time` column, or None with fewer than two scans."""
-    names = table.rows.dtype.names or ()
-    if "time" not in names or len(table.rows) < 2:
+    if not has_times(table) or len(table.rows) < 2:
         return None
     times = table.rows["time"].astype(np.float64)
     span = float(times[-1] - times[0])
-    return round((len(times) - 1) / span) if span > 0 else None
+    rate_hz = (len(times) - 1) / span if span > 0 else math.nan
+    return round(rate_hz) if math.isfinite(rate_hz) else None
 
 
 def _nearest_index(elapsed_ns: int, rate_hz: int) -> int:

@@ -33,7 +33,7 @@ from mcap.writer import CompressionType, Writer
 from impact_rig import codec, topics
 from impact_rig.blocks import Table
 from impact_rig.errors import CodecError, RecordingError
-from impact_rig.recording import description
+from impact_rig.recording import description, losses
 from impact_rig.recording.description import (
     ENCODING,
     INFINITE_NS,
@@ -463,7 +463,7 @@ def _block(data: bytes, table: Table | None) -> tuple[int, int] | None:
         table = table or codec.decode(data)
     except CodecError:
         return None
-    if not len(table.rows) or "time" not in (table.rows.dtype.names or ()):
+    if not len(table.rows) or not losses.has_times(table):
         return None
     last_s = float(table.rows["time"][-1])
     return (table.stamp_ns, table.stamp_ns + round(last_s * NS_PER_S)) if abs(last_s) < _LONGEST_BLOCK_S else None

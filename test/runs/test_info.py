@@ -297,6 +297,19 @@ def test_an_account_that_leaves_a_topic_out_makes_no_run_whole(record, tmp_path)
     assert NOTES_TOPIC.name in found.verdict
 
 
+@pytest.mark.parametrize("times", [np.array([b"a", b"b"], "S32"), np.array([0.0, 5e-324])])
+def test_times_that_are_none_say_no_rate(record, times):
+    """Words for times, or times closer than numbers go, once ended recording, reading and recovery in a ValueError."""
+    rows = np.zeros(2, [("time", times.dtype), ("laser", "f4")])
+    rows["time"] = times
+    with record() as writer:
+        writer.add_topic(SCAN_TOPIC)
+        writer.write(SCAN_TOPIC.name, codec.encode(Table(START_NS, rows)), 1, 1)
+    found = info(writer.directory)
+    assert (found.rate_hz, found.messages) == (None, 1)
+    assert recover(writer.directory, writer.directory.with_name("out")).messages == 1
+
+
 def test_blocks_of_one_scan_are_judged_too(record):
     """Their times say no rate; the calibration does, or the stamps."""
 
