@@ -7,7 +7,8 @@ from __future__ import annotations
 import contextlib
 import itertools
 from array import array
-from collections.abc import Mapping
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import attrs
@@ -55,7 +56,7 @@ class RunInfo:
     start_ns: int
     end_ns: int
     topics: tuple[TopicInfo, ...]  # in the order they were registered
-    rate_hz: int | None  # scans per second of `daq/scan`; None without it
+    rate_hz: int | None  # scans per second of `daq/scan`, of the first where there are two; None without it
     last_block_s: float  # how long the newest block of it is [s]; 0 where that is not known
     scans: Contiguity | None  # whether its blocks follow each other; None without it
     provenance: Mapping[str, str]  # version, seed, wall_start_ns, ...; empty for other recorders' files
@@ -116,8 +117,9 @@ def info(path: Path | str) -> RunInfo:
                 tally.add(message)
         except DamageError as error:
             problem = str(error)
-        rate_hz = tally.rate_hz
-        scans = check_contiguity(tally.blocks, rate_hz, starts=tally.starts) if rate_hz else None
+        rigs = list(tally.rigs.values())
+        rate_hz = next((rig.rate_hz for rig in rigs if rig.rate_hz), None)
+        scans = _judged(rigs)
         lost = losses.lost(account)
         missing = [*_absent_files(run), *_gaps(scans), *_losses(lost), *_left_out(recovered)]
         if recovered is None:  # an account of what was recorded, not of what could be given back
@@ -130,7 +132,7 @@ def info(path: Path | str) -> RunInfo:
             end_ns=run.end_ns,
             topics=tally.topics(),
             rate_hz=rate_hz,
-            last_block_s=max(tally.blocks)[1] / rate_hz if rate_hz and tally.blocks else 0.0,
+            last_block_s=max((rig.last_block_s for rig in rigs), default=0.0),
             scans=scans,
             provenance=provenance,
             attachments={name: len(data) for name, data in attachments.items()},
@@ -150,14 +152,32 @@ def _verdict(tally: _Tally, scans: Contiguity | None, missing: list[str], *, acc
     if missing:
         return f"{begin}, but {'; '.join(missing)}"
     found = f"there is no {topics.SCAN.name}"
-    if tally.blocks:
+    if blocks := sum(len(rig.blocks) for rig in tally.rigs.values()):
         judged = "without a gap" if scans else "whose rate is not known, so that nobody can tell whether one is missing"
-        found = f"{len(tally.blocks)} blocks of {topics.SCAN.name} {judged}"
+        found = f"{blocks} blocks of {topics.SCAN.name} {judged}"
     if recovered:
         return f"{begin}, {found}; what the recorder had missed is not known"
     if not accounted:
         return f"{begin}, {found}; its recorder kept no account of lost messages"
     return f"whole: {begin}, {found}, no message lost on any topic"
+
+
+def _judged(rigs: Sequence[_Scans]) -> Contiguity | None:
+    """Return whether the blocks of each rig follow each other; None where a rate is not known.
+
+    Of several rigs in one recording the blocks come in turn, and follow those of their own rig only.
+    """
+    found = [check_contiguity(rig.blocks, rig.rate_hz, starts=rig.starts) for rig in rigs if rig.rate_hz]
+    if not found or any(rig.blocks and not rig.rate_hz for rig in rigs):
+        return None
+    return Contiguity(
+        blocks=sum(one.blocks for one in found),
+        scans=sum(one.scans for one in found),
+        gaps=tuple(gap for one in found for gap in one.gaps),
+        lost_blocks=sum(one.lost_blocks for one in found),
+        lost_scans=sum(one.lost_scans for one in found),
+        restarts=sum(one.restarts for one in found),
+    )
 
 
 def _gaps(scans: Contiguity | None) -> list[str]:
@@ -238,6 +258,31 @@ class _Count:
     last_ns: int = 0
 
 
+@attrs.define
+class _Scans:
+    """What one rig says of its scans."""
+
+    blocks: list[tuple[int, int]] = attrs.field(factory=list)
+    starts: list[int] = attrs.field(factory=list)  # scan 0 as often as the journal tells of it [ns]
+    rates: list[int] = attrs.field(factory=list)  # by the calibration
+    from_times: int | None = None
+
+    @property
+    def rate_hz(self) -> int | None:
+        """Scans per second: by the times in a block, by the calibration, or by the stamps of two blocks of one scan."""
+        found = self.from_times or next(iter(self.rates), None)
+        if found is None:
+            steps = [after[0] - one[0] for one, after in itertools.pairwise(self.blocks) if one[1] == 1]
+            least = min((step for step in steps if step > 0), default=0)
+            found = round(NS_PER_S / least) or None if least else None
+        return found
+
+    @property
+    def last_block_s(self) -> float:
+        """How long the newest block is [s]; 0 where that is not known."""
+        return max(self.blocks)[1] / self.rate_hz if self.rate_hz and self.blocks else 0.0
+
+
 class _Tally:
     """Adds up the messages of a run."""
 
@@ -247,10 +292,7 @@ class _Tally:
         self._scan_topics = {name for name in run.topics if matches(name, topics.SCAN.name)}
         self._journals = {name for name in run.topics if matches(name, topics.JOURNAL.name)}
         self._info_topics = {name for name in run.topics if matches(name, topics.INFO.name)}
-        self._rates: list[int] = []
-        self._from_times: int | None = None
-        self.blocks: list[tuple[int, int]] = []
-        self.starts: list[int] = []  # scan 0 of every rig that the journal tells of [ns]
+        self.rigs: defaultdict[str, _Scans] = defaultdict(_Scans)  # by namespace
         self.sequences = {name: array("Q") for name in run.topics}
         """Numbers of the messages of every topic as their publishers gave them."""
 
@@ -266,31 +308,27 @@ class _Tally:
             self._add_block(message)
         elif message.topic in self._info_topics:
             with contextlib.suppress(CodecError):  # what no analysis understands says no rate
-                self._rates += codec.decode(message.data, topics.INFO).rows["rate"][:1].astype(int).tolist()
+                rates = self._rig(message, topics.INFO).rates
+                rates += codec.decode(message.data, topics.INFO).rows["rate"][:1].astype(int).tolist()
         elif message.topic in self._journals:
             with contextlib.suppress(CodecError):
                 table = codec.decode(message.data, topics.JOURNAL)
                 if Kind.START.value.encode() in table.rows["kind"]:
-                    self.starts.append(table.stamp_ns)
+                    self._rig(message, topics.JOURNAL).starts.append(table.stamp_ns)
+
+    def _rig(self, message: Message, topic: topics.Topic) -> _Scans:
+        """Return the rig whose topic a message is of."""
+        return self.rigs[message.topic.removesuffix(topic.name)]
 
     def _add_block(self, message: Message) -> None:
         try:
             table = codec.decode(message.data)
         except CodecError as error:
             raise DamageError(f"{message.topic} at {message.log_time} ns is no table: {error}") from error
-        self.blocks.append((table.stamp_ns, len(table.rows)))
-        if self._from_times is None:
-            self._from_times = scan_rate_hz(table)
-
-    @property
-    def rate_hz(self) -> int | None:
-        """Scans per second: by the times in a block, by the calibration, or by the stamps of two blocks of one scan."""
-        found = self._from_times or next(iter(self._rates), None)
-        if found is None:
-            steps = [after[0] - one[0] for one, after in itertools.pairwise(self.blocks) if one[1] == 1]
-            least = min((step for step in steps if step > 0), default=0)
-            found = round(NS_PER_S / least) or None if least else None
-        return found
+        rig = self._rig(message, topics.SCAN)
+        rig.blocks.append((table.stamp_ns, len(table.rows)))
+        if rig.from_times is None:
+            rig.from_times = scan_rate_hz(table)
 
     def topics(self) -> tuple[TopicInfo, ...]:
         """Return the figures of every topic."""

@@ -310,6 +310,25 @@ def test_times_that_are_none_say_no_rate(record, times):
     assert recover(writer.directory, writer.directory.with_name("out")).messages == 1
 
 
+def test_blocks_of_two_rigs_in_one_recording_are_judged_rig_by_rig(record):
+    """They come in turn: every second one was once a gap, at which the stamps go back."""
+
+    def judged(name, missing):
+        with record(name) as writer:
+            for namespace in ("a", "b"):
+                writer.add_topic(attrs.evolve(SCAN_TOPIC, name=f"/{namespace}/daq/scan"))
+            for number in range(20):
+                writer.write("/a/daq/scan", scan_block(number), number, number + 1)
+                if number not in missing:
+                    writer.write("/b/daq/scan", scan_block(number, start_ns=START_NS - 5 * 10**9), number, 0)
+        return info(writer.directory)
+
+    assert judged("whole", []).verdict.startswith("whole: every checksum fits, 40 blocks of daq/scan without a gap")
+    found = judged("short", [7, 8])
+    assert (found.scans.lost_blocks, found.scans.lost_scans, found.scans.restarts) == (2, 200, 0)
+    assert "1 gaps in daq/scan; 2 blocks (200 scans) are missing" in found.verdict
+
+
 def test_blocks_of_one_scan_are_judged_too(record):
     """Their times say no rate; the calibration does, or the stamps."""
 
