@@ -557,12 +557,21 @@ class _Salvage:
             if superfluous:
                 return
             if found.follows is not None:
-                self._report.heal(self.path.name, found.follows)  # the chunk itself may have been cut in the writing
+                # the chunk itself may have been cut in the writing
+                self._report.heal(self.path.name, self._chunk_from(found.follows))
             yield from _Salvage(
                 tail, self._report, accept_unchecked=False, figures=self.figures, topics=self._topics
             ).messages()
         except RecordingError as error:
             self._report.note(Damage(tail.name, 0, 0, str(error)))
+
+    def _chunk_from(self, follows: int) -> int:
+        """Return where the chunk is that was open when the file had this size: an attachment may be before it."""
+        with DamagedFile(self.path) as file:
+            for found in file.walk():
+                if found.offset >= follows and os.pread(file.fd, 1, found.offset) == bytes([records.CHUNK]):
+                    return found.offset
+        return follows
 
     def _messages(self, file: DamagedFile, found: Found) -> Iterator[tuple[TopicDescription, records.RawMessage]]:
         try:

@@ -13,7 +13,7 @@ import pytest
 from kits.recording import NOTES_TOPIC, SCAN_TOPIC, scan_block, string
 
 from impact_rig.errors import RecordingError
-from impact_rig.recording import open_run, records
+from impact_rig.recording import Attachment, open_run, records
 from impact_rig.recording.writer import Tail, tail_of
 from impact_rig.runs import recover
 
@@ -89,6 +89,28 @@ def test_a_topic_that_comes_when_a_chunk_is_nearly_full_costs_nothing(record, tm
     shutil.copytree(writer.directory, tmp_path / "killed")
     assert given_back(tmp_path / "killed", tmp_path / "out") == sent
     writer.finish()
+
+
+@pytest.mark.parametrize("left", [1, 9, 500, -1])
+def test_a_chunk_cut_behind_an_attachment_is_no_loss_where_the_tail_holds_it(record, tmp_path, left):
+    """Looked for where the chunk began, before the attachment, it was not found: the tail had all, and it counted."""
+    writer = record(tail=True)
+    writer.add_topic(SCAN_TOPIC)
+    for number in range(10):
+        if number == 5:
+            writer.attach(Attachment("calibration.yaml", b"gain: 1"))
+        writer.write(SCAN_TOPIC.name, scan_block(number), 0, number)
+        writer.secure()
+    shutil.copytree(writer.directory, tmp_path / "killed")
+    begin = writer.bytes_written
+    writer.finish()
+    with open_run(writer.directory) as run:
+        (index,) = run.sources[0].summary.chunk_indexes
+    assert index.chunk_start_offset == begin
+    length = left if left > 0 else index.chunk_length - 1
+    (tmp_path / "killed" / "run.mcap").write_bytes(writer.files[0].read_bytes()[: begin + length])
+    report = recover(tmp_path / "killed", tmp_path / "out")
+    assert (report.messages, report.damages, report.lost_bytes) == (10, [], 0)
 
 
 def test_killed_between_chunk_and_removal_nothing_is_given_back_twice(record, tmp_path, monkeypatch):
