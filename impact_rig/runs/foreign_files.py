@@ -425,6 +425,9 @@ def _uff(path: Path, content: bytes) -> Foreign:
                 if f"{name} {node}" not in signals
                 else f"{name}_{number}"
             )
+            if times is not None and len(x) == len(times) > 1 and not np.all(np.abs(x - x[0] - times) < times[1] / 2.0):
+                left_out[name] = "its abscissa is another one than that of the signals before"
+                continue
             unit = str(one.get("ordinate_axis_units_lab") or "").strip()
             signals[name] = Signal(np.asarray(data, np.float64), "" if unit.upper() == "NONE" else unit)
             if times is None and len(x) == len(data) and len(x):

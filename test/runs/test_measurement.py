@@ -7,6 +7,7 @@ from __future__ import annotations
 import os
 import re
 import signal
+import warnings
 import wave
 from collections.abc import Callable
 from pathlib import Path
@@ -312,6 +313,23 @@ def test_a_mapping_reads_back_as_it_was_written() -> None:
     )
     mapping = Mapping(channels={"laser": laser}, gap=1e-5, amplitude=-1e-5, frequency="µ 1e-06", notes=("say \\ 2e-7",))
     assert refined(Mapping(channels={}), as_yaml(mapping)) == mapping
+
+
+def test_a_universal_file_has_one_abscissa(tmp_path: Path) -> None:
+    """A signal as long as the first, at another rate, was once taken for one at the first one's times."""
+    pyuff = pytest.importorskip("pyuff")
+    sets = [
+        {"type": 58, "binary": 1, "func_type": 1, "data": np.arange(50.0), "x": np.arange(50) / rate_hz,
+         "abscissa_spacing": 1, "id1": name, "id2": "", "rsp_node": 1, "rsp_dir": 1, "ref_node": 1, "ref_dir": 1,
+         "rsp_ent_name": name[:10], "ref_ent_name": "base", "orddenom_spec_data_type": 0}
+        for name, rate_hz in (("laser", 1000), ("base", 1000), ("current", 500))
+    ]  # fmt: skip
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ResourceWarning)  # pyuff leaves files to the garbage collection
+        pyuff.UFF(str(tmp_path / "own.uff")).write_sets(sets, "add")
+    found = foreign_files.read(tmp_path / "own.uff")
+    assert list(found.signals) == ["laser", "base"]
+    assert list(found.left_out) == ["current"]
 
 
 def test_a_table_of_commands_counts_its_times_from_the_same_instant_as_the_scans(tmp_path: Path) -> None:
