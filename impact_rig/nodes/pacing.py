@@ -114,11 +114,12 @@ class WorkTimer:
     def start(self, period_s: float, first_s: float) -> None:
         """Call back in `first_s` and then every `period_s`; replaces what was going on.
 
-        What is overdue waits for the next call in step: a call at once would set a phase in which all are late.
+        What is overdue waits for the next call in step: a call at once would set a phase in which all are late. For
+        what is further away than a period, calls in step come before it as well.
         """
         self.stop()
         self._period_s = period_s
-        if first_s < 0.0:
+        if not 0.0 <= first_s <= period_s:
             first_s %= period_s
         self._timer = self._node.steady_timer(max(first_s, _AT_ONCE_S), self._first)
 

@@ -36,7 +36,7 @@ from impact_rig.nodes.pacing import Pacer, WorkTimer
 from impact_rig.nodes.publishers import Publishers
 from impact_rig.rig import Block, Rig
 from impact_rig.rig.config import RigConfig
-from impact_rig.simtime import NS_PER_S
+from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S
 from impact_rig.system import files
 
 OBEDIENT = ("rmw_fastrtps_cpp", "rmw_fastrtps_dynamic_cpp", "rmw_cyclonedds_cpp")
@@ -404,12 +404,19 @@ class Session:
 
     def _catch_up(self, rig: Rig, deadline: float) -> None:
         """Publish what is due, or as much of it as the deadline allows: the next call goes on."""
-        due_ns = self._base_ns + self.pacer.due_ns(rig.next_block_ns - self._base_ns)
+        due_ns = self._base_ns + self.pacer.due_ns(self._simulated_ns(rig))
         while True:
             until_ns = min(due_ns, rig.frontier_ns + CATCH_UP_NS)
             self._advance(rig, until_ns)
             if until_ns == due_ns or time.monotonic() > deadline:
                 return
+
+    def _simulated_ns(self, rig: Rig) -> int:
+        """Return how much rig time is done for the pacer: part of a block counts, which may be longer than any lag.
+
+        Not the last tick, of which more may be simulated than was due.
+        """
+        return max(rig.next_block_ns, rig.frontier_ns - COMMAND_GRID_NS) - self._base_ns
 
     def _run_ahead(self, rig: Rig, deadline: float) -> None:
         """Publish as many blocks as the window (and a step) allows, until the deadline."""
@@ -496,7 +503,7 @@ class Session:
             self.window.waive()
             if starving:
                 rig.feed(rig.stream.played + rig.stream.buffered(), ())
-            self.pacer.rebase(rig.next_block_ns - self._base_ns)
+            self.pacer.rebase(self._simulated_ns(rig))
             self._start_timer(self.node.settings)
             self.node.report_change()
         done(True, "running")
@@ -615,7 +622,7 @@ class Session:
             self.window.window = settings.time.ack_window
             self.window.timeout_ns = round(settings.time.peer_timeout_s * NS_PER_S)
         if "time.factor" in changes:
-            self.pacer.rebase(rig.next_block_ns - self._base_ns, settings.time.factor)
+            self.pacer.rebase(self._simulated_ns(rig), settings.time.factor)
             self._start_timer(settings)
         self._publish_configuration(rig)
 

@@ -209,6 +209,28 @@ def test_a_rig_slower_than_real_time_says_so_and_still_answers(client: Client) -
     assert "could not keep real time" in client.status("rig").message, "it was late all the while"
 
 
+def test_blocks_longer_than_the_lag_that_is_given_up_come_in_real_time(client: Client) -> None:
+    """Once the lag was counted from the last block: one of two seconds was given up halfway, again and again."""
+    node = host_rig(client, "realtime", daq__rate_hz=1000, daq__block_scans=2000)
+    client.wait_active("rig")
+    scans = client.collect("daq/scan")
+    client.wait_until(lambda: scans, "a block of two seconds", 8.0)
+    assert node._session.pacer.slips == 0
+
+
+def test_a_pause_and_another_speed_keep_what_there_is_of_a_block(client: Client) -> None:
+    """Once the pacer began again with the block, and the rig stood still for as long as it was into it."""
+    node = host_rig(client, "realtime", daq__rate_hz=1000, daq__block_scans=10_000)
+    client.wait_active("rig")
+    session = node._session
+    client.wait_until(lambda: session.rig.frontier_ns > session.rig.start_ns + 50 * TICK, "half a second of a block")
+    for change in (lambda: client.set_parameters("rig", {"time.factor": 0.5}), client.pause):
+        change()
+        client.pause(False)
+        before = session.rig.frontier_ns
+        client.wait_until(lambda before=before: session.rig.frontier_ns > before, "rig time to go on", 0.3)
+
+
 def test_going_on_while_running_gives_up_no_time(client: Client, monkeypatch: pytest.MonkeyPatch) -> None:
     """What is due stays due when it was: time is taken up anew only after a pause."""
     pacers = []

@@ -56,7 +56,9 @@ def instants(wait_s: float, count: int, next_waits_s: Sequence[float] = ()) -> l
     return found
 
 
-@pytest.mark.parametrize(("wait_s", "expected_s"), [(0.004, 0.004), (0.0, 1e-6), (-0.101, 0.009), (-0.0999, 0.0001)])
+@pytest.mark.parametrize(
+    ("wait_s", "expected_s"), [(0.004, 0.004), (0.0, 1e-6), (-0.101, 0.009), (-0.0999, 0.0001), (0.0255, 0.0055)]
+)
 def test_what_is_overdue_waits_for_the_next_call_in_step(wait_s: float, expected_s: float) -> None:
     assert instants(wait_s, 4) == pytest.approx([expected_s + number * PERIOD_S for number in range(4)])
 
