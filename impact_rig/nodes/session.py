@@ -609,13 +609,14 @@ class Session:
         Raises:
             ImpactRigError: it refuses them; nothing is changed.
         """
+        rig = self.rig
+        if rig is not None:
+            rig.adopt(settings, changes)  # first: it may refuse
         if self._active and "time.peers" in changes:
             self.readers.expect(settings.time.peers)
             self._history_settled = False
-        rig = self.rig
         if rig is None:
             return
-        rig.adopt(settings, changes)
         self.publishers.changes(rig)
         if any(name.startswith(("time.peers", "time.ack_window", "time.peer_timeout")) for name in changes):
             self.window.set_peers(settings.time.peers)

@@ -116,3 +116,16 @@ def test_a_rig_told_to_go_on_goes_on_without_the_one_that_is_silent(client: Clie
         client.pause(False)
         client.wait_until(lambda: len(scans) > 40, "many more than a window")
         client.wait_until(lambda: "running without peer other" in client.status("rig").message, "to be told so")
+
+
+def test_peers_that_were_refused_together_with_something_else_are_not_waited_for(client: Client) -> None:
+    """Once the rig stood still for a peer that is not in its parameters, and nothing but a new list let it go on."""
+    host_rig(client, "freewheel", time__peers=["client"])
+    client.wait_active("rig")
+    scans = client.collect("daq/scan", acknowledge=True)
+    client.wait_until(lambda: len(scans) > 5, "blocks")
+    with pytest.raises(ConfigError, match="must not outweigh"):
+        client.set_parameters("rig", {"time.peers": ["client", "ghost"], "sphere.diameter_m": 0.2})
+    assert client.get_parameters("rig", ["time.peers"])["time.peers"] == ["client"]
+    before = len(scans)
+    client.wait_until(lambda: len(scans) > before + 50, "that it goes on")
