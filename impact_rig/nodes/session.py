@@ -387,6 +387,8 @@ class Session:
         now = time.monotonic()
         if self._worked_at and now - self._worked_at > AWAY_S:
             self.window.excuse()
+            if self._starved_at is not None:
+                self._starved_at = now
             self._back_ns = time.time_ns()
         self._worked_at = now
         return now
@@ -532,6 +534,7 @@ class Session:
     def reset(self, rig: Rig) -> None:
         """Begin again from scan 0."""
         rig.reset()
+        self._starved_at = None  # samples are wanted anew
         self.publishers.changes(rig)
         self.counts.faults.clear()  # planned ones begin anew, and say so
         self._publish_configuration(rig)
@@ -544,6 +547,7 @@ class Session:
         """Do something with the rig, and say what was done."""
         rig = self.running()
         act(rig)
+        self._note_samples(rig)
         self.publishers.changes(rig)
         done(True, said)
 
@@ -578,7 +582,13 @@ class Session:
             if not self.is_realtime:  # in real time the next block says it
                 self.publishers.stream(rig)
         if self._starved_at is not None:
+            self._note_samples(rig)
             self.work()
+
+    def _note_samples(self, rig: Rig) -> None:
+        """Note, also while the rig is paused, that it waits for samples no more: some have come, or none are needed."""
+        if self._starved_at is not None and rig.blocks_with_samples(1):
+            self._starved_at = None
 
     def _on_ack(self, data: bytes) -> None:
         """Take an acknowledgement, which every reader may send in every mode; one of a peer makes room for work."""

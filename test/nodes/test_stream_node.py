@@ -7,7 +7,9 @@ from __future__ import annotations
 import contextlib
 import functools
 import math
+import time
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 import pytest
@@ -23,12 +25,15 @@ from std_srvs.srv import Trigger
 
 from impact_rig import codec, topics
 from impact_rig.blocks import WAVEFORM, Table
-from impact_rig.client import Client, apparatus
+from impact_rig.client import Client, Collector, ServiceFailedError, apparatus
 from impact_rig.client.apparatus import over_topics
 from impact_rig.client.client import ros_parameters
 from impact_rig.errors import CommandError
+from impact_rig.nodes import session
 from impact_rig.nodes.recorder_node import RecorderNode
+from impact_rig.nodes.rig_node import RigNode
 from impact_rig.operate.hardware import Hardware, InProcess
+from impact_rig.physics.stream import State
 from impact_rig.recording import Run
 from impact_rig.rig import Rig
 from impact_rig.runs.verification import verify
@@ -210,6 +215,62 @@ def test_a_rig_ahead_of_time_waits_for_samples_and_names_who_sends_none(client):
     client.wait_until(lambda: node.doing().word is Words.SILENT_PEER, "the word again")
     client.pause(False)
     client.wait_until(lambda: len(scans) > 60, "that it goes on without")
+
+
+def starved(client: Client, mode: str = "freewheel", **values: Any) -> tuple[RigNode, Collector]:
+    """A rig ahead of time that is out of samples after twenty blocks, but for half a block."""
+    node = host_rig(client, mode, time__peers=[client.name], **STREAM, **values)
+    client.wait_active("rig")
+    scans = client.collect("daq/scan", acknowledge=True)
+    send(client, 0, WAVE[:2_050])
+    client.wait_until(lambda: len(scans) == 20, "twenty blocks")
+    return node, scans
+
+
+def test_samples_that_come_during_a_pause_are_played_after_it(client: Client) -> None:
+    """A rig paused while it waited for them once ended the stream when it went on, though they had come."""
+    node, scans = starved(client, time__peer_timeout_s=0.3)
+    rig = node._session.rig
+    client.pause()
+    send(client, 2_050, WAVE[2_050:4_001])
+    client.wait_until(lambda: rig.stream.buffered() > 1_900, "the samples")
+    client.spin_for(0.4)
+    assert node.doing().word is Words.PAUSED
+    client.pause(False)
+    client.wait_until(lambda: len(scans) == 40, "the blocks of these samples")
+    client.spin_for(0.1)
+    assert (len(scans), rig.stream.state) == (40, State.PLAYING), "it waits for more"
+
+
+def test_a_stop_during_a_pause_leaves_nothing_to_wait_for(client: Client) -> None:
+    """To go on was refused as the shaker is latched, and done by half: no longer paused, but the work not begun."""
+    node, scans = starved(client, time__peer_timeout_s=0.3)
+    client.pause()
+    client.trigger("rig/stop")
+    client.spin_for(0.4)
+    client.pause(False)
+    client.wait_until(lambda: len(scans) > 40, "that it goes on, without the stream")
+    assert node.refusals.total() == 0
+
+
+@pytest.mark.parametrize("what", ["reset", "suspended"])
+def test_the_time_to_wait_for_samples_begins_anew(client: Client, monkeypatch: pytest.MonkeyPatch, what: str) -> None:
+    """A step was refused at once for the samples that had not come before the reset, or while this process was away."""
+    node = host_rig(client, "stepped", time__peers=[client.name], time__peer_timeout_s=0.5, **STREAM)
+    client.wait_active("rig")
+    client.collect("daq/scan", acknowledge=True)
+    with pytest.raises(ServiceFailedError, match="sends no samples"):
+        client.step(1)
+    if what == "reset":
+        client.trigger("rig/reset")
+    else:
+        monkeypatch.setattr(session, "AWAY_S", -1.0)
+        client.wait_until(lambda: not node._session.is_starving, "a call of the timer")
+        monkeypatch.undo()
+    began = time.monotonic()
+    with pytest.raises(ServiceFailedError, match="sends no samples"):
+        client.step(1)
+    assert time.monotonic() - began > 0.2
 
 
 def test_of_two_controllers_the_last_counts_and_both_are_named(client):
