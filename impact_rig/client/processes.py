@@ -199,7 +199,7 @@ def _yaml(value: ParameterValue) -> str:
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, float):
-        text = repr(value)
+        text = repr(float(value))  # numpy's has its type around it
         return text if "." in text or "n" in text else text.replace("e", ".0e")  # YAML 1.1 floats need a point
     if isinstance(value, int):
         return str(value)

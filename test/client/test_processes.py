@@ -12,6 +12,7 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from impact_rig.client import ProcessDiedError, Processes, isolated_domain
@@ -63,6 +64,8 @@ def test_ports_of_killed_processes_are_removed_and_those_in_use_are_not(tmp_path
         (1e-7, "1.0e-07"),
         (0.006, "0.006"),
         (1e22, "1.0e+22"),
+        (np.float64(0.004), "0.004"),
+        ((np.float64(8.5), 9.0), "[8.5, 9.0]"),
         ("a b", "'a b'"),
         ("it's", "'it''s'"),
         (("analysis", "recorder"), "['analysis', 'recorder']"),
@@ -70,6 +73,7 @@ def test_ports_of_killed_processes_are_removed_and_those_in_use_are_not(tmp_path
     ],
 )
 def test_parameters_are_written_as_ros_reads_them(value: object, text: str) -> None:
+    """A number of numpy, a float as well, once came as the text `np.float64(0.004)`, which no node took."""
     assert _yaml(value) == text
 
 
